@@ -60,7 +60,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "evaluation": {*_ORDER, "pipelines"},
     "cli": {*_ORDER, "pipelines", "evaluation", "exports", "checking", "batch"},
 }
-MOST_ROOMS, MOST_FLOORS = 24, 10
+MOST_ROOMS, MOST_FLOORS = 24, 9
+MOST_LINES, MOST_LINES_OF_A_FUNCTION = 460, 60
 # what `specmap --help` must not load
 HEAVY = {
     "cv2",
@@ -145,6 +146,31 @@ def test_every_room_is_in_the_table() -> None:
 def test_the_house_is_small_and_no_arrow_runs_up() -> None:
     assert len(MAY_IMPORT) <= MOST_ROOMS
     assert max(floor_of(room) for room in MAY_IMPORT) <= MOST_FLOORS  # ends: there is no circle
+
+
+def test_a_module_is_read_at_a_sitting_and_a_function_on_a_screen() -> None:
+    long = []
+    for path in MODULES:
+        lines = path.read_text(encoding="utf-8").count("\n")
+        long += [f"{relative(path)}: {lines} lines"] if lines > MOST_LINES else []
+        for node in ast.walk(tree_of(path)):
+            if isinstance(node, ast.FunctionDef) and node.end_lineno is not None:
+                lines = node.end_lineno - node.lineno + 1
+                if lines > MOST_LINES_OF_A_FUNCTION:
+                    long.append(f"{relative(path)}:{node.lineno} {node.name}: {lines} lines")
+    assert long == []
+
+
+def test_the_documents_tell_the_same_sizes() -> None:
+    floors = max(floor_of(room) for room in MAY_IMPORT)
+    sizes = f"A module has {MOST_LINES} lines at the most, a function {MOST_LINES_OF_A_FUNCTION}."
+    told = {
+        "CONTRIBUTING.md": (sizes,),
+        "docs/architecture.md": (sizes, f"{len(MAY_IMPORT)} packages on {floors} floors"),
+    }
+    for name, sentences in told.items():
+        text = (ROOT.parent / name).read_text(encoding="utf-8")
+        assert [sentence for sentence in sentences if sentence not in text] == []
 
 
 def test_no_two_files_of_tests_have_one_name() -> None:

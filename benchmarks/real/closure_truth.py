@@ -14,7 +14,7 @@ from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_a
 from specmap_cli.evaluation.trajectories import associate, read_tum
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.closure_matching import Place, place_around, sharpened
-from specmap_cli.layout.relaxation import Constraint
+from specmap_cli.layout.pose_graph import Link
 from specmap_cli.pipelines.exploration import Regions
 from specmap_cli.pipelines.laying_out import constraints_of
 from specmap_cli.pipelines.map_in_making import Explored
@@ -124,7 +124,7 @@ def _overlaps(tracks: Mapping[int, FloatArray]) -> dict[tuple[int, int], float]:
 
 
 def _constraint_errors(
-    constraints: Iterable[Constraint], store: KeyframeStore, truth: FloatArray, reach: int
+    constraints: Iterable[Link], store: KeyframeStore, truth: FloatArray, reach: int
 ) -> FloatArray:
     """(n, 2) metres and degrees between each verified transform and the truth, where it ties."""
     errors = []
@@ -136,7 +136,7 @@ def _constraint_errors(
 
 
 def _repeats(
-    constraints: Mapping[tuple[int, int], Constraint], regions: Regions, store: KeyframeStore
+    constraints: Mapping[tuple[int, int], Link], regions: Regions, store: KeyframeStore
 ) -> FloatArray:
     """(n, 2) metres and degrees between each constraint by one half of the scans and the other."""
     apart = []

@@ -25,7 +25,7 @@ from benchmarks.scoreboard.bench import Bench
 from benchmarks.scoreboard.rows import Figure, Figures, Row
 from specmap_cli.exports.routes import is_way, routes
 from specmap_cli.exports.table import export_map
-from specmap_cli.layout.g2o import read_g2o
+from specmap_cli.layout.pose_graph import read_g2o
 from specmap_cli.maps.store import StoredMap, read_map
 from tests.exports.route_server import load
 

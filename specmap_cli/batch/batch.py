@@ -48,7 +48,7 @@ def run_batch(
     workers that cannot be used.
     """
     if not jobs:
-        raise UsageError("no logs: name a recording, a directory, a pattern or a file of jobs")
+        raise UsageError("no logs", "name a recording, a directory, a pattern or a file of jobs")
     require_dask()
     terms = _for_all_workers(terms, cluster)
     with ThreadPoolExecutor(_ASKERS) as askers:

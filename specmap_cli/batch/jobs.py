@@ -22,9 +22,9 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -71,7 +71,9 @@ def jobs_of(inputs: Sequence[str], defaults: Plan | None = None) -> tuple[Job, .
                 known.add(found.log)
                 jobs.append(Job(names.of_log(found), (found.log,), steps))
     if not jobs:
-        raise UsageError("no job given: name a log, a directory, a pattern or a TOML file of jobs")
+        raise UsageError(
+            "no job given", "name a log, a directory, a pattern or a TOML file of jobs"
+        )
     return tuple(jobs)
 
 
@@ -81,16 +83,17 @@ class _Names:
     def __init__(self) -> None:
         self._taken: set[str] = set(BESIDE_JOBS)
 
-    def of_person(self, name: object, where: str) -> str:
+    def of_person(self, name: object) -> str:
         """A name that a person chose. Raises UsageError when it is unsafe or taken."""
         if not isinstance(name, str) or not _NAME.fullmatch(name):
-            raise UsageError(
-                f"{where}name is {name!r:.60}: expected letters, digits, dots, dashes and "
-                "underscores, a letter or digit first: it names a folder"
+            hint = (
+                "expected letters, digits, dots, dashes and underscores, a letter or digit first: "
+                "it names a folder"
             )
+            raise UsageError(f"name is {name!r:.60}", hint)
         if name.lower() in self._taken:
             whose = "a file of the batch's" if name.lower() in BESIDE_JOBS else "another job's"
-            raise UsageError(f"{where}name: {name} is {whose}, too: choose another")
+            raise UsageError(f"name: {name} is {whose}, too", "choose another")
         self._taken.add(name.lower())
         return name
 
@@ -114,7 +117,7 @@ class _Names:
 def _local(place: str) -> Path:
     path = path_at(place)
     if path is None:
-        raise UsageError(f"{place}: a file of jobs must be on this machine: copy it here")
+        raise UsageError("a file of jobs must be on this machine", "copy it here", where=place)
     return path
 
 
@@ -165,7 +168,7 @@ class _File(_Table):
     ] = ()
 
 
-_FILE: TomlFormat[_File] = TomlFormat(model=_File, error=partial(UsageError, code=SETTING))
+_FILE: TomlFormat[_File] = TomlFormat(model=_File, error=UsageError, code=SETTING)
 _JOB: TomlFormat[_JobTable] = TomlFormat(model=_JobTable, error=UsageError)
 
 
@@ -181,29 +184,39 @@ def _in_file(path: Path, defaults: Plan, names: _Names) -> list[Job]:
 
 def _jobs(file: _File, path: Path, defaults: Plan, names: _Names) -> list[Job]:
     """The jobs of the logs of the whole file, then those of its tables."""
-    where, base = f"{path}: ", path.parent
-    plan = _plan(file, defaults)
-    places = [f"{where}{_title(table, number)}: " for number, table in enumerate(file.job, 1)]
-    tables = [_JOB.value(table, place) for table, place in zip(file.job, places, strict=True)]
-    # names that a person gave are taken before any is made of a log
-    chosen = [
-        None if table.name is None else names.of_person(table.name, place)
-        for table, place in zip(tables, places, strict=True)
+    base, plan = path.parent, _plan(file, defaults)
+    places = [f"{path}: {_title(table, number)}" for number, table in enumerate(file.job, 1)]
+    tables = [
+        _JOB.value(table, f"{place}: ") for table, place in zip(file.job, places, strict=True)
     ]
+    chosen: list[str | None] = []  # names that a person gave are taken before any is made of a log
+    for table, place in zip(tables, places, strict=True):
+        with _told_of(place):
+            chosen.append(None if table.name is None else names.of_person(table.name))
     jobs: list[Job] = []
     if file.logs:
-        steps = steps_of(plan, base, where)
-        for found in _logs(file.logs, base, where):
-            jobs.append(Job(names.of_log(found), (found.log,), steps))
+        with _told_of(path):
+            steps, logs = steps_of(plan, base), _logs(file.logs, base)
+        jobs += [Job(names.of_log(found), (found.log,), steps) for found in logs]
     for table, name, place in zip(tables, chosen, places, strict=True):
-        if table.logs is None:
-            raise UsageError(f'{place}logs: missing: say which, such as logs = ["lobby.mcap"]')
-        logs = _logs(table.logs, base, place)  # all are one recording
-        steps = steps_of(_plan(table, plan), base, place)
+        with _told_of(place):
+            if table.logs is None:
+                raise UsageError("logs: missing", 'say which, such as logs = ["lobby.mcap"]')
+            logs = _logs(table.logs, base)  # all are one recording
+            steps = steps_of(_plan(table, plan), base)
         jobs.append(Job(name or names.of_log(logs[0]), tuple(each.log for each in logs), steps))
     if not jobs:
-        raise UsageError(f"{where}no jobs: give logs = [...], or tables [[job]] with logs")
+        raise UsageError("no jobs", "give logs = [...], or tables [[job]] with logs", where=path)
     return jobs
+
+
+@contextmanager
+def _told_of(place: object) -> Iterator[None]:
+    """Errors are told of a place in the file."""
+    try:
+        yield
+    except UsageError as error:
+        raise error.within(place) from None
 
 
 def _title(table: Mapping[str, Any], number: int) -> str:
@@ -212,15 +225,13 @@ def _title(table: Mapping[str, Any], number: int) -> str:
     return f"job {number}{f' ({name})' if isinstance(name, str) else ''}"
 
 
-def _logs(places: tuple[str, ...], base: Path, where: str) -> list[Found]:
+def _logs(places: tuple[str, ...], base: Path) -> list[Found]:
     """The recordings at some places, each once."""
     found: dict[str, Found] = {}
     for place in places:
         path = path_at(place)
-        try:
+        with _told_of("logs"):
             logs = logs_at(place if path is None else str(base / path))
-        except UsageError as error:
-            raise UsageError(f"{where}logs: {error}") from None
         found |= {each.log: each for each in logs if each.log not in found}
     return list(found.values())
 

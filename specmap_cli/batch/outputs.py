@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from specmap_cli.batch.places import path_at, reaching, store_at
 from specmap_cli.batch.records import JobRecord
 from specmap_cli.batch.steps import JOB, MAP
-from specmap_cli.core.errors import UsageError, reason
+from specmap_cli.core.errors import UsageError
 from specmap_cli.core.files import lock, read_bytes, write_together
 from specmap_cli.core.text import to_json
 from specmap_cli.maps import filenames
@@ -146,8 +146,9 @@ class _InStore(Folder):
         present = self._sizes()
         if present and not {JOB, _BEGUN} & set(present):
             raise UsageError(
-                f"{self.place}: is not empty and holds no earlier result (no {JOB} in it): "
-                "choose another output directory"
+                f"is not empty and holds no earlier result (no {JOB} in it)",
+                "choose another output directory",
+                where=self.place,
             )
         directory = scratch / "result"
         directory.mkdir()
@@ -231,13 +232,14 @@ def _taken_here(directory: Path) -> Iterator[Callable[[str], object]]:
         directory.mkdir(parents=True, exist_ok=True)
         holder = os.open(directory / _LOCK, os.O_RDWR | os.O_CREAT, 0o666)
     except OSError as error:
-        why = reason(error, "choose another place")
-        raise UsageError(f"{directory}: cannot be written: {why}") from None
+        advice = "choose another place"
+        raise UsageError.of_system(error, "cannot be written", advice, where=directory) from None
     try:
         if not lock(holder):
             raise UsageError(
-                f"{directory}: another batch is writing there: wait for it, or choose another "
-                "directory"
+                "another batch is writing there",
+                "wait for it, or choose another directory",
+                where=directory,
             )
         with (directory / _JOURNAL).open("a", buffering=1, encoding="utf-8") as file:
             yield file.write

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from specmap_cli.core.errors import MACHINE, PACKAGE, SpecmapError, UsageError, reason
+from specmap_cli.core.errors import MACHINE, PACKAGE, SpecmapError, UsageError
 from specmap_cli.core.files import lock
 
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)(://|::)")
@@ -43,7 +43,7 @@ def store_at(url: str) -> tuple[Any, str]:
         import fsspec
     except ImportError:
         raise UsageError(
-            f"{url}: needs an extra: pip install 'specmap-cli[batch]'", code=PACKAGE
+            "needs an extra", "pip install 'specmap-cli[batch]'", where=url, code=PACKAGE
         ) from None
     try:
         with reaching(url):
@@ -52,7 +52,7 @@ def store_at(url: str) -> tuple[Any, str]:
     except PlaceError as error:
         cause = error.__cause__
         if isinstance(cause, ImportError | ValueError):
-            raise UsageError(f"{url}: {cause}", code=PACKAGE) from None
+            raise UsageError(cause, where=url, code=PACKAGE) from None
         raise
 
 
@@ -68,7 +68,7 @@ def reaching(url: str) -> Iterator[None]:
         raise
     except Exception as error:  # any of any store's library: they have no class in common
         said = " ".join(str(error).split()) or type(error).__name__
-        raise PlaceError(f"{url}: cannot be reached or used: {said:.300}") from error
+        raise PlaceError(f"cannot be reached or used: {said:.300}", where=url) from error
 
 
 @contextmanager
@@ -84,8 +84,8 @@ def scratch_directory(root: str | None) -> Iterator[Path]:
         _sweep(parent)
         directory, descriptor = _locked(parent)
     except OSError as error:
-        why = reason(error, "choose another scratch directory")
-        raise PlaceError(f"{parent}: no temporary files can be made there: {why}") from None
+        found, advice = "no temporary files can be made there", "choose another scratch directory"
+        raise PlaceError.of_system(error, found, advice, where=parent) from None
     try:
         yield directory
     finally:

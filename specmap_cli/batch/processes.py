@@ -129,7 +129,7 @@ def _need_psutil() -> None:
         import_module("psutil")
     except ImportError:
         raise UsageError(
-            "jobs need an extra: pip install 'specmap-cli[batch]'", code=PACKAGE
+            "jobs need an extra", "pip install 'specmap-cli[batch]'", code=PACKAGE
         ) from None
 
 

@@ -74,8 +74,9 @@ def run_job(turn: Turn, terms: Terms, wanted: Callable[[], bool] = lambda: True)
                 return JobResult(this.record(known.refused, known))
         if (edits := folder.edited()) is not None:
             raise UsageError(
-                f"{edits}: holds a person's decisions, which a new map would lose: move the map "
-                "away, and name it as `like` of build to keep them"
+                "holds a person's decisions, which a new map would lose",
+                "move the map away, and name it as `like` of build to keep them",
+                where=edits,
             )
         with scratch_directory(terms.scratch) as scratch, folder.fresh(scratch) as directory:
             work = known.refused or work_on(job, directory, scratch, terms.limits, wanted)

@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 from specmap_cli.batch.places import PlaceError, path_at, reaching, store_at
 from specmap_cli.batch.records import InputRecord, Job, Step
 from specmap_cli.batch.steps import JOB
-from specmap_cli.core.errors import LogError, SpecmapError, UsageError, reason
+from specmap_cli.core.errors import LogError, SpecmapError, UsageError
 from specmap_cli.logs.opening import known_readers, looks_like_a_log
 from specmap_cli.logs.readers.recording import Recording
 from specmap_cli.maps.filenames import TOPOLOGY
@@ -72,7 +72,7 @@ def logs_at(place: str) -> list[Found]:
     path = path_at(place)
     found = list(_found_in_store(place) if path is None else _found_here(path))
     if not found:
-        raise UsageError(f"{place}: no recording there")
+        raise UsageError("no recording there", where=place)
     return found
 
 
@@ -84,7 +84,7 @@ def sources_of(log: str) -> tuple[Source, ...]:
     path = path_at(log)
     found = tuple(_files_in_store(log) if path is None else _files_here(path))
     if not found:
-        raise LogError(f"{log}: no recording in this directory")
+        raise LogError("no recording in this directory", where=log)
     return found
 
 
@@ -127,8 +127,10 @@ def fetched(logs: Sequence[str], directory: Path) -> dict[str, str]:
     free = shutil.disk_usage(directory).free
     if needed > free:
         raise PlaceError(
-            f"{directory.parent}: the logs need {needed / _BYTES_PER_MB:,.0f} MB, "
-            f"{free / _BYTES_PER_MB:,.0f} MB are free: choose another scratch directory"
+            f"the logs need {needed / _BYTES_PER_MB:,.0f} MB, "
+            f"{free / _BYTES_PER_MB:,.0f} MB are free",
+            "choose another scratch directory",
+            where=directory.parent,
         )
     return {
         log: _fetched(log, remote[log], directory / str(number))
@@ -152,7 +154,7 @@ def _at_path(path: Path, root: Path) -> Iterator[Found]:
     """A file, or all recordings below a directory, by their names below `root`."""
     if not path.is_dir():
         if not os.path.lexists(path):
-            raise UsageError(f"{path}: no such file or directory")
+            raise UsageError("no such file or directory", where=path)
         yield Found(str(path), _plain_name(path.relative_to(root).as_posix()))
         return
     root = path if root == path.parent else root
@@ -165,7 +167,7 @@ def _below(directory: Path, readers: Mapping[str, type[Recording]]) -> Iterator[
     """The recordings below a directory: files, and directories of rosbag2."""
 
     def refuse(error: OSError) -> None:
-        raise UsageError(f"{error.filename}: cannot read: {reason(error)}")
+        raise UsageError.of_system(error, "cannot read", where=error.filename)
 
     for where, inner, files in os.walk(directory, onerror=refuse):
         inner[:] = sorted(name for name in inner if not name.startswith("."))
@@ -213,7 +215,7 @@ def _found_in_store(url: str) -> Iterator[Found]:
             elif system.exists(root):
                 yield Found(url, _plain_name(root.rsplit("/", 1)[-1]))
         except FileNotFoundError:
-            raise UsageError(f"{url}: no such file or directory") from None
+            raise UsageError("no such file or directory", where=url) from None
 
 
 def _at_match(system: Any, match: str, root: str) -> Iterator[Found]:
@@ -260,9 +262,9 @@ def _files_here(path: Path) -> Iterator[Source]:
             if file.is_file() and not file.name.startswith("."):
                 yield _file(file)
     except FileNotFoundError:
-        raise LogError(f"{path}: no such file or directory") from None
+        raise LogError("no such file or directory", where=path) from None
     except OSError as error:
-        raise LogError(f"{path}: cannot read: {reason(error)}") from None
+        raise LogError.of_system(error, "cannot read", where=path) from None
 
 
 def _file(path: Path) -> Source:
@@ -287,11 +289,13 @@ def _files_in_store(url: str) -> Iterator[Source]:
                 system.invalidate_cache()
                 found = {root: system.info(root)}
         except FileNotFoundError:
-            raise LogError(f"{url}: no such file or directory") from None
+            raise LogError("no such file or directory", where=url) from None
         for path, info in sorted(found.items()):
             name = path.removeprefix(root).lstrip("/") or path.rsplit("/", 1)[-1]
             if ".." in name.split("/") or "\0" in name:  # a store allows what no directory does
-                raise LogError(f"{url}: {name!r:.60}: a name that leads out of the log: rename it")
+                raise LogError(
+                    f"{name!r:.60}: a name that leads out of the log", "rename it", where=url
+                )
             tag = next((str(info[each]) for each in _TAGS if info.get(each)), None)
             identity = f"{info.get('size')} {tag or system.ukey(path)}"
             yield Source(system.unstrip_protocol(path), name, info.get("size"), identity)
@@ -310,7 +314,7 @@ def _fetched(log: str, sources: Sequence[Source], directory: Path) -> str:
             with reaching(source.place):
                 system.get_file(store_at(source.place)[1], str(copy))
         except FileNotFoundError:
-            raise LogError(f"{source.place}: no such file or directory") from None
+            raise LogError("no such file or directory", where=source.place) from None
         got = copy.stat().st_size
         if source.bytes is not None and got != source.bytes:
             raise PlaceError(
@@ -347,7 +351,7 @@ def _contents(path: Path) -> str:
             [[str(file.relative_to(path)), _hash_of_file(file, *_state(file))] for file in files]
         )
     except OSError as error:
-        raise UsageError(f"{path}: cannot read: {reason(error)}") from None
+        raise UsageError.of_system(error, "cannot read", where=path) from None
 
 
 def _state(path: Path) -> tuple[int, int]:

@@ -32,20 +32,20 @@ _FORMAT = "--format="
 _SAID = frozenset({"out", "overwrite", "json", "quiet", "log-level", "trajectory"})
 
 
-def steps_of(plan: Plan, base: Path, where: str = "") -> tuple[Step, ...]:
+def steps_of(plan: Plan, base: Path) -> tuple[Step, ...]:
     """The steps of a plan; paths in its options are relative to `base`.
 
-    Raises UsageError, `where` standing before it, for a step or an option that is none, one whose
-    value is of the wrong kind, and a step that needs another one before it.
+    Raises UsageError for a step or an option that is none, one whose value is of the wrong kind,
+    and a step that needs another one before it.
     """
-    _check_commands(plan, where)
+    _check_commands(plan)
     steps: list[Step] = []
     taken = {MAP, REPORT, LABELS, CONFUSION, JOB, LOG_TEXT, *(f"{each}.json" for each in COMMANDS)}
     for command in plan.steps:
-        made, outputs = _made(command, plan, base, where)
+        made, outputs = _made(command, plan, base)
         for name in outputs:
             if name.lower() in taken:
-                raise UsageError(f"{where}options.{command}: {name} is written twice")
+                raise UsageError(f"options.{command}: {name} is written twice")
             taken.add(name.lower())
         steps += made
     return tuple(steps)
@@ -80,18 +80,18 @@ def _export_name(step: Step) -> str:
     return "".join(f"{name}{SUFFIXES.get(name, '')}" for name in chosen)
 
 
-def _check_commands(plan: Plan, where: str) -> None:
+def _check_commands(plan: Plan) -> None:
     """Refuse unknown steps, one given twice, and one that needs a map before there is one."""
     choices = ", ".join(COMMANDS)
     for name in [*plan.steps, *plan.options]:
         if name not in COMMANDS:
-            raise UsageError(f"{where}{name!r:.60}: no such step: choose from {choices}")
+            raise UsageError(f"{name!r:.60}: no such step", f"choose from {choices}")
     for place, command in enumerate(plan.steps):
         before = plan.steps[:place]
         if command in before:
-            raise UsageError(f"{where}steps: {command} is given twice: name each step once")
+            raise UsageError(f"steps: {command} is given twice", "name each step once")
         if "build" not in before and _needs_map(command, plan.options.get(command, {})):
-            raise UsageError(f"{where}steps: {command} needs a map: put build before it")
+            raise UsageError(f"steps: {command} needs a map", "put build before it")
 
 
 def _needs_map(command: Command, options: Mapping[str, Any]) -> bool:
@@ -102,10 +102,10 @@ def _needs_map(command: Command, options: Mapping[str, Any]) -> bool:
     return command in _OF_A_MAP
 
 
-def _given(command: Command, plan: Plan, base: Path, where: str) -> Iterator[tuple[str, Meaning]]:
+def _given(command: Command, plan: Plan, base: Path) -> Iterator[tuple[str, Meaning]]:
     """The options of one step as they stand on the command line, and what they take."""
     for name, value in plan.options.get(command, {}).items():
-        place = f"{where}options.{command}.{name}"
+        place = f"options.{command}.{name}"
         option = _known(plan.known.get(command, {}), name, place)
         if command == "export" and name == "format":
             option = replace(option, several=True)  # an export for each
@@ -120,28 +120,28 @@ def _known(options: Mapping[str, Option], name: str, place: str) -> Option:
     if name in free:
         return free[name]
     if name in options:
-        raise UsageError(f"{place}: the batch says that itself: leave it out")
+        raise UsageError("the batch says that itself", "leave it out", where=place)
     hint = choice(name, free)
-    raise UsageError(f"{place}: no such option: {hint}", hint=hint)
+    raise UsageError("no such option", hint, where=place)
 
 
 def _option(name: str, option: Option, value: Any, base: Path, place: str) -> Iterator[str]:
     """One use of an option; a flag that is false is none."""
     if option.meaning == "flag":
         if not isinstance(value, bool):
-            raise UsageError(f"{place} is {value!r:.60}: expected true or false")
+            raise UsageError(f"{place} is {value!r:.60}", "expected true or false")
         yield from [f"--{name}"] if value else []
         return
     if isinstance(value, bool) or not isinstance(value, str | int | float):
         many = " or a list of them" if option.several else ""
-        raise UsageError(f"{place} is {value!r:.60}: expected a text or a number{many}")
+        raise UsageError(f"{place} is {value!r:.60}", f"expected a text or a number{many}")
     if option.meaning == "input":
         yield f"--{name}={_input(str(value), base, place)}"
         return
     if option.meaning == "output" and not _FILE_NAME.fullmatch(str(value)):
         raise UsageError(
-            f"{place} is {value!r:.60}: expected the bare name of a file: it goes into the job's "
-            "folder"
+            f"{place} is {value!r:.60}",
+            "expected the bare name of a file: it goes into the job's folder",
         )
     yield f"--{name}={value}"
 
@@ -149,16 +149,16 @@ def _option(name: str, option: Option, value: Any, base: Path, place: str) -> It
 def _input(value: str, base: Path, place: str) -> Path:
     path = base / value
     if not path.exists():
-        raise UsageError(f"{place}: {path}: no such file or directory")
+        raise UsageError(f"{path}: no such file or directory", where=place)
     return path.absolute()
 
 
-def _made(command: Command, plan: Plan, base: Path, where: str) -> tuple[list[Step], list[str]]:
+def _made(command: Command, plan: Plan, base: Path) -> tuple[list[Step], list[str]]:
     """The steps of one command: an export for each format, else a single one.
 
     And the files that they write by names of a person's choice.
     """
-    given = list(_given(command, plan, base, where))
+    given = list(_given(command, plan, base))
     options = tuple(text for text, _ in given)
     inputs = tuple(text for text, meaning in given if meaning == "input")
     outputs = [text.partition("=")[2] for text, meaning in given if meaning == "output"]
@@ -166,10 +166,10 @@ def _made(command: Command, plan: Plan, base: Path, where: str) -> tuple[list[St
         return [Step(command, options, inputs)], outputs
     formats = [each for each in options if each.startswith(_FORMAT)]
     if not formats:
-        raise UsageError(f'{where}options.export.format: missing: say which, such as "nav2"')
+        raise UsageError("options.export.format: missing", 'say which, such as "nav2"')
     others = tuple(each for each in options if each not in formats)
     for each in formats:
         if not _FILE_NAME.fullmatch(each.removeprefix(_FORMAT)):
-            raise UsageError(f"{where}options.export.format: no format has the name {each!r:.60}")
+            raise UsageError(f"options.export.format: no format has the name {each!r:.60}")
     steps = [Step(command, (*others, each), inputs) for each in formats]
     return steps, [*map(_export_name, steps), *outputs]

@@ -87,7 +87,7 @@ def require_dask() -> None:
         import_module("distributed")
     except ImportError as error:
         raise UsageError(
-            f"workers need Dask ({error}): pip install 'specmap-cli[batch]'", code=PACKAGE
+            f"workers need Dask ({error})", "pip install 'specmap-cli[batch]'", code=PACKAGE
         ) from None
 
 
@@ -119,8 +119,8 @@ def _started(cluster: Cluster) -> LocalCluster:
         except (RuntimeError, OSError) as error:
             why = str(error.__cause__ or error)
     raise NoResultError(
-        f"the workers of this machine could not be started ({why}): run the same command again, "
-        "which goes on where this one stopped"
+        f"the workers of this machine could not be started ({why})",
+        "run the same command again, which goes on where this one stopped",
     )
 
 
@@ -133,8 +133,9 @@ def _remote(address: str) -> Iterator[Client]:
     except (OSError, ValueError) as error:
         said = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise UsageError(
-            f"{address}: no Dask scheduler answers ({said}): start one with `dask scheduler`, and "
-            "workers with `dask worker`"
+            f"no Dask scheduler answers ({said})",
+            "start one with `dask scheduler`, and workers with `dask worker`",
+            where=address,
         ) from None
     with client:
         yield client
@@ -146,9 +147,8 @@ def _wait_for_worker(client: Client, cluster: Cluster) -> None:
     except TimeoutError:
         where = cluster.scheduler or "this machine"
         patience = f"{cluster.patience_s:.0f} s"
-        raise UsageError(
-            f"{where}: no worker has come in {patience}: start one with `dask worker`"
-        ) from None
+        found = f"no worker has come in {patience}"
+        raise UsageError(found, "start one with `dask worker`", where=where) from None
 
 
 def _check_versions(client: Client) -> None:
@@ -157,8 +157,9 @@ def _check_versions(client: Client) -> None:
         if found != __version__:
             what = found if isinstance(found, str) else f"none that works ({found})"
             raise UsageError(
-                f"{address}: the worker has specmap {what}, this is {__version__}: "
-                "install the same version on both sides"
+                f"the worker has specmap {what}, this is {__version__}",
+                "install the same version on both sides",
+                where=address,
             )
 
 
@@ -206,8 +207,8 @@ class Workers:
         """How many jobs the workers can do at once, now. NoResultError without a scheduler."""
         if self._client.status not in ("running", "connecting"):
             raise NoResultError(
-                "the scheduler is gone: start it and run the same command again, which goes on "
-                "where this one stopped"
+                "the scheduler is gone",
+                "start it and run the same command again, which goes on where this one stopped",
             )
         try:
             return sum(self._client.nthreads().values())
@@ -334,8 +335,8 @@ def spread(
             return found
         except (KilledWorker, CommClosedError) as error:
             raise NoResultError(
-                f"the workers were lost ({type(error).__name__}): start them and run the same "
-                "command again, or leave out --workers and --scheduler"
+                f"the workers were lost ({type(error).__name__})",
+                "start them and run the same command again, or leave out --workers and --scheduler",
             ) from None
 
 

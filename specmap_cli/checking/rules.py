@@ -18,7 +18,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -121,7 +120,7 @@ class _Written(BaseModel):
     least: _Limits = Field(default_factory=dict)
 
 
-_FORMAT = TomlFormat(model=_Written, error=partial(UsageError, code=SETTING))
+_FORMAT = TomlFormat(model=_Written, error=UsageError, code=SETTING)
 
 
 def read_rules(path: Path | None, *, against: bool) -> Rules:
@@ -134,7 +133,9 @@ def read_rules(path: Path | None, *, against: bool) -> Rules:
     bounds: dict[Bound, dict[str, float]] = {"most": written.most, "least": written.least}
     golden = [f"{bound}.{name}" for bound in BOUNDS for name in bounds[bound] if _is_golden(name)]
     if golden and not against:
-        raise UsageError(f"{path}: {golden[0]}: needs another map: give --against", code=SETTING)
+        raise UsageError(
+            f"{golden[0]}: needs another map", "give --against", where=path, code=SETTING
+        )
     base = DEFAULTS if written.defaults else Rules("poor", {}, {})
     most, least = (
         {

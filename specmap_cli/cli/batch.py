@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -30,6 +30,33 @@ class StepName(StrEnum):
     check = "check"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sharing:
+    """Who does the work, and how much of the machine it may take."""
+
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Worker processes; default: one a processor.")
+    ] = None
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Dask scheduler to use, such as tcp://host:8786."),
+    ] = None
+    memory_limit: Annotated[
+        int | None,
+        typer.Option(
+            min=64, metavar="MB", help="Memory of a worker; default: its share of the machine's."
+        ),
+    ] = None
+    time_limit: Annotated[
+        float | None,
+        typer.Option(min=1.0, metavar="SECONDS", help="Longest time of a job."),
+    ] = None
+    retries: Annotated[
+        int,
+        typer.Option(min=0, help="How often to try again what a lost worker or disk made fail."),
+    ] = 1
+
+
 def batch(
     inputs: Annotated[
         list[str],
@@ -43,27 +70,8 @@ def batch(
     out: Annotated[
         str, output("Directory, or URL such as s3://bucket/maps, to write.", metavar="DIR")
     ],
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="Worker processes; default: one a processor.")
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Dask scheduler to use, such as tcp://host:8786."),
-    ] = None,
-    memory_limit: Annotated[
-        int | None,
-        typer.Option(
-            min=64, metavar="MB", help="Memory of a worker; default: its share of the machine's."
-        ),
-    ] = None,
-    time_limit: Annotated[
-        float | None,
-        typer.Option(min=1.0, metavar="SECONDS", help="Longest time of a job."),
-    ] = None,
-    retries: Annotated[
-        int,
-        typer.Option(min=0, help="How often to try again what a lost worker or disk made fail."),
-    ] = 1,
+    *,
+    sharing: Sharing,
     step: Annotated[
         list[StepName] | None,
         typer.Option("--step", help="Step of each job; repeatable. Default: build, report, check."),
@@ -72,7 +80,6 @@ def batch(
         Path | None, typer.Option(help="Directory of the workers for temporary files.")
     ] = None,
     redo: Annotated[bool, typer.Option("--redo", help="Do again what is complete.")] = False,
-    *,
     settings: Settings,
     common: Common,
 ) -> None:
@@ -87,19 +94,18 @@ def batch(
     specmap batch 'logs/*.mcap' -o maps --workers 4 --step build
     specmap batch jobs.toml -o s3://bucket/maps --scheduler tcp://host:8786
     """
-    cluster = cluster_of(workers, scheduler)
+    cluster = cluster_of(sharing.workers, sharing.scheduler)
     from specmap_cli.batch.batch import run_batch
     from specmap_cli.batch.jobs import jobs_of
     from specmap_cli.batch.records import Limits, Terms
 
     settings.load()  # a wrong setting is told of once, not by every job
     jobs = jobs_of(inputs, _plan(step, settings))
-    terms = Terms(
-        out, Limits(memory_limit, time_limit), str(scratch.absolute()) if scratch else None, redo
-    )
+    limits = Limits(sharing.memory_limit, sharing.time_limit)
+    terms = Terms(out, limits, str(scratch.absolute()) if scratch else None, redo)
     with common.progress() as progress:
         progress.start(f"0 of {len(jobs)} jobs", len(jobs))
-        ledger = run_batch(jobs, terms, cluster, retries, *_listeners(common, progress))
+        ledger = run_batch(jobs, terms, cluster, sharing.retries, *_listeners(common, progress))
     if not common.as_json:
         common.show({}, _lines(out, ledger))
     if ledger.failed:

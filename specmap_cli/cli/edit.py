@@ -106,7 +106,7 @@ def edit(
     if out is not None and out.resolve() != map_.resolve():
         keep_inputs([out], [map_])
         if map_.resolve() in out.resolve().parents:
-            raise UsageError(f"{out}: is inside the map {map_}: choose another place")
+            raise UsageError(f"is inside the map {map_}", "choose another place", where=out)
     stored = read_map(map_, settings.load().limits)
     with common.progress() as progress:
         report = edit_map(stored, requested, out, overwrite=overwrite, progress=progress)
@@ -140,7 +140,7 @@ def _changes(changed: Changed) -> Iterator[dict[str, Any]]:
         yield {"split": _id("--split", id_), "line": [[x1, y1], [x2, y2]]}
     doors, places = changed.forbid_door or [], changed.at or []
     if places and len(places) != len(doors):
-        raise UsageError("--at: give it once for each --forbid-door, or not at all")
+        raise UsageError(hint="give it once for each --forbid-door, or not at all", where="--at")
     for number, ids in enumerate(_pairs("--forbid-door", doors, "ID ID")):
         at = {"at": _numbers("--at", places[number], "X,Y")} if places else {}
         yield {"forbid": [_id("--forbid-door", id_) for id_ in ids], **at}
@@ -154,7 +154,7 @@ def _pairs(option: str, given: list[str] | None, names: str) -> Iterator[list[st
 
 def _id(option: str, text: str) -> int:
     if not (text.isascii() and text.isdecimal()):
-        raise UsageError(f"{option} {text}: expected the id of a submap, such as 3")
+        raise UsageError(hint="expected the id of a submap, such as 3", where=f"{option} {text}")
     return int(text)
 
 
@@ -164,7 +164,8 @@ def _numbers(option: str, text: str, names: str) -> list[float]:
     except ValueError:
         numbers = []
     if len(numbers) != len(names.split(",")):
-        raise UsageError(f"{option} {text}: expected {names} in metres, separated by commas")
+        hint = f"expected {names} in metres, separated by commas"
+        raise UsageError(hint=hint, where=f"{option} {text}")
     return numbers
 
 
@@ -172,7 +173,9 @@ def _property(assignment: str) -> tuple[str, Any]:
     """Key and value; a value that is no TOML is text, an empty one takes the property back."""
     key, separator, text = (part.strip() for part in assignment.partition("="))
     if not separator or not key:
-        raise UsageError(f"--set-property {assignment}: expected KEY=VALUE, such as floor=2")
+        raise UsageError(
+            hint="expected KEY=VALUE, such as floor=2", where=f"--set-property {assignment}"
+        )
     from specmap_cli.core.toml import value_of
 
     return key, value_of(text) if text else None

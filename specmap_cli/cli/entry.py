@@ -126,29 +126,28 @@ def _told(error: Exception) -> SpecmapError | None:
     if isinstance(error, SpecmapError):
         return error
     if isinstance(error, OSError):
-        told = _told_of_system(error)
-        return None if told is None else UsageError(told, code=MACHINE)
+        return _told_of_system(error)
     if isinstance(error, MemoryError) or _is_want_of_memory(error):
         what = f": {error}" if str(error) else ""
-        message = (
-            f"not enough memory{what}; a shorter log or a coarser grid "
-            "(--set grid.resolution_m) needs less"
-        )
-        return InputError(message, code=MEMORY)
+        hint = "a shorter log or a coarser grid (--set grid.resolution_m) needs less"
+        return InputError(f"not enough memory{what};", hint, code=MEMORY)
     return None
 
 
-def _told_of_system(error: OSError) -> str | None:
+def _told_of_system(error: OSError) -> UsageError | None:
     """What to say of what a machine runs out of: no bug, and no trace of it would help."""
     if (error.strerror or "").startswith(_NO_TEMPORARY):
-        return f"{error.strerror}: free some space there, or set TMPDIR to another directory"
+        hint = "free some space there, or set TMPDIR to another directory"
+        return UsageError(error.strerror, hint, code=MACHINE)
     if is_of_the_machine(error):
-        return f"{error.filename}: {reason(error)}" if error.filename else reason(error)
+        said, hint = reason(error)
+        return UsageError(f"{said};", hint, where=error.filename, code=MACHINE)
     if is_of_the_place(error):
         advice = "write elsewhere"
         if _is_temporary(error.filename):
             advice = "set TMPDIR to another directory"
-        return f"{error.filename or 'the output'}: cannot be written: {reason(error, advice)}"
+        where = error.filename or "the output"
+        return UsageError.of_system(error, "cannot be written", advice, where=where, code=MACHINE)
     return None
 
 

@@ -78,7 +78,7 @@ def build(
     effective = settings.load({"relaxation.enabled": False if no_relax else None, "seed": seed})
     keep_inputs([out], logs)
     if like is not None and explain is not None:
-        raise UsageError("--like and --explain do not go together: build without one of them")
+        raise UsageError("--like and --explain do not go together", "build without one of them")
     with common.progress() as progress:
         if like is None:
             from specmap_cli.pipelines.build import build_map

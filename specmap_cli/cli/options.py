@@ -265,10 +265,14 @@ def _parse(assignment: str) -> tuple[str, Any]:
     key, separator, text = (part.strip() for part in assignment.partition("="))
     if not separator or not all(key.split(".")):
         raise UsageError(
-            f"--set {assignment}: expected KEY=VALUE, such as grid.resolution_m=0.1", code=SETTING
+            hint="expected KEY=VALUE, such as grid.resolution_m=0.1",
+            where=f"--set {assignment}",
+            code=SETTING,
         )
     if key == "preset":
-        raise UsageError(f"--set {assignment}: choose a preset with --preset {text}", code=SETTING)
+        raise UsageError(
+            hint=f"choose a preset with --preset {text}", where=f"--set {assignment}", code=SETTING
+        )
     from specmap_cli.core.toml import value_of
 
     return key, value_of(text)
@@ -342,7 +346,7 @@ def values_of(option: str, joined: str, names: str) -> list[str]:
     """The values of one use of an option; UsageError when there are not as many as `names`."""
     values = joined.split(_JOINT)
     if len(values) != len(names.split()):
-        raise UsageError(f"{option} {' '.join(values)}: expected {option} {names}")
+        raise UsageError(hint=f"expected {option} {names}", where=f"{option} {' '.join(values)}")
     return values
 
 

@@ -30,24 +30,26 @@ def check_files(
     wanted = [path for path in outputs if path is not None]
     for path in wanted:
         if path.is_dir():
-            raise UsageError(f"{path}: is a directory: name the file to write")
+            raise UsageError("is a directory", "name the file to write", where=path)
         if os.path.lexists(path) and not path.is_file():
-            raise UsageError(f"{path}: is no regular file: choose another place", code=OUTPUT)
+            raise UsageError("is no regular file", "choose another place", where=path, code=OUTPUT)
         if os.path.lexists(path) and not overwrite:
             raise UsageError(
-                f"{path}: exists already: choose another name or say --overwrite",
+                "exists already",
+                "choose another name or say --overwrite",
+                where=path,
                 code=OUTPUT_EXISTS,
             )
         if not path.parent.is_dir():
             raise UsageError(
-                f"{path}: there is no directory {path.parent}: make it first", code=OUTPUT
+                f"there is no directory {path.parent}", "make it first", where=path, code=OUTPUT
             )
         if not os.access(path.parent, os.W_OK):
             raise UsageError(
-                f"{path}: cannot write in {path.parent}: choose another place", code=OUTPUT
+                f"cannot write in {path.parent}", "choose another place", where=path, code=OUTPUT
             )
     if len({path.resolve() for path in wanted}) < len(wanted):
-        raise UsageError(f"{wanted[0]}: given for two outputs: each needs a file of its own")
+        raise UsageError("given for two outputs: each needs a file of its own", where=wanted[0])
     keep_inputs(wanted, inputs)
     _clear(wanted, common)
 
@@ -77,4 +79,6 @@ def keep_inputs(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
         place = output.resolve()
         for path in needed:
             if path == place or place in path.parents:
-                raise UsageError(f"{output}: would replace the input {path}: choose another output")
+                raise UsageError(
+                    f"would replace the input {path}", "choose another output", where=output
+                )

@@ -14,7 +14,7 @@ import json
 import tomllib
 import warnings
 from collections.abc import Mapping
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,8 @@ from specmap_cli.core.toml import TomlFormat
 
 SETTINGS = TomlFormat(
     model=Config,
-    error=partial(UsageError, code=SETTING),
+    error=UsageError,
+    code=SETTING,
     noun="setting",
     advice="; run `specmap config` to see every key and its default",
     plainly={"model_type": "is a section: expected one of its keys"},
@@ -100,13 +101,14 @@ def load_config(
     where = f"{path}: " if path is not None else ""
     if not isinstance(name, str) or name not in PRESETS:
         choices = ", ".join(sorted(PRESETS))
-        source = where if preset is None else ""
-        raise UsageError(f"{source}unknown preset {name!r}: choose from {choices}", code=SETTING)
+        found, source = f"unknown preset {name!r}", path if preset is None else None
+        raise UsageError(found, f"choose from {choices}", where=source, code=SETTING)
     if from_file.get("preset", name) != name and len(from_file) > 1:
         raise UsageError(
-            f"{where}preset is {from_file['preset']!r}, but --preset {name} was given: the file's "
-            "values would undo it; take the line `preset` and the values you do not want to keep "
-            "out of the file",
+            f"preset is {from_file['preset']!r}, but --preset {name} was given: the file's values "
+            "would undo it;",
+            "take the line `preset` and the values you do not want to keep out of the file",
+            where=path,
             code=SETTING,
         )
     merged = _merge(_merge(_merge({}, PRESETS[name]), from_file), overrides or {})

@@ -7,10 +7,9 @@
     │   └── MapError            a map directory or an occupancy grid
     └── NoResultError       4   the run finished and there is nothing to show for it
 
-A message says what, where (file, topic, byte or message), what was found, and what to do, in the
-form `WHERE: WHAT WAS FOUND: WHAT TO DO`, or with a semicolon before what to do. Programs get the
-fields `where` and `hint` (what to do), and a `code` that stays the same over versions: one of
-`CODES`.
+An error is made of its parts: what was found, what to do about it (`hint`), and where (a file, an
+option, a setting). Its line is `WHERE: FOUND: HINT`. Programs get the parts, and a `code` that
+stays the same over versions: one of `CODES`.
 Nothing in the packages prints or exits: `specmap_cli.cli` holds the one handler. What a
 machine runs out of is told as what it is, with what to do about it (`reason`).
 """
@@ -19,8 +18,8 @@ from __future__ import annotations
 
 import errno
 import os
-import re
 from collections.abc import Mapping
+from typing import Self
 
 # The exit code of a run that finished, but whose result breaks a rule that was asked for.
 BROKEN_RULE = 5
@@ -56,26 +55,13 @@ CODES: Mapping[str, tuple[int, str]] = {
     INTERRUPTED: (130, "ended by Ctrl-C; by SIGTERM with exit code 143"),
 }
 
-# What advice begins with; a last part of a message that begins otherwise is what was found.
-_ADVICE = re.compile(
-    r"(?:: |; )(?=(?:"
-    r"append|bring|build|check|choose|copy|end|expected|free|give|if|"
-    r"install|keep|leave|look|lower|make|mend|move|name(?! is\b|:)|pip|put|raise|"
-    r"remove|rename|run|save|say|scale|see|set|take|turn|unpack|use|write"
-    r")\b)"
-)
-_OF_USAGE = re.compile(  # how Typer begins
-    r"(?:No such option:?|Missing option|Missing argument|Invalid value for) '?([^\s':;.]+)"
-)
-_FILE = re.compile(r"[^\n]*(?:/[^/]*|\.[A-Za-z]\w{0,8})")
-
 
 class SpecmapError(Exception):
     """Base of every error meant for the user; `exit_code` is the process's exit status.
 
-    `code` is one of `CODES`, by default that of the class. `where` is the file, the option or the
-    setting at fault, `hint` what to do; where they are not given they are looked for in the
-    message, and None where it does not say.
+    `found` is what is wrong, `hint` what to do, `where` the file, the option or the setting at
+    fault, `code` one of `CODES`, by default that of the class. What was `found` may end in a
+    semicolon or a comma: the hint then follows it, in place of a colon.
     """
 
     exit_code = 1
@@ -83,18 +69,41 @@ class SpecmapError(Exception):
 
     def __init__(
         self,
-        message: str = "",
-        *,
-        code: str | None = None,
-        where: str | None = None,
+        found: object = "",
         hint: str | None = None,
+        *,
+        where: object = None,
+        code: str | None = None,
     ) -> None:
-        super().__init__(message)
+        self.found, self.hint = str(found), hint
+        self.where = None if where is None else str(where)
         if code is not None:
             self.code = code
-        line = " ".join(message.split())
-        self.where = _where_in(line) if where is None else where
-        self.hint = _hint_in(line) if hint is None else hint
+        line = ": ".join(str(part) for part in (where, found) if part not in (None, ""))
+        if hint is not None:
+            mark = " " if line.endswith((";", ",")) else ": "
+            line = f"{line}{mark}{hint}" if line else hint
+        super().__init__(line)
+
+    def within(self, place: object) -> Self:
+        """The same error, told of a larger place, such as a file of jobs."""
+        found = self.found if self.where is None else f"{self.where}: {self.found}"
+        return type(self)(found, self.hint, where=place, code=self.code)
+
+    @classmethod
+    def of_system(
+        cls,
+        error: OSError,
+        found: str,
+        advice: str = "",
+        *,
+        where: object = None,
+        code: str | None = None,
+    ) -> Self:
+        """The error that the system's makes: `advice` where another place helps."""
+        said, hint = reason(error, advice)
+        mark = ";" if hint else ""
+        return cls(f"{found}: {said}{mark}", hint or None, where=where, code=code)
 
 
 class UsageError(SpecmapError):
@@ -130,25 +139,6 @@ class NoResultError(SpecmapError):
     code = NO_RESULT
 
 
-def _where_in(line: str) -> str | None:
-    """The place that a message begins with: one word, an option, or the name of a file.
-
-    Typer's own messages name an option or an argument behind their first words.
-    """
-    of_usage = _OF_USAGE.match(line)
-    if of_usage is not None:
-        return of_usage[1]
-    head, colon, _ = line.partition(": ")
-    named = " " not in head or head.startswith("-") or _FILE.fullmatch(head)
-    return head if colon and named else None
-
-
-def _hint_in(line: str) -> str | None:
-    """The advice that a message ends with, from the first colon or semicolon that leads to it."""
-    found = _ADVICE.search(line)
-    return None if found is None else line[found.end() :]
-
-
 # Another place helps against these,
 _OF_THE_PLACE = {
     errno.ENOSPC: "free some space, or ",
@@ -175,19 +165,18 @@ def is_of_the_machine(error: OSError) -> bool:
     return error.errno in _OF_THE_MACHINE and _is_of_the_system(error)
 
 
-def reason(error: OSError, advice: str = "") -> str:
+def reason(error: OSError, advice: str = "") -> tuple[str, str]:
     """What the system says of an error, and what to do: `advice` where another place helps.
 
     >>> reason(OSError(errno.ENOSPC, "No space left on device"), "choose another place")
-    'No space left on device; free some space, or choose another place'
+    ('No space left on device', 'free some space, or choose another place')
     """
-    said = error.strerror or str(error)
-    number = error.errno or 0
+    said, number = error.strerror or str(error), error.errno or 0
     if is_of_the_machine(error):
-        return f"{said}; {_OF_THE_MACHINE[number]}"
+        return said, _OF_THE_MACHINE[number]
     if is_of_the_place(error) and advice:
-        return f"{said}; {_OF_THE_PLACE[number]}{advice}"
-    return f"{said}; {advice}" if advice else said
+        return said, f"{_OF_THE_PLACE[number]}{advice}"
+    return said, advice
 
 
 def _is_of_the_system(error: OSError) -> bool:

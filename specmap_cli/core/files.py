@@ -15,7 +15,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
-from specmap_cli.core.errors import MACHINE, OUTPUT, UsageError, reason
+from specmap_cli.core.errors import MACHINE, OUTPUT, UsageError
 
 # A pipe does not keep the opening waiting for a writer. Not every system has such pipes.
 _AT_ONCE = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
@@ -73,10 +73,8 @@ def temporary_files() -> Iterator[None]:
         yield
     except OSError as error:
         where = tempfile.tempdir or "the temporary directory"
-        why = reason(error, "set TMPDIR to another directory")
-        raise UsageError(
-            f"{where}: temporary files cannot be written: {why}", code=MACHINE
-        ) from None
+        found, advice = "temporary files cannot be written", "set TMPDIR to another directory"
+        raise UsageError.of_system(error, found, advice, where=where, code=MACHINE) from None
 
 
 @contextmanager
@@ -88,7 +86,7 @@ def complete_file(path: Path | str) -> Iterator[IO[bytes]]:
     """
     target = Path(path)
     if os.path.lexists(target) and not target.is_file():
-        raise UsageError(f"{target}: is no regular file: choose another place", code=OUTPUT)
+        raise UsageError("is no regular file", "choose another place", where=target, code=OUTPUT)
     partial = partial_of(target)
     try:
         remove_leftovers(target)
@@ -97,9 +95,8 @@ def complete_file(path: Path | str) -> Iterator[IO[bytes]]:
             yield file
         os.replace(partial, target)
     except OSError as error:
-        raise UsageError(
-            f"{target}: cannot be written: {reason(error, 'choose another place')}",
-            code=OUTPUT,
+        raise UsageError.of_system(
+            error, "cannot be written", "choose another place", where=target, code=OUTPUT
         ) from None
     finally:
         with suppress(OSError):

@@ -28,8 +28,9 @@ def with_plugins(group: str, built_in: Mapping[str, Kind]) -> dict[str, Kind]:
     for point in sorted(entry_points(group=group), key=lambda point: (point.name, point.value)):
         if point.name in table:
             raise UsageError(
-                f"{_origin(point)}: offers {point.name!r} in {group}, which exists already: "
+                f"offers {point.name!r} in {group}, which exists already",
                 "remove the package or rename its entry point",
+                where=_origin(point),
                 code=PACKAGE,
             )
         table[point.name] = _loaded(point)
@@ -42,8 +43,10 @@ def _loaded(point: EntryPoint) -> Any:
         return point.load()
     except Exception as error:
         raise UsageError(
-            f"{_origin(point)}: its {point.group} entry {point.name!r} cannot be loaded: "
-            f"{type(error).__name__}: {error}; mend or remove the package",
+            f"its {point.group} entry {point.name!r} cannot be loaded: "
+            f"{type(error).__name__}: {error};",
+            "mend or remove the package",
+            where=_origin(point),
             code=PACKAGE,
         ) from error
 

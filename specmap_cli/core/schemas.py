@@ -73,6 +73,6 @@ def read_schema(name: str) -> dict[str, Any]:
         return ModelSchema(Config, SETTINGS, 1, "specmap config").document()
     files = schema_files()
     if name not in files:
-        raise UsageError(f"no schema {name!r}: choose from {', '.join(schema_names())}")
+        raise UsageError(f"no schema {name!r}", f"choose from {', '.join(schema_names())}")
     found: dict[str, Any] = json.loads(files[name].read_text(encoding="utf-8"))
     return found

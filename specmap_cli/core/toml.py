@@ -17,7 +17,7 @@ from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ValidationError
 
-from specmap_cli.core.errors import SpecmapError, reason
+from specmap_cli.core.errors import SpecmapError
 
 Model = TypeVar("Model", bound=BaseModel)
 Keys = tuple[int | str, ...]  # the keys and numbers that lead to a value
@@ -56,7 +56,8 @@ class TomlFormat(Generic[Model]):
     """
 
     model: type[Model]
-    error: Callable[..., SpecmapError]
+    error: type[SpecmapError]
+    code: str | None = None
     noun: str = "key"
     advice: str = ""
     plainly: Mapping[str, str] = field(default_factory=dict)
@@ -82,7 +83,9 @@ class TomlFormat(Generic[Model]):
         except OSError as error:
             if missing is not None and isinstance(error, FileNotFoundError):
                 return missing
-            raise self.error(f"{path}: cannot be read: {reason(error)}", where=str(path)) from None
+            raise self.error.of_system(
+                error, "cannot be read", where=path, code=self.code
+            ) from None
         except UnicodeDecodeError:
             raise self._error(f"{path}: ", "not UTF-8 text", ": save it as UTF-8") from None
 
@@ -97,8 +100,8 @@ class TomlFormat(Generic[Model]):
         except ValidationError as error:
             finding = error.errors()[0]
         before = where if isinstance(where, str) else where(finding["loc"])
-        found, hint = self._complaint(finding)
-        raise self._error(before, found, f"{hint}{self.advice}")
+        key, found, hint = self._complaint(finding)
+        raise self._error(before, f"{key}{found}", f"{hint}{self.advice}", key)
 
     def _parsed(self, text: str, where: str) -> dict[str, Any]:
         try:
@@ -111,31 +114,35 @@ class TomlFormat(Generic[Model]):
             found = "a number of too many digits"
         raise self._error(where, found, self.advice)
 
-    def _error(self, where: str, found: str, hint: str) -> SpecmapError:
+    def _error(self, where: str, found: str, hint: str, key: str | None = None) -> SpecmapError:
         """The error of a line; `hint` begins with what parts it from what was found."""
-        file = where.partition(": ")[0] or None
-        return self.error(f"{where}{found}{hint}", where=file, hint=hint.lstrip(",:; ") or None)
+        file, _, place = where.partition(": ")
+        mark = hint[:1].strip(":")
+        told = f"{place}{found}{mark}"
+        error = self.error(told, hint[1:].strip() or None, where=file or None, code=self.code)
+        error.where = file or key
+        return error
 
-    def _complaint(self, finding: Mapping[str, Any]) -> tuple[str, str]:
-        """One finding of a validation: the key and what is wrong with it, and what to do."""
+    def _complaint(self, finding: Mapping[str, Any]) -> tuple[str, str, str]:
+        """One finding of a validation: the key, what is wrong with it, and what to do."""
         place = tuple(part for part in finding["loc"] if part != "[key]")
         key, known = self._dotted(place) if self.named is None else self.named(place)
         kind, value, told = finding["type"], finding["input"], str(finding["msg"])
         if kind == "extra_forbidden":
-            return f"{key}: no such {self.noun}", _hint(key, known)
+            return key, f": no such {self.noun}", _hint(key, known)
         if kind == "missing":
-            return f"{key}: is missing", ""
+            return key, ": is missing", ""
         unfit = finding.get("ctx", {}).get("error")
         if isinstance(unfit, UnfitError):
             found = f": {unfit.found}" if unfit.found else f" is {value!r:.60}"
-            return f"{key}{found}", f": {unfit.hint}"
+            return key, found, f": {unfit.hint}"
         if kind in self.plainly:
             told = self.plainly[kind]
         elif kind in ("dict_type", "model_type"):
-            return f"{key} is {value!r:.60}", f": expected a table [{key}]"
+            return key, f" is {value!r:.60}", f": expected a table [{key}]"
         of_all = kind == "value_error" and isinstance(value, Mapping)  # of no single value in it
         found = "" if of_all else f", found {value!r:.60}"
-        return f"{key}: {told.removeprefix('Value error, ')}{found}", ""
+        return key, f": {told.removeprefix('Value error, ')}{found}", ""
 
     def _dotted(self, place: Keys) -> tuple[str, Sequence[str]]:
         return ".".join(str(part) for part in place), list(_keys(self.model))

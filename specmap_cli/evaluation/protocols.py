@@ -383,7 +383,9 @@ def _alignment(stored: StoredMap, reference: str | Path, progress: Progress) -> 
     given = read_tum(reference)
     joined, rows = associate(given.stamps_ns, stored.labels.stamps_ns, STAMP_REACH_NS)
     if len(joined) < 2:
-        raise LogError(f"{reference}: no pose at the stamps of the map's keyframes: another log?")
+        raise LogError(
+            "no pose at the stamps of the map's keyframes: another log?", where=reference
+        )
     places, known = given.poses[rows, :2], stored.labels.poses[joined, :2]
     map_from_reference = nearest_motion(places, known)
     away = np.hypot(*(map_from_reference.apply(places) - known).T).mean()

@@ -159,8 +159,9 @@ def _trained(learned: Labelled, config: Config, progress: Progress) -> RoomHallw
     kinds = learned.kinds(np.array(stamps, dtype=np.int64))
     if set(np.unique(kinds[kinds >= 0]).tolist()) != {ROOM, HALLWAY}:
         raise InputError(
-            f"{learned.log}: its scans with a pose in {learned.reference} are not of both rooms "
-            "and hallways: is the picture that of its building, in the frame of the poses?"
+            f"its scans with a pose in {learned.reference} are not of both rooms and "
+            "hallways: is the picture that of its building, in the frame of the poses?",
+            where=learned.log,
         )
     return RoomHallway().fit_features(features[kinds >= 0], kinds[kinds >= 0])
 

@@ -224,7 +224,7 @@ def _rows(
         times = [_stamp(path, number, word) for word in words[:stamps]]
         rows.append((times, _numbers(path, number, words[stamps:])))
     if not rows:
-        raise InputError(f"{path}: holds no {what}; expected lines {expected}")
+        raise InputError(f"holds no {what};", f"expected lines {expected}", where=path)
     return rows
 
 
@@ -238,7 +238,7 @@ def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
                     yield number, words
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise InputError(f"{path}: cannot be read: {reason}") from None
+        raise InputError(f"cannot be read: {reason}", where=path) from None
 
 
 def _stamp(path: Path, number: int, word: str) -> int:
@@ -260,7 +260,7 @@ def _numbers(path: Path, number: int, words: list[str]) -> list[float]:
 
 
 def _malformed(path: Path, number: int, found: str) -> InputError:
-    return InputError(f"{path}:{number}: {found}; mend or remove the line")
+    return InputError(f"{found};", "mend or remove the line", where=f"{path}:{number}")
 
 
 def relation_lines(errors: RelativeErrors) -> list[str]:

@@ -10,8 +10,7 @@ import networkx as nx
 from specmap_cli.core.errors import InputError, MapError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.progress import Progress
-from specmap_cli.layout.g2o import graph_text, read_g2o
-from specmap_cli.layout.pose_graph import Link
+from specmap_cli.layout.pose_graph import Link, graph_text, read_g2o
 from specmap_cli.maps import filenames
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.maps.text_files import map_text
@@ -42,18 +41,19 @@ def _read(stored: StoredMap) -> tuple[dict[int, FloatArray], list[Link]]:
     path = stored.path / filenames.POSE_GRAPH
     if not path.exists():
         raise MapError(
-            f"{stored.path}: has no {path.name}: `specmap segment` makes maps without; a pose "
-            "graph needs one that `specmap build` made of a recording"
+            f"has no {path.name}: `specmap segment` makes maps without; a pose graph "
+            "needs one that `specmap build` made of a recording",
+            where=stored.path,
         )
     try:
         poses, links = read_g2o(map_text(path, stored.limits))
     except InputError as error:
-        raise MapError(f"{path}: {error}: build the map again") from None
+        raise MapError(error, "build the map again", where=path) from None
     strangers = {end for link in links for end in (link.source, link.target)} - poses.keys()
     if strangers:
-        raise MapError(f"{path}: there is no vertex {min(strangers)}: build the map again")
+        raise MapError(f"there is no vertex {min(strangers)}", "build the map again", where=path)
     if not poses:
-        raise MapError(f"{path}: has no vertices: build the map again")
+        raise MapError("has no vertices", "build the map again", where=path)
     return poses, links
 
 

@@ -86,7 +86,7 @@ def _sdk() -> Any:
         import rerun
     except ImportError:
         raise UsageError(
-            "the format rerun needs rerun-sdk, which is not installed: "
+            "the format rerun needs rerun-sdk, which is not installed",
             "pip install 'specmap-cli[rerun]'",
             code=PACKAGE,
         ) from None

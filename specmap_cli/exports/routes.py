@@ -166,7 +166,7 @@ def check_routes(stored: StoredMap, progress: Progress) -> None:
     """
     record = stored.record
     if not any(map(is_way, record.edges)):
-        raise MapError(f"{stored.path}: nothing to plan a route with: {_why_no_way(record)}")
+        raise MapError(f"nothing to plan a route with: {_why_no_way(record)}", where=stored.path)
     for warning in _warnings(record):
         progress.warn(warning)
     for note in _left_out(record):

@@ -76,13 +76,16 @@ def export_map(
     """
     target, known = Path(out), exporters()
     if name not in known:
-        raise UsageError(f"unknown format {name!r}: choose from {', '.join(sorted(known))}")
+        raise UsageError(f"unknown format {name!r}", f"choose from {', '.join(sorted(known))}")
     ending = getattr(known[name], "ending", target.suffix)
     if target.suffix not in {"", ending}:
-        raise UsageError(f"{target}: {known[name].description}: name it {target.stem}{ending}")
+        raise UsageError(known[name].description, f"name it {target.stem}{ending}", where=target)
     if os.path.lexists(target) and not overwrite:
         raise UsageError(
-            f"{target}: exists already: choose another name or say --overwrite", code=OUTPUT_EXISTS
+            "exists already",
+            "choose another name or say --overwrite",
+            where=target,
+            code=OUTPUT_EXISTS,
         )
     heard = Remembering(Silent() if progress is None else progress)
     with complete_file(target) as file:

@@ -27,7 +27,7 @@ from pydantic import (
     model_validator,
 )
 
-from specmap_cli.core.errors import TOO_LARGE, MapError, reason
+from specmap_cli.core.errors import TOO_LARGE, MapError
 from specmap_cli.core.files import read_bytes, write_bytes, write_text
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import LimitsConfig
@@ -116,7 +116,9 @@ def read_grid(
     if path.suffix.lower() in (".yaml", ".yml"):
         about = _about(path, _read_entries(path) | scale)
     elif resolution is None:
-        raise MapError(f"{path}: a picture has no scale: give metres a pixel with --resolution")
+        raise MapError(
+            "a picture has no scale", "give metres a pixel with --resolution", where=path
+        )
     else:
         about = _about(path, {"image": path.name, "free_thresh": PICTURE_FREE_THRESHOLD} | scale)
     cells = about.cells(read_picture(path.parent / about.image, limits))
@@ -128,12 +130,12 @@ def _read_entries(path: Path) -> dict[str, Any]:
     try:
         entries = read_yaml(read_bytes(path, _LARGEST_YAML_MB))
     except ValueError as error:
-        raise MapError(f"{path}: {error}: {expected}") from None
+        raise MapError(f"{error}: {expected}", where=path) from None
     except OSError as error:
         if error.errno == errno.EFBIG:
             size = f"larger than {_LARGEST_YAML_MB * 1000:g} kB"
-            raise MapError(f"{path}: {size}: {expected}") from None
-        raise MapError(f"{path}: cannot read the map: {reason(error)}") from None
+            raise MapError(f"{size}: {expected}", where=path) from None
+        raise MapError.of_system(error, "cannot read the map", where=path) from None
     return entries if isinstance(entries, dict) else {}
 
 
@@ -141,7 +143,7 @@ def _about(path: Path, entries: dict[str, Any]) -> _MapYaml:
     try:
         return _MapYaml.model_validate(entries)
     except ValidationError as error:
-        raise MapError(f"{path}: {_complaint(error, entries)}") from None
+        raise MapError(_complaint(error, entries), where=path) from None
 
 
 def _complaint(error: ValidationError, entries: dict[str, Any]) -> str:
@@ -243,12 +245,13 @@ def read_picture(path: Path, limits: LimitsConfig | None = None) -> NDArray[Any]
     try:
         data = read_bytes(path, _PICTURE_MAX_MB)
     except OSError as error:
-        raise MapError(f"{path}: cannot read the image: {reason(error)}") from None
+        raise MapError.of_system(error, "cannot read the image", where=path) from None
     width, height = _size(data)
     if width * height > limits.picture_max_mpixel * _PIXELS_PER_MPIXEL:
         raise MapError(
-            f"{path}: {width} x {height} pixels are more than {limits.picture_max_mpixel:g} "
-            "million: scale it down, or raise limits.picture_max_mpixel",
+            f"{width} x {height} pixels are more than {limits.picture_max_mpixel:g} million",
+            "scale it down, or raise limits.picture_max_mpixel",
+            where=path,
             code=TOO_LARGE,
         )
     try:
@@ -261,7 +264,7 @@ def read_picture(path: Path, limits: LimitsConfig | None = None) -> NDArray[Any]
             raise MemoryError(f"for the {width} x {height} pixels of {path}") from None
         picture = None
     if picture is None:
-        raise MapError(f"{path}: not an image that can be read: expected PNG, PGM or BMP")
+        raise MapError("not an image that can be read", "expected PNG, PGM or BMP", where=path)
     return np.atleast_3d(picture)[::-1]
 
 

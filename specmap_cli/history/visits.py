@@ -72,8 +72,8 @@ def zone_of(name: str) -> tzinfo:
         return ZoneInfo(name)
     except (ZoneInfoNotFoundError, ValueError, OSError):
         raise UsageError(
-            f"time zone {name!r} is not known on this machine: give a name such as Europe/Berlin "
-            "or UTC; names come with the system package tzdata"
+            f"time zone {name!r} is not known on this machine",
+            "give a name such as Europe/Berlin or UTC; names come with the system package tzdata",
         ) from None
 
 

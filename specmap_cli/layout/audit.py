@@ -2,25 +2,35 @@
 
 The path is cut into passes of some metres, each with a small grid of its own. Where two passes saw
 the same place, the walls of one must not stand in the space that the other proved free. What moves
-(people, chairs, doors) is short; a wall that is drawn twice is long.
+(people, chairs, doors) is short; a wall that is drawn twice is long. What is drawn twice is matched
+and the layout solved again with it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray, Pose2, moved, step_lengths
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, moved, step_lengths
 from specmap_cli.core.settings import GridConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, CellArray, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.grids.matching import Window, refine, search
 from specmap_cli.grids.score_field import ScoreField
+from specmap_cli.layout.consistency import judge
+from specmap_cli.layout.contradictions import Views
+from specmap_cli.layout.passes import LOOP_SEARCH_M
+from specmap_cli.layout.path_graph import Draft, Graph
+from specmap_cli.layout.pose_graph import Link
+from specmap_cli.layout.result import Candidate, Choice, Layout, Repair
+from specmap_cli.layout.solving import settle, tighten
+from specmap_cli.layout.wall_matching import match_passes
+from specmap_cli.layout.walls import PLACE_NODES, Walls
 
 _CELL_M = 0.1  # cells in which passes are compared
 _RANGE_M = 12.0  # farther returns are not compared
@@ -41,6 +51,8 @@ _SIGMA_M = 0.15  # of its field: a cell and a half
 # than before: people and things moved between the passes leave some that do not.
 _LEAST, _LEAD = 0.75, 0.1
 
+_REPAIR_ROUNDS = 3  # walls drawn twice are matched and solved again this often at the most
+
 
 @dataclass(frozen=True)
 class Pass:
@@ -55,7 +67,6 @@ class Pass:
     centre: FloatArray
     way_m: float
     grid: GridMap
-    depth_m: float
 
     @cached_property
     def walls(self) -> FloatArray:
@@ -65,7 +76,7 @@ class Pass:
     @cached_property
     def says(self) -> CellArray:
         """(H, W) open space well clear of anything else, a wall near by, or nothing certain."""
-        reach = max(1, round(self.depth_m / self.grid.resolution))
+        reach = max(1, round(_DEPTH_M / self.grid.resolution))
         kernel = np.ones((2 * reach + 1, 2 * reach + 1), dtype=np.uint8)
         free = (self.grid.cells == FREE).astype(np.uint8)
         said = np.full(free.shape, _UNKNOWN, dtype=np.uint8)
@@ -156,13 +167,7 @@ def passes_of(store: KeyframeStore, poses: FloatArray, breaks: Collection[int]) 
     return passes
 
 
-def _pass(
-    store: KeyframeStore,
-    poses: FloatArray,
-    first: int,
-    last: int,
-    way_m: float,
-) -> Pass:
+def _pass(store: KeyframeStore, poses: FloatArray, first: int, last: int, way_m: float) -> Pass:
     chosen: list[int] = []
     for number in range(first, last + 1):
         before = Pose2(*poses[chosen[-1]].tolist()) if chosen else None
@@ -176,7 +181,6 @@ def _pass(
         centre=poses[first : last + 1, :2].mean(axis=0),
         way_m=way_m,
         grid=_cropped(grid),
-        depth_m=_DEPTH_M,
     )
 
 
@@ -256,14 +260,101 @@ def _offset(earlier: Pass, later: Pass) -> Pose2 | None:
     window = Window(distance_m=_SEARCH_M, angle_rad=_TURN_RAD, step_m=_STEP_M)
     rough = search(field, points, centre, window)
     best = refine(field, points, rough.pose, _REFINE_STEPS)
-    before, after = (_agreement(earlier, pose.apply(points)) for pose in (centre, best.pose))
+    before, after = (_share_on_walls(earlier, pose.apply(points)) for pose in (centre, best.pose))
     if after < max(_LEAST, before + _LEAD):
         return None
     return best.pose @ centre.inverse()
 
 
-def _agreement(seen: Pass, walls: FloatArray) -> float:
+def _share_on_walls(seen: Pass, walls: FloatArray) -> float:
     """The share of wall cells (N, 2), of those that a pass knows, that lie by its own walls."""
     said = seen.of(walls)
     known = int(np.count_nonzero(said != _UNKNOWN))
     return float(np.count_nonzero(said == _WALL)) / known if known else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Audited:
+    """A layout and what the audit says of it."""
+
+    layout: Layout
+    audit: Audit
+
+
+def repaired(store: KeyframeStore, layout: Layout, breaks: Collection[int]) -> Audited:
+    """The layout with its audit, mended where passes disagree and it shows how far they are apart.
+
+    A disagreement with an offset says where the later pass belongs. There the walls of both passes
+    are matched, as those of nearby passes are, and become links. The layout with them is taken only
+    if the audit finds less wall that is contradicted, and if no more contradicts all over the map.
+    Tried `_REPAIR_ROUNDS` times at the most; a trial that is no better ends it. Where the layout
+    has no graph nothing is mended. Deterministic.
+    """
+    first = best = Audited(layout, audit(store, layout.poses, breaks))
+    for _ in range(_REPAIR_ROUNDS if len(layout.nodes) else 0):
+        trial = _mended(store, best)
+        if trial is None:
+            break
+        again = Audited(trial, audit(store, trial.poses, breaks))
+        if not _is_better(again, best):
+            break
+        best = again
+    if best is first:
+        return best
+    before, away = set(layout.kept), best.layout.poses[:, :2] - layout.poses[:, :2]
+    repair = Repair(
+        links=tuple(link for link in best.layout.kept if link not in before),
+        walls_m=first.audit.walls_m,
+        moved_m=float(np.hypot(away[:, 0], away[:, 1]).max()),
+    )
+    return replace(best, layout=replace(best.layout, repair=repair))
+
+
+def _is_better(trial: Audited, before: Audited) -> bool:
+    """Whether less wall is contradicted, and not more all over the map."""
+    less = trial.audit.walls_m < before.audit.walls_m and trial.audit.share <= before.audit.share
+    return less and not trial.layout.agreement.is_worse_than(before.layout.agreement)
+
+
+def _mended(store: KeyframeStore, found: Audited) -> Layout | None:
+    """The layout solved with the claims of the audit that are believed, if there are any.
+
+    One claim alone may mend little, as a pass found far away: others must agree with it.
+    """
+    layout, disagreements = found.layout, found.audit.disagreements
+    if all(one.offset is None for one in disagreements):
+        return None
+    graph = Graph.of(store.poses, layout.nodes, layout.odometry)
+    draft = Draft(
+        poses=layout.poses[graph.nodes],
+        loops=layout.kept,
+        tied=graph.known_parts(layout.loose),
+        limits=layout.limits,
+    )
+    claims = _claims(graph, draft, disagreements, Walls(store, graph))
+    believed = [one.link for one in judge(graph, draft, claims)[0] if one.believed]
+    if not believed:
+        return None
+    trial, dropped = settle(graph, tighten(graph, draft.adding(believed)))
+    choice: Choice = "passes" if layout.choice == "tracked" else layout.choice
+    agreement = Views.of(store, graph).agreement(trial.poses)
+    return Layout.of(graph, Candidate(choice, trial, (*layout.dropped, *dropped), agreement))
+
+
+def _claims(
+    graph: Graph, draft: Draft, disagreements: Sequence[Disagreement], walls: Walls
+) -> list[Link]:
+    """Links between passes that disagree, where their walls fit when moved by the offset."""
+    claims = []
+    for one in disagreements:
+        if one.offset is None:
+            continue
+        ends = np.array([one.earlier, one.later])
+        old, new = (np.searchsorted(graph.nodes, ends, side="right") - 1).tolist()
+        moved = compose(np.array(one.offset), draft.poses[new])
+        guess = Pose2(*compose(invert(draft.poses[old]), moved).tolist())
+        found = match_passes(
+            graph, walls, draft.poses, (old, new), guess, LOOP_SEARCH_M, PLACE_NODES
+        )
+        claims += [] if found is None else [found]
+    return claims

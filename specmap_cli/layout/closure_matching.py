@@ -11,13 +11,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from specmap_cli.core.arrays import evenly
-from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
+from specmap_cli.core.geometry import (
+    FloatArray,
+    Pose2,
+    compose,
+    inverse3,
+    invert,
+    product,
+    wrap_angles,
+)
+from specmap_cli.core.records import BoolArray, IntArray
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.score_field import thinned
-from specmap_cli.layout.line_fitting import on_lines, onto_lines
-from specmap_cli.layout.motion_edges import MATCH_RANGE_M
+from specmap_cli.layout.path_graph import MATCH_RANGE_M
 from specmap_cli.layout.wall_matching import LOOP_SCORE, MATCH_POINTS
 from specmap_cli.layout.walls import CELL_M
 
@@ -25,6 +34,19 @@ _PLACE_M = 2.5  # of path on either side of a keyframe: its walls make one place
 _SCANS = 8  # of a place that are laid on each other, beside that of its keyframe
 _BASIN_M, _BASIN_RAD = 0.3, 0.06  # the grids were compared that near: what lies beyond was not
 _SPREAD = (_BASIN_M / 2, _BASIN_RAD / 2)  # the guess lies in there with two standard deviations
+
+_SEARCHES, _STEPS = 2, 2  # neighbours are looked up so often, and used for so many steps
+_NEIGHBOURS = 24  # returns of other scans, at the most, that make a line
+_AROUND_M = 0.15  # and how far they lie from the point: a wall is straight that far
+_FEWEST = 4  # of them: two would draw a line anywhere
+_SHORTEST_M = 0.02  # standard deviation along the line: shorter ones have no direction
+_FLAT = 0.25  # of the variance along a line, that across it: more is a corner or a leg of a chair
+_NOISE_M = 0.03  # a return this far off its line counts half: some sigmas of a laser
+# Lines of noisy returns are turned by some four degrees: what no more than this share of the
+# squares of their normals says of a place is made of that, as along a bare corridor.
+_SCATTER = 0.005
+# A scan was registered to that beside the others: along a bare corridor it stays where it was.
+_TRUST = np.array([0.05, 0.05, 0.02]) ** -2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,3 +110,185 @@ def _together(old: Place, new: Place, rough: Pose2) -> Pose2:
     placed = on_lines([*old.scans, *new.scans], poses)
     ends = placed[old.own], placed[len(old.poses) + new.own]
     return Pose2(*compose(invert(ends[0]), ends[1]).tolist())
+
+
+@dataclass(frozen=True, slots=True)
+class LineFit:
+    """The pose of one place in another, and how well they fit there.
+
+    Of the points of one that lie near a line of the other, `share` lie on it; there are `points` of
+    them. Both are those of the place that has less of them.
+    """
+
+    target_from_source: Pose2
+    share: float
+    points: int
+
+
+def onto_lines(
+    source: FloatArray, target: FloatArray, guess: Pose2, spread: tuple[float, float]
+) -> LineFit:
+    """The pose of points `source` (N, 2) on the lines of `target` (M, 2), and the other way round.
+
+    `guess` is `target_from_source` to within two of `spread`, metres and radians. What only one of
+    the two shows does not count.
+    """
+    cloud = _Cloud.of([target, source])
+    first = np.array([(0.0, 0.0, 0.0), guess])
+    trust, placed = np.array([spread[0], spread[0], spread[1]]) ** -2.0, first
+    for around_m in (2.0 * spread[0], _AROUND_M):
+        for _ in range(_SEARCHES):
+            near = cloud.neighbours(placed, around_m)
+            for _ in range(_STEPS):
+                step = _steps(cloud, cloud.lines(near, placed), placed, first, trust)
+                placed = placed + step * [[0.0], [1.0]]  # the target stays
+    near = cloud.neighbours(placed, _AROUND_M)
+    return _fit(cloud, cloud.lines(near, placed), Pose2(*placed[1].tolist()))
+
+
+def _fit(cloud: _Cloud, lines: _Lines, pose: Pose2) -> LineFit:
+    """How well two places fit by the lines of each at the points of the other."""
+    known = [lines.known & (cloud.scan == k) for k in (0, 1)]
+    on = [int(np.count_nonzero(lines.on_it & each)) for each in known]
+    count = [int(np.count_nonzero(each)) for each in known]
+    share = min(part / max(whole, 1) for part, whole in zip(on, count, strict=True))
+    return LineFit(pose, share, min(count))
+
+
+def on_lines(scans: Sequence[FloatArray], poses: FloatArray) -> FloatArray:
+    """The poses (n, 3), near those given, at which scans of points (N, 2) fit each other best.
+
+    All may move; what counts is how they lie to each other. One that shows no line stays.
+    """
+    cloud, placed = _Cloud.of(scans), poses
+    for _ in range(_SEARCHES):
+        near = cloud.neighbours(placed, _AROUND_M)
+        for _ in range(_STEPS):
+            placed = placed + _steps(cloud, cloud.lines(near, placed), placed, poses, _TRUST)
+    return placed
+
+
+@dataclass(frozen=True, slots=True)
+class _Cloud:
+    """The points (N, 2) of all scans, each in its scan's frame, and the scan (N,) of each."""
+
+    points: FloatArray
+    scan: IntArray
+
+    @classmethod
+    def of(cls, scans: Sequence[FloatArray]) -> _Cloud:
+        scan = np.repeat(np.arange(len(scans)), [len(points) for points in scans])
+        return cls(np.concatenate(scans), scan)
+
+    def turned(self, poses: FloatArray) -> FloatArray:
+        """(N, 2) the points about the place of their scan, turned as it is."""
+        c, s = np.cos(poses[:, 2])[self.scan], np.sin(poses[:, 2])[self.scan]
+        x, y = self.points.T
+        return np.column_stack([c * x - s * y, s * x + c * y])
+
+    def placed(self, poses: FloatArray) -> FloatArray:
+        """(N, 2) the points with the scans at some poses (n, 3)."""
+        return self.turned(poses) + poses[self.scan, :2]
+
+    def neighbours(self, poses: FloatArray, around_m: float) -> _Neighbours:
+        """The points of other scans around each, with the scans at some poses."""
+        placed = self.placed(poses)
+        if not len(placed):
+            return _Neighbours(np.zeros((0, 1), dtype=np.int64), np.zeros((0, 1), dtype=bool))
+        nearest = range(1, min(_NEIGHBOURS, len(placed)) + 1)
+        _, found = cKDTree(placed).query(placed, nearest, distance_upper_bound=around_m)
+        known = found < len(placed)
+        found[~known] = 0
+        return _Neighbours(found, known & (self.scan[found] != self.scan[:, None]))
+
+    def lines(self, near: _Neighbours, poses: FloatArray) -> _Lines:
+        """The lines that the neighbours of each point draw, with the scans at some poses."""
+        return _Lines.through(self.placed(poses), near)
+
+
+@dataclass(frozen=True, slots=True)
+class _Neighbours:
+    """The numbers (N, k) of the points near each point, and which of them count."""
+
+    points: IntArray
+    counted: BoolArray
+
+
+@dataclass(frozen=True, slots=True)
+class _Lines:
+    """Lines beside N points, where they are `known` (N,).
+
+    Unit `normals` (2, N), and how far `off` (N,) along them, metres, the lines are.
+    """
+
+    normals: FloatArray
+    off: FloatArray
+    known: BoolArray
+
+    @property
+    def on_it(self) -> BoolArray:
+        """(N,) whether a point lies on its line, as far as the noise lets tell."""
+        return np.abs(self.off) < _NOISE_M
+
+    @property
+    def weights(self) -> FloatArray:
+        """(N,) of the points: Cauchy's, so that what stands elsewhere now draws at nothing."""
+        return self.known / (_NOISE_M**2 + self.off * self.off)
+
+    @classmethod
+    def through(cls, placed: FloatArray, near: _Neighbours) -> _Lines:
+        """The lines through the neighbours of points (N, 2), as they are placed."""
+        count = near.counted.sum(axis=1)
+        shares = near.counted / np.maximum(count, 1)[:, None]
+        x, y = (placed[:, axis][near.points] - placed[:, axis, None] for axis in (0, 1))
+        mean_x, mean_y = (shares * x).sum(axis=1), (shares * y).sum(axis=1)
+        xx = (shares * x * x).sum(axis=1) - mean_x * mean_x
+        yy = (shares * y * y).sum(axis=1) - mean_y * mean_y
+        xy = (shares * x * y).sum(axis=1) - mean_x * mean_y
+        half, middle = 0.5 * (xx - yy), 0.5 * (xx + yy)
+        reach = np.sqrt(half * half + xy * xy)
+        across, along = middle - reach, middle + reach
+        normals = _minor_axes(half, xy, reach)
+        is_line = (count >= _FEWEST) & (along > _SHORTEST_M**2) & (across < _FLAT * along)
+        return cls(normals, normals[0] * mean_x + normals[1] * mean_y, is_line)
+
+
+def _minor_axes(half: FloatArray, xy: FloatArray, reach: FloatArray) -> FloatArray:
+    """(2, N) unit vectors along the shorter axis of covariances.
+
+    `half` is half the difference of the variances in x and in y, `reach` the root of the sum of
+    its square and that of `xy`. Of the two forms of the vector the one that does not vanish.
+    """
+    steep = half > 0.0
+    x = np.where(steep, -xy, reach - half)
+    y = np.where(steep, half + reach, -xy)
+    length = np.sqrt(x * x + y * y)
+    return np.stack([x, y]) / np.where(length > 0.0, length, 1.0)
+
+
+def _steps(
+    cloud: _Cloud, lines: _Lines, placed: FloatArray, first: FloatArray, trust: FloatArray
+) -> FloatArray:
+    """(n, 3) a Gauss-Newton step of every scan towards the lines of the others.
+
+    `placed` (n, 3) are the poses now, `first` those that were known to `trust` (3,), an information
+    in x, y and turn.
+    """
+    (nx, ny), (x, y) = lines.normals, cloud.turned(placed).T
+    rows = np.stack([nx, ny, ny * x - nx * y])
+    weighted = rows * lines.weights
+    back = first - placed
+    back[:, 2] = wrap_angles(back[:, 2])
+    held = np.zeros((len(placed), 3)) + trust
+    held[:, :2] += _SCATTER * _sums(cloud, lines.weights, len(placed))[:, None]
+    side, hessian = held * back, held[..., None] * np.eye(3)
+    for i in range(3):
+        side[:, i] += _sums(cloud, weighted[i] * lines.off, len(placed))
+        for j in range(3):
+            hessian[:, i, j] += _sums(cloud, weighted[i] * rows[j], len(placed))
+    return product(inverse3(hessian), side[..., None])[..., 0]
+
+
+def _sums(cloud: _Cloud, values: FloatArray, scans: int) -> FloatArray:
+    """(n,) the sum of values (N,) over the points of each scan."""
+    return np.asarray(np.bincount(cloud.scan, values, scans), dtype=np.float64)

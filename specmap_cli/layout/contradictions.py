@@ -18,9 +18,13 @@ from scipy.spatial import cKDTree
 from specmap_cli.core.geometry import FloatArray, compose, invert
 from specmap_cli.core.records import IntArray
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.motion_edges import MATCH_RANGE_M
-from specmap_cli.layout.path_graph import LOOP_EVERY_M, LOOP_PATH_M, Graph
-from specmap_cli.layout.stops import stops
+from specmap_cli.layout.path_graph import (
+    LOOP_EVERY_M,
+    LOOP_PATH_M,
+    MATCH_RANGE_M,
+    Graph,
+    rows_every,
+)
 
 _BEARINGS = 180  # two degrees each: neighbours cover what headings err by
 _MOST_VIEWS = 4000  # of a log, evenly; 6 MB
@@ -38,13 +42,13 @@ Ranges = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
+class Agreement:
     """Readings of two passes that agree in a layout, and those that contradict each other."""
 
     agree: int = 0
     contradict: int = 0
 
-    def is_worse_than(self, other: Standing) -> bool:
+    def is_worse_than(self, other: Agreement) -> bool:
         """Whether clearly more contradicts here, and not for what newly agrees.
 
         Where less agrees than before it is the share that counts.
@@ -83,7 +87,7 @@ class Views:
     def of(cls, store: KeyframeStore, graph: Graph) -> Views:
         """A view every `LOOP_EVERY_M` of path, fewer on a very long one."""
         every_m = max(LOOP_EVERY_M, float(graph.path[-1]) / _MOST_VIEWS)
-        rows = np.array(stops(graph.path, every_m), dtype=np.int64)
+        rows = np.array(rows_every(graph.path, every_m), dtype=np.int64)
         numbers = graph.nodes[rows].tolist()
         ranges = [_nearest(store, number, MATCH_RANGE_M) for number in numbers]
         return cls(
@@ -93,7 +97,7 @@ class Views:
             way=graph.path[rows],
         )
 
-    def standing(self, poses: FloatArray) -> Standing:
+    def agreement(self, poses: FloatArray) -> Agreement:
         """How the views of all passes stand to each other at poses (M, 3) of the graph's nodes."""
         lasers = compose(poses[self.rows], self.mounts)
         older, newer = self.partners(lasers)
@@ -103,7 +107,7 @@ class Views:
                 some = slice(first, first + _TOGETHER)
                 same, clear = self._compared(lasers, a[some], b[some])
                 agree, contradict = agree + same, contradict + clear
-        return Standing(agree, contradict)
+        return Agreement(agree, contradict)
 
     def partners(self, lasers: FloatArray) -> tuple[IntArray, IntArray]:
         """Views of an older pass and a newer one through the same place (P,), the nearest."""

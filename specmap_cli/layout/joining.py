@@ -8,21 +8,33 @@ are looked for along the new path only: the cost is that of the new recording.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import compress, pairwise
 
 import numpy as np
 
-from specmap_cli.core.geometry import Pose2, compose
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, inverse3, invert, step_lengths
+from specmap_cli.core.records import IntArray
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.closing import Closed
 from specmap_cli.layout.contradictions import Views
-from specmap_cli.layout.motion_edges import MATCH_RANGE_M, Bridge
-from specmap_cli.layout.nearby_passes import find_passes
-from specmap_cli.layout.path_graph import Draft, Graph, graph_of
+from specmap_cli.layout.passes import find_passes
+from specmap_cli.layout.path_graph import (
+    NODE_M,
+    Bridge,
+    Draft,
+    chosen_nodes,
+    graph_of,
+    motion_links,
+)
 from specmap_cli.layout.pose_graph import Link
-from specmap_cli.layout.relaxation import Constraint, Finished, Layout, layout_of
+from specmap_cli.layout.result import Candidate, Layout
 from specmap_cli.layout.solving import settle, tighten
+from specmap_cli.layout.uncertainty import Uncertainty, adjoint, moved_covariance
 from specmap_cli.layout.walls import Walls
+
+# What a layout knows of two places that walls tie, seen by several passes: two fifths of a cell of
+# 5 cm, and as much 4 m away.
+_LAID_OUT = Bridge(0.02, 0.005)
 
 
 def placed(layout: Layout, map_from_own: Pose2, first: int = 0) -> Layout:
@@ -38,20 +50,11 @@ def placed(layout: Layout, map_from_own: Pose2, first: int = 0) -> Layout:
     )
 
 
-def without_guesses(layout: Layout, starts: Collection[int]) -> Layout:
-    """The layout without a word on how far the recordings that begin at `starts` were moved.
-
-    No guess of tracking joined them, of which that would tell.
-    """
-    moves = tuple(move for move in layout.evidence.parts if move.first not in starts)
-    return replace(layout, evidence=replace(layout.evidence, parts=moves))
-
-
 def join_layouts(
     store: KeyframeStore,
     old: Layout,
     new: Layout,
-    ties: Sequence[Constraint],
+    ties: Sequence[Link],
     breaks: Mapping[int, Bridge | None],
 ) -> Layout:
     """The layout of a store that holds the keyframes of `old`, then those of `new`.
@@ -64,16 +67,16 @@ def join_layouts(
     graph = graph_of(store, {*old.nodes.tolist(), *new.nodes.tolist(), *ends}, breaks)
     begun = Draft(
         poses=np.concatenate([old.poses, new.poses])[graph.nodes],
-        loops=(*old.kept, *new.kept, *(tie.link for tie in ties)),
-        tied=_tied(graph, (*old.loose, *new.loose)),
+        loops=(*old.kept, *new.kept, *ties),
+        tied=graph.known_parts((*old.loose, *new.loose)),
     )
-    walls, views = Walls(store, graph, MATCH_RANGE_M), Views.of(store, graph)
+    walls, views = Walls(store, graph), Views.of(store, graph)
     first = graph.row[len(old.poses)]
     passes = find_passes(graph, begun, walls, first)
     draft, dropped = settle(graph, tighten(graph, passes))
     dropped = (*old.dropped, *new.dropped, *dropped)
-    finished = Finished.of("relaxed", draft, dropped, views)
-    return layout_of(graph, finished, Closed(draft, ()))
+    agreement = views.agreement(draft.poses)
+    return Layout.of(graph, Candidate("relaxed", draft, dropped, agreement))
 
 
 def _renumbered(links: Sequence[Link], first: int) -> tuple[Link, ...]:
@@ -82,7 +85,160 @@ def _renumbered(links: Sequence[Link], first: int) -> tuple[Link, ...]:
     )
 
 
-def _tied(graph: Graph, loose: Sequence[int]) -> frozenset[int]:
-    """The parts whose place is known: all but those that begin with a keyframe in `loose`."""
-    guessed = {int(graph.parts[graph.row[start]]) for start in loose}
-    return frozenset(graph.part_numbers) - guessed
+def gaps_of(poses: FloatArray, thinned: IntArray) -> dict[int, Bridge]:
+    """The keyframes that come after gaps, and how well the motion over each gap is known.
+
+    `poses` (n, 3) are those of all keyframes, `thinned` (n,) the recordings that some were taken
+    from, -1 for one that is whole. A step longer than those between nodes is a gap there.
+    """
+    far = step_lengths(poses) > NODE_M
+    after = 1 + np.flatnonzero(far & (thinned[1:] >= 0) & (thinned[1:] == thinned[:-1]))
+    return dict.fromkeys(after.tolist(), _LAID_OUT)
+
+
+def tracked_over_gaps(
+    tracked: FloatArray, placed: FloatArray, numbers: IntArray, gaps: Collection[int]
+) -> FloatArray:
+    """(k, 3) the poses of some keyframes, ascending, as if only these had been tracked.
+
+    `tracked` (n, 3) are the poses of all as registered, `placed` (n, 3) those of the layout: over
+    `gaps`, which are known by the keyframes after them, counted among the k, and where any are left
+    out the motion is that of the layout.
+    """
+    skipped = (1 + np.flatnonzero(np.diff(numbers) != 1)).tolist()
+    starts = sorted({0, *skipped, *gaps})
+    parts = [tracked[numbers[: starts[1] if len(starts) > 1 else None]]]
+    for start, end in pairwise([*starts[1:], len(numbers)]):
+        before, first = numbers[start - 1], numbers[start]
+        gap = compose(invert(placed[before]), placed[first])
+        begun = compose(parts[-1][-1], gap)
+        since = compose(invert(tracked[first]), tracked[numbers[start:end]])
+        parts.append(compose(begun, since))
+    return np.concatenate(parts)
+
+
+def without_keyframes(
+    store: KeyframeStore,
+    layout: Layout,
+    numbers: IntArray,
+    recordings: IntArray,
+    breaks: Mapping[int, Bridge | None],
+) -> Layout:
+    """The layout of the keyframes `numbers` (k,) alone, ascending, which get new numbers from 0 on.
+
+    `store` and `breaks`, gaps among them, are those of the new numbers already; `recordings` (n,)
+    are those of all keyframes, of each of which some are left. What was found out about the layout
+    stays as it was said of all of them.
+    """
+    row = {number: k for k, number in enumerate(numbers.tolist())}
+    carried = _carried(layout, numbers, recordings)
+    kept = tuple(replace(one, source=row[one.source], target=row[one.target]) for one in carried)
+    ends = {end for link in kept for end in (link.source, link.target)}
+    old = {row[node] for node in layout.nodes.tolist() if node in row}
+    nodes = chosen_nodes(store.poses, {*old, *ends, *breaks})
+    return replace(
+        layout,
+        poses=layout.poses[numbers],
+        nodes=nodes,
+        odometry=_motions(store, nodes, layout.odometry, row, breaks),
+        kept=kept,
+        dropped=(),
+        loose=tuple(row[start] for start in layout.loose),
+    )
+
+
+def _motions(
+    store: KeyframeStore,
+    nodes: IntArray,
+    known: Sequence[Link],
+    row: Mapping[int, int],
+    breaks: Mapping[int, Bridge | None],
+) -> tuple[Link, ...]:
+    """The motions between the nodes, those that are known by their old numbers as they are."""
+    same = {
+        (row[one.source], row[one.target]): one
+        for one in known
+        if one.source in row and one.target in row
+    }
+    motions: list[Link] = []
+    for source, target in zip(nodes[:-1].tolist(), nodes[1:].tolist(), strict=True):
+        one = same.get((source, target))
+        if one is None:
+            motions += motion_links(store, np.array([source, target]), breaks)
+        else:
+            motions.append(replace(one, source=source, target=target))
+    return tuple(motions)
+
+
+def _carried(layout: Layout, numbers: IntArray, recordings: IntArray) -> list[Link]:
+    """The links with ends that are kept, by their old numbers; of those carried one a pair."""
+    heir = _heirs(numbers, recordings)
+    whole = [
+        heir[one.source] == one.source and heir[one.target] == one.target for one in layout.kept
+    ]
+    links = list(compress(layout.kept, whole))
+    pairs = {frozenset((one.source, one.target)) for one in links}
+    carry = _Carrier.of(layout)
+    for one in layout.kept:
+        source, target = int(heir[one.source]), int(heir[one.target])
+        pair = frozenset((source, target))
+        if len(pair) == 2 and pair not in pairs:
+            pairs.add(pair)
+            links.append(carry.between(source, target, one))
+    return links
+
+
+def _heirs(numbers: IntArray, recordings: IntArray) -> IntArray:
+    """(n,) for each keyframe the kept one next to it along the way, of the same recording."""
+    heirs = np.arange(len(recordings))
+    kept = np.isin(heirs, numbers)
+    for recording in np.unique(recordings[~kept]).tolist():
+        own = recordings == recording
+        left, gone = np.flatnonzero(own & kept), np.flatnonzero(own & ~kept)
+        after = np.clip(np.searchsorted(left, gone), 1, max(1, len(left) - 1))
+        before, after = left[after - 1], left[np.minimum(after, len(left) - 1)]
+        heirs[gone] = np.where(gone - before <= after - gone, before, after)
+    return heirs
+
+
+@dataclass(frozen=True, slots=True)
+class _Carrier:
+    """Says of other keyframes what links say, with the errors of the way from these to those."""
+
+    poses: FloatArray
+    nodes: IntArray
+    along: Uncertainty
+
+    @classmethod
+    def of(cls, layout: Layout) -> _Carrier:
+        at_nodes = layout.poses[layout.nodes]
+        return cls(layout.poses, layout.nodes, Uncertainty.along(at_nodes, layout.odometry, 0.0))
+
+    def between(self, source: int, target: int, link: Link) -> Link:
+        """A link between two others, which lie as in the layout."""
+        ends = self.poses[[source, link.source, link.target, target]]
+        motion = compose(invert(ends[0]), ends[3])
+        spread = (
+            moved_covariance(
+                adjoint(self._seen(ends[1:2], ends[3:])), self._way(source, link.source)
+            )
+            + moved_covariance(
+                adjoint(self._seen(ends[2:3], ends[3:])), inverse3(link.information[None])
+            )
+            + self._way(link.target, target)
+        )
+        return replace(
+            link,
+            source=source,
+            target=target,
+            source_from_target=Pose2(*motion.tolist()),
+            information=inverse3(spread)[0],
+        )
+
+    def _seen(self, pose: FloatArray, frame: FloatArray) -> FloatArray:
+        return compose(invert(frame), pose)
+
+    def _way(self, start: int, end: int) -> FloatArray:
+        """(1, 3, 3) the error of the way from one keyframe to another, in the frame of this."""
+        rows = np.searchsorted(self.nodes, [start, end], side="right") - 1
+        return self.along.between(rows[:1], rows[1:])

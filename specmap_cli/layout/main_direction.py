@@ -16,8 +16,8 @@ from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, compose
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.motion_edges import MATCH_RANGE_M
-from specmap_cli.layout.relaxation import Layout
+from specmap_cli.layout.path_graph import MATCH_RANGE_M
+from specmap_cli.layout.result import Layout
 
 _QUARTER = math.pi / 2.0  # walls meet at right angles: a direction counts but for quarter turns
 _MOST = 400  # keyframes asked, evenly spread: what they say of the directions hardly differs

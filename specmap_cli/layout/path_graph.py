@@ -1,4 +1,10 @@
-"""The path of the robot as a graph, and a layout of it in the making: the values of `relax`."""
+"""The path of the robot as a graph, and a layout of it in the making: the values of `relax`.
+
+Nodes are some of the keyframes. The motion from each to the next is that of the front end. Its
+covariance has two parts: noise in proportion to the motion, and what the walls in sight leave
+undetermined, from their normals (Censi, "On achievable accuracy for range-finder localization",
+ICRA 2007): along a bare corridor a scan fixes nothing.
+"""
 
 from __future__ import annotations
 
@@ -8,20 +14,53 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.sparse import csr_array
 
-from specmap_cli.core.geometry import FloatArray, Pose2, moved, step_lengths
+from specmap_cli.core.geometry import (
+    FloatArray,
+    Pose2,
+    compose,
+    inverse3,
+    invert,
+    moved,
+    step_lengths,
+)
 from specmap_cli.core.records import IntArray
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.motion_edges import Bridge, motion_links
-from specmap_cli.layout.pose_graph import Link
+from specmap_cli.grids.matching import observability
+from specmap_cli.layout.pose_graph import Link, LinkKind
 
 NODE_M = 0.3  # motion between nodes of the pose graph
 _NODE_RAD = 0.25  # turn between nodes of the pose graph
 LOOP_EVERY_M = 1.0  # least path between searches for nearby passes
 LOOP_PATH_M = 6.0  # less path than this between is no pass
+MATCH_RANGE_M = 12.0  # farther returns are not matched
 
-Pair = tuple[int, int]
-# Keyframes at which tracking started afresh, and what is known of the motion over each break.
-Breaks = Collection[int] | Mapping[int, Bridge | None]
+_STEP_SHARE = 0.03  # error of a motion, metres per metre driven
+_TURN_SHARE = 0.02  # error of a motion's turn, radians per radian
+# Error of a step of no length: registration ends within a fifth of a map cell of 5 cm, 3 m away.
+_LEAST_M, _LEAST_RAD = 0.01, 0.003
+GUESS_M = 0.3  # error of a motion without a wall in sight, or over a break
+_GUESS_RAD = 0.2  # error of the turn of such a motion
+_RANGE_NOISE_M = 0.1  # error of a reading; more than the laser's: neighbours err alike
+
+_MOVED_M = 1.0  # a guess that moved this far is worth another search
+
+RowPair = tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Bridge:
+    """How well the motion over a break of the tracking is known, where odometry measured it.
+
+    Standard deviations of the first pose after the break, seen from the last one before.
+    """
+
+    position_m: float
+    heading_rad: float
+
+    @property
+    def information(self) -> FloatArray:
+        """(3, 3) of the motion."""
+        return np.diag([self.position_m**-2, self.position_m**-2, self.heading_rad**-2])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,7 +71,7 @@ class Graph:
     poses of all keyframes before any relaxing. A part is a piece of the path between breaks of the
     tracking that nothing bridged: `parts` (M,) numbers them from 0. `path` (M,) is the way driven
     up to each node, where a break counts as a way too long for nodes on either side of it to be
-    successive.
+    successive. `odometry` are the M - 1 links from each node to the next.
     """
 
     nodes: IntArray
@@ -42,72 +81,47 @@ class Graph:
     path: FloatArray
     odometry: tuple[Link, ...]
 
+    @classmethod
+    def of(cls, tracked: FloatArray, nodes: IntArray, odometry: tuple[Link, ...]) -> Graph:
+        """The graph of the keyframes `nodes` (M,) of all at poses `tracked` (n, 3)."""
+        after = [False, *(motion.kind != "odometry" for motion in odometry)]
+        loose = [False, *(motion.kind == "loose" for motion in odometry)]
+        steps = np.concatenate([[0.0], step_lengths(tracked[nodes])])
+        return cls(
+            nodes=nodes,
+            row={number: row for row, number in enumerate(nodes.tolist())},
+            tracked=tracked,
+            parts=np.cumsum(loose).astype(np.int64),
+            path=np.cumsum(np.where(after, 2 * LOOP_PATH_M, steps)),
+            odometry=odometry,
+        )
+
     @property
     def poses(self) -> FloatArray:
         """(M, 3) the poses of the nodes as tracked."""
         return self.tracked[self.nodes]
 
     @property
-    def pieces(self) -> IntArray:
-        """(M,) numbers from 0 of the pieces between all breaks, bridged or not."""
-        after = [motion.kind != "odometry" for motion in self.odometry]
-        return np.concatenate([[0], np.cumsum(after)]).astype(np.int64)
-
-    @property
     def part_numbers(self) -> range:
         """The numbers of all parts."""
         return range(int(self.parts[-1]) + 1)
 
+    def known_parts(self, loose: Collection[int]) -> frozenset[int]:
+        """The parts whose place is known: all but those that begin with a keyframe in `loose`."""
+        guessed = {int(self.parts[self.row[start]]) for start in loose}
+        return frozenset(self.part_numbers) - guessed
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Draft:
-    """A layout in the making: `poses` (M, 3) of the nodes, and `loops`, what else ties them.
 
-    `tied` are the parts whose poses are better than a guess. `tried` holds, for pairs of rows that
-    were matched, the guess that the match began with; `tries` how often a part was searched for
-    without one. `hints` are closures, which count as finds in the search for a part. `limits`
-    counts by name how often a setting cut the work short, if it did.
+def graph_of(
+    store: KeyframeStore, ends: Collection[int], breaks: Mapping[int, Bridge | None]
+) -> Graph:
+    """The graph of a store's keyframes, with nodes at the `ends` of closures and at `breaks`.
+
+    `breaks` are the keyframes at which tracking started afresh, and what is known of the motion.
     """
-
-    poses: FloatArray
-    loops: tuple[Link, ...] = ()
-    tied: frozenset[int] = frozenset({0})
-    tried: Mapping[Pair, Pose2] = field(default_factory=dict)
-    tries: Mapping[int, int] = field(default_factory=dict)
-    limits: Mapping[str, int] = field(default_factory=dict)
-    hints: tuple[Link, ...] = ()
-
-    def counting(self, limit: str, count: int) -> Draft:
-        """The draft in which a limit was hit `count` times more."""
-        if not count:
-            return self
-        return replace(self, limits={**self.limits, limit: self.limits.get(limit, 0) + count})
-
-
-def graph_of(store: KeyframeStore, ends: Collection[int], breaks: Breaks) -> Graph:
-    """The graph of a store's keyframes, with nodes at the `ends` of constraints and at `breaks`."""
-    known = breaks if isinstance(breaks, Mapping) else dict.fromkeys(breaks)
-    fresh = {number: bridge for number, bridge in known.items() if number != 0}
+    fresh = {number: bridge for number, bridge in breaks.items() if number != 0}
     nodes = chosen_nodes(store.poses, {*ends, *fresh})
-    return joined(store.poses, nodes, motion_links(store, nodes, fresh))
-
-
-def joined(tracked: FloatArray, nodes: IntArray, odometry: tuple[Link, ...]) -> Graph:
-    """The graph of the keyframes `nodes` (M,), of all at poses `tracked` (n, 3), and its motions.
-
-    `odometry` are the M - 1 links from each node to the next.
-    """
-    after = [False, *(motion.kind != "odometry" for motion in odometry)]
-    loose = [False, *(motion.kind == "loose" for motion in odometry)]
-    steps = np.concatenate([[0.0], step_lengths(tracked[nodes])])
-    return Graph(
-        nodes=nodes,
-        row={number: row for row, number in enumerate(nodes.tolist())},
-        tracked=tracked,
-        parts=np.cumsum(loose).astype(np.int64),
-        path=np.cumsum(np.where(after, 2 * LOOP_PATH_M, steps)),
-        odometry=odometry,
-    )
+    return Graph.of(store.poses, nodes, motion_links(store, nodes, fresh))
 
 
 def chosen_nodes(poses: FloatArray, always: Collection[int]) -> IntArray:
@@ -123,15 +137,141 @@ def chosen_nodes(poses: FloatArray, always: Collection[int]) -> IntArray:
     return np.array(chosen, dtype=np.int64)
 
 
-def lengths_matrix(count: int, pairs: Sequence[Pair], lengths: Sequence[float]) -> csr_array:
+def motion_links(
+    store: KeyframeStore, nodes: IntArray, breaks: Mapping[int, Bridge | None]
+) -> tuple[Link, ...]:
+    """Links from each of the keyframes `nodes` (M,) to the next, as tracked.
+
+    Those that end in one of `breaks`, where tracking started afresh, are bridges, or loose where
+    nothing is known of the motion: a guess.
+    """
+    poses, ends = store.poses[nodes], nodes[1:].tolist()
+    steps = [Pose2(*motion) for motion in compose(invert(poses[:-1]), poses[1:]).tolist()]
+    fisher = [
+        np.zeros((3, 3))
+        if end in breaks
+        else observability(store.points(end, MATCH_RANGE_M), _RANGE_NOISE_M)
+        for end in ends
+    ]
+    informations = step_information(steps, np.array(fisher).reshape(-1, 3, 3))
+    links = []
+    for k, (source, end) in enumerate(zip(nodes[:-1].tolist(), ends, strict=True)):
+        kind: LinkKind = "odometry"
+        if end in breaks:
+            bridge = breaks[end]
+            kind = "loose" if bridge is None else "bridge"
+            informations[k] = guess_information() if bridge is None else bridge.information
+        links.append(
+            Link(
+                source=source,
+                target=end,
+                source_from_target=steps[k],
+                information=informations[k],
+                kind=kind,
+            )
+        )
+    return tuple(links)
+
+
+def guess_information() -> FloatArray:
+    """Information (3, 3) of a motion that no wall in sight confirms."""
+    return np.diag([GUESS_M**-2, GUESS_M**-2, _GUESS_RAD**-2])
+
+
+def step_information(steps: Sequence[Pose2], fisher: FloatArray) -> FloatArray:
+    """Information (L, 3, 3) of motions `steps` (L,), each weighed in the frame it ends in.
+
+    `fisher` (L, 3, 3) is what the walls seen from its end tell of a place.
+    """
+    position = [_LEAST_M + _STEP_SHARE * step.distance for step in steps]
+    angle = [_LEAST_RAD + _TURN_SHARE * abs(step.theta) for step in steps]
+    sigmas = np.column_stack([position, position, angle])
+    noise = sigmas[:, :, None] ** 2 * np.eye(3)
+    unseen = inverse3(fisher + guess_information())
+    return inverse3(noise + unseen)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Draft:
+    """A layout in the making: `poses` (M, 3) of the nodes, and `loops`, what else ties them.
+
+    `tied` are the parts whose poses are better than a guess. `matched` holds, for pairs of rows
+    that were matched, the guess that the match began with; `searched`, for rows whose walls were
+    looked for far around, where they were then; `tries` how often a part was searched for without
+    any guess. `hints` are closures, which count as finds in that search. `limits` counts by name
+    how often a setting cut the work short, if it did.
+    """
+
+    poses: FloatArray
+    loops: tuple[Link, ...] = ()
+    tied: frozenset[int] = frozenset({0})
+    matched: Mapping[RowPair, Pose2] = field(default_factory=dict)
+    searched: Mapping[int, Pose2] = field(default_factory=dict)
+    tries: Mapping[int, int] = field(default_factory=dict)
+    limits: Mapping[str, int] = field(default_factory=dict)
+    hints: tuple[Link, ...] = ()
+
+    def adding(self, links: Sequence[Link]) -> Draft:
+        """The draft with some more loops, which have not moved it yet."""
+        return replace(self, loops=(*self.loops, *links))
+
+    def counting(self, limit: str, count: int) -> Draft:
+        """The draft in which a limit was hit `count` times more."""
+        if not count:
+            return self
+        return replace(self, limits={**self.limits, limit: self.limits.get(limit, 0) + count})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ends:
+    """Links as rows of poses: `i`, `j` (L,) with the older end first, and `z` (L, 3)."""
+
+    i: IntArray
+    j: IntArray
+    z: FloatArray
+
+    @classmethod
+    def of(cls, row: Mapping[int, int] | range, links: Sequence[Link]) -> Ends:
+        """The ends of links, turned round where the target is older; `row` of each keyframe."""
+        i = np.array([row[link.source] for link in links], dtype=np.int64)
+        j = np.array([row[link.target] for link in links], dtype=np.int64)
+        z = np.array([link.source_from_target for link in links]).reshape(-1, 3)
+        turned = i > j
+        return cls(
+            i=np.where(turned, j, i),
+            j=np.where(turned, i, j),
+            z=np.where(turned[:, None], invert(z), z),
+        )
+
+    def parts(self, graph: Graph) -> tuple[IntArray, IntArray]:
+        """(L,) and (L,) the parts that the older and the newer end belong to."""
+        return graph.parts[self.i], graph.parts[self.j]
+
+
+def lengths_matrix(count: int, pairs: Sequence[RowPair], lengths: Sequence[float]) -> csr_array:
     """The (count, count) sparse matrix of undirected edges for scipy.sparse.csgraph.
 
     Of several edges between the same two rows the shortest counts. Lengths must be above zero.
     """
-    shortest: dict[Pair, float] = {}
+    shortest: dict[RowPair, float] = {}
     for (a, b), length in zip(pairs, lengths, strict=True):
         pair = (min(a, b), max(a, b))
         shortest[pair] = min(length, shortest.get(pair, np.inf))
     ends = np.array(list(shortest), dtype=np.int32).reshape(-1, 2)  # csgraph wants 32 bits
     values = np.array(list(shortest.values()), dtype=np.float64)
     return csr_array((values, (ends[:, 0], ends[:, 1])), shape=(count, count))
+
+
+def rows_every(path: FloatArray, every_m: float) -> list[int]:
+    """Rows of a path (M,) to look around at: each the first that is `every_m` past the last."""
+    chosen, visited_m = [], 0.0
+    for row, way_m in enumerate(path.tolist()):
+        if way_m - visited_m >= every_m:
+            chosen.append(row)
+            visited_m = way_m
+    return chosen
+
+
+def is_moved(guess: Pose2, before: Pose2 | None) -> bool:
+    """Whether a guess is worth another search: there was none before, or a metre from here."""
+    return before is None or (before.inverse() @ guess).distance > _MOVED_M

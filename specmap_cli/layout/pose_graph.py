@@ -1,13 +1,17 @@
-"""A pose graph in the plane and its solution by robust Gauss-Newton.
+"""A pose graph in the plane, its solution by robust Gauss-Newton, and its text.
 
 Minimises, over poses x_i, the sum of rho(e^T W e) with the error e of an edge (i, j), measured as
 `i_from_j` = z, written as the motion inv(z) inv(x_i) x_j and its information matrix W (Grisetti et
 al., "A Tutorial on Graph-Based SLAM", 2010). rho is Cauchy's kernel for edges that may be wrong.
+
+As text it has the format of g2o (Kuemmerle et al., ICRA 2011), VERTEX_SE2 and EDGE_SE2, which
+Ceres' and GTSAM's examples and other solvers read, too, so that a layout can be checked there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,6 +19,7 @@ import numpy as np
 from scipy.sparse import coo_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
+from specmap_cli.core.errors import InputError
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, product, wrap_angles
 from specmap_cli.core.records import BoolArray, IntArray
 
@@ -31,12 +36,15 @@ _STILL = 1e-7  # metres and radians of a step that changes nothing
 SETTLED = 1e-6  # share of the cost that a last step gained
 _RIDGE = 1e-9  # keeps a direction that no edge holds from making the matrix singular
 
+_UPPER = np.triu_indices(3)
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Link:
     """An edge of the pose graph: `source_from_target` with its information matrix (3, 3).
 
-    `source` and `target` are keyframe numbers; the error it weighs is in the target's frame.
+    `source` and `target` are keyframe numbers; the error it weighs is in the target's frame. Each
+    link equals itself alone: two matches may say the same.
     """
 
     source: int
@@ -61,7 +69,7 @@ class LinkArrays:
 
     @classmethod
     def of(
-        cls, links: Sequence[Link], row: Mapping[int, int], width: Mapping[str, float]
+        cls, links: Sequence[Link], row: Mapping[int, int] | range, width: Mapping[str, float]
     ) -> LinkArrays:
         """Arrays of links; `row` maps keyframe numbers to rows, `width` kinds to kernels."""
         return cls(
@@ -97,14 +105,17 @@ class Solution:
     converged: bool
 
 
-def errors(poses: FloatArray, edges: LinkArrays) -> FloatArray:
-    """(E, 3) the motion inv(z) inv(x_i) x_j of each edge."""
-    return compose(invert(edges.z), compose(invert(poses[edges.i]), poses[edges.j]))
+def errors(poses: FloatArray, i: IntArray, j: IntArray, z: FloatArray) -> FloatArray:
+    """(E, 3) what edges from rows `i` to `j` (E,), measured as `z` (E, 3), miss at poses (n, 3).
+
+    It is the motion inv(z) inv(x_i) x_j, in the frame of row j.
+    """
+    return compose(invert(z), compose(invert(poses[i]), poses[j]))
 
 
 def squared(poses: FloatArray, edges: LinkArrays) -> FloatArray:
     """(E,) chi2 of each edge."""
-    e = errors(poses, edges)
+    e = errors(poses, edges.i, edges.j, edges.z)
     return np.asarray(np.einsum("ea,eab,eb->e", e, edges.w, e), dtype=np.float64)
 
 
@@ -160,7 +171,7 @@ def _moved_by(poses: FloatArray, step: FloatArray) -> FloatArray:
 
 def _step(poses: FloatArray, edges: LinkArrays, damping: float) -> FloatArray:
     """The Gauss-Newton step (n - 1, 3) of all poses but the first."""
-    e = errors(poses, edges)
+    e = errors(poses, edges.i, edges.j, edges.z)
     a, b = _jacobians(poses, edges)
     chi2 = np.einsum("ea,eab,eb->e", e, edges.w, e)
     weight = 1.0 / (1.0 + chi2 / edges.width**2)  # the derivative of Cauchy's kernel by chi2
@@ -204,3 +215,68 @@ def _jacobians(poses: FloatArray, edges: LinkArrays) -> tuple[FloatArray, FloatA
     a[:, :2, 2] = np.einsum("eab,eb->ea", rz, turned)
     a[:, 2, 2], b[:, 2, 2] = -1.0, 1.0
     return a, b
+
+
+def graph_text(poses: Mapping[int, FloatArray], links: Iterable[Link], fixed: Iterable[int]) -> str:
+    """A graph of poses (3,) by vertex number; the `fixed` ones do not move.
+
+    The fixed ones stand last. GTSAM reads two numbers behind every tag while it looks for edges,
+    and stops where there is only one.
+    """
+    lines = [f"VERTEX_SE2 {number} {_numbers(pose)}" for number, pose in poses.items()]
+    lines += [
+        f"EDGE_SE2 {link.source} {link.target} "
+        f"{_numbers([*link.source_from_target, *link.information[_UPPER]])}"
+        for link in links
+    ]
+    lines += [f"FIX {number}" for number in fixed]
+    return "".join(line + "\n" for line in lines)
+
+
+def read_g2o(text: str) -> tuple[dict[int, FloatArray], list[Link]]:
+    """Poses (3,) by vertex number, and the edges, of a planar graph in g2o's format.
+
+    Other tags than VERTEX_SE2 and EDGE_SE2 are passed over. Raises InputError for a line that
+    cannot be read.
+    """
+    poses: dict[int, FloatArray] = {}
+    links: list[Link] = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        tag, *words = line.split() or [""]
+        try:
+            if tag == "VERTEX_SE2":
+                poses[int(words[0])] = np.array(_floats(words[1:], 3))
+            elif tag == "EDGE_SE2":
+                links.append(_edge(words))
+        except (ValueError, IndexError):
+            raise InputError(
+                f"g2o, line {number}: {line!r} is no {tag};", "mend the line"
+            ) from None
+    return poses, links
+
+
+def _edge(words: Sequence[str]) -> Link:
+    x, y, theta, *upper = _floats(words[2:], 9)
+    information = np.zeros((3, 3))
+    information[_UPPER] = upper
+    information += np.triu(information, 1).T
+    source, target = int(words[0]), int(words[1])
+    kind: LinkKind = "odometry" if target == source + 1 else "closure"
+    return Link(
+        source=source,
+        target=target,
+        source_from_target=Pose2(x, y, theta),
+        information=information,
+        kind=kind,
+    )
+
+
+def _floats(words: Sequence[str], count: int) -> list[float]:
+    values = [float(word) for word in words]
+    if len(values) != count or not all(math.isfinite(value) for value in values):
+        raise ValueError(words)
+    return values
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return " ".join(f"{value:.9g}" for value in values)

@@ -1,216 +1,154 @@
-"""The layout: poses of all keyframes made consistent over everything the robot saw again.
+"""Relaxation: poses of all keyframes made consistent over everything the robot saw again.
 
 A pose graph over a thinned set of keyframes, tied by the front end's motion, by verified loop
 closures of any drift, and by nearby passes, which are looked for here, once the closures have
-brought the passes near each other. Robust: what does not fit in the end is dropped and reported.
+brought the passes near each other. Robust: closures are judged, tried, and tried without each group
+under suspicion; what does not fit in the end is dropped and reported.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import compress
 
-import numpy as np
-
-from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.core.records import IntArray, Trajectory
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.carrying import bridged, carried, keyframe_rows
-from specmap_cli.layout.closing import Closed, closed
-from specmap_cli.layout.contradictions import Standing, Views
-from specmap_cli.layout.drift import CLOSURE_SLACK_M, deviations
-from specmap_cli.layout.evidence import (
-    Choice,
-    Healing,
-    LayoutEvidence,
-    part_moves,
-    settled_verdicts,
-)
-from specmap_cli.layout.motion_edges import MATCH_RANGE_M
-from specmap_cli.layout.nearby_passes import find_passes
-from specmap_cli.layout.parts import loose_starts, place_parts
-from specmap_cli.layout.path_graph import Breaks, Draft, Graph, graph_of
+from specmap_cli.layout.consistency import Judgement, judge
+from specmap_cli.layout.contradictions import Agreement, Views
+from specmap_cli.layout.parts import place_parts
+from specmap_cli.layout.passes import far_passes, find_passes
+from specmap_cli.layout.path_graph import Bridge, Draft, Ends, Graph, graph_of
 from specmap_cli.layout.pose_graph import Link
-from specmap_cli.layout.solving import settle, solved
-from specmap_cli.layout.strays import STRAY_TRIES
+from specmap_cli.layout.result import Candidate, Layout
+from specmap_cli.layout.solving import settle, solved, tighten
+from specmap_cli.layout.uncertainty import CLOSURE_SLACK_M, deviations
 from specmap_cli.layout.walls import Walls
 
-_PART_VOTES = 2  # closures that must agree on where a piece after a break lies
-
-
-@dataclass(frozen=True, slots=True)
-class Constraint:
-    """A verified loop closure between two keyframes, by their numbers in the store.
-
-    `information` (3, 3) weighs the error of `source_from_target` in the target's frame.
-    """
-
-    source: int
-    target: int
-    source_from_target: Pose2
-    information: FloatArray
-
-    @property
-    def link(self) -> Link:
-        """The edge of the pose graph."""
-        return Link(
-            source=self.source,
-            target=self.target,
-            source_from_target=self.source_from_target,
-            information=self.information,
-            kind="closure",
-        )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Layout:
-    """Relaxed poses (n, 3) of all keyframes, and the pose graph they come from.
-
-    `nodes` are the keyframe numbers in the graph; `odometry`, `kept` and `dropped` its edges, the
-    last two being closures and nearby passes. `loose` are the keyframes at which tracking restarted
-    and whose place, and that of what follows, is a guess. `evidence` tells what was judged and how
-    far things moved, `healing` what the audit mended, if anything. `limits` count passes searched
-    less far than the path may have drifted (`loop_search_max_m`), parts given up (`stray_tries`),
-    searches made coarser (`stray_cells`), sets of closures that may not be the largest
-    (`clique_steps`), solutions stopped before they had settled (`solve_iterations`).
-    """
-
-    poses: FloatArray
-    nodes: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    odometry: tuple[Link, ...] = ()
-    kept: tuple[Link, ...] = ()
-    dropped: tuple[Link, ...] = ()
-    loose: tuple[int, ...] = ()
-    evidence: LayoutEvidence = field(default_factory=LayoutEvidence)
-    healing: Healing | None = None
-
-    @property
-    def limits(self) -> Mapping[str, int]:
-        """How often a setting cut the work short, by its name."""
-        return self.evidence.limits
+_VOTES_FOR_PART = 2  # closures that must agree on where a piece after a break lies
+_SUSPECTS_MOST = 6  # groups of closures the layout is tried without, when walls contradict
+_JUDGE_ROUNDS = 6  # closures are judged, and passes searched, this often at the most
+_FOLLOWS_M = 30.0  # of path on both passes: closures nearer than this stand or fall together
 
 
 def relax(
     store: KeyframeStore,
-    constraints: Sequence[Constraint],
-    breaks: Breaks,
+    closures: Sequence[Link],
+    breaks: Mapping[int, Bridge | None],
     config: RelaxationConfig,
 ) -> Layout:
     """The consistent layout of the store's keyframes.
 
-    `constraints` come from verified closures and may span any drift; `breaks` are the numbers of
-    keyframes at which tracking started afresh, or these with the `Bridge` over each break: how well
-    odometry knows the motion there, None where nothing does. A piece after a break with a bridge
-    moves no farther than that allows. Scans are read from the store, a few at a time.
-    With `config.enabled` false the poses stay as they were tracked. Deterministic.
+    `closures` are verified and may span any drift; `breaks` are the numbers of keyframes at which
+    tracking started afresh, with the `Bridge` over each: how well odometry knows the motion there,
+    None where nothing does. A piece after a break with a bridge moves no farther than that allows.
+    Scans are read from the store, a few at a time. With `config.enabled` false the poses stay as
+    they were tracked. Deterministic.
     """
     if not config.enabled or len(store) < 2:
         return Layout(poses=store.poses)
-    closures = [constraint.link for constraint in constraints]
     ends = {end for closure in closures for end in (closure.source, closure.target)}
     graph = graph_of(store, ends, breaks)
-    walls, views = Walls(store, graph, MATCH_RANGE_M), Views.of(store, graph)
-    placed = place_parts(graph, closures, _PART_VOTES)
+    walls, views = Walls(store, graph), Views.of(store, graph)
+    placed = place_parts(graph, closures, _VOTES_FOR_PART)
     passes = find_passes(graph, replace(placed, hints=tuple(closures)), walls)
     passes = solved(graph, passes)
-    found = closed(graph, passes, closures, walls, views)
-    draft, dropped = settle(graph, found.draft)
-    judged = settled_verdicts(found.judged, dropped)
-    refuted = tuple(one.link for one in found.judged if not one.believed)
-    tracked = views.standing(graph.poses)
-    finished = Finished.of("relaxed", draft, (*refuted, *dropped), views)
-    finished = chosen(graph, passes, finished, tracked, views)
-    return layout_of(graph, finished, replace(found, judged=judged))
+    closed, judged = close(graph, passes, closures, walls, views)
+    draft, outliers = settle(graph, closed)
+    refuted = tuple(one.link for one in judged if not one.believed)
+    best = Candidate("relaxed", draft, (*refuted, *outliers), views.agreement(draft.poses))
+    return Layout.of(graph, chosen(graph, passes, best, views))
 
 
-@dataclass(frozen=True, slots=True)
-class Finished:
-    """A draft that is settled, the links it was settled without, and what it is made of.
+def close(
+    graph: Graph, draft: Draft, closures: Sequence[Link], walls: Walls, views: Views
+) -> tuple[Draft, tuple[Judgement, ...]]:
+    """The draft with the closures that are believed, and what was found of each, in their order.
 
-    `standing` is how its passes stand to each other.
+    Passes found far away follow, which are judged like closures. Closures may bring passes near
+    each other that were far apart, and those may show that other closures are right: passes are
+    searched and the rest is judged again until nothing is new.
     """
+    judged: dict[int, Judgement] = {}
+    pool, waiting = list(closures), list(range(len(closures)))
+    for _ in range(_JUDGE_ROUNDS):
+        claims, draft = far_passes(graph, draft, walls)
+        waiting += range(len(pool), len(pool) + len(claims))
+        pool += claims
+        fresh, cut_short = judge(graph, draft, [pool[k] for k in waiting])
+        draft = draft.counting("clique_steps", cut_short)
+        draft, fresh = _tried(graph, draft, fresh, views)
+        judged.update(zip(waiting, fresh, strict=True))
+        if not any(one.believed for one in fresh):
+            break
+        draft = find_passes(graph, draft, walls)
+        waiting = [
+            k for k in waiting if not judged[k].believed and judged[k].reason != "contradicted"
+        ]
+    return draft, tuple(judged[k] for k in range(len(pool)))
 
-    choice: Choice
-    draft: Draft
-    dropped: tuple[Link, ...]
-    standing: Standing
 
-    @classmethod
-    def of(
-        cls,
-        choice: Choice,
-        draft: Draft,
-        dropped: tuple[Link, ...],
-        views: Views,
-    ) -> Finished:
-        """The draft, weighed by what was seen along it."""
-        return cls(choice, draft, dropped, views.standing(draft.poses))
+def _tried(
+    graph: Graph, draft: Draft, judged: Sequence[Judgement], views: Views
+) -> tuple[Draft, tuple[Judgement, ...]]:
+    """The draft with the believed closures, without groups that bring walls into free space."""
+    kept = [k for k, one in enumerate(judged) if one.believed]
+    if not kept:
+        return draft, tuple(judged)
+
+    def with_those(rows: Sequence[int]) -> tuple[Draft, Agreement]:
+        trial = tighten(graph, draft.adding([judged[k].link for k in rows]))
+        return trial, views.agreement(trial.poses)
+
+    before = views.agreement(draft.poses)
+    trial, after = with_those(kept)
+    if after.is_doubtful or after.is_worse_than(before):
+        for group in suspects(graph, judged):
+            rest = [k for k in kept if k not in group]
+            without, agreement = with_those(rest)
+            if after.is_worse_than(agreement):
+                trial, kept, after = without, rest, agreement
+    return trial, tuple(
+        replace(one, reason="contradicted") if one.believed and k not in kept else one
+        for k, one in enumerate(judged)
+    )
 
 
-def chosen(
-    graph: Graph,
-    passes: Draft,
-    finished: Finished,
-    tracked: Standing,
-    views: Views,
-) -> Finished:
-    """The finished layout, or one nearer to what was tracked that fewer walls contradict.
+def suspects(graph: Graph, judged: Sequence[Judgement]) -> list[list[int]]:
+    """Groups of believed closures that follow one another, those that mend most first.
+
+    By their numbers. What the layout says anyway, within `CLOSURE_SLACK_M`, is not suspected.
+    """
+    ends = Ends.of(graph.row, [one.link for one in judged])
+    older, newer = graph.path[ends.i], graph.path[ends.j]
+    groups: list[list[int]] = []
+    for k, one in enumerate(judged):
+        if not one.believed or one.reason == "near":
+            continue
+        along = (abs(older - older[k]) <= _FOLLOWS_M) & (abs(newer - newer[k]) <= _FOLLOWS_M)
+        near = [group for group in groups if along[group].any()]
+        groups = [group for group in groups if group not in near]
+        groups.append([*(other for group in near for other in group), k])
+    groups.sort(key=lambda group: -max(judged[k].away_m for k in group))
+    return groups[:_SUSPECTS_MOST]
+
+
+def chosen(graph: Graph, passes: Draft, best: Candidate, views: Views) -> Candidate:
+    """The best layout, or one nearer to what was tracked that fewer walls contradict.
 
     That is the layout of nearby passes and of the closures that say what these say, or the path as
-    it was tracked, whose standing is `tracked`.
+    it was tracked.
     """
-    links = (*finished.draft.loops, *finished.dropped)
+    links = (*best.draft.loops, *best.dropped)
     closures = tuple(link for link in links if link.kind == "closure")
     if closures:
-        is_near = deviations(graph, passes, closures).away_m <= CLOSURE_SLACK_M
-        near = tuple(compress(closures, is_near))
-        alone, outliers = settle(graph, replace(passes, loops=(*passes.loops, *near)))
+        is_near = deviations(graph, passes, closures)[0] <= CLOSURE_SLACK_M
+        alone, outliers = settle(graph, passes.adding(tuple(compress(closures, is_near))))
         dropped = (*compress(closures, ~is_near), *outliers)
-        trial = Finished.of("passes", alone, dropped, views)
-        if finished.standing.is_worse_than(trial.standing):
-            finished = trial
-    if finished.standing.is_worse_than(tracked):
-        return Finished("tracked", replace(passes, poses=graph.poses, loops=()), links, tracked)
-    return finished
-
-
-def corrected(trajectory: Trajectory, store: KeyframeStore, layout: Layout) -> Trajectory:
-    """The trajectory of every registered scan, moved with the keyframes of a layout."""
-    anchors = keyframe_rows(trajectory, store)
-    poses = carried(trajectory.poses, anchors, layout.poses)
-    if trajectory.lost is not None:
-        poses = bridged(poses, trajectory.poses, trajectory.lost)
-    return replace(trajectory, poses=poses)
-
-
-def layout_of(
-    graph: Graph,
-    finished: Finished,
-    found: Closed,
-) -> Layout:
-    """The layout of all keyframes from the settled draft of the nodes.
-
-    `found` says what was judged on the way.
-    """
-    draft, dropped = finished.draft, finished.dropped
-    loose = loose_starts(graph, draft.loops)
-    spent = [part for part, tries in draft.tries.items() if tries >= STRAY_TRIES]
-    given_up = sum(part not in draft.tied for part in spent)
-    evidence = LayoutEvidence(
-        choice=finished.choice,
-        closures=found.judged,
-        parts=part_moves(graph, draft),
-        standing=finished.standing,
-        limits=draft.counting("stray_tries", given_up).limits,
-    )
-    return Layout(
-        poses=carried(graph.tracked, graph.nodes, draft.poses),
-        nodes=graph.nodes,
-        odometry=graph.odometry,
-        kept=draft.loops,
-        dropped=dropped,
-        loose=loose,
-        evidence=evidence,
-    )
+        agreement = views.agreement(alone.poses)
+        if best.agreement.is_worse_than(agreement):
+            best = Candidate("passes", alone, dropped, agreement)
+    tracked = views.agreement(graph.poses)
+    if best.agreement.is_worse_than(tracked):
+        return Candidate("tracked", replace(passes, poses=graph.poses, loops=()), links, tracked)
+    return best

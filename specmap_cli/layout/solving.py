@@ -1,13 +1,19 @@
-"""Drafts of the layout solved: as they are, over any drift, and without what does not fit."""
+"""Drafts of the layout solved: as they are, over any drift, and without what does not fit.
+
+Most nodes of a path hang between their neighbours alone. Between two nodes that a loop ties, some
+motions in a row say no more than their product with the sum of their errors (first order, as in
+`uncertainty`), so that a graph solved again and again needs the ends of such chains only. What a
+chain is stretched by in the end is shared out along it as its errors say.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
-from specmap_cli.layout.condensing import Condensed
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, inverse3, invert, product
+from specmap_cli.core.records import IntArray
 from specmap_cli.layout.path_graph import Draft, Graph
 from specmap_cli.layout.pose_graph import (
     SETTLED,
@@ -18,6 +24,7 @@ from specmap_cli.layout.pose_graph import (
     solve,
     squared,
 )
+from specmap_cli.layout.uncertainty import adjoint, moved_covariance
 
 _KERNEL_SIGMAS = 2.0  # closures and passes farther off than this pull less and less
 _OUTLIER_CHI2 = 25.0  # closures and passes above it, five sigmas off, are dropped in the end
@@ -28,15 +35,12 @@ _EXACT = 1e-8  # metres and radians: what rounding makes of a motion that fits
 _DECIMALS = 9  # of poses solved: a nanometre; libraries differ from the fourteenth on
 _NARROWER = 3.0  # from one width of the kernel to the next: outvoted closures let go one by one
 
-
-def solved(graph: Graph, draft: Draft) -> Draft:
-    """The draft with the poses that fit its links best."""
-    return _with(draft, _solution(graph, draft, _KERNEL_SIGMAS))
+_LONGEST = 16  # motions in a chain: some 5 m, which bend too little for the second order
 
 
-def renewed(graph: Graph, draft: Draft) -> Draft:
-    """The draft solved roughly, good enough to look for more from there."""
-    return _with(draft, _solution(graph, draft, _KERNEL_SIGMAS, _ROUGHLY))
+def solved(graph: Graph, draft: Draft, *, roughly: bool = False) -> Draft:
+    """The draft with the poses that fit its links best; roughly to look for more from there."""
+    return _with(draft, _solution(graph, draft, _KERNEL_SIGMAS, _ROUGHLY if roughly else SETTLED))
 
 
 def tighten(graph: Graph, draft: Draft) -> Draft:
@@ -51,7 +55,7 @@ def tighten(graph: Graph, draft: Draft) -> Draft:
         rounded = replace(draft, poses=np.round(solution.poses, _DECIMALS))
         solution = _solution(graph, rounded, width, _ROUGHLY, hasty=True)
         width /= _NARROWER
-    return renewed(graph, replace(draft, poses=solution.poses))
+    return solved(graph, replace(draft, poses=solution.poses), roughly=True)
 
 
 def settle(graph: Graph, draft: Draft) -> tuple[Draft, tuple[Link, ...]]:
@@ -71,12 +75,7 @@ def settle(graph: Graph, draft: Draft) -> tuple[Draft, tuple[Link, ...]]:
 
 
 def _solution(
-    graph: Graph,
-    draft: Draft,
-    width: float,
-    settled: float = SETTLED,
-    *,
-    hasty: bool = False,
+    graph: Graph, draft: Draft, width: float, settled: float = SETTLED, *, hasty: bool = False
 ) -> Solution:
     """The solution with Cauchy's kernel of `width` sigmas on the loops."""
     widths = {"closure": width, "nearby": width, "loose": _KERNEL_SIGMAS, "bridge": _KERNEL_SIGMAS}
@@ -108,31 +107,105 @@ def _first_rows(poses: FloatArray, links: LinkArrays, motions: int) -> int:
     What follows hangs on it by motions alone, the first of the links, and lies where they say: it
     goes with it as it is.
     """
-    pulls = np.abs(errors(poses, links)).max(axis=1, initial=0.0) > _EXACT
+    missed = errors(poses, links.i, links.j, links.z)
+    pulls = np.abs(missed).max(axis=1, initial=0.0) > _EXACT
     pulls[motions:] = True
     return 1 + int(np.maximum(links.i, links.j)[pulls].max(initial=0))
 
 
-def _motions(graph: Graph, draft: Draft) -> tuple[Link, ...]:
+def _motions(graph: Graph, draft: Draft) -> list[Link]:
     """The motions; where a part was placed the guess that led to it says nothing any more.
 
     It holds the part where it is, so that it does not bend the path that closures tie.
     """
-    return tuple(
-        _as_placed(graph, draft, motion)
-        if motion.kind == "loose" and int(graph.parts[graph.row[motion.target]]) in draft.tied
-        else motion
-        for motion in graph.odometry
-    )
-
-
-def _as_placed(graph: Graph, draft: Draft, motion: Link) -> Link:
-    source, target = draft.poses[[graph.row[motion.source], graph.row[motion.target]]]
-    placed = compose(invert(source), target)
-    return replace(motion, source_from_target=Pose2(*placed.tolist()))
+    motions = list(graph.odometry)
+    for row, motion in enumerate(motions):
+        if motion.kind == "loose" and int(graph.parts[row + 1]) in draft.tied:
+            placed = compose(invert(draft.poses[row]), draft.poses[row + 1])
+            motions[row] = replace(motion, source_from_target=Pose2(*placed.tolist()))
+    return motions
 
 
 def _with(draft: Draft, solution: Solution) -> Draft:
     """The draft at the poses of a solution; one that was cut short is counted."""
     moved = replace(draft, poses=solution.poses)
     return moved.counting("solve_iterations", 0 if solution.converged else 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Condensed:
+    """The rows `kept` (K,) of a path of M nodes, ascending, and the links between them.
+
+    `start` (M,) is the number of the kept row that each row follows or is. `there` (M, 3) is each
+    row seen from that one along the motions, and `share` (M, 3, 3) what it takes of a motion of the
+    end of its chain, in the frame of that kept row.
+    """
+
+    kept: IntArray
+    links: LinkArrays
+    start: IntArray
+    there: FloatArray
+    share: FloatArray
+
+    @classmethod
+    def of(cls, links: LinkArrays, motions: int) -> Condensed:
+        """Of links whose first `motions` lead from each row to the next, in order."""
+        kept, since = _kept(links, motions)
+        there, sums, after, total = _along(links.z[:motions], links.w[:motions], since)
+        start = np.searchsorted(kept, np.arange(motions + 1), side="right") - 1
+        last = kept[1:] - 1  # motion of each chain
+        share = np.zeros((motions + 1, 3, 3))
+        inner = np.flatnonzero(since)
+        share[inner] = product(sums[inner], inverse3(total)[last[start[inner]]])
+        spread = moved_covariance(adjoint(invert(after[last])), total[last])
+        loops = slice(motions, None)
+        chains = LinkArrays(
+            i=np.concatenate([start[kept[:-1]], start[links.i[loops]]]),
+            j=np.concatenate([start[kept[1:]], start[links.j[loops]]]),
+            z=np.concatenate([after[last], links.z[loops]]),
+            w=np.concatenate([inverse3(spread), links.w[loops]]),
+            width=np.concatenate([links.width[last], links.width[loops]]),
+        )
+        return cls(kept, chains, start, there, share)
+
+    def expanded(self, poses: FloatArray) -> FloatArray:
+        """(M, 3) poses of all rows, those of the kept ones being `poses` (K, 3)."""
+        ends = compose(invert(poses[:-1]), poses[1:])  # seen from the start of each chain
+        motion = compose(ends, invert(self.links.z[: len(ends)]))
+        motion = np.concatenate([motion, np.zeros((1, 3))])  # nothing follows the last row
+        moved = np.einsum("mab,mb->ma", self.share, motion[self.start])
+        return compose(poses[self.start], compose(moved, self.there))
+
+
+def _kept(links: LinkArrays, motions: int) -> tuple[IntArray, IntArray]:
+    """Rows that anything but two motions ties, and some more, so that no chain is too long.
+
+    And for each row how many motions lead there from the last of these (M,).
+    """
+    tied = np.zeros(motions + 1, dtype=bool)
+    tied[[0, motions]] = True
+    tied[links.i[motions:]] = tied[links.j[motions:]] = True
+    special = np.flatnonzero(np.isfinite(links.width[:motions]))
+    tied[special] = tied[special + 1] = True
+    rows, ends = np.arange(motions + 1), np.flatnonzero(tied)
+    since = (rows - ends[np.searchsorted(ends, rows, side="right") - 1]) % _LONGEST
+    return np.flatnonzero(since == 0), since
+
+
+def _along(
+    z: FloatArray, w: FloatArray, since: IntArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Each row (M, 3) seen from the start of its chain, and its covariance there (M, 3, 3).
+
+    And the same after the motion that follows each row, (M - 1, 3) and (M - 1, 3, 3). `z` and `w`
+    are the motions, `since` (M,) their numbers in their chains.
+    """
+    there, sums = np.zeros((len(since), 3)), np.zeros((len(since), 3, 3))
+    after, total, noise = np.array(z), np.zeros(w.shape), inverse3(w)
+    for number in range(_LONGEST):
+        rows = np.flatnonzero(since[:-1] == number)
+        after[rows] = compose(there[rows], z[rows])
+        total[rows] = sums[rows] + moved_covariance(adjoint(after[rows]), noise[rows])
+        on = rows[since[rows + 1] > 0]
+        there[on + 1], sums[on + 1] = after[on], total[on]
+    return there, sums, after, total

@@ -4,6 +4,10 @@ The error of a step is small, so that errors add up as motions of the map about 
 and Furgale, "Associating uncertainty with three-dimensional poses", T-RO 2014, first order): sums
 along the path give the covariance between any two nodes at once. A share of the way is added
 for errors that go on in one direction: wheels measured wrongly, a corridor that looks shorter.
+
+What a single closure may mend is bounded by drift alone, along the shortest chain of links between
+its two keyframes. In look-alike rooms off one corridor that chain is short, and a closure between
+them impossible.
 """
 
 from __future__ import annotations
@@ -12,14 +16,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse.csgraph import dijkstra
 
-from specmap_cli.core.geometry import FloatArray, compose, inverse3, invert
+from specmap_cli.core.geometry import FloatArray, inverse3, invert
 from specmap_cli.core.records import BoolArray, IntArray
-from specmap_cli.layout.path_graph import Graph
-from specmap_cli.layout.pose_graph import Link
+from specmap_cli.layout.path_graph import GUESS_M, Draft, Graph, lengths_matrix
+from specmap_cli.layout.pose_graph import Link, LinkArrays, errors
 
 DRIFT_SHARE = 0.04  # metres per metre driven by which a layout with passes may be off
 _DRIFT_RAD_PER_M = 0.001  # radians per metre by which tracking may turn on and on
+_CLOSURE_DRIFT_SHARE = 0.15  # metres per metre driven between its ends that a closure may mend
+CLOSURE_SLACK_M = 0.5  # what any closure may mend
+_LEAST_M = 1e-3  # length of a link between two nodes at one place: csgraph takes 0 for no edge
+_BRIDGE_SIGMAS = 3.0  # of a bridge that are still no surprise
+_CUT_SHORT = 0.9  # a chain below this share of the path goes over a nearby pass
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +53,7 @@ class Uncertainty:
         """Of a path of nodes (M, 3), from its M - 1 motions."""
         steps = np.array([link.information for link in motions]).reshape(-1, 3, 3)
         lengths = [link.source_from_target.distance for link in motions]
-        placed = adjoint(poses[1:])
-        noise = moved_covariance(placed, inverse3(steps))
+        noise = moved_covariance(adjoint(poses[1:]), inverse3(steps))
         sums = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(noise, axis=0)])
         way = np.concatenate([[0.0], np.cumsum(np.array(lengths))])
         return cls(sums, way, poses, share, veer)
@@ -65,7 +74,7 @@ class Uncertainty:
 
 
 def path_error(graph: Graph, poses: FloatArray) -> Uncertainty:
-    """The error of a path at poses (M, 3): of errors that go on, the settings are two sigmas."""
+    """The error of a path at poses (M, 3): of errors that go on, the constants are two sigmas."""
     return Uncertainty.along(poses, graph.odometry, 0.5 * DRIFT_SHARE, 0.5 * _DRIFT_RAD_PER_M)
 
 
@@ -85,16 +94,10 @@ def moved_covariance(matrix: FloatArray, covariance: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("lac,ldc->lad", half, matrix), dtype=np.float64)
 
 
-def surprise(error: FloatArray, covariance: FloatArray) -> FloatArray:
+def chi2_of(error: FloatArray, covariance: FloatArray) -> FloatArray:
     """(L,) chi2 of errors (L, 3) of these covariances (L, 3, 3)."""
     weights = inverse3(covariance)
     return np.asarray(np.einsum("la,lab,lb->l", error, weights, error), dtype=np.float64)
-
-
-def misfit(poses: FloatArray, i: IntArray, j: IntArray, measured: FloatArray) -> FloatArray:
-    """(L, 3) what links i -> j (L, 3) miss at these poses, as motions in the frame of row j."""
-    expected = compose(invert(poses[i]), poses[j])
-    return compose(invert(measured), expected)
 
 
 def within_ellipse(away: FloatArray, covariance: FloatArray) -> BoolArray:
@@ -102,3 +105,48 @@ def within_ellipse(away: FloatArray, covariance: FloatArray) -> BoolArray:
     (a, b), (_, c) = covariance.tolist()
     x, y = away[:, 0], away[:, 1]
     return np.asarray(c * x * x - 2.0 * b * x * y + a * y * y <= a * c - b * b)
+
+
+def deviations(
+    graph: Graph, draft: Draft, closures: Sequence[Link]
+) -> tuple[FloatArray, FloatArray]:
+    """How far the layout in the making is from what each closure says, and may be by drift alone.
+
+    Metres (c,) and (c,). Any of them may mend `CLOSURE_SLACK_M`. Along a chain that passes cut
+    short drift is `DRIFT_SHARE` of its length, along another one `_CLOSURE_DRIFT_SHARE`. Over a
+    break of which nothing is known it is the guess that may be off, by three times `GUESS_M`: parts
+    are moved farther as a whole only, when several links agree where to.
+    """
+    ends = LinkArrays.of(closures, graph.row, {})
+    off = errors(draft.poses, ends.i, ends.j, ends.z)
+    chain_m = chain_lengths(graph, draft.loops, closures)
+    driven_m = np.abs(graph.path[ends.j] - graph.path[ends.i])
+    share = np.where(chain_m < _CUT_SHORT * driven_m, DRIFT_SHARE, _CLOSURE_DRIFT_SHARE)
+    drift_m = np.where(np.isfinite(chain_m), share * chain_m, _BRIDGE_SIGMAS * GUESS_M)
+    return np.hypot(off[:, 0], off[:, 1]), CLOSURE_SLACK_M + drift_m
+
+
+def chain_lengths(graph: Graph, loops: Sequence[Link], closures: Sequence[Link]) -> FloatArray:
+    """(c,) metres along the shortest chain of links between the ends of each closure.
+
+    The chain runs over motions that were tracked and over `loops`; inf where there is none. A break
+    that odometry bridged counts as the way along which tracking drifts as far, another one ends it.
+    By Dijkstra's algorithm, once for each keyframe from which a closure starts.
+    """
+    if not closures:
+        return np.zeros(0)
+    links = [link for link in (*graph.odometry, *loops) if link.kind != "loose"]
+    pairs = [(graph.row[link.source], graph.row[link.target]) for link in links]
+    lengths = [max(_length(link), _LEAST_M) for link in links]
+    starts, which = np.unique([graph.row[one.source] for one in closures], return_inverse=True)
+    matrix = lengths_matrix(len(graph.nodes), pairs, lengths)
+    found = dijkstra(matrix, directed=False, indices=starts)
+    return np.asarray(found[which, [graph.row[one.target] for one in closures]])
+
+
+def _length(link: Link) -> float:
+    """Metres of a link, with what a bridge adds: three sigmas of its place."""
+    if link.kind != "bridge":
+        return link.source_from_target.distance
+    reach_m = _BRIDGE_SIGMAS / float(np.sqrt(link.information[:2, :2].trace() / 2))
+    return link.source_from_target.distance + reach_m / _CLOSURE_DRIFT_SHARE

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray, Pose2, inverse3, product
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, inverse3, invert, product
+from specmap_cli.core.records import IntArray
 from specmap_cli.grids.matching import SPREAD_M, Window, covariance, refine, search
 from specmap_cli.grids.score_field import ScoreField, thinned
-from specmap_cli.layout.motion_edges import MATCH_RANGE_M
-from specmap_cli.layout.path_graph import Graph
+from specmap_cli.layout.path_graph import MATCH_RANGE_M, Graph, RowPair
 from specmap_cli.layout.pose_graph import Link
-from specmap_cli.layout.walls import CELL_M
+from specmap_cli.layout.walls import CELL_M, PLACE_NODES, Walls, from_behind
 
 MATCH_POINTS = 20  # walls with fewer points are not matched
 LOOP_SCORE = 0.6  # a match below this is no edge
@@ -20,7 +20,7 @@ LOOP_SCORE = 0.6  # a match below this is no edge
 # Searches go from coarse to fine, their points thinned to about the step: four cells first, over
 # all that the path may have drifted, then two cells, then none.
 _BLUR_M = 0.1  # sigma of the field: a wall is found from twice as far
-_COARSE_CELLS, _COARSE_M, COARSE_POINTS_M = 4, 0.2, 0.25
+_COARSE_CELLS, _COARSE_M, _COARSE_POINTS_M = 4, 0.2, 0.25
 _FINE, FINE_POINTS_M = Window(distance_m=0.3, angle_rad=0.09, step_m=0.1), 0.2
 _REFINED_POINTS_M, _REFINED_STEPS = 0.1, 8
 # The heading drifts by some degrees a metre, and is searched no farther than a scan still overlaps.
@@ -36,6 +36,7 @@ _WINDOW_M2 = SPREAD_M**2 / 3  # variance of a window that fits all over
 _OPEN_M2 = 2.0**2  # of a place along a corridor that shows nothing: the wall is still that wall
 # Error of the best match: a cell's side over the root of 12, and what people and furniture moved.
 _FLOOR = np.diag([0.015**2, 0.015**2, 0.004**2])
+_FEW = 0.05  # share of points that cannot move a match by much
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +73,7 @@ def match_walls(
         penalty_per_m2=_PENALTY_PER_M2,
         penalty_per_rad2=_PENALTY_PER_RAD2,
     )
-    coarse = thinned(source, COARSE_POINTS_M)
+    coarse = thinned(source, _COARSE_POINTS_M)
     rough = search(field.coarser(_COARSE_CELLS), coarse, guess, window)
     if rough.score < _HOPELESS * least_score:
         return None
@@ -146,8 +147,53 @@ def opened(spread: FloatArray) -> FloatArray:
     return result
 
 
-def nearby_link(graph: Graph, old: int, new: int, fit: WallFit) -> Link:
-    """The link of two rows of a graph whose walls fit, seen from the older one."""
+def match_passes(
+    graph: Graph,
+    walls: Walls,
+    poses: FloatArray,
+    rows: RowPair,
+    guess: Pose2,
+    drift_m: float,
+    reach: int,
+) -> Link | None:
+    """The link of two rows, older and newer, if the walls around them fit.
+
+    `poses` (M, 3) place the rows; the newer pass is made of `reach` of them on either side. `guess`
+    is the newer row seen from the older one; it may be wrong by `drift_m`. A wall that the older
+    pass saw from its other side only does not fit, however near it lies.
+    """
+    old, new = rows
+    source = walls.around(new, reach, poses)
+    target = walls.around(old, PLACE_NODES, poses)
+    fit = match_walls(source, target, guess, drift_m)
+    if fit is None:
+        return None
+    sides, others = (
+        walls.sides_around(new, reach, poses),
+        walls.sides_around(old, PLACE_NODES, poses),
+    )
+    behind = from_behind(sides, others, guess, drift_m)
+    share = float(behind.mean())
+    if share >= _FEW:
+        asked = LOOP_SCORE / max(1.0 - share, LOOP_SCORE)
+        fit = match_walls(source[~behind], target, guess, drift_m, asked)
+    return None if fit is None else _pass_link(graph, old, new, fit)
+
+
+def link_to_nearest(
+    graph: Graph, poses: FloatArray, rows: IntArray, row: int, fit: WallFit
+) -> Link:
+    """The link to a row whose walls were found in the map, from the nearest of other `rows`.
+
+    `poses` (M, 3) are those of the map.
+    """
+    found = fit.target_from_source
+    nearest = int(rows[np.argmin(np.hypot(poses[rows, 0] - found.x, poses[rows, 1] - found.y))])
+    relative = Pose2(*compose(invert(poses[nearest]), np.array(found)).tolist())
+    return _pass_link(graph, nearest, row, WallFit(relative, fit.information))
+
+
+def _pass_link(graph: Graph, old: int, new: int, fit: WallFit) -> Link:
     return Link(
         source=int(graph.nodes[old]),
         target=int(graph.nodes[new]),

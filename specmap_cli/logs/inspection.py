@@ -24,13 +24,7 @@ from specmap_cli.logs.frames import TransformTree, read_frames
 from specmap_cli.logs.messages import BadMessageError, decode_scan
 from specmap_cli.logs.opening import Log
 from specmap_cli.logs.planar import Repeats
-from specmap_cli.logs.readers.encoding import (
-    LASER_SCAN,
-    NS_PER_S,
-    ODOMETRY,
-    SCAN_TYPES,
-    TF_MESSAGE,
-)
+from specmap_cli.logs.readers.encoding import LASER_SCAN, NS_PER_S, ODOMETRY, SCAN_TYPES, TF_MESSAGE
 from specmap_cli.logs.readers.recording import Message, TopicInfo
 from specmap_cli.logs.selection import Selection
 from specmap_cli.logs.sensors import LOOK_SCANS, SeveralSensorsError

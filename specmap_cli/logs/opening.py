@@ -82,8 +82,8 @@ def _checked(name: str, reader: object) -> type[Recording]:
 
 
 def _unfit(name: str, fault: str) -> UsageError:
-    hint = "mend or remove its package"
-    return UsageError(f"the reader {name!r} of {GROUP} {fault}; {hint}", code=PACKAGE, hint=hint)
+    found = f"the reader {name!r} of {GROUP} {fault};"
+    return UsageError(found, "mend or remove its package", code=PACKAGE)
 
 
 HEAD_BYTES = 4096  # one page: longer than the magic of any format, short enough to read of any file
@@ -106,9 +106,8 @@ def is_directory(path: Path) -> bool:
         raise unreadable(path, error) from None
     if not (stat.S_ISDIR(mode) or stat.S_ISREG(mode)):
         kind = next((name for is_kind, name in _KINDS if is_kind(mode)), "no file")
-        found = f"is {kind}; a log must be a file or a directory: "
-        hint = "copy it to one"
-        raise LogError(f"{path}: {found}{hint}", where=str(path), hint=hint)
+        found = f"is {kind}; a log must be a file or a directory"
+        raise LogError(found, "copy it to one", where=path)
     return stat.S_ISDIR(mode)
 
 
@@ -135,8 +134,7 @@ def open_log(paths: Paths, config: LogConfig | None = None) -> Log:
     given = paths_of(paths, "paths")
     settings = LogConfig() if config is None else instance_of(config, LogConfig, "config")
     if not given:
-        hint = "name a file or a directory"
-        raise LogError(f"no log given; {hint}", hint=hint)
+        raise LogError("no log given;", "name a file or a directory")
     readers = known_readers()
     with ExitStack() as held:
         recordings: list[Recording] = []
@@ -165,8 +163,8 @@ def _refuse_rubble(recordings: Sequence[Recording]) -> None:
     damaged = next((recording for recording in recordings if recording.damage), None)
     if damaged is not None and not messages:
         where = legible(str(damaged.path))
-        fault = f"{damaged.damage[0]}; no message can be read"
-        raise LogError(fault, code=LOG_DAMAGED, where=where)
+        found = damaged.damage[0].removeprefix(f"{where}: ")
+        raise LogError(f"{found}; no message can be read", where=where, code=LOG_DAMAGED)
 
 
 def _files_at(path: Path, readers: _Readers) -> Iterator[Path]:
@@ -220,9 +218,9 @@ def _told_of(compression: str) -> Iterator[None]:
     try:
         yield
     except LogError as error:
-        hint = error.hint and f"{error.hint} {inside}"
-        where = error.where
-        raise LogError(f"{error} {inside}", code=error.code, where=where, hint=hint) from None
+        found, hint = error.found, error.hint
+        found, hint = (found, f"{hint} {inside}") if hint else (f"{found} {inside}", None)
+        raise LogError(found, hint, where=error.where, code=error.code) from None
 
 
 def _read(

@@ -85,8 +85,7 @@ def _asked(log: Log, found: list[TopicInfo], asked: str, option: str, what: str)
 
 def _unclear(log: str, found: str, hint: str = "", code: str | None = None) -> UsageError:
     """The error of options that choose nothing in a log, or too little."""
-    where, said = legible(log), legible(f"{log}: {found}: {hint}" if hint else f"{log}: {found}")
-    return UsageError(said, code=code, where=where, hint=legible(hint) or None)
+    return UsageError(legible(found), legible(hint) or None, where=legible(log), code=code)
 
 
 def _describe(topic: TopicInfo) -> str:
@@ -155,7 +154,7 @@ class SeveralSensorsError(UsageError):
     code = CHOICE
 
     def __init__(self, found: str, hint: str, where: str, best: str) -> None:
-        super().__init__(f"{found}: {hint}", where=where, hint=hint)
+        super().__init__(found, hint, where=where)
         self.best = best
 
 
@@ -243,7 +242,7 @@ def choose_sensor(
         return candidates[0]
     best = max(candidates, key=lambda sensor: sensor.count)
     choices = " or ".join(f"`--scan-frame {_told(s, total, '`')}" for s in candidates)
-    several = legible(f"{log}: {topic}: {len(candidates)} sensors on one topic")
+    several = legible(f"{topic}: {len(candidates)} sensors on one topic")
     raise SeveralSensorsError(several, legible(f"choose {choices}"), legible(log), best.name)
 
 

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from specmap_cli import __version__
 from specmap_cli.core.arguments import Paths, path_of, paths_of
-from specmap_cli.core.errors import OUTPUT, OUTPUT_EXISTS, UsageError, reason
+from specmap_cli.core.errors import OUTPUT, OUTPUT_EXISTS, UsageError
 from specmap_cli.core.files import lock, partial_of, remove_leftovers
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.progress import Progress, Silent
@@ -69,8 +69,7 @@ class LogWriter:
     def __init__(self, path: Path | str) -> None:
         self.path = path_of(path, "path")
         if self.path.is_dir():
-            place, hint = str(self.path), "name the MCAP file to write"
-            raise UsageError(f"{place}: is a directory; {hint}", where=place, hint=hint)
+            raise UsageError("is a directory;", "name the MCAP file to write", where=self.path)
         self._part = partial_of(self.path)
         self._channels: dict[tuple[str, str], int] = {}
         self._schemas: dict[str, int] = {}
@@ -194,8 +193,8 @@ class LogWriter:
         return file
 
     def _unwritable(self, error: OSError) -> UsageError:
-        place, why = str(self.path), reason(error, "choose another place")
-        return UsageError(f"{place}: cannot write: {why}", code=OUTPUT, where=place)
+        advice = "choose another place"
+        return UsageError.of_system(error, "cannot write", advice, where=self.path, code=OUTPUT)
 
     def _channel(self, topic: str, msgtype: str) -> int:
         key = (topic, msgtype)
@@ -253,9 +252,8 @@ def convert(
     """
     given, target = paths_of(paths, "paths"), path_of(out, "out")
     if target.exists() and not overwrite:
-        place, hint = str(target), "use --overwrite to replace it"
-        message = f"{place}: exists already; {hint}"
-        raise UsageError(message, code=OUTPUT_EXISTS, where=place, hint=hint)
+        hint = "use --overwrite to replace it"
+        raise UsageError("exists already;", hint, where=target, code=OUTPUT_EXISTS)
     with open_log(given, config) as log:
         topics = log.topics()
         if not any(_is_wanted(topic) for topic in topics):

@@ -22,7 +22,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import FrameType, TracebackType
 
-from specmap_cli.core.errors import OUTPUT, OUTPUT_EXISTS, UsageError, is_of_the_place, reason
+from specmap_cli.core.errors import OUTPUT, OUTPUT_EXISTS, UsageError, is_of_the_place
 from specmap_cli.core.files import is_nobody_s, lock
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.maps.filenames import TOPOLOGY
@@ -40,7 +40,7 @@ def refuse_inside(output: Path | None, directory: Path) -> None:
     place, target = (Path(os.path.realpath(path)) for path in (output, directory))
     if place == target or target in place.parents:
         raise UsageError(
-            f"{output}: is inside {directory}, which is written anew: choose another place"
+            f"is inside {directory}, which is written anew", "choose another place", where=output
         )
 
 
@@ -83,9 +83,11 @@ class OutputDirectory:
             self._lock.enter_context(held(self._partial))
         except OSError as error:
             self._clean_up()
-            raise UsageError(
-                f"{self.path}: cannot write there: {self._target.parent}: "
-                f"{reason(error, 'choose another output directory')}",
+            raise UsageError.of_system(
+                error,
+                f"cannot write there: {self._target.parent}",
+                "choose another output directory",
+                where=self.path,
                 code=OUTPUT,
             ) from None
         return self._partial
@@ -102,8 +104,10 @@ class OutputDirectory:
         finally:
             self._clean_up()
         if isinstance(error, OSError) and self._is_of_output(error):
-            why = reason(error, "choose another output directory")
-            raise UsageError(f"{self.path}: cannot be written: {why}", code=OUTPUT) from None
+            advice = "choose another output directory"
+            raise UsageError.of_system(
+                error, "cannot be written", advice, where=self.path, code=OUTPUT
+            ) from None
 
     def _clean_up(self) -> None:
         """Take back what entering made; an interruption meanwhile is raised when that is done."""
@@ -124,32 +128,40 @@ class OutputDirectory:
         """Refuse a target that must not be replaced."""
         if not self._target.name:
             raise UsageError(
-                f"{self.path}: not a place for a map: choose a directory of its own", code=OUTPUT
+                "not a place for a map",
+                "choose a directory of its own",
+                where=self.path,
+                code=OUTPUT,
             )
         if not os.path.lexists(self._target):
             return
         if not self._target.is_dir():
             raise UsageError(
-                f"{self.path}: is a file: choose a directory that does not exist yet", code=OUTPUT
+                "is a file",
+                "choose a directory that does not exist yet",
+                where=self.path,
+                code=OUTPUT,
             )
         if os.path.ismount(self._target):
             raise UsageError(
-                f"{self.path}: is a mount point: choose a directory inside it", code=OUTPUT
+                "is a mount point", "choose a directory inside it", where=self.path, code=OUTPUT
             )
         if not any(self._target.iterdir()):
             return
         if not (self._target / self.marker).is_file():  # we wrote no directory without it
             what = "map" if self.marker == TOPOLOGY else "earlier result"
             raise UsageError(
-                f"{self.path}: is not empty and holds no {what} (no {self.marker} in it): "
+                f"is not empty and holds no {what} (no {self.marker} in it)",
                 "choose another output directory",
+                where=self.path,
                 code=OUTPUT,
             )
         if not self.overwrite:
             what = "a map" if self.marker == TOPOLOGY else "a result"
             raise UsageError(
-                f"{self.path}: already holds {what}: use --overwrite to replace it, "
-                "or another --out",
+                f"already holds {what}",
+                "use --overwrite to replace it, or another --out",
+                where=self.path,
                 code=OUTPUT_EXISTS,
             )
 
@@ -169,9 +181,8 @@ class OutputDirectory:
             with _signals_held():
                 self._swap(replaced)
         except OSError as error:
-            raise UsageError(
-                f"{self.path}: cannot put the finished directory in place: {reason(error)}",
-                code=OUTPUT,
+            raise UsageError.of_system(
+                error, "cannot put the finished directory in place", where=self.path, code=OUTPUT
             ) from None
 
     def _swap(self, replaced: Path) -> None:

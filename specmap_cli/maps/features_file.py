@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.errors import TOO_LARGE, MapError, reason
+from specmap_cli.core.errors import TOO_LARGE, MapError
 from specmap_cli.core.files import read_bytes
 from specmap_cli.core.settings import LimitsConfig
 
@@ -64,7 +64,7 @@ def read_features(path: Path, keyframes: int, limits: LimitsConfig) -> Arrays:
         data = read_bytes(path, limits.text_max_mb, _MOST_MB)
         arrays = _unpacked(data, path, limits)
     except OSError as error:
-        raise MapError(f"{path}: cannot be read: {reason(error)}") from None
+        raise MapError.of_system(error, "cannot be read", where=path) from None
     except (ValueError, EOFError, NotImplementedError, zipfile.BadZipFile, zlib.error):
         raise _damaged(path, "is no zip file of arrays") from None
     for kind in KINDS:
@@ -82,7 +82,7 @@ def _unpacked(data: bytes, path: Path, limits: LimitsConfig) -> dict[str, NDArra
         if any(i.flag_bits & _ENCRYPTED or i.compress_type not in _PACKED for i in infos):
             raise _damaged(path, "is packed in a way that is not read")
         if sum(info.file_size for info in infos) > limits.text_max_mb * 1e6:
-            raise MapError(f"{path}: unpacked larger than {_MOST_MB}", code=TOO_LARGE)
+            raise MapError(f"unpacked larger than {_MOST_MB}", where=path, code=TOO_LARGE)
         return dict(_NONE) | {name.removesuffix(_END): _array(packed.read(name)) for name in held}
 
 
@@ -117,4 +117,4 @@ def _check(path: Path, features: NDArray[Any], own: NDArray[Any], keyframes: int
 
 
 def _damaged(path: Path, what: str) -> MapError:
-    return MapError(f"{path}: {what}: delete it, or build the map again")
+    return MapError(f"{what}: delete it, or build the map again", where=path)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from specmap_cli.core.errors import TOO_LARGE, LogError, MapError, reason
+from specmap_cli.core.errors import TOO_LARGE, LogError, MapError
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import LimitsConfig
@@ -136,7 +136,7 @@ def read_keyframes(path: Path, most: int, limits: LimitsConfig | None = None) ->
     try:
         for scan in _scans(path):
             if len(store) == most:
-                raise MapError(f"{path}: has more than {most:,} scans: build the map again")
+                raise MapError(f"has more than {most:,} scans", "build the map again", where=path)
             store.append(scan)
     except BaseException:
         store.close()
@@ -148,13 +148,14 @@ def _check_size(path: Path, limits: LimitsConfig) -> None:
     try:
         size, regular = path.stat().st_size, path.is_file()
     except OSError as error:
-        raise MapError(f"{path}: cannot read the keyframes: {reason(error)}") from None
+        raise MapError.of_system(error, "cannot read the keyframes", where=path) from None
     if not regular:
-        raise MapError(f"{path}: not a regular file: build the map again")
+        raise MapError("not a regular file", "build the map again", where=path)
     if size > limits.keyframes_max_mb * 1e6:
         raise MapError(
-            f"{path}: larger than {limits.keyframes_max_mb:g} MB; if it is meant, raise "
-            "limits.keyframes_max_mb",
+            f"larger than {limits.keyframes_max_mb:g} MB;",
+            "if it is meant, raise limits.keyframes_max_mb",
+            where=path,
             code=TOO_LARGE,
         )
 
@@ -169,10 +170,11 @@ def _scans(path: Path) -> Iterator[PosedScan]:
                 if scan is not None:
                     yield scan
             if recording.damage:
-                raise MapError(f"{recording.damage[0]}: build the map again")
+                found = recording.damage[0].removeprefix(f"{path}: ")
+                raise MapError(found, "build the map again", where=path)
     except (LogError, BadMessageError) as error:
-        where = f"{path}: " if isinstance(error, BadMessageError) else ""
-        raise MapError(f"{where}{error}: build the map again") from None
+        found = str(error).removeprefix(f"{path}: ")
+        raise MapError(found, "build the map again", where=path) from None
 
 
 class _Reader:

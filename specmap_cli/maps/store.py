@@ -109,8 +109,10 @@ class StoredMap:
         known = len(self.labels.stamps_ns)
         if last >= known or sum(end - start + 1 for start, end in runs) > known:
             raise MapError(
-                f"{self.path / filenames.TOPOLOGY}: graph.stays, breaks or edits do not fit to "
-                f"the {counted(known, 'keyframe')} of {filenames.LABELS}: build the map again"
+                "graph.stays, breaks or edits do not fit to the "
+                f"{counted(known, 'keyframe')} of {filenames.LABELS}",
+                "build the map again",
+                where=self.path / filenames.TOPOLOGY,
             )
 
     @cached_property
@@ -126,8 +128,9 @@ class StoredMap:
         strangers = set(labels.submaps.tolist()) - {NO_SUBMAP, *self.ids}
         if strangers:
             raise MapError(
-                f"{path}: submap {min(strangers)} is not in {filenames.TOPOLOGY}: "
-                "build the map again"
+                f"submap {min(strangers)} is not in {filenames.TOPOLOGY}",
+                "build the map again",
+                where=path,
             )
         return labels
 
@@ -138,15 +141,19 @@ class StoredMap:
         path, stamps_ns = self.path / filenames.KEYFRAMES, self.labels.stamps_ns.tolist()
         if not path.exists():
             raise MapError(
-                f"{self.path}: has no {path.name}: only maps that this version of `specmap build` "
-                "made of a recording keep their scans: build the map again"
+                f"has no {path.name}: only maps that this version of `specmap build` made "
+                "of a recording keep their scans",
+                "build the map again",
+                where=self.path,
             )
         store = read_keyframes(path, len(stamps_ns), self.limits)
         if list(store.stamps_ns) != stamps_ns:
             store.close()
             raise MapError(
-                f"{path}: its {counted(len(store), 'scan')} are not the "
-                f"{counted(len(stamps_ns), 'keyframe')} of {filenames.LABELS}: build the map again"
+                f"its {counted(len(store), 'scan')} are not the "
+                f"{counted(len(stamps_ns), 'keyframe')} of {filenames.LABELS}",
+                "build the map again",
+                where=path,
             )
         return store
 
@@ -168,7 +175,9 @@ class StoredMap:
         """The contents of run.json."""
         run = map_json(self._of_recording(filenames.RUN), self.limits)
         if not isinstance(run, dict):
-            raise MapError(f"{self.path / filenames.RUN}: not a JSON object: build the map again")
+            raise MapError(
+                "not a JSON object", "build the map again", where=self.path / filenames.RUN
+            )
         return run
 
     def _of_recording(self, name: str) -> Path:
@@ -176,8 +185,9 @@ class StoredMap:
         path = self.path / name
         if not path.exists():
             raise MapError(
-                f"{self.path}: has no {name}: `specmap segment` makes maps without; here one is "
-                "needed that `specmap build` made of a recording"
+                f"has no {name}: `specmap segment` makes maps without; here one is needed "
+                "that `specmap build` made of a recording",
+                where=self.path,
             )
         return path
 
@@ -205,7 +215,9 @@ class StoredMap:
             return Config.model_validate(known)
         except ValidationError as error:
             raise MapError(
-                f"{self.path / filenames.RUN}: config: {first_finding(error)}: build the map again"
+                f"config: {first_finding(error)}",
+                "build the map again",
+                where=self.path / filenames.RUN,
             ) from None
 
     @property
@@ -228,8 +240,9 @@ class _Grids(Mapping[int, GridMap]):
             grid = read_grid(self._paths[submap], limits=self._limits)
             if not _FINEST_M <= grid.resolution <= _COARSEST_M:
                 raise MapError(
-                    f"{self._paths[submap]}: resolution is {grid.resolution:g}: expected "
-                    f"{_FINEST_M:g} to {_COARSEST_M:g} metres a cell: build the map again"
+                    f"resolution is {grid.resolution:g}",
+                    f"expected {_FINEST_M:g} to {_COARSEST_M:g} metres a cell: build the map again",
+                    where=self._paths[submap],
                 )
             self._read[submap] = grid
         return self._read[submap]
@@ -252,16 +265,17 @@ def read_map(path: str | Path, limits: LimitsConfig | None = None) -> StoredMap:
     path = path_of(path, "path")
     if not path.exists():
         raise MapError(
-            f"{path}: no such map directory: make one with `specmap build`", code=MAP_MISSING
+            "no such map directory", "make one with `specmap build`", where=path, code=MAP_MISSING
         )
     if not path.is_dir():
-        raise MapError(f"{path}: is a file: expected a directory written by `specmap build`")
+        raise MapError("is a file", "expected a directory written by `specmap build`", where=path)
     topology = path / filenames.TOPOLOGY
     if not topology.is_file():
         what = "is not a map" if any(path.iterdir()) else "is empty"
         raise MapError(
-            f"{path}: {what}: no {topology.name} in it: "
-            "expected a directory written by `specmap build`"
+            f"{what}: no {topology.name} in it",
+            "expected a directory written by `specmap build`",
+            where=path,
         )
     limits = LimitsConfig() if limits is None else limits
     record, note = read_topology(topology, limits)

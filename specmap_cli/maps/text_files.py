@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from specmap_cli.core.arrays import runs
-from specmap_cli.core.errors import MapError, reason
+from specmap_cli.core.errors import MapError
 from specmap_cli.core.files import read_bytes
 from specmap_cli.core.geometry import quaternions_from_rpy, rpy_from_quaternions
 from specmap_cli.core.records import NO_SUBMAP, Labels, Trajectory
@@ -39,9 +39,11 @@ def map_text(path: Path, limits: LimitsConfig) -> str:
     try:
         return read_text(path, limits)
     except OSError as error:
-        raise MapError(f"{path}: cannot be read: {reason(error, 'build the map again')}") from None
+        raise MapError.of_system(
+            error, "cannot be read", "build the map again", where=path
+        ) from None
     except UnicodeDecodeError:
-        raise MapError(f"{path}: not UTF-8 text: build the map again") from None
+        raise MapError("not UTF-8 text", "build the map again", where=path) from None
 
 
 def _lines(path: Path, limits: LimitsConfig | None, what: str) -> list[str]:
@@ -49,9 +51,9 @@ def _lines(path: Path, limits: LimitsConfig | None, what: str) -> list[str]:
     try:
         return read_text(path, limits).splitlines()
     except OSError as error:
-        raise MapError(f"{path}: cannot read the {what}: {reason(error)}") from None
+        raise MapError.of_system(error, f"cannot read the {what}", where=path) from None
     except UnicodeDecodeError:
-        raise MapError(f"{path}: not a text file: build the map again") from None
+        raise MapError("not a text file", "build the map again", where=path) from None
 
 
 def _numbers(words: Sequence[str], count: int) -> list[float]:
@@ -69,12 +71,12 @@ def map_json(path: Path, limits: LimitsConfig) -> Any:
         return json.loads(map_text(path, limits))
     except json.JSONDecodeError as error:
         raise MapError(
-            f"{path}: damaged JSON at line {error.lineno}: {error.msg}: build the map again"
+            f"damaged JSON at line {error.lineno}: {error.msg}", "build the map again", where=path
         ) from None
     except RecursionError:
-        raise MapError(f"{path}: JSON nested too deeply: build the map again") from None
+        raise MapError("JSON nested too deeply", "build the map again", where=path) from None
     except ValueError:  # Python reads no integer of thousands of digits
-        raise MapError(f"{path}: a number of too many digits: build the map again") from None
+        raise MapError("a number of too many digits", "build the map again", where=path) from None
 
 
 def first_finding(error: ValidationError) -> str:
@@ -101,7 +103,7 @@ def read_labels(path: str | Path, limits: LimitsConfig | None = None) -> Labels:
     path = Path(path)
     lines = _lines(path, limits, "keyframes")
     if not lines or lines[0] != LABELS_HEADER:
-        raise MapError(f"{path}: line 1 is not {LABELS_HEADER!r}: build the map again")
+        raise MapError(f"line 1 is not {LABELS_HEADER!r}", "build the map again", where=path)
     stamps, poses, submaps = [], [], []
     for number, line in enumerate(lines[1:], start=2):
         try:
@@ -110,7 +112,9 @@ def read_labels(path: str | Path, limits: LimitsConfig | None = None) -> Labels:
             poses.append(_numbers(pose, 3))
             submaps.append(_submap(submap))
         except (ValueError, OverflowError):
-            raise MapError(f"{path}: line {number} is {line!r}: expected {LABELS_HEADER}") from None
+            raise MapError(
+                f"line {number} is {line!r}", f"expected {LABELS_HEADER}", where=path
+            ) from None
     return Labels(
         stamps_ns=np.array(stamps, dtype=np.int64),
         poses=np.array(poses, dtype=np.float64).reshape(-1, 3),
@@ -197,8 +201,9 @@ def read_trajectory(path: str | Path, limits: LimitsConfig | None = None) -> Tra
             lost.append(is_lost)
         except (ValueError, OverflowError):
             raise MapError(
-                f"{path}: line {number} is {line!r}: expected t x y z qx qy qz qw: build the map "
-                "again"
+                f"line {number} is {line!r}",
+                "expected t x y z qx qy qz qw: build the map again",
+                where=path,
             ) from None
     return _trajectory(stamps, np.array(rows, dtype=np.float64).reshape(-1, 7), lost)
 

@@ -32,15 +32,16 @@ def read_topology(path: Path, limits: LimitsConfig) -> tuple[TopologyRecord, str
         document, note = upgraded(document), f"{path.parent}: {MISSING}"
     elif version != SCHEMA_VERSION:
         raise MapError(
-            f"{path}: graph.schema_version is {version!r}: this version reads 1 and "
-            f"{SCHEMA_VERSION}: build the map again"
+            f"graph.schema_version is {version!r}: this version reads 1 and {SCHEMA_VERSION}",
+            "build the map again",
+            where=path,
         )
     try:
         record = TopologyRecord.model_validate(document)
     except ValidationError as error:
-        raise MapError(f"{path}: {first_finding(error)}: build the map again") from None
+        raise MapError(first_finding(error), "build the map again", where=path) from None
     for fault in _faults(record):
-        raise MapError(f"{path}: {fault}: build the map again")
+        raise MapError(fault, "build the map again", where=path)
     return record, note
 
 

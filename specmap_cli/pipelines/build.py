@@ -88,8 +88,9 @@ def _refuse_edited(target: Path) -> None:
     """Refuse to replace a map by one that knows nothing of what a person decided about it."""
     if (target / EDITS).exists():
         raise UsageError(
-            f"{target}: its {EDITS} holds a person's decisions, which a new map would lose: keep "
-            f"them with --like {target}, or move the file away"
+            f"its {EDITS} holds a person's decisions, which a new map would lose",
+            f"keep them with --like {target}, or move the file away",
+            where=target,
         )
 
 
@@ -129,8 +130,9 @@ def survey(
     if not len(session.store):
         found = "; ".join(tracking.warnings) or "too few returns in them"
         raise NoResultError(
-            f"{stream.log.name}: none of {counted(stream.expected, 'scan')} could be registered "
-            f"({found}): look at them with `specmap info`"
+            f"none of {counted(stream.expected, 'scan')} could be registered ({found})",
+            "look at them with `specmap info`",
+            where=stream.log.name,
         )
     from specmap_cli.pipelines.laying_out import lay_out
     from specmap_cli.pipelines.learning import Prior
@@ -204,12 +206,15 @@ def _make_room(folder: Path, overwrite: bool) -> None:
         old = sorted(folder.glob("test_*.png"))
         if old and not overwrite:
             raise UsageError(
-                f"{folder}: holds pictures of an earlier run: use --overwrite to replace them, "
-                "or another directory"
+                "holds pictures of an earlier run",
+                "use --overwrite to replace them, or another directory",
+                where=folder,
             )
         for picture in old:
             picture.unlink()
     except OSError as error:
         raise UsageError(
-            f"{folder}: cannot write pictures there: {error.strerror}; choose another directory"
+            f"cannot write pictures there: {error.strerror};",
+            "choose another directory",
+            where=folder,
         ) from None

@@ -148,7 +148,7 @@ def _found(old: StoredMap, new: StoredMap, identical: bool, config: Config) -> A
     alignment = align_maps(old, new, config)
     if alignment.old_from_new is None and not identical:
         raise NoResultError(
-            f"{new.path}: not aligned with {old.path}: {alignment.reason}", code=NOT_ALIGNED
+            f"not aligned with {old.path}: {alignment.reason}", where=new.path, code=NOT_ALIGNED
         )
     if alignment.old_from_new is None:  # it may fit in more than one way, but this one is right
         return Alignment(old_from_new=IDENTITY, reason="the maps are identical")

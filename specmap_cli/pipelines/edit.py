@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from specmap_cli.core.arguments import instance_of, path_of
-from specmap_cli.core.errors import MapError, UsageError, reason
+from specmap_cli.core.errors import MapError, UsageError
 from specmap_cli.core.json_values import Record
 from specmap_cli.core.process import one_blas_thread, versions
 from specmap_cli.core.progress import Progress, Silent
@@ -116,8 +116,9 @@ def _drawn(stored: StoredMap, edits: Edits) -> Drawn:
         return Drawn(np.array(stored.ids, dtype=np.int64), (), graph.next_id, edits)
     if not (stored.path / filenames.KEYFRAMES).exists():
         raise MapError(
-            f"{stored.path}: has no {filenames.KEYFRAMES}: merges and splits need the scans of a "
-            "map that this version of `specmap build` made of a recording"
+            f"has no {filenames.KEYFRAMES}: merges and splits need the scans of a map "
+            "that this version of `specmap build` made of a recording",
+            where=stored.path,
         )
     whole, labels = stored.map_grid, stored.labels
     return drawn(whole, labels, graph.edits.borders, edits, graph.next_id)
@@ -130,7 +131,7 @@ def _refuse_absent(submaps: IntArray, requested: RequestedEdits) -> None:
         if id_ not in known:
             there = ", ".join(str(each) for each in known)
             raise UsageError(
-                f"there is no submap {id_} to name or to describe: choose from {there}"
+                f"there is no submap {id_} to name or to describe", f"choose from {there}"
             )
 
 
@@ -237,7 +238,7 @@ def _carry_over(source: Path, target: Path, without: Collection[str]) -> None:
             elif path.is_file():
                 shutil.copyfile(path, target / path.name)
     except OSError as error:
-        raise MapError(f"{source}: cannot be copied: {reason(error)}") from None
+        raise MapError.of_system(error, "cannot be copied", where=source) from None
 
 
 def _overview(stored: StoredMap, topology: TopologicalMap) -> Image:
@@ -256,7 +257,7 @@ def _segmented(stored: StoredMap) -> Regions:
     path = stored.path / filenames.LABELS_IMAGE
     owner = read_picture(path, stored.limits)[..., 0].astype(np.int64) - 1
     if not set(np.unique(owner).tolist()) <= {NOBODY, *stored.ids}:
-        raise MapError(f"{path}: not the labels of {filenames.TOPOLOGY}: make the map again")
+        raise MapError(f"not the labels of {filenames.TOPOLOGY}", "make the map again", where=path)
     cells, corner, resolution = np.full(owner.shape, UNKNOWN, dtype=np.uint8), (0.0, 0.0), 1.0
     for id_, grid in stored.grids.items():
         own = np.argwhere(owner == id_)
@@ -265,7 +266,9 @@ def _segmented(stored: StoredMap) -> Regions:
         row, column = (own.min(axis=0) - np.argwhere(grid.free).min(axis=0)).tolist()
         window = cells[row : row + grid.cells.shape[0], column : column + grid.cells.shape[1]]
         if window.shape != grid.cells.shape:
-            raise MapError(f"{path}: does not fit to the grid of submap {id_}: make the map again")
+            raise MapError(
+                f"does not fit to the grid of submap {id_}", "make the map again", where=path
+            )
         np.copyto(window, grid.cells, where=grid.cells != UNKNOWN)
         resolution = grid.resolution
         x, y = grid.origin

@@ -95,7 +95,9 @@ def _not_undone(edits: Edits, undo: Collection[int]) -> list[Change]:
     for number in undo:
         if not 1 <= number <= len(edits.changes):
             known = counted(len(edits.changes), "change")
-            raise UsageError(f"--undo {number}: there is no such change: edits.toml has {known}")
+            raise UsageError(
+                f"there is no such change: edits.toml has {known}", where=f"--undo {number}"
+            )
     kept: list[Change] = []
     was: dict[int, tuple[int, ...]] = {}
     for number, change in enumerate(edits.changes, start=1):
@@ -142,8 +144,9 @@ def edits_of_stored(stored: StoredMap) -> Edits:
     path = stored.path / filenames.EDITS
     if (record.submaps or record.borders) and not path.exists():
         raise MapError(
-            f"{path}: is missing, but the map shows edits: put it back, or make it an empty file "
-            "to undo them"
+            "is missing, but the map shows edits",
+            "put it back, or make it an empty file to undo them",
+            where=path,
         )
     shown = {each.id: each for each in record.submaps}
     submaps = {id_: edit.model_dump() for id_, edit in edits.submaps.items()}

@@ -14,7 +14,7 @@ from specmap_cli.core.geometry import FloatArray, compose, invert
 from specmap_cli.core.records import Closure, IntArray, PosedScan, Trajectory
 from specmap_cli.grids.gridmap import PackedGrid
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
-from specmap_cli.layout.motion_edges import Bridge
+from specmap_cli.layout.path_graph import Bridge
 from specmap_cli.pipelines.map_in_making import Explored
 from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.closure.claims import SAMPLES_PER_SUBMAP

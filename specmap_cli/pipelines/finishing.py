@@ -14,7 +14,6 @@ from typing import Any
 from specmap_cli.core.findings import Quality, summary
 from specmap_cli.drawing.overview import render_overview
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.layout.g2o import write_g2o
 from specmap_cli.maps.edits import written
 from specmap_cli.maps.writing import MapResult, write_map
 from specmap_cli.pipelines.edits import drawn, named, tell_unapplied
@@ -122,7 +121,7 @@ def write_finished(
         logs=laid.logs,
         run=run,
         quality=finished.quality,
-        pose_graph=write_g2o(laid.layout),
+        pose_graph=laid.layout.g2o(),
         edits=written(laid.edits, laid.edits_text),
         overview=overview,
     )

@@ -171,7 +171,7 @@ def _dated(
 def _readable_until(stored: StoredMap) -> int:
     """The stamp of a map's last scan, once all that a comparison needs was read."""
     if not (stored.path / filenames.LABELS).exists() or not len(stored.labels.stamps_ns):
-        raise MapError(f"{stored.path}: was not made of a recording: it knows no visits")
+        raise MapError("was not made of a recording: it knows no visits", where=stored.path)
     stored_to_align(stored, learned=False)  # raises MapError where it cannot be compared
     return span_ns(stored)[1]
 

@@ -19,9 +19,9 @@ from specmap_cli.core.geometry import FloatArray, Pose2, compose, nearest_motion
 from specmap_cli.core.records import Closure, IntArray, Labels, Trajectory
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.layout.carrying import carried, rows_of
-from specmap_cli.layout.healing import healed
-from specmap_cli.layout.joining import join_layouts, placed, without_guesses
+from specmap_cli.layout.audit import repaired
+from specmap_cli.layout.joining import join_layouts, placed
+from specmap_cli.layout.trajectory import propagated, rows_of
 from specmap_cli.maps.edits import (
     Change,
     Edits,
@@ -68,8 +68,10 @@ def join(
     layout = join_layouts(store, old.layout, later.layout, tuple(constraints.values()), cuts)
     # in the frame in which the old keyframes lie nearest to their places in the old map
     layout = placed(layout, nearest_motion(layout.poses[:first, :2], old.layout.poses[:, :2]))
-    audited = healed(store, layout, cuts)
-    layout = without_guesses(audited.layout, (*old.starts, first, *later.starts))
+    audited = repaired(store, layout, cuts)
+    starts = {*old.starts, first, *later.starts}  # no guess of tracking joined the recordings
+    parts = tuple(move for move in audited.layout.parts if move.first not in starts)
+    layout = replace(audited.layout, parts=parts)
     plain = without_borders(new)
     submaps = inherit(old, plain, layout.poses, old_from_new, session.config)
     stamps = np.array(store.stamps_ns, dtype=np.int64)
@@ -208,7 +210,7 @@ def _carried(laid: LaidOut, now: FloatArray) -> FloatArray:
     """The trajectory of a map whose keyframes lie at poses `now` (n, 3)."""
     labels = laid.labels
     rows = rows_of(laid.trajectory, labels.stamps_ns.tolist(), labels.poses)
-    return carried(laid.trajectory.poses, rows, now[: len(rows)])
+    return propagated(laid.trajectory.poses, rows, now[: len(rows)])
 
 
 def _both(

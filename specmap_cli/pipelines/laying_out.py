@@ -17,18 +17,19 @@ from specmap_cli.core.records import Closure, IntArray, Labels
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
-from specmap_cli.layout.carrying import keyframe_rows
+from specmap_cli.layout.audit import repaired
 from specmap_cli.layout.closure_matching import place_around, sharpened
-from specmap_cli.layout.healing import healed
 from specmap_cli.layout.main_direction import along_walls
-from specmap_cli.layout.nearby_passes import METRES_A_RADIAN
-from specmap_cli.layout.relaxation import Constraint, Layout, corrected, relax
+from specmap_cli.layout.passes import METRES_A_RADIAN
+from specmap_cli.layout.pose_graph import Link
+from specmap_cli.layout.relaxation import relax
+from specmap_cli.layout.result import Layout
+from specmap_cli.layout.trajectory import corrected, keyframe_rows
 from specmap_cli.pipelines.exploration import Regions, in_own_frame, online_labels
 from specmap_cli.pipelines.map_in_making import Explored, LaidOut, recording
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.tracking import Tracking
-from specmap_cli.quality.evidence import Evidence
-from specmap_cli.quality.holes import holes_of
+from specmap_cli.quality.evidence import Evidence, holes_of
 from specmap_cli.quality.verdict import of_recording
 from specmap_cli.segmentation.division import regions_of
 from specmap_cli.topology.graph import settle_labels
@@ -54,9 +55,9 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
         layout = relax(store, tuple(constraints.values()), explored.breaks, config.relaxation)
         layout = along_walls(layout, store, config.relaxation)
     with session.stage("audit"):
-        audited = healed(store, layout, explored.breaks)
+        audited = repaired(store, layout, explored.breaks)
         layout = audited.layout
-        trajectory = corrected(explored.trajectory, store, layout)
+        trajectory = corrected(explored.trajectory, store, layout.poses)
     closures = refute(explored.closures, constraints, layout)
     with session.stage("grids"):
         whole, beyond = _whole_grid(store, layout, config)
@@ -109,8 +110,8 @@ def _whole_grid(store: KeyframeStore, layout: Layout, config: Config) -> tuple[G
     whole = counts.snapshot()
     if not whole.cells.size:
         raise NoResultError(
-            "no scan fits into the largest grid allowed: nothing to map; raise grid.max_extent_m "
-            "or grid.max_area_m2, or lower grid.max_range_m"
+            "no scan fits into the largest grid allowed: nothing to map;",
+            "raise grid.max_extent_m or grid.max_area_m2, or lower grid.max_range_m",
         )
     return whole, counts.refused
 
@@ -140,7 +141,7 @@ def _divided(
 
 def constraints_of(
     closures: Sequence[Closure], regions: Regions, store: KeyframeStore
-) -> dict[Pair, Constraint]:
+) -> dict[Pair, Link]:
     """For each pair of merged regions, (old, new): where a keyframe lies, seen from another.
 
     Grids that match while the robot's tracks do not overlap are no evidence for the layout: that is
@@ -162,7 +163,7 @@ def constraints_of(
 
 
 def refute(
-    closures: Sequence[Closure], constraints: Mapping[Pair, Constraint], layout: Layout
+    closures: Sequence[Closure], constraints: Mapping[Pair, Link], layout: Layout
 ) -> tuple[Closure, ...]:
     """The closures, without the merges whose constraint the layout dropped."""
     dropped = {(link.source, link.target) for link in layout.dropped if link.kind == "closure"}
@@ -183,7 +184,7 @@ def _constraint(
     old_from_new: Pose2,
     store: KeyframeStore,
     information: FloatArray,
-) -> Constraint:
+) -> Link:
     """The keyframes of two regions that saw most alike, tied by the walls around them.
 
     Under the transform they are the nearest to each other, turned as little as may be.
@@ -193,11 +194,12 @@ def _constraint(
     i, j = nearest_pair(old_track, new_track)
     guess = Pose2(*compose(invert(old_track[i]), new_track[j]).tolist())
     places = place_around(store, old, i), place_around(store, new, j)
-    return Constraint(
+    return Link(
         source=old[i],
         target=new[j],
         source_from_target=sharpened(*places, guess),
         information=information,
+        kind="closure",
     )
 
 

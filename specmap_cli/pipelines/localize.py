@@ -82,7 +82,7 @@ def localize_log(
         progress.start("localising", stream.expected)
         scans = tuple(_localized(stream, front_end, localizer, metric and not offline, progress))
         if not scans:
-            raise LogError(f"{log.name}: no usable scan in it; see `specmap info`")
+            raise LogError("no usable scan in it;", "see `specmap info`", where=log.name)
         if offline:
             scans = _smoothed(scans, stream, config, localizer, metric, progress)
         notes = [localizer.note] if localizer.note else []
@@ -99,8 +99,9 @@ def _check_walls(config: Config, metric: bool) -> None:
     """Raise UsageError when poses are wanted, but no walls to find them by."""
     if metric and not config.localization.fit_submaps:
         raise UsageError(
-            "localization.fit_submaps: 0 leaves out the walls, by which poses are found: "
+            "0 leaves out the walls, by which poses are found",
             "raise it, or leave out --metric",
+            where="localization.fit_submaps",
             code=SETTING,
         )
 
@@ -212,11 +213,12 @@ def classifiers_of(stored: StoredMap) -> ClassifierSet:
     except MapError as error:
         if str(path) in str(error):
             raise
-        raise MapError(f"{path}: {str(error).removeprefix('classifiers: ')}") from None
+        raise MapError(str(error).removeprefix("classifiers: "), where=path) from None
     if classifiers.ids != stored.ids:
         raise MapError(
-            f"{path}: classifiers of the submaps {classifiers.ids}, but the map has "
-            f"{stored.ids}: build the map again"
+            f"classifiers of the submaps {classifiers.ids}, but the map has {stored.ids}",
+            "build the map again",
+            where=path,
         )
     return classifiers
 

@@ -22,11 +22,11 @@ from specmap_cli.core.records import Closure, IntArray, Labels, Trajectory
 from specmap_cli.core.text import counted, legible
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.layout.audit import Audit
-from specmap_cli.layout.carrying import rows_of
-from specmap_cli.layout.dropping import gaps_of
-from specmap_cli.layout.g2o import read_g2o
-from specmap_cli.layout.motion_edges import Bridge
-from specmap_cli.layout.relaxation import Layout
+from specmap_cli.layout.joining import gaps_of
+from specmap_cli.layout.path_graph import Bridge
+from specmap_cli.layout.pose_graph import read_g2o
+from specmap_cli.layout.result import Layout
+from specmap_cli.layout.trajectory import rows_of
 from specmap_cli.maps import filenames
 from specmap_cli.maps.edits import Edits, edits_text
 from specmap_cli.maps.store import StoredMap
@@ -254,13 +254,15 @@ def _layout(stored: StoredMap) -> Layout:
     try:
         poses, links = read_g2o(text)
     except InputError as error:
-        raise MapError(f"{path}: {error}: build the map again") from None
+        raise MapError(error, "build the map again", where=path) from None
     nodes = np.array(sorted(poses), dtype=np.int64)
     ends = {end for link in links for end in (link.source, link.target)}
     if not ends <= poses.keys() <= set(range(len(labels.poses))):
         raise MapError(
-            f"{path}: its vertices are not among the {counted(len(labels.poses), 'keyframe')} of "
-            f"{filenames.LABELS}: build the map again"
+            f"its vertices are not among the {counted(len(labels.poses), 'keyframe')} "
+            f"of {filenames.LABELS}",
+            "build the map again",
+            where=path,
         )
     after = dict(pairwise(nodes.tolist()))
     return Layout(
@@ -279,8 +281,10 @@ def _trajectory(stored: StoredMap) -> Trajectory:
         log.scans for log in stored.logs
     ):
         raise MapError(
-            f"{path}: is not the way through the keyframes of {filenames.LABELS} and the logs of "
-            f"{filenames.TOPOLOGY}: build the map again"
+            f"is not the way through the keyframes of {filenames.LABELS} and the logs "
+            f"of {filenames.TOPOLOGY}",
+            "build the map again",
+            where=path,
         )
     return trajectory
 

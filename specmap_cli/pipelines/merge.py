@@ -105,7 +105,7 @@ def merge_maps(
 def oldest(maps: Sequence[StoredMap]) -> StoredMap:
     """The map whose frame, ids and settings the merged one has. UsageError for fewer than two."""
     if len(maps) < 2:
-        raise UsageError(f"{counted(len(maps), 'map')} to merge: give two or more")
+        raise UsageError(f"{counted(len(maps), 'map')} to merge", "give two or more")
     return min(maps, key=_age)
 
 
@@ -133,7 +133,9 @@ def _refuse_twice(maps: Sequence[StoredMap]) -> None:
         for log in other.record.graph.logs:
             if (log.name, log.start_ns, log.scans) in known:
                 raise InputError(
-                    f"{other.path}: holds {log.name}, and so does {one.path}: leave out one of them"
+                    f"holds {log.name}, and so does {one.path}",
+                    "leave out one of them",
+                    where=other.path,
                 )
 
 

@@ -98,8 +98,10 @@ def _fine_enough(path: Path, grid: GridMap) -> GridMap:
     if grid.resolution > _COARSEST_M:
         height, width = (side * grid.resolution for side in grid.cells.shape)
         raise UsageError(
-            f"{path}: {grid.resolution:g} m a pixel make it {width:.0f} m x {height:.0f} m, too "
-            "coarse to see a door: check the resolution; 0.05 m is usual"
+            f"{grid.resolution:g} m a pixel make it {width:.0f} m x {height:.0f} m, "
+            "too coarse to see a door",
+            "check the resolution; 0.05 m is usual",
+            where=path,
         )
     return grid
 

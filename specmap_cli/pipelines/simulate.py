@@ -75,7 +75,9 @@ def simulate(
     out = Path(out)
     truth = out.with_suffix(".tum") if truth is None else Path(truth)
     if truth == out:
-        raise UsageError(f"{out}: the recording and the true poses would be one file; rename one")
+        raise UsageError(
+            "the recording and the true poses would be one file;", "rename one", where=out
+        )
     tour = simulated_tour(plan, options)
     progress.start("simulate", len(tour.scan_times_s))
     with LogWriter(out) as writer:

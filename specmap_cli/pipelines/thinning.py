@@ -26,8 +26,8 @@ from specmap_cli.grids.keyframes import (
     sole_views,
     views_needed,
 )
-from specmap_cli.layout.carrying import carried_places
-from specmap_cli.layout.dropping import tracked_over_gaps, without_keyframes
+from specmap_cli.layout.joining import tracked_over_gaps, without_keyframes
+from specmap_cli.layout.trajectory import propagated_places
 from specmap_cli.pipelines.map_in_making import LaidOut, gaps_in, recordings_of
 from specmap_cli.pipelines.session import Session
 from specmap_cli.topology.topological_map import BorderEdit, LogInfo, Merge, heirs
@@ -109,8 +109,8 @@ def _unseen(old: LaidOut, new: LaidOut, poses: FloatArray) -> BoolArray:
     """
     whole, count = old.whole, len(old.labels.poses)
     cells = np.argwhere(whole.occupied)
-    places = carried_places(whole.centres_of(cells), old.labels.poses, poses[:count])
-    places = carried_places(places, poses[count:], new.labels.poses)
+    places = propagated_places(whole.centres_of(cells), old.labels.poses, poses[:count])
+    places = propagated_places(places, poses[count:], new.labels.poses)
     known = cv2.dilate((new.whole.cells != UNKNOWN).astype(np.uint8), np.ones((3, 3)))
     there = new.whole.cells_of(places)
     inside = new.whole.inside(there)

@@ -138,8 +138,9 @@ def _updated(
     alignment = _aligned(session, old_to_align, new_to_align)
     if alignment.old_from_new is None and not allow_apart:
         raise NoResultError(
-            f"{name}: fits nowhere in {stored.path}: {alignment.reason}: build a map of its own, "
-            "or append it as a part of its own with --allow-apart",
+            f"fits nowhere in {stored.path}: {alignment.reason}",
+            "build a map of its own, or append it as a part of its own with --allow-apart",
+            where=name,
             code=NOT_ALIGNED,
         )
     fewer = _joined(session, old, new, alignment, name, allow_apart=allow_apart)
@@ -187,8 +188,9 @@ def build_like(
         alignment = _aligned(session, old_to_align, laid_out_to_align(session, new))
         if alignment.old_from_new is None:
             raise NoResultError(
-                f"{log.name}: fits nowhere in {stored.path}: {alignment.reason}: build it without "
-                "--like",
+                f"fits nowhere in {stored.path}: {alignment.reason}",
+                "build it without --like",
+                where=log.name,
                 code=NOT_ALIGNED,
             )
         laid = with_grid(session, _alike(old, new, alignment.old_from_new, config))
@@ -234,8 +236,9 @@ def _joined(
         joint = join(session, old, new, where, found)
     if len(old) in joint.layout.loose and not allow_apart:
         raise NoResultError(
-            f"{name}: lies in the map, but no wall that both saw holds it there: build a map of "
-            "its own, or append it as a part of its own with --allow-apart",
+            "lies in the map, but no wall that both saw holds it there",
+            "build a map of its own, or append it as a part of its own with --allow-apart",
+            where=name,
             code=NOT_ALIGNED,
         )
     with session.stage("thinning"):
@@ -293,7 +296,9 @@ def _refuse_repeated(old: LaidOut, new: LaidOut, store: KeyframeStore, own: Keyf
             continue
         first = store.scan(known.keyframes[0])  # logs are known to the microsecond, scans exactly
         if first.stamp_ns == scan.stamp_ns and _alike_scans(first, scan):
-            raise InputError(f"{log.name}: is in the map already, as {known.name}: nothing to add")
+            raise InputError(
+                f"is in the map already, as {known.name}: nothing to add", where=log.name
+            )
 
 
 def _alike_scans(one: PlanarScan, other: PlanarScan) -> bool:

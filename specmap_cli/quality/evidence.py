@@ -1,17 +1,42 @@
-"""What the verdict on a map rests on."""
+"""What the verdict on a map rests on, and the holes in its recording.
+
+While no scans are recorded a robot may be carried elsewhere or drive on. Afterwards it may be taken
+to stand in a room that only looks like the right one. Three things speak for the map: odometry that
+moved, and moved as the map says; walls around a robot that stood still, which lie where they lay
+before; and places further on that the robot knew from before the hole.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from specmap_cli.core.findings import Place, Severity
-from specmap_cli.core.geometry import Pose2
-from specmap_cli.core.records import Trajectory
+from specmap_cli.core.findings import Severity, Where
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, moved, step_lengths
+from specmap_cli.core.records import BoolArray, IntArray, Trajectory
+from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.audit import Audit
-from specmap_cli.layout.relaxation import Layout
+from specmap_cli.layout.result import Layout
+
+MOVED_M = 1.0  # a piece that the layout moved farther is told of
+MOVED_VOTES = 3  # a piece that was moved is doubtful when fewer matches say so
+SAME_PLACE_M = 5.0  # disagreements, and matches, this near are of one place
+ODOMETRY_WINDOW_M = 5.0  # way over which odometry is compared with the map
+# Share of the way in a single place, where wheels slip, before it is noted.
+ODOMETRY_SLIP_SHARE = 0.5
+HOLE_S = 5.0  # a hole without scans: in less nobody carries a robot to another room
+_HOLE_INTERVALS = 5.0  # a hole has so many usual intervals: robots that stand may record little
+_HOLE_WALLS_M = 0.15  # walls this near to those seen before a hole are the same
+STILL_M = 0.15  # motion over a hole of a robot that stood: noise, and a first step
+STILL_RAD = 0.1  # turn over a hole of a robot that stood
+_USUAL_PERCENTILE = 95.0  # of the intervals of a log: a few scans are late in most
+_JUMP = 0.5  # share of a drive in one step that makes it a jump
+_BEFORE = 10  # keyframes before a hole that tell which walls stood around: one sees not all
+_RANGE_M = 12.0  # of walls that are compared: farther ones show every error of the heading
 
 HoleKind = Literal["missing", "lost", "rest"]
 
@@ -55,13 +80,18 @@ class Evidence:
     warnings: tuple[str, ...]
     holes: tuple[Hole, ...] = ()
 
-    def place_of(self, keyframe: int) -> Place:
-        """Where a keyframe lies in the map."""
-        x, y, _ = self.layout.poses[keyframe].tolist()
-        return x, y
+    def at_keyframe(self, number: int) -> Where:
+        """When a keyframe was seen, and where it lies in the map."""
+        x, y, _ = self.layout.poses[number].tolist()
+        return Where(self.keyframes_ns[number], x, y)
+
+    def at_scan(self, row: int) -> Where:
+        """When a scan was seen, and where it lies in the map."""
+        x, y, _ = self.trajectory.poses[row].tolist()
+        return Where(int(self.trajectory.stamps_ns[row]), x, y)
 
     @property
-    def measured(self) -> np.ndarray:
+    def measured(self) -> BoolArray:
         """(n,) which scans of the trajectory have odometry."""
         odometry = self.trajectory.odometry
         if odometry is None:
@@ -69,10 +99,9 @@ class Evidence:
         return np.asarray(np.isfinite(odometry[:, 0]))
 
 
-def place_at(trajectory: Trajectory, row: int) -> Place:
-    """Where a scan lies in the map."""
-    x, y, _ = trajectory.poses[row].tolist()
-    return x, y
+def told(where: Where) -> str:
+    """The stamp of a finding in words."""
+    return f"{(where.stamp_ns or 0) * 1e-9:.3f} s"
 
 
 def graded(value: float, doubtful: float, poor: float) -> tuple[Severity, float]:
@@ -80,3 +109,140 @@ def graded(value: float, doubtful: float, poor: float) -> tuple[Severity, float]
     if value > poor:
         return "poor", poor
     return ("doubtful" if value > doubtful else "note"), doubtful
+
+
+def holes_of(
+    store: KeyframeStore,
+    rows: IntArray,
+    trajectory: Trajectory,
+    layout: Layout,
+    breaks: Collection[int],
+) -> tuple[Hole, ...]:
+    """The holes of a log, in their order, and what is known of the motion over each.
+
+    `rows` (n,) of the trajectory are the keyframes of the store. `breaks` are those at which
+    tracking started afresh. Where odometry says that the robot stood still meanwhile, they count as
+    holes, too: it may have been carried with its laser on.
+    """
+    found: list[Hole] = []
+    for before, after, kind in sorted(_spans(trajectory, rows, breaks)):
+        keyframe = int(np.searchsorted(rows, after))
+        if 0 < keyframe < len(rows):  # else the map has nothing on one of the two sides
+            alike = _alike(store, layout.poses, keyframe, _HOLE_WALLS_M)
+            found.append(_hole(trajectory, before, after, kind, keyframe, alike))
+    return tuple(found)
+
+
+def _spans(
+    trajectory: Trajectory, rows: IntArray, breaks: Collection[int]
+) -> Iterator[tuple[int, int, HoleKind]]:
+    """The rows between which holes lie, and what kind of hole each is."""
+    missing = _missing(trajectory.stamps_ns)
+    yield from ((before, before + 1, "missing") for before in missing.tolist())
+    told = set(np.searchsorted(rows, missing + 1).tolist())
+    for keyframe in sorted(set(breaks) - told):
+        if 0 < keyframe < len(rows):
+            after = int(rows[keyframe])
+            before = _registered(trajectory, after - 1, -1)
+            measured = _measured(trajectory, before, after)
+            if measured is not None and is_still(measured):
+                yield before, after, "lost"
+    for start, end in _rests(trajectory):
+        if not ((start <= missing) & (missing < end)).any():
+            yield start, end, "rest"
+
+
+def _rests(trajectory: Trajectory) -> Iterator[tuple[int, int]]:
+    """Rows between which the map has the robot at rest though odometry drives on.
+
+    That is what a laser that hangs looks like.
+    """
+    if trajectory.odometry is None:
+        return
+    places, start = [Pose2(*pose) for pose in trajectory.poses.tolist()], 0
+    way_m = ODOMETRY_SLIP_SHARE * ODOMETRY_WINDOW_M  # less may be wheels that slip
+    for row in range(1, len(places)):
+        if moved(places[start], places[row], STILL_M, STILL_RAD):
+            if _drives_on(trajectory, start, row - 1, way_m):
+                yield start, row
+            start = row
+
+
+def _drives_on(trajectory: Trajectory, first: int, last: int, way_m: float) -> bool:
+    """Whether odometry leads so far away between two rows, and does not just jump there."""
+    driven = _measured(trajectory, first, last)
+    if trajectory.odometry is None or driven is None or driven.distance <= way_m:
+        return False
+    steps = step_lengths(trajectory.odometry[first : last + 1])
+    return bool(np.nanmax(steps) < _JUMP * driven.distance)
+
+
+def _missing(stamps_ns: IntArray) -> IntArray:
+    """The rows after which scans are missing: much longer than what is usual in this log."""
+    intervals_s = np.diff(stamps_ns) * 1e-9
+    if not len(intervals_s):
+        return np.zeros(0, dtype=np.int64)
+    usual_s = float(np.percentile(intervals_s, _USUAL_PERCENTILE, method="lower"))
+    longest_s = max(HOLE_S, _HOLE_INTERVALS * usual_s)
+    return np.flatnonzero(intervals_s > longest_s)
+
+
+def _hole(
+    trajectory: Trajectory, before: int, after: int, kind: HoleKind, keyframe: int, alike: float
+) -> Hole:
+    """The hole between two rows of a trajectory, ahead of a keyframe.
+
+    Map and odometry are compared from the last scan that was registered to the next one.
+    """
+    start, end = _registered(trajectory, before, -1), _registered(trajectory, after, 1)
+    measured, around = (_measured(trajectory, a, b) for a, b in ((before, after), (start, end)))
+    by_map = _motion(trajectory.poses, start, end)
+    return Hole(
+        row=after,
+        keyframe=keyframe,
+        seconds=float(trajectory.stamps_ns[after] - trajectory.stamps_ns[before]) * 1e-9,
+        measured=None if around is None else measured,
+        apart=by_map.inverse() @ (IDENTITY if around is None else around),
+        alike=alike,
+        kind=kind,
+    )
+
+
+def _registered(trajectory: Trajectory, row: int, step: int) -> int:
+    """The first row from `row` on that was not lost, `step` by step; the last one if all were."""
+    lost, last = trajectory.lost, len(trajectory.poses) - 1
+    while lost is not None and lost[row] and 0 < row < last:
+        row += step
+    return row
+
+
+def _measured(trajectory: Trajectory, before: int, after: int) -> Pose2 | None:
+    """The motion between two rows by odometry, None where it is not known."""
+    odometry = trajectory.odometry
+    if odometry is None or not np.isfinite(odometry[[before, after]]).all():
+        return None
+    return _motion(odometry, before, after)
+
+
+def _motion(poses: FloatArray, before: int, after: int) -> Pose2:
+    return Pose2(*poses[before].tolist()).inverse() @ Pose2(*poses[after].tolist())
+
+
+def _alike(store: KeyframeStore, poses: FloatArray, keyframe: int, near_m: float) -> float:
+    """The share of the walls seen from a keyframe that lie where earlier keyframes saw some."""
+    before = range(max(0, keyframe - _BEFORE), keyframe)
+    walls = np.concatenate([_walls(store, poses, number) for number in before])
+    seen = _walls(store, poses, keyframe)
+    if not len(walls) or not len(seen):
+        return 0.0
+    away, _ = cKDTree(walls).query(seen)
+    return float((away <= near_m).mean())
+
+
+def _walls(store: KeyframeStore, poses: FloatArray, number: int) -> FloatArray:
+    return Pose2(*poses[number].tolist()).apply(store.points(number, _RANGE_M))
+
+
+def is_still(motion: Pose2) -> bool:
+    """Whether a robot with this motion over a hole stood."""
+    return motion.distance <= STILL_M and abs(motion.theta) <= STILL_RAD

@@ -103,8 +103,8 @@ class KissIcpAligner:
             from kiss_icp.registration import Registration
         except ImportError as error:
             raise UsageError(
-                f"registration.method 'kiss-icp' needs the package kiss-icp: {error}; install it "
-                "or choose another method",
+                f"registration.method 'kiss-icp' needs the package kiss-icp: {error};",
+                "install it or choose another method",
                 code=PACKAGE,
             ) from error
         # one thread: the sums of several would come in another order at every run
@@ -151,8 +151,9 @@ def aligner_factory(name: str) -> AlignerFactory:
     methods = with_plugins(GROUP, BUILT_IN)
     if name not in methods:
         raise UsageError(
-            f"registration.method: no such method {name!r}: choose from {', '.join(methods)}, or "
-            "install the package that offers it",
+            f"no such method {name!r}",
+            f"choose from {', '.join(methods)}, or install the package that offers it",
+            where="registration.method",
             code=SETTING,
         )
     return methods[name]

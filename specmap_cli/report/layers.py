@@ -139,8 +139,10 @@ def _canvas(stored: StoredMap, pieces: Sequence[tuple[NodeRecord, GridMap]]) -> 
     width, height = (int(side) + 2 for side in np.ceil((high - low) / cell_m))
     if width * height > stored.limits.picture_max_mpixel * 1e6:
         raise MapError(
-            f"{stored.path}: its submaps lie so far apart that a picture of them has "
-            f"{width:,} x {height:,} cells; if it is meant, raise limits.picture_max_mpixel",
+            f"its submaps lie so far apart that a picture of them has {width:,} x "
+            f"{height:,} cells;",
+            "if it is meant, raise limits.picture_max_mpixel",
+            where=stored.path,
             code=TOO_LARGE,
         )
     left, bottom = (low - 0.5 * cell_m).tolist()

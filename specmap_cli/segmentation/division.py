@@ -221,7 +221,8 @@ def segment_floorplan(grid: GridMap, config: SegmentationConfig) -> Segmentation
     if not found.count:
         raise NoResultError(
             f"no free space wider than {2 * config.clearance_m:g} m in the map "
-            f"({grid.free_area_m2:.1f} m2 free): check the resolution and the thresholds"
+            f"({grid.free_area_m2:.1f} m2 free)",
+            "check the resolution and the thresholds",
         )
     return found
 

@@ -92,7 +92,9 @@ def simulation_options(**values: Any) -> SimulationOptions:
         first = error.errors()[0]
         if not first["loc"]:  # a check of several options together, which names them itself
             raise UsageError(str(first["ctx"]["error"])) from None
-        raise UsageError(f"{first['loc'][0]}: {first['msg']}, found {first['input']!r}") from None
+        raise UsageError(
+            f"{first['msg']}, found {first['input']!r}", where=first["loc"][0]
+        ) from None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -212,7 +214,9 @@ def simulate_sweeps(plan: GridMap, options: SimulationOptions) -> Iterator[tuple
     Raises UsageError for a 3D lidar: its clouds become scans only when a log of them is read.
     """
     if options.rings > 1:
-        raise UsageError("rings: a 3D lidar has clouds; write a log of them by specmap simulate")
+        raise UsageError(
+            "a 3D lidar has clouds;", "write a log of them by specmap simulate", where="rings"
+        )
     yield from simulated_tour(plan, options).scans()
 
 

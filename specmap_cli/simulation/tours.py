@@ -68,8 +68,8 @@ def reachable_space(world: World, radius_m: float, comfort_m: float) -> Lattice:
     open_ = clearance >= radius_m
     if not open_.any():
         raise MapError(
-            f"the plan has no free space for a robot of radius {radius_m:g} m: check its "
-            "resolution and that free space is white"
+            f"the plan has no free space for a robot of radius {radius_m:g} m",
+            "check its resolution and that free space is white",
         )
     number = np.where(open_, np.cumsum(open_) - 1, -1).reshape(len(rows), len(columns))
     spacing = stride * world.plan.resolution

@@ -98,12 +98,12 @@ def read_rooms(
     """
     picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if picture is None:
-        raise MapError(f"{path}: cannot be read as a picture; give a PNG with white rooms")
+        raise MapError("cannot be read as a picture;", "give a PNG with white rooms", where=path)
     white = (picture > _ROOM_GREY).astype(np.uint8)
     _, regions, stats, _ = cv2.connectedComponentsWithStats(white)
     kept = stats[:, cv2.CC_STAT_AREA] >= _ROOM_MIN_PIXELS
     kept[0] = False
     if not kept.any():
-        raise MapError(f"{path}: no white region of {_ROOM_MIN_PIXELS} pixels; is it a plan?")
+        raise MapError(f"no white region of {_ROOM_MIN_PIXELS} pixels; is it a plan?", where=path)
     number = np.where(kept, np.cumsum(kept), 0).astype(np.int32)
     return RoomTruth(np.ascontiguousarray(number[regions][::-1]), resolution, origin)

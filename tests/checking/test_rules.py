@@ -10,7 +10,7 @@ import pytest
 from specmap_cli.checking.figures import FINDINGS, GOLDEN, MEANINGS, is_figure
 from specmap_cli.checking.rules import DEFAULTS, read_rules
 from specmap_cli.core.errors import UsageError
-from specmap_cli.quality import holes, measured, placed, rivals, tracked
+from specmap_cli.quality import laid_out, recording
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "check.md"
 
@@ -32,11 +32,11 @@ def test_every_default_is_of_a_figure_and_every_doubt_has_one() -> None:
     assert all(is_figure(name) for name, _, _ in DEFAULTS.each())
     codes = {
         code
-        for module in (holes, measured, placed, rivals, tracked)
+        for module in (laid_out, recording)
         for name, code in vars(module).items()
         if name.isupper() and isinstance(code, str) and not name.startswith("_")
     }
-    only_notes = {tracked.BREAK, placed.REFUTED, placed.MENDED}
+    only_notes = {recording.BREAK, laid_out.REFUTED, laid_out.MENDED}
     assert len(codes) >= 12
     assert {f"{FINDINGS}{code}" for code in codes - only_notes} == {
         name for name in DEFAULTS.most if name.startswith(FINDINGS)

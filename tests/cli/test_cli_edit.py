@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 
 import pytest
@@ -12,48 +11,42 @@ from specmap_cli.maps.store import read_map
 from tests.cli.conftest import Run
 
 
-@pytest.fixture
-def own(tiny_map: Path, tmp_path: Path) -> Path:
-    """A copy of the tiny map."""
-    return Path(shutil.copytree(tiny_map, tmp_path / "own"))
-
-
-def test_several_options_at_once(own: Path, run: Run) -> None:
+def test_several_options_at_once(own_map: Path, run: Run) -> None:
     said = run(
-        "edit", own, "--rename", "0", "Ann's lab", "--kind", "0", "hall",
+        "edit", own_map, "--rename", "0", "Ann's lab", "--kind", "0", "hall",
         "--set-property", "0", "floor=2", "--set-property", "0", "to=west wing",
         "--set-property", "0", "heated=true", "--json",
     )  # fmt: skip
     assert said.code == 0
-    node = read_map(own).record.nodes[0]
+    node = read_map(own_map).record.nodes[0]
     assert (node.name, node.kind) == ("Ann's lab", "hall")
     assert node.properties == {"floor": 2, "to": "west wing", "heated": True}
     told = json.loads(said.out)
     assert told["submaps"][0] == {"id": 0, "name": "Ann's lab"}
-    assert (told["remade"], told["unapplied"], told["out"]) == (False, [], str(own))
-    assert run("edit", own, "--set-property", "0", "to=", "-q").code == 0
-    assert read_map(own).record.nodes[0].properties == {"floor": 2, "heated": True}
+    assert (told["remade"], told["unapplied"], told["out"]) == (False, [], str(own_map))
+    assert run("edit", own_map, "--set-property", "0", "to=", "-q").code == 0
+    assert read_map(own_map).record.nodes[0].properties == {"floor": 2, "heated": True}
 
 
-def test_another_directory_may_be_written(own: Path, tmp_path: Path, run: Run) -> None:
-    before = (own / "topology.json").read_bytes()
-    line = ("edit", own, "--rename", "0", "Lab", "-o", tmp_path / "new")
+def test_another_directory_may_be_written(own_map: Path, tmp_path: Path, run: Run) -> None:
+    before = (own_map / "topology.json").read_bytes()
+    line = ("edit", own_map, "--rename", "0", "Lab", "-o", tmp_path / "new")
     assert run(*line).code == 0
-    assert (own / "topology.json").read_bytes() == before
+    assert (own_map / "topology.json").read_bytes() == before
     assert read_map(tmp_path / "new").names == {0: "Lab"}
     assert "use --overwrite to replace it" in run(*line).error
     assert run(*line, "--overwrite").code == 0
-    assert run("edit", own, "--rename", "0", "Lab", "-o", own).code == 0
-    assert read_map(own).names == {0: "Lab"}
-    assert "is inside the map" in run("edit", own, "-o", own / "new").error
-    assert "would replace the input" in run("edit", own, "-o", tmp_path).error
+    assert run("edit", own_map, "--rename", "0", "Lab", "-o", own_map).code == 0
+    assert read_map(own_map).names == {0: "Lab"}
+    assert "is inside the map" in run("edit", own_map, "-o", own_map / "new").error
+    assert "would replace the input" in run("edit", own_map, "-o", tmp_path).error
 
 
 def test_names_are_in_the_table_of_localize(
-    own: Path, tiny_log: Path, tmp_path: Path, run: Run
+    own_map: Path, tiny_log: Path, tmp_path: Path, run: Run
 ) -> None:
-    assert run("edit", own, "--rename", "0", 'the "lab", west').code == 0
-    assert run("localize", tiny_log, "--map", own, "-o", tmp_path / "labels.csv").code == 0
+    assert run("edit", own_map, "--rename", "0", 'the "lab", west').code == 0
+    assert run("localize", tiny_log, "--map", own_map, "-o", tmp_path / "labels.csv").code == 0
     assert ',0,"the ""lab"", west",' in (tmp_path / "labels.csv").read_text(encoding="utf-8")
 
 
@@ -81,18 +74,18 @@ def test_names_are_in_the_table_of_localize(
     ],
 )
 def test_what_cannot_be_is_one_line_and_changes_nothing(
-    options: list[str], complaint: str, own: Path, run: Run
+    options: list[str], complaint: str, own_map: Path, run: Run
 ) -> None:
-    before = (own / "topology.json").read_bytes()
-    said = run("edit", own, *options, "-q")
+    before = (own_map / "topology.json").read_bytes()
+    said = run("edit", own_map, *options, "-q")
     assert said.code == 2
     assert complaint in said.error
-    assert (own / "topology.json").read_bytes() == before
-    assert not (own / "edits.toml").exists()
+    assert (own_map / "topology.json").read_bytes() == before
+    assert not (own_map / "edits.toml").exists()
 
 
-def test_a_broken_file_is_one_line(own: Path, run: Run) -> None:
-    (own / "edits.toml").write_text('[submaps.0]\nname = "Lab\n', encoding="utf-8")
-    said = run("edit", own)
+def test_a_broken_file_is_one_line(own_map: Path, run: Run) -> None:
+    (own_map / "edits.toml").write_text('[submaps.0]\nname = "Lab\n', encoding="utf-8")
+    said = run("edit", own_map)
     assert said.code == 3
     assert "edits.toml: not valid TOML: Illegal character '\\n' (at line 2," in said.error

@@ -8,8 +8,8 @@ from pathlib import Path
 import networkx as nx
 import pytest
 
-from specmap_cli.cli import main
 from specmap_cli.maps.writing import MapResult, write_map
+from tests.cli.conftest import Run
 
 
 @pytest.fixture
@@ -21,17 +21,17 @@ def house(tmp_path: Path, result: MapResult) -> Path:
     return out
 
 
-def test_a_map_becomes_a_graph(house: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_map_becomes_a_graph(house: Path, run: Run) -> None:
     target = house.parent / "house.graphml"
-    assert main(["export", str(house), "--format", "graphml", "-o", str(target)]) == 0
-    assert capsys.readouterr().out == f"{target}: GraphML: the graph, for yEd, Gephi and networkx\n"
+    said = run("export", house, "--format", "graphml", "-o", target)
+    assert said.out == f"{target}: GraphML: the graph, for yEd, Gephi and networkx\n"
     assert len(nx.read_graphml(target)) == 3
 
 
-def test_the_result_for_a_machine(house: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_result_for_a_machine(house: Path, run: Run) -> None:
     target = house.parent / "house.geojson"
-    assert main(["export", str(house), "-f", "geojson", "-o", str(target), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {
+    said = run("export", house, "-f", "geojson", "-o", target, "--json")
+    assert json.loads(said.out) == {
         "schema_version": 1,
         "map": str(house),
         "out": str(target),
@@ -42,27 +42,23 @@ def test_the_result_for_a_machine(house: Path, capsys: pytest.CaptureFixture[str
     }
 
 
-def test_a_map_of_schema_1_is_exported_with_a_word(
-    house: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_map_of_schema_1_is_exported_with_a_word(house: Path, run: Run) -> None:
     old = Path(__file__).parents[1] / "maps" / "topology_1.json"
     (house / "topology.json").write_bytes(old.read_bytes())
     target = house.parent / "house.graphml"
-    assert main(["export", str(house), "--format", "graphml", "-o", str(target)]) == 0
+    said = run("export", house, "--format", "graphml", "-o", target)
     assert len(nx.read_graphml(target)) == 3
-    (line,) = capsys.readouterr().err.splitlines()
+    (line,) = said.err.splitlines()
     assert line.startswith(f"specmap: {house}: a map of an earlier version (schema 1)")
 
 
-def test_what_a_killed_run_left_is_removed_and_told(
-    house: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_a_killed_run_left_is_removed_and_told(house: Path, run: Run) -> None:
     target = house.parent / "house.graphml"
     left = house.parent / ".house.graphml.partial-12"
     left.write_text("<graphml")
-    assert main(["export", str(house), "--format", "graphml", "-o", str(target)]) == 0
+    said = run("export", house, "--format", "graphml", "-o", target)
     assert not left.exists()
-    assert capsys.readouterr().err == (
+    assert said.err == (
         f"specmap: {target}: an earlier run was killed: removed {left.name}, "
         "which it had begun to write\n"
     )
@@ -82,36 +78,31 @@ def test_what_cannot_be_exported_is_one_line(
     code: int,
     words: str,
     house: Path,
-    capsys: pytest.CaptureFixture[str],
+    run: Run,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(house.parent)
     before = sorted(house.parent.rglob("*"))
-    assert main(["export", "house", *arguments]) == code
-    told = capsys.readouterr().err
-    assert words in told
-    assert told.count("\n") == 1
+    said = run("export", "house", *arguments)
+    assert (said.code, said.err.count("\n")) == (code, 1)
+    assert words in said.error
     assert sorted(house.parent.rglob("*")) == before
 
 
-def test_a_place_without_a_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["export", str(tmp_path), "-f", "graphml", "-o", str(tmp_path / "x")]) == 3
-    assert "no topology.json in it" in capsys.readouterr().err
+def test_a_place_without_a_map(tmp_path: Path, run: Run) -> None:
+    said = run("export", tmp_path, "-f", "graphml", "-o", tmp_path / "x")
+    assert (said.code, "no topology.json in it" in said.error) == (3, True)
 
 
-def test_a_map_without_ways_is_no_graph_for_a_robot(
-    house: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_map_without_ways_is_no_graph_for_a_robot(house: Path, run: Run) -> None:
     target = house.parent / "house.geojson"
-    assert main(["export", str(house), "--format", "nav2", "-o", str(target)]) == 3
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"specmap: error: {house}: nothing to plan a route with: ")
+    said = run("export", house, "--format", "nav2", "-o", target)
+    assert said.code == 3
+    assert said.error.startswith(f"{house}: nothing to plan a route with: ")
     assert not target.exists()
 
 
-def test_warnings_are_told_and_stand_in_the_result(
-    house: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_warnings_are_told_and_stand_in_the_result(house: Path, run: Run) -> None:
     topology = house / "topology.json"
     record = json.loads(topology.read_text())
     for node in record["nodes"][:2]:
@@ -121,8 +112,7 @@ def test_warnings_are_told_and_stand_in_the_result(
     record["graph"]["robot_radius_m"] = 0.2
     topology.write_text(json.dumps(record))
     target = house.parent / "house.geojson"
-    assert main(["export", str(house), "-f", "nav2", "-o", str(target), "--json"]) == 0
-    shown = capsys.readouterr()
+    shown = run("export", house, "-f", "nav2", "-o", target, "--json")
     result = json.loads(shown.out)
     assert result["warnings"] == [
         "no place to stand in submap 2: left out",

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import pytest
 import typer
 
 from specmap_cli.cli.app import app
-from specmap_cli.cli.options import LogSettings, Settings, unfolded
+from specmap_cli.cli.options import LogSettings, Settings
 from specmap_cli.core.errors import UsageError
 from tests.cli.conftest import QUICK, Run, standing_log
 
@@ -304,54 +303,3 @@ class TestWhatTheFlagsStandFor:
     def test_what_is_no_assignment_is_refused_before_the_work(self) -> None:
         with pytest.raises(UsageError, match=r"^--set seed: expected KEY=VALUE"):
             Settings(assignments=["seed"]).load()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Drink:
-    """A group of options, as a command would take it."""
-
-    name: Annotated[str, typer.Option("--drink", "-d")]
-    cold: Annotated[bool, typer.Option("--cold")] = False
-
-
-class TestGroups:
-    """A parameter that is a group of options becomes those options."""
-
-    @staticmethod
-    def served(*arguments: str) -> list[tuple[str, Drink, int]]:
-        """What a command with a group was called with."""
-        orders = []
-
-        def order(guest: str, drink: Drink, glasses: int = 1) -> None:
-            """Serve a guest."""
-            orders.append((guest, drink, glasses))
-
-        bar = typer.Typer()
-        bar.command()(unfolded(order))
-        bar(args=arguments, standalone_mode=False)
-        return orders
-
-    def test_the_command_gets_the_group(self) -> None:
-        assert self.served("Ada", "-d", "tea", "--cold", "--glasses", "2") == [
-            ("Ada", Drink(name="tea", cold=True), 2)
-        ]
-
-    def test_what_is_not_given_is_the_default(self) -> None:
-        assert self.served("Ada", "--drink", "tea") == [("Ada", Drink(name="tea"), 1)]
-
-    def test_a_field_without_a_default_is_required(self) -> None:
-        with pytest.raises(typer.BadParameter, match="name"):
-            self.served("Ada")
-
-    def test_two_options_of_one_name_are_refused(self) -> None:
-        def order(name: str, drink: Drink) -> None:
-            """Cannot be: both have a `name`."""
-
-        with pytest.raises(ValueError, match="duplicate parameter name: 'name'"):
-            unfolded(order)
-
-    def test_name_and_help_are_the_command_s(self) -> None:
-        def order(drink: Drink) -> None:
-            """Serve a guest."""
-
-        assert (unfolded(order).__name__, unfolded(order).__doc__) == ("order", "Serve a guest.")

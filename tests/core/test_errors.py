@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import inspect
+import os
 import pickle
 import re
 from pathlib import Path
@@ -10,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from specmap_cli.core import errors
+from specmap_cli.core.errors import is_of_the_machine, is_of_the_place, reason
 
 ROOT = Path(__file__).parents[2]
 
@@ -61,29 +64,72 @@ def test_every_code_is_given_somewhere() -> None:
 
 
 @pytest.mark.parametrize(
-    ("message", "where", "hint"),
+    ("error", "line"),
     [
-        ("a.mcap: no such file or directory", "a.mcap", None),
-        ("my log.mcap: the file is empty", "my log.mcap", None),
-        ("/a b/c: is a directory: name the file to write", "/a b/c", "name the file to write"),
-        ("--set seed: expected KEY=VALUE", "--set seed", "expected KEY=VALUE"),
-        ("a/map: not empty: use --overwrite, or another", "a/map", "use --overwrite, or another"),
-        ("a.png: No space left on device; free some space", "a.png", "free some space"),
-        ("no free space in the map: check the resolution", None, "check the resolution"),
-        ("unknown preset 'x': choose from default, paper", None, "choose from default, paper"),
-        ("the process that worked ahead was killed", None, None),
-        ("", None, None),
+        (
+            errors.LogError("the file is empty", where=Path("a b.mcap")),
+            "a b.mcap: the file is empty",
+        ),
+        (
+            errors.UsageError("is a directory", "name the file to write", where="a"),
+            "a: is a directory: name the file to write",
+        ),
+        (
+            errors.UsageError("exists already;", "use --overwrite", where="a"),
+            "a: exists already; use --overwrite",
+        ),
+        (
+            errors.NoResultError("no free space", "check the scale"),
+            "no free space: check the scale",
+        ),
+        (errors.SpecmapError(), ""),
     ],
 )
-def test_the_parts_of_a_message(message: str, where: str | None, hint: str | None) -> None:
-    error = errors.SpecmapError(message)
-    assert (error.where, error.hint) == (where, hint)
-    given = errors.UsageError(message, where="here", hint="do")
-    assert (str(given), given.where, given.hint) == (message, "here", "do")
+def test_the_line_is_made_of_the_parts(error: errors.SpecmapError, line: str) -> None:
+    assert str(error) == line
+    assert error.where in (None, "a b.mcap", "a")
 
 
-def test_an_error_keeps_its_code_on_the_way_to_another_process() -> None:
-    gone = errors.LogError("gone", code=errors.LOG_MISSING, where="a.mcap", hint="copy it")
+def test_an_error_of_the_system_says_what_helps() -> None:
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    error = errors.UsageError.of_system(full, "cannot be written", "go", where="out")
+    assert str(error) == ("out: cannot be written: No space left on device; free some space, or go")
+    assert (error.where, error.hint) == ("out", "free some space, or go")
+
+
+def test_an_error_keeps_its_parts_on_the_way_to_another_process() -> None:
+    gone = errors.LogError("gone", "copy it", code=errors.LOG_MISSING, where="a.mcap")
     error = pickle.loads(pickle.dumps(gone))
-    assert (str(error), error.code) == ("gone", "log-missing")
+    assert (str(error), error.code) == ("a.mcap: gone: copy it", "log-missing")
     assert (error.where, error.hint) == ("a.mcap", "copy it")
+
+
+@pytest.mark.parametrize(
+    ("number", "hint"),
+    [
+        (errno.ENOSPC, "free some space, or go"),
+        (errno.EDQUOT, "your quota is used up: remove some files, or go"),
+        (errno.EROFS, "go"),
+        (errno.EFBIG, "see `ulimit -f`, or go"),
+        (errno.EIO, "the disk fails: check it, or go"),
+        (errno.EMFILE, "give fewer files at once, or raise the limit with `ulimit -n`"),
+        (errno.ENFILE, "this machine has too many of them open: end other programs"),
+        (errno.ENOMEM, "end other programs, or give less at once"),
+        (errno.EACCES, "go"),
+    ],
+)
+def test_each_has_its_own_advice(number: int, hint: str) -> None:
+    assert reason(OSError(number, os.strerror(number)), "go") == (os.strerror(number), hint)
+
+
+def test_without_advice_only_what_helps_anywhere_is_said() -> None:
+    assert reason(OSError(errno.EIO, os.strerror(errno.EIO))) == ("Input/output error", "")
+    assert "ulimit -n" in reason(OSError(errno.EMFILE, os.strerror(errno.EMFILE)))[1]
+    assert reason(OSError("no number")) == ("no number", "")
+
+
+def test_an_error_of_our_own_keeps_its_words() -> None:
+    error = OSError(errno.EFBIG, "larger than 5 MB")
+    assert not is_of_the_place(error)
+    assert not is_of_the_machine(error)
+    assert reason(error, "build the map again") == ("larger than 5 MB", "build the map again")

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 
-import networkx as nx
 import numpy as np
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert
 from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.path_graph import Draft, Graph
 from specmap_cli.layout.pose_graph import Link, LinkKind
-from specmap_cli.layout.relaxation import Constraint
 from tests.casting import ranges_at
+from tests.turning import turned
+
+CONFIG = RelaxationConfig()
+Drive = tuple[FloatArray, list[PlanarScan]]  # true poses, and the scans taken there
+Laps = tuple[KeyframeStore, Graph]
+SECOND_LAP = 480  # keyframe with which it begins
 
 STIFF = np.diag([1 / 0.04**2, 1 / 0.04**2, 1 / 0.01**2])
 SOFT = np.diag([1 / 0.05**2, 1 / 0.05**2, 1 / 0.03**2])
@@ -115,11 +121,6 @@ def between(poses: FloatArray, source: int, target: int) -> Pose2:
     return Pose2(*compose(invert(poses[source]), poses[target]).tolist())
 
 
-def true_constraint(truth: FloatArray, source: int, target: int) -> Constraint:
-    """What a right closure between two keyframes says."""
-    return Constraint(source, target, between(truth, source, target), STIFF)
-
-
 def link(
     source: int,
     target: int,
@@ -151,20 +152,12 @@ def true_link(
 def graph_by_hand(tracked: FloatArray, breaks: Iterable[int] = (), every: int = 1) -> Graph:
     """The graph of tracked poses (n, 3), each `every`-th a node; motions are as tracked."""
     nodes = np.arange(0, len(tracked), every)
-    fresh = np.isin(nodes, list(breaks))
-    steps = np.hypot(*np.diff(tracked[nodes, :2], axis=0).T)
+    fresh = np.isin(nodes[1:], list(breaks))
     odometry = tuple(
         true_link(tracked, int(a), int(b), "loose" if lost else "odometry", SOFT)
-        for a, b, lost in zip(nodes[:-1], nodes[1:], fresh[1:], strict=True)
+        for a, b, lost in zip(nodes[:-1], nodes[1:], fresh, strict=True)
     )
-    return Graph(
-        nodes=nodes,
-        row={number: row for row, number in enumerate(nodes.tolist())},
-        tracked=tracked,
-        parts=np.cumsum(fresh),
-        path=np.concatenate([[0.0], np.cumsum(np.where(fresh[1:], 12.0, steps))]),
-        odometry=odometry,
-    )
+    return Graph.of(tracked, nodes, odometry)
 
 
 def as_tracked(graph: Graph, *loops: Link) -> Draft:
@@ -172,11 +165,25 @@ def as_tracked(graph: Graph, *loops: Link) -> Draft:
     return Draft(poses=graph.poses, loops=loops, tied=frozenset(graph.part_numbers))
 
 
-def network_of(links: Iterable[Link]) -> nx.Graph:
-    """The graph of networkx with the lengths of links, the shortest of parallel ones."""
-    network = nx.Graph()
-    for edge in links:
-        a, b, length = edge.source, edge.target, max(edge.source_from_target.distance, 1e-3)
-        if not network.has_edge(a, b) or network[a][b]["weight"] > length:
-            network.add_edge(a, b, weight=length)
-    return network
+def missed(truth: Pose2, found: Pose2) -> tuple[float, float]:
+    """How far a pose is from the truth, metres and radians."""
+    off = truth.inverse() @ found
+    return off.distance, abs(off.theta)
+
+
+def arc(count: int, turn: float = 0.05) -> FloatArray:
+    """Poses half a metre apart along a wide arc."""
+    poses = np.zeros((count, 3))
+    for k in range(1, count):
+        poses[k] = compose(poses[k - 1], np.array([0.5, 0.0, turn]))
+    return poses
+
+
+@contextmanager
+def closures_alone() -> Iterator[None]:
+    """No pass mends what closures do."""
+    with (
+        turned("layout.passes", LOOPS_PER_NODE=0, _WIDE_EVERY_M=1e9),
+        turned("layout.parts", PART_TRIES=0),
+    ):
+        yield

@@ -1,3 +1,5 @@
+"""Passes that contradict each other: found, brought together where they can be, and counted."""
+
 from __future__ import annotations
 
 from collections.abc import Iterator
@@ -7,20 +9,41 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose
-from specmap_cli.core.records import PlanarScan
+from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.audit import _PASS_M, _WALL_M, Audit, Disagreement, audit, passes_of
-from tests.layout.driving import stored
+from specmap_cli.layout.audit import (
+    _PASS_M,
+    _WALL_M,
+    Audit,
+    Disagreement,
+    audit,
+    passes_of,
+    repaired,
+)
+from specmap_cli.layout.contradictions import Agreement, Views
+from specmap_cli.layout.path_graph import LOOP_PATH_M, Graph, graph_of
+from specmap_cli.layout.relaxation import relax
+from specmap_cli.layout.result import Layout
+from tests.layout.driving import (
+    CONFIG,
+    SECOND_LAP,
+    Drive,
+    Laps,
+    closures_alone,
+    drifted,
+    stored,
+    worst,
+)
+from tests.turning import turned
 
-Drive = tuple[FloatArray, list[PlanarScan]]
-SECOND_LAP = 480
+True_ = tuple[KeyframeStore, FloatArray]
+Bent = tuple[KeyframeStore, Layout]
 
 
-@pytest.fixture(scope="module")
-def truth(drive: Drive) -> Iterator[tuple[KeyframeStore, FloatArray]]:
-    poses, scans = drive
-    with stored(poses, scans) as store:
-        yield store, poses
+@pytest.fixture
+def true(perfect: Laps) -> True_:
+    """The drive as it was."""
+    return perfect[0], perfect[0].poses
 
 
 def second_lap_moved(poses: FloatArray, motion: Pose2) -> FloatArray:
@@ -30,24 +53,32 @@ def second_lap_moved(poses: FloatArray, motion: Pose2) -> FloatArray:
     return moved
 
 
-def test_a_right_layout_has_no_disagreement(truth: tuple[KeyframeStore, FloatArray]) -> None:
-    store, poses = truth
+@pytest.fixture(scope="module")
+def bent(drive: Drive) -> Iterator[Bent]:
+    """The drive with a turn that goes on, and its layout without any nearby pass."""
+    truth, scans = drive
+    with stored(drifted(truth), scans) as store:
+        with closures_alone():
+            layout = relax(store, [], {}, CONFIG)
+        yield store, layout
+
+
+def test_a_right_layout_has_no_disagreement_and_noise_of_centimetres_makes_none(
+    true: True_,
+) -> None:
+    store, poses = true
     found = audit(store, poses, [])
     assert found.compared >= 5
     assert found.disagreements == ()
-
-
-def test_noise_of_centimetres_is_none(truth: tuple[KeyframeStore, FloatArray]) -> None:
-    store, poses = truth
-    found = audit(store, second_lap_moved(poses, Pose2(0.05, -0.05, 0.005)), [])
-    assert found.disagreements == ()
+    noisy = second_lap_moved(poses, Pose2(0.05, -0.05, 0.005))
+    assert audit(store, noisy, []).disagreements == ()
 
 
 @pytest.mark.parametrize("away", [(0.4, 0.0), (0.0, -0.4), (1.0, 0.7), (-2.0, 0.3)])
 def test_walls_drawn_twice_are_found_with_their_distance(
-    truth: tuple[KeyframeStore, FloatArray], away: tuple[float, float]
+    true: True_, away: tuple[float, float]
 ) -> None:
-    store, poses = truth
+    store, poses = true
     found = audit(store, second_lap_moved(poses, Pose2(*away, 0.0)), [])
     assert found.disagreements
     known = [one for one in found.disagreements if one.offset is not None]
@@ -59,8 +90,8 @@ def test_walls_drawn_twice_are_found_with_their_distance(
         assert (one.offset.x, one.offset.y) == pytest.approx((-away[0], -away[1]), abs=0.3)
 
 
-def test_the_offset_leads_back(truth: tuple[KeyframeStore, FloatArray]) -> None:
-    store, poses = truth
+def test_the_offset_leads_back(true: True_) -> None:
+    store, poses = true
     bent = second_lap_moved(poses, Pose2(0.5, 0.3, 0.04))
     worst = max(
         (one for one in audit(store, bent, []).disagreements if one.offset is not None),
@@ -72,10 +103,10 @@ def test_the_offset_leads_back(truth: tuple[KeyframeStore, FloatArray]) -> None:
 
 
 def test_what_is_folded_over_another_place_fits_nowhere(
-    truth: tuple[KeyframeStore, FloatArray],
+    true: True_,
 ) -> None:
     """Another part of the building drawn over this one: no small motion mends that."""
-    store, poses = truth
+    store, poses = true
     turned = second_lap_moved(poses, Pose2(9.0, -2.0, np.pi / 2))
     found = audit(store, turned, [])
     assert found.disagreements
@@ -100,9 +131,9 @@ def test_a_chair_is_no_disagreement(drive: Drive) -> None:
 
 
 def test_passes_cut_the_whole_path_and_end_at_breaks(
-    truth: tuple[KeyframeStore, FloatArray],
+    true: True_,
 ) -> None:
-    store, poses = truth
+    store, poses = true
     passes = passes_of(store, poses, [SECOND_LAP])
     assert [one.first for one in passes][1:] == [one.last + 1 for one in passes][:-1]
     assert passes[0].first == 0
@@ -128,3 +159,147 @@ def test_distance_is_that_at_the_place_of_the_walls() -> None:
     )
     assert one.apart_m == pytest.approx(2 * 10.0 * np.sin(0.05))
     assert replace(one, offset=None).apart_m is None
+
+
+def test_walls_drawn_twice_are_brought_together(drive: Drive, bent: Bent) -> None:
+    truth, _ = drive
+    store, layout = bent
+    before = audit(store, layout.poses, [])
+    found = repaired(store, layout, [])
+    assert before.disagreements
+    assert worst(layout.poses, truth) > 1.5
+    assert worst(found.layout.poses, truth) < 0.4
+    assert found.audit.disagreements == ()
+    assert found.audit == audit(store, found.layout.poses, [])
+    repair = found.layout.repair
+    assert repair is not None
+    assert repair.walls_m == before.walls_m > 0.0
+    assert repair.moved_m > 1.0
+    assert repair.links == found.layout.kept
+    assert {link.kind for link in repair.links} == {"nearby"}
+    assert found.layout.agreement.share < 0.1 * layout.agreement.share
+    assert layout.repair is None, "the layout before is as it was"
+    assert np.array_equal(repaired(store, layout, []).layout.poses, found.layout.poses)
+
+
+def test_no_rounds_no_repair(bent: Bent) -> None:
+    store, layout = bent
+    with turned("layout.audit", _REPAIR_ROUNDS=0):
+        found = repaired(store, layout, [])
+    assert found.layout is layout
+    assert found.audit.disagreements
+
+
+def test_a_right_layout_is_left_as_it_is(store: KeyframeStore) -> None:
+    layout = relax(store, [], {}, CONFIG)
+    found = repaired(store, layout, [])
+    assert found.layout is layout
+    assert found.audit.disagreements == ()
+    tracked = relax(store, [], {}, RelaxationConfig(enabled=False))
+    found = repaired(store, tracked, [])
+    assert found.layout is tracked, "poses as tracked have no graph to mend"
+    assert found.audit.disagreements
+
+
+def test_another_building_is_not_bent_until_it_fits(drive: Drive) -> None:
+    """The second lap drawn over the first, turned: no small motion mends that."""
+    truth, scans = drive
+    second = SECOND_LAP
+    folded = second_lap_moved(truth, Pose2(9.0, -2.0, np.pi / 2))
+    with stored(folded, scans) as store, closures_alone():
+        layout = relax(store, [], {}, CONFIG)
+        found = repaired(store, layout, [])
+    assert found.audit.disagreements
+    assert worst(found.layout.poses[:second], truth[:second]) < 0.1
+    assert worst(found.layout.poses[second:], truth[second:]) < 0.1, "each lap keeps its form"
+
+
+def test_a_layout_as_tracked_that_is_mended_is_one_of_passes(
+    bent: Bent,
+) -> None:
+    store, layout = bent
+    refused = replace(layout, choice="tracked")
+    assert repaired(store, refused, []).layout.choice == "passes"
+
+
+@pytest.fixture(scope="module")
+def seen(perfect: Laps) -> tuple[Graph, Views]:
+    """The drive as it was, and what was seen."""
+    store = perfect[0]
+    graph = graph_of(store, [], {})
+    return graph, Views.of(store, graph)
+
+
+def moved_second_lap(graph: Graph, motion: tuple[float, float, float]) -> FloatArray:
+    """The nodes with the second lap somewhere else."""
+    poses = np.array(graph.poses)
+    second = graph.nodes >= SECOND_LAP
+    poses[second] = compose(np.array(motion), poses[second])
+    return poses
+
+
+def test_a_right_layout_agrees_and_hardly_anything_contradicts(seen: tuple[Graph, Views]) -> None:
+    graph, views = seen
+    right = views.agreement(graph.poses)
+    assert right.agree > 5000
+    assert right.contradict < 0.01 * right.agree
+
+
+@pytest.mark.parametrize("motion", [(0.0, 1.0, 0.0), (1.5, 0.0, 0.0), (0.0, 0.0, 0.1)])
+def test_a_pass_that_was_moved_contradicts(
+    seen: tuple[Graph, Views], motion: tuple[float, float, float]
+) -> None:
+    graph, views = seen
+    right = views.agreement(graph.poses)
+    wrong = views.agreement(moved_second_lap(graph, motion))
+    assert wrong.contradict > 0.02 * wrong.agree
+    assert wrong.agree < right.agree
+    assert wrong.is_worse_than(right)
+    assert not right.is_worse_than(wrong)
+    assert wrong.is_doubtful
+    assert not right.is_doubtful
+
+
+def test_the_frame_of_the_map_does_not_matter_and_passes_apart_say_nothing(
+    seen: tuple[Graph, Views],
+) -> None:
+    graph, views = seen
+    moved = compose(np.array([20.0, -7.0, 1.0]), graph.poses)
+    plain, other = views.agreement(graph.poses), views.agreement(moved)
+    assert other.agree == pytest.approx(plain.agree, rel=0.01)
+    apart = views.agreement(moved_second_lap(graph, (500.0, 0.0, 0.0)))
+    assert apart.agree < 0.1 * plain.agree
+
+
+def test_partners_are_near_and_of_another_pass(seen: tuple[Graph, Views]) -> None:
+    graph, views = seen
+    lasers = compose(graph.poses[views.rows], views.mounts)
+    older, newer = views.partners(lasers)
+    assert len(older) > 20
+    assert (views.way[newer] - views.way[older] > LOOP_PATH_M).all()
+    assert (np.hypot(*(lasers[older] - lasers[newer])[:, :2].T) < 4.0).all()
+    assert np.bincount(newer).max() <= 4
+
+
+@pytest.mark.parametrize(
+    ("now", "before", "worse"),
+    [
+        ((100, 60), (100, 0), True),
+        ((100, 20), (100, 0), False),  # a door that closed
+        ((10_000, 600), (100, 0), False),  # much more agrees
+        ((10_000, 1200), (100, 0), True),
+        ((100, 1000), (100, 1000), False),
+        ((2389, 258), (4347, 312), True),  # less agrees, and a larger share contradicts
+        ((2389, 30), (4347, 312), False),
+        ((0, 0), (5000, 10), False),  # what is apart contradicts nothing
+    ],
+)
+def test_what_is_worse(now: tuple[int, int], before: tuple[int, int], worse: bool) -> None:
+    assert Agreement(*now).is_worse_than(Agreement(*before)) is worse
+
+
+def test_a_robot_that_saw_nothing_contradicts_nothing(drive: Drive) -> None:
+    truth, scans = drive
+    with stored(drifted(truth)[:2], scans[:2]) as store:
+        graph = graph_of(store, [], {})
+        assert Views.of(store, graph).agreement(graph.poses) == Agreement(0, 0)

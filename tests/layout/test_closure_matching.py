@@ -1,4 +1,4 @@
-"""Closures told more precisely by the walls around the keyframes that they tie."""
+"""Closures told more precisely by the walls around their keyframes; scans laid on lines."""
 
 from __future__ import annotations
 
@@ -7,18 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
-from specmap_cli.core.settings import RelaxationConfig
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.closure_matching import Place, place_around, sharpened
-from specmap_cli.layout.motion_edges import MATCH_RANGE_M
-from specmap_cli.layout.path_graph import Graph
-from tests.layout.driving import between, scans_of
+from specmap_cli.layout.closure_matching import Place, on_lines, onto_lines, place_around, sharpened
+from specmap_cli.layout.path_graph import MATCH_RANGE_M
+from tests.layout.driving import SECOND_LAP, Laps, between, missed, scans_of
 
-CONFIG = RelaxationConfig()
-SECOND_LAP = 480
-Perfect = tuple[KeyframeStore, Graph]
+SPREAD = (0.15, 0.03)
+NOISE_M = 0.01
 
 
 def place(store: KeyframeStore, keyframe: int) -> Place:
@@ -34,7 +31,7 @@ def of_scan(points: FloatArray) -> Place:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_a_rough_closure_is_brought_to_the_truth(perfect: Perfect, seed: int) -> None:
+def test_a_rough_closure_is_brought_to_the_truth(perfect: Laps, seed: int) -> None:
     store, _ = perfect
     rng = np.random.default_rng(seed)
     new = SECOND_LAP + int(rng.integers(20, 220))
@@ -42,12 +39,12 @@ def test_a_rough_closure_is_brought_to_the_truth(perfect: Perfect, seed: int) ->
     truth = between(store.poses, old, new)
     guess = truth @ Pose2(*rng.uniform((-0.1, -0.1, -0.03), (0.1, 0.1, 0.03)).tolist())
     found = sharpened(place(store, old), place(store, new), guess)
-    missed = truth.inverse() @ found
-    assert missed.distance < 0.01
-    assert abs(missed.theta) < 0.002
+    away_m, off_rad = missed(truth, found)
+    assert away_m < 0.01
+    assert off_rad < 0.002
 
 
-def test_what_was_seen_the_other_way_round_is_tied_by_what_both_showed(perfect: Perfect) -> None:
+def test_what_was_seen_the_other_way_round_is_tied_by_what_both_showed(perfect: Laps) -> None:
     """Few of the walls that one pass shows are on the other one; those decide."""
     store, _ = perfect
     old, new = place(store, 30), place(store, SECOND_LAP + 48)
@@ -60,14 +57,14 @@ def test_what_was_seen_the_other_way_round_is_tied_by_what_both_showed(perfect: 
     assert abs(off.theta) < 0.004
 
 
-def test_where_the_walls_do_not_fit_the_guess_stays(perfect: Perfect) -> None:
+def test_where_the_walls_do_not_fit_the_guess_stays(perfect: Laps) -> None:
     store, _ = perfect
     guess = Pose2(0.3, -0.2, 0.1)
     assert sharpened(place(store, 25), place(store, 120), guess) == guess
     assert sharpened(place(store, 25), of_scan(np.zeros((3, 2))), guess) == guess
 
 
-def test_a_closure_does_not_leave_what_was_compared(perfect: Perfect) -> None:
+def test_a_closure_does_not_leave_what_was_compared(perfect: Laps) -> None:
     """Walls that fit better half a metre away are not those that the grids were matched by."""
     store, _ = perfect
     old, new = 30, SECOND_LAP + 30
@@ -92,7 +89,7 @@ def test_along_a_bare_corridor_nothing_is_made_up() -> None:
     assert abs(found.theta) < 0.006
 
 
-def test_a_place_is_what_was_seen_within_a_few_metres_of_path(perfect: Perfect) -> None:
+def test_a_place_is_what_was_seen_within_a_few_metres_of_path(perfect: Laps) -> None:
     """Of a path of 60 keyframes, 10 cm apart, those within 2.5 m, in the frame of the middle."""
     store, _ = perfect
     whole = place_around(store, range(60), 30)
@@ -106,7 +103,7 @@ def test_a_place_is_what_was_seen_within_a_few_metres_of_path(perfect: Perfect) 
 
 
 @pytest.mark.parametrize("own", [0, 7, 50])
-def test_of_a_place_a_few_scans_stand_for_all(perfect: Perfect, own: int) -> None:
+def test_of_a_place_a_few_scans_stand_for_all(perfect: Laps, own: int) -> None:
     store, _ = perfect
     whole = place_around(store, range(100, 151), own)
     few = whole.of_few(8)
@@ -114,3 +111,106 @@ def test_of_a_place_a_few_scans_stand_for_all(perfect: Perfect, own: int) -> Non
     np.testing.assert_allclose(few.poses[few.own], np.zeros(3), atol=1e-12)
     assert set(map(tuple, few.poses.tolist())) <= set(map(tuple, whole.poses.tolist()))
     assert len(few.scans[few.own]) <= len(whole.scans[whole.own])
+
+
+def outline(corners: FloatArray, every_m: float = 0.04) -> FloatArray:
+    """Points (N, 2) along the walls between corners, all round."""
+    walls = []
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        share = np.arange(0.0, 1.0, every_m / np.hypot(*(b - a)))[:, None]
+        walls.append(a + share * (b - a))
+    return np.concatenate(walls)
+
+
+ROOM = outline(np.array([[-3.0, -2.0], [3.0, -2.0], [3.0, 2.5], [0.5, 2.5], [0.5, 1.5], [-3, 1.5]]))
+
+
+def seen(rng: np.random.Generator, pose: FloatArray, half: bool = True) -> FloatArray:
+    """What a laser shows from a pose, in its frame: with noise, of the half before it."""
+    points = Pose2(*pose.tolist()).inverse().apply(ROOM)
+    points = points[points[:, 0] > 0.0] if half else points
+    points = points[rng.random(len(points)) < 0.5]
+    return points + rng.normal(0.0, NOISE_M, points.shape)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_scans_that_were_registered_roughly_are_laid_on_each_other(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    truth = rng.uniform((-1.0, -0.7, -3.0), (1.0, 0.7, 3.0), (12, 3))
+    truth[1:6, 2] = truth[0, 2] + rng.uniform(-0.5, 0.5, 5)
+    rough = compose(truth, rng.normal(0.0, (0.015, 0.015, 0.006), truth.shape))
+    found = on_lines([seen(rng, pose) for pose in truth], rough)
+    off = [
+        compose(invert(compose(invert(truth[0]), truth[1:])), compose(invert(p[0]), p[1:]))
+        for p in (rough, found)
+    ]
+    before, after = (np.median(np.abs(each), axis=0) for each in off)
+    assert (after < (0.004, 0.004, 0.002)).all()
+    assert (after < 0.5 * before).all()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_place_is_found_among_the_lines_of_another(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    truth = Pose2(*rng.uniform((-1.0, -1.0, -3.0), (1.0, 1.0, 3.0)).tolist())
+    source = seen(rng, np.array(truth), half=False)
+    guess = truth @ Pose2(*rng.uniform((-0.2, -0.2, -0.05), (0.2, 0.2, 0.05)).tolist())
+    fit = onto_lines(source, seen(rng, np.zeros(3), half=False), guess, SPREAD)
+    off = truth.inverse() @ fit.target_from_source
+    assert off.distance < 0.01
+    assert abs(off.theta) < 0.003
+    assert fit.share > 0.9
+    assert fit.points > 100
+
+
+def test_what_only_one_of_two_places_shows_does_not_count() -> None:
+    """Looks into one corner from two sides, and each shows a room that the other does not."""
+    rng = np.random.default_rng(3)
+    truth = Pose2(0.4, -0.3, 1.2)
+    source, target = seen(rng, np.array(truth)), seen(rng, np.zeros(3))
+    elsewhere = outline(np.array([[4.0, 0.0], [7.0, 0.0], [7.0, 3.0], [4.0, 3.0]]))
+    aside = truth.inverse().apply(elsewhere + (0.0, 40.0))
+    guess = truth @ Pose2(0.12, -0.1, 0.02)
+    alone = onto_lines(source, target, guess, SPREAD)
+    both = onto_lines(
+        np.concatenate([source, aside]), np.concatenate([target, elsewhere]), guess, SPREAD
+    )
+    np.testing.assert_allclose(both.target_from_source, alone.target_from_source, atol=1e-9)
+    assert both == alone
+    assert (truth.inverse() @ alone.target_from_source).distance < 0.01
+
+
+def test_what_was_moved_hardly_draws() -> None:
+    rng = np.random.default_rng(4)
+    source, target = (seen(rng, np.zeros(3), half=False) for _ in range(2))
+    table = outline(np.array([[-1.0, -1.0], [0.0, -1.0], [0.0, 0.0], [-1.0, 0.0]]))
+    fit = onto_lines(
+        np.concatenate([source, table + (0.1, 0.0)]),
+        np.concatenate([target, table]),
+        IDENTITY,
+        SPREAD,
+    )
+    assert fit.target_from_source.distance < 0.02
+    assert 0.6 < fit.share < 0.9
+
+
+def test_along_a_bare_wall_nothing_moves() -> None:
+    wall = outline(np.array([[-5.0, 1.0], [5.0, 1.0]]))
+    rng = np.random.default_rng(5)
+    scans = [wall + rng.normal(0.0, NOISE_M, wall.shape) for _ in range(3)]
+    rough = np.array([[0.0, 0.0, 0.0], [0.3, 0.04, 0.01], [0.6, -0.03, 0.0]])
+    placed = on_lines(scans, rough)
+    np.testing.assert_allclose(placed[:, 0], rough[:, 0], atol=0.01)
+    assert np.ptp(placed[:, 1]) < 0.01
+
+
+def test_without_lines_everything_stays() -> None:
+    nothing, few = np.zeros((0, 2)), np.array([[1.0, 0.0], [3.0, 2.0]])
+    poses = np.array([[0.0, 0.0, 0.0], [0.1, 0.2, 0.3]])
+    guess = Pose2(0.1, 0.2, 0.3)
+    for scan in (nothing, few):
+        np.testing.assert_array_equal(on_lines([scan, scan], poses), poses)
+        fit = onto_lines(scan, scan + (0.5, 5.0), guess, SPREAD)
+        assert fit.target_from_source == guess
+        assert fit.points == 0
+        assert fit.share == 0.0

@@ -15,7 +15,7 @@ from specmap_cli.core.records import PosedScan, Sweep
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.main_direction import along_walls, wall_direction
-from specmap_cli.layout.relaxation import Layout
+from specmap_cli.layout.result import Layout
 
 CONFIG = RelaxationConfig()
 

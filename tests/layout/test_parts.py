@@ -1,4 +1,4 @@
-"""Parts of the path moved to where links put them."""
+"""Parts of the path moved to where links put them, or looked for among all older walls."""
 
 from __future__ import annotations
 
@@ -9,32 +9,41 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray, compose, invert, wrap_angles
+from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.parts import (
-    agreed,
+    PartSearch,
     corrections,
     loose_starts,
+    most_voted,
     place_part,
     place_parts,
-    shifted,
+    rejoin,
 )
-from specmap_cli.layout.path_graph import Graph
-from tests.layout.driving import as_tracked, graph_by_hand, link, true_link
+from specmap_cli.layout.path_graph import NODE_M, Draft, Graph, graph_of
+from specmap_cli.layout.walls import Walls
+from tests.layout.driving import (
+    Laps,
+    arc,
+    between,
+    building,
+    graph_by_hand,
+    link,
+    missed,
+    round_trip,
+    scans_of,
+    stored,
+    true_link,
+    worst,
+)
 from tests.strategies import pose_arrays, seeds
+from tests.turning import turned
 
 AWAY = np.array([3.0, -2.0, 0.9])  # where the second part was put by a guess
 
 
-def line(count: int) -> FloatArray:
-    """True poses half a metre apart, on a gentle curve."""
-    poses = np.zeros((count, 3))
-    for k in range(1, count):
-        poses[k] = compose(poses[k - 1], np.array([0.5, 0.0, 0.05]))
-    return poses
-
-
 def kidnapped() -> tuple[FloatArray, Graph]:
     """True poses, and the graph of a robot that was lost at 20 and again at 40."""
-    truth = line(60)
+    truth = arc(60)
     tracked = np.array(truth)
     tracked[20:] = compose(AWAY, truth[20:])
     tracked[40:] = compose(AWAY, tracked[40:])
@@ -48,11 +57,11 @@ def test_a_correction_satisfies_its_link(poses: FloatArray, seed: int) -> None:
     there, back = link(1, 3, z.tolist()), link(3, 1, invert(z).tolist())
     motions = corrections(graph, poses, 1, [there, back])
     for motion in motions:
-        moved = shifted(poses, graph.parts, 1, motion)
+        moved = np.array(poses)
+        moved[2:] = compose(motion, poses[2:])
         gap = compose(invert(z), compose(invert(moved[1]), moved[3]))
         assert np.hypot(*gap[:2]) < 1e-6
         assert abs(wrap_angles(gap[2:])[0]) < 1e-9
-        assert np.array_equal(moved[:2], poses[:2]), "what is older stays"
 
 
 def test_only_links_from_a_part_to_older_ones_correct_it() -> None:
@@ -78,14 +87,9 @@ def test_votes_are_those_of_a_count_by_hand(
         sum(np.hypot(*(a - b)[:2]) <= 0.5 and abs(wrap_angles(a - b)[2]) <= 0.15 for b in placed)
         for a in placed
     ]
-    best = agreed(np.array(motions), np.array(centre))
-    assert best is not None
-    assert best[1] == max(votes)
-    assert np.array_equal(best[0], motions[votes.index(max(votes))]), "the first of equals"
-
-
-def test_without_a_motion_nothing_is_agreed() -> None:
-    assert agreed(np.zeros((0, 3)), np.zeros(2)) is None
+    motion, agreeing = most_voted(np.array(motions), np.array(centre))
+    assert agreeing == max(votes)
+    assert np.array_equal(motion, motions[votes.index(max(votes))]), "the first of equals"
 
 
 def test_parts_go_where_most_closures_put_them() -> None:
@@ -113,23 +117,18 @@ def test_a_part_takes_along_what_hangs_on_it_and_is_not_moved_without_votes() ->
 
 @given(st.lists(st.tuples(st.integers(0, 19), st.integers(0, 19)), max_size=8))
 def test_loose_parts_are_those_that_networkx_finds_apart(pairs: list[tuple[int, int]]) -> None:
-    graph = graph_by_hand(line(20), breaks=range(2, 20, 2))
+    graph = graph_by_hand(arc(20), breaks=range(2, 20, 2))
     pieces = nx.empty_graph(10)
     pieces.add_edges_from((a // 2, b // 2) for a, b in pairs)
     with_first = nx.node_connected_component(pieces, 0)
     loops = [link(a, b, (0.0, 0.0, 0.0)) for a, b in pairs]
     expected = tuple(2 * part for part in range(10) if part not in with_first)
     assert loose_starts(graph, loops) == expected
-
-
-@pytest.mark.parametrize("loops", [(), (link(0, 3, (0.0, 0.0, 0.0)),)])
-def test_a_path_in_one_part_is_never_loose(loops: tuple[()]) -> None:
-    graph = graph_by_hand(line(5))
-    assert loose_starts(graph, as_tracked(graph, *loops).loops) == ()
+    assert loose_starts(graph_by_hand(arc(20)), loops) == ()
 
 
 def test_the_guess_is_a_vote_where_a_closure_agrees_with_it() -> None:
-    truth = line(40)
+    truth = arc(40)
     graph = graph_by_hand(truth, breaks=(20,))
     (x, y, theta) = true_link(truth, 5, 30).source_from_target
     near, far = link(5, 30, (x + 0.2, y, theta)), link(5, 30, (x + 2.0, y, theta))
@@ -138,3 +137,78 @@ def test_the_guess_is_a_vote_where_a_closure_agrees_with_it() -> None:
     assert np.hypot(*(tied.poses - truth)[20:, :2].T) == pytest.approx(0.2)
     assert place_parts(graph, [far], 2).tied == {0}
     assert place_parts(graph, [], 1).tied == {0}, "the guess alone is none"
+
+
+def search_along(
+    store: KeyframeStore, graph: Graph, rows: list[int]
+) -> tuple[Draft, PartSearch | None]:
+    """The search for the part of some rows, one try at each, until it is found."""
+    draft, search = Draft(poses=graph.poses), None
+    walls = Walls(store, graph)
+    for row in rows:
+        draft, search = rejoin(row, graph, draft, walls, search)
+        if int(graph.parts[row]) in draft.tied:
+            break
+    return draft, search
+
+
+def test_a_part_is_moved_when_enough_finds_agree() -> None:
+    """The second lap was put metres away and turned; three places along it say where it belongs."""
+    truth = round_trip(1.25)[::2]
+    kidnapped = np.array(truth)
+    kidnapped[260:] = compose(np.array([3.0, -2.0, 0.9]), truth[260:])
+    with stored(kidnapped, scans_of(building(), truth)) as store:
+        graph = graph_of(store, [], {260: None})
+        rows = np.flatnonzero(graph.parts == 1).tolist()[::4]
+        draft, search = search_along(store, graph, rows)
+        with turned("layout.parts", _PART_VOTES=1):
+            hasty, first = search_along(store, graph, rows)
+    assert search is not None
+    assert draft.tied == {0, 1}
+    assert len(search.finds) == 3
+    assert draft.tries[1] >= 3
+    assert worst(draft.poses, truth[graph.nodes]) < 0.3
+    for find in search.finds:
+        assert missed(between(truth, find.source, find.target), find.source_from_target)[0] < 0.2
+    assert first is not None
+    assert hasty.tied == {0, 1}
+    assert len(first.finds) == 1
+
+
+def test_a_part_is_given_up_and_the_finds_of_another_part_do_not_count(perfect: Laps) -> None:
+    store, _ = perfect
+    graph = graph_of(store, [], {480: None, 600: None})
+    rows = np.flatnonzero(graph.parts >= 1).tolist()
+    first, second = ([row for row in rows if graph.parts[row] == part] for part in (1, 2))
+    with turned("layout.parts", PART_TRIES=2, _PART_VOTES=4):
+        draft, search = search_along(store, graph, [*first[8:24:4], *second[8:24:4]])
+    assert draft.tries == {1: 2, 2: 2}
+    assert search is not None
+    assert search.part == 2
+    assert len(search.finds) == 2, "two of each part, and none of the part before"
+    assert draft.tied == {0}
+    assert np.array_equal(draft.poses, graph.poses)
+    with turned("layout.parts", PART_TRIES=0):
+        never, nothing = search_along(store, graph, first[:4])
+    assert nothing is None
+    assert never.tries == {}
+
+
+def test_the_more_tries_fail_the_farther_apart_they_are(perfect: Laps) -> None:
+    store, _ = perfect
+    graph = graph_of(store, [], {480: None})
+    rows = np.flatnonzero(graph.parts == 1).tolist()
+    draft, search, at = Draft(poses=graph.poses), None, []
+    walls = Walls(store, graph)
+    for row in rows:
+        before = draft.tries.get(1, 0)
+        with (
+            turned("layout.path_graph", LOOP_EVERY_M=0.6),
+            turned("layout.parts", PART_TRIES=4, _PART_VOTES=9),
+        ):
+            draft, search = rejoin(row, graph, draft, walls, search)
+        if draft.tries[1] > before:
+            at.append(float(graph.path[row] - graph.path[rows[0]]))
+    due = [0.6 * tries * (1.0 + tries / 20) for tries in range(4)]
+    assert len(at) == 4
+    assert all(0.0 <= way - least <= NODE_M + 0.2 for way, least in zip(at, due, strict=True))

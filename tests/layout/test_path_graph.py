@@ -1,4 +1,4 @@
-"""The graph of the path: its nodes, its parts, and the way between them."""
+"""The graph of the path: its nodes, its parts, the way between them, and how far to trust it."""
 
 from __future__ import annotations
 
@@ -9,59 +9,56 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.core.geometry import FloatArray, compose
-from specmap_cli.core.settings import RelaxationConfig
+from specmap_cli.core.geometry import FloatArray, Pose2, compose
 from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.grids.matching import observability
 from specmap_cli.layout.path_graph import (
     _NODE_RAD,
+    _RANGE_NOISE_M,
     LOOP_PATH_M,
     NODE_M,
     Draft,
     chosen_nodes,
     graph_of,
+    guess_information,
+    motion_links,
+    rows_every,
+    step_information,
 )
 from tests.layout.driving import between
+from tests.strategies import angles, seeds
+from tests.turning import turned
 
-CONFIG = RelaxationConfig()
-
-
-def wander(seed: int, count: int) -> FloatArray:
-    """Poses of a robot that drives up to 0.2 m and turns up to 0.2 rad at a time."""
-    rng = np.random.default_rng(seed)
-    poses = np.zeros((count, 3))
-    for k in range(1, count):
-        step = [rng.uniform(0, 0.2), 0.0, rng.uniform(-0.2, 0.2)]
-        poses[k] = compose(poses[k - 1], np.array(step))
-    return poses
+NOTHING = np.zeros((0, 2))
 
 
-def test_nodes_are_a_step_apart_and_hold_what_must_be() -> None:
+def test_nodes_are_a_step_or_a_turn_apart_and_hold_what_must_be() -> None:
     poses = np.column_stack([np.arange(100) * 0.05, np.zeros(100), np.zeros(100)])
     nodes = chosen_nodes(poses, {17, 50}).tolist()
     assert {0, 17, 50, 99} <= set(nodes)
     assert np.diff(nodes).max() * 0.05 <= NODE_M + 0.05 + 1e-9
     assert len(nodes) < 25
-
-
-def test_a_turn_on_the_spot_has_nodes() -> None:
-    poses = np.column_stack([np.zeros(60), np.zeros(60), np.arange(60) * 0.1])
-    assert chosen_nodes(poses, ()).tolist() == [*range(0, 60, 3), 59]
+    on_the_spot = np.column_stack([np.zeros(60), np.zeros(60), np.arange(60) * 0.1])
+    assert chosen_nodes(on_the_spot, ()).tolist() == [*range(0, 60, 3), 59]
 
 
 @given(st.integers(0, 1000), st.integers(1, 60), st.sets(st.integers(0, 59), max_size=4))
 def test_every_keyframe_is_near_the_node_before_it(seed: int, count: int, always: set[int]) -> None:
-    poses = wander(seed, count)
+    rng, poses = np.random.default_rng(seed), np.zeros((count, 3))
+    for k in range(1, count):
+        step = [rng.uniform(0, 0.2), 0.0, rng.uniform(-0.2, 0.2)]
+        poses[k] = compose(poses[k - 1], np.array(step))
     nodes = chosen_nodes(poses, always).tolist()
     assert nodes == sorted(set(nodes))
     assert {0, count - 1} | {k for k in always if k < count} <= set(nodes)
     for k in set(range(count)) - set(nodes):
-        step = between(poses, max(node for node in nodes if node < k), k)
-        assert step.distance < NODE_M
-        assert abs(step.theta) < _NODE_RAD
+        motion = between(poses, max(node for node in nodes if node < k), k)
+        assert motion.distance < NODE_M
+        assert abs(motion.theta) < _NODE_RAD
 
 
 def test_parts_begin_at_breaks_and_the_path_jumps_there(store: KeyframeStore) -> None:
-    graph = graph_of(store, [33], [0, 200, 450])
+    graph = graph_of(store, [33], {0: None, 200: None, 450: None})
     assert {33, 200, 450} <= set(graph.nodes.tolist())
     assert graph.part_numbers == range(3)
     starts = [graph.nodes[graph.parts == part][0] for part in graph.part_numbers]
@@ -72,30 +69,136 @@ def test_parts_begin_at_breaks_and_the_path_jumps_there(store: KeyframeStore) ->
     driven = np.hypot(*np.diff(store.poses[graph.nodes, :2], axis=0).T)
     assert np.allclose(np.delete(steps, over), np.delete(driven, over))
     assert graph.path[0] == 0.0
-    assert [edge.kind == "loose" for edge in graph.odometry] == [
-        bool(k in over) for k in range(len(graph.nodes) - 1)
-    ]
+    loose = [edge.kind == "loose" for edge in graph.odometry]
+    assert loose == [bool(k in over) for k in range(len(graph.nodes) - 1)]
+    assert graph.known_parts([200]) == {0, 2}
 
 
-def test_rows_lead_back_to_the_nodes(store: KeyframeStore) -> None:
-    graph = graph_of(store, [], [])
+def test_rows_lead_back_to_the_nodes_of_a_graph_that_nobody_can_change(
+    store: KeyframeStore,
+) -> None:
+    graph = graph_of(store, [], {})
     assert [graph.row[number] for number in graph.nodes.tolist()] == list(range(len(graph.nodes)))
     assert np.array_equal(graph.poses, store.poses[graph.nodes])
-    assert graph.part_numbers == range(1)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        graph.nodes = np.zeros(1, dtype=np.int64)  # type: ignore[misc]
 
 
 def test_limits_are_counted_in_another_draft() -> None:
     draft = Draft(poses=np.zeros((1, 3)))
     once = draft.counting("stray_cells", 1)
-    assert once.counting("stray_cells", 2).counting("stray_tries", 1).limits == {
-        "stray_cells": 3,
-        "stray_tries": 1,
-    }
+    more = once.counting("stray_cells", 2).counting("stray_tries", 1)
+    assert more.limits == {"stray_cells": 3, "stray_tries": 1}
     assert draft.counting("stray_cells", 0) is draft
     assert draft.limits == {}
 
 
-def test_nobody_can_poke_into_a_graph(store: KeyframeStore) -> None:
-    graph = graph_of(store, [], [])
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        graph.nodes = np.zeros(1, dtype=np.int64)  # type: ignore[misc]
+@given(st.lists(st.floats(0.0, 3.0), min_size=1, max_size=30), st.floats(0.1, 5.0))
+def test_rows_to_look_around_at_are_the_first_past_each_stretch(
+    steps: list[float], every_m: float
+) -> None:
+    path = np.cumsum(steps)
+    chosen = rows_every(path, every_m)
+    ways = [0.0, *path[chosen].tolist()]
+    assert (np.diff(ways) >= every_m).all()
+    for k in set(range(len(path))) - set(chosen):
+        last = max(way for way in ways if way <= path[k])
+        assert path[k] - last < every_m
+
+
+def spread_of(step: Pose2, points: FloatArray) -> FloatArray:
+    """Covariance of one motion that ends where these points are seen."""
+    fisher = observability(points, _RANGE_NOISE_M)[None]
+    return np.asarray(np.linalg.inv(step_information([step], fisher)[0]))
+
+
+def outline(seed: int) -> FloatArray:
+    """Points of a wobbly room in order of bearing, some too far apart for one surface."""
+    rng = np.random.default_rng(seed)
+    bearings = np.linspace(-np.pi, np.pi, 90, endpoint=False)
+    ranges = 2.0 + rng.uniform(0, 0.05, 90) + (rng.random(90) < 0.1)
+    return np.column_stack([ranges * np.cos(bearings), ranges * np.sin(bearings)])
+
+
+def by_loops(points: FloatArray, noise_m: float) -> FloatArray:
+    """The sum of J^T J / sigma^2, a point at a time."""
+    total = np.zeros((3, 3))
+    for before, (x, y), after in zip(points, points[1:], points[2:], strict=False):
+        dx, dy = after - before
+        length = np.hypot(dx, dy)
+        if 1e-6 < length < 0.6:
+            nx, ny = -dy / length, dx / length
+            row = np.array([nx, ny, x * ny - y * nx]) / noise_m
+            total += np.outer(row, row)
+    return total
+
+
+def test_a_bare_corridor_leaves_the_way_along_it_open() -> None:
+    x = np.linspace(-5, 5, 100)
+    sides = np.vstack([np.column_stack([x, x * 0 - 1]), np.column_stack([-x, x * 0 + 1])])
+    fisher = observability(sides, 0.1)
+    assert fisher[0, 0] < 1e-6 * fisher[1, 1]
+    sigma = np.sqrt(np.diag(spread_of(Pose2(0.3, 0, 0), sides)))
+    assert sigma[0] > 0.25
+    assert sigma[1] < 0.05
+    end = np.column_stack([x * 0 + 5, np.linspace(-1, 1, 100)])
+    assert np.sqrt(spread_of(Pose2(0.3, 0, 0), np.vstack([sides, end]))[0, 0]) < 0.05
+
+
+@given(seeds, st.floats(0.01, 0.5), angles)
+def test_what_walls_tell_is_the_sum_over_their_points_whichever_way_the_robot_looks(
+    seed: int, noise_m: float, angle: float
+) -> None:
+    points = outline(seed)
+    assert np.allclose(observability(points, noise_m), by_loops(points, noise_m))
+    turn = np.eye(3)
+    turn[:2, :2] = Pose2(0.0, 0.0, angle).rotation()
+    seen = observability(Pose2(0.0, 0.0, angle).apply(points), 0.1)
+    assert np.allclose(seen, turn @ observability(points, 0.1) @ turn.T, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        NOTHING,
+        np.array([[1.0, 0.0], [1.0, 0.1]]),
+        np.array([[1.0, 0.0], [1.0, 1.0], [1.0, 2.0]]),  # a metre apart
+        np.ones((5, 2)),  # no direction
+    ],
+)
+def test_too_few_or_scattered_points_tell_nothing(points: FloatArray) -> None:
+    assert np.array_equal(observability(points, 0.1), np.zeros((3, 3)))
+    guess = np.linalg.inv(guess_information())
+    least = np.diag([0.01**2, 0.01**2, 0.003**2])
+    assert np.allclose(spread_of(Pose2(0.0, 0.0, 0.0), points), guess + least)
+
+
+@given(st.floats(0, 5), st.floats(0, 5), st.floats(0, 3), st.floats(0, 3))
+def test_a_longer_motion_is_known_less_well(
+    short: float, more: float, turn: float, further: float
+) -> None:
+    near = spread_of(Pose2(short, 0.0, turn), outline(1))
+    far = spread_of(Pose2(short + more, 0.0, turn + further), outline(1))
+    assert (np.diag(far) >= np.diag(near) - 1e-12).all()
+    assert np.allclose(near, near.T)
+    assert (np.linalg.eigvalsh(near) > 0).all()
+
+
+def test_the_noise_of_a_motion_is_set() -> None:
+    noise = {"_STEP_SHARE": 0.3, "_TURN_SHARE": 0.2, "GUESS_M": 1e-6, "_GUESS_RAD": 1e-6}
+    with turned("layout.path_graph", **noise):
+        spread = spread_of(Pose2(2.0, 0.0, 0.5), NOTHING)
+    assert np.sqrt(np.diag(spread)) == pytest.approx([0.61, 0.61, 0.103], rel=1e-4)
+
+
+def test_each_node_is_linked_to_the_next_and_loosely_over_a_break(store: KeyframeStore) -> None:
+    nodes = np.array([0, 3, 7, 20])
+    links = motion_links(store, nodes, {7: None})
+    kinds = [(edge.source, edge.target, edge.kind) for edge in links]
+    assert kinds == [(0, 3, "odometry"), (3, 7, "loose"), (7, 20, "odometry")]
+    for edge in links:
+        expected = between(store.poses, edge.source, edge.target)
+        assert edge.source_from_target == pytest.approx(expected, abs=1e-12)
+    assert np.array_equal(links[1].information, guess_information())
+    assert links[0].information[0, 0] > 100 * links[1].information[0, 0]
+    assert motion_links(store, nodes[:1], {}) == ()

@@ -1,4 +1,4 @@
-"""Branch and bound against a search that tries every cell and angle."""
+"""Branch and bound against a search of every cell and angle; places among the walls of a map."""
 
 from __future__ import annotations
 
@@ -7,9 +7,14 @@ import pytest
 from hypothesis import given
 
 from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
+from specmap_cli.core.records import BoolArray
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.score_field import ScoreField
-from specmap_cli.layout.place_search import Pyramid, Wanted, best_places
-from tests.strategies import few, seeds
+from specmap_cli.layout.place_search import Guess, Pyramid, WallMap, Wanted, best_places
+from specmap_cli.layout.walls import Walls
+from tests.layout.driving import Laps, missed
+from tests.strategies import angles, few, seeds
+from tests.turning import turned
 
 ANGLES = np.arange(0.0, 2 * np.pi, 0.4)
 CELL_M = 0.25
@@ -46,8 +51,7 @@ def tried_everywhere(field: ScoreField, points: FloatArray) -> float:
 def test_the_best_score_is_that_of_trying_everything(seed: int) -> None:
     field, source = field_of(scatter(seed)), scatter(seed + 1, 12, 4.0)
     pyramid = Pyramid.of(field, 8.0)
-    found, cut_short = best_places(pyramid, source, pyramid.blocks(), ANGLES, ALL, 1)
-    assert not cut_short
+    found = best_places(pyramid, source, pyramid.blocks(), ANGLES, ALL, 1)
     assert found[0].score >= tried_everywhere(field, source) - 1e-12
 
 
@@ -68,7 +72,7 @@ def test_points_are_found_where_they_are_from(angle: float) -> None:
     source = walls[np.hypot(*(walls - (7.0, 7.0)).T) < 4.0]
     pyramid = Pyramid.of(field_of(pose.apply(walls)), 8.0)
     wanted = Wanted(least=0.5, lead=0.02, most=10**6)
-    found, _ = best_places(pyramid, source, pyramid.blocks(), ANGLES, wanted, 3)
+    found = best_places(pyramid, source, pyramid.blocks(), ANGLES, wanted, 3)
     gap = pose.inverse() @ found[0].pose
     middle = gap.apply(source.mean(axis=0)[None]) - source.mean(axis=0)
     assert np.hypot(*middle[0]) < 2 * CELL_M
@@ -76,15 +80,6 @@ def test_points_are_found_where_they_are_from(angle: float) -> None:
     scores = [match.score for match in found]
     assert scores == sorted(scores, reverse=True)
     assert min(scores) >= scores[0] - 0.02
-
-
-def test_a_search_that_follows_too_few_blocks_says_so() -> None:
-    field, source = field_of(scatter(5)), scatter(6, 12, 4.0)
-    pyramid = Pyramid.of(field, 8.0)
-    wanted = Wanted(least=0.0, lead=1.0, most=5)
-    found, cut_short = best_places(pyramid, source, pyramid.blocks(), ANGLES, wanted, 2)
-    assert cut_short
-    assert len(found) == 2
 
 
 @few(4)
@@ -95,7 +90,7 @@ def test_the_robot_stands_in_free_cells_alone(seed: int) -> None:
     height, width = field.values.shape
     free = np.random.default_rng(seed).random((height, width)) < 0.05
     pyramid = Pyramid.of(field, 8.0, free)
-    found, _ = best_places(pyramid, source, pyramid.blocks(), np.zeros(1), ALL, 1)
+    found = best_places(pyramid, source, pyramid.blocks(), np.zeros(1), ALL, 1)
     bytes_, middle = np.pad(np.round(field.values * 255).astype(int), 200), source.mean(axis=0)
     x, y = np.round((source - middle) / CELL_M).astype(int).T
     across, down = np.round(-middle / CELL_M).astype(int)
@@ -117,7 +112,7 @@ def test_of_two_rooms_alike_that_one_is_taken_where_the_robot_can_be() -> None:
     wanted = Wanted(least=0.5, lead=0.1, most=10**6)
     for allowed, places in ((free, {8}), (None, {0, 8}), (np.zeros_like(free), set())):
         pyramid = Pyramid.of(field, 8.0, allowed)
-        found, _ = best_places(pyramid, room, pyramid.blocks(), np.zeros(1), wanted, 5)
+        found = best_places(pyramid, room, pyramid.blocks(), np.zeros(1), wanted, 5)
         assert {round(match.pose.x) for match in found} == places
 
 
@@ -128,14 +123,109 @@ def test_a_robot_beyond_the_border_may_stand_anywhere() -> None:
     pyramid = Pyramid.of(field, 4.0, np.zeros(field.values.shape, dtype=bool))
     far = room + (60.0, 0.0)
     wanted = Wanted(least=0.5, lead=0.1, most=10**6)
-    found, _ = best_places(pyramid, far, pyramid.blocks(), np.zeros(1), wanted, 1)
+    found = best_places(pyramid, far, pyramid.blocks(), np.zeros(1), wanted, 1)
     assert found[0].pose.x == pytest.approx(-60.0, abs=CELL_M)
 
 
 def test_nothing_is_found_of_nothing() -> None:
     pyramid = Pyramid.of(field_of(scatter(5)), 8.0)
     blocks, none = pyramid.blocks(), np.zeros((0, 2))
-    assert best_places(pyramid, none, blocks, ANGLES, ALL, 1) == ([], False)
-    assert best_places(pyramid, scatter(1), blocks[:0], ANGLES, ALL, 1) == ([], False)
+    assert best_places(pyramid, none, blocks, ANGLES, ALL, 1) == []
+    assert best_places(pyramid, scatter(1), blocks[:0], ANGLES, ALL, 1) == []
     strict = Wanted(least=1.0, lead=0.0, most=10**6)
-    assert best_places(pyramid, scatter(1), blocks, ANGLES, strict, 1) == ([], False)
+    assert best_places(pyramid, scatter(1), blocks, ANGLES, strict, 1) == []
+
+
+@pytest.fixture(scope="module")
+def older(perfect: Laps, walls: Walls) -> WallMap:
+    """The walls of the first lap."""
+    graph = perfect[1]
+    return WallMap.of(walls.of_all(np.flatnonzero(graph.parts == 0).tolist(), graph.poses))
+
+
+@few(6)
+@given(angles)
+def test_a_place_is_found_at_any_angle(
+    perfect: Laps, walls: Walls, older: WallMap, turn: float
+) -> None:
+    graph = perfect[1]
+    row = int(np.argmax(graph.parts == 1)) + 20
+    source = walls.around(row, 8, graph.poses)
+    truth, turned = Pose2(*graph.poses[row].tolist()), Pose2(0.0, 0.0, turn)
+    fit = older.place_of(turned.inverse().apply(source))
+    assert fit is not None
+    away_m, off_rad = missed(truth, fit.target_from_source @ turned.inverse())
+    assert away_m < 0.1
+    assert off_rad < 0.03
+
+
+def rooms(*plans: tuple[int, int]) -> FloatArray:
+    """The walls of rectangular rooms side by side, each 5 m from the last, in cells of 5 cm."""
+    cells = np.full((160, 100 * len(plans) + 40), FREE, dtype=np.uint8)
+    for number, (width, height) in enumerate(plans):
+        left = 20 + 100 * number
+        cells[20 : 21 + height, [left, left + width]] = OCCUPIED
+        cells[[20, 20 + height], left : left + width + 1] = OCCUPIED
+        cells[20 : 30 + height // 4, left + width // 3] = OCCUPIED  # so that no turn fits
+    grid = GridMap(cells, 0.05)
+    return grid.centres_of(np.argwhere(grid.occupied))
+
+
+def test_what_fits_two_places_is_found_in_neither() -> None:
+    source = rooms((60, 90))
+    only = WallMap.of(rooms((60, 90), (80, 40))).place_of(source)
+    twice = WallMap.of(rooms((60, 90), (60, 90))).place_of(source)
+    assert only is not None
+    assert np.hypot(*only.target_from_source[:2]) < 0.1
+    assert twice is None
+
+
+def test_a_bare_corridor_is_no_place() -> None:
+    x = np.arange(0.0, 40.0, 0.05)
+    walls = np.vstack([np.column_stack([x, 0 * x]), np.column_stack([x, 0 * x + 2.0])])
+    older = WallMap.of(walls)
+    assert older.place_of(walls[np.abs(walls[:, 0] - 20.0) < 5.0]) is None
+
+
+def test_too_few_points_and_no_walls_are_no_place(older: WallMap) -> None:
+    few = np.column_stack([np.arange(0.0, 4.0, 0.25), np.zeros(16)])
+    assert older.place_of(few) is None
+    assert older.place_of(np.zeros((0, 2))) is None
+    nothing = WallMap.of(np.zeros((0, 2)))
+    assert nothing.place_of(rooms((60, 90))) is None
+
+
+@pytest.mark.parametrize(("cells", "coarsened"), [(512, False), (40, True)])
+def test_a_large_map_is_searched_coarser(older: WallMap, cells: int, coarsened: bool) -> None:
+    with turned("layout.place_search", _MAP_CELLS=cells):
+        limited = WallMap.of(older.points)
+    assert limited.coarsened is coarsened
+    side = np.sqrt(limited.field.values.size) * limited.field.resolution
+    assert limited.step_m == pytest.approx(max(0.3, side / cells))
+
+
+def test_no_place_is_taken_where_the_robot_would_stand_in_the_wall() -> None:
+    """Two rooms alike, one of them a drawing on a wall: nobody saw the space in it free."""
+    source = rooms((60, 90))
+    walls = rooms((60, 90), (60, 90))
+
+    def first_room(field: ScoreField) -> BoolArray:
+        columns = field.origin[0] + field.resolution * np.arange(field.values.shape[1])
+        return np.broadcast_to(columns < 4.5, field.values.shape)
+
+    middle = source - (2.5, 3.0)  # the robot stands amid them
+    assert WallMap.of(walls).place_of(middle) is None
+    found = WallMap.of(walls, first_room).place_of(middle)
+    assert found is not None
+    assert found.target_from_source[:2] == pytest.approx((2.5, 3.0), abs=0.1)
+
+
+def test_a_guess_reaches_along_its_error_and_turns_as_far() -> None:
+    guess = Guess(Pose2(10.0, 5.0, 0.5), np.diag([4.0, 0.01, 0.1**2]))
+    places = np.array([[15.0, 5.0], [10.0, 9.0], [18.0, 5.0], [10.0, 6.0]])
+    assert guess.reaches(places, np.zeros(2)).tolist() == [True, False, False, True]
+    angles = guess.angles(0.05)
+    assert angles.min() == pytest.approx(0.2, abs=0.051)
+    assert angles.max() == pytest.approx(0.8, abs=0.051)
+    unknown = Guess(Pose2(0.0, 0.0, 0.0), np.diag([1.0, 1.0, 100.0]))
+    assert np.ptp(unknown.angles(0.1)) == pytest.approx(2 * np.pi, abs=0.2)

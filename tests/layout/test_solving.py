@@ -1,4 +1,4 @@
-"""Drafts solved: outliers dropped, closures over any drift, steps that are limited."""
+"""Drafts solved: outliers dropped, closures over any drift, chains of motions taken for one."""
 
 from __future__ import annotations
 
@@ -10,29 +10,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray, compose, invert
-from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.layout.path_graph import Graph
 from specmap_cli.layout.pose_graph import Link, LinkArrays, solve
-from specmap_cli.layout.solving import _KERNEL_SIGMAS, renewed, settle, solved, tighten
-from tests.layout.driving import as_tracked, drifted, graph_by_hand, link, true_link
-from tests.strategies import few
+from specmap_cli.layout.solving import _KERNEL_SIGMAS, Condensed, settle, solved, tighten
+from tests.layout.driving import as_tracked, drifted, graph_by_hand, link, round_trip, true_link
+from tests.strategies import few, seeds
 from tests.turning import turned
 
-CONFIG = RelaxationConfig()
 LAP = 60
-
-
-def ring(laps: int = 2) -> FloatArray:
-    """True poses half a metre apart around a circle."""
-    truth = np.zeros((laps * LAP, 3))
-    for k in range(1, len(truth)):
-        truth[k] = compose(truth[k - 1], np.array([0.5, 0.0, 2 * np.pi / LAP]))
-    return truth
+WIDTHS = {"closure": 2.0, "nearby": 2.0, "loose": 2.0, "bridge": 2.0}
 
 
 def driven(bias: float = 0.002) -> tuple[FloatArray, Graph]:
-    """True poses, and the graph of a robot that turned a little too far at each step."""
-    truth = ring()
+    """True poses around a circle, two laps, and the graph of a robot that turned too far."""
+    truth = np.zeros((2 * LAP, 3))
+    for k in range(1, len(truth)):
+        truth[k] = compose(truth[k - 1], np.array([0.5, 0.0, 2 * np.pi / LAP]))
     return truth, graph_by_hand(drifted(truth, bias))
 
 
@@ -48,14 +41,16 @@ def off(poses: FloatArray, truth: FloatArray, every: int) -> float:
     return float(np.hypot(*(gaps - true)[:, :2].T).max())
 
 
-def test_loops_pull_the_laps_together() -> None:
+def test_loops_pull_the_laps_together_also_roughly() -> None:
     truth, graph = driven()
     draft = as_tracked(graph, *rightly(truth, 0, 15, 30, 45))
     assert off(draft.poses, truth, 15) > 0.4
-    after = solved(graph, draft)
+    after, rough = solved(graph, draft), solved(graph, draft, roughly=True)
     assert off(after.poses, truth, 15) < 0.04
     assert np.array_equal(draft.poses, graph.poses), "the draft before is as it was"
     assert after.loops == draft.loops
+    assert np.allclose(rough.poses, after.poses, atol=0.01)
+    assert rough.limits == {}
 
 
 @few(10)
@@ -65,8 +60,7 @@ def test_a_dropped_outlier_leaves_the_others_alone(at: int, away: float, turn: f
     right, wrong = rightly(truth, 0, 15, 30, 45), link(at, at + 50, (away, away, turn))
     with_wrong, dropped = settle(graph, as_tracked(graph, *right, wrong))
     without, none = settle(graph, as_tracked(graph, *right))
-    assert dropped == (wrong,)
-    assert none == ()
+    assert (dropped, none) == ((wrong,), ())
     assert with_wrong.loops == without.loops == right
     assert np.allclose(with_wrong.poses[:, :2], without.poses[:, :2], atol=0.02)
 
@@ -76,19 +70,19 @@ def test_what_is_dropped_is_told_in_order_and_motions_stay() -> None:
     right = rightly(truth, 0, 15, 30, 45)
     first, second = link(5, 70, (30.0, 0.0, 0.0)), link(9, 80, (0.0, -40.0, 0.0))
     draft, dropped = settle(graph, as_tracked(graph, first, *right, second))
-    assert dropped == (first, second)
-    assert draft.loops == right
+    assert (dropped, draft.loops) == ((first, second), right)
     alone, nothing = settle(graph, as_tracked(graph))
     assert nothing == ()
     assert np.allclose(alone.poses, graph.poses)
+    assert np.allclose(tighten(graph, as_tracked(graph)).poses, graph.poses)
 
 
 def test_what_counts_as_an_outlier_is_set() -> None:
     truth, graph = driven(bias=0.0)
     x, y, theta = true_link(truth, 0, LAP).source_from_target
-    doubtful = link(0, LAP, (x + 0.16, y, theta))  # four sigmas off
-    loops = (*rightly(truth, *range(20)), doubtful)
-    for limit, expected in ((25.0, ()), (4.0, (doubtful,))):
+    unlikely = link(0, LAP, (x + 0.16, y, theta))  # four sigmas off
+    loops = (*rightly(truth, *range(20)), unlikely)
+    for limit, expected in ((25.0, ()), (4.0, (unlikely,))):
         with turned("layout.solving", _OUTLIER_CHI2=limit):
             assert settle(graph, as_tracked(graph, *loops))[1] == expected
 
@@ -97,18 +91,12 @@ def test_closures_that_agree_win_over_any_drift() -> None:
     """Metres off, each of them is an outlier to begin with; together they outvote the wrong one."""
     truth, graph = driven(0.02)
     wrong = link(3, 100, (6.0, 5.0, 1.0), "closure")
-    right = rightly(truth, 0, 10, 20, 30, 40, 50)
-    start = as_tracked(graph, *right, wrong)
+    start = as_tracked(graph, *rightly(truth, 0, 10, 20, 30, 40, 50), wrong)
     assert off(start.poses, truth, 10) > 2.0
     assert len(settle(graph, start)[1]) == 7, "none is believed as it is"
     draft, dropped = settle(graph, tighten(graph, start))
     assert dropped == (wrong,)
     assert off(draft.poses, truth, 10) < 0.1
-
-
-def test_without_loops_there_is_nothing_to_tighten() -> None:
-    _, graph = driven()
-    assert np.allclose(tighten(graph, as_tracked(graph)).poses, graph.poses)
 
 
 def test_solutions_that_were_cut_short_are_counted() -> None:
@@ -122,9 +110,9 @@ def test_solutions_that_were_cut_short_are_counted() -> None:
 
 @few(8)
 @given(st.floats(-9, 9), st.floats(-9, 9), st.floats(-3, 3))
-def test_the_frame_of_the_map_does_not_matter(x: float, y: float, turn: float) -> None:
+def test_the_frame_of_the_map_does_not_matter_to_a_solution(x: float, y: float, t: float) -> None:
     truth, graph = driven()
-    motion = np.array([x, y, turn])
+    motion = np.array([x, y, t])
     loops = (*rightly(truth, 0, 20, 40), link(7, 95, (11.0, 0.0, 0.0)))
     moved = graph_by_hand(compose(motion, graph.tracked))
     plain, dropped = settle(graph, as_tracked(graph, *loops))
@@ -138,29 +126,89 @@ def test_what_follows_the_last_loop_goes_with_it(starts: tuple[int, ...]) -> Non
     """Only the rows before are solved; all rows solved at once lie the same."""
     truth, graph = driven()
     draft = as_tracked(graph, *rightly(truth, *starts))
-    widths = {"nearby": _KERNEL_SIGMAS}
-    links = LinkArrays.of((*graph.odometry, *draft.loops), graph.row, widths)
+    links = LinkArrays.of((*graph.odometry, *draft.loops), graph.row, {"nearby": _KERNEL_SIGMAS})
     whole = solve(draft.poses, links, 100)
     assert np.abs(whole.poses - draft.poses).max() > 0.05
-    after = solved(graph, draft)
-    assert np.allclose(after.poses, whole.poses, atol=1e-4)
+    assert np.allclose(solved(graph, draft).poses, whole.poses, atol=1e-4)
 
 
 def test_a_bent_end_is_straightened_again() -> None:
     """Its loop was dropped: nothing but the motions holds it."""
     truth, graph = driven()
-    (right,) = rightly(truth, 0)
+    straight = as_tracked(graph, *rightly(truth, 0))
     bent = graph.poses
     bent[100:] = compose(np.array([0.5, 0.2, 0.05]), bent[100:])
-    after = solved(graph, replace(as_tracked(graph, right), poses=bent))
-    straight = solved(graph, as_tracked(graph, right))
-    assert np.allclose(after.poses, straight.poses, atol=1e-4)
+    after = solved(graph, replace(straight, poses=bent))
+    assert np.allclose(after.poses, solved(graph, straight).poses, atol=1e-4)
 
 
-def test_a_rough_solution_is_near_the_fine_one() -> None:
-    truth, graph = driven()
-    draft = as_tracked(graph, *rightly(truth, 0, 15, 30, 45))
-    rough, fine = renewed(graph, draft), solved(graph, draft)
-    assert np.abs(fine.poses - draft.poses).max() > 0.2
-    assert np.allclose(rough.poses, fine.poses, atol=0.01)
-    assert rough.limits == {}
+def two_laps(loops: int, breaks: tuple[int, ...] = ()) -> tuple[FloatArray, LinkArrays]:
+    """A drive of two laps that drifted, and true links from the second lap to the first."""
+    truth = round_trip(2.0)
+    graph = graph_by_hand(drifted(truth), breaks, every=3)
+    known: list[Link] = []
+    for row in np.linspace(30, len(graph.nodes) // 2 - 30, loops).astype(int).tolist():
+        older = int(graph.nodes[row])
+        newer = int(graph.nodes[np.searchsorted(graph.nodes, older + len(truth) // 2)])
+        known.append(true_link(truth, older, newer))
+    return graph.poses, LinkArrays.of((*graph.odometry, *known), graph.row, WIDTHS)
+
+
+@pytest.mark.parametrize("loops", [1, 4, 12])
+@pytest.mark.parametrize("breaks", [(), (300,)])
+def test_the_solution_of_chains_is_that_of_the_whole_graph(
+    loops: int, breaks: tuple[int, ...]
+) -> None:
+    poses, links = two_laps(loops, breaks)
+    whole = solve(poses, links, 50)
+    small = Condensed.of(links, len(poses) - 1)
+    assert len(small.kept) < 0.25 * len(poses)
+    found = small.expanded(solve(poses[small.kept], small.links, 50).poses)
+    assert np.abs(whole.poses - poses)[:, :2].max() > 0.3, "there was something to mend"
+    assert np.hypot(*(found - whole.poses)[:, :2].T).max() < 0.005
+    assert np.abs(found - whole.poses)[:, 2].max() < 0.002
+
+
+@given(seeds)
+def test_chains_that_fit_stay_where_they_are(seed: int) -> None:
+    poses = [np.zeros(3)]
+    for step in np.random.default_rng(seed).normal(0.0, 0.3, (60, 3)):
+        poses.append(compose(poses[-1], step))
+    path = np.array(poses)
+    graph = graph_by_hand(path)
+    links = LinkArrays.of((*graph.odometry, true_link(path, 7, 33)), graph.row, WIDTHS)
+    small = Condensed.of(links, len(path) - 1)
+    assert {0, 7, 33, 60} <= set(small.kept.tolist())
+    assert np.allclose(small.expanded(path[small.kept]), path, atol=1e-9)
+
+
+@given(st.integers(1, 40), st.floats(0.01, 0.3))
+def test_a_chain_is_as_stiff_as_its_motions(motions: int, sigma_m: float) -> None:
+    """Straight on, without turns: variances add up, and what is missing is shared out evenly."""
+    information = np.diag([sigma_m**-2, sigma_m**-2, 1e12])
+    path = np.column_stack([0.3 * np.arange(motions + 1), np.zeros((motions + 1, 2))])
+    chain = [link(k, k + 1, (0.3, 0.0, 0.0), "odometry", information) for k in range(motions)]
+    small = Condensed.of(LinkArrays.of(chain, range(motions + 1), WIDTHS), motions)
+    lengths = np.diff(small.kept)
+    assert lengths.sum() == motions
+    assert lengths.max() <= 16
+    assert np.allclose(1.0 / small.links.w[:, 0, 0], lengths * sigma_m**2, rtol=1e-6)
+    stretched = path[small.kept] * (1.1, 1.0, 1.0)
+    assert np.allclose(small.expanded(stretched), path * (1.1, 1.0, 1.0), atol=1e-6)
+
+
+def test_motions_over_a_break_are_kept_as_they_are() -> None:
+    poses, links = two_laps(3, (300,))
+    small = Condensed.of(links, len(poses) - 1)
+    over = int(np.flatnonzero(np.isfinite(links.width[: len(poses) - 1]))[0])
+    number = int(np.searchsorted(small.kept, over))
+    assert small.kept[number : number + 2].tolist() == [over, over + 1]
+    assert small.links.width[number] == 2.0
+    assert np.allclose(small.links.w[number], links.w[over])
+    assert np.allclose(small.links.z[number], links.z[over])
+
+
+def test_a_path_of_one_row_is_itself() -> None:
+    small = Condensed.of(LinkArrays.of((), {}, WIDTHS), 0)
+    assert small.kept.tolist() == [0]
+    assert np.array_equal(small.expanded(np.zeros((1, 3))), np.zeros((1, 3)))

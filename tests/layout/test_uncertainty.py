@@ -1,86 +1,191 @@
-"""Errors of steps added up along a path, against what many random paths come to."""
+"""Errors of steps added up along a path, and what of a closure drift explains."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import networkx as nx
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.core.geometry import FloatArray, compose, invert
-from specmap_cli.layout.uncertainty import Uncertainty, misfit, surprise
-from tests.layout.driving import SOFT, between, graph_by_hand, true_link
-from tests.strategies import pose_arrays
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
+from specmap_cli.layout.path_graph import Bridge, Draft, Graph
+from specmap_cli.layout.pose_graph import Link, errors
+from specmap_cli.layout.uncertainty import (
+    CLOSURE_SLACK_M,
+    Uncertainty,
+    chain_lengths,
+    chi2_of,
+    deviations,
+)
+from tests.layout.driving import SOFT, arc, as_tracked, between, graph_by_hand, link, true_link
+from tests.strategies import pose_arrays, poses
+from tests.turning import turned
 
 
-def bend(count: int = 40) -> FloatArray:
-    """Poses half a metre apart along a curve."""
-    poses = np.zeros((count, 3))
-    for k in range(1, count):
-        poses[k] = compose(poses[k - 1], np.array([0.5, 0.0, 0.05]))
-    return poses
+def gained(path: FloatArray, end: int, share: float, veer: float) -> FloatArray:
+    """What errors that go on add to the covariance of a row seen from the first."""
+    motions, i, j = graph_by_hand(path).odometry, np.array([0]), np.array([end])
+    plain = Uncertainty.along(path, motions, 0.0).between(i, j)
+    return np.asarray((Uncertainty.along(path, motions, share, veer).between(i, j) - plain)[0])
 
 
-def sampled(poses: FloatArray, i: int, j: int, runs: int = 4000) -> FloatArray:
+def sampled(path: FloatArray, i: int, j: int, runs: int = 4000) -> FloatArray:
     """Errors (runs, 3) of pose j seen from i, of paths whose steps err as SOFT says."""
     rng = np.random.default_rng(1)
     sigma = np.sqrt(np.diag(np.linalg.inv(SOFT))) / 5  # small, where the first order is enough
-    steps = compose(invert(poses[:-1]), poses[1:])
-    seen = np.tile(poses[i], (runs, 1))
+    steps = compose(invert(path[:-1]), path[1:])
+    seen = np.tile(path[i], (runs, 1))
     for k in range(i, j):
         seen = compose(compose(seen, steps[k]), rng.normal(0, 1, (runs, 3)) * sigma)
-    return compose(invert(compose(invert(poses[i]), poses[j])), compose(invert(poses[i]), seen))
+    return compose(invert(compose(invert(path[i]), path[j])), compose(invert(path[i]), seen))
 
 
 @pytest.mark.parametrize(("i", "j"), [(0, 39), (5, 6), (10, 30)])
 def test_it_is_what_random_paths_come_to(i: int, j: int) -> None:
-    poses = bend()
-    graph = graph_by_hand(poses)
-    spread = Uncertainty.along(poses, graph.odometry, 0.0)
-    expected = np.cov(sampled(poses, i, j).T) * 25
+    path = arc(40)
+    spread = Uncertainty.along(path, graph_by_hand(path).odometry, 0.0)
+    expected = np.cov(sampled(path, i, j).T) * 25
     found = spread.between(np.array([i]), np.array([j]))[0]
     assert np.allclose(found, expected, rtol=0.1, atol=0.05 * np.abs(expected).max())
 
 
 def test_the_way_back_is_known_as_well_and_a_place_from_itself_exactly() -> None:
-    poses = bend()
-    spread = Uncertainty.along(poses, graph_by_hand(poses).odometry, 0.1)
+    path = arc(40)
+    spread = Uncertainty.along(path, graph_by_hand(path).odometry, 0.1)
     there = spread.between(np.array([3, 7]), np.array([30, 7]))
     back = spread.between(np.array([30]), np.array([3]))
     assert np.array_equal(there[1], np.zeros((3, 3)))
     assert there[0][2, 2] == pytest.approx(back[0][2, 2])
 
 
-def test_an_error_that_goes_on_grows_with_the_way() -> None:
-    poses = bend()
-    motions = graph_by_hand(poses).odometry
-    plain, steady = (Uncertainty.along(poses, motions, share) for share in (0.0, 0.02))
-    i, j = np.array([0]), np.array([30])
-    length = sum(link.source_from_target.distance for link in motions[:30])
-    gained = (steady.between(i, j) - plain.between(i, j))[0]
-    assert gained == pytest.approx(np.diag([(0.02 * length) ** 2, (0.02 * length) ** 2, 0.0]))
+def test_errors_that_go_on_grow_with_the_way() -> None:
+    """0.002 rad a metre over 10 m: the end, seen from the start, is half of 0.02 rad aside."""
+    path = arc(40)
+    length = np.hypot(*np.diff(path[:31, :2], axis=0).T).sum()
+    place = (0.02 * length) ** 2
+    assert gained(path, 30, 0.02, 0.0) == pytest.approx(np.diag([place, place, 0.0]))
+    assert np.diag(gained(arc(21, 0.0), 20, 0.0, 0.002)) == pytest.approx([0.01, 0.01, 0.0004])
 
 
 @given(pose_arrays(2))
-def test_what_fits_misses_nothing(poses: FloatArray) -> None:
-    measured = np.array([true_link(poses, 0, 1).source_from_target])
-    missed = misfit(poses, np.array([0]), np.array([1]), measured)
-    assert np.abs(missed).max() < 1e-9
-    assert between(poses, 0, 1) == pytest.approx(tuple(measured[0]))
+def test_what_fits_misses_nothing(ends: FloatArray) -> None:
+    measured = np.array([true_link(ends, 0, 1).source_from_target])
+    assert np.abs(errors(ends, np.array([0]), np.array([1]), measured)).max() < 1e-9
+    assert between(ends, 0, 1) == pytest.approx(tuple(measured[0]))
 
 
 @given(st.floats(0.1, 3.0), st.floats(-2.0, 2.0))
-def test_surprise_counts_sigmas(sigma: float, away: float) -> None:
-    error = np.array([[away * sigma, 0.0, 0.0]])
-    found = surprise(error, np.eye(3)[None] * sigma**2)
+def test_chi2_counts_sigmas(sigma: float, away: float) -> None:
+    found = chi2_of(np.array([[away * sigma, 0.0, 0.0]]), np.eye(3)[None] * sigma**2)
     assert found[0] == pytest.approx(away**2, abs=1e-9)
 
 
-def test_a_turn_that_goes_on_moves_what_is_far_aside() -> None:
-    """0.002 rad a metre over 10 m: the end, seen from the start, is half of 0.02 rad aside."""
-    poses = np.array([(0.5 * k, 0.0, 0.0) for k in range(21)])
-    motions = graph_by_hand(poses).odometry
-    plain, veering = (Uncertainty.along(poses, motions, 0.0, veer) for veer in (0.0, 0.002))
-    i, j = np.array([0]), np.array([20])
-    gained = (veering.between(i, j) - plain.between(i, j))[0]
-    assert np.diag(gained) == pytest.approx([0.1**2, 0.1**2, 0.02**2])
+def wrong_by(graph: Graph, source: int, target: int, metres: float) -> Link:
+    """A closure that puts its target some metres from where the graph has it."""
+    right = true_link(graph.tracked, source, target).source_from_target
+    return link(source, target, right @ Pose2(metres, 0.0, 0.0), "closure")
+
+
+def kinds_of(graph: Graph, draft: Draft, closures: list[Link]) -> list[str]:
+    """Whether the layout says what each closure does, or drift explains the rest, or nothing."""
+    return [
+        "near" if away <= CLOSURE_SLACK_M else ("far" if away <= allowed else "refuted")
+        for away, allowed in zip(*deviations(graph, draft, closures), strict=True)
+    ]
+
+
+ENDS = st.tuples(st.integers(0, 14), st.integers(0, 14))
+
+
+@given(
+    st.lists(st.tuples(ENDS, st.floats(0, 20)), max_size=10),
+    st.lists(ENDS, max_size=4),
+    st.sets(st.integers(1, 14), max_size=3),
+)
+def test_chains_are_the_shortest_paths_of_networkx(
+    loops: list[tuple[tuple[int, int], float]], closures: list[tuple[int, int]], breaks: set[int]
+) -> None:
+    """Also where edges are parallel, there and back, and where a break leaves no chain."""
+    graph = graph_by_hand(arc(15), breaks)
+    links = [link(a, b, (length, 0.0, 0.0)) for (a, b), length in loops if a != b]
+    network = nx.empty_graph(15)
+    for edge in (*(e for e in graph.odometry if e.kind == "odometry"), *links):
+        a, b, length = edge.source, edge.target, max(edge.source_from_target.distance, 1e-3)
+        if not network.has_edge(a, b) or network[a][b]["weight"] > length:
+            network.add_edge(a, b, weight=length)
+    expected = [
+        nx.shortest_path_length(network, a, b, weight="weight")
+        if nx.has_path(network, a, b)
+        else np.inf
+        for a, b in closures
+    ]
+    found = chain_lengths(graph, links, [link(a, b, (0.0, 0.0, 0.0)) for a, b in closures])
+    assert found.tolist() == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("metres", "expected"),
+    [(0.0, "near"), (0.49, "near"), (0.51, "far"), (7.9, "far"), (8.1, "refuted")],
+)
+def test_along_a_bare_path_drift_explains_much(metres: float, expected: str) -> None:
+    """50 m between the ends: 0.5 m and 15 % of them."""
+    graph = graph_by_hand(arc(101, 0.0))
+    assert kinds_of(graph, as_tracked(graph), [wrong_by(graph, 0, 100, metres)]) == [expected]
+
+
+def test_where_a_pass_cuts_the_path_short_drift_explains_little() -> None:
+    """A pass ties keyframe 90 to 2: from 0 to 100 it is 6 m over it, not 50 m."""
+    graph = graph_by_hand(arc(101, 0.0))
+    tied = as_tracked(graph, link(2, 90, (0.1, 0.0, 0.0)))
+    closures = [wrong_by(graph, 0, 100, metres) for metres in (0.4, 0.7, 0.8)]
+    assert kinds_of(graph, tied, closures) == ["near", "far", "refuted"]
+
+
+@pytest.mark.parametrize(
+    ("limit", "expected"),
+    [
+        ({"CLOSURE_SLACK_M": 3.5}, "near"),
+        ({"_CLOSURE_DRIFT_SHARE": 0.04}, "refuted"),
+        ({"DRIFT_SHARE": 10.0}, "far"),
+    ],
+)
+def test_the_limits_are_set(limit: dict[str, float], expected: str) -> None:
+    graph = graph_by_hand(arc(101, 0.0))
+    with turned("layout.uncertainty", **limit):
+        assert kinds_of(graph, as_tracked(graph), [wrong_by(graph, 0, 100, 3.0)]) == [expected]
+
+
+def test_over_a_break_only_the_guess_may_be_off() -> None:
+    """0.5 m and three times 0.3 m: farther, a part is moved as a whole, by several closures."""
+    graph = graph_by_hand(arc(40), breaks=(20,))
+    closures = [wrong_by(graph, *of) for of in ((0, 39, 1.3), (0, 39, 1.5), (25, 39, 5.0))]
+    assert kinds_of(graph, as_tracked(graph), closures) == ["far", "refuted", "refuted"]
+
+
+def test_a_bridge_lets_its_own_error_be_mended() -> None:
+    """Ten metres of way allow 0.5 + 1.5 m, a bridge good to 0.4 m another 1.2 m."""
+    graph = graph_by_hand(arc(21, 0.0))
+    motions = list(graph.odometry)
+    bridge = Bridge(0.4, 0.1).information
+    motions[9] = replace(motions[9], kind="bridge", information=bridge)
+    bridged = replace(graph, odometry=tuple(motions))
+    closures = [wrong_by(graph, 0, 20, metres) for metres in (1.9, 2.1, 3.1, 3.3)]
+    assert kinds_of(graph, as_tracked(graph), closures) == ["far", *["refuted"] * 3]
+    assert kinds_of(bridged, as_tracked(graph), closures) == [*["far"] * 3, "refuted"]
+
+
+# never at a limit, where rounding decides
+AWAY_M = st.integers(-40, 40).map(lambda tenths: tenths / 10 + 0.0123)
+
+
+@given(poses, st.lists(st.tuples(ENDS, AWAY_M), max_size=6))
+def test_the_frame_of_the_map_does_not_matter_to_drift(
+    motion: Pose2, ends: list[tuple[tuple[int, int], float]]
+) -> None:
+    plain, moved = (graph_by_hand(t) for t in (arc(15), compose(np.array(motion), arc(15))))
+    closures = [wrong_by(plain, a, b, metres) for (a, b), metres in ends if a != b]
+    kinds = [kinds_of(graph, as_tracked(graph), closures) for graph in (plain, moved)]
+    assert kinds[0] == kinds[1]

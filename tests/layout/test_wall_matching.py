@@ -2,31 +2,41 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.matching import SPREAD_M, Match, Window, search
 from specmap_cli.grids.score_field import ScoreField
-from specmap_cli.layout.motion_edges import MATCH_RANGE_M
 from specmap_cli.layout.path_graph import Graph
-from specmap_cli.layout.wall_matching import WallFit, match_walls, nearby_link, opened
+from specmap_cli.layout.wall_matching import (
+    WallFit,
+    link_to_nearest,
+    match_passes,
+    match_walls,
+    opened,
+)
 from specmap_cli.layout.walls import Walls
-from tests.layout.driving import between, scans_of
+from tests.layout.driving import Laps, between, graph_by_hand, missed, scans_of, stored
 from tests.turning import turned
 
-Perfect = tuple[KeyframeStore, Graph]
+Pass = tuple[FloatArray, FloatArray, Pose2]
 
 
-def pass_of(perfect: Perfect, row: int) -> tuple[FloatArray, FloatArray, Pose2]:
+def pass_of(perfect: Laps, walls: Walls, row: int) -> Pass:
     """Walls of a node of the second lap, of the same place in the first, and the true pose."""
-    store, graph = perfect
-    away = np.hypot(*(graph.poses[:100, :2] - graph.poses[row, :2]).T)
-    old, walls = int(np.argmin(away)), Walls(store, graph, MATCH_RANGE_M)
-    source, target = walls.around(row, 3, graph.poses), walls.around(old, 8, graph.poses)
-    return source, target, between(graph.poses, old, row)
+    poses = perfect[1].poses
+    old = int(np.argmin(np.hypot(*(poses[:100, :2] - poses[row, :2]).T)))
+    return walls.around(row, 3, poses), walls.around(old, 8, poses), between(poses, old, row)
+
+
+@pytest.fixture
+def one(perfect: Laps, walls: Walls) -> Pass:
+    """A pass, where the ring shows much."""
+    return pass_of(perfect, walls, 190)
 
 
 def corridor(beams: int = 720) -> FloatArray:
@@ -44,29 +54,28 @@ def deviations(fit: WallFit | None) -> FloatArray:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_a_pass_is_matched_to_centimetres(perfect: Perfect, seed: int) -> None:
+def test_a_pass_is_matched_to_centimetres(perfect: Laps, walls: Walls, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    source, target, truth = pass_of(perfect, int(rng.integers(142, 205)))
+    source, target, truth = pass_of(perfect, walls, int(rng.integers(142, 205)))
     error = Pose2(*rng.uniform((-0.7, -0.7, -0.14), (0.7, 0.7, 0.14)).tolist())
     fit = match_walls(source, target, truth @ error, 1.0)
     assert fit is not None
-    gap = truth.inverse() @ fit.target_from_source
-    assert gap.distance < 0.05
-    assert abs(gap.theta) < 0.02
+    away_m, turned_rad = missed(truth, fit.target_from_source)
+    assert away_m < 0.05
+    assert turned_rad < 0.02
     assert (np.linalg.eigvalsh(fit.information) > 0).all()
     assert np.allclose(fit.information, fit.information.T)
 
 
-def test_another_place_does_not_fit(perfect: Perfect) -> None:
-    store, graph = perfect
-    walls = Walls(store, graph, MATCH_RANGE_M)
-    source, target = (walls.around(row, reach, graph.poses) for row, reach in ((10, 3), (45, 8)))
-    here = Pose2(0.0, 0.0, 0.0)
-    assert match_walls(source, target, here, 1.0) is None
-    assert match_walls(source, target, here, 1.0, 0.0) is not None, "the score alone refuses it"
+def test_another_place_does_not_fit(perfect: Laps, walls: Walls) -> None:
+    poses = perfect[1].poses
+    source, target = walls.around(10, 3, poses), walls.around(45, 8, poses)
+    assert match_walls(source, target, IDENTITY, 1.0) is None
+    assert match_walls(source, target, IDENTITY, 1.0, 0.0) is not None, "the score alone refuses it"
 
 
-def counted_searches(monkeypatch: pytest.MonkeyPatch) -> list[Window]:
+@pytest.fixture
+def windows(monkeypatch: pytest.MonkeyPatch) -> list[Window]:
     """The windows that are searched from now on."""
     windows: list[Window] = []
 
@@ -78,60 +87,48 @@ def counted_searches(monkeypatch: pytest.MonkeyPatch) -> list[Window]:
     return windows
 
 
-@pytest.mark.parametrize(("off_m", "drift_m", "searches"), [(0.05, 0.4, 0), (0.3, 0.4, 2)])
+@pytest.mark.parametrize(
+    ("off_m", "drift_m", "searches"),
+    [
+        (0.05, 0.4, 0),  # it fits where it is said to be
+        (0.3, 0.4, 2),
+        (0.0, 0.6, 2),  # doors in a row look alike: the next one may fit better still
+    ],
+)
 def test_what_fits_where_it_is_said_to_be_is_not_searched(
-    perfect: Perfect,
-    monkeypatch: pytest.MonkeyPatch,
-    off_m: float,
-    drift_m: float,
-    searches: int,
+    one: Pass, windows: list[Window], off_m: float, drift_m: float, searches: int
 ) -> None:
-    source, target, truth = pass_of(perfect, 190)
-    windows = counted_searches(monkeypatch)
+    source, target, truth = one
     fit = match_walls(source, target, truth @ Pose2(off_m, 0.0, 0.0), drift_m)
     assert fit is not None
-    assert (truth.inverse() @ fit.target_from_source).distance < 0.05
+    assert missed(truth, fit.target_from_source)[0] < 0.05
     assert len(windows) == searches
 
 
-def test_where_much_may_have_drifted_a_good_fit_is_not_the_end_of_it(
-    perfect: Perfect, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Doors in a row look alike: the next one may fit better still."""
-    source, target, truth = pass_of(perfect, 190)
-    windows = counted_searches(monkeypatch)
-    assert match_walls(source, target, truth, 0.6) is not None
-    assert len(windows) == 2
-
-
 def test_what_shows_other_walls_is_given_up_after_the_rough_search(
-    perfect: Perfect, monkeypatch: pytest.MonkeyPatch
+    one: Pass, windows: list[Window]
 ) -> None:
-    source, _, _ = pass_of(perfect, 190)
-    windows = counted_searches(monkeypatch)
     target = np.column_stack([np.linspace(20.0, 25.0, 200), np.full(200, 20.0)])
-    assert match_walls(source, target, Pose2(0.0, 0.0, 0.0), 0.4) is None
+    assert match_walls(one[0], target, IDENTITY, 0.4) is None
     assert len(windows) == 1
 
 
-def test_what_lies_farther_off_than_the_drift_is_not_found(perfect: Perfect) -> None:
-    source, target, truth = pass_of(perfect, 190)
+def test_what_lies_farther_off_than_the_drift_is_not_found(one: Pass) -> None:
+    source, target, truth = one
     guess = truth @ Pose2(2.0, 0.0, 0.0)
-    near = match_walls(source, target, guess, 0.5)
-    far = match_walls(source, target, guess, 2.2)
-    assert near is None or (truth.inverse() @ near.target_from_source).distance > 0.5
+    near, far = (match_walls(source, target, guess, drift_m) for drift_m in (0.5, 2.2))
+    assert near is None or missed(truth, near.target_from_source)[0] > 0.5
     assert far is not None
-    assert (truth.inverse() @ far.target_from_source).distance < 0.05
+    assert missed(truth, far.target_from_source)[0] < 0.05
 
 
-@pytest.mark.parametrize(("count", "least", "found"), [(40, 20, True), (40, 60, False)])
-def test_too_few_points_are_not_matched(count: int, least: int, found: bool) -> None:
+def test_too_few_points_are_not_matched() -> None:
     points = corridor()
-    few = points[:: len(points) // count]
-    here = Pose2(0.0, 0.0, 0.0)
-    with turned("layout.wall_matching", MATCH_POINTS=least):
-        assert (match_walls(few, points, here, 0.3, 0.1) is not None) is found
-        assert match_walls(np.zeros((0, 2)), points, here, 0.3, 0.1) is None
+    few = points[:: len(points) // 40]
+    for least, found in ((20, True), (60, False)):
+        with turned("layout.wall_matching", MATCH_POINTS=least):
+            assert (match_walls(few, points, IDENTITY, 0.3, 0.1) is not None) is found
+    assert match_walls(np.zeros((0, 2)), points, IDENTITY, 0.3, 0.1) is None
 
 
 @pytest.mark.parametrize(("turn", "open_axis"), [(0.0, 0), (np.pi / 2, 1)])
@@ -147,26 +144,22 @@ def test_along_a_corridor_a_match_is_loose_in_the_frame_of_the_source(
     assert deviation[1 - open_axis] < 0.05
 
 
-def spread_of(along_m: float, across_m: float, heading: float) -> FloatArray:
-    """A covariance that is long at a heading."""
-    turn = Pose2(0.0, 0.0, heading).rotation()
-    spread = np.diag([0.0, 0.0, 0.01**2])
-    spread[:2, :2] = turn @ np.diag([along_m**2, across_m**2]) @ turn.T
-    return spread
-
-
 @pytest.mark.parametrize("heading", [0.0, 0.7, np.pi / 2, 2.5])
 def test_a_window_that_fits_all_over_says_nothing_of_the_way(heading: float) -> None:
-    window_m = SPREAD_M / np.sqrt(3)
-    axis, across = (
-        np.array([np.cos(heading + turn), np.sin(heading + turn)]) for turn in (0.0, np.pi / 2)
-    )
-    bare = opened(spread_of(window_m, 0.02, heading))
+    window_m, turn = SPREAD_M / np.sqrt(3), Pose2(0.0, 0.0, heading).rotation()
+    axis, across = turn.T
+
+    def spread_of(along_m: float, across_m: float) -> FloatArray:
+        spread = np.diag([0.0, 0.0, 0.01**2])
+        spread[:2, :2] = turn @ np.diag([along_m**2, across_m**2]) @ turn.T
+        return spread
+
+    bare = opened(spread_of(window_m, 0.02))
     assert axis @ bare[:2, :2] @ axis == pytest.approx(4.0)
     assert across @ bare[:2, :2] @ across == pytest.approx(0.02**2)
-    sharp = spread_of(0.02, 0.01, heading)
+    sharp = spread_of(0.02, 0.01)
     assert np.allclose(opened(sharp), sharp, rtol=0.02, atol=1e-9)
-    half = opened(spread_of(0.1, 0.02, heading))
+    half = opened(spread_of(0.1, 0.02))
     known = 1.0 / 0.1**2 - 1.0 / window_m**2
     assert axis @ half[:2, :2] @ axis == pytest.approx(1.0 / known)
     assert half[2, 2] == 0.01**2
@@ -183,8 +176,54 @@ def test_in_a_bare_corridor_the_nearest_of_equal_places_is_taken() -> None:
     assert deviations(fit)[1] < 0.05
 
 
-def test_a_link_names_the_keyframes_of_its_rows(perfect: Perfect) -> None:
-    _, graph = perfect
-    made = nearby_link(graph, 3, 200, WallFit(Pose2(1.0, 2.0, 0.5), np.eye(3)))
-    assert (made.source, made.target) == (graph.nodes[3], graph.nodes[200])
-    assert (made.kind, made.source_from_target) == ("nearby", (1.0, 2.0, 0.5))
+def test_a_place_found_in_the_map_is_linked_to_the_nearest_row(perfect: Laps) -> None:
+    graph = perfect[1]
+    place = Pose2(*graph.poses[30].tolist()) @ Pose2(0.1, 0.05, 0.5)
+    made = link_to_nearest(graph, graph.poses, np.arange(60), 200, WallFit(place, np.eye(3)))
+    assert (made.source, made.target) == (graph.nodes[30], graph.nodes[200])
+    assert made.source_from_target == pytest.approx((0.1, 0.05, 0.5))
+    assert made.kind == "nearby"
+
+
+LAX = 0.2  # the rooms have little else in common
+FIRST, SECOND, AGAIN = 4, 13, 22  # rows: in the lower room, in the upper one, in the lower one
+Rooms = tuple[Graph, Walls]
+
+
+@pytest.fixture(scope="module")
+def rooms() -> Iterator[Rooms]:
+    """Two rooms with a wall of 0.25 m between, driven below it, above it, and below it again."""
+    cells = np.full((140, 140), OCCUPIED, dtype=np.uint8)
+    cells[10:70, 10:130] = FREE
+    cells[75:135, 10:130] = FREE
+    x = np.linspace(2.5, 4.5, 9)
+    stretches = [np.column_stack([x, np.full(9, y), np.zeros(9)]) for y in (2.2, 5.0, 1.5)]
+    truth = np.concatenate(stretches)
+    with stored(truth, scans_of(GridMap(cells, 0.05), truth)) as store:
+        graph = graph_by_hand(truth)
+        yield graph, Walls(store, graph)
+
+
+def test_the_other_side_of_a_wall_is_no_match(rooms: Rooms) -> None:
+    graph, walls = rooms
+    guess = between(graph.poses, FIRST, SECOND)
+    source, target = (walls.around(row, 4, graph.poses) for row in (SECOND, FIRST))
+    mistaken = match_walls(source, target, guess, 0.3, LAX)
+    assert mistaken is not None
+    assert missed(guess, mistaken.target_from_source)[0] > 0.2, "a wall's thickness off"
+    with turned("layout.wall_matching", LOOP_SCORE=LAX), turned("layout.walls", PLACE_NODES=4):
+        found = match_passes(graph, walls, graph.poses, (FIRST, SECOND), guess, 0.3, 4)
+    assert found is None
+
+
+@pytest.mark.parametrize(("off_m", "fits"), [(0.0, True), (0.2, True), (-0.2, True), (20.0, False)])
+def test_the_same_side_is_one(rooms: Rooms, off_m: float, fits: bool) -> None:
+    graph, walls = rooms
+    truth = between(graph.poses, FIRST, AGAIN)
+    guess = truth @ Pose2(0.0, off_m, 0.0)
+    with turned("layout.walls", PLACE_NODES=4):
+        found = match_passes(graph, walls, graph.poses, (FIRST, AGAIN), guess, 0.3, 4)
+    assert (found is not None) is fits
+    if found is not None:
+        assert (found.source, found.target, found.kind) == (FIRST, AGAIN, "nearby")
+        assert missed(truth, found.source_from_target)[0] < 0.03

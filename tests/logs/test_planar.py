@@ -16,11 +16,7 @@ from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.clouds import CloudFlattener
 from specmap_cli.logs.messages import BadMessageError, ScanLayout, ScanRecord
-from specmap_cli.logs.planar import (
-    Mount,
-    ScanLeveller,
-    duration_s,
-)
+from specmap_cli.logs.planar import Mount, ScanLeveller, duration_s
 from tests.strategies import few
 from tests.turning import configured, turn
 

@@ -11,7 +11,7 @@ import pytest
 
 from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import IntArray, Labels, Trajectory
-from specmap_cli.layout.relaxation import Layout
+from specmap_cli.layout.result import Layout
 from specmap_cli.maps.edits import Change, Edits, ForbidEdit, MergeEdit, SplitEdit, SubmapEdit
 from specmap_cli.pipelines.joining import with_edits_of
 from specmap_cli.pipelines.map_in_making import LaidOut

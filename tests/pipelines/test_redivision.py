@@ -11,7 +11,7 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import IntArray, Labels, Trajectory
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.layout.relaxation import Layout
+from specmap_cli.layout.result import Layout
 from specmap_cli.pipelines.map_in_making import LaidOut
 from specmap_cli.pipelines.thinning import Thinned
 from specmap_cli.pipelines.update import redivided

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.geometry import wrap_angles
-from specmap_cli.layout.nearby_passes import METRES_A_RADIAN
+from specmap_cli.layout.passes import METRES_A_RADIAN
 from specmap_cli.pipelines.laying_out import nearest_pair
 
 

@@ -24,9 +24,7 @@ from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.pipelines.simulate import SimulationResult, simulate
-from specmap_cli.simulation.simulator import (
-    SimulationOptions,
-)
+from specmap_cli.simulation.simulator import SimulationOptions
 from specmap_cli.simulation.worlds import RoomTruth
 from tests.conftest import SAMPLE_LOGS
 

@@ -11,9 +11,9 @@ from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan, Trajectory
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.layout.audit import Audit
-from specmap_cli.layout.relaxation import Layout
-from specmap_cli.quality.evidence import Evidence, Hole
-from specmap_cli.quality.holes import _HOLE_WALLS_SHARE, holes_of, unwatched
+from specmap_cli.layout.result import Layout
+from specmap_cli.quality.evidence import Evidence, Hole, holes_of
+from specmap_cli.quality.recording import _HOLE_WALLS_SHARE, unwatched
 from tests.layout.driving import link, scans_of, stored
 
 STILL = Pose2(0.0, 0.0, 0.0)

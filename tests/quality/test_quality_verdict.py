@@ -9,10 +9,9 @@ from specmap_cli.core.findings import Finding, Severity, Where
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Trajectory
 from specmap_cli.layout.audit import Audit, Disagreement
-from specmap_cli.layout.contradictions import Standing
-from specmap_cli.layout.evidence import Healing, LayoutEvidence, PartMove
+from specmap_cli.layout.contradictions import Agreement
 from specmap_cli.layout.pose_graph import Link
-from specmap_cli.layout.relaxation import Layout
+from specmap_cli.layout.result import Layout, PartMove, Repair
 from specmap_cli.quality.evidence import Evidence, graded
 from specmap_cli.quality.verdict import judged
 
@@ -231,8 +230,7 @@ def test_a_piece_that_was_moved_far_is_told_of(votes: int, severity: Severity) -
         PartMove(first=80, moved_m=9.0, votes=0),  # loose, which is told elsewhere
     )
     base = evidence()
-    told = LayoutEvidence(choice="relaxed", parts=moves)
-    finding = only(replace(base, layout=replace(base.layout, evidence=told)))
+    finding = only(replace(base, layout=replace(base.layout, parts=moves)))
     assert (finding.code, finding.severity) == ("part-moved", severity)
     assert finding.message == (
         "the layout moved what follows 60.000 s by 4.2 m, to where closures and passes "
@@ -243,8 +241,8 @@ def test_a_piece_that_was_moved_far_is_told_of(votes: int, severity: Severity) -
 
 def test_walls_that_were_mended_are_a_note() -> None:
     base = evidence()
-    healing = Healing(links=(closure("nearby"),), walls_m=4.2, moved_m=0.25)
-    finding = only(replace(base, layout=replace(base.layout, healing=healing)))
+    repair = Repair(links=(closure("nearby"),), walls_m=4.2, moved_m=0.25)
+    finding = only(replace(base, layout=replace(base.layout, repair=repair)))
     assert (finding.code, finding.severity, finding.value) == ("walls-mended", "note", 0.25)
     assert finding.message == (
         "4.2 m of wall were drawn twice: matched again in 1 place, the map moved by up to 0.25 m"
@@ -253,12 +251,11 @@ def test_walls_that_were_mended_are_a_note() -> None:
 
 def test_contradictions_all_over_the_map_make_it_doubtful() -> None:
     base = evidence()
-    told = LayoutEvidence(choice="relaxed", standing=Standing(agree=1000, contradict=100))
-    finding = only(replace(base, layout=replace(base.layout, evidence=told)))
+    many, few = Agreement(agree=1000, contradict=100), Agreement(agree=10000, contradict=60)
+    finding = only(replace(base, layout=replace(base.layout, agreement=many)))
     assert finding.message == "9.1% of the walls that two passes saw contradict each other"
     assert finding.severity == "doubtful"
-    few = LayoutEvidence(choice="relaxed", standing=Standing(agree=10000, contradict=60))
-    assert judged(replace(base, layout=replace(base.layout, evidence=few))).findings == ()
+    assert judged(replace(base, layout=replace(base.layout, agreement=few))).findings == ()
 
 
 def test_a_layout_that_was_not_taken_makes_a_map_doubtful() -> None:

@@ -11,9 +11,9 @@ from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import Trajectory
 from specmap_cli.layout.audit import Audit
 from specmap_cli.layout.pose_graph import Link
-from specmap_cli.layout.relaxation import Layout
+from specmap_cli.layout.result import Layout
 from specmap_cli.quality.evidence import Evidence
-from specmap_cli.quality.rivals import rival_places
+from specmap_cli.quality.laid_out import rival_places
 from tests.layout.driving import link
 
 SCANS, BREAK = 60, 30

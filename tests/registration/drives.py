@@ -12,7 +12,9 @@ from specmap_cli.core.records import PlanarScan, PosedScan, Sweep
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.registration import Aligner, FrontEnd, SensorKind
+from specmap_cli.registration.guess import MotionGuess
 from specmap_cli.registration.local_map import LocalMap, Scene
+from specmap_cli.registration.motion import UNKNOWN, ExpectedMotion, Reliance
 from specmap_cli.registration.sweep_view import SweepView
 from tests.casting import ranges_at
 from tests.turning import configured
@@ -115,6 +117,37 @@ def turned(x: float, yaw: float, roll: float) -> FloatArray:
     pose[:3, :3] = Rotation.from_euler("ZYX", [yaw, 0.0, roll]).as_matrix()
     pose[0, 3] = x
     return pose
+
+
+def expecting(
+    motion: Pose2 = IDENTITY, carried: Pose2 = IDENTITY, *, measured: bool = True
+) -> ExpectedMotion:
+    """A motion that odometry measured, or one that is carried on, with nothing unusual."""
+    return ExpectedMotion(
+        motion=motion,
+        carried=carried,
+        during=IDENTITY,
+        interval_s=0.1,
+        measured=measured,
+        jumped=False,
+        shortened=False,
+    )
+
+
+def guess_of(
+    place: Pose2,
+    expected: ExpectedMotion,
+    reliance: Reliance = UNKNOWN,
+    by_motion: Pose2 = IDENTITY,
+) -> MotionGuess:
+    """A guess at a place, which the expected motion leads to."""
+    return MotionGuess(
+        pose=place.matrix(),
+        before=(place @ expected.motion.inverse()).matrix(),
+        expected=expected,
+        by_motion=by_motion,
+        reliance=reliance,
+    )
 
 
 def view_of_points(points: FloatArray, looked_m: float = 40.0) -> SweepView:

@@ -77,12 +77,6 @@ def test_settings_named_in_a_warning_exist() -> None:
     assert set(named) <= set(RegistrationConfig.model_fields)
 
 
-@pytest.mark.parametrize("name", ["registered", "searched", "walls_left_out"])
-def test_what_every_run_does_is_counted_and_not_said(name: str) -> None:
-    counts = {**dict.fromkeys(COUNTS, 0), name: 7}
-    assert warnings_of(counts, RegistrationConfig()) == []
-
-
 def straight(step_m: float, count: int) -> FloatArray:
     """A drive straight on through the first room."""
     return np.column_stack([1.0 + step_m * np.arange(count), np.full(count, 2.4), np.zeros(count)])
@@ -94,9 +88,7 @@ def test_a_robot_too_fast_for_the_motion_to_be_carried_on_is_told(world: GridMap
     assert front_end.counts["shortened_motions"] == 1  # then walls have confirmed two such motions
     assert worst(scans, straight(0.6, 6))[0] < 0.1
     assert "registration.carried_forward_m" in front_end.warnings[0]
-    wider, scans = run(items, carried_forward_m=1.0, blind_search_m=0.7)
-    assert wider.counts["shortened_motions"] == 0
-    assert worst(scans, straight(0.6, 6))[0] < 0.1
+    assert run(items, carried_forward_m=1.0)[0].counts["shortened_motions"] == 0
 
 
 def with_few_walls(world: GridMap, *, odometry: bool = True) -> list[Sweep]:
@@ -162,18 +154,6 @@ def test_alignments_that_run_off_are_counted(
     assert front_end.warnings[0].startswith("registration refused 4 alignments")
 
 
-@pytest.mark.parametrize("step_m", [0.3, 0.6, 1.2])
-def test_good_odometry_is_believed_over_steps_of_any_length(
-    world: GridMap, monkeypatch: pytest.MonkeyPatch, step_m: float
-) -> None:
-    """Each scan sees walls the map has not got yet, so that its score alone does not carry it."""
-    method = offer(monkeypatch, ToldAligner())
-    strict = {"good_score": 1.0, "sure_score": 1.0, "search_m": 0.0, "search_rad": 0.0}
-    front_end, scans = run(sweeps(world, straight(step_m, 4)), method=method, **strict)
-    assert front_end.counts["lost"] == 0
-    assert all(scan.agrees for scan in scans)
-
-
 def test_walls_beyond_the_score_field_are_counted(world: GridMap) -> None:
     items = sweeps(world, path()[:10])
     assert run(items, max_range_m=4.0)[0].counts["walls_left_out"] == 0
@@ -181,12 +161,11 @@ def test_walls_beyond_the_score_field_are_counted(world: GridMap) -> None:
     assert narrow.counts["walls_left_out"] == 9  # all but the first, which is scored on nothing
 
 
-@pytest.mark.parametrize("limit", [1, 3])
-def test_so_many_lost_sweeps_in_a_row_end_a_map(limit: int) -> None:
-    rng = np.random.default_rng(5)
+def test_so_many_lost_sweeps_in_a_row_end_a_map() -> None:
+    rng, limit = np.random.default_rng(5), 5
     walls, blank = rng.uniform(2.0, 4.0, 90), np.full(90, np.inf)
     pattern = [walls, *[blank] * (limit - 1), walls, *[blank] * (limit + 2), walls]
-    front_end, scans = run([circle(k, r) for k, r in enumerate(pattern)], lost_limit=limit)
+    front_end, scans = run([circle(k, r) for k, r in enumerate(pattern)])
     assert front_end.counts["breaks"] == 1
     assert [scan.restarted for scan in scans] == [False] * (len(scans) - 1) + [True]
     assert front_end.counts["lost"] == 2 * limit + 1
@@ -205,32 +184,31 @@ def test_keyframes_are_inserted_where_their_scans_were_put(
 ) -> None:
     """Also the first one of a new map, at a tilt that is partly taken back."""
     aligner = ToldAligner(lambda guess: guess @ turned(0.0, 0.0, 0.02))
-    truth = path()[:24:2]
+    truth = path()[:30:2]
     items: list[Sweep] = []
     for k, sweep in enumerate(sweeps(world, truth)):
         blank = dataclasses.replace(sweep.planar, ranges=np.full(240, np.nan))
-        planar = blank if k in (6, 7) else sweep.planar
+        planar = blank if k in range(6, 11) else sweep.planar
         items.append(dataclasses.replace(sweep, planar=planar, cloud=cloud_of(world, truth[k])))
-    front_end, scans = run(items, method=offer(monkeypatch, aligner), lost_limit=2)
+    front_end, scans = run(items, method=offer(monkeypatch, aligner))
     assert front_end.counts["breaks"] == aligner.cleared == 1
-    assert [scan.index for scan in scans if scan.restarted] == [8]
+    assert [scan.index for scan in scans if scan.restarted] == [11]
     handed_on = [scan.map_from_base_3d for scan in scans]
     for _, pose in aligner.inserted:
         assert any(other is not None and np.array_equal(pose, other) for other in handed_on)
     upright = [float(pose[2, 2]) for pose in handed_on if pose is not None]
     assert upright[5] == pytest.approx(upright[7], abs=1e-12)  # what is lost keeps its guess
-    assert upright[7] < upright[8] < 1.0 - 1e-5
+    assert upright[7] < upright[11] < 1.0 - 1e-5
 
 
-def test_keyframes_come_at_the_distances_and_turns_of_the_settings(
+def test_keyframes_come_after_a_way_or_a_turn(
     world: GridMap, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     turns = np.column_stack([np.full(10, 2.0), np.full(10, 2.4), 0.1 * np.arange(10)])
-    for truth, settings, expected in (
-        (straight(0.08, 12), {"keyframe_m": 0.2}, 4),  # after 3, 6 and 9 steps
-        (straight(0.08, 12), {"keyframe_m": 5.0}, 1),
-        (turns, {"keyframe_rad": 0.25}, 4),
-        (turns, {"keyframe_rad": 3.0}, 1),
+    for truth, expected in (
+        (straight(0.08, 12), 3),  # after 4 and 8 steps
+        (straight(0.02, 12), 1),
+        (turns, 4),
     ):
         aligner = ToldAligner()
         method = offer(monkeypatch, aligner)
@@ -238,6 +216,6 @@ def test_keyframes_come_at_the_distances_and_turns_of_the_settings(
             dataclasses.replace(sweep, odom_from_base=Pose2(*pose))
             for sweep, pose in zip(sweeps(world, truth), truth.tolist(), strict=True)
         ]
-        run(exact, method=method, **settings)
+        run(exact, method=method)
         assert len(aligner.inserted) == expected
         assert np.array_equal(aligner.inserted[0][1], IDENTITY.matrix())

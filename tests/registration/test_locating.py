@@ -12,27 +12,13 @@ from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.registration.guess import MotionGuess, best_guess
+from specmap_cli.registration.guess import best_guess
 from specmap_cli.registration.local_map import Fit, Scene
 from specmap_cli.registration.locating import FAIR_SCORE, GOOD_SCORE, Located
 from specmap_cli.registration.locating import locate as located_by
 from specmap_cli.registration.motion import UNKNOWN, ExpectedMotion, Reliance
 from tests.registration.aligners import ToldAligner
-from tests.registration.drives import scene_in, scene_of, turned
-
-
-def expecting(
-    motion: Pose2 = IDENTITY, carried: Pose2 = IDENTITY, *, measured: bool = True
-) -> ExpectedMotion:
-    return ExpectedMotion(
-        motion=motion,
-        carried=carried,
-        during=IDENTITY,
-        interval_s=0.1,
-        measured=measured,
-        jumped=False,
-        shortened=False,
-    )
+from tests.registration.drives import expecting, guess_of, scene_in, scene_of, turned
 
 
 def locate(
@@ -42,17 +28,8 @@ def locate(
     by_motion: Pose2,
     reliance: Reliance = UNKNOWN,
 ) -> Located:
-    before = Pose2.from_matrix(guess) @ expected.motion.inverse()
-    return located_by(
-        scene,
-        MotionGuess(
-            pose=guess,
-            before=before.matrix(),
-            expected=expected,
-            by_motion=by_motion,
-            reliance=reliance,
-        ),
-    )
+    place = Pose2.from_matrix(guess)
+    return located_by(scene, guess_of(place, expected, reliance, by_motion))
 
 
 def kernels_m(scene: Scene) -> Sequence[float]:
@@ -142,17 +119,6 @@ def test_a_motion_is_not_carried_on_far_beyond_a_turn_that_odometry_may_miss(
     assert np.allclose(guess, (IDENTITY if carried else odometry).matrix())
 
 
-def guess_of(motion: Pose2, reliance: Reliance, *, measured: bool = True) -> MotionGuess:
-    """A guess at the identity after a motion."""
-    return MotionGuess(
-        pose=np.eye(4),
-        before=motion.inverse().matrix(),
-        expected=expecting(motion, measured=measured),
-        by_motion=IDENTITY,
-        reliance=reliance,
-    )
-
-
 @pytest.mark.parametrize("backwards", [1.0, 0.5])
 def test_a_step_driven_backwards_is_found_where_odometry_reports_it_forwards(
     world: GridMap, backwards: float
@@ -169,12 +135,7 @@ def test_a_step_driven_backwards_is_found_where_odometry_reports_it_forwards(
 def test_a_motion_driven_backwards_or_not_turned_leads_elsewhere() -> None:
     """The turn stays where the way is reversed; the one unheard of gives way to the one before."""
     before, motion, carried = Pose2(1.0, 2.0, np.pi / 2), Pose2(0.5, 0.1, 0.3), Pose2(0.4, 0.0, 0.1)
-    guess = MotionGuess(
-        pose=(before @ motion).matrix(),
-        before=before.matrix(),
-        expected=expecting(motion, carried),
-        by_motion=IDENTITY,
-    )
+    guess = guess_of(before @ motion, expecting(motion, carried))
     reverse = Pose2.from_matrix(guess.backwards)
     assert reverse == pytest.approx(Pose2(1.1, 1.5, np.pi / 2 + 0.3))
     assert guess.unturned is None
@@ -194,7 +155,7 @@ def test_odometry_denies_by_what_it_is_worth_of_way_and_of_turn() -> None:
     ahead = Fit(pose=turned(0.5, 0.0, 0.0), score=0.9)
     askew = Fit(pose=turned(0.0, 1.5, 0.0), score=0.9)
     denied = {
-        (name, where): guess_of(step, reliance).denies(fit)
+        (name, where): guess_of(IDENTITY, expecting(step), reliance).denies(fit)
         for name, reliance in (("all", UNKNOWN), ("way", bad_turns), ("none", worthless))
         for where, fit in (("ahead", ahead), ("askew", askew))
     }
@@ -203,7 +164,7 @@ def test_odometry_denies_by_what_it_is_worth_of_way_and_of_turn() -> None:
         ("all", "askew"),
         ("way", "ahead"),
     ]
-    assert not guess_of(step, UNKNOWN, measured=False).denies(ahead)
+    assert not guess_of(IDENTITY, expecting(step, measured=False)).denies(ahead)
 
 
 def box(turn: float) -> FloatArray:

@@ -19,7 +19,7 @@ from typing import IO, Any, NamedTuple
 import lz4.frame
 import zstandard
 
-from specmap_cli.core.errors import TOO_LARGE, reason
+from specmap_cli.core.errors import TOO_LARGE, LogError
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.readers.recording import refused, unreadable
 
@@ -219,9 +219,8 @@ def unpacked(
         copy = held.enter_context(temporary)
         lost = _fill(copy, path, compression, config, look)
     except OSError as error:
-        why = reason(error, "set TMPDIR to another one")
-        found = f"cannot unpack into the temporary directory: {why}"
-        raise refused(path, found) from None
+        found, advice = "cannot unpack into the temporary directory", "set TMPDIR to another one"
+        raise LogError.of_system(error, found, advice, where=path) from None
     return Copy(Path(copy.name), lost)
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, NamedTuple
 
-from specmap_cli.core.errors import LOG_MISSING, LogError, reason
+from specmap_cli.core.errors import LOG_MISSING, LogError
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import counted, legible
 
@@ -209,15 +209,14 @@ def time_text(time_ns: int) -> str:
 
 def refused(where: Path | str, found: str, hint: str = "", code: str | None = None) -> LogError:
     """The error of a recording that cannot be used: where, what was found there, what to do."""
-    message = f"{where}: {found}; {hint}" if hint else f"{where}: {found}"
-    return LogError(message, code=code, where=str(where), hint=hint or None)
+    return LogError(f"{found};" if hint else found, hint or None, where=where, code=code)
 
 
 def unreadable(path: Path, error: OSError) -> LogError:
     """The error for a file that is not there or that the system refuses to read."""
     if isinstance(error, FileNotFoundError):
         return refused(path, "no such file or directory", code=LOG_MISSING)
-    return refused(path, f"cannot read: {reason(error)}")
+    return LogError.of_system(error, "cannot read", where=path)
 
 
 def merge_in_time(

@@ -157,8 +157,9 @@ def _groups_of(feature_set: str, setting: str = "feature_set") -> FeatureSet:
     table = feature_sets()
     if feature_set not in table:
         raise UsageError(
-            f"{setting}: unknown feature set {feature_set!r}: choose from "
-            f"{', '.join(sorted(table))}, or install the package that offers it",
+            f"unknown feature set {feature_set!r}",
+            f"choose from {', '.join(sorted(table))}, or install the package that offers it",
+            where=setting,
             code=SETTING,
         )
     return table[feature_set]
@@ -179,5 +180,5 @@ def _usable(name: str, groups: Any) -> FeatureSet:
 
 def _unusable(name: str, why: str) -> UsageError:
     return UsageError(
-        f"feature set {name!r}: {why}; mend or remove the package that offers it", code=PACKAGE
+        f"feature set {name!r}: {why};", "mend or remove the package that offers it", code=PACKAGE
     )

@@ -126,8 +126,9 @@ class Recogniser:
         feature_set = part.feature_set
         if feature_set not in feature_sets():
             raise MapError(
-                f"classifiers: file: its feature set {feature_set!r} is not installed: install "
-                "the package that offers it, or build the map again"
+                f"file: its feature set {feature_set!r} is not installed",
+                "install the package that offers it, or build the map again",
+                where="classifiers",
             )
         names = feature_names(feature_set)
         boosters = {
@@ -200,7 +201,9 @@ class ClassifierSet:
             if virtual is not None and virtual.ids != raw.ids:
                 raise ValueError("raw and virtual classifiers are of different submaps")
         except ValueError as error:
-            raise MapError(f"classifiers: {_first_finding(error)}; build the map again") from None
+            raise MapError(
+                f"{_first_finding(error)};", "build the map again", where="classifiers"
+            ) from None
         return cls(
             sensor=data.sensor,
             raw=raw,

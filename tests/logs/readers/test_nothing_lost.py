@@ -130,10 +130,12 @@ def test_what_is_lost_of_a_chunk_is_told_with_number_topic_and_place(
     assert f" on {lost[0].topic}, between 100." in said
 
 
+@pytest.mark.parametrize("listed", [True, False])
 def test_a_message_moved_to_another_topic_is_missed_on_its_own(
-    path: Path, few: list[Message]
+    path: Path, few: list[Message], listed: bool
 ) -> None:
-    write_mcap(path, few, compression=PLAIN, enable_crcs=False, index_types=IndexType.CHUNK)
+    index = IndexType.ALL if listed else IndexType.CHUNK
+    write_mcap(path, few, compression=PLAIN, enable_crcs=False, index_types=index)
     data = bytearray(path.read_bytes())
     number = next(n for n, m in enumerate(few) if m.topic == "/scan" and n > 10)
     place = data.index(few[number].data) - 22  # of the channel, which comes first
@@ -142,8 +144,13 @@ def test_a_message_moved_to_another_topic_is_missed_on_its_own(
     path.write_bytes(data)
     with open_log(path) as log:
         list(log.messages())
-        assert log.damage == [f"{path}: 1 of 10 messages on /scan of the index are not in the file"]
+        (line,) = log.damage
         assert log.missing == {"/scan": 1}
+    if listed:
+        assert "chunk at byte " in line
+        assert " messages on /scan, between 100." in line
+    else:
+        assert line == f"{path}: 1 of 10 messages on /scan of the index are not in the file"
 
 
 def test_rows_of_a_database_that_are_gone_are_counted(tmp_path: Path, few: list[Message]) -> None:

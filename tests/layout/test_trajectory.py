@@ -1,4 +1,4 @@
-"""Poses carried along by those that were relaxed."""
+"""Poses between those that were relaxed follow these."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray, compose, invert, wrap_angles
 from specmap_cli.core.records import Trajectory
-from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.carrying import bridged, carried, keyframe_rows
-from specmap_cli.layout.relaxation import corrected, relax
+from specmap_cli.layout.relaxation import relax
+from specmap_cli.layout.trajectory import bridged, corrected, keyframe_rows, propagated
+from tests.layout.driving import CONFIG
 from tests.strategies import pose_arrays
 
 
-def test_poses_between_anchors_follow_the_last_one() -> None:
+def test_poses_in_between_follow_the_last_relaxed_one() -> None:
     tracked = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]])
-    anchors, relaxed = np.array([1, 3]), np.array([[5.0, 5, np.pi / 2], [7, 7, 0]])
-    moved = carried(tracked, anchors, relaxed)
+    rows, relaxed = np.array([1, 3]), np.array([[5.0, 5, np.pi / 2], [7, 7, 0]])
+    moved = propagated(tracked, rows, relaxed)
     assert np.allclose(moved[:, :2], [[5, 4], [5, 5], [5, 6], [7, 7]])
 
 
 @given(pose_arrays(8), pose_arrays(8), st.sets(st.integers(0, 7), min_size=1))
-def test_each_pose_keeps_its_motion_since_the_last_anchor(
+def test_each_pose_keeps_its_motion_since_the_last_relaxed_one(
     tracked: FloatArray, new: FloatArray, chosen: set[int]
 ) -> None:
-    anchors = np.array(sorted(chosen))
-    moved = carried(tracked, anchors, new[anchors])
+    rows = np.array(sorted(chosen))
+    moved = propagated(tracked, rows, new[rows])
     for k in range(8):
         last = max((a for a in chosen if a <= k), default=min(chosen))
         expected = compose(new[last], compose(invert(tracked[last]), tracked[k]))
@@ -37,10 +37,10 @@ def test_each_pose_keeps_its_motion_since_the_last_anchor(
 
 
 @given(pose_arrays(5))
-def test_anchors_that_stay_move_nothing_and_nothing_moves_without_one(tracked: FloatArray) -> None:
-    stays = carried(tracked, np.array([0, 3]), tracked[[0, 3]])
+def test_poses_that_stay_move_nothing_and_nothing_moves_without_one(tracked: FloatArray) -> None:
+    stays = propagated(tracked, np.array([0, 3]), tracked[[0, 3]])
     assert np.allclose(stays[:, :2], tracked[:, :2], atol=1e-9)
-    free = carried(tracked, np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
+    free = propagated(tracked, np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
     assert np.array_equal(free, tracked)
     free[0] = 99.0
     assert tracked[0, 0] <= 50.0, "a copy"
@@ -48,14 +48,14 @@ def test_anchors_that_stay_move_nothing_and_nothing_moves_without_one(tracked: F
 
 def test_every_scan_of_the_trajectory_moves_with_its_keyframe(store: KeyframeStore) -> None:
     """Stamps repeat and step back; scans between keyframes come along."""
-    layout = relax(store, [], [], RelaxationConfig())
+    layout = relax(store, [], {}, CONFIG)
     tracked = np.repeat(store.poses, 2, axis=0)
     tracked[1::2] = compose(tracked[1::2], np.array([0.02, 0.0, 0.0]))
     stamps, tilt = np.repeat(np.array(store.stamps_ns), 2), np.full((len(tracked), 3), 0.1)
     trajectory = Trajectory(stamps_ns=stamps, poses=tracked, tilt=tilt)
     rows = keyframe_rows(trajectory, store)
     assert np.array_equal(rows, np.arange(0, len(stamps), 2))
-    result = corrected(trajectory, store, layout)
+    result = corrected(trajectory, store, layout.poses)
     assert np.allclose(result.poses[::2], layout.poses)
     assert np.allclose(
         compose(invert(result.poses[::2]), result.poses[1::2]), [0.02, 0.0, 0.0], atol=1e-9

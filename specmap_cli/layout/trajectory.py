@@ -1,8 +1,9 @@
-"""Poses between those that were relaxed: carried along by the last of these."""
+"""Poses between those that were relaxed: they follow the last of these, as they were tracked."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -22,20 +23,29 @@ from specmap_cli.grids.keyframes import KeyframeStore
 _SAME = 2e-6  # metres and radians: text files have six decimals
 
 
-def carried(tracked: FloatArray, anchors: IntArray, relaxed: FloatArray) -> FloatArray:
-    """Poses (n, 3) moved with their last anchor: its relaxed pose o the tracked motion since.
+def corrected(trajectory: Trajectory, store: KeyframeStore, poses: FloatArray) -> Trajectory:
+    """The trajectory of every registered scan, moved with the keyframes to their poses (n, 3)."""
+    moved = propagated(trajectory.poses, keyframe_rows(trajectory, store), poses)
+    if trajectory.lost is not None:
+        moved = bridged(moved, trajectory.poses, trajectory.lost)
+    return replace(trajectory, poses=moved)
 
-    `anchors` (m,) ascending rows of `tracked` (n, 3), `relaxed` (m, 3) their new poses. What lies
-    before the first anchor goes with that one; without an anchor nothing moves.
+
+def propagated(tracked: FloatArray, relaxed_rows: IntArray, relaxed: FloatArray) -> FloatArray:
+    """Poses (n, 3), each moved with the last relaxed one: its new pose o the tracked motion since.
+
+    `relaxed_rows` (m,) ascending rows of `tracked` (n, 3), `relaxed` (m, 3) their new poses. What
+    lies before the first goes with that one; without any nothing moves.
     """
-    if not len(anchors):
+    if not len(relaxed_rows):
         return np.array(tracked)
-    last = np.maximum(np.searchsorted(anchors, np.arange(len(tracked)), side="right") - 1, 0)
-    motion = compose(invert(tracked[anchors[last]]), tracked)
+    rows = np.arange(len(tracked))
+    last = np.maximum(np.searchsorted(relaxed_rows, rows, side="right") - 1, 0)
+    motion = compose(invert(tracked[relaxed_rows[last]]), tracked)
     return compose(relaxed[last], motion)
 
 
-def carried_places(places: FloatArray, before: FloatArray, after: FloatArray) -> FloatArray:
+def propagated_places(places: FloatArray, before: FloatArray, after: FloatArray) -> FloatArray:
     """Places (m, 2) moved with the pose nearest to each, of those `before` (n, 3) to `after`."""
     nearest = cKDTree(before[:, :2]).query(places)[1]
     poses = np.column_stack([places, np.zeros(len(places))])

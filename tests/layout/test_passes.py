@@ -1,8 +1,8 @@
-"""Nearby passes: which pairs of nodes are matched along the path, and what comes of it."""
+"""Passes: which pairs of nodes are matched along the path, far and near, and what comes of it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -11,23 +11,28 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angle
-from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.motion_edges import MATCH_RANGE_M
-from specmap_cli.layout.nearby_passes import candidates, find_passes, passes_at
-from specmap_cli.layout.path_graph import LOOP_PATH_M, Draft, Graph
+from specmap_cli.layout.consistency import judge
+from specmap_cli.layout.parts import _PART_VOTES
+from specmap_cli.layout.passes import candidates, far_passes, find_passes, passes_at
+from specmap_cli.layout.path_graph import LOOP_PATH_M, Draft, Graph, graph_of
 from specmap_cli.layout.pose_graph import Link
-from specmap_cli.layout.solving import renewed
-from specmap_cli.layout.stops import stops
-from specmap_cli.layout.strays import _STRAY_VOTES
+from specmap_cli.layout.solving import solved
 from specmap_cli.layout.walls import Walls
-from tests.layout.driving import as_tracked, between
+from tests.layout.driving import (
+    SECOND_LAP,
+    Drive,
+    Laps,
+    as_tracked,
+    between,
+    link,
+    missed,
+    stored,
+)
 from tests.strategies import pose_arrays
 from tests.turning import turned
 
-Perfect = tuple[KeyframeStore, Graph]
 
-
-def by_loops(node: int, poses: FloatArray, path: FloatArray, radius: float) -> list[int]:
+def candidates_by_hand(node: int, poses: FloatArray, path: FloatArray, radius: float) -> list[int]:
     """The candidates of a node, from the words of the constants."""
     ranked = []
     for k in range(len(poses)):
@@ -52,38 +57,21 @@ def test_candidates_are_near_far_along_the_path_and_apart(
     poses: FloatArray, steps: list[float], node: int, radius: float
 ) -> None:
     path = np.cumsum(steps)
-    with turned("layout.nearby_passes", LOOP_RADIUS_M=radius):
-        assert candidates(node, poses, path) == by_loops(node, poses, path, radius)
+    with turned("layout.passes", _NEAR_M=radius):
+        assert candidates(node, poses, path) == candidates_by_hand(node, poses, path, radius)
 
 
-def test_none_per_node_is_none(perfect: Perfect) -> None:
-    store, graph = perfect
-    walls = Walls(store, graph, MATCH_RANGE_M)
+def test_none_per_node_is_none(perfect: Laps, walls: Walls) -> None:
+    graph = perfect[1]
     assert passes_at(190, graph, graph.poses, walls, {}, set(), 0.5).links
-    with turned("layout.nearby_passes", LOOPS_PER_NODE=0):
+    with turned("layout.passes", LOOPS_PER_NODE=0):
         found = passes_at(190, graph, graph.poses, walls, {}, set(), 0.5)
         assert (found.links, found.guesses, found.is_tied) == ((), {}, False)
         assert find_passes(graph, as_tracked(graph), walls).loops == ()
 
 
-@given(st.lists(st.floats(0.0, 3.0), min_size=1, max_size=30), st.floats(0.1, 5.0))
-def test_stops_are_the_first_nodes_past_each_stretch(steps: list[float], every_m: float) -> None:
-    path = np.cumsum(steps)
-    chosen = stops(path, every_m)
-    ways = [0.0, *path[chosen].tolist()]
-    assert (np.diff(ways) >= every_m).all()
-    for k in set(range(len(path))) - set(chosen):
-        last = max(way for way in ways if way <= path[k])
-        assert path[k] - last < every_m
-
-
-def rows_of(graph: Graph, links: Sequence[Link]) -> set[tuple[int, int]]:
-    return {(graph.row[link.source], graph.row[link.target]) for link in links}
-
-
-def test_a_pass_is_linked_and_remembered(perfect: Perfect) -> None:
-    store, graph = perfect
-    walls = Walls(store, graph, MATCH_RANGE_M)
+def test_a_pass_is_linked_and_remembered(perfect: Laps, walls: Walls) -> None:
+    graph = perfect[1]
     first = passes_at(190, graph, graph.poses, walls, {}, set(), 0.5)
     assert first.is_tied
     (found,) = first.links
@@ -91,55 +79,51 @@ def test_a_pass_is_linked_and_remembered(perfect: Perfect) -> None:
     assert (truth.inverse() @ found.source_from_target).distance < 0.1
     assert found.target == graph.nodes[190]
     assert first.cut_short == 0
-    linked = rows_of(graph, first.links)
+    linked = {ends_of(graph, one) for one in first.links}
     again = passes_at(190, graph, graph.poses, walls, first.guesses, linked, 0.5)
     assert again.links == ()
     assert again.is_tied
     assert again.guesses == first.guesses
 
 
-def test_the_second_pass_is_asked_when_the_first_does_not_fit(perfect: Perfect) -> None:
-    store, graph = perfect
-    walls = Walls(store, graph, MATCH_RANGE_M)
+def test_the_second_pass_is_asked_when_the_first_does_not_fit(perfect: Laps, walls: Walls) -> None:
+    graph = perfect[1]
     graph = replace(graph, path=10 * graph.path)  # so that neighbours are passes of their own
     best, second = candidates(190, graph.poses, graph.path)[:2]
     guess = Pose2(*compose(invert(graph.poses[best]), graph.poses[190]).tolist())
     tried = {(best, 190): guess}  # to no avail
     found = passes_at(190, graph, graph.poses, walls, tried, set(), 0.5)
-    assert rows_of(graph, found.links) == {(second, 190)}
-    with turned("layout.nearby_passes", LOOPS_PER_NODE=1):
+    assert {ends_of(graph, one) for one in found.links} == {(second, 190)}
+    with turned("layout.passes", LOOPS_PER_NODE=1):
         assert not passes_at(190, graph, graph.poses, walls, tried, set(), 0.5).is_tied
 
 
 @pytest.mark.parametrize(("shift", "count"), [(0.9, 0), (1.1, 1)])
 def test_a_pair_that_moved_by_a_metre_is_matched_again(
-    perfect: Perfect, shift: float, count: int
+    perfect: Laps, walls: Walls, shift: float, count: int
 ) -> None:
-    store, graph = perfect
-    walls = Walls(store, graph, MATCH_RANGE_M)
-    with turned("layout.nearby_passes", LOOPS_PER_NODE=1):
+    graph = perfect[1]
+    with turned("layout.passes", LOOPS_PER_NODE=1):
         first = passes_at(190, graph, graph.poses, walls, {}, set(), 0.5)
         moved = {pair: guess @ Pose2(shift, 0.0, 0.0) for pair, guess in first.guesses.items()}
         found = passes_at(190, graph, graph.poses, walls, moved, set(), 0.5)
     assert len(found.links) == count
 
 
-def test_a_search_shorter_than_the_drift_is_counted(perfect: Perfect) -> None:
-    store, graph = perfect
-    walls = Walls(store, graph, MATCH_RANGE_M)
-    with turned("layout.nearby_passes", LOOP_SEARCH_MAX_M=0.5):
+def test_a_search_shorter_than_the_drift_is_counted(perfect: Laps, walls: Walls) -> None:
+    graph = perfect[1]
+    with turned("layout.passes", LOOP_SEARCH_MAX_M=0.5):
         found = passes_at(190, graph, graph.poses, walls, {}, set(), 0.6)
     assert found.cut_short == len(found.guesses) > 0
     tied = as_tracked(graph)
-    with turned("layout.nearby_passes", LOOP_SEARCH_MAX_M=0.3):
+    with turned("layout.passes", LOOP_SEARCH_MAX_M=0.3):
         assert find_passes(graph, tied, walls).limits["loop_search_max_m"] > 0
-    with turned("layout.nearby_passes", LOOP_SEARCH_MAX_M=9.0):
+    with turned("layout.passes", LOOP_SEARCH_MAX_M=9.0):
         assert find_passes(graph, tied, walls).limits == {}
 
 
-def test_passes_are_found_along_the_second_lap(perfect: Perfect) -> None:
-    store, graph = perfect
-    walls = Walls(store, graph, MATCH_RANGE_M)
+def test_passes_are_found_along_the_second_lap(perfect: Laps, walls: Walls) -> None:
+    graph = perfect[1]
     draft = as_tracked(graph)
     found = find_passes(graph, draft, walls)
     assert len(found.loops) >= 15
@@ -149,18 +133,17 @@ def test_passes_are_found_along_the_second_lap(perfect: Perfect) -> None:
         assert (truth.inverse() @ edge.source_from_target).distance < 0.1
     assert np.abs(found.poses - graph.poses).max() < 0.1, "they confirm what was right"
     assert draft.loops == ()
-    assert draft.tried == {}
+    assert draft.matched == {}
     again = find_passes(graph, found, walls)
-    fresh = set(again.tried) - set(found.tried)
+    fresh = set(again.matched) - set(found.matched)
     assert len(fresh) <= 2, "nodes moved by millimetres: hardly another one is the nearest"
     assert found.loops == again.loops[: len(found.loops)]
     assert len(again.loops) <= len(found.loops) + len(fresh)
 
 
-def test_where_more_passes_came_by_stops_are_farther_apart(perfect: Perfect) -> None:
+def test_where_more_passes_came_by_fewer_nodes_are_asked(perfect: Laps, walls: Walls) -> None:
     """Each neighbour of a node counts as a pass of its own: there are many."""
-    store, graph = perfect
-    walls = Walls(store, graph, MATCH_RANGE_M)
+    graph = perfect[1]
     known = replace(graph, path=10 * graph.path)  # metres that are decimetres
     with turned("layout.path_graph", LOOP_EVERY_M=10.0, LOOP_PATH_M=60.0):
         with turned("layout.uncertainty", DRIFT_SHARE=0.004):
@@ -175,18 +158,17 @@ def test_where_more_passes_came_by_stops_are_farther_apart(perfect: Perfect) -> 
 
 
 def test_what_confirms_the_layout_does_not_renew_it(
-    perfect: Perfect, monkeypatch: pytest.MonkeyPatch
+    perfect: Laps, walls: Walls, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    store, graph = perfect
-    walls = Walls(store, graph, MATCH_RANGE_M)
+    graph = perfect[1]
     solutions: list[int] = []
 
-    def counted(graph: Graph, draft: Draft) -> Draft:
+    def counted(graph: Graph, draft: Draft, *, roughly: bool) -> Draft:
         solutions.append(len(draft.loops))
-        return renewed(graph, draft)
+        return solved(graph, draft, roughly=roughly)
 
-    monkeypatch.setattr("specmap_cli.layout.nearby_passes.renewed", counted)
-    monkeypatch.setattr("specmap_cli.layout.nearby_passes._SOLVE_EVERY", 2)
+    monkeypatch.setattr("specmap_cli.layout.passes.solved", counted)
+    monkeypatch.setattr("specmap_cli.layout.passes._SOLVE_EVERY", 2)
     assert len(find_passes(graph, as_tracked(graph), walls).loops) >= 15
     assert solutions == []
     aside = graph.poses
@@ -195,31 +177,96 @@ def test_what_confirms_the_layout_does_not_renew_it(
     assert 0 < len(solutions) < 5, "the first bring the rest where it belongs"
 
 
-def test_the_layout_is_renewed_as_passes_come_in(perfect: Perfect) -> None:
+def test_the_layout_is_renewed_as_passes_come_in(perfect: Laps, walls: Walls) -> None:
     """The second lap was put a little aside: the first passes bring all of it back at once."""
-    store, graph = perfect
+    graph = perfect[1]
     second = graph.parts == 1
     aside = graph.poses
     aside[second, 1] += 0.25
-    walls = Walls(store, graph, MATCH_RANGE_M)
     start = replace(as_tracked(graph), poses=aside)
-    with turned("layout.nearby_passes", _SOLVE_EVERY=2):
+    with turned("layout.passes", _SOLVE_EVERY=2):
         often = find_passes(graph, start, walls)
-    with turned("layout.nearby_passes", _SOLVE_EVERY=10_000):
+    with turned("layout.passes", _SOLVE_EVERY=10_000):
         never = find_passes(graph, start, walls)
     assert np.array_equal(never.poses, aside)
     off = np.hypot(*(often.poses - graph.poses)[second, :2].T)
     assert off.max() < 0.1
 
 
-def test_a_stray_part_is_rejoined_on_the_way(perfect: Perfect) -> None:
-    store, graph = perfect
-    walls = Walls(store, graph, MATCH_RANGE_M)
+def test_a_part_that_a_guess_placed_is_rejoined_on_the_way(perfect: Laps, walls: Walls) -> None:
+    graph = perfect[1]
     draft = Draft(poses=graph.poses)
     found = find_passes(graph, draft, walls)
     assert found.tied == {0, 1}
-    assert found.tries[1] >= _STRAY_VOTES - 1, "the guess, which is right, is a vote"
-    with turned("layout.strays", STRAY_TRIES=0):
+    assert found.tries[1] >= _PART_VOTES - 1, "the guess, which is right, is a vote"
+    with turned("layout.parts", PART_TRIES=0):
         alone = find_passes(graph, draft, walls)
     assert alone.tied == {0}
     assert all(edge.target < 480 for edge in alone.loops), "a guess is no place to look from"
+
+
+def ends_of(graph: Graph, one: Link) -> tuple[int, int]:
+    return graph.row[one.source], graph.row[one.target]
+
+
+def stretched(truth: FloatArray, metres: float, until: int = 450) -> FloatArray:
+    """The path of a robot that found the first lap shorter or longer along its way."""
+    tracked = np.array(truth)
+    tracked[until:] = compose(np.array([metres, 0.0, 0.0]), truth[until:])
+    return tracked
+
+
+@pytest.fixture(scope="module")
+def aside(drive: Drive) -> Iterator[tuple[Graph, Walls]]:
+    """The second lap put metres aside, by an error that is expected."""
+    truth, scans = drive
+    with stored(stretched(truth, 4.0), scans) as store:
+        graph = graph_of(store, [], {})
+        yield graph, Walls(store, graph)
+
+
+def far(
+    aside: tuple[Graph, Walls], draft: Draft, **constants: float
+) -> tuple[tuple[Link, ...], Draft]:
+    """What is found far away, searched every few metres."""
+    with turned("layout.passes", **{"_WIDE_EVERY_M": 4.0, **constants}):
+        return far_passes(aside[0], draft, aside[1])
+
+
+def test_what_lies_metres_away_is_found(drive: Drive, aside: tuple[Graph, Walls]) -> None:
+    truth, graph = drive[0], aside[0]
+    claims, _ = far(aside, as_tracked(graph))
+    late = [claim for claim in claims if claim.target > SECOND_LAP]
+    assert len(late) >= 3
+    for claim in late:
+        assert missed(between(truth, claim.source, claim.target), claim.source_from_target)[0] < 0.2
+    assert {claim.kind for claim in claims} == {"nearby"}
+    assert min(one.away_m for one in judge(graph, as_tracked(graph), late)[0]) > 3.0
+    alone, _ = judge(graph, as_tracked(graph), late[:1])
+    assert [one.reason for one in alone] == ["impossible"], "one pass far away is not believed"
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("LOOP_SEARCH_MAX_M", 99.0),  # the near search reaches as far
+        ("_WIDE_EVERY_M", 500.0),
+    ],
+)
+def test_nothing_is_searched_where_it_need_not_be(
+    aside: tuple[Graph, Walls], name: str, value: float
+) -> None:
+    claims, draft = far(aside, as_tracked(aside[0]), **{name: value})
+    assert (claims, draft.searched) == ((), {})
+
+
+def test_a_path_that_is_tied_is_not_searched_and_nothing_twice(aside: tuple[Graph, Walls]) -> None:
+    graph = aside[0]
+    nodes = graph.nodes.tolist()
+    tied = as_tracked(graph, *(link(nodes[0], node, (0.0, 0.0, 0.0)) for node in nodes[30:]))
+    assert far(aside, tied) == ((), tied)
+    found, once = far(aside, as_tracked(graph))
+    assert found
+    again, twice = far(aside, once)
+    assert again == ()
+    assert twice.searched == once.searched

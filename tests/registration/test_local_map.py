@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,28 +13,18 @@ from hypothesis import strategies as st
 from scipy.spatial import KDTree
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.matching import Window
 from specmap_cli.registration.aligner import SensorKind
-from specmap_cli.registration.local_map import Bounds, Fit, LocalMap
+from specmap_cli.registration.local_map import Fit, LocalMap, SeenSpace
+from specmap_cli.registration.sweep_view import outline_of
 from tests.registration.aligners import ToldAligner
-from tests.registration.drives import scene_in, scene_of, turned, view_of_points
+from tests.registration.drives import circle, scene_in, scene_of, turned, view_of_points
 from tests.strategies import seeds
-from tests.turning import configured
 
 LADDER = (2.0, 1.0, 0.5, 0.25)
-
-
-def test_kernels_shrink_and_only_the_fine_ones_need_all_points(world: GridMap) -> None:
-    aligner = ToldAligner()
-    scene = scene_in(world, aligner)
-    scene.align(np.eye(4), LADDER)
-    assert [asked.kernel_m for asked in aligner.asked] == pytest.approx([0.2, 0.1, 0.05, 0.025])
-    assert [asked.coarse for asked in aligner.asked] == [True, True, False, False]
-    for asked in aligner.asked:
-        assert asked.points is (scene.view.sparse if asked.coarse else scene.view.cloud)
-    assert len(scene.view.sparse) < len(scene.view.cloud)
 
 
 def test_kernels_are_in_voxels_of_the_sensor(world: GridMap) -> None:
@@ -50,24 +41,6 @@ def test_every_alignment_starts_where_the_one_before_ended(world: GridMap) -> No
     )
     assert fit.planar.x == pytest.approx(0.4)
     assert fit.refused == 0
-
-
-def test_near_by_few_kernels_begin_where_steps_on_the_score_field_end(world: GridMap) -> None:
-    guess, aligner = turned(0.06, 0.04, 0.0), ToldAligner()
-    scene = scene_in(world, aligner)
-    scene.align_quickly(guess, Bounds.around(guess, scene.config))
-    (asked,) = aligner.asked
-    assert asked.kernel_m == pytest.approx(0.025)
-    assert asked.guess == pytest.approx(np.eye(4), abs=0.01)
-
-
-def test_in_space_few_kernels_begin_at_the_guess(world: GridMap) -> None:
-    guess, aligner = turned(0.06, 0.04, 0.0), ToldAligner()
-    scene = scene_in(world, aligner)
-    scene.local.sensor = dataclasses.replace(scene.local.sensor, in_space=True)
-    scene.align_quickly(guess, Bounds.around(guess, scene.config))
-    assert [asked.kernel_m for asked in aligner.asked] == pytest.approx([0.15, 0.025])
-    assert np.array_equal(aligner.asked[0].guess, guess)
 
 
 def broken(guess: FloatArray) -> FloatArray:
@@ -95,11 +68,21 @@ def test_an_alignment_that_runs_off_is_refused_and_ends_the_ladder(
     assert fit.planar == Pose2(0.2, 0.0, 0.0)  # the result before it stands
 
 
-@pytest.mark.parametrize("answer", [moved(x=1.49), moved(yaw=0.79), moved(roll=0.29)])
+@pytest.mark.parametrize(
+    ("answer", "settings"),
+    [
+        (moved(x=1.49), {}),
+        (moved(yaw=0.79), {}),
+        (moved(roll=0.29), {}),
+        (moved(x=2.5), {"max_shift_m": 3.0}),
+        (moved(yaw=1.5), {"max_shift_rad": 2.0}),
+        (moved(roll=0.5), {"max_tilt_rad": 0.6}),
+    ],
+)
 def test_an_alignment_within_the_limits_is_followed(
-    world: GridMap, answer: Callable[[FloatArray], FloatArray]
+    world: GridMap, answer: Callable[[FloatArray], FloatArray], settings: dict[str, float]
 ) -> None:
-    fit = scene_in(world, ToldAligner(answer)).align(np.eye(4), (1.0,))
+    fit = scene_in(world, ToldAligner(answer), **settings).align(np.eye(4), (1.0,))
     assert fit.refused == 0
     assert np.array_equal(fit.pose, answer(np.eye(4)))
 
@@ -109,22 +92,6 @@ def test_the_limits_count_from_the_first_guess_of_all_kernels(world: GridMap) ->
     fit = scene_in(world, aligner).align(np.eye(4), LADDER)
     assert fit.planar.x == pytest.approx(1.2)  # the third step would be 1.8 m away
     assert fit.refused == 1
-
-
-@pytest.mark.parametrize(
-    ("setting", "value", "answer"),
-    [
-        ("max_shift_m", 3.0, moved(x=2.5)),
-        ("max_shift_rad", 2.0, moved(yaw=1.5)),
-        ("max_tilt_rad", 0.6, moved(roll=0.5)),
-    ],
-)
-def test_limits_of_an_alignment_are_settings(
-    world: GridMap, setting: str, value: float, answer: Callable[[FloatArray], FloatArray]
-) -> None:
-    assert scene_in(world, ToldAligner(answer)).align(np.eye(4), (1.0,)).refused == 1
-    wider = scene_in(world, ToldAligner(answer), **{setting: value})
-    assert wider.align(np.eye(4), (1.0,)).refused == 0
 
 
 @given(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
@@ -178,27 +145,19 @@ def test_another_fit_must_be_clearly_better(score: float, taken: bool) -> None:
     assert best.refused == 3
 
 
-@given(seeds)
-def test_the_local_map_keeps_the_walls_of_the_last_keyframes_only(seed: int) -> None:
-    """Against a list of all keyframes and a slice of its end; rebuilt at every other one."""
-    rng = np.random.default_rng(seed)
-    few = {"window_keyframes": 3, "rebuild_keyframes": 2}
-    config = configured(RegistrationConfig, "registration", few)
+def test_the_local_map_forgets_what_left_its_window() -> None:
+    """Eighty keyframes, which leave with every fourth one."""
     sensor = SensorKind(in_space=False, voxel_m=0.1, range_m=20.0)
-    local, walls = LocalMap(ToldAligner(), sensor, config), []
-    for x, y, turn in rng.uniform(-2, 2, (7, 3)).tolist():
-        view = view_of_points(rng.uniform(-1.5, 1.5, (5, 2)))
-        pose = Pose2(x, y, turn)
-        local.insert(view, pose.matrix())
-        walls.append(pose.apply(view.walls))
-        now = np.concatenate(walls[-3:])
-        assert len(local) == min(3, len(walls))
-        assert local.field.score(now, IDENTITY) == pytest.approx(1.0)
-        kept = 3 if len(walls) % 2 else 4  # the oldest goes at the next rebuild
-        for old in walls[:-kept]:
-            distance, _ = KDTree(np.concatenate(walls[-kept:])).query(old)
-            gone = old[distance > 0.5]
-            assert local.field.score(gone, IDENTITY) < 1e-3
+    local = LocalMap(ToldAligner(), sensor, RegistrationConfig())
+    walls = np.column_stack([np.linspace(-1.0, 1.0, 40), np.full(40, 1.0)])
+    first = Pose2(0.0, 15.0, 0.0)
+    local.insert(view_of_points(walls), first.matrix())
+    for _ in range(79):
+        local.insert(view_of_points(walls), np.eye(4))
+    assert local.field.score(walls, first) == pytest.approx(1.0)
+    local.insert(view_of_points(walls), np.eye(4))
+    assert local.field.score(walls, first) < 1e-3
+    assert len(local) == 80
     local.clear()
     assert len(local) == 0
 
@@ -234,3 +193,67 @@ def test_support_counts_only_what_could_be_seen() -> None:
     far = Pose2(0.0, 30.0, 0.0)
     assert scene.support(far).count == 0
     assert scene.gain(IDENTITY, far) == 0.0
+
+
+CELL_M = 0.2
+
+
+@given(seeds)
+def test_space_inside_of_an_outline_was_seen_and_space_outside_was_not(seed: int) -> None:
+    """Against the signed distance of each point from each outline."""
+    rng = np.random.default_rng(seed)
+    scans = [circle(0, rng.uniform(1.0, 5.0, 24)).planar for _ in range(3)]
+    places = [Pose2(*rng.uniform(-2, 2, 3)) for _ in scans]
+    outlines = [
+        place.apply(outline_of(scan, IDENTITY, 20.0))
+        for scan, place in zip(scans, places, strict=True)
+    ]
+    seen = SeenSpace.of(outlines, CELL_M, 20.0)
+    points = rng.uniform(-8, 8, (200, 2))
+    depths = np.array(
+        [
+            max(
+                cv2.pointPolygonTest(outline[1:].astype(np.float32), (float(x), float(y)), True)
+                for outline in outlines
+            )
+            for x, y in points
+        ]
+    )
+    found = seen.holds(points)
+    assert found[depths > 0.0].all()
+    assert not found[depths < -3 * CELL_M].any()
+
+
+def test_a_beam_without_return_and_the_back_of_the_laser_are_not_seen() -> None:
+    bearings = np.linspace(-np.pi / 2, np.pi / 2, 181)
+    ranges = np.where(bearings < 0.0, 3.0, np.inf)
+    scan = PlanarScan(0, bearings, ranges, 10.0, full_circle=False)
+    seen = SeenSpace.of([outline_of(scan, IDENTITY, 10.0)], CELL_M, 10.0)
+    points = np.array([[1.0, -1.0], [1.0, 1.5], [-1.0, -1.0], [2.5, -3.0]])
+    assert seen.holds(points).tolist() == [True, False, False, False]
+
+
+def test_no_farther_than_walls_are_registered() -> None:
+    scan = circle(0, np.full(90, 9.0)).planar
+    seen = SeenSpace.of([outline_of(scan, Pose2(1.0, 0.0, 0.3), 4.0)], CELL_M, 20.0)
+    assert seen.holds(np.array([[4.5, 0.0], [-2.5, 0.0], [6.0, 0.0]])).tolist() == [
+        True,
+        True,
+        False,
+    ]
+
+
+@pytest.mark.parametrize("beams", [4, 359, 720, 5000])
+def test_outlines_of_many_beams_are_thinned(beams: int) -> None:
+    outline = outline_of(circle(0, np.full(beams, 2.0)).planar, IDENTITY, 10.0)
+    assert len(outline) <= 362
+    assert np.allclose(outline[0], 0.0)
+    assert np.allclose(np.hypot(*outline[1:].T), 2.0)
+    assert np.allclose(outline[1], outline[-1])
+
+
+def test_points_off_the_grid_were_not_seen() -> None:
+    scan = dataclasses.replace(circle(0, np.full(90, 9.0)).planar, full_circle=True)
+    seen = SeenSpace.of([outline_of(scan, IDENTITY, 20.0)], CELL_M, 5.0)
+    points = np.array([[4.9, 4.9], [5.5, 0.0], [-1e6, 0.0], [0.0, 1e9]])
+    assert seen.holds(points).tolist() == [True, False, False, False]

@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
 from specmap_cli.core.findings import Finding, Where
-from specmap_cli.core.geometry import step_lengths
+from specmap_cli.core.geometry import FloatArray, compose, invert, step_lengths
 from specmap_cli.core.text import counted
 from specmap_cli.layout.audit import Disagreement
-from specmap_cli.quality.evidence import Evidence, graded
+from specmap_cli.layout.path_graph import Ends
+from specmap_cli.layout.pose_graph import Link
+from specmap_cli.quality.evidence import (
+    MOVED_M,
+    MOVED_VOTES,
+    SAME_PLACE_M,
+    STILL_RAD,
+    Evidence,
+    graded,
+    told,
+)
+
+LOOSE, MOVED, RIVAL, LAYOUT = "loose-part", "part-moved", "rival-place", "layout-refused"
+WALLS, MENDED, REFUTED, BEYOND = "walls-disagree", "walls-mended", "closures-refuted", "beyond-grid"
+CODES = frozenset({LOOSE, MOVED, RIVAL, LAYOUT, WALLS, MENDED, REFUTED, BEYOND})
 
 _LOOSE_SHARE_POOR = 0.1  # share of the way that a guess places, above which a map is poor
 _WALLS_SHARE_POOR = 0.1  # share of the passes compared that disagree, above which a map is poor
-MOVED_M = 1.0  # a piece that the layout moved farther is told of
-MOVED_VOTES = 3  # a piece that was moved is doubtful when fewer matches say so
-SAME_PLACE_M = 5.0  # disagreements, and matches, this near are of one place
-LOOSE, WALLS, REFUTED = "loose-part", "walls-disagree", "closures-refuted"
-MENDED = "walls-mended"
-BEYOND, MOVED, LAYOUT = "beyond-grid", "part-moved", "layout-refused"
+_LEAST = 2  # that agree to a metre and a few degrees: of wrong ones no two do by chance
 
 
 def loose_parts(evidence: Evidence) -> Iterator[Finding]:
@@ -33,16 +42,16 @@ def loose_parts(evidence: Evidence) -> Iterator[Finding]:
         way_m = float(steps[start : end - 1].sum())
         share = way_m / total_m if total_m else 1.0
         severity, limit = graded(share, 0.0, _LOOSE_SHARE_POOR)
-        stamp_ns = evidence.keyframes_ns[start]
+        where = evidence.at_keyframe(start)
         yield Finding(
             code=LOOSE,
             severity="doubtful" if severity == "note" else severity,
             message=f"a guess alone places the {way_m:.0f} m that follow "
-            f"{stamp_ns * 1e-9:.3f} s: nothing there was recognised",
+            f"{told(where)}: nothing there was recognised",
             advice="drive through a place seen before, or record odometry",
             value=share,
             limit=limit,
-            where=Where.of(stamp_ns, evidence.place_of(start)),
+            where=where,
         )
 
 
@@ -56,68 +65,68 @@ def walls(evidence: Evidence) -> Iterator[Finding]:
     for group in _by_place(found, SAME_PLACE_M):
         worst = max(group, key=lambda one: one.walls_m)
         x, y = worst.place
-        earlier_ns, later_ns = (evidence.keyframes_ns[n] for n in (worst.earlier, worst.later))
+        earlier, later = (evidence.at_keyframe(n) for n in (worst.earlier, worst.later))
         apart_m = worst.apart_m
         how = "contradict each other" if apart_m is None else f"are {apart_m:.2f} m apart"
         yield Finding(
             code=WALLS,
             severity=severity,
-            message=f"near ({x:.1f}, {y:.1f}) the walls seen at {earlier_ns * 1e-9:.3f} s and "
-            f"{later_ns * 1e-9:.3f} s {how} (over {worst.walls_m:.1f} m)",
+            message=f"near ({x:.1f}, {y:.1f}) the walls seen at {told(earlier)} and "
+            f"{told(later)} {how} (over {worst.walls_m:.1f} m)",
             advice="the map is bent or folded there, or the building changed",
             value=share,
             limit=limit,
-            where=Where.of(later_ns, worst.place),
+            where=Where(later.stamp_ns, x, y),
         )
 
 
 def contradictions(evidence: Evidence) -> Iterator[Finding]:
     """Passes that contradict each other all over the map, a little everywhere."""
-    standing = evidence.layout.evidence.standing
-    if standing.is_doubtful and not evidence.audit.disagreements:
+    agreement = evidence.layout.agreement
+    if agreement.is_doubtful and not evidence.audit.disagreements:
         yield Finding(
             code=WALLS,
             severity="doubtful",
-            message=f"{standing.share:.1%} of the walls that two passes saw contradict each other",
+            message=f"{agreement.share:.1%} of the walls that two passes saw contradict each other",
             advice="the map is bent, or much moved meanwhile",
-            value=standing.share,
+            value=agreement.share,
         )
 
 
 def mended(evidence: Evidence) -> Iterator[Finding]:
     """Walls that the layout drew twice and the audit brought together; what is left is told."""
-    healing = evidence.layout.healing
-    if healing is not None:
+    repair = evidence.layout.repair
+    if repair is not None:
         yield Finding(
             code=MENDED,
             severity="note",
-            message=f"{healing.walls_m:.1f} m of wall were drawn twice: matched again in "
-            f"{counted(len(healing.links), 'place')}, the map moved by up to {healing.moved_m:.2f} "
+            message=f"{repair.walls_m:.1f} m of wall were drawn twice: matched again in "
+            f"{counted(len(repair.links), 'place')}, the map moved by up to {repair.moved_m:.2f} "
             "m",
-            value=healing.moved_m,
+            value=repair.moved_m,
         )
 
 
 def moved_parts(evidence: Evidence) -> Iterator[Finding]:
     """Pieces after a break that the layout moved far, and by how many closures and passes."""
-    for part in evidence.layout.evidence.parts:
+    for part in evidence.layout.parts:
         if part.moved_m <= MOVED_M or not part.votes:
             continue
-        stamp_ns = evidence.keyframes_ns[part.first]
+        where = evidence.at_keyframe(part.first)
         yield Finding(
             code=MOVED,
             severity="doubtful" if part.votes < MOVED_VOTES else "note",
-            message=f"the layout moved what follows {stamp_ns * 1e-9:.3f} s by "
+            message=f"the layout moved what follows {told(where)} by "
             f"{part.moved_m:.1f} m, to where closures and passes ({part.votes}) put it",
             value=part.moved_m,
             limit=MOVED_M,
-            where=Where.of(stamp_ns, evidence.place_of(part.first)),
+            where=where,
         )
 
 
 def refused_layout(evidence: Evidence) -> Iterator[Finding]:
     """A layout under which more walls contradict each other is not taken."""
-    if evidence.layout.evidence.choice == "tracked" and len(evidence.layout.nodes):
+    if evidence.layout.choice == "tracked" and len(evidence.layout.nodes):
         yield Finding(
             code=LAYOUT,
             severity="doubtful",
@@ -162,3 +171,76 @@ def _by_place(found: Sequence[Disagreement], reach_m: float) -> Iterator[list[Di
         near = [np.hypot(*(np.array(one.place) - centre)) <= reach_m for one in waiting]
         yield [one for one, is_near in zip(waiting, near, strict=True) if is_near]
         waiting = [one for one, is_near in zip(waiting, near, strict=True) if not is_near]
+
+
+def rival_places(evidence: Evidence) -> Iterator[Finding]:
+    """Pieces after an unmeasured hole or break that several refuted closures put elsewhere.
+
+    Where nothing measured the way, closures and passes alone say where the robot was afterwards. In
+    a building whose wings look alike many of them may agree and be wrong. Then the few that lead to
+    the right place were refuted; but they agree, too, which chance hardly makes.
+    """
+    poses = evidence.layout.poses
+    for start in _unmeasured(evidence):
+        across = [
+            link
+            for link in evidence.layout.dropped
+            if link.kind == "closure" and (link.source < start) != (link.target < start)
+        ]
+        votes, motion = _most_agreed(across, poses)
+        if votes < _LEAST:
+            continue
+        away = compose(invert(poses[start]), compose(motion, poses[start]))
+        away_m = float(np.hypot(away[0], away[1]))
+        where = evidence.at_keyframe(start)
+        yield Finding(
+            code=RIVAL,
+            severity="doubtful",
+            message=f"{counted(votes, 'refuted loop closure')} agree that what follows "
+            f"{told(where)} lies {away_m:.1f} m elsewhere, and nothing measured the way "
+            "there: parts of the building look alike",
+            advice="record odometry, and without holes",
+            value=float(votes),
+            limit=float(_LEAST),
+            where=where,
+        )
+
+
+def _unmeasured(evidence: Evidence) -> list[int]:
+    """The keyframes before which nothing measured the way."""
+    starts = {hole.keyframe for hole in evidence.holes if hole.measured is None}
+    if not evidence.measured.any():
+        starts |= set(evidence.breaks)
+    return sorted(start for start in starts if start < len(evidence.keyframes_ns))
+
+
+def _most_agreed(links: Sequence[Link], poses: FloatArray) -> tuple[int, FloatArray]:
+    """How many links agree on one motion (3,) of the newer piece in the map, and that motion.
+
+    What moves it no farther than `MOVED_M` is no other place. Links of one keyframe count once.
+    """
+    ends = Ends.of(range(len(poses)), links)
+    newer, claimed = poses[ends.j], compose(poses[ends.i], ends.z)
+    motions = compose(claimed, invert(newer))
+    away = compose(invert(newer), claimed)
+    apart = compose(invert(compose(motions[:, None], newer[None])), claimed[None])
+    agree = (np.hypot(apart[..., 0], apart[..., 1]) <= MOVED_M) & (abs(apart[..., 2]) <= STILL_RAD)
+    best, motion = 0, np.zeros(3)
+    for k in np.flatnonzero(np.hypot(away[:, 0], away[:, 1]) > MOVED_M).tolist():
+        votes = min(len(set(numbers[agree[k]].tolist())) for numbers in (ends.i, ends.j))
+        if votes > best:
+            best, motion = votes, motions[k]
+    return best, motion
+
+
+CHECKS: tuple[Callable[[Evidence], Iterator[Finding]], ...] = (
+    loose_parts,
+    moved_parts,
+    rival_places,
+    refused_layout,
+    walls,
+    mended,
+    contradictions,
+    refuted,
+    beyond_grid,
+)

@@ -1,0 +1,236 @@
+"""Passes: places the robot came by again, found and matched along the path.
+
+A nearby pass is a pair of nodes that the layout in the making puts near each other though the path
+between them is long. The walls seen around the newer one are matched against those seen around the
+older, within what the path may have drifted since the last such match.
+
+Where no pass has tied the path for long, a place may lie metres away from where it was seen before,
+along a bare corridor more than across. Its walls are looked for as far as the path's error reaches.
+What is found is a claim as a closure is: walls that look alike are found, too, and several claims
+must agree.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angles
+from specmap_cli.core.records import IntArray
+from specmap_cli.layout.parts import PartSearch, rejoin
+from specmap_cli.layout.path_graph import (
+    LOOP_EVERY_M,
+    LOOP_PATH_M,
+    Draft,
+    Graph,
+    RowPair,
+    is_moved,
+    rows_every,
+)
+from specmap_cli.layout.place_search import Guess, WallMap
+from specmap_cli.layout.pose_graph import Link, LinkArrays, errors
+from specmap_cli.layout.solving import solved
+from specmap_cli.layout.uncertainty import DRIFT_SHARE, Uncertainty, path_error, within_ellipse
+from specmap_cli.layout.wall_matching import link_to_nearest, match_passes
+from specmap_cli.layout.walls import PLACE_NODES, Walls
+
+LOOPS_PER_NODE = 2  # passes tried until one fits
+_NEAR_M = 3.0  # two passes nearer than this are matched
+LOOP_SEARCH_M = 0.3  # a pass is searched this far at the least
+LOOP_SEARCH_MAX_M = 2.0  # a pass is searched this far at the most
+_SOLVE_EVERY = 12  # edges found before the layout is renewed
+_NEWER_NODES = 3  # as PLACE_NODES, for the newer pass: its own drift must not blur it
+METRES_A_RADIAN = 0.7  # of distance that are as bad as a turn, for the overlap of two scans
+_NODES_A_LINK = 150  # a solution of more nodes costs more, and waits for more links
+_NEWS = 1 / 3  # share of the least search by which a link must miss the draft to be news to it
+
+_WIDE_EVERY_M = 10.0  # path between searches as far as its error reaches
+_WIDE_SEARCH_MAX_M = 15.0  # such a search reaches this far at the most
+_REACH_SIGMAS = 3.0  # of the path's error that are searched
+_MOST_ROWS = 80  # whose walls make one search: some 25 m of path, or every other of more
+
+
+def find_passes(graph: Graph, draft: Draft, walls: Walls, first: int = 0) -> Draft:
+    """The draft with the nearby passes that could be matched, solved again as they come in.
+
+    Goes along the path, from row `first` on. Where a part hangs on the others by a guess only, it
+    is looked for among all older walls first. Nodes that the draft was matched at are asked again,
+    but matched only when they moved. Links that say what the draft says anyway are no reason to
+    solve it.
+    """
+    matched = dict(draft.matched)
+    linked = {
+        (graph.row[loop.source], graph.row[loop.target])
+        for loop in draft.loops
+        if loop.kind == "nearby"
+    }
+    asked = {newer for _, newer in matched}
+    tied_m, news = float(graph.path[first]), 0
+    due_m = tied_m + LOOP_EVERY_M
+    renew_after = max(_SOLVE_EVERY, len(graph.nodes) // _NODES_A_LINK)
+    search: PartSearch | None = None
+    for node, way_m in enumerate(graph.path.tolist()):
+        if node < first or (way_m < due_m and node not in asked):
+            continue
+        part, due_m = int(graph.parts[node]), way_m + LOOP_EVERY_M
+        if part in draft.tied:
+            drift_m = LOOP_SEARCH_M + DRIFT_SHARE * (way_m - tied_m)
+            passes = passes_at(node, graph, draft.poses, walls, matched, linked, drift_m)
+            found, is_tied = passes.links, passes.is_tied
+            matched.update(passes.guesses)
+            draft = draft.counting("loop_search_max_m", passes.cut_short)
+            if is_tied:
+                due_m = way_m + _spacing_m(passes.older)
+        else:
+            draft, search = rejoin(node, graph, draft, walls, search)
+            found = search.finds if search is not None and part in draft.tied else ()
+            is_tied = bool(found)
+        if is_tied:
+            tied_m = way_m
+        if found:
+            draft = draft.adding(found)
+            edges = LinkArrays.of(found, graph.row, {})
+            missed = errors(draft.poses, edges.i, edges.j, edges.z)
+            news += int(np.count_nonzero(np.hypot(*missed[:, :2].T) > _NEWS * LOOP_SEARCH_M))
+        if news >= renew_after:
+            draft, news = solved(graph, draft, roughly=True), 0
+    return replace(draft, matched=matched)
+
+
+def _spacing_m(older: int) -> float:
+    """The way from a node that is tied to the next one asked, where `older` passes came by.
+
+    What n passes tell of a place errs by one over the root of n: the more of them, the less one
+    match more can add. But never so far that the path drifts by half of the least search.
+    """
+    safe_m = 0.5 * LOOP_SEARCH_M / DRIFT_SHARE
+    return max(LOOP_EVERY_M, min(math.sqrt(older) * LOOP_EVERY_M, safe_m))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Passes:
+    """The links found at one node, and the pairs of rows that were matched from which `guesses`.
+
+    `is_tied` says that the node is tied to an older pass, by these links or from before; `older`
+    counts the passes that came by. `cut_short` counts the matches that were not searched as far as
+    the path may have drifted.
+    """
+
+    links: tuple[Link, ...]
+    guesses: Mapping[RowPair, Pose2]
+    is_tied: bool
+    older: int
+    cut_short: int
+
+
+def passes_at(
+    node: int,
+    graph: Graph,
+    poses: FloatArray,
+    walls: Walls,
+    matched: Mapping[RowPair, Pose2],
+    linked: Collection[RowPair],
+    drift_m: float,
+) -> Passes:
+    """Row `node` matched with older ones at the poses (M, 3), which may be wrong by `drift_m`.
+
+    One after the other until it is tied to one: what the next would add is little. Pairs that were
+    `matched` are matched again only from a guess that differs; some of them are `linked`.
+    """
+    reach_m = min(drift_m, LOOP_SEARCH_MAX_M)
+    links: list[Link] = []
+    guesses: dict[RowPair, Pose2] = {}
+    tries, is_tied = 0, False
+    near = candidates(node, poses, graph.path)
+    for old in near[:LOOPS_PER_NODE]:
+        pair = old, node
+        guesses[pair] = guess = Pose2(*compose(invert(poses[old]), poses[node]).tolist())
+        if is_moved(guess, matched.get(pair)):
+            tries += 1
+            found = match_passes(graph, walls, poses, pair, guess, reach_m, _NEWER_NODES)
+            links += [] if found is None else [found]
+        is_tied = bool(links) or pair in linked
+        if is_tied:
+            break
+    return Passes(
+        links=tuple(links),
+        guesses=guesses,
+        is_tied=is_tied,
+        older=len(near),
+        cut_short=tries if drift_m > reach_m else 0,
+    )
+
+
+def candidates(node: int, poses: FloatArray, path: FloatArray) -> list[int]:
+    """Older rows near row `node`, one a pass, the best to match with first.
+
+    They lie far from it along the path, and from each other.
+    """
+    older = int(np.searchsorted(path, path[node] - LOOP_PATH_M))
+    away = poses[:older, :2] - poses[node, :2]
+    distance = np.sqrt((away**2).sum(axis=1))
+    old = np.flatnonzero(distance < _NEAR_M)
+    turn = np.abs(wrap_angles(poses[old, 2] - poses[node, 2]))
+    rank = distance[old] + METRES_A_RADIAN * turn
+    chosen: list[int] = []
+    for k in old[np.argsort(rank, kind="stable")].tolist():
+        if all(abs(path[k] - path[c]) > _NEAR_M for c in chosen):
+            chosen.append(k)
+    return chosen
+
+
+def far_passes(graph: Graph, draft: Draft, walls: Walls) -> tuple[tuple[Link, ...], Draft]:
+    """What is found along the path, every `_WIDE_EVERY_M`, where no pass ties it well enough.
+
+    And the draft, which knows where it was searched.
+    """
+    newer = [max(graph.row[link.source], graph.row[link.target]) for link in draft.loops]
+    ties, spread = np.unique(np.array([0, *newer])), path_error(graph, draft.poses)
+    links: list[Link] = []
+    searched: dict[int, Pose2] = {}
+    for row in rows_every(graph.path, _WIDE_EVERY_M):
+        pose = Pose2(*draft.poses[row].tolist())
+        if int(graph.parts[row]) not in draft.tied or not is_moved(pose, draft.searched.get(row)):
+            continue
+        last = int(ties[np.searchsorted(ties, row, side="right") - 1])
+        error = _error_since(last, row, graph, spread)
+        if error is None:
+            continue
+        old = _rows_within(row, error, graph, draft.poses)
+        if not len(old):
+            continue
+        searched[row] = pose
+        older = WallMap.of(walls.of_all(old.tolist(), draft.poses))
+        fit = older.place_of(walls.around(row, PLACE_NODES, draft.poses), Guess(pose, error))
+        if fit is not None:
+            links.append(link_to_nearest(graph, draft.poses, old, row, fit))
+    return tuple(links), replace(draft, searched={**draft.searched, **searched})
+
+
+def _error_since(last: int, row: int, graph: Graph, spread: Uncertainty) -> FloatArray | None:
+    """Covariance (3, 3) of a row seen from the last one tied, in the map; None if small."""
+    if graph.parts[last] != graph.parts[row]:
+        return None
+    error = spread.between(np.array([last]), np.array([row]))[0]
+    turn = Pose2(*spread.poses[row].tolist()).rotation()
+    place = np.einsum("ab,bc,dc->ad", turn, error[:2, :2], turn)
+    half = 0.5 * (place[0, 0] - place[1, 1])
+    larger = 0.5 * (place[0, 0] + place[1, 1]) + np.sqrt(half**2 + place[0, 1] ** 2)
+    longest = float(np.sqrt(larger))  # the axis of the ellipse
+    if _REACH_SIGMAS * longest <= LOOP_SEARCH_MAX_M:
+        return None
+    scale = min(1.0, _WIDE_SEARCH_MAX_M / (_REACH_SIGMAS * longest))
+    error[:2, :2] = place * scale**2
+    return np.asarray(error, dtype=np.float64)
+
+
+def _rows_within(row: int, error: FloatArray, graph: Graph, poses: FloatArray) -> IntArray:
+    """Older rows that the path's error lets be near a row, thinned."""
+    old = np.flatnonzero(graph.path < graph.path[row] - LOOP_PATH_M)
+    reach = _REACH_SIGMAS**2 * error[:2, :2] + _NEAR_M**2 * np.eye(2)
+    away = poses[old, :2] - poses[row, :2]
+    old = old[within_ellipse(away, reach)]
+    return np.asarray(old[:: max(1, -(-len(old) // _MOST_ROWS))], dtype=np.int64)

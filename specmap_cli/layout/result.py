@@ -1,0 +1,135 @@
+"""The layout of all keyframes, and what it rests on: what an audit and a verdict need."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from specmap_cli.core.geometry import FloatArray, compose, invert
+from specmap_cli.core.records import IntArray
+from specmap_cli.layout.contradictions import Agreement
+from specmap_cli.layout.parts import PART_TRIES, loose_starts
+from specmap_cli.layout.path_graph import Draft, Ends, Graph
+from specmap_cli.layout.pose_graph import Link, graph_text
+from specmap_cli.layout.trajectory import propagated
+
+# relaxed: closures and passes; passes: these alone, closures contradicted them; tracked: as it was
+Choice = Literal["relaxed", "passes", "tracked"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PartMove:
+    """A piece of the path from keyframe `first` on, after a break, against what bridged the break.
+
+    `moved_m`: its first keyframe seen from the one before, layout against tracked. `votes` closures
+    and passes tie it to other parts; without any it is where the guess put it.
+    """
+
+    first: int
+    moved_m: float
+    votes: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Repair:
+    """What the audit mended: `links` between passes that drew their walls twice.
+
+    `walls_m` of wall were contradicted before. No keyframe was moved farther than `moved_m`.
+    """
+
+    links: tuple[Link, ...]
+    walls_m: float
+    moved_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layout:
+    """Relaxed poses (n, 3) of all keyframes, and the pose graph they come from.
+
+    `nodes` are the keyframe numbers in the graph; `odometry`, `kept` and `dropped` its edges, the
+    last two being closures and nearby passes. `loose` are the keyframes at which tracking restarted
+    and whose place, and that of what follows, is a guess. `choice` is what the poses come from,
+    `parts` how far pieces after a break were moved, `agreement` how the passes stand to each other,
+    `repair` what the audit mended, if anything.
+
+    `limits` counts by name how often work was cut short: passes searched less far than the path may
+    have drifted (`loop_search_max_m`), parts given up (`stray_tries`), searches made coarser
+    (`stray_cells`), sets of closures that may not be the largest (`clique_steps`), solutions
+    stopped before they had settled (`solve_iterations`).
+    """
+
+    poses: FloatArray
+    nodes: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    odometry: tuple[Link, ...] = ()
+    kept: tuple[Link, ...] = ()
+    dropped: tuple[Link, ...] = ()
+    loose: tuple[int, ...] = ()
+    choice: Choice = "tracked"
+    parts: tuple[PartMove, ...] = ()
+    agreement: Agreement = field(default_factory=Agreement)
+    limits: Mapping[str, int] = field(default_factory=dict)
+    repair: Repair | None = None
+
+    @classmethod
+    def of(cls, graph: Graph, candidate: Candidate) -> Layout:
+        """The layout of all keyframes from the settled draft of the nodes."""
+        draft = candidate.draft
+        spent = [part for part, tries in draft.tries.items() if tries >= PART_TRIES]
+        given_up = sum(part not in draft.tied for part in spent)
+        return cls(
+            poses=propagated(graph.tracked, graph.nodes, draft.poses),
+            nodes=graph.nodes,
+            odometry=graph.odometry,
+            kept=draft.loops,
+            dropped=candidate.dropped,
+            loose=loose_starts(graph, draft.loops),
+            choice=candidate.choice,
+            parts=_part_moves(graph, draft),
+            agreement=candidate.agreement,
+            limits=draft.counting("stray_tries", given_up).limits,
+        )
+
+    def g2o(self) -> str:
+        """The pose graph in the format of g2o.
+
+        Vertices carry keyframe numbers, dropped edges are left out.
+        """
+        nodes = self.nodes.tolist()
+        poses = {number: self.poses[number] for number in nodes}
+        return graph_text(poses, [*self.odometry, *self.kept], nodes[:1])
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A draft that is settled, the links it was settled without, and what it is made of.
+
+    `agreement` is how its passes stand to each other.
+    """
+
+    choice: Choice
+    draft: Draft
+    dropped: tuple[Link, ...]
+    agreement: Agreement
+
+
+def _part_moves(graph: Graph, draft: Draft) -> tuple[PartMove, ...]:
+    """How far each part after a break was moved."""
+    older, newer = Ends.of(graph.row, draft.loops).parts(graph)
+    moves = []
+    for part in graph.part_numbers[1:]:
+        row = int(np.argmax(graph.parts == part))
+        was, now = (
+            compose(invert(poses[row - 1]), poses[row]) for poses in (graph.poses, draft.poses)
+        )
+        gap = compose(invert(was), now)
+        moves.append(
+            PartMove(
+                first=int(graph.nodes[row]),
+                moved_m=float(np.hypot(gap[0], gap[1])),
+                votes=int(np.count_nonzero((older == part) != (newer == part))),
+            )
+        )
+    return tuple(moves)

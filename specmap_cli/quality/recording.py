@@ -1,0 +1,260 @@
+"""Findings about a recording: scans that were lost, breaks, what nothing measured, and holes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from specmap_cli.core.arrays import runs
+from specmap_cli.core.findings import Finding
+from specmap_cli.core.geometry import compose, invert, step_lengths, travelled
+from specmap_cli.core.records import IntArray
+from specmap_cli.core.text import counted
+from specmap_cli.layout.result import Layout
+from specmap_cli.quality.evidence import (
+    HOLE_S,
+    MOVED_VOTES,
+    ODOMETRY_SLIP_SHARE,
+    ODOMETRY_WINDOW_M,
+    SAME_PLACE_M,
+    STILL_M,
+    STILL_RAD,
+    Evidence,
+    Hole,
+    HoleKind,
+    graded,
+    is_still,
+    told,
+)
+
+LOST, BREAK, HOLE = "lost-scans", "tracking-break", "hole-in-log"
+UNMEASURED, ODOMETRY = "unmeasured-way", "odometry-disagrees"
+
+_LOST_SHARE = 0.02  # share of lost scans above which a map is doubtful
+_LOST_SHARE_POOR = 0.2  # share of lost scans above which a map is poor
+_UNMEASURED_M = 2.0  # longest way that nothing measured; a quarter of it may be wrong
+_PACE_PERCENTILE = 75.0  # of the steps of a robot that moves: it slows down in turns and at doors
+ODOMETRY_SHARE = 0.3  # share of the way by which both may differ in the median: wheels err less
+_HOLE_WALLS_SHARE = 0.6  # share of the walls around a robot that stood; the rest moved or is new
+_TIE_M = 10.0  # way after a hole from which on matches confirm it: out of a room
+_WHAT: dict[HoleKind, str] = {
+    "missing": "there are no scans",
+    "lost": "no scan could be registered",
+    "rest": "the scans show the robot at rest",
+}
+_DRIVE_ON = "drive on through places seen before"
+_ADVICE: dict[HoleKind, str] = {
+    "missing": f"record without holes, or {_DRIVE_ON}",
+    "lost": f"record nothing while the robot is carried, or {_DRIVE_ON}",
+    "rest": "does the laser hang, or do the wheels spin?",
+}
+
+
+def lost_scans(evidence: Evidence) -> Iterator[Finding]:
+    """Scans that could not be registered: their share, and where most of them are in a row."""
+    lost = evidence.trajectory.lost
+    if lost is None or not lost.any():
+        return
+    share = float(lost.mean())
+    stretches = [(start, end) for start, end in runs(lost) if lost[start]]
+    start, end = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
+    severity, limit = graded(share, _LOST_SHARE, _LOST_SHARE_POOR)
+    where = evidence.at_scan(start)
+    advice = "record odometry, or more scans a second"
+    if evidence.measured.any():
+        advice = (
+            "has the laser returns all the time, and is the odometry of this robot and this "
+            "clock? See `specmap info --check`"
+        )
+    yield Finding(
+        code=LOST,
+        severity=severity,
+        message=f"{counted(int(lost.sum()), 'scan')} of {len(lost):,} ({share:.1%}) could not be "
+        f"registered, {end - start:,} in a row from {told(where)} on",
+        advice="" if severity == "note" else advice,
+        value=share,
+        limit=limit,
+        where=where,
+    )
+
+
+def breaks(evidence: Evidence) -> Iterator[Finding]:
+    """Where tracking started afresh; what is not tied to the rest is told of by `loose`."""
+    bridge = "odometry" if evidence.measured.any() else "the motion before"
+    for keyframe in evidence.breaks:
+        if keyframe >= len(evidence.keyframes_ns):
+            continue
+        where = evidence.at_keyframe(keyframe)
+        yield Finding(
+            code=BREAK,
+            severity="note",
+            message=f"registration lost the robot before {told(where)} and started afresh, where "
+            f"{bridge} led",
+            where=where,
+        )
+
+
+def unmeasured_way(evidence: Evidence) -> Iterator[Finding]:
+    """Stretches whose length is a guess: bare corridors that no odometry measures.
+
+    Registration cannot tell there how far the robot came. As long as the scans lasted, the robot
+    is taken to have gone on as fast as elsewhere.
+    """
+    blind = evidence.trajectory.blind
+    if blind is None or not blind.any():
+        return
+    steps = step_lengths(evidence.trajectory.poses)
+    seen = ~(blind[1:] | blind[:-1])
+    pace_m = float(np.percentile(steps[seen], _PACE_PERCENTILE)) if seen.any() else 0.0
+    for start, end in runs(blind):
+        way_m = pace_m * (end - start)
+        if not blind[start] or way_m <= _UNMEASURED_M:
+            continue
+        where = evidence.at_scan(start)
+        yield Finding(
+            code=UNMEASURED,
+            severity="doubtful",
+            message=f"from {told(where)} on, for {end - start:,} scans, the walls do not "
+            f"show how far the robot came, and no odometry does: about {way_m:.0f} m are a guess",
+            advice="record odometry",
+            value=way_m,
+            limit=_UNMEASURED_M,
+            where=where,
+        )
+
+
+def odometry_disagrees(evidence: Evidence) -> Iterator[Finding]:
+    """Odometry that tells another way than the map: everywhere, or in single places.
+
+    Everywhere: it is of another robot or clock, or the laser is not where the log says. In a single
+    place wheels slip, which is no fault of the map.
+    """
+    poses, odometry = evidence.trajectory.poses, evidence.trajectory.odometry
+    if odometry is None or not evidence.measured.any():
+        return
+    way = travelled(poses)
+    starts = np.searchsorted(
+        way, np.arange(0.0, way[-1] - ODOMETRY_WINDOW_M, 0.5 * ODOMETRY_WINDOW_M)
+    )
+    ends = np.searchsorted(way, way[starts] + ODOMETRY_WINDOW_M)
+    known = ends < len(way)
+    known[known] &= np.isfinite(odometry[starts[known], 0] + odometry[ends[known], 0])
+    starts, ends = starts[known], ends[known]
+    if not len(starts):
+        return
+    by_map, by_odometry = (compose(invert(p[starts]), p[ends]) for p in (poses, odometry))
+    off = compose(invert(by_map), by_odometry)
+    apart = np.hypot(off[:, 0], off[:, 1]) / ODOMETRY_WINDOW_M
+    usual, worst = float(np.median(apart)), int(apart.argmax())
+    everywhere = usual > ODOMETRY_SHARE
+    if not everywhere and apart[worst] <= ODOMETRY_SLIP_SHARE:
+        return
+    where = evidence.at_scan(int(starts[worst]))
+    disagree = "odometry and the map disagree by"
+    yield Finding(
+        code=ODOMETRY,
+        severity="doubtful" if everywhere else "note",
+        message=f"{disagree} {usual:.0%} of the way nearly everywhere"
+        if everywhere
+        else f"{disagree} {apart[worst]:.0%} of the way at {told(where)}, elsewhere by {usual:.0%}",
+        advice="is the odometry of this robot and this clock, is the laser where the log says?"
+        if everywhere
+        else "",
+        value=usual if everywhere else float(apart[worst]),
+        limit=ODOMETRY_SHARE if everywhere else ODOMETRY_SLIP_SHARE,
+        where=where,
+    )
+
+
+def unwatched(evidence: Evidence) -> Iterator[Finding]:
+    """Holes after which nothing shows that the robot was where the map has it."""
+    open_ = [hole for hole in evidence.holes if not _is_bridged(hole)]
+    starts = np.unique(np.array([hole.keyframe for hole in open_], dtype=np.int64))
+    joined = _joined(evidence.layout, starts)
+    for hole in open_:
+        number = int(np.searchsorted(starts, hole.keyframe))
+        if joined[number + 1] in joined[: number + 1] and not _is_contradicted(hole):
+            continue
+        where = evidence.at_scan(hole.row)
+        yield Finding(
+            code=HOLE,
+            severity="doubtful",
+            message=f"{_WHAT[hole.kind]} for {hole.seconds:.0f} s before {told(where)}, "
+            f"and {_reason(hole)}: where the robot was afterwards is a guess",
+            advice=_ADVICE[hole.kind],
+            value=hole.seconds,
+            limit=HOLE_S if hole.kind == "missing" else None,
+            where=where,
+        )
+
+
+def _is_bridged(hole: Hole) -> bool:
+    """Whether odometry moved as the map did, or the robot stood among the same walls.
+
+    A robot that was carried elsewhere is not put down to a decimetre where it would have stood.
+    """
+    measured, apart = hole.measured, hole.apart
+    if measured is None or is_still(measured):
+        return is_still(apart) and hole.alike >= _HOLE_WALLS_SHARE
+    slack_m = STILL_M + ODOMETRY_SHARE * measured.distance
+    slack_rad = STILL_RAD + ODOMETRY_SHARE * abs(measured.theta)
+    return apart.distance <= slack_m and abs(apart.theta) <= slack_rad
+
+
+def _is_contradicted(hole: Hole) -> bool:
+    """Whether odometry and walls both say that the robot did not stay where the map has it.
+
+    Matches do not count against that: in corridors there are many of a wrong map, too.
+    """
+    return hole.kind == "rest" and hole.alike < _HOLE_WALLS_SHARE
+
+
+def _joined(layout: Layout, starts: IntArray) -> IntArray:
+    """To which group each of the pieces between holes belongs (holes + 1,).
+
+    `starts` are the keyframes that follow the holes. Pieces are in one group when matches tie them
+    in several places well after the hole: what was seen right behind it is what led to the belief.
+    """
+    way = travelled(layout.poses)
+    ties: set[tuple[int, int, int]] = set()
+    for link in layout.kept:
+        older, newer = sorted((link.source, link.target))
+        before, after = np.searchsorted(starts, (older, newer), side="right").tolist()
+        if before == after:
+            continue
+        since_m = float(way[newer] - way[starts[after - 1]])
+        if since_m >= _TIE_M:
+            ties.add((before, after, int(since_m // SAME_PLACE_M)))
+    count = len(starts) + 1
+    a, b = np.array([tie[:2] for tie in sorted(ties)], dtype=np.int64).reshape(-1, 2).T
+    places = coo_array((np.ones(len(a)), (a, b)), shape=(count, count)).tocsr()
+    _, groups = connected_components(places >= MOVED_VOTES, directed=False)
+    return np.asarray(groups, dtype=np.int64)
+
+
+def _reason(hole: Hole) -> str:
+    """Why the motion over a hole is not known."""
+    measured, apart = hole.measured, hole.apart
+    if measured is None:
+        return "no odometry tells of it"
+    if not is_still(measured):
+        return "odometry tells another motion than the map"
+    if is_still(apart):
+        return "the walls changed though the wheels did not turn"
+    return (
+        f"the wheels did not turn though the map has the robot {apart.distance:.1f} m and "
+        f"{math.degrees(abs(apart.theta)):.0f} degrees away"
+    )
+
+
+CHECKS: tuple[Callable[[Evidence], Iterator[Finding]], ...] = (
+    lost_scans,
+    breaks,
+    unwatched,
+    unmeasured_way,
+    odometry_disagrees,
+)

@@ -1,0 +1,415 @@
+"""The motion expected from sweep to sweep: odometry's unless it jumped, else the motion before."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.records import PlanarScan, Sweep
+from specmap_cli.core.settings import RegistrationConfig
+from specmap_cli.registration.local_map import Fit
+from specmap_cli.registration.motion import (
+    UNKNOWN,
+    ExpectedMotion,
+    MotionModel,
+    Reliance,
+    direction_of,
+    fixed_directions,
+)
+from tests.registration.drives import circle, expecting, guess_of
+from tests.strategies import poses, seeds
+
+BEAMS = np.ones(4)
+
+
+def sweep(stamp_s: float = 0.0, odometry: Pose2 | None = None, times: bool = False) -> Sweep:
+    """A sweep whose ranges do not matter."""
+    made = circle(0, BEAMS, odometry)
+    beam_times_s = np.linspace(0.0, 0.1, 4) if times else None
+    return dataclasses.replace(
+        made,
+        stamp_ns=round(stamp_s * 1e9),
+        planar=dataclasses.replace(made.planar, beam_times_s=beam_times_s),
+    )
+
+
+def after(last: Pose2, now: Sweep, **settings: float) -> ExpectedMotion:
+    """What is expected of `now` when the last two motions were `last`."""
+    model = MotionModel(RegistrationConfig.model_validate(settings))
+    model.expect(sweep(odometry=IDENTITY))
+    model.conclude(last)
+    model.conclude(last)
+    return model.expect(now)
+
+
+def test_nothing_is_expected_of_the_first_sweep() -> None:
+    expected = MotionModel(RegistrationConfig()).expect(sweep(5.0, Pose2(3.0, 2.0, 1.0), True))
+    assert expected == ExpectedMotion(
+        motion=IDENTITY,
+        carried=IDENTITY,
+        during=IDENTITY,
+        interval_s=0.0,
+        measured=False,
+        jumped=False,
+        shortened=False,
+    )
+
+
+@given(poses, st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(-3.0, 3.0))
+def test_the_frame_of_odometry_does_not_matter(
+    start: Pose2, x: float, y: float, turn: float
+) -> None:
+    motion = Pose2(x, y, turn)
+    model = MotionModel(RegistrationConfig())
+    model.expect(sweep(0.0, start))
+    expected = model.expect(sweep(0.1, start @ motion))
+    assert expected.measured
+    assert np.allclose(expected.motion, motion, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "gap_s", "jumped"),
+    [
+        (1.99, 0.0, False),
+        (2.01, 0.0, True),
+        (4.99, 1.0, False),
+        (5.01, 1.0, True),
+        (2.01, -10.0, True),  # stamps that step back allow nothing more
+        (np.nan, 1.0, True),
+        (np.inf, 1.0, True),
+    ],
+)
+def test_odometry_farther_than_a_robot_drives_is_a_reset(
+    distance_m: float, gap_s: float, jumped: bool
+) -> None:
+    before = Pose2(0.1, 0.0, 0.02)
+    expected = after(before, sweep(gap_s, Pose2(distance_m, 0.0, 0.0)))
+    assert (expected.jumped, expected.measured) == (jumped, not jumped)
+    assert expected.motion == (before if jumped else Pose2(distance_m, 0.0, 0.0))
+    assert expected.interval_s == max(0.0, gap_s)
+
+
+def test_limits_of_a_jump_are_settings() -> None:
+    far = sweep(1.0, Pose2(9.0, 0.0, 0.0))
+    assert after(IDENTITY, far).jumped
+    assert not after(IDENTITY, far, odometry_jump_m=8.0, odometry_jump_mps=1.0).jumped
+    assert after(IDENTITY, far, odometry_jump_m=7.9, odometry_jump_mps=1.0).jumped
+
+
+def test_after_a_jump_odometry_counts_from_its_new_place() -> None:
+    model = MotionModel(RegistrationConfig())
+    flags = []
+    for k, x in enumerate([0.0, 0.1, 500.0, 500.1]):
+        expected = model.expect(sweep(0.1 * k, Pose2(x, 0.0, 0.0)))
+        flags.append((expected.measured, expected.jumped))
+    assert flags == [(False, False), (True, False), (False, True), (True, False)]
+    assert expected.motion.x == pytest.approx(0.1)
+
+
+def test_a_sweep_without_odometry_leaves_two_motions_unmeasured() -> None:
+    model = MotionModel(RegistrationConfig())
+    at = [IDENTITY, Pose2(0.1, 0, 0), None, Pose2(0.3, 0, 0), Pose2(0.4, 0, 0)]
+    found = [model.expect(sweep(0.1 * k, odometry)) for k, odometry in enumerate(at)]
+    assert [expected.measured for expected in found] == [False, True, False, False, True]
+    assert not any(expected.jumped for expected in found)
+
+
+@given(poses, poses)
+def test_what_is_carried_on_is_bounded(one: Pose2, other: Pose2) -> None:
+    model = MotionModel(RegistrationConfig())
+    model.conclude(one)
+    model.conclude(other)
+    expected = model.expect(sweep())
+    for motion in (expected.carried, expected.during):
+        assert abs(motion.x) <= 0.5
+        assert abs(motion.y) <= 0.2
+        assert abs(motion.theta) <= 0.8
+    assert expected.motion == expected.carried
+    small = abs(other.x) <= 0.5 and abs(other.y) <= 0.2 and abs(other.theta) <= 0.8
+    assert (expected.carried == other) == small
+
+
+def test_errors_that_alternate_are_not_de_skewed_with() -> None:
+    model = MotionModel(RegistrationConfig())
+    swing = Pose2(0.02, -0.01, 0.1)
+    model.conclude(swing)
+    model.conclude(Pose2(*(-value for value in swing)))
+    assert model.expect(sweep()).during == IDENTITY
+    assert after(swing, sweep()).during == swing
+
+
+@pytest.mark.parametrize(
+    ("last", "now", "shortened"),
+    [
+        (Pose2(0.5, 0.2, 0.8), sweep(), False),
+        (Pose2(0.51, 0.0, 0.0), sweep(), True),
+        (Pose2(0.0, -0.21, 0.0), sweep(), True),
+        (Pose2(0.0, 0.0, -0.81), sweep(), True),
+        (Pose2(0.51, 0.0, 0.0), sweep(odometry=IDENTITY), False),  # odometry is the guess
+        (Pose2(0.51, 0.0, 0.0), sweep(odometry=IDENTITY, times=True), True),  # de-skewing
+        (Pose2(0.5, 0.0, 0.0), sweep(odometry=IDENTITY, times=True), False),
+    ],
+)
+def test_a_motion_held_to_the_limits_is_told_where_it_is_used(
+    last: Pose2, now: Sweep, shortened: bool
+) -> None:
+    assert after(last, now).shortened == shortened
+
+
+def test_limits_of_what_is_carried_on_are_settings() -> None:
+    last = Pose2(3.0, -2.0, 2.0)
+    assert after(last, sweep()).motion == Pose2(0.5, -0.2, 0.8)
+    wide = after(last, sweep(), carried_forward_m=5.0, carried_sideways_m=1.5, carried_rad=3.0)
+    assert wide.motion == Pose2(3.0, -1.5, 2.0)
+    assert wide.shortened
+
+
+def test_two_confirmed_motions_widen_what_is_carried_on() -> None:
+    """One alone may be an error. A robot may speed up by half from one scan to the next."""
+    model = MotionModel(RegistrationConfig())
+    long = Pose2(2.0, 0.0, 0.0)
+    carried = []
+    for confirmed in (True, False, True):
+        model.conclude(long, confirmed=confirmed)
+        carried.append(model.expect(sweep()).carried.x)
+    assert carried == [0.5, 0.5, 2.0]
+    model.conclude(Pose2(9.0, -0.5, 0.3))
+    assert model.expect(sweep()).carried == Pose2(3.0, -0.2, 0.3)
+
+
+@pytest.mark.parametrize(
+    ("gaps_s", "gap_s", "hole"),
+    [
+        ([0.1] * 40, 0.31, True),
+        ([0.1] * 40, 0.29, False),
+        ([0.1] * 10, 5.0, False),  # too early to tell
+        ([0.001, 0.199] * 20, 0.5, False),  # stamps in bursts
+        ([0.001, 0.199] * 20, 0.7, True),
+        ([0.0] * 40, 5.0, False),  # stamps that say nothing
+        ([2.0] * 40, 2.5, False),  # a sparse log has no holes
+    ],
+)
+def test_a_hole_in_the_log_is_a_gap_much_longer_than_usual(
+    gaps_s: list[float], gap_s: float, hole: bool
+) -> None:
+    model = MotionModel(RegistrationConfig())
+    stamps_s = np.cumsum([1.0, *gaps_s, gap_s])
+    found = [model.expect(sweep(float(stamp))).hole for stamp in stamps_s]
+    assert found[-1] == hole
+    assert not any(found[1:-1])
+
+
+@pytest.mark.parametrize(
+    ("turn_rad", "unheard_of"), [(0.7, False), (-0.7, False), (0.9, True), (-0.9, True)]
+)
+def test_a_turn_beyond_what_may_be_carried_on_is_unheard_of(
+    turn_rad: float, unheard_of: bool
+) -> None:
+    now = sweep(odometry=Pose2(0.0, 0.0, turn_rad))
+    assert after(IDENTITY, now).unheard_of == unheard_of
+    assert not after(IDENTITY, now, carried_rad=1.0).unheard_of
+
+
+def test_a_turn_such_as_walls_have_confirmed_is_not_unheard_of() -> None:
+    model = MotionModel(RegistrationConfig())
+    model.expect(sweep(odometry=IDENTITY))
+    for _ in range(2):
+        model.conclude(Pose2(0.0, 0.0, 1.0), confirmed=True)
+    assert not model.expect(sweep(odometry=Pose2(0.0, 0.0, 1.4))).unheard_of
+    assert model.expect(sweep(odometry=Pose2(0.0, 0.0, 3.0))).unheard_of
+
+
+BOTH = (True, True)
+
+
+def learnt(motion: Pose2, away: Pose2, times: int, fixed: tuple[bool, bool] = BOTH) -> Reliance:
+    """The reliance after so many registrations that were all as far from odometry."""
+    reliance = UNKNOWN
+    for _ in range(times):
+        reliance = reliance.after(motion, away, fixed)
+    return reliance
+
+
+@pytest.mark.parametrize(
+    ("motion", "away", "allowed"),
+    [
+        # at rest odometry may err by 5 cm and 0.03 rad
+        (IDENTITY, Pose2(0.049, 0.0, 0.0), True),
+        (IDENTITY, Pose2(0.0, -0.051, 0.0), False),
+        (IDENTITY, Pose2(0.0, 0.0, -0.029), True),
+        (IDENTITY, Pose2(0.0, 0.0, 0.031), False),
+        # and by a share of what it measured, however long the step
+        (Pose2(0.4, 0.0, 0.0), Pose2(0.129, 0.0, 0.0), True),
+        (Pose2(0.4, 0.0, 0.0), Pose2(0.131, 0.0, 0.0), False),
+        (Pose2(0.0, 0.0, -0.4), Pose2(0.0, 0.0, 0.149), True),
+        (Pose2(0.0, 0.0, -0.4), Pose2(0.0, 0.0, 0.151), False),
+        (Pose2(5.0, 0.0, 0.0), Pose2(0.0, 1.04, 0.17), True),
+        (Pose2(5.0, 0.0, 0.0), Pose2(0.0, 1.06, 0.0), False),
+        (Pose2(0.0, 0.0, 2.0), Pose2(0.0, 0.0, 0.62), True),
+    ],
+)
+def test_an_unknown_odometry_is_held_to_what_wheels_err(
+    motion: Pose2, away: Pose2, allowed: bool
+) -> None:
+    assert (UNKNOWN.slacks(motion, away) < 1.0) == allowed
+    assert UNKNOWN.trusted
+
+
+def test_exact_odometry_narrows_the_slack_to_half_and_no_further() -> None:
+    step = Pose2(0.5, 0.0, 0.0)
+    few, many = (learnt(step, IDENTITY, times) for times in (20, 200))
+    before = UNKNOWN.slack(step)
+    assert few.slack(step).along_m == pytest.approx(before.along_m)  # the prior wears off slowly
+    for narrow, wide in zip(
+        (many.slack(step).along_m, many.slack(step).across_m, many.slack(step).turn_rad),
+        (before.along_m, before.across_m, before.turn_rad),
+        strict=True,
+    ):
+        assert narrow == pytest.approx(wide / 2)
+
+
+def test_bad_odometry_widens_the_slack_and_loses_trust() -> None:
+    step = Pose2(0.5, 0.0, 0.0)
+    bad = learnt(step, Pose2(0.3, 0.0, 0.0), 60)  # two slacks
+    assert not bad.trusted
+    assert bad.slacks(step, Pose2(0.4, 0.0, 0.0)) < 1.0
+    assert not bad.slacks(step, Pose2(0.46, 0.0, 0.0)) < 1.0  # never more than three slacks
+    assert not bad.slacks(step, Pose2(0.0, 0.16, 0.0)) < 1.0  # it errs along the way alone
+    again = bad
+    for _ in range(60):
+        again = again.after(step, IDENTITY, BOTH)
+    assert again.trusted  # what was long ago is forgotten
+
+
+def test_a_fifth_of_wrong_registrations_does_not_spoil_the_measure() -> None:
+    step, reliance = Pose2(0.5, 0.0, 0.0), UNKNOWN
+    for k in range(60):
+        reliance = reliance.after(step, Pose2(0.9 if k % 7 == 0 else 0.01, 0.0, 0.0), BOTH)
+    assert reliance.trusted
+    assert not reliance.slacks(step, Pose2(0.2, 0.0, 0.0)) < 1.0
+
+
+@pytest.mark.parametrize("fixed", [(False, True), (True, False), (False, False)])
+def test_directions_that_walls_do_not_fix_say_nothing(fixed: tuple[bool, bool]) -> None:
+    reliance = learnt(Pose2(0.5, 0.0, 0.0), Pose2(0.3, 0.3, 0.0), 30, fixed)
+    assert len(reliance.along) == 30 * fixed[0]
+    assert len(reliance.across) == 30 * fixed[1]
+    assert len(reliance.turn) == 30
+
+
+@given(st.floats(-math.pi, math.pi), st.floats(-2.0, 2.0), st.floats(0.1, 3.0))
+def test_along_and_across_are_those_of_the_way_driven(
+    heading: float, turn: float, way_m: float
+) -> None:
+    """Sideways, backwards or on an arc: a deviation along the way is one along the way."""
+    motion = Pose2(way_m * math.cos(heading), way_m * math.sin(heading), turn)
+    seen_from_end = motion.inverse() @ Pose2(2 * motion.x, 2 * motion.y, turn)
+    assert np.allclose(np.array(direction_of(motion)) * way_m, seen_from_end[:2], atol=1e-9)
+    longer = Pose2(0.1 * seen_from_end.x / way_m, 0.1 * seen_from_end.y / way_m, 0.0)
+    reliance = UNKNOWN.after(motion, longer, BOTH)
+    assert reliance.along[0] == pytest.approx(0.1 / (0.05 + 0.2 * way_m))
+    assert reliance.across[0] == pytest.approx(0.0, abs=1e-9)
+
+
+@given(seeds)
+def test_values_are_not_changed_and_memory_is_bounded(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    reliance, lengths = UNKNOWN, []
+    for _ in range(80):
+        after = reliance.after(Pose2(*rng.normal(size=3)), Pose2(*rng.normal(size=3)), BOTH)
+        assert after is not reliance
+        reliance = after
+        lengths.append(len(reliance.along))
+    assert UNKNOWN.along == ()
+    assert max(lengths) == 60
+    assert 0.5 <= reliance.limits.along_m <= 3.0
+
+
+@pytest.mark.parametrize(
+    ("away", "motion", "near"),
+    [
+        (Pose2(0.099, 0.0, 0.119), IDENTITY, True),
+        (Pose2(0.101, 0.0, 0.0), IDENTITY, False),
+        (Pose2(0.0, 0.0, 0.121), IDENTITY, False),
+        (Pose2(0.29, 0.0, 0.0), Pose2(1.0, 0.0, 0.0), True),
+    ],
+)
+def test_a_motion_carried_on_errs_by_how_a_robot_speeds_up(
+    away: Pose2, motion: Pose2, near: bool
+) -> None:
+    start = Pose2(2.0, 1.0, 0.5)
+
+    def agrees(reliance: Reliance, *, measured: bool, slacks: float = 1.0) -> bool:
+        guess = guess_of(start, expecting(motion, measured=measured), reliance)
+        return guess.agrees(Fit(pose=(start @ away).matrix(), score=0.5), slacks)
+
+    worthless = learnt(Pose2(0.5, 0.0, 0.0), Pose2(0.9, 0.9, 0.9), 60)
+    for reliance in (UNKNOWN, worthless):  # odometry's worth does not matter without it
+        assert agrees(reliance, measured=False) == near
+    assert agrees(worthless, measured=True, slacks=3.0)
+
+
+def test_slacks_count_how_far_a_result_is_off_by_place_or_turn() -> None:
+    step = Pose2(0.75, 0.0, 0.0)  # an unknown odometry errs by 0.2 m and 0.0525 rad
+    assert UNKNOWN.slacks(step, IDENTITY) == 0.0
+    assert UNKNOWN.slacks(step, Pose2(0.4, 0.0, 0.0)) == pytest.approx(2.0)
+    assert UNKNOWN.slacks(step, Pose2(0.3, 0.4, 0.0)) == pytest.approx(2.5)
+    assert UNKNOWN.slacks(step, Pose2(0.4, 0.0, -0.2100)) == pytest.approx(4.0)
+
+
+def test_a_way_may_be_trusted_where_turns_are_not() -> None:
+    step = Pose2(0.5, 0.0, 0.0)
+    turning_badly = learnt(step, Pose2(0.0, 0.0, 0.2), 60)
+    assert turning_badly.trusted_place
+    assert not turning_badly.trusted
+    assert not learnt(step, Pose2(0.3, 0.0, 0.0), 60).trusted_place
+    assert turning_badly.place_slacks(step, Pose2(0.15, 0.0, 2.0)) == pytest.approx(2.0)
+
+
+AHEAD, ASIDE = Pose2(0.5, 0.0, 0.0), Pose2(0.0, 0.5, 0.0)
+
+
+def scan_of(half_x: float, half_y: float, noise_m: float = 0.0) -> PlanarScan:
+    """A laser amid a box; what lies beyond 8 m returns nothing."""
+    bearings = np.linspace(-math.pi, math.pi, 360, endpoint=False)
+    ranges = np.minimum(
+        half_x / np.maximum(np.abs(np.cos(bearings)), 1e-9),
+        half_y / np.maximum(np.abs(np.sin(bearings)), 1e-9),
+    )
+    ranges += np.random.default_rng(0).normal(0.0, noise_m, 360) if noise_m else 0.0
+    return PlanarScan(0, bearings, np.where(ranges < 8.0, ranges, np.inf), 8.0, full_circle=True)
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 0.003])
+@pytest.mark.parametrize(
+    ("half_x", "half_y", "motion", "fixed"),
+    [
+        (3.0, 2.0, AHEAD, (True, True)),
+        (50.0, 1.0, AHEAD, (False, True)),
+        (50.0, 1.0, ASIDE, (True, False)),
+        (1.0, 50.0, AHEAD, (True, False)),
+        (50.0, 1.0, IDENTITY, (False, True)),
+    ],
+)
+def test_a_corridor_fixes_the_place_across_it_only(
+    half_x: float, half_y: float, motion: Pose2, fixed: tuple[bool, bool], noise_m: float
+) -> None:
+    scan = scan_of(half_x, half_y, noise_m)
+    assert fixed_directions(scan, IDENTITY, motion) == fixed
+
+
+def test_the_mounting_of_the_laser_turns_the_directions() -> None:
+    scan = scan_of(50.0, 1.0)
+    assert fixed_directions(scan, Pose2(0.2, 0.1, math.pi / 2), AHEAD) == (True, False)
+
+
+@pytest.mark.parametrize("ranges", [np.full(9, np.inf), np.full(9, np.nan)])
+def test_without_walls_nothing_is_fixed(ranges: FloatArray) -> None:
+    scan = PlanarScan(0, np.linspace(-1.0, 1.0, 9), ranges, 8.0, full_circle=False)
+    assert fixed_directions(scan, IDENTITY, AHEAD) == (False, False)
