@@ -16,7 +16,7 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.drawing.palette import INK, PAPER, Colour
 
 Image = NDArray[np.uint8]
-Anchor = Literal["left", "centre", "right"]
+Alignment = Literal["left", "centre", "right"]
 
 _BITS = 4  # after the binary point of OpenCV's positions: a sixteenth of a pixel
 _FARTHEST = 2**26  # in such steps; OpenCV's own sums overflow beyond
@@ -83,11 +83,11 @@ class Canvas:
         words: str,
         height: float,
         colour: Colour = INK,
-        anchor: Anchor = "left",
+        align: Alignment = "left",
         bold: bool = False,
     ) -> None:
         """Words of capitals `height` pixels high, centred on `y`."""
-        shift = {"left": 0.0, "centre": 0.5, "right": 1.0}[anchor] * text_width(words, height, bold)
+        shift = {"left": 0.0, "centre": 0.5, "right": 1.0}[align] * text_width(words, height, bold)
         left, base = _near(x - shift), _near(y + height / 2)
         scale, thickness = _text_scale(height), text_weight(height, bold)
         for begun, piece in _around_zeros(words):

@@ -36,13 +36,13 @@ from specmap_cli.topology.topological_map import TopologicalMap
 _BORDER_M = 1.0  # of paper round the trajectory
 _CLEAR_OF_BADGES = 3.0 * symbols.BADGE_RADIUS  # of an id on the ground
 _SAME_ID_GAP = 5.0  # badges of one submap are this many times farther apart than others
+
 # Pixels, chosen by eye for a page as wide as a screen.
 _SIDE = 1400  # of all cells of the longer side together, while they are of a size to be seen
 _SMALLEST_CELL, _LARGEST_CELL = 14, 72
 _SMALLEST_LETTERS, _LARGEST_LETTERS = 8.0, 15.0
 _FIGURES_FROM = 26  # a smaller cell has no room for its percent
 _MARGIN, _TITLE, _GAP, _COUNTS, _NARROWEST = 48, 96, 12, 110, 700
-RIGHT: Colour = RIGHT
 _MISTAKES: Colour = (40, 24, 200)
 _PALEST = 0.12  # weight of the hue in the cell of a single scan: it must be seen
 _DARK = 0.45  # share from which letters are white
@@ -156,10 +156,7 @@ def _has_room(id_: int, middle: FloatArray, taken: list[tuple[int, FloatArray]])
 
 
 def render_confusion(
-    matrix: NDArray[Any],
-    names: Sequence[str],
-    predicted_names: Sequence[str] | None = None,
-    title: str = "Confusion",
+    matrix: NDArray[Any], names: Sequence[str], predicted_names: Sequence[str] | None = None
 ) -> Image:
     """Counts `matrix` (k, m), a row per true submap, a column per prediction; BGR (H, W, 3).
 
@@ -173,7 +170,7 @@ def render_confusion(
     table = _Table.of(list(names), columns)
     width = max(table.right + _COUNTS + _MARGIN, _NARROWEST)
     canvas = Canvas(width, table.top + table.cell * len(names) + _MARGIN)
-    canvas.text(_MARGIN, 46, title, 20, bold=True)
+    canvas.text(_MARGIN, 46, "Confusion", 20, bold=True)
     canvas.text(
         _MARGIN, 80, "row: where it was;  column: what was said;  percent of the row", 13, QUIET
     )
@@ -230,7 +227,7 @@ def _draw_classes(canvas: Canvas, counts: NDArray[np.float64], table: _Table) ->
         if text_width(name, letters) > cell - 4:
             canvas.upright_text(x, y, name, letters)
         else:
-            canvas.text(x, y - letters / 2, name, letters, anchor="centre")
+            canvas.text(x, y - letters / 2, name, letters, align="centre")
 
 
 def _draw_cells(canvas: Canvas, counts: NDArray[np.float64], table: _Table) -> None:

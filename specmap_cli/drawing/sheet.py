@@ -40,6 +40,7 @@ _WALL_STRENGTH = 1.6  # a wall of one cell is drawn as if it were at least this 
 _SQUARES_FROM = 16.0  # larger cells have sharp edges: smooth ones would blur over the margin
 _STRIP = 64  # rows that are coloured at a time
 _LEAST_EXTENT_M = 0.5  # a map of a few cells, or of none, is drawn as if it were this large
+
 # A longer step from scan to scan is no way driven: the robot was lost and turned up elsewhere.
 # Logs with few scans have long steps throughout, so a jump is longer than nearly all of them, too.
 _JUMP_M = 1.5
@@ -177,7 +178,7 @@ class Sheet:
         self.canvas.text(MARGIN, y, "0", _LETTERS)
         first, end = f"{length / parts:g}", f"{length:g}"
         if text_width(first, _LETTERS) < step:
-            self.canvas.text(MARGIN + step, y, first, _LETTERS, anchor="centre")
+            self.canvas.text(MARGIN + step, y, first, _LETTERS, align="centre")
         x = MARGIN + parts * step - text_width(end, _LETTERS) / 2
         self.canvas.text(x, y, f"{end} m", _LETTERS)
 

@@ -34,6 +34,7 @@ from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.localization.localizer import Label, Localizer
 
 Split = Literal["random", "blocks"]
+
 STAMP_REACH_NS = 50_000_000  # given poses need not be at the stamps of the scans
 _TRUTH_REACH_M = 1.0
 # Mean distance between the true poses and those of the map from which they hardly belong together;

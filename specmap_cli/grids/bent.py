@@ -13,7 +13,7 @@ _AT_ONCE = 1 << 20  # points times places: bounds the memory to some 100 MB
 
 
 @dataclass(frozen=True, slots=True)
-class Anchor:
+class LocalMotion:
     """At `centre` (2,) of the source the motion is this one; `weight` says how sure that is."""
 
     centre: FloatArray
@@ -23,16 +23,16 @@ class Anchor:
 
 @dataclass(frozen=True, slots=True)
 class BentMotion:
-    """`rigid` from one map to another, and what it is at some places; between them it blends."""
+    """`rigid` from one map to another, with the motions that hold at some places; it blends."""
 
     rigid: Pose2
-    anchors: tuple[Anchor, ...] = ()
+    local: tuple[LocalMotion, ...] = ()
 
     def apply(self, points: FloatArray) -> FloatArray:
         """Points (N, 2) of one map in the other."""
-        if not self.anchors:
+        if not self.local:
             return self.rigid.apply(points)
-        step = max(1, _AT_ONCE // len(self.anchors))
+        step = max(1, _AT_ONCE // len(self.local))
         parts = [self._part(points[k : k + step]) for k in range(0, len(points), step)]
         return np.concatenate(parts) if parts else np.zeros((0, 2))
 
@@ -45,23 +45,23 @@ class BentMotion:
 
     def inverse(self) -> BentMotion:
         """The motion back."""
-        anchors = tuple(
+        local = tuple(
             replace(
-                anchor,
-                centre=anchor.motion.apply(anchor.centre[None])[0],
-                motion=anchor.motion.inverse(),
+                one,
+                centre=one.motion.apply(one.centre[None])[0],
+                motion=one.motion.inverse(),
             )
-            for anchor in self.anchors
+            for one in self.local
         )
-        return BentMotion(self.rigid.inverse(), anchors)
+        return BentMotion(self.rigid.inverse(), local)
 
     def _part(self, points: FloatArray) -> FloatArray:
-        centres = np.array([anchor.centre for anchor in self.anchors])
-        weights = np.array([anchor.weight for anchor in self.anchors])
+        centres = np.array([one.centre for one in self.local])
+        weights = np.array([one.weight for one in self.local])
         squares = ((points[:, None, :] - centres[None]) ** 2).sum(axis=2)
         shares = weights / (_REACH_M2 + squares) ** 2  # far ones do not add up
         shares /= shares.sum(axis=1, keepdims=True)
         placed = np.zeros((len(points), 2))
-        for k, anchor in enumerate(self.anchors):
-            placed += shares[:, k, None] * anchor.motion.apply(points)
+        for k, one in enumerate(self.local):
+            placed += shares[:, k, None] * one.motion.apply(points)
         return placed

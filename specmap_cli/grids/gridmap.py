@@ -23,6 +23,7 @@ from specmap_cli.core.records import IntArray
 FREE, OCCUPIED, UNKNOWN = 0, 1, 2
 NO_OBSTACLE_M = 1e3  # the distance to an obstacle where there is none: beyond any laser's range
 CellArray = NDArray[np.uint8]
+
 _RAYS_AT_ONCE = 1 << 16  # bounds the memory: some 10 MB
 _BORDER = 1e-6  # cells a ray steps past a border, to stand in the next cell
 _TINY = 1e-12  # takes the place of a direction of 0, so that its borders are far away

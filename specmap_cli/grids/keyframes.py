@@ -19,7 +19,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import product
-from types import TracebackType
 from typing import IO
 
 import numpy as np
@@ -35,6 +34,7 @@ _AT_ONCE = 32  # keyframes read and integrated in one go: bounds the memory, and
 # A pass leaves some six keyframes in a place, so that two or three passes are taken in whole.
 PLACE_M, DIRECTION_RAD, ENOUGH_VIEWS = 0.5, math.pi / 6.0, 16
 _READING = np.dtype(np.float32)  # a bearing or a range on disk: good to a micrometre in 10 m
+
 _ROUNDING = 1e-9  # of shares that add up to one
 _LASER_M = 1.0  # how far from the middle of the robot a laser may stand
 _STRIDE = 8  # neighbours show the same: first one of so many is asked, then the others
@@ -219,12 +219,7 @@ class KeyframeStore:
     def __enter__(self) -> KeyframeStore:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

@@ -37,17 +37,21 @@ from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, CellArray, GridMa
 # What map_server and Nav2 read the greys 0, 254 and 205 back with as they are; a free threshold
 # above 0.196, such as the often seen 0.25, would make the unknown 205 free.
 OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196
+
 # In a bare picture only white (above 250) is free: light greys are edges of lines drawn smoothly,
 # or furniture and hatching in a floor plan. A YAML beside the picture can say otherwise.
 PICTURE_FREE_THRESHOLD = 0.0196
+
 _LARGEST_YAML_MB = 0.066  # such a file has some hundred: anything larger is something else
 _DECIMALS = 6  # of lengths written: a micrometre
 _FARTHEST_M = 1e8  # twice around the earth: no place of a map is farther off
 _LARGEST_TURN = 1e-9  # rad; more than rounding, so meant
+
 _GREY = np.zeros(256, dtype=np.uint8)
 _GREY[[FREE, OCCUPIED, UNKNOWN]] = (254, 0, 205)
 # the defaults of zlib, written down: those of OpenCV have changed between its versions
 _PNG_OPTIONS = [cv2.IMWRITE_PNG_COMPRESSION, 6, cv2.IMWRITE_PNG_STRATEGY, 0]
+
 _PICTURE_MAX_MB = 268.0  # a picture of a map or a plan, even one without compression
 _PIXELS_PER_MPIXEL = 1_000_000
 # Where width and height stand in the formats that maps come in, by the definition of each.

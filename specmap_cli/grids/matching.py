@@ -28,23 +28,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2, product, wrap_angle
-from specmap_cli.core.records import IntArray
+from specmap_cli.core.records import BoolArray, IntArray
 from specmap_cli.grids.correlation import Target, cell_counts, local_maxima, peaks
 from specmap_cli.grids.occupancy import SURFACE_GAP_M
 from specmap_cli.grids.score_field import ScoreField, descend
 
 REFINE_ITERATIONS = 20  # of Gauss-Newton, which ends by itself after some five near the truth
 REFINE_SHIFT_M = 0.3  # three sigma of the usual field: it pulls from no farther
+
 # the score surface round a match: 2 % of the score is what a change of a few points makes
 SPREAD_TEMPERATURE = 0.02
 SPREAD_M, SPREAD_RAD = 0.3, 0.09  # looked at: beyond the errors of a match that is right
 _SPREAD_STEPS = 6  # of the lattice, from the match to either end
+
 PLACES, PLACES_STEP_M = 5, 0.2  # looked for everywhere: a wall is still seen in cells of 0.2 m
 APART_M = 1.0  # of two places found: nearer ones lead `refine` to the same pose
 _APART_RAD = 0.3  # likewise of two headings
+
 _FAR_PERCENTILE = 80.0  # of the ranges: the few farthest points may move by more than a step
 _LEAST_TURN_RAD, _MOST_TURN_RAD = 0.01, 0.05  # between two angles that are tried
 _SLACK = 1e-9  # scores and lengths this close are equal
+
 _DISTINCT_M = 1e-6  # between points of which the direction of a surface can be had
 # Of smoothed surfaces: pieces so long that 3 cm of noise turn their normals by less than 0.1 rad,
 # which makes a hundredth of the information; whoever stands in a room has ten times that.
@@ -104,13 +108,12 @@ def search_everywhere(
     count: int = PLACES,
     step: float = PLACES_STEP_M,
     angle_step: float | None = None,
-    apart: float = APART_M,
 ) -> list[Match]:
     """The best `count` poses of points (N, 2) anywhere on the field at any angle, best first.
 
     A correlation by Fourier transform per angle, on the field pooled to cells of about `step`
     metres: no guess is needed, drift of any size does not matter. The poses are good to about a
-    step and are at least `apart` metres (or 0.3 rad) from each other; follow with `search` over
+    step and are at least a metre (or 0.3 rad) from each other; follow with `search` over
     +- a step, or `refine`. Scores are upper bounds, pooled.
     """
     if not len(points):
@@ -124,7 +127,7 @@ def search_everywhere(
     centres: list[Pose2] = []
     for score, x, y, angle in found:
         centre = Pose2(x, y, wrap_angle(angle))
-        if all(_differ(centre, other, apart) for other in centres):
+        if all(_differ(centre, other) for other in centres):
             centres.append(centre)
             kept.append(
                 Match(centre @ Pose2(-float(middle[0]), -float(middle[1]), 0.0), min(1.0, score))
@@ -150,31 +153,24 @@ def refine(
     return Match(pose, field.score(points, pose))
 
 
-def covariance(
-    field: ScoreField,
-    points: NDArray[Any],
-    pose: Pose2,
-    temperature: float = SPREAD_TEMPERATURE,
-    distance_m: float = SPREAD_M,
-    angle_rad: float = SPREAD_RAD,
-) -> FloatArray:
+def covariance(field: ScoreField, points: NDArray[Any], pose: Pose2) -> FloatArray:
     """Covariance (3, 3) of a match, of the score surface around `pose` (Olson 2009, section III).
 
-    Poses on a lattice of +-`distance_m` and +-`angle_rad` are weighted by
-    exp((score - best) / `temperature`): a corridor comes out long along its axis. Coordinates are
-    x, y and theta of the pose in the field's frame.
+    Poses on a lattice of +-`SPREAD_M` and +-`SPREAD_RAD` are weighted by
+    exp((score - best) / `SPREAD_TEMPERATURE`): a corridor comes out long along its axis.
+    Coordinates are x, y and theta of the pose in the field's frame.
     """
     window = Window(
-        distance_m=distance_m,
-        angle_rad=angle_rad,
-        step_m=max(distance_m / _SPREAD_STEPS, field.resolution),
-        angle_step_rad=angle_rad / _SPREAD_STEPS,
+        distance_m=SPREAD_M,
+        angle_rad=SPREAD_RAD,
+        step_m=max(SPREAD_M / _SPREAD_STEPS, field.resolution),
+        angle_step_rad=SPREAD_RAD / _SPREAD_STEPS,
     )
     shifts, angles = _lattice(points, window, field.resolution)
     poses = np.concatenate([np.column_stack([shifts, np.full(len(shifts), a)]) for a in angles])
     lattice = _lattice_scores(field, points, pose, shifts, angles)
     scores = np.concatenate([row for _, row in lattice])
-    below = ((scores - scores.max()) / temperature).tolist()
+    below = ((scores - scores.max()) / SPREAD_TEMPERATURE).tolist()
     weights = np.array([math.exp(each) for each in below])  # NumPy's exp depends on the processor
     weights /= weights.sum()
     centred = poses - (weights[:, None] * poses).sum(axis=0)
@@ -265,10 +261,10 @@ def _everywhere(
     return sorted(found, key=lambda place: (-place[0], place[1:]))
 
 
-def _differ(a: Pose2, b: Pose2, apart: float) -> bool:
+def _differ(a: Pose2, b: Pose2) -> bool:
     """Whether two poses are two different answers."""
     turn = abs(wrap_angle(a.theta - b.theta))
-    return math.hypot(a.x - b.x, a.y - b.y) >= apart or turn >= _APART_RAD
+    return math.hypot(a.x - b.x, a.y - b.y) >= APART_M or turn >= _APART_RAD
 
 
 def observability(points: FloatArray, range_noise_m: float) -> FloatArray:
@@ -280,11 +276,8 @@ def observability(points: FloatArray, range_noise_m: float) -> FloatArray:
     """
     if len(points) < 3:
         return np.zeros((3, 3))
-    tangent = points[2:] - points[:-2]
-    length = np.hypot(tangent[:, 0], tangent[:, 1])
-    good = (length > _DISTINCT_M) & (length < 2 * SURFACE_GAP_M)
-    tangent, p = tangent[good] / length[good, None], points[1:-1][good]
-    normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
+    good, normal = _normals(points, SURFACE_GAP_M)
+    p = points[1:-1][good]
     rows = np.column_stack([normal, p[:, 0] * normal[:, 1] - p[:, 1] * normal[:, 0]])
     return product(rows.T, rows) / range_noise_m**2
 
@@ -335,9 +328,17 @@ def _smoothed_surfaces(points: FloatArray) -> tuple[FloatArray, FloatArray, Floa
     piece = np.floor(np.concatenate([[0.0], np.cumsum(apart)]) / _PIECE_M)
     _, start, count = np.unique(piece, return_index=True, return_counts=True)
     middle = np.add.reduceat(points, start, axis=0) / count[:, None]
-    tangent = middle[2:] - middle[:-2]
-    length = np.hypot(tangent[:, 0], tangent[:, 1])
-    good = (length > _DISTINCT_M) & (length < 2 * _SMOOTHED_GAP_M)
-    tangent = tangent[good] / length[good, None]
-    normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
+    good, normal = _normals(middle, _SMOOTHED_GAP_M)
     return middle[1:-1][good], normal, count[1:-1][good].astype(np.float64)
+
+
+def _normals(points: FloatArray, gap_m: float) -> tuple[BoolArray, FloatArray]:
+    """Which inner ones (n - 2,) of points (n, 2) lie on one surface with both neighbours.
+
+    And the unit normals (k, 2) of the surface at these.
+    """
+    tangent = points[2:] - points[:-2]
+    length = np.hypot(tangent[:, 0], tangent[:, 1])
+    good = (length > _DISTINCT_M) & (length < 2 * gap_m)
+    tangent = tangent[good] / length[good, None]
+    return np.asarray(good), np.column_stack([-tangent[:, 1], tangent[:, 0]])

@@ -20,14 +20,16 @@ from specmap_cli.core.records import BoolArray, PlanarScan
 from specmap_cli.core.settings import GridConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, slices_near, window_of
 
+Cell = tuple[int, int]  # column and row
+_Indices = NDArray[np.intp]
+
 _OCCUPIED_SHARE = 0.25  # hits / (hits + misses) of a wall
 _FREE, _OCCUPIED, _UNKNOWN = (np.uint8(state) for state in (FREE, OCCUPIED, UNKNOWN))
 _ONCE = np.float32(1.0)
 _GROWTH_CELLS = 128  # added on a side that grows: some 6 m at once, so that it seldom does
+
 SURFACE_GAP_M = 0.3  # returns this close bound one surface
 SUBPIXEL_BITS = 4  # OpenCV draws on a lattice of 1/16 cell, finer than a laser's noise
-Cell = tuple[int, int]  # column and row
-_Indices = NDArray[np.intp]
 
 
 class OccupancyGrid:
@@ -56,12 +58,16 @@ class OccupancyGrid:
         A cell counts once a scan at the most. What the robot covered counts as passed through,
         where the grid may grow to hold it. Some dozens of scans at once are quickest.
         """
-        discs = footprints_of(grid_from_base, self.config.footprint_m, self.resolution)
+        low, high, inside = footprints_of(grid_from_base, self.config.footprint_m, self.resolution)
         stood = []
-        for number, fan in enumerate(fans_of(scans, grid_from_laser, self.config)):
+        fans = fans_of(scans, grid_from_laser, self.config)
+        for fan, first, end in zip(fans, _pairs(low), _pairs(high), strict=True):
             self._add(fan)
-            stood.append(self._cover(discs.low[number], discs.high[number]))
-        self._pass_through(*discs.cells(stood))
+            stood.append(self._cover(first, end))
+        disc, rows, columns = np.nonzero(inside & np.array(stood)[:, None, None])
+        rows, columns = rows + low[disc, 1] - self._corner[1], columns + low[disc, 0]
+        cells = self._flat(rows, columns - self._corner[0])
+        np.add.at(self._misses.reshape(-1), cells, _ONCE)  # each as often as it is stood on
 
     def snapshot(self) -> GridMap:
         """The trinary grid as it stands."""
@@ -117,11 +123,6 @@ class OccupancyGrid:
         cv2.accumulate(passed, self._misses[rows, columns])
         cells = self._flat(fan.rows + rows.start, fan.columns + columns.start)
         self._hits.reshape(-1)[cells] += 1  # once for a cell that several beams hit
-
-    def _pass_through(self, columns: NDArray[np.intp], rows: NDArray[np.intp]) -> None:
-        """Count cells (m,), which the grid holds, as passed through, each as often as it comes."""
-        column, row = self._corner
-        np.add.at(self._misses.reshape(-1), self._flat(rows - row, columns - column), _ONCE)
 
     def _flat(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[np.intp]:
         """Numbers (m,) of the elements in some rows and columns (m,), row after row."""
@@ -325,25 +326,15 @@ def _fixed(places: FloatArray) -> NDArray[np.int32]:
     return np.round((places - 0.5) * (1 << SUBPIXEL_BITS)).astype(np.int32)
 
 
-class Footprints(NamedTuple):
-    """Discs of cells: each in a box of cells from `low` to `high`, the latter not among them.
+def footprints_of(
+    places: FloatArray, radius_m: float, resolution_m: float
+) -> tuple[_Indices, _Indices, BoolArray]:
+    """What a robot of that radius covers that stands at `places` (n, 2 or more columns), metres.
 
-    `inside` (n, s, s) says of rows and columns from `low` on whether the cell's centre is covered.
+    Each disc of cells lies in a box of cells from `low` (n, 2), columns and rows, to `high` (n, 2),
+    the latter not among them; `inside` (n, s, s) says of rows and columns from `low` on whether the
+    cell's centre is covered.
     """
-
-    low: list[Cell]
-    high: list[Cell]
-    inside: BoolArray
-
-    def cells(self, chosen: Sequence[bool]) -> tuple[_Indices, _Indices]:
-        """Columns and rows (m,) of the cells of the chosen discs, a cell of each."""
-        disc, rows, columns = np.nonzero(self.inside & np.array(chosen)[:, None, None])
-        low = np.array(self.low)[disc]
-        return columns + low[:, 0], rows + low[:, 1]
-
-
-def footprints_of(places: FloatArray, radius_m: float, resolution_m: float) -> Footprints:
-    """What a robot of that radius covers that stands at `places` (n, 2 or more columns), metres."""
     centre, reach = places[:, :2] / resolution_m, radius_m / resolution_m
     low = np.floor(centre - reach)
     high = np.floor(centre + reach).astype(np.intp) + 1
@@ -351,7 +342,7 @@ def footprints_of(places: FloatArray, radius_m: float, resolution_m: float) -> F
     off = low[:, None, :] + side[:, None] + 0.5 - centre[:, None, :]
     squares = off * off
     inside = squares[:, :, None, 1] + squares[:, None, :, 0] <= reach * reach
-    return Footprints(_pairs(low.astype(np.intp)), _pairs(high), inside)
+    return low.astype(np.intp), high, np.asarray(inside)
 
 
 def _pairs(cells: _Indices) -> list[Cell]:

@@ -24,12 +24,14 @@ from specmap_cli.core.geometry import FloatArray, Pose2, product, wrap_angle
 from specmap_cli.grids.gridmap import GridMap
 
 FieldArray = NDArray[np.float32]
+Step = tuple[float, float, float]  # metres, metres, radians
+
 CELL_M = 0.05  # of a field of points: half a sigma, so that the field is smooth in its cells
 SIGMA_M = 0.1  # two walls this far apart are told from one: the noise of a laser and of its pose
 LARGEST_SIDE_M = 100.0  # of a field of points: 16 MB
 _REACH_SIGMAS = 3.5  # past this distance the score is below 0.003, and outside the field it is 0
 _LARGEST_EXPONENT = np.float32(20.0)  # exp(-20) is below single precision beside 1
-Step = tuple[float, float, float]  # metres, metres, radians
+
 _FEWEST_POINTS = 3  # as many as unknowns
 _DAMPING = 1e-6  # a point, added to the normal matrix: along a single wall it is singular
 _LONGEST_STEP = 0.1  # metres and radians: about a sigma, as far as the field is nearly linear
@@ -89,21 +91,18 @@ class ScoreField:
         resolution: float = CELL_M,
         sigma: float = SIGMA_M,
         max_side: float = LARGEST_SIDE_M,
-        middle: tuple[float, float] | None = None,
     ) -> ScoreField:
         """The field of obstacle points (N, 2), metres.
 
         The grid covers all points if they spread over no more than `max_side` metres in x and in y,
-        else those within half of that from `middle`, or from their median. So a stray point
+        else those within half of that from their median. So a stray point
         kilometres away costs neither time nor memory. But walls beyond do not count either: what
         is matched there scores 0. `left_out` of the result says how many points that were.
         """
         points = np.asarray(points, dtype=np.float64).reshape(-1, 2)
         cells = PointCells.of(points, resolution)
-        if middle is None:
-            x, y = np.median(points, axis=0).tolist() if cells.spread > max_side else (0.0, 0.0)
-            middle = (x, y)
-        return cls.from_cells([cells], sigma, max_side, middle)
+        x, y = np.median(points, axis=0).tolist() if cells.spread > max_side else (0.0, 0.0)
+        return cls.from_cells([cells], sigma, max_side, (x, y))
 
     @classmethod
     def from_cells(

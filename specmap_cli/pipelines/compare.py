@@ -18,7 +18,7 @@ from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted, encodable, to_json
 from specmap_cli.drawing.comparison import render_comparison
-from specmap_cli.grids.bent import Anchor, BentMotion
+from specmap_cli.grids.bent import BentMotion, LocalMotion
 from specmap_cli.grids.map_server import write_png
 from specmap_cli.maps.comparison import (
     SCHEMA_VERSION,
@@ -159,13 +159,13 @@ def _motion(alignment: Alignment) -> BentMotion:
     """The motion from the new map to the old one, as its submaps lie in it."""
     assert alignment.old_from_new is not None
     pieces = () if alignment.ground is None else alignment.ground.pieces
-    anchors = tuple(
-        Anchor(fit.centre, fit.old_from_new, fit.confirmed_m)
+    local = tuple(
+        LocalMotion(fit.centre, fit.old_from_new, fit.confirmed_m)
         for fit in pieces
         if fit.score >= _LEAST_FIT
         and fit.confirmed_m >= max(_LEAST_WALLS_M, _LEAST_SHARE * fit.walls_m)
     )
-    return BentMotion(alignment.old_from_new, anchors)
+    return BentMotion(alignment.old_from_new, local)
 
 
 def record_of(

@@ -19,14 +19,17 @@ from specmap_cli.core.records import IntArray
 from specmap_cli.grids.gridmap import BoolArray, contacts, nearest_values
 from specmap_cli.segmentation.visibility import IndexArray, LabelArray
 
+Pair = tuple[int, int]
+
 RINGS = 3  # cells by which labels creep: the fringe of free cells beside a wall of 0.1 m cells
 _LEVELS = 126  # heights of the relief that is flooded: the sum of two of them, and one, fit a byte
 _AROUND = np.array([(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1)])
 _TINY = 1e-9  # cells; keeps a grid without free space from dividing by zero
-Pair = tuple[int, int]
+
 _RATIO_SLACK = 1e-9  # a border of just the ratio asked for joins, whatever the last digit
 _WIDTH_SLACK = 1e-12  # of two borders equal in proportion the first joins
 _NARROWEST = 1e-9  # cells; keeps a cluster without width from dividing by zero
+
 _SAME = 0.5  # intersection over union above which regions are the same: each has one such at most
 _HALF = 0.5  # of the cells of a region: more of them taken by others, and it is not taken itself
 
@@ -181,55 +184,40 @@ def join_wide(
     least `ratio` times the geometric mean of the two clusters' `percentile` widths: a corridor
     goes on where its width goes on, and ends where it opens into a hall or a room.
     """
-    clusters = _Clusters(borders, widths, percentile)
-    while (pair := clusters.widest(ratio)) is not None:
-        clusters.join(*pair)
-    return clusters.names()
-
-
-class _Clusters:
-    """Clusters, their widths and the widths of their borders while they are being joined."""
-
-    def __init__(
-        self, borders: dict[Pair, float], widths: list[FloatArray], percentile: float
-    ) -> None:
-        self._percentile = percentile
-        self._nodes = list(widths)
-        self._width = [self._width_of(nodes) for nodes in widths]
-        self._kept = np.arange(len(widths))  # of each cluster: the one that it is a part of
-        self._touching: list[dict[int, float]] = [{} for _ in widths]
-        for (one, other), border in borders.items():
-            self._touching[one][other] = self._touching[other][one] = border
-
-    def _width_of(self, nodes: FloatArray) -> float:
-        return float(np.percentile(nodes, self._percentile)) if len(nodes) else 0.0
-
-    def widest(self, ratio: float) -> Pair | None:
-        """The pair with the widest border in proportion, the first of equals, or None."""
-        best, pair = ratio - _RATIO_SLACK, None
-        for one, around in enumerate(self._touching):
-            for other, border in around.items():
-                mean = (self._width[one] * self._width[other]) ** 0.5
-                if one < other and border > best * mean + _WIDTH_SLACK:
-                    best, pair = border / max(mean, _NARROWEST), (one, other)
-        return pair
-
-    def join(self, keep: int, gone: int) -> None:
-        """Make cluster `gone` a part of `keep`."""
-        self._kept[self._kept == gone] = keep
-        self._nodes[keep] = np.concatenate([self._nodes[keep], self._nodes[gone]])
-        self._width[keep] = self._width_of(self._nodes[keep])
-        for other, border in self._touching[gone].items():
-            del self._touching[other][gone]
+    nodes = list(widths)
+    width = [_percentile(some, percentile) for some in nodes]
+    part_of = np.arange(len(widths))
+    touching: list[dict[int, float]] = [{} for _ in widths]
+    for (one, other), border in borders.items():
+        touching[one][other] = touching[other][one] = border
+    while (pair := _widest(touching, width, ratio)) is not None:
+        keep, gone = pair
+        part_of[part_of == gone] = keep
+        nodes[keep] = np.concatenate([nodes[keep], nodes[gone]])
+        width[keep] = _percentile(nodes[keep], percentile)
+        for other, border in touching[gone].items():
+            del touching[other][gone]
             if other != keep:
-                wider = max(border, self._touching[keep].get(other, 0.0))
-                self._touching[keep][other] = self._touching[other][keep] = wider
-        self._touching[gone] = {}
+                wider = max(border, touching[keep].get(other, 0.0))
+                touching[keep][other] = touching[other][keep] = wider
+        touching[gone] = {}
+    labels: list[int] = np.unique(part_of, return_inverse=True)[1].tolist()
+    return labels
 
-    def names(self) -> list[int]:
-        """The label of every cluster: those that were kept are numbered 0, 1, ... in order."""
-        labels: list[int] = np.unique(self._kept, return_inverse=True)[1].tolist()
-        return labels
+
+def _percentile(widths: FloatArray, percentile: float) -> float:
+    return float(np.percentile(widths, percentile)) if len(widths) else 0.0
+
+
+def _widest(touching: list[dict[int, float]], width: list[float], ratio: float) -> Pair | None:
+    """The pair with the widest border in proportion, the first of equals, or None."""
+    best, pair = ratio - _RATIO_SLACK, None
+    for one, around in enumerate(touching):
+        for other, border in around.items():
+            mean = (width[one] * width[other]) ** 0.5
+            if one < other and border > best * mean + _WIDTH_SLACK:
+                best, pair = border / max(mean, _NARROWEST), (one, other)
+    return pair
 
 
 def consensus(divisions: Sequence[LabelArray]) -> LabelArray:

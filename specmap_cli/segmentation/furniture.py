@@ -23,6 +23,7 @@ FURNITURE_THICK_M = 0.4
 _SLACK = 1e-9  # sizes that are equal on paper stay equal in floating point
 _SLIT_M = 0.15  # free space narrower than this, in a wall or between two pieces of one, is noise
 _SOLID = 0.5  # share of its rectangle: furniture fills three quarters, corners of walls a third
+
 _LONGEST_M = 4.0  # a row of cupboards; larger is what was never seen, and thick walls
 _REACH_M = 0.2  # from a piece to the labelled cells of its room
 

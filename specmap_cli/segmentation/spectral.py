@@ -20,10 +20,12 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.segmentation.visibility import IndexArray, LabelArray
 
 _NARROW = 1 << 16  # nodes whose numbers fit 16 bits: numpy sorts such numbers in linear time
+
 _DENSE = 160  # rows up to which solving for all eigenpairs is quicker than iterating
 _TOLERANCE = 1e-6  # far below what moves a count of eigenvalues
 _FIRST, _NODES_A_CLUSTER = 12, 80  # eigenpairs asked for at first: a guess that is seldom short
 _START_SEED, _START_RANGE = 0, (0.5, 1.5)  # positive, so never at right angles to the first vector
+
 _ROUNDS = 100  # of Lloyd's iteration, which ends by itself after some ten
 _TIE = 1e-9  # costs this close are a tie
 _TINY = 1e-12  # keeps a row of zeros from dividing by zero

@@ -3,7 +3,8 @@
 The paper splits when the second eigenvalue passes 0.8. On real maps every glimpse through a door is
 a weakly tied cluster of its own, so that eigenvalue is nearly always above. The default looks for
 the largest eigenvalue whose eigenvector divides the robot's own way, in a graph of the free space
-near that way; with a share of 0 this is the paper's second eigenvalue.
+near that way; with a share of 0 this is the paper's second eigenvalue. What is tested stands below:
+the keyframes of the submap, and a grid of them that is just good enough to find doors.
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ _SPLIT_NODES = 250  # most nodes in a test: the blocks grow
 _SPLIT_EIGENPAIRS = 12  # looked at in a test: each room seen but not entered takes one
 _FEWEST_NODES = 3  # two nodes share one sight line: nothing to divide
 _STANDING_M = 1e-6  # counted at every pose, so that a robot that stands still has a way
+
 SPLIT_CELL_M = 0.1  # cells of the working grid in a test; finer ones are only slower
 _SPLIT_STEP_M = 0.15  # motion between scans in a test's map
 _SPLIT_STEP_RAD = 0.2  # turn between scans in a test's map

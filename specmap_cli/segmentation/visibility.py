@@ -17,6 +17,7 @@ from specmap_cli.grids.gridmap import BoolArray
 
 LabelArray = NDArray[np.int32]
 IndexArray = NDArray[np.intp]
+
 _CHUNK = 1 << 16  # pairs traced at once: bounds the memory
 _STEPS = 8  # of all lines before those that have ended are cleared out
 _SLACK = 1e-9  # lengths that are equal on paper stay equal in floating point

@@ -28,6 +28,7 @@ _LINE_M = 6.0  # the longest row of openings and posts between two walls
 _BETWEEN_POSTS_M = 1.6  # the widest opening of such a row
 _POST_M, _POST_THICK_M = 0.15, 0.75  # the least length of a post, in line, and the most across
 _PANEL_M, _SLENDER = 0.5, 2  # a post this long, and so many times longer than thick, is a wall
+
 _THICKEST_M = 0.5  # a wall
 _OPEN_M = 1.1  # free space in front of a wall: more than the width of a door
 _JAMB_M = 0.25  # the least length of a wall beside an opening

@@ -23,12 +23,14 @@ from specmap_cli.grids.gridmap import BoolArray
 from specmap_cli.simulation.worlds import World
 
 IndexArray = NDArray[np.intp]
+
 _LATTICE_M = 0.1  # distance of the lattice's nodes: passages show, and a building is searched
 _WALL_COST = 4.0  # a metre that touches a wall counts as 1 + this, so that doors are crossed midway
 _STEP_M = 0.05  # distance of the path's points: a corner's bend takes several of them
 _SMOOTHINGS = 60  # passes over the path; they round corners over some 0.5 m
 _LEAST_GAIN_M = 1e-9  # what a reversal must shorten the tour by; less is rounding
 _REVERSALS_PER_TARGET = 20  # no more; tours need one or two
+
 _SHARP_RAD = 0.35  # 20 degrees: the robot stops and turns at sharper corners, and rounds others
 _TURN_STEP_RAD = 0.1  # a turn in place is told by poses this far apart
 # The ease-in, ease-out curve 3 s^2 - 2 s^3 of a turn in place is steepest in its middle: 1.5.

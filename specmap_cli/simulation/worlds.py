@@ -18,6 +18,7 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap, cast_rays, nearest_values
 
 LabelArray = NDArray[np.int32]
+
 # The pictures of Bormann et al., "Room Segmentation: Survey, Implementation, and Analysis", ICRA
 # 2016, hold rooms of 255 and walls of 0; their specks of a few pixels are slips of the brush.
 _ROOM_GREY = 250

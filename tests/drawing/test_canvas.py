@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.drawing.canvas import Anchor, Canvas, text_weight, text_width
+from specmap_cli.drawing.canvas import Alignment, Canvas, text_weight, text_width
 from specmap_cli.drawing.palette import CLOSURE, INK, PAPER, TRAVERSED
 from tests.drawing.looking import bounds, inked, middle, near, of_colour
 
@@ -95,17 +95,17 @@ def test_a_box_fills_what_lies_between_two_corners(
 @pytest.mark.parametrize("bold", [False, True])
 def test_capitals_are_as_high_as_asked_and_centred(height: float, bold: bool) -> None:
     canvas = Canvas(100, 100)
-    canvas.text(50, 50, "HE", height, anchor="centre", bold=bold)
+    canvas.text(50, 50, "HE", height, align="centre", bold=bold)
     left, right, top, bottom = bounds(canvas.image[:, :, 0] < 160)
     assert bottom - top == pytest.approx(height, abs=1.5 + text_weight(height, bold))
     assert (top + bottom) / 2 == pytest.approx(50, abs=1.5)
     assert (left + right) / 2 == pytest.approx(50, abs=0.15 * height)
 
 
-@pytest.mark.parametrize(("anchor", "share"), [("left", 0.0), ("centre", 0.5), ("right", 1.0)])
-def test_words_are_anchored_where_asked(anchor: Anchor, share: float) -> None:
+@pytest.mark.parametrize(("align", "share"), [("left", 0.0), ("centre", 0.5), ("right", 1.0)])
+def test_words_are_anchored_where_asked(align: Alignment, share: float) -> None:
     canvas = Canvas(600, 60)
-    canvas.text(300, 30, "42 rooms", 20, anchor=anchor)
+    canvas.text(300, 30, "42 rooms", 20, align=align)
     left, right, _, _ = bounds(canvas.image[:, :, 0] < 128)
     width = text_width("42 rooms", 20)
     assert right - left == pytest.approx(width, abs=6)

@@ -6,24 +6,24 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.geometry import Pose2
-from specmap_cli.grids.bent import Anchor, BentMotion
+from specmap_cli.grids.bent import BentMotion, LocalMotion
 
 RIGID = Pose2(3.0, -1.0, 0.7)
 POINTS = np.array([[0.0, 0.0], [5.0, 2.0], [-4.0, 8.0]])
 
 
-def anchor(x: float, y: float, off_x: float) -> Anchor:
+def local(x: float, y: float, off_x: float) -> LocalMotion:
     motion = Pose2(RIGID.x + off_x, RIGID.y, RIGID.theta)
-    return Anchor(np.array([x, y]), motion, 10.0)
+    return LocalMotion(np.array([x, y]), motion, 10.0)
 
 
-def test_without_anchors_it_is_rigid() -> None:
+def test_without_local_motions_it_is_rigid() -> None:
     assert BentMotion(RIGID).apply(POINTS) == pytest.approx(RIGID.apply(POINTS))
-    assert BentMotion(RIGID, (anchor(0.0, 0.0, 0.1),)).apply(np.zeros((0, 2))).shape == (0, 2)
+    assert BentMotion(RIGID, (local(0.0, 0.0, 0.1),)).apply(np.zeros((0, 2))).shape == (0, 2)
 
 
-def test_each_anchor_rules_where_it_is_and_between_them_it_blends() -> None:
-    bent = BentMotion(RIGID, (anchor(0.0, 0.0, 0.0), anchor(20.0, 0.0, 0.2)))
+def test_each_local_motion_rules_where_it_is_and_between_them_it_blends() -> None:
+    bent = BentMotion(RIGID, (local(0.0, 0.0, 0.0), local(20.0, 0.0, 0.2)))
     places = np.array([[0.0, 0.0], [10.0, 0.0], [20.0, 0.0]])
     off = bent.apply(places) - RIGID.apply(places)
     assert off[:, 0] == pytest.approx([0.0, 0.1, 0.2], abs=0.01)
@@ -32,5 +32,5 @@ def test_each_anchor_rules_where_it_is_and_between_them_it_blends() -> None:
 
 
 def test_there_and_back() -> None:
-    bent = BentMotion(RIGID, (anchor(0.0, 0.0, 0.0), anchor(8.0, 3.0, 0.15)))
+    bent = BentMotion(RIGID, (local(0.0, 0.0, 0.0), local(8.0, 3.0, 0.15)))
     assert bent.inverse().apply(bent.apply(POINTS)) == pytest.approx(POINTS, abs=0.01)

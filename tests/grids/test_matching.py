@@ -1,6 +1,8 @@
-"""The matcher finds the pose a scan was taken from, near a guess and without one."""
+"""The matcher finds the pose a scan was taken from; which directions walls fix."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import pytest
@@ -8,12 +10,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, wrap_angle
-from specmap_cli.grids.matching import Window, covariance, refine, search, search_everywhere
+from specmap_cli.grids.matching import (
+    Window,
+    covariance,
+    refine,
+    search,
+    search_everywhere,
+    weakest_direction,
+)
 from specmap_cli.grids.score_field import ScoreField
 from tests.strategies import few, seeds
+from tests.turning import turn
 
 WIDE = Window(distance_m=1.0, angle_rad=0.3, step_m=0.1)
 NARROW = Window(distance_m=0.3, angle_rad=0.1, step_m=0.1)
+BEARINGS = np.linspace(-math.pi, math.pi, 720, endpoint=False)
 
 
 def assert_near(found: Pose2, true: Pose2, metres: float, radians: float) -> None:
@@ -57,7 +68,7 @@ def test_a_scan_is_found_without_a_guess(
 
 
 def test_places_found_everywhere_are_apart(field: ScoreField, room: FloatArray) -> None:
-    matches = search_everywhere(field, room[::2], count=4, apart=1.0)
+    matches = search_everywhere(field, room[::2], count=4)
     for k, a in enumerate(matches):
         for b in matches[:k]:
             centre = room[::2].mean(axis=0)[None, :]
@@ -144,13 +155,14 @@ def test_covariance_is_that_of_weights_summed_pose_by_pose(seed: int) -> None:
     resolution = 0.0625
     field = ScoreField.from_points(rng.uniform(-2.0, 2.0, (60, 2)), resolution)
     points, pose = rng.uniform(-1.5, 1.5, (25, 2)), Pose2(*rng.uniform(-0.5, 0.5, 3).tolist())
-    reach, turn = 6 * resolution, 0.06
-    window = Window(distance_m=reach, angle_rad=turn, step_m=resolution)
+    reach, angle = 6 * resolution, 0.06
+    window = Window(distance_m=reach, angle_rad=angle, step_m=resolution)
     offsets = np.array(lattice(window, resolution, 6))
     scores = np.array([field.score(points, Pose2(*(pose + o).tolist())) for o in offsets])
     weights = np.exp((scores - scores.max()) / 0.05)
     expected = np.cov(offsets.T, aweights=weights, ddof=0)
-    found = covariance(field, points, pose, 0.05, reach, turn)
+    turn("grids", spread_temperature=0.05, spread_m=reach, spread_rad=angle)
+    found = covariance(field, points, pose)
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-9)
 
 
@@ -163,3 +175,41 @@ def test_scores_found_everywhere_are_never_below_the_true_ones(
         assert 0.0 <= match.score <= 1.0
         assert field.score(scan, match.pose) <= match.score + 1e-9
         assert near.score >= field.score(scan, match.pose)
+
+
+def box(
+    length_m: float, width_m: float, range_m: float, noise_m: float, seed: int = 0
+) -> FloatArray:
+    """What a laser in the middle of a box sees, its long side along x."""
+    rng = np.random.default_rng(seed)
+    to_end = 0.5 * length_m / np.maximum(np.abs(np.cos(BEARINGS)), 1e-9)
+    to_side = 0.5 * width_m / np.maximum(np.abs(np.sin(BEARINGS)), 1e-9)
+    ranges = np.minimum(to_end, to_side)
+    seen = ranges < range_m
+    ranges = ranges + rng.normal(0.0, noise_m, len(ranges))
+    return np.column_stack([ranges * np.cos(BEARINGS), ranges * np.sin(BEARINGS)])[seen]
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 0.01, 0.03])
+@pytest.mark.parametrize("width_m", [1.5, 2.5])
+@pytest.mark.parametrize("turn", [0.0, 0.7, -2.0])
+def test_a_bare_corridor_is_open_along_itself(noise_m: float, width_m: float, turn: float) -> None:
+    points = Pose2(0.0, 0.0, turn).apply(box(60.0, width_m, 8.0, noise_m))
+    weakest = weakest_direction(points)
+    assert weakest.open
+    assert abs(math.sin(weakest.heading - turn)) < 0.05
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 0.01, 0.03])
+def test_one_end_in_sight_closes_it(noise_m: float) -> None:
+    assert not weakest_direction(box(12.0, 2.5, 8.0, noise_m)).open
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 0.03])
+def test_a_square_room_fixes_all_directions_alike(noise_m: float) -> None:
+    assert weakest_direction(box(5.0, 5.0, 10.0, noise_m)).share == pytest.approx(0.5, abs=0.06)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_too_few_points_fix_nothing(count: int) -> None:
+    assert weakest_direction(np.ones((count, 2))).open

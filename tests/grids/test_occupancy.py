@@ -111,15 +111,6 @@ def test_a_beam_longer_than_the_cut_proves_free_space_and_no_wall() -> None:
     assert not grid.occupied.any()
 
 
-@few(15)
-@given(st.lists(st.tuples(planar_scans(beams=24), poses), min_size=2, max_size=4))
-def test_neither_order_nor_growth_changes_what_was_counted(
-    taken: list[tuple[PlanarScan, Pose2]],
-) -> None:
-    scans, at = [scan for scan, _ in taken], [pose for _, pose in taken]
-    assert known(gridded(scans, at)) == known(gridded(scans[::-1], at[::-1]))
-
-
 @given(planar_scans(), poses, st.integers(-40, 40), st.integers(-40, 40))
 def test_a_shift_by_whole_cells_shifts_the_grid(
     scan: PlanarScan, pose: Pose2, columns: int, rows: int

@@ -9,8 +9,8 @@ from scipy import ndimage
 
 from specmap_cli.grids.gridmap import BoolArray
 from specmap_cli.segmentation.working_grid import canonical
+from tests.strategies import seeds
 
-seeds = st.integers(0, 10_000)
 turns = st.integers(0, 3)
 
 

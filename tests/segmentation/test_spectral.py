@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 
 import cv2
@@ -10,12 +11,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy import ndimage
 from sklearn.metrics import adjusted_rand_score
 
 from specmap_cli.core.config import load_config
+from specmap_cli.core.errors import NoResultError
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.segmentation.division import segment
+from specmap_cli.segmentation.division import region_grid, regions_of, segment, segment_floorplan
 from tests.strategies import few
 
 DEFAULT = SegmentationConfig()
@@ -162,16 +165,6 @@ def test_unknown_cells_are_as_closed_as_walls(office: GridMap) -> None:
     np.testing.assert_array_equal(segment(unknown, DEFAULT).labels, segment(office, DEFAULT).labels)
 
 
-def test_where_the_map_lies_in_the_world_moves_the_nodes_and_nothing_else(
-    two_rooms: GridMap,
-) -> None:
-    here = segment(two_rooms, DEFAULT)
-    there = segment(GridMap(two_rooms.cells, two_rooms.resolution, (-70.0, 12.5)), DEFAULT)
-    np.testing.assert_array_equal(here.labels, there.labels)
-    np.testing.assert_array_equal(here.pairs, there.pairs)
-    np.testing.assert_allclose(here.nodes + (-70.0, 12.5), there.nodes)
-
-
 @pytest.mark.parametrize("turn", [0, 1, 2, 3])
 def test_nodes_keep_clear_of_walls_and_see_each_other(office: GridMap, turn: int) -> None:
     turned = GridMap(np.ascontiguousarray(np.rot90(office.cells, turn)), office.resolution)
@@ -207,3 +200,104 @@ def test_a_long_hall_is_cut_by_the_sight_and_joined_again(
     found = segment(hall, DEFAULT.model_copy(update={"merge": merge}))
     assert found.count >= count
     assert merge == (found.count == 1)
+
+
+def twin_rooms() -> GridMap:
+    """Two rooms of 4 m x 4 m side by side, joined by a door 0.9 m wide at y = 2 m."""
+    cells = np.full((80, 164), OCCUPIED, dtype=np.uint8)
+    cells[2:78, 2:80] = FREE
+    cells[2:78, 84:162] = FREE
+    cells[31:49, 80:84] = FREE
+    return GridMap(cells, 0.05)
+
+
+def drive(xs: np.ndarray, y: float = 2.0) -> np.ndarray:
+    return np.column_stack([xs, np.full(len(xs), y), np.zeros(len(xs))])
+
+
+def test_keyframes_change_region_in_the_door() -> None:
+    poses = drive(np.linspace(1.0, 7.0, 61))
+    labels = regions_of(twin_rooms(), poses, DEFAULT)
+    change = np.flatnonzero(np.diff(labels))
+    assert len(change) == 1
+    assert 3.8 < poses[change[0], 0] < 4.4
+
+
+def test_a_map_without_free_space_is_one_region() -> None:
+    grid = GridMap(np.full((20, 20), UNKNOWN, dtype=np.uint8), 0.05)
+    assert regions_of(grid, drive(np.linspace(0.0, 1.0, 5)), DEFAULT).tolist() == [0] * 5
+
+
+def without_grazed(labels: list[int], poses: np.ndarray, way_m: float) -> list[int]:
+    """The rule written out: short regions go to the one before, the first ones to the one after."""
+    way = dict.fromkeys(labels, 0.0)
+    for k in range(1, len(labels)):
+        way[labels[k]] += float(np.hypot(*(poses[k, :2] - poses[k - 1, :2])))
+    kept = [label for label in labels if way[label] >= way_m]
+    result, last = [], kept[0] if kept else max(way, key=lambda name: (labels.count(name), -name))
+    for label in labels:
+        last = label if label in kept else last
+        result.append(last)
+    return result
+
+
+@given(seed=st.integers(0, 10_000), way_m=st.sampled_from([0.5, 1.5, 4.0, 1e3]))
+@few(8)
+def test_regions_hardly_driven_through_go_to_the_one_before(seed: int, way_m: float) -> None:
+    rng = np.random.default_rng(seed)
+    stops = np.concatenate([[rng.uniform(0.5, 7.5)], rng.uniform(3.0, 5.5, 4)])
+    xs = np.concatenate([np.linspace(a, b, 15) for a, b in itertools.pairwise(stops)])
+    poses = drive(xs)
+    every = regions_of(twin_rooms(), poses, DEFAULT.model_copy(update={"region_min_m": 0.0}))
+    found = regions_of(twin_rooms(), poses, DEFAULT.model_copy(update={"region_min_m": way_m}))
+    assert found.tolist() == without_grazed(every.tolist(), poses, way_m)
+
+
+@pytest.mark.parametrize("x", [-3.0, 12.0])
+def test_keyframes_beyond_the_map_go_to_its_nearest_edge(x: float) -> None:
+    poses = drive(np.concatenate([np.linspace(1.0, 7.0, 31), [x]]))
+    labels = regions_of(twin_rooms(), poses, DEFAULT.model_copy(update={"region_min_m": 0.0}))
+    assert labels[-1] == (labels[0] if x < 0 else labels[30])
+    assert labels.dtype == np.int64
+
+
+def test_a_map_without_room_for_a_node_says_so() -> None:
+    cells = np.full((40, 40), OCCUPIED, dtype=np.uint8)
+    cells[5:8] = FREE
+    with pytest.raises(NoResultError) as caught:
+        segment_floorplan(GridMap(cells, 0.05), DEFAULT)
+    assert str(caught.value) == (
+        "no free space wider than 0.5 m in the map (0.3 m2 free): "
+        "check the resolution and the thresholds"
+    )
+
+
+def test_the_grids_of_all_regions_show_all_that_is_labelled_where_it_lies(office: GridMap) -> None:
+    moved = GridMap(office.cells, office.resolution, (-3.0, 7.0))
+    found = segment_floorplan(moved, DEFAULT)
+    assert found.count == 7
+    labelled = moved.centres_of(np.argwhere((found.labels >= 0) & moved.free))
+    seen = np.zeros(len(labelled), dtype=int)
+    for number in range(found.count):
+        region = found.labels == number
+        assert ndimage.label(region, np.ones((3, 3)))[1] == 1
+        grid = region_grid(moved, region)
+        seen += grid.values_at(labelled) == FREE
+        walls = grid.centres_of(np.argwhere(grid.occupied))
+        assert (moved.values_at(walls) == OCCUPIED).all()
+        places = moved.centres_of(np.argwhere(region))
+        assert (walls >= places.min(axis=0) - 0.11).all()  # no more than two cells of wall round it
+        assert (walls <= places.max(axis=0) + 0.11).all()
+    assert (seen == 1).all()
+
+
+def test_of_a_region_in_scraps_the_largest_stays() -> None:
+    cells = np.full((120, 200), OCCUPIED, dtype=np.uint8)
+    cells[10:110, 10:110] = FREE
+    cells[58:62, 110:150] = FREE  # a slit into a closet that is too small for a node
+    cells[55:65, 150:160] = FREE
+    wide = DEFAULT.model_copy(update={"labels": "nearest", "fill": False})
+    found = segment_floorplan(GridMap(cells, 0.05), wide)
+    assert found.count == 1
+    assert ndimage.label(found.labels == 0, np.ones((3, 3)))[1] == 1
+    assert (found.labels == 0).sum() >= 10_000

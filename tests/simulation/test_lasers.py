@@ -1,8 +1,8 @@
-"""Simulated lasers and odometry err as they are told to, and not otherwise."""
+"""Simulated lasers, planar and 3D, and odometry err as they are told to, and not otherwise."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,13 +12,23 @@ from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.simulation.lasers import Laser, OdometryErrors, drifting_odometry, laser_bearings
+from specmap_cli.simulation.lasers import (
+    Cloud,
+    Laser,
+    Lidar,
+    OdometryErrors,
+    drifting_odometry,
+    laser_bearings,
+    ring_elevations,
+)
 from specmap_cli.simulation.tours import Drive, Limits, drive
 from specmap_cli.simulation.worlds import World
 
 LEFT, RIGHT, BOTTOM, TOP = 1.0, 6.0, 0.5, 4.5
-STILL = Drive(np.zeros(1), np.array([[3.0, 2.0, 0.7]]))
 RNG_SEED = 11
+HEIGHT, CEILING = 0.6, 2.4
+AT = Pose2(3.0, 2.0, 0.7)
+STILL = Drive(np.zeros(1), np.array([AT]))
 
 
 @pytest.fixture(scope="module")
@@ -173,18 +183,6 @@ def test_scans_in_a_row_are_those_cast_one_by_one(hall: World) -> None:
         np.testing.assert_array_equal(together[k], alone)
 
 
-def test_beam_times_spread_over_the_sweep() -> None:
-    times = laser_of(np.pi, 5, sweep_s=0.2).beam_times_s
-    np.testing.assert_allclose(times, [0.0, 0.05, 0.1, 0.15, 0.2])
-    assert not laser_of(np.pi, 5).beam_times_s.any()
-
-
-def test_errors_are_scaled_each_by_itself() -> None:
-    once, twice = asdict(OdometryErrors()), asdict(OdometryErrors().times(2.0))
-    assert min(once.values()) > 0.0
-    assert twice == {name: 2.0 * error for name, error in once.items()}
-
-
 def test_wheels_slip_less_sideways_than_along() -> None:
     straight = np.column_stack([np.arange(0.0, 4.0, 0.05), np.zeros(80), np.zeros(80)])
     ends = np.array(
@@ -194,3 +192,82 @@ def test_wheels_slip_less_sideways_than_along() -> None:
         ]
     )[:, -1]
     assert ends[:, 1].std() == pytest.approx(0.5 * ends[:, 0].std(), rel=0.15)
+
+
+def lidar_of(rings: int = 9, **changes: Any) -> Lidar:
+    """A lidar of 60 columns and 80 degrees up and down, without errors unless told otherwise."""
+    return Lidar(
+        level=laser_of(2 * np.pi, 60, **changes),
+        elevations=ring_elevations(np.radians(80), rings),
+        height_m=HEIGHT,
+        ceiling_m=CEILING,
+    )
+
+
+def cloud_of(lidar: Lidar, world: World) -> Cloud:
+    (cloud,) = lidar.clouds(world, STILL, np.zeros(1), np.random.default_rng(4))
+    return cloud
+
+
+def off_surfaces(points: FloatArray) -> FloatArray:
+    """How far points (N, 3) of the lidar's frame are from the room's nearest surface."""
+    x, y = AT.apply(points[:, :2]).T
+    z = points[:, 2] + HEIGHT
+    planes = [x - LEFT, x - RIGHT, y - BOTTOM, y - TOP, z, z - CEILING]
+    return np.asarray(np.abs(planes).min(axis=0))
+
+
+def test_every_beam_ends_on_the_first_surface_it_meets(hall: World) -> None:
+    points = cloud_of(lidar_of(), hall).points
+    assert len(points) == 9 * 60
+    assert off_surfaces(points).max() < 1e-5
+    x, y = AT.apply(points[:, :2]).T
+    z = points[:, 2] + HEIGHT
+    assert x.min() > LEFT - 1e-5
+    assert x.max() < RIGHT + 1e-5
+    assert y.min() > BOTTOM - 1e-5
+    assert y.max() < TOP + 1e-5
+    assert z.min() == pytest.approx(0.0, abs=1e-6)
+    assert z.max() == pytest.approx(CEILING, abs=1e-6)
+
+
+def test_the_level_ring_is_the_planar_laser(hall: World) -> None:
+    lidar = lidar_of()
+    points = cloud_of(lidar, hall).points.reshape(60, 9, 3)[:, 4]
+    (ranges,) = lidar.level.scans(hall, STILL, np.zeros(1), np.random.default_rng(4))
+    np.testing.assert_allclose(np.hypot(points[:, 0], points[:, 1]), ranges, atol=1e-6)
+    np.testing.assert_array_equal(points[:, 2], 0.0)
+
+
+def test_elevations_are_centred_on_level() -> None:
+    np.testing.assert_allclose(np.degrees(ring_elevations(np.radians(30), 4)), [-15, -5, 5, 15])
+
+
+def test_noise_is_along_the_beam_and_of_the_asked_spread(hall: World) -> None:
+    exact, noisy = (cloud_of(lidar_of(64, noise_m=noise), hall).points for noise in (0.0, 0.02))
+    ranges = np.sqrt((exact**2).sum(axis=1))
+    off = noisy - exact
+    along = (off * exact).sum(axis=1) / ranges
+    np.testing.assert_allclose(off, along[:, None] * exact / ranges[:, None], atol=1e-6)
+    assert along.std() == pytest.approx(0.02, rel=0.05)
+    assert abs(along.mean()) < 4 * 0.02 / np.sqrt(len(along))
+
+
+def test_beams_without_a_return_are_left_out_with_their_times(hall: World) -> None:
+    lidar = lidar_of(dropouts=0.3, sweep_s=0.1)
+    cloud = cloud_of(lidar, hall)
+    assert cloud.times_s is not None
+    assert len(cloud.points) == len(cloud.times_s)
+    assert len(cloud.points) == pytest.approx(0.7 * 540, rel=0.1)
+    near = cloud_of(lidar_of(range_max_m=1.5), hall).points
+    assert 0 < len(near) < 540
+    assert np.sqrt((near**2).sum(axis=1)).max() <= 1.5
+
+
+def test_points_come_as_the_columns_turn(hall: World) -> None:
+    cloud = cloud_of(lidar_of(sweep_s=0.1), hall)
+    assert cloud.times_s is not None
+    np.testing.assert_allclose(cloud.times_s, np.repeat(np.linspace(0, 0.1, 60), 9))
+    bearings = np.arctan2(cloud.points[:, 1], cloud.points[:, 0]).reshape(60, 9)
+    np.testing.assert_allclose(bearings[:, 0], laser_bearings(2 * np.pi, 60), atol=1e-6)
+    assert cloud_of(lidar_of(), hall).times_s is None

@@ -1,14 +1,20 @@
-"""Worlds of a simulation: what stops a beam, and how far walls are."""
+"""Worlds of a simulation: what stops a beam, how far walls are, which room a pose lies in."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
 
+from specmap_cli.core.errors import MapError
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.simulation.worlds import World
-from tests.strategies import grid_maps
+from specmap_cli.simulation.worlds import RoomTruth, World, read_rooms
+from tests.strategies import grid_maps, seeds
 
 
 def test_beams_end_at_unknown_cells_too() -> None:
@@ -42,3 +48,89 @@ def test_clearance_is_that_to_the_nearest_wall_cell_less_half_a_cell(plan: GridM
     expected[~plan.free.reshape(-1)] = 0.0
     found = world.clearance_at(plan.centres_of(everywhere))
     np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", [str, Path])
+def test_rooms_are_the_large_white_regions_of_a_picture(tmp_path: Path, kind: type) -> None:
+    picture = np.zeros((60, 100), dtype=np.uint8)
+    picture[5:25, 5:45] = 255  # the upper room: the higher y
+    picture[35:55, 50:95] = 251
+    picture[40:49, 10:20] = 255  # 90 pixels: not a room
+    picture[35:55, 30:45] = 250  # not white enough
+    cv2.imwrite(str(tmp_path / "rooms.png"), picture)
+    rooms = read_rooms(kind(tmp_path / "rooms.png"), 0.1, (-1.0, 2.0))
+    assert rooms.count == 2
+    points = np.array([[1.0, 6.5], [6.0, 3.5], [0.5, 3.5], [2.5, 3.5]])
+    assert rooms.at(points, reach_m=0.05).tolist() == [1, 2, 0, 0]
+
+
+def test_a_coloured_picture_is_read_by_its_brightness(tmp_path: Path) -> None:
+    picture = np.zeros((20, 40, 3), dtype=np.uint8)
+    picture[:, 2:18] = 255
+    picture[:, 22:38] = (255, 0, 0)
+    cv2.imwrite(str(tmp_path / "rooms.png"), picture)
+    assert read_rooms(tmp_path / "rooms.png", 0.05).count == 1
+
+
+def test_a_pose_on_the_line_of_a_door_gets_the_nearer_room(flat_rooms: RoomTruth) -> None:
+    door_x = 1.7
+    poses = np.array([[door_x, 1.95, 0.3], [door_x, 2.08, 0.0], [-3.0, 2.0, 1.0]])
+    assert flat_rooms.at(poses).tolist() == [4, 1, 0]
+    assert flat_rooms.at(poses, reach_m=0.01).tolist() == [0, 0, 0]
+
+
+@given(seeds, st.integers(1, 12), st.integers(1, 12))
+def test_a_point_is_in_the_room_of_its_cell_else_in_the_nearest(
+    seed: int, height: int, width: int
+) -> None:
+    """Against every painted cell, one by one; of rooms equally near either will do."""
+    rng = np.random.default_rng(seed)
+    labels = rng.choice([0, 0, 0, 1, 2], size=(height, width)).astype(np.int32)
+    labels[rng.integers(height), rng.integers(width)] = 3
+    rooms = RoomTruth(labels, 0.5, (-2.0, 1.0))
+    rows, columns = np.divmod(np.arange(height * width), width)
+    centres = np.column_stack([columns, rows]) * 0.5 + (-1.75, 1.25)
+    painted = np.flatnonzero(labels)
+    away, _ = cKDTree(centres[painted]).query(centres)
+    found = rooms.at(centres, reach_m=100.0)
+    for k, room in enumerate(found.tolist()):
+        own = centres[painted[labels.reshape(-1)[painted] == room]]
+        nearest = np.linalg.norm(own - centres[k], axis=1).min()
+        assert nearest <= 1.05 * away[k] + 1e-9  # OpenCV's mask of 5 is right to some percent
+    np.testing.assert_array_equal(found[painted], labels.reshape(-1)[painted])
+    bare = rooms.at(centres, reach_m=0.0)
+    np.testing.assert_array_equal(bare, labels.reshape(-1))
+
+
+@pytest.mark.parametrize(
+    ("point", "room"),
+    [((-0.3, 0.5), 1), ((-0.7, 0.5), 0), ((2.4, 0.5), 2), ((2.7, 0.5), 0), ((1.0, 1.3), 2)],
+)
+def test_points_beside_the_picture_are_measured_from_its_border(
+    point: tuple[float, float], room: int
+) -> None:
+    rooms = RoomTruth(np.repeat([[1, 2]], 10, axis=0).repeat(10, axis=1).astype(np.int32), 0.1)
+    assert rooms.at(np.array([point])).tolist() == [room]
+
+
+def test_a_plan_without_rooms_names_none() -> None:
+    rooms = RoomTruth(np.zeros((4, 4), dtype=np.int32), 0.1)
+    assert rooms.count == 0
+    assert rooms.at(np.array([[0.1, 0.1], [9.0, 9.0]]), reach_m=np.inf).tolist() == [0, 0]
+
+
+@pytest.mark.parametrize("content", [None, b"no picture"])
+def test_an_unreadable_picture_of_rooms_is_one_clear_line(
+    tmp_path: Path, content: bytes | None
+) -> None:
+    path = tmp_path / "rooms.png"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(MapError, match=r"rooms\.png: cannot be read as a picture; give a PNG"):
+        read_rooms(path, 0.05)
+
+
+def test_a_picture_without_rooms_is_refused(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "dark.png"), np.full((30, 30), 200, np.uint8))
+    with pytest.raises(MapError, match=r"no white region of 100 pixels; is it a plan\?"):
+        read_rooms(tmp_path / "dark.png", 0.05)
