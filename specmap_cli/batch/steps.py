@@ -170,6 +170,6 @@ def _made(command: Command, plan: Plan, base: Path) -> tuple[list[Step], list[st
     others = tuple(each for each in options if each not in formats)
     for each in formats:
         if not _FILE_NAME.fullmatch(each.removeprefix(_FORMAT)):
-            raise UsageError(f"options.export.format: no format has the name {each!r:.60}")
+            raise UsageError(f"no format has the name {each!r:.60}", where="options.export.format")
     steps = [Step(command, (*others, each), inputs) for each in formats]
     return steps, [*map(_export_name, steps), *outputs]

@@ -1,7 +1,7 @@
 """Every setting and its default, on one page, a section a stage.
 
 A setting is what somebody with another robot, sensor or building would turn. What is nobody's to
-turn is a constant beside its use, and what was a setting once is in `core/config.py`.
+turn is a constant beside its use, and what was a setting once is in `core/retired.toml`.
 `specmap config` prints the settings with the values in force; how files, presets and flags change
 them is in `core/config.py`.
 """
@@ -182,8 +182,8 @@ class SegmentationConfig(_Section):
     wide_door_m: float = Field(
         2.5,
         ge=0,
-        description="Openings in the line of a wall up to this width are doors; 0: narrow ones "
-        "alone.",
+        description="Openings in the line of a wall up to this width divide rooms as doors do; "
+        "0: narrow ones alone.",
     )
     fill: bool = Field(
         True, description="Whether the cells of furniture take the label of their room."

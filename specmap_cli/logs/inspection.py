@@ -405,7 +405,7 @@ def _options(topics: Iterable[TopicInfo], config: LogConfig) -> str:
 def _likeliest(log: Log, error: UsageError, config: LogConfig) -> str:
     """The options that make the likeliest choice after an error that asks for one."""
     if isinstance(error, SeveralSensorsError):
-        return _given(config.model_copy(update={"scan_frame": error.best}))
+        return _given(LogConfig.model_validate({**config.model_dump(), "scan_frame": error.best}))
     return _options(log.contents.topics, config)
 
 

@@ -190,7 +190,7 @@ def _single(samples: OfSubmaps) -> OfSubmaps:
 
 
 def arrays_of(data: TrainingData) -> dict[str, NDArray[Any]]:
-    """Lessons as the arrays of a file: in half precision, which moves few of them to another bin.
+    """Training data as arrays of a file: in half precision, which moves few of them to another bin.
 
     A column a scan: one feature of all scans after the other takes less room.
     """

@@ -42,9 +42,9 @@ def stored_to_align(stored: StoredMap, *, learned: bool = True) -> MapToAlign:
 
     Raises MapError for a damaged map.
     """
-    submaps, labels = stored.topology.submaps, stored.labels
+    submaps, whole, labels = stored.topology.submaps, stored.map_grid, stored.labels
     return MapToAlign(
-        whole=stored.map_grid,
+        whole=whole,
         grids=stored.grids,
         frames={i: submap.map_from_submap for i, submap in submaps.items()},
         tracks={i: labels.poses[labels.submaps == i] for i in submaps},

@@ -229,7 +229,9 @@ class CoarseSubmap:
     ) -> None:
         self.config = config
         coarse = max(SPLIT_CELL_M, grid_config.resolution_m)
-        self.grid_config = grid_config.model_copy(update={"resolution_m": coarse})
+        self.grid_config = GridConfig.model_validate(
+            {**grid_config.model_dump(), "resolution_m": coarse}
+        )
         self._store = store
         self._keyframes: list[int] = []
         self._places = array("d")  # x, y and theta of each

@@ -30,8 +30,8 @@ IndexArray = NDArray[np.intp]
 
 _POOL = 1.5  # times closure_negatives: as many are left without a group, of three
 _LEAST_ASKED = 8  # scans of a stay: a mean of chances to a tenth or two
-_OWN_SAMPLES = 2  # times samples_per_submap: of all stays of the submap that is trained
-_QUANTISED_FROM = 4000  # scans that the bins are cut from: enough for quantiles of 32 bins
+_OWN_SAMPLES = 2  # times SAMPLES_PER_SUBMAP: of all stays of the submap that is trained
+_QUANTISED_FROM = 4000  # scans that the bins are cut from: enough for the quantiles of 16 bins
 _QUANTISED_GROWTH = 2  # the bins are cut anew once there are this many times the stays
 
 
