@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, with_config
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray
@@ -44,6 +44,11 @@ class Part(BaseModel):
     model_config = ConfigDict(strict=True, frozen=True, allow_inf_nan=False)
 
 
+# The same for a dataclass that is read as such a part.
+as_part = with_config(ConfigDict(strict=True, allow_inf_nan=False))
+
+
+@as_part
 @dataclass(frozen=True, slots=True)
 class SplitPart:
     """A node of a tree: samples below the threshold go one way, all others the other way."""
@@ -52,6 +57,7 @@ class SplitPart:
     threshold: float
 
 
+@as_part
 @dataclass(frozen=True, slots=True)
 class TreePart:
     """A tree of two levels; votes are those of `Forest`."""
@@ -62,6 +68,7 @@ class TreePart:
     votes: tuple[float, float, float, float]
 
 
+@as_part
 @dataclass(frozen=True, slots=True)
 class StumpPart(SplitPart):
     """A `Stump` by the name of its feature."""

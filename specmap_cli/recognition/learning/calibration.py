@@ -20,6 +20,7 @@ from pydantic import Field
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.recognition.learning.boosting import as_part
 
 _BLUNDERS = 0.01  # share of scans that say nothing: people all around, a door shut before the laser
 MOST_VIEWS = 400  # held out, of either kind
@@ -65,6 +66,7 @@ class HeldOutMargins:
     column: NDArray[np.intp]
 
 
+@as_part
 @dataclass(frozen=True, slots=True)
 class Calibration:
     """How sure a map's classifiers of raw and of virtual scans are, over what is usual.

@@ -16,7 +16,13 @@ from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.core.text import to_exact_json
 from specmap_cli.recognition.features.sets import feature_names, feature_sets
-from specmap_cli.recognition.learning.boosting import BoosterPart, OneVsAll, Part, booster_of
+from specmap_cli.recognition.learning.boosting import (
+    BoosterPart,
+    OneVsAll,
+    Part,
+    as_part,
+    booster_of,
+)
 from specmap_cli.recognition.learning.calibration import Calibration
 from specmap_cli.recognition.learning.familiarity import Familiarity
 from specmap_cli.recognition.learning.misfit import HeldOutMisfit
@@ -33,6 +39,7 @@ _JSON_LEVELS = 5  # file, kind of scan, classifiers, submap, rounds: a round a l
 _TINY = 1e-6  # keeps a laser of one beam from dividing by nought
 
 
+@as_part
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sensor:
     """The laser that classifiers were trained on: `field_of_view` in radians, `range_max` in m."""

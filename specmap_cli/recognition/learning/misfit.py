@@ -23,6 +23,7 @@ from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.matching import REFINE_SHIFT_M, refine
 from specmap_cli.grids.score_field import ScoreField
+from specmap_cli.recognition.learning.boosting import as_part
 
 FIT_RANGE_M = 8.0  # returns matched with walls: farther ones are seen through doors
 _HELD_OUT_M = 1.0  # path before and after a view that is held out with it
@@ -35,6 +36,7 @@ _MOST_POINTS = 180  # of a scan, one every other degree: what a match costs grow
 _DECIMALS = 4  # the last digits of a match differ from processor to processor
 
 
+@as_part
 @dataclass(frozen=True, slots=True)
 class HeldOutMisfit:
     """The median misfit in [0, 1] of `views` scans that were held out of the walls they fit."""
