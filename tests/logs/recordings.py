@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import bz2
+import gzip
 import random
 import sqlite3
+from collections.abc import Callable
 from pathlib import Path
 
+import lz4.frame
 import numpy as np
+import pytest
+import zstandard
 from mcap.writer import Writer
 from rosbags.rosbag1 import Writer as Rosbag1Writer
 
@@ -23,6 +29,13 @@ from tests.turning import configured
 
 SECOND = 1_000_000_000
 START = 100 * SECOND
+COUNTS = {"/odom": 60, "/scan": 30, "/tf_static": 1}  # of the messages of a drive
+PACK: dict[str, Callable[[bytes], bytes]] = {
+    "zstd": zstandard.compress,
+    "lz4": lz4.frame.compress,
+    "bz2": bz2.compress,
+    "gzip": gzip.compress,
+}
 
 
 def write_drive(path: Path, scans: int = 30, beams: int = 40) -> None:
@@ -47,6 +60,13 @@ def read_rest(path: Path | list[Path]) -> tuple[list[Message], list[str]]:
             return list(log.messages()), log.damage
     except LogError as error:
         return [], [str(error)]
+
+
+def refusal(path: Path | str, config: LogConfig | None = None) -> str:
+    """What is said of a log that cannot be opened."""
+    with pytest.raises(LogError) as caught:
+        open_log(path, config)
+    return str(caught.value)
 
 
 def cut_in_tenths(path: Path, messages: list[Message]) -> None:
@@ -94,6 +114,14 @@ def write_db3(path: Path, messages: list[Message], *, time_index: bool = True) -
                 db.execute("INSERT INTO topics VALUES (?, ?, ?, ?, ?)", row)
             values = (numbers[message.topic], message.time_ns, message.data)
             db.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)", values)
+    db.close()
+
+
+def change_db3(path: Path, statement: str, *rows: tuple[object, ...]) -> None:
+    """Run a statement of SQL, for each of the rows of values if there are any."""
+    with sqlite3.connect(path) as db:
+        for row in rows or [()]:
+            db.execute(statement, row)
     db.close()
 
 

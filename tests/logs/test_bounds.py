@@ -3,33 +3,24 @@
 from __future__ import annotations
 
 import bz2
-import gzip
 import os
+import re
 import socket
 import struct
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import lz4.frame
 import pytest
 import zstandard
 
-from specmap_cli.core.errors import LogError
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers import compression
 from specmap_cli.logs.readers.recording import Message
-from tests.logs.recordings import write_db3
+from tests.logs.recordings import PACK, refusal, write_db3
 
-PACK: dict[str, Callable[[bytes], bytes]] = {
-    "zstd": zstandard.compress,
-    "lz4": lz4.frame.compress,
-    "bz2": bz2.compress,
-    "gzip": gzip.compress,
-}
 MEMORY_MB = 600
 CARMEN = b"# a log\nODOM 1.0 2.0 0.1 0 0 0 5.0 host 5.0\n"
 
@@ -82,20 +73,15 @@ def bag_with_chunk(compression: bytes, data: bytes, size: int) -> bytes:
 
     counts = {"index_pos": bytes(8), "conn_count": bytes(4), "chunk_count": bytes(4)}
     head = record(b"", op=b"\x03", **counts)
-    size_field = struct.pack("<I", size)
-    return (
-        b"#ROSBAG V2.0\n"
-        + head
-        + record(data, op=b"\x05", compression=compression, size=size_field)
-    )
+    chunk = record(data, op=b"\x05", compression=compression, size=struct.pack("<I", size))
+    return b"#ROSBAG V2.0\n" + head + chunk
 
 
 GIGABYTE = 1 << 30
 
 
 @pytest.mark.parametrize("claimed", [GIGABYTE, 1000])
-def test_a_chunk_that_swells_costs_little_memory(tmp_path: Path, claimed: int) -> None:
-    path = tmp_path / "bomb.mcap"
+def test_a_chunk_that_swells_costs_little_memory(path: Path, claimed: int) -> None:
     path.write_bytes(mcap_with_chunk(b"zstd", zeros_in_zstd(GIGABYTE), claimed))
     said, megabytes = read_in_a_process(path)
     assert said == (
@@ -105,8 +91,7 @@ def test_a_chunk_that_swells_costs_little_memory(tmp_path: Path, claimed: int) -
     assert megabytes < MEMORY_MB
 
 
-def test_a_chunk_of_a_bag_that_swells_costs_little_memory(tmp_path: Path) -> None:
-    path = tmp_path / "bomb.bag"
+def test_a_chunk_of_a_bag_that_swells_costs_little_memory(path: Path) -> None:
     packer = bz2.BZ2Compressor()
     packed = b"".join(packer.compress(bytes(1 << 20)) for _ in range(200)) + packer.flush()
     path.write_bytes(bag_with_chunk(b"bz2", packed, 1 << 20))
@@ -115,8 +100,7 @@ def test_a_chunk_of_a_bag_that_swells_costs_little_memory(tmp_path: Path) -> Non
     assert megabytes < MEMORY_MB
 
 
-def test_a_whole_file_that_swells_costs_little_memory(tmp_path: Path) -> None:
-    path = tmp_path / "bomb.log.zst"
+def test_a_whole_file_that_swells_costs_little_memory(path: Path) -> None:
     path.write_bytes(zstandard.compress(CARMEN) + zeros_in_zstd(GIGABYTE))
     said, megabytes = read_in_a_process(path)
     assert said == (
@@ -128,28 +112,22 @@ def test_a_whole_file_that_swells_costs_little_memory(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", sorted(PACK))
 def test_what_is_no_log_is_not_unpacked(
-    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+    path: Path, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(compression, "LOOKED_AT_BYTES", 5000)
-    path = tmp_path / "zeros"
     path.write_bytes(PACK[name](bytes(80_000_000)) + b"garbage that would be told otherwise")
     written: list[int] = []
     monkeypatch.setattr(compression, "_refuse_swelling", lambda n, *_: written.append(n))
-    with pytest.raises(LogError, match=f"of an unknown format.*inside {name} compression"):
-        open_log(path)
+    assert re.search(f"of an unknown format.*inside {name} compression", refusal(path))
     assert max(written) < 80_000_000
 
 
 @pytest.mark.parametrize("name", sorted(PACK))
-def test_the_copy_of_a_compressed_file_is_bounded(tmp_path: Path, name: str) -> None:
-    path = tmp_path / "log"
+def test_the_copy_of_a_compressed_file_is_bounded(path: Path, name: str) -> None:
     path.write_bytes(PACK[name](CARMEN + CARMEN[8:] * 50_000))
     with open_log(path) as log:
         assert log.contents.messages == 50_001
-    config = LogConfig(unpacked_max_gb=0.001)
-    with pytest.raises(LogError) as caught:
-        open_log(path, config)
-    assert str(caught.value) == (
+    assert refusal(path, LogConfig(unpacked_max_gb=0.001)) == (
         f"{path}: unpacks to more than 0.001 GB, which log.unpacked_max_gb allows; "
         "if it is a log, raise the setting"
     )
@@ -159,8 +137,7 @@ def test_a_chunk_and_a_message_have_their_bound(
     tmp_path: Path, drive: Path, drive_messages: list[Message]
 ) -> None:
     small = LogConfig(chunk_max_mb=0.0003)  # a scan has 240 bytes, an odometry message 700
-    with pytest.raises(LogError, match=r"beyond log\.chunk_max_mb|no message can be read"):
-        open_log(drive, small)
+    assert re.search(r"beyond log\.chunk_max_mb|no message can be read", refusal(drive, small))
     path = tmp_path / "log.db3"
     write_db3(path, [m._replace(data=zstandard.compress(m.data)) for m in drive_messages])
     with open_log(path, small) as log:
@@ -182,17 +159,12 @@ def test_settings_of_another_kind_are_refused(drive: Path) -> None:
 def test_what_would_wait_for_ever_is_refused_at_once(tmp_path: Path) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    with pytest.raises(LogError) as caught:
-        open_log(pipe)
-    assert str(caught.value) == (
-        f"{pipe}: is a pipe; a log must be a file or a directory: copy it to one"
-    )
-    with pytest.raises(LogError, match="is a device; a log must be"):
-        open_log("/dev/zero")
+    said = f"{pipe}: is a pipe; a log must be a file or a directory: copy it to one"
+    assert refusal(pipe) == said
+    assert "is a device; a log must be" in refusal("/dev/zero")
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(str(tmp_path / "s"))
-        with pytest.raises(LogError, match="is a socket; a log must be"):
-            open_log(tmp_path / "s")
+        assert "is a socket; a log must be" in refusal(tmp_path / "s")
 
 
 def test_pipes_in_a_directory_are_passed_over(tmp_path: Path, drive: Path) -> None:
@@ -206,6 +178,4 @@ def test_a_link_to_itself_is_one_line(tmp_path: Path) -> None:
     loop = tmp_path / "loop"
     loop.symlink_to(loop)
     for path in (loop, loop / "log.mcap"):
-        with pytest.raises(LogError) as caught:
-            open_log(path)
-        assert str(caught.value) == (f"{path}: cannot read: Too many levels of symbolic links")
+        assert refusal(path) == f"{path}: cannot read: Too many levels of symbolic links"

@@ -10,17 +10,14 @@ import pytest
 
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Sweep
-from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.clocks import Clock, StampPair, choose_clock
-from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers.encoding import LASER_SCAN, ODOMETRY, odometry_cdr, scan_cdr
-from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import LogWriter, convert
+from tests.logs.recordings import sweeps_of
 from tests.turning import turn
 
 SECOND = 1_000_000_000
 TODAY = 1_700_000_000 * SECOND
-SETTINGS = LogConfig()
 
 
 def glimpses(stamps: list[int], times: list[int]) -> list[tuple[int, int]]:
@@ -108,16 +105,11 @@ def write(path: Path, scan_ns: Stamp, odometry_ns: Stamp, time_ns: Stamp, count:
     """A robot that drives 1 m a scan; odometry between the scans, each at x = n + 0.5."""
     with LogWriter(path) as log:
         for n in range(count):
-            for half, stamp in ((0, odometry_ns), (1, scan_ns)):
-                at = 2 * n + half
-                pose = Pose2(n + 0.5 * half, 0.0, 0.0)
-                if half == 0:
-                    data, kind = odometry_cdr("odom", "base", stamp(at), pose), ODOMETRY
-                else:
-                    ranges = np.full(9, 2.0)
-                    data = scan_cdr("base", stamp(at), -1.0, 0.25, ranges, range_max=8.0)
-                    kind = LASER_SCAN
-                log.raw("/odom" if half == 0 else "/scan", kind, data, time_ns(at))
+            data = odometry_cdr("odom", "base", odometry_ns(2 * n), Pose2(n, 0.0, 0.0))
+            log.raw("/odom", ODOMETRY, data, time_ns(2 * n))
+            stamp, ranges = scan_ns(2 * n + 1), np.full(9, 2.0)
+            data = scan_cdr("base", stamp, -1.0, 0.25, ranges, range_max=8.0)
+            log.raw("/scan", LASER_SCAN, data, time_ns(2 * n + 1))
 
 
 def tick(start: int) -> Stamp:
@@ -125,9 +117,8 @@ def tick(start: int) -> Stamp:
 
 
 def read(path: Path) -> tuple[list[Sweep], list[str]]:
-    with open_log(path) as log:
-        stream = SweepStream(log, SETTINGS)
-        return list(stream), stream.warnings
+    sweeps, stream = sweeps_of(path)
+    return sweeps, stream.warnings
 
 
 def places(sweeps: list[Sweep]) -> list[float | None]:
@@ -159,17 +150,9 @@ def test_scans_of_another_clock_keep_their_stamps(path: Path) -> None:
 @pytest.mark.parametrize(
     ("scan", "odometry", "said"),
     [
-        (lambda _: 0, tick(77), "/scan: header stamps are zero: the recorder's times are used"),
-        (
-            lambda _: TODAY,
-            tick(77),
-            "/scan: header stamps do not ascend: the recorder's times are used",
-        ),
-        (
-            tick(77),
-            lambda _: TODAY,
-            "/scan: header stamps of the odometry are all the same: the recorder's times are used",
-        ),
+        (lambda _: 0, tick(77), "are zero"),
+        (lambda _: TODAY, tick(77), "do not ascend"),
+        (tick(77), lambda _: TODAY, "of the odometry are all the same"),
     ],
 )
 def test_stamps_that_never_change_leave_the_recorders_times(
@@ -179,7 +162,7 @@ def test_stamps_that_never_change_leave_the_recorders_times(
     sweeps, warnings = read(path)
     assert [s.stamp_ns for s in sweeps] == [tick(TODAY)(2 * n + 1) for n in range(20)]
     assert places(sweeps)[:-1] == HALVES
-    assert warnings == [said]
+    assert warnings == [f"/scan: header stamps {said}: the recorder's times are used"]
 
 
 def test_without_any_times_the_order_remains(path: Path) -> None:
@@ -200,6 +183,9 @@ def test_a_few_scans_that_were_never_stamped_have_the_recorders_times(path: Path
     assert warnings == ["scans stamped zero, for which the recorder's times are used: 2"]
 
 
+TO_AND_FRO = [5.0, 6.0, 5.5, 7.0, 7.0, 3.0, 60.0, 8.0]
+
+
 def carmen(path: Path, stamps: list[float]) -> None:
     """A line a metre; behind each an ODOM line of other odometry whose stamp is 0."""
     with path.open("w", encoding="ascii") as file:
@@ -217,11 +203,7 @@ def carmen(path: Path, stamps: list[float]) -> None:
         pytest.param(
             [float(n // 10) for n in range(31)], [n * SECOND // 10 for n in range(31)], id="whole"
         ),
-        pytest.param(
-            [5.0, 6.0, 5.5, 7.0, 7.0, 3.0, 60.0, 8.0],
-            [round(s * SECOND) for s in (5.0, 6.0, 5.5, 7.0, 7.0, 3.0, 60.0, 8.0)],
-            id="to and fro",
-        ),
+        pytest.param(TO_AND_FRO, [round(s * SECOND) for s in TO_AND_FRO], id="to and fro"),
     ],
 )
 @pytest.mark.parametrize("converted", [False, True])

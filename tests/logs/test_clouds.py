@@ -11,11 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import Sweep
-from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.clouds import CloudLeveller, CloudPoints, PointClock, cloud_points, floor_of
 from specmap_cli.logs.messages import CloudRecord
-from specmap_cli.logs.opening import open_log
-from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import LogWriter
 from tests.logs.recordings import sweeps_of
 from tests.turning import turn
@@ -86,16 +83,13 @@ def test_times_of_another_clock_count_from_the_earliest(since_s: float) -> None:
 
 def test_the_first_full_sweep_settles_the_unit() -> None:
     """A sliver of a later sweep spans too little to tell."""
-    clock = PointClock()
-    points_of(cloud("t", "<u4", SWEEP_S * 1e9), clock)
-    sliver = points_of(cloud("t", "<u4", np.linspace(0.0, 1e6, 400)), clock)
-    assert sliver.times_s is not None
-    assert sliver.times_s.max() == pytest.approx(0.001)
-    few = PointClock()
-    points_of(cloud("t", "<u4", np.array([0.0, 1e6])), few)
-    whole = points_of(cloud("t", "<u4", SWEEP_S * 1e9), few)
-    assert whole.times_s is not None
-    assert whole.times_s.max() == pytest.approx(0.1)
+    whole, sliver, few = SWEEP_S * 1e9, np.linspace(0.0, 1e6, 400), np.array([0.0, 1e6])
+    for first, second, longest_s in ((whole, sliver, 0.001), (few, whole, 0.1)):
+        clock = PointClock()
+        points_of(cloud("t", "<u4", first), clock)
+        times_s = points_of(cloud("t", "<u4", second), clock).times_s
+        assert times_s is not None
+        assert times_s.max() == pytest.approx(longest_s)
 
 
 def test_a_foreign_clock_is_said_once(path: Path) -> None:
@@ -104,13 +98,12 @@ def test_a_foreign_clock_is_said_once(path: Path) -> None:
         for number in range(3):
             points, stamp = rng.uniform(1.0, 5.0, (400, 3)), STAMP + number * 100_000_000
             log.cloud("/points", "lidar", stamp, points, times_s=SWEEP_S + 500.0)
-    with open_log(path) as opened:
-        stream = SweepStream(opened, LogConfig())
-        assert all(sweep.cloud_times_s is not None for sweep in stream)
-        assert (
-            "scans whose point times have another clock than their stamps and were counted from "
-            "the earliest point: 3"
-        ) in stream.warnings
+    sweeps, stream = sweeps_of(path)
+    assert all(sweep.cloud_times_s is not None for sweep in sweeps)
+    assert (
+        "scans whose point times have another clock than their stamps and were counted from "
+        "the earliest point: 3"
+    ) in stream.warnings
 
 
 def room(seed: int = 0) -> FloatArray:

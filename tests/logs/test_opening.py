@@ -17,12 +17,11 @@ from specmap_cli.core.errors import LogError
 from specmap_cli.logs.opening import HEAD_BYTES, head_of, open_log
 from specmap_cli.logs.readers.mcap import McapFile
 from specmap_cli.logs.readers.recording import Message, is_text
-from tests.logs.recordings import read_rest
+from tests.logs.recordings import read_rest, refusal
 
 
 def test_missing_paths_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"no\.mcap: no such file or directory"):
-        open_log(tmp_path / "no.mcap")
+    assert "no.mcap: no such file or directory" in refusal(tmp_path / "no.mcap")
     with pytest.raises(LogError, match="no log given"):
         open_log([])
 
@@ -43,19 +42,17 @@ def test_missing_paths_are_refused(tmp_path: Path) -> None:
 )
 def test_other_files_are_refused(path: Path, content: bytes, said: str) -> None:
     path.write_bytes(content)
-    with pytest.raises(LogError) as caught:
-        open_log(path)
-    assert said in str(caught.value)
-    assert str(caught.value).startswith(f"{path}: ")
-    assert "\n" not in str(caught.value)
+    line = refusal(path)
+    assert said in line
+    assert line.startswith(f"{path}: ")
+    assert "\n" not in line
 
 
 def test_a_directory_is_searched_for_recordings(tmp_path: Path, drive: Path) -> None:
     folder = tmp_path / "recording"
     folder.mkdir()
     (folder / "metadata.yaml").write_text("version: 9\n")
-    with pytest.raises(LogError, match="no recording in this directory"):
-        open_log(folder)
+    assert "no recording in this directory" in refusal(folder)
     (folder / "notes").write_bytes(drive.read_bytes())
     with open_log(folder) as log:
         assert log.paths == [folder / "notes"]
@@ -81,11 +78,7 @@ def test_a_file_counts_once_however_it_is_named(tmp_path: Path, drive: Path) -> 
     folder = tmp_path / "folder"
     folder.mkdir()
     (folder / "link.mcap").symlink_to(drive)
-    for paths in (
-        [drive, drive],
-        [folder, drive],
-        [drive, tmp_path / "folder" / ".." / drive.name],
-    ):
+    for paths in ([drive] * 2, [folder, drive], [drive, folder / ".." / drive.name]):
         with pytest.raises(LogError, match="given twice; name each file of a recording once"):
             open_log(paths)
 
@@ -96,9 +89,7 @@ def test_hidden_files_and_folders_in_a_directory_are_passed_over(
     folder = tmp_path / "folder"
     (folder / "inner.mcap").mkdir(parents=True)
     (folder / ".part.mcap").write_bytes(drive.read_bytes())
-    with pytest.raises(LogError) as caught:
-        open_log(folder)
-    assert str(caught.value) == (
+    assert refusal(folder) == (
         f"{folder}: no recording in this directory; "
         "expected MCAP, rosbag2 (SQLite), ROS 1 bag or CARMEN log"
     )
@@ -125,19 +116,16 @@ def test_what_is_inside_a_compressed_file_is_told_under_its_name(
     path: Path, content: bytes, said: str
 ) -> None:
     path.write_bytes(gzip.compress(content))
-    with pytest.raises(LogError) as caught:
-        open_log(path)
-    assert str(caught.value).startswith(f"{path}: {said}")
-    assert "specmap-" not in str(caught.value)
+    line = refusal(path)
+    assert line.startswith(f"{path}: {said}")
+    assert "specmap-" not in line
 
 
 def test_no_room_to_unpack_is_told(drive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drive.write_bytes(gzip.compress(drive.read_bytes()))
     missing = drive.parent / "missing"
     monkeypatch.setattr(tempfile, "tempdir", str(missing))
-    with pytest.raises(LogError) as caught:
-        open_log(drive)
-    assert str(caught.value) == (
+    assert refusal(drive) == (
         f"{drive}: cannot unpack into the temporary directory: No such file or directory; "
         "set TMPDIR to another one"
     )
@@ -158,27 +146,21 @@ def test_a_damaged_file_beside_a_sound_one_is_no_error(
 ) -> None:
     rubble = tmp_path / "rubble.mcap"
     rubble.write_bytes(drive.read_bytes()[:40])
-    assert read_rest([rubble, drive]) == (
-        drive_messages,
-        [f"{rubble}: cut off at byte 40: everything is lost"],
-    )
-    with pytest.raises(LogError, match="cut off at byte 40: everything is lost; no message can be"):
-        open_log(rubble)
+    lost = f"{rubble}: cut off at byte 40: everything is lost"
+    assert read_rest([rubble, drive]) == (drive_messages, [lost])
+    assert f"{lost}; no message can be" in refusal(rubble)
 
 
 def test_garbage_behind_a_compressed_log_is_told(
     drive: Path, drive_messages: list[Message]
 ) -> None:
     drive.write_bytes(gzip.compress(drive.read_bytes()) + b"garbage")
-    assert read_rest(drive) == (
-        drive_messages,
-        [f"{drive}: what follows the gzip compression is no part of it and was left out"],
-    )
+    said = f"{drive}: what follows the gzip compression is no part of it and was left out"
+    assert read_rest(drive) == (drive_messages, [said])
 
 
 @pytest.mark.parametrize("size", [0, 1, HEAD_BYTES, HEAD_BYTES + 1])
-def test_a_head_is_as_long_as_the_file_or_a_page(tmp_path: Path, size: int) -> None:
-    path = tmp_path / "log"
+def test_a_head_is_as_long_as_the_file_or_a_page(path: Path, size: int) -> None:
     path.write_bytes(bytes(size))
     assert head_of(path) == bytes(min(size, 4096))
 
@@ -210,6 +192,4 @@ def test_what_the_system_refuses_is_one_line(
 
     path = drive.parent if step == "iterdir" else drive
     monkeypatch.setattr(Path, step, refuse)
-    with pytest.raises(LogError) as caught:
-        open_log(path)
-    assert str(caught.value) == f"{path}: cannot read: Permission denied"
+    assert refusal(path) == f"{path}: cannot read: Permission denied"

@@ -21,7 +21,6 @@ from tests.strategies import few
 from tests.turning import configured, turn
 
 LEVEL = Mount.from_matrix(np.eye(4))
-SETTINGS = LogConfig()
 
 
 def record(
@@ -31,24 +30,17 @@ def record(
     *,
     angle_max: float = 0.0,
     time_increment: float = 0.0,
-    range_min: float = 0.1,
     range_max: float = 8.0,
 ) -> ScanRecord:
     values = np.asarray(ranges, dtype=np.float32)
-    return ScanRecord(
-        stamp_ns=7,
-        frame="laser",
-        layout=ScanLayout(
-            angle_min=angle_min,
-            angle_max=angle_max,
-            angle_increment=step,
-            time_increment=time_increment,
-            beams=len(values),
-        ),
-        range_min=range_min,
-        range_max=range_max,
-        ranges=values,
+    layout = ScanLayout(
+        angle_min=angle_min,
+        angle_max=angle_max,
+        angle_increment=step,
+        time_increment=time_increment,
+        beams=len(values),
     )
+    return ScanRecord(7, "laser", layout, range_min=0.1, range_max=range_max, ranges=values)
 
 
 def levelled(scan: ScanRecord, stamp_ns: int = 5) -> PlanarScan:
@@ -102,30 +94,21 @@ def test_an_unknown_maximum_range_limits_nothing() -> None:
     assert scan.range_max == math.inf
 
 
-@pytest.mark.parametrize("beams", [720, 721])
-def test_a_full_circle_counts_each_direction_once(beams: int) -> None:
-    scan = levelled(record(np.ones(beams), -math.pi, 2 * math.pi / 720), 5)
-    assert scan.full_circle
-    assert len(scan.bearings) == len(scan.ranges) == 720
-
-
-@pytest.mark.parametrize(("degrees", "full"), [(180.0, False), (270.0, False), (350.0, False)])
-def test_less_than_a_circle_is_not_full(degrees: float, full: bool) -> None:
-    step = math.radians(0.5)
-    beams = int(degrees * 2) + 1
-    scan = levelled(record(np.ones(beams), 0.0, step))
-    assert scan.full_circle is full
-    assert len(scan.bearings) == beams
+@pytest.mark.parametrize(
+    ("beams", "kept"), [(720, 720), (721, 720), (361, 361), (541, 541), (701, 701)]
+)
+def test_a_full_circle_counts_each_direction_once(beams: int, kept: int) -> None:
+    scan = levelled(record(np.ones(beams), -math.pi, math.radians(0.5)))
+    assert scan.full_circle is (kept == 720)
+    assert len(scan.bearings) == len(scan.ranges) == kept
 
 
 def test_beam_times_follow_the_beams() -> None:
-    forward = levelled(record([1.0, 2.0, 3.0], time_increment=0.01))
-    backward = levelled(record([1.0, 2.0, 3.0], step=-0.1, time_increment=0.01), 5)
-    assert forward.beam_times_s is not None
-    assert backward.beam_times_s is not None
-    np.testing.assert_allclose(forward.beam_times_s, [0.0, 0.01, 0.02])
-    np.testing.assert_allclose(backward.beam_times_s, [0.02, 0.01, 0.0])
-    assert backward.ranges.tolist() == [3.0, 2.0, 1.0]
+    for step, times in ((0.1, [0.0, 0.01, 0.02]), (-0.1, [0.02, 0.01, 0.0])):
+        scan = levelled(record([1.0, 2.0, 3.0], step=step, time_increment=0.01))
+        assert scan.beam_times_s is not None
+        np.testing.assert_allclose(scan.beam_times_s, times)
+        assert scan.ranges.tolist() == sorted([1.0, 2.0, 3.0], reverse=step < 0)
 
 
 @pytest.mark.parametrize("increment", [0.0, -0.1, math.nan, 5.0])
@@ -175,13 +158,14 @@ def brute_force(cloud: FloatArray, beams: int, low: float, high: float) -> Float
     return ranges
 
 
+def flattener(floor_m: float | None, **options: object) -> CloudFlattener:
+    return CloudFlattener(np.eye(4), floor_m, configured(LogConfig, "logs", options))
+
+
 def test_a_cloud_is_flattened_to_the_nearest_return_in_the_band() -> None:
     rng = np.random.default_rng(3)
     cloud = rng.uniform((-5, -5, 0), (5, 5, 3), (4000, 3))
-    config = configured(
-        LogConfig, "logs", {"cloud_beams": 90, "band_min_m": 0.5, "band_max_m": 1.0}
-    )
-    scan = CloudFlattener(np.eye(4), 0.25, config).flatten(cloud, 9)
+    scan = flattener(0.25, cloud_beams=90, band_min_m=0.5, band_max_m=1.0).flatten(cloud, 9)
     np.testing.assert_allclose(scan.ranges, brute_force(cloud, 90, 0.75, 1.25))
     assert scan.full_circle
     assert scan.stamp_ns == 9
@@ -194,15 +178,15 @@ def test_a_bearing_is_empty_where_the_lidar_looks_and_unknown_where_it_never_did
     half = np.linspace(0.01, 3.14, 400)
     floor = np.column_stack([4 * np.cos(half), 4 * np.sin(half), np.zeros(400)])
     wall = np.column_stack([2 * np.cos(half), 2 * np.sin(half), np.ones(400)])[:100]
-    flattener = CloudFlattener(np.eye(4), 0.0, configured(LogConfig, "logs", {"cloud_beams": 180}))
-    scan = flattener.flatten(np.vstack([floor, wall]), 1)
+    one = flattener(0.0, cloud_beams=180)
+    scan = one.flatten(np.vstack([floor, wall]), 1)
     left = scan.bearings > 0.0
     assert np.isnan(scan.ranges[~left]).all()
     assert not np.isnan(scan.ranges[left]).any()
     np.testing.assert_allclose(scan.ranges[left][:20], 2.0)
     assert np.isposinf(scan.ranges[left][-20:]).all()
     assert not scan.full_circle
-    later = flattener.flatten(floor[:50], 2)
+    later = one.flatten(floor[:50], 2)
     assert np.isposinf(later.ranges[left]).all(), "it looked there before"
 
 
@@ -244,10 +228,9 @@ def test_the_settings_say_where_a_floor_of_unknown_height_is_sought(
     ring = np.column_stack([np.cos(angles), np.sin(angles), np.ones(100)])
     cloud = np.vstack([ring * scale for scale in ((2, 2, -0.5), (6, 6, -1.0), (20, 20, -3.0))])
     mast = np.array([[1.0, 1.0, floor + 1.0]])
-    config = configured(
-        LogConfig, "logs", {"band_min_m": 0.99, "band_max_m": 1.01, "cloud_beams": 16, **settings_}
-    )
-    scan = CloudFlattener(np.eye(4), None, config).flatten(np.vstack([cloud, mast]), 1)
+    band = {"band_min_m": 0.99, "band_max_m": 1.01}
+    levelled = flattener(None, cloud_beams=16, **band, **settings_)
+    scan = levelled.flatten(np.vstack([cloud, mast]), 1)
     assert scan.hits() == pytest.approx(np.array([[1.0, 1.0]]), abs=0.3)
 
 
@@ -259,8 +242,7 @@ def test_the_settings_say_how_many_bearings_must_be_filled(
 ) -> None:
     angles = np.radians(np.arange(0, 360, 2) + 0.25)
     ring = np.column_stack([3 * np.cos(angles), 3 * np.sin(angles), np.ones(180)])
-    config = configured(LogConfig, "logs", {"cloud_filled_share": share})
-    scan = CloudFlattener(np.eye(4), 0.0, config).flatten(ring, 1)
+    scan = flattener(0.0, cloud_filled_share=share).flatten(ring, 1)
     assert len(scan.bearings) == beams
     assert scan.full_circle is (full or share <= 0.25)
     assert np.isfinite(scan.ranges).sum() == 180
@@ -268,8 +250,7 @@ def test_the_settings_say_how_many_bearings_must_be_filled(
 
 def test_a_planar_scan_of_a_cloud_reaches_as_far_as_the_cloud() -> None:
     cloud = np.array([[5.0, 0.1, 1.0], [0.1, 9.0, 1.0]])
-    config = configured(LogConfig, "logs", {"cloud_beams": 16, "cloud_range_max_m": 6.0})
-    scan = CloudFlattener(np.eye(4), 0.0, config).flatten(cloud, 1)
+    scan = flattener(0.0, cloud_beams=16, cloud_range_max_m=6.0).flatten(cloud, 1)
     assert np.isfinite(scan.ranges).sum() == 1
     assert np.isposinf(scan.ranges).sum() == 1, "it has looked there"
     assert scan.range_max == 6.0

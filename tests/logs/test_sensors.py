@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from itertools import cycle, islice
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +37,7 @@ FRONT, REAR = ("front", -1.5, 1.5), ("rear", -1.5, 1.5)
 
 
 def test_two_frames_that_take_turns_must_be_chosen(path: Path) -> None:
-    write(path, list(islice(cycle([FRONT, REAR]), 30)))
+    write(path, [FRONT, REAR] * 15)
     with pytest.raises(UsageError) as caught:
         sweeps_of(path)
     assert str(caught.value) == (
@@ -50,7 +49,7 @@ def test_two_frames_that_take_turns_must_be_chosen(path: Path) -> None:
 
 @pytest.mark.parametrize(("name", "x"), [("front", 0.2), ("/rear", -0.2)])
 def test_only_the_sweeps_of_the_chosen_sensor_are_read(path: Path, name: str, x: float) -> None:
-    write(path, list(islice(cycle([FRONT, REAR]), 31)))
+    write(path, [FRONT, REAR] * 15 + [FRONT])
     sweeps, stream = sweeps_of(path, scan_frame=name)
     count = 16 if x > 0 else 15
     assert [sweep.index for sweep in sweeps] == list(range(count))
@@ -82,24 +81,21 @@ def test_a_sensor_that_shows_up_late_is_left_out_and_said(path: Path) -> None:
     assert "scans of another sensor on the topic that were left out: 4" in stream.warnings
 
 
-@pytest.mark.parametrize(("rare", "asks"), [(2, False), (3, True)])
-def test_a_rare_sensor_is_left_out_without_a_question(path: Path, rare: int, asks: bool) -> None:
+def test_a_rare_sensor_is_left_out_without_a_question(path: Path) -> None:
     """As a scan whose frame was damaged; a tenth of the scans is no accident."""
-    write(path, [REAR] * rare + [FRONT] * (30 - rare))
-    if asks:
-        with pytest.raises(SeveralSensorsError) as caught:
-            sweeps_of(path)
-        assert caught.value.best == "front"
-        return
+    write(path, [REAR] * 3 + [FRONT] * 27)
+    with pytest.raises(SeveralSensorsError) as caught:
+        sweeps_of(path)
+    assert caught.value.best == "front"
+    write(path, [REAR] * 2 + [FRONT] * 28)
     sweeps, stream = sweeps_of(path)
-    assert len(sweeps) == 30 - rare
     assert stream.selection.sensor.frame == "front"
-    assert stream.counts["other_sensor"] == rare
+    assert (len(sweeps), stream.counts["other_sensor"]) == (28, 2)
 
 
 def test_one_frame_with_two_fields_of_view_by_turns_is_two_sensors(path: Path) -> None:
     wide, narrow = ("laser", -2.0, 2.0), ("laser", -0.5, 0.5)
-    write(path, list(islice(cycle([wide, narrow]), 20)))
+    write(path, [wide, narrow] * 10)
     with pytest.raises(UsageError) as caught:
         sweeps_of(path)
     assert str(caught.value).endswith(
@@ -115,7 +111,7 @@ def test_one_frame_with_two_fields_of_view_by_turns_is_two_sensors(path: Path) -
     "lasers",
     [
         pytest.param([("laser", -1.5, 1.5)] * 10 + [("laser", -0.5, 0.5)] * 10, id="set anew"),
-        pytest.param(list(islice(cycle([("laser", -1.5, 0), ("laser", 0, 1.5)]), 20)), id="halves"),
+        pytest.param([("laser", -1.5, 0), ("laser", 0, 1.5)] * 10, id="halves"),
         pytest.param([("laser", -1.5 + 0.004 * (n % 5), 1.5) for n in range(20)], id="jitter"),
         pytest.param([("laser", -math.pi + n, math.pi + n) for n in range(20)], id="any start"),
         pytest.param([("laser", -1.5, 1.5 + 0.1 * n) for n in range(20)], id="ever wider"),
@@ -152,7 +148,7 @@ def test_clouds_of_two_frames_are_two_sensors(path: Path) -> None:
 
 
 def test_info_lists_the_sensors_and_the_command_that_chooses(path: Path) -> None:
-    write(path, list(islice(cycle([FRONT, FRONT, REAR]), 30)))
+    write(path, [FRONT, FRONT, REAR] * 10)
     with open_log(path) as log:
         summary = summarize(log)
         chosen = summarize(log, LogConfig(scan_frame="rear"))

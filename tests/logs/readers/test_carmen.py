@@ -5,20 +5,22 @@ from __future__ import annotations
 import gzip
 import math
 import random
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from specmap_cli.core.errors import LogError
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers.carmen import CarmenFile, flaser_angles, parse_line
-from tests.logs.recordings import sweeps_of
+from tests.logs.recordings import read_rest, refusal, sweeps_of
 
 RANGES = " ".join(f"{1 + i / 100:.2f}" for i in range(178))
+BASE = "1.0 2.0 0.0"  # a pose of the robot
+AHEAD = "1.1 2.0 0.0"  # of its laser
 
 
-def flaser(stamp: float, laser: str, base: str, name: str = "FLASER") -> str:
+def flaser(stamp: float, laser: str = BASE, base: str = BASE, name: str = "FLASER") -> str:
     return f"{name} 180 {RANGES} 81.83 80.00 {laser} {base} {stamp:.6f} nohost {stamp:.6f}\n"
 
 
@@ -36,7 +38,7 @@ def front(tmp_path: Path) -> Path:
         "PARAM robot_length 0.5 nohost 0.0\n"
         "SYNC run\n"
         "ODOM 0.9 2.0 0.5 0.1 0.0 0.0 9.950000 nohost 9.95\n"
-        + flaser(10.000001, "1.1 2.0 0.0", "1.0 2.0 0.0")
+        + flaser(10.000001, AHEAD)
         + flaser(10.2, f"2.0 2.1 {math.pi / 2}", f"2.0 2.0 {math.pi / 2}")
     )
     return path
@@ -58,9 +60,7 @@ def test_flaser_lines_become_sweeps(front: Path) -> None:
 
 def test_the_contents_are_those_of_the_messages(front: Path) -> None:
     with open_log(front) as log:
-        counted: dict[str, int] = {}
-        for message in log.messages():
-            counted[message.topic] = counted.get(message.topic, 0) + 1
+        counted = Counter(m.topic for m in log.messages())
         assert {t.name: t.count for t in log.topics()} == counted
         assert counted == {"/flaser": 2, "/odom": 3, "/tf_static": 1}
         assert log.format == "CARMEN log"
@@ -79,9 +79,7 @@ def test_flaser_angles(beams: int, first: float, step: float) -> None:
 
 
 def test_poses_that_were_corrected_give_no_mounting(path: Path) -> None:
-    path.write_text(
-        flaser(1.0, "5.0 5.0 0.2", "1.0 2.0 0.0") + flaser(1.2, "5.9 5.1 0.1", "2.0 2.0 0.0")
-    )
+    path.write_text(flaser(1.0, "5.0 5.0 0.2") + flaser(1.2, "5.9 5.1 0.1", "2.0 2.0 0.0"))
     sweeps, stream = sweeps_of(path)
     assert sweeps[0].base_from_laser == (0.0, 0.0, 0.0)
     assert any("no transform from 'base_link'" in line for line in stream.warnings)
@@ -99,23 +97,16 @@ def test_robotlaser_lines_say_their_own_angles_and_ranges(path: Path) -> None:
 
 
 def test_front_and_rear_lasers_are_two_topics(path: Path) -> None:
-    path.write_text(
-        flaser(1.0, "1.0 2.0 0.0", "1.0 2.0 0.0")
-        + flaser(1.0, f"0.9 2.0 {math.pi}", "1.0 2.0 0.0", "RLASER")
-    )
+    path.write_text(flaser(1.0) + flaser(1.0, f"0.9 2.0 {math.pi}", name="RLASER"))
     (sweep,), _ = sweeps_of(path, scan_topic="/rlaser")
     assert sweep.base_from_laser.x == pytest.approx(-0.1)
     assert abs(sweep.base_from_laser.theta) == pytest.approx(math.pi)
 
 
 def test_a_scan_that_another_laser_took_by_its_mounting_is_told(path: Path) -> None:
-    front, rear = ("1.1 2.0 0.0", "FLASER"), (f"0.9 2.0 {math.pi}", "RLASER")
-    order = [front, rear, front, rear, (rear[0], "FLASER"), front]
-    path.write_text(
-        "".join(
-            flaser(1.0 + n, laser, "1.0 2.0 0.0", name) for n, (laser, name) in enumerate(order)
-        )
-    )
+    front, rear = (AHEAD, BASE, "FLASER"), (f"0.9 2.0 {math.pi}", BASE, "RLASER")
+    order = [front, rear, front, rear, (*rear[:2], "FLASER"), front]
+    path.write_text("".join(flaser(1.0 + n, *said) for n, said in enumerate(order)))
     sweeps, stream = sweeps_of(path, scan_topic="/flaser")
     assert [sweep.base_from_laser.x for sweep in sweeps] == pytest.approx([0.1] * 4)
     assert stream.log.damage == [
@@ -125,18 +116,16 @@ def test_a_scan_that_another_laser_took_by_its_mounting_is_told(path: Path) -> N
 
 
 def test_a_line_without_ipc_time_takes_the_loggers(path: Path) -> None:
-    line = flaser(0.0, "1.0 2.0 0.0", "1.0 2.0 0.0")
-    path.write_text(line.removesuffix("0.000000\n") + "7.25\n")
+    path.write_text(flaser(0.0).removesuffix("0.000000\n") + "7.25\n")
     (sweep,), _ = sweeps_of(path)
     assert sweep.stamp_ns == 7_250_000_000
 
 
 def test_a_zipped_log_is_read(front: Path) -> None:
-    path = front.with_name("log.clf.gz")
-    path.write_bytes(gzip.compress(front.read_bytes()))
-    assert len(sweeps_of(path)[0]) == 2
-    path.write_bytes(path.read_bytes()[:-20])
-    sweeps, stream = sweeps_of(path)
+    front.write_bytes(gzip.compress(front.read_bytes()))
+    assert len(sweeps_of(front)[0]) == 2
+    front.write_bytes(front.read_bytes()[:-20])
+    sweeps, stream = sweeps_of(front)
     assert len(sweeps) <= 2
     assert "the gzip compression is damaged or ends early" in stream.warnings[0]
 
@@ -183,10 +172,10 @@ def test_stamps_are_exact(written: str, stamp_ns: int) -> None:
         "FLASER 0 1.0 2.0 0.0 1.0 2.0 0.0 1.0 nohost 1.0",
         "FLASER 99999999999999999999 1.0 2.0",
         "FLASER 180 1.0 oops",
-        flaser(1.0, "1.1 2.0 0.0", "1.0 2.0 0.0")[:400],
-        flaser(1.0, "1.1 2.0 0.0", "1.0 2.0 0.0").replace("1.50", "1.5O"),
-        flaser(1.0, "1.1 2.0 0.0", "1.0 2.0 0.0").replace("1.50", "1e99"),
-        flaser(1.0, "1.1 2.0 inf", "1.0 2.0 0.0"),
+        flaser(1.0)[:400],
+        flaser(1.0).replace("1.50", "1.5O"),
+        flaser(1.0).replace("1.50", "1e99"),
+        flaser(1.0, "1.1 2.0 inf"),
         robotlaser(1.0).replace(" 5 ", " 50 "),
         robotlaser(1.0).replace("0.500000", "nan"),
         robotlaser(1.0).replace("-1.000000", "1e39"),
@@ -195,7 +184,7 @@ def test_stamps_are_exact(written: str, stamp_ns: int) -> None:
 )
 def test_a_line_that_is_not_whole_costs_only_itself(path: Path, line: str) -> None:
     """Each is passed by every stage of reading: the survey, the mountings, the messages."""
-    sound = flaser(0.5, "1.1 2.0 0.0", "1.0 2.0 0.0")
+    sound = flaser(0.5, AHEAD)
     path.write_text(sound + line.rstrip() + "\n" + sound)
     sweeps, stream = sweeps_of(path)
     assert len(sweeps) == 2
@@ -206,13 +195,10 @@ def test_a_line_that_is_not_whole_costs_only_itself(path: Path, line: str) -> No
 
 
 def test_random_damage_is_survived(path: Path) -> None:
-    sound = "".join(
-        flaser(t, "1.1 2.0 0.0", "1.0 2.0 0.0") + robotlaser(t) + odom(f"{t}.1")
-        for t in range(1, 5)
-    ).encode()
+    lines = (flaser(t, AHEAD) + robotlaser(t) + odom(f"{t}.1") for t in range(1, 5))
+    sound = "".join(lines).encode()
     for seed in range(40):
-        rng = random.Random(seed)
-        data = bytearray(sound)
+        rng, data = random.Random(seed), bytearray(sound)
         for _ in range(rng.randrange(1, 40)):
             data[rng.randrange(20, len(data))] = rng.choice(b"0123456789 .-e\nxF\x00\t")
         path.write_bytes(data)
@@ -228,8 +214,7 @@ def test_data_may_come_after_many_comments(path: Path, comments: int, known: boo
     path.write_text("# parameters of a robot, one a line, and so on\n" * 2 * comments + odom("1.0"))
     assert CarmenFile.sniff(path.read_bytes()[:4096], path) is known
     if not known:
-        with pytest.raises(LogError, match="a text file, not a recording"):
-            open_log(path)
+        assert "a text file, not a recording" in refusal(path)
 
 
 def test_a_reading_of_80_m_is_no_return(path: Path) -> None:
@@ -240,24 +225,21 @@ def test_a_reading_of_80_m_is_no_return(path: Path) -> None:
 
 
 def test_a_mounting_may_differ_by_rounding(path: Path) -> None:
-    base = "1.0 2.0 0.0"
     for offset, known in ((0.009, True), (0.02, False)):
-        path.write_text(
-            flaser(1.0, "1.1 2.0 0.0", base) + flaser(1.1, f"{1.1 + offset} 2.0 0.0", base)
-        )
+        path.write_text(flaser(1.0, AHEAD) + flaser(1.1, f"{1.1 + offset} 2.0 0.0"))
         with open_log(path) as log:
             assert ("/tf_static" in {t.name for t in log.topics()}) is known
             assert sum(m.topic == "/tf_static" for m in log.messages()) == known
 
 
 @pytest.mark.parametrize("word", ["", "ODOM ", "PARAM ", "1.2.3 ", "word ", "-inf "])
-@pytest.mark.parametrize("line", [flaser(2.0, "1 2 0", "1 2 0"), robotlaser(2.0)])
+@pytest.mark.parametrize("line", [flaser(2.0), robotlaser(2.0)])
 def test_a_laser_line_without_its_keyword_is_told(path: Path, line: str, word: str) -> None:
-    first = flaser(1.0, "1.0 2.0 0.0", "1.0 2.0 0.0")
+    first = flaser(1.0)
     path.write_text(first + word + line.partition(" ")[2] + odom("3.0"))
+    place = f"line 2 (byte {len(first)})"
     with open_log(path) as log:
         assert [m.topic for m in log.messages()] == ["/tf_static", "/odom", "/flaser", "/odom"]
-        place = f"line 2 (byte {len(first)})"
         assert log.damage == [f"{path}: {place} is damaged: one laser line after 1.000 s is lost"]
         assert log.missing == {}
 
@@ -267,8 +249,8 @@ def test_a_laser_line_without_its_keyword_is_told(path: Path, line: str, word: s
     [
         robotlaser(2.0).replace("ROBOTLASER1", "ROBOTLASER2"),
         robotlaser(2.0).replace("ROBOTLASER1", "RAWLASER1"),
-        flaser(2.0, "1 2 0", "1 2 0", "SONAR"),
-        flaser(2.0, "1 2 0", "1 2 0", "#"),
+        flaser(2.0, name="SONAR"),
+        flaser(2.0, name="#"),
         "TRUEPOS 1 2 0.5 1 2 0.5 2.0 nohost 2.0\n",
         "TRUEPOS 0.1 2 0.5 1 2 0.5 2.0 nohost 2.0\n",
         "PARAM laser_front_laser_resolution 0.5 nohost 0.0\n",
@@ -280,21 +262,18 @@ def test_a_laser_line_without_its_keyword_is_told(path: Path, line: str, word: s
     ],
 )
 def test_lines_of_other_kinds_are_no_damage(path: Path, line: str) -> None:
-    path.write_text(flaser(1.0, "1.0 2.0 0.0", "1.0 2.0 0.0") + line + odom("3.0"))
-    with open_log(path) as log:
-        assert [m.topic for m in log.messages()] == ["/tf_static", "/odom", "/flaser", "/odom"]
-        assert log.damage == []
+    path.write_text(flaser(1.0) + line + odom("3.0"))
+    found, said = read_rest(path)
+    assert [m.topic for m in found] == ["/tf_static", "/odom", "/flaser", "/odom"]
+    assert said == []
 
 
 @pytest.mark.parametrize("start", ["# a comm", "0.12 ", "FL\x1f2.67 "])
-def test_zeros_inside_a_line_are_told(tmp_path: Path, start: str) -> None:
+def test_zeros_inside_a_line_are_told(path: Path, start: str) -> None:
     """A hole in the file swallowed the end of a line and the lines after it."""
-    log = tmp_path / "robot.log"
-    whole = "FLASER 3 1 2 3 0 0 0 0 0 0 {stamp} robot {stamp}\n"
     hole = start + "\0" * 50 + " 1.0 robot 1.0\n"
-    log.write_text(whole.format(stamp=1.5) + hole + whole.format(stamp=2.5) + "\0" * 20)
-    with open_log([log]) as opened:
-        assert len(list(opened.messages(["/flaser"]))) == 2
-        (told,) = opened.damage
+    path.write_text(flaser(1.5) + hole + flaser(2.5) + "\0" * 20)
+    found, (told,) = read_rest(path)
+    assert sum(m.topic == "/flaser" for m in found) == 2
     assert "line 2 (byte " in told
     assert "one piece that is no text after 1.500 s is lost" in told

@@ -2,24 +2,13 @@
 
 from __future__ import annotations
 
-import bz2
-import gzip
-from collections.abc import Callable
-
-import lz4.frame
 import pytest
-import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.logs.readers.compression import compression_of, decompress, stream
+from tests.logs.recordings import PACK
 
-PACK: dict[str, Callable[[bytes], bytes]] = {
-    "zstd": zstandard.compress,
-    "lz4": lz4.frame.compress,
-    "bz2": bz2.compress,
-    "gzip": gzip.compress,
-}
 TEXT = b"".join(b"scan %d of a log\n" % number for number in range(9000))
 
 LIMIT = 1 << 24
@@ -50,11 +39,8 @@ def test_blocks_one_after_another_are_all_read(name: str) -> None:
 def test_zeros_may_pad_a_block_and_anything_else_is_damage(name: str) -> None:
     packed = PACK[name](TEXT)
     assert decompress(packed + bytes(512), name, LIMIT) == (TEXT, True, False)
-    assert decompress(packed + bytes(9) + PACK[name](b"more") + bytes(3), name, LIMIT) == (
-        TEXT + b"more",
-        True,
-        False,
-    )
+    padded = packed + bytes(9) + PACK[name](b"more") + bytes(3)
+    assert decompress(padded, name, LIMIT) == (TEXT + b"more", True, False)
     for rest in (b"\n", b"notes of someone", bytes(70_000) + b"x"):
         assert decompress(packed + rest, name, LIMIT) == (TEXT, False, False)
 
@@ -84,8 +70,9 @@ def test_damage_never_raises(name: str, place: float, byte: int) -> None:
 
 
 @pytest.mark.parametrize("name", ["", "none"])
-def test_plain_data_is_as_it_is(name: str) -> None:
+def test_plain_data_is_as_it_is_and_has_its_limit_too(name: str) -> None:
     assert decompress(b"plain", name, LIMIT) == (b"plain", True, False)
+    assert decompress(b"plain", name, 4) == (b"", False, True)
 
 
 def test_an_unknown_compression_yields_nothing() -> None:
@@ -124,7 +111,3 @@ def test_no_piece_of_a_bomb_is_large(name: str) -> None:
     sizes = [len(part) for part, _ in stream([packed], name)]
     assert sum(sizes) == 40_000_000
     assert max(sizes) <= 32 << 20
-
-
-def test_plain_data_has_its_limit_too() -> None:
-    assert decompress(b"plain", "none", 4) == (b"", False, True)

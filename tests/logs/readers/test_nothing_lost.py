@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-import sqlite3
 from pathlib import Path
 
 import pytest
@@ -15,7 +14,14 @@ from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers.recording import Message, lost_text
 from specmap_cli.logs.stream import SweepStream
-from tests.logs.recordings import without_index, write_bag, write_db3, write_mcap
+from tests.logs.recordings import (
+    change_db3,
+    overwrite,
+    without_index,
+    write_bag,
+    write_db3,
+    write_mcap,
+)
 from tests.strategies import MANY
 
 PLACES = 300 if MANY else 30  # of a byte that is damaged, a file and kind of damage
@@ -112,11 +118,9 @@ def test_what_is_lost_of_a_chunk_is_told_with_number_topic_and_place(
     write_bag(path, drive_messages)
     if not indexed:
         without_index(path)
-    data = bytearray(path.read_bytes())
+    data = path.read_bytes()
     chunk = data.index(b"compression=none", data.index(b"compression=none") + 1)
-    place = data.index(b"op=\x02", chunk)
-    data[place : place + 4] = b"op=\x42"
-    path.write_bytes(data)
+    overwrite(path, data.index(b"op=\x02", chunk), b"op=\x42")
     with open_log(path) as log:
         found = list(log.messages())
         lost = [m for m in drive_messages if m not in found]
@@ -136,12 +140,11 @@ def test_a_message_moved_to_another_topic_is_missed_on_its_own(
 ) -> None:
     index = IndexType.ALL if listed else IndexType.CHUNK
     write_mcap(path, few, compression=PLAIN, enable_crcs=False, index_types=index)
-    data = bytearray(path.read_bytes())
-    number = next(n for n, m in enumerate(few) if m.topic == "/scan" and n > 10)
-    place = data.index(few[number].data) - 22  # of the channel, which comes first
-    others = [data[data.index(m.data) - 22] for m in few if m.topic == "/odom"]
-    data[place] = others[0]
-    path.write_bytes(data)
+    data = path.read_bytes()
+    scan = next(m for m in few[11:] if m.topic == "/scan")
+    other = data.index(next(m for m in few if m.topic == "/odom").data)
+    # 22 bytes before a message is its channel.
+    overwrite(path, data.index(scan.data) - 22, data[other - 22 : other - 21])
     with open_log(path) as log:
         list(log.messages())
         (line,) = log.damage
@@ -156,9 +159,7 @@ def test_a_message_moved_to_another_topic_is_missed_on_its_own(
 def test_rows_of_a_database_that_are_gone_are_counted(tmp_path: Path, few: list[Message]) -> None:
     path = tmp_path / "log.db3"
     write_db3(path, few)
-    with sqlite3.connect(path) as db:
-        db.execute("DELETE FROM messages WHERE id IN (4, 9)")
-    db.close()
+    change_db3(path, "DELETE FROM messages WHERE id IN (4, 9)")
     (tmp_path / "metadata.yaml").write_text(
         "rosbag2_bagfile_information:\n  message_count: 99\n  files:\n    - path: other.db3\n"
         "      message_count: 7\n    - path: log.db3\n      message_count: 33\n"

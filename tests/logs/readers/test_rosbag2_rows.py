@@ -13,7 +13,7 @@ from specmap_cli.core.errors import LogError
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers.recording import Message
-from tests.logs.recordings import overwrite, write_db3
+from tests.logs.recordings import change_db3, overwrite, write_db3
 
 PAGE = 512  # bytes: small ones, so that a drive takes many of them and messages flow over
 INDEX_LEAF, TABLE_LEAF = 0x0A, 0x0D  # the first byte of a page
@@ -87,12 +87,9 @@ def test_an_index_that_leads_to_other_rows_is_not_believed(
     place = leaf(stored, "timestamp_idx", 0.5)
     data = stored.read_bytes()
     first_cell = place + int.from_bytes(data[place + 8 : place + 10], "big")
-    cell_bytes = data[first_cell]
-    last = first_cell + cell_bytes  # the lowest byte of the row's number
+    last = first_cell + data[first_cell]  # the lowest byte of the row's number
     overwrite(stored, last, bytes([data[last] ^ 0x20]))
-    found, damage = read(stored)
-    assert found == drive_messages
-    assert damage == [f"{stored}: {IN_ORDER}"]
+    assert read(stored) == (drive_messages, [f"{stored}: {IN_ORDER}"])
 
 
 @pytest.mark.parametrize("share", [0.0, 0.4, 0.99])
@@ -102,12 +99,11 @@ def test_a_damaged_page_of_the_table_costs_its_own_messages(
     place = leaf(stored, "messages", share)
     inside = int.from_bytes(stored.read_bytes()[place + 3 : place + 5], "big")
     overwrite(stored, place, b"\x00" * 8)
-    found, damage = read(stored)
+    found, (said,) = read(stored)
     assert len(found) == len(drive_messages) - inside
     assert [m for m in drive_messages if m in found] == found
-    assert len(damage) == 1
-    assert "database disk image is malformed " in damage[0]
-    assert damage[0].endswith(": what followed is lost" if share > 0.9 else "followed is lost")
+    assert "database disk image is malformed " in said
+    assert said.endswith(": what followed is lost" if share > 0.9 else "followed is lost")
 
 
 @pytest.mark.parametrize("stored", [True, False], indirect=True)
@@ -124,12 +120,11 @@ def test_a_message_that_flows_over_into_nowhere_costs_only_itself(
     )
     end = next((start for start in starts if start > begin), place + PAGE)
     overwrite(stored, end - 4, b"\x7f\xff\xff\xff")
-    found, damage = read(stored)
-    assert found == [m for m in drive_messages if m is not lost]
-    assert damage == [
-        f"{stored}: one message on /odom at {lost.time_ns / 1e9:.3f} s is lost: "
-        "database disk image is malformed"
-    ]
+    said = f"one message on /odom at {lost.time_ns / 1e9:.3f} s is lost"
+    assert read(stored) == (
+        [m for m in drive_messages if m is not lost],
+        [f"{stored}: {said}: database disk image is malformed"],
+    )
 
 
 def test_a_message_that_is_too_large_costs_only_itself(
@@ -160,9 +155,7 @@ def test_a_table_with_a_byte_cut_out_is_survived(path: Path, drive_messages: lis
 
 
 def test_a_topic_whose_type_is_damaged_is_told(stored: Path) -> None:
-    with sqlite3.connect(stored) as db:
-        db.execute("UPDATE topics SET type = ? WHERE name = '/scan'", (str(-(2**63)),))
-    db.close()
+    change_db3(stored, "UPDATE topics SET type = ? WHERE name = '/scan'", (str(-(2**63)),))
     with open_log(stored) as log:
         count = next(topic.count for topic in log.topics() if topic.name == "/scan")
         assert log.damage == [
