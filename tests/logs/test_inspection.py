@@ -17,10 +17,9 @@ from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.inspection import summarize
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.stream import SweepStream
-from specmap_cli.logs.summary import (
-    LogSummary,
-)
+from specmap_cli.logs.summary import LogSummary
 from specmap_cli.logs.writer import LogWriter
+from tests.logs.recordings import sweeps_of
 from tests.turning import configured
 
 SECOND = 1_000_000_000
@@ -40,15 +39,22 @@ def write_scans(path: Path, count: int = 3, beams: int = 5, **scan: Any) -> None
             log.scan("/scan", "laser", stamp, -1.0, 0.5, np.full(beams, 2.0), **values)
 
 
-def test_its_json_is_on_one_level(drive: Path) -> None:
+def test_a_drive_is_summed_up_and_its_json_is_on_one_level(drive: Path) -> None:
     plain = summary_of(drive).to_dict()
     said = {"checked", "chosen", "damage", "next_command", "preview", "problem", "warnings"}
     held = {"files", "format", "frames", "messages", "scan", "size_bytes", "topics"}
     assert set(plain) == {*said, *held, "start_s", "end_s", "duration_s"}
-    assert json.loads(json.dumps(plain))["scan"]["range_max_m"] == 8.0
+    scan = json.loads(json.dumps(plain))["scan"]
+    assert (scan["range_max_m"], scan["beams"]) == (8.0, 40)
+    assert scan["field_of_view_deg"] == pytest.approx(171.89, abs=0.01)
     assert plain["files"] == (str(drive),)
-    assert plain["size_bytes"] == drive.stat().st_size
+    assert (plain["size_bytes"], plain["messages"]) == (drive.stat().st_size, 91)
     assert (plain["start_s"], plain["end_s"]) == (100.0, 102.95)
+    assert plain["duration_s"] == pytest.approx(2.95)
+    rates = {topic["name"]: topic["rate_hz"] for topic in plain["topics"]}
+    assert rates["/odom"] == pytest.approx(59 / 2.95)
+    assert rates["/tf_static"] == 0.0
+    assert (plain["next_command"], plain["problem"]) == (f"specmap build {drive}", None)
 
 
 def test_wrong_types_are_refused_at_once(drive: Path) -> None:
@@ -61,21 +67,15 @@ def test_wrong_types_are_refused_at_once(drive: Path) -> None:
         summarize(log, {"use_odometry": False})  # type: ignore[arg-type]
 
 
-def test_real_times_are_dates(tmp_path: Path) -> None:
-    write_scans(tmp_path / "log.mcap")
-    lines = summary_of(tmp_path / "log.mcap").lines()
-    assert lines[1] == ("3 messages in 1.0 s, 2023-11-14 22:13:20 UTC to 2023-11-14 22:13:21 UTC")
-
-
-def test_times_that_have_not_come_yet_are_said(tmp_path: Path) -> None:
-    with LogWriter(tmp_path / "log.mcap") as log:
+def test_real_times_are_dates_and_those_that_have_not_come_yet_are_said(path: Path) -> None:
+    write_scans(path)
+    line = summary_of(path).lines()[1]
+    assert line == "3 messages in 1.0 s, 2023-11-14 22:13:20 UTC to 2023-11-14 22:13:21 UTC"
+    with LogWriter(path) as log:
         for stamp in (START, 4_294_967_295 * SECOND):
             log.scan("/scan", "laser", stamp, -1.0, 0.5, np.full(5, 2.0), range_max=8.0)
-    assert (
-        summary_of(tmp_path / "log.mcap")
-        .lines()[1]
-        .endswith(" s, 2023-11-14 22:13:20 UTC to 2106-02-07 06:28:15 UTC (in the future)")
-    )
+    line = summary_of(path).lines()[1]
+    assert line.endswith(" s, 2023-11-14 22:13:20 UTC to 2106-02-07 06:28:15 UTC (in the future)")
 
 
 def test_odometry_of_another_time_is_said(path: Path) -> None:
@@ -90,9 +90,9 @@ def test_odometry_of_another_time_is_said(path: Path) -> None:
     assert said not in summary_of(path, use_odometry=False).lines()
 
 
-def test_a_scan_with_times_and_without_a_maximum(tmp_path: Path) -> None:
-    write_scans(tmp_path / "log.mcap", range_max=0.0, time_increment=0.01)
-    summary = summary_of(tmp_path / "log.mcap")
+def test_a_scan_with_times_and_without_a_maximum(path: Path) -> None:
+    write_scans(path, range_max=0.0, time_increment=0.01)
+    summary = summary_of(path)
     assert summary.scan is not None
     assert summary.scan.range_max_m == math.inf
     assert summary.to_dict()["scan"]["range_max_m"] is None
@@ -100,9 +100,9 @@ def test_a_scan_with_times_and_without_a_maximum(tmp_path: Path) -> None:
     assert said in summary.lines()
 
 
-def test_a_single_beam_and_a_single_message(tmp_path: Path) -> None:
-    write_scans(tmp_path / "log.mcap", count=1, beams=1)
-    summary = summary_of(tmp_path / "log.mcap")
+def test_a_single_beam_and_a_single_message(path: Path) -> None:
+    write_scans(path, count=1, beams=1)
+    summary = summary_of(path)
     assert summary.scan is not None
     assert (summary.scan.beams, summary.scan.field_of_view_deg) == (1, 0.0)
     assert summary.topics[0].rate_hz == 0.0
@@ -146,15 +146,19 @@ def test_frames_are_those_above_the_scan(tmp_path: Path) -> None:
     assert [frame.child for frame in summary.frames] == ["base_link", "camera", "laser"]
 
 
-def test_a_log_of_unreadable_scans_has_no_next_command(tmp_path: Path) -> None:
-    with LogWriter(tmp_path / "log.mcap") as log:
-        for number in range(2):
-            log.scan("/scan", "laser", START + number, -1.0, 0.5, [], range_max=8.0)
-    summary = summary_of(tmp_path / "log.mcap")
+def test_a_log_of_unreadable_scans_or_none_has_no_next_command(path: Path) -> None:
+    write_scans(path, beams=0)
+    summary = summary_of(path)
     assert summary.problem == "no usable scan on /scan"
     assert summary.next_command is None
     assert summary.chosen is not None
     assert summary.scan is None
+    with LogWriter(path) as log:
+        log.odometry("/odom", "odom", "base", 1, Pose2(0.0, 0.0, 0.0))
+    summary = summary_of(path)
+    assert summary.next_command is None
+    assert summary.problem is not None
+    assert "problem: " in "\n".join(summary.lines())
 
 
 def test_a_named_frame_that_is_not_there_is_a_problem_with_a_command(drive: Path) -> None:
@@ -195,24 +199,6 @@ def test_names_that_a_terminal_would_obey_are_shown_escaped(path: Path) -> None:
     assert {t.name for t in both.topics} >= {"/scan\x07", "/odom\n/evil\u202e"}
 
 
-def test_a_drive_is_summed_up(drive: Path) -> None:
-    summary = summary_of(drive)
-    assert summary.messages == 91
-    assert summary.duration_s == pytest.approx(2.95)
-    rates = {t.name: t.rate_hz for t in summary.topics}
-    assert rates["/odom"] == pytest.approx(59 / 2.95)
-    assert rates["/tf_static"] == 0.0
-    (frame,) = summary.frames
-    assert (frame.parent, frame.child, frame.xyz_m) == ("base_link", "laser", (0.2, 0.0, 0.3))
-    assert summary.scan is not None
-    assert summary.scan.beams == 40
-    assert summary.scan.field_of_view_deg == pytest.approx(171.89, abs=0.01)
-    assert summary.scan.range_max_m == 8.0
-    assert summary.next_command == f"specmap build {drive}"
-    assert summary.problem is None
-    assert json.loads(json.dumps(summary.to_dict()))["topics"][0]["name"] == "/odom"
-
-
 def test_an_ambiguous_log_gets_a_command_that_runs(tmp_path: Path) -> None:
     path = tmp_path / "two scans.mcap"
     with LogWriter(path) as log:
@@ -229,32 +215,16 @@ def test_an_ambiguous_log_gets_a_command_that_runs(tmp_path: Path) -> None:
     assert summary.next_command == (
         f"specmap build '{path}' --scan-topic /rear --odom-topic /visual"
     )
-    with open_log(path) as log_:
-        options = LogConfig(scan_topic="/rear", odom_topic="/visual")
-        assert len(list(SweepStream(log_, options))) == 3
-
-
-def test_a_log_without_scans_has_no_next_command(path: Path) -> None:
-    with LogWriter(path) as log:
-        log.odometry("/odom", "odom", "base", 1, Pose2(0.0, 0.0, 0.0))
-    summary = summary_of(path)
-    assert summary.next_command is None
-    assert summary.problem is not None
-    assert "problem: " in "\n".join(summary.lines())
+    assert len(sweeps_of(path, scan_topic="/rear", odom_topic="/visual")[0]) == 3
 
 
 def test_every_line_has_its_place(drive: Path) -> None:
-    summary = replace(
-        summary_of(drive),
-        chosen="all",
-        problem="none",
-        next_command="go",
-        warnings=("w1", "w2"),
-        damage=("d",),
-        preview=None,
-    )
-    rates = zip(summary.topics, (0.04, 0.05, 9.8), strict=True)
-    summary = replace(summary, topics=tuple(replace(topic, rate_hz=hz) for topic, hz in rates))
+    found = summary_of(drive)
+    rates = zip(found.topics, (0.04, 0.05, 9.8), strict=True)
+    topics = tuple(replace(topic, rate_hz=hz) for topic, hz in rates)
+    said: dict[str, Any] = {"chosen": "all", "problem": "none", "next_command": "go"}
+    said |= {"warnings": ("w1", "w2"), "damage": ("d",), "preview": None}
+    summary = replace(found, topics=topics, **said)
     size = f"{drive.stat().st_size / 1e6:.1f} MB"
     assert summary.lines() == [
         f"{drive}: MCAP, {size}",

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from specmap_cli.core.geometry import Pose2
-from specmap_cli.core.settings import LogConfig
-from specmap_cli.logs.clouds import cloud_points
+from specmap_cli.logs.clouds import CloudPoints, cloud_points
 from specmap_cli.logs.messages import (
     BadMessageError,
     CloudRecord,
@@ -44,7 +43,7 @@ from tests.turning import turn
 
 DATATYPES = {"u1": 2, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 STAMP = 1_700_000_000_250_000_000
-SETTINGS = LogConfig()
+XYZ = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
 
 
 def header(stamp_ns: int = STAMP, frame: str = "/lidar") -> Any:
@@ -88,6 +87,17 @@ def decoded_cloud(message: Message) -> CloudRecord:
     return record
 
 
+def timed(values: list[float], name: str = "time") -> np.ndarray[Any, Any]:
+    """A cloud of points alike, each with its time."""
+    table = np.ones((1, len(values)), dtype=[*XYZ, (name, "<f8")])
+    table[name] = values
+    return table
+
+
+def points_of(table: np.ndarray[Any, Any], row_padding: int = 0) -> CloudPoints:
+    return cloud_points(decoded_cloud(cloud_message(table, row_padding)), STAMP)
+
+
 @few(40)
 @given(
     order=st.permutations(["x", "y", "z", "intensity", "ring", "time"]),
@@ -128,7 +138,7 @@ def test_any_layout_gives_the_points_and_their_times(
     table["time"] = np.linspace(0.0, 0.1, table.size).reshape(shape)
     flat = table.reshape(-1)
     flat["y"][:holes] = np.nan
-    points, times, _ = cloud_points(decoded_cloud(cloud_message(table, padding)), STAMP)
+    points, times, _ = points_of(table, padding)
     kept = flat[holes:]
     np.testing.assert_array_equal(points, np.column_stack([kept[axis] for axis in "xyz"]))
     if len(kept) > 1:
@@ -139,16 +149,14 @@ def test_any_layout_gives_the_points_and_their_times(
 
 @pytest.mark.parametrize("values", [[0.1, 0.1, 0.1], [0.0, math.nan, 0.1], [0.0, 1e12, 2e12]])
 def test_times_that_cannot_be_relied_on_are_none(values: list[float]) -> None:
-    table = np.ones((1, 3), dtype=[("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("time", "<f8")])
-    table["time"] = values
-    points, times, far = cloud_points(decoded_cloud(cloud_message(table)), STAMP)
+    points, times, far = points_of(timed(values))
     assert len(points) == 3
     assert times is None
     assert far is (max(values) > 1.0)
 
 
 def test_points_at_the_origin_and_beyond_range_are_left_out_with_their_times() -> None:
-    table = np.ones((2, 3), dtype=[("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("t", "<u4")])
+    table = np.ones((2, 3), dtype=[*XYZ, ("t", "<u4")])
     table["t"] = [[0, 10, 20], [30, 40, 50]]
     for axis in "xyz":
         table[axis][0, 1] = 0.0
@@ -168,26 +176,24 @@ def test_points_at_the_origin_and_beyond_range_are_left_out_with_their_times() -
     ],
 )
 def test_impossible_clouds_are_refused(changes: dict[str, Any], said: str) -> None:
-    table = np.ones((1, 3), dtype=[("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
     with pytest.raises(BadMessageError, match=said):
-        decode_scan(cloud_message(table, **changes))
+        decode_scan(cloud_message(np.ones((1, 3), dtype=XYZ), **changes))
 
 
 @pytest.mark.parametrize("name", ["z", "intensity"])
 @pytest.mark.parametrize("offset", [9, 12, 2**31 - 5, 2**31 - 2, 2**31, 2**32 - 4, 2**32 - 1])
 def test_a_field_beyond_its_point_is_refused(name: str, offset: int) -> None:
-    table = np.ones((1, 3), dtype=[("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
     field = message_class("sensor_msgs/msg/PointField")
     places = {"x": 0, "y": 4, "z": 8, name: offset}
-    message = cloud_message(table, fields=[field(n, at, 7, 1) for n, at in places.items()])
+    fields = [field(n, at, 7, 1) for n, at in places.items()]
+    message = cloud_message(np.ones((1, 3), dtype=XYZ), fields=fields)
     with pytest.raises(BadMessageError) as caught:
         decode_scan(message)
     assert str(caught.value) == f"impossible point layout: {name} is beyond the 12 bytes of a point"
 
 
 def test_an_empty_cloud_has_no_points() -> None:
-    table = np.ones((0, 3), dtype=[("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
-    points, times, _ = cloud_points(decoded_cloud(cloud_message(table)), STAMP)
+    points, times, _ = points_of(np.ones((0, 3), dtype=XYZ))
     assert points.shape == (0, 3)
     assert times is None
 
@@ -241,35 +247,26 @@ def test_every_cut_of_a_message_is_refused() -> None:
             decode_scan(Message("/scan", LASER_SCAN, 1, whole[:end]))
 
 
-XYZ = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
-
-
 @pytest.mark.parametrize(
     ("longest", "kept", "far"), [(10.0, True, False), (0.2, True, False), (0.1, False, True)]
 )
 def test_times_are_used_as_far_from_the_stamp_as_the_settings_allow(
     longest: float, kept: bool, far: bool
 ) -> None:
-    table = np.ones((1, 3), dtype=[*XYZ, ("time", "<f4")])
-    table["time"] = [-0.15, -0.05, 0.0]
     turn("logs", cloud_time_max_s=longest)
-    found = cloud_points(decoded_cloud(cloud_message(table)), STAMP)
+    found = points_of(timed([-0.15, -0.05, 0.0]))
     assert (found.times_s is not None) is kept
     assert found.far_times is far
 
 
 def test_a_time_that_is_not_finite_counts_only_with_its_point() -> None:
-    table = np.ones((1, 3), dtype=[*XYZ, ("time", "<f4")])
-    table["time"] = [0.0, math.nan, 0.1]
+    table = timed([0.0, math.nan, 0.1])
     table["x"][0, 1] = math.nan
-    found = cloud_points(decoded_cloud(cloud_message(table)), STAMP)
-    np.testing.assert_allclose(found.times_s, [0.0, 0.1], atol=1e-7)  # type: ignore[arg-type]
+    np.testing.assert_allclose(points_of(table).times_s, [0.0, 0.1], atol=1e-7)  # type: ignore[arg-type]
 
 
 def test_a_field_of_another_name_is_no_time() -> None:
-    table = np.ones((1, 3), dtype=[*XYZ, ("intensity", "<f4")])
-    table["intensity"] = [0.0, 0.1, 0.2]
-    assert cloud_points(decoded_cloud(cloud_message(table)), STAMP).times_s is None
+    assert points_of(timed([0.0, 0.1, 0.2], "intensity")).times_s is None
 
 
 def test_fields_of_unknown_datatypes_are_passed_over() -> None:

@@ -10,14 +10,13 @@ import pytest
 
 from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import PlanarScan, Sweep
-from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs import open_log
 from specmap_cli.logs.inspection import summarize
 from specmap_cli.logs.planar import Ceiling, OwnBody, Repeats
-from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import LogWriter
-from tests.turning import configured
+from tests.logs.recordings import sweeps_of
 
+Tour = list[tuple[Sweep, Pose2]]
 REACH_M, CODE_M, CLAIMED_M = 2.5, 2.8, 30.0
 
 
@@ -46,16 +45,11 @@ def test_the_longest_distance_of_all_read_from_four_places_is_no_return() -> Non
     assert cleared(scans) == [0, 0, 0, *alike[3:]]
 
 
-def test_a_robot_that_stands_before_a_wall_learns_nothing_of_it() -> None:
-    noise = np.random.default_rng(1)
-    scans = [np.minimum(room(0, noise), 2.0) for _ in range(50)]
-    assert not any(cleared(scans))
-
-
 def test_walls_that_share_their_longest_distance_by_chance_stay() -> None:
-    noise = np.random.default_rng(2)
-    scans = [np.round(room(number % 7, noise), 2) for number in range(200)]
-    assert not any(cleared(scans))
+    """Nor does a robot that stands before one learn anything of it."""
+    noise = np.random.default_rng(1)
+    assert not any(cleared([np.round(room(number % 7, noise), 2) for number in range(200)]))
+    assert not any(cleared([np.minimum(room(0, noise), 2.0) for _ in range(50)]))
 
 
 def test_a_longer_distance_begins_the_count_anew_and_leaves_what_was_found() -> None:
@@ -76,50 +70,46 @@ def has_code(sweep: Sweep) -> bool:
     return bool((np.isfinite(ranges) & (ranges > REACH_M)).any())
 
 
+def write(path: Path, tour: Tour, scans: list[np.ndarray], range_max: float) -> None:
+    """A log of other readings from the places of a tour."""
+    with LogWriter(path) as log:
+        for (sweep, _), ranges in zip(tour, scans, strict=True):
+            first, second = map(float, sweep.planar.bearings[:2])
+            step = second - first
+            log.scan("/scan", "laser", sweep.stamp_ns, first, step, ranges, range_max=range_max)
+
+
 @pytest.fixture(scope="module")
-def coded_log(
-    flat_tour: list[tuple[Sweep, Pose2]], tmp_path_factory: pytest.TempPathFactory
-) -> Path:
+def coded_log(flat_tour: Tour, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The flat seen by a laser of 2.5 m that says 2.8 m for no return and claims 30 m."""
     path = tmp_path_factory.mktemp("coded") / "log.mcap"
-    with LogWriter(path) as log:
-        for sweep, _ in flat_tour[:300]:
-            scan = sweep.planar
-            step = float(scan.bearings[1] - scan.bearings[0])
-            ranges = np.where(scan.ranges < REACH_M, scan.ranges, CODE_M)
-            first = float(scan.bearings[0])
-            log.scan("/scan", "laser", sweep.stamp_ns, first, step, ranges, range_max=CLAIMED_M)
+    seen = [sweep.planar.ranges for sweep, _ in flat_tour[:300]]
+    coded = [np.where(ranges < REACH_M, ranges, CODE_M) for ranges in seen]
+    write(path, flat_tour[:300], coded, CLAIMED_M)
     return path
 
 
 def test_no_scan_of_a_log_has_a_return_there_and_a_warning_tells_the_distance(
     coded_log: Path,
 ) -> None:
-    with open_log([coded_log]) as log:
-        stream = SweepStream(log, LogConfig())
-        assert not any(has_code(sweep) for sweep in stream)
-        assert any("readings of exactly 2.8 m" in warning for warning in stream.warnings)
+    sweeps, stream = sweeps_of(coded_log)
+    assert not any(has_code(sweep) for sweep in sweeps)
+    assert any("readings of exactly 2.8 m" in warning for warning in stream.warnings)
+    with open_log(coded_log) as log:
+        assert any("2.8 m" in warning for warning in summarize(log).warnings)
 
 
 def test_it_is_found_after_the_first_look_too(coded_log: Path) -> None:
-    with open_log([coded_log]) as log:
-        stream = SweepStream(log, configured(LogConfig, "logs", {"look_scans": 3}))
-        shown = [has_code(sweep) for sweep in stream]
+    shown = [has_code(sweep) for sweep in sweeps_of(coded_log, look_scans=3)[0]]
     assert any(shown[:3])
     assert not any(shown[len(shown) // 2 :])
-
-
-def test_info_tells_it(coded_log: Path) -> None:
-    with open_log([coded_log]) as log:
-        summary = summarize(log)
-    assert any("2.8 m" in warning for warning in summary.warnings)
 
 
 POST = slice(13, 19)  # beams that see a post of the robot
 POST_M = 0.4
 
 
-def scans(tour: list[tuple[Sweep, Pose2]], seed: int, *, post: bool = True) -> list[np.ndarray]:
+def scans(tour: Tour, seed: int, *, post: bool = True) -> list[np.ndarray]:
     """The readings of a tour, with the post before some beams."""
     noise = np.random.default_rng(seed)
     found = []
@@ -142,33 +132,24 @@ def marked(given: list[np.ndarray]) -> np.ndarray:
     return np.array(marks)
 
 
-def test_a_post_that_goes_along_is_left_out_once_the_robot_has_moved(
-    flat_tour: list[tuple[Sweep, Pose2]],
-) -> None:
+def test_a_post_that_goes_along_is_left_out_once_the_robot_has_moved(flat_tour: Tour) -> None:
     marks = marked(scans(flat_tour, 0))
     late = marks[len(marks) // 2 :]
     assert late[:, POST].all()
     others = np.delete(late, np.arange(POST.start - 1, POST.stop + 1), axis=1)
     assert not others.any()
     assert not marks[0].any()
+    assert not marked(scans(flat_tour, 1, post=False)).any(), "walls are not"
 
 
-def test_walls_are_not(flat_tour: list[tuple[Sweep, Pose2]]) -> None:
-    assert not marked(scans(flat_tour, 1, post=False)).any()
-
-
-def test_nothing_is_learned_of_walls_near_a_robot_that_stands(
-    flat_tour: list[tuple[Sweep, Pose2]],
-) -> None:
+def test_nothing_is_learned_of_walls_near_a_robot_that_stands(flat_tour: Tour) -> None:
     noise = np.random.default_rng(2)
     first = np.minimum(flat_tour[0][0].planar.ranges, 3.0)
     first[POST] = POST_M
     assert not marked([first + noise.normal(0.0, 0.01, len(first)) for _ in range(200)]).any()
 
 
-def test_lost_returns_and_beams_at_its_edge_that_flicker_change_nothing(
-    flat_tour: list[tuple[Sweep, Pose2]],
-) -> None:
+def test_lost_returns_and_beams_at_its_edge_that_flicker_change_nothing(flat_tour: Tour) -> None:
     noise = np.random.default_rng(3)
     given = scans(flat_tour, 3)
     edge = POST.stop
@@ -184,9 +165,7 @@ def test_lost_returns_and_beams_at_its_edge_that_flicker_change_nothing(
     assert np.array_equal(marks[half:, edge], flickers[half:])
 
 
-def test_a_beam_that_reads_farther_once_has_seen_a_wall(
-    flat_tour: list[tuple[Sweep, Pose2]],
-) -> None:
+def test_a_beam_that_reads_farther_once_has_seen_a_wall(flat_tour: Tour) -> None:
     given = scans(flat_tour, 4)
     half = len(given) // 2
     for ranges in given[half:]:
@@ -197,23 +176,12 @@ def test_a_beam_that_reads_farther_once_has_seen_a_wall(
     assert not marks[-20:].any()
 
 
-def test_the_scans_of_a_log_are_without_it_and_a_warning_tells(
-    flat_tour: list[tuple[Sweep, Pose2]], path: Path
-) -> None:
-    with LogWriter(path) as log:
-        for (sweep, _), ranges in zip(flat_tour, scans(flat_tour, 6), strict=True):
-            bearings = sweep.planar.bearings
-            step = float(bearings[1] - bearings[0])
-            log.scan(
-                "/scan", "laser", sweep.stamp_ns, float(bearings[0]), step, ranges, range_max=12.0
-            )
-    with open_log([path]) as recording:
-        stream = SweepStream(recording, LogConfig())
-        sweeps = list(stream)
-        told = [warning for warning in stream.warnings if "the robot itself: 6" in warning]
+def test_the_scans_of_a_log_are_without_it_and_a_warning_tells(flat_tour: Tour, path: Path) -> None:
+    write(path, flat_tour, scans(flat_tour, 6), range_max=12.0)
+    sweeps, stream = sweeps_of(path)
+    (told,) = [warning for warning in stream.warnings if "the robot itself: 6" in warning]
     assert np.isnan(sweeps[-1].planar.ranges[POST]).all()
-    assert len(told) == 1
-    assert float(told[0].split()[5]) == pytest.approx(POST_M, abs=0.05)
+    assert float(told.split()[5]) == pytest.approx(POST_M, abs=0.05)
 
 
 SEEN = np.array([1.0, np.nan, 2.0, np.inf, 3.0])

@@ -21,6 +21,10 @@ pytestmark = pytest.mark.skipif(
 )
 
 
+TOPIC = "odometry from /odom"
+TRANSFORMS = "odometry from transforms odom -> base_link"
+
+
 def summary_of(name: str) -> LogSummary:
     with open_log(DATA / name) as log:
         return summarize(log)
@@ -29,24 +33,10 @@ def summary_of(name: str) -> LogSummary:
 @pytest.mark.parametrize(
     ("name", "scans", "odometry", "view", "beams", "mount"),
     [
-        ("logs/fr079.mcap", 4934, "odometry from /odom", 179.5, 360, (-0.04, 0.0, 0.0)),
-        (
-            "logs/mit_csail.mcap",
-            1988,
-            "odometry from transforms odom -> base_link",
-            180.0,
-            361,
-            (0.0, 0.0, 0.0),
-        ),
-        (
-            "logs/turtlebot4_office",
-            357,
-            "odometry from /odom",
-            360.0,
-            720,
-            (0.00393584, 0.0, np.pi / 2),
-        ),
-        ("logs/fr079_3d.mcap", 849, "odometry from /odom", 360.0, 720, (0.0, 0.0, 0.0)),
+        ("logs/fr079.mcap", 4934, TOPIC, 179.5, 360, (-0.04, 0.0, 0.0)),
+        ("logs/mit_csail.mcap", 1988, TRANSFORMS, 180.0, 361, (0.0, 0.0, 0.0)),
+        ("logs/turtlebot4_office", 357, TOPIC, 360.0, 720, (0.00393584, 0.0, np.pi / 2)),
+        ("logs/fr079_3d.mcap", 849, TOPIC, 360.0, 720, (0.0, 0.0, 0.0)),
         ("damaged/laser_scan_matcher_demo.bag", 360, "no odometry", 239.06, 681, (0, 0, 0)),
     ],
 )
