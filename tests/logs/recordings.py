@@ -130,8 +130,11 @@ def write_bag(
     messages: list[Message],
     compression: Rosbag1Writer.CompressionFormat | None = None,
     chunk_bytes: int = 4096,
+    *,
+    indexed: bool = True,
 ) -> None:
-    """Write messages to a ROS 1 bag with rosbags, in ROS 1 serialisation."""
+    """Write messages to a new ROS 1 bag with rosbags, in ROS 1 serialisation."""
+    path.unlink(missing_ok=True)
     writer = Rosbag1Writer(path)
     writer.chunk_threshold = chunk_bytes
     if compression is not None:
@@ -145,6 +148,8 @@ def write_bag(
         for m in messages:
             raw = typestore().cdr_to_ros1(m.data, m.type)
             writer.write(connections[m.topic], m.time_ns, raw)
+    if not indexed:  # as a recorder leaves it that was killed
+        overwrite(path, path.read_bytes().index(b"index_pos=") + len(b"index_pos="), bytes(8))
 
 
 def write_mcap(path: Path, messages: list[Message], **style: object) -> None:
@@ -159,14 +164,6 @@ def write_mcap(path: Path, messages: list[Message], **style: object) -> None:
                 channels[m.topic] = writer.register_channel(m.topic, "cdr", schema)
             writer.add_message(channels[m.topic], m.time_ns, m.data, m.time_ns)
         writer.finish()  # type: ignore[no-untyped-call]
-
-
-def without_index(bag: Path) -> None:
-    """As a recorder leaves a bag that was killed."""
-    data = bytearray(bag.read_bytes())
-    place = data.index(b"index_pos=") + len(b"index_pos=")
-    data[place : place + 8] = bytes(8)
-    bag.write_bytes(data)
 
 
 def sweeps_of(path: Path, **options: object) -> tuple[list[Sweep], SweepStream]:

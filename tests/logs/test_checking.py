@@ -172,6 +172,11 @@ def test_it_tells_the_spacing_and_what_is_blank(path: Path) -> None:
         "  blank scans, without any return: 2",
         "  readings that are invalid: 20.0 %",
     ]
+    with open_log(path) as log:
+        plain = summarize(log).to_dict()["preview"]
+    assert plain["spacing"] == {"rate_hz": 5.0, "step_m": 0.1, "is_sparse": False}
+    assert plain["sensors"] == (("laser", 10),)
+    assert [faults["topic"] for faults in plain["stamps"]] == ["/scan", "/odom"]
 
 
 def test_scans_that_a_driver_repeats_while_the_robot_moves_are_told(path: Path) -> None:
@@ -259,10 +264,3 @@ def test_a_date_beyond_the_calendar_is_left_out() -> None:
     assert faults.text().endswith("such as 1000000000000000.000 s")
 
 
-def test_it_is_part_of_the_json(path: Path) -> None:
-    write(path, [0.0, 0.1, 0.2])
-    with open_log(path) as log:
-        plain = summarize(log).to_dict()["preview"]
-    assert plain["spacing"] == {"rate_hz": 10.0, "step_m": 0.1, "is_sparse": False}
-    assert plain["sensors"] == (("laser", 3),)
-    assert [faults["topic"] for faults in plain["stamps"]] == ["/scan", "/odom"]

@@ -128,14 +128,14 @@ def test_a_cloud_is_told_with_its_points_or_as_a_planar_scan_and_its_view(
     assert any(line.startswith(f"scan: {told} over") for line in summary.lines())
 
 
-def test_frames_are_those_above_the_scan(tmp_path: Path) -> None:
+def test_frames_are_those_above_the_scan(path: Path) -> None:
     turn = Rotation.from_euler("ZYX", [90.0, -20.0, 180.0], degrees=True).as_quat()
-    with LogWriter(tmp_path / "log.mcap") as log:
+    with LogWriter(path) as log:
         log.static_transform("base_link", "laser", (0.1, -0.2, 0.3), tuple(turn), START)
         log.static_transform("base_link", "camera", (0.0, 0.0, 1.0), stamp_ns=START)
         log.transform("odom", "base_link", START, Pose2(1.0, 2.0, 0.5))
         log.scan("/scan", "laser", START, -1.0, 0.5, np.full(5, 2.0), range_max=8.0)
-    summary = summary_of(tmp_path / "log.mcap")
+    summary = summary_of(path)
     lines = summary.lines()
     place = lines.index("frames:")
     assert lines[place + 1 : place + 4] == [

@@ -234,17 +234,12 @@ def test_odometry_and_transforms_are_matrices() -> None:
 
 
 @pytest.mark.parametrize("kind", [LASER_SCAN, MULTI_ECHO, POINT_CLOUD])
-@pytest.mark.parametrize("data", [b"", b"\x00\x01\x00\x00", b"\x00\x01\x00\x00" + b"\xff" * 60])
-def test_rubbish_is_refused(kind: str, data: bytes) -> None:
-    with pytest.raises(BadMessageError):
-        decode_scan(Message("/scan", kind, 1, data))
-
-
-def test_every_cut_of_a_message_is_refused() -> None:
+def test_rubbish_and_every_cut_of_a_message_are_refused(kind: str) -> None:
     whole = scan_cdr("laser", STAMP, -1.0, 0.25, np.ones(40), range_max=9.0)
-    for end in range(0, len(whole) - 4, 3):
+    cuts = [whole[:end] for end in range(0, len(whole) - 4, 3)] if kind == LASER_SCAN else []
+    for data in (b"", b"\x00\x01\x00\x00", b"\x00\x01\x00\x00" + b"\xff" * 60, *cuts):
         with pytest.raises(BadMessageError):
-            decode_scan(Message("/scan", LASER_SCAN, 1, whole[:end]))
+            decode_scan(Message("/scan", kind, 1, data))
 
 
 @pytest.mark.parametrize(

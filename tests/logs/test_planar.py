@@ -86,12 +86,9 @@ def test_codes_of_no_return_and_of_invalid_readings() -> None:
     inf, nan = math.inf, math.nan
     expected = [inf, nan, nan, 1.0, 7.99, inf, inf, inf, nan, nan]
     np.testing.assert_allclose(scan.ranges, expected, rtol=1e-6)
-
-
-def test_an_unknown_maximum_range_limits_nothing() -> None:
-    scan = levelled(record([1.0, 500.0], range_max=0.0))
-    assert scan.ranges.tolist() == [1.0, 500.0]
-    assert scan.range_max == math.inf
+    limitless = levelled(record([1.0, 500.0], range_max=0.0))
+    assert limitless.ranges.tolist() == [1.0, 500.0]
+    assert limitless.range_max == math.inf
 
 
 @pytest.mark.parametrize(
@@ -109,12 +106,9 @@ def test_beam_times_follow_the_beams() -> None:
         assert scan.beam_times_s is not None
         np.testing.assert_allclose(scan.beam_times_s, times)
         assert scan.ranges.tolist() == sorted([1.0, 2.0, 3.0], reverse=step < 0)
-
-
-@pytest.mark.parametrize("increment", [0.0, -0.1, math.nan, 5.0])
-def test_times_that_cannot_be_are_none(increment: float) -> None:
-    scan = levelled(record([1.0, 2.0], time_increment=increment))
-    assert scan.beam_times_s is None
+    for impossible in (0.0, -0.1, math.nan, 5.0):
+        scan = levelled(record([1.0, 2.0], time_increment=impossible))
+        assert scan.beam_times_s is None, impossible
 
 
 def test_a_missing_increment_is_found_from_the_angles() -> None:

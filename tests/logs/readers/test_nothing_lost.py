@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -14,14 +16,7 @@ from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers.recording import Message, lost_text
 from specmap_cli.logs.stream import SweepStream
-from tests.logs.recordings import (
-    change_db3,
-    overwrite,
-    without_index,
-    write_bag,
-    write_db3,
-    write_mcap,
-)
+from tests.logs.recordings import change_db3, overwrite, write_bag, write_db3, write_mcap
 from tests.strategies import MANY
 
 PLACES = 300 if MANY else 30  # of a byte that is damaged, a file and kind of damage
@@ -38,7 +33,17 @@ MCAP_STYLES: dict[str, dict[str, object]] = {
     | {"use_statistics": False, "repeat_channels": False},
     "no chunks": {"use_chunking": False, "enable_crcs": False},
 }
-BAG_STYLES = [None, *Rosbag1Writer.CompressionFormat]
+WRITERS: dict[str, Callable[[Path, list[Message]], None]] = {
+    **{f"mcap, {name}": partial(write_mcap, **style) for name, style in MCAP_STYLES.items()},
+    **{
+        f"bag, {compression}, {indexed}": partial(
+            write_bag, compression=compression, indexed=indexed
+        )
+        for compression in (None, *Rosbag1Writer.CompressionFormat)
+        for indexed in (True, False)
+    },
+    "db3": write_db3,
+}
 
 
 def scans_read(path: Path) -> tuple[int, int, list[str]]:
@@ -74,28 +79,9 @@ def few(drive_messages: list[Message]) -> list[Message]:
     return drive_messages[:31]
 
 
-@pytest.mark.parametrize("style", MCAP_STYLES)
-def test_a_byte_of_an_mcap(path: Path, few: list[Message], style: str) -> None:
-    write_mcap(path, few, **MCAP_STYLES[style])
-    damage_everywhere(path, 10)
-
-
-@pytest.mark.parametrize("indexed", [True, False])
-@pytest.mark.parametrize("compression", BAG_STYLES)
-def test_a_byte_of_a_bag(
-    path: Path,
-    few: list[Message],
-    compression: Rosbag1Writer.CompressionFormat | None,
-    indexed: bool,
-) -> None:
-    write_bag(path, few, compression)
-    if not indexed:
-        without_index(path)
-    damage_everywhere(path, 10)
-
-
-def test_a_byte_of_a_database(path: Path, few: list[Message]) -> None:
-    write_db3(path, few)
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_byte_of_a_recording(path: Path, few: list[Message], name: str) -> None:
+    WRITERS[name](path, few)
     damage_everywhere(path, 10)
 
 
@@ -115,9 +101,7 @@ def test_a_byte_of_a_carmen_log(path: Path) -> None:
 def test_what_is_lost_of_a_chunk_is_told_with_number_topic_and_place(
     path: Path, drive_messages: list[Message], indexed: bool
 ) -> None:
-    write_bag(path, drive_messages)
-    if not indexed:
-        without_index(path)
+    write_bag(path, drive_messages, indexed=indexed)
     data = path.read_bytes()
     chunk = data.index(b"compression=none", data.index(b"compression=none") + 1)
     overwrite(path, data.index(b"op=\x02", chunk), b"op=\x42")

@@ -93,14 +93,6 @@ def test_a_source_is_opened_only_when_its_start_has_come() -> None:
         yield message(start + 5)
 
     merged = merge_in_time([(s, lambda s=s: source(s)) for s in (20, 0, 3)])  # type: ignore[misc]
-    seen = []
-    for found in merged:
-        seen.append((found.time_ns, tuple(opened)))
-    assert seen == [
-        (0, (0,)),
-        (3, (0, 3)),
-        (5, (0, 3)),
-        (8, (0, 3)),
-        (20, (0, 3, 20)),
-        (25, (0, 3, 20)),
-    ]
+    seen = [(found.time_ns, len(opened)) for found in merged]
+    assert seen == [(0, 1), (3, 2), (5, 2), (8, 2), (20, 3), (25, 3)]
+    assert opened == [0, 3, 20]

@@ -21,7 +21,6 @@ from tests.logs.recordings import (
     overwrite,
     read_rest,
     refusal,
-    without_index,
     write_bag,
     write_db3,
 )
@@ -106,12 +105,6 @@ def test_a_bag_with_wrong_index_records_is_read_by_its_list_of_chunks(
     assert f"the record at byte {start} is damaged and was passed over" in said
 
 
-def test_a_bag_without_index_is_walked(path: Path, drive_messages: list[Message]) -> None:
-    write_bag(path, drive_messages)
-    without_index(path)
-    assert read_rest(path) == (drive_messages, [])
-
-
 def test_an_old_bag_format_is_refused(path: Path) -> None:
     path.write_bytes(b"#ROSBAG V1.2\n" + bytes(100))
     assert "bag format 1.2 is not supported; bring it to 2.0" in refusal(path)
@@ -193,9 +186,7 @@ def test_types_that_nothing_reads_stay_as_they_are(path: Path) -> None:
 def test_a_damaged_record_in_a_chunk_is_told(
     path: Path, drive_messages: list[Message], old: bytes, new: bytes, indexed: bool
 ) -> None:
-    write_bag(path, drive_messages)
-    if not indexed:
-        without_index(path)
+    write_bag(path, drive_messages, indexed=indexed)
     data = path.read_bytes()
     chunk = data.index(b"compression=none", data.index(b"compression=none") + 1)
     header = data.index(b"op=\x02", chunk) - 60  # of the first message in the second chunk
