@@ -9,8 +9,6 @@ import socket
 import struct
 import subprocess
 import sys
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +21,7 @@ from specmap_cli.logs.readers import compression
 from specmap_cli.logs.readers.recording import Message
 from tests.logs.recordings import PACK, refusal, write_db3
 
+MEMORY_MB = 600
 CARMEN = b"# a log\nODOM 1.0 2.0 0.1 0 0 0 5.0 host 5.0\n"
 
 READ = """
@@ -81,38 +80,34 @@ def bag_with_chunk(compression: bytes, data: bytes, size: int) -> bytes:
 GIGABYTE = 1 << 30
 
 
-def swelling_bag() -> bytes:
-    return bag_with_chunk(b"bz2", bz2.compress(bytes(200 << 20)), 1 << 20)
+@pytest.mark.parametrize("claimed", [GIGABYTE, 1000])
+def test_a_chunk_that_swells_costs_little_memory(path: Path, claimed: int) -> None:
+    path.write_bytes(mcap_with_chunk(b"zstd", zeros_in_zstd(GIGABYTE), claimed))
+    said, megabytes = read_in_a_process(path)
+    assert said == (
+        f"{path}: chunk at byte 8 is beyond log.chunk_max_mb: messages between 0.000 s and 0.000 s "
+        "are lost; no message can be read"
+    )
+    assert megabytes < MEMORY_MB
 
 
-def swelling_mcap(claimed: int) -> bytes:
-    return mcap_with_chunk(b"zstd", zeros_in_zstd(GIGABYTE), claimed)
+def test_a_chunk_of_a_bag_that_swells_costs_little_memory(path: Path) -> None:
+    packer = bz2.BZ2Compressor()
+    packed = b"".join(packer.compress(bytes(1 << 20)) for _ in range(200)) + packer.flush()
+    path.write_bytes(bag_with_chunk(b"bz2", packed, 1 << 20))
+    said, megabytes = read_in_a_process(path)
+    assert said.startswith(f"{path}: chunk at byte 90 is beyond log.chunk_max_mb: some of its mess")
+    assert megabytes < MEMORY_MB
 
 
-def swelling_file() -> bytes:
-    return zstandard.compress(CARMEN) + zeros_in_zstd(GIGABYTE)
-
-
-NO_LOG = "unpacks to more than 500 times its size, as no log does; if it is a log, unpack it first"
-LOST = "is beyond log.chunk_max_mb: messages between 0.000 s and 0.000 s are lost; no message can"
-
-
-@pytest.mark.parametrize(
-    ("make", "said", "most_mb"),
-    [
-        (partial(swelling_mcap, GIGABYTE), f"chunk at byte 8 {LOST} be read", 600),
-        (partial(swelling_mcap, 1000), f"chunk at byte 8 {LOST} be read", 600),
-        (swelling_bag, "chunk at byte 90 is beyond log.chunk_max_mb: some of its mess", 600),
-        (swelling_file, NO_LOG, 300),
-    ],
-)
-def test_what_swells_costs_little_memory(
-    path: Path, make: Callable[[], bytes], said: str, most_mb: int
-) -> None:
-    path.write_bytes(make())
-    found, megabytes = read_in_a_process(path)
-    assert found.startswith(f"{path}: {said}")
-    assert megabytes < most_mb
+def test_a_whole_file_that_swells_costs_little_memory(path: Path) -> None:
+    path.write_bytes(zstandard.compress(CARMEN) + zeros_in_zstd(GIGABYTE))
+    said, megabytes = read_in_a_process(path)
+    assert said == (
+        f"{path}: unpacks to more than 500 times its size, as no log does; if it is a log, "
+        "unpack it first"
+    )
+    assert megabytes < 300
 
 
 @pytest.mark.parametrize("name", sorted(PACK))

@@ -262,5 +262,3 @@ def test_faulty_stamps_are_counted(path: Path, stamps_s: list[float], said: str)
 def test_a_date_beyond_the_calendar_is_left_out() -> None:
     faults = StampFaults(topic="/scan", messages=1, elsewhen=1, example_s=1e15)
     assert faults.text().endswith("such as 1000000000000000.000 s")
-
-

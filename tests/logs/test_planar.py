@@ -40,7 +40,9 @@ def record(
         time_increment=time_increment,
         beams=len(values),
     )
-    return ScanRecord(7, "laser", layout, range_min=0.1, range_max=range_max, ranges=values)
+    return ScanRecord(
+        stamp_ns=7, frame="laser", layout=layout, range_min=0.1, range_max=range_max, ranges=values
+    )
 
 
 def levelled(scan: ScanRecord, stamp_ns: int = 5) -> PlanarScan:

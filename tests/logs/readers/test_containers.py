@@ -25,13 +25,14 @@ from tests.logs.recordings import (
 Write = Callable[[Path, list[Message]], None]
 
 FORMATS = {"mcap": "MCAP", "bag": "ROS 1 bag", "db3": "rosbag2 (SQLite)"}
-NO_SUMMARY = {"index_types": IndexType.NONE, "use_statistics": False, "repeat_channels": False}
 VARIETIES: dict[str, Write] = {
     "mcap zstd": partial(write_mcap, compression=CompressionType.ZSTD),
     "mcap lz4": partial(write_mcap, compression=CompressionType.LZ4),
     "mcap plain": partial(write_mcap, compression=CompressionType.NONE),
     "mcap without index": partial(write_mcap, index_types=IndexType.NONE),
-    "mcap without summary": partial(write_mcap, **NO_SUMMARY),
+    "mcap without summary": partial(
+        write_mcap, index_types=IndexType.NONE, use_statistics=False, repeat_channels=False
+    ),
     "mcap without chunks": partial(write_mcap, use_chunking=False),
     "mcap without checksums": partial(write_mcap, enable_crcs=False),
     "bag plain": write_bag,

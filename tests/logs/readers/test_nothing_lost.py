@@ -6,6 +6,7 @@ import random
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mcap.writer import CompressionType, IndexType
@@ -22,7 +23,7 @@ from tests.strategies import MANY
 PLACES = 300 if MANY else 30  # of a byte that is damaged, a file and kind of damage
 PLAIN = CompressionType.NONE
 
-MCAP_STYLES: dict[str, dict[str, object]] = {
+MCAP_STYLES: dict[str, dict[str, Any]] = {
     "whole": {"compression": PLAIN},
     "no checksums": {"compression": PLAIN, "enable_crcs": False},
     "no checksums, zstd": {"enable_crcs": False},
