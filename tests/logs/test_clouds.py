@@ -17,6 +17,8 @@ from specmap_cli.logs.writer import LogWriter
 from tests.logs.recordings import sweeps_of
 from tests.turning import turn
 
+Tour = list[tuple[Sweep, Pose2]]
+
 STAMP = 1_700_000_000_250_000_000
 XYZ = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
 SWEEP_S = np.linspace(0.0, 0.1, 400)
@@ -183,12 +185,7 @@ LASTS_S = 0.08
 
 
 def write(
-    path: Path,
-    tour: list[tuple[Sweep, Pose2]],
-    *,
-    mounted: bool = True,
-    timed: bool = False,
-    height_m: float = 0.0,
+    path: Path, tour: Tour, *, mounted: bool = True, timed: bool = False, height_m: float = 0.0
 ) -> Path:
     """The returns of a tour as clouds, in a laser frame on the floor or in that of the base."""
     with LogWriter(path) as log:
@@ -206,11 +203,10 @@ def write(
 
 @pytest.mark.parametrize(("mounted", "height_m"), [(True, 0.0), (False, 0.1), (False, 2.0)])
 def test_their_points_count_at_any_height_and_become_a_planar_scan(
-    flat_tour: list[tuple[Sweep, Pose2]], tmp_path: Path, mounted: bool, height_m: float
+    flat_tour: Tour, path: Path, mounted: bool, height_m: float
 ) -> None:
     tour = flat_tour[:20]
-    path = write(tmp_path / "log.mcap", tour, mounted=mounted, height_m=height_m)
-    sweeps, stream = sweeps_of(path)
+    sweeps, stream = sweeps_of(write(path, tour, mounted=mounted, height_m=height_m))
     assert len(sweeps) == len(tour)
     assert "height band" not in stream.selection.note
     for found, (true, _) in zip(sweeps, tour, strict=True):
@@ -218,10 +214,8 @@ def test_their_points_count_at_any_height_and_become_a_planar_scan(
         assert len(found.planar.hits()) == pytest.approx(len(true.planar.hits()), rel=0.02)
 
 
-def test_the_times_of_their_points_become_those_of_the_beams(
-    flat_tour: list[tuple[Sweep, Pose2]], tmp_path: Path
-) -> None:
-    sweeps, _ = sweeps_of(write(tmp_path / "log.mcap", flat_tour[:5], timed=True))
+def test_the_times_of_their_points_become_those_of_the_beams(flat_tour: Tour, path: Path) -> None:
+    sweeps, _ = sweeps_of(write(path, flat_tour[:5], timed=True))
     for found, (true, _) in zip(sweeps, flat_tour[:5], strict=True):
         times = found.planar.beam_times_s
         assert times is not None
@@ -232,9 +226,7 @@ def test_the_times_of_their_points_become_those_of_the_beams(
         assert times[hit] == pytest.approx(expected, abs=2e-3)
 
 
-def test_one_cloud_with_height_makes_it_a_lidar_in_space(
-    flat_tour: list[tuple[Sweep, Pose2]], path: Path
-) -> None:
+def test_one_cloud_with_height_makes_it_a_lidar_in_space(flat_tour: Tour, path: Path) -> None:
     with LogWriter(path) as log:
         for number, (sweep, _) in enumerate(flat_tour[:5]):
             points = np.column_stack([sweep.planar.hits(), np.full(len(sweep.planar.hits()), 0.5)])

@@ -74,13 +74,11 @@ def test_files_that_hold_a_topic_at_the_same_time_are_found() -> None:
     assert list(Log(parts, [Path("folder")]).side_by_side("/b")) == []
 
 
-def test_a_topic_with_two_types_is_listed_for_each() -> None:
-    log = Log([Listed("a", at(1)), Listed("b", at(2, 3, kind="U"))], [Path("a"), Path("b")])
-    assert log.topics() == [TopicInfo("/a", "T", 1), TopicInfo("/a", "U", 2)]
-
-
-def test_only_the_wanted_topics_are_read() -> None:
-    log = Log([Listed("a", at(1, 3)), Listed("b", at(2, topic="/b"))], [Path("a")])
+def test_a_topic_with_two_types_is_listed_for_each_and_only_those_wanted_are_read() -> None:
+    parts = [Listed("a", at(1)), Listed("b", at(2, 3, kind="U")), Listed("c", at(2, topic="/b"))]
+    log = Log(parts, [Path("a")])
+    listed = [TopicInfo("/a", "T", 1), TopicInfo("/a", "U", 2), TopicInfo("/b", "T", 1)]
+    assert log.topics() == listed
     assert [m.time_ns for m in log.messages(["/b"])] == [2]
     assert list(log.messages([])) == []
 
