@@ -58,7 +58,7 @@ def test_a_log_without_scans_says_what_it_has(path: Path) -> None:
         choose(path)
 
 
-def test_several_scan_topics_are_listed_ready_to_paste(path: Path) -> None:
+def test_several_topics_are_listed_ready_to_paste(path: Path) -> None:
     write(path, ["/front", "/points"], [])
     with pytest.raises(UsageError) as caught:
         choose(path)
@@ -68,9 +68,6 @@ def test_several_scan_topics_are_listed_ready_to_paste(path: Path) -> None:
     )
     assert choose(path, scan_topic="/points").topic.name == "/points"
     assert choose(path, scan_topic="front").topic.name == "/front"
-
-
-def test_several_odometry_topics_are_listed_ready_to_paste(path: Path) -> None:
     write(path, ["/scan"], ["/odom", "/visual"])
     with pytest.raises(UsageError, match=r"`--odom-topic /odom` .* or `--odom-topic /visual`"):
         choose(path)
@@ -141,7 +138,7 @@ def test_a_cloud_is_noted_with_its_band(path: Path) -> None:
     )
 
 
-def test_the_settings_say_how_long_a_readable_scan_is_looked_for(path: Path) -> None:
+def test_the_settings_say_how_long_readable_scans_and_odometry_are_looked_for(path: Path) -> None:
     with LogWriter(path) as log:
         for _ in range(3):
             log.raw("/scan", "sensor_msgs/msg/LaserScan", b"rubbish", START)
@@ -151,9 +148,6 @@ def test_the_settings_say_how_long_a_readable_scan_is_looked_for(path: Path) -> 
         LogError, match=r"/scan: no usable scan: not a sensor_msgs/msg/LaserScan: .*; tried 3 mess"
     ):
         choose(path, tried_messages=3)
-
-
-def test_odometry_that_cannot_be_read_names_no_base(path: Path) -> None:
     with LogWriter(path) as log:
         for _ in range(3):
             log.raw("/odom", "nav_msgs/msg/Odometry", b"rubbish", START)

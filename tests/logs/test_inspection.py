@@ -90,7 +90,7 @@ def test_odometry_of_another_time_is_said(path: Path) -> None:
     assert said not in summary_of(path, use_odometry=False).lines()
 
 
-def test_a_scan_with_times_and_without_a_maximum(path: Path) -> None:
+def test_a_scan_with_times_and_without_a_maximum_and_a_single_beam(path: Path) -> None:
     write_scans(path, range_max=0.0, time_increment=0.01)
     summary = summary_of(path)
     assert summary.scan is not None
@@ -98,9 +98,6 @@ def test_a_scan_with_times_and_without_a_maximum(path: Path) -> None:
     assert summary.to_dict()["scan"]["range_max_m"] is None
     said = "scan: 5 beams over 114.59 degrees in frame laser, of any range, with times"
     assert said in summary.lines()
-
-
-def test_a_single_beam_and_a_single_message(path: Path) -> None:
     write_scans(path, count=1, beams=1)
     summary = summary_of(path)
     assert summary.scan is not None

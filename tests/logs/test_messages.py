@@ -258,10 +258,7 @@ def test_a_time_that_is_not_finite_counts_only_with_its_point() -> None:
     table = timed([0.0, math.nan, 0.1])
     table["x"][0, 1] = math.nan
     np.testing.assert_allclose(points_of(table).times_s, [0.0, 0.1], atol=1e-7)  # type: ignore[arg-type]
-
-
-def test_a_field_of_another_name_is_no_time() -> None:
-    assert points_of(timed([0.0, 0.1, 0.2], "intensity")).times_s is None
+    assert points_of(timed([0.0, 0.1, 0.2], "intensity")).times_s is None, "of another name"
 
 
 def test_fields_of_unknown_datatypes_are_passed_over() -> None:

@@ -84,9 +84,8 @@ def test_odometry_is_interpolated_to_the_stamps_of_the_scans_or_left_out(drive: 
 
 
 def test_waiting_ends_when_log_time_goes_on() -> None:
-    messages = [odometry(START, 0.0), scan(START + SECOND // 100)]
-    messages += [scan(START + SECOND + SECOND // 100)]
-    stream = stream_of(messages)
+    late = [scan(START + SECOND // 100), scan(START + SECOND + SECOND // 100)]
+    stream = stream_of([odometry(START, 0.0), *late])
     iterator = iter(stream)
     assert next(iterator).odom_from_base == (0.0, 0.0, 0.0), "held for a moment"
     assert next(iterator).odom_from_base is None
@@ -294,9 +293,8 @@ def test_beam_times_that_reach_too_far_are_counted_and_said(
 ) -> None:
     with LogWriter(path) as log:
         for i in range(3):
-            ranges = np.full(11, 2.0)
-            stamp = START + i * SECOND
-            log.scan("/scan", "laser", stamp, -1.0, 0.2, ranges, range_max=8.0, time_increment=0.15)
+            far = {"range_max": 8.0, "time_increment": 0.15}
+            log.scan("/scan", "laser", START + i * SECOND, -1.0, 0.2, np.full(11, 2.0), **far)
     sweeps, stream = sweeps_of(path, scan_time_max_s=longest)
     assert stream.counts["far_times"] == counted
     assert all((sweep.planar.beam_times_s is None) is (counted > 0) for sweep in sweeps)
@@ -305,7 +303,9 @@ def test_beam_times_that_reach_too_far_are_counted_and_said(
 
 
 @pytest.mark.parametrize(("longest", "counted"), [(10.0, 0), (0.05, 2)])
-def test_point_times_too_far_off_are_counted(path: Path, longest: float, counted: int) -> None:
+def test_point_times_that_reach_too_far_are_counted(
+    path: Path, longest: float, counted: int
+) -> None:
     with LogWriter(path) as log:
         for i in range(2):
             log.cloud("/points", "lidar", START + i * SECOND, np.eye(3), times_s=[0.0, 0.05, 0.1])

@@ -77,12 +77,6 @@ def test_an_unwritable_place_is_a_usage_error(tmp_path: Path) -> None:
         LogWriter(tmp_path / "missing" / "log.mcap")
 
 
-@pytest.mark.parametrize("path", [None, 7, b"log.mcap"])
-def test_what_is_no_path_is_refused_at_once(path: Any) -> None:
-    with pytest.raises(TypeError, match=r"^path: expected a path"):
-        LogWriter(path)
-
-
 def test_a_string_is_a_path_and_the_file_appears_when_it_is_complete(path: Path) -> None:
     log = LogWriter(str(path))
     log.odometry("/odom", "odom", "base_link", 10, Pose2(0.0, 0.0, 0.0))
@@ -260,6 +254,12 @@ def test_a_log_may_be_converted_onto_itself(drive: Path, drive_messages: list[Me
 def test_wrong_types_are_refused_before_the_log_is_opened(paths: Any, out: Any, said: str) -> None:
     with pytest.raises(TypeError, match=said):
         convert(paths, out)
+
+
+@pytest.mark.parametrize("path", [None, 7, b"log.mcap"])
+def test_what_is_no_path_is_refused_at_once(path: Any) -> None:
+    with pytest.raises(TypeError, match=r"^path: expected a path"):
+        LogWriter(path)
 
 
 def test_an_unwritable_place_is_told_before_the_log_is_read(tmp_path: Path, drive: Path) -> None:

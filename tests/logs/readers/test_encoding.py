@@ -111,14 +111,9 @@ def test_a_definition_is_enough_to_read_its_type(kind: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "full"),
-    [
-        ("sensor_msgs/LaserScan", "sensor_msgs/msg/LaserScan"),
-        ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/LaserScan"),
-        ("tf/tfMessage", "tf2_msgs/msg/TFMessage"),
-        ("tf2_msgs/TFMessage", "tf2_msgs/msg/TFMessage"),
-        ("foxglove.LaserScan", "foxglove.LaserScan"),
-        ("", ""),
-    ],
+    [("sensor_msgs/LaserScan", LASER_SCAN), (LASER_SCAN, LASER_SCAN), ("", "")]
+    + [("tf/tfMessage", TF_MESSAGE), ("tf2_msgs/TFMessage", TF_MESSAGE)]
+    + [("foxglove.LaserScan", "foxglove.LaserScan")],
 )
 def test_types_of_any_ros_get_their_ros_2_name(name: str, full: str) -> None:
     assert normalized_type(name) == full

@@ -31,16 +31,13 @@ class Empty(Recording):
         """Nothing to release."""
 
 
-def test_damage_is_noted_once_and_under_the_name_the_user_gave() -> None:
+def test_damage_is_noted_once_under_the_name_the_user_gave_and_not_line_by_line() -> None:
     recording = Empty(Path("/tmp/unpacked"), Path("log.gz"))
     for what in ("the end is lost", "a chunk is lost", "the end is lost"):
         recording.report(what)
     assert recording.damage == ("log.gz: the end is lost", "log.gz: a chunk is lost")
-    assert Empty(Path("log")).path == Path("log")
-
-
-def test_a_badly_damaged_file_is_not_told_line_by_line() -> None:
     recording = Empty(Path("log"))
+    assert recording.path == Path("log")
     for number in range(50):
         recording.report(f"message {number} is lost")
     assert len(recording.damage) == 21

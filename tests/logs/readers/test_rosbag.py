@@ -158,13 +158,10 @@ def test_a_message_that_does_not_fit_its_type_is_left_out_and_said(
         for number, m in enumerate(scans):
             raw = bytes(store.cdr_to_ros1(m.data, m.type))
             writer.write(connection, m.time_ns, raw[:9] if number == 1 else raw)
+    said = f"the message on /scan at {scans[1].time_ns / 1e9:.3f} s does not fit its type"
     with open_log(path) as log:
         assert list(log.messages()) == [scans[0], scans[2]]
-        said = (
-            f"the message on /scan at {scans[1].time_ns / 1e9:.3f} s does not fit its type "
-            "sensor_msgs/msg/LaserScan; left out"
-        )
-        assert log.damage == [f"{path}: {said}"]
+        assert log.damage == [f"{path}: {said} sensor_msgs/msg/LaserScan; left out"]
         assert log.missing == {"/scan": 1}
 
 
