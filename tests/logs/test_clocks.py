@@ -90,8 +90,7 @@ def test_the_settings_say_how_far_apart_the_clocks_may_be(
 
 
 def test_a_zero_among_stamps_of_the_recorders_clock_was_never_set() -> None:
-    stamps = [0, *tenths(9)[1:]]
-    same = choose_clock(glimpses(stamps, tenths(9)), [])
+    same = choose_clock(glimpses([0, *tenths(9)[1:]], tenths(9)), [])
     assert same.scan_ns(0, 0, TODAY) == TODAY
     simulated = choose_clock(glimpses(tenths(9, 0), tenths(9)), [])
     assert simulated.scan_ns(0, 0, TODAY) == 0

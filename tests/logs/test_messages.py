@@ -123,14 +123,8 @@ def test_any_layout_gives_the_points_and_their_times(
     for name, gap in zip(order, gaps, strict=True):
         offsets.append(end + gap)
         end += gap + int(kinds[name][1])
-    layout = np.dtype(
-        {
-            "names": order,
-            "formats": [endian + kinds[name] for name in order],
-            "offsets": offsets,
-            "itemsize": end + gaps[0],
-        }
-    )
+    formats, size = [endian + kinds[name] for name in order], end + gaps[0]
+    layout = np.dtype({"names": order, "formats": formats, "offsets": offsets, "itemsize": size})
     rng = np.random.default_rng(1)
     table = np.zeros(shape, dtype=layout)
     for axis in "xyz":
