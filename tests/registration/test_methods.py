@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 from textwrap import dedent
 
@@ -21,7 +20,7 @@ from specmap_cli.registration import FrontEnd, SensorKind
 from specmap_cli.registration.aligner import GROUP, KissIcpAligner, aligner_factory
 from tests.conftest import SAMPLE_LOGS
 from tests.plugins import install
-from tests.registration.drives import cloud_of, path, run, sweeps, worst
+from tests.registration.drives import path, run, with_clouds, worst
 
 # What another package could hold: point-to-point ICP on a k-d tree, in thirty lines.
 POINT_TO_POINT = """
@@ -104,10 +103,7 @@ def test_a_method_of_another_package_registers_a_3d_lidar(
 ) -> None:
     offered(tmp_path, monkeypatch, **{"tree-icp": "remembered"})
     truth = path()[:30:3]
-    items = [
-        replace(sweep, cloud=cloud_of(world, pose))
-        for sweep, pose in zip(sweeps(world, truth), truth, strict=True)
-    ]
+    items = with_clouds(world, truth)
     _, scans = run(items, method="tree-icp", cloud_voxel_m=0.15, cloud_range_m=12.0)
     assert worst(scans, truth)[0] < 0.1
     package = sys.modules[aligner_factory("tree-icp").__module__]
@@ -115,18 +111,12 @@ def test_a_method_of_another_package_registers_a_3d_lidar(
     assert package.made == [("tree-icp", kind)]  # one aligner for all sweeps
 
 
-def test_kiss_icp_is_the_default_and_stays_beside_others(
+def test_kiss_icp_is_the_default_beside_others_and_an_unknown_method_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     offered(tmp_path, monkeypatch, **{"tree-icp": "TreeIcp"})
     assert RegistrationConfig().method == "kiss-icp"
     assert aligner_factory("kiss-icp") is KissIcpAligner
-
-
-def test_an_unknown_method_is_refused_before_the_first_sweep(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    offered(tmp_path, monkeypatch, **{"tree-icp": "TreeIcp"})
     with pytest.raises(UsageError) as refused:
         FrontEnd(RegistrationConfig(method="magic"))
     assert str(refused.value) == (
