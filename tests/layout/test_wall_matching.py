@@ -20,7 +20,7 @@ from specmap_cli.layout.wall_matching import (
     opened,
 )
 from specmap_cli.layout.walls import Walls
-from tests.layout.driving import Laps, between, graph_by_hand, missed, scans_of, stored
+from tests.layout.driving import Laps, between, corridor, graph_by_hand, missed, scans_of, stored
 from tests.turning import turned
 
 Pass = tuple[FloatArray, FloatArray, Pose2]
@@ -37,14 +37,6 @@ def pass_of(perfect: Laps, walls: Walls, row: int) -> Pass:
 def one(perfect: Laps, walls: Walls) -> Pass:
     """A pass, where the ring shows much."""
     return pass_of(perfect, walls, 190)
-
-
-def corridor(beams: int = 720) -> FloatArray:
-    """What is seen in the middle of a bare corridor along x, 2 m wide and very long."""
-    cells = np.full((60, 1000), OCCUPIED, dtype=np.uint8)
-    cells[10:50] = FREE
-    (scan,) = scans_of(GridMap(cells, 0.05), np.array([[25.0, 1.5, 0.0]]), beams)
-    return scan.hits(6.0)
 
 
 def deviations(fit: WallFit | None) -> FloatArray:

@@ -25,7 +25,7 @@ def evidence_of(
     """The evidence of poses, each of them a keyframe."""
     stamps, marks = np.arange(len(poses)) * every_ns, np.zeros(len(poses), dtype=np.bool_)
     marks[list(lost)] = True
-    fields = {"breaks": (), "audit": Audit(), "beyond": 0, "warnings": (), **told}
+    fields: dict[str, Any] = {"breaks": (), "audit": Audit(), "beyond": 0, "warnings": (), **told}
     return Evidence(
         trajectory=Trajectory(stamps, poses, odometry=odometry, lost=marks),
         keyframes_ns=tuple(stamps.tolist()),
