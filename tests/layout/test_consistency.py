@@ -83,9 +83,9 @@ def killian(seed: int) -> tuple[Graph, list[Link], list[bool]]:
         away, bearing = rng.uniform(12, 39), rng.uniform(-np.pi, np.pi)
         motion = (x + away * np.cos(bearing), y + away * np.sin(bearing), theta)
         wrong.append(link(i, j, motion, "closure"))
-    order = rng.permutation(11)
+    order = rng.permutation(11).tolist()
     closures = [[*right, *wrong][k] for k in order]
-    return graph_of_steps(tracked_by(seed)), closures, [bool(k < 8) for k in order]
+    return graph_of_steps(tracked_by(seed)), closures, [k < 8 for k in order]
 
 
 def judged(graph: Graph, closures: list[Link]) -> tuple[Judgement, ...]:
@@ -96,9 +96,9 @@ def judged(graph: Graph, closures: list[Link]) -> tuple[Judgement, ...]:
 def test_eight_that_agree_win_and_three_that_agree_with_nothing_go(seed: int) -> None:
     graph, closures, right = killian(seed)
     found = judged(graph, closures)
-    assert sum(one.believed for one, r in zip(found, right, strict=True) if r) >= 7
-    assert not any(one.believed for one, r in zip(found, right, strict=True) if not r)
-    far = [one for one, r in zip(found, right, strict=True) if r and one.believed]
+    far = [one for one in found if one.believed]
+    assert len(far) >= 7
+    assert not any(one.believed and not r for one, r in zip(found, right, strict=True))
     assert max(one.away_m for one in far) > 3.0
     assert {one.reason for one in far} <= {"votes", "near"}
     assert min(one.votes for one in far if one.reason == "votes") >= _CLOSURE_VOTES
@@ -156,10 +156,7 @@ def test_what_agrees_outvotes_what_drift_would_allow() -> None:
 def test_closures_of_other_parts_say_nothing_about_each_other() -> None:
     rng, graph = np.random.default_rng(0), graph_of_steps(TRUTH, breaks=(100, LAP + 100))
     agree = compared(graph, [nearly(k, k + LAP, rng) for k in (10, 50, 120, 160)]).agree
-    assert agree[0, 1]
-    assert agree[2, 3]
-    assert not agree[:2, 2:].any()
-    assert not agree.diagonal().any()
+    assert np.array_equal(agree, np.kron(np.eye(2), 1 - np.eye(2)))
 
 
 def test_a_closure_told_the_other_way_round_is_the_same() -> None:
@@ -167,9 +164,10 @@ def test_a_closure_told_the_other_way_round_is_the_same() -> None:
     back = [
         link(c.target, c.source, tuple(c.source_from_target.inverse()), "closure") for c in closures
     ]
-    there, turned_round = judged(graph, closures), judged(graph, back)
-    assert [one.reason for one in there] == [one.reason for one in turned_round]
-    assert [one.votes for one in there] == [one.votes for one in turned_round]
+    there, turned_round = (
+        [(one.reason, one.votes) for one in judged(graph, each)] for each in (closures, back)
+    )
+    assert there == turned_round
 
 
 def test_independent_ones_are_counted_in_order() -> None:

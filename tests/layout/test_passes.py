@@ -157,6 +157,13 @@ def test_where_more_passes_came_by_fewer_nodes_are_asked(perfect: Laps, walls: W
     assert len(often.loops) > 1.5 * len(found.loops)
 
 
+def second_lap_aside(graph: Graph) -> Draft:
+    """The second lap was put a little aside."""
+    aside = graph.poses
+    aside[graph.parts == 1, 1] += 0.25
+    return replace(as_tracked(graph), poses=aside)
+
+
 def test_what_confirms_the_layout_does_not_renew_it(
     perfect: Laps, walls: Walls, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -171,26 +178,20 @@ def test_what_confirms_the_layout_does_not_renew_it(
     monkeypatch.setattr("specmap_cli.layout.passes._SOLVE_EVERY", 2)
     assert len(find_passes(graph, as_tracked(graph), walls).loops) >= 15
     assert solutions == []
-    aside = graph.poses
-    aside[graph.parts == 1, 1] += 0.25
-    find_passes(graph, replace(as_tracked(graph), poses=aside), walls)
+    find_passes(graph, second_lap_aside(graph), walls)
     assert 0 < len(solutions) < 5, "the first bring the rest where it belongs"
 
 
 def test_the_layout_is_renewed_as_passes_come_in(perfect: Laps, walls: Walls) -> None:
     """The second lap was put a little aside: the first passes bring all of it back at once."""
     graph = perfect[1]
-    second = graph.parts == 1
-    aside = graph.poses
-    aside[second, 1] += 0.25
-    start = replace(as_tracked(graph), poses=aside)
+    start = second_lap_aside(graph)
     with turned("layout.passes", _SOLVE_EVERY=2):
         often = find_passes(graph, start, walls)
     with turned("layout.passes", _SOLVE_EVERY=10_000):
         never = find_passes(graph, start, walls)
-    assert np.array_equal(never.poses, aside)
-    off = np.hypot(*(often.poses - graph.poses)[second, :2].T)
-    assert off.max() < 0.1
+    assert np.array_equal(never.poses, start.poses)
+    assert np.hypot(*(often.poses - graph.poses)[graph.parts == 1, :2].T).max() < 0.1
 
 
 def test_a_part_that_a_guess_placed_is_rejoined_on_the_way(perfect: Laps, walls: Walls) -> None:
@@ -209,18 +210,12 @@ def ends_of(graph: Graph, one: Link) -> tuple[int, int]:
     return graph.row[one.source], graph.row[one.target]
 
 
-def stretched(truth: FloatArray, metres: float, until: int = 450) -> FloatArray:
-    """The path of a robot that found the first lap shorter or longer along its way."""
-    tracked = np.array(truth)
-    tracked[until:] = compose(np.array([metres, 0.0, 0.0]), truth[until:])
-    return tracked
-
-
 @pytest.fixture(scope="module")
 def aside(drive: Drive) -> Iterator[tuple[Graph, Walls]]:
     """The second lap put metres aside, by an error that is expected."""
     truth, scans = drive
-    with stored(stretched(truth, 4.0), scans) as store:
+    tracked = np.concatenate([truth[:450], compose(np.array([4.0, 0.0, 0.0]), truth[450:])])
+    with stored(tracked, scans) as store:
         graph = graph_of(store, [], {})
         yield graph, Walls(store, graph)
 
@@ -246,22 +241,14 @@ def test_what_lies_metres_away_is_found(drive: Drive, aside: tuple[Graph, Walls]
     assert [one.reason for one in alone] == ["impossible"], "one pass far away is not believed"
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("LOOP_SEARCH_MAX_M", 99.0),  # the near search reaches as far
-        ("_WIDE_EVERY_M", 500.0),
-    ],
-)
-def test_nothing_is_searched_where_it_need_not_be(
-    aside: tuple[Graph, Walls], name: str, value: float
+def test_nothing_is_searched_where_it_need_not_be_and_nothing_twice(
+    aside: tuple[Graph, Walls],
 ) -> None:
-    claims, draft = far(aside, as_tracked(aside[0]), **{name: value})
-    assert (claims, draft.searched) == ((), {})
-
-
-def test_a_path_that_is_tied_is_not_searched_and_nothing_twice(aside: tuple[Graph, Walls]) -> None:
     graph = aside[0]
+    # the near search reaches as far
+    for constants in ({"LOOP_SEARCH_MAX_M": 99.0}, {"_WIDE_EVERY_M": 500.0}):
+        claims, draft = far(aside, as_tracked(graph), **constants)
+        assert (claims, draft.searched) == ((), {})
     nodes = graph.nodes.tolist()
     tied = as_tracked(graph, *(link(nodes[0], node, (0.0, 0.0, 0.0)) for node in nodes[30:]))
     assert far(aside, tied) == ((), tied)

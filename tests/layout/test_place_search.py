@@ -35,14 +35,10 @@ def tried_everywhere(field: ScoreField, points: FloatArray) -> float:
     """The best score of centred points on all cells of the field at all angles, one by one."""
     bytes_ = np.pad(np.round(field.values * 255).astype(int), 200)
     local, best = points - points.mean(axis=0), 0.0
-    height, width = field.values.shape
-    for angle in ANGLES:
-        c, s = np.cos(angle), np.sin(angle)
-        x = np.round((c * local[:, 0] - s * local[:, 1]) / CELL_M).astype(int)
-        y = np.round((s * local[:, 0] + c * local[:, 1]) / CELL_M).astype(int)
-        for row in range(height):
-            for column in range(width):
-                best = max(best, bytes_[y + row + 200, x + column + 200].mean() / 255)
+    for angle in ANGLES.tolist():
+        x, y = np.round(Pose2(0.0, 0.0, angle).apply(local) / CELL_M).astype(int).T
+        for row, column in np.ndindex(field.values.shape):
+            best = max(best, bytes_[y + row + 200, x + column + 200].mean() / 255)
     return float(best)
 
 
@@ -180,19 +176,14 @@ def test_what_fits_two_places_is_found_in_neither() -> None:
     assert twice is None
 
 
-def test_a_bare_corridor_is_no_place() -> None:
+def test_a_bare_corridor_too_few_points_and_no_walls_are_no_place(older: WallMap) -> None:
     x = np.arange(0.0, 40.0, 0.05)
     walls = np.vstack([np.column_stack([x, 0 * x]), np.column_stack([x, 0 * x + 2.0])])
-    older = WallMap.of(walls)
-    assert older.place_of(walls[np.abs(walls[:, 0] - 20.0) < 5.0]) is None
-
-
-def test_too_few_points_and_no_walls_are_no_place(older: WallMap) -> None:
+    assert WallMap.of(walls).place_of(walls[np.abs(walls[:, 0] - 20.0) < 5.0]) is None
     few = np.column_stack([np.arange(0.0, 4.0, 0.25), np.zeros(16)])
     assert older.place_of(few) is None
     assert older.place_of(np.zeros((0, 2))) is None
-    nothing = WallMap.of(np.zeros((0, 2)))
-    assert nothing.place_of(rooms((60, 90))) is None
+    assert WallMap.of(np.zeros((0, 2))).place_of(rooms((60, 90))) is None
 
 
 @pytest.mark.parametrize(("cells", "coarsened"), [(512, False), (40, True)])
