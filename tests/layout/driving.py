@@ -80,14 +80,18 @@ def scans_of(grid: GridMap, poses: FloatArray, beams: int = 120) -> list[PlanarS
     ]
 
 
-def drifted(truth: FloatArray, bias: float = 0.0003) -> FloatArray:
-    """Tracked poses: each step turns a little too far."""
-    steps = compose(invert(truth[:-1]), truth[1:])
-    steps[:, 2] += bias
-    poses = [truth[0]]
+def chained(first: FloatArray, steps: FloatArray) -> FloatArray:
+    """Poses (N + 1, 3) from one to the next by steps (N, 3)."""
+    poses = [first]
     for step in steps:
         poses.append(compose(poses[-1], step))
     return np.array(poses)
+
+
+def drifted(truth: FloatArray, bias: float = 0.0003) -> FloatArray:
+    """Tracked poses: each step turns a little too far."""
+    steps = compose(invert(truth[:-1]), truth[1:])
+    return chained(truth[0], steps + (0.0, 0.0, bias))
 
 
 def stored(tracked: FloatArray, scans: Sequence[PlanarScan]) -> KeyframeStore:
@@ -189,10 +193,7 @@ def missed(truth: Pose2, found: Pose2) -> tuple[float, float]:
 
 def arc(count: int, turn: float = 0.05) -> FloatArray:
     """Poses half a metre apart along a wide arc."""
-    poses = np.zeros((count, 3))
-    for k in range(1, count):
-        poses[k] = compose(poses[k - 1], np.array([0.5, 0.0, turn]))
-    return poses
+    return chained(np.zeros(3), np.tile([0.5, 0.0, turn], (count - 1, 1)))
 
 
 @contextmanager

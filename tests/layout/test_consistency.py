@@ -22,7 +22,7 @@ from specmap_cli.layout.consistency import (
 from specmap_cli.layout.path_graph import Ends, Graph
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.uncertainty import path_error
-from tests.layout.driving import as_tracked, graph_by_hand, link, true_link
+from tests.layout.driving import as_tracked, chained, graph_by_hand, link, true_link
 from tests.strategies import seeds
 from tests.turning import turned
 
@@ -51,10 +51,7 @@ def tracked_by(seed: int) -> FloatArray:
     steps[:, :2] *= 1.02
     steps[:, :2] += rng.normal(0, 0.02, (len(steps), 2))
     steps[:, 2] += rng.normal(0, 0.005, len(steps)) + rng.normal(0, 0.0005)
-    poses = [TRUTH[0]]
-    for step in steps:
-        poses.append(compose(poses[-1], step))
-    return np.array(poses)
+    return chained(TRUTH[0], steps)
 
 
 def graph_of_steps(tracked: FloatArray, breaks: tuple[int, ...] = ()) -> Graph:

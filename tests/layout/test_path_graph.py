@@ -25,7 +25,7 @@ from specmap_cli.layout.path_graph import (
     rows_every,
     step_information,
 )
-from tests.layout.driving import between
+from tests.layout.driving import between, chained
 from tests.strategies import angles, seeds
 from tests.turning import turned
 
@@ -44,10 +44,9 @@ def test_nodes_are_a_step_or_a_turn_apart_and_hold_what_must_be() -> None:
 
 @given(st.integers(0, 1000), st.integers(1, 60), st.sets(st.integers(0, 59), max_size=4))
 def test_every_keyframe_is_near_the_node_before_it(seed: int, count: int, always: set[int]) -> None:
-    rng, poses = np.random.default_rng(seed), np.zeros((count, 3))
-    for k in range(1, count):
-        step = [rng.uniform(0, 0.2), 0.0, rng.uniform(-0.2, 0.2)]
-        poses[k] = compose(poses[k - 1], np.array(step))
+    rng = np.random.default_rng(seed)
+    steps = rng.uniform((0.0, 0.0, -0.2), (0.2, 0.0, 0.2), (count - 1, 3))
+    poses = chained(np.zeros(3), steps)
     nodes = chosen_nodes(poses, always).tolist()
     assert nodes == sorted(set(nodes))
     assert {0, count - 1} | {k for k in always if k < count} <= set(nodes)

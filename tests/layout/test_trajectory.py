@@ -72,10 +72,17 @@ def test_a_trajectory_may_end_before_the_keyframes_do(store: KeyframeStore) -> N
     assert keyframe_rows(others, store).tolist() == []
 
 
-def test_guesses_lead_from_the_scan_before_to_the_one_after() -> None:
-    """Tracking took the robot on straight; it turned up 2 m to the left and 1 m farther."""
-    tracked = np.column_stack([np.arange(8.0), np.zeros(8), np.zeros(8)])
-    lost = np.array([False, False, True, True, True, False, False, False])
+STRAIGHT = np.column_stack([np.arange(8.0), np.zeros((8, 2))])
+
+
+@pytest.mark.parametrize("forward_m", [1.0, 0.0])
+def test_guesses_lead_from_the_scan_before_to_the_one_after(forward_m: float) -> None:
+    """Tracking took the robot on straight; it turned up 2 m to the left and 1 m farther.
+
+    Those of a robot at rest are spread by scans.
+    """
+    tracked = STRAIGHT * forward_m
+    lost = np.isin(np.arange(8), [2, 3, 4])
     relaxed = np.array(tracked)
     relaxed[5:] += (1.0, 2.0, 0.4)
     found = bridged(relaxed, tracked, lost)
@@ -86,16 +93,7 @@ def test_guesses_lead_from_the_scan_before_to_the_one_after() -> None:
 
 @pytest.mark.parametrize("rows", [slice(0, 3), slice(5, 8), slice(0, 8), slice(0, 0)])
 def test_guesses_without_an_end_stay(rows: slice) -> None:
-    tracked = np.column_stack([np.arange(8.0), np.zeros(8), np.zeros(8)])
     lost = np.zeros(8, dtype=np.bool_)
     lost[rows] = True
-    moved = tracked + (3.0, 1.0, 0.0)
-    np.testing.assert_array_equal(bridged(moved, tracked, lost), moved)
-
-
-def test_guesses_of_a_robot_at_rest_are_spread_by_scans() -> None:
-    tracked = np.zeros((5, 3))
-    lost = np.array([False, True, True, True, False])
-    relaxed = np.array(tracked)
-    relaxed[4] = (4.0, 0.0, 0.0)
-    np.testing.assert_allclose(bridged(relaxed, tracked, lost)[:, 0], np.arange(5.0))
+    moved = STRAIGHT + (3.0, 1.0, 0.0)
+    np.testing.assert_array_equal(bridged(moved, STRAIGHT, lost), moved)
