@@ -22,20 +22,18 @@ from tests.conftest import SAMPLE_LOGS
 from tests.plugins import install
 from tests.registration.drives import path, run, with_clouds, worst
 
-# What another package could hold: point-to-point ICP on a k-d tree, in thirty lines.
+# What another package could hold: point-to-point ICP on a k-d tree.
 POINT_TO_POINT = """
     from collections import deque
 
     import numpy as np
     from scipy.spatial import KDTree
-    from scipy.spatial.transform import Rotation
 
     from specmap_cli.registration.aligner import WINDOW_KEYFRAMES
 
 
     class TreeIcp:
         def __init__(self, config, sensor):
-            self.iterations, self.coarse_iterations = 50, 5
             self.clouds = deque(maxlen=WINDOW_KEYFRAMES)
             self.tree = None
 
@@ -49,7 +47,7 @@ POINT_TO_POINT = """
 
         def align(self, points, guess, kernel_m, *, coarse):
             pose = guess
-            for _ in range(self.coarse_iterations if coarse else self.iterations):
+            for _ in range(5 if coarse else 50):
                 here = points @ pose[:3, :3].T + pose[:3, 3]
                 distance, nearest = self.tree.query(here, distance_upper_bound=3 * kernel_m)
                 met = np.isfinite(distance)
