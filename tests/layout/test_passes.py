@@ -61,8 +61,7 @@ def test_candidates_are_near_far_along_the_path_and_apart(
         assert candidates(node, poses, path) == candidates_by_hand(node, poses, path, radius)
 
 
-def test_none_per_node_is_none(perfect: Laps, walls: Walls) -> None:
-    graph = perfect[1]
+def test_none_per_node_is_none(graph: Graph, walls: Walls) -> None:
     assert passes_at(190, graph, graph.poses, walls, {}, set(), 0.5).links
     with turned("layout.passes", LOOPS_PER_NODE=0):
         found = passes_at(190, graph, graph.poses, walls, {}, set(), 0.5)
@@ -70,8 +69,7 @@ def test_none_per_node_is_none(perfect: Laps, walls: Walls) -> None:
         assert find_passes(graph, as_tracked(graph), walls).loops == ()
 
 
-def test_a_pass_is_linked_and_remembered(perfect: Laps, walls: Walls) -> None:
-    graph = perfect[1]
+def test_a_pass_is_linked_and_remembered(graph: Graph, walls: Walls) -> None:
     first = passes_at(190, graph, graph.poses, walls, {}, set(), 0.5)
     assert first.is_tied
     (found,) = first.links
@@ -86,8 +84,7 @@ def test_a_pass_is_linked_and_remembered(perfect: Laps, walls: Walls) -> None:
     assert again.guesses == first.guesses
 
 
-def test_the_second_pass_is_asked_when_the_first_does_not_fit(perfect: Laps, walls: Walls) -> None:
-    graph = perfect[1]
+def test_the_second_pass_is_asked_when_the_first_does_not_fit(graph: Graph, walls: Walls) -> None:
     graph = replace(graph, path=10 * graph.path)  # so that neighbours are passes of their own
     best, second = candidates(190, graph.poses, graph.path)[:2]
     guess = Pose2(*compose(invert(graph.poses[best]), graph.poses[190]).tolist())
@@ -100,9 +97,8 @@ def test_the_second_pass_is_asked_when_the_first_does_not_fit(perfect: Laps, wal
 
 @pytest.mark.parametrize(("shift", "count"), [(0.9, 0), (1.1, 1)])
 def test_a_pair_that_moved_by_a_metre_is_matched_again(
-    perfect: Laps, walls: Walls, shift: float, count: int
+    graph: Graph, walls: Walls, shift: float, count: int
 ) -> None:
-    graph = perfect[1]
     with turned("layout.passes", LOOPS_PER_NODE=1):
         first = passes_at(190, graph, graph.poses, walls, {}, set(), 0.5)
         moved = {pair: guess @ Pose2(shift, 0.0, 0.0) for pair, guess in first.guesses.items()}
@@ -110,8 +106,7 @@ def test_a_pair_that_moved_by_a_metre_is_matched_again(
     assert len(found.links) == count
 
 
-def test_a_search_shorter_than_the_drift_is_counted(perfect: Laps, walls: Walls) -> None:
-    graph = perfect[1]
+def test_a_search_shorter_than_the_drift_is_counted(graph: Graph, walls: Walls) -> None:
     with turned("layout.passes", LOOP_SEARCH_MAX_M=0.5):
         found = passes_at(190, graph, graph.poses, walls, {}, set(), 0.6)
     assert found.cut_short == len(found.guesses) > 0
@@ -122,8 +117,7 @@ def test_a_search_shorter_than_the_drift_is_counted(perfect: Laps, walls: Walls)
         assert find_passes(graph, tied, walls).limits == {}
 
 
-def test_passes_are_found_along_the_second_lap(perfect: Laps, walls: Walls) -> None:
-    graph = perfect[1]
+def test_passes_are_found_along_the_second_lap(graph: Graph, walls: Walls) -> None:
     draft = as_tracked(graph)
     found = find_passes(graph, draft, walls)
     assert len(found.loops) >= 15
@@ -141,9 +135,8 @@ def test_passes_are_found_along_the_second_lap(perfect: Laps, walls: Walls) -> N
     assert len(again.loops) <= len(found.loops) + len(fresh)
 
 
-def test_where_more_passes_came_by_fewer_nodes_are_asked(perfect: Laps, walls: Walls) -> None:
+def test_where_more_passes_came_by_fewer_nodes_are_asked(graph: Graph, walls: Walls) -> None:
     """Each neighbour of a node counts as a pass of its own: there are many."""
-    graph = perfect[1]
     known = replace(graph, path=10 * graph.path)  # metres that are decimetres
     with turned("layout.path_graph", LOOP_EVERY_M=10.0, LOOP_PATH_M=60.0):
         with turned("layout.uncertainty", DRIFT_SHARE=0.004):
@@ -165,9 +158,8 @@ def second_lap_aside(graph: Graph) -> Draft:
 
 
 def test_what_confirms_the_layout_does_not_renew_it(
-    perfect: Laps, walls: Walls, monkeypatch: pytest.MonkeyPatch
+    graph: Graph, walls: Walls, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    graph = perfect[1]
     solutions: list[int] = []
 
     def counted(graph: Graph, draft: Draft, *, roughly: bool) -> Draft:
@@ -182,9 +174,8 @@ def test_what_confirms_the_layout_does_not_renew_it(
     assert 0 < len(solutions) < 5, "the first bring the rest where it belongs"
 
 
-def test_the_layout_is_renewed_as_passes_come_in(perfect: Laps, walls: Walls) -> None:
+def test_the_layout_is_renewed_as_passes_come_in(graph: Graph, walls: Walls) -> None:
     """The second lap was put a little aside: the first passes bring all of it back at once."""
-    graph = perfect[1]
     start = second_lap_aside(graph)
     with turned("layout.passes", _SOLVE_EVERY=2):
         often = find_passes(graph, start, walls)
@@ -194,8 +185,7 @@ def test_the_layout_is_renewed_as_passes_come_in(perfect: Laps, walls: Walls) ->
     assert np.hypot(*(often.poses - graph.poses)[graph.parts == 1, :2].T).max() < 0.1
 
 
-def test_a_part_that_a_guess_placed_is_rejoined_on_the_way(perfect: Laps, walls: Walls) -> None:
-    graph = perfect[1]
+def test_a_part_that_a_guess_placed_is_rejoined_on_the_way(graph: Graph, walls: Walls) -> None:
     draft = Draft(poses=graph.poses)
     found = find_passes(graph, draft, walls)
     assert found.tied == {0, 1}

@@ -10,6 +10,7 @@ from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
 from specmap_cli.core.records import BoolArray
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.score_field import ScoreField
+from specmap_cli.layout.path_graph import Graph
 from specmap_cli.layout.place_search import Guess, Pyramid, WallMap, Wanted, best_places
 from specmap_cli.layout.walls import Walls
 from tests.layout.driving import Laps, missed
@@ -133,18 +134,16 @@ def test_nothing_is_found_of_nothing() -> None:
 
 
 @pytest.fixture(scope="module")
-def older(perfect: Laps, walls: Walls) -> WallMap:
+def older(graph: Graph, walls: Walls) -> WallMap:
     """The walls of the first lap."""
-    graph = perfect[1]
     return WallMap.of(walls.of_all(np.flatnonzero(graph.parts == 0).tolist(), graph.poses))
 
 
 @few(6)
 @given(angles)
 def test_a_place_is_found_at_any_angle(
-    perfect: Laps, walls: Walls, older: WallMap, turn: float
+    graph: Graph, walls: Walls, older: WallMap, turn: float
 ) -> None:
-    graph = perfect[1]
     row = int(np.argmax(graph.parts == 1)) + 20
     source = walls.around(row, 8, graph.poses)
     truth, turned = Pose2(*graph.poses[row].tolist()), Pose2(0.0, 0.0, turn)
