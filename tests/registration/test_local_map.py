@@ -190,23 +190,14 @@ def test_space_inside_of_an_outline_was_seen_and_space_outside_was_not(seed: int
     """Against the signed distance of each point from each outline."""
     rng = np.random.default_rng(seed)
     scans = [circle(0, rng.uniform(1.0, 5.0, 24)).planar for _ in range(3)]
-    places = [Pose2(*rng.uniform(-2, 2, 3)) for _ in scans]
     outlines = [
-        place.apply(outline_of(scan, IDENTITY, 20.0))
-        for scan, place in zip(scans, places, strict=True)
+        Pose2(*rng.uniform(-2, 2, 3)).apply(outline_of(scan, IDENTITY, 20.0)) for scan in scans
     ]
-    seen = SeenSpace.of(outlines, CELL_M, 20.0)
     points = rng.uniform(-8, 8, (200, 2))
-    depths = np.array(
-        [
-            max(
-                cv2.pointPolygonTest(outline[1:].astype(np.float32), (float(x), float(y)), True)
-                for outline in outlines
-            )
-            for x, y in points
-        ]
-    )
-    found = seen.holds(points)
+    polygons = [outline[1:].astype(np.float32) for outline in outlines]
+    deep = [[cv2.pointPolygonTest(one, at, True) for one in polygons] for at in points.tolist()]
+    depths = np.max(deep, axis=1)
+    found = SeenSpace.of(outlines, CELL_M, 20.0).holds(points)
     assert found[depths > 0.0].all()
     assert not found[depths < -3 * CELL_M].any()
 

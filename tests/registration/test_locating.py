@@ -85,8 +85,7 @@ def test_a_worse_result_of_a_search_is_not_taken(world: GridMap) -> None:
     answers = [turned(0.2, 0.0, 0.0)] * 4
     worse = turned(0.9, 0.5, 0.0)
     scene = scene_in(world, ToldAligner(lambda _: answers.pop() if answers else worse))
-    by_motion = Pose2(0.2, 0.0, 0.0)
-    located = locate(scene, np.eye(4), expecting(measured=False), by_motion)
+    located = locate(scene, np.eye(4), expecting(measured=False), Pose2(0.2, 0.0, 0.0))
     assert located.searched
     assert located.fit.planar.x == pytest.approx(0.2)
 

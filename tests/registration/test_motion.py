@@ -47,15 +47,7 @@ def after(last: Pose2, now: Sweep, **settings: float) -> ExpectedMotion:
 
 def test_nothing_is_expected_of_the_first_sweep() -> None:
     expected = MotionModel(RegistrationConfig()).expect(sweep(5.0, Pose2(3.0, 2.0, 1.0), True))
-    assert expected == ExpectedMotion(
-        motion=IDENTITY,
-        carried=IDENTITY,
-        during=IDENTITY,
-        interval_s=0.0,
-        measured=False,
-        jumped=False,
-        shortened=False,
-    )
+    assert expected == dataclasses.replace(expecting(measured=False), interval_s=0.0)
 
 
 @given(poses, st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(-3.0, 3.0))
@@ -260,15 +252,10 @@ def test_an_unknown_odometry_is_held_to_what_wheels_err(
 
 def test_exact_odometry_narrows_the_slack_to_half_and_no_further() -> None:
     step = Pose2(0.5, 0.0, 0.0)
-    few, many = (learnt(step, IDENTITY, times) for times in (20, 200))
-    before = UNKNOWN.slack(step)
-    assert few.slack(step).along_m == pytest.approx(before.along_m)  # the prior wears off slowly
-    for narrow, wide in zip(
-        (many.slack(step).along_m, many.slack(step).across_m, many.slack(step).turn_rad),
-        (before.along_m, before.across_m, before.turn_rad),
-        strict=True,
-    ):
-        assert narrow == pytest.approx(wide / 2)
+    before, few, many = (learnt(step, IDENTITY, times).slack(step) for times in (0, 20, 200))
+    assert few.along_m == pytest.approx(before.along_m)  # the prior wears off slowly
+    for name in ("along_m", "across_m", "turn_rad"):
+        assert getattr(many, name) == pytest.approx(getattr(before, name) / 2)
 
 
 def test_bad_odometry_widens_the_slack_and_loses_trust() -> None:
