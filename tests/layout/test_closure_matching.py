@@ -150,9 +150,9 @@ def test_a_place_is_found_among_the_lines_of_another(seed: int) -> None:
     source = seen(rng, np.array(truth), half=False)
     guess = truth @ Pose2(*rng.uniform((-0.2, -0.2, -0.05), (0.2, 0.2, 0.05)).tolist())
     fit = onto_lines(source, seen(rng, np.zeros(3), half=False), guess, SPREAD)
-    off = truth.inverse() @ fit.target_from_source
-    assert off.distance < 0.01
-    assert abs(off.theta) < 0.003
+    away_m, off_rad = missed(truth, fit.target_from_source)
+    assert away_m < 0.01
+    assert off_rad < 0.003
     assert fit.share > 0.9
     assert fit.points > 100
 

@@ -166,8 +166,7 @@ def test_a_bridge_lets_its_own_error_be_mended() -> None:
     """Ten metres of way allow 0.5 + 1.5 m, a bridge good to 0.4 m another 1.2 m."""
     graph = graph_by_hand(arc(21, 0.0))
     motions = list(graph.odometry)
-    bridge = Bridge(0.4, 0.1).information
-    motions[9] = replace(motions[9], kind="bridge", information=bridge)
+    motions[9] = replace(motions[9], kind="bridge", information=Bridge(0.4, 0.1).information)
     bridged = replace(graph, odometry=tuple(motions))
     closures = [wrong_by(graph, 0, 20, metres) for metres in (1.9, 2.1, 3.1, 3.3)]
     assert kinds_of(graph, as_tracked(graph), closures) == ["far", *["refuted"] * 3]

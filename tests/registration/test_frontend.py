@@ -10,7 +10,7 @@ from hypothesis import given
 
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import UsageError
-from specmap_cli.core.geometry import IDENTITY, Pose2
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.registration.frontend import Track
 from tests.registration.drives import (
@@ -194,24 +194,28 @@ def test_the_map_begins_at_the_first_sweep_and_records_are_handed_on(
         assert 0.0 <= scan.score <= 1.0
 
 
-def test_a_fast_turning_robot_without_odometry_is_found_by_the_search(world: GridMap) -> None:
-    """It starts to turn by 25 degrees a scan, which no motion before tells of."""
-    turn = np.cumsum([0.0] * 5 + [0.44] * 5 + [0.0] * 3)
-    truth = np.column_stack([np.full(13, 2.0), np.full(13, 2.4), turn])
-    items = sweeps(world, truth, odometry=False)
-    front_end, scans = run(items)
-    assert worst(scans, truth)[1] < 0.03
-    assert front_end.counts["searched"] > 0
-    assert front_end.counts["lost"] == 0
+TURNING = np.column_stack(
+    [np.full((13, 2), (2.0, 2.4)), np.cumsum([0.0] * 5 + [0.44] * 5 + [0.0] * 3)]
+)
+HOLE = np.repeat([[2.0, 2.4, 0.0], [2.6, 2.9, 0.87]], 6, axis=0)
 
 
-def test_a_hole_in_the_log_is_bridged_by_the_wide_search(world: GridMap) -> None:
-    """Between two scans the robot drove 0.8 m and turned by 50 degrees; nothing measured it."""
-    before, after = np.tile([2.0, 2.4, 0.0], (6, 1)), np.tile([2.6, 2.9, 0.87], (6, 1))
-    truth = np.vstack([before, after])
+@pytest.mark.parametrize(
+    ("truth", "search"),
+    [
+        (TURNING, "searched"),  # by 25 degrees a scan, which no motion before tells of
+        (HOLE, "wide_searched"),  # in it the robot drove 0.8 m and turned by 50 degrees
+    ],
+)
+def test_what_no_odometry_tells_of_is_found_by_the_searches(
+    world: GridMap, truth: FloatArray, search: str
+) -> None:
     front_end, scans = run(sweeps(world, truth, odometry=False))
-    assert worst(scans, truth)[0] < 0.08
-    assert front_end.counts["wide_searched"] > 0
+    metres, radians = worst(scans, truth)
+    assert metres < 0.08
+    assert radians < 0.03
+    assert front_end.counts[search] > 0
+    assert front_end.counts["lost"] == 0
 
 
 @pytest.mark.parametrize(
