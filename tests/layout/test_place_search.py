@@ -149,9 +149,7 @@ def test_a_place_is_found_at_any_angle(
     truth, turned = Pose2(*graph.poses[row].tolist()), Pose2(0.0, 0.0, turn)
     fit = older.place_of(turned.inverse().apply(source))
     assert fit is not None
-    away_m, off_rad = missed(truth, fit.target_from_source @ turned.inverse())
-    assert away_m < 0.1
-    assert off_rad < 0.03
+    assert np.less(missed(truth, fit.target_from_source @ turned.inverse()), (0.1, 0.03)).all()
 
 
 def rooms(*plans: tuple[int, int]) -> FloatArray:
