@@ -77,31 +77,24 @@ def test_a_robot_too_fast_for_the_motion_to_be_carried_on_is_told(world: GridMap
     assert run(items, carried_forward_m=1.0)[0].counts["shortened_motions"] == 0
 
 
-def with_few_walls(world: GridMap, *, odometry: bool = True) -> list[Sweep]:
+@pytest.mark.parametrize("odometry", [True, False])
+def test_odometry_carries_the_robot_on_where_it_sees_too_few_walls(
+    world: GridMap, odometry: bool
+) -> None:
     """A drive on which the scans 4 and 7 see next to nothing."""
     items = sweeps(world, path()[:10], odometry=odometry)
     for k in (4, 7):
         ranges = np.where(np.arange(240) < 9, items[k].planar.ranges, np.inf)
         items[k] = with_ranges(items[k], ranges)
-    return items
-
-
-def test_scans_with_too_few_walls_are_counted(world: GridMap) -> None:
-    items = with_few_walls(world, odometry=False)
     front_end, scans = run(items)
     assert hit(front_end) == {"few_points": 2}
-    assert [scan.index for scan in scans if scan.lost] == [4, 7]
-    assert [(scan.score, scan.agrees) for scan in scans if scan.lost] == [(0.0, True)] * 2
-    assert run(items, min_points=3)[0].counts["few_points"] == 0
-
-
-def test_odometry_carries_the_robot_on_where_it_sees_no_walls(world: GridMap) -> None:
-    items = with_few_walls(world)
-    front_end, scans = run(items)
-    assert hit(front_end) == {"few_points": 2}
-    assert not any(scan.lost for scan in scans)
     assert [scan.index for scan in scans if scan.score == 0.0] == [4, 7]
-    assert worst(scans, path()[:10])[0] < 0.05
+    assert [scan.index for scan in scans if scan.lost] == ([] if odometry else [4, 7])
+    if odometry:
+        assert worst(scans, path()[:10])[0] < 0.05
+    else:
+        assert all(scan.agrees for scan in scans if scan.lost)
+        assert run(items, min_points=3)[0].counts["few_points"] == 0
 
 
 @pytest.mark.parametrize(("way_m", "lost"), [(3.0, False), (12.0, True)])

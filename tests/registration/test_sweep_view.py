@@ -171,12 +171,9 @@ def skewed_room(motion: Pose2, laser: Pose2, beams: int = 360) -> PlanarScan:
     """A full-circle scan, in the round room of radius 3 m about the stamp's base, while moving."""
     bearings = np.linspace(-np.pi, np.pi, beams, endpoint=False)
     times = np.linspace(0.0, PERIOD_S, beams, endpoint=False)
-    ranges = np.empty(beams)
-    for k, (bearing, t) in enumerate(zip(bearings, times, strict=True)):
-        at = arc(motion, t / PERIOD_S) @ laser
-        d = np.array([np.cos(bearing + at.theta), np.sin(bearing + at.theta)])
-        o = np.array([at.x, at.y])
-        ranges[k] = -o @ d + np.sqrt((o @ d) ** 2 - o @ o + 9.0)
+    x, y, turn = np.array([arc(motion, t / PERIOD_S) @ laser for t in times.tolist()]).T
+    along = x * np.cos(bearings + turn) + y * np.sin(bearings + turn)
+    ranges = -along + np.sqrt(along**2 - x**2 - y**2 + 9.0)
     return PlanarScan(
         stamp_ns=5,
         bearings=bearings,
