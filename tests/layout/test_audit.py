@@ -229,7 +229,7 @@ def test_the_frame_of_the_map_does_not_matter_and_passes_apart_say_nothing(
 ) -> None:
     graph, views = seen
     moved = compose(np.array([20.0, -7.0, 1.0]), graph.poses)
-    plain, other = views.agreement(graph.poses), views.agreement(moved)
+    plain, other = (views.agreement(poses) for poses in (graph.poses, moved))
     assert other.agree == pytest.approx(plain.agree, rel=0.01)
     first = int(np.searchsorted(graph.nodes, SECOND_LAP))
     apart = views.agreement(second_lap_moved(graph.poses, (500.0, 0.0, 0.0), first))

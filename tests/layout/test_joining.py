@@ -23,7 +23,7 @@ from specmap_cli.layout.path_graph import Draft, Graph
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.result import Layout
 from specmap_cli.layout.solving import solved
-from tests.layout.driving import Drive, drifted, laid_out, stored, true_link, worst
+from tests.layout.driving import Drive, between, drifted, laid_out, stored, true_link, worst
 
 CUT = 470  # keyframes of the first lap
 ELSEWHERE = Pose2(30.0, -8.0, 2.0)  # where the frame of the second recording lies
@@ -84,8 +84,7 @@ def test_the_links_of_both_pieces_stay(twice: Twice) -> None:
 def test_without_any_tie_the_second_piece_is_loose(twice: Twice) -> None:
     layout = joined(twice, Pose2(200.0, 0.0, 0.0))
     assert layout.loose == (CUT,)
-    apart = compose(invert(layout.poses[CUT]), layout.poses[-1])
-    alone = compose(invert(twice.new.poses[0]), twice.new.poses[-1])
+    apart, alone = between(layout.poses, CUT, -1), between(twice.new.poses, 0, -1)
     assert apart == pytest.approx(alone, abs=0.01)
 
 
@@ -169,7 +168,7 @@ def test_a_link_whose_end_is_gone_ends_beside_it(whole: Layout, drive: Drive) ->
     stayed = len(whole.kept) - len(lost)
     assert len(kept) > stayed
     for one in kept[stayed:]:
-        expected = compose(invert(rest.poses[one.source]), rest.poses[one.target])
+        expected = between(rest.poses, one.source, one.target)
         np.testing.assert_allclose(expected, one.source_from_target, atol=1e-9)
         assert np.linalg.eigvalsh(one.information).min() > 0.0
 

@@ -32,14 +32,23 @@ def field_of(points: FloatArray) -> ScoreField:
     return ScoreField.from_points(points, CELL_M, 0.3)
 
 
-def tried_everywhere(field: ScoreField, points: FloatArray) -> float:
-    """The best score of centred points on all cells of the field at all angles, one by one."""
+def tried_everywhere(
+    field: ScoreField, points: FloatArray, angles: FloatArray, free: BoolArray | None = None
+) -> float:
+    """The best score of points on all cells of the field at all angles, one by one.
+
+    The robot, at the origin of the points, stands in a free cell.
+    """
     bytes_ = np.pad(np.round(field.values * 255).astype(int), 200)
-    local, best = points - points.mean(axis=0), 0.0
-    for angle in ANGLES.tolist():
-        x, y = np.round(Pose2(0.0, 0.0, angle).apply(local) / CELL_M).astype(int).T
+    allowed = np.ones(bytes_.shape, dtype=bool) if free is None else np.pad(free, 200)
+    middle, best = points.mean(axis=0), 0.0
+    for angle in angles.tolist():
+        turn = Pose2(0.0, 0.0, angle)
+        x, y = np.round(turn.apply(points - middle) / CELL_M).astype(int).T
+        across, down = np.round(turn.apply(-middle[None])[0] / CELL_M).astype(int)
         for row, column in np.ndindex(field.values.shape):
-            best = max(best, bytes_[y + row + 200, x + column + 200].mean() / 255)
+            if allowed[row + down + 200, column + across + 200]:
+                best = max(best, bytes_[y + row + 200, x + column + 200].mean() / 255)
     return float(best)
 
 
@@ -49,7 +58,7 @@ def test_the_best_score_is_that_of_trying_everything(seed: int) -> None:
     field, source = field_of(scatter(seed)), scatter(seed + 1, 12, 4.0)
     pyramid = Pyramid.of(field, 8.0)
     found = best_places(pyramid, source, pyramid.blocks(), ANGLES, ALL, 1)
-    assert found[0].score >= tried_everywhere(field, source) - 1e-12
+    assert found[0].score >= tried_everywhere(field, source, ANGLES) - 1e-12
 
 
 @few(10)
@@ -84,18 +93,10 @@ def test_points_are_found_where_they_are_from(angle: float) -> None:
 def test_the_robot_stands_in_free_cells_alone(seed: int) -> None:
     """The best score is that of trying every cell from which the robot stands in a free one."""
     field, source = field_of(scatter(seed)), scatter(seed + 1, 12, 4.0)
-    height, width = field.values.shape
-    free = np.random.default_rng(seed).random((height, width)) < 0.05
+    free = np.random.default_rng(seed).random(field.values.shape) < 0.05
     pyramid = Pyramid.of(field, 8.0, free)
     found = best_places(pyramid, source, pyramid.blocks(), np.zeros(1), ALL, 1)
-    bytes_, middle = np.pad(np.round(field.values * 255).astype(int), 200), source.mean(axis=0)
-    x, y = np.round((source - middle) / CELL_M).astype(int).T
-    across, down = np.round(-middle / CELL_M).astype(int)
-    best = 0.0
-    for row, column in np.argwhere(np.pad(free, 60)) - 60 - (down, across):
-        if 0 <= row < height and 0 <= column < width:
-            best = max(best, bytes_[y + row + 200, x + column + 200].mean() / 255)
-    assert found[0].score >= best - 1e-12
+    assert found[0].score >= tried_everywhere(field, source, np.zeros(1), free) - 1e-12
     at = np.round((np.array(found[0].pose[:2]) - pyramid.corner) / CELL_M).astype(int)
     near = np.pad(free, pyramid.border)[at[1] - 1 : at[1] + 2, at[0] - 1 : at[0] + 2]
     assert near.any(), "to a cell: the robot's place is rounded, as points are"

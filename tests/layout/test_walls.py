@@ -150,7 +150,7 @@ def test_the_corridor_that_was_driven_is_free_and_the_rock_is_not(
     cells = plan.cells_of(centres)
     inside = plan.inside(cells)
     wall_m = np.zeros(len(centres))
-    wall_m[inside] = plan.obstacle_distance()[cells[inside, 0], cells[inside, 1]]
+    wall_m[inside] = plan.obstacle_distance()[tuple(cells[inside].T)]
     middle = (centres[:, 0] > 1.8) & (centres[:, 0] < 17.2) & (wall_m > 0.6)
     middle &= (np.abs(centres[:, 1] - 2.5) < 0.3) | (np.abs(centres[:, 1] - 12.5) < 0.3)
     assert middle.sum() > 50
