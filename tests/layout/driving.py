@@ -73,9 +73,7 @@ def scans_of(grid: GridMap, poses: FloatArray, beams: int = 120) -> list[PlanarS
     bearings = np.linspace(-np.pi, np.pi, beams, endpoint=False)
     rng = np.random.default_rng(0)
     return [
-        PlanarScan(
-            k * 10**8, bearings, ranges + rng.normal(0, 0.01, beams), 12.0, full_circle=True
-        )
+        PlanarScan(k * 10**8, bearings, ranges + rng.normal(0, 0.01, beams), 12.0, full_circle=True)
         for k, ranges in enumerate(ranges_at(grid, poses, bearings, 10.0))
     ]
 

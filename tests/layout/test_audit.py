@@ -56,7 +56,9 @@ def bent(drive: Drive) -> Iterator[Bent]:
         yield store, layout
 
 
-def test_a_right_layout_has_no_disagreement_and_noise_of_centimetres_makes_none(perfect: Laps) -> None:
+def test_a_right_layout_has_no_disagreement_and_noise_of_centimetres_makes_none(
+    perfect: Laps,
+) -> None:
     store, poses = perfect[0], perfect[0].poses
     found = audit(store, poses, [])
     assert found.compared >= 5

@@ -37,7 +37,9 @@ def test_a_rough_closure_is_brought_to_the_truth(perfect: Laps, seed: int) -> No
     old = new - SECOND_LAP + int(rng.integers(-5, 6))
     truth = between(store.poses, old, new)
     guess = truth @ Pose2(*rng.uniform((-0.1, -0.1, -0.03), (0.1, 0.1, 0.03)).tolist())
-    assert np.less(missed(truth, sharpened(place(store, old), place(store, new), guess)), (0.01, 0.002)).all()
+    assert np.less(
+        missed(truth, sharpened(place(store, old), place(store, new), guess)), (0.01, 0.002)
+    ).all()
 
 
 def test_what_was_seen_the_other_way_round_is_tied_by_what_both_showed(perfect: Laps) -> None:

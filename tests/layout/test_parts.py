@@ -73,9 +73,7 @@ def test_only_links_from_a_part_to_older_ones_correct_it() -> None:
 MOTIONS = st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-0.4, 0.4))
 
 
-@given(
-    st.lists(MOTIONS, min_size=1, max_size=8), st.tuples(st.floats(-5, 5), st.floats(-5, 5))
-)
+@given(st.lists(MOTIONS, min_size=1, max_size=8), st.tuples(st.floats(-5, 5), st.floats(-5, 5)))
 def test_votes_are_those_of_a_count_by_hand(
     motions: list[tuple[float, float, float]], centre: tuple[float, float]
 ) -> None:

@@ -18,16 +18,7 @@ from specmap_cli.layout.path_graph import LOOP_PATH_M, Draft, Graph, graph_of
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.solving import solved
 from specmap_cli.layout.walls import Walls
-from tests.layout.driving import (
-    SECOND_LAP,
-    Drive,
-    Laps,
-    as_tracked,
-    between,
-    link,
-    missed,
-    stored,
-)
+from tests.layout.driving import SECOND_LAP, Drive, as_tracked, between, link, missed, stored
 from tests.strategies import pose_arrays
 from tests.turning import turned
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.core.geometry import FloatArray, Pose2, compose
+from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.matching import observability
 from specmap_cli.layout.path_graph import (

@@ -13,7 +13,7 @@ from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.layout.path_graph import Graph
 from specmap_cli.layout.place_search import Guess, Pyramid, WallMap, Wanted, best_places
 from specmap_cli.layout.walls import Walls
-from tests.layout.driving import Laps, missed
+from tests.layout.driving import missed
 from tests.strategies import angles, few, seeds
 from tests.turning import turned
 

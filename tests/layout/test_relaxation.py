@@ -286,8 +286,11 @@ def test_suspects_follow_one_another_on_both_passes_and_mend_most_first() -> Non
     )
     judged = [
         Judgement(
-            link=link(a, b, (0.0, 0.0, 0.0), "closure"), reason=reason, away_m=away_m,
-            allowed_m=9.0, votes=1
+            link=link(a, b, (0.0, 0.0, 0.0), "closure"),
+            reason=reason,
+            away_m=away_m,
+            allowed_m=9.0,
+            votes=1,
         )
         for a, b, away_m, reason in cases
     ]

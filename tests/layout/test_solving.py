@@ -14,7 +14,14 @@ from specmap_cli.layout.path_graph import Graph
 from specmap_cli.layout.pose_graph import Link, LinkArrays, solve
 from specmap_cli.layout.solving import _KERNEL_SIGMAS, Condensed, settle, solved, tighten
 from tests.layout.driving import (
-    arc, as_tracked, chained, drifted, graph_by_hand, link, round_trip, true_link
+    arc,
+    as_tracked,
+    chained,
+    drifted,
+    graph_by_hand,
+    link,
+    round_trip,
+    true_link,
 )
 from tests.strategies import few, seeds
 from tests.turning import turned

@@ -20,7 +20,7 @@ from specmap_cli.layout.wall_matching import (
     opened,
 )
 from specmap_cli.layout.walls import Walls
-from tests.layout.driving import Laps, between, corridor, graph_by_hand, missed, scans_of, stored
+from tests.layout.driving import between, corridor, graph_by_hand, missed, scans_of, stored
 from tests.turning import turned
 
 Pass = tuple[FloatArray, FloatArray, Pose2]

@@ -205,9 +205,7 @@ def test_what_no_odometry_tells_of_is_found_by_the_searches(
     assert front_end.counts["lost"] == 0
 
 
-@pytest.mark.parametrize(
-    ("key", "value"), [("min_points", 0), ("max_tilt_rad", 2.0)]
-)
+@pytest.mark.parametrize(("key", "value"), [("min_points", 0), ("max_tilt_rad", 2.0)])
 def test_settings_that_cannot_work_are_refused(key: str, value: float) -> None:
     with pytest.raises(UsageError, match=rf"registration\.{key}"):
         load_config(overrides={"registration": {key: value}})

@@ -18,9 +18,7 @@ from specmap_cli.registration import FrontEnd
 from specmap_cli.registration.judgement import Founding, Judgement, judge, looked_through
 from specmap_cli.registration.local_map import Fit, Support
 from specmap_cli.registration.locating import Located
-from tests.registration.drives import (
-    circle, expecting, guess_of, path, sweeps, with_ranges, worst
-)
+from tests.registration.drives import circle, expecting, guess_of, path, sweeps, with_ranges, worst
 
 GUESS = Pose2(2.0, 1.0, 0.5)
 

@@ -9,14 +9,20 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
-from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.registration import FrontEnd
 from specmap_cli.registration.frontend import COUNTS, warnings_of
 from tests.registration.aligners import ToldAligner, offer
 from tests.registration.drives import (
-    circle, path, run, sweeps, turned, with_clouds, with_ranges, worst
+    circle,
+    path,
+    run,
+    sweeps,
+    turned,
+    with_clouds,
+    with_ranges,
+    worst,
 )
 
 # counts that a good run has, too

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import PlanarScan, Sweep
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.registration.local_map import Fit
@@ -24,6 +24,7 @@ from specmap_cli.registration.motion import (
 )
 from tests.registration.drives import circle, expecting, guess_of
 from tests.strategies import poses, seeds
+
 
 def sweep(stamp_s: float = 0.0, odometry: Pose2 | None = None, times: bool = False) -> Sweep:
     """A sweep whose ranges do not matter."""
