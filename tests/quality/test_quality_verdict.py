@@ -23,7 +23,7 @@ def evidence(
     lost: tuple[int, ...] = (), breaks: tuple[int, ...] = (), *, odometry: bool = True
 ) -> Evidence:
     """A straight drive in which nothing is wrong but what is asked for."""
-    poses = np.column_stack([np.arange(SCANS), np.zeros((SCANS, 2))])
+    poses = np.column_stack([np.arange(float(SCANS)), np.zeros((SCANS, 2))])
     measured = poses if odometry else np.full((SCANS, 3), np.nan)
     audit = Audit(compared=20)
     return evidence_of(poses, odometry=measured, lost=lost, breaks=breaks, audit=audit)
