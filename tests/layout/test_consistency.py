@@ -63,9 +63,9 @@ def graph_of_steps(tracked: FloatArray, breaks: tuple[int, ...] = ()) -> Graph:
 
 def nearly(i: int, j: int, rng: np.random.Generator) -> Link:
     """A closure that is right to a decimetre and a degree."""
-    x, y, theta = true_link(TRUTH, i, j).source_from_target
     off = rng.normal(0, 1, 3) * (0.1, 0.1, 0.01)
-    return link(i, j, (x + off[0], y + off[1], theta + off[2]), "closure")
+    motion = np.add(true_link(TRUTH, i, j).source_from_target, off)
+    return link(i, j, motion.tolist(), "closure")
 
 
 def killian(seed: int) -> tuple[Graph, list[Link], list[bool]]:

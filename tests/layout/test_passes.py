@@ -52,15 +52,9 @@ def test_candidates_are_near_far_along_the_path_and_apart(
         assert candidates(node, poses, path) == candidates_by_hand(node, poses, path, radius)
 
 
-def test_none_per_node_is_none(graph: Graph, walls: Walls) -> None:
-    assert passes_at(190, graph, graph.poses, walls, {}, set(), 0.5).links
-    with turned("layout.passes", LOOPS_PER_NODE=0):
-        found = passes_at(190, graph, graph.poses, walls, {}, set(), 0.5)
-        assert (found.links, found.guesses, found.is_tied) == ((), {}, False)
-        assert find_passes(graph, as_tracked(graph), walls).loops == ()
-
-
-def test_a_pass_is_linked_and_remembered(graph: Graph, walls: Walls) -> None:
+def test_a_pass_is_linked_and_remembered_and_none_per_node_is_none(
+    graph: Graph, walls: Walls
+) -> None:
     first = passes_at(190, graph, graph.poses, walls, {}, set(), 0.5)
     assert first.is_tied
     (found,) = first.links
@@ -70,9 +64,11 @@ def test_a_pass_is_linked_and_remembered(graph: Graph, walls: Walls) -> None:
     assert first.cut_short == 0
     linked = {ends_of(graph, one) for one in first.links}
     again = passes_at(190, graph, graph.poses, walls, first.guesses, linked, 0.5)
-    assert again.links == ()
-    assert again.is_tied
-    assert again.guesses == first.guesses
+    assert (again.links, again.is_tied, again.guesses) == ((), True, first.guesses)
+    with turned("layout.passes", LOOPS_PER_NODE=0):
+        none = passes_at(190, graph, graph.poses, walls, {}, set(), 0.5)
+        assert (none.links, none.guesses, none.is_tied) == ((), {}, False)
+        assert find_passes(graph, as_tracked(graph), walls).loops == ()
 
 
 def test_the_second_pass_is_asked_when_the_first_does_not_fit(graph: Graph, walls: Walls) -> None:

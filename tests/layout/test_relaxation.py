@@ -9,7 +9,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.consistency import Judgement, Reason
@@ -44,11 +44,10 @@ def alone() -> Iterator[None]:
         yield
 
 
-def closure(truth: FloatArray, source: int, target: int, off: Pose2 | None = None) -> Link:
+def closure(truth: FloatArray, source: int, target: int, off: Pose2 = IDENTITY) -> Link:
     """A closure that is right, or off by a motion of the place in the frame of its source."""
-    x, y, theta = true_link(truth, source, target).source_from_target
-    dx, dy, turn = off or (0.0, 0.0, 0.0)
-    return link(source, target, (x + dx, y + dy, theta + turn), "closure")
+    motion = np.add(true_link(truth, source, target).source_from_target, off)
+    return link(source, target, motion.tolist(), "closure")
 
 
 def ends_of(links: tuple[Link, ...]) -> list[tuple[int, int, str]]:
@@ -145,8 +144,10 @@ def test_a_wrong_closure_leaves_the_others_alone(drive: Drive) -> None:
 
 def test_the_frame_of_the_map_does_not_matter_to_a_layout(drive: Drive) -> None:
     (truth, scans), motion = drive, np.array([40.0, -25.0, 2.5])
-    both, known = (drifted(truth), compose(motion, drifted(truth))), [closure(truth, 100, 590)]
+    known = [closure(truth, 100, 590), link(5, 590, (2.0, -1.0, 1.0), "closure")]
+    both = (drifted(truth), compose(motion, drifted(truth)))
     plain, moved = (laid_out(tracked, scans, known) for tracked in both)
+    assert plain.dropped == moved.dropped == (known[1],)
     assert ends_of(plain.kept) == ends_of(moved.kept)
     expected = compose(motion, plain.poses)
     assert np.abs(moved.poses[:, :2] - expected[:, :2]).max() < 5e-3

@@ -114,19 +114,6 @@ def test_solutions_that_were_cut_short_are_counted() -> None:
             assert solved(graph, solved(graph, draft)).limits == limits
 
 
-@few(8)
-@given(st.floats(-9, 9), st.floats(-9, 9), st.floats(-3, 3))
-def test_the_frame_of_the_map_does_not_matter_to_a_solution(x: float, y: float, t: float) -> None:
-    truth, graph = driven()
-    motion = np.array([x, y, t])
-    loops = (*rightly(truth, 0, 20, 40), link(7, 95, (11.0, 0.0, 0.0)))
-    moved = graph_by_hand(compose(motion, graph.tracked))
-    plain, dropped = settle(graph, as_tracked(graph, *loops))
-    other, same = settle(moved, as_tracked(moved, *loops))
-    assert dropped == same
-    assert np.allclose(compose(motion, plain.poses)[:, :2], other.poses[:, :2], atol=5e-3)
-
-
 @pytest.mark.parametrize("starts", [(0,), (0, 9), (5, 30, 55)])
 def test_what_follows_the_last_loop_goes_with_it(starts: tuple[int, ...]) -> None:
     """Only the rows before are solved; all rows solved at once lie the same."""

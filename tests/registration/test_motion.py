@@ -51,18 +51,6 @@ def test_nothing_is_expected_of_the_first_sweep() -> None:
     assert expected == dataclasses.replace(expecting(measured=False), interval_s=0.0)
 
 
-@given(poses, st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(-3.0, 3.0))
-def test_the_frame_of_odometry_does_not_matter(
-    start: Pose2, x: float, y: float, turn: float
-) -> None:
-    motion = Pose2(x, y, turn)
-    model = MotionModel(RegistrationConfig())
-    model.expect(sweep(0.0, start))
-    expected = model.expect(sweep(0.1, start @ motion))
-    assert expected.measured
-    assert np.allclose(expected.motion, motion, atol=1e-9)
-
-
 @pytest.mark.parametrize(
     ("distance_m", "gap_s", "jumped"),
     [
