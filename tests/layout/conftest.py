@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.path_graph import graph_of
+from specmap_cli.layout.path_graph import Graph, graph_of
 from specmap_cli.layout.walls import Walls
 from tests.layout.driving import (
     SECOND_LAP,
@@ -42,6 +42,12 @@ def perfect(drive: Drive) -> Iterator[Laps]:
     truth, scans = drive
     with stored(truth, scans) as store:
         yield store, graph_of(store, [], {SECOND_LAP: None})
+
+
+@pytest.fixture(scope="session")
+def graph(perfect: Laps) -> Graph:
+    """The graph of the drive as it was, its second lap a part."""
+    return perfect[1]
 
 
 @pytest.fixture(scope="session")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -12,8 +12,10 @@ from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.path_graph import Draft, Graph
+from specmap_cli.layout.path_graph import Bridge, Draft, Graph
 from specmap_cli.layout.pose_graph import Link, LinkKind
+from specmap_cli.layout.relaxation import relax
+from specmap_cli.layout.result import Layout
 from tests.casting import ranges_at
 from tests.turning import turned
 
@@ -69,28 +71,25 @@ def round_trip(laps: float) -> FloatArray:
 def scans_of(grid: GridMap, poses: FloatArray, beams: int = 120) -> list[PlanarScan]:
     """What a noisy full-circle laser sees at true poses."""
     bearings = np.linspace(-np.pi, np.pi, beams, endpoint=False)
-    rng, scans = np.random.default_rng(0), []
-    for k, ranges in enumerate(ranges_at(grid, poses, bearings, 10.0)):
-        scans.append(
-            PlanarScan(
-                stamp_ns=k * 10**8,
-                bearings=bearings,
-                ranges=ranges + rng.normal(0, 0.01, beams),
-                range_max=12.0,
-                full_circle=True,
-            )
-        )
-    return scans
+    rng = np.random.default_rng(0)
+    return [
+        PlanarScan(k * 10**8, bearings, ranges + rng.normal(0, 0.01, beams), 12.0, full_circle=True)
+        for k, ranges in enumerate(ranges_at(grid, poses, bearings, 10.0))
+    ]
+
+
+def chained(first: FloatArray, steps: FloatArray) -> FloatArray:
+    """Poses (N + 1, 3) from one to the next by steps (N, 3)."""
+    poses = [first]
+    for step in steps:
+        poses.append(compose(poses[-1], step))
+    return np.array(poses)
 
 
 def drifted(truth: FloatArray, bias: float = 0.0003) -> FloatArray:
     """Tracked poses: each step turns a little too far."""
     steps = compose(invert(truth[:-1]), truth[1:])
-    steps[:, 2] += bias
-    poses = [truth[0]]
-    for step in steps:
-        poses.append(compose(poses[-1], step))
-    return np.array(poses)
+    return chained(truth[0], steps + (0.0, 0.0, bias))
 
 
 def stored(tracked: FloatArray, scans: Sequence[PlanarScan]) -> KeyframeStore:
@@ -107,6 +106,25 @@ def stored(tracked: FloatArray, scans: Sequence[PlanarScan]) -> KeyframeStore:
             )
         )
     return store
+
+
+def laid_out(
+    tracked: FloatArray,
+    scans: Sequence[PlanarScan],
+    closures: Sequence[Link] = (),
+    breaks: Mapping[int, Bridge | None] | None = None,
+) -> Layout:
+    """The layout of scans at their tracked poses."""
+    with stored(tracked, scans) as store:
+        return relax(store, closures, breaks or {}, CONFIG)
+
+
+def corridor(beams: int = 720) -> FloatArray:
+    """What is seen in the middle of a bare corridor along x, 2 m wide and very long."""
+    cells = np.full((60, 1000), OCCUPIED, dtype=np.uint8)
+    cells[10:50] = FREE
+    (scan,) = scans_of(GridMap(cells, 0.05), np.array([[25.0, 1.5, 0.0]]), beams)
+    return scan.hits(6.0)
 
 
 def worst(poses: FloatArray, truth: FloatArray) -> float:
@@ -173,10 +191,7 @@ def missed(truth: Pose2, found: Pose2) -> tuple[float, float]:
 
 def arc(count: int, turn: float = 0.05) -> FloatArray:
     """Poses half a metre apart along a wide arc."""
-    poses = np.zeros((count, 3))
-    for k in range(1, count):
-        poses[k] = compose(poses[k - 1], np.array([0.5, 0.0, turn]))
-    return poses
+    return chained(np.zeros(3), np.tile([0.5, 0.0, turn], (count - 1, 1)))
 
 
 @contextmanager

@@ -21,15 +21,13 @@ from specmap_cli.layout.joining import (
 )
 from specmap_cli.layout.path_graph import Draft, Graph
 from specmap_cli.layout.pose_graph import Link
-from specmap_cli.layout.relaxation import relax
 from specmap_cli.layout.result import Layout
 from specmap_cli.layout.solving import solved
-from tests.layout.driving import CONFIG, Drive, drifted, link, stored, worst
+from tests.layout.driving import Drive, between, drifted, laid_out, stored, true_link, worst
 
 CUT = 470  # keyframes of the first lap
 ELSEWHERE = Pose2(30.0, -8.0, 2.0)  # where the frame of the second recording lies
 GAP = range(100, 400)  # of the first lap, all but its links
-LaidOut = tuple[KeyframeStore, Layout]
 
 
 @dataclass(frozen=True)
@@ -54,8 +52,7 @@ def twice(drive: Drive) -> Iterator[Twice]:
     truth, scans = drive
     first = drifted(truth[:CUT])
     second = compose(np.array(ELSEWHERE), drifted(truth[CUT:]))
-    with stored(first, scans[:CUT]) as a, stored(second, scans[CUT:]) as b:
-        old, new = relax(a, [], {}, CONFIG), relax(b, [], {}, CONFIG)
+    old, new = laid_out(first, scans[:CUT]), laid_out(second, scans[CUT:])
     with stored(np.concatenate([first, second]), scans) as store:
         yield Twice(truth, store, old, new)
 
@@ -87,15 +84,13 @@ def test_the_links_of_both_pieces_stay(twice: Twice) -> None:
 def test_without_any_tie_the_second_piece_is_loose(twice: Twice) -> None:
     layout = joined(twice, Pose2(200.0, 0.0, 0.0))
     assert layout.loose == (CUT,)
-    apart = compose(invert(layout.poses[CUT]), layout.poses[-1])
-    alone = compose(invert(twice.new.poses[0]), twice.new.poses[-1])
+    apart, alone = between(layout.poses, CUT, -1), between(twice.new.poses, 0, -1)
     assert apart == pytest.approx(alone, abs=0.01)
 
 
 def test_a_closure_ties_pieces_that_lie_metres_apart(twice: Twice) -> None:
     i, j = 10, CUT + 12
-    true = compose(invert(twice.truth[i]), twice.truth[j])
-    tie = link(i, j, true.tolist(), "closure")
+    tie = true_link(twice.truth, i, j, "closure")
     layout = joined(twice, twice.true_motion @ Pose2(0.8, 0.5, 0.0), (tie,))
     assert worst(layout.poses, twice.truth) < 0.4
     assert (i, j) in {(one.source, one.target) for one in layout.kept}
@@ -109,10 +104,9 @@ def test_a_layout_moves_as_a_whole(twice: Twice) -> None:
 
 
 @pytest.fixture(scope="module")
-def laid_out(drive: Drive) -> Iterator[LaidOut]:
+def whole(drive: Drive) -> Layout:
     truth, scans = drive
-    with stored(drifted(truth), scans) as store:
-        yield store, relax(store, [], {}, CONFIG)
+    return laid_out(drifted(truth), scans)
 
 
 def moved(poses: FloatArray) -> FloatArray:
@@ -144,50 +138,48 @@ def test_a_long_step_of_a_recording_that_was_thinned_before_is_a_gap() -> None:
 
 @contextmanager
 def fewer(
-    laid_out: LaidOut, drive: Drive, gone: range, *, gaps: bool = False
+    layout: Layout, drive: Drive, gone: range, *, gaps: bool = False
 ) -> Iterator[tuple[KeyframeStore, Layout, IntArray]]:
     """The store and the layout without some keyframes, and the numbers of the others."""
-    whole, layout = laid_out
+    truth, scans = drive
     numbers = np.setdiff1d(np.arange(len(layout.poses)), gone)
-    tracked = tracked_over_gaps(whole.poses, layout.poses, numbers, ())
-    with stored(tracked, [drive[1][k] for k in numbers.tolist()]) as store:
+    tracked = tracked_over_gaps(drifted(truth), layout.poses, numbers, ())
+    with stored(tracked, [scans[k] for k in numbers.tolist()]) as store:
         of = np.zeros(len(layout.poses), dtype=np.int64)
         over = gaps_of(store.poses, of[numbers]) if gaps else {}
         yield store, without_keyframes(store, layout, numbers, of, over), numbers
 
 
-def test_what_is_left_lies_as_it_did_and_its_graph_says_so(laid_out: LaidOut, drive: Drive) -> None:
-    layout = laid_out[1]
-    with fewer(laid_out, drive, GAP, gaps=True) as (store, rest, numbers):
+def test_what_is_left_lies_as_it_did_and_its_graph_says_so(whole: Layout, drive: Drive) -> None:
+    with fewer(whole, drive, GAP, gaps=True) as (store, rest, numbers):
         graph = Graph.of(store.poses, rest.nodes, rest.odometry)
-    assert (rest.poses == layout.poses[numbers]).all()
+    assert (rest.poses == whole.poses[numbers]).all()
     assert len(rest.odometry) == len(rest.nodes) - 1
     draft = Draft(poses=rest.poses[rest.nodes], loops=rest.kept)
     assert np.abs(solved(graph, draft).poses - draft.poses)[:, :2].max() < 0.05
 
 
-def test_a_link_whose_end_is_gone_ends_beside_it(laid_out: LaidOut, drive: Drive) -> None:
-    layout = laid_out[1]
-    lost = [one for one in layout.kept if one.source in GAP or one.target in GAP]
+def test_a_link_whose_end_is_gone_ends_beside_it(whole: Layout, drive: Drive) -> None:
+    lost = [one for one in whole.kept if one.source in GAP or one.target in GAP]
     assert lost
-    with fewer(laid_out, drive, GAP) as (_, rest, _):
+    with fewer(whole, drive, GAP) as (_, rest, _):
         kept = rest.kept
     assert len({frozenset((one.source, one.target)) for one in kept}) == len(kept)
-    stayed = len(layout.kept) - len(lost)
+    stayed = len(whole.kept) - len(lost)
     assert len(kept) > stayed
     for one in kept[stayed:]:
-        expected = compose(invert(rest.poses[one.source]), rest.poses[one.target])
+        expected = between(rest.poses, one.source, one.target)
         np.testing.assert_allclose(expected, one.source_from_target, atol=1e-9)
         assert np.linalg.eigvalsh(one.information).min() > 0.0
 
 
 def test_a_link_that_ends_elsewhere_is_less_sure_than_the_one_it_comes_from(
-    laid_out: LaidOut, drive: Drive
+    whole: Layout, drive: Drive
 ) -> None:
     """The end of the link that is gone is 12 keyframes away from the next, and 112."""
     spread = []
     for first in (240, 140, 40):  # the first time it is still there
-        with fewer(laid_out, drive, range(first, 240)) as (_, rest, numbers):
+        with fewer(whole, drive, range(first, 240)) as (_, rest, numbers):
             (one,) = [each for each in rest.kept if numbers[each.target] == 620]
         spread.append(np.linalg.inv(one.information).trace())
     assert spread == sorted(set(spread))

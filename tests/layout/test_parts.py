@@ -55,8 +55,7 @@ def test_a_correction_satisfies_its_link(poses: FloatArray, seed: int) -> None:
     graph = graph_by_hand(poses, breaks=(2,))
     z = np.random.default_rng(seed).uniform(-3, 3, 3)
     there, back = link(1, 3, z.tolist()), link(3, 1, invert(z).tolist())
-    motions = corrections(graph, poses, 1, [there, back])
-    for motion in motions:
+    for motion in corrections(graph, poses, 1, [there, back]):
         moved = np.array(poses)
         moved[2:] = compose(motion, poses[2:])
         gap = compose(invert(z), compose(invert(moved[1]), moved[3]))
@@ -71,14 +70,10 @@ def test_only_links_from_a_part_to_older_ones_correct_it() -> None:
     assert corrections(graph, graph.poses, 2, [inside, later, other]).shape == (2, 3)
 
 
-@given(
-    st.lists(
-        st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-0.4, 0.4)),
-        min_size=1,
-        max_size=8,
-    ),
-    st.tuples(st.floats(-5, 5), st.floats(-5, 5)),
-)
+MOTIONS = st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-0.4, 0.4))
+
+
+@given(st.lists(MOTIONS, min_size=1, max_size=8), st.tuples(st.floats(-5, 5), st.floats(-5, 5)))
 def test_votes_are_those_of_a_count_by_hand(
     motions: list[tuple[float, float, float]], centre: tuple[float, float]
 ) -> None:

@@ -18,16 +18,7 @@ from specmap_cli.layout.path_graph import LOOP_PATH_M, Draft, Graph, graph_of
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.solving import solved
 from specmap_cli.layout.walls import Walls
-from tests.layout.driving import (
-    SECOND_LAP,
-    Drive,
-    Laps,
-    as_tracked,
-    between,
-    link,
-    missed,
-    stored,
-)
+from tests.layout.driving import SECOND_LAP, Drive, as_tracked, between, link, missed, stored
 from tests.strategies import pose_arrays
 from tests.turning import turned
 
@@ -61,17 +52,9 @@ def test_candidates_are_near_far_along_the_path_and_apart(
         assert candidates(node, poses, path) == candidates_by_hand(node, poses, path, radius)
 
 
-def test_none_per_node_is_none(perfect: Laps, walls: Walls) -> None:
-    graph = perfect[1]
-    assert passes_at(190, graph, graph.poses, walls, {}, set(), 0.5).links
-    with turned("layout.passes", LOOPS_PER_NODE=0):
-        found = passes_at(190, graph, graph.poses, walls, {}, set(), 0.5)
-        assert (found.links, found.guesses, found.is_tied) == ((), {}, False)
-        assert find_passes(graph, as_tracked(graph), walls).loops == ()
-
-
-def test_a_pass_is_linked_and_remembered(perfect: Laps, walls: Walls) -> None:
-    graph = perfect[1]
+def test_a_pass_is_linked_and_remembered_and_none_per_node_is_none(
+    graph: Graph, walls: Walls
+) -> None:
     first = passes_at(190, graph, graph.poses, walls, {}, set(), 0.5)
     assert first.is_tied
     (found,) = first.links
@@ -81,13 +64,14 @@ def test_a_pass_is_linked_and_remembered(perfect: Laps, walls: Walls) -> None:
     assert first.cut_short == 0
     linked = {ends_of(graph, one) for one in first.links}
     again = passes_at(190, graph, graph.poses, walls, first.guesses, linked, 0.5)
-    assert again.links == ()
-    assert again.is_tied
-    assert again.guesses == first.guesses
+    assert (again.links, again.is_tied, again.guesses) == ((), True, first.guesses)
+    with turned("layout.passes", LOOPS_PER_NODE=0):
+        none = passes_at(190, graph, graph.poses, walls, {}, set(), 0.5)
+        assert (none.links, none.guesses, none.is_tied) == ((), {}, False)
+        assert find_passes(graph, as_tracked(graph), walls).loops == ()
 
 
-def test_the_second_pass_is_asked_when_the_first_does_not_fit(perfect: Laps, walls: Walls) -> None:
-    graph = perfect[1]
+def test_the_second_pass_is_asked_when_the_first_does_not_fit(graph: Graph, walls: Walls) -> None:
     graph = replace(graph, path=10 * graph.path)  # so that neighbours are passes of their own
     best, second = candidates(190, graph.poses, graph.path)[:2]
     guess = Pose2(*compose(invert(graph.poses[best]), graph.poses[190]).tolist())
@@ -100,9 +84,8 @@ def test_the_second_pass_is_asked_when_the_first_does_not_fit(perfect: Laps, wal
 
 @pytest.mark.parametrize(("shift", "count"), [(0.9, 0), (1.1, 1)])
 def test_a_pair_that_moved_by_a_metre_is_matched_again(
-    perfect: Laps, walls: Walls, shift: float, count: int
+    graph: Graph, walls: Walls, shift: float, count: int
 ) -> None:
-    graph = perfect[1]
     with turned("layout.passes", LOOPS_PER_NODE=1):
         first = passes_at(190, graph, graph.poses, walls, {}, set(), 0.5)
         moved = {pair: guess @ Pose2(shift, 0.0, 0.0) for pair, guess in first.guesses.items()}
@@ -110,8 +93,7 @@ def test_a_pair_that_moved_by_a_metre_is_matched_again(
     assert len(found.links) == count
 
 
-def test_a_search_shorter_than_the_drift_is_counted(perfect: Laps, walls: Walls) -> None:
-    graph = perfect[1]
+def test_a_search_shorter_than_the_drift_is_counted(graph: Graph, walls: Walls) -> None:
     with turned("layout.passes", LOOP_SEARCH_MAX_M=0.5):
         found = passes_at(190, graph, graph.poses, walls, {}, set(), 0.6)
     assert found.cut_short == len(found.guesses) > 0
@@ -122,8 +104,7 @@ def test_a_search_shorter_than_the_drift_is_counted(perfect: Laps, walls: Walls)
         assert find_passes(graph, tied, walls).limits == {}
 
 
-def test_passes_are_found_along_the_second_lap(perfect: Laps, walls: Walls) -> None:
-    graph = perfect[1]
+def test_passes_are_found_along_the_second_lap(graph: Graph, walls: Walls) -> None:
     draft = as_tracked(graph)
     found = find_passes(graph, draft, walls)
     assert len(found.loops) >= 15
@@ -141,9 +122,8 @@ def test_passes_are_found_along_the_second_lap(perfect: Laps, walls: Walls) -> N
     assert len(again.loops) <= len(found.loops) + len(fresh)
 
 
-def test_where_more_passes_came_by_fewer_nodes_are_asked(perfect: Laps, walls: Walls) -> None:
+def test_where_more_passes_came_by_fewer_nodes_are_asked(graph: Graph, walls: Walls) -> None:
     """Each neighbour of a node counts as a pass of its own: there are many."""
-    graph = perfect[1]
     known = replace(graph, path=10 * graph.path)  # metres that are decimetres
     with turned("layout.path_graph", LOOP_EVERY_M=10.0, LOOP_PATH_M=60.0):
         with turned("layout.uncertainty", DRIFT_SHARE=0.004):
@@ -157,10 +137,16 @@ def test_where_more_passes_came_by_fewer_nodes_are_asked(perfect: Laps, walls: W
     assert len(often.loops) > 1.5 * len(found.loops)
 
 
+def second_lap_aside(graph: Graph) -> Draft:
+    """The second lap was put a little aside."""
+    aside = graph.poses
+    aside[graph.parts == 1, 1] += 0.25
+    return replace(as_tracked(graph), poses=aside)
+
+
 def test_what_confirms_the_layout_does_not_renew_it(
-    perfect: Laps, walls: Walls, monkeypatch: pytest.MonkeyPatch
+    graph: Graph, walls: Walls, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    graph = perfect[1]
     solutions: list[int] = []
 
     def counted(graph: Graph, draft: Draft, *, roughly: bool) -> Draft:
@@ -171,30 +157,22 @@ def test_what_confirms_the_layout_does_not_renew_it(
     monkeypatch.setattr("specmap_cli.layout.passes._SOLVE_EVERY", 2)
     assert len(find_passes(graph, as_tracked(graph), walls).loops) >= 15
     assert solutions == []
-    aside = graph.poses
-    aside[graph.parts == 1, 1] += 0.25
-    find_passes(graph, replace(as_tracked(graph), poses=aside), walls)
+    find_passes(graph, second_lap_aside(graph), walls)
     assert 0 < len(solutions) < 5, "the first bring the rest where it belongs"
 
 
-def test_the_layout_is_renewed_as_passes_come_in(perfect: Laps, walls: Walls) -> None:
+def test_the_layout_is_renewed_as_passes_come_in(graph: Graph, walls: Walls) -> None:
     """The second lap was put a little aside: the first passes bring all of it back at once."""
-    graph = perfect[1]
-    second = graph.parts == 1
-    aside = graph.poses
-    aside[second, 1] += 0.25
-    start = replace(as_tracked(graph), poses=aside)
+    start = second_lap_aside(graph)
     with turned("layout.passes", _SOLVE_EVERY=2):
         often = find_passes(graph, start, walls)
     with turned("layout.passes", _SOLVE_EVERY=10_000):
         never = find_passes(graph, start, walls)
-    assert np.array_equal(never.poses, aside)
-    off = np.hypot(*(often.poses - graph.poses)[second, :2].T)
-    assert off.max() < 0.1
+    assert np.array_equal(never.poses, start.poses)
+    assert np.hypot(*(often.poses - graph.poses)[graph.parts == 1, :2].T).max() < 0.1
 
 
-def test_a_part_that_a_guess_placed_is_rejoined_on_the_way(perfect: Laps, walls: Walls) -> None:
-    graph = perfect[1]
+def test_a_part_that_a_guess_placed_is_rejoined_on_the_way(graph: Graph, walls: Walls) -> None:
     draft = Draft(poses=graph.poses)
     found = find_passes(graph, draft, walls)
     assert found.tied == {0, 1}
@@ -209,18 +187,12 @@ def ends_of(graph: Graph, one: Link) -> tuple[int, int]:
     return graph.row[one.source], graph.row[one.target]
 
 
-def stretched(truth: FloatArray, metres: float, until: int = 450) -> FloatArray:
-    """The path of a robot that found the first lap shorter or longer along its way."""
-    tracked = np.array(truth)
-    tracked[until:] = compose(np.array([metres, 0.0, 0.0]), truth[until:])
-    return tracked
-
-
 @pytest.fixture(scope="module")
 def aside(drive: Drive) -> Iterator[tuple[Graph, Walls]]:
     """The second lap put metres aside, by an error that is expected."""
     truth, scans = drive
-    with stored(stretched(truth, 4.0), scans) as store:
+    tracked = np.concatenate([truth[:450], compose(np.array([4.0, 0.0, 0.0]), truth[450:])])
+    with stored(tracked, scans) as store:
         graph = graph_of(store, [], {})
         yield graph, Walls(store, graph)
 
@@ -246,22 +218,14 @@ def test_what_lies_metres_away_is_found(drive: Drive, aside: tuple[Graph, Walls]
     assert [one.reason for one in alone] == ["impossible"], "one pass far away is not believed"
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("LOOP_SEARCH_MAX_M", 99.0),  # the near search reaches as far
-        ("_WIDE_EVERY_M", 500.0),
-    ],
-)
-def test_nothing_is_searched_where_it_need_not_be(
-    aside: tuple[Graph, Walls], name: str, value: float
+def test_nothing_is_searched_where_it_need_not_be_and_nothing_twice(
+    aside: tuple[Graph, Walls],
 ) -> None:
-    claims, draft = far(aside, as_tracked(aside[0]), **{name: value})
-    assert (claims, draft.searched) == ((), {})
-
-
-def test_a_path_that_is_tied_is_not_searched_and_nothing_twice(aside: tuple[Graph, Walls]) -> None:
     graph = aside[0]
+    # the near search reaches as far
+    for constants in ({"LOOP_SEARCH_MAX_M": 99.0}, {"_WIDE_EVERY_M": 500.0}):
+        claims, draft = far(aside, as_tracked(graph), **constants)
+        assert (claims, draft.searched) == ((), {})
     nodes = graph.nodes.tolist()
     tied = as_tracked(graph, *(link(nodes[0], node, (0.0, 0.0, 0.0)) for node in nodes[30:]))
     assert far(aside, tied) == ((), tied)

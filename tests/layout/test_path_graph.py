@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.core.geometry import FloatArray, Pose2, compose
+from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.matching import observability
 from specmap_cli.layout.path_graph import (
@@ -25,7 +25,7 @@ from specmap_cli.layout.path_graph import (
     rows_every,
     step_information,
 )
-from tests.layout.driving import between
+from tests.layout.driving import between, chained
 from tests.strategies import angles, seeds
 from tests.turning import turned
 
@@ -44,10 +44,9 @@ def test_nodes_are_a_step_or_a_turn_apart_and_hold_what_must_be() -> None:
 
 @given(st.integers(0, 1000), st.integers(1, 60), st.sets(st.integers(0, 59), max_size=4))
 def test_every_keyframe_is_near_the_node_before_it(seed: int, count: int, always: set[int]) -> None:
-    rng, poses = np.random.default_rng(seed), np.zeros((count, 3))
-    for k in range(1, count):
-        step = [rng.uniform(0, 0.2), 0.0, rng.uniform(-0.2, 0.2)]
-        poses[k] = compose(poses[k - 1], np.array(step))
+    rng = np.random.default_rng(seed)
+    steps = rng.uniform((0.0, 0.0, -0.2), (0.2, 0.0, 0.2), (count - 1, 3))
+    poses = chained(np.zeros(3), steps)
     nodes = chosen_nodes(poses, always).tolist()
     assert nodes == sorted(set(nodes))
     assert {0, count - 1} | {k for k in always if k < count} <= set(nodes)
@@ -72,12 +71,6 @@ def test_parts_begin_at_breaks_and_the_path_jumps_there(store: KeyframeStore) ->
     loose = [edge.kind == "loose" for edge in graph.odometry]
     assert loose == [bool(k in over) for k in range(len(graph.nodes) - 1)]
     assert graph.known_parts([200]) == {0, 2}
-
-
-def test_rows_lead_back_to_the_nodes_of_a_graph_that_nobody_can_change(
-    store: KeyframeStore,
-) -> None:
-    graph = graph_of(store, [], {})
     assert [graph.row[number] for number in graph.nodes.tolist()] == list(range(len(graph.nodes)))
     assert np.array_equal(graph.poses, store.poses[graph.nodes])
     with pytest.raises(dataclasses.FrozenInstanceError):
@@ -149,11 +142,11 @@ def test_a_bare_corridor_leaves_the_way_along_it_open() -> None:
 def test_what_walls_tell_is_the_sum_over_their_points_whichever_way_the_robot_looks(
     seed: int, noise_m: float, angle: float
 ) -> None:
-    points = outline(seed)
+    points, turned_by = outline(seed), Pose2(0.0, 0.0, angle)
     assert np.allclose(observability(points, noise_m), by_loops(points, noise_m))
     turn = np.eye(3)
-    turn[:2, :2] = Pose2(0.0, 0.0, angle).rotation()
-    seen = observability(Pose2(0.0, 0.0, angle).apply(points), 0.1)
+    turn[:2, :2] = turned_by.rotation()
+    seen = observability(turned_by.apply(points), 0.1)
     assert np.allclose(seen, turn @ observability(points, 0.1) @ turn.T, atol=1e-6)
 
 

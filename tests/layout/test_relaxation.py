@@ -9,7 +9,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.consistency import Judgement, Reason
@@ -26,6 +26,7 @@ from tests.layout.driving import (
     closures_alone,
     drifted,
     graph_by_hand,
+    laid_out,
     link,
     round_trip,
     stored,
@@ -43,23 +44,22 @@ def alone() -> Iterator[None]:
         yield
 
 
-def closure(truth: FloatArray, source: int, target: int, off: Pose2 | None = None) -> Link:
+def closure(truth: FloatArray, source: int, target: int, off: Pose2 = IDENTITY) -> Link:
     """A closure that is right, or off by a motion of the place in the frame of its source."""
-    x, y, theta = true_link(truth, source, target).source_from_target
-    dx, dy, turn = off or (0.0, 0.0, 0.0)
-    return link(source, target, (x + dx, y + dy, theta + turn), "closure")
+    motion = np.add(true_link(truth, source, target).source_from_target, off)
+    return link(source, target, motion.tolist(), "closure")
 
 
 def ends_of(links: tuple[Link, ...]) -> list[tuple[int, int, str]]:
     return [(one.source, one.target, one.kind) for one in links]
 
 
-def elsewhere(drive: Drive, breaks: tuple[int, ...], *closures: Link, bias: float = 0.0) -> Layout:
-    """The layout of two stretches that have no wall in common."""
+def elsewhere(drive: Drive, *closures: Link, bias: float = 0.0) -> Layout:
+    """The layout of two stretches that have no wall in common, with a break between."""
     truth, scans = drive
     poses = np.vstack([truth[:60], truth[300:360]])
-    with stored(drifted(poses, bias) if bias else poses, [*scans[:60], *scans[300:360]]) as store:
-        return relax(store, closures, dict.fromkeys(breaks), CONFIG)
+    tracked = drifted(poses, bias) if bias else poses
+    return laid_out(tracked, [*scans[:60], *scans[300:360]], closures, {60: None})
 
 
 def test_a_drifted_lap_is_straightened_by_nearby_passes(drive: Drive, store: KeyframeStore) -> None:
@@ -91,16 +91,15 @@ def test_a_closure_repairs_any_drift_and_a_wrong_one_is_dropped(drive: Drive) ->
 def test_a_part_placed_anywhere_is_found_by_its_walls(drive: Drive) -> None:
     """Tracking breaks in the second lap; the guess across the gap is metres and a turn off."""
     truth, scans = drive
-    with stored(shifted(truth, (3.0, -2.0, 0.9), 560), scans) as store:
-        layout = relax(store, [], {560: None}, CONFIG)
+    layout = laid_out(shifted(truth, (3.0, -2.0, 0.9), 560), scans, breaks={560: None})
     assert worst(layout.poses, truth) < 0.3
     assert (layout.dropped, layout.loose) == ((), ())
 
 
 def test_a_part_that_fits_nowhere_or_is_tied_only_to_itself_is_loose(drive: Drive) -> None:
-    assert elsewhere(drive, (60,)).loose == (60,)
+    assert elsewhere(drive).loose == (60,)
     inside = closure(np.vstack([drive[0][:60], drive[0][300:360]]), 65, 110)
-    layout = elsewhere(drive, (60,), inside)
+    layout = elsewhere(drive, inside)
     assert layout.kept == (inside,)
     assert layout.loose == (60,)
 
@@ -108,10 +107,10 @@ def test_a_part_that_fits_nowhere_or_is_tied_only_to_itself_is_loose(drive: Driv
 def test_limits_that_were_hit_are_told(drive: Drive) -> None:
     tie = closure(np.vstack([drive[0][:60], drive[0][300:360]]), 3, 50)
     with turned("layout.solving", _SOLVE_ITERATIONS=1), turned("layout.parts", PART_TRIES=2):
-        layout = elsewhere(drive, (60,), tie, bias=0.003)
+        layout = elsewhere(drive, tie, bias=0.003)
     assert layout.limits["stray_tries"] == 1
     assert layout.limits["solve_iterations"] >= 1
-    assert elsewhere(drive, (60,), tie, bias=0.003).limits == {}
+    assert elsewhere(drive, tie, bias=0.003).limits == {}
 
 
 def test_without_relaxation_the_poses_are_those_tracked(drive: Drive, store: KeyframeStore) -> None:
@@ -127,8 +126,7 @@ def test_without_relaxation_the_poses_are_those_tracked(drive: Drive, store: Key
 def test_two_wrong_closures_are_both_dropped(drive: Drive) -> None:
     truth, scans = drive
     wrong = [link(30, k, (9.0, -4.0, 2.0), "closure") for k in (600, 650)]
-    with stored(truth, scans) as store:
-        layout = relax(store, wrong, {}, CONFIG)
+    layout = laid_out(truth, scans, wrong)
     assert set(wrong) <= set(layout.dropped)
     assert worst(layout.poses, truth) < 0.1
 
@@ -138,19 +136,18 @@ def test_a_wrong_closure_leaves_the_others_alone(drive: Drive) -> None:
     truth, scans = drive
     right = [closure(truth, i, j) for i, j in ((5, 490), (100, 590), (200, 690))]
     wrong = link(5, 590, (2.0, -1.0, 1.0), "closure")
-    with stored(drifted(truth), scans) as store:
-        with_wrong, without = (relax(store, c, {}, CONFIG) for c in ([*right, wrong], right))
+    laid = (laid_out(drifted(truth), scans, each) for each in ([*right, wrong], right))
+    with_wrong, without = laid
     assert (with_wrong.dropped, without.dropped) == ((wrong,), ())
     assert np.allclose(with_wrong.poses, without.poses, atol=1e-6)
 
 
 def test_the_frame_of_the_map_does_not_matter_to_a_layout(drive: Drive) -> None:
     (truth, scans), motion = drive, np.array([40.0, -25.0, 2.5])
-    layouts = []
-    for tracked in (drifted(truth), compose(motion, drifted(truth))):
-        with stored(tracked, scans) as store:
-            layouts.append(relax(store, [closure(truth, 100, 590)], {}, CONFIG))
-    plain, moved = layouts
+    known = [closure(truth, 100, 590), link(5, 590, (2.0, -1.0, 1.0), "closure")]
+    both = (drifted(truth), compose(motion, drifted(truth)))
+    plain, moved = (laid_out(tracked, scans, known) for tracked in both)
+    assert plain.dropped == moved.dropped == (known[1],)
     assert ends_of(plain.kept) == ends_of(moved.kept)
     expected = compose(motion, plain.poses)
     assert np.abs(moved.poses[:, :2] - expected[:, :2]).max() < 5e-3
@@ -198,9 +195,8 @@ def test_one_closure_does_not_move_a_piece_that_odometry_bridged(drive: Drive) -
     """The bridge is good to 2 cm; a wrong closure asks for four metres."""
     truth, scans = drive
     wrong = closure(truth, 60, 540, Pose2(4.0, 0.0, 0.0))
-    with stored(truth, scans) as store:
-        layout = relax(store, [wrong], {AT: Bridge(0.02, 0.005)}, CONFIG)
-        unknown = relax(store, [wrong], {AT: None}, CONFIG)
+    layout = laid_out(truth, scans, [wrong], {AT: Bridge(0.02, 0.005)})
+    unknown = laid_out(truth, scans, [wrong], {AT: None})
     assert worst(layout.poses, truth) < 0.1
     assert worst(unknown.poses, truth) < 0.1, "nor on one closure's word where nothing is known"
     assert (layout.loose, unknown.loose) == ((), (AT,))
@@ -226,8 +222,8 @@ def test_two_closures_that_agree_move_a_piece_of_which_nothing_is_known(drive: D
 
 def test_passes_mend_a_bridge_within_its_error(drive: Drive) -> None:
     truth, scans = drive
-    with stored(shifted(truth, (0.4, 0.3, 0.02)), scans) as store:
-        layout = relax(store, [], {AT: Bridge(0.5, 0.05)}, CONFIG)
+    tracked = shifted(truth, (0.4, 0.3, 0.02))
+    layout = laid_out(tracked, scans, breaks={AT: Bridge(0.5, 0.05)})
     assert worst(layout.poses, truth) < 0.2
     assert (layout.dropped, layout.loose) == ((), ())
 
@@ -310,8 +306,8 @@ def test_what_is_worse_than_the_path_as_tracked_is_not_taken(drive: Drive) -> No
     truth, scans = drive
     off = Pose2(0.8, 0.8, 0.0)
     wrong = [closure(truth, i, j, off) for i, j in ((60, 540), (130, 610), (200, 690))]
-    with stored(truth, scans) as store, turned("layout.relaxation", _SUSPECTS_MOST=0):
-        layout = relax(store, wrong, {}, CONFIG)
+    with turned("layout.relaxation", _SUSPECTS_MOST=0):
+        layout = laid_out(truth, scans, wrong)
     assert layout.choice in {"tracked", "passes"}
     assert worst(layout.poses, truth) < 0.05
     assert layout.kept == ()

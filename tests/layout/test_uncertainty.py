@@ -38,8 +38,8 @@ def sampled(path: FloatArray, i: int, j: int, runs: int = 4000) -> FloatArray:
     sigma = np.sqrt(np.diag(np.linalg.inv(SOFT))) / 5  # small, where the first order is enough
     steps = compose(invert(path[:-1]), path[1:])
     seen = np.tile(path[i], (runs, 1))
-    for k in range(i, j):
-        seen = compose(compose(seen, steps[k]), rng.normal(0, 1, (runs, 3)) * sigma)
+    for step in steps[i:j]:
+        seen = compose(compose(seen, step), rng.normal(0, 1, (runs, 3)) * sigma)
     return compose(invert(compose(invert(path[i]), path[j])), compose(invert(path[i]), seen))
 
 
@@ -64,8 +64,7 @@ def test_the_way_back_is_known_as_well_and_a_place_from_itself_exactly() -> None
 def test_errors_that_go_on_grow_with_the_way() -> None:
     """0.002 rad a metre over 10 m: the end, seen from the start, is half of 0.02 rad aside."""
     path = arc(40)
-    length = np.hypot(*np.diff(path[:31, :2], axis=0).T).sum()
-    place = (0.02 * length) ** 2
+    place = (0.02 * np.hypot(*np.diff(path[:31, :2], axis=0).T).sum()) ** 2
     assert gained(path, 30, 0.02, 0.0) == pytest.approx(np.diag([place, place, 0.0]))
     assert np.diag(gained(arc(21, 0.0), 20, 0.0, 0.002)) == pytest.approx([0.01, 0.01, 0.0004])
 
@@ -127,13 +126,25 @@ def test_chains_are_the_shortest_paths_of_networkx(
 
 
 @pytest.mark.parametrize(
-    ("metres", "expected"),
-    [(0.0, "near"), (0.49, "near"), (0.51, "far"), (7.9, "far"), (8.1, "refuted")],
+    ("metres", "limits", "expected"),
+    [
+        (0.0, {}, "near"),
+        (0.49, {}, "near"),
+        (0.51, {}, "far"),
+        (7.9, {}, "far"),
+        (8.1, {}, "refuted"),
+        (3.0, {"CLOSURE_SLACK_M": 3.5}, "near"),
+        (3.0, {"_CLOSURE_DRIFT_SHARE": 0.04}, "refuted"),
+        (3.0, {"DRIFT_SHARE": 10.0}, "far"),
+    ],
 )
-def test_along_a_bare_path_drift_explains_much(metres: float, expected: str) -> None:
+def test_along_a_bare_path_drift_explains_much_as_the_limits_say(
+    metres: float, limits: dict[str, float], expected: str
+) -> None:
     """50 m between the ends: 0.5 m and 15 % of them."""
     graph = graph_by_hand(arc(101, 0.0))
-    assert kinds_of(graph, as_tracked(graph), [wrong_by(graph, 0, 100, metres)]) == [expected]
+    with turned("layout.uncertainty", **limits):
+        assert kinds_of(graph, as_tracked(graph), [wrong_by(graph, 0, 100, metres)]) == [expected]
 
 
 def test_where_a_pass_cuts_the_path_short_drift_explains_little() -> None:
@@ -142,20 +153,6 @@ def test_where_a_pass_cuts_the_path_short_drift_explains_little() -> None:
     tied = as_tracked(graph, link(2, 90, (0.1, 0.0, 0.0)))
     closures = [wrong_by(graph, 0, 100, metres) for metres in (0.4, 0.7, 0.8)]
     assert kinds_of(graph, tied, closures) == ["near", "far", "refuted"]
-
-
-@pytest.mark.parametrize(
-    ("limit", "expected"),
-    [
-        ({"CLOSURE_SLACK_M": 3.5}, "near"),
-        ({"_CLOSURE_DRIFT_SHARE": 0.04}, "refuted"),
-        ({"DRIFT_SHARE": 10.0}, "far"),
-    ],
-)
-def test_the_limits_are_set(limit: dict[str, float], expected: str) -> None:
-    graph = graph_by_hand(arc(101, 0.0))
-    with turned("layout.uncertainty", **limit):
-        assert kinds_of(graph, as_tracked(graph), [wrong_by(graph, 0, 100, 3.0)]) == [expected]
 
 
 def test_over_a_break_only_the_guess_may_be_off() -> None:
@@ -169,8 +166,7 @@ def test_a_bridge_lets_its_own_error_be_mended() -> None:
     """Ten metres of way allow 0.5 + 1.5 m, a bridge good to 0.4 m another 1.2 m."""
     graph = graph_by_hand(arc(21, 0.0))
     motions = list(graph.odometry)
-    bridge = Bridge(0.4, 0.1).information
-    motions[9] = replace(motions[9], kind="bridge", information=bridge)
+    motions[9] = replace(motions[9], kind="bridge", information=Bridge(0.4, 0.1).information)
     bridged = replace(graph, odometry=tuple(motions))
     closures = [wrong_by(graph, 0, 20, metres) for metres in (1.9, 2.1, 3.1, 3.3)]
     assert kinds_of(graph, as_tracked(graph), closures) == ["far", *["refuted"] * 3]

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose
 from specmap_cli.grids.score_field import ScoreField, thinned
+from specmap_cli.layout.path_graph import Graph
 from specmap_cli.layout.walls import Sides, Walls, from_behind, seen_free
 from tests.layout.driving import Drive, Laps, between, building, graph_by_hand, stored
 from tests.strategies import poses
@@ -149,7 +150,7 @@ def test_the_corridor_that_was_driven_is_free_and_the_rock_is_not(
     cells = plan.cells_of(centres)
     inside = plan.inside(cells)
     wall_m = np.zeros(len(centres))
-    wall_m[inside] = plan.obstacle_distance()[cells[inside, 0], cells[inside, 1]]
+    wall_m[inside] = plan.obstacle_distance()[tuple(cells[inside].T)]
     middle = (centres[:, 0] > 1.8) & (centres[:, 0] < 17.2) & (wall_m > 0.6)
     middle &= (np.abs(centres[:, 1] - 2.5) < 0.3) | (np.abs(centres[:, 1] - 12.5) < 0.3)
     assert middle.sum() > 50
@@ -159,8 +160,8 @@ def test_the_corridor_that_was_driven_is_free_and_the_rock_is_not(
     assert not free.ravel()[rock].any(), "the block inside the ring"
 
 
-def test_what_is_free_lies_where_the_poses_put_it(perfect: Laps, walls: Walls) -> None:
-    poses, rows = perfect[1].poses, [3, 40]
+def test_what_is_free_lies_where_the_poses_put_it(graph: Graph, walls: Walls) -> None:
+    poses, rows = graph.poses, [3, 40]
     moved = compose(np.array([50.0, -20.0, 0.0]), poses)
     here, there = (ScoreField.from_points(walls.of_all(rows, p), 0.25, 0.3) for p in (poses, moved))
     free = seen_free(walls, rows, poses, here)

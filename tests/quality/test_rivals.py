@@ -8,13 +8,10 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.core.records import Trajectory
-from specmap_cli.layout.audit import Audit
 from specmap_cli.layout.pose_graph import Link
-from specmap_cli.layout.result import Layout
-from specmap_cli.quality.evidence import Evidence
 from specmap_cli.quality.laid_out import rival_places
 from tests.layout.driving import link
+from tests.quality.evidence import evidence_of
 
 SCANS, BREAK = 60, 30
 POSES: FloatArray = np.array([(k % BREAK, k // BREAK, 0.0) for k in range(SCANS)], dtype=np.float64)
@@ -34,17 +31,9 @@ def backwards(one: Link) -> Link:
 
 
 def found(refuted: Sequence[Link], *, odometry: bool = False) -> list[str]:
-    stamps = np.arange(SCANS) * 10**9
     measured = POSES if odometry else np.full((SCANS, 3), np.nan)
-    evidence = Evidence(
-        trajectory=Trajectory(stamps, POSES, odometry=measured),
-        keyframes_ns=tuple(stamps.tolist()),
-        breaks=(BREAK,),
-        layout=Layout(poses=POSES, dropped=tuple(refuted)),
-        audit=Audit(),
-        beyond=0,
-        warnings=(),
-    )
+    left_out = {"dropped": tuple(refuted)}
+    evidence = evidence_of(POSES, odometry=measured, layout=left_out, breaks=(BREAK,))
     return [finding.message for finding in rival_places(evidence)]
 
 
@@ -56,6 +45,7 @@ def test_refuted_closures_that_agree_on_another_place_are_told() -> None:
     away = (at_start.inverse() @ ELSEWHERE @ at_start).distance
     assert f"lies {away:.1f} m elsewhere" in message
     assert found([backwards(one) for one in agreeing]) == [message]
+    assert found(agreeing, odometry=True) == [], "where odometry measured the way"
 
 
 @pytest.mark.parametrize(
@@ -70,7 +60,3 @@ def test_refuted_closures_that_agree_on_another_place_are_told() -> None:
 )
 def test_what_does_not_agree_on_another_place_is_not_told(refuted: list[Link]) -> None:
     assert found(refuted) == []
-
-
-def test_where_odometry_measured_the_way_closures_do_not_count() -> None:
-    assert found([claim(3, 40, ELSEWHERE), claim(8, 50, ELSEWHERE)], odometry=True) == []

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -75,12 +76,27 @@ def circle(k: int, ranges: FloatArray, odometry: Pose2 | None = None) -> Sweep:
         stamp_ns=stamp, bearings=bearings, ranges=ranges, range_max=10.0, full_circle=True
     )
     return Sweep(
-        index=k,
-        stamp_ns=stamp,
-        planar=scan,
-        base_from_laser=IDENTITY,
-        odom_from_base=odometry,
+        index=k, stamp_ns=stamp, planar=scan, base_from_laser=IDENTITY, odom_from_base=odometry
     )
+
+
+def with_odometry(sweep: Sweep, changed: Callable[[Pose2], Pose2]) -> Sweep:
+    """The sweep with a change of its odometry."""
+    assert sweep.odom_from_base is not None
+    return replace(sweep, odom_from_base=changed(sweep.odom_from_base))
+
+
+def with_ranges(sweep: Sweep, ranges: FloatArray) -> Sweep:
+    """The sweep with other ranges."""
+    return replace(sweep, planar=replace(sweep.planar, ranges=ranges))
+
+
+def with_clouds(world: GridMap, truth: FloatArray) -> list[Sweep]:
+    """What a 3D lidar sees from the poses."""
+    return [
+        replace(sweep, cloud=cloud_of(world, pose))
+        for sweep, pose in zip(sweeps(world, truth), truth, strict=True)
+    ]
 
 
 def run(items: Sequence[Sweep], **settings: Setting) -> tuple[FrontEnd, list[PosedScan]]:

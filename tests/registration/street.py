@@ -75,11 +75,7 @@ def drive(poses: list[Pose2]) -> list[Sweep]:
         planar = flattener.flatten(cloud, stamp)
         sweeps.append(
             Sweep(
-                index=k,
-                stamp_ns=stamp,
-                planar=planar,
-                base_from_laser=flattener.mount,
-                cloud=cloud,
+                index=k, stamp_ns=stamp, planar=planar, base_from_laser=flattener.mount, cloud=cloud
             )
         )
     return sweeps

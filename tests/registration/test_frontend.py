@@ -10,10 +10,19 @@ from hypothesis import given
 
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import UsageError
-from specmap_cli.core.geometry import IDENTITY, Pose2
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.registration.frontend import Track
-from tests.registration.drives import circle, cloud_of, path, run, sweeps, worst
+from tests.registration.drives import (
+    circle,
+    path,
+    run,
+    sweeps,
+    with_clouds,
+    with_odometry,
+    with_ranges,
+    worst,
+)
 from tests.strategies import few, poses
 
 
@@ -27,9 +36,7 @@ def test_tracks_lasers_of_all_kinds(
 ) -> None:
     truth = path()
     front_end, scans = run(sweeps(world, truth, view, beams, reach, odometry))
-    metres, radians = worst(scans, truth)
-    assert metres < 0.08
-    assert radians < 0.03
+    assert np.less(worst(scans, truth), (0.08, 0.03)).all()
     assert front_end.counts["registered"] == len(scans)
     assert front_end.counts["lost"] == front_end.counts["breaks"] == 0
     assert not any(scan.restarted for scan in scans)
@@ -46,17 +53,13 @@ def test_a_kidnapped_robot_is_noticed_and_goes_on_from_a_guess(world: GridMap) -
     there = path()[:40]
     elsewhere = np.column_stack([np.linspace(26, 29, 30), np.full(30, 2.0), np.zeros(30)])
     items = sweeps(world, np.vstack([there, elsewhere]))
-    blind = []
-    for sweep in items[40:]:  # odometry knows nothing of the move
-        assert items[39].odom_from_base is not None
-        assert items[40].odom_from_base is not None
-        assert sweep.odom_from_base is not None
-        since = items[40].odom_from_base.inverse() @ sweep.odom_from_base
-        moved = items[39].odom_from_base @ since
-        blind.append(dataclasses.replace(sweep, odom_from_base=moved))
-    front_end, scans = run([*items[:40], *blind])
-    lost = [scan.index for scan in scans if scan.lost]
-    assert lost == [40, 41, 42, 43, 44]
+    before, after = items[39].odom_from_base, items[40].odom_from_base
+    assert before is not None
+    assert after is not None
+    back = before @ after.inverse()  # odometry knows nothing of the move
+    items[40:] = [with_odometry(sweep, lambda odom: back @ odom) for sweep in items[40:]]
+    front_end, scans = run(items)
+    assert [scan.index for scan in scans if scan.lost] == [40, 41, 42, 43, 44]
     assert [scan.index for scan in scans if scan.restarted] == [45]
     assert front_end.counts["breaks"] == 1
     assert worst(scans[45:], np.array(elsewhere[5:]))[0] < 0.08
@@ -71,8 +74,7 @@ def test_blank_scans_keep_the_odometry_pose(
     """Without a valid reading nothing was seen; without a return, that there are no walls."""
     items = sweeps(world, path()[:30])
     for k in (10, 11):
-        blank = dataclasses.replace(items[k].planar, ranges=np.full(240, reading))
-        items[k] = dataclasses.replace(items[k], planar=blank)
+        items[k] = with_ranges(items[k], np.full(240, reading))
     front_end, scans = run(items)
     assert [scan.index for scan in scans if scan.lost] == lost
     assert worst(scans, path()[:30])[0] < 0.1
@@ -80,44 +82,30 @@ def test_blank_scans_keep_the_odometry_pose(
 
 
 def test_a_log_without_walls_is_lost_but_survived() -> None:
-    items = [circle(k, np.full(90, np.nan)) for k in range(20)]
-    front_end, scans = run(items)
+    front_end, scans = run([circle(k, np.full(90, np.nan)) for k in range(20)])
     assert front_end.counts["lost"] == 20
     assert all(scan.map_from_base == IDENTITY for scan in scans)
 
 
 def test_random_scans_never_make_the_pose_fly_off() -> None:
     rng = np.random.default_rng(3)
-    items = [circle(k, rng.uniform(0.2, 9, 120)) for k in range(30)]
-    _, scans = run(items)
+    _, scans = run([circle(k, rng.uniform(0.2, 9, 120)) for k in range(30)])
     poses = np.array([scan.map_from_base for scan in scans])
     assert np.isfinite(poses).all()
-    steps = np.hypot(*np.diff(poses[:, :2], axis=0).T)
-    assert steps.max() < 3.0
+    assert np.hypot(*np.diff(poses[:, :2], axis=0).T).max() < 3.0
 
 
-def test_an_odometry_reset_is_no_motion(world: GridMap) -> None:
-    truth = path()[:40]
-    items = sweeps(world, truth)
-    items[20:] = [
-        dataclasses.replace(s, odom_from_base=Pose2(500.0, 0.0, 0.0) @ s.odom_from_base)
-        for s in items[20:]
-        if s.odom_from_base is not None
-    ]
-    front_end, scans = run(items)
-    assert front_end.counts["odometry_jumps"] == 1
-    assert worst(scans, truth)[0] < 0.08
-
-
-def test_wrong_heading_increments_in_a_turn_are_survived(world: GridMap) -> None:
+def test_an_odometry_reset_is_no_motion_and_wrong_heading_increments_are_survived(
+    world: GridMap,
+) -> None:
     """Wheels and laser out of step: one increment 15 degrees too far, the next back."""
     truth = path()
     items = sweeps(world, truth)
     for k in (30, 50, 70):
-        odom = items[k].odom_from_base
-        assert odom is not None
-        items[k] = dataclasses.replace(items[k], odom_from_base=odom @ Pose2(0.0, 0.0, 0.26))
+        items[k] = with_odometry(items[k], lambda odom: odom @ Pose2(0.0, 0.0, 0.26))
+    items[20:] = [with_odometry(s, lambda odom: Pose2(500.0, 0.0, 0.0) @ odom) for s in items[20:]]
     front_end, scans = run(items)
+    assert front_end.counts["odometry_jumps"] == 1
     assert worst(scans, truth)[0] < 0.08
     assert front_end.counts["lost"] == 0
 
@@ -129,15 +117,10 @@ def test_a_heading_of_odometry_that_jumps_is_no_turn(world: GridMap, jump_rad: f
     items = sweeps(world, truth, np.pi, 181)
     before = items[29].odom_from_base
     assert before is not None
-    for k in range(30, 60):
-        odom = items[k].odom_from_base
-        assert odom is not None
-        jumped = before @ Pose2(0.0, 0.0, jump_rad) @ before.inverse() @ odom
-        items[k] = dataclasses.replace(items[k], odom_from_base=jumped)
+    jump = before @ Pose2(0.0, 0.0, jump_rad) @ before.inverse()
+    items[30:] = [with_odometry(sweep, lambda odom: jump @ odom) for sweep in items[30:]]
     front_end, scans = run(items)
-    metres, radians = worst(scans, truth)
-    assert metres < 0.08
-    assert radians < 0.03
+    assert np.less(worst(scans, truth), (0.08, 0.03)).all()
     assert front_end.counts["lost"] == 0
 
 
@@ -154,24 +137,17 @@ def test_stamps_in_bursts_and_backwards_do_not_matter(world: GridMap) -> None:
 def test_a_resting_robot_without_odometry_does_not_begin_to_swing(world: GridMap) -> None:
     """Each error of the estimated motion comes back through de-skewing, and must die out."""
     truth = np.tile(path()[10], (60, 1))
-    items = []
-    for sweep in sweeps(world, truth, odometry=False):
+    items = sweeps(world, truth, odometry=False)
+    for k, sweep in enumerate(items):
         timed = dataclasses.replace(sweep.planar, beam_times_s=np.linspace(0.0, 0.1, 240))
-        items.append(dataclasses.replace(sweep, planar=timed))
-    _, scans = run(items)
-    assert worst(scans, truth)[0] < 0.03
+        items[k] = dataclasses.replace(sweep, planar=timed)
+    assert worst(run(items)[1], truth)[0] < 0.03
 
 
 def test_a_3d_lidar_is_tracked_in_space(world: GridMap) -> None:
     truth = path()[::3]
-    items = []
-    for k, sweep in enumerate(sweeps(world, truth)):
-        cloud = cloud_of(world, truth[k])
-        items.append(dataclasses.replace(sweep, cloud=cloud))
-    _, scans = run(items)
-    metres, radians = worst(scans, truth)
-    assert metres < 0.1
-    assert radians < 0.03
+    _, scans = run(with_clouds(world, truth))
+    assert np.less(worst(scans, truth), (0.1, 0.03)).all()
     for scan in scans:
         assert scan.map_from_base_3d is not None
         assert Pose2.from_matrix(scan.map_from_base_3d) == scan.map_from_base
@@ -183,28 +159,23 @@ def test_a_3d_lidar_is_tracked_in_space(world: GridMap) -> None:
 @given(poses)
 def test_the_frame_of_odometry_does_not_matter(world: GridMap, frame: Pose2) -> None:
     items = sweeps(world, path()[:6])
-    moved = [
-        dataclasses.replace(sweep, odom_from_base=frame @ sweep.odom_from_base)
-        for sweep in items
-        if sweep.odom_from_base is not None
-    ]
+    moved = [with_odometry(sweep, lambda odom: frame @ odom) for sweep in items]
     plain, shifted = (
         np.array([scan.map_from_base for scan in run(each)[1]]) for each in (items, moved)
     )
     assert np.abs(plain - shifted).max() < 1e-3
 
 
-def test_the_map_begins_at_the_first_sweep(world: GridMap) -> None:
-    _, scans = run(sweeps(world, path()[:2]))
+@pytest.mark.parametrize("odometry", [True, False])
+def test_the_map_begins_at_the_first_sweep_and_records_are_handed_on(
+    world: GridMap, odometry: bool
+) -> None:
+    items = sweeps(world, path()[:5], odometry=odometry)
+    _, scans = run(items)
     first = scans[0]
     assert first.map_from_base == IDENTITY
     assert (first.score, first.agrees, first.lost, first.restarted) == (1.0, True, False, False)
-
-
-@pytest.mark.parametrize("odometry", [True, False])
-def test_records_of_a_sweep_are_handed_on(world: GridMap, odometry: bool) -> None:
-    items = sweeps(world, path()[:5], odometry=odometry)
-    for sweep, scan in zip(items, run(items)[1], strict=True):
+    for sweep, scan in zip(items, scans, strict=True):
         assert (scan.index, scan.stamp_ns) == (sweep.index, sweep.stamp_ns)
         assert scan.base_from_laser == sweep.base_from_laser
         assert scan.planar is sweep.planar  # its beams share one time: nothing to de-skew
@@ -212,36 +183,32 @@ def test_records_of_a_sweep_are_handed_on(world: GridMap, odometry: bool) -> Non
         assert 0.0 <= scan.score <= 1.0
 
 
-def test_a_fast_turning_robot_without_odometry_is_found_by_the_search(world: GridMap) -> None:
-    """It starts to turn by 25 degrees a scan, which no motion before tells of."""
-    turn = np.cumsum([0.0] * 5 + [0.44] * 5 + [0.0] * 3)
-    truth = np.column_stack([np.full(13, 2.0), np.full(13, 2.4), turn])
-    items = sweeps(world, truth, odometry=False)
-    front_end, scans = run(items)
-    assert worst(scans, truth)[1] < 0.03
-    assert front_end.counts["searched"] > 0
-    assert front_end.counts["lost"] == 0
-
-
-def test_a_hole_in_the_log_is_bridged_by_the_wide_search(world: GridMap) -> None:
-    """Between two scans the robot drove 0.8 m and turned by 50 degrees; nothing measured it."""
-    before, after = np.tile([2.0, 2.4, 0.0], (6, 1)), np.tile([2.6, 2.9, 0.87], (6, 1))
-    truth = np.vstack([before, after])
-    front_end, scans = run(sweeps(world, truth, odometry=False))
-    assert worst(scans, truth)[0] < 0.08
-    assert front_end.counts["wide_searched"] > 0
+TURNING = np.column_stack(
+    [np.full((13, 2), (2.0, 2.4)), np.cumsum([0.0] * 5 + [0.44] * 5 + [0.0] * 3)]
+)
+HOLE = np.repeat([[2.0, 2.4, 0.0], [2.6, 2.9, 0.87]], 6, axis=0)
 
 
 @pytest.mark.parametrize(
-    ("changes", "key"),
+    ("truth", "search"),
     [
-        ({"min_points": 0}, "min_points"),
-        ({"max_tilt_rad": 2.0}, "max_tilt_rad"),
+        (TURNING, "searched"),  # by 25 degrees a scan, which no motion before tells of
+        (HOLE, "wide_searched"),  # in it the robot drove 0.8 m and turned by 50 degrees
     ],
 )
-def test_settings_that_cannot_work_are_refused(changes: dict[str, object], key: str) -> None:
+def test_what_no_odometry_tells_of_is_found_by_the_searches(
+    world: GridMap, truth: FloatArray, search: str
+) -> None:
+    front_end, scans = run(sweeps(world, truth, odometry=False))
+    assert np.less(worst(scans, truth), (0.08, 0.03)).all()
+    assert front_end.counts[search] > 0
+    assert front_end.counts["lost"] == 0
+
+
+@pytest.mark.parametrize(("key", "value"), [("min_points", 0), ("max_tilt_rad", 2.0)])
+def test_settings_that_cannot_work_are_refused(key: str, value: float) -> None:
     with pytest.raises(UsageError, match=rf"registration\.{key}"):
-        load_config(overrides={"registration": changes})
+        load_config(overrides={"registration": {key: value}})
 
 
 @pytest.mark.parametrize("bias", [-0.05, 0.05])
@@ -251,9 +218,8 @@ def test_a_sparse_log_with_usual_odometry_loses_no_scan(
 ) -> None:
     truth = path()
     items = sweeps(world, truth, reach=4.0)[::every]
-    for k, pose in enumerate(truth[::every]):
-        odometry = Pose2(*pose.tolist())
-        biased = Pose2((1.0 + bias) * odometry.x, (1.0 + bias) * odometry.y, odometry.theta)
+    for k, (x, y, theta) in enumerate(truth[::every].tolist()):
+        biased = Pose2((1.0 + bias) * x, (1.0 + bias) * y, theta)
         items[k] = dataclasses.replace(items[k], odom_from_base=biased)
     front_end, scans = run(items)
     assert front_end.counts["lost"] == front_end.counts["breaks"] == 0
@@ -266,29 +232,20 @@ def test_wheels_that_slip_are_noticed_or_mended(world: GridMap) -> None:
     """Odometry drives on by 0.5 m that the robot does not: no scan is believed 0.3 m off."""
     truth = path()
     items = sweeps(world, truth)
-    items[40:] = [
-        dataclasses.replace(s, odom_from_base=s.odom_from_base @ Pose2(0.5, 0.0, 0.0))
-        for s in items[40:]
-        if s.odom_from_base is not None
-    ]
+    items[40:] = [with_odometry(s, lambda odom: odom @ Pose2(0.5, 0.0, 0.0)) for s in items[40:]]
     _, scans = run(items)
     kept = [k for k, scan in enumerate(scans) if not scan.lost]
     assert len(kept) > 85
     assert worst([scans[k] for k in kept], truth[kept])[0] < 0.3
 
 
-HERE = Pose2(2.0, 1.0, np.pi / 2)
-
-
-def test_without_a_motion_that_walls_fixed_the_robot_is_taken_to_stand() -> None:
-    assert Track(pose=HERE.matrix()).carried_on == pytest.approx(HERE)
-
-
 def test_the_motion_carried_on_is_the_usual_one_straight_on() -> None:
     """The last ones before a bare corridor, which registration makes too short, do not count."""
-    track = Track(pose=HERE.matrix())
+    here = Pose2(2.0, 1.0, np.pi / 2)
+    track = Track(pose=here.matrix())
+    assert track.carried_on == pytest.approx(here), "without a motion that walls fixed it stands"
     for forward_m in (*[9.0] * 8, *[0.5] * 10, *[0.1] * 5):
         track = track.with_steady(Pose2(forward_m, 0.02, 0.3))
     assert len(track.steady) == 15
-    assert HERE.inverse() @ track.carried_on == pytest.approx(Pose2(0.5, 0.02, 0.0))
+    assert here.inverse() @ track.carried_on == pytest.approx(Pose2(0.5, 0.02, 0.0))
     assert Track().carried_on == IDENTITY

@@ -9,13 +9,21 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
-from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.registration import FrontEnd
 from specmap_cli.registration.frontend import COUNTS, warnings_of
 from tests.registration.aligners import ToldAligner, offer
-from tests.registration.drives import circle, cloud_of, path, run, sweeps, turned, worst
+from tests.registration.drives import (
+    circle,
+    path,
+    run,
+    sweeps,
+    turned,
+    with_clouds,
+    with_ranges,
+    worst,
+)
 
 # counts that a good run has, too
 USUAL = {"registered", "searched", "wide_searched", "walls_left_out", "lost"}
@@ -34,47 +42,31 @@ def test_a_run_within_all_limits_has_nothing_to_say(world: GridMap) -> None:
     assert front_end.warnings == []
 
 
-@pytest.mark.parametrize(
-    ("name", "count", "sentence"),
-    [
-        (
-            "odometry_jumps",
-            1,
-            "registration met 1 jump of odometry beyond registration.odometry_jump_m and "
-            "odometry_jump_mps: the motion before was carried on instead",
-        ),
-        (
-            "shortened_motions",
-            2000,
-            "registration carried the motion before on to 2,000 scans only in part: raise "
-            "registration.carried_forward_m, carried_sideways_m and carried_rad for a fast robot",
-        ),
-        (
-            "few_points",
-            3,
-            "registration met 3 scans with fewer than 12 wall points (registration.min_points): "
-            "they are placed by odometry that is trusted, or lost",
-        ),
-        (
-            "refused_alignments",
-            2,
-            "registration refused 2 alignments that ended farther from the guess, or tilted more, "
-            "than registration.max_shift_m, max_shift_rad and max_tilt_rad allow",
-        ),
-    ],
-)
-def test_what_is_said_of_a_limit(name: str, count: int, sentence: str) -> None:
+def test_what_is_said_of_a_limit() -> None:
     config = RegistrationConfig(min_points=12)
-    counts = dict.fromkeys(COUNTS, 0)
-    assert warnings_of(counts, config) == []
-    assert warnings_of({**counts, name: count}, config) == [sentence]
-
-
-def test_settings_named_in_a_warning_exist() -> None:
-    everything = " ".join(warnings_of(dict.fromkeys(COUNTS, 1), RegistrationConfig()))
-    named = re.findall(r"\w+_\w+", everything)
+    nothing = dict.fromkeys(COUNTS, 0)
+    counts = {
+        "odometry_jumps": 1,
+        "shortened_motions": 2000,
+        "few_points": 3,
+        "refused_alignments": 2,
+    }
+    sentences = [
+        "registration met 1 jump of odometry beyond registration.odometry_jump_m and "
+        "odometry_jump_mps: the motion before was carried on instead",
+        "registration carried the motion before on to 2,000 scans only in part: raise "
+        "registration.carried_forward_m, carried_sideways_m and carried_rad for a fast robot",
+        "registration met 3 scans with fewer than 12 wall points (registration.min_points): "
+        "they are placed by odometry that is trusted, or lost",
+        "registration refused 2 alignments that ended farther from the guess, or tilted more, "
+        "than registration.max_shift_m, max_shift_rad and max_tilt_rad allow",
+    ]
+    assert warnings_of(nothing, config) == []
+    for (name, count), sentence in zip(counts.items(), sentences, strict=True):
+        assert warnings_of({**nothing, name: count}, config) == [sentence]
+    named = re.findall(r"\w+_\w+", " ".join(warnings_of(dict.fromkeys(COUNTS, 1), config)))
     assert len(named) == 9
-    assert set(named) <= set(RegistrationConfig.model_fields)
+    assert set(named) <= set(RegistrationConfig.model_fields), "settings that exist"
 
 
 def straight(step_m: float, count: int) -> FloatArray:
@@ -91,32 +83,24 @@ def test_a_robot_too_fast_for_the_motion_to_be_carried_on_is_told(world: GridMap
     assert run(items, carried_forward_m=1.0)[0].counts["shortened_motions"] == 0
 
 
-def with_few_walls(world: GridMap, *, odometry: bool = True) -> list[Sweep]:
+@pytest.mark.parametrize("odometry", [True, False])
+def test_odometry_carries_the_robot_on_where_it_sees_too_few_walls(
+    world: GridMap, odometry: bool
+) -> None:
     """A drive on which the scans 4 and 7 see next to nothing."""
     items = sweeps(world, path()[:10], odometry=odometry)
     for k in (4, 7):
         ranges = np.where(np.arange(240) < 9, items[k].planar.ranges, np.inf)
-        planar = dataclasses.replace(items[k].planar, ranges=ranges)
-        items[k] = dataclasses.replace(items[k], planar=planar)
-    return items
-
-
-def test_scans_with_too_few_walls_are_counted(world: GridMap) -> None:
-    items = with_few_walls(world, odometry=False)
+        items[k] = with_ranges(items[k], ranges)
     front_end, scans = run(items)
     assert hit(front_end) == {"few_points": 2}
-    assert [scan.index for scan in scans if scan.lost] == [4, 7]
-    assert [(scan.score, scan.agrees) for scan in scans if scan.lost] == [(0.0, True)] * 2
-    assert run(items, min_points=3)[0].counts["few_points"] == 0
-
-
-def test_odometry_carries_the_robot_on_where_it_sees_no_walls(world: GridMap) -> None:
-    items = with_few_walls(world)
-    front_end, scans = run(items)
-    assert hit(front_end) == {"few_points": 2}
-    assert not any(scan.lost for scan in scans)
     assert [scan.index for scan in scans if scan.score == 0.0] == [4, 7]
-    assert worst(scans, path()[:10])[0] < 0.05
+    assert [scan.index for scan in scans if scan.lost] == ([] if odometry else [4, 7])
+    if odometry:
+        assert worst(scans, path()[:10])[0] < 0.05
+    else:
+        assert all(scan.agrees for scan in scans if scan.lost)
+        assert run(items, min_points=3)[0].counts["few_points"] == 0
 
 
 @pytest.mark.parametrize(("way_m", "lost"), [(3.0, False), (12.0, True)])
@@ -125,20 +109,13 @@ def test_odometry_carries_no_farther_than_it_can_be_followed(
 ) -> None:
     """An odometry of which nothing is known errs by 5 cm and a fifth of the way: 1.5 m in 5 m."""
     seen = sweeps(world, np.tile(path()[0], (3, 1)))
-    planar = dataclasses.replace(seen[0].planar, ranges=np.full(240, np.inf))
-    base = seen[-1].odom_from_base
+    blind, base = with_ranges(seen[-1], np.full(240, np.inf)), seen[-1].odom_from_base
     assert base is not None
-    blank = [
-        dataclasses.replace(
-            seen[-1],
-            index=3 + k,
-            stamp_ns=seen[-1].stamp_ns + (k + 1) * 10**8,
-            planar=planar,
-            odom_from_base=base @ Pose2(step_m, 0.0, 0.0),
-        )
-        for k, step_m in enumerate(np.arange(0.5, way_m + 0.1, 0.5).tolist())
-    ]
-    _, scans = run([*seen, *blank])
+    for k, step_m in enumerate(np.arange(0.5, way_m + 0.1, 0.5).tolist(), start=3):
+        led = base @ Pose2(step_m, 0.0, 0.0)
+        later = (k - 2) * 10**8 + blind.stamp_ns
+        seen.append(dataclasses.replace(blind, index=k, stamp_ns=later, odom_from_base=led))
+    _, scans = run(seen)
     assert scans[-1].lost == lost
     assert not scans[3].lost
 
@@ -161,18 +138,13 @@ def test_walls_beyond_the_score_field_are_counted(world: GridMap) -> None:
     assert narrow.counts["walls_left_out"] == 9  # all but the first, which is scored on nothing
 
 
-def test_so_many_lost_sweeps_in_a_row_end_a_map() -> None:
-    rng, limit = np.random.default_rng(5), 5
-    walls, blank = rng.uniform(2.0, 4.0, 90), np.full(90, np.inf)
+def test_so_many_lost_sweeps_in_a_row_end_a_map_but_for_the_first() -> None:
+    limit, walls, blank = 5, np.random.default_rng(5).uniform(2.0, 4.0, 90), np.full(90, np.inf)
     pattern = [walls, *[blank] * (limit - 1), walls, *[blank] * (limit + 2), walls]
     front_end, scans = run([circle(k, r) for k, r in enumerate(pattern)])
     assert front_end.counts["breaks"] == 1
     assert [scan.restarted for scan in scans] == [False] * (len(scans) - 1) + [True]
     assert front_end.counts["lost"] == 2 * limit + 1
-
-
-def test_lost_sweeps_before_the_first_map_end_none() -> None:
-    blank, walls = np.full(90, np.inf), np.random.default_rng(5).uniform(2.0, 4.0, 90)
     front_end, scans = run([circle(k, blank) for k in range(8)] + [circle(8, walls)])
     assert front_end.counts["breaks"] == 0
     assert not scans[-1].restarted
@@ -185,11 +157,8 @@ def test_keyframes_are_inserted_where_their_scans_were_put(
     """Also the first one of a new map, at a tilt that is partly taken back."""
     aligner = ToldAligner(lambda guess: guess @ turned(0.0, 0.0, 0.02))
     truth = path()[:30:2]
-    items: list[Sweep] = []
-    for k, sweep in enumerate(sweeps(world, truth)):
-        blank = dataclasses.replace(sweep.planar, ranges=np.full(240, np.nan))
-        planar = blank if k in range(6, 11) else sweep.planar
-        items.append(dataclasses.replace(sweep, planar=planar, cloud=cloud_of(world, truth[k])))
+    items = with_clouds(world, truth)
+    items[6:11] = [with_ranges(sweep, np.full(240, np.nan)) for sweep in items[6:11]]
     front_end, scans = run(items, method=offer(monkeypatch, aligner))
     assert front_end.counts["breaks"] == aligner.cleared == 1
     assert [scan.index for scan in scans if scan.restarted] == [11]
@@ -211,11 +180,10 @@ def test_keyframes_come_after_a_way_or_a_turn(
         (turns, 4),
     ):
         aligner = ToldAligner()
-        method = offer(monkeypatch, aligner)
         exact = [
             dataclasses.replace(sweep, odom_from_base=Pose2(*pose))
             for sweep, pose in zip(sweeps(world, truth), truth.tolist(), strict=True)
         ]
-        run(exact, method=method)
+        run(exact, method=offer(monkeypatch, aligner))
         assert len(aligner.inserted) == expected
         assert np.array_equal(aligner.inserted[0][1], IDENTITY.matrix())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 
 import cv2
@@ -27,18 +26,13 @@ from tests.strategies import seeds
 LADDER = (2.0, 1.0, 0.5, 0.25)
 
 
-def test_kernels_are_in_voxels_of_the_sensor(world: GridMap) -> None:
-    aligner = ToldAligner()
-    scene_in(world, aligner, voxel_m=0.3).align(np.eye(4), (1.0,))
-    assert aligner.asked[0].kernel_m == pytest.approx(0.3)
-
-
 def test_every_alignment_starts_where_the_one_before_ended(world: GridMap) -> None:
+    """By kernels in voxels of the sensor."""
     aligner = ToldAligner(lambda guess: guess @ Pose2(0.1, 0.0, 0.0).matrix())
-    fit = scene_in(world, aligner).align(np.eye(4), LADDER)
-    assert [float(asked.guess[0, 3]) for asked in aligner.asked] == pytest.approx(
-        [0, 0.1, 0.2, 0.3]
-    )
+    fit = scene_in(world, aligner, voxel_m=0.3).align(np.eye(4), LADDER)
+    assert [asked.kernel_m for asked in aligner.asked] == pytest.approx([0.6, 0.3, 0.15, 0.075])
+    starts = [float(asked.guess[0, 3]) for asked in aligner.asked]
+    assert starts == pytest.approx([0, 0.1, 0.2, 0.3])
     assert fit.planar.x == pytest.approx(0.4)
     assert fit.refused == 0
 
@@ -88,10 +82,12 @@ def test_an_alignment_within_the_limits_is_followed(
 
 
 def test_the_limits_count_from_the_first_guess_of_all_kernels(world: GridMap) -> None:
-    aligner = ToldAligner(moved(x=0.6))
-    fit = scene_in(world, aligner).align(np.eye(4), LADDER)
+    """And the score is that of the alignment that stands."""
+    scene = scene_in(world, ToldAligner(moved(x=0.6)))
+    fit = scene.align(np.eye(4), LADDER)
     assert fit.planar.x == pytest.approx(1.2)  # the third step would be 1.8 m away
     assert fit.refused == 1
+    assert fit.score == scene.score(fit.planar) < scene.score(IDENTITY)
 
 
 @given(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
@@ -105,32 +101,20 @@ def test_the_score_is_that_of_the_distances_to_the_nearest_walls(
     assert scene.score(place) == pytest.approx(exact, abs=0.12)  # cells of 7.5 cm
 
 
-def test_the_score_is_of_the_alignment_that_stands(world: GridMap) -> None:
-    scene = scene_in(world, ToldAligner(moved(x=0.3)))
-    fit = scene.align(np.eye(4), (1.0,))
-    assert fit.score == scene.score(Pose2(0.3, 0.0, 0.0)) < scene.score(IDENTITY)
-
-
 @pytest.mark.parametrize("away", [Pose2(0.2, -0.15, 0.2), Pose2(-0.25, 0.1, -0.3)])
 def test_a_search_finds_the_place_from_a_wrong_guess(world: GridMap, away: Pose2) -> None:
+    """In the plane: height and tilt are those of the guess."""
     aligner = ToldAligner()
-    scene = scene_in(world, aligner)
-    fit = scene.search(away.matrix(), Window(distance_m=0.3, angle_rad=0.35, step_m=0.05), LADDER)
+    guess = away.matrix() @ turned(0.0, 0.0, 0.05)
+    guess[2, 3] = 0.7
+    window = Window(distance_m=0.3, angle_rad=0.35, step_m=0.05)
+    fit = scene_in(world, aligner).search(guess, window, LADDER)
     assert fit.planar.distance < 0.08
     assert abs(fit.planar.theta) < 0.03
     assert len(aligner.asked) == len(LADDER)  # what was found is aligned
-
-
-def test_a_search_in_the_plane_keeps_height_and_tilt_of_the_guess(world: GridMap) -> None:
-    guess = turned(0.2, 0.1, 0.05)
-    guess[2, 3] = 0.7
-    fit = scene_in(world, ToldAligner()).search(
-        guess, Window(distance_m=0.3, angle_rad=0.2, step_m=0.05), LADDER
-    )
     assert fit.pose[2, 3] == pytest.approx(0.7)
     assert fit.pose[2, 2] == pytest.approx(guess[2, 2])
     assert np.allclose(fit.pose[:3, :3] @ fit.pose[:3, :3].T, np.eye(3))
-    assert fit.planar.distance < 0.08
 
 
 @pytest.mark.parametrize(
@@ -145,10 +129,14 @@ def test_another_fit_must_be_clearly_better(score: float, taken: bool) -> None:
     assert best.refused == 3
 
 
+def new_map() -> LocalMap:
+    sensor = SensorKind(in_space=False, voxel_m=0.1, range_m=20.0)
+    return LocalMap(ToldAligner(), sensor, RegistrationConfig())
+
+
 def test_the_local_map_forgets_what_left_its_window() -> None:
     """Eighty keyframes, which leave with every fourth one."""
-    sensor = SensorKind(in_space=False, voxel_m=0.1, range_m=20.0)
-    local = LocalMap(ToldAligner(), sensor, RegistrationConfig())
+    local = new_map()
     walls = np.column_stack([np.linspace(-1.0, 1.0, 40), np.full(40, 1.0)])
     first = Pose2(0.0, 15.0, 0.0)
     local.insert(view_of_points(walls), first.matrix())
@@ -164,9 +152,7 @@ def test_the_local_map_forgets_what_left_its_window() -> None:
 
 def test_the_field_follows_the_robot_when_keyframes_are_far_apart() -> None:
     """Forty keyframes every 2 m along a corridor: the walls round the last one count."""
-    config = RegistrationConfig()
-    sensor = SensorKind(in_space=False, voxel_m=0.1, range_m=20.0)
-    local = LocalMap(ToldAligner(), sensor, config)
+    local = new_map()
     walls = np.array([[x, y] for x in np.arange(-3.0, 3.0, 0.05).tolist() for y in (-1.0, 1.0)])
     view = view_of_points(walls, 5.0)
     for k in range(40):
@@ -203,44 +189,50 @@ def test_space_inside_of_an_outline_was_seen_and_space_outside_was_not(seed: int
     """Against the signed distance of each point from each outline."""
     rng = np.random.default_rng(seed)
     scans = [circle(0, rng.uniform(1.0, 5.0, 24)).planar for _ in range(3)]
-    places = [Pose2(*rng.uniform(-2, 2, 3)) for _ in scans]
     outlines = [
-        place.apply(outline_of(scan, IDENTITY, 20.0))
-        for scan, place in zip(scans, places, strict=True)
+        Pose2(*rng.uniform(-2, 2, 3)).apply(outline_of(scan, IDENTITY, 20.0)) for scan in scans
     ]
-    seen = SeenSpace.of(outlines, CELL_M, 20.0)
     points = rng.uniform(-8, 8, (200, 2))
-    depths = np.array(
-        [
-            max(
-                cv2.pointPolygonTest(outline[1:].astype(np.float32), (float(x), float(y)), True)
-                for outline in outlines
-            )
-            for x, y in points
-        ]
-    )
-    found = seen.holds(points)
+    polygons = [outline[1:].astype(np.float32) for outline in outlines]
+    deep = [[cv2.pointPolygonTest(one, at, True) for one in polygons] for at in points.tolist()]
+    depths = np.max(deep, axis=1)
+    found = SeenSpace.of(outlines, CELL_M, 20.0).holds(points)
     assert found[depths > 0.0].all()
     assert not found[depths < -3 * CELL_M].any()
 
 
-def test_a_beam_without_return_and_the_back_of_the_laser_are_not_seen() -> None:
+def half_circle() -> PlanarScan:
+    """Walls to the right, no returns to the left, and nothing looks back."""
     bearings = np.linspace(-np.pi / 2, np.pi / 2, 181)
-    ranges = np.where(bearings < 0.0, 3.0, np.inf)
-    scan = PlanarScan(0, bearings, ranges, 10.0, full_circle=False)
-    seen = SeenSpace.of([outline_of(scan, IDENTITY, 10.0)], CELL_M, 10.0)
-    points = np.array([[1.0, -1.0], [1.0, 1.5], [-1.0, -1.0], [2.5, -3.0]])
-    assert seen.holds(points).tolist() == [True, False, False, False]
+    return PlanarScan(0, bearings, np.where(bearings < 0.0, 3.0, np.inf), 10.0, full_circle=False)
 
 
-def test_no_farther_than_walls_are_registered() -> None:
-    scan = circle(0, np.full(90, 9.0)).planar
-    seen = SeenSpace.of([outline_of(scan, Pose2(1.0, 0.0, 0.3), 4.0)], CELL_M, 20.0)
-    assert seen.holds(np.array([[4.5, 0.0], [-2.5, 0.0], [6.0, 0.0]])).tolist() == [
-        True,
-        True,
-        False,
-    ]
+FAR = circle(0, np.full(90, 9.0)).planar
+
+
+@pytest.mark.parametrize(
+    ("scan", "laser", "range_m", "side_m", "points", "held"),
+    [
+        (half_circle(), IDENTITY, 10.0, 10.0, [(1.0, -1.0)], True),
+        (half_circle(), IDENTITY, 10.0, 10.0, [(1.0, 1.5), (-1.0, -1.0), (2.5, -3.0)], False),
+        # no farther than walls are registered
+        (FAR, Pose2(1.0, 0.0, 0.3), 4.0, 20.0, [(4.5, 0.0), (-2.5, 0.0)], True),
+        (FAR, Pose2(1.0, 0.0, 0.3), 4.0, 20.0, [(6.0, 0.0)], False),
+        # points off the grid
+        (FAR, IDENTITY, 20.0, 5.0, [(4.9, 4.9)], True),
+        (FAR, IDENTITY, 20.0, 5.0, [(5.5, 0.0), (-1e6, 0.0), (0.0, 1e9)], False),
+    ],
+)
+def test_what_was_seen(
+    scan: PlanarScan,
+    laser: Pose2,
+    range_m: float,
+    side_m: float,
+    points: list[tuple[float, float]],
+    held: bool,
+) -> None:
+    seen = SeenSpace.of([outline_of(scan, laser, range_m)], CELL_M, side_m)
+    assert seen.holds(np.array(points)).tolist() == [held] * len(points)
 
 
 @pytest.mark.parametrize("beams", [4, 359, 720, 5000])
@@ -250,10 +242,3 @@ def test_outlines_of_many_beams_are_thinned(beams: int) -> None:
     assert np.allclose(outline[0], 0.0)
     assert np.allclose(np.hypot(*outline[1:].T), 2.0)
     assert np.allclose(outline[1], outline[-1])
-
-
-def test_points_off_the_grid_were_not_seen() -> None:
-    scan = dataclasses.replace(circle(0, np.full(90, 9.0)).planar, full_circle=True)
-    seen = SeenSpace.of([outline_of(scan, IDENTITY, 20.0)], CELL_M, 5.0)
-    points = np.array([[4.9, 4.9], [5.5, 0.0], [-1e6, 0.0], [0.0, 1e9]])
-    assert seen.holds(points).tolist() == [True, False, False, False]

@@ -1,0 +1,34 @@
+"""What a verdict is made of, for a drive in which nothing is wrong but what is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.records import Trajectory
+from specmap_cli.layout.audit import Audit
+from specmap_cli.layout.result import Layout
+from specmap_cli.quality.evidence import Evidence
+
+
+def evidence_of(
+    poses: FloatArray,
+    every_ns: int = 10**9,
+    odometry: FloatArray | None = None,
+    lost: Sequence[int] = (),
+    layout: dict[str, Any] | None = None,
+    **told: Any,
+) -> Evidence:
+    """The evidence of poses, each of them a keyframe."""
+    stamps, marks = np.arange(len(poses)) * every_ns, np.zeros(len(poses), dtype=np.bool_)
+    marks[list(lost)] = True
+    fields: dict[str, Any] = {"breaks": (), "audit": Audit(), "beyond": 0, "warnings": (), **told}
+    return Evidence(
+        trajectory=Trajectory(stamps, poses, odometry=odometry, lost=marks),
+        keyframes_ns=tuple(stamps.tolist()),
+        layout=Layout(poses=poses, **(layout or {})),
+        **fields,
+    )
