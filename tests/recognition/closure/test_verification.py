@@ -43,6 +43,13 @@ def ready(grid: GridMap) -> PreparedGrid:
     return made
 
 
+def matched(old: PreparedGrid, new: PreparedGrid) -> Check:
+    """The match of two grids that both show enough walls."""
+    check = verify(old, new)
+    assert check is not None
+    return check
+
+
 def walls_at(
     segments: list[tuple[float, float, float, float]], free: bool = False, resolution: float = 0.05
 ) -> GridMap:
@@ -57,18 +64,15 @@ def walls_at(
     return grid
 
 
-# an L-shaped room: no turn takes it to itself
-ROOM = [
-    (-3.0, -2.0, 3.0, -2.0),
-    (3.0, -2.0, 3.0, 0.5),
-    (3.0, 0.5, 0.5, 0.5),
-    (0.5, 0.5, 0.5, 2.0),
-    (0.5, 2.0, -3.0, 2.0),
-    (-3.0, 2.0, -3.0, -2.0),
-    (-1.5, -0.7, -0.5, -0.7),
-]
+def around(*corners: tuple[float, float]) -> list[tuple[float, float, float, float]]:
+    """The walls between corners, closed."""
+    return [(*a, *b) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)]
 
 
+# an L-shaped room with a shelf: no turn takes it to itself
+ROOM = around((-3.0, -2.0), (3.0, -2.0), (3.0, 0.5), (0.5, 0.5), (0.5, 2.0), (-3.0, 2.0))
+ROOM += [(-1.5, -0.7, -0.5, -0.7)]
+HALL = around((-4.0, -2.0), (4.0, -2.0), (4.0, 2.0), (-4.0, 2.0))
 ROOMS_WITH_FLOOR = (ready(walls_at(ROOM, free=True)), ready(walls_at(ROOM[:4], free=True)))
 
 
@@ -82,10 +86,8 @@ def moved(segments: list[tuple[float, float, float, float]], by: Pose2) -> Any:
 def test_verification_needs_no_guess(building: Any, turn: float) -> None:
     old, new = building.visit(0, 1, seed=0), building.visit(1, 1, seed=2)
     first, second = ready(old.grid), ready(new.grid)
-    check = verify(first, second)
-    assert check is not None
-    error = building.truth(1, 0, 2).inverse() @ check.old_from_new
-    assert error.distance < 0.06
+    check = matched(first, second)
+    assert (building.truth(1, 0, 2).inverse() @ check.old_from_new).distance < 0.06
     assert check.score > 0.8
     elsewhere = judge(first, second, check.old_from_new @ Pose2(0.6, 0.0, turn))
     assert elsewhere.score < check.score
@@ -97,8 +99,7 @@ def test_a_room_is_found_however_it_lies(x: float, y: float, theta: float) -> No
     """The frame of the second grid lies anywhere; its rows and columns cut the walls otherwise."""
     truth = Pose2(x, y, theta)
     first, second = ready(walls_at(ROOM)), ready(walls_at(moved(ROOM, truth)))
-    check = verify(first, second)
-    assert check is not None
+    check = matched(first, second)
     error = truth.inverse() @ check.old_from_new
     assert error.distance < 0.08
     assert abs(error.theta) < 0.03
@@ -120,8 +121,7 @@ def test_every_room_is_found_in_itself_on_cells_of_any_size(
 ) -> None:
     for room in range(4):
         old, new = (driven(building, room, resolution, by) for by in (IDENTITY, frame))
-        check = verify(old, new)
-        assert check is not None
+        check = matched(old, new)
         error = frame.inverse() @ check.old_from_new
         assert error.distance < 0.05, room
         assert abs(error.theta) < 0.03, room
@@ -137,13 +137,10 @@ def test_a_corridor_that_fits_in_two_ways_keeps_its_rival_on_coarse_cells(
     long = [(-3.5, -1.0, 3.5, -1.0), (-3.5, 1.0, 3.5, 1.0)]
     short = [(-1.2, -1.0, 1.2, -1.0), (-1.2, 1.0, 1.2, 1.0)]
     old, new = (ready(walls_at(walls, resolution=resolution)) for walls in (long, short))
-    check = verify(old, new)
-    assert check is not None
+    check = matched(old, new)
     assert check.lead < MIN_LEAD
     room = ready(walls_at(ROOM, resolution=resolution))
-    alone = verify(room, room)
-    assert alone is not None
-    assert alone.lead > MIN_LEAD
+    assert matched(room, room).lead > MIN_LEAD
 
 
 @pytest.mark.parametrize("resolution", [0.02, 0.05, 0.12, 0.25])
@@ -153,27 +150,21 @@ def test_confirmed_walls_are_metres_on_cells_of_any_size(resolution: float) -> N
     assert judge(room, room, IDENTITY).confirmed_m == pytest.approx(21.0, rel=0.1)
 
 
-def test_grids_of_two_rooms_contradict_each_other(building: Any) -> None:
+def test_grids_of_two_rooms_contradict_each_other_and_are_left_rough(building: Any) -> None:
+    """Below hope nothing is gained by the fine steps, so they are not made: no lead is known."""
     first, other = ready(building.visit(0, 1).grid), ready(building.visit(1, 2).grid)
-    check = verify(first, other)
-    assert check is not None
-    assert check.score < CONFIG.min_score
-
-
-def test_a_match_below_hope_is_left_rough(building: Any) -> None:
-    """Nothing is gained by the fine steps, so they are not made: its lead is not known."""
-    first, other = ready(building.visit(0, 1).grid), ready(building.visit(1, 2).grid)
+    assert matched(first, other).score < CONFIG.min_score
     turn("recognition", hopeless_score=1.0)
-    check = verify(first, other)
-    assert check is not None
-    assert check.lead == 0.0
+    assert matched(first, other).lead == 0.0
 
 
-def test_the_same_grid_agrees_with_itself_wholly() -> None:
+def test_a_grid_agrees_with_itself_wholly_and_not_with_one_that_it_does_not_meet() -> None:
     room = ready(walls_at(ROOM, free=True))
     check = judge(room, room, IDENTITY)
     assert (check.score, check.overlap, check.least_overlap) == (1.0, 1.0, 1.0)
     assert check.confirmed_m == pytest.approx(0.05 * len(room.walls))
+    check = judge(room, room, Pose2(50.0, 0.0, 0.0))
+    assert (check.score, check.confirmed_m, check.overlap) == (0.0, 0, 0.0)
 
 
 def by_hand(old: GridMap, new: GridMap, old_from_new: Pose2) -> Any:
@@ -200,11 +191,6 @@ def test_the_judgement_counts_what_is_confirmed_and_what_is_contradicted(shift: 
     assert check.score == pytest.approx(expected, abs=0.02)  # OpenCV's distances are rounded
     assert check.confirmed_m == pytest.approx(0.05 * min(s[2] for s in sides), abs=0.25)
 
-
-def test_grids_that_do_not_meet_have_nothing_in_common() -> None:
-    room = ready(walls_at(ROOM))
-    check = judge(room, room, Pose2(50.0, 0.0, 0.0))
-    assert (check.score, check.confirmed_m, check.overlap) == (0.0, 0, 0.0)
 
 
 @given(poses)
@@ -234,14 +220,6 @@ def test_overlap_by_a_loop_and_the_same_both_ways(
     found = tracks_overlap(old, new, old_from_new, reach)
     assert found == pytest.approx(min(of_old, of_new))
     assert tracks_overlap(new, old, old_from_new.inverse(), reach) == pytest.approx(found)
-
-
-HALL = [
-    (-4.0, -2.0, 4.0, -2.0),
-    (4.0, -2.0, 4.0, 2.0),
-    (4.0, 2.0, -4.0, 2.0),
-    (-4.0, 2.0, -4.0, -2.0),
-]
 
 
 @pytest.mark.parametrize("turned", [False, True])
@@ -352,7 +330,7 @@ def test_a_guess_is_refined_once(building: Any, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(verification, "refine", counting)
     grids = two(building, 0, 1)
     turn("recognition", sure_score=1.0, hopeless_score=-1.0, min_lead=9.0)
-    assert verify(*grids) is not None
+    matched(*grids)
     assert len(guesses) >= 4  # three, the last centimetres, and others of the second pass
     assert len(set(guesses)) == len(guesses)
     assert np.isfinite([guess for guess, _ in guesses]).all()

@@ -11,7 +11,7 @@ import pytest
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import IDENTITY, Pose2
-from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.records import PlanarScan
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.recognition.features.group import BatchGroup, WrongCountError
 from specmap_cli.recognition.features.returns import ReturnsBatch
@@ -194,8 +194,7 @@ def test_keyframes_have_their_features_computed_once_while_there_is_room(
     monkeypatch.setattr("specmap_cli.recognition.features.sets.scans_features", counting)
     with KeyframeStore() as store:
         for k in range(4):
-            pose = Pose2(0.1 * k, 0.0, 0.0)
-            store.append(posed(scan(2.0 + k), pose, k))
+            store.append(posed(scan(2.0 + k), Pose2(0.1 * k, 0.0, 0.0), k))
         features = KeyframeFeatures(store, "table1", most)
         first = features.of([0, 1, 0, 2])
         assert computed == [1.8, 2.8, 3.8]
@@ -210,16 +209,7 @@ def test_keyframes_have_their_features_computed_once_while_there_is_room(
 def test_features_that_are_known_are_known_in_a_store_of_more_keyframes() -> None:
     with KeyframeStore() as own, KeyframeStore() as joint:
         for k, store in enumerate((joint, joint, own, own)):
-            planar = scan(2.0 + k)
-            store.append(
-                PosedScan(
-                    index=0,
-                    stamp_ns=k,
-                    map_from_base=IDENTITY,
-                    planar=planar,
-                    base_from_laser=IDENTITY,
-                )
-            )
+            store.append(posed(scan(2.0 + k), IDENTITY, k))
         features = KeyframeFeatures(own, "table1")
         features.of([1])
         joint.extend(own)
