@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,9 +28,8 @@ def settings(augmentation: int) -> Config:
 
 
 @pytest.fixture(scope="module")
-def store(request: pytest.FixtureRequest) -> Iterator[KeyframeStore]:
+def store(building: Any) -> Iterator[KeyframeStore]:
     """Keyframes on the way through a room of the building."""
-    building = request.getfixturevalue("building")
     poses = building.path(0, 1)[:38]
     with stored(building.scans(poses), poses) as made:
         yield made
@@ -79,11 +79,10 @@ def test_those_that_are_known_are_not_made_again(
 def test_they_lie_a_step_aside_and_look_as_scans_taken_there(
     store: KeyframeStore,
     seen: list[tuple[FloatArray, Pose2, FloatArray]],
-    request: pytest.FixtureRequest,
+    building: Any,
 ) -> None:
     rng = np.random.default_rng(1)
     found = augmented_samples(store, SUBMAPS, store.poses, settings(60), rng)
-    building = request.getfixturevalue("building")
     assert len(seen) == sum(len(own.keyframes) for own in found.values())
     keyframes = np.concatenate([found[i].keyframes for i in sorted(found)])
     poses = np.array([pose for _, pose, _ in seen])

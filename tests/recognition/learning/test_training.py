@@ -53,9 +53,8 @@ def settings(**localization: Any) -> Config:
 
 
 @pytest.fixture(scope="module")
-def store(request: pytest.FixtureRequest) -> Iterator[KeyframeStore]:
+def store(building: Any) -> Iterator[KeyframeStore]:
     """Forty keyframes in each of two rooms of the building."""
-    building = request.getfixturevalue("building")
     poses = np.vstack([building.path(room, 1) for room in (0, 2)])
     with stored(building.scans(poses), poses) as made:
         yield made
