@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,7 @@ from specmap_cli.recognition.learning.sampling import (
 )
 from specmap_cli.recognition.learning.training import _EXEMPLARS, sensor_of, train_and_test
 from specmap_cli.recognition.localization.localizer import Localizer
-from tests.recognition.posed import posed, stored
+from tests.recognition.posed import stored
 from tests.turning import turn
 
 SUBMAPS = {0: list(range(0, 40)), 2: list(range(44, 80))}  # keyframes 40 to 43 are in none
@@ -279,9 +280,8 @@ def test_a_feature_set_of_another_package_is_trained_and_used(
     guide = Localizer(read, {0: [2], 2: [0]}, found.grids, config.localization)
     labels = []
     for room in (0, 2):
-        for k, pose in enumerate(building.path(room, 5)):
-            at, scan = Pose2(*pose.tolist()), building.scans(pose[None])[0]
-            labels.append(guide.update(posed(scan, at, k, restarted=k == 0)))
+        first, *others = building.posed(building.path(room, 5))
+        labels += [guide.update(scan) for scan in (replace(first, restarted=True), *others)]
     right = [label.filtered_submap == (0, 2)[k // 40] for k, label in enumerate(labels)]
     assert np.mean(right) > 0.8
 
@@ -301,10 +301,7 @@ def test_a_file_of_an_older_edition_of_the_package_is_refused(
 ) -> None:
     install("mine")
     config = load_config(overrides={"recognition": {"rounds": 20, "feature_set": "mine"}})
-    learned = ClassifierSet(
-        sensor=sensor_of(store, SUBMAPS),
-        raw=raw_of(store, config),
-    )
+    learned = ClassifierSet(sensor=sensor_of(store, SUBMAPS), raw=raw_of(store, config))
     text = learned.to_json().replace('"rings_far"', '"rings_farthest"')
     with pytest.raises(MapError, match="'rings_farthest' is no feature of the set; build"):
         ClassifierSet.from_json(text)

@@ -59,14 +59,6 @@ def test_a_stray_scan_does_not_move_the_robot() -> None:
     assert int(model.update(stray).argmax()) == 2
 
 
-def test_unknown_wins_when_it_explains_the_scans_better() -> None:
-    model = hidden_markov({3: []})
-    assert int(model.update(np.array([1.0, 0.0])).argmax()) == 0
-    for _ in range(15):
-        belief = model.update(np.array([0.0, 1.0]))
-    assert int(belief.argmax()) == 1
-
-
 def test_impossible_evidence_for_unknown_keeps_it_out() -> None:
     model = hidden_markov({0: [1], 1: [0]})
     belief = model.update(np.array([-3.0, -40.0, -np.inf]))
