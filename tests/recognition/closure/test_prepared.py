@@ -21,6 +21,7 @@ from specmap_cli.recognition.closure.prepared import (
     wall_direction,
 )
 from specmap_cli.recognition.closure.verification import verify
+from tests.recognition.watching import watched
 from tests.strategies import grid_maps
 from tests.turning import turn
 
@@ -174,13 +175,6 @@ def test_a_grid_that_cannot_be_prepared_is_remembered_too(monkeypatch: pytest.Mo
 
 def test_fields_are_made_of_the_older_grid_alone_and_once(monkeypatch: pytest.MonkeyPatch) -> None:
     old, new = prepared_box(), prepared_box()
-    asked: list[GridMap] = []
-    real = ScoreField.from_grid
-
-    def counted(grid: GridMap, sigma_m: float) -> ScoreField:
-        asked.append(grid)
-        return real(grid, sigma_m)
-
-    monkeypatch.setattr(ScoreField, "from_grid", counted)
+    asked = watched(monkeypatch, ScoreField, "from_grid")
     assert verify(old, new) == verify(old, new)
-    assert [grid is old.grid for grid in asked] == [True]
+    assert [grid is old.grid for grid, *_ in asked] == [True]

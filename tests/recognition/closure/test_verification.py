@@ -15,7 +15,6 @@ from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, inve
 from specmap_cli.core.settings import GridConfig, RecognitionConfig
 from specmap_cli.grids.correlation import Target
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.grids.matching import refine
 from specmap_cli.grids.occupancy import OccupancyGrid
 from specmap_cli.recognition.closure import verification
 from specmap_cli.recognition.closure.prepared import INLIER_M, PreparedGrid, prepared
@@ -31,6 +30,7 @@ from specmap_cli.recognition.closure.verification import (
     tracks_overlap,
     verify,
 )
+from tests.recognition.watching import watched
 from tests.strategies import few, pose_arrays, poses
 from tests.turning import turn
 
@@ -242,20 +242,6 @@ def test_what_leads_though_it_is_not_plausible_is_told() -> None:
     assert told == verify(room, room)
 
 
-@pytest.fixture
-def correlated(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """The pictures that were correlated so far."""
-    done: list[Any] = []
-    real = Target.correlate_turned
-
-    def counting(self: Target, pictures: Any) -> Any:
-        done.append(pictures)
-        return real(self, pictures)
-
-    monkeypatch.setattr(Target, "correlate_turned", counting)
-    return done
-
-
 def two(building: Any, first: int, second: int) -> tuple[PreparedGrid, PreparedGrid]:
     """Grids of a room and of another, or of the same one seen on another walk."""
     return ready(building.visit(0, first).grid), ready(building.visit(1, second, seed=1).grid)
@@ -273,8 +259,9 @@ def test_the_best_transforms_are_different_and_turn_as_the_walls_do(building: An
 
 
 def test_a_rotation_is_correlated_once_with_the_one_turned_by_half_a_turn(
-    building: Any, correlated: list[Any]
+    building: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    correlated = watched(monkeypatch, Target, "correlate_turned")
     search = TransformSearch(*two(building, 0, 1))
     first = search.best(search.few)
     assert len(correlated) == 2 * len(search.few)
@@ -321,16 +308,11 @@ def test_other_directions_are_tried_when_the_first_answer_is_neither_right_nor_c
 
 
 def test_a_guess_is_refined_once(building: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    guesses: list[Any] = []
-
-    def counting(field: Any, points: Any, guess: Pose2, *limits: Any) -> Any:
-        guesses.append((guess, len(points)))
-        return refine(field, points, guess, *limits)
-
-    monkeypatch.setattr(verification, "refine", counting)
+    made = watched(monkeypatch, verification, "refine")
     grids = two(building, 0, 1)
     turn("recognition", sure_score=1.0, hopeless_score=-1.0, min_lead=9.0)
     matched(*grids)
+    guesses = [(guess, len(points)) for _, points, guess, *_ in made]
     assert len(guesses) >= 4  # three, the last centimetres, and others of the second pass
     assert len(set(guesses)) == len(guesses)
     assert np.isfinite([guess for guess, _ in guesses]).all()

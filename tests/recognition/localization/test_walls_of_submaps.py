@@ -17,9 +17,10 @@ from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import UNKNOWN, GridMap
-from specmap_cli.grids.matching import Match, search_everywhere
+from specmap_cli.grids.matching import Match
 from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.learning.misfit import _USUAL_MISFIT, HeldOutMisfit, pooled
+from specmap_cli.recognition.localization import wall_fit
 from specmap_cli.recognition.localization.places import Place
 from specmap_cli.recognition.localization.unknown import WallCheck
 from specmap_cli.recognition.localization.wall_fit import (
@@ -32,6 +33,7 @@ from specmap_cli.recognition.localization.wall_fit import (
     WallFit,
 )
 from tests.recognition.posed import posed
+from tests.recognition.watching import watched
 from tests.turning import configured
 
 CONFIG = LocalizationConfig()
@@ -101,15 +103,7 @@ def asked_at(said: list[float | None]) -> list[int]:
 @pytest.fixture
 def searches(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """One item for each search of a whole submap."""
-    made: list[Any] = []
-
-    def counting(*given: Any, **more: Any) -> Any:
-        made.append(given)
-        return search_everywhere(*given, **more)
-
-    module = "specmap_cli.recognition.localization.wall_fit.search_everywhere"
-    monkeypatch.setattr(module, counting)
-    return made
+    return watched(monkeypatch, wall_fit, "search_everywhere")
 
 
 @pytest.mark.parametrize("typical", [0.0, 0.06, 0.3])
@@ -309,7 +303,7 @@ def test_of_the_places_found_the_one_counts_that_the_map_can_say_least_against(
     for order in ([wrong, right], [right, wrong]):
         walls, _ = walls_of(building)
         monkeypatch.setattr(
-            "specmap_cli.recognition.localization.wall_fit._searched",
+            wall_fit, "_searched",
             lambda *_, o=order: [Match(pose, 1.0) for pose in o],
         )
         assert ratio_of(walls, here, [7]) < -1.0
