@@ -64,38 +64,29 @@ def test_every_verdict_says_why(
 
 
 @pytest.mark.parametrize(
-    ("apart_m", "driven_m", "reason"),
+    ("apart_m", "turned_deg", "driven_m", "reason"),
     [
-        (0.4, 0.0, MERGES),
-        (0.6, 0.0, TWIN),
-        (0.6, 2.0, MERGES),
-        (2.5, 15.0, TWIN),  # the office next door
-        (9.0, 80.0, TWIN),
-        (9.0, 90.0, MERGES),
-        (9.0, math.inf, MERGES),
+        (0.4, 0.0, 0.0, MERGES),
+        (0.6, 0.0, 0.0, TWIN),
+        (0.6, 0.0, 2.0, MERGES),
+        (2.5, 0.0, 15.0, TWIN),  # the office next door
+        (9.0, 0.0, 80.0, TWIN),
+        (9.0, 0.0, 90.0, MERGES),
+        (9.0, 0.0, math.inf, MERGES),
+        (0.0, 30.0, 5.0, MERGES),  # tracking turns a little
+        (0.0, 90.0, 5.0, TWIN),
+        (0.0, -177.0, 350.0, TWIN),
+        (0.0, 90.0, 1000.0, MERGES),
     ],
 )
 def test_twins_are_told_by_the_drift_that_one_place_would_need(
-    apart_m: float, driven_m: float, reason: str
+    apart_m: float, turned_deg: float, driven_m: float, reason: str
 ) -> None:
     old = stay(0, map_from_stay=Pose2(3.0, 2.0, 0.4), travelled_m=10.0)
-    frame = Pose2(3.0, 2.0, 0.4) @ Pose2(apart_m, 0.0, 0.0)
+    frame = Pose2(3.0, 2.0, 0.4) @ Pose2(apart_m, 0.0, math.radians(turned_deg))
     new = stay(1, map_from_stay=frame, travelled_m=10.0 + driven_m)
     assert told(old, new, SURE, CONFIG).reason == reason
     assert told(new, old, SURE, CONFIG).reason == reason
-
-
-@pytest.mark.parametrize(
-    ("turned_deg", "driven_m", "merged"),
-    [(30.0, 5.0, True), (90.0, 5.0, False), (-177.0, 350.0, False), (90.0, 1000.0, True)],
-)
-def test_tracking_turns_a_little_on_a_long_way_and_never_by_a_quarter(
-    turned_deg: float, driven_m: float, merged: bool
-) -> None:
-    old = stay(0, map_from_stay=IDENTITY)
-    frame = Pose2(0.0, 0.0, math.radians(turned_deg))
-    new = stay(1, map_from_stay=frame, travelled_m=driven_m)
-    assert told(old, new, SURE, CONFIG).merged is merged
 
 
 def test_two_stays_after_a_loss_of_tracking_may_be_any_way_apart() -> None:

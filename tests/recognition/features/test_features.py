@@ -172,14 +172,11 @@ def test_point_pairs_count_every_pair_by_distance_and_orientation() -> None:
     assert values[-2:] == pytest.approx([length, len(points)])
 
 
-def test_normals_of_the_boundary_point_to_the_robot() -> None:
+def test_normals_of_the_boundary_point_to_the_robot_and_it_does_not_cross_leaps() -> None:
     points, normals, length = boundary_of(batch_of(scan_of(rectangle(5, 4, 2, 2))))
     assert length == pytest.approx(18.0, rel=0.03)
     assert ((points * normals).sum(axis=1) < 0.0).all()
     assert np.hypot(*normals.T) == pytest.approx(np.ones(len(normals)))
-
-
-def test_the_boundary_does_not_cross_leaps() -> None:
     ranges = np.where(np.arange(360) < 180, 2.0, 4.0)
     _, _, length = boundary_of(batch_of(scan_of(ranges)))
     assert length == pytest.approx(np.pi * 6.0, rel=0.02)

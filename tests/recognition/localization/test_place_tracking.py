@@ -138,24 +138,19 @@ def test_a_robot_that_is_carried_away_has_no_pose_and_then_the_right_one() -> No
     assert belief.argmax() == 2
 
 
-def test_a_restart_forgets_all_places() -> None:
+def test_a_lost_scan_has_no_place_but_the_next_one_has_and_a_restart_forgets_them_all() -> None:
     home = Home()
     home.see(2, ASIDE, BOX)
     assert home.place is not None
-    home.tracker.restart()
-    assert home.place is None
-    assert not home.tracker.hypotheses
-    assert home.tracker.update(home.scan(2, IDENTITY), None, EVEN).tolist() == EVEN.tolist()
-
-
-def test_a_lost_scan_has_no_place_but_the_next_one_has() -> None:
-    home = Home()
-    home.see(2, ASIDE, BOX)
     lost = replace(home.scan(2, ASIDE, Pose2(50.0, 0.0, 0.0)), lost=True)
     home.tracker.update(lost, None, EVEN)
-    assert home.place is None
+    assert home.tracker.lead is None
     home.see(2, ASIDE, BOX)
-    assert home.place is not None
+    assert home.tracker.lead is not None
+    home.tracker.restart()
+    assert home.tracker.lead is None
+    assert not home.tracker.hypotheses
+    assert home.tracker.update(home.scan(2, IDENTITY), None, EVEN).tolist() == EVEN.tolist()
 
 
 def test_what_walls_said_is_remembered_no_longer_than_a_leap_is_unlikely() -> None:
