@@ -62,7 +62,9 @@ class Building:
     def posed(self, poses: FloatArray) -> list[PosedScan]:
         """The scans from each pose, at that pose."""
         places = [Pose2(*pose) for pose in poses.tolist()]
-        return [posed(s, p, k) for k, (s, p) in enumerate(zip(self.scans(poses), places, strict=True))]
+        return [
+            posed(s, p, k) for k, (s, p) in enumerate(zip(self.scans(poses), places, strict=True))
+        ]
 
     def frame(self, room: int, seed: int = 0) -> Pose2:
         """Where a walk through the room begins."""

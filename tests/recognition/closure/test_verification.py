@@ -192,7 +192,6 @@ def test_the_judgement_counts_what_is_confirmed_and_what_is_contradicted(shift: 
     assert check.confirmed_m == pytest.approx(0.05 * min(s[2] for s in sides), abs=0.25)
 
 
-
 @given(poses)
 def test_the_judgement_is_the_same_both_ways(there: Pose2) -> None:
     first, second = ROOMS_WITH_FLOOR

@@ -107,13 +107,7 @@ def test_an_unknown_set_is_told_wherever_it_is_used(use: Callable[[str], object]
 def test_a_package_adds_a_set(install: Callable[..., None]) -> None:
     install("mine")
     assert list(feature_sets()) == [*BUILT_IN, "mine"]
-    assert feature_names("mine") == (
-        "reach",
-        "returns",
-        "rings_near",
-        "rings_middle",
-        "rings_far",
-    )
+    assert feature_names("mine") == ("reach", "returns", "rings_near", "rings_middle", "rings_far")
     assert histogram_columns("mine") == [2, 3, 4]
     assert scans_features([scan()], "mine")[0] == pytest.approx([3.2, 180.0, 0.0, 1.0, 0.0])
     check_feature_sets(load_config(overrides={"recognition": {"feature_set": "mine"}}))

@@ -13,6 +13,7 @@ from specmap_cli.core.records import PlanarScan
 from specmap_cli.recognition.learning.misfit import HeldOutMisfit, held_out_misfit, near_returns
 from tests.recognition.posed import stored
 
+
 def misfit_of(building: Any, poses: FloatArray, noise_m: float = 0.0) -> HeldOutMisfit:
     """What the scans from some poses of one submap say, with noise in their ranges."""
     rng = np.random.default_rng(3)

@@ -82,7 +82,9 @@ def test_a_submap_seen_very_often_is_learned_from_some_of_its_scans(
 ) -> None:
     raw_samples(store, SUBMAPS, Config(recognition=RecognitionConfig(positives=10)))
     assert [len(numbers) for _, numbers in asked] == [min(10, len(n)) for n in SUBMAPS.values()]
-    assert all(numbers[-1] == n[-1] for (_, numbers), n in zip(asked, SUBMAPS.values(), strict=True))
+    assert all(
+        numbers[-1] == n[-1] for (_, numbers), n in zip(asked, SUBMAPS.values(), strict=True)
+    )
 
 
 def test_of_a_submap_seen_often_the_scans_with_known_features_are_learned_from(
@@ -143,7 +145,6 @@ def test_the_sensor_is_that_of_the_first_keyframe_in_a_submap(store: KeyframeSto
     assert sensor_of(store, SUBMAPS).beams == 180
     late = {5: [70, 71], 1: [60, 61]}
     assert sensor_of(store, late).full_circle
-
 
 
 def raw_of(store: KeyframeStore, config: Config) -> Recogniser:
@@ -240,9 +241,7 @@ def test_exemplars_and_the_share_given_up_are_settings(store: KeyframeStore) -> 
 
 
 def test_a_feature_set_of_another_package_is_trained_and_used(
-    store: KeyframeStore,
-    install: Callable[..., None],
-    building: Any,
+    store: KeyframeStore, install: Callable[..., None], building: Any
 ) -> None:
     """From an entry point to labels, by way of a file; without the package, one clear line."""
     install("mine")

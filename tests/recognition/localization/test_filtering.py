@@ -203,9 +203,7 @@ def test_slow_motion_adds_up(views: ViewGrouping) -> None:
     assert begun == [True, False, False, False, True, False, False, False, True]
 
 
-def test_the_first_scan_of_a_track_is_a_view_though_lost_or_unmoved(
-    views: ViewGrouping,
-) -> None:
+def test_the_first_scan_of_a_track_is_a_view_though_lost_or_unmoved(views: ViewGrouping) -> None:
     assert views.begins(at(0.0, lost=True))
     views.keep(np.zeros(2))
     views.restart()

@@ -303,8 +303,7 @@ def test_of_the_places_found_the_one_counts_that_the_map_can_say_least_against(
     for order in ([wrong, right], [right, wrong]):
         walls, _ = walls_of(building)
         monkeypatch.setattr(
-            wall_fit, "_searched",
-            lambda *_, o=order: [Match(pose, 1.0) for pose in o],
+            wall_fit, "_searched", lambda *_, o=order: [Match(pose, 1.0) for pose in o]
         )
         assert ratio_of(walls, here, [7]) < -1.0
 
