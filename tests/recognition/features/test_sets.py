@@ -34,16 +34,12 @@ def scan(range_m: float = 3.0, beams: int = 180) -> PlanarScan:
 
 
 @pytest.mark.parametrize("name", BUILT_IN)
-def test_a_set_names_every_column_once(name: str) -> None:
-    columns = feature_names(name)
+def test_a_set_names_every_column_once_and_it_holds_what_its_group_gives(name: str) -> None:
+    columns, features = feature_names(name), scans_features([scan()], name)[0]
     assert len(set(columns)) == len(columns)
-    assert scans_features([scan()], name)[0].shape == (len(columns),)
+    assert features.shape == (len(columns),)
     assert scans_features([], name).shape == (0, len(columns))
-
-
-@pytest.mark.parametrize("name", BUILT_IN)
-def test_columns_hold_what_their_group_gives(name: str) -> None:
-    values = dict(zip(feature_names(name), scans_features([scan()], name)[0].tolist(), strict=True))
+    values = dict(zip(columns, features.tolist(), strict=True))
     for group in BUILT_IN[name]:
         given = group.values(ReturnsBatch.of([scan()]))[0].astype(np.float32).tolist()
         assert [values[column] for column in group.columns] == given
