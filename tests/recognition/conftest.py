@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
-from specmap_cli.core.records import PlanarScan
+from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import GridConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap, PackedGrid
 from specmap_cli.grids.occupancy import OccupancyGrid
@@ -19,6 +19,7 @@ from specmap_cli.recognition.closure.decision import Stay
 from specmap_cli.recognition.features.sets import ENTRY_POINTS, feature_sets, scans_features
 from tests import plugins
 from tests.casting import ranges_at
+from tests.recognition.posed import posed
 
 BEARINGS = np.linspace(-np.pi, np.pi, 180, endpoint=False)
 
@@ -58,6 +59,17 @@ class Building:
             for ranges in ranges_at(self.plan, poses, BEARINGS, 20.0)
         ]
 
+    def posed(self, poses: FloatArray) -> list[PosedScan]:
+        """The scans from each pose, at that pose."""
+        places = [Pose2(*pose) for pose in poses.tolist()]
+        return [
+            posed(s, p, k) for k, (s, p) in enumerate(zip(self.scans(poses), places, strict=True))
+        ]
+
+    def frame(self, room: int, seed: int = 0) -> Pose2:
+        """Where a walk through the room begins."""
+        return Pose2(*self.path(room, seed)[0].tolist())
+
     @cache  # noqa: B019 (one building lasts for the session)
     def walk(self, room: int, seed: int, feature_set: str) -> Stay:
         """A stay of one walk through a room, in the frame of the walk's first pose."""
@@ -80,13 +92,11 @@ class Building:
         stay = replace(self.walk(room, seed, feature_set), number=number)
         if travelled_m is None:
             return stay
-        frame = Pose2(*self.path(room, seed)[0].tolist())
-        return replace(stay, map_from_stay=frame, travelled_m=travelled_m)
+        return replace(stay, map_from_stay=self.frame(room, seed), travelled_m=travelled_m)
 
     def truth(self, room: int, old_seed: int, new_seed: int) -> Pose2:
         """The true `old_from_new` of two visits to a room."""
-        old, new = self.path(room, old_seed)[0], self.path(room, new_seed)[0]
-        return Pose2(*compose(invert(old), new).tolist())
+        return self.frame(room, old_seed).inverse() @ self.frame(room, new_seed)
 
 
 @pytest.fixture(scope="session")

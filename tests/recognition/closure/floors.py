@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, CellArray, GridMap
@@ -103,13 +104,8 @@ def _drawn(plan: Floor, boxes: Sequence[Box], plan_from_map: Pose2) -> GridMap:
     surface = values == OCCUPIED  # a robot sees the faces of walls, and nothing behind them
     shape = grid.cells.shape
     free = ((values == FREE) & near).reshape(shape)
-    beside = np.zeros(shape, dtype=bool)
-    beside[1:] |= free[:-1]
-    beside[:-1] |= free[1:]
-    beside[:, 1:] |= free[:, :-1]
-    beside[:, :-1] |= free[:, 1:]
     grid.cells[free] = FREE
-    grid.cells[surface.reshape(shape) & beside] = OCCUPIED
+    grid.cells[surface.reshape(shape) & binary_dilation(free)] = OCCUPIED
     return grid
 
 

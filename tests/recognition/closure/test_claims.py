@@ -148,32 +148,22 @@ def test_stays_of_one_submap_are_claimed_one_by_one_and_judged_together() -> Non
     assert max(claims, key=lambda i: claims[i].rank) == 1
 
 
-def kept(made: ClaimRanker) -> dict[int, int]:
-    """Which classifier is kept for each submap, by its identity."""
-    return {i: id(trained.booster) for i, trained in made._classifiers.items()}
-
-
-def test_a_classifier_is_trained_again_when_the_map_has_grown_enough() -> None:
+def test_a_classifier_is_trained_again_when_its_submap_or_the_map_has_grown_enough() -> None:
     made = ranker(TREES.model_copy(update={"refresh_growth": 0.5}), 4)
     made.claims(scans_of(9))
-    before = kept(made)
-    made.remember(4, scans_of(4))
-    made.claims(scans_of(9))
-    assert {i: kept(made)[i] for i in before} == before  # 5 of 4 is less than half more
-    made.remember(5, scans_of(5))
-    made.claims(scans_of(9))
-    assert not set(kept(made).items()) & set(before.items())
+    before = dict(made._classifiers)
 
+    def trained_again(number: int, scans: FloatArray, merged: int | None = None) -> set[int]:
+        made.remember(number, scans)
+        if merged is not None:
+            made.merge(merged, number)
+        made.claims(scans_of(9))
+        now = made._classifiers
+        return {i for i, was in before.items() if now[i].booster is not was.booster}
 
-def test_a_classifier_is_trained_again_when_its_submap_has_grown() -> None:
-    made = ranker(TREES.model_copy(update={"refresh_growth": 0.5}), 4)
-    made.claims(scans_of(9))
-    before = kept(made)
-    made.remember(4, scans_of(1, seed=2))
-    made.merge(1, 4)
-    made.claims(scans_of(9))
-    assert kept(made)[1] != before[1]
-    assert kept(made)[0] == before[0]
+    assert trained_again(4, scans_of(1, seed=2), merged=1) == {1}
+    assert trained_again(5, scans_of(4)) == {1}  # 5 of 4 is less than half more
+    assert trained_again(6, scans_of(5)) == {0, 1, 2, 3}
 
 
 def test_without_growth_allowed_every_classifier_is_trained_every_time() -> None:

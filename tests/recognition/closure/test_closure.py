@@ -67,20 +67,16 @@ def test_every_pair_considered_says_why(building: Any) -> None:
             assert (closure.old_from_new is None) == (not closure.verified)
 
 
-def test_twin_rooms_stay_two_and_the_ambiguity_is_said(twins: Any) -> None:
+@pytest.mark.parametrize(("travelled_m", "merged"), [(14.0, False), (400.0, True)])
+def test_twin_rooms_are_one_only_after_a_way_long_enough_to_drift_so_far(
+    twins: Any, travelled_m: float, merged: bool
+) -> None:
     loop = closer()
     loop.consider(twins.visit(0, 0, seed=0, travelled_m=0.0))
-    closure = loop.consider(twins.visit(1, 1, seed=1, travelled_m=14.0))[0]
+    closure = loop.consider(twins.visit(1, 1, seed=1, travelled_m=travelled_m))[0]
     assert closure.score > 0.7
-    assert not closure.merged
-    assert "ambiguous" in closure.reason
-
-
-def test_a_room_found_again_merges_whatever_the_drift_on_a_long_way(twins: Any) -> None:
-    loop = closer()
-    loop.consider(twins.visit(0, 0, seed=0, travelled_m=0.0))
-    closure = loop.consider(twins.visit(1, 1, seed=1, travelled_m=400.0))[0]
-    assert closure.merged
+    assert closure.merged == merged
+    assert ("ambiguous" in closure.reason) == (not merged)
 
 
 @pytest.mark.parametrize("seed", [2, 3, 4, 5])

@@ -22,6 +22,9 @@ SURE = Check(
     old_from_new=IDENTITY, score=0.9, confirmed_m=25.0, overlap=0.9, least_overlap=0.8, lead=0.5
 )
 LINE = np.column_stack([np.arange(0.0, 8.0, 0.25), np.zeros(32), np.zeros(32)])
+MERGES = "the grids match and the tracks overlap"
+APART = "the grids match, the robot's tracks do not overlap"
+TWIN = "ambiguous: looks the same but is too far away, a twin"
 
 
 def stay(number: int = 0, **known: Any) -> Stay:
@@ -41,25 +44,15 @@ def told(old: Stay, new: Stay, check: Check | None, config: RecognitionConfig) -
     ("change", "verified", "merged", "reason"),
     [
         (None, False, False, "the grids do not match"),
-        ({}, True, True, "the grids match and the tracks overlap"),
+        ({}, True, True, MERGES),
         ({"score": 0.7499}, False, False, "the grids do not match"),
-        ({"score": 0.75}, True, True, "the grids match and the tracks overlap"),
+        ({"score": 0.75}, True, True, MERGES),
         ({"confirmed_m": 4.95}, False, False, "too little wall matches"),
         ({"overlap": 0.39, "least_overlap": 0.39}, False, False, "the grids overlap too little"),
         ({"least_overlap": 0.14}, False, False, "the grids overlap too little"),
         ({"lead": 0.09}, False, False, "ambiguous: the grids match in more than one way"),
-        (
-            {"old_from_new": Pose2(6.0, 0.0, 0.0)},
-            True,
-            False,
-            "the grids match, the robot's tracks do not overlap",
-        ),
-        (
-            {"old_from_new": Pose2(0.0, 1.01, 0.0)},
-            True,
-            False,
-            "the grids match, the robot's tracks do not overlap",
-        ),
+        ({"old_from_new": Pose2(6.0, 0.0, 0.0)}, True, False, APART),
+        ({"old_from_new": Pose2(0.0, 1.01, 0.0)}, True, False, APART),
     ],
 )
 def test_every_verdict_says_why(
@@ -70,42 +63,30 @@ def test_every_verdict_says_why(
     assert (found.verified, found.merged, found.reason) == (verified, merged, reason)
 
 
-TWIN = "ambiguous: looks the same but is too far away, a twin"
-
-
 @pytest.mark.parametrize(
-    ("apart_m", "driven_m", "reason"),
+    ("apart_m", "turned_deg", "driven_m", "reason"),
     [
-        (0.4, 0.0, "the grids match and the tracks overlap"),
-        (0.6, 0.0, TWIN),
-        (0.6, 2.0, "the grids match and the tracks overlap"),
-        (2.5, 15.0, TWIN),  # the office next door
-        (9.0, 80.0, TWIN),
-        (9.0, 90.0, "the grids match and the tracks overlap"),
-        (9.0, math.inf, "the grids match and the tracks overlap"),
+        (0.4, 0.0, 0.0, MERGES),
+        (0.6, 0.0, 0.0, TWIN),
+        (0.6, 0.0, 2.0, MERGES),
+        (2.5, 0.0, 15.0, TWIN),  # the office next door
+        (9.0, 0.0, 80.0, TWIN),
+        (9.0, 0.0, 90.0, MERGES),
+        (9.0, 0.0, math.inf, MERGES),
+        (0.0, 30.0, 5.0, MERGES),  # tracking turns a little
+        (0.0, 90.0, 5.0, TWIN),
+        (0.0, -177.0, 350.0, TWIN),
+        (0.0, 90.0, 1000.0, MERGES),
     ],
 )
 def test_twins_are_told_by_the_drift_that_one_place_would_need(
-    apart_m: float, driven_m: float, reason: str
+    apart_m: float, turned_deg: float, driven_m: float, reason: str
 ) -> None:
     old = stay(0, map_from_stay=Pose2(3.0, 2.0, 0.4), travelled_m=10.0)
-    frame = Pose2(3.0, 2.0, 0.4) @ Pose2(apart_m, 0.0, 0.0)
+    frame = Pose2(3.0, 2.0, 0.4) @ Pose2(apart_m, 0.0, math.radians(turned_deg))
     new = stay(1, map_from_stay=frame, travelled_m=10.0 + driven_m)
     assert told(old, new, SURE, CONFIG).reason == reason
     assert told(new, old, SURE, CONFIG).reason == reason
-
-
-@pytest.mark.parametrize(
-    ("turned_deg", "driven_m", "merged"),
-    [(30.0, 5.0, True), (90.0, 5.0, False), (-177.0, 350.0, False), (90.0, 1000.0, True)],
-)
-def test_tracking_turns_a_little_on_a_long_way_and_never_by_a_quarter(
-    turned_deg: float, driven_m: float, merged: bool
-) -> None:
-    old = stay(0, map_from_stay=IDENTITY)
-    frame = Pose2(0.0, 0.0, math.radians(turned_deg))
-    new = stay(1, map_from_stay=frame, travelled_m=driven_m)
-    assert told(old, new, SURE, CONFIG).merged is merged
 
 
 def test_two_stays_after_a_loss_of_tracking_may_be_any_way_apart() -> None:
@@ -160,25 +141,35 @@ def along(travelled_m: float, where: Pose2 | None = IDENTITY) -> Stay:
     return stay(map_from_stay=where, travelled_m=travelled_m)
 
 
-def test_without_a_match_the_way_is_the_one_driven() -> None:
+@pytest.mark.parametrize(
+    ("confirmed", "start", "end", "metres"),
+    [
+        ([], 20.0, 152.0, 132.0),  # the way that was driven
+        ([(25.0, 110.0, 0.0)], 20.0, 152.0, 5.0 + 42.0),  # a match cuts it short
+        ([(25.0, 110.0, 0.0)], 60.0, 70.0, 10.0),
+        ([(0.0, 80.0, 0.3)], 0.0, 80.0, 0.3 / CONFIG.max_drift),  # what it mends counts as way
+        ([(0.0, 80.0, 0.6)], 0.0, 80.0, 80.0),  # it mends too much to be believed
+        ([(0.0, math.inf, 0.0)], 0.0, 80.0, 80.0),  # it came after a loss of tracking
+        ([(10.0, 50.0, 0.0), (52.0, 90.0, 0.0)], 9.0, 91.0, 1.0 + 2.0 + 1.0),
+        ([(10.0, 50.0, 0.0)], 10.0, math.inf, math.inf),  # across a loss no way is known
+    ],
+)
+def test_a_way_is_as_short_as_the_matches_on_it_make_it(
+    confirmed: list[tuple[float, float, float]], start: float, end: float, metres: float
+) -> None:
     way = DriftGraph(CONFIG)
-    assert way.between(along(20.0), along(152.0)) == 132.0
-    assert way.between(along(152.0), along(20.0)) == 132.0
+    for old, new, mended_m in confirmed:
+        way.confirm(along(old), along(new), mended_m)
+    assert way.between(along(start), along(end)) == pytest.approx(metres)
+    assert way.between(along(end), along(start)) == pytest.approx(metres)
 
 
-def test_a_match_that_mends_nothing_cuts_the_way_short() -> None:
+def test_two_losses_of_tracking_leave_nothing_known_and_an_unknown_frame_confirms_nothing() -> None:
     way = DriftGraph(CONFIG)
-    way.confirm(along(25.0), along(110.0), 0.0)
-    assert way.between(along(20.0), along(152.0)) == pytest.approx(5.0 + 42.0)
-    assert way.between(along(152.0), along(20.0)) == pytest.approx(5.0 + 42.0)
-    assert way.between(along(60.0), along(70.0)) == pytest.approx(10.0)
-
-
-def test_what_a_match_mends_counts_as_way() -> None:
-    """On so many metres tracking drifts as much: 0.3 m on 3 m of path."""
-    way = DriftGraph(CONFIG)
-    way.confirm(along(0.0), along(80.0), 0.3)
-    assert way.between(along(0.0), along(80.0)) == pytest.approx(0.3 / CONFIG.max_drift)
+    assert math.isnan(way.between(along(math.inf), along(math.inf)))
+    way.confirm(along(0.0, None), along(80.0), 0.0)
+    way.confirm(along(0.0), along(80.0, None), 0.0)
+    assert way.between(along(0.0), along(80.0)) == 80.0
 
 
 def test_a_match_that_cuts_no_way_short_is_not_kept() -> None:
@@ -187,36 +178,6 @@ def test_a_match_that_cuts_no_way_short_is_not_kept() -> None:
         way.confirm(along(0.0), along(80.0), mended_m)
     way.confirm(along(80.0), along(81.0), 0.3)
     assert [metres * CONFIG.max_drift for _, _, metres in way._ties] == pytest.approx([0.2, 0.1])
-
-
-def test_matches_are_followed_one_after_the_other() -> None:
-    way = DriftGraph(CONFIG)
-    way.confirm(along(10.0), along(50.0), 0.0)
-    way.confirm(along(52.0), along(90.0), 0.0)
-    assert way.between(along(9.0), along(91.0)) == pytest.approx(1.0 + 2.0 + 1.0)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "mended_m"),
-    [
-        (along(0.0), along(80.0), 0.6),
-        (along(0.0, None), along(80.0), 0.0),
-        (along(0.0), along(80.0, None), 0.0),
-        (along(0.0), along(math.inf), 0.0),
-    ],
-    ids=["mends too much", "nothing known of one", "nothing known of the other", "after a loss"],
-)
-def test_what_confirms_nothing(old: Stay, new: Stay, mended_m: float) -> None:
-    way = DriftGraph(CONFIG)
-    way.confirm(old, new, mended_m)
-    assert way.between(along(0.0), along(80.0)) == 80.0
-
-
-def test_across_a_loss_of_tracking_no_way_is_known() -> None:
-    way = DriftGraph(CONFIG)
-    way.confirm(along(10.0), along(50.0), 0.0)
-    assert way.between(along(10.0), along(math.inf)) == math.inf
-    assert math.isnan(way.between(along(math.inf), along(math.inf)))
 
 
 places = st.floats(0.0, 500.0)

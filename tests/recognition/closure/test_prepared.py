@@ -21,6 +21,7 @@ from specmap_cli.recognition.closure.prepared import (
     wall_direction,
 )
 from specmap_cli.recognition.closure.verification import verify
+from tests.recognition.watching import watched
 from tests.strategies import grid_maps
 from tests.turning import turn
 
@@ -104,7 +105,6 @@ def test_without_unknown_cells_depth_is_far() -> None:
 @pytest.mark.parametrize(("inlier_m", "margin"), [(0.15, 3), (0.25, 5), (0.01, 1)])
 def test_the_known_area_grows_by_what_an_inlier_may_be_off(inlier_m: float, margin: int) -> None:
     cells = np.full((40, 40), UNKNOWN, dtype=np.uint8)
-    cells[2:38, 2:38] = UNKNOWN
     cells[19, 2:38] = OCCUPIED
     cells[2, 2] = cells[37, 37] = FREE  # the crop keeps the rows between
     turn("recognition", inlier_m=inlier_m)
@@ -174,13 +174,6 @@ def test_a_grid_that_cannot_be_prepared_is_remembered_too(monkeypatch: pytest.Mo
 
 def test_fields_are_made_of_the_older_grid_alone_and_once(monkeypatch: pytest.MonkeyPatch) -> None:
     old, new = prepared_box(), prepared_box()
-    asked: list[GridMap] = []
-    real = ScoreField.from_grid
-
-    def counted(grid: GridMap, sigma_m: float) -> ScoreField:
-        asked.append(grid)
-        return real(grid, sigma_m)
-
-    monkeypatch.setattr(ScoreField, "from_grid", counted)
+    asked = watched(monkeypatch, ScoreField, "from_grid")
     assert verify(old, new) == verify(old, new)
-    assert [grid is old.grid for grid in asked] == [True]
+    assert [grid is old.grid for grid, *_ in asked] == [True]

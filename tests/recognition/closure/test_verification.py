@@ -15,7 +15,6 @@ from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, inve
 from specmap_cli.core.settings import GridConfig, RecognitionConfig
 from specmap_cli.grids.correlation import Target
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.grids.matching import refine
 from specmap_cli.grids.occupancy import OccupancyGrid
 from specmap_cli.recognition.closure import verification
 from specmap_cli.recognition.closure.prepared import INLIER_M, PreparedGrid, prepared
@@ -31,6 +30,7 @@ from specmap_cli.recognition.closure.verification import (
     tracks_overlap,
     verify,
 )
+from tests.recognition.watching import watched
 from tests.strategies import few, pose_arrays, poses
 from tests.turning import turn
 
@@ -41,6 +41,13 @@ def ready(grid: GridMap) -> PreparedGrid:
     made = prepared(grid)
     assert made is not None
     return made
+
+
+def matched(old: PreparedGrid, new: PreparedGrid) -> Check:
+    """The match of two grids that both show enough walls."""
+    check = verify(old, new)
+    assert check is not None
+    return check
 
 
 def walls_at(
@@ -57,18 +64,15 @@ def walls_at(
     return grid
 
 
-# an L-shaped room: no turn takes it to itself
-ROOM = [
-    (-3.0, -2.0, 3.0, -2.0),
-    (3.0, -2.0, 3.0, 0.5),
-    (3.0, 0.5, 0.5, 0.5),
-    (0.5, 0.5, 0.5, 2.0),
-    (0.5, 2.0, -3.0, 2.0),
-    (-3.0, 2.0, -3.0, -2.0),
-    (-1.5, -0.7, -0.5, -0.7),
-]
+def around(*corners: tuple[float, float]) -> list[tuple[float, float, float, float]]:
+    """The walls between corners, closed."""
+    return [(*a, *b) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)]
 
 
+# an L-shaped room with a shelf: no turn takes it to itself
+ROOM = around((-3.0, -2.0), (3.0, -2.0), (3.0, 0.5), (0.5, 0.5), (0.5, 2.0), (-3.0, 2.0))
+ROOM += [(-1.5, -0.7, -0.5, -0.7)]
+HALL = around((-4.0, -2.0), (4.0, -2.0), (4.0, 2.0), (-4.0, 2.0))
 ROOMS_WITH_FLOOR = (ready(walls_at(ROOM, free=True)), ready(walls_at(ROOM[:4], free=True)))
 
 
@@ -82,10 +86,8 @@ def moved(segments: list[tuple[float, float, float, float]], by: Pose2) -> Any:
 def test_verification_needs_no_guess(building: Any, turn: float) -> None:
     old, new = building.visit(0, 1, seed=0), building.visit(1, 1, seed=2)
     first, second = ready(old.grid), ready(new.grid)
-    check = verify(first, second)
-    assert check is not None
-    error = building.truth(1, 0, 2).inverse() @ check.old_from_new
-    assert error.distance < 0.06
+    check = matched(first, second)
+    assert (building.truth(1, 0, 2).inverse() @ check.old_from_new).distance < 0.06
     assert check.score > 0.8
     elsewhere = judge(first, second, check.old_from_new @ Pose2(0.6, 0.0, turn))
     assert elsewhere.score < check.score
@@ -97,8 +99,7 @@ def test_a_room_is_found_however_it_lies(x: float, y: float, theta: float) -> No
     """The frame of the second grid lies anywhere; its rows and columns cut the walls otherwise."""
     truth = Pose2(x, y, theta)
     first, second = ready(walls_at(ROOM)), ready(walls_at(moved(ROOM, truth)))
-    check = verify(first, second)
-    assert check is not None
+    check = matched(first, second)
     error = truth.inverse() @ check.old_from_new
     assert error.distance < 0.08
     assert abs(error.theta) < 0.03
@@ -120,8 +121,7 @@ def test_every_room_is_found_in_itself_on_cells_of_any_size(
 ) -> None:
     for room in range(4):
         old, new = (driven(building, room, resolution, by) for by in (IDENTITY, frame))
-        check = verify(old, new)
-        assert check is not None
+        check = matched(old, new)
         error = frame.inverse() @ check.old_from_new
         assert error.distance < 0.05, room
         assert abs(error.theta) < 0.03, room
@@ -137,13 +137,10 @@ def test_a_corridor_that_fits_in_two_ways_keeps_its_rival_on_coarse_cells(
     long = [(-3.5, -1.0, 3.5, -1.0), (-3.5, 1.0, 3.5, 1.0)]
     short = [(-1.2, -1.0, 1.2, -1.0), (-1.2, 1.0, 1.2, 1.0)]
     old, new = (ready(walls_at(walls, resolution=resolution)) for walls in (long, short))
-    check = verify(old, new)
-    assert check is not None
+    check = matched(old, new)
     assert check.lead < MIN_LEAD
     room = ready(walls_at(ROOM, resolution=resolution))
-    alone = verify(room, room)
-    assert alone is not None
-    assert alone.lead > MIN_LEAD
+    assert matched(room, room).lead > MIN_LEAD
 
 
 @pytest.mark.parametrize("resolution", [0.02, 0.05, 0.12, 0.25])
@@ -153,27 +150,21 @@ def test_confirmed_walls_are_metres_on_cells_of_any_size(resolution: float) -> N
     assert judge(room, room, IDENTITY).confirmed_m == pytest.approx(21.0, rel=0.1)
 
 
-def test_grids_of_two_rooms_contradict_each_other(building: Any) -> None:
+def test_grids_of_two_rooms_contradict_each_other_and_are_left_rough(building: Any) -> None:
+    """Below hope nothing is gained by the fine steps, so they are not made: no lead is known."""
     first, other = ready(building.visit(0, 1).grid), ready(building.visit(1, 2).grid)
-    check = verify(first, other)
-    assert check is not None
-    assert check.score < CONFIG.min_score
-
-
-def test_a_match_below_hope_is_left_rough(building: Any) -> None:
-    """Nothing is gained by the fine steps, so they are not made: its lead is not known."""
-    first, other = ready(building.visit(0, 1).grid), ready(building.visit(1, 2).grid)
+    assert matched(first, other).score < CONFIG.min_score
     turn("recognition", hopeless_score=1.0)
-    check = verify(first, other)
-    assert check is not None
-    assert check.lead == 0.0
+    assert matched(first, other).lead == 0.0
 
 
-def test_the_same_grid_agrees_with_itself_wholly() -> None:
+def test_a_grid_agrees_with_itself_wholly_and_not_with_one_that_it_does_not_meet() -> None:
     room = ready(walls_at(ROOM, free=True))
     check = judge(room, room, IDENTITY)
     assert (check.score, check.overlap, check.least_overlap) == (1.0, 1.0, 1.0)
     assert check.confirmed_m == pytest.approx(0.05 * len(room.walls))
+    check = judge(room, room, Pose2(50.0, 0.0, 0.0))
+    assert (check.score, check.confirmed_m, check.overlap) == (0.0, 0, 0.0)
 
 
 def by_hand(old: GridMap, new: GridMap, old_from_new: Pose2) -> Any:
@@ -199,12 +190,6 @@ def test_the_judgement_counts_what_is_confirmed_and_what_is_contradicted(shift: 
     expected = min(s[0] for s in sides) - 2.0 * max(s[1] for s in sides)
     assert check.score == pytest.approx(expected, abs=0.02)  # OpenCV's distances are rounded
     assert check.confirmed_m == pytest.approx(0.05 * min(s[2] for s in sides), abs=0.25)
-
-
-def test_grids_that_do_not_meet_have_nothing_in_common() -> None:
-    room = ready(walls_at(ROOM))
-    check = judge(room, room, Pose2(50.0, 0.0, 0.0))
-    assert (check.score, check.confirmed_m, check.overlap) == (0.0, 0, 0.0)
 
 
 @given(poses)
@@ -236,14 +221,6 @@ def test_overlap_by_a_loop_and_the_same_both_ways(
     assert tracks_overlap(new, old, old_from_new.inverse(), reach) == pytest.approx(found)
 
 
-HALL = [
-    (-4.0, -2.0, 4.0, -2.0),
-    (4.0, -2.0, 4.0, 2.0),
-    (4.0, 2.0, -4.0, 2.0),
-    (-4.0, 2.0, -4.0, -2.0),
-]
-
-
 @pytest.mark.parametrize("turned", [False, True])
 def test_of_two_ways_that_a_hall_fits_the_plausible_one_is_sure(turned: bool) -> None:
     """A rectangle fits as well when it is turned by half; tracking knows which way it stands."""
@@ -264,20 +241,6 @@ def test_what_leads_though_it_is_not_plausible_is_told() -> None:
     assert told == verify(room, room)
 
 
-@pytest.fixture
-def correlated(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """The pictures that were correlated so far."""
-    done: list[Any] = []
-    real = Target.correlate_turned
-
-    def counting(self: Target, pictures: Any) -> Any:
-        done.append(pictures)
-        return real(self, pictures)
-
-    monkeypatch.setattr(Target, "correlate_turned", counting)
-    return done
-
-
 def two(building: Any, first: int, second: int) -> tuple[PreparedGrid, PreparedGrid]:
     """Grids of a room and of another, or of the same one seen on another walk."""
     return ready(building.visit(0, first).grid), ready(building.visit(1, second, seed=1).grid)
@@ -295,8 +258,9 @@ def test_the_best_transforms_are_different_and_turn_as_the_walls_do(building: An
 
 
 def test_a_rotation_is_correlated_once_with_the_one_turned_by_half_a_turn(
-    building: Any, correlated: list[Any]
+    building: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    correlated = watched(monkeypatch, Target, "correlate_turned")
     search = TransformSearch(*two(building, 0, 1))
     first = search.best(search.few)
     assert len(correlated) == 2 * len(search.few)
@@ -343,16 +307,11 @@ def test_other_directions_are_tried_when_the_first_answer_is_neither_right_nor_c
 
 
 def test_a_guess_is_refined_once(building: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    guesses: list[Any] = []
-
-    def counting(field: Any, points: Any, guess: Pose2, *limits: Any) -> Any:
-        guesses.append((guess, len(points)))
-        return refine(field, points, guess, *limits)
-
-    monkeypatch.setattr(verification, "refine", counting)
+    made = watched(monkeypatch, verification, "refine")
     grids = two(building, 0, 1)
     turn("recognition", sure_score=1.0, hopeless_score=-1.0, min_lead=9.0)
-    assert verify(*grids) is not None
+    matched(*grids)
+    guesses = [(guess, len(points)) for _, points, guess, *_ in made]
     assert len(guesses) >= 4  # three, the last centimetres, and others of the second pass
     assert len(set(guesses)) == len(guesses)
     assert np.isfinite([guess for guess, _ in guesses]).all()

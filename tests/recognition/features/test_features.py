@@ -128,23 +128,16 @@ def test_range_moments_equal_scipy_s() -> None:
     assert of_one(table1.range_moments, returns) == pytest.approx(expected)
 
 
-def test_differences_and_gaps_of_a_step() -> None:
-    ranges = np.where(np.arange(100) < 50, 2.0, 3.0)
-    returns = batch_of(scan_of(ranges, full=False))
+def test_gaps_extents_and_flips_of_scans_made_by_hand() -> None:
+    step = np.where(np.arange(100) < 50, 2.0, 3.0)
+    returns = batch_of(scan_of(step, full=False))
     assert of_one(table1.consecutive_differences, returns)[0] == pytest.approx(1.0 / 99)
     assert of_one(table1.gaps, returns) == [1.0, 1.0, 0.0]
-    around = batch_of(scan_of(ranges))
-    assert of_one(table1.gaps, around) == [2.0, 2.0, 0.0]
-
-
-def test_extent_and_its_angle() -> None:
-    ranges = np.full(360, 2.0)
-    ranges[0], ranges[90] = 1.0, 5.0
-    returns = batch_of(scan_of(ranges))
-    assert of_one(table1.range_extent, returns) == pytest.approx([4.0, math.pi / 2])
-
-
-def test_flips_count_the_bumps() -> None:
+    assert of_one(table1.gaps, batch_of(scan_of(step))) == [2.0, 2.0, 0.0]
+    two = np.full(360, 2.0)
+    two[0], two[90] = 1.0, 5.0
+    extent = of_one(table1.range_extent, batch_of(scan_of(two)))
+    assert extent == pytest.approx([4.0, math.pi / 2])
     bumpy = 3.0 + 0.5 * np.sin(np.linspace(0.0, 8.0 * np.pi, 400, endpoint=False))
     assert of_one(table1.second_derivative_flips, batch_of(scan_of(bumpy))) == [8.0]
 
@@ -179,14 +172,11 @@ def test_point_pairs_count_every_pair_by_distance_and_orientation() -> None:
     assert values[-2:] == pytest.approx([length, len(points)])
 
 
-def test_normals_of_the_boundary_point_to_the_robot() -> None:
+def test_normals_of_the_boundary_point_to_the_robot_and_it_does_not_cross_leaps() -> None:
     points, normals, length = boundary_of(batch_of(scan_of(rectangle(5, 4, 2, 2))))
     assert length == pytest.approx(18.0, rel=0.03)
     assert ((points * normals).sum(axis=1) < 0.0).all()
     assert np.hypot(*normals.T) == pytest.approx(np.ones(len(normals)))
-
-
-def test_the_boundary_does_not_cross_leaps() -> None:
     ranges = np.where(np.arange(360) < 180, 2.0, 4.0)
     _, _, length = boundary_of(batch_of(scan_of(ranges)))
     assert length == pytest.approx(np.pi * 6.0, rel=0.02)
@@ -205,38 +195,28 @@ def smooth(seed: int, beams: int = 180) -> ReturnsBatch:
 
 
 @given(planar_scans())
-def test_convexities_are_those_of_scipy_s_hull(scan: PlanarScan) -> None:
+def test_area_axes_and_centroid_are_those_of_scipy_numpy_and_a_loop(scan: PlanarScan) -> None:
     returns = batch_of(scan)
     area, perimeter, convexity, smoothness = of_one(table1.area_and_convexity, returns)
+    assert [value[0] for value in returns.areas_and_perimeters] == pytest.approx([area, perimeter])
     hull = ConvexHull(returns.polygons[1].T)  # its volume is the area, its area the length
     assert convexity == pytest.approx(min(1.0, area / hull.volume), abs=1e-5)
     assert smoothness == pytest.approx(min(1.0, hull.area / perimeter), abs=1e-5)
-
-
-@given(planar_scans())
-def test_the_aspect_is_the_ratio_of_the_principal_components(scan: PlanarScan) -> None:
-    returns = batch_of(scan)
     smaller, larger = np.linalg.eigvalsh(np.cov(returns.points))
     assert of_one(table1.aspect_ratio, returns) == pytest.approx([larger / smaller])
+    x, y = np.mean(returns.points, axis=1)
+    distances = [math.hypot(px - x, py - y) for px, py in returns.points.T.tolist()]
+    assert of_one(table1.mean_distance_to_centroid, returns) == pytest.approx([np.mean(distances)])
+    roundness, compactness = of_one(table1.circularity, returns)
+    assert compactness == pytest.approx(area / (math.pi * max(distances) ** 2))
+    assert roundness == pytest.approx(4.0 * math.pi * area / perimeter**2)
+    assert roundness <= 1.0  # the isoperimetric inequality
 
 
 def test_the_aspect_of_a_line_is_large_and_finite() -> None:
     bearings = np.linspace(-1.0, 1.0, 50)
     wall = PlanarScan(0, bearings, 2.0 / np.cos(bearings), 30.0, full_circle=False)
     assert of_one(table1.aspect_ratio, batch_of(wall)) == [1e6]
-
-
-@given(planar_scans())
-def test_distances_to_the_centroid_and_compactness(scan: PlanarScan) -> None:
-    returns = batch_of(scan)
-    x, y = np.mean(returns.points, axis=1)
-    distances = [math.hypot(px - x, py - y) for px, py in returns.points.T.tolist()]
-    assert of_one(table1.mean_distance_to_centroid, returns) == pytest.approx([np.mean(distances)])
-    roundness, compactness = of_one(table1.circularity, returns)
-    area, perimeter = (value[0] for value in returns.areas_and_perimeters)
-    assert compactness == pytest.approx(area / (math.pi * max(distances) ** 2))
-    assert roundness == pytest.approx(4.0 * math.pi * area / perimeter**2)
-    assert roundness <= 1.0  # the isoperimetric inequality
 
 
 @given(st.lists(st.floats(0.5, 20.0), min_size=2, max_size=60))

@@ -78,39 +78,30 @@ def scan_of(ranges: FloatArray, full: bool = True) -> PlanarScan:
 
 
 @given(readings, st.booleans())
-def test_readings_are_returns_or_no_returns_or_invalid(ranges: list[float], full: bool) -> None:
+def test_readings_are_returns_at_points_or_no_returns_or_invalid(
+    ranges: list[float], full: bool
+) -> None:
     returns = returns_of(scan_of(np.array(ranges), full))
     assert len(returns) == sum(0.0 < r < 20.0 for r in ranges)
     assert returns.no_return == sum(r >= 20.0 for r in ranges)
     assert returns.beams == len(ranges)
     assert sorted(returns.ranges) == sorted(r for r in ranges if 0.0 < r < 20.0)
-
-
-@given(readings, st.booleans())
-def test_points_and_steps_are_those_of_ranges_and_bearings(ranges: list[float], full: bool) -> None:
-    returns = returns_of(scan_of(np.array(ranges), full))
     polar = zip(returns.ranges.tolist(), returns.bearings.tolist(), strict=True)
     expected = [(r * math.cos(b), r * math.sin(b)) for r, b in polar]
     assert returns.points == pytest.approx(np.reshape(expected, (-1, 2)))
-    steps = [math.dist(a, b) for a, b in pairwise(expected)]
-    assert returns.steps.tolist() == pytest.approx(steps)
+    assert returns.steps.tolist() == pytest.approx([math.dist(a, b) for a, b in pairwise(expected)])
 
 
 @given(planar_scans(), st.integers(1, 71))
-def test_returns_of_a_circle_begin_at_the_same_place_however_the_robot_turns(
+def test_returns_of_a_circle_begin_behind_its_widest_step_however_the_robot_turns(
     scan: PlanarScan, shift: int
 ) -> None:
     turned = returns_of(scan_of(np.roll(scan.ranges, shift)))
     still = returns_of(scan_of(scan.ranges))
     assert turned.ranges.tolist() == still.ranges.tolist()
     assert turned.steps == pytest.approx(still.steps)
-
-
-@given(planar_scans())
-def test_no_step_of_a_circle_is_wider_than_the_one_left_out(scan: PlanarScan) -> None:
-    returns = returns_of(scan)
-    left_out = math.dist(returns.points[-1], returns.points[0])
-    assert returns.steps.max() <= left_out + 1e-9
+    left_out = math.dist(still.points[-1], still.points[0])
+    assert still.steps.max() <= left_out + 1e-9
 
 
 def test_a_half_circle_keeps_the_order_of_its_beams() -> None:

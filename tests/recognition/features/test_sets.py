@@ -11,7 +11,7 @@ import pytest
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import IDENTITY, Pose2
-from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.records import PlanarScan
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.recognition.features.group import BatchGroup, WrongCountError
 from specmap_cli.recognition.features.returns import ReturnsBatch
@@ -34,16 +34,12 @@ def scan(range_m: float = 3.0, beams: int = 180) -> PlanarScan:
 
 
 @pytest.mark.parametrize("name", BUILT_IN)
-def test_a_set_names_every_column_once(name: str) -> None:
-    columns = feature_names(name)
+def test_a_set_names_every_column_once_and_it_holds_what_its_group_gives(name: str) -> None:
+    columns, features = feature_names(name), scans_features([scan()], name)[0]
     assert len(set(columns)) == len(columns)
-    assert scans_features([scan()], name)[0].shape == (len(columns),)
+    assert features.shape == (len(columns),)
     assert scans_features([], name).shape == (0, len(columns))
-
-
-@pytest.mark.parametrize("name", BUILT_IN)
-def test_columns_hold_what_their_group_gives(name: str) -> None:
-    values = dict(zip(feature_names(name), scans_features([scan()], name)[0].tolist(), strict=True))
+    values = dict(zip(columns, features.tolist(), strict=True))
     for group in BUILT_IN[name]:
         given = group.values(ReturnsBatch.of([scan()]))[0].astype(np.float32).tolist()
         assert [values[column] for column in group.columns] == given
@@ -107,13 +103,7 @@ def test_an_unknown_set_is_told_wherever_it_is_used(use: Callable[[str], object]
 def test_a_package_adds_a_set(install: Callable[..., None]) -> None:
     install("mine")
     assert list(feature_sets()) == [*BUILT_IN, "mine"]
-    assert feature_names("mine") == (
-        "reach",
-        "returns",
-        "rings_near",
-        "rings_middle",
-        "rings_far",
-    )
+    assert feature_names("mine") == ("reach", "returns", "rings_near", "rings_middle", "rings_far")
     assert histogram_columns("mine") == [2, 3, 4]
     assert scans_features([scan()], "mine")[0] == pytest.approx([3.2, 180.0, 0.0, 1.0, 0.0])
     check_feature_sets(load_config(overrides={"recognition": {"feature_set": "mine"}}))
@@ -194,8 +184,7 @@ def test_keyframes_have_their_features_computed_once_while_there_is_room(
     monkeypatch.setattr("specmap_cli.recognition.features.sets.scans_features", counting)
     with KeyframeStore() as store:
         for k in range(4):
-            pose = Pose2(0.1 * k, 0.0, 0.0)
-            store.append(posed(scan(2.0 + k), pose, k))
+            store.append(posed(scan(2.0 + k), Pose2(0.1 * k, 0.0, 0.0), k))
         features = KeyframeFeatures(store, "table1", most)
         first = features.of([0, 1, 0, 2])
         assert computed == [1.8, 2.8, 3.8]
@@ -210,16 +199,7 @@ def test_keyframes_have_their_features_computed_once_while_there_is_room(
 def test_features_that_are_known_are_known_in_a_store_of_more_keyframes() -> None:
     with KeyframeStore() as own, KeyframeStore() as joint:
         for k, store in enumerate((joint, joint, own, own)):
-            planar = scan(2.0 + k)
-            store.append(
-                PosedScan(
-                    index=0,
-                    stamp_ns=k,
-                    map_from_base=IDENTITY,
-                    planar=planar,
-                    base_from_laser=IDENTITY,
-                )
-            )
+            store.append(posed(scan(2.0 + k), IDENTITY, k))
         features = KeyframeFeatures(own, "table1")
         features.of([1])
         joint.extend(own)

@@ -164,13 +164,7 @@ def walls_seen(pose: Pose2, bearings: FloatArray) -> FloatArray:
 def scan_at(pose: Pose2, beams: int, full_circle: bool) -> PlanarScan:
     half = math.pi if full_circle else 0.5 * math.pi
     bearings = np.linspace(-half, half, beams, endpoint=not full_circle)
-    return PlanarScan(
-        stamp_ns=0,
-        bearings=bearings,
-        ranges=walls_seen(pose, bearings),
-        range_max=20.0,
-        full_circle=full_circle,
-    )
+    return PlanarScan(0, bearings, walls_seen(pose, bearings), 20.0, full_circle)
 
 
 @pytest.mark.parametrize("heading", [0.0, 1.0, math.pi, -2.5])
@@ -209,13 +203,7 @@ def test_the_nearest_surface_hides_those_behind_it() -> None:
 
 def test_no_line_joins_two_surfaces_or_a_return_with_none() -> None:
     ranges = np.array([2.0, 2.0, 4.0, 4.0, np.inf, 4.0, np.nan, 4.0, 4.0, 9.0])
-    scan = PlanarScan(
-        stamp_ns=0,
-        bearings=np.radians(np.arange(10.0)),
-        ranges=ranges,
-        range_max=20.0,
-        full_circle=False,
-    )
+    scan = PlanarScan(0, np.radians(np.arange(10.0)), ranges, 20.0, full_circle=False)
     pose = Pose2(1.0, 2.0, 0.3)
     lines = outline(scan, pose, 20.0)
     assert len(lines) == 3

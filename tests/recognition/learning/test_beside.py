@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from specmap_cli.recognition.learning.sampling import augmented_samples
 from specmap_cli.recognition.learning.training_data import together
 from tests.recognition.posed import stored
 
+Seen = list[tuple[FloatArray, Pose2, FloatArray]]
 SUBMAPS = {1: list(range(0, 30)), 4: list(range(32, 38))}  # keyframes 30 and 31 are in none
 
 
@@ -27,18 +29,17 @@ def settings(augmentation: int) -> Config:
 
 
 @pytest.fixture(scope="module")
-def store(request: pytest.FixtureRequest) -> Iterator[KeyframeStore]:
+def store(building: Any) -> Iterator[KeyframeStore]:
     """Keyframes on the way through a room of the building."""
-    building = request.getfixturevalue("building")
     poses = building.path(0, 1)[:38]
     with stored(building.scans(poses), poses) as made:
         yield made
 
 
 @pytest.fixture
-def seen(monkeypatch: pytest.MonkeyPatch) -> list[tuple[FloatArray, Pose2, FloatArray]]:
+def seen(monkeypatch: pytest.MonkeyPatch) -> Seen:
     """From where what was seen: lines, pose and ranges of every scan that is made."""
-    calls: list[tuple[FloatArray, Pose2, FloatArray]] = []
+    calls: Seen = []
 
     def watched(lines: FloatArray, pose: Pose2, bearings: FloatArray, reach_m: float) -> FloatArray:
         ranges = seen_from(lines, pose, bearings, reach_m)
@@ -62,9 +63,7 @@ def test_a_submap_gets_the_scans_that_it_lacks(store: KeyframeStore) -> None:
     assert len(enough[4].keyframes)
 
 
-def test_those_that_are_known_are_not_made_again(
-    store: KeyframeStore, seen: list[tuple[FloatArray, Pose2, FloatArray]]
-) -> None:
+def test_those_that_are_known_are_not_made_again(store: KeyframeStore, seen: Seen) -> None:
     first = augmented_samples(store, SUBMAPS, store.poses, settings(90), np.random.default_rng(0))
     made, known = len(seen), together(first)
     again = augmented_samples(
@@ -77,13 +76,10 @@ def test_those_that_are_known_are_not_made_again(
 
 
 def test_they_lie_a_step_aside_and_look_as_scans_taken_there(
-    store: KeyframeStore,
-    seen: list[tuple[FloatArray, Pose2, FloatArray]],
-    request: pytest.FixtureRequest,
+    store: KeyframeStore, seen: Seen, building: Any
 ) -> None:
     rng = np.random.default_rng(1)
     found = augmented_samples(store, SUBMAPS, store.poses, settings(60), rng)
-    building = request.getfixturevalue("building")
     assert len(seen) == sum(len(own.keyframes) for own in found.values())
     keyframes = np.concatenate([found[i].keyframes for i in sorted(found)])
     poses = np.array([pose for _, pose, _ in seen])

@@ -13,7 +13,7 @@ from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.ensemble import AdaBoostClassifier
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.recognition.learning.boosting import StumpBoost, TreeBoost
+from specmap_cli.recognition.learning.boosting import Booster, StumpBoost, TreeBoost
 from tests.strategies import few
 
 NAMES = tuple(f"f{k}" for k in range(6))
@@ -107,9 +107,7 @@ def test_the_training_error_keeps_its_bound(seed: int) -> None:
 
 
 @pytest.mark.parametrize("booster", [StumpBoost(NAMES, 15), TreeBoost(NAMES, 15)])
-def test_a_monotone_change_of_the_features_changes_no_label(
-    booster: StumpBoost | TreeBoost,
-) -> None:
+def test_a_monotone_change_of_the_features_changes_no_label(booster: Booster) -> None:
     """Only the order of the values counts, but for where between two of them a threshold stands."""
     X, y = blobs(8)
     plain = booster.fit(X, y).margins(X)
@@ -118,9 +116,7 @@ def test_a_monotone_change_of_the_features_changes_no_label(
 
 
 @pytest.mark.parametrize("booster", [StumpBoost(NAMES, 25), TreeBoost(NAMES, 25)])
-def test_margins_are_what_a_reader_of_the_file_would_add_up(
-    booster: StumpBoost | TreeBoost,
-) -> None:
+def test_margins_are_what_a_reader_of_the_file_would_add_up(booster: Booster) -> None:
     X, y = blobs(9)
     rounds = json.loads(json.dumps(booster.fit(X, y).to_dict()))["rounds"]
     fresh, _ = blobs(10, n=30)
@@ -142,14 +138,12 @@ def vote_of(entry: dict[str, Any], sample: dict[str, float]) -> float:
 
 
 @pytest.mark.parametrize(("booster", "margin"), [(StumpBoost(NAMES), -1.0), (TreeBoost(NAMES), 0)])
-def test_a_booster_without_rounds_claims_nothing(
-    booster: StumpBoost | TreeBoost, margin: float
-) -> None:
+def test_a_booster_without_rounds_claims_nothing(booster: Booster, margin: float) -> None:
     assert booster.margins(np.ones((3, len(NAMES)))).tolist() == [margin] * 3
 
 
 @pytest.mark.parametrize("booster", [StumpBoost(NAMES, 9), TreeBoost(NAMES, 9, seed=4)])
-def test_fitting_again_forgets_the_first_time(booster: StumpBoost | TreeBoost) -> None:
+def test_fitting_again_forgets_the_first_time(booster: Booster) -> None:
     once = booster.fit(*blobs(12)).to_dict()
     booster.fit(*blobs(13))
     assert booster.fit(*blobs(12)).to_dict() == once

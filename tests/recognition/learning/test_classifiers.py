@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -87,26 +86,15 @@ def test_the_file_has_a_round_a_line_and_is_plain_json() -> None:
     assert json.loads(text) == json.loads(json.dumps(json.loads(text), allow_nan=False))
 
 
-splits = st.fixed_dictionaries(
-    {
-        "feature": st.sampled_from(feature_names("table1")),
-        "threshold": st.floats(-1e9, 1e9),
-    }
-)
 votes = st.floats(-10.0, 10.0)
+split = {"feature": st.sampled_from(feature_names("table1")), "threshold": st.floats(-1e9, 1e9)}
+splits = st.fixed_dictionaries(split)
 stump_rounds = st.fixed_dictionaries(
-    {
-        "feature": st.sampled_from(feature_names("table1")),
-        "threshold": st.floats(-1e9, 1e9),
-        "polarity": st.sampled_from([1, -1]),
-        "votes": votes,
-    }
+    {**split, "polarity": st.sampled_from([1, -1]), "votes": votes}
 )
 tree_rounds = st.fixed_dictionaries(
     {
-        "root": splits,
-        "below": splits,
-        "above": splits,
+        **dict.fromkeys(("root", "below", "above"), splits),
         "votes": st.lists(votes, min_size=4, max_size=4),
     }
 )
@@ -134,80 +122,57 @@ def test_dump_after_load_is_identity(classifiers: dict[int, Any]) -> None:
 
 
 STUMP = {"feature": "area", "threshold": 0.5, "polarity": 1, "votes": 0.3}
-
-
-def edit(path: str, value: Any) -> Callable[[dict[str, Any]], None]:
-    def change(data: dict[str, Any]) -> None:
-        *parents, last = path.split("/")
-        for key in parents:
-            data = data[int(key)] if isinstance(data, list) else data[key]
-        data[int(last) if isinstance(data, list) else last] = value
-
-    return change
+BARE = {"kind": "trees", "rounds": []}
+NAN, HUGE = float("nan"), 10**400
+NONSENSE: dict[str, list[Any]] = {
+    "schema_version": [99],
+    "sensor": ["a laser", None],
+    "sensor/beams": [-4, 10**12, HUGE],
+    "sensor/field_of_view": [7.0],
+    "sensor/full_circle": ["yes"],
+    "sensor/range_max": [float("inf")],
+    "raw": [[]],
+    "raw/feature_set": ["mine"],
+    "raw/classifiers": [{}],
+    "raw/classifiers/0": [
+        3,
+        {"kind": "stumps", "rounds": [STUMP | {"polarity": 0}]},
+        {"kind": "stumps", "rounds": [{"feature": "area"}]},
+    ],
+    "raw/classifiers/0/kind": ["oracle"],
+    "raw/classifiers/0/rounds": [{}],
+    "raw/classifiers/0/rounds/2": [7],
+    "raw/classifiers/0/rounds/2/root/feature": ["height", ["f1"]],
+    "raw/classifiers/0/rounds/2/root/threshold": ["high", NAN, True],
+    "raw/classifiers/0/rounds/2/below": ["f1"],
+    "raw/classifiers/0/rounds/2/votes": [[1.0, 2.0, 3.0, None], [1, 2, 3], [1, 2, 3, HUGE]],
+    "raw/classifiers/first": [BARE],
+    "raw/classifiers/" + "9" * 5000: [BARE],
+    "virtual/classifiers": [{"1": BARE}],
+    "virtual/exemplars": [[]],
+    "virtual/exemplars/rows": [[], 3],
+    "virtual/exemplars/rows/0": ["zz", "00"],
+    "virtual/exemplars/limit": [None, -0.1],
+    "misfit": [[], {}],
+    "misfit/typical": [-0.1, NAN, 1.1],
+    "misfit/views": [HUGE, 1.5, -1, 61],
+    "calibration/raw": [0.0, 1e9],
+    "calibration/virtual": [-1.0],
+    "calibration/views": [1.5, -1, "7"],
+}
 
 
 @pytest.mark.parametrize(
-    "change",
-    [
-        edit("schema_version", 99),
-        edit("sensor", "a laser"),
-        edit("sensor", None),
-        edit("sensor/beams", -4),
-        edit("sensor/beams", 10**12),
-        edit("sensor/beams", 10**400),
-        edit("sensor/field_of_view", 7.0),
-        edit("sensor/full_circle", "yes"),
-        edit("sensor/range_max", float("inf")),
-        edit("raw", []),
-        edit("raw/feature_set", "mine"),
-        edit("raw/classifiers", {}),
-        edit("raw/classifiers/0", 3),
-        edit("raw/classifiers/0/kind", "oracle"),
-        edit("raw/classifiers/0/rounds/2/root/feature", "height"),
-        edit("raw/classifiers/0/rounds/2/root/feature", ["f1"]),
-        edit("raw/classifiers/0/rounds/2/root/threshold", "high"),
-        edit("raw/classifiers/0/rounds/2/root/threshold", float("nan")),
-        edit("raw/classifiers/0/rounds/2/root/threshold", True),
-        edit("raw/classifiers/0/rounds/2/below", "f1"),
-        edit("raw/classifiers/0/rounds/2", 7),
-        edit("raw/classifiers/0/rounds/2/votes", [1.0, 2.0, 3.0, None]),
-        edit("raw/classifiers/0", {"kind": "stumps", "rounds": [STUMP | {"polarity": 0}]}),
-        edit("raw/classifiers/0", {"kind": "stumps", "rounds": [{"feature": "area"}]}),
-        edit("raw/classifiers/0/rounds/2/votes", [1, 2, 3]),
-        edit("raw/classifiers/0/rounds/2/votes", [1, 2, 3, 10**400]),
-        edit("raw/classifiers/0/rounds", {}),
-        edit("raw/classifiers/first", {"kind": "trees", "rounds": []}),
-        edit("raw/classifiers/" + "9" * 5000, {"kind": "trees", "rounds": []}),
-        edit("virtual/classifiers", {"1": {"kind": "trees", "rounds": []}}),
-        edit("virtual/exemplars/rows/0", "zz"),
-        edit("virtual/exemplars/rows/0", "00"),
-        edit("virtual/exemplars/limit", None),
-        edit("virtual/exemplars/limit", -0.1),
-        edit("virtual/exemplars/rows", []),
-        edit("virtual/exemplars/rows", 3),
-        edit("virtual/exemplars", []),
-        edit("misfit", []),
-        edit("misfit", {}),
-        edit("misfit/typical", -0.1),
-        edit("misfit/typical", float("nan")),
-        edit("misfit/views", 10**400),
-        edit("misfit/typical", 1.1),
-        edit("misfit/views", 1.5),
-        edit("misfit/views", -1),
-        edit("misfit/views", 61),
-        edit("calibration/raw", 0.0),
-        edit("calibration/raw", 1e9),
-        edit("calibration/virtual", -1.0),
-        edit("calibration/views", 1.5),
-        edit("calibration/views", -1),
-        edit("calibration/views", "7"),
-    ],
+    ("path", "value"),
+    [(path, value) for path, values in NONSENSE.items() for value in values],
+    ids=lambda part: str(part)[:60] if isinstance(part, str) else None,
 )
-def test_a_file_edited_into_nonsense_is_refused_in_one_line(
-    change: Callable[[dict[str, Any]], None],
-) -> None:
-    data = json.loads(classifier_set().to_json())
-    change(data)
+def test_a_file_edited_into_nonsense_is_refused_in_one_line(path: str, value: Any) -> None:
+    data = place = json.loads(classifier_set().to_json())
+    *parents, last = path.split("/")
+    for key in parents:
+        place = place[int(key) if isinstance(place, list) else key]
+    place[int(last) if isinstance(place, list) else last] = value
     with pytest.raises(MapError) as error:
         ClassifierSet.from_json(json.dumps(data))
     assert "\n" not in str(error.value)

@@ -62,19 +62,14 @@ def test_samples_of_another_place_are_far_from_every_exemplar() -> None:
     assert (known.strangeness(foreign) > 1.0).all()
 
 
-def test_columns_that_are_no_histogram_do_not_count() -> None:
+def test_columns_that_are_no_histogram_do_not_count_and_shares_are_cut_to_their_bounds() -> None:
     made = samples_of(SMALL)
     known = Familiarity("pairs").fit(made)
     changed = made[4].copy()
     others = np.setdiff1d(np.arange(WIDTH), histogram_columns("pairs"))
     changed[:, others] = -1e6
     assert known.distance(changed).tolist() == known.distance(made[4]).tolist()
-
-
-def test_shares_out_of_bounds_are_cut_to_them() -> None:
-    known = Familiarity("pairs").fit(samples_of(SMALL))
-    bounds = np.where(np.arange(WIDTH) % 2, 0.0, 1.0)[None]
-    beyond = np.where(np.arange(WIDTH) % 2, -3.0, 4.0)[None]
+    bounds, beyond = (np.where(np.arange(WIDTH) % 2, *ends)[None] for ends in ((0, 1.0), (-3, 4.0)))
     assert known.distance(beyond).tolist() == known.distance(bounds).tolist()
 
 

@@ -126,6 +126,9 @@ def test_scans_of_the_recording_are_told_by_the_classifiers_before_it(
     assert told.column.tolist() == [0, 0]
     assert told.margins.shape == (2, 2)
     assert (told.margins[:, 0] > told.margins[:, 1]).all()
+    new = found.told({7: asked(found)}, recogniser)
+    assert new.column.tolist() == [], "submaps that are new are not asked for"
+    assert new.margins.shape == (0, 2)
 
 
 @pytest.mark.parametrize(
@@ -150,10 +153,3 @@ def test_only_views_that_the_map_knew_count(
 def test_a_laser_that_looks_all_round_may_face_any_way(recogniser: Recogniser) -> None:
     found = revisits(recogniser, [(0.0, 0.0, 3.0)], full_circle=True)
     assert len(found.told({1: asked(found)}, recogniser).column) == 1
-
-
-def test_submaps_that_are_new_are_not_asked_for(recogniser: Recogniser) -> None:
-    found = revisits(recogniser, [(0.0, 0.0, 0.0)])
-    told = found.told({7: asked(found)}, recogniser)
-    assert told.column.tolist() == []
-    assert told.margins.shape == (0, 2)

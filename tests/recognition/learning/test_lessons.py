@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,9 +35,8 @@ def numbered(*keyframes: int) -> Samples:
 
 
 @pytest.fixture(scope="module")
-def store(request: pytest.FixtureRequest) -> Iterator[KeyframeStore]:
+def store(building: Any) -> Iterator[KeyframeStore]:
     """Sixty keyframes in three rooms of the building."""
-    building = request.getfixturevalue("building")
     poses = np.vstack([building.path(room, 1)[:20] for room in (0, 1, 2)])
     with stored(building.scans(poses), poses) as made:
         yield made

@@ -8,30 +8,26 @@ from typing import Any
 import numpy as np
 import pytest
 
+from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import PlanarScan
-from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.recognition.learning.misfit import HeldOutMisfit, held_out_misfit, near_returns
 from tests.recognition.posed import stored
 
-CONFIG = LocalizationConfig()
 
-
-def noisy(scans: list[PlanarScan], noise_m: float) -> list[PlanarScan]:
+def misfit_of(building: Any, poses: FloatArray, noise_m: float = 0.0) -> HeldOutMisfit:
+    """What the scans from some poses of one submap say, with noise in their ranges."""
     rng = np.random.default_rng(3)
-    return [
+    noisy = [
         replace(scan, ranges=scan.ranges + rng.normal(0.0, noise_m, len(scan.ranges)))
-        for scan in scans
+        for scan in building.scans(poses)
     ]
-
-
-def misfit_of(building: Any, noise_m: float = 0.0, step: int = 1) -> HeldOutMisfit:
-    poses = building.path(0, 2)[::step]
-    with stored(noisy(building.scans(poses), noise_m), poses) as store:
+    with stored(noisy, poses) as store:
         return held_out_misfit(store, {5: range(len(poses))}, store.poses)
 
 
 def test_views_of_one_room_fit_the_rest_and_noise_shows(building: Any) -> None:
-    clear, noisy = misfit_of(building), misfit_of(building, 0.15)
+    poses = building.path(0, 2)
+    clear, noisy = misfit_of(building, poses), misfit_of(building, poses, 0.15)
     assert clear.views == noisy.views == 40
     assert clear.typical < 0.05
     assert noisy.typical > clear.typical + 0.02
@@ -41,16 +37,12 @@ def test_what_was_seen_just_before_and_after_is_held_out_too(building: Any) -> N
     """A robot that never moved a metre has nothing left to compare with."""
     poses = np.zeros((12, 3)) + building.path(0, 2)[:1]
     poses[:, 0] += 0.05 * np.arange(12)
-    with stored(building.scans(poses), poses) as store:
-        found = held_out_misfit(store, {5: range(12)}, store.poses)
-    assert found == HeldOutMisfit(0.0, 0)
+    assert misfit_of(building, poses) == HeldOutMisfit(0.0, 0)
 
 
 def test_views_of_places_seen_once_are_not_held_out(building: Any) -> None:
     """Two keyframes metres apart: neither is a place that the other knows."""
-    poses = building.path(0, 2)[[0, 20]]
-    with stored(building.scans(poses), poses) as store:
-        assert held_out_misfit(store, {5: [0, 1]}, store.poses).views == 0
+    assert misfit_of(building, building.path(0, 2)[[0, 20]]).views == 0
 
 
 def test_near_returns_are_those_in_reach_or_the_nearer_half() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,6 @@ from specmap_cli.recognition.features.sets import (
     feature_sets,
     scans_features,
 )
-from specmap_cli.recognition.features.virtual import cast_circles
 from specmap_cli.recognition.learning import sampling
 from specmap_cli.recognition.learning.boosting import OneVsAll
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
@@ -35,7 +35,8 @@ from specmap_cli.recognition.learning.sampling import (
 )
 from specmap_cli.recognition.learning.training import _EXEMPLARS, sensor_of, train_and_test
 from specmap_cli.recognition.localization.localizer import Localizer
-from tests.recognition.posed import posed, stored
+from tests.recognition.posed import stored
+from tests.recognition.watching import watched
 from tests.turning import turn
 
 SUBMAPS = {0: list(range(0, 40)), 2: list(range(44, 80))}  # keyframes 40 to 43 are in none
@@ -53,9 +54,8 @@ def settings(**localization: Any) -> Config:
 
 
 @pytest.fixture(scope="module")
-def store(request: pytest.FixtureRequest) -> Iterator[KeyframeStore]:
+def store(building: Any) -> Iterator[KeyframeStore]:
     """Forty keyframes in each of two rooms of the building."""
-    building = request.getfixturevalue("building")
     poses = np.vstack([building.path(room, 1) for room in (0, 2)])
     with stored(building.scans(poses), poses) as made:
         yield made
@@ -72,36 +72,30 @@ def grids(store: KeyframeStore) -> dict[int, GridMap]:
 
 
 @pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> list[list[int]]:
-    """The keyframes whose features were asked for, call by call."""
-    calls: list[list[int]] = []
-    of = KeyframeFeatures.of
-
-    def watched(self: KeyframeFeatures, numbers: list[int]) -> FloatArray:
-        calls.append(numbers)
-        return of(self, numbers)
-
-    monkeypatch.setattr(KeyframeFeatures, "of", watched)
-    return calls
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Whose features and which keyframes were asked for, call by call."""
+    return watched(monkeypatch, KeyframeFeatures, "of")
 
 
 def test_a_submap_seen_very_often_is_learned_from_some_of_its_scans(
-    store: KeyframeStore, asked: list[list[int]]
+    store: KeyframeStore, asked: list[Any]
 ) -> None:
     raw_samples(store, SUBMAPS, Config(recognition=RecognitionConfig(positives=10)))
-    assert [len(numbers) for numbers in asked] == [min(10, len(n)) for n in SUBMAPS.values()]
-    assert all(numbers[-1] == n[-1] for numbers, n in zip(asked, SUBMAPS.values(), strict=True))
+    assert [len(numbers) for _, numbers in asked] == [min(10, len(n)) for n in SUBMAPS.values()]
+    assert all(
+        numbers[-1] == n[-1] for (_, numbers), n in zip(asked, SUBMAPS.values(), strict=True)
+    )
 
 
 def test_of_a_submap_seen_often_the_scans_with_known_features_are_learned_from(
-    store: KeyframeStore, asked: list[list[int]]
+    store: KeyframeStore, asked: list[Any]
 ) -> None:
     config = Config(recognition=RecognitionConfig(positives=12))
     features = KeyframeFeatures(store, "full")
     features.of([*range(5, 35), 50, 51])
     asked.clear()
     raw_samples(store, SUBMAPS, config, features)
-    enough, few = asked
+    (_, enough), (_, few) = asked
     assert (len(enough), enough[0], enough[-1]) == (12, 5, 34)
     assert set(enough) <= set(range(5, 35))
     assert (len(few), few[0], few[-1]) == (12, 44, 79)
@@ -153,18 +147,6 @@ def test_the_sensor_is_that_of_the_first_keyframe_in_a_submap(store: KeyframeSto
     assert sensor_of(store, late).full_circle
 
 
-class Cast:
-    """Watches which virtual scans are cast in which grid."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.origins: list[tuple[GridMap, FloatArray]] = []
-        monkeypatch.setattr(sampling, "cast_circles", self)
-
-    def __call__(self, grid: GridMap, origins: FloatArray, beams: int, reach: float) -> Any:
-        self.origins.append((grid, origins))
-        return cast_circles(grid, origins, beams, reach)
-
-
 def raw_of(store: KeyframeStore, config: Config) -> Recogniser:
     """What raw scans teach."""
     samples = raw_samples(store, SUBMAPS, config)
@@ -186,11 +168,11 @@ def samples_of(
 def test_virtual_scans_are_cast_from_free_cells_near_the_submap_s_own_track(
     store: KeyframeStore, grids: dict[int, GridMap], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    cast = Cast(monkeypatch)
+    cast = watched(monkeypatch, sampling, "cast_circles")
     turn("recognition", augmentation_clearance_m=0.4, augmentation_reach_m=0.8)
     samples_of(store, grids, augmentation=100)
-    assert [grid for grid, _ in cast.origins] == [grids[0], grids[2]]
-    for (grid, origins), keyframes in zip(cast.origins, SUBMAPS.values(), strict=True):
+    assert [grid for grid, *_ in cast] == [grids[0], grids[2]]
+    for (grid, origins, *_), keyframes in zip(cast, SUBMAPS.values(), strict=True):
         assert 0 < len(origins) <= 60
         rows, columns = grid.cells_of(origins).T
         assert (grid.clearance()[rows, columns] > 0.4).all()
@@ -207,14 +189,14 @@ def test_cast_scans_are_dealt_out_half_alike_and_half_by_area(
     monkeypatch: pytest.MonkeyPatch,
     augmentation: int,
 ) -> None:
-    cast = Cast(monkeypatch)
+    cast = watched(monkeypatch, sampling, "cast_circles")
     turn("recognition", augmentation_clearance_m=0.0, augmentation_reach_m=50.0)
     found = samples_of(store, grids, augmentation=augmentation)
     areas = {i: grid.free_area_m2 for i, grid in grids.items()}
-    for (_, origins), submap in zip(cast.origins, SUBMAPS, strict=True):
+    for (_, origins, *_), submap in zip(cast, SUBMAPS, strict=True):
         share = 0.25 + 0.5 * areas[submap] / sum(areas.values())
         assert len(origins) == round(augmentation * share)
-    along = sum(len(X) for X in found.values()) - sum(len(o) for _, o in cast.origins)
+    along = sum(len(X) for X in found.values()) - sum(len(origins) for _, origins, *_ in cast)
     assert along == 30
 
 
@@ -259,9 +241,7 @@ def test_exemplars_and_the_share_given_up_are_settings(store: KeyframeStore) -> 
 
 
 def test_a_feature_set_of_another_package_is_trained_and_used(
-    store: KeyframeStore,
-    install: Callable[..., None],
-    building: Any,
+    store: KeyframeStore, install: Callable[..., None], building: Any
 ) -> None:
     """From an entry point to labels, by way of a file; without the package, one clear line."""
     install("mine")
@@ -280,9 +260,8 @@ def test_a_feature_set_of_another_package_is_trained_and_used(
     guide = Localizer(read, {0: [2], 2: [0]}, found.grids, config.localization)
     labels = []
     for room in (0, 2):
-        for k, pose in enumerate(building.path(room, 5)):
-            at, scan = Pose2(*pose.tolist()), building.scans(pose[None])[0]
-            labels.append(guide.update(posed(scan, at, k, restarted=k == 0)))
+        first, *others = building.posed(building.path(room, 5))
+        labels += [guide.update(scan) for scan in (replace(first, restarted=True), *others)]
     right = [label.filtered_submap == (0, 2)[k // 40] for k, label in enumerate(labels)]
     assert np.mean(right) > 0.8
 
@@ -302,10 +281,7 @@ def test_a_file_of_an_older_edition_of_the_package_is_refused(
 ) -> None:
     install("mine")
     config = load_config(overrides={"recognition": {"rounds": 20, "feature_set": "mine"}})
-    learned = ClassifierSet(
-        sensor=sensor_of(store, SUBMAPS),
-        raw=raw_of(store, config),
-    )
+    learned = ClassifierSet(sensor=sensor_of(store, SUBMAPS), raw=raw_of(store, config))
     text = learned.to_json().replace('"rings_far"', '"rings_farthest"')
     with pytest.raises(MapError, match="'rings_farthest' is no feature of the set; build"):
         ClassifierSet.from_json(text)

@@ -181,11 +181,8 @@ def world(seed: int = 0) -> tuple[CodeArray, Quantiser, list[Question]]:
 
 
 def same(first: Forest, second: Forest) -> bool:
-    return (
-        np.array_equal(first.features, second.features)
-        and np.array_equal(first.thresholds, second.thresholds)
-        and np.array_equal(first.votes, second.votes)
-    )
+    kept = "features", "thresholds", "votes"
+    return all(np.array_equal(getattr(first, k), getattr(second, k)) for k in kept)
 
 
 @pytest.mark.parametrize("at_once", [1, 100, 200, 1 << 15])

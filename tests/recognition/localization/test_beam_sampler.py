@@ -13,11 +13,9 @@ from hypothesis import strategies as st
 from specmap_cli.core.errors import InputError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import PlanarScan
-from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.recognition.learning.classifiers import Sensor
 from specmap_cli.recognition.localization.classification import BeamSampler
 
-CONFIG = LocalizationConfig()
 HALF = Sensor(beams=181, field_of_view=math.pi, range_max=20.0, full_circle=False)
 
 
@@ -30,19 +28,18 @@ def sampled(scan: PlanarScan, known: Sensor) -> PlanarScan:
     return BeamSampler(Sensor.of(scan), known).apply(scan)
 
 
-def test_the_same_laser_is_left_alone() -> None:
+def test_the_same_laser_is_left_alone_and_another_one_is_said() -> None:
     scan = circle(np.ones(360))
     sampler = BeamSampler(Sensor.of(scan), Sensor.of(scan))
     assert sampler.note == ""
     assert sampler.apply(scan) is scan
-
-
-def test_another_laser_is_said() -> None:
     sampler = BeamSampler(Sensor.of(circle(np.ones(720))), HALF)
     assert sampler.note == (
         "the log's laser (720 beams over 360 degrees, 30 m) is resampled to the map's "
         "(181 beams over 180 degrees, 20 m)"
     )
+    empty = PlanarScan(0, np.zeros(0), np.zeros(0), 30.0, full_circle=True)
+    assert sampler.apply(empty) is empty
 
 
 def test_resampling_takes_the_nearest_beam_and_cuts_to_the_range() -> None:
@@ -82,12 +79,6 @@ def test_readings_that_are_none_stay_none() -> None:
     assert not np.isfinite(made.ranges).any()
     assert np.isnan(made.ranges).any()
     assert np.isinf(made.ranges).any()
-
-
-def test_a_scan_without_a_beam_stays_as_it_is() -> None:
-    empty = PlanarScan(0, np.zeros(0), np.zeros(0), 30.0, full_circle=True)
-    sampler = BeamSampler(Sensor.of(circle(np.ones(720))), HALF)
-    assert sampler.apply(empty) is empty
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from itertools import compress
 from typing import Any, NamedTuple
@@ -12,20 +12,20 @@ import pytest
 
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import InputError
-from specmap_cli.core.geometry import IDENTITY, Pose2
+from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.pipelines.learning import Prior, learn
-from specmap_cli.pipelines.map_in_making import submaps_of
 from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.learning.calibration import steadiness
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.localization.filtering import HiddenMarkovFilter
-from specmap_cli.recognition.localization.localizer import Localizer
+from specmap_cli.recognition.localization.localizer import Label, Localizer
 from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
+from tests.recognition.posed import posed
 from tests.turning import turn
 
 CONFIG = load_config(
@@ -36,26 +36,22 @@ ADJACENCY = {1: [4], 2: [4], 3: [4], 4: [1, 2, 3]}
 
 def posed_tour(plan: GridMap, seed: int, **options: Any) -> list[PosedScan]:
     """Scans of a tour at their true poses."""
-    chosen = SimulationOptions(
-        **({"field_of_view_deg": 360, "beams": 180, "range_max_m": 12, "rate_hz": 2} | options),
-        seed=seed,
-    )
-    return [
-        PosedScan(
-            index=s.index,
-            stamp_ns=s.stamp_ns,
-            map_from_base=pose,
-            planar=s.planar,
-            base_from_laser=s.base_from_laser,
-        )
-        for s, pose in simulate_sweeps(plan, chosen)
-    ]
+    laser = {"field_of_view_deg": 360, "beams": 180, "range_max_m": 12, "rate_hz": 2}
+    chosen = SimulationOptions.model_validate({**laser, **options, "seed": seed})
+    sweeps = simulate_sweeps(plan, chosen)
+    return [posed(s.planar, pose, s.index, s.base_from_laser) for s, pose in sweeps]
 
 
 class Trained(NamedTuple):
     classifiers: ClassifierSet
     grids: Mapping[int, GridMap]
-    frames: dict[int, Pose2]
+
+    def localizer(
+        self, adjacency: Mapping[int, Collection[int]] = ADJACENCY, **settings: Any
+    ) -> Localizer:
+        """A localiser that has seen nothing yet."""
+        config = load_config(overrides={"localization": settings}).localization
+        return Localizer(self.classifiers, adjacency, self.grids, config)
 
 
 def train(tour: list[PosedScan], labels: np.ndarray[Any, Any], config: Config) -> Trained:
@@ -64,10 +60,19 @@ def train(tour: list[PosedScan], labels: np.ndarray[Any, Any], config: Config) -
         inside = labels > 0
         for scan in compress(tour, inside):
             store.append(scan)
-        frames = {i: store.pose(own[0]) for i, own in submaps_of(labels[inside]).items()}
         session = Session(config, store)
         found = learn(session, labels[inside], store.poses, Prior.of(session))
-    return Trained(found.classifiers, found.grids, frames)
+    return Trained(found.classifiers, found.grids)
+
+
+def told(guide: Localizer, scans: Iterable[PosedScan]) -> list[Label]:
+    """The labels of scans that come one by one."""
+    return [guide.update(scan) for scan in scans]
+
+
+def right(labels: list[Label], truth: np.ndarray[Any, Any]) -> float:
+    """The share of the filtered labels that are right."""
+    return float(np.mean([a.filtered_submap == b for a, b in zip(labels, truth, strict=True)]))
 
 
 @pytest.fixture(scope="module")
@@ -80,21 +85,6 @@ def again(flat: GridMap) -> list[PosedScan]:
     return posed_tour(flat, 7, spacing_m=1.5)
 
 
-def walked(building: Any, room: int, seed: int) -> list[PosedScan]:
-    """The scans of a walk through a room of the building."""
-    poses = building.path(room, seed)
-    return [
-        PosedScan(
-            index=k,
-            stamp_ns=k,
-            map_from_base=Pose2(*pose.tolist()),
-            planar=scan,
-            base_from_laser=IDENTITY,
-        )
-        for k, (pose, scan) in enumerate(zip(poses, building.scans(poses), strict=True))
-    ]
-
-
 def rooms_of(flat_rooms: Any, scans: list[PosedScan]) -> np.ndarray[Any, Any]:
     return np.asarray(flat_rooms.at(np.array([s.map_from_base for s in scans])))
 
@@ -104,24 +94,15 @@ def trained(tour: list[PosedScan], flat_rooms: Any) -> Trained:
     return train(tour, rooms_of(flat_rooms, tour), CONFIG)
 
 
-def localizer(trained: Trained, config: Config = CONFIG) -> Localizer:
-    return Localizer(trained.classifiers, ADJACENCY, trained.grids, config.localization)
-
-
 def test_another_tour_is_labelled_with_its_rooms(
     trained: Trained, again: list[PosedScan], flat_rooms: Any
 ) -> None:
     truth = rooms_of(flat_rooms, again)
-    guide = localizer(trained)
-    labels = [guide.update(scan) for scan in again]
-    raw = np.mean([a.submap == b for a, b in zip(labels, truth, strict=True)])
-    filtered = np.mean([a.filtered_submap == b for a, b in zip(labels, truth, strict=True)])
-    smoothed = np.mean(
-        [a.filtered_submap == b for a, b in zip(guide.smoothed(), truth, strict=True)]
-    )
-    assert raw > 0.8
-    assert filtered > 0.85
-    assert smoothed > 0.85
+    guide = trained.localizer()
+    labels = told(guide, again)
+    assert np.mean([a.submap == b for a, b in zip(labels, truth, strict=True)]) > 0.8
+    assert right(labels, truth) > 0.85
+    assert right(guide.smoothed(), truth) > 0.85
     assert guide.note == ""
     for label, scan in zip(labels, again, strict=True):
         assert label.stamp_ns == scan.stamp_ns
@@ -132,30 +113,25 @@ def test_another_tour_is_labelled_with_its_rooms(
 def test_scans_labelled_together_have_the_labels_that_they_have_one_by_one(
     trained: Trained, again: list[PosedScan]
 ) -> None:
-    together, alone = localizer(trained), localizer(trained)
     scans = [*again[:40], replace(again[40], restarted=True), *again[41:70]]
-    labelled = list(together.labelled(iter(scans)))
+    labelled = list(trained.localizer().labelled(iter(scans)))
     assert [posed for posed, _ in labelled] == scans
-    assert [label for _, label in labelled] == [alone.update(scan) for scan in scans]
+    assert [label for _, label in labelled] == told(trained.localizer(), scans)
 
 
 def test_scans_of_another_place_are_unknown(trained: Trained, building: Any) -> None:
-    guide = localizer(trained)
-    labels = []
+    guide, labels = trained.localizer(), list[Label]()
     for room in (1, 2):
-        for k, scan in enumerate(walked(building, room, 5)[::2]):
-            labels.append(guide.update(replace(scan, restarted=k == 0)))
+        first, *others = building.posed(building.path(room, 5)[::2])
+        labels += told(guide, [replace(first, restarted=True), *others])
     assert np.mean([label.submap is None for label in labels]) > 0.6
     assert np.mean([label.filtered_submap is None for label in labels]) > 0.8
 
 
 def test_unknown_can_be_switched_off(trained: Trained, building: Any) -> None:
-    config = load_config(overrides={"localization": {"unknown": False}})
-    guide = localizer(trained, config)
-    for scan in walked(building, 2, 5):
-        label = guide.update(scan)
-        assert label.submap is not None
-        assert label.filtered_submap is not None
+    labels = told(trained.localizer(unknown=False), building.posed(building.path(2, 5)))
+    assert None not in {label.submap for label in labels}
+    assert None not in {label.filtered_submap for label in labels}
 
 
 def test_a_map_of_one_submap(tour: list[PosedScan]) -> None:
@@ -164,15 +140,15 @@ def test_a_map_of_one_submap(tour: list[PosedScan]) -> None:
         config = load_config(preset=preset, overrides=rounds)
         single = train(tour[:60], np.full(60, 3), config)
         guide = Localizer(single.classifiers, {3: []}, single.grids, config.localization)
-        labels = [guide.update(scan) for scan in tour[:60]]
-        assert np.mean([label.filtered_submap == 3 for label in labels]) > 0.8
+        labels = told(guide, tour[:60])
+        assert right(labels, np.full(60, 3)) > 0.8
         assert all(label.runner_up is None for label in labels)
 
 
 def test_a_narrower_laser_is_refused_in_one_line(trained: Trained, flat: GridMap) -> None:
     narrow = posed_tour(flat, 1, field_of_view_deg=180, beams=90, max_duration_s=1.0)[0]
     with pytest.raises(InputError, match="90 beams over 1") as error:
-        localizer(trained).update(narrow)
+        trained.localizer().update(narrow)
     assert "\n" not in str(error.value)
 
 
@@ -180,23 +156,19 @@ def test_a_finer_laser_is_resampled_and_said(
     trained: Trained, flat: GridMap, flat_rooms: Any
 ) -> None:
     fine = posed_tour(flat, 3, beams=720, range_max_m=30, max_duration_s=25.0)
-    guide = localizer(trained)
-    labels = [guide.update(scan) for scan in fine]
+    guide = trained.localizer()
+    assert right(told(guide, fine), rooms_of(flat_rooms, fine)) > 0.8
     assert "720 beams" in guide.note
-    truth = rooms_of(flat_rooms, fine)
-    right = [a.filtered_submap == b for a, b in zip(labels, truth, strict=True)]
-    assert np.mean(right) > 0.8
 
 
 def test_the_raw_label_is_that_of_the_most_votes_on_the_single_scan(
     trained: Trained, again: list[PosedScan]
 ) -> None:
-    guide = localizer(trained, load_config(overrides={"localization": {"unknown": False}}))
     raw = trained.classifiers.raw
-    for scan in again[:20]:
-        label = guide.update(scan)
-        margins = raw.margins(scans_features([scan.planar], raw.feature_set))[0]
-        ranked = sorted(zip(margins.tolist(), raw.ids, strict=True), reverse=True)
+    labels = told(trained.localizer(unknown=False), again[:20])
+    votes = raw.margins(scans_features([scan.planar for scan in again[:20]], raw.feature_set))
+    for label, margins in zip(labels, votes.tolist(), strict=True):
+        ranked = sorted(zip(margins, raw.ids, strict=True), reverse=True)
         assert (label.submap, label.runner_up) == (ranked[0][1], ranked[1][1])
         assert label.margin == pytest.approx(ranked[0][0] - ranked[1][0])
 
@@ -205,9 +177,8 @@ def test_without_virtual_scans_the_filter_hears_the_single_scans(
     trained: Trained, again: list[PosedScan]
 ) -> None:
     turn("recognition", view_m=0.0, view_rad=0.0)
-    config = load_config(overrides={"localization": {"unknown": False, "virtual": False}})
-    guide = localizer(trained, config)
-    alone = HiddenMarkovFilter(ADJACENCY, config.localization)
+    guide = trained.localizer(unknown=False, virtual=False)
+    alone = HiddenMarkovFilter(ADJACENCY, CONFIG.localization)
     raw = trained.classifiers.raw
     here: Pose2 | None = None
     assert trained.classifiers.calibration is not None
@@ -231,9 +202,9 @@ def _motion(step: Pose2) -> float:
 def test_smoothing_changes_the_filtered_labels_alone(
     trained: Trained, again: list[PosedScan]
 ) -> None:
-    guide = localizer(trained)
+    guide = trained.localizer()
     assert guide.smoothed() == []
-    labels = [guide.update(scan) for scan in again[:30]]
+    labels = told(guide, again[:30])
     smoothed = guide.smoothed()
     assert smoothed == guide.smoothed()
     for before, after in zip(labels, smoothed, strict=True):
@@ -242,65 +213,43 @@ def test_smoothing_changes_the_filtered_labels_alone(
     assert smoothed[-1].filtered_probability == pytest.approx(labels[-1].filtered_probability)
 
 
-def test_after_a_restart_nothing_of_before_counts(trained: Trained, again: list[PosedScan]) -> None:
-    guide, fresh = localizer(trained), localizer(trained)
-    for scan in again[:15]:
-        guide.update(scan)
-    for k, scan in enumerate(again[60:70]):
-        scan = replace(scan, restarted=k == 0)
-        assert guide.update(scan) == fresh.update(scan)
+def test_after_a_restart_nothing_of_before_counts_nor_is_it_smoothed_by_what_comes(
+    trained: Trained, again: list[PosedScan]
+) -> None:
+    """Two tracks in one log are labelled and smoothed like two logs."""
+    first, second = again[:20], [replace(again[60], restarted=True), *again[61:80]]
+    whole, early, late = (trained.localizer() for _ in range(3))
+    assert told(whole, [*first, *second]) == told(early, first) + told(late, second)
+    assert whole.smoothed() == early.smoothed() + late.smoothed()
 
 
 def test_a_lost_scan_is_labelled_but_adds_nothing_to_the_window(
     trained: Trained, again: list[PosedScan]
 ) -> None:
     """Its pose is a guess: what it saw is nowhere."""
-    guide, spared = localizer(trained), localizer(trained)
+    guide, spared = trained.localizer(), trained.localizer()
     astray = replace(again[3], map_from_base=Pose2(50.0, 50.0, 1.0), lost=True)
-    for scan in again[:3]:
-        guide.update(scan)
-        spared.update(scan)
-    assert guide.update(astray).stamp_ns == astray.stamp_ns
+    assert told(guide, [*again[:3], astray])[-1].stamp_ns == astray.stamp_ns
+    told(spared, again[:3])
     guide.filter.reset()
     spared.filter.reset()
-    after, expected = guide.update(again[4]), spared.update(again[4])
-    assert after == expected
+    assert guide.update(again[4]) == spared.update(again[4])
 
 
 @pytest.mark.parametrize(("alone", "share"), [(1e6, 0.0), (1e-6, 1.0)])
 def test_when_a_single_scan_is_unknown_is_a_setting(
     trained: Trained, again: list[PosedScan], alone: float, share: float
 ) -> None:
-    config = load_config(overrides={"localization": {"fit_submaps": 0}})
-    guide = localizer(trained, config)
     turn("recognition", strange_alone=alone)
-    labels = [guide.update(scan) for scan in again[:20]]
+    labels = told(trained.localizer(fit_submaps=0), again[:20])
     assert np.mean([label.submap is None for label in labels]) == share
     assert all(label.runner_up is not None for label in labels)
 
 
 def test_neighbours_that_the_map_does_not_hold_are_nobody_s(trained: Trained) -> None:
-    wide = {1: [4, 99], 4: [1, 2, 3, 77], 88: [1]}
-    guide = Localizer(trained.classifiers, wide, trained.grids, CONFIG.localization)
+    guide = trained.localizer({1: [4, 99], 4: [1, 2, 3, 77], 88: [1]})
     assert guide.filter.ids == [1, 2, 3, 4]
     assert guide.filter.transition.sum(axis=1) == pytest.approx(np.ones(5))
-
-
-def test_what_comes_after_a_restart_does_not_smooth_what_was_before(
-    trained: Trained, again: list[PosedScan]
-) -> None:
-    """Two tracks in one log are smoothed like two logs."""
-    first, second = again[:20], [replace(again[20], restarted=True), *again[21:40]]
-    whole = localizer(trained)
-    for scan in (*first, *second):
-        whole.update(scan)
-    apart = []
-    for part in (first, second):
-        guide = localizer(trained)
-        for scan in part:
-            guide.update(scan)
-        apart += guide.smoothed()
-    assert whole.smoothed() == apart
 
 
 @pytest.mark.parametrize("place", [5, 40, 70])
@@ -308,7 +257,7 @@ def test_a_robot_that_stands_in_its_room_is_found_however_long(
     trained: Trained, again: list[PosedScan], flat_rooms: Any, place: int
 ) -> None:
     """All scans of one view count as one: the last is no surer of anything than the first."""
-    guide, scan = localizer(trained), again[place]
+    guide, scan = trained.localizer(), again[place]
     rng = np.random.default_rng(place)
     labels = []
     for _ in range(30):
@@ -327,7 +276,8 @@ def test_a_narrow_view_of_a_one_room_map_is_recognised_standing(building: Any) -
     """What shows from one place is half of the room, and unlike all that was learned of it."""
 
     def tour_of(room: int, seed: int) -> list[PosedScan]:
-        return [replace(scan, planar=half(scan.planar)) for scan in walked(building, room, seed)]
+        scans = building.posed(building.path(room, seed))
+        return [replace(scan, planar=half(scan.planar)) for scan in scans]
 
     def half(scan: Any) -> Any:
         front = np.abs(scan.bearings) <= np.pi / 2
@@ -338,7 +288,5 @@ def test_a_narrow_view_of_a_one_room_map_is_recognised_standing(building: Any) -
     for room, known in ((0, 1.0), (1, 0.0), (2, 0.0)):
         labels = []
         for scan in tour_of(room, 4)[::8]:
-            guide = Localizer(one_room.classifiers, {3: []}, one_room.grids, CONFIG.localization)
-            labels += [guide.update(scan) for _ in range(6)]
-        share = np.mean([label.filtered_submap == 3 for label in labels])
-        assert share == pytest.approx(known, abs=0.25)
+            labels += told(one_room.localizer({3: []}), [scan] * 6)
+        assert right(labels, np.full(len(labels), 3)) == pytest.approx(known, abs=0.25)

@@ -12,12 +12,13 @@ import pytest
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, cast_rays
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.recognition.learning.misfit import HeldOutMisfit
 from specmap_cli.recognition.localization.filtering import LEAP
-from specmap_cli.recognition.localization.places import Owners
+from specmap_cli.recognition.localization.places import Owners, Place
 from specmap_cli.recognition.localization.tracking import PlaceTracker
 from specmap_cli.recognition.localization.wall_fit import Ratio, Surroundings, View, WallFit
+from tests.casting import ranges_at
 from tests.recognition.posed import posed
 
 CONFIG = LocalizationConfig()
@@ -26,6 +27,7 @@ IDS = (0, 1, 2)
 FRAMES = {0: Pose2(0.0, 0.0, 0.0), 1: Pose2(6.0, 0.0, 0.0), 2: Pose2(12.0, 0.0, 0.0)}
 EVEN = np.full(3, 1.0 / 3.0)
 BOX = np.array([0.2, 0.2, 0.6])
+ASIDE = Pose2(0.3, 0.4, -1.2)
 
 
 def room(niche: bool, box: bool) -> GridMap:
@@ -46,28 +48,40 @@ class Home:
 
     def __init__(self, niches: tuple[bool, bool, bool] = (False, True, False)) -> None:
         self.grids = {k: room(niche, k == 2) for k, niche in enumerate(niches)}
-        self.walls = {k: grid.obstacle_distance() for k, grid in self.grids.items()}
-        around = Surroundings(self.grids, {}, FRAMES)
-        self.fit = WallFit(self.grids, around, Ratio(HeldOutMisfit(0.02, 60), CONFIG), FRAMES)
-
-    def tracker(self) -> PlaceTracker:
+        self.fit = fit_of(self.grids, {}, FRAMES)
         tracks = {k: np.array([[frame.x, frame.y]]) for k, frame in FRAMES.items()}
-        return PlaceTracker(IDS, self.fit, Owners(tracks, FRAMES, self.grids), CONFIG)
+        self.tracker = PlaceTracker(IDS, self.fit, Owners(tracks, FRAMES, self.grids), CONFIG)
+
+    @property
+    def place(self) -> Place | None:
+        """The place that leads."""
+        return None if self.tracker.lead is None else self.tracker.lead.place
 
     def scan(self, number: int, pose: Pose2, track: Pose2 | None = None) -> PosedScan:
         """What half a circle sees at a pose in a room; `track` is where registration puts it."""
         bearings = np.radians(np.arange(-90.0, 90.0))
-        origins = np.tile([pose.x, pose.y], (len(bearings), 1))
-        grid = self.grids[number]
-        ranges = cast_rays(self.walls[number], grid, origins, bearings + pose.theta, 20.0)
+        ranges = ranges_at(self.grids[number], np.array([pose]), bearings, 20.0)[0]
         planar = PlanarScan(0, bearings, ranges, 20.0, full_circle=False)
         return posed(planar, pose if track is None else track)
 
-    def see(self, tracker: PlaceTracker, scan: PosedScan, belief: FloatArray = EVEN) -> FloatArray:
-        """Show a scan to a tracker."""
-        view = View.of(scan, scan.planar, 8.0)
-        assert view is not None
-        return tracker.update(scan, view, belief)
+    def see(
+        self, number: int, pose: Pose2, belief: FloatArray = EVEN, track: Pose2 | None = None
+    ) -> FloatArray:
+        """Show the tracker a scan."""
+        return shown(self.tracker, self.scan(number, pose, track), belief)
+
+
+def fit_of(
+    grids: dict[int, GridMap], adjacency: dict[int, list[int]], frames: dict[int, Pose2]
+) -> WallFit:
+    around = Surroundings(grids, adjacency, frames)
+    return WallFit(grids, around, Ratio(HeldOutMisfit(0.02, 60), CONFIG), frames)
+
+
+def shown(tracker: PlaceTracker, scan: PosedScan, belief: FloatArray) -> FloatArray:
+    view = View.of(scan, scan.planar, 8.0)
+    assert view is not None
+    return tracker.update(scan, view, belief)
 
 
 def north(step: int) -> Pose2:
@@ -77,88 +91,73 @@ def north(step: int) -> Pose2:
 
 def test_a_place_that_no_other_looks_like_leads_when_all_submaps_were_searched() -> None:
     home = Home()
-    tracker = home.tracker()
-    pose = Pose2(0.3, 0.4, -1.2)
-    home.see(tracker, home.scan(2, pose))  # two of three
-    belief = home.see(tracker, home.scan(2, pose))
-    assert tracker.lead is not None
-    assert tracker.lead.place.submap == 2
-    assert (pose.inverse() @ tracker.lead.place.pose).distance < 0.1
+    home.see(2, ASIDE)  # two of three
+    belief = home.see(2, ASIDE)
+    assert home.place is not None
+    assert home.place.submap == 2
+    assert (ASIDE.inverse() @ home.place.pose).distance < 0.1
     assert belief.argmax() == 2
     assert belief.sum() == pytest.approx(1.0)
 
 
 def test_none_of_two_look_alikes_leads() -> None:
     home = Home(niches=(False, False, False))
-    tracker = home.tracker()
     for step in range(12):
-        belief = home.see(tracker, home.scan(0, north(step)))
-        assert tracker.lead is None
+        belief = home.see(0, north(step))
+        assert home.place is None
         assert belief[0] == pytest.approx(belief[1], rel=0.2)
 
 
 def test_the_way_tells_look_alikes_apart_even_against_the_classifiers() -> None:
-    home = Home()
-    tracker = home.tracker()
+    home, leads = Home(), []
     mistaken = np.array([0.998, 0.001, 0.001])
-    leads, labels = [], []
     for step in range(14):
-        labels.append(int(home.see(tracker, home.scan(1, north(step)), mistaken).argmax()))
-        leads.append(tracker.lead)
-    assert all(lead is None or lead.place.submap == 1 for lead in leads)
+        belief = home.see(1, north(step), mistaken)
+        leads.append(home.place)
+    assert all(lead is None or lead.submap == 1 for lead in leads)
     assert leads[-1] is not None
-    assert labels[-1] == 1
+    assert belief.argmax() == 1
 
 
 def test_a_robot_that_is_carried_away_has_no_pose_and_then_the_right_one() -> None:
     home = Home()
-    tracker = home.tracker()
     for step in range(8):
-        home.see(tracker, home.scan(1, north(step)))
-    assert tracker.lead is not None
+        home.see(1, north(step))
+    assert home.place is not None
     wheels, given = north(8), []
     for step in range(16):
         pose = Pose2(-0.8 + 0.2 * step * 0.4, 1.5 - 0.2 * step, -1.4)
         track = wheels @ (Pose2(-0.8, 1.5, -1.4).inverse() @ pose)
-        belief = home.see(tracker, home.scan(2, pose, track))
-        given.append(None if tracker.lead is None else tracker.lead.place)
-        if given[-1] is not None:
-            assert given[-1].submap == 2
-            assert (pose.inverse() @ given[-1].pose).distance < 0.15
+        belief = home.see(2, pose, track=track)
+        given.append(home.place)
+        if home.place is not None:
+            assert home.place.submap == 2
+            assert (pose.inverse() @ home.place.pose).distance < 0.15
     assert given[0] is None
     assert given[-1] is not None
     assert belief.argmax() == 2
 
 
-def test_a_restart_forgets_all_places() -> None:
+def test_a_lost_scan_has_no_place_but_the_next_one_has_and_a_restart_forgets_them_all() -> None:
     home = Home()
-    tracker = home.tracker()
-    home.see(tracker, home.scan(2, Pose2(0.3, 0.4, -1.2)), BOX)
-    assert tracker.lead is not None
-    tracker.restart()
-    assert tracker.lead is None
-    assert not tracker.hypotheses
-    assert tracker.update(home.scan(2, IDENTITY), None, EVEN).tolist() == EVEN.tolist()
-
-
-def test_a_lost_scan_has_no_place_but_the_next_one_has() -> None:
-    home = Home()
-    tracker = home.tracker()
-    pose = Pose2(0.3, 0.4, -1.2)
-    home.see(tracker, home.scan(2, pose), BOX)
-    lost = replace(home.scan(2, pose, Pose2(50.0, 0.0, 0.0)), lost=True)
-    tracker.update(lost, None, EVEN)
-    assert tracker.lead is None
-    home.see(tracker, home.scan(2, pose), BOX)
-    assert tracker.lead is not None
+    home.see(2, ASIDE, BOX)
+    assert home.place is not None
+    lost = replace(home.scan(2, ASIDE, Pose2(50.0, 0.0, 0.0)), lost=True)
+    home.tracker.update(lost, None, EVEN)
+    assert home.tracker.lead is None
+    home.see(2, ASIDE, BOX)
+    assert home.tracker.lead is not None
+    home.tracker.restart()
+    assert home.tracker.lead is None
+    assert not home.tracker.hypotheses
+    assert home.tracker.update(home.scan(2, IDENTITY), None, EVEN).tolist() == EVEN.tolist()
 
 
 def test_what_walls_said_is_remembered_no_longer_than_a_leap_is_unlikely() -> None:
     home = Home()
-    tracker = home.tracker()
     for step in range(40):
-        home.see(tracker, home.scan(2, Pose2(0.3, 0.4, 0.2 * step)))
-    assert tracker.hypotheses[0].weight == pytest.approx(-math.log(LEAP))
+        home.see(2, Pose2(0.3, 0.4, 0.2 * step))
+    assert home.tracker.hypotheses[0].weight == pytest.approx(-math.log(LEAP))
 
 
 def test_a_place_goes_over_into_the_submap_of_the_keyframes_around_it() -> None:
@@ -168,18 +167,13 @@ def test_a_place_goes_over_into_the_submap_of_the_keyframes_around_it() -> None:
     moved = GridMap(hall.cells, CELL_M, (hall.origin[0], hall.origin[1] - 1.0))
     grids = {0: hall, 1: moved}
     tracks = {0: np.array([[0.0, -1.0]]), 1: np.array([[0.0, 1.0]])}
-    around = Surroundings(grids, {0: [1], 1: [0]}, frames)
-    fit = WallFit(grids, around, Ratio(HeldOutMisfit(0.02, 60), CONFIG), frames)
+    fit = fit_of(grids, {0: [1], 1: [0]}, frames)
     tracker = PlaceTracker((0, 1), fit, Owners(tracks, frames, grids), CONFIG)
     home, labels = Home(), list[int]()
-    home.grids[0], home.walls[0] = hall, hall.obstacle_distance()
+    home.grids[0] = hall
     for step in range(12):
         pose = Pose2(0.0, -1.2 + 0.2 * step, 1.0)
-        scan = home.scan(0, pose)
-        belief = np.array([0.6, 0.4])
-        view = View.of(scan, scan.planar, 8.0)
-        assert view is not None
-        belief = tracker.update(scan, view, belief)
+        belief = shown(tracker, home.scan(0, pose), np.array([0.6, 0.4]))
         labels.append(int(belief.argmax()))
     assert labels == [0] * 6 + [1] * 6 or labels == [0] * 7 + [1] * 5
     assert tracker.lead is not None
@@ -189,9 +183,9 @@ def test_a_place_goes_over_into_the_submap_of_the_keyframes_around_it() -> None:
 
 def test_where_submaps_end_is_not_known_without_tracks_and_labels_stay_the_filter_s() -> None:
     home, belief = Home(), np.array([0.1, 0.6, 0.3])
-    tracker = PlaceTracker(IDS, home.fit, Owners({}, FRAMES, home.grids), CONFIG)
-    after = home.see(tracker, home.scan(2, Pose2(0.3, 0.4, -1.2)), belief)
-    assert tracker.lead is not None
+    home.tracker = PlaceTracker(IDS, home.fit, Owners({}, FRAMES, home.grids), CONFIG)
+    after = home.see(2, ASIDE, belief)
+    assert home.place is not None
     np.testing.assert_array_equal(after, belief)
 
 

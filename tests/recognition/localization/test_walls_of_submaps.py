@@ -17,9 +17,10 @@ from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import UNKNOWN, GridMap
-from specmap_cli.grids.matching import Match, search_everywhere
+from specmap_cli.grids.matching import Match
 from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.learning.misfit import _USUAL_MISFIT, HeldOutMisfit, pooled
+from specmap_cli.recognition.localization import wall_fit
 from specmap_cli.recognition.localization.places import Place
 from specmap_cli.recognition.localization.unknown import WallCheck
 from specmap_cli.recognition.localization.wall_fit import (
@@ -32,6 +33,7 @@ from specmap_cli.recognition.localization.wall_fit import (
     WallFit,
 )
 from tests.recognition.posed import posed
+from tests.recognition.watching import watched
 from tests.turning import configured
 
 CONFIG = LocalizationConfig()
@@ -39,15 +41,15 @@ CONFIG = LocalizationConfig()
 
 def standing(building: Any, room: int = 0) -> PosedScan:
     """The first scan of a walk through a room."""
-    pose = building.path(room, 3)[:1]
-    return posed(building.scans(pose)[0], Pose2(*pose[0].tolist()))
+    found: list[PosedScan] = building.posed(building.path(room, 3)[:1])
+    return found[0]
 
 
 class Counted:
     """The walls of one room for every submap; counts what is asked for."""
 
-    def __init__(self, building: Any, room: int = 0) -> None:
-        self.grid = building.walk(room, 0, "pairs").grid
+    def __init__(self, building: Any) -> None:
+        self.grid = building.walk(0, 0, "pairs").grid
         self.walls = ScoreField.from_grid(self.grid)
         self.asked: list[int] = []
 
@@ -59,8 +61,15 @@ class Counted:
 def walls_of(building: Any, **settings: float) -> tuple[WallCheck, Counted]:
     config = configured(LocalizationConfig, "recognition", settings)
     field = Counted(building)
-    grids = dict.fromkeys((7, 8, 9), field.grid)
-    return check(grids, field, config), field
+    return check(dict.fromkeys((7, 8, 9), field.grid), field, config), field
+
+
+def rooms_of(building: Any, frames: dict[int, Pose2] | None = None, **settings: float) -> WallCheck:
+    """The walls of all rooms of the building, each a submap."""
+    config = configured(LocalizationConfig, "recognition", settings)
+    grids = {room: building.walk(room, 0, "pairs").grid for room in range(4)}
+    fields = {room: ScoreField.from_grid(grid) for room, grid in grids.items()}
+    return check(grids, fields.__getitem__, config, frames)
 
 
 def check(
@@ -72,6 +81,29 @@ def check(
     around = Surroundings(grids, {}, {})
     around.field = field  # type: ignore[method-assign, assignment]
     return WallCheck(WallFit(grids, around, Ratio(None, config), frames), config)
+
+
+def told(walls: WallCheck, scan: PosedScan, asked: list[int]) -> float | None:
+    """What walls say of a scan that is all that was seen of late."""
+    return walls.unknown(scan, scan.planar, asked)
+
+
+def ratio_of(walls: WallCheck, scan: PosedScan, asked: list[int]) -> float:
+    """The same where they say something."""
+    ratio = told(walls, scan, asked)
+    assert ratio is not None
+    return ratio
+
+
+def asked_at(said: list[float | None]) -> list[int]:
+    """The scans of which something was said."""
+    return [k for k, ratio in enumerate(said) if ratio is not None]
+
+
+@pytest.fixture
+def searches(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """One item for each search of a whole submap."""
+    return watched(monkeypatch, wall_fit, "search_everywhere")
 
 
 @pytest.mark.parametrize("typical", [0.0, 0.06, 0.3])
@@ -112,35 +144,27 @@ def test_few_views_widen_what_is_taken_for_known() -> None:
 
 def test_own_scans_fit_and_those_of_another_room_do_not(building: Any) -> None:
     for room, sign in ((0, -1.0), (2, 1.0)):
-        poses = building.path(room, 3)[::6]
-        for pose, scan in zip(poses, building.scans(poses), strict=True):
-            walls, _ = walls_of(building)
-            said = walls.unknown(posed(scan, Pose2(*pose.tolist())), scan, [7])
-            assert said is not None
-            assert sign * said > 0.5
+        for scan in building.posed(building.path(room, 3)[::6]):
+            assert sign * ratio_of(walls_of(building)[0], scan, [7]) > 0.5
 
 
 def test_a_scan_that_fits_where_motion_leads_is_not_sought_again(
     building: Any, searches: list[Any]
 ) -> None:
     walls, _ = walls_of(building)
-    poses = building.path(0, 3)
-    for pose, scan in zip(poses, building.scans(poses), strict=True):
-        walls.unknown(posed(scan, Pose2(*pose.tolist())), scan, [7])
+    for scan in building.posed(building.path(0, 3)):
+        told(walls, scan, [7])
     assert len(searches) == 1
     walls.restart()
-    walls.unknown(posed(scan, Pose2(*pose.tolist())), scan, [7])
+    told(walls, scan, [7])
     assert len(searches) == 2
 
 
 def test_a_place_is_kept_where_the_scan_alone_fits(building: Any, searches: list[Any]) -> None:
     """What was seen of late shows many small things that the map has not; the scan does not."""
-    walls = rooms_of(building)
-    here = standing(building)
+    walls, here = rooms_of(building), standing(building)
     scan = here.planar
-    first = walls.unknown(here, scan, [0])
-    assert first is not None
-    assert first < 0.0
+    assert ratio_of(walls, here, [0]) < 0.0
     asked = len(searches)
     legs = np.arange(len(scan.ranges)) % 2 == 0
     cluttered = replace(scan, ranges=np.where(legs, 0.6 * scan.ranges, scan.ranges))
@@ -148,57 +172,28 @@ def test_a_place_is_kept_where_the_scan_alone_fits(building: Any, searches: list
     assert again is not None
     assert again < 0.0
     assert len(searches) == asked
-    neither = walls.unknown(replace(here, planar=cluttered), cluttered, [0])
-    assert neither is not None
-    assert neither > 0.0
+    assert ratio_of(walls, replace(here, planar=cluttered), [0]) > 0.0
 
 
 def test_standing_elsewhere_is_searched_ever_more_rarely(building: Any) -> None:
     walls, field = walls_of(building)
-    scan = standing(building, 2).planar
-    said = [walls.unknown(posed(scan, IDENTITY), scan, [7]) for _ in range(32)]
+    scan = posed(standing(building, 2).planar, IDENTITY)
     # at the 1st scan, then 2, 4, 8 and 16 scans later
-    assert [k for k, ratio in enumerate(said) if ratio is not None] == [0, 2, 6, 14, 30]
+    assert asked_at([told(walls, scan, [7]) for _ in range(32)]) == [0, 2, 6, 14, 30]
     assert len(set(field.asked)) == 1
 
 
 def test_driving_elsewhere_is_searched_by_the_way(building: Any) -> None:
     walls, _ = walls_of(building, fit_search_m=1.0)
     scan = standing(building, 2).planar
-    said = [
-        walls.unknown(posed(scan, Pose2(0.1 * k, 0.0, 0.0)), scan, [7]) is not None
-        for k in range(60)
-    ]
-    assert said.count(True) in range(6, 12)
+    said = [told(walls, posed(scan, Pose2(0.1 * k, 0.0, 0.0)), [7]) for k in range(60)]
+    assert len(asked_at(said)) in range(6, 12)
 
 
 def test_the_likeliest_submap_that_fits_ends_the_search(building: Any) -> None:
     walls, field = walls_of(building)
-    here = standing(building)
-    walls.unknown(here, here.planar, [7, 8, 9])
+    told(walls, standing(building), [7, 8, 9])
     assert set(field.asked) == {7}
-
-
-@pytest.fixture
-def searches(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """One item for each search of a whole submap."""
-    made: list[Any] = []
-
-    def counting(*given: Any, **more: Any) -> Any:
-        made.append(given)
-        return search_everywhere(*given, **more)
-
-    module = "specmap_cli.recognition.localization.wall_fit.search_everywhere"
-    monkeypatch.setattr(module, counting)
-    return made
-
-
-def rooms_of(building: Any, frames: dict[int, Pose2] | None = None, **settings: float) -> WallCheck:
-    """The walls of all rooms of the building, each a submap."""
-    config = configured(LocalizationConfig, "recognition", settings)
-    grids = {room: building.walk(room, 0, "pairs").grid for room in range(4)}
-    fields = {room: ScoreField.from_grid(grid) for room, grid in grids.items()}
-    return check(grids, fields.__getitem__, config, frames)
 
 
 def test_a_standing_robot_has_one_submap_after_the_other_searched(building: Any) -> None:
@@ -206,7 +201,7 @@ def test_a_standing_robot_has_one_submap_after_the_other_searched(building: Any)
     walls = rooms_of(building, fit_submaps=1)
     here, said, found = standing(building), [], []
     for _ in range(6):
-        said.append(walls.unknown(here, here.planar, [2, 3, 1, 0]))
+        said.append(told(walls, here, [2, 3, 1, 0]))
         found.append(walls.found)
     assert [ratio is not None and ratio < 0.0 for ratio in said] == [False] * 3 + [True] * 3
     assert said[0] is not None
@@ -216,9 +211,8 @@ def test_a_standing_robot_has_one_submap_after_the_other_searched(building: Any)
 
 def test_after_all_submaps_a_standing_robot_waits(building: Any) -> None:
     walls = rooms_of(building, fit_submaps=2)
-    scan = standing(building).planar
-    said = [walls.unknown(posed(scan, IDENTITY), scan, [2, 3, 1]) for _ in range(12)]
-    assert [k for k, ratio in enumerate(said) if ratio is not None] == [0, 3, 8]
+    scan = posed(standing(building).planar, IDENTITY)
+    assert asked_at([told(walls, scan, [2, 3, 1]) for _ in range(12)]) == [0, 3, 8]
 
 
 def test_while_a_scan_fits_the_next_look_comes_after_some_motion(
@@ -226,13 +220,9 @@ def test_while_a_scan_fits_the_next_look_comes_after_some_motion(
 ) -> None:
     walls = rooms_of(building, fit_step_m=0.2, fit_step_rad=9.0, view_m=0.05, view_rad=9.0)
     start = building.path(0, 3)[0]
-    said = []
-    for k in range(9):
-        pose = start + (0.06 * k, 0.0, 0.0)
-        scan = building.scans(pose[None])[0]
-        said.append(walls.unknown(posed(scan, Pose2(*pose.tolist())), scan, [0]) is not None)
-    assert said == [True, False, False, False, True, False, False, False, True]
-    assert walls.unknown(posed(scan, Pose2(*pose.tolist())), scan, [0]) is not None  # it stands
+    scans = building.posed(np.array([start + (0.06 * k, 0.0, 0.0) for k in range(9)]))
+    assert asked_at([told(walls, scan, [0]) for scan in scans]) == [0, 4, 8]
+    assert told(walls, scans[-1], [0]) is not None  # it stands
     assert len(searches) == 1
 
 
@@ -246,13 +236,10 @@ def test_the_layout_leads_from_one_submap_into_another(
 
     It need not be among those that the classifiers think of.
     """
-    frames = {room: Pose2(*building.path(room, 0)[0].tolist()) for room in range(4)}
+    frames = {room: building.frame(room) for room in range(4)}
     walls = rooms_of(building, frames if known else None)
     for room, asked in ((0, [0]), (2, likely)):
-        here = standing(building, room)
-        said = walls.unknown(here, here.planar, asked)
-        assert said is not None
-        assert said < 0.0
+        assert ratio_of(walls, standing(building, room), asked) < 0.0
     assert len(searches) == searched
 
 
@@ -261,15 +248,14 @@ def test_a_robot_that_comes_back_is_known_where_motion_leads(
     building: Any, searches: list[Any], near: bool
 ) -> None:
     """It saw what the map has not, a metre away or far from where it was known."""
-    frames = {room: Pose2(*building.path(room, 0)[0].tolist()) for room in range(4)}
-    walls = rooms_of(building, frames)
-    scan, elsewhere = standing(building).planar, standing(building, 2).planar
-    here = standing(building).map_from_base
-    there = Pose2(here.x + (1.0 if near else 12.0), here.y, here.theta)
-    for place, seen in ((here, scan), (there, elsewhere), (there, elsewhere)):
-        walls.unknown(posed(seen, place), seen, [0])
+    walls = rooms_of(building, {room: building.frame(room) for room in range(4)})
+    scan, place = standing(building), standing(building).map_from_base
+    there = Pose2(place.x + (1.0 if near else 12.0), place.y, place.theta)
+    elsewhere = posed(standing(building, 2).planar, there)
+    for seen in (scan, elsewhere, elsewhere):
+        told(walls, seen, [0])
     asked = len(searches)
-    said = walls.unknown(posed(scan, here), scan, [3])
+    said = told(walls, scan, [3])
     assert (said is not None and said < 0.0) == near
     assert len(searches) == asked + (0 if near else 1)
 
@@ -293,16 +279,15 @@ def test_a_place_stands_out_if_none_elsewhere_fits_nearly_as_well(building: Any)
 
 def test_what_is_seen_behind_walls_speaks_for_unknown(building: Any) -> None:
     """Half a circle that sees one wall and, where the map has another, farther than that."""
-    walls = rooms_of(building)
-    pose = building.path(0, 3)[:1]
-    whole = building.scans(pose)[0]
+    walls, here = rooms_of(building), standing(building)
+    whole = here.planar
     ahead = np.abs(whole.bearings) < np.radians(90.0)
     beside = np.abs(whole.bearings) < np.radians(15.0)
     said = []
     for further in (0.0 * ahead, 3.0 * beside, 3.0 * ahead):
         scan = replace(whole, ranges=whole.ranges + further)
         walls.restart()
-        said.append(walls.unknown(posed(scan, Pose2(*pose[0].tolist())), whole, [0]))
+        said.append(walls.unknown(replace(here, planar=scan), whole, [0]))
     own, door, foreign = (ratio for ratio in said if ratio is not None)
     assert own == door < 0.0, "a door that was closed explains as much"
     assert foreign > 0.0
@@ -312,19 +297,15 @@ def test_of_the_places_found_the_one_counts_that_the_map_can_say_least_against(
     building: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In a map of half a room the true place may score less than a wrong one."""
-    pose = building.path(0, 3)[:1]
-    scan, submap = building.scans(pose)[0], Pose2(*building.path(0, 0)[0].tolist())
-    right = submap.inverse() @ Pose2(*pose[0].tolist())
+    here = standing(building)
+    right = building.frame(0).inverse() @ here.map_from_base
     wrong = right @ Pose2(1.0, 0.8, 1.0)
     for order in ([wrong, right], [right, wrong]):
         walls, _ = walls_of(building)
         monkeypatch.setattr(
-            "specmap_cli.recognition.localization.wall_fit._searched",
-            lambda *_, o=order: [Match(pose, 1.0) for pose in o],
+            wall_fit, "_searched", lambda *_, o=order: [Match(pose, 1.0) for pose in o]
         )
-        said = walls.unknown(posed(scan, Pose2(*pose[0].tolist())), scan, [7])
-        assert said is not None
-        assert said < -1.0
+        assert ratio_of(walls, here, [7]) < -1.0
 
 
 def test_returns_where_the_map_saw_nothing_count_less(building: Any) -> None:
@@ -337,16 +318,13 @@ def test_returns_where_the_map_saw_nothing_count_less(building: Any) -> None:
         half = GridMap(cells, field.grid.resolution, field.grid.origin)
         field.walls = ScoreField.from_grid(half)
         config = configured(LocalizationConfig, "recognition", {"unseen_weight": weight})
-        walls = check({7: half}, field, config)
-        here = standing(building)
-        ratios.append(walls.unknown(here, here.planar, [7]))
-    unseen, seen = (ratio for ratio in ratios if ratio is not None)
-    assert unseen < seen
+        ratios.append(ratio_of(check({7: half}, field, config), standing(building), [7]))
+    assert ratios[0] < ratios[1]
 
 
 def test_lost_and_empty_scans_say_nothing(building: Any) -> None:
     walls, _ = walls_of(building)
     scan = standing(building).planar
-    assert walls.unknown(posed(scan, IDENTITY, lost=True), scan, [7]) is None
+    assert told(walls, posed(scan, IDENTITY, lost=True), [7]) is None
     few = replace(scan, ranges=np.where(np.arange(len(scan.ranges)) < 9, scan.ranges, np.inf))
-    assert walls.unknown(posed(few, IDENTITY), few, [7]) is None
+    assert told(walls, posed(few, IDENTITY), [7]) is None
