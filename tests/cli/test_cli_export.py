@@ -65,33 +65,28 @@ def test_what_a_killed_run_left_is_removed_and_told(house: Path, run: Run) -> No
 
 
 @pytest.mark.parametrize(
-    ("arguments", "code", "words"),
+    ("arguments", "words"),
     [
-        (["--format", "svg", "-o", "x.svg"], 2, "unknown format 'svg': choose from "),
-        (["--format", "graphml"], 2, "Missing option '--out'"),
-        (["--format", "graphml", "-o", "house/topology.json"], 2, "exists already"),
-        (["--format", "graphml", "-o", "gone/x.graphml"], 2, "there is no directory"),
+        (["--format", "svg", "-o", "x.svg"], "unknown format 'svg': choose from "),
+        (["--format", "graphml"], "Missing option '--out'"),
+        (["--format", "graphml", "-o", "house/topology.json"], "exists already"),
+        (["--format", "graphml", "-o", "gone/x.graphml"], "there is no directory"),
     ],
 )
 def test_what_cannot_be_exported_is_one_line(
-    arguments: list[str],
-    code: int,
-    words: str,
-    house: Path,
-    run: Run,
-    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str], words: str, house: Path, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(house.parent)
     before = sorted(house.parent.rglob("*"))
     said = run("export", "house", *arguments)
-    assert (said.code, said.err.count("\n")) == (code, 1)
-    assert words in said.error
+    said.fails(2, words)
+    assert said.err.count("\n") == 1
     assert sorted(house.parent.rglob("*")) == before
 
 
 def test_a_place_without_a_map(tmp_path: Path, run: Run) -> None:
-    said = run("export", tmp_path, "-f", "graphml", "-o", tmp_path / "x")
-    assert (said.code, "no topology.json in it" in said.error) == (3, True)
+    line = ("export", tmp_path, "-f", "graphml", "-o", tmp_path / "x")
+    run(*line).fails(3, "no topology.json in it")
 
 
 def test_a_map_without_ways_is_no_graph_for_a_robot(house: Path, run: Run) -> None:
