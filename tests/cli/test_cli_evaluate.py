@@ -60,6 +60,4 @@ def test_a_trajectory_against_relations(tmp_path: Path, run: Run) -> None:
     ],
 )
 def test_what_is_not_clear_is_asked(arguments: tuple[str, ...], told: str, run: Run) -> None:
-    said = run("evaluate", *arguments)
-    assert said.code == 2
-    assert told in said.error
+    run("evaluate", *arguments).fails(2, told)

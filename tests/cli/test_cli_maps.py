@@ -171,6 +171,7 @@ def test_a_laser_of_another_view_is_refused_or_cut_to_the_map_s_and_told(
     assert "laser" in said.err
 
 
+def test_finished_maps_that_are_none(plan: Path, tmp_path: Path, run: Run) -> None:
     picture = plan.with_suffix(".png")
     for line, told in (
         (("none.yaml",), "none.yaml: cannot read the map: No such file"),

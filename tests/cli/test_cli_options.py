@@ -219,7 +219,8 @@ class TestWhatTheFlagsStandFor:
 
     def test_topics_and_frames(self) -> None:
         assert LogSettings().overrides() == Settings().overrides({"seed": None}) == {}
-        said = {"scan_topic": "/a", "scan_frame": "f", "odom_topic": "/b", "base_frame": "c"}
+        said: dict[str, Any] = {"scan_topic": "/a", "scan_frame": "f"}
+        said |= {"odom_topic": "/b", "base_frame": "c"}
         found = LogSettings(**said, no_odometry=True).overrides({"seed": 0})
         assert found == {"log": {**said, "use_odometry": False}, "seed": 0}
 
