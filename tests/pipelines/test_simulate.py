@@ -154,26 +154,20 @@ def test_paths_may_be_text_and_the_advance_is_told(flat: GridMap, tmp_path: Path
     ]
 
 
-@pytest.mark.parametrize("truth", [None, "log.tum"])
-def test_a_truth_in_place_of_the_recording_is_refused(
-    flat: GridMap, tmp_path: Path, truth: str | None
+@pytest.mark.parametrize(
+    ("log", "truth", "told"),
+    [
+        ("log.tum", None, r"log\.tum: the recording and the true poses would be one"),
+        ("log.tum", "log.tum", r"log\.tum: the recording and the true poses would be one"),
+        ("log.mcap", "no/truth.tum", r"truth.*cannot be written"),
+    ],
+)
+def test_a_truth_that_has_no_place_leaves_no_recording(
+    flat: GridMap, tmp_path: Path, log: str, truth: str | None, told: str
 ) -> None:
-    with pytest.raises(
-        UsageError, match=r"log\.tum: the recording and the true poses would be one"
-    ):
-        simulate(
-            flat,
-            SimulationOptions(),
-            tmp_path / "log.tum",
-            None if truth is None else tmp_path / truth,
-        )
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_truth_that_cannot_be_written_leaves_no_recording(flat: GridMap, tmp_path: Path) -> None:
     options = SimulationOptions(max_duration_s=0.2, beams=8)
-    with pytest.raises(UsageError, match=r"truth.*cannot be written"):
-        simulate(flat, options, tmp_path / "log.mcap", tmp_path / "no" / "truth.tum")
+    with pytest.raises(UsageError, match=told):
+        simulate(flat, options, tmp_path / log, None if truth is None else tmp_path / truth)
     assert list(tmp_path.iterdir()) == []
 
 
