@@ -235,34 +235,14 @@ class TestBorders:
         """Or its features would be taken for those of the version before."""
         assert remade.divided.run["versions"] == remade.before.run["versions"]
 
-    @pytest.mark.parametrize(
-        ("changes", "said", "complaint"),
-        [
-            ([{"merge": [0, 99]}], {}, "cannot merge 99 into 0: there is no submap 99"),
-            ([{"split": 0, "line": [[90, 90], [91, 91]]}], {}, "the line does not cross submap 0"),
-            ([{"forbid": "rooms"}], {}, "there is no link between"),
-            ([{"merge": "rooms"}, {"forbid": "rooms"}], {}, "there is no link between"),
-            ([], {"names": {99: "x"}}, "there is no submap 99 to name or to describe"),
-            ([], {"names": {0: " x"}}, "must be one line of printable characters"),
-            ([], {"kinds": {0: "cellar"}}, "Input should be 'room', 'corridor' or 'hall'"),
-            ([], {"undo": (1,)}, "--undo 1: there is no such change: edits.toml has 0 changes"),
-        ],
-    )
-    def test_the_map_stays_when_a_request_does_not_apply(
-        self,
-        built: Built,
-        changes: list[dict[str, Any]],
-        said: dict[str, Any],
-        complaint: str,
-    ) -> None:
+    @pytest.mark.parametrize("merged", [False, True], ids=["at once", "after a merge"])
+    def test_the_map_stays_when_a_request_does_not_apply(self, built: Built, merged: bool) -> None:
+        """Every request that is refused alone is in tests/cli/test_cli_edit.py."""
         rooms, notes = list(built.rooms[:2]), Notes()
-        asked = [
-            {key: rooms if value == "rooms" else value for key, value in change.items()}
-            for change in changes
-        ]
+        changes = ({"merge": rooms}, {"forbid": rooms})[not merged :]
         before = {path.name: path.read_bytes() for path in built.map.iterdir() if path.is_file()}
-        with pytest.raises(UsageError, match=complaint):
-            edit_map(built.map, RequestedEdits(changes=tuple(asked), **said), progress=notes)
+        with pytest.raises(UsageError, match="there is no link between"):
+            edit_map(built.map, RequestedEdits(changes=changes), progress=notes)
         assert notes.lines == []
         after = {path.name: path.read_bytes() for path in built.map.iterdir() if path.is_file()}
         assert after == before
