@@ -247,13 +247,6 @@ def test_a_name_cannot_break_the_line(name: str, shown: str, run: Run) -> None:
     assert as_json(said)["message"] == line_of(said)
 
 
-def test_notes_and_warnings_stay_on_their_lines(capsys: pytest.CaptureFixture[str]) -> None:
-    with ConsoleProgress() as progress:
-        progress.note("one\ntwo\x1b[2J")
-        progress.warn("three\r\nfour")
-    assert capsys.readouterr().err == ("specmap: one two\\x1b[2J\nspecmap: warning: three four\n")
-
-
 @given(st.text())
 def test_one_line_is_one_line_and_obeys_nobody(text: str) -> None:
     line = one_line(text)

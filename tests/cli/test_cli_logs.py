@@ -81,16 +81,6 @@ def test_a_log_cut_off_anywhere(tiny_log: Path, tmp_path: Path, run: Run) -> Non
     assert codes == sorted(codes, reverse=True)  # the more there is, the more is read
 
 
-def test_a_log_cut_off_late_still_makes_a_map(tiny_log: Path, tmp_path: Path, run: Run) -> None:
-    path = tmp_path / "cut.mcap"
-    path.write_bytes(tiny_log.read_bytes()[:-2000])
-    said = run("build", path, "-o", tmp_path / "map", *QUICK)
-    assert said.code == 0
-    assert "specmap: warning: " in said.err
-    assert "cut.mcap: cut off" in said.err
-    assert (tmp_path / "map" / "topology.json").is_file()
-
-
 def test_a_log_without_scans(tmp_path: Path, run: Run) -> None:
     path = standing_log(tmp_path / "noscan.mcap", 3.0, topics=())
     told = "noscan.mcap: no LaserScan, MultiEchoLaserScan or PointCloud2 in it"

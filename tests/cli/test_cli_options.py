@@ -59,12 +59,6 @@ def test_one_name_is_one_option_of_a_command() -> None:
 class TestOut:
     """`-o` is the output, whatever it is; the older names work, too."""
 
-    @pytest.mark.parametrize("option", ["-o", "--out", "--output"])
-    def test_of_localize(self, option: str, tiny_map: Path, tmp_path: Path, run: Run) -> None:
-        (tmp_path / "labels.csv").write_text("mine", encoding="utf-8")
-        said = run("localize", "x.mcap", "--map", tiny_map, option, tmp_path / "labels.csv")
-        said.fails(2, "labels.csv: exists already: choose another name or say --overwrite")
-
     @pytest.mark.parametrize("option", ["-o", "--out", "--confusion"])
     def test_of_evaluate(self, option: str, tmp_path: Path, run: Run) -> None:
         said = run("evaluate", "x.mcap", "--protocol", "holdout", option, tmp_path)
@@ -120,13 +114,6 @@ def test_quiet_leaves_warnings_to_the_result(tiny_map: Path, tmp_path: Path, run
         assert any("cut.mcap: cut off" in warning for warning in json.loads(quiet.out)["warnings"])
     run_record = json.loads((tmp_path / "map" / "run.json").read_text(encoding="utf-8"))
     assert any("cut.mcap: cut off" in warning for warning in run_record["warnings"])
-
-
-def test_quiet_keeps_errors(tmp_path: Path, run: Run) -> None:
-    for line in (("info", "none.mcap"), ("build", "none.mcap", "-o", tmp_path / "map")):
-        said = run(*line, "--quiet")
-        assert said.code == 3
-        assert said.err.startswith("specmap: error: none.mcap: no such file")
 
 
 class TestEnvironment:

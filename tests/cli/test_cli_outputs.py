@@ -96,14 +96,13 @@ def test_labels_and_picture_are_replaced_only_when_told(
     tiny_log: Path, tiny_map: Path, tmp_path: Path, run: Run
 ) -> None:
     line = ("localize", tiny_log, "--map", tiny_map)
-    for option in ("-o", "--plot"):
-        path = tmp_path / "there"
+    path = tmp_path / "there"
+    for option in ("-o", "--out", "--output", "--plot"):
         path.write_text("mine", encoding="utf-8")
-        said = run(*line, option, path)
-        assert (said.code, path.read_text(encoding="utf-8")) == (2, "mine")
-        assert "there: exists already: choose another name or say --overwrite" in said.error
+        told = "there: exists already: choose another name or say --overwrite"
+        run(*line, option, path).fails(2, told)
+        assert path.read_text(encoding="utf-8") == "mine"
         assert run(*line, option, path, "--overwrite").code == 0
-        path.unlink()
 
 
 Place = Callable[[Path], Path]
