@@ -87,12 +87,7 @@ def test_notes_and_warnings_stay_on_their_lines(
 
 @pytest.mark.parametrize(
     ("level", "shown"),
-    [
-        (Level.ERROR, ""),
-        (Level.WARNING, "W"),
-        (Level.INFO, "NW"),
-        (Level.DEBUG, "NWD"),
-    ],
+    [(Level.ERROR, ""), (Level.WARNING, "W"), (Level.INFO, "NW"), (Level.DEBUG, "NWD")],
 )
 def test_a_level_shows_what_those_before_it_show(
     level: Level, shown: str, capsys: pytest.CaptureFixture[str]
