@@ -10,6 +10,7 @@ import signal
 import tempfile
 import unicodedata
 from pathlib import Path
+from unittest.mock import Mock
 
 import cv2
 import pytest
@@ -132,10 +133,7 @@ def test_an_interruption_is_json_too(
 def test_a_bug_is_json_and_a_traceback(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fail(*_: object, **__: object) -> None:
-        raise RuntimeError("no\nidea")
-
-    monkeypatch.setattr(inspection, "summarize", fail)
+    monkeypatch.setattr(inspection, "summarize", Mock(side_effect=RuntimeError("no\nidea")))
     log = standing_log(tmp_path / "log.mcap", 3.0)
     with pytest.raises(RuntimeError, match="no\nidea"):
         main(["info", str(log)])
@@ -201,10 +199,7 @@ def test_what_the_machine_lacks_is_no_bug(
     run: Run,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def fail(*_: object, **__: object) -> None:
-        raise error
-
-    monkeypatch.setattr(build, "build_map", fail)
+    monkeypatch.setattr(build, "build_map", Mock(side_effect=error))
     # the pipe or file under stdout is not this test's to discard
     monkeypatch.setattr("specmap_cli.cli.entry.discard_stdout", lambda: None)
     said = run("build", "log.mcap", "-o", tmp_path / "map")
@@ -217,10 +212,8 @@ def test_what_the_machine_lacks_is_no_bug(
 def test_another_error_of_the_system_is_a_bug(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fail(*_: object, **__: object) -> None:
-        raise OSError(errno.EBADF, "Bad file descriptor")
-
-    monkeypatch.setattr(build, "build_map", fail)
+    error = OSError(errno.EBADF, "Bad file descriptor")
+    monkeypatch.setattr(build, "build_map", Mock(side_effect=error))
     with pytest.raises(OSError, match="Bad file descriptor"):
         main(["build", "log.mcap", "-o", str(tmp_path / "map")])
 

@@ -21,11 +21,17 @@ def house(tmp_path: Path, result: MapResult) -> Path:
     return out
 
 
-def test_a_map_becomes_a_graph(house: Path, run: Run) -> None:
-    target = house.parent / "house.graphml"
+def test_a_map_becomes_a_graph_and_what_a_killed_run_left_is_removed(
+    house: Path, run: Run
+) -> None:
+    target, left = house.parent / "house.graphml", house.parent / ".house.graphml.partial-12"
+    left.write_text("<graphml")
     said = run("export", house, "--format", "graphml", "-o", target)
     assert said.out == f"{target}: GraphML: the graph, for yEd, Gephi and networkx\n"
     assert len(nx.read_graphml(target)) == 3
+    assert not left.exists()
+    told = f"an earlier run was killed: removed {left.name}, which it had begun to write"
+    assert said.err == f"specmap: {target}: {told}\n"
 
 
 def test_the_result_for_a_machine(house: Path, run: Run) -> None:
@@ -50,18 +56,6 @@ def test_a_map_of_schema_1_is_exported_with_a_word(house: Path, run: Run) -> Non
     assert len(nx.read_graphml(target)) == 3
     (line,) = said.err.splitlines()
     assert line.startswith(f"specmap: {house}: a map of an earlier version (schema 1)")
-
-
-def test_what_a_killed_run_left_is_removed_and_told(house: Path, run: Run) -> None:
-    target = house.parent / "house.graphml"
-    left = house.parent / ".house.graphml.partial-12"
-    left.write_text("<graphml")
-    said = run("export", house, "--format", "graphml", "-o", target)
-    assert not left.exists()
-    assert said.err == (
-        f"specmap: {target}: an earlier run was killed: removed {left.name}, "
-        "which it had begun to write\n"
-    )
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock, call
 
 import numpy as np
 import pytest
@@ -29,15 +30,6 @@ from tests.flats import QUICK, Mapped
 
 LAYOUT = ("keyframes.mcap", "trajectory.tum", "trajectory.g2o")
 
-
-class Notes(Silent):
-    """Remembers what is noted."""
-
-    def __init__(self) -> None:
-        self.lines: list[str] = []
-
-    def note(self, message: str) -> None:
-        self.lines.append(message)
 
 
 @dataclass(frozen=True)
@@ -238,25 +230,26 @@ class TestBorders:
     @pytest.mark.parametrize("merged", [False, True], ids=["at once", "after a merge"])
     def test_the_map_stays_when_a_request_does_not_apply(self, built: Built, merged: bool) -> None:
         """Every request that is refused alone is in tests/cli/test_cli_edit.py."""
-        rooms, notes = list(built.rooms[:2]), Notes()
+        rooms, notes = list(built.rooms[:2]), Mock(spec=Silent())
         changes = ({"merge": rooms}, {"forbid": rooms})[not merged :]
         before = {path.name: path.read_bytes() for path in built.map.iterdir() if path.is_file()}
         with pytest.raises(UsageError, match="there is no link between"):
             edit_map(built.map, RequestedEdits(changes=changes), progress=notes)
-        assert notes.lines == []
+        notes.note.assert_not_called()
         after = {path.name: path.read_bytes() for path in built.map.iterdir() if path.is_file()}
         assert after == before
 
     def test_what_no_longer_applies_is_told_and_kept(self, own: Path) -> None:
         text = "[submaps.99]\nname = 'Attic'\n[[changes]]\nmerge = [0, 99]\n"
         (own / "edits.toml").write_text(text, encoding="utf-8")
-        notes = Notes()
+        notes = Mock(spec=Silent())
         report = edit_map(own, RequestedEdits(names={0: "Lab"}), progress=notes)
         assert report.unapplied == (
             "submaps.99: there is no submap 99",
             "changes, number 1: there is no submap 99",
         )
-        assert notes.lines == [f"edits.toml: not applied: {line}" for line in report.unapplied]
+        told = [call(f"edits.toml: not applied: {line}") for line in report.unapplied]
+        assert notes.note.mock_calls == told
         assert "'Attic'" in (own / "edits.toml").read_text(encoding="utf-8")
         assert "  not applied: submaps.99: there is no submap 99" in report.lines()
 
