@@ -60,6 +60,12 @@ class Outcome:
         assert not any(note.startswith(ERROR) for note in notes)
         return line.removeprefix(ERROR)
 
+    @property
+    def result(self) -> Any:
+        """What a command that succeeded printed with `--json`."""
+        assert self.code == 0
+        return json.loads(self.out)
+
     def fails(self, code: int, *told: str) -> None:
         """It ended with this code, and its one line has all these words."""
         assert self.code == code

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -11,9 +10,7 @@ from tests.cli.conftest import Run
 
 
 def test_a_good_map_keeps_the_rules(tiny_map: Path, run: Run) -> None:
-    said = run("check", tiny_map, "--json")
-    assert said.code == 0
-    told = json.loads(said.out)
+    told = run("check", tiny_map, "--json").result
     assert told["passed"]
     assert told["figures"]["scans"] == 61
     assert told["figures"]["memory_mb"] > 10
@@ -35,9 +32,7 @@ def test_a_broken_rule_is_exit_code_5(tiny_map: Path, tmp_path: Path, run: Run) 
 
 
 def test_a_golden_map_is_another_map_s_measure(tiny_map: Path, tmp_path: Path, run: Run) -> None:
-    said = run("check", tiny_map, "--against", tiny_map, "--json")
-    assert said.code == 0
-    told = json.loads(said.out)
+    told = run("check", tiny_map, "--against", tiny_map, "--json").result
     assert (told["figures"]["golden.same_share"], told["figures"]["golden.gone"]) == (1, 0)
     rules = {one["rule"] for one in told["rules"]}
     assert {"golden.aligned", "golden.area_share", "golden.closed", "golden.off_m"} <= rules

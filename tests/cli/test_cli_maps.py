@@ -18,9 +18,7 @@ Change = Callable[[dict[str, Any]], Any]
 
 
 def test_a_map_with_one_submap(tiny_log: Path, tiny_map: Path, run: Run) -> None:
-    said = run("localize", tiny_log, "--map", tiny_map, "--json")
-    assert said.code == 0
-    labels = json.loads(said.out)
+    labels = run("localize", tiny_log, "--map", tiny_map, "--json").result
     assert labels["scans"] == 61
     assert set(labels["raw"]) | set(labels["filtered"]) <= {"0", "unknown"}
     assert labels["filtered"]["0"] > 30

@@ -68,7 +68,7 @@ class TestOut:
         log = standing_log(tmp_path / "log.mcap", 3.0)
         named, last = tmp_path / "named.mcap", tmp_path / "last.mcap"
         assert run("convert", log, "-o", named).code == 0
-        assert json.loads(run("convert", log, last, "--json").out)["path"] == str(last)
+        assert run("convert", log, last, "--json").result["path"] == str(last)
         assert named.read_bytes() == last.read_bytes()
 
     def test_with_the_option_all_arguments_of_convert_are_logs(
@@ -140,16 +140,16 @@ class TestEnvironment:
         others.write_text("seed = 6\n", encoding="utf-8")
         monkeypatch.setenv("SPECMAP_CONFIG", str(settings))
         monkeypatch.setenv("SPECMAP_PRESET", "paper")
-        found = json.loads(run("config", "--json").out)
+        found = run("config", "--json").result
         assert (found["preset"], found["seed"]) == ("paper", 5)
-        assert json.loads(run("config", "--config", others, "--json").out)["seed"] == 6
+        assert run("config", "--config", others, "--json").result["seed"] == 6
 
     @pytest.mark.parametrize("yes", ["1", "true", "Yes"])
     def test_json_of_results_and_errors(
         self, yes: str, run: Run, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setenv("SPECMAP_JSON", yes)
-        assert json.loads(run("config").out)["seed"] == 0
+        assert run("config").result["seed"] == 0
         assert json.loads(run("info", "none.mcap").out)["error"]["code"] == "log-missing"
         monkeypatch.setenv("SPECMAP_JSON", "0")
         assert run("info", "none.mcap").out == ""
@@ -178,7 +178,7 @@ class TestInfo:
 
     def test_a_chosen_topic(self, tmp_path: Path, run: Run) -> None:
         log = standing_log(tmp_path / "two.mcap", 3.0, topics=("/front", "/the rear"))
-        assert json.loads(run("info", log, "--json").out)["chosen"] is None
+        assert run("info", log, "--json").result["chosen"] is None
         said = run("info", log, "--scan-topic", "/the rear")
         assert "build would read: scans from /the rear" in said.out
         assert said.out.endswith(f"next: specmap build {log} --scan-topic '/the rear'\n")
@@ -189,16 +189,16 @@ class TestInfo:
         log = standing_log(tmp_path / "one.mcap", 3.0)
         options = ["--odom-topic", "/odom", "--base-frame", "base_link"]
         for flags in (options, ["--no-odometry"], []):
-            found = json.loads(run("info", log, *flags, "--json").out)
+            found = run("info", log, *flags, "--json").result
             assert found["next_command"] == " ".join(["specmap", "build", str(log), *flags])
 
     def test_settings_of_a_file(self, tmp_path: Path, run: Run) -> None:
         log = standing_log(tmp_path / "one.mcap", 3.0)
         settings = tmp_path / "specmap.toml"
         settings.write_text("[log]\nuse_odometry = false\n", encoding="utf-8")
-        chosen = json.loads(run("info", log, "--config", settings, "--json").out)["chosen"]
+        chosen = run("info", log, "--config", settings, "--json").result["chosen"]
         assert "no odometry" in chosen
-        assert "/odom" in json.loads(run("info", log, "--json").out)["chosen"]
+        assert "/odom" in run("info", log, "--json").result["chosen"]
 
 
 class TestWhatTheFlagsStandFor:

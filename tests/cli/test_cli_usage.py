@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import platform
 import subprocess
 import sys
@@ -133,7 +132,7 @@ def test_settings_over_file_over_preset_over_default(tmp_path: Path, run: Run) -
     assert effective["grid"]["max_range_m"] == 9.0
     assert effective["grid"]["resolution_m"] == 0.1
     assert effective["segmentation"]["split_eigenvalue"] == 0.8
-    as_json = json.loads(run(*line, "--json").out)
+    as_json = run(*line, "--json").result
     assert as_json["grid"] == effective["grid"]
 
 
