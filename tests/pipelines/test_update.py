@@ -98,11 +98,8 @@ def test_what_the_second_recording_shows_again_is_let_go_and_said(kept: Kept) ->
     assert any("older keyframes dropped" in line for line in kept.report.lines())
     before, after = kept.old.logs[0], kept.new.logs[0]
     assert after.path_m == pytest.approx(kept.old.run["counts"]["path_m"], abs=0.1)
-    assert (before.start_ns, before.end_ns, before.scans) == (
-        after.start_ns,
-        after.end_ns,
-        after.scans,
-    )
+    when = [(log.start_ns, log.end_ns, log.scans) for log in (before, after)]
+    assert when[0] == when[1]
 
 
 def test_visits_stays_and_closures_of_the_old_recording_are_as_they_were(kept: Kept) -> None:
@@ -213,19 +210,12 @@ def test_nobody_drove_from_the_end_of_one_log_to_the_start_of_the_next(kept: Kep
 
 
 def test_the_joint_layout_is_as_good_as_either(kept: Kept, tmp_path: Path) -> None:
-    whole = read_tum(kept.new.path / "trajectory.tum")
-    for log, rows in (
-        (kept.first, slice(0, kept.first.scans)),
-        (kept.second, slice(kept.first.scans, None)),
-    ):
-        piece = tmp_path / "piece.tum"
-        lines = (kept.new.path / "trajectory.tum").read_text(encoding="utf-8").splitlines()
-        piece.write_text("\n".join(lines[rows]) + "\n", encoding="utf-8")
-        errors = reference_errors(read_tum(piece), read_tum(log.truth))
-        assert errors.ate_m < 0.06
-    assert len(whole.stamps_ns) == kept.first.scans + kept.second.scans
-
-
+    lines = (kept.new.path / "trajectory.tum").read_text(encoding="utf-8").splitlines()
+    count, piece = kept.first.scans, tmp_path / "piece.tum"
+    assert len(lines) == count + kept.second.scans
+    for log, own in ((kept.first, lines[:count]), (kept.second, lines[count:])):
+        piece.write_text("\n".join(own) + "\n", encoding="utf-8")
+        assert reference_errors(read_tum(piece), read_tum(log.truth)).ate_m < 0.06
 def test_what_was_found_closes_loops_between_the_logs(kept: Kept) -> None:
     count = kept.first_new
     stays = {stay.number: stay for stay in kept.new.topology.stays}
