@@ -21,9 +21,7 @@ def house(tmp_path: Path, result: MapResult) -> Path:
     return out
 
 
-def test_a_map_becomes_a_graph_and_what_a_killed_run_left_is_removed(
-    house: Path, run: Run
-) -> None:
+def test_a_map_becomes_a_graph_and_what_a_killed_run_left_is_removed(house: Path, run: Run) -> None:
     target, left = house.parent / "house.graphml", house.parent / ".house.graphml.partial-12"
     left.write_text("<graphml")
     said = run("export", house, "--format", "graphml", "-o", target)

@@ -127,7 +127,11 @@ def first(data: dict[str, Any]) -> dict[str, Any]:
         ("topology.json", "build the map again", lambda data: data.update(nodes=[], edges=[])),
         ("topology.json", "is 99", lambda data: data["graph"].update(schema_version=99)),
         ("topology.json", "nodes.0.id", lambda data: data["nodes"][0].update(id="x")),
-        ("run.json", "grid.footprint_m", lambda data: data["config"]["grid"].update(footprint_m=-1)),
+        (
+            "run.json",
+            "grid.footprint_m",
+            lambda data: data["config"]["grid"].update(footprint_m=-1),
+        ),
         ("run.json", "config: ", lambda data: data.pop("config")),
     ],
     ids=range(17),

@@ -214,6 +214,5 @@ def test_a_picture_of_every_test(tiny_log: Path, tmp_path: Path, run: Run) -> No
     run(*line[:3], tmp_path / "map2", *line[4:]).fails(2, "holds pictures of an earlier run")
     assert run(*line, "--overwrite").code == 0
     assert sorted(path.name for path in (tmp_path / "tests").iterdir()) == pictures
-    said = run(*line[:3], tmp_path / "map3", "--explain", tiny_log / "tests", *QUICK)
     line = ("build", tiny_log, "-o", tmp_path / "map3", "--explain", tiny_log / "tests", *QUICK)
     run(*line).fails(2, "cannot write pictures there")

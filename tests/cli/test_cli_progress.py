@@ -14,7 +14,6 @@ from specmap_cli.cli.console import ConsoleProgress, Rate
 from specmap_cli.core.progress import Level
 from tests.cli.conftest import QUICK, Run, spawn
 
-
 LONG = "[bold]log[/]:cat:.mcap " + "long " * 40 + "/end"
 
 

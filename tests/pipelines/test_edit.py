@@ -31,7 +31,6 @@ from tests.flats import QUICK, Mapped
 LAYOUT = ("keyframes.mcap", "trajectory.tum", "trajectory.g2o")
 
 
-
 @dataclass(frozen=True)
 class Built:
     """A map of the flat, and another recording of it."""

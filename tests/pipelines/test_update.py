@@ -216,6 +216,8 @@ def test_the_joint_layout_is_as_good_as_either(kept: Kept, tmp_path: Path) -> No
     for log, own in ((kept.first, lines[:count]), (kept.second, lines[count:])):
         piece.write_text("\n".join(own) + "\n", encoding="utf-8")
         assert reference_errors(read_tum(piece), read_tum(log.truth)).ate_m < 0.06
+
+
 def test_what_was_found_closes_loops_between_the_logs(kept: Kept) -> None:
     count = kept.first_new
     stays = {stay.number: stay for stay in kept.new.topology.stays}
