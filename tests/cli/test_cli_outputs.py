@@ -216,3 +216,4 @@ def test_a_picture_of_every_test(tiny_log: Path, tmp_path: Path, run: Run) -> No
     assert sorted(path.name for path in (tmp_path / "tests").iterdir()) == pictures
     line = ("build", tiny_log, "-o", tmp_path / "map3", "--explain", tiny_log / "tests", *QUICK)
     run(*line).fails(2, "cannot write pictures there")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["map", "tests"]
