@@ -103,7 +103,7 @@ def test_two_scan_topics_are_listed_ready_to_paste(tmp_path: Path, run: Run) -> 
     [
         (("--scan-topic", "/nope"), "--scan-topic /nope: no scans on such a topic; topics with"),
         (("--scan-topic", "/odom"), "/scan (LaserScan, 5 messages)"),
-        (("--scan-frame", "nope"), "/scan: --scan-frame nope: no scans of such a sensor; there"),
+        (("--scan-frame", "nope"), "--scan-frame nope: no scans of such a sensor; there are"),
         (("--odom-topic", "/nope"), "--odom-topic /nope: no odometry on such a topic"),
         (("--base-frame", "nope"), "--base-frame nope: no transform joins it"),
     ],

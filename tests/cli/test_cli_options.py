@@ -62,7 +62,8 @@ class TestOut:
     @pytest.mark.parametrize("option", ["-o", "--out", "--confusion"])
     def test_of_evaluate(self, option: str, tmp_path: Path, run: Run) -> None:
         said = run("evaluate", "x.mcap", "--protocol", "holdout", option, tmp_path)
-        said.fails(2, f"{tmp_path}: is a directory: name the file to write")
+        said.fails(2)
+        assert said.error == f"{tmp_path}: is a directory: name the file to write"
 
     def test_of_convert_is_an_option_or_the_last_argument(self, tmp_path: Path, run: Run) -> None:
         log = standing_log(tmp_path / "log.mcap", 3.0)
