@@ -60,6 +60,18 @@ class Outcome:
         assert not any(note.startswith(ERROR) for note in notes)
         return line.removeprefix(ERROR)
 
+    @property
+    def result(self) -> Any:
+        """What a command that succeeded printed with `--json`."""
+        assert self.code == 0
+        return json.loads(self.out)
+
+    def fails(self, code: int, *told: str) -> None:
+        """It ended with this code, and its one line has all these words."""
+        assert self.code == code
+        for words in told:
+            assert words in self.error
+
 
 @pytest.fixture
 def run(capsys: pytest.CaptureFixture[str]) -> Run:
@@ -84,20 +96,15 @@ def hold_to_schema(arguments: Sequence[str | Path], out: str) -> None:
     if "--json" not in words or not out:
         return
     for found in map(json.loads, out.splitlines()) if words[0] == "batch" else [json.loads(out)]:
-        _hold_to_schema(words[0], found)
+        if "$schema" in found:
+            jsonschema.Draft202012Validator.check_schema(found)
+        else:
+            validate(found, ERROR_SCHEMA if "error" in found else name_of_command(words[0]))
 
 
 def name_of_command(command: str) -> str:
     """The schema of what a command prints with `--json`: its own name, but for `compare`."""
     return "comparison" if command == "compare" else command
-
-
-def _hold_to_schema(command: str, found: Any) -> None:
-    name = ERROR_SCHEMA if "error" in found else name_of_command(command)
-    if "$schema" in found:
-        jsonschema.Draft202012Validator.check_schema(found)
-    else:
-        validate(found, name)
 
 
 def validate(found: Any, name: str) -> None:
@@ -110,18 +117,18 @@ def command(*arguments: str | Path) -> list[str]:
     return [sys.executable, "-m", "specmap_cli", *map(str, arguments)]
 
 
-def spawn(*arguments: str | Path, cwd: Path | None = None, **options: int) -> subprocess.Popen[str]:
+def spawn(*arguments: str | Path, **options: Any) -> subprocess.Popen[str]:
     """A command as a process of its own, its stdout and stderr in pipes unless given."""
-    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options}
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    return subprocess.Popen(
-        command(*arguments),
-        text=True,
-        cwd=cwd,
-        env=environment,
-        stdout=streams["stdout"],
-        stderr=streams["stderr"],
-    )
+    options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), **options.pop("env", {})}
+    return subprocess.Popen(command(*arguments), text=True, env=environment, **options)
+
+
+def ran(*arguments: str | Path, **options: Any) -> Outcome:
+    """What a command left that has run as a process of its own; see `spawn`."""
+    with spawn(*arguments, **options) as process:
+        out, err = process.communicate(timeout=300)
+    return Outcome(process.returncode, out or "", err or "")
 
 
 def leftovers(directory: Path) -> list[str]:

@@ -5,15 +5,13 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
-from tests.cli.conftest import Run
+from tests.cli.conftest import Run, spawn
 
 pytest.importorskip("distributed")
 
@@ -42,12 +40,8 @@ def test_a_batch_and_the_same_again(logs: Path, tmp_path: Path, run: Run) -> Non
     assert ended == {"good": "done", "empty": "failed", "none": "failed"}
     assert (out / "good" / "map" / "topology.json").is_file()
     tests = ElementTree.fromstring((out / "junit.xml").read_bytes())
-    assert {
-        one.get("name") for one in tests.iter("testcase") if one.find("failure") is not None
-    } == {
-        "empty",
-        "none",
-    }
+    failed = {one.get("name") for one in tests.iter("testcase") if one.find("failure") is not None}
+    assert failed == {"empty", "none"}
     before = (out / "good" / "job.json").stat().st_mtime_ns
     again = run(*command, "--workers", "1")
     assert again.code == 5
@@ -66,9 +60,7 @@ def test_a_batch_and_the_same_again(logs: Path, tmp_path: Path, run: Run) -> Non
     ],
 )
 def test_wrong_usage(options: list[str], said: str, logs: Path, tmp_path: Path, run: Run) -> None:
-    found = run("batch", logs, "-o", tmp_path / "maps", *options)
-    assert found.code == 2
-    assert said in found.error
+    run("batch", logs, "-o", tmp_path / "maps", *options).fails(2, said)
     assert not (tmp_path / "maps").exists()
 
 
@@ -86,20 +78,8 @@ def _is_gone(group: int) -> bool:
 
 def test_ctrl_c_ends_workers_and_steps(logs: Path, tmp_path: Path) -> None:
     """The whole group is sent the signal, as a terminal does."""
-    command = [
-        sys.executable,
-        "-m",
-        "specmap_cli",
-        "batch",
-        str(logs),
-        "-o",
-        str(tmp_path / "maps"),
-    ]
-    process = subprocess.Popen(
-        [*command, "--workers", "1", "--json"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
+    process = spawn(
+        *("batch", logs, "-o", tmp_path / "maps", "--workers", "1", "--json"),
         start_new_session=True,
     )
     assert process.stdout is not None

@@ -77,15 +77,12 @@ def test_what_cannot_be_is_one_line_and_changes_nothing(
     options: list[str], complaint: str, own_map: Path, run: Run
 ) -> None:
     before = (own_map / "topology.json").read_bytes()
-    said = run("edit", own_map, *options, "-q")
-    assert said.code == 2
-    assert complaint in said.error
+    run("edit", own_map, *options, "-q").fails(2, complaint)
     assert (own_map / "topology.json").read_bytes() == before
     assert not (own_map / "edits.toml").exists()
 
 
 def test_a_broken_file_is_one_line(own_map: Path, run: Run) -> None:
     (own_map / "edits.toml").write_text('[submaps.0]\nname = "Lab\n', encoding="utf-8")
-    said = run("edit", own_map)
-    assert said.code == 3
-    assert "edits.toml: not valid TOML: Illegal character '\\n' (at line 2," in said.error
+    told = "edits.toml: not valid TOML: Illegal character '\\n' (at line 2,"
+    run("edit", own_map).fails(3, told)

@@ -10,6 +10,7 @@ import signal
 import tempfile
 import unicodedata
 from pathlib import Path
+from unittest.mock import Mock
 
 import cv2
 import pytest
@@ -44,7 +45,11 @@ def line_of(said: Outcome) -> str:
 @pytest.mark.parametrize(
     ("arguments", "code", "where", "told", "hint"),
     [
-        (("biuld",), "usage", None, "No such command 'biuld'", "see `specmap --help`"),
+        (
+            ("biuld",),
+            *("usage", None, "No such command 'biuld'. Did you mean 'build'?; see"),
+            "see `specmap --help`",
+        ),
         (("localize", "x"), "usage", "--map", "Missing option", "see `specmap localize --help`"),
         (("info", "x", "--frob"), "usage", "--frob", "No such option", "see `specmap info --help`"),
         (("config", "--set", "seed=-1"), "setting", "seed", "seed: Input", "run `specmap config`"),
@@ -57,12 +62,13 @@ def line_of(said: Outcome) -> str:
         (("segment", "none.yaml"), "map-unusable", "none.yaml", "none.yaml: cannot read", None),
         (
             ("localize", "x.mcap", "--map", "none"),
-            *(
-                "map-missing",
-                "none",
-                "none: no such map directory",
-                "make one with `specmap build`",
-            ),
+            *("map-missing", "none", "none: no such map directory"),
+            "make one with `specmap build`",
+        ),
+        (
+            ("batch", "x", "-o", "y", "--step", "chek"),
+            *("usage", "--step", "Invalid value for '--step': 'chek' is not one"),
+            "see `specmap batch --help`",
         ),
     ],
 )
@@ -127,10 +133,7 @@ def test_an_interruption_is_json_too(
 def test_a_bug_is_json_and_a_traceback(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def fail(*_: object, **__: object) -> None:
-        raise RuntimeError("no\nidea")
-
-    monkeypatch.setattr(inspection, "summarize", fail)
+    monkeypatch.setattr(inspection, "summarize", Mock(side_effect=RuntimeError("no\nidea")))
     log = standing_log(tmp_path / "log.mcap", 3.0)
     with pytest.raises(RuntimeError, match="no\nidea"):
         main(["info", str(log)])
@@ -148,7 +151,7 @@ def test_a_bug_is_json_and_a_traceback(
     }
 
 
-def system_error(number: int, name: str | None = None) -> OSError:
+def system(number: int, name: str | None = None) -> OSError:
     """An error as the system raises it."""
     return OSError(number, os.strerror(number), name)
 
@@ -160,59 +163,32 @@ def opencv_error() -> cv2.error:
     return error
 
 
+SMALLER = "a shorter log or a coarser grid (--set grid.resolution_m) needs less"
+ANOTHER = "set TMPDIR to another directory"
+TEMPORARY = f"{tempfile.gettempdir()}/tmpx/map"
+NO_PLACE = "No usable temporary directory found in ['/tmp']"
+UNWRITTEN = "cannot be written: "
+FULL = f"{UNWRITTEN}No space left on device; free some space, or"
+QUOTA = f"{UNWRITTEN}Disk quota exceeded; your quota is used up: remove some files"
+FEWER = "give fewer files at once, or raise the limit with `ulimit"
+TOO_MANY = "Too many open files in system; this machine has too many of them open: end other"
+END = "Cannot allocate memory; end other programs, or give less at once"
+
+
 @pytest.mark.parametrize(
     ("error", "code", "told"),
     [
-        (
-            MemoryError("too large"),
-            3,
-            "not enough memory: too large; a shorter log or a coarser grid (--set "
-            "grid.resolution_m) needs less",
-        ),
+        (MemoryError("too large"), 3, f"not enough memory: too large; {SMALLER}"),
         (MemoryError(), 3, "not enough memory; a shorter log or"),
         (opencv_error(), 3, "not enough memory: "),
-        (
-            system_error(errno.ENOSPC, "a/b"),
-            2,
-            "a/b: cannot be written: No space left on device; free some space, or write elsewhere",
-        ),
-        (
-            system_error(errno.ENOSPC, f"{tempfile.gettempdir()}/tmpx/map"),
-            2,
-            f"{tempfile.gettempdir()}/tmpx/map: cannot be written: No space left on device; free "
-            "some space, or set TMPDIR to another directory",
-        ),
-        (
-            FileNotFoundError(errno.ENOENT, "No usable temporary directory found in ['/tmp']"),
-            2,
-            "No usable temporary directory found in ['/tmp']: free some space there, or set TMPDIR "
-            "to another directory",
-        ),
-        (
-            system_error(errno.EROFS),
-            2,
-            "the output: cannot be written: Read-only file system; write elsewhere",
-        ),
-        (
-            system_error(errno.EDQUOT, "a/b"),
-            2,
-            "a/b: cannot be written: Disk quota exceeded; your quota is used up: remove some files",
-        ),
-        (
-            system_error(errno.EMFILE, "a/b"),
-            2,
-            "a/b: Too many open files; give fewer files at once, or raise the limit with `ulimit",
-        ),
-        (
-            system_error(errno.ENFILE),
-            2,
-            "Too many open files in system; this machine has too many of them open: end other",
-        ),
-        (
-            system_error(errno.ENOMEM),
-            2,
-            "Cannot allocate memory; end other programs, or give less at once",
-        ),
+        (system(errno.ENOSPC, "a/b"), 2, f"a/b: {FULL} write elsewhere"),
+        (system(errno.ENOSPC, TEMPORARY), 2, f"{TEMPORARY}: {FULL} {ANOTHER}"),
+        (FileNotFoundError(2, NO_PLACE), 2, f"{NO_PLACE}: free some space there, or {ANOTHER}"),
+        (system(errno.EROFS), 2, f"the output: {UNWRITTEN}Read-only file system; write elsewhere"),
+        (system(errno.EDQUOT, "a/b"), 2, f"a/b: {QUOTA}"),
+        (system(errno.EMFILE, "a/b"), 2, f"a/b: Too many open files; {FEWER}"),
+        (system(errno.ENFILE), 2, TOO_MANY),
+        (system(errno.ENOMEM), 2, END),
     ],
 )
 def test_what_the_machine_lacks_is_no_bug(
@@ -223,10 +199,7 @@ def test_what_the_machine_lacks_is_no_bug(
     run: Run,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def fail(*_: object, **__: object) -> None:
-        raise error
-
-    monkeypatch.setattr(build, "build_map", fail)
+    monkeypatch.setattr(build, "build_map", Mock(side_effect=error))
     # the pipe or file under stdout is not this test's to discard
     monkeypatch.setattr("specmap_cli.cli.entry.discard_stdout", lambda: None)
     said = run("build", "log.mcap", "-o", tmp_path / "map")
@@ -239,10 +212,8 @@ def test_what_the_machine_lacks_is_no_bug(
 def test_another_error_of_the_system_is_a_bug(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fail(*_: object, **__: object) -> None:
-        raise OSError(errno.EBADF, "Bad file descriptor")
-
-    monkeypatch.setattr(build, "build_map", fail)
+    error = OSError(errno.EBADF, "Bad file descriptor")
+    monkeypatch.setattr(build, "build_map", Mock(side_effect=error))
     with pytest.raises(OSError, match="Bad file descriptor"):
         main(["build", "log.mcap", "-o", str(tmp_path / "map")])
 
@@ -253,26 +224,20 @@ def test_a_file_called_json_asks_for_none(run: Run) -> None:
     assert said.error.startswith("--json: no such file or directory")
 
 
-def test_a_name_cannot_break_the_line(run: Run) -> None:
-    said = run("info", "a\nb\r\x1b[2J\x07\u2028c.mcap", "--json")
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("a\nb\r\x1b[2J\x07\u2028c.mcap", r"a b \x1b[2J\x07 c.mcap"),
+        (os.fsdecode(b"\xff.mcap"), r"\udcff.mcap"),
+    ],
+    ids=["control characters", "no unicode"],
+)
+def test_a_name_cannot_break_the_line(name: str, shown: str, run: Run) -> None:
+    said = run("info", name, "--json")
     assert said.code == 3
     assert said.err.count("\n") == 1
-    assert line_of(said).startswith(r"a b \x1b[2J\x07 c.mcap: no such file")
+    assert line_of(said).startswith(f"{shown}: no such file")
     assert as_json(said)["message"] == line_of(said)
-
-
-def test_a_name_that_is_no_unicode_is_escaped(run: Run) -> None:
-    said = run("info", os.fsdecode(b"\xff.mcap"), "--json")
-    assert said.code == 3
-    assert as_json(said)["message"] == line_of(said)
-    assert line_of(said).startswith(r"\udcff.mcap: no such file")
-
-
-def test_notes_and_warnings_stay_on_their_lines(capsys: pytest.CaptureFixture[str]) -> None:
-    with ConsoleProgress() as progress:
-        progress.note("one\ntwo\x1b[2J")
-        progress.warn("three\r\nfour")
-    assert capsys.readouterr().err == ("specmap: one two\\x1b[2J\nspecmap: warning: three four\n")
 
 
 @given(st.text())

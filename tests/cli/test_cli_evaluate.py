@@ -16,9 +16,7 @@ SAMPLES = Path(__file__).parents[2] / "sample_logs"
 def test_a_hold_out_is_one_object_and_a_picture(tiny_log: Path, tmp_path: Path, run: Run) -> None:
     picture = tmp_path / "confusion.png"
     line = ("evaluate", tiny_log, "--protocol", "holdout", "--share", "0.3", *QUICK)
-    said = run(*line, "--json", "--confusion", picture, "-q")
-    assert said.code == 0
-    found = json.loads(said.out)
+    found = run(*line, "--json", "--confusion", picture, "-q").result
     for part in ("train", "test"):
         assert found[part].keys() >= {"recall", "precision", "scans"}
         assert found[part]["scans"] > 0
@@ -32,7 +30,7 @@ def test_a_hold_out_is_one_object_and_a_picture(tiny_log: Path, tmp_path: Path, 
 
 def test_a_trajectory_against_a_reference(run: Run) -> None:
     truth = SAMPLES / "office_again.tum"
-    found = json.loads(run("evaluate", "--trajectory", truth, "--reference", truth, "--json").out)
+    found = run("evaluate", "--trajectory", truth, "--reference", truth, "--json").result
     assert found["matched"] == found["total"] > 2000
     assert found["ate_m"] == pytest.approx(0.0, abs=1e-6)
     assert set(found["relative"]) == {"1", "5", "20"}
@@ -60,6 +58,4 @@ def test_a_trajectory_against_relations(tmp_path: Path, run: Run) -> None:
     ],
 )
 def test_what_is_not_clear_is_asked(arguments: tuple[str, ...], told: str, run: Run) -> None:
-    said = run("evaluate", *arguments)
-    assert said.code == 2
-    assert told in said.error
+    run("evaluate", *arguments).fails(2, told)

@@ -21,11 +21,15 @@ def house(tmp_path: Path, result: MapResult) -> Path:
     return out
 
 
-def test_a_map_becomes_a_graph(house: Path, run: Run) -> None:
-    target = house.parent / "house.graphml"
+def test_a_map_becomes_a_graph_and_what_a_killed_run_left_is_removed(house: Path, run: Run) -> None:
+    target, left = house.parent / "house.graphml", house.parent / ".house.graphml.partial-12"
+    left.write_text("<graphml")
     said = run("export", house, "--format", "graphml", "-o", target)
     assert said.out == f"{target}: GraphML: the graph, for yEd, Gephi and networkx\n"
     assert len(nx.read_graphml(target)) == 3
+    assert not left.exists()
+    told = f"an earlier run was killed: removed {left.name}, which it had begun to write"
+    assert said.err == f"specmap: {target}: {told}\n"
 
 
 def test_the_result_for_a_machine(house: Path, run: Run) -> None:
@@ -52,46 +56,29 @@ def test_a_map_of_schema_1_is_exported_with_a_word(house: Path, run: Run) -> Non
     assert line.startswith(f"specmap: {house}: a map of an earlier version (schema 1)")
 
 
-def test_what_a_killed_run_left_is_removed_and_told(house: Path, run: Run) -> None:
-    target = house.parent / "house.graphml"
-    left = house.parent / ".house.graphml.partial-12"
-    left.write_text("<graphml")
-    said = run("export", house, "--format", "graphml", "-o", target)
-    assert not left.exists()
-    assert said.err == (
-        f"specmap: {target}: an earlier run was killed: removed {left.name}, "
-        "which it had begun to write\n"
-    )
-
-
 @pytest.mark.parametrize(
-    ("arguments", "code", "words"),
+    ("arguments", "words"),
     [
-        (["--format", "svg", "-o", "x.svg"], 2, "unknown format 'svg': choose from "),
-        (["--format", "graphml"], 2, "Missing option '--out'"),
-        (["--format", "graphml", "-o", "house/topology.json"], 2, "exists already"),
-        (["--format", "graphml", "-o", "gone/x.graphml"], 2, "there is no directory"),
+        (["--format", "svg", "-o", "x.svg"], "unknown format 'svg': choose from "),
+        (["--format", "graphml"], "Missing option '--out'"),
+        (["--format", "graphml", "-o", "house/topology.json"], "exists already"),
+        (["--format", "graphml", "-o", "gone/x.graphml"], "there is no directory"),
     ],
 )
 def test_what_cannot_be_exported_is_one_line(
-    arguments: list[str],
-    code: int,
-    words: str,
-    house: Path,
-    run: Run,
-    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str], words: str, house: Path, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(house.parent)
     before = sorted(house.parent.rglob("*"))
     said = run("export", "house", *arguments)
-    assert (said.code, said.err.count("\n")) == (code, 1)
-    assert words in said.error
+    said.fails(2, words)
+    assert said.err.count("\n") == 1
     assert sorted(house.parent.rglob("*")) == before
 
 
 def test_a_place_without_a_map(tmp_path: Path, run: Run) -> None:
-    said = run("export", tmp_path, "-f", "graphml", "-o", tmp_path / "x")
-    assert (said.code, "no topology.json in it" in said.error) == (3, True)
+    line = ("export", tmp_path, "-f", "graphml", "-o", tmp_path / "x")
+    run(*line).fails(3, "no topology.json in it")
 
 
 def test_a_map_without_ways_is_no_graph_for_a_robot(house: Path, run: Run) -> None:

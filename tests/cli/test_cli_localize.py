@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from specmap_cli.core.config import load_config
-from specmap_cli.core.errors import UsageError
 from specmap_cli.core.settings import Config, LogConfig
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.pipelines.localize import settings_for
@@ -50,63 +49,51 @@ class TestWhoseSettings:
     def test_a_file_changes_some_of_them(
         self, stored: StoredMap, settings_file: SettingsFile
     ) -> None:
-        path = settings_file("[localization]\nstay = 0.9\n[log]\nbase_frame = 'base'\n")
+        path = settings_file("[localization]\nstay = 0.9\nunknown = false\n[log]\nbase_frame = 'b'")
         found = settings_for(stored, {}, path)
-        assert (found.localization.stay, found.log.base_frame) == (0.9, "base")
+        assert (found.localization.stay, found.log.base_frame) == (0.9, "b")
         assert found.recognition == stored.config.recognition
         assert found.localization.augmentation == stored.config.localization.augmentation
-
-    def test_assignments_go_over_the_file(
-        self, stored: StoredMap, settings_file: SettingsFile
-    ) -> None:
-        path = settings_file("[localization]\nstay = 0.9\nunknown = false\n")
-        found = settings_for(stored, {"localization": {"stay": 0.8}}, path)
-        assert (found.localization.stay, found.localization.unknown) == (0.8, False)
+        over = settings_for(stored, {"localization": {"stay": 0.8}}, path).localization
+        assert (over.stay, over.unknown) == (0.8, False), "assignments go over the file"
 
     @pytest.mark.parametrize("preset", ["default", "paper"])
-    def test_a_preset_takes_the_place_of_all(self, preset: str, stored: StoredMap) -> None:
-        assert settings_for(stored, {}, preset=preset) == load_config(preset=preset)
-
-    def test_so_does_a_file_that_names_one(
-        self, stored: StoredMap, settings_file: SettingsFile
+    def test_a_preset_takes_the_place_of_all(
+        self, preset: str, stored: StoredMap, settings_file: SettingsFile
     ) -> None:
-        path = settings_file("preset = 'paper'\n[localization]\nstay = 0.9\n")
+        assert settings_for(stored, {}, preset=preset) == load_config(preset=preset)
+        path = settings_file(f"preset = '{preset}'\n[localization]\nstay = 0.9\n")
         found = settings_for(stored, {"seed": 3}, path)
         assert found == load_config(path, None, {"seed": 3})
         assert found.recognition.rounds != stored.config.recognition.rounds
 
     @pytest.mark.parametrize(
-        ("text", "told"),
+        ("text", "options", "told"),
         [
-            ("[localization]\nstya = 1", "localization.stya: no such setting, did you mean"),
-            ("preset = 'mine'", "unknown preset 'mine'"),
+            (
+                "[localization]\nstya = 1",
+                (),
+                "specmap.toml: localization.stya: no such setting, did you mean",
+            ),
+            ("preset = 'mine'", (), "specmap.toml: unknown preset 'mine'"),
+            ("seed = -1", (), "specmap.toml: seed: Input should be"),
+            ("", ("--preset", "papre"), "unknown preset 'papre': choose from default, paper"),
+            ("seed = 1", ("--set", "seed=-1"), "seed: Input should be greater than or equal to 0"),
         ],
     )
-    def test_a_wrong_file_is_named(
-        self, text: str, told: str, stored: StoredMap, settings_file: SettingsFile
+    def test_what_is_wrong_is_named_with_where_it_stands(
+        self,
+        text: str,
+        options: tuple[str, ...],
+        told: str,
+        tiny_map: Path,
+        settings_file: SettingsFile,
+        run: Run,
     ) -> None:
         path = settings_file(text)
-        with pytest.raises(UsageError) as caught:
-            settings_for(stored, {}, path)
-        assert str(caught.value).startswith(f"{path}: {told}")
-
-    def test_a_wrong_assignment_is_not_blamed_on_the_file(
-        self, stored: StoredMap, settings_file: SettingsFile
-    ) -> None:
-        with pytest.raises(UsageError, match=r"^seed: Input should be"):
-            settings_for(stored, {"seed": -1}, settings_file("seed = 1"))
-
-    def test_the_command_line_hands_them_on(
-        self, tiny_map: Path, settings_file: SettingsFile, run: Run
-    ) -> None:
-        line = ("localize", "x.mcap", "--map", tiny_map)
-        for options, told in (
-            (("--preset", "papre"), "unknown preset 'papre': choose from default, paper"),
-            (("--set", "seed=-1"), "seed: Input should be greater than or equal to 0"),
-            (("--config", settings_file("seed = -1")), "specmap.toml: seed: Input should be"),
-        ):
-            said = run(*line, *options)
-            assert (said.code, told in said.error) == (2, True)
+        said = run("localize", "x.mcap", "--map", tiny_map, "--config", path, *options)
+        said.fails(2)
+        assert said.error.removeprefix(f"{path.parent}/").startswith(told)
 
     def test_a_setting_changes_the_labels_however_it_is_given(
         self, tiny_log: Path, tiny_map: Path, settings_file: SettingsFile, tmp_path: Path, run: Run

@@ -14,6 +14,8 @@ from specmap_cli.cli.console import ConsoleProgress, Rate
 from specmap_cli.core.progress import Level
 from tests.cli.conftest import QUICK, Run, spawn
 
+LONG = "[bold]log[/]:cat:.mcap " + "long " * 40 + "/end"
+
 
 def watched(*arguments: str | Path) -> tuple[str, str]:
     """What a command says on stdout, and on stderr that is a terminal."""
@@ -66,24 +68,25 @@ def test_a_file_gets_notes_alone(tiny_log: Path, tmp_path: Path, run: Run) -> No
     )
 
 
-def test_notes_and_warnings_are_printed_as_they_are(capsys: pytest.CaptureFixture[str]) -> None:
-    message = "[bold]log[/]:cat:.mcap " + "long " * 40 + "/end"
+@pytest.mark.parametrize(
+    ("message", "shown"),
+    [(LONG, LONG), ("one\ntwo\x1b[2J", "one two\\x1b[2J"), ("three\r\nfour", "three four")],
+    ids=["as it is", "an escape", "lines"],
+)
+def test_notes_and_warnings_stay_on_their_lines(
+    message: str, shown: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     with ConsoleProgress() as progress:
         progress.start("working", None)
         progress.note(message)
         progress.warn(message)
         progress.advance()
-    assert capsys.readouterr().err == f"specmap: {message}\nspecmap: warning: {message}\n"
+    assert capsys.readouterr().err == f"specmap: {shown}\nspecmap: warning: {shown}\n"
 
 
 @pytest.mark.parametrize(
     ("level", "shown"),
-    [
-        (Level.ERROR, ""),
-        (Level.WARNING, "W"),
-        (Level.INFO, "NW"),
-        (Level.DEBUG, "NWD"),
-    ],
+    [(Level.ERROR, ""), (Level.WARNING, "W"), (Level.INFO, "NW"), (Level.DEBUG, "NWD")],
 )
 def test_a_level_shows_what_those_before_it_show(
     level: Level, shown: str, capsys: pytest.CaptureFixture[str]

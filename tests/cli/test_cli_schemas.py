@@ -19,14 +19,7 @@ import typer
 from specmap_cli.cli.app import app
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.schemas import SETTINGS, read_schema, schema_names
-from tests.cli.conftest import (
-    ERROR_SCHEMA,
-    FILE_SCHEMAS,
-    QUICK,
-    Run,
-    name_of_command,
-    validate,
-)
+from tests.cli.conftest import ERROR_SCHEMA, FILE_SCHEMAS, QUICK, Run, name_of_command, validate
 from tests.flats import Mapped
 
 COMMANDS: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
@@ -43,11 +36,17 @@ class Things:
     plan: Path
     place: Path
 
+    @property
+    def tum(self) -> Path:
+        """The trajectory of the map."""
+        return self.map / "trajectory.tum"
+
     def out(self, name: str) -> Path:
         """An output."""
         return self.place / name
 
 
+EDITS = ("--rename", "0", "Hall", "--kind", "0", "hall", "--set-property", "0", "floor=2")
 Line = Callable[[Things], list[str | Path]]
 LINES: dict[str, list[Line]] = {
     "info": [lambda of: [of.log], lambda of: [of.log, "--check"]],
@@ -67,26 +66,14 @@ LINES: dict[str, list[Line]] = {
         lambda of: [of.one.map, of.other.map, of.map],
         lambda of: [of.one.map, "-o", of.out("history")],
     ],
-    "edit": [
-        lambda of: [
-            *(of.map, "-o", of.out("map"), "--rename", "0", "Hall", "--kind", "0", "hall"),
-            *("--set-property", "0", "floor=2"),
-        ],
-    ],
+    "edit": [lambda of: [of.map, "-o", of.out("map"), *EDITS]],
     "report": [lambda of: [of.map, "-o", of.out("map.html")]],
     "segment": [lambda of: [of.plan, "-o", of.out("rooms")]],
     "evaluate": [
         lambda of: [of.log, "--protocol", "holdout", "--share", "0.3", *QUICK],
-        lambda of: [
-            *(of.map, of.log, "--protocol", "revisit"),
-            *("--reference", of.map / "trajectory.tum"),
-            *("--reference", of.map / "trajectory.tum"),
-        ],
-        lambda of: [
-            *("--trajectory", of.map / "trajectory.tum"),
-            *("--reference", of.map / "trajectory.tum"),
-        ],
-        lambda of: ["--trajectory", of.map / "trajectory.tum", "--relations", relations(of)],
+        lambda of: [of.map, of.log, "--protocol", "revisit", *2 * ("--reference", of.tum)],
+        lambda of: ["--trajectory", of.tum, "--reference", of.tum],
+        lambda of: ["--trajectory", of.tum, "--relations", relations(of)],
     ],
     "simulate": [lambda of: [of.plan, "-o", of.out("tour.mcap"), "--max-duration", "2"]],
     "convert": [lambda of: [of.log, of.out("log.mcap")]],
@@ -98,7 +85,7 @@ LINES: dict[str, list[Line]] = {
 
 def relations(of: Things) -> Path:
     """One relation between two poses of the map's trajectory."""
-    stamps = [line.split()[0] for line in (of.map / "trajectory.tum").read_text().splitlines()]
+    stamps = [line.split()[0] for line in of.tum.read_text().splitlines()]
     path = of.out("relations.txt")
     path.write_text(f"{stamps[0]} {stamps[-1]} 1 0 0 0 0 0\n", encoding="utf-8")
     return path

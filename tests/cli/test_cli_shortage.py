@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import resource
-import subprocess
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.cli.conftest import ERROR, QUICK, ROOT, command, leftovers, standing_log
+from tests.cli.conftest import ERROR, QUICK, leftovers, ran, standing_log
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="limits as Linux has them")
 
@@ -25,18 +23,11 @@ def limited(limits: Mapping[int, int], *arguments: str | Path) -> tuple[int, str
         for which, most in limits.items():
             resource.setrlimit(which, (most, most))
 
-    ended = subprocess.run(
-        command(*arguments),
-        capture_output=True,
-        text=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        preexec_fn=limit,
-        check=False,
-    )
-    lines = ended.stderr.splitlines()
-    assert "Traceback" not in ended.stderr
-    assert sum(line.startswith(ERROR) for line in lines) == 1, ended.stderr
-    return ended.returncode, lines[-1].removeprefix(ERROR)
+    ended = ran(*arguments, preexec_fn=limit)
+    lines = ended.err.splitlines()
+    assert "Traceback" not in ended.err
+    assert sum(line.startswith(ERROR) for line in lines) == 1, ended.err
+    return ended.code, lines[-1].removeprefix(ERROR)
 
 
 def test_more_files_than_may_be_open(tmp_path: Path) -> None:
@@ -53,20 +44,15 @@ def test_more_files_than_may_be_open(tmp_path: Path) -> None:
     )
 
 
+TOO_LARGE = "File too large; see `ulimit -f`, or"
+
+
 @pytest.mark.parametrize(
     ("what", "most", "told"),
     [
-        (
-            "build",
-            500,
-            "temporary files cannot be written: File too large; see `ulimit -f`, or",
-        ),
-        (
-            "build",
-            2000,
-            "out: cannot be written: File too large; see `ulimit -f`, or choose another output",
-        ),
-        ("convert", 500, "out: cannot write: File too large; see `ulimit -f`, or choose"),
+        ("build", 500, f"temporary files cannot be written: {TOO_LARGE}"),
+        ("build", 2000, f"out: cannot be written: {TOO_LARGE} choose another output"),
+        ("convert", 500, f"out: cannot write: {TOO_LARGE} choose"),
     ],
 )
 def test_files_that_may_not_grow(tmp_path: Path, what: str, most: int, told: str) -> None:

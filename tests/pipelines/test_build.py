@@ -25,7 +25,6 @@ from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
 from specmap_cli.layout.main_direction import along_walls
 from specmap_cli.layout.relaxation import relax
-from specmap_cli.logs.writer import LogWriter
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.pipelines import laying_out
 from specmap_cli.pipelines.build import explore
@@ -259,18 +258,9 @@ class TestBuildMap:
         assert report.run["counts"]["submaps"] == len(stored.ids)
         assert report.run["counts"] == stored.run["counts"]
         assert stored.run["inputs"] == ["flat.mcap"]
-        seconds = stored.run["seconds"]
-        assert set(seconds) == {
-            "registration",
-            "segmentation",
-            "recognition",
-            "layout",
-            "audit",
-            "grids",
-            "training",
-            "ways",
-        }
-        assert all(value >= 0.0 for value in seconds.values())
+        stages = "registration segmentation recognition layout audit grids training ways"
+        assert sorted(stored.run["seconds"]) == sorted(stages.split())
+        assert all(value >= 0.0 for value in stored.run["seconds"].values())
         assert report.as_dict()["out"] == str(out)
         assert report.lines()[0].startswith(f"{out}: {len(stored.ids)} submaps, ")
         assert report.lines()[1] == "quality: good"
@@ -288,16 +278,6 @@ class TestBuildMap:
         assert told is not None
         assert told.as_dict() == stored.run["quality"]
 
-    def test_a_log_of_blank_scans_gives_no_map(self, tmp_path: Path) -> None:
-        log = tmp_path / "blank.mcap"
-        with LogWriter(log) as writer:
-            for k in range(20):
-                ranges = np.full(90, np.inf)
-                writer.scan("/scan", "laser", k * 10**8, 0.0, 0.07, ranges, range_max=9.0)
-        with pytest.raises(NoResultError, match="none of 20 scans could be registered"):
-            build_map(log, tmp_path / "map")
-        assert not (tmp_path / "map").exists()
-
     def test_a_grid_that_may_hold_nothing_gives_no_map(
         self, tiny_log: Path, tmp_path: Path
     ) -> None:
@@ -305,16 +285,6 @@ class TestBuildMap:
         with pytest.raises(NoResultError, match=r"grid\.max_extent_m"):
             build_map(tiny_log, tmp_path / "map", config)
         assert list(tmp_path.iterdir()) == []
-
-    def test_every_test_of_a_split_is_drawn_when_asked_for(
-        self, flat_built: Explained, tiny_log: Path, tmp_path: Path
-    ) -> None:
-        names = sorted(path.name for path in flat_built.pictures.iterdir())
-        assert names == [f"test_{k:04d}.png" for k in range(1, len(names) + 1)]
-        assert len(names) > 10
-        with pytest.raises(UsageError, match="holds pictures of an earlier run"):
-            build_map(tiny_log, tmp_path / "again", explain=flat_built.pictures)
-        assert not (tmp_path / "again").exists()
 
 
 def test_what_is_slow_to_load_waits_until_registration_runs() -> None:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock, call
 
 import numpy as np
 import pytest
@@ -28,16 +29,6 @@ from tests.conftest import SAMPLE_LOGS
 from tests.flats import QUICK, Mapped
 
 LAYOUT = ("keyframes.mcap", "trajectory.tum", "trajectory.g2o")
-
-
-class Notes(Silent):
-    """Remembers what is noted."""
-
-    def __init__(self) -> None:
-        self.lines: list[str] = []
-
-    def note(self, message: str) -> None:
-        self.lines.append(message)
 
 
 @dataclass(frozen=True)
@@ -235,48 +226,29 @@ class TestBorders:
         """Or its features would be taken for those of the version before."""
         assert remade.divided.run["versions"] == remade.before.run["versions"]
 
-    @pytest.mark.parametrize(
-        ("changes", "said", "complaint"),
-        [
-            ([{"merge": [0, 99]}], {}, "cannot merge 99 into 0: there is no submap 99"),
-            ([{"split": 0, "line": [[90, 90], [91, 91]]}], {}, "the line does not cross submap 0"),
-            ([{"forbid": "rooms"}], {}, "there is no link between"),
-            ([{"merge": "rooms"}, {"forbid": "rooms"}], {}, "there is no link between"),
-            ([], {"names": {99: "x"}}, "there is no submap 99 to name or to describe"),
-            ([], {"names": {0: " x"}}, "must be one line of printable characters"),
-            ([], {"kinds": {0: "cellar"}}, "Input should be 'room', 'corridor' or 'hall'"),
-            ([], {"undo": (1,)}, "--undo 1: there is no such change: edits.toml has 0 changes"),
-        ],
-    )
-    def test_the_map_stays_when_a_request_does_not_apply(
-        self,
-        built: Built,
-        changes: list[dict[str, Any]],
-        said: dict[str, Any],
-        complaint: str,
-    ) -> None:
-        rooms, notes = list(built.rooms[:2]), Notes()
-        asked = [
-            {key: rooms if value == "rooms" else value for key, value in change.items()}
-            for change in changes
-        ]
+    @pytest.mark.parametrize("merged", [False, True], ids=["at once", "after a merge"])
+    def test_the_map_stays_when_a_request_does_not_apply(self, built: Built, merged: bool) -> None:
+        """Every request that is refused alone is in tests/cli/test_cli_edit.py."""
+        rooms, notes = list(built.rooms[:2]), Mock(spec=Silent())
+        changes = ({"merge": rooms}, {"forbid": rooms})[not merged :]
         before = {path.name: path.read_bytes() for path in built.map.iterdir() if path.is_file()}
-        with pytest.raises(UsageError, match=complaint):
-            edit_map(built.map, RequestedEdits(changes=tuple(asked), **said), progress=notes)
-        assert notes.lines == []
+        with pytest.raises(UsageError, match="there is no link between"):
+            edit_map(built.map, RequestedEdits(changes=changes), progress=notes)
+        notes.note.assert_not_called()
         after = {path.name: path.read_bytes() for path in built.map.iterdir() if path.is_file()}
         assert after == before
 
     def test_what_no_longer_applies_is_told_and_kept(self, own: Path) -> None:
         text = "[submaps.99]\nname = 'Attic'\n[[changes]]\nmerge = [0, 99]\n"
         (own / "edits.toml").write_text(text, encoding="utf-8")
-        notes = Notes()
+        notes = Mock(spec=Silent())
         report = edit_map(own, RequestedEdits(names={0: "Lab"}), progress=notes)
         assert report.unapplied == (
             "submaps.99: there is no submap 99",
             "changes, number 1: there is no submap 99",
         )
-        assert notes.lines == [f"edits.toml: not applied: {line}" for line in report.unapplied]
+        told = [call(f"edits.toml: not applied: {line}") for line in report.unapplied]
+        assert notes.note.mock_calls == told
         assert "'Attic'" in (own / "edits.toml").read_text(encoding="utf-8")
         assert "  not applied: submaps.99: there is no submap 99" in report.lines()
 

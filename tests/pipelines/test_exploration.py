@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.config import load_config
-from specmap_cli.core.records import Closure, IntArray, Trajectory
+from specmap_cli.core.records import Closure, Trajectory
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.pipelines.exploration import Exploration
 from specmap_cli.pipelines.session import Session
@@ -30,10 +30,6 @@ def closure(old: int, new: int, *, merged: bool) -> Closure:
     )
 
 
-def stamps() -> IntArray:
-    return np.zeros(0, dtype=np.int64)
-
-
 def test_a_region_that_grew_is_compared_again_whole_and_the_last_word_counts(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -49,7 +45,7 @@ def test_a_region_that_grew_is_compared_again_whole_and_the_last_word_counts(
         exploration.recognise_leftovers()
         assert closer.grow.mock_calls == [call([2, 3])]
         assert closer.consider_again.mock_calls == [call(1)]
-        explored = exploration.explored(Trajectory(stamps(), np.zeros((0, 3))))
+        explored = exploration.explored(Trajectory(np.zeros(0, dtype=np.int64), np.zeros((0, 3))))
         assert explored.closures == (closure(1, 0, merged=True),)
         assert explored.regions == {0: (0, 1), 1: (2, 3)}
         closer.merge.assert_called_once_with(1, 0)

@@ -14,9 +14,16 @@ import pytest
 from specmap_cli.cli import main
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.schemas import read_schema
+from specmap_cli.history.record import BuildingRecord
 from specmap_cli.maps.writing import MapResult, write_map
 from specmap_cli.pipelines.history import HistoryReport, history_of, write_history
 from tests.flats import Mapped
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    """The lines of a CSV."""
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
 
 
 @pytest.fixture(scope="module")
@@ -24,15 +31,20 @@ def report(week: Path) -> HistoryReport:
     return history_of([week])
 
 
-def test_days_of_one_building_are_one_series(report: HistoryReport) -> None:
-    (building,) = report.record.buildings
+@pytest.fixture(scope="module")
+def building(report: HistoryReport) -> BuildingRecord:
+    """The one building of the week."""
+    (found,) = report.record.buildings
+    return found
+
+
+def test_days_of_one_building_are_one_series(building: BuildingRecord) -> None:
     assert [Path(one.map).name for one in building.maps] == ["monday", "tuesday", "wednesday"]
     assert [one.compared_with for one in building.maps] == [None, 0, 1]
     assert [day.day for day in building.days] == ["2025-11-24", "2025-11-25", "2025-11-26"]
 
 
-def test_a_recording_in_two_maps_counts_once(report: HistoryReport) -> None:
-    (building,) = report.record.buildings
+def test_a_recording_in_two_maps_counts_once(building: BuildingRecord) -> None:
     assert [day.recordings for day in building.days] == [1, 1, 1]
     rooms = {room.number: room for room in building.rooms}
     for number, room in rooms.items():
@@ -42,8 +54,7 @@ def test_a_recording_in_two_maps_counts_once(report: HistoryReport) -> None:
         assert room.days == len(by_day)
 
 
-def test_a_room_stays_the_same_room(report: HistoryReport) -> None:
-    (building,) = report.record.buildings
+def test_a_room_stays_the_same_room(building: BuildingRecord) -> None:
     assert {room.map for room in building.rooms} == {0}
     assert sum(room.days == 3 for room in building.rooms) >= 3
     for day in building.days:
@@ -51,16 +62,11 @@ def test_a_room_stays_the_same_room(report: HistoryReport) -> None:
         assert 0.9 * day.minutes <= stayed <= day.minutes + 1e-6
 
 
-def test_what_changed_has_its_days_and_rooms(report: HistoryReport) -> None:
-    (building,) = report.record.buildings
-    assert sorted(change.kind for change in building.changes) == [
-        "appeared",
-        "door-closed",
-        "door-opened",
-    ]
-    assert {(change.since, change.day) for change in building.changes} == {
-        ("2025-11-25", "2025-11-26")
-    }
+def test_what_changed_has_its_days_and_rooms(building: BuildingRecord) -> None:
+    kinds = sorted(change.kind for change in building.changes)
+    assert kinds == ["appeared", "door-closed", "door-opened"]
+    days = {(change.since, change.day) for change in building.changes}
+    assert days == {("2025-11-25", "2025-11-26")}
     assert all(change.rooms for change in building.changes)
     (closed,) = (one for one in building.changes if one.kind == "door-closed")
     assert closed.size == pytest.approx(0.9, abs=0.15)
@@ -127,27 +133,19 @@ def test_the_command_writes_all_of_it(
     printed = json.loads(capsys.readouterr().out)
     jsonschema.validate(printed, read_schema("history"))
     assert json.loads((out / "history.json").read_text(encoding="utf-8")) == printed
-    assert sorted(path.name for path in out.iterdir()) == [
-        "changes.csv",
-        "days.csv",
-        "history.html",
-        "history.json",
-        "visits.csv",
-    ]
-    with (out / "visits.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert sum(int(row["visits"]) for row in rows) == sum(
-        room["visits"] for room in printed["buildings"][0]["rooms"]
-    )
-    with (out / "changes.csv").open(encoding="utf-8", newline="") as file:
-        assert [row["since"] for row in csv.DictReader(file)] == ["2025-11-25"] * 3
+    names = ["changes.csv", "days.csv", "history.html", "history.json", "visits.csv"]
+    assert sorted(path.name for path in out.iterdir()) == names
+    visits = sum(room["visits"] for room in printed["buildings"][0]["rooms"])
+    assert sum(int(row["visits"]) for row in rows(out / "visits.csv")) == visits
+    assert [row["since"] for row in rows(out / "changes.csv")] == ["2025-11-25"] * 3
     assert main(["history", str(week), "-o", str(out), "-q"]) == 2  # only with --overwrite
 
 
-def test_the_page_shows_rooms_days_and_changes(report: HistoryReport, tmp_path: Path) -> None:
+def test_the_page_shows_rooms_days_and_changes(
+    report: HistoryReport, building: BuildingRecord, tmp_path: Path
+) -> None:
     write_history(report, tmp_path / "out")
     page = (tmp_path / "out" / "history.html").read_text(encoding="utf-8")
-    (building,) = report.record.buildings
     for room in building.rooms:
         assert f">{room.name}</th>" in page
     assert page.count('class="room"') == len(building.rooms)
@@ -186,8 +184,7 @@ def test_a_hostile_name_is_neither_markup_nor_formula(week: Path, tmp_path: Path
     page = (tmp_path / "out" / "history.html").read_text(encoding="utf-8")
     assert "<script" not in page
     assert "&lt;script&gt;" in page
-    with (tmp_path / "out" / "visits.csv").open(encoding="utf-8", newline="") as file:
-        assert f"'{name}" in {row["name"] for row in csv.DictReader(file)}
+    assert f"'{name}" in {row["name"] for row in rows(tmp_path / "out" / "visits.csv")}
     assert "<dt>map</dt><dd>1</dd>" in page
     assert "<dt>changes</dt><dd>0</dd>" in page
     assert "<title>1 building – specmap history</title>" in page

@@ -18,7 +18,6 @@ from specmap_cli import localize_log
 from specmap_cli.core.errors import MapError, UsageError
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.progress import Silent
-from specmap_cli.core.settings import Config, LogConfig
 from specmap_cli.drawing.palette import colours_of, vivid
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.filenames import CLASSIFIERS
@@ -38,7 +37,6 @@ from specmap_cli.recognition.localization.localizer import Label
 from specmap_cli.recognition.localization.metric import Fix
 from specmap_cli.simulation.simulator import SimulationOptions
 from tests.drawing.looking import colours_in
-from tests.flats import TRAINED
 
 
 @pytest.fixture(scope="module")
@@ -103,20 +101,15 @@ def test_the_map_s_own_log_is_found_where_it_was_taken(
     assert np.median(off) < 0.05
 
 
-def test_offline_smoothing_keeps_the_raw_votes(
-    metric: LocalizationReport, offline: LocalizationReport
-) -> None:
-    pairs = list(zip(offline.scans, metric.scans, strict=True))
-    for a, b in pairs:
-        assert (a.label.submap, a.label.margin) == (b.label.submap, b.label.margin)
-    changed = [a.label.filtered_submap != b.label.filtered_submap for a, b in pairs]
-    assert sum(changed) < len(changed) / 2
-
-
-def test_offline_poses_are_in_the_frames_of_the_smoothed_submaps(
+def test_offline_poses_are_in_the_frames_of_the_submaps_that_smoothing_gives(
     flat_map: StoredMap, metric: LocalizationReport, offline: LocalizationReport
 ) -> None:
     """A scan is matched in the submap that smoothing gives it, also before a place led."""
+    pairs = list(zip(offline.scans, metric.scans, strict=True))
+    for a, b in pairs:  # a single scan votes as it did
+        assert (a.label.submap, a.label.margin) == (b.label.submap, b.label.margin)
+    changed = [a.label.filtered_submap != b.label.filtered_submap for a, b in pairs]
+    assert sum(changed) < len(changed) / 2
     # the map was built of this log: its first keyframe is the first scan, turned along the walls
     map_from_track = Pose2(*flat_map.labels.poses[0]) @ offline.scans[0].track_from_base.inverse()
     given = 0
@@ -128,13 +121,6 @@ def test_offline_poses_are_in_the_frames_of_the_smoothed_submaps(
         place = frame @ a.submap_from_base
         assert math.dist(place[:2], (map_from_track @ a.track_from_base)[:2]) < 0.6
     assert given >= sum(scan.submap_from_base is not None for scan in metric.scans)
-
-
-def test_the_settings_are_the_map_s_but_topics_are_the_log_s(flat_map: StoredMap) -> None:
-    config = settings_for(flat_map, {"localization": {"stay": 0.9}})
-    assert config.recognition == TRAINED.recognition != Config().recognition
-    assert config.localization.stay == 0.9
-    assert config.log == LogConfig()
 
 
 def test_poses_without_walls_are_refused(own_log: Path, flat_map: StoredMap) -> None:

@@ -11,7 +11,6 @@ import pytest
 from specmap_cli import read_map, segment_map
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import MapError, NoResultError, UsageError
-from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.map_server import write_grid
 
@@ -43,10 +42,6 @@ def test_the_rooms_of_the_flat_are_found(plan: Path, tmp_path: Path, flat: GridM
     assert all((node.anchor_clearance_m or 0.0) >= 0.3 for node in stored.record.nodes)
     assert report.lines()[0].startswith(f"{tmp_path / 'rooms'}: 4 submaps, 3 edges, 3 doors, ")
     assert sum(node.area_m2 for node in stored.record.nodes) == pytest.approx(found["area_m2"])
-
-
-def test_the_label_picture_has_the_size_of_the_map(plan: Path, tmp_path: Path) -> None:
-    segment_map(plan, tmp_path / "rooms", Config())
     labels = cv2.imread(str(tmp_path / "rooms" / "labels.png"), cv2.IMREAD_UNCHANGED)
     grid = cv2.imread(str(plan.with_suffix(".png")), cv2.IMREAD_UNCHANGED)
     assert labels is not None

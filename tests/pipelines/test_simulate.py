@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -130,22 +131,12 @@ def test_a_robot_that_just_fits_records_where_it_stands(tmp_path: Path) -> None:
 
 
 def test_paths_may_be_text_and_the_advance_is_told(flat: GridMap, tmp_path: Path) -> None:
-    told: list[tuple[str, int | None]] = []
-
-    class Counting(Silent):
-        steps = 0
-
-        def start(self, stage: str, total: int | None) -> None:
-            told.append((stage, total))
-
-        def advance(self, steps: int = 1) -> None:
-            self.steps += steps
-
-    progress = Counting()
+    progress = Mock(spec=Silent())
     options = SimulationOptions(max_duration_s=2.0, beams=8, rate_hz=5)
     made = simulate(flat, options, str(tmp_path / "a.mcap"), str(tmp_path / "b.tum"), progress)
-    assert told == [("simulate", 11)]
-    assert progress.steps == made.scans == len((tmp_path / "b.tum").read_text().splitlines())
+    progress.start.assert_called_once_with("simulate", 11)
+    poses = len((tmp_path / "b.tum").read_text().splitlines())
+    assert progress.advance.call_count == made.scans == poses
     assert made.as_dict()["log"] == str(tmp_path / "a.mcap")
     metres, area = f"{made.distance_m:.0f}", f"{made.area_m2:.0f}"
     assert made.lines() == [
@@ -154,26 +145,20 @@ def test_paths_may_be_text_and_the_advance_is_told(flat: GridMap, tmp_path: Path
     ]
 
 
-@pytest.mark.parametrize("truth", [None, "log.tum"])
-def test_a_truth_in_place_of_the_recording_is_refused(
-    flat: GridMap, tmp_path: Path, truth: str | None
+@pytest.mark.parametrize(
+    ("log", "truth", "told"),
+    [
+        ("log.tum", None, r"log\.tum: the recording and the true poses would be one"),
+        ("log.tum", "log.tum", r"log\.tum: the recording and the true poses would be one"),
+        ("log.mcap", "no/truth.tum", r"truth.*cannot be written"),
+    ],
+)
+def test_a_truth_that_has_no_place_leaves_no_recording(
+    flat: GridMap, tmp_path: Path, log: str, truth: str | None, told: str
 ) -> None:
-    with pytest.raises(
-        UsageError, match=r"log\.tum: the recording and the true poses would be one"
-    ):
-        simulate(
-            flat,
-            SimulationOptions(),
-            tmp_path / "log.tum",
-            None if truth is None else tmp_path / truth,
-        )
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_truth_that_cannot_be_written_leaves_no_recording(flat: GridMap, tmp_path: Path) -> None:
     options = SimulationOptions(max_duration_s=0.2, beams=8)
-    with pytest.raises(UsageError, match=r"truth.*cannot be written"):
-        simulate(flat, options, tmp_path / "log.mcap", tmp_path / "no" / "truth.tum")
+    with pytest.raises(UsageError, match=told):
+        simulate(flat, options, tmp_path / log, None if truth is None else tmp_path / truth)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -58,10 +58,15 @@ def test_height_roll_and_pitch_are_kept_from_the_first_3d_pose_on() -> None:
     assert np.abs(tilt[[0, 2, 4]]).max() == 0.0
 
 
-def test_a_stage_inside_another_is_counted_once(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Stopwatch:
+    """A stopwatch in whose time each look at the clock takes a second."""
     ticks = itertools.count()
     monkeypatch.setattr(time, "perf_counter", lambda: float(next(ticks)))
-    clock = Stopwatch()  # tick 0
+    return Stopwatch()  # tick 0
+
+
+def test_a_stage_inside_another_is_counted_once(clock: Stopwatch) -> None:
     with clock.stage("outer"):  # tick 1
         time.perf_counter()  # tick 2: work of its own
         with clock.stage("inner"):  # tick 3
@@ -72,10 +77,7 @@ def test_a_stage_inside_another_is_counted_once(monkeypatch: pytest.MonkeyPatch)
     assert clock.seconds == {"outer": 2.0 + 1.0 + 1.0, "inner": 1.0}
 
 
-def test_a_stage_that_fails_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    ticks = itertools.count()
-    monkeypatch.setattr(time, "perf_counter", lambda: float(next(ticks)))
-    clock = Stopwatch()
+def test_a_stage_that_fails_is_counted(clock: Stopwatch) -> None:
     with pytest.raises(RuntimeError), clock.stage("work"):
         raise RuntimeError
     assert clock.seconds == {"work": 1.0}

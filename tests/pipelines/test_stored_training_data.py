@@ -45,74 +45,62 @@ def test_a_map_keeps_what_its_classifiers_learned_from(flat_map: StoredMap) -> N
     assert len(np.unique(data.raw.keyframes)) == len(data.raw.keyframes)
 
 
-@pytest.mark.parametrize(
-    "changed",
-    [
-        {"recognition": {"feature_set": "table1"}},
-        {"localization": {"false_unknown": 0.1}},
-    ],
-)
-def test_other_settings_learn_anew(flat_map: StoredMap, changed: dict[str, Any]) -> None:
-    values = flat_map.config.model_dump()
-    for section, settings in changed.items():
-        values[section] |= settings
-    config = Config.model_validate(values)
-    assert len(training_data_of_stored(flat_map, config).raw.keyframes) == 0
+def changed(config: Config, section: str, **settings: Any) -> Config:
+    """Settings of which some in a section are others."""
+    values = config.model_dump()
+    values[section] |= settings
+    return Config.model_validate(values)
 
 
-def test_what_was_cast_in_other_grids_is_cast_anew(flat_map: StoredMap) -> None:
-    values = flat_map.config.model_dump()
-    values["grid"] |= {"footprint_m": 0.3}
-    found = training_data_of_stored(flat_map, Config.model_validate(values))
-    assert len(found.cast.keyframes) == 0 < len(found.along.keyframes)
+def learned_from(stored: StoredMap, config: Config) -> int:
+    """How many scans of a map are learned from with these settings without being made anew."""
+    return len(training_data_of_stored(stored, config).raw.keyframes)
+
+
+def test_other_settings_learn_anew(flat_map: StoredMap) -> None:
+    config = flat_map.config
+    assert learned_from(flat_map, changed(config, "recognition", feature_set="table1")) == 0
+    assert learned_from(flat_map, changed(config, "localization", false_unknown=0.1)) == 0
+    found = training_data_of_stored(flat_map, changed(config, "grid", footprint_m=0.3))
+    assert len(found.cast.keyframes) == 0 < len(found.along.keyframes), "cast in other grids"
 
 
 @pytest.mark.parametrize("without", [{"virtual": False}, {"augmentation": 0}])
 def test_a_map_without_some_kind_of_scans_keeps_the_others(
     tiny_log: Path, tmp_path: Path, without: dict[str, Any]
 ) -> None:
-    values = QUICK.model_dump()
-    values["localization"] |= without
-    build_map(tiny_log, tmp_path / "map", Config.model_validate(values))
+    build_map(tiny_log, tmp_path / "map", changed(QUICK, "localization", **without))
     stored = read_map(tmp_path / "map")
     found = training_data_of_stored(stored, stored.config)
     assert len(found.raw.keyframes) > 0 == len(found.cast.keyframes)
 
 
-def test_another_version_and_a_map_without_the_file_learn_anew(
-    flat_map: StoredMap, tmp_path: Path
+@pytest.mark.parametrize("footprint_m", [None, 7], ids=["known settings", "unknown settings"])
+def test_a_map_of_another_version_learns_anew(
+    footprint_m: float | None, flat_map: StoredMap, tmp_path: Path
 ) -> None:
     shutil.copytree(flat_map.path, tmp_path / "other")
     run = json.loads((tmp_path / "other" / "run.json").read_text(encoding="utf-8"))
     run["versions"]["specmap"] = "0.0.1"
+    if footprint_m is not None:
+        run["config"]["grid"]["footprint_m"] = footprint_m
     (tmp_path / "other" / "run.json").write_text(json.dumps(run), encoding="utf-8")
     other = read_map(tmp_path / "other")
-    assert len(training_data_of_stored(other, flat_map.config).raw.keyframes) == 0
-    shutil.copyfile(flat_map.path / "run.json", tmp_path / "other" / "run.json")
-    (tmp_path / "other" / "features.npz").unlink()
-    assert (
-        len(training_data_of_stored(read_map(tmp_path / "other"), flat_map.config).raw.keyframes)
-        == 0
-    )
-
-
-def test_settings_of_another_version_need_not_be_known(flat_map: StoredMap, tmp_path: Path) -> None:
-    shutil.copytree(flat_map.path, tmp_path / "other")
-    run = json.loads((tmp_path / "other" / "run.json").read_text(encoding="utf-8"))
-    run["versions"]["specmap"] = "0.0.1"
-    run["config"]["grid"]["footprint_m"] = 7
-    (tmp_path / "other" / "run.json").write_text(json.dumps(run), encoding="utf-8")
-    other = read_map(tmp_path / "other")
-    assert len(training_data_of_stored(other, flat_map.config).raw.keyframes) == 0
+    assert learned_from(other, flat_map.config) == 0
     assert comparable(classifiers_of(other), other, flat_map.config) is None
+
+
+def test_a_map_without_the_file_learns_anew(flat_map: StoredMap, tmp_path: Path) -> None:
+    shutil.copytree(flat_map.path, tmp_path / "other")
+    (tmp_path / "other" / "features.npz").unlink()
+    assert learned_from(read_map(tmp_path / "other"), flat_map.config) == 0
 
 
 def test_classifiers_of_other_settings_are_no_test(flat_map: StoredMap) -> None:
     classifiers = classifiers_of(flat_map)
     assert comparable(classifiers, flat_map, flat_map.config) is classifiers
-    values = flat_map.config.model_dump()
-    values["recognition"] |= {"rounds": 1 + flat_map.config.recognition.rounds}
-    assert comparable(classifiers, flat_map, Config.model_validate(values)) is None
+    more = changed(flat_map.config, "recognition", rounds=1 + flat_map.config.recognition.rounds)
+    assert comparable(classifiers, flat_map, more) is None
     assert comparable(None, flat_map, flat_map.config) is None
 
 

@@ -6,6 +6,7 @@ import json
 import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -97,11 +98,8 @@ def test_what_the_second_recording_shows_again_is_let_go_and_said(kept: Kept) ->
     assert any("older keyframes dropped" in line for line in kept.report.lines())
     before, after = kept.old.logs[0], kept.new.logs[0]
     assert after.path_m == pytest.approx(kept.old.run["counts"]["path_m"], abs=0.1)
-    assert (before.start_ns, before.end_ns, before.scans) == (
-        after.start_ns,
-        after.end_ns,
-        after.scans,
-    )
+    when = [(log.start_ns, log.end_ns, log.scans) for log in (before, after)]
+    assert when[0] == when[1]
 
 
 def test_visits_stays_and_closures_of_the_old_recording_are_as_they_were(kept: Kept) -> None:
@@ -128,19 +126,12 @@ def test_scans_that_were_learned_from_are_learned_from_again(kept: Kept) -> None
 def test_damaged_features_are_refused_before_the_recording_is_read(
     kept: Kept, tmp_path: Path
 ) -> None:
-    class Stages(Silent):
-        started = 0
-
-        def start(self, stage: str, total: int | None) -> None:
-            del stage, total
-            self.started += 1
-
     shutil.copytree(kept.old.path, tmp_path / "old")
     (tmp_path / "old" / "features.npz").write_bytes(b"PK")
-    stages = Stages()
+    stages = Mock(spec=Silent())
     with pytest.raises(MapError, match=r"features\.npz: is no zip file of arrays: delete it"):
         update_map(tmp_path / "old", kept.second.log, tmp_path / "new", QUICK, progress=stages)
-    assert not stages.started
+    stages.start.assert_not_called()
     assert not (tmp_path / "new").exists()
 
 
@@ -219,17 +210,12 @@ def test_nobody_drove_from_the_end_of_one_log_to_the_start_of_the_next(kept: Kep
 
 
 def test_the_joint_layout_is_as_good_as_either(kept: Kept, tmp_path: Path) -> None:
-    whole = read_tum(kept.new.path / "trajectory.tum")
-    for log, rows in (
-        (kept.first, slice(0, kept.first.scans)),
-        (kept.second, slice(kept.first.scans, None)),
-    ):
-        piece = tmp_path / "piece.tum"
-        lines = (kept.new.path / "trajectory.tum").read_text(encoding="utf-8").splitlines()
-        piece.write_text("\n".join(lines[rows]) + "\n", encoding="utf-8")
-        errors = reference_errors(read_tum(piece), read_tum(log.truth))
-        assert errors.ate_m < 0.06
-    assert len(whole.stamps_ns) == kept.first.scans + kept.second.scans
+    lines = (kept.new.path / "trajectory.tum").read_text(encoding="utf-8").splitlines()
+    count, piece = kept.first.scans, tmp_path / "piece.tum"
+    assert len(lines) == count + kept.second.scans
+    for log, own in ((kept.first, lines[:count]), (kept.second, lines[count:])):
+        piece.write_text("\n".join(own) + "\n", encoding="utf-8")
+        assert reference_errors(read_tum(piece), read_tum(log.truth)).ate_m < 0.06
 
 
 def test_what_was_found_closes_loops_between_the_logs(kept: Kept) -> None:
