@@ -15,7 +15,7 @@ from specmap_cli.drawing.palette import PAPER, RIGHT, SHADE, paler
 from specmap_cli.drawing.predictions import render_confusion, render_labels
 from specmap_cli.drawing.sheet import TITLE
 from specmap_cli.maps.writing import MapResult
-from tests.drawing.looking import bounds, inked, is_framed, near, of_colour
+from tests.drawing.looking import bounds, inked, is_framed, near, of_colour, pixel
 
 LARGEST = 72  # pixels of a cell while there are few
 
@@ -42,15 +42,12 @@ def test_each_scan_has_the_colour_of_its_submap(result: MapResult) -> None:
 
 def test_stretches_are_as_long_as_their_share_of_the_way() -> None:
     image = render_labels(straight(), thirds(0, 1, 2, 0), "t")
-    first = of_colour(image, palette.vivid(palette.FILLS[0]), 25)[TITLE:-160]
-    middle = int(np.flatnonzero(first.any(axis=1)).mean()) + TITLE
-    lengths = [
-        of_colour(image, palette.vivid(palette.FILLS[k]), 25)[middle - 3 : middle + 4]
-        .any(axis=0)
-        .sum()
-        for k in (0, 1)
-    ]
-    assert lengths[0] > 1.5 * lengths[1] > 300
+    first, second = (
+        of_colour(image, palette.vivid(palette.FILLS[k]), 25)[TITLE:-160] for k in (0, 1)
+    )
+    middle = int(np.flatnonzero(first.any(axis=1)).mean())
+    along = slice(middle - 3, middle + 4)
+    assert first[along].any(axis=0).sum() > 1.5 * second[along].any(axis=0).sum() > 300
 
 
 def test_neighbours_along_the_way_differ_without_a_map() -> None:
@@ -83,15 +80,12 @@ def test_the_mark_of_wrong_ones_is_as_long_as_they_are() -> None:
 
 def test_unknown_scans_are_rings() -> None:
     known, some, none = (
-        render_labels(straight(60), labels, "t")
-        for labels in (thirds(4, 4, count=60), thirds(4, -1, count=60), thirds(-1, -1, count=60))
+        render_labels(straight(60), thirds(*ids, count=60), "t")[TITLE:-160]
+        for ids in ((4, 4), (4, -1), (-1, -1))
     )
-    ink = [near(image[TITLE:-160], palette.INK) for image in (known, some, none)]
-    assert ink[0] < ink[1] < ink[2]
-    lines = [
-        near(image[TITLE:-160], palette.vivid(palette.FILLS[4])) for image in (known, some, none)
-    ]
-    assert lines[0] > 1.5 * lines[1] > lines[2] == 0
+    assert near(known, palette.INK) < near(some, palette.INK) < near(none, palette.INK)
+    line = palette.vivid(palette.FILLS[4])
+    assert near(known, line) > 1.5 * near(some, line) > near(none, line) == 0
 
 
 def test_without_a_map_the_colours_are_those_given() -> None:
@@ -119,9 +113,8 @@ def test_an_id_stands_on_the_ground_where_no_badge_is_near(result: MapResult) ->
 def test_without_a_map_the_frame_does_not_matter(shift: tuple[float, float]) -> None:
     """Shifts by powers of two, after which the same floats are left."""
     places, labels = np.round(straight() * 64) / 64, thirds(0, 1, 2)
-    here = render_labels(places, labels, "t")
     there = render_labels(places + shift, labels, "t")
-    np.testing.assert_array_equal(here, there)
+    np.testing.assert_array_equal(render_labels(places, labels, "t"), there)
 
 
 def test_scans_without_a_place_are_left_out() -> None:
@@ -148,10 +141,8 @@ def test_a_robot_lost_and_found_is_not_led_across() -> None:
     places = straight()
     places[60:, 0] += 40.0
     image = render_labels(places, thirds(0, 1), "t")
-    columns = inked(image[TITLE:-160]).any(axis=0)
-    first, last = np.flatnonzero(columns)[[0, -1]]
-    gap = np.diff(np.flatnonzero(columns)).max()
-    assert gap > 0.6 * (last - first)
+    columns = np.flatnonzero(inked(image[TITLE:-160]).any(axis=0))
+    assert np.diff(columns).max() > 0.6 * np.ptp(columns)
 
 
 @pytest.mark.parametrize(("ids", "badges"), [((5,), 1), ((5, 6), 2), ((5, -1), 1), ((-1,), 0)])
@@ -165,13 +156,11 @@ def test_each_long_stretch_has_a_badge_with_its_id(ids: tuple[int, ...], badges:
 def test_badges_of_one_submap_keep_apart() -> None:
     """A flickering prediction does not paper the way over with badges."""
     flickering = np.tile(np.repeat([0, 1], 2), 30)
-    calm = near(render_labels(straight(), thirds(0, 1), "t"), palette.PAPER)
-    nervous = render_labels(straight(), flickering, "t")
-    rim = near(nervous, palette.darker(palette.FILLS[0]))
-    one = near(render_labels(straight(), thirds(0, 1), "t"), palette.darker(palette.FILLS[0]))
-    places = 1500 / (5.0 * symbols.BADGE_GAP)
-    assert one < rim < (places + 2) * one
-    assert calm > 0
+    one, rim = (
+        near(render_labels(straight(), labels, "t"), palette.darker(palette.FILLS[0]))
+        for labels in (thirds(0, 1), flickering)
+    )
+    assert one < rim < (1500 / (5.0 * symbols.BADGE_GAP) + 2) * one
 
 
 def centres(image: Image, rows: int, columns: int) -> NDArray[np.int64]:
@@ -189,22 +178,16 @@ def centres(image: Image, rows: int, columns: int) -> NDArray[np.int64]:
     return np.array([(left + 36, top + 12) for top, left in corners]).reshape(rows, columns, 2)
 
 
-def colour_at(image: Image, place: NDArray[np.int64]) -> list[int]:
-    x, y = place.tolist()
-    found: list[int] = image[y, x].tolist()
-    return found
-
-
 def test_right_is_blue_wrong_is_red_and_nothing_is_grey() -> None:
     image = render_confusion(np.array([[9, 1, 0], [0, 10, 0]]), ["0", "1"], ["0", "1", "?"])
     at = centres(image, 2, 3)
     assert np.diff(at[0, :, 0]).tolist() == [LARGEST, LARGEST]
     assert np.diff(at[:, 0, 1]).tolist() == [LARGEST]
-    assert colour_at(image, at[1, 1]) == list(RIGHT)
-    assert colour_at(image, at[0, 0]) == list(paler(RIGHT, 0.088))
+    assert pixel(image, at[1, 1]) == RIGHT
+    assert pixel(image, at[0, 0]) == paler(RIGHT, 0.088)
     for row, column in ((0, 2), (1, 0), (1, 2)):
-        assert colour_at(image, at[row, column]) == list(SHADE)
-    blue, green, red = colour_at(image, at[0, 1])
+        assert pixel(image, at[row, column]) == SHADE
+    blue, green, red = pixel(image, at[0, 1])
     assert red > max(blue, green) + 20
 
 
@@ -213,8 +196,8 @@ def test_the_more_of_a_row_the_deeper_the_colour(wrong: int) -> None:
     image = render_confusion(np.array([[100 - wrong, wrong], [0, 1]]), ["a", "b"])
     at = centres(image, 2, 2)
     more = render_confusion(np.array([[99 - wrong, wrong + 1], [0, 1]]), ["a", "b"])
-    assert sum(colour_at(more, at[0, 1])) < sum(colour_at(image, at[0, 1]))
-    assert sum(colour_at(more, at[0, 0])) >= sum(colour_at(image, at[0, 0]))
+    assert sum(pixel(more, at[0, 1])) < sum(pixel(image, at[0, 1]))
+    assert sum(pixel(more, at[0, 0])) >= sum(pixel(image, at[0, 0]))
 
 
 def test_cells_show_shares_of_their_row_not_counts() -> None:
