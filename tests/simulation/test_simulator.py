@@ -30,17 +30,13 @@ def brief(**changes: Any) -> SimulationOptions:
     return BRIEF.model_copy(update=changes)
 
 
-def test_errors_of_the_sensors_leave_the_route_as_it_is(flat: GridMap) -> None:
-    exact = simulated_tour(flat, SimulationOptions(seed=5, noise_m=0.0, odometry_drift=0.0))
-    noisy = simulated_tour(
-        flat, SimulationOptions(seed=5, noise_m=0.05, odometry_drift=3.0, beams=90)
+def test_errors_of_a_sensor_leave_the_route_and_the_other_sensor_as_they_are(flat: GridMap) -> None:
+    exact, noisy, drifting = (
+        simulated_tour(flat, SimulationOptions(seed=5, beams=8, noise_m=noise, odometry_drift=drift))
+        for noise, drift in ((0.0, 1.0), (0.3, 1.0), (0.05, 3.0))
     )
-    np.testing.assert_array_equal(exact.truth.poses, noisy.truth.poses)
-
-
-def test_the_laser_s_noise_leaves_the_odometry_as_it_is(flat: GridMap) -> None:
-    one, other = (simulated_tour(flat, brief(noise_m=noise, beams=8)) for noise in (0.0, 0.3))
-    np.testing.assert_array_equal(one.odometry.poses, other.odometry.poses)
+    np.testing.assert_array_equal(exact.truth.poses, drifting.truth.poses)
+    np.testing.assert_array_equal(exact.odometry.poses, noisy.odometry.poses)
 
 
 def test_the_scans_of_a_tour_are_the_same_every_time(flat: GridMap) -> None:
@@ -157,12 +153,11 @@ def test_options_out_of_range_are_one_line(values: dict[str, Any], message: str)
     assert "\n" not in str(caught.value)
 
 
-def test_a_lidar_must_stand_below_the_ceiling() -> None:
+def test_a_lidar_must_stand_below_the_ceiling_and_its_clouds_are_no_planar_scans(
+    flat: GridMap,
+) -> None:
     with pytest.raises(UsageError, match="laser_height_m is not below ceiling_m, 2 m"):
         simulation_options(rings=8, laser_height_m=2.0, ceiling_m=2.0)
     assert simulation_options(laser_height_m=2.0, ceiling_m=2.0).rings == 1
-
-
-def test_clouds_are_no_planar_scans(flat: GridMap) -> None:
     with pytest.raises(UsageError, match="rings: a 3D lidar has clouds"):
         next(simulate_sweeps(flat, brief(rings=8)))
