@@ -65,14 +65,11 @@ def test_a_wide_door_has_two_leaves_that_open_to_one_side() -> None:
     assert min(drawn[45, :50].sum(), drawn[45, 90:].sum()) > 2
 
 
-def test_the_gap_of_a_door_is_paper_in_the_wall() -> None:
+def test_the_gap_of_a_door_is_paper_in_the_wall_and_a_small_one_can_still_be_seen() -> None:
     canvas = Canvas(120, 80, palette.INK)
     symbols.gap(canvas, np.array([[30.0, 40.0], [90.0, 40.0]]))
     assert pixel(canvas.image, np.array([60, 40])) == palette.PAPER
     assert pixel(canvas.image, np.array([15, 40])) == palette.INK
-
-
-def test_a_door_of_a_large_building_can_still_be_seen() -> None:
     canvas = Canvas(120, 80, palette.SHADE)
     symbols.door(canvas, np.array([[60.0, 39.0], [60.0, 41.0]]), True)
     _, _, top, bottom = bounds(of_colour(canvas.image, palette.DOOR, 60))

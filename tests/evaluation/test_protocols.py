@@ -16,14 +16,8 @@ from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import LogError
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Trajectory
-from specmap_cli.evaluation.protocols import (
-    HoldOut,
-    classification_scores,
-    hold_out,
-    nearest_labels,
-    revisit,
-    score_lines,
-)
+from specmap_cli.evaluation import protocols
+from specmap_cli.evaluation.protocols import HoldOut, classification_scores
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.recognition.localization.localizer import Label
@@ -75,7 +69,7 @@ def chosen_of(options: HoldOut, count: int) -> np.ndarray[Any, Any]:
 def test_labels_come_from_the_nearest_place_in_reach() -> None:
     known = np.array([[0.0, 0.0, 1.0], [5.0, 0.0, 2.0]])
     places = np.array([[0.4, 0.0], [4.2, 0.3], [2.5, 0.0]])
-    assert nearest_labels(places, known, np.array([7, 9])).tolist() == [7, 9, -1]
+    assert protocols.nearest_labels(places, known, np.array([7, 9])).tolist() == [7, 9, -1]
 
 
 def labels_of(submaps: list[int | None]) -> list[Label]:
@@ -94,12 +88,12 @@ def test_a_revisit_is_scored_by_given_poses_in_any_frame() -> None:
     stamps = np.arange(4, dtype=np.int64) * 10**9
     reference = Trajectory(stamps, np.column_stack([given_places, np.zeros(4)]))
     labels = labels_of([0, 1, 0, 1])
-    result = revisit(labels, reference, keyframes, map_from_reference)
+    result = protocols.revisit(labels, reference, keyframes, map_from_reference)
     assert result.truth.tolist() == [0, 1, 1, -1]
     assert result.raw.accuracy == pytest.approx(2 / 3)
     assert result.as_dict()["filtered"]["scans"] == 3
     with pytest.raises(LogError, match="50 ms"):  # no stamp in common
-        revisit(labels, Trajectory(stamps + 10**15, reference.poses), keyframes)
+        protocols.revisit(labels, Trajectory(stamps + 10**15, reference.poses), keyframes)
 
 
 def test_a_whole_hold_out_run(flat: GridMap, tmp_path: Path) -> None:
@@ -110,7 +104,7 @@ def test_a_whole_hold_out_run(flat: GridMap, tmp_path: Path) -> None:
     config = load_config(
         overrides={"recognition": {"rounds": 30}, "localization": {"augmentation": 60}}
     )
-    result = hold_out([log], config, HoldOut(seed=1))
+    result = protocols.hold_out([log], config, HoldOut(seed=1))
     data = json.loads(json.dumps(result.as_dict()))
     assert {"train", "test", "submaps"} <= set(data)
     assert {"recall", "precision", "scans"} <= set(data["test"])
@@ -152,14 +146,14 @@ def test_nothing_scored_scores_nought_and_figures_have_six_decimals(ids: list[in
     found = classification_scores([], [], ids)
     assert found.confusion.shape == (len(ids), len(ids) + 1)
     assert found.as_dict() == {"recall": 0.0, "precision": 0.0, "accuracy": 0.0, "scans": 0}
-    assert len(score_lines(found)) == 2
+    assert len(protocols.score_lines(found)) == 2
     figures = json.loads(json.dumps(classification_scores([0, 0, 0], [0, 1, 1], [0, 1]).as_dict()))
     assert figures == {"recall": 0.333333, "precision": 1.0, "accuracy": 0.333333, "scans": 3}
 
 
 def test_the_table_is_aligned() -> None:
     truth = np.repeat([3, 12], [1200, 2])
-    assert score_lines(classification_scores(truth, [3] * 1201 + [12], [3, 12])) == [
+    assert protocols.score_lines(classification_scores(truth, [3] * 1201 + [12], [3, 12])) == [
         "  submap   scans  recall  precision",
         "       3   1,200   1.000      0.999",
         "      12       2   0.500      1.000",

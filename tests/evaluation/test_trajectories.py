@@ -16,14 +16,8 @@ from scipy.spatial.transform import Rotation
 from specmap_cli.core.errors import InputError
 from specmap_cli.core.geometry import Pose2, compose, nearest_motion
 from specmap_cli.core.records import Trajectory
-from specmap_cli.evaluation.trajectories import (
-    Relations,
-    associate,
-    read_relations,
-    read_tum,
-    reference_errors,
-    relation_errors,
-)
+from specmap_cli.evaluation import trajectories
+from specmap_cli.evaluation.trajectories import Relations, read_relations, read_tum
 from specmap_cli.maps.text_files import planar_trajectory_text, trajectory_text
 from tests.strategies import poses, seeds
 
@@ -92,7 +86,7 @@ def test_missing_and_binary_files_are_said(tmp_path: Path) -> None:
 @given(st.lists(st.integers(0, 300), max_size=30), st.lists(st.integers(0, 300), max_size=30))
 def test_association_is_the_nearest_within_tolerance(have: list[int], want: list[int]) -> None:
     stamps, wanted = np.array(have, dtype=np.int64), np.array(want, dtype=np.int64)
-    rows, found = associate(stamps, wanted, 5)
+    rows, found = trajectories.associate(stamps, wanted, 5)
     expected = [k for k, w in enumerate(want) if any(abs(s - w) <= 5 for s in have)]
     assert rows.tolist() == expected
     for row, k in zip(rows.tolist(), found.tolist(), strict=True):
@@ -104,7 +98,7 @@ def test_a_scale_error_grows_with_the_length_of_path() -> None:
     truth = walk()
     straight = Trajectory(truth.stamps_ns, truth.poses * (1, 0, 0))
     longer = Trajectory(truth.stamps_ns, straight.poses * (1.02, 1, 1))
-    found = reference_errors(longer, straight)
+    found = trajectories.reference_errors(longer, straight)
     for length, errors in found.relative.items():
         assert errors.translation_m.mean == pytest.approx(0.02 * length, rel=0.1)
         assert errors.rotation_deg.max == 0.0
@@ -194,7 +188,7 @@ def test_relation_errors_are_those_of_homogeneous_matrices(seed: int) -> None:
     i, j = rng.integers(0, 30, (2, 9))
     wanted = rng.normal(0, 1, (10, 3))
     earlier, later = (np.append(driven.stamps_ns[k], 10**15) for k in (i, j))  # the last: not driven
-    found = relation_errors(driven, Relations(earlier, later, wanted))
+    found = trajectories.relation_errors(driven, Relations(earlier, later, wanted))
     assert (found.matched, found.total) == (9, 10)
     lengths, angles = [], []
     for first, second, pose in zip(i, j, wanted[:9], strict=True):
@@ -213,7 +207,7 @@ def test_relation_errors_are_those_of_homogeneous_matrices(seed: int) -> None:
 @pytest.mark.parametrize(("count", "lengths"), [(5, []), (30, [1.0]), (120, [1.0, 5.0])])
 def test_only_lengths_that_the_path_reaches_are_scored(count: int, lengths: list[float]) -> None:
     truth = walk(count)
-    found = reference_errors(truth, truth)
+    found = trajectories.reference_errors(truth, truth)
     assert list(found.relative) == lengths
     assert json.loads(json.dumps(found.as_dict()))["relative"].keys() == {
         f"{length:g}" for length in lengths
@@ -223,7 +217,7 @@ def test_only_lengths_that_the_path_reaches_are_scored(count: int, lengths: list
 def test_the_absolute_error_is_after_the_best_motion_and_the_end_error_before_any() -> None:
     truth = walk(100)
     bent = Trajectory(truth.stamps_ns, truth.poses + (0.0, 0.0, np.radians(3.0)))
-    found = reference_errors(bent, truth)
+    found = trajectories.reference_errors(bent, truth)
     assert found.ate_m == pytest.approx(0.0, abs=1e-9)
     assert found.end_deg == pytest.approx(0.0, abs=1e-9)
     way = truth.poses[-1, :2] - truth.poses[0, :2]
@@ -233,7 +227,7 @@ def test_the_absolute_error_is_after_the_best_motion_and_the_end_error_before_an
 def test_poses_between_the_scans_are_not_matched() -> None:
     truth = walk(50)
     stamps = np.concatenate([truth.stamps_ns, truth.stamps_ns + 5 * 10**7])
-    found = reference_errors(truth, Trajectory(stamps, np.tile(truth.poses, (2, 1))))
+    found = trajectories.reference_errors(truth, Trajectory(stamps, np.tile(truth.poses, (2, 1))))
     assert (found.matched, found.total) == (50, 100)
     assert found.ate_m == pytest.approx(0.0, abs=1e-9)
 
@@ -245,7 +239,7 @@ def test_one_common_pose_is_too_few(common: int, words: str) -> None:
     stamps[:common] = truth.stamps_ns[:common]
     foreign = Trajectory(stamps, truth.poses)
     with pytest.raises(InputError, match=rf"have {words} in common \(20 in the truth\)"):
-        reference_errors(foreign, truth)
+        trajectories.reference_errors(foreign, truth)
     relations = Relations(truth.stamps_ns[1:], truth.stamps_ns[1:], truth.poses[1:])
     with pytest.raises(InputError, match="no stamps in common"):
-        relation_errors(foreign, relations)
+        trajectories.relation_errors(foreign, relations)

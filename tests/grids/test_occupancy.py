@@ -259,22 +259,19 @@ def test_grids_are_added_and_taken_from_each_other(taken: Taken, cut: int) -> No
     assert known(rest.snapshot()) == known(counts_of(taken).snapshot())
 
 
-def test_a_grid_is_not_made_larger_than_allowed_by_adding_another() -> None:
-    config = settings(max_extent_m=20.0)
-    grid = counts_of([(one_beam(0.0, 2.0), IDENTITY)], config)
-    grid.include(counts_of([(one_beam(0.0, 2.0), Pose2(50.0, 0.0, 0.0))], config))
-    assert grid.refused == 1
-    assert max(grid.snapshot().cells.shape) * CELL <= 20.0
-
-
-def test_what_a_full_grid_refused_is_not_taken_from_it() -> None:
+def test_what_a_full_grid_refused_is_neither_added_nor_taken_from_it() -> None:
     config = settings(max_extent_m=4.0)
-    whole = counts_of([(one_beam(0.0, 2.0), IDENTITY), (one_beam(1.5, 3.9), IDENTITY)], config)
-    add(whole, one_beam(-1.5, 3.0), IDENTITY)
-    assert whole.refused == 1
-    rest = whole.without(counts_of([(one_beam(-1.5, 3.0), IDENTITY)], config))
-    assert rest.snapshot().values_at(np.array([[2.0, 0.0]]))[0] == OCCUPIED
-    assert (rest.snapshot().values_at(np.array([[0.2, -3.0]])) == UNKNOWN).all()
+    taken = [(one_beam(0.0, 2.0), IDENTITY), (one_beam(1.5, 3.9), IDENTITY)]
+    beyond = counts_of([(one_beam(-1.5, 3.0), IDENTITY)], config)
+    whole = counts_of([*taken, (one_beam(-1.5, 3.0), IDENTITY)], config)
+    both = counts_of(taken, config)
+    both.include(beyond)
+    for grid in (whole, both):
+        assert grid.refused == 1
+        assert max(grid.snapshot().cells.shape) * CELL <= 4.0
+        rest = grid.without(beyond).snapshot()
+        places = np.array([[2.0, 0.0], [0.2, -3.0]])
+        assert rest.values_at(places).tolist() == [OCCUPIED, UNKNOWN]
 
 
 @given(planar_scans(), poses, st.floats(0.0, 9.0))

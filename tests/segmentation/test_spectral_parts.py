@@ -17,23 +17,8 @@ from sklearn.metrics import adjusted_rand_score
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import SegmentationConfig
-from specmap_cli.segmentation import spectral
 from specmap_cli.segmentation.graph_division import spectral_clusters, split_again, subgraph
-from specmap_cli.segmentation.spectral import (
-    bisect,
-    clusters_of,
-    dense_normalised,
-    dense_similarity,
-    eigenpairs_above,
-    kmeans_unit,
-    largest_eigenpairs,
-    local_scales,
-    normalised,
-    similarity,
-    two_largest,
-    unit_rows,
-    with_fixed_signs,
-)
+from specmap_cli.segmentation import spectral
 from specmap_cli.segmentation.visibility import LabelArray, VisibilityGraph, near_pairs
 from tests.strategies import few, seeds
 
@@ -55,7 +40,7 @@ def blobs(seed: int, clusters: int = 3, each: int = 25) -> VisibilityGraph:
 @given(seed=seeds, neighbours=st.sampled_from([0, 1, 3, 7]))
 def test_scales_are_medians_of_the_nearest_visible_nodes(seed: int, neighbours: int) -> None:
     graph = blobs(seed, each=6)
-    scales = local_scales(graph.lengths, graph.pairs, len(graph.nodes), neighbours)
+    scales = spectral.local_scales(graph.lengths, graph.pairs, len(graph.nodes), neighbours)
     for node in range(len(graph.nodes)):
         seen = np.sort(graph.lengths[(graph.pairs == node).any(axis=1)])
         assert scales[node] == np.median(seen[:neighbours] if neighbours else seen)
@@ -65,29 +50,29 @@ def test_scales_are_medians_of_the_nearest_visible_nodes(seed: int, neighbours: 
 def test_similarity_is_equation_1(seed: int) -> None:
     graph = blobs(seed, each=6)
     count = len(graph.nodes) + 1  # the last sees no other
-    scales = local_scales(graph.lengths, graph.pairs, count)
-    S = similarity(graph.lengths, graph.pairs, scales, count).toarray()
+    scales = spectral.local_scales(graph.lengths, graph.pairs, count)
+    S = spectral.similarity(graph.lengths, graph.pairs, scales, count).toarray()
     assert (S >= 0.0).all()
     np.testing.assert_array_equal(S, S.T)
     assert not S.diagonal().any()
     for (i, j), length in zip(graph.pairs[::5], graph.lengths[::5], strict=True):
         assert S[i, j] == pytest.approx(np.exp(-(length**2) / (scales[i] * scales[j])))
-    np.testing.assert_array_equal(dense_similarity(graph.lengths, graph.pairs, scales, count), S)
+    np.testing.assert_array_equal(spectral.dense_similarity(graph.lengths, graph.pairs, scales, count), S)
 
 
 @given(seed=seeds)
 def test_the_normalised_affinity_has_largest_eigenvalue_one(seed: int) -> None:
     graph = blobs(seed, each=6)
     count = len(graph.nodes)
-    S = similarity(graph.lengths, graph.pairs, np.full(count, 20.0), count)
-    L, degrees = normalised(S)
+    S = spectral.similarity(graph.lengths, graph.pairs, np.full(count, 20.0), count)
+    L, degrees = spectral.normalised(S)
     dense = S.toarray()
     np.testing.assert_allclose(degrees, dense.sum(axis=1))
     np.testing.assert_allclose(L.toarray(), dense / np.sqrt(np.outer(degrees, degrees)), atol=1e-12)
-    assert largest_eigenpairs(L, 1)[0][0] == pytest.approx(1.0)
+    assert spectral.largest_eigenpairs(L, 1)[0][0] == pytest.approx(1.0)
     alone = np.pad(dense, (0, 1))  # the last sees no other
-    sparse_L, _ = normalised(sparse.csr_array(alone))
-    np.testing.assert_allclose(dense_normalised(alone), sparse_L.toarray(), rtol=1e-12)
+    sparse_L, _ = spectral.normalised(sparse.csr_array(alone))
+    np.testing.assert_allclose(spectral.dense_normalised(alone), sparse_L.toarray(), rtol=1e-12)
 
 
 def random_symmetric(size: int) -> sparse.csr_array:
@@ -101,22 +86,22 @@ def test_eigenpairs_are_those_of_a_dense_solver(size: int) -> None:
     matrix = random_symmetric(size)
     dense = matrix.toarray()
     every = np.linalg.eigvalsh(dense)[::-1]
-    values, vectors = largest_eigenpairs(matrix, 5)
+    values, vectors = spectral.largest_eigenpairs(matrix, 5)
     np.testing.assert_allclose(values, every[:5], atol=1e-6)
     np.testing.assert_allclose(matrix @ vectors, vectors * values, atol=1e-4)
     assert ((vectors**3).sum(axis=0) >= 0.0).all()
     for again in (matrix, dense):  # the same on every run, and of an array
-        same_values, same_vectors = largest_eigenpairs(again, 5)
+        same_values, same_vectors = spectral.largest_eigenpairs(again, 5)
         np.testing.assert_array_equal(same_values, values)
         np.testing.assert_array_equal(same_vectors, vectors)
-    values, vectors = two_largest(dense)
+    values, vectors = spectral.two_largest(dense)
     np.testing.assert_allclose(values, every[:2], atol=1e-9)
     np.testing.assert_allclose(matrix @ vectors, vectors * values, atol=1e-9)
     if size < 10:  # those asked for in excess are all there are
-        values, vectors = largest_eigenpairs(matrix, 40)
+        values, vectors = spectral.largest_eigenpairs(matrix, 40)
         assert (values.shape, vectors.shape) == ((size,), (size, size))
         assert (np.diff(values) <= 0.0).all()
-        assert len(eigenpairs_above(matrix, -100.0)[0]) == size
+        assert len(spectral.eigenpairs_above(matrix, -100.0)[0]) == size
 
 
 @given(seed=seeds)
@@ -173,8 +158,8 @@ def test_algorithm_2_is_the_paper_s_in_dense_matrices(seed: int, clusters: int) 
 def test_the_spectrum_of_a_graph_in_pieces_is_that_of_the_whole(seed: int) -> None:
     graph = in_pieces(seed)
     count = len(graph.nodes)
-    scales = local_scales(graph.lengths, graph.pairs, count)
-    L = normalised(similarity(graph.lengths, graph.pairs, scales, count))[0].toarray()
+    scales = spectral.local_scales(graph.lengths, graph.pairs, count)
+    L = spectral.normalised(spectral.similarity(graph.lengths, graph.pairs, scales, count))[0].toarray()
     found = spectral_clusters(graph, SegmentationConfig())
     every = np.linalg.eigvalsh(L)[::-1]
     np.testing.assert_allclose(found.eigenvalues, every[: len(found.eigenvalues)], atol=1e-6)
@@ -205,28 +190,28 @@ def test_nodes_that_see_nothing_are_clusters_of_their_own() -> None:
 @pytest.mark.parametrize("used", [1, 2, 5, 24])
 def test_k_is_the_number_of_eigenvalues_above_the_level(used: int) -> None:
     graph = blobs(0, clusters=2, each=12)
-    scales = local_scales(graph.lengths, graph.pairs, 24)
-    L, degrees = normalised(similarity(graph.lengths, graph.pairs, scales, 24))
+    scales = spectral.local_scales(graph.lengths, graph.pairs, 24)
+    L, degrees = spectral.normalised(spectral.similarity(graph.lengths, graph.pairs, scales, 24))
     every = np.append(np.linalg.eigvalsh(L.toarray())[::-1], -2.0)
-    found = clusters_of(L, degrees, float(every[used - 1] + every[used]) / 2.0)
+    found = spectral.clusters_of(L, degrees, float(every[used - 1] + every[used]) / 2.0)
     assert found.used == used
     assert len(np.unique(found.labels)) <= used
     assert len(found.eigenvalues) >= min(used + 1, 24)  # one below, where there is one
-    none = clusters_of(L, degrees, 1.0 + 1e-6)
+    none = spectral.clusters_of(L, degrees, 1.0 + 1e-6)
     assert none.used == 1
     assert not none.labels.any()
 
 
 def test_scales_of_nodes_that_see_no_other_are_one() -> None:
-    scales = local_scales(np.array([2.0, 6.0]), np.array([[1, 3], [3, 4]]), 6)
+    scales = spectral.local_scales(np.array([2.0, 6.0]), np.array([[1, 3], [3, 4]]), 6)
     assert scales.tolist() == [1.0, 2.0, 1.0, 4.0, 6.0, 1.0]
-    assert local_scales(np.zeros(0), np.zeros((0, 2), dtype=np.intp), 2).tolist() == [1.0, 1.0]
+    assert spectral.local_scales(np.zeros(0), np.zeros((0, 2), dtype=np.intp), 2).tolist() == [1.0, 1.0]
 
 
 def test_as_many_equal_eigenvalues_as_there_are_pieces_are_found() -> None:
     ring = np.array([[0.0, 0.5, 0.5], [0.5, 0.0, 0.5], [0.5, 0.5, 0.0]])
     many = sparse.block_diag([ring] * 60, format="csr")  # more than are asked for at first
-    values, vectors = eigenpairs_above(many, 0.9)
+    values, vectors = spectral.eigenpairs_above(many, 0.9)
     assert (values > 0.9).sum() == 60
     np.testing.assert_allclose(many @ vectors, vectors * values, atol=1e-4)
 
@@ -234,10 +219,10 @@ def test_as_many_equal_eigenvalues_as_there_are_pieces_are_found() -> None:
 @given(seed=seeds)
 def test_the_sign_of_an_eigenvector_is_its_cubes(seed: int) -> None:
     vectors = np.random.default_rng(seed).normal(size=(6, 4))
-    fixed = with_fixed_signs(vectors)
+    fixed = spectral.with_fixed_signs(vectors)
     np.testing.assert_array_equal(np.abs(fixed), np.abs(vectors))
     assert ((fixed**3).sum(axis=0) >= 0.0).all()
-    np.testing.assert_array_equal(with_fixed_signs(-vectors), fixed)
+    np.testing.assert_array_equal(spectral.with_fixed_signs(-vectors), fixed)
 
 
 @given(seed=seeds, level=st.sampled_from([0.5, 0.7, 0.95]))
@@ -274,13 +259,13 @@ def test_what_does_not_converge_is_solved_at_once(monkeypatch: pytest.MonkeyPatc
     rng = np.random.default_rng(0)
     dense = rng.random((200, 200))
     matrix = sparse.csr_array(dense + dense.T)
-    usual_values, usual = largest_eigenpairs(matrix, 5)
+    usual_values, usual = spectral.largest_eigenpairs(matrix, 5)
 
     def never_ends(*_: Any, **__: Any) -> None:
         raise ArpackNoConvergence("No convergence", np.zeros(0), np.zeros((200, 0)))
 
     monkeypatch.setattr(spectral, "eigsh", never_ends)
-    values, vectors = largest_eigenpairs(matrix, 5)
+    values, vectors = spectral.largest_eigenpairs(matrix, 5)
     assert (np.diff(values) <= 0.0).all()
     assert np.allclose(values, usual_values)
     assert np.allclose(vectors, usual, atol=1e-6)
@@ -290,7 +275,7 @@ def directions(seed: int, count: int = 30, dimensions: int = 3) -> FloatArray:
     """Unit vectors, some alike."""
     rng = np.random.default_rng(seed)
     middles = rng.normal(size=(4, dimensions))
-    return unit_rows(middles[rng.integers(0, 4, count)] + rng.normal(0.0, 0.4, (count, dimensions)))
+    return spectral.unit_rows(middles[rng.integers(0, 4, count)] + rng.normal(0.0, 0.4, (count, dimensions)))
 
 
 def cost(rows: FloatArray, labels: LabelArray) -> float:
@@ -314,7 +299,7 @@ def test_labels_are_scikit_learn_s_from_the_same_start(seed: int, clusters: int)
     rows = directions(seed)
     start = rows[farthest_first(rows, clusters, 3)]
     oracle = KMeans(clusters, init=start, n_init=1, algorithm="lloyd", tol=0.0).fit(rows)
-    found = kmeans_unit(rows, clusters, [3])
+    found = spectral.kmeans_unit(rows, clusters, [3])
     if len(np.unique(found)) == clusters:  # it deals otherwise with a centre that lost its rows
         np.testing.assert_array_equal(found, oracle.labels_)
 
@@ -322,13 +307,13 @@ def test_labels_are_scikit_learn_s_from_the_same_start(seed: int, clusters: int)
 @given(seeds)
 def test_of_several_starts_the_best_wins(seed: int) -> None:
     rows = directions(seed)
-    single = [cost(rows, kmeans_unit(rows, 4, [first])) for first in (0, 7, 19)]
-    assert cost(rows, kmeans_unit(rows, 4, [0, 7, 19])) == pytest.approx(min(single))
+    single = [cost(rows, spectral.kmeans_unit(rows, 4, [first])) for first in (0, 7, 19)]
+    assert cost(rows, spectral.kmeans_unit(rows, 4, [0, 7, 19])) == pytest.approx(min(single))
 
 
 def test_more_clusters_than_rows_are_as_many_as_rows() -> None:
     for rows in range(4):
-        labels = kmeans_unit(np.eye(4)[:rows], 9, [0])
+        labels = spectral.kmeans_unit(np.eye(4)[:rows], 9, [0])
         assert sorted(labels.tolist()) == list(range(rows))
 
 
@@ -336,7 +321,7 @@ def test_more_clusters_than_rows_are_as_many_as_rows() -> None:
 def test_rows_of_unit_length_point_where_they_did(seed: int) -> None:
     X = np.random.default_rng(seed).normal(size=(8, 3))
     X[2] = 0.0
-    Y = unit_rows(X)
+    Y = spectral.unit_rows(X)
     lengths = np.linalg.norm(Y, axis=1)
     np.testing.assert_allclose(np.delete(lengths, 2), 1.0)
     assert lengths[2] == 0.0
@@ -351,10 +336,10 @@ def test_two_clusters_are_the_best_of_all_cuts_when_they_stand_apart(seed: int) 
     side[:2] = False, True
     first = rng.uniform(0.2, 0.4, 10)
     other = first * np.where(side, 1.0, -0.5) + rng.normal(0.0, 0.01, 10)
-    rows = unit_rows(np.column_stack([first, other]))
+    rows = spectral.unit_rows(np.column_stack([first, other]))
     cuts = [np.array(cut, dtype=np.int32) for cut in itertools.product((0, 1), repeat=10)]
     best = min((cut for cut in cuts if 0 < cut.sum() < 10), key=lambda cut: cost(rows, cut))
-    labels = bisect(first, other)
+    labels = spectral.bisect(first, other)
     assert labels.tolist() in (best.tolist(), (1 - best).tolist())
-    turned = bisect(first, -other)  # the sign of an eigenvector means nothing
+    turned = spectral.bisect(first, -other)  # the sign of an eigenvector means nothing
     assert turned.tolist() in (labels.tolist(), (1 - labels).tolist())

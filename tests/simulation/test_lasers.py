@@ -12,15 +12,8 @@ from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.simulation.lasers import (
-    Cloud,
-    Laser,
-    Lidar,
-    OdometryErrors,
-    drifting_odometry,
-    laser_bearings,
-    ring_elevations,
-)
+from specmap_cli.simulation import lasers
+from specmap_cli.simulation.lasers import Cloud, Laser, Lidar, OdometryErrors, drifting_odometry
 from specmap_cli.simulation.tours import Drive, Limits, drive
 from specmap_cli.simulation.worlds import World
 
@@ -50,7 +43,7 @@ def true_ranges(x: float, y: float, angles: FloatArray) -> FloatArray:
 def laser_of(field_of_view: float, beams: int, **changes: Any) -> Laser:
     """A laser without errors, in the middle of the robot unless told otherwise."""
     laser = Laser(
-        bearings=laser_bearings(field_of_view, beams),
+        bearings=lasers.laser_bearings(field_of_view, beams),
         range_max_m=20.0,
         base_from_laser=Pose2(0.0, 0.0, 0.0),
     )
@@ -192,7 +185,7 @@ def lidar_of(rings: int = 9, **changes: Any) -> Lidar:
     """A lidar of 60 columns and 80 degrees up and down, without errors unless told otherwise."""
     return Lidar(
         level=laser_of(2 * np.pi, 60, **changes),
-        elevations=ring_elevations(np.radians(80), rings),
+        elevations=lasers.ring_elevations(np.radians(80), rings),
         height_m=HEIGHT,
         ceiling_m=CEILING,
     )
@@ -224,7 +217,7 @@ def test_every_beam_ends_on_the_first_surface_it_meets(hall: World) -> None:
 
 def test_the_level_ring_is_the_planar_laser(hall: World) -> None:
     lidar = lidar_of()
-    elevations = np.degrees(ring_elevations(np.radians(30), 4))
+    elevations = np.degrees(lasers.ring_elevations(np.radians(30), 4))
     np.testing.assert_allclose(elevations, [-15, -5, 5, 15])
     points = cloud_of(lidar, hall).points.reshape(60, 9, 3)[:, 4]
     (ranges,) = lidar.level.scans(hall, STILL, np.zeros(1), np.random.default_rng(4))
@@ -258,5 +251,5 @@ def test_points_come_as_the_columns_turn(hall: World) -> None:
     assert cloud.times_s is not None
     np.testing.assert_allclose(cloud.times_s, np.repeat(np.linspace(0, 0.1, 60), 9))
     bearings = np.arctan2(cloud.points[:, 1], cloud.points[:, 0]).reshape(60, 9)
-    np.testing.assert_allclose(bearings[:, 0], laser_bearings(2 * np.pi, 60), atol=1e-6)
+    np.testing.assert_allclose(bearings[:, 0], lasers.laser_bearings(2 * np.pi, 60), atol=1e-6)
     assert cloud_of(lidar_of(), hall).times_s is None

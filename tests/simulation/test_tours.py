@@ -14,14 +14,8 @@ from scipy.spatial import cKDTree
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import FloatArray, path_length, step_lengths
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.simulation.tours import (
-    Drive,
-    Limits,
-    drive,
-    plan_tour,
-    reachable_space,
-    shortest_order,
-)
+from specmap_cli.simulation import tours
+from specmap_cli.simulation.tours import Drive, Limits, drive, reachable_space
 from specmap_cli.simulation.worlds import RoomTruth, World
 from tests.strategies import seeds
 
@@ -32,7 +26,7 @@ USUAL = Limits(speed_mps=0.7, turn_rate_radps=1.2, acceleration_mps2=0.5)
 def tour(plan: GridMap, seed: int, laps: int = 1, spacing_m: float = 1.5) -> FloatArray:
     world = World.of(plan)
     space = reachable_space(world, RADIUS, COMFORT)
-    return plan_tour(world, space, spacing_m, laps, np.random.default_rng(seed))
+    return tours.plan_tour(world, space, spacing_m, laps, np.random.default_rng(seed))
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
@@ -86,7 +80,7 @@ def length_of(distances: FloatArray, order: list[int]) -> float:
 def test_orders_start_at_the_first_target_and_are_nearly_the_shortest(seed: int) -> None:
     points = np.random.default_rng(seed).uniform(0, 10, (7, 2))
     distances = np.linalg.norm(points[:, None] - points[None], axis=2)
-    order = shortest_order(distances).tolist()
+    order = tours.shortest_order(distances).tolist()
     assert order[0] == 0
     assert sorted(order) == list(range(7))
     best = min(length_of(distances, [0, *rest]) for rest in permutations(range(1, 7)))
@@ -100,7 +94,7 @@ def test_orders_start_at_the_first_target_and_are_nearly_the_shortest(seed: int)
 def test_orders_of_few_targets() -> None:
     for expected in ([0], [0, 1], [0, 2, 1]):
         places = np.array([0.0, 5.0, 1.0])[: len(expected)]
-        assert shortest_order(np.abs(places[:, None] - places[None])).tolist() == expected
+        assert tours.shortest_order(np.abs(places[:, None] - places[None])).tolist() == expected
 
 
 def room(width_m: float, height_m: float, resolution: float = 0.05) -> GridMap:
@@ -143,7 +137,7 @@ def test_a_larger_comfort_keeps_the_path_farther_from_walls() -> None:
     clearance = []
     for comfort in (0.3, 2.0):
         space = reachable_space(hall, RADIUS, comfort)
-        path = plan_tour(hall, space, 2.0, 1, np.random.default_rng(1))
+        path = tours.plan_tour(hall, space, 2.0, 1, np.random.default_rng(1))
         clearance.append(hall.clearance_at(path).mean())
     assert clearance[1] > clearance[0] + 0.1
 
@@ -219,13 +213,9 @@ def test_the_robot_looks_where_it_drives_and_turns_in_place_at_corners() -> None
     # the ease of a turn is 1.5 times as steep in its middle as on average
     turning_s = 1.5 * (np.pi / 2 + np.pi)
     assert driven.duration_s == pytest.approx(3 * 2 * np.sqrt(1.0 / 0.5) + turning_s)
-
-
-def test_a_gentle_bend_is_rounded_without_a_stop() -> None:
-    path = np.array([[0.0, 0.0], [2.0, 0.0], [4.0, 0.6]])
-    driven = drive(path, USUAL)
-    assert len(driven.times_s) == 3
-    assert driven.poses[1, 2] == pytest.approx(0.5 * np.arctan2(0.6, 2.0))
+    gentle = drive(np.array([[0.0, 0.0], [2.0, 0.0], [4.0, 0.6]]), USUAL)  # rounded without a stop
+    assert len(gentle.times_s) == 3
+    assert gentle.poses[1, 2] == pytest.approx(0.5 * np.arctan2(0.6, 2.0))
 
 
 def test_a_path_of_one_place_is_a_robot_that_stands_as_before_the_start_and_after_the_end() -> None:
