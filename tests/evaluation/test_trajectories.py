@@ -187,7 +187,8 @@ def test_relation_errors_are_those_of_homogeneous_matrices(seed: int) -> None:
     driven, rng = anywhere(seed, 30), np.random.default_rng(seed)
     i, j = rng.integers(0, 30, (2, 9))
     wanted = rng.normal(0, 1, (10, 3))
-    earlier, later = (np.append(driven.stamps_ns[k], 10**15) for k in (i, j))  # the last: not driven
+    # the last has no pose
+    earlier, later = (np.append(driven.stamps_ns[k], 10**15) for k in (i, j))
     found = trajectories.relation_errors(driven, Relations(earlier, later, wanted))
     assert (found.matched, found.total) == (9, 10)
     lengths, angles = [], []

@@ -12,16 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
-from specmap_cli.grids.gridmap import (
-    FREE,
-    OCCUPIED,
-    UNKNOWN,
-    GridMap,
-    PackedGrid,
-    cast_ranges,
-    cast_rays,
-    cell_distances,
-)
+from specmap_cli.grids import gridmap
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, cast_ranges, cast_rays
 from tests.strategies import grid_maps, seeds
 
 
@@ -59,7 +51,7 @@ def test_distances_are_the_same_bit_for_bit_wherever_the_picture_lies() -> None:
             memory = np.empty(picture.size + 4, dtype=np.uint8)
             moved = memory[offset : offset + picture.size].reshape(picture.shape)
             moved[:] = picture
-            np.testing.assert_array_equal(cell_distances(moved), exact)
+            np.testing.assert_array_equal(gridmap.cell_distances(moved), exact)
     cv2.setNumThreads(threads)
 
 
@@ -99,7 +91,7 @@ def test_a_packed_grid_is_the_grid_in_a_fraction_of_its_memory() -> None:
     cells[50:250, 40:160] = FREE
     cells[50:250, 40] = OCCUPIED
     grid = GridMap(cells, 0.05, (-3.0, 7.5))
-    packed = PackedGrid.of(grid)
+    packed = gridmap.PackedGrid.of(grid)
     assert (packed.grid.cells == cells).all()
     assert (packed.grid.resolution, packed.grid.origin) == (0.05, (-3.0, 7.5))
     assert 20 * len(packed.packed) < cells.nbytes

@@ -15,15 +15,8 @@ from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.grids.score_field import (
-    SIGMA_M,
-    PointCells,
-    Sample,
-    ScoreField,
-    approach,
-    descend,
-    thinned,
-)
+from specmap_cli.grids import score_field
+from specmap_cli.grids.score_field import SIGMA_M, PointCells, Sample, ScoreField, approach, descend
 from tests.strategies import few, grid_maps, poses, seeds
 
 small = st.floats(-0.06, 0.06)
@@ -169,9 +162,9 @@ def test_a_field_is_no_larger_than_allowed_and_shows_what_is_near(
 
 def test_thinning_keeps_the_first_point_of_a_cell_and_the_order() -> None:
     points = np.array([[0.9, 0.1], [0.1, 0.1], [-0.1, 0.1], [0.2, 0.3], [0.95, 0.9]])
-    assert thinned(points, 1.0).tolist() == [[0.9, 0.1], [-0.1, 0.1]]
-    assert thinned(points, 0.5).tolist() == [[0.9, 0.1], [0.1, 0.1], [-0.1, 0.1], [0.95, 0.9]]
-    assert thinned(points[:1], 1.0).tolist() == points[:1].tolist()
+    assert score_field.thinned(points, 1.0).tolist() == [[0.9, 0.1], [-0.1, 0.1]]
+    assert score_field.thinned(points, 0.5).tolist() == points[[0, 1, 2, 4]].tolist()
+    assert score_field.thinned(points[:1], 1.0).tolist() == points[:1].tolist()
 
 
 def cost(field: ScoreField, points: FloatArray, pose: Pose2) -> float:

@@ -57,7 +57,8 @@ def test_similarity_is_equation_1(seed: int) -> None:
     assert not S.diagonal().any()
     for (i, j), length in zip(graph.pairs[::5], graph.lengths[::5], strict=True):
         assert S[i, j] == pytest.approx(np.exp(-(length**2) / (scales[i] * scales[j])))
-    np.testing.assert_array_equal(spectral.dense_similarity(graph.lengths, graph.pairs, scales, count), S)
+    dense = spectral.dense_similarity(graph.lengths, graph.pairs, scales, count)
+    np.testing.assert_array_equal(dense, S)
 
 
 @given(seed=seeds)
@@ -159,7 +160,8 @@ def test_the_spectrum_of_a_graph_in_pieces_is_that_of_the_whole(seed: int) -> No
     graph = in_pieces(seed)
     count = len(graph.nodes)
     scales = spectral.local_scales(graph.lengths, graph.pairs, count)
-    L = spectral.normalised(spectral.similarity(graph.lengths, graph.pairs, scales, count))[0].toarray()
+    S = spectral.similarity(graph.lengths, graph.pairs, scales, count)
+    L = spectral.normalised(S)[0].toarray()
     found = spectral_clusters(graph, SegmentationConfig())
     every = np.linalg.eigvalsh(L)[::-1]
     np.testing.assert_allclose(found.eigenvalues, every[: len(found.eigenvalues)], atol=1e-6)
@@ -205,7 +207,8 @@ def test_k_is_the_number_of_eigenvalues_above_the_level(used: int) -> None:
 def test_scales_of_nodes_that_see_no_other_are_one() -> None:
     scales = spectral.local_scales(np.array([2.0, 6.0]), np.array([[1, 3], [3, 4]]), 6)
     assert scales.tolist() == [1.0, 2.0, 1.0, 4.0, 6.0, 1.0]
-    assert spectral.local_scales(np.zeros(0), np.zeros((0, 2), dtype=np.intp), 2).tolist() == [1.0, 1.0]
+    none = spectral.local_scales(np.zeros(0), np.zeros((0, 2), dtype=np.intp), 2)
+    assert none.tolist() == [1.0, 1.0]
 
 
 def test_as_many_equal_eigenvalues_as_there_are_pieces_are_found() -> None:
@@ -275,7 +278,8 @@ def directions(seed: int, count: int = 30, dimensions: int = 3) -> FloatArray:
     """Unit vectors, some alike."""
     rng = np.random.default_rng(seed)
     middles = rng.normal(size=(4, dimensions))
-    return spectral.unit_rows(middles[rng.integers(0, 4, count)] + rng.normal(0.0, 0.4, (count, dimensions)))
+    rows = middles[rng.integers(0, 4, count)]
+    return spectral.unit_rows(rows + rng.normal(0.0, 0.4, (count, dimensions)))
 
 
 def cost(rows: FloatArray, labels: LabelArray) -> float:
