@@ -59,6 +59,13 @@ def run(
     return [r for number in range(count) for r in segmenter.add(number)] + segmenter.flush()
 
 
+def submap_of(store: KeyframeStore, keyframes: int) -> CoarseSubmap:
+    submap = CoarseSubmap(DEFAULT, GridConfig(), store)
+    for number in range(keyframes):
+        submap.add(number)
+    return submap
+
+
 def examined(store: KeyframeStore, config: SegmentationConfig = DEFAULT) -> list[SplitTest]:
     tests: list[SplitTest] = []
     run(store, config, lambda test, *_: tests.append(test))
@@ -188,9 +195,7 @@ def test_the_paper_compares_the_second_eigenvalue(two_room_tour: KeyframeStore) 
 def test_the_outcome_of_a_test_does_not_depend_on_where_the_map_lies(
     two_room_tour: KeyframeStore,
 ) -> None:
-    submap = CoarseSubmap(DEFAULT, GridConfig(), two_room_tour)
-    for number in range(90):
-        submap.add(number)
+    submap = submap_of(two_room_tour, 90)
     here = examine(submap.grid(), submap.poses, DEFAULT)
     grid = submap.grid()
     far = GridMap(grid.cells, grid.resolution, (grid.origin[0] + 512.0, grid.origin[1] - 256.0))
@@ -203,9 +208,7 @@ def test_the_outcome_of_a_test_does_not_depend_on_where_the_map_lies(
 def test_the_number_of_nodes_is_bounded(office: GridMap) -> None:
     poses = waypoints_to_poses((1.0, 5.5), (14.0, 5.5))
     with record(office, poses) as store:
-        submap = CoarseSubmap(DEFAULT, GridConfig(), store)
-        for number in range(len(store)):
-            submap.add(number)
+        submap = submap_of(store, len(store))
         assert len(examine(submap.grid(), submap.poses, DEFAULT).nodes) > 20
         turn("segmentation", split_nodes=20)
         assert 3 <= len(examine(submap.grid(), submap.poses, DEFAULT).nodes) <= 20
@@ -227,29 +230,25 @@ def test_a_region_gone_on_with_twice_is_named_by_its_first_piece(two_rooms: Grid
 
 
 def test_the_observer_sees_what_is_split(two_room_tour: KeyframeStore) -> None:
-    seen: list[tuple[SplitTest, bool]] = []
-    occasions: list[Occasion] = []
-
-    def observe(test: SplitTest, split: bool, occasion: Occasion) -> None:
-        seen.append((test, split))
-        occasions.append(occasion)
-
-    segmenter = OnlineSegmenter(DEFAULT, GridConfig(), two_room_tour, observe)
+    seen: list[tuple[SplitTest, bool, Occasion]] = []
+    segmenter = OnlineSegmenter(
+        DEFAULT, GridConfig(), two_room_tour, lambda *told: seen.append(told)
+    )
+    stamps_ns = two_room_tour.stamps_ns
     for number in range(len(two_room_tour)):
         before = len(seen)
         left = segmenter.add(number)
         assert len(seen) - before <= 1
-        assert len(left) == sum(split for _, split in seen[before:])
-        for occasion in occasions[before:]:
+        assert len(left) == sum(split for _, split, _ in seen[before:])
+        for test, _, occasion in seen[before:]:
             assert occasion.latest == number
-            stamps_ns = two_room_tour.stamps_ns
             assert occasion.seconds == (stamps_ns[number] - stamps_ns[0]) / 1e9
-            assert len(seen[-1][0].poses) == number - occasion.first + 1
+            assert len(test.poses) == number - occasion.first + 1
         for region in left:
-            test, _ = seen[-1]
+            test, *_ = seen[-1]
             gone = two_room_tour.poses_of(region.keyframes)
             np.testing.assert_array_equal(gone, test.poses[~test.stays])
-    for test, split in seen:
+    for test, split, _ in seen:
         assert test.stays[-1]  # the robot is where it is
         assert not split or test.eigenvalue > DEFAULT.split_eigenvalue
 
