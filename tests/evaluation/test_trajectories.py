@@ -32,7 +32,7 @@ def walk(count: int = 400) -> Trajectory:
     return Trajectory(np.arange(count, dtype=np.int64) * 10**8, np.array(path))
 
 
-def test_reads_tum_with_comments_and_exact_stamps(tmp_path: Path) -> None:
+def test_reads_tum_with_comments_and_exact_stamps_and_relations(tmp_path: Path) -> None:
     file = tmp_path / "a.tum"
     half = np.sqrt(0.5)
     file.write_text(
@@ -43,15 +43,11 @@ def test_reads_tum_with_comments_and_exact_stamps(tmp_path: Path) -> None:
     found = read_tum(file)
     assert found.stamps_ns.tolist() == [1134864629895182123, 1134864630500000000]
     assert np.allclose(found.poses, [[1.0, 2.0, 0.0], [3.0, 4.0, np.pi / 2]])
-
-
-def test_reads_relations(tmp_path: Path) -> None:
-    file = tmp_path / "a.relations"
     file.write_text("1216.630413 1217.5 0.4 -0.01 0 0 0 -0.07\n")
-    found = read_relations(file)
-    assert found.earlier_ns.tolist() == [1216630413000]
-    assert found.later_ns.tolist() == [1217500000000]
-    assert np.allclose(found.poses, [[0.4, -0.01, -0.07]])
+    relations = read_relations(file)
+    assert relations.earlier_ns.tolist() == [1216630413000]
+    assert relations.later_ns.tolist() == [1217500000000]
+    assert np.allclose(relations.poses, [[0.4, -0.01, -0.07]])
 
 
 @pytest.mark.parametrize(

@@ -231,9 +231,11 @@ def test_a_region_gone_on_with_twice_is_named_by_its_first_piece(two_rooms: Grid
 
 def test_the_observer_sees_what_is_split(two_room_tour: KeyframeStore) -> None:
     seen: list[tuple[SplitTest, bool, Occasion]] = []
-    segmenter = OnlineSegmenter(
-        DEFAULT, GridConfig(), two_room_tour, lambda *told: seen.append(told)
-    )
+
+    def observe(test: SplitTest, split: bool, occasion: Occasion) -> None:
+        seen.append((test, split, occasion))
+
+    segmenter = OnlineSegmenter(DEFAULT, GridConfig(), two_room_tour, observe)
     stamps_ns = two_room_tour.stamps_ns
     for number in range(len(two_room_tour)):
         before = len(seen)
