@@ -55,7 +55,7 @@ def test_the_robot_fits_along_the_whole_path(office: GridMap) -> None:
     assert away.min() >= RADIUS - 0.025
 
 
-def test_space_the_robot_cannot_reach_is_left_out() -> None:
+def test_space_the_robot_cannot_reach_is_left_out_and_a_plan_without_room_for_it_refused() -> None:
     cells = np.full((60, 120), OCCUPIED, dtype=np.uint8)
     cells[2:58, 2:70] = FREE
     cells[2:58, 74:118] = FREE
@@ -63,11 +63,7 @@ def test_space_the_robot_cannot_reach_is_left_out() -> None:
     space = reachable_space(World.of(GridMap(cells, 0.05)), RADIUS, COMFORT)
     assert space.points[:, 0].max() < 70 * 0.05
     assert space.area_m2 == pytest.approx(3.4 * 2.8 - 6.2 * 0.5, rel=0.1)
-
-
-def test_a_plan_without_room_for_the_robot_is_refused() -> None:
-    cells = np.full((40, 40), OCCUPIED, dtype=np.uint8)
-    cells[10:14, 10:14] = FREE
+    cells[:, :70] = cells[:, 74:] = OCCUPIED
     with pytest.raises(MapError, match=r"no free space for a robot of radius 0\.25 m"):
         reachable_space(World.of(GridMap(cells, 0.05)), RADIUS, COMFORT)
 
