@@ -113,7 +113,7 @@ def test_words_are_anchored_where_asked_and_as_wide_as_measured(
     canvas.text(300, 30, words, 20, align=align)
     left, right, _, _ = bounds(canvas.image[:, :, 0] < 128)
     width = text_width(words, 20)
-    assert right - left == pytest.approx(width, abs=8)
+    assert right - left == pytest.approx(width, abs=6)
     assert left == pytest.approx(300 - share * width, abs=5)
 
 

@@ -40,7 +40,7 @@ def test_scores_equal_scikit_learn_s(pairs: list[tuple[int, int]]) -> None:
     precision, recall, _, _ = precision_recall_fscore_support(
         truth, said, labels=visited, average="macro", zero_division=0
     )
-    assert (ours.recall, ours.precision) == (pytest.approx(recall), pytest.approx(precision))
+    assert (ours.recall, ours.precision) == pytest.approx((recall, precision))
     assert ours.accuracy == pytest.approx(accuracy_score(truth, said))
     assert ours.scans == len(pairs)
     unknown = np.where(said > 4, -1, said)

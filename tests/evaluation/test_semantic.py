@@ -15,7 +15,9 @@ from specmap_cli.simulation.worlds import RoomTruth
 from tests.flats import QUICK, Mapped
 
 
-def test_the_corridor_is_the_hallway_and_the_kinds_of_one_tour_are_learned(flat_tour: Any, flat_rooms: Any) -> None:
+def test_the_corridor_is_the_hallway_and_the_kinds_of_one_tour_are_learned(
+    flat_tour: Any, flat_rooms: Any
+) -> None:
     assert semantic.hallways(flat_rooms) == {4}
     scans = [sweep.planar for sweep, _ in flat_tour]
     rooms = flat_rooms.at(np.array([pose for _, pose in flat_tour]))

@@ -9,7 +9,14 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from specmap_cli.grids.correlation import Peak, Target, cell_counts, local_maxima, marked_cells, peaks
+from specmap_cli.grids.correlation import (
+    Peak,
+    Target,
+    cell_counts,
+    local_maxima,
+    marked_cells,
+    peaks,
+)
 from tests.strategies import seeds
 
 sizes = st.tuples(st.integers(1, 12), st.integers(1, 12))

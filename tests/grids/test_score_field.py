@@ -14,8 +14,8 @@ from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids import score_field
+from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.score_field import SIGMA_M, PointCells, Sample, ScoreField, approach, descend
 from tests.strategies import few, grid_maps, poses, seeds
 

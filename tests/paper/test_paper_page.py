@@ -24,9 +24,14 @@ BLOCKS: list[blocks.Block] = [
     blocks.Found("three of <four>.", "because of this"),
     blocks.Words("plain <words>"),
     blocks.Words("a warning", warning=True),
-    blocks.Table(("map", "recall"), [blocks.Row(("a & b", "0.900")), blocks.Row(("paper", "0.8"), published=True)]),
+    blocks.Table(
+        ("map", "recall"),
+        [blocks.Row(("a & b", "0.900")), blocks.Row(("paper", "0.8"), published=True)],
+    ),
     blocks.Gallery([blocks.Picture(np.full((4, 6, 3), 7, dtype=np.uint8), "a picture")], across=3),
-    blocks.Chart([blocks.Series("one", [(0.0, 0.1), (2.0, 0.9)], frozenset({1}), 0.8)], "s", "value", top=1.0),
+    blocks.Chart(
+        [blocks.Series("one", [(0.0, 0.1), (2.0, 0.9)], frozenset({1}), 0.8)], "s", "value", top=1.0
+    ),
 ]
 
 

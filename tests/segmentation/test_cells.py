@@ -17,6 +17,7 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import OCCUPIED, BoolArray, GridMap, contacts, nearest_values
 from specmap_cli.grids.map_server import read_grid
+from specmap_cli.segmentation import visibility
 from specmap_cli.segmentation.cells import (
     border_widths,
     consensus,
@@ -29,7 +30,6 @@ from specmap_cli.segmentation.cells import (
 )
 from specmap_cli.segmentation.division import Segmentation, segment
 from specmap_cli.segmentation.furniture import furniture, small_obstacles, without_slits
-from specmap_cli.segmentation import visibility
 from specmap_cli.segmentation.visibility import LabelArray, near_pairs, sample_nodes, visible
 from specmap_cli.segmentation.working_grid import working_grid
 from tests.strategies import few, seeds

@@ -17,8 +17,8 @@ from sklearn.metrics import adjusted_rand_score
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import SegmentationConfig
-from specmap_cli.segmentation.graph_division import spectral_clusters, split_again, subgraph
 from specmap_cli.segmentation import spectral
+from specmap_cli.segmentation.graph_division import spectral_clusters, split_again, subgraph
 from specmap_cli.segmentation.visibility import LabelArray, VisibilityGraph, near_pairs
 from tests.strategies import few, seeds
 
