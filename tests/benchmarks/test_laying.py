@@ -53,35 +53,24 @@ def test_a_view_of_another_room_does_not_fit() -> None:
     assert lay(circle + 100.0, walls, Pose2(0, 0, 0)).share == 0.0
 
 
-def test_keyframes_are_looked_at_every_quarter_of_a_metre_or_radian() -> None:
-    way = np.column_stack([np.arange(0, 2, 0.1), np.zeros(20), np.zeros(20)])
+@pytest.mark.parametrize("axis", [0, 2])
+def test_keyframes_are_looked_at_every_quarter_of_a_metre_or_radian(axis: int) -> None:
+    way = np.arange(0, 2, 0.1)[:, None] * np.eye(3)[axis]
     assert spaced(way).tolist() == [0, 3, 6, 9, 12, 15, 18]
-    turn = np.column_stack([np.zeros(20), np.zeros(20), np.arange(0, 2, 0.1)])
-    assert spaced(turn).tolist() == [0, 3, 6, 9, 12, 15, 18]
 
 
 def test_poses_are_right_wrong_or_neither() -> None:
-    true = np.zeros((5, 3))
-    said = np.array(
-        [
-            (0.09, 0.0, math.radians(0.9)),
-            (0.2, 0.0, 0.0),
-            (0.0, 0.0, 2 * math.pi + math.radians(11)),
-            (0.6, 0.0, 0.0),
-            (np.nan, np.nan, np.nan),
-        ]
-    )
-    right, wrong = judged(said, true)
+    said = np.zeros((5, 3))
+    said[:, 0] = 0.09, 0.2, 0.0, 0.6, np.nan
+    said[:, 2] = np.radians([0.9, 0.0, 371.0, 0.0, np.nan])
+    right, wrong = judged(said, np.zeros((5, 3)))
     assert right.tolist() == [True, False, False, False, False]
     assert wrong.tolist() == [False, False, True, True, False]
-
-
-@pytest.mark.parametrize(("stamp", "row"), [(-5, 0), (4, 0), (6, 1), (14, 1), (16, 2), (99, 2)])
-def test_the_nearest_stamp(stamp: int, row: int) -> None:
-    assert nearest(np.array([0, 10, 20]), np.array([stamp])).tolist() == [row]
-
-
-def test_scans_without_a_truth_do_not_count() -> None:
     none = np.zeros(2, dtype=np.int64)
-    said = Localized(none, none, none, np.zeros((2, 3)))
-    assert scored(None, said, np.full((2, 3), np.nan)).scans == 0  # type: ignore[arg-type]
+    untold = Localized(none, none, none, np.zeros((2, 3)))  # scans without a truth do not count
+    assert scored(None, untold, np.full((2, 3), np.nan)).scans == 0  # type: ignore[arg-type]
+
+
+def test_the_nearest_stamp() -> None:
+    rows = nearest(np.array([0, 10, 20]), np.array([-5, 4, 6, 14, 16, 99]))
+    assert rows.tolist() == [0, 0, 1, 1, 2, 2]

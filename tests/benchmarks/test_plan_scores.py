@@ -32,14 +32,6 @@ def test_homogeneity_and_completeness_are_those_of_scikit_learn(
     assert scores.completeness == pytest.approx(completeness_score(rooms, found), abs=1e-9)
 
 
-def test_regions_over_visits() -> None:
-    visits, rooms = np.array([0, 0, 1, 1, 2, 2]), np.array([0, 0, 1, 1, 0, 0])
-    scores = visit_scores(rooms=rooms, visits=visits, submaps=rooms, regions=visits)
-    assert scores.segments_per_visit == 1.0
-    assert scores.homogeneity == 1.0
-    assert scores.completeness == 1.0
-
-
 def grids_of_labels(seed: int, rooms: int, segments: int) -> tuple[Labels, Labels]:
     """Two pictures (6, 7) of labels, -1 for none in some cells of each."""
     rng = np.random.default_rng(seed)
@@ -81,13 +73,12 @@ def test_the_overlap_table_counts_every_painted_cell_once(seed: int) -> None:
     assert table.sum() == ((rooms >= 0) & (segments >= 0)).sum()
 
 
-def test_one_submap_for_all_rooms_says_nothing_about_them() -> None:
-    rooms = np.repeat([0, 1, 2, 3], 5)
-    scores = visit_scores(
-        rooms=rooms, visits=rooms, submaps=np.zeros(20, dtype=np.int64), regions=rooms
-    )
-    assert scores.homogeneity == pytest.approx(0.0, abs=1e-12)
-    assert (scores.completeness, scores.segments_per_visit) == (1.0, 1.0)
+def test_regions_over_visits_and_one_submap_for_all_rooms_that_says_nothing() -> None:
+    visits, rooms = np.array([0, 0, 1, 1, 2, 2]), np.array([0, 0, 1, 1, 0, 0])
+    for submaps, homogeneous in ((rooms, 1.0), (np.zeros_like(rooms), 0.0)):
+        scores = visit_scores(rooms=rooms, visits=visits, submaps=submaps, regions=visits)
+        assert scores.homogeneity == pytest.approx(homogeneous, abs=1e-12)
+        assert (scores.completeness, scores.segments_per_visit) == (1.0, 1.0)
 
 
 @given(st.lists(st.integers(0, 2), min_size=1, max_size=50), st.floats(0.05, 3.0))

@@ -22,8 +22,12 @@ def pieces(dark: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> int:
 
 @pytest.mark.parametrize("width", [1, 3, 6])
 def test_a_line_is_as_wide_as_asked_and_turns_corners(width: int) -> None:
+    way = np.array([[10.0, 10.0], [50.0, 10.0], [50.0, 50.0]])
     canvas = Canvas(60, 60)
-    canvas.line(np.array([[10.0, 10.0], [50.0, 10.0], [50.0, 50.0]]), INK, width)
+    for too_few in (way[:0], way[:1]):
+        canvas.line(too_few, INK, width)
+        assert not inked(canvas.image).any()
+    canvas.line(way, INK, width)
     dark = canvas.image[:, :, 0] < 150
     for across in (dark[:, 30], dark[30, :]):
         assert width - 1 <= np.count_nonzero(across) <= width + 2  # OpenCV's smooth lines are bold
@@ -31,26 +35,24 @@ def test_a_line_is_as_wide_as_asked_and_turns_corners(width: int) -> None:
     assert not dark[30:, 10:30].any()
 
 
-@pytest.mark.parametrize("places", [[], [[5.0, 5.0]]])
-def test_a_line_needs_two_points(places: list[list[float]]) -> None:
-    canvas = Canvas(20, 20)
-    canvas.line(np.array(places).reshape(-1, 2), INK, 4)
-    assert not inked(canvas.image).any()
-
-
-def test_dashes_have_gaps_and_reach_the_end() -> None:
+@pytest.mark.parametrize(
+    ("length", "width", "dash", "gap", "strokes"),
+    [
+        (190.0, 3, 20.0, 20.0, 5),
+        (10.0, 4, 0.0, 10.0, 1),  # dashes of no length are dots
+        (95.0, 4, 0.0, 10.0, 10),
+        (100.5, 4, 0.0, 10.0, 11),
+    ],
+)
+def test_dashes_have_gaps_and_reach_the_end(
+    length: float, width: int, dash: float, gap: float, strokes: int
+) -> None:
     canvas = Canvas(220, 20)
-    canvas.dashes(np.array([[10.0, 10.0], [200.0, 10.0]]), INK, 3, 20.0, 20.0)
-    dark = canvas.image[10, :, 0] < 128
-    assert pieces(dark) == 5
-    assert 85 <= np.count_nonzero(dark) <= 125
-
-
-@pytest.mark.parametrize(("length", "dots"), [(10.0, 1), (95.0, 10), (100.5, 11)])
-def test_dashes_of_no_length_are_dots(length: float, dots: int) -> None:
-    canvas = Canvas(140, 20)
-    canvas.dashes(np.array([[10.0, 10.0], [10.0 + length, 10.0]]), INK, 4, 0.0, 10.0)
-    assert pieces(canvas.image[10, :, 0] < 150) == dots
+    canvas.dashes(np.array([[10.0, 10.0], [10.0 + length, 10.0]]), INK, width, dash, gap)
+    dark = canvas.image[10, :, 0] < 140
+    assert pieces(dark) == strokes
+    if dash:
+        assert 85 <= np.count_nonzero(dark) <= 125
 
 
 def test_dashes_begin_anew_at_a_corner_and_skip_points_that_repeat() -> None:
@@ -102,12 +104,15 @@ def test_capitals_are_as_high_as_asked_and_centred(height: float, bold: bool) ->
     assert (left + right) / 2 == pytest.approx(50, abs=0.15 * height)
 
 
+@pytest.mark.parametrize("words", ["42 rooms", "10 m", "0", "fr079", "0.904", "100 0"])
 @pytest.mark.parametrize(("align", "share"), [("left", 0.0), ("centre", 0.5), ("right", 1.0)])
-def test_words_are_anchored_where_asked(align: Alignment, share: float) -> None:
+def test_words_are_anchored_where_asked_and_as_wide_as_measured(
+    words: str, align: Alignment, share: float
+) -> None:
     canvas = Canvas(600, 60)
-    canvas.text(300, 30, "42 rooms", 20, align=align)
+    canvas.text(300, 30, words, 20, align=align)
     left, right, _, _ = bounds(canvas.image[:, :, 0] < 128)
-    width = text_width("42 rooms", 20)
+    width = text_width(words, 20)
     assert right - left == pytest.approx(width, abs=6)
     assert left == pytest.approx(300 - share * width, abs=5)
 
@@ -144,7 +149,7 @@ def test_words_outside_are_cut_off_and_the_rest_stays_in_place(
     np.testing.assert_array_equal(small.image[3:-3, 3:-3], large.image[203:277, 203:257])
 
 
-def test_lines_far_outside_are_cut_off() -> None:
+def test_what_lies_outside_is_cut_off() -> None:
     canvas = Canvas(30, 30)
     canvas.line(np.array([[-1e9, 5.0], [1e9, 5.0]]), INK, 2)
     canvas.disc(np.array([1e9, -1e9]), 5.0, CLOSURE)
@@ -156,6 +161,10 @@ def test_lines_far_outside_are_cut_off() -> None:
     assert of_colour(canvas.image, INK)[5].all()
     assert of_colour(canvas.image, TRAVERSED)[20:23].all()
     assert near(canvas.image, CLOSURE) == 0
+    for x, y in ((-3.0, 10.0), (38.0, 10.0), (20.0, -2.0), (20.0, 21.0), (-90.0, 90.0)):
+        canvas = Canvas(40, 20)
+        canvas.text(x, y, "0", 14.0, INK, "centre")
+        assert inked(canvas.image).any() == (x > -90.0), (x, y)
 
 
 @pytest.mark.parametrize("height", [9.0, 14.0, 24.0])
@@ -172,18 +181,3 @@ def test_a_zero_is_a_ring_without_a_stroke(height: float, bold: bool) -> None:
     hollow = ~dark[top : bottom + 1, left : right + 1]
     inner = hollow[hollow.shape[0] // 4 : -(hollow.shape[0] // 4)]
     assert all(pieces(~row) == 2 for row in inner)
-
-
-@pytest.mark.parametrize("words", ["10 m", "0", "fr079", "0.904", "100 0"])
-def test_words_with_zeros_are_as_wide_as_measured(words: str) -> None:
-    canvas = Canvas(300, 60)
-    canvas.text(20.0, 30.0, words, 16.0)
-    left, right, _, _ = bounds(inked(canvas.image))
-    assert right - left == pytest.approx(text_width(words, 16.0), abs=8)
-
-
-def test_a_zero_over_the_edge_is_cut_off() -> None:
-    for x, y in ((-3.0, 10.0), (38.0, 10.0), (20.0, -2.0), (20.0, 21.0), (-90.0, 90.0)):
-        canvas = Canvas(40, 20)
-        canvas.text(x, y, "0", 14.0, INK, "centre")
-        assert inked(canvas.image).any() == (x > -90.0), (x, y)

@@ -42,18 +42,27 @@ def drawn(result: MapResult) -> Image:
     )
 
 
-def along(places: FloatArray, labels: int = 0) -> tuple[Trajectory, Labels]:
+def along(places: FloatArray) -> tuple[Trajectory, Labels]:
     """A trajectory through places (n, 2), all its scans keyframes of one submap."""
     stamps = np.arange(len(places))
     poses = np.column_stack([places, np.zeros(len(places))])
-    return Trajectory(stamps, poses), Labels(
-        stamps_ns=stamps, poses=poses, submaps=np.full(len(places), labels)
-    )
+    labels = Labels(stamps_ns=stamps, poses=poses, submaps=np.zeros_like(stamps))
+    return Trajectory(stamps, poses), labels
 
 
 def places_on(regions: Regions, points: list[tuple[float, float]]) -> FloatArray:
     """Where the points of a map are in its picture; what the legend says changes nothing there."""
     return Sheet(*extent_of(regions), ()).pixels(np.array(points))
+
+
+def around(image: Image, place: FloatArray, reach: int) -> Image:
+    """The square about a place of a picture."""
+    x, y = place.astype(int).tolist()
+    return image[y - reach : y + reach + 1, x - reach : x + reach + 1]
+
+
+def path_at(image: Image, place: FloatArray) -> bool:
+    return bool(of_colour(around(image, place, 2), symbols.PATH, 90).any())
 
 
 def test_shows_what_it_should(result: MapResult) -> None:
@@ -82,24 +91,19 @@ def test_nothing_known(shape: tuple[int, int]) -> None:
         assert not inked(image[TITLE : TITLE + 1700]).any()
 
 
-def test_start_and_end_are_where_the_robot_was() -> None:
+def test_the_way_is_drawn_over_its_whole_length_from_its_start_to_its_end() -> None:
     topology, regions = one_room((80, 120))
-    trajectory, labels = along(np.linspace((1.0, 1.0), (5.0, 3.0), 60))
-    image = render_overview(topology, regions, trajectory, labels, [LogInfo("log")])
+    way = np.linspace((1.0, 1.0), (5.0, 3.0), 60)
+    image = render_overview(topology, regions, *along(way), [LogInfo("log")])
     start, end = places_on(regions, [(1.0, 1.0), (5.0, 3.0)])
     assert pixel(image, start) == pixel(image, end) == palette.INK
     corner = np.array([5.0, 5.0])
     assert pixel(image, start + corner) == palette.INK  # a square
     assert pixel(image, end + corner * 1.3) != palette.INK  # a disc
-
-
-def test_the_way_is_drawn_over_its_whole_length() -> None:
-    topology, regions = one_room((80, 120))
-    way = np.linspace((1.0, 0.5), (5.0, 0.5), 60)
-    image = render_overview(topology, regions, *along(way), [LogInfo("log")])
-    for place in places_on(regions, [(x, 0.5) for x in np.arange(1.3, 4.8, 0.25).tolist()]):
-        x, y = place.astype(int)
-        assert of_colour(image[y - 2 : y + 3, x - 2 : x + 3], symbols.PATH, 90).any()
+    level = np.linspace((1.0, 0.5), (5.0, 0.5), 60)
+    image = render_overview(topology, regions, *along(level), [LogInfo("log")])
+    places = [(x, 0.5) for x in np.arange(1.3, 4.8, 0.25).tolist()]
+    assert all(path_at(image, place) for place in places_on(regions, places))
 
 
 def test_a_jump_is_not_drawn_as_a_way(result: MapResult) -> None:
@@ -171,9 +175,8 @@ def test_a_link_leads_through_its_crossing(kind: EdgeKind, colour: palette.Colou
     edge = Edge(source=0, target=1, kind=kind, x=4.0, y=3.5)
     topology = TopologicalMap(submaps=submaps, edges={(0, 1): edge})
     image = render_segmentation(topology, regions, LogInfo("plan"))
-    (crossing,) = places_on(regions, [(4.0, 3.5)]).astype(int)
-    x, y = crossing.tolist()
-    assert near(image[y - 14 : y + 15, x - 14 : x + 15], colour) > 4
+    (crossing,) = places_on(regions, [(4.0, 3.5)])
+    assert near(around(image, crossing, 14), colour) > 4
     bare = render_segmentation(dataclasses.replace(topology, edges={}), regions, LogInfo("plan"))
     assert near(bare[TITLE:-120], colour) == 0
 
@@ -188,32 +191,28 @@ def test_a_link_with_a_way_follows_it_and_its_door_is_drawn() -> None:
     topology = dataclasses.replace(bare, edges={(0, 1): edge}, doors=(door,))
     image = render_segmentation(topology, regions, LogInfo("plan"))
     for place, colour in (((2.0, 3.0), palette.TRAVERSED), ((4.0, 1.5), palette.DOOR)):
-        x, y = places_on(regions, [place]).astype(int)[0].tolist()
-        assert near(image[y - 9 : y + 10, x - 9 : x + 10], colour) > 4
+        assert near(around(image, places_on(regions, [place])[0], 9), colour) > 4
     without = render_segmentation(bare, regions, LogInfo("plan"))
     assert near(without[TITLE:-120], palette.DOOR) == 0
 
 
-@pytest.mark.parametrize(
-    ("kind", "drawn"), [("traversed", "narrow"), ("seen", "narrow"), ("closure", "closure")]
-)
-def test_a_link_without_a_way_is_no_line_that_one_could_take(kind: EdgeKind, drawn: str) -> None:
-    edge = Edge(source=0, target=1, kind=kind)
-    assert drawn_as(TopologicalMap(robot_radius_m=0.2), edge) == drawn
-    assert drawn_as(TopologicalMap(), edge) == kind
+def test_a_link_without_a_way_is_no_line_that_one_could_take() -> None:
+    kinds: dict[EdgeKind, str] = {"traversed": "narrow", "seen": "narrow", "closure": "closure"}
+    for kind, drawn in kinds.items():
+        edge = Edge(source=0, target=1, kind=kind)
+        assert drawn_as(TopologicalMap(robot_radius_m=0.2), edge) == drawn
+        assert drawn_as(TopologicalMap(), edge) == kind
 
 
 def test_the_headline_counts_and_the_figures_measure(result: MapResult) -> None:
     """Another name, another count or another length is another headline, and nothing else."""
-    usual = drawn(result)
-    closures = tuple(dataclasses.replace(c, merged=False) for c in result.topology.closures)
+    usual, change = drawn(result), dataclasses.replace
+    closures = tuple(change(c, merged=False) for c in result.topology.closures)
     (log,) = result.logs
     for changed in (
-        dataclasses.replace(result, logs=(dataclasses.replace(log, name="other.mcap"),)),
-        dataclasses.replace(result, logs=(dataclasses.replace(log, scans=31),)),
-        dataclasses.replace(
-            result, topology=dataclasses.replace(result.topology, closures=closures)
-        ),
+        change(result, logs=(change(log, name="other.mcap"),)),
+        change(result, logs=(change(log, scans=31),)),
+        change(result, topology=change(result.topology, closures=closures)),
     ):
         image = drawn(changed)
         assert (image[:TITLE] != usual[:TITLE]).any()
@@ -247,9 +246,7 @@ def test_a_doubtful_place_is_marked_and_the_title_says_why() -> None:
         render_overview(topology, regions, *path, [LogInfo("log")], Quality.of(findings))
         for findings in ((aside,), (aside, said))
     )
-    (middle,) = places_on(regions, [place])
-    x, y = middle.astype(int)
-    assert near(poor[y - 20 : y + 20, x - 20 : x + 20], palette.WRONG) > 50
+    assert near(around(poor, places_on(regions, [place])[0], 20), palette.WRONG) > 50
     assert near(good[: TITLE + 1200], palette.WRONG) == 0
     assert (good[:TITLE] != poor[:TITLE]).any()
 
@@ -259,11 +256,8 @@ def test_a_way_out_of_the_grid_stays_on_the_sheet() -> None:
     way = np.linspace((1.0, 1.0), (12.0, 9.0), 60)
     image = render_overview(topology, regions, *along(way), [LogInfo("log")])
     assert is_framed(image)
-    low, high = np.array([0.0, 0.0]), np.array([12.3, 9.3])
-    sheet = Sheet(np.minimum(low, extent_of(regions)[0]), high, ())
-    for place in sheet.pixels(way[5:-5:10]):
-        x, y = place.astype(int)
-        assert of_colour(image[y - 3 : y + 4, x - 3 : x + 4], symbols.PATH, 90).any()
+    sheet = Sheet(np.minimum(0.0, extent_of(regions)[0]), np.array([12.3, 9.3]), ())
+    assert all(path_at(image, place) for place in sheet.pixels(way[5:-5:10]))
 
 
 def test_a_way_to_the_end_of_the_world_takes_no_more_memory() -> None:

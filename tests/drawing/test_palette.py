@@ -62,9 +62,21 @@ def test_any_two_colours_are_told_apart_by_all_eyes(colours: tuple[Colour, ...])
 
 
 @pytest.mark.parametrize("fill", palette.FILLS)
-def test_a_region_is_told_from_what_nobody_reached(fill: Colour) -> None:
+def test_a_fill_its_shades_and_what_is_drawn_on_it(fill: Colour) -> None:
     assert least_difference(fill, palette.PAPER) > 7.0
-    assert least_difference(fill, palette.SHADE) > 7.0
+    assert least_difference(fill, palette.SHADE) > 7.0  # what nobody reached
+    assert max(sum(palette.darker(fill)), sum(palette.vivid(fill))) < sum(fill)
+    assert sum(fill) < sum(palette.paler(fill)) < 3 * 255
+    assert palette.paler(fill, 0.0) == palette.darker(fill, 1.0) == fill
+    assert palette.paler(fill, 1.0) == palette.PAPER
+    assert palette.darker(fill, 0.0) == (0, 0, 0)
+    assert contrast(palette.INK, fill) > 4.5
+    assert contrast(palette.DOOR, fill) > 2.5
+    assert contrast(palette.darker(fill), palette.PAPER) > 3.0
+    assert contrast(palette.BORDER, fill) > 1.8
+    # links and lines of predictions have a rim of paper
+    assert contrast(palette.TRAVERSED, palette.PAPER) > 4.5
+    assert contrast(palette.vivid(fill), palette.PAPER) > 3.0
 
 
 def planar(seed: int, count: int) -> tuple[list[int], set[tuple[int, int]]]:
@@ -132,37 +144,10 @@ def test_the_choice_does_not_depend_on_the_order_of_pairs_nor_on_strangers(seed:
     assert palette.colour_graph(range(15), mixed) == usual
 
 
-@pytest.mark.parametrize("fill", palette.FILLS)
-def test_shades_of_a_fill(fill: Colour) -> None:
-    assert max(sum(palette.darker(fill)), sum(palette.vivid(fill))) < sum(fill)
-    assert sum(fill) < sum(palette.paler(fill)) < 3 * 255
-    assert palette.paler(fill, 0.0) == palette.darker(fill, 1.0) == fill
-    assert palette.paler(fill, 1.0) == palette.PAPER
-    assert palette.darker(fill, 0.0) == (0, 0, 0)
-
-
-@pytest.mark.parametrize("fill", palette.FILLS)
-def test_what_is_drawn_on_a_fill_can_be_read(fill: Colour) -> None:
-    assert contrast(palette.INK, fill) > 4.5
-    assert contrast(palette.DOOR, fill) > 2.5
-    assert contrast(palette.darker(fill), palette.PAPER) > 3.0
-    assert contrast(palette.BORDER, fill) > 1.8
-    # links and lines of predictions have a rim of paper
-    assert contrast(palette.TRAVERSED, palette.PAPER) > 4.5
-    assert contrast(palette.vivid(fill), palette.PAPER) > 3.0
-
-
 def test_links_that_mean_different_things_differ() -> None:
     kinds = (palette.TRAVERSED, palette.CLOSURE, palette.LOOSE, palette.PAPER)
     for one, other in itertools.combinations(kinds, 2):
         assert max(abs(a - b) for a, b in zip(one, other, strict=True)) > 60
-
-
-def test_regions_across_a_wall_are_neighbours() -> None:
-    owner = np.full((6, 20), NOBODY)
-    owner[:, :5], owner[:, 8:12], owner[:, 19] = 0, 4, 2
-    assert palette.touching(owner, 4) == {(0, 4)}
-    assert palette.touching(owner, 8) == {(0, 4), (2, 4)}
 
 
 @given(seeds, st.integers(1, 6))
@@ -180,7 +165,7 @@ def test_touching_regions_are_found_and_far_ones_are_not(seed: int, reach: int) 
     assert side_by_side <= palette.touching(owner, reach) <= near
 
 
-def test_rooms_behind_a_thick_wall_are_neighbours() -> None:
+def test_rooms_on_both_sides_of_a_wall_are_neighbours() -> None:
     """Both ids would like the same colour."""
     first, second = 0, len(palette.FILLS)
     owner = np.full((40, 93), NOBODY)
@@ -190,3 +175,7 @@ def test_rooms_behind_a_thick_wall_are_neighbours() -> None:
     submaps = {id_: Submap(id=id_, map_from_submap=IDENTITY, grid=grid) for id_ in (first, second)}
     fills = palette.colours_of(TopologicalMap(submaps=submaps), Regions.of(grid, owner))
     assert fills[first] != fills[second]
+    owner = np.full((6, 20), NOBODY)
+    owner[:, :5], owner[:, 8:12], owner[:, 19] = 0, 4, 2
+    assert palette.touching(owner, 4) == {(0, 4)}
+    assert palette.touching(owner, 8) == {(0, 4), (2, 4)}

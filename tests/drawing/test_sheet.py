@@ -67,9 +67,7 @@ def test_places_are_drawn_to_scale_inside_the_frame(
 
 @pytest.mark.parametrize("origin", [(0.0, 0.0), (-3.2, 7.7), (1e5, -1e5)])
 def test_each_kind_of_cell_has_its_colour(origin: tuple[float, float]) -> None:
-    cells = (
-        np.array([[FREE, FREE], [OCCUPIED, UNKNOWN]], dtype=np.uint8).repeat(10, 0).repeat(10, 1)
-    )
+    cells = np.kron([[FREE, FREE], [OCCUPIED, UNKNOWN]], np.ones((10, 10))).astype(np.uint8)
     owner = np.where(np.arange(20)[None, :] < 10, 0, NOBODY) * np.ones((20, 1), dtype=np.int64)
     regions = Regions(GridMap(cells, 0.1, origin), owner, {})
     sheet = Sheet(*extent_of(regions), ())
@@ -80,7 +78,7 @@ def test_each_kind_of_cell_has_its_colour(origin: tuple[float, float]) -> None:
 
 
 @given(grid_maps())
-def test_the_extent_is_that_of_the_known_cells(grid: GridMap) -> None:
+def test_the_extent_is_that_of_the_known_cells_if_there_are_any(grid: GridMap) -> None:
     regions = Regions(grid, np.full(grid.cells.shape, NOBODY), {})
     low, high = extent_of(regions)
     corners = [
@@ -90,13 +88,9 @@ def test_the_extent_is_that_of_the_known_cells(grid: GridMap) -> None:
     ]
     if corners:
         np.testing.assert_allclose([low, high], [np.min(corners, 0), np.max(corners, 0)])
-
-
-@pytest.mark.parametrize("shape", [(4, 4), (1, 1), (1, 900)])
-def test_of_an_unknown_map_half_a_metre_is_shown(shape: tuple[int, int]) -> None:
-    grid = GridMap(np.full(shape, UNKNOWN, dtype=np.uint8), 0.05, (3.0, -2.0))
-    low, high = extent_of(Regions(grid, np.full(shape, NOBODY), {}))
-    assert (low.tolist(), high.tolist()) == ([3.0, -2.0], [3.5, -1.5])
+    nothing = GridMap(np.full_like(grid.cells, UNKNOWN), 0.05, (3.0, -2.0))
+    low, high = extent_of(Regions(nothing, regions.owner, {}))
+    assert (low.tolist(), high.tolist()) == ([3.0, -2.0], [3.5, -1.5])  # half a metre is shown
 
 
 @pytest.mark.parametrize("extent_m", [0.1, 0.5, 3.0, 17.0, 60.0, 300.0, 2750.0])
@@ -161,13 +155,12 @@ def test_a_border_is_drawn_where_regions_touch_and_nowhere_else() -> None:
     regions = Regions(GridMap(cells, 0.1), owner, {})
     sheet = Sheet(*extent_of(regions), ())
     sheet.ground(regions, {0: palette.FILLS[0], 1: palette.FILLS[1]})
-    border, region, wall = sheet.pixels(np.array([[1.5, 2.0], [1.5, 1.5], [3.05, 2.0]])).astype(int)
-    x, y = border
-    assert of_colour(sheet.canvas.image[y - 2 : y + 3, x - 1 : x + 2], palette.BORDER, 40).any()
-    assert pixel(sheet.canvas.image, region) == palette.FILLS[0]
-    assert pixel(sheet.canvas.image, wall) == palette.INK
-    beyond = sheet.pixels(np.array([[4.5, 2.0]])).astype(int)[0]
-    assert pixel(sheet.canvas.image, beyond) == palette.SHADE
+    places = np.array([[1.5, 2.0], [1.5, 1.5], [3.05, 2.0], [4.5, 2.0]])
+    border, region, wall, beyond = sheet.pixels(places).astype(int)
+    (x, y), image = border, sheet.canvas.image
+    assert of_colour(image[y - 2 : y + 3, x - 1 : x + 2], palette.BORDER, 40).any()
+    seen = [pixel(image, place) for place in (region, wall, beyond)]
+    assert seen == [palette.FILLS[0], palette.INK, palette.SHADE]
 
 
 def test_drawing_the_ground_takes_little_more_than_the_canvas() -> None:
@@ -206,26 +199,22 @@ def test_strokes_are_the_runs_between_jumps(seed: int, count: int) -> None:
     assert strokes(places, labels) == expected
 
 
-@pytest.mark.parametrize("count", [0, 1])
-def test_few_places(count: int) -> None:
-    places = np.zeros((count, 2))
-    assert strokes(places) == [Stroke(0, 1, 1)] * count
-    assert strokes(places, np.zeros(count)) == [Stroke(0, 1, 1)] * count
-
-
-@pytest.mark.parametrize(("leap_m", "pieces"), [(1.4, 1), (1.6, 2), (30.0, 2)])
-def test_without_labels_only_jumps_break_the_line(leap_m: float, pieces: int) -> None:
-    found = strokes(way([0.1] * 30 + [leap_m] + [0.1] * 30))
+@pytest.mark.parametrize(
+    ("step_m", "leap_m", "pieces"),
+    [(0.1, 1.4, 1), (0.1, 1.6, 2), (0.1, 30.0, 2), (2.0, 5.5, 1), (2.0, 6.5, 2)],
+)
+def test_without_labels_only_jumps_break_the_line(
+    step_m: float, leap_m: float, pieces: int
+) -> None:
+    """Of one scan every two metres the way is drawn, and a jump three times as long is none."""
+    found = strokes(way([step_m] * 30 + [leap_m] + [step_m] * 30))
     assert len(found) == pieces
     assert all(stroke.end == stroke.drawn_to for stroke in found)
     assert (found[0].first, found[-1].end) == (0, 62)
 
 
-@pytest.mark.parametrize(("leap_m", "pieces"), [(5.5, 1), (6.5, 2)])
-def test_the_long_steps_of_a_log_with_few_scans_are_no_jumps(leap_m: float, pieces: int) -> None:
-    """One scan every two metres: the way is drawn, and a jump three times as long is none of it."""
-    assert len(strokes(way([2.0] * 30 + [leap_m] + [2.0] * 30))) == pieces
-
-
-def test_a_stay_makes_no_way_a_jump() -> None:
+def test_a_stay_makes_no_way_a_jump_and_few_places_none() -> None:
     assert len(strokes(way([0.0] * 500 + [1.0] * 20))) == 1
+    for count in (0, 1):
+        places = np.zeros((count, 2))
+        assert strokes(places) == strokes(places, np.zeros(count)) == [Stroke(0, 1, 1)] * count

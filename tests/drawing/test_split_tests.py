@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import replace
 
 import cv2
@@ -26,11 +25,8 @@ HEIGHT = 240  # of the map in the picture of a test: 8 m x 4 m, 480 pixels wide
 SPECTRUM = 150  # pixels at the bottom
 WORDS = 82  # between them: three lines
 WHEN = Occasion(120, 312, 125.34)
-TOP, FLOOR, RIGHT = (
-    12,
-    126,
-    438,
-)  # of the spectrum: the highest bar, the lowest row, the last column
+# of the spectrum: the highest bar, the lowest row, the last column
+TOP, FLOOR, RIGHT = 12, 126, 438
 
 
 def drawn(test: SplitTest, threshold: float = 0.6, split: bool = True) -> Image:
@@ -45,19 +41,21 @@ def corridor() -> GridMap:
     return GridMap(cells, 0.1, (10.0, -2.0))
 
 
-def split_test(eigenvector: list[float], eigenvalues: list[float], chosen: int = 1) -> SplitTest:
+def split_test(
+    eigenvector: list[float] | None = None, eigenvalues: list[float] | None = None, chosen: int = 1
+) -> SplitTest:
     """A robot that drove from left to right, with nodes along the middle of the corridor."""
-    n = len(eigenvector)
-    nodes = np.column_stack([np.linspace(11.0, 17.0, n), np.zeros(n)])
+    vector = np.array([-1.0, 1.0] if eigenvector is None else eigenvector)
+    nodes = np.column_stack([np.linspace(11.0, 17.0, len(vector)), np.zeros(len(vector))])
     poses = np.column_stack([np.linspace(11.0, 17.0, 30), np.full(30, -1.0), np.zeros(30)])
     return SplitTest(
         grid=corridor(),
         poses=poses,
         nodes=nodes,
-        eigenvalues=np.array(eigenvalues),
+        eigenvalues=np.array([1.0, 0.9] if eigenvalues is None else eigenvalues),
         chosen=chosen,
-        eigenvector=np.array(eigenvector),
-        near=np.array(eigenvector) > 0,
+        eigenvector=vector,
+        near=vector > 0,
         stays=np.ones(30, dtype=bool),
         reached=np.ones(30, dtype=bool),
     )
@@ -78,7 +76,7 @@ def bars(image: Image) -> list[int]:
 
 
 def test_nodes_have_the_colour_of_their_side_and_fade_towards_the_border() -> None:
-    image = drawn(split_test([-1.0, -0.5, 0.0, 0.5, 1.0], [1.0, 0.8]), 0.6, True)
+    image = drawn(split_test([-1.0, -0.5, 0.0, 0.5, 1.0], [1.0, 0.8]))
     assert image.shape == (HEIGHT + WORDS + SPECTRUM, 480, 3)
     seen = [pixel(image, spot(x, 0.0)) for x in (11.0, 12.5, 14.0, 15.5, 17.0)]
     assert seen[0] == pytest.approx(BLUE, abs=2)
@@ -89,58 +87,49 @@ def test_nodes_have_the_colour_of_their_side_and_fade_towards_the_border() -> No
 
 
 def test_what_nobody_has_seen_round_the_free_cells_is_cut_away() -> None:
-    test = split_test([-1.0, 1.0], [1.0, 0.8])
+    test = split_test()
     cells = np.pad(test.grid.cells, 50, constant_values=UNKNOWN)
-    wide = replace(test, grid=GridMap(cells, 0.1, (5.0, -7.0)))
-    image = drawn(wide)
-    seen = np.argwhere(of_colour(image[: -SPECTRUM - WORDS], DARK, 60))
-    assert seen[:, 1].max() - seen[:, 1].min() > 0.85 * 480  # walls from one end to the other
+    image = drawn(replace(test, grid=GridMap(cells, 0.1, (5.0, -7.0))))
+    left, right, _, _ = bounds(of_colour(image[: -SPECTRUM - WORDS], DARK, 60))
+    assert right - left > 0.85 * 480  # walls from one end to the other
 
 
-def test_the_way_ends_in_a_dot_where_the_robot_is() -> None:
-    image = drawn(split_test([-1.0, 1.0], [1.0, 0.8]), 0.6, True)
+def test_the_map_is_white_grey_and_black_and_the_way_ends_in_a_dot_where_the_robot_is() -> None:
+    image = drawn(split_test())
+    free, unknown, wall = spot(14.0, 1.5), spot(10.3, 1.7), spot(10.05, 0.0)
+    assert pixel(image, free) == (255, 255, 255)
+    assert pixel(image, unknown) == (215, 215, 215)
+    assert pixel(image, wall) == DARK
     for x in np.arange(11.1, 16.9, 0.2).tolist():
         column, row = spot(x, -1.0).astype(int).tolist()
         assert of_colour(image[row - 1 : row + 2, column : column + 1], DARK, 60).any()
     column, row = spot(17.0, -1.0).astype(int).tolist()
     dot = of_colour(image[row - 10 : row + 11, column + 1 : column + 10], DARK, 60)
     assert dot.sum() > 30
-
-
-def test_the_map_is_white_grey_and_black() -> None:
-    image = drawn(split_test([-1.0, 1.0], [1.0, 0.8]), 0.6, False)
-    free, unknown, wall = spot(14.0, 1.5), spot(10.3, 1.7), spot(10.05, 0.0)
-    assert pixel(image, free) == (255, 255, 255)
-    assert pixel(image, unknown) == (215, 215, 215)
-    assert pixel(image, wall) == DARK
-
-
-def test_bars_are_as_high_as_the_eigenvalues() -> None:
-    values = [1.0, 0.75, 0.5, 0.25]
-    heights = bars(drawn(split_test([-1.0, 1.0], values), 0.6, True))
-    assert len(heights) == 4
-    np.testing.assert_allclose(np.array(heights) / heights[0], values, atol=0.03)
+    left, right, _, _ = bounds(of_colour(image[HEIGHT - 18 : HEIGHT - 14, :80], INK, 0))
+    assert right - left == pytest.approx(60.0, abs=2)  # the scale: a metre
 
 
 @pytest.mark.parametrize("chosen", [0, 1, 3])
-def test_the_bar_of_the_chosen_eigenvalue_stands_out(chosen: int) -> None:
-    image = drawn(split_test([-1.0, 1.0], [1.0, 0.9, 0.8, 0.7], chosen), 0.6, True)
+def test_bars_are_as_high_as_the_eigenvalues_and_the_chosen_one_stands_out(chosen: int) -> None:
+    values = [1.0, 0.75, 0.5, 0.25]
+    image = drawn(split_test(eigenvalues=values, chosen=chosen))
+    heights = bars(image)
+    assert len(heights) == 4
+    np.testing.assert_allclose(np.array(heights) / heights[0], values, atol=0.03)
     orange = of_colour(image[-SPECTRUM:], ORANGE, 0)
     assert orange.any() == bool(chosen)
     if chosen:
-        left = bounds(orange)[0]
-        assert left == pytest.approx(8 + chosen * 430 / 12, abs=1)
+        assert bounds(orange)[0] == pytest.approx(8 + chosen * 430 / 12, abs=1)
 
 
 @pytest.mark.parametrize("threshold", [0.2, 0.6, 0.95])
 def test_the_threshold_is_a_line_across(threshold: float) -> None:
-    image = drawn(split_test([-1.0, 1.0], [1.0, 0.9]), threshold)
-    line = of_colour(image[-SPECTRUM:], RED, 0)[:, : RIGHT + 1]
-    assert bounds(line) == pytest.approx(
-        (8, RIGHT, *[FLOOR - threshold * (FLOOR - TOP)] * 2), abs=1
-    )
-    figure = of_colour(image[-SPECTRUM:], RED, 60)[:, RIGHT + 2 :]
-    assert figure.any()
+    spectrum = drawn(split_test(), threshold)[-SPECTRUM:]
+    left, right, *rows = bounds(of_colour(spectrum, RED, 0)[:, : RIGHT + 1])
+    assert (left, right) == pytest.approx((8, RIGHT), abs=1)
+    assert rows == pytest.approx([FLOOR - threshold * (FLOOR - TOP)] * 2, abs=1)
+    assert of_colour(spectrum, RED, 60)[:, RIGHT + 2 :].any()  # its figure
 
 
 def lines_of(image: Image) -> list[Image]:
@@ -149,35 +138,24 @@ def lines_of(image: Image) -> list[Image]:
     return [image[start + 22 * k : start + 22 * (k + 1)] for k in range(3)]
 
 
-def test_the_words_tell_the_decision_and_when_it_was_made() -> None:
+def test_the_words_tell_the_decision_and_when_it_was_made_and_fit() -> None:
     """What changes changes one line, and neither the map nor the spectrum."""
-    test = split_test([-1.0, 1.0], [1.0, 0.9])
+    test = split_test()
     usual = drawn(test)
     changed = {
         0: drawn(test, split=False),
-        1: draw_test(test, 0.6, True, dataclasses.replace(WHEN, seconds=126.0)),
-        2: draw_test(test, 0.6, True, dataclasses.replace(WHEN, first=121)),
+        1: draw_test(test, 0.6, True, replace(WHEN, seconds=126.0)),
+        2: draw_test(test, 0.6, True, replace(WHEN, first=121)),
     }
     for line, image in changed.items():
-        same = [
-            np.array_equal(*pair) for pair in zip(lines_of(image), lines_of(usual), strict=True)
-        ]
-        assert same == [k != line for k in range(3)]
+        pairs = zip(lines_of(image), lines_of(usual), strict=True)
+        assert [np.array_equal(*pair) for pair in pairs] == [k != line for k in range(3)]
         np.testing.assert_array_equal(image[:HEIGHT], usual[:HEIGHT])
         np.testing.assert_array_equal(image[-SPECTRUM:], usual[-SPECTRUM:])
-
-
-def test_the_words_fit() -> None:
-    test, late = split_test([-1.0, 1.0], [1.0, 0.9]), Occasion(100_000, 200_000, 90_061.0)
-    for line in lines_of(draw_test(test, 0.123456, False, late)):
-        left, right, *_ = bounds(inked(line))
+    late = Occasion(100_000, 200_000, 90_061.0)
+    for words in lines_of(draw_test(test, 0.123456, False, late)):
+        left, right, *_ = bounds(inked(words))
         assert 7 <= left < right <= 473
-
-
-def test_the_scale_is_that_of_the_map() -> None:
-    image = drawn(split_test([-1.0, 1.0], [1.0, 0.9]))
-    left, right, _, _ = bounds(of_colour(image[HEIGHT - 18 : HEIGHT - 14, :80], INK, 0))
-    assert right - left == pytest.approx(60.0, abs=2)  # a metre
 
 
 @pytest.mark.parametrize("eigenvector", [[], [0.0], [0.0, 0.0]])
@@ -189,18 +167,13 @@ def test_a_test_without_a_division_is_drawn(eigenvector: list[float]) -> None:
 
 def segmentation(labels: list[int], pairs: list[tuple[int, int]]) -> Segmentation:
     """Nodes two metres apart along the corridor."""
-    n = len(labels)
-    nodes = np.column_stack([11.0 + 2.0 * np.arange(n), np.zeros(n)])
+    n, names = len(labels), np.array(labels, dtype=np.int32)
     return Segmentation(
         labels=np.zeros((40, 80), dtype=np.int32),
-        nodes=nodes,
-        node_labels=np.array(labels, dtype=np.int32),
+        nodes=np.column_stack([11.0 + 2.0 * np.arange(n), np.zeros(n)]),
+        node_labels=names,
         pairs=np.array(pairs, dtype=np.intp).reshape(-1, 2),
-        spectrum=Spectrum(
-            labels=np.array(labels, dtype=np.int32),
-            eigenvalues=np.array([1.0, 0.9, 0.1]),
-            used=2,
-        ),
+        spectrum=Spectrum(labels=names, eigenvalues=np.array([1.0, 0.9, 0.1]), used=2),
     )
 
 
@@ -229,18 +202,13 @@ def test_sight_lines_between_regions_are_red_and_the_longer_half_is_left_out() -
     np.testing.assert_array_equal(image[:-SPECTRUM], again[:-SPECTRUM])
 
 
-def test_the_picture_shows_the_free_part_of_a_large_map() -> None:
-    grid = corridor()
-    wide = GridMap(
-        np.pad(grid.cells, 300, constant_values=UNKNOWN), 0.1, (10.0 - 30.0, -2.0 - 30.0)
-    )
+def test_the_picture_shows_the_free_part_of_a_large_map_and_the_whole_of_one_without() -> None:
+    cells = np.pad(corridor().cells, 300, constant_values=UNKNOWN)
+    wide = GridMap(cells, 0.1, (10.0 - 30.0, -2.0 - 30.0))
     image = draw_segmentation(wide, segmentation([0, 1], [(0, 1)]), 0.75)
     white = bounds(of_colour(image[:-SPECTRUM], (255, 255, 255), 0))
     assert white[1] - white[0] > 700
     assert image.shape[1] == 900
-
-
-def test_a_map_without_free_cells_is_drawn_whole() -> None:
     grid = GridMap(np.full((30, 60), UNKNOWN, dtype=np.uint8), 0.1)
     image = draw_segmentation(grid, segmentation([], []), 0.75)
     assert image.shape == (450 + 60 + SPECTRUM, 900, 3)

@@ -11,25 +11,9 @@ import pytest
 from specmap_cli.core.errors import LogError
 from specmap_cli.core.progress import Silent
 from specmap_cli.core.settings import Config
-from specmap_cli.evaluation import protocols
-from specmap_cli.evaluation.protocols import (
-    ClassificationScores,
-    HoldOutResult,
-    RevisitResult,
-    classification_scores,
-    hold_out_lines,
-    revisit_lines,
-    revisit_logs,
-    score_lines,
-)
+from specmap_cli.evaluation import protocols, trajectories
+from specmap_cli.evaluation.protocols import revisit_logs
 from specmap_cli.evaluation.semantic import SemanticResult, semantic_lines
-from specmap_cli.evaluation.trajectories import (
-    ReferenceErrors,
-    RelativeErrors,
-    Spread,
-    reference_lines,
-    relation_lines,
-)
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.pipelines.simulate import SimulationResult, simulate
@@ -46,7 +30,7 @@ def again(
     return simulate(flat, options, tmp_path_factory.mktemp("again") / "again.mcap")
 
 
-def test_another_tour_is_labelled_right(
+def test_another_tour_is_labelled_right_and_a_truth_that_is_not_its_own_doubted(
     flat_map: StoredMap, flat_log: SimulationResult, again: SimulationResult
 ) -> None:
     progress = Silent()
@@ -55,54 +39,43 @@ def test_another_tour_is_labelled_right(
     assert found.filtered.accuracy > 0.8
     assert found.raw.scans > 0.9 * again.scans
     assert progress.warnings == []
-    assert [line.split()[0] for line in revisit_lines(found)] == ["scans", "raw,", "filtered"]
-
-
-def test_a_truth_of_another_tour_is_doubted(flat_map: StoredMap, again: SimulationResult) -> None:
-    progress = Silent()
+    lines = protocols.revisit_lines(found)
+    assert [line.split()[0] for line in lines] == ["scans", "raw,", "filtered"]
     revisit_logs(flat_map.path, again.log, (again.truth, again.truth), TRAINED, progress)
     assert any("off the map on average" in warning for warning in progress.warnings)
 
 
-def test_a_truth_without_common_stamps_is_refused(
-    flat_map: StoredMap, again: SimulationResult, tmp_path: Path
-) -> None:
-    late = tmp_path / "late.tum"
-    late.write_text("9000000000 0 0 0 0 0 0 1\n")
-    with pytest.raises(LogError, match="another log"):
-        revisit_logs(flat_map.path, again.log, (late, again.truth), TRAINED, Silent())
-
-
-def counted_scores(*pairs: tuple[int, int, int]) -> ClassificationScores:
+def counted_scores(*pairs: tuple[int, int, int]) -> protocols.ClassificationScores:
     """So many scans each of a true and a predicted class; classes 0 and 1, -1 unknown."""
     truth, said, counts = zip(*pairs, strict=True)
-    return classification_scores(np.repeat(truth, counts), np.repeat(said, counts), [0, 1])
+    rooms, guesses = np.repeat(truth, counts), np.repeat(said, counts)
+    return protocols.classification_scores(rooms, guesses, [0, 1])
 
 
 def test_the_table_of_a_hold_out() -> None:
-    result = HoldOutResult(
+    result = protocols.HoldOutResult(
         train=counted_scores((0, 0, 3000), (1, 1, 1000)),
         test=counted_scores((0, 0, 700), (0, 1, 300), (1, 1, 500)),
         filtered=counted_scores((0, 0, 1000), (1, 1, 500)),
     )
-    assert hold_out_lines(result) == [
+    assert protocols.hold_out_lines(result) == [
         "                         scans  recall  precision",
         "training scans           4,000  1.0000     1.0000",
         "held-out scans           1,500  0.8500     0.8125",
         "held-out, filtered       1,500  1.0000     1.0000",
         "",
         "held-out scans by submap",
-        *score_lines(result.test),
+        *protocols.score_lines(result.test),
     ]
 
 
 def test_the_table_of_a_revisit() -> None:
-    result = RevisitResult(
+    result = protocols.RevisitResult(
         raw=counted_scores((0, 0, 50), (0, -1, 30), (1, 0, 20)),
         filtered=counted_scores((0, 0, 80), (1, 1, 20)),
         truth=np.zeros(0, dtype=np.int64),
     )
-    assert revisit_lines(result) == [
+    assert protocols.revisit_lines(result) == [
         "                         scans  recall  precision  accuracy",
         "raw, single scans          100  0.3125     0.3571    0.5000",
         "filtered                   100  1.0000     1.0000    1.0000",
@@ -117,7 +90,7 @@ def test_the_table_of_a_revisit() -> None:
     ],
 )
 def test_the_lines_of_the_baseline(
-    scores: ClassificationScores, rooms: str, hallways: str, accuracy: str
+    scores: protocols.ClassificationScores, rooms: str, hallways: str, accuracy: str
 ) -> None:
     first, second = semantic_lines(SemanticResult(scores=scores, borders_seen=0.375, borders=8))
     assert first == (
@@ -128,22 +101,16 @@ def test_the_lines_of_the_baseline(
     )
 
 
-SPREAD = Spread(mean=0.1, std=0.02, median=0.09, p95=0.2, max=1.25)
-ERRORS = RelativeErrors(translation_m=SPREAD, rotation_deg=SPREAD, matched=1200, total=2000)
+SPREAD = trajectories.Spread(mean=0.1, std=0.02, median=0.09, p95=0.2, max=1.25)
+ERRORS = trajectories.RelativeErrors(
+    translation_m=SPREAD, rotation_deg=SPREAD, matched=1200, total=2000
+)
 SPREAD_TEXT = "mean 0.1000  std 0.0200  median 0.0900  p95 0.2000  max 1.2500"
 
 
-def test_the_lines_of_relations() -> None:
-    assert relation_lines(ERRORS) == [
-        "1,200 of 2,000 relations matched",
-        f"  translation m  {SPREAD_TEXT}",
-        f"  rotation deg   {SPREAD_TEXT}",
-    ]
-
-
 @pytest.mark.parametrize("lengths", [(), (1.0,), (1.0, 20.0)])
-def test_the_lines_of_a_reference(lengths: tuple[float, ...]) -> None:
-    errors = ReferenceErrors(
+def test_the_lines_of_relations_and_of_a_reference(lengths: tuple[float, ...]) -> None:
+    errors = trajectories.ReferenceErrors(
         relative=dict.fromkeys(lengths, ERRORS),
         ate_m=0.03435,
         end_m=2.5,
@@ -151,7 +118,12 @@ def test_the_lines_of_a_reference(lengths: tuple[float, ...]) -> None:
         matched=12,
         total=4000,
     )
-    lines = reference_lines(errors)
+    assert trajectories.relation_lines(ERRORS) == [
+        "1,200 of 2,000 relations matched",
+        f"  translation m  {SPREAD_TEXT}",
+        f"  rotation deg   {SPREAD_TEXT}",
+    ]
+    lines = trajectories.reference_lines(errors)
     assert lines[0] == "12 of 4,000 poses matched"
     assert lines[1:-2:3] == [f"relative errors over {length:g} m of path" for length in lengths]
     assert lines[-2:] == [
@@ -176,7 +148,8 @@ def test_a_map_of_the_first_log_is_built_for_the_purpose_and_removed(
     monkeypatch.setattr(protocols, "build_map", build)
     (tmp_path / "late.tum").write_text("9000000000 0 0 0 0 0 0 1\n")
     truths = (str(tmp_path / "late.tum"), str(again.truth))
-    with pytest.raises(LogError, match=r"late\.tum: no pose at the stamps of the map's keyframes"):
+    said = r"late\.tum: no pose at the stamps of the map's keyframes: another log\?"
+    with pytest.raises(LogError, match=said):
         revisit_logs("first.mcap", str(again.log), truths, TRAINED, Silent())
     ((logs, out),) = built
     assert logs == [Path("first.mcap")]

@@ -9,30 +9,20 @@ import pytest
 
 from specmap_cli.core.errors import InputError
 from specmap_cli.core.progress import Silent
-from specmap_cli.evaluation.semantic import (
-    HALLWAY,
-    ROOM,
-    Labelled,
-    RoomHallway,
-    hallways,
-    kinds_of,
-    room_hallway,
-    semantic_lines,
-    semantic_scores,
-)
+from specmap_cli.evaluation import semantic
+from specmap_cli.evaluation.semantic import HALLWAY, ROOM, Labelled, room_hallway
 from specmap_cli.simulation.worlds import RoomTruth
 from tests.flats import QUICK, Mapped
 
 
-def test_the_corridor_of_the_flat_is_its_hallway(flat_rooms: Any) -> None:
-    assert hallways(flat_rooms) == {4}
-
-
-def test_it_learns_the_kinds_of_one_tour(flat_tour: Any, flat_rooms: Any) -> None:
+def test_the_corridor_is_the_hallway_and_the_kinds_of_one_tour_are_learned(
+    flat_tour: Any, flat_rooms: Any
+) -> None:
+    assert semantic.hallways(flat_rooms) == {4}
     scans = [sweep.planar for sweep, _ in flat_tour]
     rooms = flat_rooms.at(np.array([pose for _, pose in flat_tour]))
-    kinds = kinds_of(rooms, {4})
-    model = RoomHallway(20).fit(scans[::2], kinds[::2])
+    kinds = semantic.kinds_of(rooms, {4})
+    model = semantic.RoomHallway(20).fit(scans[::2], kinds[::2])
     assert np.mean(model.predict(scans[1::2]) == kinds[1::2]) > 0.95
 
 
@@ -40,7 +30,7 @@ def test_a_border_between_two_rooms_is_not_seen() -> None:
     submaps = np.array([0, 0, 1, 1, 2, 2])
     predicted = np.array([HALLWAY, HALLWAY, ROOM, ROOM, ROOM, ROOM])
     truth = np.array([HALLWAY, -1, ROOM, ROOM, ROOM, HALLWAY])
-    result = semantic_scores(predicted, truth, submaps, [(0, 1), (1, 2), (2, 7)])
+    result = semantic.semantic_scores(predicted, truth, submaps, [(0, 1), (1, 2), (2, 7)])
     assert result.borders_seen == pytest.approx(0.5)
     assert result.borders == 2
     assert result.scores.scans == 5
@@ -52,7 +42,7 @@ def test_rooms_and_hallways_from_file_to_figures(first_tour: Mapped, flat_rooms:
     found = room_hallway(labelled, labelled, QUICK, Silent())
     assert found.scores.accuracy > 0.9
     assert found.borders >= 3
-    assert any("hallways" in line for line in semantic_lines(found))
+    assert any("hallways" in line for line in semantic.semantic_lines(found))
 
 
 def test_a_building_without_both_kinds_is_refused(

@@ -18,19 +18,11 @@ from specmap_cli.core.records import IntArray, PlanarScan, PosedScan
 from specmap_cli.core.settings import GridConfig, KeyframeConfig
 from specmap_cli.grids import keyframes
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.grids.keyframes import (
-    KeyframeSelector,
-    KeyframeStore,
-    Recorded,
-    informative,
-    integrate_keyframes,
-    repeated,
-    sole_views,
-    views_needed,
-)
+from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore, integrate_keyframes
 from specmap_cli.grids.occupancy import OccupancyGrid
 from tests.casting import keyframe
 from tests.strategies import planar_scans, poses
+from tests.turning import turn
 
 CONFIG = KeyframeConfig(distance_m=0.1, angle_rad=0.05)
 NOTHING = PlanarScan(0, np.array([0.0]), np.array([np.inf]), 10.0, False)
@@ -42,18 +34,16 @@ def at(x: float, theta: float = 0.0, lost: bool = False, restarted: bool = False
     return replace(keyframe(NOTHING, pose), lost=lost, restarted=restarted)
 
 
+def scan_of(number: int) -> PlanarScan:
+    """Nine beams of one length."""
+    return PlanarScan(number, np.linspace(-1, 1, 9), np.full(9, float(number)), 10.0, False)
+
+
 @given(st.lists(st.tuples(planar_scans(beams=16), poses, poses), min_size=1, max_size=5))
 def test_what_is_stored_is_read_back(taken: list[tuple[PlanarScan, Pose2, Pose2]]) -> None:
     with KeyframeStore() as store:
         for index, (scan, pose, mounting) in enumerate(taken):
-            posed = PosedScan(
-                index=index,
-                stamp_ns=scan.stamp_ns,
-                map_from_base=pose,
-                planar=scan,
-                base_from_laser=mounting,
-            )
-            assert store.append(posed) == index
+            assert store.append(keyframe(scan, pose, mounting, index)) == index
         assert len(store) == len(taken)
         np.testing.assert_array_equal(store.poses, np.array([pose for _, pose, _ in taken]))
         np.testing.assert_array_equal(store.poses_of([0, len(taken) - 1]), store.poses[[0, -1]])
@@ -72,21 +62,22 @@ def test_what_is_stored_is_read_back(taken: list[tuple[PlanarScan, Pose2, Pose2]
             )
 
 
-def test_a_store_may_be_read_while_it_grows() -> None:
+@pytest.mark.parametrize("at_a_place", [True, False])
+def test_a_store_may_be_read_while_it_grows(
+    monkeypatch: pytest.MonkeyPatch, at_a_place: bool
+) -> None:
+    """Also where the system cannot read at a place, and scans without a beam among them."""
+    if not at_a_place:
+        monkeypatch.delattr(os, "pread", raising=False)
     with KeyframeStore() as store:
+        assert store.poses.shape == store.poses_of([]).shape == (0, 3)
         for number in range(5):
-            ranges = np.full(3 + number, float(number))
-            scan = PlanarScan(number, np.linspace(-1, 1, 3 + number), ranges, 10.0, False)
+            ranges = np.full(2 * number, float(number))
+            scan = PlanarScan(number, np.linspace(-1, 1, 2 * number), ranges, 10.0, False)
             store.append(replace(at(number), planar=scan))
             for earlier in range(number + 1):
-                assert store.scan(earlier).ranges.tolist() == [earlier] * (3 + earlier)
-
-
-def test_an_empty_store_has_empty_arrays() -> None:
-    with KeyframeStore() as store:
-        assert store.poses.shape == (0, 3)
-        assert store.poses_of([]).shape == (0, 3)
-        assert len(store) == 0
+                assert store.scan(earlier).ranges.tolist() == [earlier] * 2 * earlier
+        assert store.points(0).shape == (0, 2)
 
 
 def test_scans_do_not_stay_in_memory() -> None:
@@ -119,10 +110,12 @@ def test_a_grid_of_keyframes_is_that_of_their_scans(
             pose = store.pose(number)
             laser = pose @ store.base_from_laser(number)
             direct.integrate([store.scan(number)], np.array([laser]), np.array([pose]))
-        found = integrate_keyframes(store, numbers, store.poses_of(numbers), config).snapshot()
-    expected = direct.snapshot()
-    np.testing.assert_array_equal(found.cells, expected.cells)
-    assert found.origin == expected.origin
+        expected = direct.snapshot()
+        for at_once in (32, 2):
+            turn("grids.keyframes", at_once=at_once)
+            found = integrate_keyframes(store, numbers, store.poses_of(numbers), config).snapshot()
+            np.testing.assert_array_equal(found.cells, expected.cells)
+            assert found.origin == expected.origin
 
 
 def by_hand(way: list[PosedScan], config: KeyframeConfig) -> list[bool]:
@@ -157,23 +150,6 @@ def test_keyframes_are_chosen_by_the_rule_of_the_settings(seed: int) -> None:
     assert [selector.accepts(scan) for scan in way] == by_hand(way, CONFIG)
 
 
-def test_a_scan_without_beams_is_stored_like_any_other() -> None:
-    nothing = PlanarScan(5, np.zeros(0), np.zeros(0), 10.0, False)
-    with KeyframeStore() as store:
-        store.append(replace(at(0.0), planar=nothing))
-        store.append(at(1.0))
-        assert store.scan(0).ranges.shape == (0,)
-        assert store.points(0).shape == (0, 2)
-        assert store.scan(1).ranges.tolist() == [math.inf]
-
-
-def test_a_store_is_read_alike_where_the_system_cannot_read_at_a_place(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.delattr(os, "pread", raising=False)
-    test_a_store_may_be_read_while_it_grows()
-
-
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="only where processes are forked")
 @pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
 def test_a_forked_process_reads_without_moving_the_place_at_which_is_written() -> None:
@@ -189,11 +165,6 @@ def test_a_forked_process_reads_without_moving_the_place_at_which_is_written() -
         store.append(replace(at(5), planar=scan_of(5)))
         for number in range(6):
             assert store.scan(number).ranges.tolist() == [float(number)] * 9
-
-
-def scan_of(number: int) -> PlanarScan:
-    """Nine beams of one length."""
-    return PlanarScan(number, np.linspace(-1, 1, 9), np.full(9, float(number)), 10.0, False)
 
 
 def test_what_the_store_gives_away_is_not_its_own() -> None:
@@ -221,36 +192,25 @@ def test_a_grid_says_how_many_keyframes_it_had_to_refuse() -> None:
     with KeyframeStore() as store:
         for number, x in enumerate((0.0, 5.0, 900.0, 10.0, 901.0)):
             store.append(replace(at(x), planar=scan_of(number + 1)))
-        grid = integrate_keyframes(store, range(5), store.poses, config)
-        assert grid.refused == 2
-        assert integrate_keyframes(store, [0, 1, 3], store.poses[[0, 1, 3]], config).refused == 0
+        for numbers, refused in (([0, 1, 2, 3, 4], 2), ([0, 1, 3], 0)):
+            grid = integrate_keyframes(store, numbers, store.poses[numbers], config)
+            assert grid.refused == refused
         with pytest.raises(ValueError, match="zip"):
             integrate_keyframes(store, [0, 1], store.poses, config)
-
-
-def test_a_grid_of_more_keyframes_than_are_read_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    config = GridConfig(resolution_m=0.1)
-    with KeyframeStore() as store:
-        for number in range(7):
-            store.append(replace(at(0.3 * number), planar=scan_of(number + 1)))
-        whole = integrate_keyframes(store, range(7), store.poses, config).snapshot()
-        monkeypatch.setattr(keyframes, "_AT_ONCE", 3)
-        parts = integrate_keyframes(store, range(7), store.poses, config).snapshot()
-    np.testing.assert_array_equal(whole.cells, parts.cells)
-    assert whole.origin == parts.origin
 
 
 def test_a_patrol_of_any_length_tells_as_much_as_the_place_holds() -> None:
     lap = [(0.1 * step, 0.2, 0.1) for step in range(30)]
     back = [(x, y, -3.0) for x, y, _ in lap[::-1]]
     patrol = np.array([*lap, *back] * 40)
-    chosen = informative(patrol)
+    chosen = keyframes.informative(patrol)
     assert len(chosen) == 2 * 6 * 16  # two directions, six places half a metre wide
     assert (np.diff(chosen) > 0).all()
     laps = np.bincount(chosen // 60, minlength=40)
     assert laps[:20].sum() == pytest.approx(laps[20:].sum(), rel=0.2)  # neither first nor last
-    assert len(informative(patrol[: 2 * 60])) == 2 * 60  # the first laps are taken in whole
-    assert len(informative(np.zeros((0, 3)))) == 0
+    first_laps = patrol[: 2 * 60]
+    assert len(keyframes.informative(first_laps)) == 2 * 60  # they are taken in whole
+    assert len(keyframes.informative(np.zeros((0, 3)))) == 0
 
 
 def test_keyframes_that_tell_nothing_new_stay_out_of_the_grid() -> None:
@@ -283,7 +243,7 @@ def laser(beams: int, view_deg: float, range_max: float) -> PlanarScan:
 def test_so_many_scans_show_a_place_that_every_cell_of_a_wall_is_hit(
     scan: PlanarScan, looks: int
 ) -> None:
-    assert views_needed(scan, GridConfig()) == looks
+    assert keyframes.views_needed(scan, GridConfig()) == looks
 
 
 def along(start: float, end: float, y: float = 0.0, heading: float = 0.0) -> FloatArray:
@@ -292,8 +252,8 @@ def along(start: float, end: float, y: float = 0.0, heading: float = 0.0) -> Flo
     return np.column_stack([x, np.full(len(x), y), np.full(len(x), heading)])
 
 
-def recorded(ways: Sequence[FloatArray], all_round: bool = False) -> Recorded:
-    return Recorded(
+def recorded(ways: Sequence[FloatArray], all_round: bool = False) -> keyframes.Recorded:
+    return keyframes.Recorded(
         poses=np.concatenate(ways),
         of=np.repeat(np.arange(len(ways)), [len(way) for way in ways]),
         enough=np.full(len(ways), ENOUGH),
@@ -301,11 +261,11 @@ def recorded(ways: Sequence[FloatArray], all_round: bool = False) -> Recorded:
     )
 
 
-def gone(drive: Recorded, needed: Sequence[int] = ()) -> list[IntArray]:
+def gone(drive: keyframes.Recorded, needed: Sequence[int] = ()) -> list[IntArray]:
     """The keyframes that are repeated, of each recording by their own numbers."""
     marked = np.zeros(len(drive.poses), dtype=bool)
     marked[list(needed)] = True
-    found = repeated(drive, marked)
+    found = keyframes.repeated(drive, marked)
     return [np.flatnonzero(found[drive.of == k]) for k in range(len(drive.enough))]
 
 
@@ -321,82 +281,65 @@ def test_keyframes_that_are_needed_stay() -> None:
     assert {49, 51} == {49, 50, 51} & set(old.tolist())
 
 
-def test_the_way_back_shows_the_other_side_but_not_to_a_laser_that_looks_all_round() -> None:
-    ways = [along(0.0, 3.0), along(0.0, 3.0, heading=np.pi)]
-    assert len(gone(recorded(ways))[0]) == 0
-    assert len(gone(recorded(ways, all_round=True))[0]) == 30
+WAY, FEW = along(0.0, 3.0), along(1.0, 1.2)
 
 
-def test_a_few_newer_looks_are_not_enough() -> None:
-    ways = [along(0.0, 3.0), along(1.0, 1.0 + 0.1 * (ENOUGH - 1))]
-    assert len(gone(recorded(ways))[0]) == 0
-    assert len(gone(recorded([ways[0], along(1.0, 1.0 + 0.1 * ENOUGH)]))[0]) > 0
+@pytest.mark.parametrize(
+    ("ways", "all_round", "numbers"),
+    [
+        # the way back shows the other side, but not to a laser that looks all round
+        ([WAY, along(0.0, 3.0, heading=np.pi)], False, [0, 0]),
+        ([WAY, along(0.0, 3.0, heading=np.pi)], True, [30, 0]),
+        # where the last recording was not nothing goes
+        ([WAY, WAY, along(0.0, 3.0, y=8.0)], False, [0, 0, 0]),
+        # only what is left speaks for a place: the third is beside the second, not the first
+        ([WAY, along(0.0, 3.0, 0.3), along(0.0, 3.0, 0.6)], False, [0, 30, 0]),
+    ],
+    ids=["there and back", "there and back, all round", "elsewhere", "side by side"],
+)
+def test_so_many_keyframes_are_repeated(
+    ways: list[FloatArray], all_round: bool, numbers: list[int]
+) -> None:
+    assert [len(own) for own in gone(recorded(ways, all_round))] == numbers
 
 
-def test_looks_of_several_newer_recordings_add_up() -> None:
-    few = along(1.0, 1.2)
-    assert len(few) == ENOUGH / 2
-    assert len(gone(recorded([along(0.0, 3.0), few, few]))[0]) > 0
+def test_looks_of_newer_recordings_add_up_until_they_are_enough() -> None:
+    assert len(FEW) == ENOUGH / 2
+    assert len(gone(recorded([WAY, along(1.0, 1.0 + 0.1 * (ENOUGH - 1))]))[0]) == 0
+    assert len(gone(recorded([WAY, along(1.0, 1.0 + 0.1 * ENOUGH)]))[0]) > 0
+    assert len(gone(recorded([WAY, FEW, FEW]))[0]) > 0
 
 
-def test_where_the_last_recording_was_not_nothing_goes() -> None:
-    ways = [along(0.0, 3.0), along(0.0, 3.0), along(0.0, 3.0, y=8.0)]
-    assert [len(own) for own in gone(recorded(ways))] == [0, 0, 0]
-
-
-def test_only_what_is_left_of_a_recording_speaks_for_a_place() -> None:
-    # the second lies beside the first, the third beside the second: 0.6 m from the first
-    ways = [along(0.0, 3.0), along(0.0, 3.0, 0.3), along(0.0, 3.0, 0.6)]
-    first, second, _ = gone(recorded(ways))
-    assert len(second) == 30
-    assert len(first) == 0
-
-
-def corridor(most: int) -> GridMap:
-    """A wall along y = 1 m, from 0 to `most` cells of 0.1 m."""
+def stay(xs: Sequence[float], marked: Sequence[int], unseen: list[int]) -> list[int]:
+    """Which of the marked keyframes at `xs` must stay; each sees a wall along y = 1 m."""
     cells = np.full((20, 100), UNKNOWN, dtype=np.uint8)
-    cells[:10] = FREE
-    cells[10, :most] = OCCUPIED
-    return GridMap(cells, 0.1)
-
-
-@pytest.fixture
-def beside() -> KeyframeStore:
-    """Ten keyframes a metre apart; each sees the wall at its left and nothing else."""
-    store = KeyframeStore()
-    for k in range(10):
-        scan = PlanarScan(k, np.array([np.pi / 2]), np.array([1.04]), 10.0, False)
-        pose = Pose2(k + 0.05, 0.0, 0.0)
-        store.append(keyframe(scan, pose, number=k))
-    return store
-
-
-def stay(store: KeyframeStore, marked: Sequence[int], unseen: Sequence[int]) -> list[int]:
-    grid = corridor(100)
-    cells = np.zeros(grid.cells.shape, dtype=bool)
-    cells[10, list(unseen)] = True
-    dropped = np.zeros(len(store), dtype=bool)
-    dropped[list(marked)] = True
-    with store:
-        found = sole_views(store, dropped, store.poses, grid, cells, 20.0)
+    cells[:10], cells[10] = FREE, OCCUPIED
+    old = np.zeros(cells.shape, dtype=bool)
+    old[10, unseen] = True
+    dropped = np.isin(np.arange(len(xs)), marked)
+    with KeyframeStore() as store:
+        for x in xs:
+            scan = PlanarScan(0, np.array([np.pi / 2]), np.array([1.04]), 10.0, False)
+            store.append(keyframe(scan, Pose2(x, 0.0, 0.0)))
+        grid = GridMap(cells, 0.1)
+        found = keyframes.sole_views(store, dropped, store.poses, grid, old, 20.0)
     return [int(number) for number in found]
 
 
-def test_the_only_keyframe_that_shows_a_wall_stays(beside: KeyframeStore) -> None:
-    assert stay(beside, marked=range(10), unseen=[30, 70]) == [3, 7]
-
-
-def test_a_wall_that_a_kept_keyframe_shows_needs_no_other(beside: KeyframeStore) -> None:
-    assert stay(beside, marked=[1, 2, 4], unseen=[30]) == []
-
-
-def test_walls_that_newer_recordings_looked_at_need_none(beside: KeyframeStore) -> None:
-    assert stay(beside, marked=range(10), unseen=[]) == []
+@pytest.mark.parametrize(
+    ("marked", "unseen", "left"),
+    [
+        (range(10), [30, 70], [3, 7]),  # the only one that shows a wall
+        ([1, 2, 4], [30], []),  # one that is kept shows it
+        (range(10), [], []),  # newer recordings looked at it
+    ],
+)
+def test_the_only_keyframe_that_shows_a_wall_stays(
+    marked: Sequence[int], unseen: list[int], left: list[int]
+) -> None:
+    """Ten keyframes a metre apart; each sees the wall at its left and nothing else."""
+    assert stay([k + 0.05 for k in range(10)], marked, unseen) == left
 
 
 def test_of_several_witnesses_the_last_stays() -> None:
-    store = KeyframeStore()
-    for k in range(3):
-        scan = PlanarScan(k, np.array([np.pi / 2]), np.array([1.04]), 10.0, False)
-        store.append(keyframe(scan, Pose2(3.05 + 0.02 * k, 0.0, 0.0), number=k))
-    assert stay(store, marked=range(3), unseen=[30]) == [2]
+    assert stay([3.05, 3.07, 3.09], marked=range(3), unseen=[30]) == [2]

@@ -22,7 +22,7 @@ from specmap_cli.core.errors import MapError, UsageError
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.map_server import read_grid, read_picture, write_grid, write_png
-from tests.strategies import few
+from tests.strategies import few, seeds
 from tests.turning import turn
 
 YAML = "image: m.png\nresolution: 0.1\norigin: [-1.0, 2.5, 0.0]\nnegate: 0\n"
@@ -35,27 +35,30 @@ def write_image(directory: Path, image: NDArray[Any], yaml: str = YAML) -> Path:
     return directory / "m.yaml"
 
 
+def grey_png(directory: Path) -> Path:
+    assert cv2.imwrite(str(directory / "m.png"), GREY)
+    return directory / "m.png"
+
+
 @given(
-    st.integers(1, 9),
-    st.integers(1, 9),
+    st.tuples(st.integers(1, 9), st.integers(1, 9)),
     st.sampled_from([0.05, 0.1, 0.025]),
     st.floats(-500, 500),
-    st.integers(0, 1000),
+    seeds,
 )
 def test_there_and_back(
     tmp_path_factory: pytest.TempPathFactory,
-    height: int,
-    width: int,
-    res: float,
+    shape: tuple[int, int],
+    resolution: float,
     x: float,
     seed: int,
 ) -> None:
-    cells = np.random.default_rng(seed).integers(0, 3, (height, width)).astype(np.uint8)
+    cells = np.random.default_rng(seed).integers(0, 3, shape).astype(np.uint8)
     stem = tmp_path_factory.mktemp("grid") / "000"
-    write_grid(stem, GridMap(cells, res, (x, -x)))
+    write_grid(stem, GridMap(cells, resolution, (x, -x)))
     back = read_grid(stem.with_suffix(".yaml"))
     assert (back.cells == cells).all()
-    assert back.resolution == res
+    assert back.resolution == resolution
     assert back.origin == pytest.approx((x, -x), abs=1e-6)
 
 
@@ -78,24 +81,21 @@ def test_an_empty_grid_is_one_unknown_cell(tmp_path: Path) -> None:
     assert read_grid(tmp_path / "m.yaml").cells.tolist() == [[UNKNOWN]]
 
 
-def test_colours_and_transparency(tmp_path: Path) -> None:
+def test_colours_transparency_and_percent_as_they_stand(tmp_path: Path) -> None:
     image = np.full((1, 2, 4), 255, dtype=np.uint8)
     image[0, 1, 3] = 0
     assert read_grid(write_image(tmp_path, image)).cells.tolist() == [[FREE, UNKNOWN]]
     deep = np.array([[0, 65535]], dtype=np.uint16)
     assert read_grid(write_image(tmp_path, deep)).cells.tolist() == [[OCCUPIED, FREE]]
-    assert read_grid(tmp_path / "m.png", 0.2).resolution == 0.2
-
-
-def test_percent_as_they_stand(tmp_path: Path) -> None:
-    image = np.array([[0, 100, 50, 255]], dtype=np.uint8)
-    grid = read_grid(write_image(tmp_path, image, YAML + "mode: raw\n"))
+    percent = np.array([[0, 100, 50, 255]], dtype=np.uint8)
+    grid = read_grid(write_image(tmp_path, percent, YAML + "mode: raw\n"))
     assert grid.cells.tolist() == [[FREE, OCCUPIED, UNKNOWN, UNKNOWN]]
 
 
 def test_a_given_resolution_wins(tmp_path: Path) -> None:
     path = write_image(tmp_path, np.zeros((2, 2), dtype=np.uint8))
-    assert read_grid(path, 0.25).resolution == 0.25
+    for each in (path, tmp_path / "m.png"):
+        assert read_grid(each, 0.25).resolution == 0.25
     with pytest.raises(MapError, match="above 0"):
         read_grid(path, -1.0)
     with pytest.raises(MapError, match="--resolution"):
@@ -105,16 +105,17 @@ def test_a_given_resolution_wins(tmp_path: Path) -> None:
 def test_unreadable_files_are_one_line(tmp_path: Path) -> None:
     (tmp_path / "empty.png").write_bytes(b"")
     (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(MapError, match="not an image"):
-        read_grid(tmp_path / "empty.png", 0.1)
-    with pytest.raises(MapError, match="No such file"):
-        read_grid(tmp_path / "gone.yaml")
-    with pytest.raises(MapError, match="not a text file"):
-        read_grid(tmp_path / "binary.yaml")
-    for other, said in (("gone.png", "No such file"), ("m.yaml", "not an image")):
-        (tmp_path / "m.yaml").write_text(YAML.replace("m.png", other))
+    for name, picture in (("other", "gone.png"), ("itself", "itself.yaml")):
+        (tmp_path / f"{name}.yaml").write_text(YAML.replace("m.png", picture))
+    for name, resolution, said in (
+        ("empty.png", 0.1, "not an image"),
+        ("gone.yaml", None, "No such file"),
+        ("binary.yaml", None, "not a text file"),
+        ("other.yaml", None, "No such file"),
+        ("itself.yaml", None, "not an image"),
+    ):
         with pytest.raises(MapError, match=said):
-            read_grid(tmp_path / "m.yaml")
+            read_grid(tmp_path / name, resolution)
 
 
 def test_paths_may_be_text(tmp_path: Path) -> None:
@@ -169,13 +170,6 @@ def test_any_thresholds_count_and_so_does_negate(
     assert grid.origin == (0.0, 0.0)
 
 
-@pytest.mark.parametrize("word", ["true", "True", "1", "YES", "on", "'y'"])
-def test_negate_may_be_a_word(tmp_path: Path, word: str) -> None:
-    yaml = YAML.replace("negate: 0", f"negate: {word}")
-    path = write_image(tmp_path, np.full((1, 1), 255, dtype=np.uint8), yaml)
-    assert read_grid(path).cells.tolist() == [[OCCUPIED]]
-
-
 @pytest.mark.parametrize("name", ["floor2.png", "floor #2.png", "it's: 2.png"])
 @pytest.mark.parametrize("absolute", [False, True])
 def test_a_picture_may_lie_elsewhere_and_be_called_anything(
@@ -196,6 +190,8 @@ def test_a_picture_may_lie_elsewhere_and_be_called_anything(
         "image:\n  m.png\nresolution: 1e-1\norigin:\n- -1.0\n- 2.5\n- 0.0\n",
         "\ufeff" + YAML,
         "%YAML 1.1\n---\n" + YAML + "...\n",
+        "# by hand\n---\n" + YAML.replace("0.1", "0.1\t# metres") + "mode: trinary # as usual\n",
+        YAML + "   \n  # indented\nfloor: 3\nnote: 'a: b'\nempty:\n",
     ],
 )
 def test_any_style_of_yaml_is_read(tmp_path: Path, text: str) -> None:
@@ -203,11 +199,11 @@ def test_any_style_of_yaml_is_read(tmp_path: Path, text: str) -> None:
     assert (grid.resolution, grid.origin) == (0.1, (-1.0, 2.5))
 
 
-def test_comments_and_further_keys_do_no_harm(tmp_path: Path) -> None:
-    yaml = "# by hand\n---\n" + YAML.replace("0.1", "0.1\t# metres") + "mode: trinary # as usual\n"
-    yaml += "   \n  # indented\nfloor: 3\nnote: 'a: b'\nempty:\n"
-    grid = read_grid(write_image(tmp_path, np.zeros((1, 1), dtype=np.uint8), yaml))
-    assert (grid.resolution, grid.origin) == (0.1, (-1.0, 2.5))
+@pytest.mark.parametrize("word", ["true", "True", "1", "YES", "on", "'y'"])
+def test_negate_may_be_a_word(tmp_path: Path, word: str) -> None:
+    yaml = YAML.replace("negate: 0", f"negate: {word}")
+    path = write_image(tmp_path, np.full((1, 1), 255, dtype=np.uint8), yaml)
+    assert read_grid(path).cells.tolist() == [[OCCUPIED]]
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -235,50 +231,38 @@ def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
         write_grid(tmp_path / "m", grid)
 
 
+METRES, MAP = "expected metres a cell, above 0", "expected a map_server YAML"
+
+
 @pytest.mark.parametrize(
     ("yaml", "said"),
     [
-        ("", "{}: no `image` entry: expected a map_server YAML"),
-        ("- 1\n", "{}: no `image` entry: expected a map_server YAML"),
-        (YAML.replace("m.png", ""), "{}: image is '': expected the name of a picture"),
-        (YAML + "x: " + "y" * 67_000, "{}: larger than 66 kB: expected a map_server YAML"),
-        (
-            YAML.replace("0.1", "[1, 2]"),
-            "{}: resolution is '[1, 2]': expected metres a cell, above 0",
-        ),
-        (YAML.replace("0.1", "-1"), "{}: resolution is '-1': expected metres a cell, above 0"),
-        (YAML.replace("0.1", "5 cm"), "{}: resolution is '5 cm': expected metres a cell, above 0"),
-        (YAML.replace("0.1", "1e9"), "{}: resolution is '1e9': expected metres a cell, above 0"),
-        (YAML.replace("-1.0", "nan"), "{}: origin is '[nan, 2.5, 0.0]': expected [x, y, 0]"),
-        (YAML.replace("-1.0", "1:30"), "{}: origin is '[1:30, 2.5, 0.0]': expected [x, y, 0]"),
-        (YAML.replace("negate: 0", "negate: 2"), "{}: negate is '2': expected 0 or 1"),
-        (YAML.replace("-1.0", "1e999"), "{}: origin is '[1e999, 2.5, 0.0]': expected [x, y, 0]"),
-        (
-            YAML.replace("0.0]", "1.57]"),
-            "{}: origin is turned by 1.57 rad: turn the image, write 0",
-        ),
-        (
-            YAML + "free_thresh: -0.1\n",
-            "{}: free_thresh is '-0.1': expected a number from 0 to 1",
-        ),
-        (YAML + "mode: cost\n", "{}: mode is 'cost': expected one of trinary, scale, raw"),
-        (YAML.replace("resolution", "x"), "{}: no `resolution` entry: expected a map_server YAML"),
-        (YAML.replace("[-1.0, 2.5, 0.0]", "[1]"), "{}: origin is '[1]': expected [x, y, 0]"),
-        (
-            YAML + "occupied_thresh: 65\n",
-            "{}: occupied_thresh is '65': expected a number from 0 to 1",
-        ),
-        (
-            YAML + "free_thresh: 0.7\n",
-            "{}: free_thresh 0.7 is not below occupied_thresh 0.65",
-        ),
+        ("", f"no `image` entry: {MAP}"),
+        ("- 1\n", f"no `image` entry: {MAP}"),
+        (YAML.replace("m.png", ""), "image is '': expected the name of a picture"),
+        (YAML + "x: " + "y" * 67_000, f"larger than 66 kB: {MAP}"),
+        (YAML.replace("resolution", "x"), f"no `resolution` entry: {MAP}"),
+        (YAML.replace("0.1", "[1, 2]"), f"resolution is '[1, 2]': {METRES}"),
+        (YAML.replace("0.1", "-1"), f"resolution is '-1': {METRES}"),
+        (YAML.replace("0.1", "5 cm"), f"resolution is '5 cm': {METRES}"),
+        (YAML.replace("0.1", "1e9"), f"resolution is '1e9': {METRES}"),
+        (YAML.replace("-1.0", "nan"), "origin is '[nan, 2.5, 0.0]': expected [x, y, 0]"),
+        (YAML.replace("-1.0", "1:30"), "origin is '[1:30, 2.5, 0.0]': expected [x, y, 0]"),
+        (YAML.replace("-1.0", "1e999"), "origin is '[1e999, 2.5, 0.0]': expected [x, y, 0]"),
+        (YAML.replace("-1.0, 2.5, 0.0", "1"), "origin is '[1]': expected [x, y, 0]"),
+        (YAML.replace("0.0]", "1.57]"), "origin is turned by 1.57 rad: turn the image, write 0"),
+        (YAML.replace("negate: 0", "negate: 2"), "negate is '2': expected 0 or 1"),
+        (YAML + "mode: cost\n", "mode is 'cost': expected one of trinary, scale, raw"),
+        (YAML + "free_thresh: -0.1\n", "free_thresh is '-0.1': expected a number from 0 to 1"),
+        (YAML + "occupied_thresh: 65\n", "occupied_thresh is '65': expected a number from 0 to 1"),
+        (YAML + "free_thresh: 0.7\n", "free_thresh 0.7 is not below occupied_thresh 0.65"),
     ],
 )
 def test_what_is_said_of_a_damaged_map(tmp_path: Path, yaml: str, said: str) -> None:
     path = write_image(tmp_path, np.zeros((2, 2), dtype=np.uint8), yaml)
     with pytest.raises(MapError) as caught:
         read_grid(path)
-    assert str(caught.value) == said.format(path)
+    assert str(caught.value) == f"{path}: {said}"
 
 
 def with_size(png: bytes, width: int, height: int) -> bytes:
@@ -306,8 +290,8 @@ def test_pictures_of_every_format_come_back(tmp_path: Path, suffix: str) -> None
 def test_more_pixels_than_a_building_needs_are_refused(
     tmp_path: Path, name: str, head: bytes
 ) -> None:
-    encoded = cv2.imencode(".png", GREY)[1].tobytes()
-    (tmp_path / name).write_bytes(head or with_size(encoded, 20_000, 20_000))
+    head = head or with_size(grey_png(tmp_path).read_bytes(), 20_000, 20_000)
+    (tmp_path / name).write_bytes(head)
     with pytest.raises(MapError) as caught:
         read_picture(tmp_path / name)
     assert str(caught.value) == (
@@ -317,8 +301,7 @@ def test_more_pixels_than_a_building_needs_are_refused(
 
 
 def test_the_bounds_are_settings(tmp_path: Path) -> None:
-    path = tmp_path / "m.png"
-    path.write_bytes(cv2.imencode(".png", GREY)[1].tobytes())
+    path = grey_png(tmp_path)
     assert read_picture(path, LimitsConfig(picture_max_mpixel=12e-6)).shape == (3, 4, 1)
     with pytest.raises(MapError, match=r"4 x 3 pixels are more than 1\.1e-05 million: scale it"):
         read_picture(path, LimitsConfig(picture_max_mpixel=11e-6))
@@ -331,8 +314,7 @@ def test_the_bounds_are_settings(tmp_path: Path) -> None:
 def test_want_of_memory_is_told_as_what_it_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = tmp_path / "m.png"
-    path.write_bytes(cv2.imencode(".png", GREY)[1].tobytes())
+    path = grey_png(tmp_path)
     error = cv2.error("Insufficient memory")
     error.code = cv2.Error.StsNoMem
 
@@ -349,11 +331,12 @@ def test_libraries_keep_silent_about_damage(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], place: int
 ) -> None:
     """libpng and OpenCV would write to stderr by themselves."""
-    encoded = bytearray(cv2.imencode(".png", GREY)[1].tobytes())
+    path = grey_png(tmp_path)
+    encoded = bytearray(path.read_bytes())
     encoded[place] ^= 0xFF
-    (tmp_path / "m.png").write_bytes(encoded)
+    path.write_bytes(encoded)
     with suppress(MapError):  # some damage shows only in the colours
-        read_picture(tmp_path / "m.png")
+        read_picture(path)
     os.write(2, b"heard again\n")
     assert capfd.readouterr().err == "heard again\n"
 

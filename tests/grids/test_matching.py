@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -10,14 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, wrap_angle
-from specmap_cli.grids.matching import (
-    Window,
-    covariance,
-    refine,
-    search,
-    search_everywhere,
-    weakest_direction,
-)
+from specmap_cli.grids import matching
+from specmap_cli.grids.matching import Window, refine, search
 from specmap_cli.grids.score_field import ScoreField
 from tests.strategies import few, seeds
 from tests.turning import turn
@@ -33,13 +28,15 @@ def assert_near(found: Pose2, true: Pose2, metres: float, radians: float) -> Non
     assert abs(away.theta) < radians
 
 
-def test_without_points_every_answer_is_the_guess(field: ScoreField) -> None:
+def test_without_points_on_the_field_every_answer_is_the_guess(field: ScoreField) -> None:
     nothing = np.zeros((0, 2))
     guess = Pose2(1.0, 2.0, 0.3)
     assert search(field, nothing, guess, WIDE).pose == guess
     assert refine(field, nothing, guess).pose == guess
-    assert search_everywhere(field, nothing) == []
+    assert matching.search_everywhere(field, nothing) == []
     assert ScoreField.from_points(nothing).score(np.ones((3, 2)), IDENTITY) == 0.0
+    lone = np.array([[100.0, 100.0], [-200.0, 3.0], [50.0, -70.0]])
+    assert search(field, lone, IDENTITY, WIDE).score == 0.0
 
 
 @few(15)
@@ -62,18 +59,16 @@ def test_a_scan_is_found_without_a_guess(
 ) -> None:
     true = Pose2(6.0, -9.0, heading)
     scan = true.inverse().apply(room[::2])
-    best, *others = search_everywhere(field, scan, count=3)
+    best, *others = matching.search_everywhere(field, scan, count=3)
     assert_near(refine(field, scan, best.pose).pose, true, 0.05, 0.02)
     assert all(other.score < best.score for other in others)
 
 
 def test_places_found_everywhere_are_apart(field: ScoreField, room: FloatArray) -> None:
-    matches = search_everywhere(field, room[::2], count=4)
-    for k, a in enumerate(matches):
-        for b in matches[:k]:
-            centre = room[::2].mean(axis=0)[None, :]
-            gap = np.hypot(*(a.pose.apply(centre) - b.pose.apply(centre))[0])
-            assert gap >= 0.99 or abs(wrap_angle(a.pose.theta - b.pose.theta)) >= 0.29
+    centre = room[::2].mean(axis=0)[None, :]
+    for a, b in itertools.combinations(matching.search_everywhere(field, room[::2], count=4), 2):
+        gap = np.hypot(*(a.pose.apply(centre) - b.pose.apply(centre))[0])
+        assert gap >= 0.99 or abs(wrap_angle(a.pose.theta - b.pose.theta)) >= 0.29
 
 
 def test_a_penalty_keeps_the_pose_near_the_guess(corridor: FloatArray) -> None:
@@ -87,18 +82,13 @@ def test_a_penalty_keeps_the_pose_near_the_guess(corridor: FloatArray) -> None:
     assert found.pose.y == pytest.approx(0.0, abs=0.06)
 
 
-def test_points_off_the_field_never_count(field: ScoreField) -> None:
-    lone = np.array([[100.0, 100.0], [-200.0, 3.0], [50.0, -70.0]])
-    assert search(field, lone, IDENTITY, WIDE).score == 0.0
-
-
 def test_covariance_is_long_along_a_corridor(
     field: ScoreField, room: FloatArray, corridor: FloatArray
 ) -> None:
     scan = corridor[np.abs(corridor[:, 0]) < 4]
-    spread = covariance(ScoreField.from_points(corridor), scan, IDENTITY)
+    spread = matching.covariance(ScoreField.from_points(corridor), scan, IDENTITY)
     assert spread[0, 0] > 20 * spread[1, 1]
-    inside = covariance(field, room, IDENTITY)
+    inside = matching.covariance(field, room, IDENTITY)
     assert inside[0, 0] < 0.1 * spread[0, 0]
     assert np.linalg.eigvalsh(inside).min() >= 0.0
 
@@ -162,7 +152,7 @@ def test_covariance_is_that_of_weights_summed_pose_by_pose(seed: int) -> None:
     weights = np.exp((scores - scores.max()) / 0.05)
     expected = np.cov(offsets.T, aweights=weights, ddof=0)
     turn("grids", spread_temperature=0.05, spread_m=reach, spread_rad=angle)
-    found = covariance(field, points, pose)
+    found = matching.covariance(field, points, pose)
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-9)
 
 
@@ -170,18 +160,16 @@ def test_scores_found_everywhere_are_never_below_the_true_ones(
     field: ScoreField, room: FloatArray
 ) -> None:
     scan = Pose2(2.0, -1.0, 1.1).inverse().apply(room[::3])
-    for match in search_everywhere(field, scan, count=5):
+    for match in matching.search_everywhere(field, scan, count=5):
         near = search(field, scan, match.pose, NARROW)
         assert 0.0 <= match.score <= 1.0
         assert field.score(scan, match.pose) <= match.score + 1e-9
         assert near.score >= field.score(scan, match.pose)
 
 
-def box(
-    length_m: float, width_m: float, range_m: float, noise_m: float, seed: int = 0
-) -> FloatArray:
+def box(length_m: float, width_m: float, range_m: float, noise_m: float) -> FloatArray:
     """What a laser in the middle of a box sees, its long side along x."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     to_end = 0.5 * length_m / np.maximum(np.abs(np.cos(BEARINGS)), 1e-9)
     to_side = 0.5 * width_m / np.maximum(np.abs(np.sin(BEARINGS)), 1e-9)
     ranges = np.minimum(to_end, to_side)
@@ -195,21 +183,17 @@ def box(
 @pytest.mark.parametrize("turn", [0.0, 0.7, -2.0])
 def test_a_bare_corridor_is_open_along_itself(noise_m: float, width_m: float, turn: float) -> None:
     points = Pose2(0.0, 0.0, turn).apply(box(60.0, width_m, 8.0, noise_m))
-    weakest = weakest_direction(points)
+    weakest = matching.weakest_direction(points)
     assert weakest.open
     assert abs(math.sin(weakest.heading - turn)) < 0.05
 
 
 @pytest.mark.parametrize("noise_m", [0.0, 0.01, 0.03])
-def test_one_end_in_sight_closes_it(noise_m: float) -> None:
-    assert not weakest_direction(box(12.0, 2.5, 8.0, noise_m)).open
-
-
-@pytest.mark.parametrize("noise_m", [0.0, 0.03])
-def test_a_square_room_fixes_all_directions_alike(noise_m: float) -> None:
-    assert weakest_direction(box(5.0, 5.0, 10.0, noise_m)).share == pytest.approx(0.5, abs=0.06)
-
-
-@pytest.mark.parametrize("count", [0, 1, 2])
-def test_too_few_points_fix_nothing(count: int) -> None:
-    assert weakest_direction(np.ones((count, 2))).open
+def test_an_end_in_sight_closes_it_and_a_square_room_fixes_all_directions_alike(
+    noise_m: float,
+) -> None:
+    assert not matching.weakest_direction(box(12.0, 2.5, 8.0, noise_m)).open
+    square = matching.weakest_direction(box(5.0, 5.0, 10.0, noise_m))
+    assert square.share == pytest.approx(0.5, abs=0.06)
+    for count in range(3):  # too few points fix nothing
+        assert matching.weakest_direction(np.ones((count, 2))).open

@@ -71,12 +71,17 @@ def proved_points(scan: PlanarScan, pose: Pose2, config: GridConfig) -> FloatArr
     return pose.apply(along.reshape(-1, 2))
 
 
-@given(planar_scans(beams=48, reach=4.0), poses)
-def test_a_cell_is_free_only_where_a_beam_passed(scan: PlanarScan, pose: Pose2) -> None:
-    grid = gridded([scan], [pose])
-    free = grid.centres_of(np.argwhere(grid.free))
-    away, _ = cKDTree(proved_points(scan, pose, CONFIG)).query(free)
-    assert away.max() <= 1.5 * CELL  # a line drawn in whole cells strays by one of them
+@given(planar_scans(beams=48, reach=4.5), poses)
+def test_a_cell_is_free_only_where_a_beam_passed_and_known_all_along_it(
+    scan: PlanarScan, pose: Pose2
+) -> None:
+    grid, proved = gridded([scan], [pose]), proved_points(scan, pose, CONFIG)
+    free, seen = (
+        grid.centres_of(np.argwhere(cells)) for cells in (grid.free, grid.cells != UNKNOWN)
+    )
+    for places, among in ((free, proved), (proved, seen)):
+        away, _ = cKDTree(among).query(places)
+        assert away.max() <= 1.5 * CELL  # a line drawn in whole cells strays by one of them
 
 
 @given(planar_scans(reach=6.0), poses)
@@ -91,7 +96,7 @@ def test_every_return_is_an_occupied_cell_whatever_the_other_beams_say(
     assert grid.occupied.sum() <= len(hits)
 
 
-def test_beams_without_a_return_prove_nothing() -> None:
+def test_beams_without_a_return_prove_nothing_and_those_cut_short_no_wall() -> None:
     bearings = np.linspace(-np.pi, np.pi, 90, endpoint=False)
     for empty in (np.inf, np.nan):
         nothing = PlanarScan(0, bearings, np.full(90, empty), 20.0, True)
@@ -101,14 +106,10 @@ def test_beams_without_a_return_prove_nothing() -> None:
     grid = gridded([PlanarScan(0, bearings, ranges, 20.0, True)], [Pose2(0.0, 0.0, 0.0)])
     places = np.array([[1.0, 0.0], [2.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [2.2, 0.0]])
     assert grid.values_at(places).tolist() == [FREE, OCCUPIED, UNKNOWN, UNKNOWN, UNKNOWN]
-
-
-def test_a_beam_longer_than_the_cut_proves_free_space_and_no_wall() -> None:
-    config = settings(max_range_m=3.0)
-    grid = gridded([one_beam(0.0, 5.0)], [Pose2(0.0, 0.0, 0.0)], config)
+    cut = gridded([one_beam(0.0, 5.0)], [IDENTITY], settings(max_range_m=3.0))
     places = np.array([[2.5, 0.0], [3.5, 0.0], [5.0, 0.0]])
-    assert grid.values_at(places).tolist() == [FREE, UNKNOWN, UNKNOWN]
-    assert not grid.occupied.any()
+    assert cut.values_at(places).tolist() == [FREE, UNKNOWN, UNKNOWN]
+    assert not cut.occupied.any()
 
 
 @given(planar_scans(), poses, st.integers(-40, 40), st.integers(-40, 40))
@@ -127,35 +128,23 @@ def test_a_shift_by_whole_cells_shifts_the_grid(
 
 
 @pytest.mark.parametrize("limit", [{"max_extent_m": 40.0}, {"max_area_m2": 1600.0}])
-def test_a_grid_never_grows_past_its_limit(limit: dict[str, float]) -> None:
+def test_a_grid_never_grows_past_its_limit_and_counts_the_scans_beyond(
+    limit: dict[str, float],
+) -> None:
     grid = OccupancyGrid(settings(**limit))
-    add(grid, one_beam(0.0, 2.0), Pose2(0.0, 0.0, 0.0))
+    add(grid, one_beam(0.0, 2.0), IDENTITY)
     before = grid.snapshot()
-    add(grid, one_beam(0.0, 2.0), Pose2(500.0, 0.0, 0.0))
-    add(grid, NOTHING, Pose2(0.0, -500.0, 0.0))
+    for x in (500.0, -500.0):
+        add(grid, one_beam(0.0, 2.0), Pose2(x, 0.0, 0.0))
+    assert grid.refused == 2
+    add(grid, NOTHING, Pose2(0.0, -500.0, 0.0))  # the robot's footprint is no scan
+    add(grid, one_beam(0.0, np.inf), Pose2(500.0, 0.0, 0.0))  # nor has this one anything
+    assert grid.refused == 2
     np.testing.assert_array_equal(grid.snapshot().cells, before.cells)
     add(grid, one_beam(0.0, 2.0), Pose2(5.0, 5.0, 0.0))
+    assert grid.refused == 2
     assert grid.snapshot().cells.size * CELL**2 <= 1600.0
     assert grid.snapshot().values_at(np.array([[7.0, 5.0]]))[0] == OCCUPIED
-
-
-def at_beams(scan: PlanarScan, pose: Pose2, config: GridConfig) -> FloatArray:
-    """Points every tenth of a cell along each beam that returned, walked one by one."""
-    points = []
-    for bearing, reach in zip(scan.bearings, scan.ranges, strict=True):
-        if np.isfinite(reach):
-            along = np.arange(0.0, min(reach, config.max_range_m), 0.1 * config.resolution_m)
-            angle = bearing + pose.theta
-            points.append((pose.x, pose.y) + along[:, None] * (math.cos(angle), math.sin(angle)))
-    return np.concatenate([np.zeros((0, 2)), *points])
-
-
-@given(planar_scans(beams=36, reach=5.0), poses)
-def test_all_along_a_beam_the_cells_are_known(scan: PlanarScan, pose: Pose2) -> None:
-    grid = gridded([scan], [pose])
-    cells = grid.centres_of(np.argwhere(grid.cells != UNKNOWN))
-    away, _ = cKDTree(cells).query(at_beams(scan, pose, CONFIG))
-    assert away.max() <= 1.5 * CELL  # a line drawn in whole cells strays by one of them
 
 
 @given(
@@ -166,7 +155,7 @@ def test_all_along_a_beam_the_cells_are_known(scan: PlanarScan, pose: Pose2) -> 
 def test_a_cell_is_occupied_from_its_share_of_hits_on(hits: int, passes: int, share: float) -> None:
     turn("grids", occupied_share=share)
     beams = [one_beam(0.0, 2.0)] * hits + [one_beam(0.0, 4.0)] * passes
-    grid = gridded(beams, [IDENTITY] * len(beams), CONFIG)
+    grid = gridded(beams, [IDENTITY] * len(beams))
     expected = UNKNOWN
     if hits + passes:
         expected = OCCUPIED if hits and hits >= share * (hits + passes) else FREE
@@ -187,53 +176,38 @@ def test_the_footprint_is_every_cell_whose_centre_it_covers(seed: int, radius: f
 
 @pytest.mark.parametrize("reading", [0.0, -1.0, np.nan, np.inf, -np.inf])
 def test_a_reading_that_is_no_range_changes_nothing(reading: float) -> None:
-    bearings = np.array([-0.4, 0.0, 0.4])
-    whole = PlanarScan(0, bearings, np.array([2.0, 3.0, 2.0]), 20.0, False)
-    broken = PlanarScan(0, bearings, np.array([2.0, reading, 2.0]), 20.0, False)
-    without = PlanarScan(0, bearings[[0, 2]], np.array([2.0, 2.0]), 20.0, False)
     turn("grids", surface_gap_m=0.01)
-    config = CONFIG
-    assert known(gridded([broken], [IDENTITY], config)) == known(
-        gridded([without], [IDENTITY], config)
+    bearings, ranges = np.array([-0.4, 0.0, 0.4]), np.array([2.0, reading, 2.0])
+    beams = (
+        (bearings, ranges),
+        (bearings[[0, 2]], ranges[[0, 2]]),
+        (bearings, np.array([2.0, 3.0, 2.0])),
     )
-    assert known(gridded([whole], [IDENTITY], config)) != known(
-        gridded([broken], [IDENTITY], config)
+    broken, without, whole = (
+        known(gridded([PlanarScan(0, *beam, 20.0, False)], [IDENTITY])) for beam in beams
     )
+    assert broken == without != whole
 
 
 @pytest.mark.parametrize(("gap", "state"), [(0.5, FREE), (0.3, UNKNOWN)])
 def test_between_two_returns_of_one_surface_all_is_free(gap: float, state: int) -> None:
     scan = PlanarScan(0, np.array([-0.1, 0.1]), np.array([2.0, 2.0]), 20.0, False)  # 0.4 m apart
     turn("grids", surface_gap_m=gap)
-    config = settings(resolution_m=0.02)
-    grid = gridded([scan], [IDENTITY], config)
-    assert grid.values_at(np.array([[1.5, 0.0]]))[0] == state
-    assert grid.values_at(1.5 * np.array([[math.cos(0.1), math.sin(0.1)]]))[0] == FREE
+    grid = gridded([scan], [IDENTITY], settings(resolution_m=0.02))
+    between, on_it = [1.5, 0.0], [1.5 * math.cos(0.1), 1.5 * math.sin(0.1)]
+    assert grid.values_at(np.array([between, on_it])).tolist() == [state, FREE]
 
 
-@pytest.mark.parametrize("limit", [{"max_extent_m": 40.0}, {"max_area_m2": 1600.0}])
-def test_scans_that_reach_beyond_the_largest_grid_are_counted(limit: dict[str, float]) -> None:
-    grid = OccupancyGrid(settings(**limit))
-    for x in (0.0, 1.0, 500.0, 2.0, -500.0):
-        add(grid, one_beam(0.0, 2.0), Pose2(x, 0.0, 0.0))
-    assert grid.refused == 2
-    add(grid, NOTHING, Pose2(500.0, 0.0, 0.0))  # the robot's footprint is no scan
-    add(grid, one_beam(0.0, np.inf), Pose2(500.0, 0.0, 0.0))  # nor has this one anything
-    assert grid.refused == 2
-
-
-@pytest.mark.parametrize(
-    ("limit", "reach"), [({"max_extent_m": 5.0}, 4.5), ({"max_area_m2": 2.0}, 4.5)]
-)
+@pytest.mark.parametrize("limit", [{"max_extent_m": 5.0}, {"max_area_m2": 2.0}])
 def test_a_scan_that_fits_is_taken_though_the_grid_has_no_cells_to_spare(
-    limit: dict[str, float], reach: float
+    limit: dict[str, float],
 ) -> None:
     grid = OccupancyGrid(settings(**limit))
     add(grid, one_beam(0.0, 2.0), IDENTITY)
-    add(grid, one_beam(0.0, reach), IDENTITY)
+    add(grid, one_beam(0.0, 4.5), IDENTITY)
     assert grid.refused == 0
     snapshot = grid.snapshot()
-    assert snapshot.values_at(np.array([[2.0, 0.0], [reach, 0.0]])).tolist() == [OCCUPIED, OCCUPIED]
+    assert snapshot.values_at(np.array([[2.0, 0.0], [4.5, 0.0]])).tolist() == [OCCUPIED, OCCUPIED]
     height, width = (side * CELL for side in snapshot.cells.shape)
     assert max(height, width) <= limit.get("max_extent_m", np.inf)
     assert height * width <= limit.get("max_area_m2", np.inf)
@@ -242,8 +216,7 @@ def test_a_scan_that_fits_is_taken_though_the_grid_has_no_cells_to_spare(
 
 
 def test_a_snapshot_does_not_change_with_what_comes_after_it() -> None:
-    grid = OccupancyGrid(CONFIG)
-    add(grid, one_beam(0.0, 2.0), IDENTITY)
+    grid = counts_of([(one_beam(0.0, 2.0), IDENTITY)])
     before = grid.snapshot()
     cells = before.cells.copy()
     add(grid, one_beam(0.0, 1.0), IDENTITY)
@@ -286,22 +259,19 @@ def test_grids_are_added_and_taken_from_each_other(taken: Taken, cut: int) -> No
     assert known(rest.snapshot()) == known(counts_of(taken).snapshot())
 
 
-def test_a_grid_is_not_made_larger_than_allowed_by_adding_another() -> None:
-    config = settings(max_extent_m=20.0)
-    grid = counts_of([(one_beam(0.0, 2.0), IDENTITY)], config)
-    grid.include(counts_of([(one_beam(0.0, 2.0), Pose2(50.0, 0.0, 0.0))], config))
-    assert grid.refused == 1
-    assert max(grid.snapshot().cells.shape) * CELL <= 20.0
-
-
-def test_what_a_full_grid_refused_is_not_taken_from_it() -> None:
+def test_what_a_full_grid_refused_is_neither_added_nor_taken_from_it() -> None:
     config = settings(max_extent_m=4.0)
-    whole = counts_of([(one_beam(0.0, 2.0), IDENTITY), (one_beam(1.5, 3.9), IDENTITY)], config)
-    add(whole, one_beam(-1.5, 3.0), IDENTITY)
-    assert whole.refused == 1
-    rest = whole.without(counts_of([(one_beam(-1.5, 3.0), IDENTITY)], config))
-    assert rest.snapshot().values_at(np.array([[2.0, 0.0]]))[0] == OCCUPIED
-    assert (rest.snapshot().values_at(np.array([[0.2, -3.0]])) == UNKNOWN).all()
+    taken = [(one_beam(0.0, 2.0), IDENTITY), (one_beam(1.5, 3.9), IDENTITY)]
+    beyond = counts_of([(one_beam(-1.5, 3.0), IDENTITY)], config)
+    whole = counts_of([*taken, (one_beam(-1.5, 3.0), IDENTITY)], config)
+    both = counts_of(taken, config)
+    both.include(beyond)
+    for grid in (whole, both):
+        assert grid.refused == 1
+        assert max(grid.snapshot().cells.shape) * CELL <= 4.0
+        rest = grid.without(beyond).snapshot()
+        places = np.array([[2.0, 0.0], [0.2, -3.0]])
+        assert rest.values_at(places).tolist() == [OCCUPIED, UNKNOWN]
 
 
 @given(planar_scans(), poses, st.floats(0.0, 9.0))
@@ -314,10 +284,7 @@ def test_the_part_near_some_places_is_cut_from_the_whole(
     part, same = grid.near(places, reach), counts.near(places, reach)
     assert (part.resolution, part.origin) == (same.resolution, same.origin)
     np.testing.assert_array_equal(part.cells, same.cells)
-    inside = np.abs(grid.centres_of(np.argwhere(grid.cells < 3)) - (1.0, 0.0)) <= (
-        1.0 + reach - CELL,
-        1.0 + reach - CELL,
-    )
-    shown = grid.centres_of(np.argwhere(grid.cells < 3))[inside.all(axis=1)]
+    centres = grid.centres_of(np.argwhere(grid.cells < 3))
+    shown = centres[(np.abs(centres - (1.0, 0.0)) <= 1.0 + reach - CELL).all(axis=1)]
     assert part.inside(part.cells_of(shown)).all()
     assert max(part.cells.shape) * CELL <= 2.0 + 2.0 * reach + 2.0 * CELL

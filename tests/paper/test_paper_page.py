@@ -11,32 +11,27 @@ import numpy as np
 import pytest
 import typer
 
+from benchmarks.paper import blocks
 from benchmarks.paper.__main__ import main
-from benchmarks.paper.blocks import (
-    Block,
-    Chart,
-    Found,
-    Gallery,
-    Picture,
-    Row,
-    Series,
-    Table,
-    Words,
-    figure,
-)
+from benchmarks.paper.blocks import figure
 from benchmarks.paper.cases import Cases
 from benchmarks.paper.charts import drawn, ticks
 from benchmarks.paper.page import Done, render
 from benchmarks.paper.parts import PARTS
 from specmap_cli.cli.app import app
 
-BLOCKS: list[Block] = [
-    Found("three of <four>.", "because of this"),
-    Words("plain <words>"),
-    Words("a warning", warning=True),
-    Table(("map", "recall"), [Row(("a & b", "0.900")), Row(("paper", "0.8"), published=True)]),
-    Gallery([Picture(np.full((4, 6, 3), 7, dtype=np.uint8), "a picture")], across=3),
-    Chart([Series("one", [(0.0, 0.1), (2.0, 0.9)], frozenset({1}), 0.8)], "s", "value", top=1.0),
+BLOCKS: list[blocks.Block] = [
+    blocks.Found("three of <four>.", "because of this"),
+    blocks.Words("plain <words>"),
+    blocks.Words("a warning", warning=True),
+    blocks.Table(
+        ("map", "recall"),
+        [blocks.Row(("a & b", "0.900")), blocks.Row(("paper", "0.8"), published=True)],
+    ),
+    blocks.Gallery([blocks.Picture(np.full((4, 6, 3), 7, dtype=np.uint8), "a picture")], across=3),
+    blocks.Chart(
+        [blocks.Series("one", [(0.0, 0.1), (2.0, 0.9)], frozenset({1}), 0.8)], "s", "value", top=1.0
+    ),
 ]
 
 
@@ -64,19 +59,16 @@ def test_the_page_says_what_is_missing_and_how_it_was_made(page: str) -> None:
     assert page.count("<section") == 2
 
 
-def test_a_picture_is_in_the_page_itself(page: str) -> None:
+def test_a_picture_is_in_the_page_itself_and_nothing_is_loaded_from_elsewhere(page: str) -> None:
+    assert not re.search(r"https?:|<script|<link|@import|url\(", page)
     (data,) = re.findall(r'src="data:image/png;base64,([^"]+)"', page)
     decoded = cv2.imdecode(np.frombuffer(base64.b64decode(data), dtype=np.uint8), cv2.IMREAD_COLOR)
     assert decoded is not None
     assert (decoded.min(), decoded.max()) == (7, 7)
 
 
-def test_nothing_is_loaded_from_elsewhere(page: str) -> None:
-    assert not re.search(r"https?:|<script|<link|@import|url\(", page)
-
-
 def test_a_chart_is_drawn_to_scale() -> None:
-    at = drawn(Chart([Series("one", [(0.0, 0.0), (5.0, 2.0)])], "x", "y"))
+    at = drawn(blocks.Chart([blocks.Series("one", [(0.0, 0.0), (5.0, 2.0)])], "x", "y"))
     (line,) = at.lines
     assert line.points.split() == [f"{at.left}.0,{at.bottom}.0", f"{at.right}.0,{at.top}.0"]
     assert line.level is None
@@ -84,14 +76,9 @@ def test_a_chart_is_drawn_to_scale() -> None:
     assert at.across[-1].at == at.right
 
 
-@pytest.mark.parametrize(
-    ("most", "expected"), [(1.0, [0.0, 0.2, 0.4, 0.6, 0.8, 1.0]), (160, [0.0, 50.0, 100.0, 150.0])]
-)
-def test_ticks_are_round(most: float, expected: list[float]) -> None:
-    assert ticks(most) == expected
-
-
-def test_no_figure_is_a_dash() -> None:
+def test_ticks_are_round_and_no_figure_is_a_dash() -> None:
+    assert ticks(1.0) == [0.0, 0.2, 0.4, 0.6, 0.8, 1.0]
+    assert ticks(160) == [0.0, 50.0, 100.0, 150.0]
     assert figure(float("nan")) == "–"
     assert figure(0.12345) == "0.123"
 

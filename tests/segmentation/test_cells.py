@@ -17,6 +17,7 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import OCCUPIED, BoolArray, GridMap, contacts, nearest_values
 from specmap_cli.grids.map_server import read_grid
+from specmap_cli.segmentation import visibility
 from specmap_cli.segmentation.cells import (
     border_widths,
     consensus,
@@ -27,15 +28,9 @@ from specmap_cli.segmentation.cells import (
     nearest_labels,
     spread_labels,
 )
-from specmap_cli.segmentation.division import segment
+from specmap_cli.segmentation.division import Segmentation, segment
 from specmap_cli.segmentation.furniture import furniture, small_obstacles, without_slits
-from specmap_cli.segmentation.visibility import (
-    LabelArray,
-    near_pairs,
-    sample_nodes,
-    visibility_graph,
-    visible,
-)
+from specmap_cli.segmentation.visibility import LabelArray, near_pairs, sample_nodes, visible
 from specmap_cli.segmentation.working_grid import working_grid
 from tests.strategies import few, seeds
 
@@ -98,6 +93,8 @@ def test_fronts_meet_in_the_passage() -> None:
     np.testing.assert_array_equal(flooded >= 0, free)
     assert (flooded[5:35, 5:35] == 0).all()
     assert (flooded[5:35, 41:81] == 1).all()
+    assert (flood_labels(clearance_of(free), nodes[:0], labels[:0]) == -1).all()
+    assert (nearest_labels(free, nodes[:0], labels[:0]) == -1).all()
 
 
 @given(seed=seeds, asked=st.integers(0, 40))
@@ -136,29 +133,26 @@ def test_a_block_has_one_node_or_none(seed: int, choice: str, step: int) -> None
     rng = np.random.default_rng(seed)
     clearance = np.maximum(rng.normal(1.0, 1.5, (rng.integers(1, 25), rng.integers(1, 25))), 0.0)
     expected = []
-    for row in range(0, clearance.shape[0], step):
-        for column in range(0, clearance.shape[1], step):
-            block = clearance[row : row + step, column : column + step]
-            inner = divmod(int(block.argmax()), block.shape[1])
-            if choice == "centre":
-                inner = step // 2, step // 2
-            inside = inner[0] < block.shape[0] and inner[1] < block.shape[1]
-            if inside and block[inner] > 1.0:
-                expected.append([row + inner[0], column + inner[1]])
+    corners = (range(0, side, step) for side in clearance.shape)
+    for row, column in itertools.product(*corners):
+        block = clearance[row : row + step, column : column + step]
+        inner = divmod(int(block.argmax()), block.shape[1])
+        if choice == "centre":
+            inner = step // 2, step // 2
+        inside = inner[0] < block.shape[0] and inner[1] < block.shape[1]
+        if inside and block[inner] > 1.0:
+            expected.append([row + inner[0], column + inner[1]])
     assert sample_nodes(clearance, step, 1.0, choice).tolist() == expected
-
-
-def test_without_a_clearance_asked_for_nodes_still_stand_in_free_cells() -> None:
     clearance = np.zeros((6, 6))
     clearance[1, 1] = 0.5
-    assert sample_nodes(clearance, 3, 0.0, "clearest").tolist() == [[1, 1]]
-    assert sample_nodes(clearance, 3, -1.0, "clearest").tolist() == [[1, 1]]
+    for least in (0.0, -1.0):  # without a clearance asked for they still stand in free cells
+        assert sample_nodes(clearance, 3, least, choice).tolist() == [[1, 1]]
 
 
 @given(seed=seeds, sight=st.floats(1.0, 40.0))
 def test_in_open_space_all_see_all_in_sight(seed: int, sight: float) -> None:
     nodes = np.unique(np.random.default_rng(seed).integers(0, 30, (20, 2)), axis=0)
-    graph = visibility_graph(np.full((30, 30), 9.0), nodes, sight, 1.0)
+    graph = visibility.visibility_graph(np.full((30, 30), 9.0), nodes, sight, 1.0)
     np.testing.assert_array_equal(graph.pairs, near_pairs(nodes, sight))
     delta = nodes[graph.pairs[:, 0]] - nodes[graph.pairs[:, 1]]
     np.testing.assert_allclose(graph.lengths, np.linalg.norm(delta, axis=1))
@@ -225,13 +219,6 @@ def test_a_flooded_cell_belongs_to_the_node_with_the_widest_way_to_it(seed: int)
     step = 2.0 * clearance.max() / 126  # heights are rounded, and each step counts two of them
     worse = (flooded >= 0) & (mine < ways.max(axis=0) - step)
     assert worse.mean() < 0.003  # where two fronts meet they stand a cell apart
-
-
-def test_without_nodes_nothing_is_labelled() -> None:
-    none, labels = np.zeros((0, 2), dtype=np.intp), np.zeros(0, dtype=np.int32)
-    free = dumbbell()
-    assert (flood_labels(clearance_of(free), none, labels) == -1).all()
-    assert (nearest_labels(free, none, labels) == -1).all()
 
 
 @given(seed=seeds, rings=st.integers(1, 6))
@@ -346,14 +333,10 @@ def test_a_railing_of_dashes_is_a_wall_and_pieces_that_stand_apart_or_end_soon_a
     free = dashes(count, gap)
     found = furniture(free, 0.05, SegmentationConfig())
     np.testing.assert_array_equal(found, ~free if is_furniture else np.zeros_like(free))
-
-
-def test_a_table_among_the_dashes_of_a_railing_stays_furniture() -> None:
-    free = dashes(6, 1)
-    free[20:29, 40:76] = False  # a slit away from the row, solid, and longer than a chair
+    free[20:29, 40:76] = False  # a table a slit away from the row, solid, and longer than a chair
     found = furniture(free, 0.05, SegmentationConfig())
     assert found[20:29, 40:76].all()
-    assert not found[30].any()
+    assert found[30].any() == is_furniture
 
 
 def test_slits_are_narrower_than_the_square_that_has_to_fit() -> None:
@@ -404,7 +387,9 @@ def touching(labels: LabelArray) -> set[tuple[tuple[int, int], tuple[int, int]]]
 
 @given(seeds)
 def test_contacts_are_all_pairs_of_cells_that_touch_and_differ(seed: int) -> None:
+    """And a border is as wide as its clearest contact."""
     labels = patches(seed)
+    clearance = np.random.default_rng(seed + 1).random(labels.shape)
     found = contacts(labels)
     pairs = [
         (tuple(one), tuple(other))
@@ -412,26 +397,15 @@ def test_contacts_are_all_pairs_of_cells_that_touch_and_differ(seed: int) -> Non
     ]
     assert len(set(pairs)) == len(pairs)
     assert set(pairs) == touching(labels)
+    expected: dict[tuple[int, int], float] = {}
     for (one, other), (low, high) in zip(pairs, found.labels.tolist(), strict=True):
         assert (low, high) == tuple(sorted((labels[one], labels[other])))
-
-
-@given(seeds)
-def test_a_border_is_as_wide_as_its_clearest_contact(seed: int) -> None:
-    labels = patches(seed)
-    clearance = np.random.default_rng(seed + 1).random(labels.shape)
-    expected: dict[tuple[int, int], float] = {}
-    for one, other in touching(labels):
-        low, high = sorted((int(labels[one]), int(labels[other])))
         width = float(min(clearance[one], clearance[other]))
         expected[low, high] = max(width, expected.get((low, high), 0.0))
     assert border_widths(labels, clearance) == expected
-
-
-@pytest.mark.parametrize("labels", [np.zeros((4, 5)), np.full((3, 3), -1), np.zeros((1, 1))])
-def test_one_region_has_no_border(labels: LabelArray) -> None:
-    assert contacts(labels.astype(np.int32)).labels.shape == (0, 2)
-    assert border_widths(labels.astype(np.int32), np.ones(labels.shape)) == {}
+    for nothing in (np.zeros_like(labels), np.full_like(labels, -1)):
+        assert contacts(nothing).labels.shape == (0, 2)
+        assert border_widths(nothing, clearance) == {}
 
 
 @given(seeds)
@@ -492,13 +466,10 @@ def test_clusters_are_joined_as_one_by_one(seed: int, ratio: float, percent: flo
     assert sorted(set(names)) == list(range(len(found)))
 
 
-@pytest.mark.parametrize(("border", "joined"), [(0.8, True), (0.7999, False)])
-def test_a_border_of_just_the_ratio_joins(border: float, joined: bool) -> None:
-    names = join_wide({(0, 1): border}, [np.full(2, 0.5), np.full(2, 2.0)], 0.8, 60.0)
-    assert (names == [0, 0]) == joined
-
-
-def test_a_cluster_without_nodes_or_width_does_no_harm() -> None:
+def test_a_border_of_just_the_ratio_joins_and_a_cluster_without_nodes_or_width_none() -> None:
+    widths = [np.full(2, 0.5), np.full(2, 2.0)]
+    assert join_wide({(0, 1): 0.8}, widths, 0.8, 60.0) == [0, 0]
+    assert join_wide({(0, 1): 0.7999}, widths, 0.8, 60.0) == [0, 1]
     widths = [np.zeros(3), np.zeros(0), np.ones(3)]
     assert join_wide({(0, 2): 0.1, (1, 2): 0.1}, widths, 0.8, 60.0) == [0, 0, 0]
     assert join_wide({}, [], 0.8, 60.0) == []
@@ -521,6 +492,14 @@ def ragged(grid: GridMap, seed: int) -> GridMap:
     flipped = near[np.random.default_rng(seed).random(len(near)) < 0.1]
     cells[tuple(flipped.T)] = OCCUPIED
     return GridMap(cells, grid.resolution)
+
+
+def shared_cells(one: Segmentation, other: Segmentation) -> FloatArray:
+    """How many cells each region of one division has in common with each of the other."""
+    both = (one.labels >= 0) & (other.labels >= 0)
+    shared = np.zeros((one.count, other.count))
+    np.add.at(shared, (one.labels[both], other.labels[both]), 1.0)
+    return shared
 
 
 @pytest.mark.parametrize(
@@ -570,9 +549,7 @@ def test_a_few_ragged_cells_move_no_border(office: GridMap, seed: int) -> None:
     config = SegmentationConfig()
     worn = ragged(office, seed)
     before, after = segment(office, config), segment(worn, config)
-    common = (before.labels >= 0) & (after.labels >= 0) & worn.free
-    shared = np.zeros((before.count, after.count))
-    np.add.at(shared, (before.labels[common], after.labels[common]), 1.0)
+    shared = shared_cells(before, after)
     assert before.count == after.count
     assert shared.max(axis=1).sum() > 0.97 * shared.sum()
 
@@ -591,10 +568,7 @@ def test_cells_that_tipped_a_pairwise_majority_tip_no_election() -> None:
     """
     grid = read_grid(ROOT / "sample_logs" / "office.yaml")
     config = SegmentationConfig()
-    before = segment(grid, config)
-    after = segment(ragged(grid, 5), config)
-    both = (before.labels >= 0) & (after.labels >= 0)
-    shared = np.zeros((before.count, after.count))
-    np.add.at(shared, (before.labels[both], after.labels[both]), 1.0)
+    before, after = segment(grid, config), segment(ragged(grid, 5), config)
+    shared = shared_cells(before, after)
     either = shared.sum(axis=1)[:, None] + shared.sum(axis=0) - shared
     assert (shared / either > 0.5).sum() >= 0.9 * max(before.count, after.count)

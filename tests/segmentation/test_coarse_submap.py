@@ -48,10 +48,6 @@ def same(one: GridMap, other: GridMap) -> bool:
     return one.origin == other.origin and np.array_equal(one.cells, other.cells)
 
 
-def near_the_way(submap: CoarseSubmap, grid: GridMap) -> GridMap:
-    return grid.near(submap.poses, CONFIG.path_band_m + PATH_MARGIN_M)
-
-
 def test_keyframes_enter_the_grid_when_the_robot_moved_or_turned(drive: KeyframeStore) -> None:
     submap = CoarseSubmap(CONFIG, GRID, drive)
     for number in range(len(drive)):
@@ -60,8 +56,8 @@ def test_keyframes_enter_the_grid_when_the_robot_moved_or_turned(drive: Keyframe
     np.testing.assert_array_equal(submap.poses, drive.poses)
     mapped = [0, 2, 4, 6, 8, 10, 13, 16, 19, 22, 25]  # every 0.25 m, then every 0.6 rad
     config = GRID.model_copy(update={"resolution_m": SPLIT_CELL_M})
-    expected = integrate_keyframes(drive, mapped, drive.poses_of(mapped), config)
-    assert same(submap.grid(), near_the_way(submap, expected.snapshot()))
+    whole = integrate_keyframes(drive, mapped, drive.poses_of(mapped), config).snapshot()
+    assert same(submap.grid(), whole.near(submap.poses, CONFIG.path_band_m + PATH_MARGIN_M))
 
 
 def test_where_nodes_lie_anywhere_the_grid_is_whole(drive: KeyframeStore) -> None:
@@ -132,10 +128,7 @@ def test_a_split_counts_each_keyframe_on_its_side(
     assert counted_once(left, drive)
     assert submap.keyframes == tuple(range(26))
     assert counted_once(submap, drive)
-
-
-def test_a_submap_goes_on_after_a_split(drive: KeyframeStore) -> None:
-    rest, _ = submap_of(drive, range(12)).split(np.arange(12) >= 8)
+    rest, _ = submap_of(drive, range(12)).split(np.arange(12) >= 8)  # and goes on
     assert rest.add(12) == 0.0  # turned on the spot
     assert rest.keyframes == (8, 9, 10, 11, 12)
     assert counted_once(rest, drive)

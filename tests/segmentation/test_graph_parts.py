@@ -20,8 +20,6 @@ from specmap_cli.segmentation.division import segment
 from specmap_cli.segmentation.graph_division import parts_of
 from specmap_cli.segmentation.spectral import Spectrum, clusters_of
 
-IntArray = np.ndarray[Any, np.dtype[np.intp]]
-
 
 def rooms(sizes: Sequence[int], bridge: float = 0.05) -> csr_array:
     """A chain of cliques, each joined to the next by one weak edge."""
@@ -35,10 +33,6 @@ def rooms(sizes: Sequence[int], bridge: float = 0.05) -> csr_array:
         start += size
     np.fill_diagonal(S, 0.0)
     return csr_array(S)
-
-
-def room_of(sizes: Sequence[int]) -> IntArray:
-    return np.repeat(np.arange(len(sizes)), sizes)
 
 
 def test_a_small_graph_is_one_part_a_component() -> None:
@@ -55,7 +49,7 @@ def test_a_small_graph_is_one_part_a_component() -> None:
 @given(sizes=st.lists(st.integers(4, 20), min_size=2, max_size=12), seed=st.integers(0, 1000))
 def test_cuts_go_through_the_weak_edges_and_through_no_room(sizes: list[int], seed: int) -> None:
     place = np.random.default_rng(seed).permutation(sum(sizes))
-    S, room = rooms(sizes)[place][:, place], room_of(sizes)[place]
+    S, room = rooms(sizes)[place][:, place], np.repeat(np.arange(len(sizes)), sizes)[place]
     parts = parts_of(S, max(sizes))
     assert sorted(np.concatenate(parts).tolist()) == list(range(sum(sizes)))
     for part in parts:

@@ -14,20 +14,9 @@ from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import GridConfig, SegmentationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.segmentation.online import (
-    _TEST_METRES,
-    Observer,
-    Occasion,
-    OnlineSegmenter,
-    Region,
-)
-from specmap_cli.segmentation.splitting import (
-    PATH_MARGIN_M,
-    CoarseSubmap,
-    SplitTest,
-    examine,
-    way_driven,
-)
+from specmap_cli.segmentation import online, splitting
+from specmap_cli.segmentation.online import Occasion, OnlineSegmenter, Region
+from specmap_cli.segmentation.splitting import CoarseSubmap, SplitTest, examine, way_driven
 from tests.casting import keyframe, ranges_at
 from tests.turning import turn
 
@@ -61,13 +50,20 @@ def record(grid: GridMap, poses: list[Pose2]) -> KeyframeStore:
 def run(
     store: KeyframeStore,
     config: SegmentationConfig = DEFAULT,
-    observer: Observer | None = None,
+    observer: online.Observer | None = None,
     keyframes: int | None = None,
 ) -> list[Region]:
     """The regions of the first keyframes, all unless told otherwise."""
     segmenter = OnlineSegmenter(config, GridConfig(), store, observer)
     count = len(store) if keyframes is None else keyframes
     return [r for number in range(count) for r in segmenter.add(number)] + segmenter.flush()
+
+
+def submap_of(store: KeyframeStore, keyframes: int) -> CoarseSubmap:
+    submap = CoarseSubmap(DEFAULT, GridConfig(), store)
+    for number in range(keyframes):
+        submap.add(number)
+    return submap
 
 
 def examined(store: KeyframeStore, config: SegmentationConfig = DEFAULT) -> list[SplitTest]:
@@ -99,14 +95,8 @@ def test_two_rooms_are_two_and_the_first_goes_on_when_the_robot_is_back(
     room = [pose.x > 5.4 for pose in THERE_AND_BACK]
     wrong = sum(room[k] != (region.number == 1) for region in regions for k in region.keyframes)
     assert wrong <= 0.03 * len(room)
-
-
-def test_without_regrowing_the_return_is_a_region_of_its_own(
-    two_room_tour: KeyframeStore,
-) -> None:
-    config = DEFAULT.model_copy(update={"regrow": False})
-    regions = run(two_room_tour, config)
-    assert [region.continues for region in regions] == [None, None, None]
+    apart = run(two_room_tour, DEFAULT.model_copy(update={"regrow": False}))
+    assert [region.continues for region in apart] == [None, None, None]
 
 
 @pytest.fixture(scope="module")
@@ -127,11 +117,8 @@ def test_what_no_sight_line_joins_any_more_is_a_region_once_the_robot_is_gone(
     regions = run(three_rooms, observer=lambda test, *_: tests.append(test))
     x, y = three_rooms.poses[:, :2].T
     assert sorted(k for region in regions for k in region.keyframes) == list(range(len(x)))
-    assert [(region.number, region.continues) for region in regions] == [
-        (0, None),
-        (1, None),
-        (2, None),
-    ]
+    assert [region.number for region in regions] == [0, 1, 2]
+    assert {region.continues for region in regions} == {None}
     room = np.where(x < 4.4, 0, np.where(y < 4.4, 1, 2))
     for region, expected in zip(regions, (1, 0, 2), strict=True):
         assert (room[list(region.keyframes)] == expected).mean() > 0.95
@@ -171,7 +158,7 @@ def test_looking_into_a_room_does_not_split_the_corridor(office: GridMap) -> Non
 def test_tests_come_by_the_way_travelled_or_by_keyframes(two_room_tour: KeyframeStore) -> None:
     whole = way_driven(two_room_tour, range(len(two_room_tour)))
     found = len(examined(two_room_tour))
-    assert found == pytest.approx(whole / _TEST_METRES, abs=0.1 * whole)
+    assert found == pytest.approx(whole / online._TEST_METRES, abs=0.1 * whole)
     assert len(examined(two_room_tour, PAPER)) == len(two_room_tour) // PAPER.test_keyframes
 
 
@@ -208,9 +195,7 @@ def test_the_paper_compares_the_second_eigenvalue(two_room_tour: KeyframeStore) 
 def test_the_outcome_of_a_test_does_not_depend_on_where_the_map_lies(
     two_room_tour: KeyframeStore,
 ) -> None:
-    submap = CoarseSubmap(DEFAULT, GridConfig(), two_room_tour)
-    for number in range(90):
-        submap.add(number)
+    submap = submap_of(two_room_tour, 90)
     here = examine(submap.grid(), submap.poses, DEFAULT)
     grid = submap.grid()
     far = GridMap(grid.cells, grid.resolution, (grid.origin[0] + 512.0, grid.origin[1] - 256.0))
@@ -223,29 +208,20 @@ def test_the_outcome_of_a_test_does_not_depend_on_where_the_map_lies(
 def test_the_number_of_nodes_is_bounded(office: GridMap) -> None:
     poses = waypoints_to_poses((1.0, 5.5), (14.0, 5.5))
     with record(office, poses) as store:
-        submap = CoarseSubmap(DEFAULT, GridConfig(), store)
-        for number in range(len(store)):
-            submap.add(number)
+        submap = submap_of(store, len(store))
         assert len(examine(submap.grid(), submap.poses, DEFAULT).nodes) > 20
         turn("segmentation", split_nodes=20)
         assert 3 <= len(examine(submap.grid(), submap.poses, DEFAULT).nodes) <= 20
 
 
-def test_a_map_too_small_for_a_graph_is_not_split(plan: Callable[..., GridMap]) -> None:
-    grid = plan(1.0, 1.0, (0.3, 0.3, 0.7, 0.7))
-    test = examine(grid, np.array([[0.5, 0.5, 0.0]]), DEFAULT)
-    assert test.eigenvalue == 0.0
-    assert test.stays.all()
-
-
-TWICE_OVER = (
+TWICE_OVER = [
     *THERE_AND_BACK,
     *waypoints_to_poses((1.0, 1.0), (4.0, 1.95), (6.2, 1.95), (8.8, 3.0)),
-)
+]
 
 
 def test_a_region_gone_on_with_twice_is_named_by_its_first_piece(two_rooms: GridMap) -> None:
-    with record(two_rooms, list(TWICE_OVER)) as store:
+    with record(two_rooms, TWICE_OVER) as store:
         regions = run(store)
     assert [region.continues for region in regions] == [None, None, 0, 1]
     for region in regions:
@@ -254,29 +230,27 @@ def test_a_region_gone_on_with_twice_is_named_by_its_first_piece(two_rooms: Grid
 
 
 def test_the_observer_sees_what_is_split(two_room_tour: KeyframeStore) -> None:
-    seen: list[tuple[SplitTest, bool]] = []
-    occasions: list[Occasion] = []
+    seen: list[tuple[SplitTest, bool, Occasion]] = []
 
     def observe(test: SplitTest, split: bool, occasion: Occasion) -> None:
-        seen.append((test, split))
-        occasions.append(occasion)
+        seen.append((test, split, occasion))
 
     segmenter = OnlineSegmenter(DEFAULT, GridConfig(), two_room_tour, observe)
+    stamps_ns = two_room_tour.stamps_ns
     for number in range(len(two_room_tour)):
         before = len(seen)
         left = segmenter.add(number)
         assert len(seen) - before <= 1
-        assert len(left) == sum(split for _, split in seen[before:])
-        for occasion in occasions[before:]:
+        assert len(left) == sum(split for _, split, _ in seen[before:])
+        for test, _, occasion in seen[before:]:
             assert occasion.latest == number
-            stamps_ns = two_room_tour.stamps_ns
             assert occasion.seconds == (stamps_ns[number] - stamps_ns[0]) / 1e9
-            assert len(seen[-1][0].poses) == number - occasion.first + 1
+            assert len(test.poses) == number - occasion.first + 1
         for region in left:
-            test, _ = seen[-1]
+            test, *_ = seen[-1]
             gone = two_room_tour.poses_of(region.keyframes)
             np.testing.assert_array_equal(gone, test.poses[~test.stays])
-    for test, split in seen:
+    for test, split, _ in seen:
         assert test.stays[-1]  # the robot is where it is
         assert not split or test.eigenvalue > DEFAULT.split_eigenvalue
 
@@ -315,7 +289,7 @@ def test_a_door_divides_the_way_where_it_is(two_rooms: GridMap) -> None:
 def test_what_lies_beyond_the_band_and_its_margin_changes_nothing(two_rooms: GridMap) -> None:
     near = examine(*driven(two_rooms, (1.0, 1.0), (2.0, 1.0)), DEFAULT)
     cells = two_rooms.cells.copy()
-    reach = DEFAULT.path_band_m + PATH_MARGIN_M
+    reach = DEFAULT.path_band_m + splitting.PATH_MARGIN_M
     cells[:, round((2.0 + reach) / 0.05) + 2 :] = OCCUPIED
     other = GridMap(cells, two_rooms.resolution)
     same = examine(*driven(other, (1.0, 1.0), (2.0, 1.0)), DEFAULT)
@@ -339,13 +313,6 @@ def test_the_margin_keeps_obstacles_at_the_band_s_edge_whole(margin: float) -> N
     assert on_it.any() == (margin > 0.0)
 
 
-def test_a_way_off_the_map_is_not_divided(two_rooms: GridMap) -> None:
-    grid, poses = driven(two_rooms, (1.0, 1.0), (3.0, 1.0))
-    test = examine(grid, poses + (500.0, 0.0, 0.0), DEFAULT)
-    assert (test.eigenvalue, len(test.nodes), test.grid.cells.size) == (0.0, 0, 0)
-    assert test.stays.all()
-
-
 def test_of_rooms_seen_and_not_entered_there_may_be_as_many_as_eigenpairs(
     office: GridMap,
 ) -> None:
@@ -357,11 +324,17 @@ def test_of_rooms_seen_and_not_entered_there_may_be_as_many_as_eigenpairs(
     assert examine(*driven(office, *way), everywhere).eigenvalue == 0.0
 
 
-def test_a_robot_that_never_moved_is_in_one_region(two_rooms: GridMap) -> None:
-    standing = np.tile([2.0, 1.95, 0.0], (30, 1))
-    test = examine(two_rooms, standing, DEFAULT)
-    assert test.stays.all()
-    assert test.eigenvalue == 0.0
+def test_no_division_of_a_stand_a_way_off_the_map_or_a_map_too_small_for_a_graph(
+    two_rooms: GridMap, plan: Callable[..., GridMap]
+) -> None:
+    standing = examine(two_rooms, np.tile([2.0, 1.95, 0.0], (30, 1)), DEFAULT)
+    grid, poses = driven(two_rooms, (1.0, 1.0), (3.0, 1.0))
+    off = examine(grid, poses + (500.0, 0.0, 0.0), DEFAULT)
+    assert (len(off.nodes), off.grid.cells.size) == (0, 0)
+    small = examine(plan(1.0, 1.0, (0.3, 0.3, 0.7, 0.7)), np.array([[0.5, 0.5, 0.0]]), DEFAULT)
+    for test in (standing, off, small):
+        assert test.eigenvalue == 0.0
+        assert test.stays.all()
 
 
 def test_poses_behind_a_closed_door_stay_where_they_cannot_be_judged(two_rooms: GridMap) -> None:

@@ -19,21 +19,6 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.segmentation import spectral
 from specmap_cli.segmentation.graph_division import spectral_clusters, split_again, subgraph
-from specmap_cli.segmentation.spectral import (
-    bisect,
-    clusters_of,
-    dense_normalised,
-    dense_similarity,
-    eigenpairs_above,
-    kmeans_unit,
-    largest_eigenpairs,
-    local_scales,
-    normalised,
-    similarity,
-    two_largest,
-    unit_rows,
-    with_fixed_signs,
-)
 from specmap_cli.segmentation.visibility import LabelArray, VisibilityGraph, near_pairs
 from tests.strategies import few, seeds
 
@@ -55,7 +40,7 @@ def blobs(seed: int, clusters: int = 3, each: int = 25) -> VisibilityGraph:
 @given(seed=seeds, neighbours=st.sampled_from([0, 1, 3, 7]))
 def test_scales_are_medians_of_the_nearest_visible_nodes(seed: int, neighbours: int) -> None:
     graph = blobs(seed, each=6)
-    scales = local_scales(graph.lengths, graph.pairs, len(graph.nodes), neighbours)
+    scales = spectral.local_scales(graph.lengths, graph.pairs, len(graph.nodes), neighbours)
     for node in range(len(graph.nodes)):
         seen = np.sort(graph.lengths[(graph.pairs == node).any(axis=1)])
         assert scales[node] == np.median(seen[:neighbours] if neighbours else seen)
@@ -64,39 +49,31 @@ def test_scales_are_medians_of_the_nearest_visible_nodes(seed: int, neighbours: 
 @given(seed=seeds)
 def test_similarity_is_equation_1(seed: int) -> None:
     graph = blobs(seed, each=6)
-    count = len(graph.nodes)
-    scales = local_scales(graph.lengths, graph.pairs, count)
-    S = similarity(graph.lengths, graph.pairs, scales, count).toarray()
+    count = len(graph.nodes) + 1  # the last sees no other
+    scales = spectral.local_scales(graph.lengths, graph.pairs, count)
+    S = spectral.similarity(graph.lengths, graph.pairs, scales, count).toarray()
     assert (S >= 0.0).all()
     np.testing.assert_array_equal(S, S.T)
     assert not S.diagonal().any()
     for (i, j), length in zip(graph.pairs[::5], graph.lengths[::5], strict=True):
         assert S[i, j] == pytest.approx(np.exp(-(length**2) / (scales[i] * scales[j])))
-
-
-@given(seed=seeds)
-def test_arrays_hold_what_sparse_matrices_do(seed: int) -> None:
-    graph = blobs(seed, each=6)
-    count = len(graph.nodes) + 1  # the last sees no other
-    scales = np.append(local_scales(graph.lengths, graph.pairs, count - 1), 1.0)
-    S = dense_similarity(graph.lengths, graph.pairs, scales, count)
-    sparse_S = similarity(graph.lengths, graph.pairs, scales, count)
-    np.testing.assert_array_equal(S, sparse_S.toarray())
-    sparse_L, _ = normalised(sparse_S)
-    np.testing.assert_allclose(dense_normalised(S), sparse_L.toarray(), rtol=1e-12)
+    dense = spectral.dense_similarity(graph.lengths, graph.pairs, scales, count)
+    np.testing.assert_array_equal(dense, S)
 
 
 @given(seed=seeds)
 def test_the_normalised_affinity_has_largest_eigenvalue_one(seed: int) -> None:
     graph = blobs(seed, each=6)
     count = len(graph.nodes)
-    S = similarity(graph.lengths, graph.pairs, np.full(count, 20.0), count)
-    L, degrees = normalised(S)
-    np.testing.assert_allclose(degrees, S.toarray().sum(axis=1))
-    np.testing.assert_allclose(
-        L.toarray(), S.toarray() / np.sqrt(np.outer(degrees, degrees)), atol=1e-12
-    )
-    assert largest_eigenpairs(L, 1)[0][0] == pytest.approx(1.0)
+    S = spectral.similarity(graph.lengths, graph.pairs, np.full(count, 20.0), count)
+    L, degrees = spectral.normalised(S)
+    dense = S.toarray()
+    np.testing.assert_allclose(degrees, dense.sum(axis=1))
+    np.testing.assert_allclose(L.toarray(), dense / np.sqrt(np.outer(degrees, degrees)), atol=1e-12)
+    assert spectral.largest_eigenpairs(L, 1)[0][0] == pytest.approx(1.0)
+    alone = np.pad(dense, (0, 1))  # the last sees no other
+    sparse_L, _ = spectral.normalised(sparse.csr_array(alone))
+    np.testing.assert_allclose(spectral.dense_normalised(alone), sparse_L.toarray(), rtol=1e-12)
 
 
 def random_symmetric(size: int) -> sparse.csr_array:
@@ -105,17 +82,27 @@ def random_symmetric(size: int) -> sparse.csr_array:
     return sparse.csr_array(half + half.T)
 
 
-@pytest.mark.parametrize("size", [5, 90, 400])
+@pytest.mark.parametrize("size", [2, 5, 60, 90, 400])
 def test_eigenpairs_are_those_of_a_dense_solver(size: int) -> None:
     matrix = random_symmetric(size)
-    values, vectors = largest_eigenpairs(matrix, 5)
-    np.testing.assert_allclose(values, np.linalg.eigvalsh(matrix.toarray())[::-1][:5], atol=1e-6)
+    dense = matrix.toarray()
+    every = np.linalg.eigvalsh(dense)[::-1]
+    values, vectors = spectral.largest_eigenpairs(matrix, 5)
+    np.testing.assert_allclose(values, every[:5], atol=1e-6)
     np.testing.assert_allclose(matrix @ vectors, vectors * values, atol=1e-4)
     assert ((vectors**3).sum(axis=0) >= 0.0).all()
-    for again in (matrix, matrix.toarray()):  # the same on every run, and of an array
-        same_values, same_vectors = largest_eigenpairs(again, 5)
+    for again in (matrix, dense):  # the same on every run, and of an array
+        same_values, same_vectors = spectral.largest_eigenpairs(again, 5)
         np.testing.assert_array_equal(same_values, values)
         np.testing.assert_array_equal(same_vectors, vectors)
+    values, vectors = spectral.two_largest(dense)
+    np.testing.assert_allclose(values, every[:2], atol=1e-9)
+    np.testing.assert_allclose(matrix @ vectors, vectors * values, atol=1e-9)
+    if size < 10:  # those asked for in excess are all there are
+        values, vectors = spectral.largest_eigenpairs(matrix, 40)
+        assert (values.shape, vectors.shape) == ((size,), (size, size))
+        assert (np.diff(values) <= 0.0).all()
+        assert len(spectral.eigenpairs_above(matrix, -100.0)[0]) == size
 
 
 @given(seed=seeds)
@@ -172,8 +159,9 @@ def test_algorithm_2_is_the_paper_s_in_dense_matrices(seed: int, clusters: int) 
 def test_the_spectrum_of_a_graph_in_pieces_is_that_of_the_whole(seed: int) -> None:
     graph = in_pieces(seed)
     count = len(graph.nodes)
-    scales = local_scales(graph.lengths, graph.pairs, count)
-    L = normalised(similarity(graph.lengths, graph.pairs, scales, count))[0].toarray()
+    scales = spectral.local_scales(graph.lengths, graph.pairs, count)
+    S = spectral.similarity(graph.lengths, graph.pairs, scales, count)
+    L = spectral.normalised(S)[0].toarray()
     found = spectral_clusters(graph, SegmentationConfig())
     every = np.linalg.eigvalsh(L)[::-1]
     np.testing.assert_allclose(found.eigenvalues, every[: len(found.eigenvalues)], atol=1e-6)
@@ -191,16 +179,12 @@ def in_pieces(seed: int) -> VisibilityGraph:
 
 
 def test_nodes_that_see_nothing_are_clusters_of_their_own() -> None:
-    nodes = np.array([[0, 0], [0, 3], [40, 40], [80, 0]])
-    found = spectral_clusters(
-        VisibilityGraph(nodes, np.array([[0, 1]]), np.array([3.0])), SegmentationConfig()
-    )
+    nodes, config = np.array([[0, 0], [0, 3], [40, 40], [80, 0]]), SegmentationConfig()
+    graph = VisibilityGraph(nodes, np.array([[0, 1]]), np.array([3.0]))
+    found = spectral_clusters(graph, config)
     assert found.labels.tolist() == [0, 0, 1, 2]
     assert found.used == 3
-    alone = spectral_clusters(
-        VisibilityGraph(nodes[:0], np.zeros((0, 2), dtype=np.intp), np.zeros(0)),
-        SegmentationConfig(),
-    )
+    alone = spectral_clusters(VisibilityGraph(nodes[:0], graph.pairs[:0], np.zeros(0)), config)
     assert alone.labels.shape == alone.eigenvalues.shape == (0,)
     assert alone.used == 0
 
@@ -208,49 +192,29 @@ def test_nodes_that_see_nothing_are_clusters_of_their_own() -> None:
 @pytest.mark.parametrize("used", [1, 2, 5, 24])
 def test_k_is_the_number_of_eigenvalues_above_the_level(used: int) -> None:
     graph = blobs(0, clusters=2, each=12)
-    scales = local_scales(graph.lengths, graph.pairs, 24)
-    L, degrees = normalised(similarity(graph.lengths, graph.pairs, scales, 24))
+    scales = spectral.local_scales(graph.lengths, graph.pairs, 24)
+    L, degrees = spectral.normalised(spectral.similarity(graph.lengths, graph.pairs, scales, 24))
     every = np.append(np.linalg.eigvalsh(L.toarray())[::-1], -2.0)
-    found = clusters_of(L, degrees, float(every[used - 1] + every[used]) / 2.0)
+    found = spectral.clusters_of(L, degrees, float(every[used - 1] + every[used]) / 2.0)
     assert found.used == used
     assert len(np.unique(found.labels)) <= used
     assert len(found.eigenvalues) >= min(used + 1, 24)  # one below, where there is one
-
-
-def test_a_level_that_no_eigenvalue_passes_leaves_one_cluster() -> None:
-    graph = blobs(0, clusters=2, each=12)
-    L, degrees = normalised(similarity(graph.lengths, graph.pairs, np.full(24, 9.0), 24))
-    found = clusters_of(L, degrees, 1.0 + 1e-6)
-    assert found.used == 1
-    assert not found.labels.any()
+    none = spectral.clusters_of(L, degrees, 1.0 + 1e-6)
+    assert none.used == 1
+    assert not none.labels.any()
 
 
 def test_scales_of_nodes_that_see_no_other_are_one() -> None:
-    scales = local_scales(np.array([2.0, 6.0]), np.array([[1, 3], [3, 4]]), 6)
+    scales = spectral.local_scales(np.array([2.0, 6.0]), np.array([[1, 3], [3, 4]]), 6)
     assert scales.tolist() == [1.0, 2.0, 1.0, 4.0, 6.0, 1.0]
-    assert local_scales(np.zeros(0), np.zeros((0, 2), dtype=np.intp), 2).tolist() == [1.0, 1.0]
-
-
-@pytest.mark.parametrize("size", [2, 7, 60])
-def test_the_two_largest_are_those_of_all(size: int) -> None:
-    matrix = random_symmetric(size).toarray()
-    values, vectors = two_largest(matrix)
-    np.testing.assert_allclose(values, np.linalg.eigvalsh(matrix)[::-1][:2], atol=1e-9)
-    np.testing.assert_allclose(matrix @ vectors, vectors * values, atol=1e-9)
-
-
-def test_eigenpairs_asked_for_in_excess_are_all_there_are() -> None:
-    matrix = random_symmetric(9)
-    values, vectors = largest_eigenpairs(matrix, 40)
-    assert (values.shape, vectors.shape) == ((9,), (9, 9))
-    assert (np.diff(values) <= 0.0).all()
-    assert len(eigenpairs_above(matrix, -100.0)[0]) == 9
+    none = spectral.local_scales(np.zeros(0), np.zeros((0, 2), dtype=np.intp), 2)
+    assert none.tolist() == [1.0, 1.0]
 
 
 def test_as_many_equal_eigenvalues_as_there_are_pieces_are_found() -> None:
     ring = np.array([[0.0, 0.5, 0.5], [0.5, 0.0, 0.5], [0.5, 0.5, 0.0]])
     many = sparse.block_diag([ring] * 60, format="csr")  # more than are asked for at first
-    values, vectors = eigenpairs_above(many, 0.9)
+    values, vectors = spectral.eigenpairs_above(many, 0.9)
     assert (values > 0.9).sum() == 60
     np.testing.assert_allclose(many @ vectors, vectors * values, atol=1e-4)
 
@@ -258,10 +222,10 @@ def test_as_many_equal_eigenvalues_as_there_are_pieces_are_found() -> None:
 @given(seed=seeds)
 def test_the_sign_of_an_eigenvector_is_its_cubes(seed: int) -> None:
     vectors = np.random.default_rng(seed).normal(size=(6, 4))
-    fixed = with_fixed_signs(vectors)
+    fixed = spectral.with_fixed_signs(vectors)
     np.testing.assert_array_equal(np.abs(fixed), np.abs(vectors))
     assert ((fixed**3).sum(axis=0) >= 0.0).all()
-    np.testing.assert_array_equal(with_fixed_signs(-vectors), fixed)
+    np.testing.assert_array_equal(spectral.with_fixed_signs(-vectors), fixed)
 
 
 @given(seed=seeds, level=st.sampled_from([0.5, 0.7, 0.95]))
@@ -283,36 +247,28 @@ def test_halving_only_divides_and_every_piece_hangs_together(seed: int, level: f
 
 def test_a_cluster_of_four_rooms_is_halved_until_each_stands_alone() -> None:
     graph = blobs(2, clusters=4, each=20)
-    halves = split_again(graph, np.zeros(80, dtype=np.int32), 0, 0.7)
-    assert adjusted_rand_score(np.repeat(np.arange(4), 20), halves) == 1.0
-    assert not split_again(graph, np.zeros(80, dtype=np.int32), 0, 1.0).any()
-
-
-def test_a_cluster_in_pieces_falls_into_them_whatever_the_level() -> None:
-    graph = in_pieces(5)
-    parts = split_again(graph, np.zeros(24, dtype=np.int32), 0, 0.999)
+    one = np.zeros(80, dtype=np.int32)
+    assert adjusted_rand_score(np.repeat(np.arange(4), 20), split_again(graph, one, 0, 0.7)) == 1.0
+    assert not split_again(graph, one, 0, 1.0).any()
+    parts = split_again(in_pieces(5), one[:24], 0, 0.999)  # they fall apart whatever the level
     assert adjusted_rand_score(np.repeat(np.arange(3), 8), parts) == 1.0
-
-
-@pytest.mark.parametrize("nodes", [0, 1, 3])
-def test_a_cluster_too_small_for_two_stays_whole(nodes: int) -> None:
-    apart = VisibilityGraph(
-        np.arange(2 * nodes).reshape(nodes, 2), np.zeros((0, 2), dtype=np.intp), np.zeros(0)
-    )
-    assert split_again(apart, np.zeros(nodes, dtype=np.int32), 0, 0.5).tolist() == [0] * nodes
+    for nodes in (0, 1, 3):  # too small for two
+        few_nodes, none = np.arange(2 * nodes).reshape(nodes, 2), np.zeros((0, 2), dtype=np.intp)
+        apart = VisibilityGraph(few_nodes, none, np.zeros(0))
+        assert split_again(apart, one[:nodes], 0, 0.5).tolist() == [0] * nodes
 
 
 def test_what_does_not_converge_is_solved_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(0)
     dense = rng.random((200, 200))
     matrix = sparse.csr_array(dense + dense.T)
-    usual_values, usual = largest_eigenpairs(matrix, 5)
+    usual_values, usual = spectral.largest_eigenpairs(matrix, 5)
 
     def never_ends(*_: Any, **__: Any) -> None:
         raise ArpackNoConvergence("No convergence", np.zeros(0), np.zeros((200, 0)))
 
     monkeypatch.setattr(spectral, "eigsh", never_ends)
-    values, vectors = largest_eigenpairs(matrix, 5)
+    values, vectors = spectral.largest_eigenpairs(matrix, 5)
     assert (np.diff(values) <= 0.0).all()
     assert np.allclose(values, usual_values)
     assert np.allclose(vectors, usual, atol=1e-6)
@@ -322,7 +278,8 @@ def directions(seed: int, count: int = 30, dimensions: int = 3) -> FloatArray:
     """Unit vectors, some alike."""
     rng = np.random.default_rng(seed)
     middles = rng.normal(size=(4, dimensions))
-    return unit_rows(middles[rng.integers(0, 4, count)] + rng.normal(0.0, 0.4, (count, dimensions)))
+    rows = middles[rng.integers(0, 4, count)]
+    return spectral.unit_rows(rows + rng.normal(0.0, 0.4, (count, dimensions)))
 
 
 def cost(rows: FloatArray, labels: LabelArray) -> float:
@@ -346,7 +303,7 @@ def test_labels_are_scikit_learn_s_from_the_same_start(seed: int, clusters: int)
     rows = directions(seed)
     start = rows[farthest_first(rows, clusters, 3)]
     oracle = KMeans(clusters, init=start, n_init=1, algorithm="lloyd", tol=0.0).fit(rows)
-    found = kmeans_unit(rows, clusters, [3])
+    found = spectral.kmeans_unit(rows, clusters, [3])
     if len(np.unique(found)) == clusters:  # it deals otherwise with a centre that lost its rows
         np.testing.assert_array_equal(found, oracle.labels_)
 
@@ -354,22 +311,21 @@ def test_labels_are_scikit_learn_s_from_the_same_start(seed: int, clusters: int)
 @given(seeds)
 def test_of_several_starts_the_best_wins(seed: int) -> None:
     rows = directions(seed)
-    single = [cost(rows, kmeans_unit(rows, 4, [first])) for first in (0, 7, 19)]
-    assert cost(rows, kmeans_unit(rows, 4, [0, 7, 19])) == pytest.approx(min(single))
+    single = [cost(rows, spectral.kmeans_unit(rows, 4, [first])) for first in (0, 7, 19)]
+    assert cost(rows, spectral.kmeans_unit(rows, 4, [0, 7, 19])) == pytest.approx(min(single))
 
 
-@pytest.mark.parametrize("rows", [0, 1, 2, 3])
-def test_more_clusters_than_rows_are_as_many_as_rows(rows: int) -> None:
-    labels = kmeans_unit(np.eye(4)[:rows], 9, [0])
-    assert labels.shape == (rows,)
-    assert len(np.unique(labels)) == rows
+def test_more_clusters_than_rows_are_as_many_as_rows() -> None:
+    for rows in range(4):
+        labels = spectral.kmeans_unit(np.eye(4)[:rows], 9, [0])
+        assert sorted(labels.tolist()) == list(range(rows))
 
 
 @given(seeds)
 def test_rows_of_unit_length_point_where_they_did(seed: int) -> None:
     X = np.random.default_rng(seed).normal(size=(8, 3))
     X[2] = 0.0
-    Y = unit_rows(X)
+    Y = spectral.unit_rows(X)
     lengths = np.linalg.norm(Y, axis=1)
     np.testing.assert_allclose(np.delete(lengths, 2), 1.0)
     assert lengths[2] == 0.0
@@ -384,10 +340,10 @@ def test_two_clusters_are_the_best_of_all_cuts_when_they_stand_apart(seed: int) 
     side[:2] = False, True
     first = rng.uniform(0.2, 0.4, 10)
     other = first * np.where(side, 1.0, -0.5) + rng.normal(0.0, 0.01, 10)
-    rows = unit_rows(np.column_stack([first, other]))
+    rows = spectral.unit_rows(np.column_stack([first, other]))
     cuts = [np.array(cut, dtype=np.int32) for cut in itertools.product((0, 1), repeat=10)]
     best = min((cut for cut in cuts if 0 < cut.sum() < 10), key=lambda cut: cost(rows, cut))
-    labels = bisect(first, other)
+    labels = spectral.bisect(first, other)
     assert labels.tolist() in (best.tolist(), (1 - best).tolist())
-    turned = bisect(first, -other)  # the sign of an eigenvector means nothing
+    turned = spectral.bisect(first, -other)  # the sign of an eigenvector means nothing
     assert turned.tolist() in (labels.tolist(), (1 - labels).tolist())

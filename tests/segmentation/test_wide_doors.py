@@ -22,9 +22,8 @@ OFFICES = ((0.3, 2.3, 4.0, 6.3), (4.2, 2.3, 7.8, 6.3), (8.0, 2.3, 11.7, 6.3))
 OPENINGS = tuple((x, 2.1, x + 2.0, 2.3) for x in (1.0, 5.0, 9.0))
 
 
-def narrowed(grid: GridMap, widest_m: float = 2.5, small: BoolArray | None = None) -> BoolArray:
-    nothing = np.zeros_like(grid.free)
-    return with_narrow_doors(grid.free, nothing if small is None else small, CELL_M, widest_m)[1]
+def narrowed(grid: GridMap, widest_m: float = 2.5) -> BoolArray:
+    return with_narrow_doors(grid.free, np.zeros_like(grid.free), CELL_M, widest_m)[1]
 
 
 def widths_at(free: BoolArray, y_m: float) -> list[float]:
@@ -43,10 +42,7 @@ def test_an_opening_is_narrowed_to_a_door_and_a_door_stays(plan: PlanBuilder) ->
     building = plan(12.0, 6.6, CORRIDOR, *OFFICES, *OPENINGS[:2], (9.0, 2.1, 9.8, 2.3))
     assert widths_at(narrowed(building), 2.2) == [0.9, 0.9, 0.8]
     assert widths_at(narrowed(building, 1.9), 2.2) == [2.0, 2.0, 0.8]
-
-
-def test_the_room_behind_an_opening_may_begin_at_its_side(plan: PlanBuilder) -> None:
-    """There the wall ends in a corner: the partition between two rooms."""
+    # where the room behind begins at its side, the wall ends in a corner: the partition of rooms
     building = plan(12.0, 6.6, CORRIDOR, *OFFICES, (0.3, 2.1, 2.3, 2.3), (4.2, 2.1, 6.2, 2.3))
     assert widths_at(narrowed(building), 2.2)[1] == 0.9
 

@@ -13,14 +13,8 @@ from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import Pose2, compose, invert
 from specmap_cli.core.records import Sweep
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.simulation.simulator import (
-    START_NS,
-    SimulationOptions,
-    simulate_sweeps,
-    simulated_tour,
-    simulation_options,
-    stamp_of,
-)
+from specmap_cli.simulation import simulator
+from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps, simulated_tour
 
 BRIEF = SimulationOptions(beams=30, rate_hz=4, max_duration_s=5.0, seed=2)
 EXACT: dict[str, Any] = {"noise_m": 0.0, "range_step_m": 0.0, "odometry_drift": 0.0}
@@ -30,17 +24,13 @@ def brief(**changes: Any) -> SimulationOptions:
     return BRIEF.model_copy(update=changes)
 
 
-def test_errors_of_the_sensors_leave_the_route_as_it_is(flat: GridMap) -> None:
-    exact = simulated_tour(flat, SimulationOptions(seed=5, noise_m=0.0, odometry_drift=0.0))
-    noisy = simulated_tour(
-        flat, SimulationOptions(seed=5, noise_m=0.05, odometry_drift=3.0, beams=90)
+def test_errors_of_a_sensor_leave_the_route_and_the_other_sensor_as_they_are(flat: GridMap) -> None:
+    exact, noisy, drifting = (
+        simulated_tour(flat, brief(max_duration_s=None, noise_m=noise, odometry_drift=drift))
+        for noise, drift in ((0.0, 1.0), (0.3, 1.0), (0.05, 3.0))
     )
-    np.testing.assert_array_equal(exact.truth.poses, noisy.truth.poses)
-
-
-def test_the_laser_s_noise_leaves_the_odometry_as_it_is(flat: GridMap) -> None:
-    one, other = (simulated_tour(flat, brief(noise_m=noise, beams=8)) for noise in (0.0, 0.3))
-    np.testing.assert_array_equal(one.odometry.poses, other.odometry.poses)
+    np.testing.assert_array_equal(exact.truth.poses, drifting.truth.poses)
+    np.testing.assert_array_equal(exact.odometry.poses, noisy.odometry.poses)
 
 
 def test_the_scans_of_a_tour_are_the_same_every_time(flat: GridMap) -> None:
@@ -74,7 +64,7 @@ def test_exact_odometry_is_the_true_motion(flat: GridMap) -> None:
 def test_stamps_are_whole_microseconds_at_the_rate(flat: GridMap) -> None:
     sweeps = [sweep for sweep, _ in simulate_sweeps(flat, brief(rate_hz=3))]
     assert [sweep.index for sweep in sweeps] == list(range(16))
-    assert sweeps[0].stamp_ns == START_NS == stamp_of(0.0)
+    assert sweeps[0].stamp_ns == simulator.START_NS == simulator.stamp_of(0.0)
     for before, after in pairwise(sweep.stamp_ns for sweep in sweeps):
         assert after % 1000 == 0
         assert abs(after - before - 10**9 / 3) <= 1000
@@ -100,8 +90,8 @@ def test_odometry_begins_before_the_first_scan_and_ends_after_the_last(
 ) -> None:
     tour = simulated_tour(flat, brief(odometry_rate_hz=rate))
     stamps = [stamp for stamp, _ in tour.odometry_messages()]
-    assert stamps[0] < START_NS
-    assert stamps[-1] >= stamp_of(tour.duration_s)
+    assert stamps[0] < simulator.START_NS
+    assert stamps[-1] >= simulator.stamp_of(tour.duration_s)
     np.testing.assert_allclose(np.diff(stamps), 1e9 / rate, atol=1000)
 
 
@@ -153,16 +143,15 @@ def test_a_robot_that_just_fits_stands() -> None:
 )
 def test_options_out_of_range_are_one_line(values: dict[str, Any], message: str) -> None:
     with pytest.raises(UsageError, match=message) as caught:
-        simulation_options(**values)
+        simulator.simulation_options(**values)
     assert "\n" not in str(caught.value)
 
 
-def test_a_lidar_must_stand_below_the_ceiling() -> None:
+def test_a_lidar_must_stand_below_the_ceiling_and_its_clouds_are_no_planar_scans(
+    flat: GridMap,
+) -> None:
     with pytest.raises(UsageError, match="laser_height_m is not below ceiling_m, 2 m"):
-        simulation_options(rings=8, laser_height_m=2.0, ceiling_m=2.0)
-    assert simulation_options(laser_height_m=2.0, ceiling_m=2.0).rings == 1
-
-
-def test_clouds_are_no_planar_scans(flat: GridMap) -> None:
+        simulator.simulation_options(rings=8, laser_height_m=2.0, ceiling_m=2.0)
+    assert simulator.simulation_options(laser_height_m=2.0, ceiling_m=2.0).rings == 1
     with pytest.raises(UsageError, match="rings: a 3D lidar has clouds"):
         next(simulate_sweeps(flat, brief(rings=8)))

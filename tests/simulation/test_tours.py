@@ -14,14 +14,8 @@ from scipy.spatial import cKDTree
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import FloatArray, path_length, step_lengths
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.simulation.tours import (
-    Drive,
-    Limits,
-    drive,
-    plan_tour,
-    reachable_space,
-    shortest_order,
-)
+from specmap_cli.simulation import tours
+from specmap_cli.simulation.tours import Drive, Limits, drive, reachable_space
 from specmap_cli.simulation.worlds import RoomTruth, World
 from tests.strategies import seeds
 
@@ -32,7 +26,7 @@ USUAL = Limits(speed_mps=0.7, turn_rate_radps=1.2, acceleration_mps2=0.5)
 def tour(plan: GridMap, seed: int, laps: int = 1, spacing_m: float = 1.5) -> FloatArray:
     world = World.of(plan)
     space = reachable_space(world, RADIUS, COMFORT)
-    return plan_tour(world, space, spacing_m, laps, np.random.default_rng(seed))
+    return tours.plan_tour(world, space, spacing_m, laps, np.random.default_rng(seed))
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
@@ -61,7 +55,7 @@ def test_the_robot_fits_along_the_whole_path(office: GridMap) -> None:
     assert away.min() >= RADIUS - 0.025
 
 
-def test_space_the_robot_cannot_reach_is_left_out() -> None:
+def test_space_the_robot_cannot_reach_is_left_out_and_a_plan_without_room_for_it_refused() -> None:
     cells = np.full((60, 120), OCCUPIED, dtype=np.uint8)
     cells[2:58, 2:70] = FREE
     cells[2:58, 74:118] = FREE
@@ -69,11 +63,7 @@ def test_space_the_robot_cannot_reach_is_left_out() -> None:
     space = reachable_space(World.of(GridMap(cells, 0.05)), RADIUS, COMFORT)
     assert space.points[:, 0].max() < 70 * 0.05
     assert space.area_m2 == pytest.approx(3.4 * 2.8 - 6.2 * 0.5, rel=0.1)
-
-
-def test_a_plan_without_room_for_the_robot_is_refused() -> None:
-    cells = np.full((40, 40), OCCUPIED, dtype=np.uint8)
-    cells[10:14, 10:14] = FREE
+    cells[:, :70] = cells[:, 74:] = OCCUPIED
     with pytest.raises(MapError, match=r"no free space for a robot of radius 0\.25 m"):
         reachable_space(World.of(GridMap(cells, 0.05)), RADIUS, COMFORT)
 
@@ -86,7 +76,7 @@ def length_of(distances: FloatArray, order: list[int]) -> float:
 def test_orders_start_at_the_first_target_and_are_nearly_the_shortest(seed: int) -> None:
     points = np.random.default_rng(seed).uniform(0, 10, (7, 2))
     distances = np.linalg.norm(points[:, None] - points[None], axis=2)
-    order = shortest_order(distances).tolist()
+    order = tours.shortest_order(distances).tolist()
     assert order[0] == 0
     assert sorted(order) == list(range(7))
     best = min(length_of(distances, [0, *rest]) for rest in permutations(range(1, 7)))
@@ -97,12 +87,10 @@ def test_orders_start_at_the_first_target_and_are_nearly_the_shortest(seed: int)
             assert length_of(distances, order) <= length_of(distances, other) + 1e-9
 
 
-@pytest.mark.parametrize(
-    ("count", "expected"), [(1, [0]), (2, [0, 1]), (3, [0, 2, 1])], ids=["one", "two", "three"]
-)
-def test_orders_of_few_targets(count: int, expected: list[int]) -> None:
-    places = np.array([0.0, 5.0, 1.0])[:count]
-    assert shortest_order(np.abs(places[:, None] - places[None])).tolist() == expected
+def test_orders_of_few_targets() -> None:
+    for expected in ([0], [0, 1], [0, 2, 1]):
+        places = np.array([0.0, 5.0, 1.0])[: len(expected)]
+        assert tours.shortest_order(np.abs(places[:, None] - places[None])).tolist() == expected
 
 
 def room(width_m: float, height_m: float, resolution: float = 0.05) -> GridMap:
@@ -145,18 +133,15 @@ def test_a_larger_comfort_keeps_the_path_farther_from_walls() -> None:
     clearance = []
     for comfort in (0.3, 2.0):
         space = reachable_space(hall, RADIUS, comfort)
-        path = plan_tour(hall, space, 2.0, 1, np.random.default_rng(1))
+        path = tours.plan_tour(hall, space, 2.0, 1, np.random.default_rng(1))
         clearance.append(hall.clearance_at(path).mean())
     assert clearance[1] > clearance[0] + 0.1
 
 
-def test_a_plan_elsewhere_is_toured_by_the_same_way(flat: GridMap) -> None:
-    moved = GridMap(flat.cells, flat.resolution, (120.0, -7.5))
-    np.testing.assert_allclose(tour(moved, 2), tour(flat, 2) + (120.0, -7.5), atol=1e-6)
-
-
-def test_points_of_a_path_are_evenly_spaced(flat: GridMap) -> None:
-    steps = step_lengths(tour(flat, 3))
+def test_a_plan_elsewhere_is_toured_by_the_same_way_in_even_steps(flat: GridMap) -> None:
+    moved, here = GridMap(flat.cells, flat.resolution, (120.0, -7.5)), tour(flat, 2)
+    np.testing.assert_allclose(tour(moved, 2), here + (120.0, -7.5), atol=1e-6)
+    steps = step_lengths(here)
     assert steps.max() <= 0.06
     assert np.quantile(steps, 0.02) > 0.03  # smoothing and the corners take some of it
 
@@ -189,6 +174,9 @@ def test_a_drive_keeps_speed_and_turn_rate_and_passes_every_point(
     away, _ = cKDTree(driven.poses[:, :2]).query(path)
     assert away.max() < 1e-9
     assert path_length(driven.poses) == pytest.approx(path_length(path))
+    repeated = drive(np.repeat(path, 2, axis=0), USUAL)  # which changes nothing
+    np.testing.assert_array_equal(repeated.poses, driven.poses)
+    np.testing.assert_array_equal(repeated.times_s, driven.times_s)
 
 
 @pytest.mark.parametrize("length", [0.1, 0.98, 3.0, 50.0])
@@ -221,32 +209,17 @@ def test_the_robot_looks_where_it_drives_and_turns_in_place_at_corners() -> None
     # the ease of a turn is 1.5 times as steep in its middle as on average
     turning_s = 1.5 * (np.pi / 2 + np.pi)
     assert driven.duration_s == pytest.approx(3 * 2 * np.sqrt(1.0 / 0.5) + turning_s)
+    gentle = drive(np.array([[0.0, 0.0], [2.0, 0.0], [4.0, 0.6]]), USUAL)  # rounded without a stop
+    assert len(gentle.times_s) == 3
+    assert gentle.poses[1, 2] == pytest.approx(0.5 * np.arctan2(0.6, 2.0))
 
 
-def test_a_gentle_bend_is_rounded_without_a_stop() -> None:
-    path = np.array([[0.0, 0.0], [2.0, 0.0], [4.0, 0.6]])
-    driven = drive(path, USUAL)
-    assert len(driven.times_s) == 3
-    assert driven.poses[1, 2] == pytest.approx(0.5 * np.arctan2(0.6, 2.0))
-
-
-@pytest.mark.parametrize("places", [1, 2, 5])
-def test_a_path_of_one_place_is_a_robot_that_stands(places: int) -> None:
-    driven = drive(np.array([[2.0, 3.0]] * places), USUAL)
-    assert driven.duration_s == 0.0
-    np.testing.assert_array_equal(driven.at(np.array([0.0, 9.0])), [[2.0, 3.0, 0.0]] * 2)
-
-
-def test_repeated_points_change_nothing() -> None:
-    path = winding(5, 30, 0.2)
-    twice = np.repeat(path, 2, axis=0)
-    np.testing.assert_array_equal(drive(twice, USUAL).poses, drive(path, USUAL).poses)
-    np.testing.assert_array_equal(drive(twice, USUAL).times_s, drive(path, USUAL).times_s)
-
-
-def test_before_the_start_and_after_the_end_the_robot_stands() -> None:
+def test_a_path_of_one_place_is_a_robot_that_stands_as_before_the_start_and_after_the_end() -> None:
+    for places in (1, 2, 5):
+        driven = drive(np.array([[2.0, 3.0]] * places), USUAL)
+        assert driven.duration_s == 0.0
+        np.testing.assert_array_equal(driven.at(np.array([0.0, 9.0])), [[2.0, 3.0, 0.0]] * 2)
     driven = drive(np.array([[0.0, 0.0], [1.0, 1.0]]), USUAL)
     ends = driven.at(np.array([-5.0, 0.0, driven.duration_s, 1e6]))
-    np.testing.assert_array_equal(ends[0], ends[1])
-    np.testing.assert_array_equal(ends[2], ends[3])
+    np.testing.assert_array_equal(ends[[0, 3]], ends[[1, 2]])
     np.testing.assert_allclose(ends[:, 2], np.pi / 4)
