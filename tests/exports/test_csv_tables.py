@@ -12,8 +12,9 @@ import pytest
 
 from specmap_cli.core.errors import UsageError
 from specmap_cli.exports.table import export_map
-from specmap_cli.maps.store import StoredMap, read_map
-from specmap_cli.maps.writing import MapResult, write_map
+from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.writing import MapResult
+from tests.exports.conftest import written
 
 Rows = list[dict[str, str]]
 
@@ -48,10 +49,9 @@ def test_what_a_person_noted_is_no_formula(lived_in: MapResult, tmp_path: Path) 
     first, *others = lived_in.topology.submaps.values()
     noted = replace(first, name="=cmd|' /C calc'!A0", properties={"of": "@Ann", "floor": -2})
     submaps = {submap.id: submap for submap in (noted, *others)}
-    (tmp_path / "home").mkdir()
     topology = replace(lived_in.topology, submaps=submaps)
-    write_map(tmp_path / "home", replace(lived_in, topology=topology))
-    row = tables(read_map(tmp_path / "home"), tmp_path / "home.zip")["nodes.csv"][0]
+    home = written(tmp_path / "home", replace(lived_in, topology=topology))
+    row = tables(home, tmp_path / "home.zip")["nodes.csv"][0]
     assert row["name"] == "'=cmd|' /C calc'!A0"
     assert (row["property.of"], row["property.floor"]) == ("'@Ann", "-2")
 

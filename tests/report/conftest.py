@@ -25,6 +25,9 @@ from tests.sharing import made_once
 HOSTILE = "\"'><script>alert(1)</script>&"
 
 
+SPLITS = ((12, 1), (20, 2))  # keyframe, and which eigenvector divided the way there
+
+
 @pytest.fixture
 def house(tmp_path: Path, result: MapResult) -> StoredMap:
     """The map directory of the small house: hostile texts, two doors, findings."""
@@ -57,10 +60,10 @@ def evidence() -> Evidence:
     features = (FeatureShare("area", 0.5), FeatureShare(HOSTILE, 0.25))
     nodes = np.array([[0.0, 0.0], [1.0, 0.5], [-3.0, 3.5]])
     values, sides = np.array([1.0, 0.9, 0.4]), np.array([1.0, 0.5, -1.0])
-    tests = tuple(
-        SplitTrial(keyframe, values, chosen, bool(chosen), nodes, sides)
-        for keyframe, chosen in ((5, 0), (12, 1), (20, 2))
+    trial = SplitTrial(
+        keyframe=5, eigenvalues=values, chosen=0, split=False, nodes=nodes, sides=sides
     )
+    tests = (trial, *(replace(trial, keyframe=k, chosen=n, split=True) for k, n in SPLITS))
     return Evidence(
         learned={1: Learned(features=features, scans=10, right=0.9, alike=(Likeness(2, 0.7),))},
         fit=np.linspace(0.4, 1.0, 30),
