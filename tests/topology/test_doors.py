@@ -37,11 +37,8 @@ def test_a_door_is_where_its_walls_are_and_as_wide(width: float) -> None:
     assert (door.x, door.y) == pytest.approx((5.4, 1.5 + width / 2), abs=0.12)
     assert door.width_m == pytest.approx(width, abs=0.01)
     assert door.theta == pytest.approx(0.0)
-
-
-def test_the_ends_of_a_door_are_its_walls() -> None:
-    low, high = door_of(two_rooms((5.3, 1.5, 5.5, 2.4))).sides
-    assert (low[1], high[1]) == pytest.approx((1.5, 2.4), abs=0.01)
+    low, high = door.sides
+    assert (low[1], high[1]) == pytest.approx((1.5, 1.5 + width), abs=0.01)
     assert low[0] == high[0]
 
 
@@ -114,10 +111,11 @@ def test_a_border_in_the_open_is_no_door(rooms: dict[int, list[Box]]) -> None:
     assert list(ways.openings) == [(0, 1)]
 
 
-def test_a_gap_too_narrow_for_a_door_is_none() -> None:
+def test_a_gap_too_narrow_for_a_door_is_none_nor_are_there_any_without_borders() -> None:
     narrow = two_rooms((5.3, 1.5, 5.5, 1.9))
     assert found(narrow) == Passages((), {})
     assert len(found(narrow, least_m=0.4).doors) == 1
+    assert found(regions_of((4.0, 4.0), {0: [(0.3, 0.3, 3.7, 3.7)]})) == Passages((), {})
 
 
 def test_what_nobody_saw_is_no_part_of_a_door() -> None:
@@ -153,6 +151,3 @@ def test_who_crosses_in_the_open_goes_through_no_door() -> None:
     assert (0, 1) in ways.openings
     assert not any(door.driven for door in ways.doors)
 
-
-def test_a_map_without_borders_has_no_doors() -> None:
-    assert found(regions_of((4.0, 4.0), {0: [(0.3, 0.3, 3.7, 3.7)]})) == Passages((), {})

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -68,17 +70,14 @@ def test_no_region_crosses_the_fence() -> None:
         stamps_ns=labels.stamps_ns[kept], poses=labels.poses[kept], submaps=labels.submaps[kept]
     )
     found = redrawn(whole, seen, (), [Split(submap=0, line=ACROSS, new=5)], 2)
-    regions = divide(
-        whole,
-        Labels(stamps_ns=seen.stamps_ns, poses=seen.poses, submaps=found.submaps),
-        fences_of(found.borders),
-    )
+    divided = replace(seen, submaps=found.submaps)
+    regions = divide(whole, divided, fences_of(found.borders))
     centres = whole.centres_of(np.argwhere(regions.owner == 5))
     assert centres[:, 0].max() == pytest.approx(2.0, abs=0.16)
     others = whole.centres_of(np.argwhere(regions.owner == 0))
     assert others[:, 0].min() == pytest.approx(2.0, abs=0.16)
     assert found.next_id == 6
-    free = divide(whole, Labels(stamps_ns=seen.stamps_ns, poses=seen.poses, submaps=found.submaps))
+    free = divide(whole, divided)
     assert whole.centres_of(np.argwhere(free.owner == 5))[:, 0].max() < 1.8
 
 
@@ -106,7 +105,7 @@ def test_changes_are_made_in_order_and_undone() -> None:
     assert set(submaps.tolist()) == {7}
     labels = driven()
     assert undone(submaps, labels.poses, borders).tolist() == labels.submaps.tolist()
-    changed = Labels(stamps_ns=labels.stamps_ns, poses=labels.poses, submaps=submaps)
+    changed = replace(labels, submaps=submaps)
     fewer = redrawn(hall(), changed, borders, wished[:2], 8)
     assert set(fewer.submaps.tolist()) == {1, 7}
     same = redrawn(hall(), changed, borders, wished, 8)

@@ -132,11 +132,12 @@ def test_the_cheapest_way_is_that_of_another_search(seed: int) -> None:
             assert sum(graph.edges[step]["weight"] for step in steps) == pytest.approx(cost)
 
 
-def test_a_search_that_starts_in_a_wall_leads_nowhere() -> None:
+def test_a_search_that_starts_in_a_wall_leads_nowhere_and_one_cell_is_a_point() -> None:
     free = np.zeros((3, 3), dtype=np.bool_)
     free[2] = True
     found = tree(free, np.ones((3, 3)), (slice(0, 3), slice(0, 3)), (0, 0))
     assert np.isinf(found.cost_to(np.array([[0, 0], [2, 1]]))).all()
+    assert straightened(np.array([[4, 4]]), np.ones((9, 9))).tolist() == [[4, 4]]
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -169,10 +170,6 @@ def test_a_way_round_a_wall_keeps_its_corner_and_loses_the_others() -> None:
         assert np.isfinite(price[tuple(cells_on(a, b)[0].T)]).all()
 
 
-def test_a_way_of_one_cell_is_a_point() -> None:
-    assert straightened(np.array([[4, 4]]), np.ones((9, 9))).tolist() == [[4, 4]]
-
-
 def test_a_way_leads_straight_through_a_door_in_line() -> None:
     regions = two_rooms((5.3, 2.85, 5.5, 3.75))
     way = way_of(regions)
@@ -197,10 +194,10 @@ def test_ways_keep_the_radius_off_all_things(seed: int) -> None:
 
 
 def test_a_robot_too_wide_for_a_door_is_told_how_wide_it_is() -> None:
-    regions = two_rooms((5.3, 2.5, 5.5, 3.4))
-    way = way_of(regions, radius_m=0.6)
+    way = way_of(two_rooms((5.3, 2.5, 5.5, 3.4)), radius_m=0.6)
     assert (way.path, way.length_m) == (None, None)
     assert way.clearance_m == pytest.approx(0.45, abs=0.03)
+    assert way_of(two_rooms()) == Way(None, None), "they do not touch"
 
 
 def test_ways_stay_in_their_two_submaps() -> None:
@@ -214,10 +211,6 @@ def test_ways_stay_in_their_two_submaps() -> None:
     way = way_of(regions_of((9.3, 6.3), rooms))
     assert way.path is None
     assert way.clearance_m == pytest.approx(0.125, abs=0.026)
-
-
-def test_rooms_that_do_not_touch_have_no_way() -> None:
-    assert way_of(two_rooms()) == Way(None, None)
 
 
 def test_a_way_may_leave_and_enter_a_submap_in_two_pieces() -> None:
