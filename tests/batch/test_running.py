@@ -10,6 +10,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import jsonschema
@@ -158,28 +159,36 @@ def test_what_is_not_complete_or_of_other_inputs_is_made_again(
     run(words, steps=steps, resumed=True)
 
 
-def test_a_log_that_only_moved_is_the_same(run: Run, tmp_path: Path) -> None:
-    run()
-    moved = tmp_path / "elsewhere" / "monday.mcap"
-    moved.parent.mkdir()
-    (tmp_path / "monday.mcap").rename(moved)
-    assert run_of(moved, tmp_path).resumed
-
-
-@pytest.mark.parametrize(
-    ("words", "kind", "reason"),
-    [
-        ("damaged", "log", "monday.mcap: cut off after 12 bytes; no message can be read"),
-        ("large", "memory", "not enough memory; a shorter log needs less"),
-        ("full", "place", "No space left on device"),
-        ("bug", "bug", "ValueError: no good"),
-        ("killed", "memory", "build was killed, as a system does for want of memory"),
-    ],
-)
-def test_a_failed_job_says_why_and_leaves_its_log(
-    run: Run, folder: Path, words: str, kind: str, reason: str
+def test_a_log_that_is_out_of_reach_does_not_cost_its_map_and_one_that_moved_is_the_same(
+    run: Run, folder: Path, tmp_path: Path
 ) -> None:
-    record = run(words)
+    """As on a worker that lacks the shared folder."""
+    run()
+    before = files(folder)
+    log, moved = tmp_path / "monday.mcap", tmp_path / "elsewhere" / "monday.mcap"
+    moved.parent.mkdir()
+    log.rename(moved)
+    for redo in (False, True):
+        record = run_of(log, tmp_path, redo=redo).record
+        assert (record.state, record.kind) == ("failed", "log")
+        assert files(folder) == before
+    assert run_of(moved, tmp_path).resumed
+    moved.rename(log)
+    run(resumed=True)
+
+
+FAILURES = {
+    "damaged": ("log", "monday.mcap: cut off after 12 bytes; no message can be read"),
+    "large": ("memory", "not enough memory; a shorter log needs less"),
+    "full": ("place", "No space left on device"),
+    "bug": ("bug", "ValueError: no good"),
+    "killed": ("memory", "build was killed, as a system does for want of memory"),
+}
+
+
+@pytest.mark.parametrize("words", FAILURES)
+def test_a_failed_job_says_why_and_leaves_its_log(run: Run, folder: Path, words: str) -> None:
+    record, (kind, reason) = run(words), FAILURES[words]
     assert (record.state, record.kind) == ("failed", kind)
     assert str(record.reason).endswith(reason)
     assert "\n" not in str(record.reason)
@@ -189,10 +198,7 @@ def test_a_failed_job_says_why_and_leaves_its_log(
 
 @pytest.mark.parametrize(
     ("words", "reason"),
-    [
-        ("broken", "breaks 1 of 2 rules: lost_share"),
-        ("doubtful", "build: the map is doubtful"),
-    ],
+    [("broken", "breaks 1 of 2 rules: lost_share"), ("doubtful", "build: the map is doubtful")],
 )
 def test_a_broken_rule_fails_the_job_and_loses_nothing(
     fake: Path, run: Run, folder: Path, words: str, reason: str
@@ -236,9 +242,16 @@ def test_without_the_extra_one_line_says_what_to_install(
     run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "psutil", None)
-    record = run()
-    assert record.kind == "settings"
-    assert record.reason == "jobs need an extra: pip install 'specmap-cli[batch]'"
+    told = (record := run()).reason
+    assert (record.kind, told) == ("settings", "jobs need an extra: pip install 'specmap-cli[batch]'")
+
+
+def test_a_lost_worker_is_told_of_without_a_file() -> None:
+    for attempt, again in ((1, True), (2, False)):
+        turn = Turn(Job("monday", ("monday.mcap",), ALL), attempt)
+        lost = failure(turn, "worker", "the worker\nwas lost\udcff", Limits()).record
+        assert (lost.state, lost.files, may_retry(lost, 2)) == ("failed", {}, again)
+        assert lost.reason == "the worker was lost\\udcff"
 
 
 def test_a_missing_log_fails_the_job_in_a_line_whatever_it_is_called(tmp_path: Path) -> None:
@@ -247,22 +260,6 @@ def test_a_missing_log_fails_the_job_in_a_line_whatever_it_is_called(tmp_path: P
         assert (made.record.kind, made.record.digest, made.resumed) == ("log", "", False)
         told = f"{tmp_path}/gone \\udcff\\x1b.mcap: no such file or directory"
         assert made.record.reason == told
-
-
-def test_a_log_that_is_out_of_reach_does_not_cost_its_map(
-    run: Run, folder: Path, tmp_path: Path
-) -> None:
-    """As on a worker that lacks the shared folder."""
-    run()
-    before = files(folder)
-    log = tmp_path / "monday.mcap"
-    log.rename(tmp_path / "away")
-    for redo in (False, True):
-        record = run_of(log, tmp_path, redo=redo).record
-        assert (record.state, record.kind) == ("failed", "log")
-        assert files(folder) == before
-    (tmp_path / "away").rename(log)
-    run(resumed=True)
 
 
 def test_what_a_person_decided_about_a_map_is_never_lost(
@@ -302,15 +299,6 @@ def test_what_somebody_else_keeps_there_is_not_touched(
     assert mine.read_text() == "years of work"
 
 
-def test_a_lost_worker_is_told_of_without_a_file() -> None:
-    job = Job("monday", ("monday.mcap",), ALL)
-    for attempt, again in ((1, True), (2, False)):
-        told = "the worker\nwas lost\udcff"
-        lost = failure(Turn(job, attempt), "worker", told, Limits()).record
-        assert (lost.state, lost.files, may_retry(lost, 2)) == ("failed", {}, again)
-        assert lost.reason == "the worker was lost\\udcff"
-
-
 def test_killed_at_any_instant_it_leaves_a_complete_result_or_none(
     fake: Path, run: Run, folder: Path, tmp_path: Path
 ) -> None:
@@ -346,13 +334,12 @@ def test_killed_at_any_instant_it_leaves_a_complete_result_or_none(
 def _lives(pid: int) -> bool:
     """Whether a process of the fake program is still there, after a moment for the system."""
     for _ in range(100):
-        try:
+        with suppress(OSError):
             command = Path(f"/proc/{pid}/cmdline").read_bytes()
-        except OSError:
-            return False
-        if fake_specmap.__file__.encode() not in command:  # ended, or the number is another's now
-            return False
-        time.sleep(0.02)
+            if fake_specmap.__file__.encode() in command:
+                time.sleep(0.02)
+                continue
+        return False  # ended, or the number is another's now
     return True
 
 

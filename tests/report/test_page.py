@@ -77,6 +77,11 @@ def classed(read: Read, name: str) -> list[dict[str, str | None]]:
     return [each for each in read.of("path") if each.get("class") == name]
 
 
+def words(page: str) -> str:
+    """All that is said on a page."""
+    return " ".join(" ".join(Read(page).texts).split())
+
+
 def test_whatever_somebody_wrote_stays_text(page: str, read: Read) -> None:
     assert read.open == []
     assert read.data["names"] == {"0": "submap 0", "1": HOSTILE, "2": "submap 2"}
@@ -124,16 +129,11 @@ def test_the_same_map_gives_the_same_bytes(house: StoredMap, evidence: Evidence,
     assert len(page.encode()) < 150_000
 
 
-def test_a_submap_is_told_of_everywhere(read: Read) -> None:
+def test_submaps_doors_and_findings_are_told_of_wherever_they_are(page: str, read: Read) -> None:
     marked = [tag for tag, attributes in read.tags if attributes.get("data-submap") == "1"]
     assert {"article", "tr", "g", "rect", "a"} <= set(marked)
-    text = " ".join(" ".join(read.texts).split())
-    assert "door 0" in text
-    assert "0.90 m" in text
-    assert "Of 10 of its own scans 90 % are told right" in text
-
-
-def test_doors_and_findings_are_marked_as_what_they_are(page: str, read: Read) -> None:
+    for told in ("door 0", "0.90 m", "Of 10 of its own scans 90 % are told right"):
+        assert told in words(page)
     groups = {each.get("id"): each.get("class") or "" for each in read.of("g")}
     assert groups["door-0"].split() == ["door", "driven"]
     assert groups["door-1"].split() == ["door", "forbidden"]
@@ -211,16 +211,16 @@ def test_a_run_that_somebody_changed_is_shown_as_far_as_it_is_one(
 ) -> None:
     run = {"counts": {"scans": 30, "odd": "x"}, "seconds": {"a": "b"}, "inputs": 4, "config": {}}
     (house.path / "run.json").write_text(json.dumps(run))
-    text = " ".join(Read(render(read_map(house.path), evidence)).texts)
+    text = words(render(read_map(house.path), evidence))
     assert "Counted" in text
     assert "Seconds of each stage" not in text
 
 
 def test_what_is_left_out_is_said(house: StoredMap, evidence: Evidence) -> None:
     many = replace(evidence, tests=evidence.tests * MOST_TESTS)
-    text = " ".join(Read(render(house, many)).texts)
-    assert f"Of {3 * MOST_TESTS:,} split tests {MOST_TESTS:,} are shown" in text
-    assert "split tests" not in " ".join(Read(render(house, evidence)).texts).split('"use')[0]
+    told = f"Of {3 * MOST_TESTS:,} split tests {MOST_TESTS:,} are shown"
+    assert told in words(render(house, many))
+    assert "split tests" not in words(render(house, evidence)).split('"use')[0]
 
 
 def test_lost_scans_are_marked_where_they_were_guessed(
@@ -248,4 +248,3 @@ def test_of_many_refused_closures_those_with_the_largest_xi_are_drawn(
     assert f"(xi {0.001 * (2 * MOST_REFUSED - 1):.2f})" in (drawn[0]["data-tip"] or "")
     said = f"Of {2 * MOST_REFUSED:,} refused closures the {MOST_REFUSED:,} with the largest"
     assert any(said in text for text in read.texts)
-
