@@ -116,7 +116,7 @@ class TestBatch:
             ran(tmp_path, "a", "b")
         assert (tmp_path / "summary.csv").read_bytes() == before
 
-    def test_workers_are_told_an_output_that_is_the_same_in_any_directory(
+    def test_two_batches_do_not_share_a_directory_which_is_the_same_for_all_workers(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         outputs = []
@@ -126,18 +126,15 @@ class TestBatch:
                 outputs.append(terms.output)
                 super().__init__(client, terms)
 
-        monkeypatch.setattr(batch, "Workers", Told)
-        monkeypatch.chdir(tmp_path)
-        ran(Path("maps"), "a")
-        assert outputs == [str(tmp_path / "maps")]
-
-    def test_two_batches_do_not_share_a_directory(self, tmp_path: Path) -> None:
         def again(_: EventRecord) -> None:
             with pytest.raises(UsageError, match="another batch is writing there"):
-                ran(tmp_path, "b")
+                ran(tmp_path / "maps", "b")
 
-        run_batch([job("a")], Terms(str(tmp_path)), tell=again)
-        ran(tmp_path, "b")
+        monkeypatch.setattr(batch, "Workers", Told)
+        monkeypatch.chdir(tmp_path)
+        run_batch([job("a")], Terms("maps"), tell=again)
+        ran(Path("maps"), "b")
+        assert outputs == [str(tmp_path / "maps")] * 2
 
     def test_a_store_gets_summaries_and_the_journal_at_the_end(
         self, monkeypatch: pytest.MonkeyPatch
