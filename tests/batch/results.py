@@ -11,8 +11,16 @@ from typing import Any
 import pytest
 
 from specmap_cli.batch import running
-from specmap_cli.batch.records import InputRecord, Job, JobRecord, JobResult
-from specmap_cli.batch.records import Limits, Step, Terms, Turn
+from specmap_cli.batch.records import (
+    InputRecord,
+    Job,
+    JobRecord,
+    JobResult,
+    Limits,
+    Step,
+    Terms,
+    Turn,
+)
 from specmap_cli.core.errors import MapError
 from tests.batch import fake_specmap
 

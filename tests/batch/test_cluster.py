@@ -156,6 +156,7 @@ class TestBatch:
             run_batch([job("a")], Terms("memory://closed"), tell=told.append)
         assert told == [], "before any job"
 
+
 def test_no_jobs_are_refused_and_a_worker_of_another_version_makes_nothing(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no logs"):
         run_batch([], Terms(str(tmp_path)))

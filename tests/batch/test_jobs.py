@@ -99,8 +99,8 @@ def test_a_log_is_a_job_called_as_it_with_the_default_steps_or_those_asked_for(l
     (job,) = jobs_of([log])
     assert job == Job("monday", (log,), DEFAULT)
     assert pickle.loads(pickle.dumps(job)) == job
-    options = {"set": ["seed=1", "grid.resolution_m=0.1"], "seed": 3}
-    (job,) = jobs_of([log], Plan(("build",), {"build": options}))
+    plan = Plan(("build",), {"build": {"set": ["seed=1", "grid.resolution_m=0.1"], "seed": 3}})
+    (job,) = jobs_of([log], plan)
     asked = ("--set=seed=1", "--set=grid.resolution_m=0.1", "--seed=3")
     assert job.steps == (Step("build", asked),)
 

@@ -83,9 +83,7 @@ def test_a_job_from_store_to_store(store: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("damaged", [True, False])
-def test_a_reason_names_the_log_as_the_user_does(
-    store: Any, tmp_path: Path, damaged: bool
-) -> None:
+def test_a_reason_names_the_log_as_the_user_does(store: Any, tmp_path: Path, damaged: bool) -> None:
     url = "memory://bucket/logs/monday.mcap"
     if damaged:
         put(store, "logs/monday.mcap", "damaged")

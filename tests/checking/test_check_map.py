@@ -123,9 +123,9 @@ def test_findings_are_counted_by_their_code_unless_they_are_notes(house: House) 
 def test_what_differs_from_a_golden_map_is_counted() -> None:
     """A room, a way and half of the floor are gone."""
     same = [{"old": id_, "new": id_, "iou": 1.0} for id_ in (0, 1)]
-    submaps = {"same": same, "gone": [2]}
-    things = {"closed": [way(1.0, 1.0)], "appeared": [thing(0.0, 0.0, 0.75)]}
-    figures = figures_against(comparison(submaps=submaps, **things))
+    submaps, appeared = {"same": same, "gone": [2]}, [thing(0.0, 0.0, 0.75)]
+    record = comparison(submaps=submaps, closed=[way(1.0, 1.0)], appeared=appeared)
+    figures = figures_against(record)
     assert (figures["golden.gone"], figures["golden.closed"]) == (1, 1)
     assert figures["golden.area_share"] == pytest.approx(0.5)
     assert figures["golden.same_share"] == pytest.approx(2 / 3)

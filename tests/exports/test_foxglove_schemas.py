@@ -68,9 +68,7 @@ def test_a_scene_is_what_the_sdk_encodes() -> None:
         **drawn,
     )
     called = {"frame_id": "map", "id": "door 3"}
-    entity = messages.SceneEntity(
-        metadata=[messages.KeyValuePair(**said)], lines=[line], **called
-    )
+    entity = messages.SceneEntity(metadata=[messages.KeyValuePair(**said)], lines=[line], **called)
     lines = [{"type": 1, "points": [point], "color": colour, **drawn}]
     ours = {"metadata": [said], "lines": lines, **called}
     scene = messages.SceneUpdate(entities=[entity])

@@ -14,16 +14,14 @@ from scipy.ndimage import distance_transform_edt
 
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.findings import Finding, Quality
+from specmap_cli.core.progress import Silent
 from specmap_cli.exports.routes import parts, routes
 from specmap_cli.exports.table import export_map
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.core.progress import Silent
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.maps.writing import MapResult
 from tests.exports.conftest import written
 from tests.exports.route_server import driven_m, load
-
-
 
 
 def exported(stored: StoredMap, out: Path) -> nx.DiGraph:

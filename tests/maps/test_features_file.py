@@ -143,4 +143,3 @@ def test_what_no_map_holds_is_refused(path: Path, damage: Callable[[Path], None]
     damage(path)
     with pytest.raises(MapError, match=r"features.npz: is .*delete it"):
         read_features(path, 10, LIMITS)
-

@@ -237,4 +237,3 @@ def test_the_keyframes_of_a_map_are_those_of_its_labels(tmp_path: Path, result: 
         write_map(tmp_path, replace(result, labels=shifted), store)
     with pytest.raises(MapError, match=r"its 30 scans are not the 30 keyframes of labels\.csv"):
         read_map(tmp_path).keyframes()
-

@@ -161,4 +161,3 @@ def test_what_is_not_certainly_ours_is_left_alone(name: str, tmp_path: Path) -> 
     (tmp_path / ".map.partial-01234567").symlink_to(tmp_path / name)
     assert put_right(tmp_path / "map") == []
     assert (tmp_path / name / "mine.txt").read_text() == "mine"
-

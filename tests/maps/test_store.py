@@ -262,6 +262,7 @@ class TestDamage:
         with pytest.raises(MapError, match=r"classifiers\.json: cannot be read: Is a directory"):
             _ = read_map(stored).classifiers
 
+
 @pytest.mark.parametrize(
     ("name", "field"),
     [("topology.json", ""), ("run.json", "run"), ("labels.csv", "labels"), ("map.png", "map_grid")],

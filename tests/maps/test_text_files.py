@@ -176,4 +176,3 @@ def test_a_trajectory_comes_back_with_its_tilt_and_its_lost_scans(
     np.testing.assert_allclose(back.tilt, way.tilt, atol=1e-6)
     assert back.lost is not None
     assert back.lost.tolist() == way.lost.tolist()
-

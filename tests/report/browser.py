@@ -155,7 +155,6 @@ class Browser:
         fingers = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(points)]
         self._send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": fingers})
 
-
     def paper(self) -> bytes:
         """The page as it is printed: a PDF."""
         sent = {"printBackground": True, "preferCSSPageSize": True}

@@ -198,4 +198,3 @@ def test_on_paper_are_all_submaps_and_no_buttons(browser: Browser, flat_map: Sto
     assert browser.run("one('#playback').offsetHeight") == 0
     browser.prefers(color_scheme="light")
     assert browser.paper().startswith(b"%PDF")
-

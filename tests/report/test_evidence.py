@@ -99,4 +99,3 @@ def test_features_share_by_how_far_apart_the_votes_lie() -> None:
     shares = feature_shares(TreeBoost.of(("a", "b", "c", "d"), forest))
     # the root parts -1 from 2, on average; the node above parts 1 from 3 for every second scan
     assert shares == pytest.approx([0.75, 0.0, 0.25, 0.0])
-

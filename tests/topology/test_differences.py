@@ -133,4 +133,3 @@ def test_places_of_the_new_map_are_told_in_the_frame_of_the_old_one() -> None:
     found = differences(flat(), shifted, (TRACK, TRACK + (7.0, -2.0)), old_from_new)
     assert found.appeared[0].centre == pytest.approx([2.9, 1.2], abs=0.05)
     assert found.appeared[0].corners.mean(axis=0) == pytest.approx([2.9, 1.2], abs=0.05)
-

@@ -150,4 +150,3 @@ def test_who_crosses_in_the_open_goes_through_no_door() -> None:
     ways = found(regions, crossing(5.3, 5.0))
     assert (0, 1) in ways.openings
     assert not any(door.driven for door in ways.doors)
-

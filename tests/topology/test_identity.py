@@ -145,4 +145,3 @@ def test_the_same_map_has_the_same_borders_and_floor_that_only_one_saw_does_not_
         assert not change.taken
     (change,) = border_changes(divided("aa"), divided("aa", seen=10))
     assert (change.iou, change.was_m2) == (1.0, 100.0)
-

@@ -228,4 +228,3 @@ def test_no_keyframes_keyframes_off_the_grid_and_regions_without_a_cell() -> Non
     regions = Regions.of(grid, np.array([[0, 0], [NOBODY, 2]]))
     assert sorted(regions.outlines) == [0, 2]
     assert regions.outline(1).centroid is None
-
