@@ -224,16 +224,17 @@ def keyframes_of(result: MapResult) -> KeyframeStore:
     )
 
 
-def test_the_keyframes_of_a_map_are_those_of_its_labels(tmp_path: Path, result: MapResult) -> None:
-    write_map(tmp_path, result)
+def test_the_keyframes_of_a_map_are_those_of_its_labels(
+    stored: Path, tmp_path: Path, result: MapResult
+) -> None:
     with pytest.raises(MapError, match=r"has no keyframes\.mcap: .*build the map again"):
-        read_map(tmp_path).keyframes()
-    with keyframes_of(result) as store:
-        write_map(tmp_path, result, store)
-    with read_map(tmp_path).keyframes() as read:
-        assert read.stamps_ns == tuple(result.labels.stamps_ns.tolist())
+        read_map(stored).keyframes()
     shifted = replace(result.labels, stamps_ns=result.labels.stamps_ns + 1)
-    with keyframes_of(result) as store:
-        write_map(tmp_path, replace(result, labels=shifted), store)
+    for name, labels in (("own", result.labels), ("others", shifted)):
+        (tmp_path / name).mkdir()
+        with keyframes_of(result) as store:
+            write_map(tmp_path / name, replace(result, labels=labels), store)
+    with read_map(tmp_path / "own").keyframes() as read:
+        assert read.stamps_ns == tuple(result.labels.stamps_ns.tolist())
     with pytest.raises(MapError, match=r"its 30 scans are not the 30 keyframes of labels\.csv"):
-        read_map(tmp_path).keyframes()
+        read_map(tmp_path / "others").keyframes()
