@@ -124,20 +124,24 @@ def test_names_reasons_and_warnings_are_text() -> None:
     assert len(page(*(result(f"{k:04}") for k in range(1000)))) < 3e6, "few megabytes of many jobs"
 
 
+@pytest.mark.skipif(installed() is None, reason="needs a Chromium")
 def test_in_a_browser_the_page_is_searched_and_sorted(tmp_path: Path) -> None:
     file = tmp_path / "index.html"
     slow = result("corridor", wall_s=99.0)
     file.write_text(page(slow, result("lobby"), failed("lab")), encoding="utf-8")
-    if (program := installed()) is None:
-        pytest.skip("needs a Chromium")
-    rows = "[...document.querySelectorAll('#jobs tbody tr:not([hidden])')]"
-    names = f"{rows}.map(r => r.dataset.name)"
-    typed = "s.dispatchEvent(new Event('input'))"
+    program = installed()
+    assert program is not None
+    names = (
+        "[...document.querySelectorAll('#jobs tbody tr:not([hidden])')].map(r => r.dataset.name)"
+    )
     with Browser(program) as browser:
         browser.open(file)
-        browser.run(f"const s = document.querySelector('#sought'); s.value = 'L'; {typed}")
+        browser.run(
+            "const s = document.querySelector('#sought'); s.value = 'L';"
+            "s.dispatchEvent(new Event('input'))"
+        )
         assert browser.run(names) == ["lab", "lobby"]
-        browser.run(f"s.value = ''; {typed}")
+        browser.run("s.value = ''; s.dispatchEvent(new Event('input'))")
         browser.run("document.querySelectorAll('#jobs thead button')[7].click()")
         assert browser.run(names) == ["lab", "lobby", "corridor"]
         missing = "ERR_FILE_NOT_FOUND"  # the pictures of these jobs
