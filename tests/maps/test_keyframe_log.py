@@ -108,12 +108,14 @@ def test_what_was_read_is_written_again_with_the_same_bytes(path: Path, tmp_path
     assert again.read_bytes() == path.read_bytes()
 
 
+def stamped(number: int, stamp_ns: int) -> PosedScan:
+    planar_scan = replace(planar(number), stamp_ns=stamp_ns)
+    return replace(posed(number), stamp_ns=stamp_ns, planar=planar_scan)
+
+
 def test_stamps_that_repeat_or_go_back_keep_the_order_of_the_keyframes(tmp_path: Path) -> None:
     stamps = [5_000, 5_000, 1_000, 1_000, 9_000, -7]
-    scans = [
-        replace(posed(n), stamp_ns=stamp, planar=replace(planar(n), stamp_ns=stamp))
-        for n, stamp in enumerate(stamps)
-    ]
+    scans = [stamped(number, stamp) for number, stamp in enumerate(stamps)]
     with read_keyframes(written(tmp_path / "a.mcap", scans), MOST) as read:
         assert_same(read, scans)
 
@@ -186,7 +188,7 @@ def test_any_byte_of_the_data_may_be_damaged(path: Path) -> None:
             assert_same(read, scans)
 
 
-def test_a_file_that_is_none(tmp_path: Path) -> None:
+def test_a_file_that_is_none_and_files_beyond_the_limits(path: Path, tmp_path: Path) -> None:
     for name, text in (("text", b"keyframes " * 100), ("empty", b"")):
         (tmp_path / name).write_bytes(text)
         with pytest.raises(MapError, match=f"{name}: .*build the map again"):
@@ -195,9 +197,6 @@ def test_a_file_that_is_none(tmp_path: Path) -> None:
         read_keyframes(tmp_path / "nowhere", MOST)
     with pytest.raises(MapError, match="not a regular file"):
         read_keyframes(tmp_path, MOST)
-
-
-def test_files_beyond_the_limits(path: Path) -> None:
     with pytest.raises(MapError, match=r"larger than 0\.001 MB; if it is meant, raise limits"):
         read_keyframes(path, MOST, LimitsConfig(keyframes_max_mb=0.001))
     with pytest.raises(MapError, match="has more than 39 scans"):
@@ -218,10 +217,7 @@ def test_scans_that_lack_something(tmp_path: Path, lack: str) -> None:
 
 def keyframes_of(result: MapResult) -> KeyframeStore:
     """A store for the labels of a map."""
-    return store_of(
-        replace(posed(0), stamp_ns=stamp, planar=replace(planar(0), stamp_ns=stamp))
-        for stamp in result.labels.stamps_ns.tolist()
-    )
+    return store_of(stamped(0, stamp) for stamp in result.labels.stamps_ns.tolist())
 
 
 def test_the_keyframes_of_a_map_are_those_of_its_labels(

@@ -69,11 +69,16 @@ def test_a_door_leads_from_the_smaller_id_to_the_larger() -> None:
     assert abs(door_of(Regions.of(plan.grid, swapped)).theta) == pytest.approx(math.pi)
 
 
-def test_two_doors_between_two_rooms_are_two() -> None:
-    doors = found(two_rooms((5.3, 4.4, 5.5, 5.1), (5.3, 0.8, 5.5, 1.7))).doors
-    assert [door.id for door in doors] == [0, 1]
-    assert [door.width_m for door in doors] == pytest.approx([0.9, 0.7], abs=0.01)
-    assert [door.y for door in doors] == pytest.approx([1.25, 4.75], abs=0.05)
+def test_two_doors_between_two_rooms_are_two_and_each_has_its_traversals() -> None:
+    through = crossing(5.5, 1.1), crossing(5.2, 4.9, 1), crossing(5.4, 1.3, 2)
+    low, high = found(two_rooms((5.3, 4.4, 5.5, 5.1), (5.3, 0.8, 5.5, 1.7)), *through).doors
+    assert (low.id, high.id) == (0, 1)
+    assert (low.width_m, high.width_m) == pytest.approx((0.9, 0.7), abs=0.01)
+    assert (low.y, high.y) == pytest.approx((1.25, 4.75), abs=0.05)
+    assert low.crossings == (through[0], through[2])
+    assert high.crossings == (through[1],)
+    assert low.driven
+    assert high.driven
 
 
 def test_two_doors_are_two_though_the_border_lies_beyond_both() -> None:
@@ -131,16 +136,6 @@ def test_a_door_at_the_edge_of_the_map_ends_there() -> None:
     cells[14:, 38:42] = OCCUPIED
     owner = np.where(cells == FREE, (np.arange(80) >= 40)[None, :] * 1, NOBODY)
     assert door_of(Regions.of(GridMap(cells, 0.05), owner)).width_m == pytest.approx(0.7)
-
-
-def test_each_traversal_counts_for_the_door_it_went_through() -> None:
-    plan = two_rooms((5.3, 0.8, 5.5, 1.7), (5.3, 4.4, 5.5, 5.3))
-    through = crossing(5.5, 1.1), crossing(5.2, 4.9, 1), crossing(5.4, 1.3, 2)
-    low, high = found(plan, *through).doors
-    assert low.crossings == (through[0], through[2])
-    assert high.crossings == (through[1],)
-    assert low.driven
-    assert high.driven
 
 
 def test_who_crosses_in_the_open_goes_through_no_door() -> None:
