@@ -119,10 +119,6 @@ def accepted(name: str) -> bool:
     return True
 
 
-def test_plain_names_of_images_are_accepted() -> None:
-    assert all(map(accepted, ("submaps/000.png", "a.b/c", "..a", "räume/küche.png")))
-
-
 @given(st.lists(st.sampled_from([*"ab./\\:", "..", "../", "\n"]), max_size=8).map("".join))
 def test_images_lie_inside_the_map_directory(name: str) -> None:
     """Whatever name is accepted, no way of reading it leads out of the directory."""
@@ -131,3 +127,4 @@ def test_images_lie_inside_the_map_directory(name: str) -> None:
         assert inside == "/maps/home" or inside.startswith("/maps/home/")
         assert ntpath.splitdrive(name)[0] == ""
         assert "\n" not in name
+    assert all(map(accepted, ("submaps/000.png", "a.b/c", "..a", "räume/küche.png")))

@@ -63,23 +63,14 @@ def test_keyframes_there_and_back(rows: list[tuple[int, float, float, float, int
     assert read.poses.shape == (len(rows), 3)
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        "1.5,0,0,0",
-        "1.5,0,0,0,1,2",
-        "1.5,nan,0,0,1",
-        "1.5,0,-9999999999999999999,0,1",
-        "1.5,0,inf,0,1",
-        "1.5,0,0,-1e999,1",
-        "1.5,0,0,0,-1",
-        "1.5,0,0,0,1.0",
-        "1.5,0,0,0,99999999999999999999",
-        "99999999999999999999,0,0,0,1",
-        "soon,0,0,0,1",
-        "",
-    ],
-)
+LINES = [
+    *("1.5,0,0,0", "1.5,0,0,0,1,2", "1.5,nan,0,0,1", "1.5,0,-9999999999999999999,0,1"),
+    *("1.5,0,inf,0,1", "1.5,0,0,-1e999,1", "1.5,0,0,0,-1", "1.5,0,0,0,1.0"),
+    *("1.5,0,0,0,99999999999999999999", "99999999999999999999,0,0,0,1", "soon,0,0,0,1", ""),
+]
+
+
+@pytest.mark.parametrize("line", LINES)
 def test_a_line_that_is_no_keyframe_is_quoted(tmp_path: Path, line: str) -> None:
     path = tmp_path / "labels.csv"
     path.write_text(f"stamp,x,y,theta,submap\n0.5,1,2,3,0\n{line}\n0.7,1,2,3,0\n")

@@ -40,12 +40,20 @@ def after(*wished: BorderEdit) -> tuple[IntArray, tuple[BorderEdit, ...]]:
     return found.submaps, found.borders
 
 
-def test_a_merge_takes_all_keyframes() -> None:
-    submaps, (merge,) = after(Merge((1, 0)))
+def test_a_merge_takes_all_keyframes_and_those_that_came_later_are_parted_by_the_nearest() -> None:
+    labels = driven()
+    submaps, borders = after(Merge((1, 0)))
+    (merge,) = borders
     assert set(submaps.tolist()) == {1}
     assert isinstance(merge, Merge)
-    assert merge.keyframes == tuple(np.flatnonzero(driven().submaps == 0).tolist())
+    assert merge.keyframes == tuple(np.flatnonzero(labels.submaps == 0).tolist())
     assert merge.known == len(submaps)
+    poses = np.concatenate([labels.poses, [[1.0, 1.2, 0.0], [5.0, 0.8, 0.0]]])
+    before = undone(np.append(submaps, [1, 1]), poses, borders)
+    assert before[-2:].tolist() == [0, 1]
+    (moved,) = carried(borders, labels.poses, poses[-2:])
+    assert isinstance(moved, Merge)
+    assert (moved.keyframes, moved.known) == ((0,), 2)
 
 
 def test_a_split_gives_what_is_right_of_the_line_a_new_id() -> None:
@@ -111,17 +119,6 @@ def test_changes_are_made_in_order_and_undone() -> None:
     same = redrawn(hall(), changed, borders, wished, 8)
     assert same.submaps.tolist() == submaps.tolist()
     assert same.borders == borders
-
-
-def test_keyframes_that_came_after_a_merge_are_parted_by_the_nearest() -> None:
-    labels = driven()
-    submaps, borders = after(Merge((1, 0)))
-    poses = np.concatenate([labels.poses, [[1.0, 1.2, 0.0], [5.0, 0.8, 0.0]]])
-    before = undone(np.append(submaps, [1, 1]), poses, borders)
-    assert before[-2:].tolist() == [0, 1]
-    (moved,) = carried(borders, labels.poses, poses[-2:])
-    assert isinstance(moved, Merge)
-    assert (moved.keyframes, moved.known) == ((0,), 2)
 
 
 def test_what_cannot_be_made_is_told_and_the_rest_made() -> None:
