@@ -30,8 +30,10 @@ def fill(directory: Path, words: str = "new") -> None:
     (directory / "submaps" / "000.png").write_text(words)
 
 
-def fill_and_raise(directory: Path, error: type[BaseException]) -> None:
+def fill_and_raise(directory: Path, error: type[BaseException], *others: Path) -> None:
     fill(directory)
+    for path in others:
+        path.write_text("mine")
     raise error
 
 
@@ -76,12 +78,10 @@ def test_an_empty_directory_and_the_target_of_a_dangling_link_are_used(tmp_path:
 def test_an_interruption_leaves_nothing_but_parents_that_somebody_uses_meanwhile(
     tmp_path: Path, error: type[BaseException]
 ) -> None:
-    for used in (False, True):
+    for notes in ([], [tmp_path / "a" / "notes.txt"]):
         with pytest.raises(error), OutputDirectory(tmp_path / "a" / "b" / "out") as partial:
-            if used:
-                (tmp_path / "a" / "notes.txt").write_text("mine")
-            fill_and_raise(partial, error)
-        assert os.listdir(tmp_path) == (["a"] if used else [])
+            fill_and_raise(partial, error, *notes)
+        assert os.listdir(tmp_path) == ["a"] * len(notes)
     assert os.listdir(tmp_path / "a") == ["notes.txt"]
 
 
