@@ -224,7 +224,9 @@ def test_what_somebody_else_keeps_in_the_store_is_not_touched_and_what_cannot_be
     assert str(result.reason).endswith("cannot be reached or used: the line is cut")
 
 
-def test_what_is_a_store_and_what_is_a_path(tmp_path: Path) -> None:
+def test_what_is_a_store_and_what_is_a_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert path_at("s3:/x") == Path("s3:/x")
     assert path_at(f"file://{tmp_path}") == tmp_path
     (tmp_path / "a.mcap").write_bytes(b"x")
@@ -233,10 +235,7 @@ def test_what_is_a_store_and_what_is_a_path(tmp_path: Path) -> None:
         store_at("nowhere://x/y")
     with pytest.raises(PlaceError), reaching("here"):
         raise RuntimeError("anything")
-
-
-def test_without_the_extra_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "fsspec", None)
+    monkeypatch.setitem(sys.modules, "fsspec", None)  # without the extra
     with pytest.raises(UsageError, match=r"pip install 'specmap-cli\[batch\]'"):
         store_at("s3://bucket/logs")
 

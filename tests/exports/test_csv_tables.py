@@ -56,15 +56,14 @@ def test_what_a_person_noted_is_no_formula(lived_in: MapResult, tmp_path: Path) 
     assert (row["property.of"], row["property.floor"]) == ("'@Ann", "-2")
 
 
-def test_empty_tables_keep_their_headings(stored: StoredMap, tmp_path: Path) -> None:
+def test_empty_tables_keep_their_headings_and_a_zip_is_not_called_csv(
+    stored: StoredMap, tmp_path: Path
+) -> None:
     tables(stored, tmp_path / "house.zip")
     with zipfile.ZipFile(tmp_path / "house.zip") as archive:
         text = archive.read("doors.csv").decode()
     assert text.startswith("id,source,target,x,y,width_m,")
     assert text.count("\n") == 1
-
-
-def test_a_zip_is_not_called_csv(home: StoredMap, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"home\.csv: a zip of .*: name it home\.zip"):
-        export_map(home, "csv", tmp_path / "home.csv")
-    assert not (tmp_path / "home.csv").exists()
+    with pytest.raises(UsageError, match=r"house\.csv: a zip of .*: name it house\.zip"):
+        export_map(stored, "csv", tmp_path / "house.csv")
+    assert not (tmp_path / "house.csv").exists()

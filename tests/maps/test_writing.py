@@ -104,10 +104,6 @@ def test_a_finished_map_cut_into_regions(tmp_path: Path) -> None:
     topology = TopologicalMap(submaps=submaps, edges={(0, 1): edge})
     picture = np.zeros((5, 5, 3), np.uint8)
     write_segmentation(tmp_path, topology, Regions.of(grid, owner), LogInfo("plan.yaml"), picture)
-    labels = cv2.imread(str(tmp_path / "labels.png"), cv2.IMREAD_UNCHANGED)
-    assert labels is not None
-    assert labels.dtype == np.uint16
-    assert (labels == owner[::-1] + 1).all()
     edge = read_map(tmp_path).topology.edges[0, 1]
     assert (edge.kind, edge.crossing, edge.width_m) == ("doorway", (3.0, 3.0), 1.9)
     assert (tmp_path / "overview.png").is_file()
@@ -158,6 +154,7 @@ def test_labels_png_holds_any_division(seed: int, height: int, width: int) -> No
         write_segmentation(folder, TopologicalMap(), regions, LogInfo("plan"), overview)
         written = cv2.imread(f"{folder}/labels.png", cv2.IMREAD_UNCHANGED)
         assert written is not None
+        assert written.dtype == np.uint16
         np.testing.assert_array_equal(written[::-1].astype(np.int64) - 1, owner)
         files = ["labels.png", "overview.png", "submaps", "topology.json"]
         assert sorted(os.listdir(folder)) == files
