@@ -17,6 +17,7 @@ from specmap_cli.core.schemas import read_schema
 from tests.batch.results import failed, job, result
 
 Answer = Callable[[Turn], JobRecord | None]
+ENDS = ("done", "failed")
 
 
 class Obedient(Workers):
@@ -58,16 +59,15 @@ def happenings(names: str, workers: Obedient, retries: int = 1) -> list[EventRec
     """What happens; every job is done or failed in the end, and once."""
     ledger = ledger_of(names)
     happened = list(work_off(ledger.jobs, workers, retries, ledger))
-    ends = [one.job for one in happened if one is not None and one.event in ("done", "failed")]
-    assert sorted(map(str, ends)) == sorted(names)
+    ends = [one for one in happened if one is not None and one.event in ENDS]
+    assert sorted(str(one.job) for one in ends) == sorted(names)
     assert workers.largest <= workers.most
     return happened
 
 
 def states(happened: list[EventRecord | None]) -> dict[str | None, str]:
     """How each job ended."""
-    ends = ("done", "failed")
-    return {one.job: one.event for one in happened if one is not None and one.event in ends}
+    return {one.job: one.event for one in happened if one is not None and one.event in ENDS}
 
 
 def test_a_bad_log_is_not_tried_again_and_stops_no_other() -> None:

@@ -92,24 +92,26 @@ def test_the_table_of_the_way_adds_up() -> None:
     assert track.visits() == [(0.0, 5.0, 3), (5.0, 9.0, 7)]
 
 
+def lines_of(track: Track) -> list[list[tuple[int, int]]]:
+    return [line for _, data in track.by_time(FRAME) for line in drawn(data)]
+
+
 def test_between_recordings_no_time_passes_and_no_line_is_drawn() -> None:
     labels = labels_of(40)
     labels.stamps_ns[20:] += 86_400 * 10**9
     labels.poses[20:, 1] += 7.0
     track = Track.of(labels, (20,), None)
-    assert track.duration_s == 38.0
-    assert track.starts == (0.0, 19.0)
-    ys = [{y for _, y in line} for _, data in track.by_time(FRAME) for line in drawn(data)]
-    assert all(len(each) == 1 for each in ys)
+    assert (track.duration_s, track.starts) == (38.0, (0.0, 19.0))
+    assert all(len({y for _, y in line}) == 1 for line in lines_of(track))
 
 
 def test_a_long_way_is_thinned() -> None:
-    track = Track.of(labels_of(3 * MOST_POINTS), (), None)
-    assert len(track.seconds) == MOST_POINTS
-    assert track.total == 3 * MOST_POINTS
-    assert track.seconds[-1] == 3 * MOST_POINTS - 1
-    ends = [line[-1] for _, data in track.by_time(FRAME) for line in drawn(data)]
-    assert max(ends)[0] == FRAME.place((0.1 * (3 * MOST_POINTS - 1), 0.0))[0]
+    count = 3 * MOST_POINTS
+    track = Track.of(labels_of(count), (), None)
+    assert (len(track.seconds), track.total) == (MOST_POINTS, count)
+    assert track.seconds[-1] == count - 1
+    ends = [line[-1] for line in lines_of(track)]
+    assert max(ends)[0] == FRAME.place((0.1 * (count - 1), 0.0))[0]
 
 
 def xyz(colour: str) -> np.ndarray:
