@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
+from pathlib import Path
 from typing import Any
 
+import pytest
+
+from specmap_cli.batch import running
 from specmap_cli.batch.records import (
     InputRecord,
     Job,
@@ -13,18 +18,17 @@ from specmap_cli.batch.records import (
     JobResult,
     Limits,
     Step,
-    StepOutcome,
     Terms,
     Turn,
 )
+from specmap_cli.core.errors import MapError
+from tests.batch import fake_specmap
+
+ALL = (Step("build"), Step("report"), Step("check"))
 
 FIGURES: dict[str, float | str | None] = {
-    "verdict": "good",
-    "lost_share": 0.0125,
-    "submaps": 7,
-    "area_m2": 123.456,
-    "path_m": 45.678,
-    "scans": 900,
+    **{"verdict": "good", "lost_share": 0.0125, "submaps": 7},
+    **{"area_m2": 123.456, "path_m": 45.678, "scans": 900},
 }
 
 
@@ -34,30 +38,15 @@ def job(name: str) -> Job:
 
 def result(name: str, **changes: Any) -> JobRecord:
     """A job that went well, but for the changes."""
+    files = ("map/overview.png", "map/topology.json", "report.html", "log.txt")
     return JobRecord.model_validate(
         {
-            "schema_version": 1,
-            "name": name,
-            "digest": "d" * 64,
-            "version": "0.1.0",
-            "state": "done",
-            "kind": None,
-            "reason": None,
-            "attempts": 1,
-            "limits": Limits(memory_mb=1000),
-            "started_utc": "2026-01-01T00:00:00+00:00",
-            "wall_s": 18.0,
-            "cpu_s": 17.0,
-            "memory_mb": 300.5,
-            "steps": (),
-            "figures": FIGURES,
+            **{"schema_version": 1, "name": name, "digest": "d" * 64, "version": "0.1.0"},
+            **{"state": "done", "kind": None, "reason": None, "attempts": 1, "steps": ()},
+            **{"limits": Limits(memory_mb=1000), "started_utc": "2026-01-01T00:00:00+00:00"},
+            **{"wall_s": 18.0, "cpu_s": 17.0, "memory_mb": 300.5, "figures": FIGURES},
             "inputs": (InputRecord(log=f"/logs/{name}.mcap", bytes=1, identity="1"),),
-            "files": {
-                "map/overview.png": 1,
-                "map/topology.json": 1,
-                "report.html": 1,
-                "log.txt": 1,
-            },
+            "files": dict.fromkeys(files, 1),
             **changes,
         }
     )
@@ -65,16 +54,9 @@ def result(name: str, **changes: Any) -> JobRecord:
 
 def warned(name: str, *warnings: str) -> JobRecord:
     """A job that went well, whose steps build and report both warned of something."""
+    cost = {"exit_code": 0, "wall_s": 1.0, "cpu_s": 1.0, "memory_mb": 100.0}
     steps = [
-        StepOutcome(
-            command=command,
-            exit_code=0,
-            wall_s=1.0,
-            cpu_s=1.0,
-            memory_mb=100.0,
-            reason=None,
-            warnings=warnings,
-        )
+        {"command": command, **cost, "reason": None, "warnings": warnings}
         for command in ("build", "report")
     ]
     return result(name, steps=tuple(steps))
@@ -83,6 +65,16 @@ def warned(name: str, *warnings: str) -> JobRecord:
 def failed(name: str, kind: str = "log", reason: str = "holds no scans", **more: Any) -> JobRecord:
     nothing = {"figures": {}, "files": {"log.txt": 1}, "memory_mb": None}
     return result(name, state="failed", kind=kind, reason=reason, **(nothing | more))
+
+
+def faked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The fake program in the place of specmap; its maps are none."""
+
+    def no_map(path: Path) -> None:
+        raise MapError(f"{path}: of the fake program")
+
+    monkeypatch.setattr(running, "PROGRAM", (sys.executable, "-I", "-S", fake_specmap.__file__))
+    monkeypatch.setattr(running, "read_map", no_map)
 
 
 def at_once(turn: Turn, terms: Terms, _version: str) -> JobResult:

@@ -116,7 +116,7 @@ class TestBatch:
             ran(tmp_path, "a", "b")
         assert (tmp_path / "summary.csv").read_bytes() == before
 
-    def test_workers_are_told_an_output_that_is_the_same_in_any_directory(
+    def test_two_batches_do_not_share_a_directory_which_is_the_same_for_all_workers(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         outputs = []
@@ -126,22 +126,20 @@ class TestBatch:
                 outputs.append(terms.output)
                 super().__init__(client, terms)
 
-        monkeypatch.setattr(batch, "Workers", Told)
-        monkeypatch.chdir(tmp_path)
-        ran(Path("maps"), "a")
-        assert outputs == [str(tmp_path / "maps")]
-
-    def test_two_batches_do_not_share_a_directory(self, tmp_path: Path) -> None:
         def again(_: EventRecord) -> None:
             with pytest.raises(UsageError, match="another batch is writing there"):
-                ran(tmp_path, "b")
+                ran(tmp_path / "maps", "b")
 
-        run_batch([job("a")], Terms(str(tmp_path)), tell=again)
-        ran(tmp_path, "b")
+        monkeypatch.setattr(batch, "Workers", Told)
+        monkeypatch.chdir(tmp_path)
+        run_batch([job("a")], Terms("maps"), tell=again)
+        ran(Path("maps"), "b")
+        assert outputs == [str(tmp_path / "maps")] * 2
 
-    def test_a_store_gets_summaries_and_the_journal_at_the_end(self) -> None:
-        fsspec = pytest.importorskip("fsspec")
-        store = fsspec.filesystem("memory")
+    def test_a_store_gets_summaries_and_the_journal_at_the_end(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        store = pytest.importorskip("fsspec").filesystem("memory")
         for _ in range(2):
             run_batch([job("a")], Terms("memory://fleet/maps"))
         found = {path.rsplit("/", 1)[-1] for path in store.find("/fleet/maps")}
@@ -149,27 +147,19 @@ class TestBatch:
         events = store.cat_file("/fleet/maps/events.jsonl").decode().splitlines()
         assert [json.loads(line)["event"] for line in events].count("ended") == 2
 
-    def test_a_store_that_cannot_be_written_is_told_of_before_any_job(
-        self, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        fsspec = pytest.importorskip("fsspec")
-
         def refuse(*_: object) -> None:
             raise PermissionError("access denied")
 
-        monkeypatch.setattr(fsspec.filesystem("memory"), "pipe_file", refuse)
+        monkeypatch.setattr(store, "pipe_file", refuse)
         told: list[EventRecord] = []
         with pytest.raises(PlaceError, match=r"memory://closed: .*access denied"):
             run_batch([job("a")], Terms("memory://closed"), tell=told.append)
-        assert told == []
+        assert told == [], "before any job"
 
 
-def test_no_jobs_are_refused(tmp_path: Path) -> None:
+def test_no_jobs_are_refused_and_a_worker_of_another_version_makes_nothing(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no logs"):
         run_batch([], Terms(str(tmp_path)))
-
-
-def test_a_worker_of_another_version_makes_nothing(tmp_path: Path) -> None:
     made = workers.on_worker(Turn(job("a")), Terms(str(tmp_path)), "0.0").record
     assert made.kind == "worker"
     assert made.reason is not None

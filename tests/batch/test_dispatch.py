@@ -17,6 +17,7 @@ from specmap_cli.core.schemas import read_schema
 from tests.batch.results import failed, job, result
 
 Answer = Callable[[Turn], JobRecord | None]
+ENDS = ("done", "failed")
 
 
 class Obedient(Workers):
@@ -58,22 +59,15 @@ def happenings(names: str, workers: Obedient, retries: int = 1) -> list[EventRec
     """What happens; every job is done or failed in the end, and once."""
     ledger = ledger_of(names)
     happened = list(work_off(ledger.jobs, workers, retries, ledger))
-    ends = [one.job for one in happened if one is not None and one.event in ("done", "failed")]
-    assert sorted(map(str, ends)) == sorted(names)
+    ends = [one for one in happened if one is not None and one.event in ENDS]
+    assert sorted(str(one.job) for one in ends) == sorted(names)
     assert workers.largest <= workers.most
     return happened
 
 
 def states(happened: list[EventRecord | None]) -> dict[str | None, str]:
     """How each job ended."""
-    ends = ("done", "failed")
-    return {one.job: one.event for one in happened if one is not None and one.event in ends}
-
-
-def test_long_logs_come_first_and_names_decide_among_equals() -> None:
-    jobs = [job(name) for name in "dbca"]
-    ordered = longest_first(jobs, {"a": 5, "b": 7, "c": 7, "d": 1})
-    assert "".join(one.name for one in ordered) == "bcad"
+    return {one.job: one.event for one in happened if one is not None and one.event in ENDS}
 
 
 def test_a_bad_log_is_not_tried_again_and_stops_no_other() -> None:
@@ -81,6 +75,8 @@ def test_a_bad_log_is_not_tried_again_and_stops_no_other() -> None:
     assert states(happenings("abc", workers)) == {"a": "done", "b": "failed", "c": "done"}
     assert [name for name, *_ in workers.got] == ["a", "b", "c"]
     assert workers.largest == 2
+    ordered = longest_first([job(name) for name in "dbca"], {"a": 5, "b": 7, "c": 7, "d": 1})
+    assert "".join(one.name for one in ordered) == "bcad", "names decide among equals"
 
 
 @pytest.mark.parametrize(("retries", "attempts"), [(0, 1), (1, 2), (3, 4)])
@@ -117,16 +113,11 @@ def test_a_job_that_wants_more_than_all_have_fails(
 def test_what_the_scheduler_forgot_is_handed_out_again_as_the_same_attempt() -> None:
     forgotten = iter([None, None])
     workers = Obedient(lambda turn: next(forgotten, result(turn.job.name)))
-    assert states(happenings("ab", workers, retries=0)) == {"a": "done", "b": "done"}
-    assert sorted(workers.got) == [("a", 1, False)] * 2 + [("b", 1, False)] * 2
-
-
-def test_jobs_wait_while_no_worker_is_there() -> None:
-    workers = Obedient(lambda turn: result(turn.job.name))
-    workers.free = 0
-    happened = happenings("a", workers)
+    workers.free = 0  # jobs wait while no worker is there
+    happened = happenings("ab", workers, retries=0)
     assert happened[0] is None
-    assert states(happened) == {"a": "done"}
+    assert states(happened) == {"a": "done", "b": "done"}
+    assert sorted(workers.got) == [("a", 1, False)] * 2 + [("b", 1, False)] * 2
 
 
 def test_events_say_what_happened_in_order_as_their_schema_says() -> None:

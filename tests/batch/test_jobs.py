@@ -49,29 +49,17 @@ def names(found: tuple[Job, ...]) -> list[str]:
     return [job.name for job in found]
 
 
-def test_a_log_is_a_job_called_as_it_with_the_default_steps(lay: Lay) -> None:
-    where = lay("monday.bag.zst")
-    (job,) = jobs_of([str(where / "monday.bag.zst")])
-    assert job == Job("monday", (str(where / "monday.bag.zst"),), DEFAULT)
-    assert pickle.loads(pickle.dumps(job)) == job
-
-
 def test_a_directory_gives_every_recording_below_it_once(lay: Lay) -> None:
     where = lay("b.mcap", "a/b.mcap", "a/without suffix", ".hidden/c.mcap", "a/.d.mcap")
     lay("maps/map/keyframes.mcap", "maps/map/topology.json", "old/job/job.json", "old/job/e.mcap")
     lay("bag/metadata.yaml", "bag/bag_0.mcap", "bag/bag_1.mcap", note__txt="not a recording")
+    # a damaged beginning does not hide a recording
+    lay(empty__mcap="", rubbish__bag="rubbish", some__log="some text")
     found = jobs_of([str(where), str(where / "b.mcap")])
     assert {job.name: Path(job.logs[0]).relative_to(where).as_posix() for job in found} == {
-        "b": "b.mcap",
-        "a-b": "a/b.mcap",
-        "a-without_suffix": "a/without suffix",
-        "bag": "bag",
+        **{"b": "b.mcap", "a-b": "a/b.mcap", "a-without_suffix": "a/without suffix"},
+        **{"bag": "bag", "empty": "empty.mcap", "rubbish": "rubbish.bag"},
     }
-
-
-def test_a_damaged_beginning_does_not_hide_a_recording(lay: Lay) -> None:
-    where = lay(empty__mcap="", rubbish__bag="rubbish", some__log="some text")
-    assert names(jobs_of([str(where)])) == ["empty", "rubbish"]
 
 
 def test_no_folder_of_a_job_stands_where_the_batch_writes(lay: Lay) -> None:
@@ -88,28 +76,33 @@ def test_a_pattern_gives_what_matches(lay: Lay) -> None:
     where = lay("may/1/run.mcap", "may/2/run.mcap", "june/run.mcap")
     assert names(jobs_of([f"{where}/may/*/run.mcap"])) == ["1-run", "2-run"]
     assert names(jobs_of([f"{where}/**/run.mcap"])) == ["june-run", "may-1-run", "may-2-run"]
+    (where / "empty").mkdir()
+    for place in ("none.mcap", "none/*.mcap", "empty"):
+        with pytest.raises(UsageError, match=r"no recording there|no such file"):
+            jobs_of([str(where / place)])
 
 
 def test_names_are_safe_and_stay_when_other_logs_come(lay: Lay) -> None:
     where = lay("x/run one.mcap", "y/run one.mcap", "y/Run_One.bag")
-    alone = jobs_of([str(where / "y" / "run one.mcap")])
-    several = jobs_of([str(where / "x" / "run one.mcap"), str(where / "y")])
-    assert names(alone) == ["run_one"]
-    first, second, third = names(several)
+    several = [str(where / "x" / "run one.mcap"), str(where / "y")]
+    assert names(jobs_of([str(where / "y" / "run one.mcap")])) == ["run_one"]
+    first, second, third = names(jobs_of(several))
     assert first == "run_one"
     assert second.startswith("Run_One-")
     assert third.startswith("run_one-")
     assert second[-8:] != third[-8:]
-    assert names(several) == names(jobs_of([str(where / "x" / "run one.mcap"), str(where / "y")]))
+    assert [first, second, third] == names(jobs_of(several))
 
 
-def test_options_of_the_command_line_are_those_of_every_job(lay: Lay) -> None:
-    where = lay("a.mcap")
+def test_a_log_is_a_job_called_as_it_with_the_default_steps_or_those_asked_for(lay: Lay) -> None:
+    log = str(lay("monday.bag.zst") / "monday.bag.zst")
+    (job,) = jobs_of([log])
+    assert job == Job("monday", (log,), DEFAULT)
+    assert pickle.loads(pickle.dumps(job)) == job
     plan = Plan(("build",), {"build": {"set": ["seed=1", "grid.resolution_m=0.1"], "seed": 3}})
-    (job,) = jobs_of([str(where / "a.mcap")], plan)
-    assert job.steps == (
-        Step("build", ("--set=seed=1", "--set=grid.resolution_m=0.1", "--seed=3")),
-    )
+    (job,) = jobs_of([log], plan)
+    asked = ("--set=seed=1", "--set=grid.resolution_m=0.1", "--seed=3")
+    assert job.steps == (Step("build", asked),)
 
 
 TOML = """
@@ -167,7 +160,7 @@ def test_a_step_without_a_map_of_the_job_takes_another_one(lay: Lay) -> None:
     assert evaluate[-3:] == ["--out=confusion.png", "--", *job.logs]
 
 
-LOGS = 'logs = "a.mcap"\n'
+LOGS, NAMED = 'logs = "a.mcap"\n', "[[job]]\nname = "
 
 
 @pytest.mark.parametrize(
@@ -182,10 +175,7 @@ LOGS = 'logs = "a.mcap"\n'
         (LOGS + 'steps = ["check"]', "jobs.toml: steps: check needs a map: put build before it"),
         (LOGS + 'steps = ["build", "build"]', "build is given twice"),
         (LOGS + "[options.biuld]", "jobs.toml: 'biuld': no such step"),
-        (
-            LOGS + "[options.build]\nsett = 1",
-            "options.build.sett: no such option: did you mean set",
-        ),
+        (LOGS + "[options.build]\nsett = 1", "build.sett: no such option: did you mean set"),
         (LOGS + '[options.build]\nout = "/etc"', "options.build.out: the batch says that itself"),
         (LOGS + "[options.check]\njson = true", "options.check.json: the batch says that itself"),
         (LOGS + '[options.check]\njunit = "../x"', "options.check.junit is '../x': expected the"),
@@ -200,10 +190,7 @@ LOGS = 'logs = "a.mcap"\n'
         ("job = 3", "jobs.toml: job is 3: expected tables"),
         ('[[job]]\nname = "x"', "jobs.toml: job 1 (x): logs: missing"),
         ('[[job]]\nname = "../x"\n' + LOGS, "job 1 (../x): name is '../x': expected letters"),
-        (
-            f'[[job]]\nname = "x"\n{LOGS}[[job]]\nname = "X"\n{LOGS}',
-            "job 2 (X): name: X is another",
-        ),
+        (f'{NAMED}"x"\n{LOGS}{NAMED}"X"\n{LOGS}', "job 2 (X): name: X is another"),
         (f'[[job]]\n{LOGS}log = "b"', "jobs.toml: job 1: log: no such key, did you mean logs?"),
         (f"[[job]]\n{LOGS}[job.options.build]\nseeed = 1", "job 1: options.build.seeed: no such"),
     ],
@@ -218,13 +205,6 @@ def test_what_a_file_of_jobs_says_wrong_is_told_with_its_place(
     assert told.value.code == SETTING
     assert "\n" not in str(told.value).split("TOML")[0]
     assert str(told.value).startswith(str(where))
-
-
-@pytest.mark.parametrize("place", ["none.mcap", "none/*.mcap", "empty"])
-def test_a_place_without_a_recording_is_refused(tmp_path: Path, place: str) -> None:
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(UsageError, match=r"no recording there|no such file"):
-        jobs_of([str(tmp_path / place)])
 
 
 def test_the_command_line_says_what_options_take() -> None:

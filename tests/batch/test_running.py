@@ -10,12 +10,13 @@ import sys
 import time
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import jsonschema
 import pytest
 
-from specmap_cli.batch import processes, running
+from specmap_cli.batch import processes
 from specmap_cli.batch.jobs import jobs_of
 from specmap_cli.batch.outputs import folder_at
 from specmap_cli.batch.records import Job, JobRecord, JobResult, Limits, Plan, Step, Terms, Turn
@@ -25,30 +26,22 @@ from specmap_cli.cli.batch import known_options
 from specmap_cli.core.schemas import read_schema
 from specmap_cli.core.text import to_json
 from tests.batch import fake_specmap
+from tests.batch.results import ALL, faked
 from tests.cli.conftest import QUICK
 
 pytest.importorskip("psutil")
 
-ALL = tuple(Step(command) for command in ("build", "report", "check"))
 Run = Callable[..., JobRecord]
 
 
 @pytest.fixture
 def fake(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """The fake program in the place of specmap; the file has a line for each of its builds."""
-    program = (sys.executable, "-I", "-S", fake_specmap.__file__)
-    monkeypatch.setattr(running, "PROGRAM", program)
-    monkeypatch.setattr(running, "read_map", _no_map)
+    faked(monkeypatch)
     monkeypatch.setattr(processes, "_WATCH_S", 0.01)  # its steps are short
     monkeypatch.setenv("FAKE_NOTE", str(tmp_path / "builds"))
     monkeypatch.setenv("SPECMAP_PRESET", "paper")  # of a worker: no step may see it
     return tmp_path / "builds"
-
-
-def _no_map(path: Path) -> None:
-    from specmap_cli.core.errors import MapError
-
-    raise MapError(f"{path}: of the fake program")
 
 
 @pytest.fixture
@@ -116,16 +109,12 @@ def test_a_finished_job_leaves_all_that_it_made_and_nothing_else(
     assert record.files["map/part-3"] == (folder / "map" / "part-3").stat().st_size
     assert [step.command for step in record.steps] == ["build", "report", "check"]
     assert "$ specmap check --json -- map" in (folder / "log.txt").read_text()
-
-
-def test_what_job_json_says_is_as_its_schema_says(run: Run, folder: Path, tmp_path: Path) -> None:
-    record = run("damaged", Limits(time_s=60.0))
+    damaged = run("damaged", Limits(time_s=60.0))
     written = json.loads((folder / "job.json").read_text())
     jsonschema.validate(written, read_schema("job"))
-    assert to_json(record.model_dump()) == to_json(written)
     stored = folder_at(str(tmp_path / "out"), "monday").stored()
     assert stored is not None
-    assert to_json(stored.model_dump()) == to_json(written)
+    assert to_json(stored.model_dump()) == to_json(damaged.model_dump()) == to_json(written)
 
 
 def test_a_complete_result_is_not_made_again(fake: Path, run: Run, folder: Path) -> None:
@@ -138,52 +127,68 @@ def test_a_complete_result_is_not_made_again(fake: Path, run: Run, folder: Path)
     assert builds(fake) == 2
 
 
-@pytest.mark.parametrize("spoil", ["log", "option", "missing", "damaged", "cut", "no record"])
+def damage(kind: str, folder: Path) -> None:
+    """What happens to a result, or nothing."""
+    if kind == "missing":
+        (folder / "map" / "part-3").unlink()
+    elif kind in ("job.json", "report.html"):  # damaged, or cut off
+        (folder / kind).write_text("{" if kind == "job.json" else "")
+    elif kind == "no record":
+        shutil.rmtree(folder)
+
+
+SEEDED = (Step("build", ("--seed=3",)), *ALL[1:])
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words", "steps"),
+    [
+        ("log", "fine too", ALL),
+        ("option", "fine", SEEDED),
+        *((kind, "fine", ALL) for kind in ("missing", "job.json", "report.html", "no record")),
+    ],
+)
 def test_what_is_not_complete_or_of_other_inputs_is_made_again(
-    fake: Path, run: Run, folder: Path, spoil: str
+    fake: Path, run: Run, folder: Path, spoil: str, words: str, steps: tuple[Step, ...]
 ) -> None:
     run()
-    words, steps = "fine", ALL
-    if spoil == "log":
-        words = "fine too"
-    elif spoil == "option":
-        steps = (Step("build", ("--seed=3",)), *ALL[1:])
-    elif spoil == "missing":
-        (folder / "map" / "part-3").unlink()
-    elif spoil == "damaged":
-        (folder / "job.json").write_text("{")
-    elif spoil == "cut":
-        (folder / "report.html").write_text("")
-    else:
-        shutil.rmtree(folder)
+    damage(spoil, folder)
     assert run(words, steps=steps).state == "done"
     assert builds(fake) == 2
     assert words in (folder / "map" / "part-0").read_text()
     run(words, steps=steps, resumed=True)
 
 
-def test_a_log_that_only_moved_is_the_same(run: Run, tmp_path: Path) -> None:
-    run()
-    moved = tmp_path / "elsewhere" / "monday.mcap"
-    moved.parent.mkdir()
-    (tmp_path / "monday.mcap").rename(moved)
-    assert run_of(moved, tmp_path).resumed
-
-
-@pytest.mark.parametrize(
-    ("words", "kind", "reason"),
-    [
-        ("damaged", "log", "monday.mcap: cut off after 12 bytes; no message can be read"),
-        ("large", "memory", "not enough memory; a shorter log needs less"),
-        ("full", "place", "No space left on device"),
-        ("bug", "bug", "ValueError: no good"),
-        ("killed", "memory", "build was killed, as a system does for want of memory"),
-    ],
-)
-def test_a_failed_job_says_why_and_leaves_its_log(
-    run: Run, folder: Path, words: str, kind: str, reason: str
+def test_a_log_that_is_out_of_reach_does_not_cost_its_map_and_one_that_moved_is_the_same(
+    run: Run, folder: Path, tmp_path: Path
 ) -> None:
-    record = run(words)
+    """As on a worker that lacks the shared folder."""
+    run()
+    before = files(folder)
+    log, moved = tmp_path / "monday.mcap", tmp_path / "elsewhere" / "monday.mcap"
+    moved.parent.mkdir()
+    log.rename(moved)
+    for redo in (False, True):
+        record = run_of(log, tmp_path, redo=redo).record
+        assert (record.state, record.kind) == ("failed", "log")
+        assert files(folder) == before
+    assert run_of(moved, tmp_path).resumed
+    moved.rename(log)
+    run(resumed=True)
+
+
+FAILURES = {
+    "damaged": ("log", "monday.mcap: cut off after 12 bytes; no message can be read"),
+    "large": ("memory", "not enough memory; a shorter log needs less"),
+    "full": ("place", "No space left on device"),
+    "bug": ("bug", "ValueError: no good"),
+    "killed": ("memory", "build was killed, as a system does for want of memory"),
+}
+
+
+@pytest.mark.parametrize("words", FAILURES)
+def test_a_failed_job_says_why_and_leaves_its_log(run: Run, folder: Path, words: str) -> None:
+    record, (kind, reason) = run(words), FAILURES[words]
     assert (record.state, record.kind) == ("failed", kind)
     assert str(record.reason).endswith(reason)
     assert "\n" not in str(record.reason)
@@ -193,10 +198,7 @@ def test_a_failed_job_says_why_and_leaves_its_log(
 
 @pytest.mark.parametrize(
     ("words", "reason"),
-    [
-        ("broken", "breaks 1 of 2 rules: lost_share"),
-        ("doubtful", "build: the map is doubtful"),
-    ],
+    [("broken", "breaks 1 of 2 rules: lost_share"), ("doubtful", "build: the map is doubtful")],
 )
 def test_a_broken_rule_fails_the_job_and_loses_nothing(
     fake: Path, run: Run, folder: Path, words: str, reason: str
@@ -230,9 +232,8 @@ def test_a_job_beyond_its_memory_is_stopped_and_tried_again_with_more(
 
 def test_a_job_beyond_its_time_is_stopped(run: Run) -> None:
     record = run("slow", Limits(time_s=0.3))
-    assert record.kind == "time"
-    assert record.reason == "the job took more than 0.3 s, the limit; it was in build"
-    assert not may_retry(record, 2)
+    told = "the job took more than 0.3 s, the limit; it was in build"
+    assert (record.kind, record.reason, may_retry(record, 2)) == ("time", told, False)
     run("slow", Limits(time_s=0.2), resumed=True)
 
 
@@ -245,28 +246,20 @@ def test_without_the_extra_one_line_says_what_to_install(
     assert record.reason == "jobs need an extra: pip install 'specmap-cli[batch]'"
 
 
+def test_a_lost_worker_is_told_of_without_a_file() -> None:
+    for attempt, again in ((1, True), (2, False)):
+        turn = Turn(Job("monday", ("monday.mcap",), ALL), attempt)
+        lost = failure(turn, "worker", "the worker\nwas lost\udcff", Limits()).record
+        assert (lost.state, lost.files, may_retry(lost, 2)) == ("failed", {}, again)
+        assert lost.reason == "the worker was lost\\udcff"
+
+
 def test_a_missing_log_fails_the_job_in_a_line_whatever_it_is_called(tmp_path: Path) -> None:
     for _ in range(2):
         made = run_of(f"{tmp_path}/gone\n\udcff\x1b.mcap", tmp_path)
         assert (made.record.kind, made.record.digest, made.resumed) == ("log", "", False)
         told = f"{tmp_path}/gone \\udcff\\x1b.mcap: no such file or directory"
         assert made.record.reason == told
-
-
-def test_a_log_that_is_out_of_reach_does_not_cost_its_map(
-    run: Run, folder: Path, tmp_path: Path
-) -> None:
-    """As on a worker that lacks the shared folder."""
-    run()
-    before = files(folder)
-    log = tmp_path / "monday.mcap"
-    log.rename(tmp_path / "away")
-    for redo in (False, True):
-        record = run_of(log, tmp_path, redo=redo).record
-        assert (record.state, record.kind) == ("failed", "log")
-        assert files(folder) == before
-    (tmp_path / "away").rename(log)
-    run(resumed=True)
 
 
 def test_what_a_person_decided_about_a_map_is_never_lost(
@@ -287,29 +280,23 @@ def test_what_a_person_decided_about_a_map_is_never_lost(
     assert run("other words").state == "done"
 
 
-def test_what_somebody_else_keeps_there_is_not_touched(run: Run, folder: Path) -> None:
-    mine = folder / "thesis.txt"
-    mine.parent.mkdir(parents=True)
+@pytest.mark.parametrize(
+    ("place", "kind", "reason"),
+    [
+        ("out/monday/thesis.txt", "settings", "choose another output directory"),
+        ("out", "place", ""),  # may be tried again
+    ],
+)
+def test_what_somebody_else_keeps_there_is_not_touched(
+    run: Run, tmp_path: Path, place: str, kind: str, reason: str
+) -> None:
+    mine = tmp_path / place
+    mine.parent.mkdir(parents=True, exist_ok=True)
     mine.write_text("years of work")
     record = run()
-    assert (record.kind, may_retry(record, 2)) == ("settings", False)
-    assert "choose another output directory" in str(record.reason)
+    assert (record.kind, may_retry(record, 2)) == (kind, kind == "place")
+    assert reason in str(record.reason)
     assert mine.read_text() == "years of work"
-
-
-def test_an_output_that_cannot_be_written_may_be_tried_again(run: Run, tmp_path: Path) -> None:
-    (tmp_path / "out").write_text("a file")
-    record = run()
-    assert (record.kind, may_retry(record, 2)) == ("place", True)
-
-
-def test_a_lost_worker_is_told_of_without_a_file() -> None:
-    job = Job("monday", ("monday.mcap",), ALL)
-    for attempt, again in ((1, True), (2, False)):
-        told = "the worker\nwas lost\udcff"
-        lost = failure(Turn(job, attempt), "worker", told, Limits()).record
-        assert (lost.state, lost.files, may_retry(lost, 2)) == ("failed", {}, again)
-        assert lost.reason == "the worker was lost\\udcff"
 
 
 def test_killed_at_any_instant_it_leaves_a_complete_result_or_none(
@@ -347,13 +334,12 @@ def test_killed_at_any_instant_it_leaves_a_complete_result_or_none(
 def _lives(pid: int) -> bool:
     """Whether a process of the fake program is still there, after a moment for the system."""
     for _ in range(100):
-        try:
+        with suppress(OSError):
             command = Path(f"/proc/{pid}/cmdline").read_bytes()
-        except OSError:
-            return False
-        if fake_specmap.__file__.encode() not in command:  # ended, or the number is another's now
-            return False
-        time.sleep(0.02)
+            if fake_specmap.__file__.encode() in command:
+                time.sleep(0.02)
+                continue
+        return False  # ended, or the number is another's now
     return True
 
 
@@ -382,17 +368,16 @@ def test_a_real_log_without_its_end_becomes_a_map_with_figures_and_a_warning(
 
 
 def test_the_digest_knows_the_contents_of_option_files(tmp_path: Path) -> None:
-    log, rules = tmp_path / "a.mcap", tmp_path / "rules.toml"
+    log = tmp_path / "a.mcap"
     log.write_bytes(b"log")
-    rules.write_text("verdict = 'good'")
-    option = f"--rules={rules}"
-    job = Job("a", (str(log),), (Step("build"), Step("check", (option,), (option,))))
-    before = digest_of(job, "1", inputs_of(job))
-    moved = tmp_path / "others.toml"
-    moved.write_text("verdict = 'good'")
-    option = f"--rules={moved}"
-    elsewhere = Job("a", job.logs, (job.steps[0], Step("check", (option,), (option,))))
-    assert digest_of(elsewhere, "1", inputs_of(elsewhere)) == before
-    assert digest_of(job, "2", inputs_of(job)) != before
-    rules.write_text("verdict = 'poor'")
-    assert digest_of(job, "1", inputs_of(job)) != before
+
+    def digest(rules: str, text: str, version: str = "1") -> str:
+        (tmp_path / rules).write_text(text)
+        option = f"--rules={tmp_path / rules}"
+        job = Job("a", (str(log),), (Step("build"), Step("check", (option,), (option,))))
+        return digest_of(job, version, inputs_of(job))
+
+    before = digest("rules.toml", "verdict = 'good'")
+    assert digest("others.toml", "verdict = 'good'") == before
+    assert digest("rules.toml", "verdict = 'good'", "2") != before
+    assert digest("rules.toml", "verdict = 'poor'") != before

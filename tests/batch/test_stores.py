@@ -16,28 +16,27 @@ from typing import Any
 
 import pytest
 
-from specmap_cli.batch import places, running
+from specmap_cli.batch import places
 from specmap_cli.batch.jobs import jobs_of
 from specmap_cli.batch.outputs import files_in, folder_at, write_record
 from specmap_cli.batch.places import PlaceError, path_at, reaching, scratch_directory, store_at
-from specmap_cli.batch.records import Job, JobRecord, JobResult, Step, Terms, Turn
+from specmap_cli.batch.records import Job, JobRecord, JobResult, Terms, Turn
 from specmap_cli.batch.running import run_job
 from specmap_cli.batch.sources import bytes_of, fetched
-from specmap_cli.core.errors import LogError, MapError, UsageError
+from specmap_cli.core.errors import LogError, UsageError
 from specmap_cli.core.files import lock
-from tests.batch import fake_specmap
+from tests.batch.results import ALL, faked
 
 fsspec = pytest.importorskip("fsspec")
 pytest.importorskip("psutil")
 
-ALL = (Step("build"), Step("report"), Step("check"))
 OUT = "memory://bucket/maps"
 
 
 @pytest.fixture
 def store(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """An empty store in memory, and the fake program in the place of specmap."""
-    _fake(monkeypatch)
+    faked(monkeypatch)
     system = fsspec.filesystem("memory")
     system.store.clear()
     system.pseudo_dirs[:] = [""]
@@ -83,28 +82,25 @@ def test_a_job_from_store_to_store(store: Any, tmp_path: Path) -> None:
     assert folder_at(OUT, "monday").stored() is None
 
 
-@pytest.mark.parametrize(
-    ("words", "reason"),
-    [
-        ("damaged", "cut off after 12 bytes; no message can be read"),
-        (None, "no such file or directory"),
-    ],
-)
-def test_a_reason_names_the_log_as_the_user_does(
-    store: Any, tmp_path: Path, words: str | None, reason: str
-) -> None:
+@pytest.mark.parametrize("damaged", [True, False])
+def test_a_reason_names_the_log_as_the_user_does(store: Any, tmp_path: Path, damaged: bool) -> None:
     url = "memory://bucket/logs/monday.mcap"
-    if words is not None:
-        put(store, "logs/monday.mcap", words)
+    if damaged:
+        put(store, "logs/monday.mcap", "damaged")
     record = record_of(url, tmp_path)
-    assert (record.kind, record.reason) == ("log", f"{url}: {reason}")
+    cut = "cut off after 12 bytes; no message can be read"
+    told = f"{url}: {cut if damaged else 'no such file or directory'}"
+    assert (record.kind, record.reason) == ("log", told)
     assert names(store, "/bucket/maps/monday") - {"log.txt"} == {"job.json"}
 
 
-def test_what_is_found_in_a_store(store: Any) -> None:
-    for path in ("a.mcap", "b/run.bag.zst", "b/notes.txt", ".x/c.mcap", "bag/metadata.yaml"):
+def test_what_is_found_in_a_store_and_fetched_whole(store: Any, tmp_path: Path) -> None:
+    bag = ("metadata.yaml", "bag_0.db3", "bag_1.db3")
+    for path in ("a.mcap", "b/run.bag.zst", "b/notes.txt", ".x/c.mcap"):
         put(store, f"logs/{path}")
-    for path in ("bag/bag_0.db3", "bag/bag_1.db3", "map/topology.json", "map/keyframes.mcap"):
+    for path in ("bag/" + name for name in bag):
+        put(store, f"logs/{path}", path)
+    for path in ("map/topology.json", "map/keyframes.mcap"):
         put(store, f"logs/{path}")
     found = {job.name: job.logs[0] for job in jobs_of(["memory://bucket/logs"])}
     assert {name: log.rsplit("logs/")[1] for name, log in found.items()} == {
@@ -112,20 +108,14 @@ def test_what_is_found_in_a_store(store: Any) -> None:
         "b-run": "b/run.bag.zst",
         "bag": "bag",
     }
-    assert [job.name for job in jobs_of(["memory://bucket/logs/*.mcap"])] == ["a"]
-    assert [job.name for job in jobs_of(["memory://bucket/logs/a.mcap"])] == ["a"]
+    for pattern in ("*.mcap", "a.mcap"):
+        assert [job.name for job in jobs_of([f"memory://bucket/logs/{pattern}"])] == ["a"]
     with pytest.raises(UsageError, match="no recording there"):
         jobs_of(["memory://bucket/none"])
-
-
-def test_a_recording_of_several_files_is_fetched_whole(store: Any, tmp_path: Path) -> None:
-    for name in ("metadata.yaml", "bag_0.db3", "bag_1.db3"):
-        put(store, f"logs/bag/{name}", name)
-    (job,) = jobs_of(["memory://bucket/logs"])
-    ((log, place),) = fetched(job.logs, tmp_path).items()
-    assert (log, Path(place).name) == (job.logs[0], "bag")
+    ((log, place),) = fetched((found["bag"],), tmp_path).items()
+    assert (log, Path(place).name) == (found["bag"], "bag")
     texts = {path.name: path.read_text() for path in Path(place).iterdir()}
-    assert texts == {name: name for name in ("metadata.yaml", "bag_0.db3", "bag_1.db3")}
+    assert texts == {name: f"bag/{name}" for name in bag}
 
 
 @pytest.mark.parametrize("name", ["bag/../../../../escaped.db3", ".."])
@@ -200,14 +190,6 @@ def _publish(source: Path, scratch: Path) -> None:
         shutil.copytree(source, directory, dirs_exist_ok=True)
 
 
-def _fake(monkeypatch: pytest.MonkeyPatch) -> None:
-    def no_map(path: Path) -> None:
-        raise MapError(str(path))
-
-    monkeypatch.setattr(running, "PROGRAM", (sys.executable, "-I", "-S", fake_specmap.__file__))
-    monkeypatch.setattr(running, "read_map", no_map)
-
-
 def _cut_after(system: Any, monkeypatch: pytest.MonkeyPatch, calls: int) -> None:
     """The process ends before the call number `calls` that writes or removes."""
     left = [calls]
@@ -225,29 +207,26 @@ def _cut_after(system: Any, monkeypatch: pytest.MonkeyPatch, calls: int) -> None
         monkeypatch.setattr(system, name, counted(getattr(system, name)))
 
 
-def test_what_somebody_else_keeps_in_the_store_is_not_touched(store: Any, tmp_path: Path) -> None:
-    url = put(store, "logs/monday.mcap")
-    put(store, "maps/monday/thesis.txt", "years of work")
-    result = record_of(url, tmp_path)
-    assert result.kind == "settings"
-    assert names(store, "/bucket/maps/monday") == {"thesis.txt"}
-
-
-def test_a_store_that_cannot_be_reached_may_be_tried_again(
+def test_what_somebody_else_keeps_in_the_store_is_not_touched_and_what_cannot_be_reached_told(
     store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     url = put(store, "logs/monday.mcap")
+    put(store, "maps/monday/thesis.txt", "years of work")
+    assert record_of(url, tmp_path).kind == "settings"
+    assert names(store, "/bucket/maps/monday") == {"thesis.txt"}
 
     def fail(*_: object, **__: object) -> None:
         raise ConnectionError("the line is\ncut")
 
     monkeypatch.setattr(store, "put_file", fail)
-    result = record_of(url, tmp_path)
-    assert result.kind == "place"
+    result = record_of(url, tmp_path, "tuesday")
+    assert result.kind == "place", "it may be tried again"
     assert str(result.reason).endswith("cannot be reached or used: the line is cut")
 
 
-def test_what_is_a_store_and_what_is_a_path(tmp_path: Path) -> None:
+def test_what_is_a_store_and_what_is_a_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert path_at("s3:/x") == Path("s3:/x")
     assert path_at(f"file://{tmp_path}") == tmp_path
     (tmp_path / "a.mcap").write_bytes(b"x")
@@ -256,21 +235,24 @@ def test_what_is_a_store_and_what_is_a_path(tmp_path: Path) -> None:
         store_at("nowhere://x/y")
     with pytest.raises(PlaceError), reaching("here"):
         raise RuntimeError("anything")
-
-
-def test_without_the_extra_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "fsspec", None)
+    monkeypatch.setitem(sys.modules, "fsspec", None)  # without the extra
     with pytest.raises(UsageError, match=r"pip install 'specmap-cli\[batch\]'"):
         store_at("s3://bucket/logs")
 
 
-def test_what_killed_runs_left_is_removed_and_what_lives_stays(tmp_path: Path) -> None:
+def test_what_killed_runs_left_is_removed_and_what_lives_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     left, other = tmp_path / "specmap-job-0123abcd", tmp_path / "specmap-job-thesis"
     for directory in (left, other):
         directory.mkdir()
     with scratch_directory(str(tmp_path)) as first, scratch_directory(str(tmp_path)) as second:
         assert set(tmp_path.iterdir()) == {first, second, other}
         assert stat.S_IMODE(first.stat().st_mode) == 0o700
+    assert list(tmp_path.iterdir()) == [other]
+    monkeypatch.setattr(places, "lock", lambda _: False)  # a system without locks
+    with scratch_directory(str(tmp_path)) as directory:
+        assert set(tmp_path.iterdir()) == {directory, other}
     assert list(tmp_path.iterdir()) == [other]
 
 
@@ -286,15 +268,6 @@ def test_a_directory_that_another_run_sweeps_away_is_not_used(
         descriptor = os.open(directory, os.O_RDONLY)
         assert not locked(descriptor)  # it is ours alone
         os.close(descriptor)
-
-
-def test_without_locks_there_are_directories_all_the_same(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(places, "lock", lambda _: False)
-    with scratch_directory(str(tmp_path)) as directory:
-        assert list(tmp_path.iterdir()) == [directory]
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.fixture
@@ -326,7 +299,7 @@ def bucket(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
 
 @pytest.mark.filterwarnings("ignore")  # of libraries that only this test uses
 def test_a_bucket(bucket: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    _fake(monkeypatch)
+    faked(monkeypatch)
     system, _ = store_at(bucket)
     system.pipe_file("fleet/logs/monday.mcap", b"fine")
     (job,) = jobs_of([f"{bucket}/logs"])

@@ -68,15 +68,14 @@ def test_markdown_names_what_failed_and_what_is_doubtful(rows: list[Row]) -> Non
     assert "\n| d |" not in text, "a job that waits took no time"
 
 
-def test_markdown_of_many_failures_is_short() -> None:
+def test_markdown_of_many_failures_is_short_and_tells_of_warnings_once() -> None:
     text = as_markdown(rows_for(*(failed(f"{k:03}") for k in range(100)))).decode()
     assert "... and 80 more: see summary.csv" in text
     assert text.count("holds no scans") == 20
-
-
-def test_markdown_tells_of_warnings_once_though_every_step_warned() -> None:
     text = as_markdown(rows_for(warned("a", "cut | off"), result("b"))).decode()
     assert "#### Warnings\n\n| name | warnings |\n|---|---|\n| a | cut \\| off |\n" in text
+    good = rows_for(*map(result, "abc"))
+    assert [headline(good), headline(good[:1])] == ["All 3 jobs done", "1 job done"]
 
 
 def test_junit_is_a_test_a_job(rows: list[Row]) -> None:
@@ -86,12 +85,6 @@ def test_junit_is_a_test_a_job(rows: list[Row]) -> None:
     failure = suite.find("testcase[@name='b']/failure")
     assert failure is not None
     assert failure.get("type") == "log"
-
-
-def test_headline_of_a_batch_that_went_well() -> None:
-    good = rows_for(*map(result, "abc"))
-    assert headline(good) == "All 3 jobs done"
-    assert headline(good[:1]) == "1 job done"
 
 
 def page(*records: JobRecord, waiting: str = "") -> str:
@@ -122,19 +115,13 @@ def test_the_page_links_what_there_is_and_needs_no_other_file() -> None:
     assert "default-src 'none'" in text
 
 
-def test_names_and_reasons_are_text() -> None:
+def test_names_reasons_and_warnings_are_text() -> None:
     text = page(result("50% #1?"), failed("b", reason="<script>alert(1)</script>"))
     assert "<script>alert" not in text
     assert "50%25%20%231%3F/report.html" in Links(text).found
-
-
-def test_a_warning_stands_under_the_result() -> None:
     assert '<p class="reason">cut &lt;off&gt;; late</p>' in page(warned("a", "cut <off>", "late"))
     assert 'class="reason"' not in page(result("a"))
-
-
-def test_a_thousand_jobs_are_a_page_of_few_megabytes() -> None:
-    assert len(page(*(result(f"{k:04}") for k in range(1000)))) < 3e6
+    assert len(page(*(result(f"{k:04}") for k in range(1000)))) < 3e6, "few megabytes of many jobs"
 
 
 @pytest.mark.skipif(installed() is None, reason="needs a Chromium")

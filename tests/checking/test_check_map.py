@@ -16,7 +16,6 @@ from specmap_cli.checking.record import CheckRecord, OutcomeRecord, junit, lines
 from specmap_cli.checking.rules import Rules, judged, read_rules
 from specmap_cli.core.findings import Verdict
 from specmap_cli.core.schemas import read_schema
-from specmap_cli.maps.comparison import ComparisonRecord
 from specmap_cli.maps.store import read_map
 from specmap_cli.maps.writing import MapResult, write_map
 from specmap_cli.pipelines.check import check_map
@@ -24,13 +23,9 @@ from tests.comparisons import comparison, thing, way
 
 RUN = {"wall_s": 4.0, "memory_mb": 200.0, "counts": {"scans": 80, "lost": 2, "breaks": 1}}
 FINDING: dict[str, Any] = {
-    "code": "walls-disagree",
-    "severity": "doubtful",
-    "message": "near (1, 2) the walls | are *twice*",
-    "advice": "",
-    "value": 0.3,
-    "limit": None,
-    "where": None,
+    **{"code": "walls-disagree", "severity": "doubtful", "advice": ""},
+    **{"message": "near (1, 2) the walls | are *twice*"},
+    **{"value": 0.3, "limit": None, "where": None},
 }
 
 House = Callable[..., Path]
@@ -88,17 +83,13 @@ def test_a_figure_that_is_not_known_breaks_its_rule(house: House) -> None:
 
 
 def test_bounds_are_kept_up_to_their_value(house: House) -> None:
-    path = house()
+    path = house(edges=1)
     kept = Rules("poor", {"submaps": 3, "lost_share": 0.025}, {"submaps": 3})
     assert broken(path, kept) == {}
-    assert list(broken(path, Rules("poor", {"submaps": 2.9, "lost_share": 0.024}, {}))) == [
-        *("submaps", "lost_share")
-    ]
+    low = Rules("poor", {"submaps": 2.9, "lost_share": 0.024}, {})
+    assert list(broken(path, low)) == ["submaps", "lost_share"]
     assert list(broken(path, Rules("poor", {}, {"submaps": 3.1}))) == ["submaps"]
-
-
-def test_parts_that_no_link_joins_are_counted(house: House) -> None:
-    assert list(broken(house(edges=1), read_rules(None, against=False))) == ["parts"]
+    assert list(broken(path, read_rules(None, against=False))) == ["parts"], "no link joins them"
 
 
 @pytest.mark.parametrize(
@@ -130,24 +121,17 @@ def test_findings_are_counted_by_their_code_unless_they_are_notes(house: House) 
 
 
 def test_what_differs_from_a_golden_map_is_counted() -> None:
-    figures = figures_against(compared())
-    assert figures["golden.gone"] == 1
-    assert figures["golden.closed"] == 1
+    """A room, a way and half of the floor are gone."""
+    same = [{"old": id_, "new": id_, "iou": 1.0} for id_ in (0, 1)]
+    submaps, appeared = {"same": same, "gone": [2]}, [thing(0.0, 0.0, 0.75)]
+    record = comparison(submaps=submaps, closed=[way(1.0, 1.0)], appeared=appeared)
+    figures = figures_against(record)
+    assert (figures["golden.gone"], figures["golden.closed"]) == (1, 1)
     assert figures["golden.area_share"] == pytest.approx(0.5)
     assert figures["golden.same_share"] == pytest.approx(2 / 3)
     assert figures["golden.appeared_m2"] == pytest.approx(0.75)
-    assert figures_against(None)["golden.aligned"] == 0
-    assert figures_against(None)["golden.gone"] is None
-
-
-def compared() -> ComparisonRecord:
-    """A comparison in which a room, a way and half of the floor are gone."""
-    same = [{"old": id_, "new": id_, "iou": 1.0} for id_ in (0, 1)]
-    return comparison(
-        submaps={"same": same, "gone": [2]},
-        closed=[way(1.0, 1.0)],
-        appeared=[thing(0.0, 0.0, 0.75)],
-    )
+    unknown = figures_against(None)
+    assert (unknown["golden.aligned"], unknown["golden.gone"]) == (0, None)
 
 
 def spoiled_record() -> CheckRecord:
@@ -180,14 +164,11 @@ def test_junit_that_a_ci_reads() -> None:
     assert failure.text == FINDING["message"]
 
 
-def test_markdown_keeps_a_name_in_its_cell() -> None:
+def test_markdown_keeps_a_name_in_its_cell_and_a_record_is_as_its_schema_says() -> None:
     lines = markdown(spoiled_record()).splitlines()
     assert lines[0].startswith("### maps/one: breaks 3 of 4 rules")
     rows = [line for line in lines if line.startswith("| **broken**") or line.startswith("| ok")]
     assert len(rows) == 4
     assert rows[-1].startswith("| ok | submaps | 3 | \\>= 2 |")
     assert "the walls \\| are \\*twice\\*" in rows[1]
-
-
-def test_a_record_is_as_its_schema_says() -> None:
     jsonschema.validate(json.loads(spoiled_record().model_dump_json()), read_schema("check"))

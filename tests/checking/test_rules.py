@@ -43,21 +43,15 @@ def test_every_default_is_of_a_figure_and_every_doubt_has_one() -> None:
     }
 
 
-def test_a_file_goes_over_the_defaults(tmp_path: Path) -> None:
-    path = written(
-        tmp_path,
-        'verdict = "good"\n[most]\nlost_share = 0.2\nparts = inf\nfindings.later-code = 3\n'
-        "[least]\nsubmaps = 5\nscans_per_s = 20",
-    )
-    rules = read_rules(path, against=False)
+def test_a_file_goes_over_the_defaults_or_does_without_them(tmp_path: Path) -> None:
+    text = 'verdict = "good"\n[most]\nlost_share = 0.2\nparts = inf\nfindings.later-code = 3\n'
+    text += "[least]\nsubmaps = 5\nscans_per_s = 20"
+    rules = read_rules(written(tmp_path, text), against=False)
     assert rules.verdict == "good"
     assert (rules.most["lost_share"], rules.most["findings.later-code"]) == (0.2, 3)
     assert "parts" not in rules.most
     assert rules.most["findings.walls-disagree"] == 0
     assert rules.least == {"submaps": 5, "scans_per_s": 20}
-
-
-def test_a_file_may_do_without_the_defaults(tmp_path: Path) -> None:
     rules = read_rules(written(tmp_path, "defaults = false\n[most]\nparts = 2"), against=True)
     assert (rules.verdict, rules.most, rules.least) == ("poor", {"parts": 2}, {})
 

@@ -30,36 +30,37 @@ FIX 0
 """
 
 
+def written(out: Path, result: MapResult, scans: KeyframeStore | None = None) -> StoredMap:
+    out.mkdir()
+    write_map(out, result, scans)
+    return read_map(out)
+
+
 @pytest.fixture
 def stored(tmp_path: Path, result: MapResult) -> StoredMap:
     """The house: no doors, no ways, no scans."""
-    out = tmp_path / "out"
-    out.mkdir()
-    write_map(out, result)
-    return read_map(out)
+    return written(tmp_path / "out", result)
 
 
 @pytest.fixture
 def lived_in(result: MapResult) -> MapResult:
     """The house with an anchor in each submap, two ways, a link too narrow and a forbidden one."""
-    doors = (
-        Door(id=0, x=-3.0, y=1.25, width_m=0.9, theta=np.pi / 2, between=(0, 1)),
-        Door(id=1, x=3.0, y=1.25, width_m=0.8, theta=np.pi / 2, between=(0, 2)),
-    )
+    door = Door(id=0, x=-3.0, y=1.25, width_m=0.9, theta=np.pi / 2, between=(0, 1))
+    doors = (door, dataclasses.replace(door, id=1, x=3.0, width_m=0.8, between=(0, 2)))
     ways = {
-        (0, 1): (np.array([[0.0, 0.5], [-3.0, 1.0], [-3.0, 3.5]]), (0,), 0.4),
-        (0, 2): (np.array([[0.0, 0.5], [3.0, 1.25], [3.0, 3.0]]), (1,), 0.3),
+        (0, 1): (np.array([[0.0, 0.5], [-3.0, 1.0], [-3.0, 3.5]]), 0.4),
+        (0, 2): (np.array([[0.0, 0.5], [3.0, 1.25], [3.0, 3.0]]), 0.3),
     }
     old = result.topology
     edges = dict(old.edges)
-    for pair, (path, through, clearance) in ways.items():
+    for (pair, (path, clearance)), through in zip(ways.items(), doors, strict=True):
         edges[pair] = dataclasses.replace(
             edges[pair],
             path=path,
-            doors=through,
+            doors=(through.id,),
             clearance_m=clearance,
             length_m=float(np.hypot(*np.diff(path, axis=0).T).sum()),
-            width_m=doors[through[0]].width_m,
+            width_m=through.width_m,
         )
     edges[1, 2] = Edge(source=1, target=2, kind="seen", clearance_m=0.1)
     anchors = {0: (0.0, 0.5), 1: (-3.0, 3.5), 2: (3.0, 3.0)}
@@ -76,22 +77,17 @@ def lived_in(result: MapResult) -> MapResult:
 @pytest.fixture
 def home(tmp_path: Path, lived_in: MapResult) -> StoredMap:
     """The house as it is lived in, and its scans."""
-    out = tmp_path / "home"
-    out.mkdir()
     with KeyframeStore() as scans:
         for row, stamp_ns in enumerate(lived_in.labels.stamps_ns.tolist()):
             scans.append(scan_of(row, stamp_ns, Pose2(*lived_in.labels.poses[row].tolist())))
-        write_map(out, lived_in, scans)
-    return read_map(out)
+        return written(tmp_path / "home", lived_in, scans)
 
 
 def scan_of(row: int, stamp_ns: int, pose: Pose2) -> PosedScan:
     """A scan of half a circle whose beams grow, with one that is lost and one without return."""
     ranges = np.linspace(1.0, 2.0 + 0.01 * row, len(BEARINGS))
     ranges[[0, 1]] = np.nan, np.inf
-    planar = PlanarScan(
-        stamp_ns=stamp_ns, bearings=BEARINGS, ranges=ranges, range_max=8.0, full_circle=False
-    )
+    planar = PlanarScan(stamp_ns, BEARINGS, ranges, 8.0, full_circle=False)
     return PosedScan(
         index=row,
         stamp_ns=stamp_ns,

@@ -12,8 +12,9 @@ import pytest
 
 from specmap_cli.core.errors import UsageError
 from specmap_cli.exports.table import export_map
-from specmap_cli.maps.store import StoredMap, read_map
-from specmap_cli.maps.writing import MapResult, write_map
+from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.writing import MapResult
+from tests.exports.conftest import written
 
 Rows = list[dict[str, str]]
 
@@ -48,23 +49,21 @@ def test_what_a_person_noted_is_no_formula(lived_in: MapResult, tmp_path: Path) 
     first, *others = lived_in.topology.submaps.values()
     noted = replace(first, name="=cmd|' /C calc'!A0", properties={"of": "@Ann", "floor": -2})
     submaps = {submap.id: submap for submap in (noted, *others)}
-    (tmp_path / "home").mkdir()
     topology = replace(lived_in.topology, submaps=submaps)
-    write_map(tmp_path / "home", replace(lived_in, topology=topology))
-    row = tables(read_map(tmp_path / "home"), tmp_path / "home.zip")["nodes.csv"][0]
+    home = written(tmp_path / "home", replace(lived_in, topology=topology))
+    row = tables(home, tmp_path / "home.zip")["nodes.csv"][0]
     assert row["name"] == "'=cmd|' /C calc'!A0"
     assert (row["property.of"], row["property.floor"]) == ("'@Ann", "-2")
 
 
-def test_empty_tables_keep_their_headings(stored: StoredMap, tmp_path: Path) -> None:
+def test_empty_tables_keep_their_headings_and_a_zip_is_not_called_csv(
+    stored: StoredMap, tmp_path: Path
+) -> None:
     tables(stored, tmp_path / "house.zip")
     with zipfile.ZipFile(tmp_path / "house.zip") as archive:
         text = archive.read("doors.csv").decode()
     assert text.startswith("id,source,target,x,y,width_m,")
     assert text.count("\n") == 1
-
-
-def test_a_zip_is_not_called_csv(home: StoredMap, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"home\.csv: a zip of .*: name it home\.zip"):
-        export_map(home, "csv", tmp_path / "home.csv")
-    assert not (tmp_path / "home.csv").exists()
+    with pytest.raises(UsageError, match=r"house\.csv: a zip of .*: name it house\.zip"):
+        export_map(stored, "csv", tmp_path / "house.csv")
+    assert not (tmp_path / "house.csv").exists()

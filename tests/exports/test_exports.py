@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import networkx as nx
 import numpy as np
@@ -17,10 +18,20 @@ from tests.exports.consumers import consumer
 from tests.plugins import install
 
 
+def graphml(stored: StoredMap, folder: Path) -> nx.Graph:
+    out = folder / f"{stored.path.name}.graphml"
+    export_map(stored, "graphml", out)
+    return nx.read_graphml(out, node_type=int)
+
+
+def geojson(stored: StoredMap, folder: Path) -> Any:
+    out = folder / f"{stored.path.name}.geojson"
+    export_map(stored, "geojson", out)
+    return json.loads(out.read_text())
+
+
 def test_graphml_is_the_graph_that_networkx_reads(stored: StoredMap, tmp_path: Path) -> None:
-    export_map(stored, "graphml", tmp_path / "house.graphml")
-    graph = nx.read_graphml(tmp_path / "house.graphml", node_type=int)
-    record = stored.record
+    graph, record = graphml(stored, tmp_path), stored.record
     assert sorted(graph.nodes) == [node.id for node in record.nodes]
     assert {tuple(sorted(edge)) for edge in graph.edges} == {(0, 1), (0, 2)}
     for node in record.nodes:
@@ -42,8 +53,7 @@ def test_graphml_is_the_graph_that_networkx_reads(stored: StoredMap, tmp_path: P
 def test_geojson_has_closed_outlines_and_links_through_their_crossings(
     stored: StoredMap, tmp_path: Path
 ) -> None:
-    export_map(stored, "geojson", tmp_path / "house.geojson")
-    document = json.loads((tmp_path / "house.geojson").read_text())
+    document = geojson(stored, tmp_path)
     assert document["type"] == "FeatureCollection"
     kinds = [feature["geometry"]["type"] for feature in document["features"]]
     assert kinds == ["Polygon"] * 3 + ["LineString"] * 2
@@ -63,8 +73,7 @@ def test_geojson_has_closed_outlines_and_links_through_their_crossings(
 def test_geojson_has_doors_from_wall_to_wall_anchors_and_ways(
     home: StoredMap, tmp_path: Path
 ) -> None:
-    export_map(home, "geojson", tmp_path / "house.geojson")
-    features = json.loads((tmp_path / "house.geojson").read_text())["features"]
+    features = geojson(home, tmp_path)["features"]
     by_kind = {feature["properties"]["kind"]: feature for feature in features[::-1]}
     assert by_kind["anchor"]["geometry"]["coordinates"] == [0.0, 0.5]
     sides = by_kind["door"]["geometry"]["coordinates"]
@@ -78,14 +87,10 @@ def test_geojson_has_doors_from_wall_to_wall_anchors_and_ways(
     assert by_kind["seen"]["properties"]["passable"] is False
 
 
-def test_graphml_has_doors_and_anchors(home: StoredMap, tmp_path: Path) -> None:
-    export_map(home, "graphml", tmp_path / "house.graphml")
-    graph = nx.read_graphml(tmp_path / "house.graphml", node_type=int)
+def test_networkx_reads_doors_anchors_and_ways(home: StoredMap, tmp_path: Path) -> None:
+    graph = graphml(home, tmp_path)
     assert (graph.nodes[0]["anchor_x"], graph.nodes[0]["anchor_y"]) == (0.0, 0.5)
     assert graph.edges[0, 1]["doors"] == "0"
-
-
-def test_topology_json_with_doors_and_ways_is_read_by_networkx(home: StoredMap) -> None:
     document = json.loads((home.path / "topology.json").read_text())
     graph = nx.node_link_graph(document, edges="edges")
     assert nx.path_weight(graph, [0, 1], "length_m") == home.record.edges[0].length_m
@@ -99,13 +104,10 @@ def test_the_same_map_gives_the_same_bytes(home: StoredMap, tmp_path: Path) -> N
         assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
-def test_a_format_nobody_knows_lists_those_there_are(stored: StoredMap, tmp_path: Path) -> None:
+def test_a_file_is_replaced_only_when_asked_to(stored: StoredMap, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"unknown format 'svg': choose from .*geojson, graphml"):
         export_map(stored, "svg", tmp_path / "house.svg")
     assert not (tmp_path / "house.svg").exists()
-
-
-def test_a_file_is_replaced_only_when_asked_to(stored: StoredMap, tmp_path: Path) -> None:
     out = tmp_path / "house.graphml"
     out.write_text("mine")
     with pytest.raises(UsageError, match="exists already"):
@@ -134,25 +136,18 @@ class Broken:
 """
 
 
-def test_another_package_adds_a_format(
+def test_another_package_adds_a_format_and_one_that_fails_leaves_nothing(
     stored: StoredMap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    install(tmp_path, monkeypatch, GROUP, {"names": "Names"}, NAMES)
+    install(tmp_path, monkeypatch, GROUP, {"names": "Names", "broken": "Broken"}, NAMES)
     assert exporters()["names"].description == "the names of the submaps"
-    warnings = export_map(stored, "names", tmp_path / "names.txt")
-    assert warnings == ["names are not unique"]
-    assert (tmp_path / "names.txt").read_text() == "submap 0\nsubmap 1\nsubmap 2\n"
-
-
-def test_an_export_that_fails_leaves_nothing(
-    stored: StoredMap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    install(tmp_path, monkeypatch, GROUP, {"broken": "Broken"}, NAMES)
     place = tmp_path / "place"  # Python leaves the compiled package beside the package
     place.mkdir()
     with pytest.raises(UsageError, match="No space left"):
         export_map(stored, "broken", place / "x")
     assert list(place.iterdir()) == []
+    assert export_map(stored, "names", place / "names.txt") == ["names are not unique"]
+    assert (place / "names.txt").read_text() == "submap 0\nsubmap 1\nsubmap 2\n"
 
 
 def test_gis_tools_measure_shapes_in_metres(
@@ -160,9 +155,7 @@ def test_gis_tools_measure_shapes_in_metres(
 ) -> None:
     shapely = consumer("shapely.geometry")
     for stored in (home, rooms):
-        out = tmp_path / f"{stored.path.name}.geojson"
-        export_map(stored, "geojson", out)
-        document = json.loads(out.read_text())
+        document = geojson(stored, tmp_path)
         assert document["crs"]["properties"]["name"].endswith("EPSG::3857")
         features = document["features"]
         assert [feature["id"] for feature in features] == list(range(len(features)))
@@ -182,10 +175,7 @@ def test_networkx_reads_the_figures_of_the_map_from_graphml(
     home: StoredMap, rooms: StoredMap, tmp_path: Path
 ) -> None:
     for stored in (home, rooms):
-        out = tmp_path / f"{stored.path.name}.graphml"
-        export_map(stored, "graphml", out)
-        graph = nx.read_graphml(out, node_type=int)
-        record = stored.record
+        record, graph = stored.record, graphml(stored, tmp_path)
         assert len(graph) == len(record.nodes)
         assert graph.number_of_edges() == len(record.edges)
         for edge in record.edges:

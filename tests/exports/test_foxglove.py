@@ -24,7 +24,10 @@ from tests.exports.consumers import consumer
 OVER_TIME = ("/tf", "/pose", "/scan")
 
 
-def messages(stored: StoredMap, out: Path) -> dict[str, list[Any]]:
+Found = dict[str, list[tuple[int, Any]]]
+
+
+def messages(stored: StoredMap, out: Path) -> Found:
     """The decoded messages of each topic, in the order of their log times."""
     support = consumer("mcap_protobuf.decoder")
     export_map(stored, "foxglove", out)
@@ -39,6 +42,12 @@ def messages(stored: StoredMap, out: Path) -> dict[str, list[Any]]:
     return found
 
 
+@pytest.fixture
+def found(home: StoredMap, tmp_path: Path) -> Found:
+    """What the house gives."""
+    return messages(home, tmp_path / "home.mcap")
+
+
 def pose_of(message: Any) -> Pose2:
     turn = message.orientation
     return Pose2(message.position.x, message.position.y, 2.0 * math.atan2(turn.z, turn.w))
@@ -48,34 +57,7 @@ def points(line: Any) -> list[tuple[float, float]]:
     return [(point.x, point.y) for point in line.points]
 
 
-def test_every_keyframe_has_its_pose_and_its_scan(home: StoredMap, tmp_path: Path) -> None:
-    found = messages(home, tmp_path / "home.mcap")
-    labels = home.labels
-    for topic in OVER_TIME:
-        assert [message.timestamp.ToNanoseconds() for _, message in found[topic]] == list(
-            labels.stamps_ns
-        )
-        times = [time_ns for time_ns, _ in found[topic]]
-        assert times == sorted(set(times))
-    for row, (_, message) in enumerate(found["/pose"]):
-        assert message.frame_id == "map"
-        assert np.allclose(pose_of(message.pose)[:2], labels.poses[row, :2], atol=1e-6)
-        assert math.remainder(pose_of(message.pose).theta - labels.poses[row, 2], math.tau) < 1e-6
-    for (_, transform), (_, pose) in zip(found["/tf"], found["/pose"], strict=True):
-        assert (transform.parent_frame_id, transform.child_frame_id) == ("map", "base_link")
-        assert str(transform.rotation) == str(pose.pose.orientation)
-    _, scan = found["/scan"][4]
-    assert scan.frame_id == "base_link"
-    assert pose_of(scan.pose) == pytest.approx((0.2, 0.0, 0.0))
-    bearings = np.linspace(scan.start_angle, scan.end_angle, len(scan.ranges))
-    assert np.allclose(bearings, BEARINGS, atol=1e-5)
-    assert math.isnan(scan.ranges[0])
-    assert math.isinf(scan.ranges[1])
-    assert scan.ranges[-1] == pytest.approx(2.04, abs=1e-3)
-
-
-def test_grids_have_the_cells_and_the_colours_of_the_map(home: StoredMap, tmp_path: Path) -> None:
-    found = messages(home, tmp_path / "home.mcap")
+def test_grids_have_the_cells_and_the_colours_of_the_map(home: StoredMap, found: Found) -> None:
     whole, owner = home.map_grid, home.regions.owner
     layers = {}
     for topic in ("/map", "/regions"):
@@ -95,8 +77,8 @@ def test_grids_have_the_cells_and_the_colours_of_the_map(home: StoredMap, tmp_pa
     assert (layers["/regions"][owner < 0] == 0).all()
 
 
-def test_submaps_have_outlines_names_and_facts(home: StoredMap, tmp_path: Path) -> None:
-    ((_, scene),) = messages(home, tmp_path / "home.mcap")["/submaps"]
+def test_submaps_have_outlines_names_and_facts(home: StoredMap, found: Found) -> None:
+    ((_, scene),) = found["/submaps"]
     assert len(scene.entities) == len(home.record.nodes)
     for entity, node in zip(scene.entities, home.record.nodes, strict=True):
         assert points(entity.lines[0]) == node.polygon
@@ -109,8 +91,8 @@ def test_submaps_have_outlines_names_and_facts(home: StoredMap, tmp_path: Path) 
     assert facts.keys().isdisjoint({"property.owner"})
 
 
-def test_the_graph_is_the_map_s(home: StoredMap, tmp_path: Path) -> None:
-    ((_, scene),) = messages(home, tmp_path / "home.mcap")["/graph"]
+def test_the_graph_is_the_map_s(home: StoredMap, found: Found) -> None:
+    ((_, scene),) = found["/graph"]
     entities = {entity.id: entity for entity in scene.entities}
     assert len(entities) == len(scene.entities)
     record = home.record
@@ -126,10 +108,31 @@ def test_the_graph_is_the_map_s(home: StoredMap, tmp_path: Path) -> None:
     assert math.dist(*points(door)) == pytest.approx(0.9)
 
 
-def test_the_trajectory_is_that_of_all_scans(home: StoredMap, tmp_path: Path) -> None:
-    ((_, path),) = messages(home, tmp_path / "home.mcap")["/trajectory"]
-    found = np.array([pose_of(pose)[:2] for pose in path.poses])
-    assert np.allclose(found, home.labels.poses[:, :2], atol=1e-5)
+def test_every_keyframe_has_its_pose_and_its_scan(home: StoredMap, found: Found) -> None:
+    labels = home.labels
+    for topic in OVER_TIME:
+        stamps = [message.timestamp.ToNanoseconds() for _, message in found[topic]]
+        assert stamps == list(labels.stamps_ns)
+        times = [time_ns for time_ns, _ in found[topic]]
+        assert times == sorted(set(times))
+    for row, (_, message) in enumerate(found["/pose"]):
+        assert message.frame_id == "map"
+        assert np.allclose(pose_of(message.pose)[:2], labels.poses[row, :2], atol=1e-6)
+        assert math.remainder(pose_of(message.pose).theta - labels.poses[row, 2], math.tau) < 1e-6
+    for (_, transform), (_, pose) in zip(found["/tf"], found["/pose"], strict=True):
+        assert (transform.parent_frame_id, transform.child_frame_id) == ("map", "base_link")
+        assert str(transform.rotation) == str(pose.pose.orientation)
+    _, scan = found["/scan"][4]
+    assert scan.frame_id == "base_link"
+    assert pose_of(scan.pose) == pytest.approx((0.2, 0.0, 0.0))
+    bearings = np.linspace(scan.start_angle, scan.end_angle, len(scan.ranges))
+    assert np.allclose(bearings, BEARINGS, atol=1e-5)
+    assert math.isnan(scan.ranges[0])
+    assert math.isinf(scan.ranges[1])
+    assert scan.ranges[-1] == pytest.approx(2.04, abs=1e-3)
+    ((_, path),) = found["/trajectory"]
+    way = np.array([pose_of(pose)[:2] for pose in path.poses])
+    assert np.allclose(way, labels.poses[:, :2], atol=1e-5)
 
 
 def test_a_divided_plan_has_a_grid_for_each_room_and_nothing_over_time(

@@ -14,18 +14,14 @@ from scipy.ndimage import distance_transform_edt
 
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.findings import Finding, Quality
+from specmap_cli.core.progress import Silent
 from specmap_cli.exports.routes import parts, routes
 from specmap_cli.exports.table import export_map
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.maps.store import StoredMap, read_map
-from specmap_cli.maps.writing import MapResult, write_map
+from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.writing import MapResult
+from tests.exports.conftest import written
 from tests.exports.route_server import driven_m, load
-
-
-def written(directory: Path, result: MapResult) -> StoredMap:
-    directory.mkdir()
-    write_map(directory, result)
-    return read_map(directory)
 
 
 def exported(stored: StoredMap, out: Path) -> nx.DiGraph:
@@ -112,20 +108,15 @@ def test_narrow_and_forbidden_links_are_left_out_and_told(
     assert parts(stored.record) == [[0, 1], [2]]
 
 
-class Notes:
+class Notes(Silent):
     """A progress that remembers its notes."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.notes: list[str] = []
-
-    def start(self, stage: str, total: int | None) -> None: ...
-
-    def advance(self, steps: int = 1) -> None: ...
 
     def note(self, message: str) -> None:
         self.notes.append(message)
-
-    def warn(self, message: str) -> None: ...
 
 
 def test_what_would_mislead_is_a_warning(lived_in: MapResult, tmp_path: Path) -> None:
@@ -153,25 +144,18 @@ def test_what_would_mislead_is_a_warning(lived_in: MapResult, tmp_path: Path) ->
 def test_a_map_without_ways_is_refused(
     stored: StoredMap, lived_in: MapResult, tmp_path: Path
 ) -> None:
-    old = lived_in.topology
-    one = dataclasses.replace(
-        old, submaps={0: old.submaps[0]}, edges={}, doors=(), stays=(), closures=()
-    )
-    narrow = {pair: dataclasses.replace(each, path=None) for pair, each in old.edges.items()}
-    shut = {pair: dataclasses.replace(each, forbidden=True) for pair, each in old.edges.items()}
-    cases: dict[str, StoredMap | MapResult] = {
-        "nobody looked for ways": stored,
-        "it has one submap": dataclasses.replace(lived_in, topology=one),
-        "too narrow for a robot of 0.2 m radius": dataclasses.replace(
-            lived_in, topology=dataclasses.replace(old, edges=narrow)
-        ),
-        "were forbidden": dataclasses.replace(
-            lived_in, topology=dataclasses.replace(old, edges=shut)
-        ),
-    }
-    for number, (words, case) in enumerate(cases.items()):
-        if isinstance(case, MapResult):
-            case = written(tmp_path / str(number), case)
+    old, changed = lived_in.topology, dataclasses.replace
+    one = changed(old, submaps={0: old.submaps[0]}, edges={}, doors=(), stays=(), closures=())
+    narrow = {pair: changed(each, path=None) for pair, each in old.edges.items()}
+    shut = {pair: changed(each, forbidden=True) for pair, each in old.edges.items()}
+    cases = {"nobody looked for ways": stored}
+    for words, topology in (
+        ("it has one submap", one),
+        ("too narrow for a robot of 0.2 m radius", changed(old, edges=narrow)),
+        ("were forbidden", changed(old, edges=shut)),
+    ):
+        cases[words] = written(tmp_path / words, changed(lived_in, topology=topology))
+    for words, case in cases.items():
         with pytest.raises(MapError, match=words):
             export_map(case, "nav2", tmp_path / "x.geojson")
     assert not (tmp_path / "x.geojson").exists()

@@ -10,16 +10,14 @@ import pytest
 
 from specmap_cli.core.errors import MapError
 from specmap_cli.exports.table import export_map
-from specmap_cli.maps.store import StoredMap, read_map
-from specmap_cli.maps.writing import MapResult, write_map
-from tests.exports.conftest import POSE_GRAPH
+from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.writing import MapResult
+from tests.exports.conftest import POSE_GRAPH, written
 from tests.exports.consumers import consumer
 
 
 def with_graph(directory: Path, result: MapResult, text: str) -> StoredMap:
-    directory.mkdir()
-    write_map(directory, dataclasses.replace(result, pose_graph=text))
-    return read_map(directory)
+    return written(directory, dataclasses.replace(result, pose_graph=text))
 
 
 def earlier(text: str) -> str:
@@ -37,29 +35,24 @@ def test_the_fixed_vertex_stands_last_whatever_the_map_has(
         assert (tmp_path / f"{number}.g2o").read_text() == POSE_GRAPH
 
 
-def test_gtsam_reads_every_vertex_and_every_edge(home: StoredMap, tmp_path: Path) -> None:
+def test_gtsam_reads_every_vertex_and_every_edge_and_solves_it(
+    home: StoredMap, tmp_path: Path
+) -> None:
+    """Three springs: each takes a third of the 0.3 m, give or take what the angles take."""
     gtsam = consumer("gtsam")
     out = tmp_path / "home.g2o"
     export_map(home, "pose-graph", out)
-    for path in (out, home.path / "trajectory.g2o"):
+    for path in (home.path / "trajectory.g2o", out):
         graph, values = gtsam.readG2o(str(path), False)
         assert (graph.size(), values.size()) == (3, 3)
     last = graph.at(2)
     assert last.measured().x() == 2.3
     information = last.noiseModel().information()
     assert np.allclose(information, [[100, 1, 2], [1, 90, 3], [2, 3, 1000]])
-
-
-def test_gtsam_solves_it(home: StoredMap, tmp_path: Path) -> None:
-    """Three springs: each takes a third of the 0.3 m, give or take what the angles take."""
-    gtsam = consumer("gtsam")
-    export_map(home, "pose-graph", tmp_path / "home.g2o")
-    graph, values = gtsam.readG2o(str(tmp_path / "home.g2o"), False)
     graph.addPriorPose2(0, gtsam.Pose2(), gtsam.noiseModel.Isotropic.Sigma(3, 1e-6))
     solved = gtsam.GaussNewtonOptimizer(graph, values).optimize()
-    assert [solved.atPose2(number).x() for number in range(3)] == pytest.approx(
-        [0.0, 1.1, 2.2], abs=1e-3
-    )
+    found = [solved.atPose2(number).x() for number in range(3)]
+    assert found == pytest.approx([0.0, 1.1, 2.2], abs=1e-3)
 
 
 def test_a_vertex_of_each_part_is_fixed(lived_in: MapResult, tmp_path: Path) -> None:

@@ -16,39 +16,25 @@ from specmap_cli.core.yaml import yaml_text
 from specmap_cli.exports.table import export_map
 from specmap_cli.maps.store import StoredMap
 
-TEXT = {"type": "string"}
+TEXT, OBJECT = {"type": "string"}, {"type": "object"}
 # What the consumer's schema asks for, in our words.
+STAMP = {"pattern": r"^\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d$"}
+EDGES = {"items": {"required": ["edge_id", "node", "action", "action_type"]}}
+NODE = {
+    "required": ["edges", "name", "parent_frame", "pose", "verts"],
+    "properties": {"name": TEXT, "parent_frame": TEXT, "properties": OBJECT, "edges": EDGES},
+}
+ENTRY = {
+    "required": ["meta", "node"],
+    "properties": {"meta": {"required": ["map", "node", "pointset"]}, "node": NODE},
+}
 RULES = {
-    "type": "object",
+    **OBJECT,
     "required": ["meta", "metric_map", "name", "nodes", "pointset", "transformation"],
     "properties": {
-        "meta": {
-            "required": ["last_updated"],
-            "properties": {"last_updated": {"pattern": r"^\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d$"}},
-        },
-        "metric_map": TEXT,
-        "name": TEXT,
-        "pointset": TEXT,
-        "nodes": {
-            "type": "array",
-            "items": {
-                "required": ["meta", "node"],
-                "properties": {
-                    "meta": {"required": ["map", "node", "pointset"]},
-                    "node": {
-                        "required": ["edges", "name", "parent_frame", "pose", "verts"],
-                        "properties": {
-                            "name": TEXT,
-                            "parent_frame": TEXT,
-                            "properties": {"type": "object"},
-                            "edges": {
-                                "items": {"required": ["edge_id", "node", "action", "action_type"]}
-                            },
-                        },
-                    },
-                },
-            },
-        },
+        "meta": {"required": ["last_updated"], "properties": {"last_updated": STAMP}},
+        **dict.fromkeys(("metric_map", "name", "pointset"), TEXT),
+        "nodes": {"type": "array", "items": ENTRY},
     },
 }
 
@@ -115,11 +101,8 @@ def test_a_zone_is_the_outline_of_its_submap_seen_from_the_node(
 def test_words_and_numbers_stay_what_they_are() -> None:
     value = {
         "words": "yes",
-        "more": {
-            "number": "1e5",
-            "quote": 'a "b": c\n- d',
-            "umlaut": "Küche #2 \U0001f600\x07\u2028 \\",
-        },
+        "more": {"number": "1e5", "quote": 'a "b": c\n- d'},
+        "umlaut": "Küche #2 \U0001f600\x07\u2028 \\",
         "tiny": 1e-6,
         "great": 123456789.0,
         "whole": 3,

@@ -22,21 +22,21 @@ def labels(seconds: list[float]) -> Labels:
     return Labels(stamps_ns=stamps, poses=poses, submaps=np.zeros(len(seconds), dtype=np.int64))
 
 
-def test_a_visit_lasts_until_the_next_begins() -> None:
-    tour = tour_of(labels([0, 10, 20, 30, 50]), np.array([0, 0, 1, 1, 0]))
-    assert [(one.room, round(one.minutes * 60, 6)) for one in tour.visits] == [
-        (0, 20),
-        (1, 30),
-        (0, 0),
-    ]
-    assert sum(one.minutes for one in tour.visits) * 60 == pytest.approx(50)
-    assert tour.driven_m == 50
+@pytest.mark.parametrize(
+    ("seconds", "rooms", "visits"),
+    [
+        ([0, 10, 20, 30, 50], [0, 0, 1, 1, 0], [(0, 20), (1, 30), (0, 0)]),
+        ([0, 10, 20, 30], [NO_SUBMAP, NO_SUBMAP, 1, 1], [(1, 10)]),  # no room is known at first
+    ],
+)
+def test_a_visit_lasts_until_the_next_begins(
+    seconds: list[float], rooms: list[int], visits: list[tuple[int, int]]
+) -> None:
+    tour = tour_of(labels(seconds), np.array(rooms))
+    assert [(one.room, round(one.minutes * 60, 6)) for one in tour.visits] == visits
+    assert sum(one.minutes for one in tour.visits) * 60 == pytest.approx(sum(s for _, s in visits))
+    assert tour.driven_m == seconds[-1]
     assert tour_of(labels([0, 50]), np.array([0, 0]), 120.0).driven_m == 120
-
-
-def test_where_no_room_is_known_nothing_is_visited() -> None:
-    tour = tour_of(labels([0, 10, 20, 30]), np.array([NO_SUBMAP, NO_SUBMAP, 1, 1]))
-    assert [(one.room, round(one.minutes * 60, 6)) for one in tour.visits] == [(1, 10)]
 
 
 def test_a_day_ends_at_midnight_of_the_zone() -> None:
@@ -62,8 +62,5 @@ def test_a_visit_counts_on_the_day_it_began() -> None:
     assert first.rooms == [StayRecord(room=3, visits=1, minutes=1.5)]
     assert (second.recordings, second.minutes) == (0, 0)
     assert second.rooms == [StayRecord(room=4, visits=1, minutes=0.5)]
-
-
-def test_visits_add_up() -> None:
     visits = [Visit(1, 0, 60 * _NS), Visit(2, 0, _NS), Visit(1, 0, 30 * _NS)]
     assert totals(visits)[1] == (2, 1.5)

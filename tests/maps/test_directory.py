@@ -12,7 +12,6 @@ import textwrap
 import time
 import weakref
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -20,7 +19,6 @@ from typing import Any
 import pytest
 
 from specmap_cli.core.errors import UsageError
-from specmap_cli.maps import directory as leftovers
 from specmap_cli.maps import directory as module
 from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.filenames import TOPOLOGY
@@ -32,201 +30,120 @@ def fill(directory: Path, words: str = "new") -> None:
     (directory / "submaps" / "000.png").write_text(words)
 
 
-def fill_and_raise(directory: Path, error: type[BaseException]) -> None:
+def fill_and_raise(directory: Path, error: type[BaseException], *others: Path) -> None:
     fill(directory)
+    for path in others:
+        path.write_text("mine")
     raise error
 
 
-def a_map(path: Path) -> Path:
-    path.mkdir()
-    fill(path, "old")
-    return path
+def write(out: Path) -> None:
+    with OutputDirectory(out, overwrite=True) as partial:
+        fill(partial)
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    """An old map."""
+    (tmp_path / "out").mkdir()
+    fill(tmp_path / "out", "old")
+    return tmp_path / "out"
 
 
 def hidden(parent: Path) -> list[str]:
     return sorted(entry.name for entry in parent.iterdir() if entry.name.startswith("."))
 
 
-def test_appears_complete(tmp_path: Path) -> None:
-    out = tmp_path / "out"
+@pytest.mark.parametrize("place", ["out", "a/b/out"])
+def test_appears_complete_and_missing_parents_are_made(tmp_path: Path, place: str) -> None:
+    out = tmp_path / place
     with OutputDirectory(out) as partial:
-        assert partial.parent == tmp_path
+        assert partial.parent == out.parent
         fill(partial)
         assert not out.exists()
     assert (out / "submaps" / "000.png").read_text() == "new"
-    assert os.listdir(tmp_path) == ["out"]
+    assert os.listdir(out.parent) == ["out"]
+
+
+def test_an_empty_directory_and_the_target_of_a_dangling_link_are_used(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "link").symlink_to("real")
+    for name, place in (("empty", "empty"), ("link", "real")):
+        with OutputDirectory(tmp_path / name) as partial:
+            fill(partial)
+        assert (tmp_path / place / TOPOLOGY).is_file()
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
-def test_an_interruption_leaves_nothing(tmp_path: Path, error: type[BaseException]) -> None:
-    with pytest.raises(error), OutputDirectory(tmp_path / "a" / "b" / "out") as partial:
-        fill_and_raise(partial, error)
-    assert os.listdir(tmp_path) == []
+def test_an_interruption_leaves_nothing_but_parents_that_somebody_uses_meanwhile(
+    tmp_path: Path, error: type[BaseException]
+) -> None:
+    for notes in ([], [tmp_path / "a" / "notes.txt"]):
+        with pytest.raises(error), OutputDirectory(tmp_path / "a" / "b" / "out") as partial:
+            fill_and_raise(partial, error, *notes)
+        assert os.listdir(tmp_path) == ["a"] * len(notes)
+    assert os.listdir(tmp_path / "a") == ["notes.txt"]
 
 
-def test_an_interruption_keeps_the_old_map(tmp_path: Path) -> None:
-    out = a_map(tmp_path / "out")
+def test_an_interruption_keeps_the_old_map(tmp_path: Path, out: Path) -> None:
     with pytest.raises(KeyboardInterrupt), OutputDirectory(out, overwrite=True) as partial:
         fill_and_raise(partial, KeyboardInterrupt)
     assert (out / TOPOLOGY).read_text() == "old"
     assert hidden(tmp_path) == []
 
 
-def test_missing_parents_are_made(tmp_path: Path) -> None:
-    with OutputDirectory(tmp_path / "a" / "b" / "out") as partial:
-        fill(partial)
-    assert (tmp_path / "a" / "b" / "out" / TOPOLOGY).is_file()
-
-
-def test_an_existing_map_needs_overwrite(tmp_path: Path) -> None:
-    out = a_map(tmp_path / "out")
+def test_an_existing_map_needs_overwrite(tmp_path: Path, out: Path) -> None:
     with pytest.raises(UsageError, match="--overwrite"), OutputDirectory(out):
         pytest.fail("entered")
     assert hidden(tmp_path) == []
 
 
-def test_overwrite_replaces_the_whole_map(tmp_path: Path) -> None:
-    out = a_map(tmp_path / "out")
+def test_overwrite_replaces_the_whole_map_and_follows_no_link_in_it(
+    tmp_path: Path, out: Path
+) -> None:
     (out / "submaps" / "007.png").write_text("stale")
-    with OutputDirectory(out, overwrite=True) as partial:
-        fill(partial)
-        assert (out / TOPOLOGY).read_text() == "old"
-    assert (out / TOPOLOGY).read_text() == "new"
-    assert os.listdir(out / "submaps") == ["000.png"]
-    assert hidden(tmp_path) == []
-
-
-def test_an_empty_directory_is_used(tmp_path: Path) -> None:
-    (tmp_path / "out").mkdir()
-    with OutputDirectory(tmp_path / "out") as partial:
-        fill(partial)
-    assert (tmp_path / "out" / TOPOLOGY).is_file()
-
-
-@pytest.mark.parametrize("overwrite", [False, True])
-def test_foreign_data_is_never_touched(tmp_path: Path, overwrite: bool) -> None:
-    out = tmp_path / "thesis"
-    out.mkdir()
-    (out / "chapter1.tex").write_text("years of work")
-    with pytest.raises(UsageError, match="no map"), OutputDirectory(out, overwrite):
-        pytest.fail("entered")
-    assert (out / "chapter1.tex").read_text() == "years of work"
-
-
-@pytest.mark.parametrize("overwrite", [False, True])
-def test_a_file_at_the_target_is_refused(tmp_path: Path, overwrite: bool) -> None:
-    (tmp_path / "out").write_text("a file")
-    with pytest.raises(UsageError, match="is a file"), OutputDirectory(tmp_path / "out", overwrite):
-        pytest.fail("entered")
-    assert (tmp_path / "out").read_text() == "a file"
-
-
-def test_a_file_as_the_parent_is_one_line(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with (
-        pytest.raises(UsageError, match=r"cannot write there.*Not a directory") as caught,
-        OutputDirectory(tmp_path / "file" / "out"),
-    ):
-        pytest.fail("entered")
-    assert "\n" not in str(caught.value)
-
-
-def test_a_link_to_a_map_stays_a_link(tmp_path: Path) -> None:
-    a_map(tmp_path / "real")
-    link = tmp_path / "link"
-    link.symlink_to("real")
-    with OutputDirectory(link, overwrite=True) as partial:
-        fill(partial)
-    assert link.is_symlink()
-    assert (tmp_path / "real" / TOPOLOGY).read_text() == "new"
-
-
-def test_a_dangling_link_leads_to_its_target(tmp_path: Path) -> None:
-    (tmp_path / "link").symlink_to("real")
-    with OutputDirectory(tmp_path / "link") as partial:
-        fill(partial)
-    assert (tmp_path / "real" / TOPOLOGY).read_text() == "new"
-
-
-def test_links_in_an_old_map_are_not_followed(tmp_path: Path) -> None:
-    out = a_map(tmp_path / "out")
     (tmp_path / "precious").mkdir()
     (tmp_path / "precious" / "file").write_text("kept")
     (out / "link").symlink_to(tmp_path / "precious")
     with OutputDirectory(out, overwrite=True) as partial:
         fill(partial)
-    assert (tmp_path / "precious" / "file").read_text() == "kept"
-
-
-@pytest.mark.parametrize("place", ["/", "/proc/specmap_out"])
-def test_hopeless_places_are_refused(place: str) -> None:
-    with pytest.raises(UsageError), OutputDirectory(Path(place)):
-        pytest.fail("entered")
-
-
-def test_a_target_that_turns_up_meanwhile_is_not_replaced(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    with pytest.raises(UsageError, match="--overwrite"), OutputDirectory(out):
-        a_map(out)
-    assert (out / TOPOLOGY).read_text() == "old"
-    assert hidden(tmp_path) == []
-
-
-def test_a_failing_swap_restores_the_old_map(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out = a_map(tmp_path / "out")
-    rename = os.rename
-
-    def failing(source: Path, target: Path) -> None:
-        if ".partial-" in str(source):
-            raise OSError(5, "Input/output error")
-        rename(source, target)
-
-    monkeypatch.setattr(module, "exchanged", lambda *_: False)  # as on other systems
-    monkeypatch.setattr(os, "rename", failing)
-    with (
-        pytest.raises(UsageError, match="Input/output error"),
-        OutputDirectory(out, overwrite=True) as partial,
-    ):
-        fill(partial)
-    assert (out / TOPOLOGY).read_text() == "old"
-    assert hidden(tmp_path) == []
-
-
-def test_a_signal_in_the_middle_of_the_swap_waits(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out = a_map(tmp_path / "out")
-    rename = os.rename
-
-    def interrupted(source: Path, target: Path) -> None:
-        rename(source, target)
-        os.kill(os.getpid(), signal.SIGINT)
-
-    monkeypatch.setattr(module, "exchanged", lambda *_: False)  # as on other systems
-    monkeypatch.setattr(os, "rename", interrupted)
-    with pytest.raises(KeyboardInterrupt), OutputDirectory(out, overwrite=True) as partial:
-        fill(partial)
+        assert (out / TOPOLOGY).read_text() == "old"
     assert (out / TOPOLOGY).read_text() == "new"
+    assert os.listdir(out / "submaps") == ["000.png"]
+    assert (tmp_path / "precious" / "file").read_text() == "kept"
     assert hidden(tmp_path) == []
 
 
-def test_a_path_may_be_text_and_relative(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    with OutputDirectory("maps/out/") as partial:
-        assert partial.is_absolute()
-        monkeypatch.chdir("/")  # whoever runs inside may go elsewhere
-        fill(partial)
-    assert (tmp_path / "maps" / "out" / TOPOLOGY).is_file()
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize(
+    ("place", "complaint"),
+    [
+        ("thesis", "no map"),
+        ("thesis/chapter1.tex", "is a file"),
+        ("thesis/chapter1.tex/out", r"cannot write there.*Not a directory"),
+        ("/", "not a place for a map"),
+        ("/proc/specmap_out", "cannot write there"),
+    ],
+)
+def test_what_is_no_place_for_a_map_is_refused_and_never_touched(
+    tmp_path: Path, place: str, complaint: str, overwrite: bool
+) -> None:
+    chapter = tmp_path / "thesis" / "chapter1.tex"
+    chapter.parent.mkdir()
+    chapter.write_text("years of work")
+    refused = OutputDirectory(tmp_path / place, overwrite)
+    with pytest.raises(UsageError, match=complaint) as caught, refused:
+        pytest.fail("entered")
+    assert "\n" not in str(caught.value)
+    assert chapter.read_text() == "years of work"
 
 
-def test_parents_that_somebody_uses_meanwhile_stay(tmp_path: Path) -> None:
-    with suppress(KeyboardInterrupt), OutputDirectory(tmp_path / "a" / "b" / "out") as partial:
-        (tmp_path / "a" / "notes.txt").write_text("mine")
-        fill_and_raise(partial, KeyboardInterrupt)
-    assert os.listdir(tmp_path) == ["a"]
-    assert os.listdir(tmp_path / "a") == ["notes.txt"]
+def test_a_link_to_a_map_stays_a_link(tmp_path: Path, out: Path) -> None:
+    link = tmp_path / "link"
+    link.symlink_to("out")
+    write(link)
+    assert link.is_symlink()
+    assert (out / TOPOLOGY).read_text() == "new"
 
 
 def test_of_two_writers_of_one_place_the_first_wins(tmp_path: Path) -> None:
@@ -241,19 +158,56 @@ def test_of_two_writers_of_one_place_the_first_wins(tmp_path: Path) -> None:
     assert hidden(tmp_path) == []
 
 
-def test_another_thread_writes_as_well(tmp_path: Path) -> None:
+def test_a_failing_swap_restores_the_old_map(
+    tmp_path: Path, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rename = os.rename
+
+    def failing(source: Path, target: Path) -> None:
+        if ".partial-" in str(source):
+            raise OSError(5, "Input/output error")
+        rename(source, target)
+
+    monkeypatch.setattr(module, "exchanged", lambda *_: False)  # as on other systems
+    monkeypatch.setattr(os, "rename", failing)
+    with pytest.raises(UsageError, match="Input/output error"):
+        write(out)
+    assert (out / TOPOLOGY).read_text() == "old"
+    assert hidden(tmp_path) == []
+
+
+def test_a_signal_in_the_middle_of_the_swap_waits(
+    tmp_path: Path, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rename = os.rename
+
+    def interrupted(source: Path, target: Path) -> None:
+        rename(source, target)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(module, "exchanged", lambda *_: False)  # as on other systems
+    monkeypatch.setattr(os, "rename", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write(out)
+    assert (out / TOPOLOGY).read_text() == "new"
+    assert hidden(tmp_path) == []
+
+
+def test_a_path_may_be_text_and_relative(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with OutputDirectory("maps/out/") as partial:
+        assert partial.is_absolute()
+        monkeypatch.chdir("/")  # whoever runs inside may go elsewhere
+        fill(partial)
+    assert (tmp_path / "maps" / "out" / TOPOLOGY).is_file()
+
+
+def test_another_thread_writes_as_well(tmp_path: Path, out: Path) -> None:
     """Only the main thread can hold signals back; others must not try."""
-
-    def write() -> Path:
-        with OutputDirectory(tmp_path / "out", overwrite=True) as partial:
-            fill(partial)
-        return partial
-
-    a_map(tmp_path / "out")
     with ThreadPoolExecutor(1) as threads:
-        partial = threads.submit(write).result()
-    assert not partial.exists()
-    assert (tmp_path / "out" / TOPOLOGY).read_text() == "new"
+        threads.submit(write, out).result()
+    assert hidden(tmp_path) == []
+    assert (out / TOPOLOGY).read_text() == "new"
 
 
 def test_handlers_of_signals_are_those_from_before(tmp_path: Path) -> None:
@@ -269,7 +223,7 @@ def interrupted_at(event: int, out: Path) -> bool:
     Events are the lines, calls and returns of the modules that an output directory is made with.
     """
     counted = 0
-    ours = {module.__file__, leftovers.__file__, contextlib.__file__, weakref.__file__}
+    ours = {module.__file__, contextlib.__file__, weakref.__file__}
 
     def trace(frame: FrameType, _event: str, _argument: object) -> Any:
         nonlocal counted
@@ -294,8 +248,7 @@ def interrupted_at(event: int, out: Path) -> bool:
     return counted >= event
 
 
-def test_an_interruption_at_any_line_leaves_a_whole_map(tmp_path: Path) -> None:
-    out = a_map(tmp_path / "out")
+def test_an_interruption_at_any_line_leaves_a_whole_map(tmp_path: Path, out: Path) -> None:
     handler = signal.getsignal(signal.SIGINT)
     event = 1
     while interrupted_at(event, out):

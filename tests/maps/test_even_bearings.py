@@ -36,12 +36,6 @@ def test_a_lasers_own_scan_stays_as_it_is() -> None:
     assert bearings_of(beams) == pytest.approx(bearings, abs=1e-6)
 
 
-def test_a_single_beam() -> None:
-    beams = EvenSpacing().beams(scan(np.array([0.3]), np.array([2.0])))
-    assert (beams.angle_min, beams.increment) == (float(np.float32(0.3)), 0.0)
-    assert beams.ranges.tolist() == [2.0]
-
-
 def turned(full_circle: bool) -> tuple[PlanarScan, PlanarScan]:
     """A scan at rest, and one in motion with its beams de-skewed."""
     span = CIRCLE if full_circle else 4.0
@@ -97,8 +91,11 @@ def test_a_circle_not_looked_at_all_around_goes_without_its_blind_part(
     assert (beams.ranges == places).all(), "each reading at its bearing"
 
 
-def test_a_circle_that_saw_nothing_is_a_single_blind_beam() -> None:
+def test_a_single_beam_and_a_circle_that_saw_nothing() -> None:
+    beams = EvenSpacing().beams(scan(np.array([0.3]), np.array([2.0])))
+    assert (beams.angle_min, beams.increment) == (float(np.float32(0.3)), 0.0)
+    assert beams.ranges.tolist() == [2.0]
     bearings = np.linspace(-math.pi, math.pi, 90, endpoint=False)
-    beams = EvenSpacing().beams(scan(bearings, np.full(90, np.nan)))
-    assert len(beams.ranges) == 1
-    assert np.isnan(beams.ranges).all()
+    blind = EvenSpacing().beams(scan(bearings, np.full(90, np.nan))).ranges
+    assert len(blind) == 1
+    assert np.isnan(blind).all()

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import closing, suppress
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -74,12 +74,6 @@ def path(tmp_path: Path) -> Path:
     return written(tmp_path / "keyframes.mcap", [posed(number) for number in range(40)])
 
 
-@pytest.fixture
-def back(path: Path) -> Iterator[KeyframeStore]:
-    with read_keyframes(path, MOST) as store:
-        yield store
-
-
 def assert_same(read: KeyframeStore, scans: Sequence[PosedScan], range_m: float = 1e-6) -> None:
     assert read.stamps_ns == tuple(scan.stamp_ns for scan in scans)
     for number, scan in enumerate(scans):
@@ -93,10 +87,6 @@ def assert_same(read: KeyframeStore, scans: Sequence[PosedScan], range_m: float 
         assert found.ranges == pytest.approx(scan.planar.ranges, abs=range_m, nan_ok=True)
 
 
-def test_there_and_back(back: KeyframeStore) -> None:
-    assert_same(back, [posed(number) for number in range(40)])
-
-
 @given(st.lists(st.tuples(planar_scans(), poses), min_size=1, max_size=4))
 def test_any_scans_there_and_back(
     tmp_path_factory: pytest.TempPathFactory, taken: list[tuple[PlanarScan, Pose2]]
@@ -108,21 +98,24 @@ def test_any_scans_there_and_back(
         assert_same(read, scans, range_m=0.000501)
 
 
-def test_what_was_read_is_written_again_with_the_same_bytes(
-    path: Path, back: KeyframeStore, tmp_path: Path
-) -> None:
+def test_what_was_read_is_written_again_with_the_same_bytes(path: Path, tmp_path: Path) -> None:
     again = tmp_path / "again.mcap"
-    with store_of(posed(number) for number in range(40)) as store:
+    with (
+        store_of(posed(number) for number in range(40)) as store,
+        read_keyframes(path, MOST) as back,
+    ):
         write_keyframes(again, back, laid_out(store))
     assert again.read_bytes() == path.read_bytes()
 
 
+def stamped(number: int, stamp_ns: int) -> PosedScan:
+    planar_scan = replace(planar(number), stamp_ns=stamp_ns)
+    return replace(posed(number), stamp_ns=stamp_ns, planar=planar_scan)
+
+
 def test_stamps_that_repeat_or_go_back_keep_the_order_of_the_keyframes(tmp_path: Path) -> None:
     stamps = [5_000, 5_000, 1_000, 1_000, 9_000, -7]
-    scans = [
-        replace(posed(n), stamp_ns=stamp, planar=replace(planar(n), stamp_ns=stamp))
-        for n, stamp in enumerate(stamps)
-    ]
+    scans = [stamped(number, stamp) for number, stamp in enumerate(stamps)]
     with read_keyframes(written(tmp_path / "a.mcap", scans), MOST) as read:
         assert_same(read, scans)
 
@@ -149,9 +142,11 @@ def test_a_laser_that_does_not_look_all_around(tmp_path: Path) -> None:
     assert np.isfinite(found.ranges).all()
 
 
-def test_an_empty_store(tmp_path: Path) -> None:
-    with read_keyframes(written(tmp_path / "a.mcap", []), MOST) as read:
-        assert len(read) == 0
+@pytest.mark.parametrize("count", [0, 40])
+def test_there_and_back(tmp_path: Path, count: int) -> None:
+    scans = [posed(number) for number in range(count)]
+    with read_keyframes(written(tmp_path / "a.mcap", scans), MOST) as read:
+        assert_same(read, scans)
 
 
 def test_it_is_an_ordinary_recording(path: Path) -> None:
@@ -162,6 +157,7 @@ def test_it_is_an_ordinary_recording(path: Path) -> None:
         stream = SweepStream(log, LogConfig())
         assert (stream.selection.odometry, stream.selection.base_frame) == ("tf", "base_link")
         sweeps = list(stream)
+        last = decode_transforms(list(log.messages(["/tf"]))[-1]).records
     assert [sweep.stamp_ns for sweep in sweeps] == [scan.stamp_ns for scan in scans]
     for sweep, scan in zip(sweeps, scans, strict=True):
         assert sweep.odom_from_base is not None
@@ -169,12 +165,6 @@ def test_it_is_an_ordinary_recording(path: Path) -> None:
         assert tuple(away) == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
         assert tuple(sweep.base_from_laser) == pytest.approx(tuple(MOUNT))
         assert sweep.planar.ranges == pytest.approx(scan.planar.ranges, abs=1e-6, nan_ok=True)
-
-
-def test_map_odom_and_base_lie_as_in_the_layout(path: Path) -> None:
-    with closing(open_log([path])) as log:
-        messages = list(log.messages(["/tf"]))
-    last = decode_transforms(messages[-1]).records
     assert [(t.parent, t.child) for t in last] == [("map", "odom"), ("odom", "base_link")]
     map_from_base = Pose2.from_matrix(last[0].parent_from_child @ last[1].parent_from_child)
     expected = Pose2(1.0, -2.0, 0.3) @ posed(39).map_from_base
@@ -198,7 +188,7 @@ def test_any_byte_of_the_data_may_be_damaged(path: Path) -> None:
             assert_same(read, scans)
 
 
-def test_a_file_that_is_none(tmp_path: Path) -> None:
+def test_a_file_that_is_none_and_files_beyond_the_limits(path: Path, tmp_path: Path) -> None:
     for name, text in (("text", b"keyframes " * 100), ("empty", b"")):
         (tmp_path / name).write_bytes(text)
         with pytest.raises(MapError, match=f"{name}: .*build the map again"):
@@ -207,9 +197,6 @@ def test_a_file_that_is_none(tmp_path: Path) -> None:
         read_keyframes(tmp_path / "nowhere", MOST)
     with pytest.raises(MapError, match="not a regular file"):
         read_keyframes(tmp_path, MOST)
-
-
-def test_files_beyond_the_limits(path: Path) -> None:
     with pytest.raises(MapError, match=r"larger than 0\.001 MB; if it is meant, raise limits"):
         read_keyframes(path, MOST, LimitsConfig(keyframes_max_mb=0.001))
     with pytest.raises(MapError, match="has more than 39 scans"):
@@ -230,28 +217,20 @@ def test_scans_that_lack_something(tmp_path: Path, lack: str) -> None:
 
 def keyframes_of(result: MapResult) -> KeyframeStore:
     """A store for the labels of a map."""
-    return store_of(
-        replace(posed(0), stamp_ns=stamp, planar=replace(planar(0), stamp_ns=stamp))
-        for stamp in result.labels.stamps_ns.tolist()
-    )
+    return store_of(stamped(0, stamp) for stamp in result.labels.stamps_ns.tolist())
 
 
-def test_a_map_with_its_keyframes(tmp_path: Path, result: MapResult) -> None:
-    with keyframes_of(result) as store:
-        write_map(tmp_path, result, store)
-    with read_map(tmp_path).keyframes() as read:
-        assert read.stamps_ns == tuple(result.labels.stamps_ns.tolist())
-
-
-def test_keyframes_that_are_not_those_of_the_labels(tmp_path: Path, result: MapResult) -> None:
-    shifted = replace(result.labels, stamps_ns=result.labels.stamps_ns + 1)
-    with keyframes_of(result) as store:
-        write_map(tmp_path, replace(result, labels=shifted), store)
-    with pytest.raises(MapError, match=r"its 30 scans are not the 30 keyframes of labels\.csv"):
-        read_map(tmp_path).keyframes()
-
-
-def test_a_map_without_keyframes_says_so(tmp_path: Path, result: MapResult) -> None:
-    write_map(tmp_path, result)
+def test_the_keyframes_of_a_map_are_those_of_its_labels(
+    stored: Path, tmp_path: Path, result: MapResult
+) -> None:
     with pytest.raises(MapError, match=r"has no keyframes\.mcap: .*build the map again"):
-        read_map(tmp_path).keyframes()
+        read_map(stored).keyframes()
+    shifted = replace(result.labels, stamps_ns=result.labels.stamps_ns + 1)
+    for name, labels in (("own", result.labels), ("others", shifted)):
+        (tmp_path / name).mkdir()
+        with keyframes_of(result) as store:
+            write_map(tmp_path / name, replace(result, labels=labels), store)
+    with read_map(tmp_path / "own").keyframes() as read:
+        assert read.stamps_ns == tuple(result.labels.stamps_ns.tolist())
+    with pytest.raises(MapError, match=r"its 30 scans are not the 30 keyframes of labels\.csv"):
+        read_map(tmp_path / "others").keyframes()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import ntpath
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,16 +21,22 @@ from specmap_cli.core.schemas import read_schema
 from specmap_cli.maps import schema
 
 
-def test_topology_follows_its_schema(stored: Path) -> None:
-    document = json.loads((stored / "topology.json").read_text())
+@pytest.fixture
+def document(stored: Path) -> Any:
+    return json.loads((stored / "topology.json").read_text())
+
+
+def place_in(document: Any, keys: Sequence[str]) -> Any:
+    for key in keys:
+        document = document[int(key) if key.isdigit() else key]
+    return document
+
+
+def test_topology_follows_its_schema_and_networkx_reads_it_as_it_is(document: Any) -> None:
     jsonschema.Draft202012Validator.check_schema(read_schema("topology"))
     jsonschema.validate(document, read_schema("topology"))
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate({**document, "nodes": [{"id": 0}]}, read_schema("topology"))
-
-
-def test_networkx_reads_topology_as_it_is(stored: Path) -> None:
-    document = json.loads((stored / "topology.json").read_text())
     graph = nx.node_link_graph(document, edges="edges")
     assert list(graph.nodes) == [0, 1, 2]
     assert sorted(graph.edges) == [(0, 1), (0, 2)]
@@ -70,43 +77,29 @@ def test_networkx_reads_topology_as_it_is(stored: Path) -> None:
     ],
 )
 def test_models_and_json_schema_refuse_the_same_documents(
-    stored: Path, key: str, value: Any
+    document: Any, key: str, value: Any
 ) -> None:
-    document = json.loads((stored / "topology.json").read_text())
-    *parents, last = (int(part) if part.isdigit() else part for part in key.split("__"))
-    place = document
-    for parent in parents:
-        place = place[parent]
+    *parents, last = key.split("__")
     schema.TopologyRecord.model_validate(document)
-    place[last] = value
+    place_in(document, parents)[last] = value
     with pytest.raises(ValidationError):
         schema.TopologyRecord.model_validate(document)
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate(document, read_schema("topology"))
 
 
-@pytest.mark.parametrize(
-    "record",
-    [
-        "graph",
-        "graph__logs__0",
-        "graph__stays__0",
-        "graph__closures__0",
-        "nodes__0",
-        "edges__0",
-        "edges__0__traversals__0",
-    ],
-)
-def test_no_key_may_be_missing(stored: Path, record: str) -> None:
-    document = json.loads((stored / "topology.json").read_text())
-    place = document
-    for part in record.split("__"):
-        place = place[int(part) if part.isdigit() else part]
-    for key in set(place) - {"path_m"}:  # of logs; maps of schema 2 are older than it
-        value = place.pop(key)
-        with pytest.raises(ValidationError, match=key):
-            schema.TopologyRecord.model_validate(document)
-        place[key] = value
+def test_no_key_may_be_missing(document: Any) -> None:
+    records = ("logs__0", "stays__0", "closures__0")
+    for record in (
+        *("graph", *(f"graph__{each}" for each in records)),
+        *("nodes__0", "edges__0", "edges__0__traversals__0"),
+    ):
+        place = place_in(document, record.split("__"))
+        for key in set(place) - {"path_m"}:  # of logs; maps of schema 2 are older than it
+            value = place.pop(key)
+            with pytest.raises(ValidationError, match=key):
+                schema.TopologyRecord.model_validate(document)
+            place[key] = value
 
 
 def test_every_field_is_described_and_the_schema_has_a_name() -> None:
@@ -134,8 +127,4 @@ def test_images_lie_inside_the_map_directory(name: str) -> None:
         assert inside == "/maps/home" or inside.startswith("/maps/home/")
         assert ntpath.splitdrive(name)[0] == ""
         assert "\n" not in name
-
-
-@pytest.mark.parametrize("name", ["submaps/000.png", "a.b/c", "..a", "räume/küche.png"])
-def test_plain_names_of_images_are_accepted(name: str) -> None:
-    assert accepted(name)
+    assert all(map(accepted, ("submaps/000.png", "a.b/c", "..a", "räume/küche.png")))

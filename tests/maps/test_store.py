@@ -32,17 +32,48 @@ def edit(path: Path, **changes: Any) -> None:
     path.write_text(json.dumps(document))
 
 
-def door(id_: int, other: int) -> dict[str, Any]:
+def door(other: int, **more: Any) -> dict[str, Any]:
     """A door between submap 0 and another."""
     place = {"x": 0.0, "y": 0.0, "theta": 0.0, "width_m": 0.9}
-    return {
-        "id": id_,
-        "between": [0, other],
-        "crossings": [],
-        "driven": False,
-        "forbidden": False,
-        **place,
-    }
+    none = {"crossings": [], "driven": False, "forbidden": False}
+    return {"id": 0, "between": [0, other], **none, **place, **more}
+
+
+def test_grids_are_a_mapping_and_read_when_asked_for(stored: Path) -> None:
+    (stored / "submaps" / "001.png").unlink()
+    read = read_map(stored)
+    assert (list(read.grids), len(read.grids)) == ([0, 1, 2], 3)
+    assert 1 in read.grids
+    assert read.grid(0).free_area_m2 == pytest.approx(24.0)
+    assert read.grid(0) is read.grid(0) is read.grids[0]
+    with pytest.raises(MapError, match=r"001\.png"):
+        read.grid(1)
+    for stranger in (3, -1):
+        assert stranger not in read.grids
+        assert read.grids.get(stranger) is None
+    with pytest.raises(KeyError):
+        read.grid(99)
+
+
+def test_ids_are_ascending_whatever_the_order_of_the_nodes(stored: Path) -> None:
+    document = json.loads((stored / "topology.json").read_text())
+    edit(stored / "topology.json", nodes=document["nodes"][::-1])
+    read = read_map(stored)
+    assert read.ids == [0, 1, 2]
+    assert list(read.grids) == [0, 1, 2]
+    assert read.grid(1).cells.shape == read_map(stored).topology.submaps[1].grid.cells.shape
+
+
+def test_a_file_is_read_once_and_not_before_it_is_asked_for(stored: Path) -> None:
+    read = read_map(stored)
+    (stored / "map.png").rename(stored / "hidden.png")
+    with pytest.raises(MapError, match=r"map\.png"):
+        _ = read.map_grid
+    (stored / "hidden.png").rename(stored / "map.png")
+    grid, labels, config = read.map_grid, read.labels, read.config
+    for name in ("map.png", "map.yaml", "labels.csv", "run.json"):
+        (stored / name).unlink()
+    assert (read.map_grid, read.labels, read.config) == (grid, labels, config)
 
 
 def test_there_and_back(stored: Path, result: MapResult) -> None:
@@ -72,54 +103,9 @@ def test_there_and_back(stored: Path, result: MapResult) -> None:
     assert (read.labels.submaps == result.labels.submaps).all()
     assert (read.labels.stamps_ns == result.labels.stamps_ns).all()
     assert read.labels.poses == pytest.approx(result.labels.poses, abs=1e-6)
-
-
-def test_grids_are_read_when_asked_for(stored: Path) -> None:
-    (stored / "submaps" / "001.png").unlink()
-    read = read_map(stored)
-    assert read.grid(0).free_area_m2 == pytest.approx(24.0)
-    assert read.grid(0) is read.grid(0)
-    with pytest.raises(MapError, match=r"001\.png"):
-        read.grid(1)
-
-
-def test_grids_are_a_mapping_of_the_submaps_there_are(stored: Path) -> None:
-    grids = read_map(stored).grids
-    assert (list(grids), len(grids)) == ([0, 1, 2], 3)
-    assert 1 in grids
-    assert grids[1] is grids[1]
-    for stranger in (3, -1):
-        assert stranger not in grids
-        assert grids.get(stranger) is None
-    with pytest.raises(KeyError):
-        read_map(stored).grid(99)
-
-
-def test_ids_are_ascending_whatever_the_order_of_the_nodes(stored: Path) -> None:
-    document = json.loads((stored / "topology.json").read_text())
-    edit(stored / "topology.json", nodes=document["nodes"][::-1])
-    read = read_map(stored)
-    assert read.ids == [0, 1, 2]
-    assert list(read.grids) == [0, 1, 2]
-    assert read.grid(1).cells.shape == read_map(stored).topology.submaps[1].grid.cells.shape
-
-
-def test_a_file_is_read_once_and_not_before_it_is_asked_for(stored: Path) -> None:
-    read = read_map(stored)
-    (stored / "map.png").rename(stored / "hidden.png")
-    with pytest.raises(MapError, match=r"map\.png"):
-        _ = read.map_grid
-    (stored / "hidden.png").rename(stored / "map.png")
-    grid, labels, config = read.map_grid, read.labels, read.config
-    for name in ("map.png", "map.yaml", "labels.csv", "run.json"):
-        (stored / name).unlink()
-    assert (read.map_grid, read.labels, read.config) == (grid, labels, config)
-
-
-def test_regions_are_those_the_map_was_drawn_with(stored: Path, result: MapResult) -> None:
-    regions = read_map(stored).regions
-    np.testing.assert_array_equal(regions.owner, result.regions.owner)
-    assert regions.outline(1).area_m2 == pytest.approx(result.regions.outline(1).area_m2)
+    np.testing.assert_array_equal(read.regions.owner, result.regions.owner)
+    drawn = result.regions.outline(1).area_m2
+    assert read.regions.outline(1).area_m2 == pytest.approx(drawn)
 
 
 def test_keyframes_in_no_submap_are_in_none(tmp_path: Path, result: MapResult) -> None:
@@ -140,9 +126,10 @@ class TestDamage:
             ({"graph__next_id": 2}, r"graph\.next_id: 2 is the id of a node or smaller"),
             ({"graph__stays__1__submap": 7}, r"stays\.1: submap 7 is not among the nodes"),
             ({"graph__stays__1__number": 2}, r"graph\.stays: a number occurs twice"),
-            ({"graph__stays__0__keyframes": [[0, 4], [4, 9]]}, r"stays\.0: .* out of order"),
-            ({"graph__stays__0__keyframes": [[8, 9], [0, 4]]}, r"stays\.0: .* out of order"),
-            ({"graph__stays__0__keyframes": [[4, 0]]}, r"stays\.0: .* out of order"),
+            *(
+                ({"graph__stays__0__keyframes": runs}, r"stays\.0: .* out of order")
+                for runs in ([[0, 4], [4, 9]], [[8, 9], [0, 4]], [[4, 0]])
+            ),
             ({"graph__stays__0__origin": 5}, r"stays\.0: its origin is none of its keyframes"),
             ({"graph__stays__0__keyframes": []}, r"graph\.stays\.0\.keyframes"),
             ({"graph__closures__1__new": 9}, r"closures\.1: its stays are not among"),
@@ -152,10 +139,10 @@ class TestDamage:
             ({"nodes__0__area_m2": "large"}, r"nodes\.0\.area_m2"),
             ({"nodes__1__id": 0}, "occurs twice"),
             ({"edges__0__target": 9}, "submap 9 is not among the nodes"),
-            ({"nodes__0__image": "../../etc/passwd"}, r"nodes\.0\.image"),
-            ({"nodes__0__image": "/etc/passwd"}, r"nodes\.0\.image"),
-            ({"nodes__0__image": "submaps\\000.png"}, r"nodes\.0\.image"),
-            ({"nodes__0__image": ""}, r"nodes\.0\.image"),
+            *(
+                ({"nodes__0__image": name}, r"nodes\.0\.image")
+                for name in ("../../etc/passwd", "/etc/passwd", "submaps\\000.png", "")
+            ),
             ({"edges__1__kind": "tunnel"}, r"edges\.1\.kind"),
             ({"nodes__0__surprise": 1}, "surprise"),
             ({"nodes__0__x": 1e308}, r"nodes\.0\.x: .* no larger than 1e\+09"),
@@ -163,9 +150,9 @@ class TestDamage:
             ({"nodes__0__visits__0__start": 1e300}, r"nodes\.0\.visits\.0\.start"),
             ({"edges__0__distance_m": 1e300}, r"edges\.0\.distance_m"),
             ({"nodes__0__id": 10**30}, r"nodes\.0\.id"),
-            ({"graph__doors": [door(0, 9)]}, r"graph\.doors\.0: submap 9 is not among"),
-            ({"graph__doors": [door(0, 1), door(0, 2)]}, r"graph\.doors: an id occurs twice"),
-            ({"graph__doors": [{**door(0, 1), "width_m": -1}]}, r"graph\.doors\.0\.width_m"),
+            ({"graph__doors": [door(9)]}, r"graph\.doors\.0: submap 9 is not among"),
+            ({"graph__doors": [door(1), door(2)]}, r"graph\.doors: an id occurs twice"),
+            ({"graph__doors": [door(1, width_m=-1)]}, r"graph\.doors\.0\.width_m"),
             ({"edges__0__doors": [4]}, r"edges\.0: door 4 is not among graph\.doors"),
             ({"edges__0__path": [[0.0, 1e300]]}, r"edges\.0\.path\.0\.1"),
             ({"nodes__0__anchor": [0.0]}, r"nodes\.0\.anchor\.1"),
@@ -194,29 +181,22 @@ class TestDamage:
 
     @pytest.mark.parametrize("text", ["", "{", "[]", "null", "[" * 100_000, '{"graph": NaN}'])
     def test_topology_that_is_no_map(self, stored: Path, text: str) -> None:
-        (stored / "topology.json").write_text(text)
-        with pytest.raises(MapError, match=r"topology\.json"):
-            read_map(stored)
-
-    def test_infinite_numbers(self, stored: Path) -> None:
         path = stored / "topology.json"
-        path.write_text(path.read_text().replace('"theta": 0.0', '"theta": Infinity', 1))
-        with pytest.raises(MapError, match="theta"):
-            read_map(stored)
+        infinite = path.read_text().replace('"theta": 0.0', '"theta": Infinity', 1)
+        for written, complaint in ((text, r"topology\.json"), (infinite, "theta")):
+            path.write_text(written)
+            with pytest.raises(MapError, match=complaint):
+                read_map(stored)
 
-    def test_no_directory(self, tmp_path: Path) -> None:
-        with pytest.raises(MapError, match="no such map"):
-            read_map(tmp_path / "gone")
+    def test_what_is_no_map(self, tmp_path: Path) -> None:
+        (tmp_path / "empty").mkdir()
         (tmp_path / "file").write_text("")
-        with pytest.raises(MapError, match="is a file"):
-            read_map(tmp_path / "file")
-
-    def test_empty_and_foreign_directories(self, tmp_path: Path) -> None:
-        with pytest.raises(MapError, match="is empty"):
-            read_map(tmp_path)
-        (tmp_path / "thesis.tex").write_text("")
-        with pytest.raises(MapError, match="is not a map"):
-            read_map(tmp_path)
+        for place, complaint in (
+            *(("gone", "no such map"), ("file", "is a file"), ("empty", "is empty")),
+            (".", "is not a map"),
+        ):
+            with pytest.raises(MapError, match=complaint):
+                read_map(tmp_path / place)
 
     @pytest.mark.parametrize(
         ("name", "field"),
@@ -274,15 +254,12 @@ class TestDamage:
         with pytest.raises(MapError, match=r"labels\.csv: submap 7 is not in topology\.json"):
             _ = read_map(stored).labels
 
-    def test_a_directory_in_place_of_a_file(self, stored: Path) -> None:
-        (stored / "classifiers.json").unlink()
-        (stored / "classifiers.json").mkdir()
-        with pytest.raises(MapError, match=r"classifiers\.json: cannot be read: Is a directory"):
-            _ = read_map(stored).classifiers
-
     def test_a_map_of_a_plan_says_what_it_lacks(self, stored: Path) -> None:
         (stored / "classifiers.json").unlink()
         with pytest.raises(MapError, match=r"has no classifiers\.json: `specmap segment` makes"):
+            _ = read_map(stored).classifiers
+        (stored / "classifiers.json").mkdir()
+        with pytest.raises(MapError, match=r"classifiers\.json: cannot be read: Is a directory"):
             _ = read_map(stored).classifiers
 
 
@@ -299,11 +276,9 @@ def test_files_beyond_the_limits_name_the_setting(stored: Path, name: str, field
         if picture:
             turn("grids", picture_max_mb=limit_mb)
         limits = LimitsConfig() if picture else LimitsConfig(text_max_mb=limit_mb)
-        found = read_map(stored, limits)
-        getattr(found, field or "record")
+        getattr(read_map(stored, limits), field or "record")
 
-    most = max(size_mb, 1.0)
-    read(most)
+    read(max(size_mb, 1.0))
     if name != "topology.json":  # it is read first: it must fit
         (stored / name).write_bytes((stored / name).read_bytes() + b"\n" * 1_000_000)
     with pytest.raises(MapError, match=rf"{name}: .*larger than{advice}"):

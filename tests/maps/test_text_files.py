@@ -25,13 +25,17 @@ from specmap_cli.maps.text_files import (
 from tests.strategies import few
 
 
-def test_a_keyframe_in_no_submap_has_an_empty_cell() -> None:
-    labels = Labels(
-        stamps_ns=np.array([0, 1]), poses=np.zeros((2, 3)), submaps=np.array([NO_SUBMAP, 4])
-    )
-    lines = labels_text(labels).splitlines()
-    assert lines[1].endswith(",")
-    assert lines[2].endswith(",4")
+def test_no_poses_are_a_header_or_nothing_and_no_submap_is_an_empty_cell() -> None:
+    nowhere, stamps = np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
+    empty = labels_text(Labels(stamps_ns=stamps, poses=nowhere, submaps=stamps))
+    assert empty == "stamp,x,y,theta,submap\n"
+    assert trajectory_text(Trajectory(stamps, nowhere)) == ""
+    assert planar_trajectory_text(Trajectory(stamps, nowhere)) == ""
+    submaps = np.array([NO_SUBMAP, 4])
+    labels = Labels(stamps_ns=np.arange(2), poses=np.zeros((2, 3)), submaps=submaps)
+    _, first, second = labels_text(labels).splitlines()
+    assert first.endswith(",")
+    assert second.endswith(",4")
 
 
 FINITE = st.floats(-1e6, 1e6, allow_nan=False)
@@ -59,23 +63,14 @@ def test_keyframes_there_and_back(rows: list[tuple[int, float, float, float, int
     assert read.poses.shape == (len(rows), 3)
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        "1.5,0,0,0",
-        "1.5,0,0,0,1,2",
-        "1.5,nan,0,0,1",
-        "1.5,0,-9999999999999999999,0,1",
-        "1.5,0,inf,0,1",
-        "1.5,0,0,-1e999,1",
-        "1.5,0,0,0,-1",
-        "1.5,0,0,0,1.0",
-        "1.5,0,0,0,99999999999999999999",
-        "99999999999999999999,0,0,0,1",
-        "soon,0,0,0,1",
-        "",
-    ],
-)
+LINES = [
+    *("1.5,0,0,0", "1.5,0,0,0,1,2", "1.5,nan,0,0,1", "1.5,0,-9999999999999999999,0,1"),
+    *("1.5,0,inf,0,1", "1.5,0,0,-1e999,1", "1.5,0,0,0,-1", "1.5,0,0,0,1.0"),
+    *("1.5,0,0,0,99999999999999999999", "99999999999999999999,0,0,0,1", "soon,0,0,0,1", ""),
+]
+
+
+@pytest.mark.parametrize("line", LINES)
 def test_a_line_that_is_no_keyframe_is_quoted(tmp_path: Path, line: str) -> None:
     path = tmp_path / "labels.csv"
     path.write_text(f"stamp,x,y,theta,submap\n0.5,1,2,3,0\n{line}\n0.7,1,2,3,0\n")
@@ -85,32 +80,30 @@ def test_a_line_that_is_no_keyframe_is_quoted(tmp_path: Path, line: str) -> None
     assert str(caught.value) == expected
 
 
-@pytest.mark.parametrize("text", ["", "stamp,x,y,theta\n", "stamp;x;y;theta;submap\n", "\ufeff"])
-def test_another_header_is_refused(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "labels.csv"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(MapError, match="line 1 is not 'stamp,x,y,theta,submap': build the map"):
-        read_labels(path)
+HEADERS = ("", "stamp,x,y,theta\n", "stamp;x;y;theta;submap\n", "\ufeff")
+HEADER_TOLD = "line 1 is not 'stamp,x,y,theta,submap': build the map"
 
 
 @pytest.mark.parametrize(
-    ("content", "complaint"),
-    [(None, "cannot read the keyframes: No such file"), (b"\xff\xfe", "not a text file")],
+    ("name", "content", "complaint"),
+    [
+        *(("labels.csv", text.encode(), HEADER_TOLD) for text in HEADERS),
+        ("labels.csv", None, "cannot read the keyframes: No such file"),
+        ("labels.csv", b"\xff\xfe", "not a text file"),
+        ("trajectory.tum", b"1.0 0 0 0 0 0 1\n", "line 1 is"),
+        ("trajectory.tum", b"1.0 0 0 0 0 0 0 1\n2.0 0 0 0 0 0 nan 1\n", "line 2 is"),
+        ("trajectory.tum", b"x 0 0 0 0 0 0 1\n", "line 1 is"),
+        ("trajectory.tum", b"\xff\xfe", "not a text file"),
+        ("trajectory.tum", None, "cannot read"),
+    ],
 )
-def test_tables_that_cannot_be_read(tmp_path: Path, content: bytes | None, complaint: str) -> None:
+def test_files_that_cannot_be_read(
+    tmp_path: Path, name: str, content: bytes | None, complaint: str
+) -> None:
     if content is not None:
-        (tmp_path / "labels.csv").write_bytes(content)
-    with pytest.raises(MapError, match=rf"labels\.csv: {complaint}"):
-        read_labels(tmp_path / "labels.csv")
-
-
-def test_no_poses_are_an_empty_file() -> None:
-    nowhere = np.zeros((0, 3))
-    stamps = np.zeros(0, dtype=np.int64)
-    assert (
-        labels_text(Labels(stamps_ns=stamps, poses=nowhere, submaps=stamps))
-        == "stamp,x,y,theta,submap\n"
-    )
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(MapError, match=rf"{name}: {complaint}"):
+        (read_labels if name == "labels.csv" else read_trajectory)(tmp_path / name)
 
 
 @few(30)
@@ -148,64 +141,29 @@ def test_lost_scans_are_marked_between_the_lines_of_a_trajectory() -> None:
     assert plain_lines == trajectory_text(Trajectory(way.stamps_ns, way.poses)).splitlines()
 
 
-def test_a_marked_trajectory_reads_back(tmp_path: Path) -> None:
-    way = Trajectory(
-        np.arange(4) * 10**9, np.arange(12.0).reshape(4, 3) / 10, lost=np.arange(4) == 2
-    )
-    file = tmp_path / "trajectory.tum"
-    file.write_text(trajectory_text(way), encoding="utf-8")
-    np.testing.assert_allclose(read_tum(file).poses, way.poses, atol=1e-6)
-    assert len(np.loadtxt(file)) == 4
-
-
-def test_a_trajectory_comes_back_with_its_tilt_and_its_lost_scans(tmp_path: Path) -> None:
+@pytest.mark.parametrize("planar", [False, True])
+def test_a_trajectory_comes_back_with_its_tilt_and_its_lost_scans(
+    tmp_path: Path, planar: bool
+) -> None:
     rng = np.random.default_rng(0)
-    lost = np.arange(20) % 7 < 2
     way = Trajectory(
         np.arange(20) * 10**8 + 1_700_000_000_123_456_789,
         rng.uniform(-3, 3, (20, 3)),
-        rng.uniform(-0.4, 0.4, (20, 3)),
-        lost=lost,
+        None if planar else rng.uniform(-0.4, 0.4, (20, 3)),
+        lost=None if planar else np.arange(20) % 7 < 2,
     )
     file = tmp_path / "trajectory.tum"
     file.write_text(trajectory_text(way), encoding="utf-8")
     back = read_trajectory(file)
     assert back.stamps_ns.tolist() == way.stamps_ns.tolist()
     np.testing.assert_allclose(back.poses, way.poses, atol=1e-6)
+    assert len(np.loadtxt(file)) == 20
+    np.testing.assert_allclose(read_tum(file).poses[:, :2], way.poses[:, :2], atol=1e-6)
+    if way.tilt is None or way.lost is None:
+        np.testing.assert_allclose(read_tum(file).poses, way.poses, atol=1e-6)
+        assert (back.tilt, back.lost) == (None, None)
+        return
     assert back.tilt is not None
-    assert way.tilt is not None
     np.testing.assert_allclose(back.tilt, way.tilt, atol=1e-6)
     assert back.lost is not None
-    assert back.lost.tolist() == lost.tolist()
-
-
-def test_a_planar_trajectory_comes_back_without_tilt(tmp_path: Path) -> None:
-    file = tmp_path / "trajectory.tum"
-    file.write_text(trajectory_text(Trajectory(np.arange(3), np.ones((3, 3)))), encoding="utf-8")
-    back = read_trajectory(file)
-    assert back.tilt is None
-    assert back.lost is None
-
-
-@pytest.mark.parametrize(
-    ("content", "complaint"),
-    [
-        (b"1.0 0 0 0 0 0 1\n", "line 1 is"),
-        (b"1.0 0 0 0 0 0 0 1\n2.0 0 0 0 0 0 nan 1\n", "line 2 is"),
-        (b"x 0 0 0 0 0 0 1\n", "line 1 is"),
-        (b"\xff\xfe", "not a text file"),
-        (None, "cannot read"),
-    ],
-)
-def test_what_is_no_trajectory(tmp_path: Path, content: bytes | None, complaint: str) -> None:
-    file = tmp_path / "trajectory.tum"
-    if content is not None:
-        file.write_bytes(content)
-    with pytest.raises(MapError, match=rf"trajectory\.tum: {complaint}"):
-        read_trajectory(file)
-
-
-def test_no_poses_are_an_empty_trajectory() -> None:
-    nowhere = Trajectory(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
-    assert trajectory_text(nowhere) == ""
-    assert planar_trajectory_text(nowhere) == ""
+    assert back.lost.tolist() == way.lost.tolist()

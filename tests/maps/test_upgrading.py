@@ -69,22 +69,17 @@ def test_it_is_a_map_like_any_other(old: Path, tmp_path: Path) -> None:
         stored.keyframes()
 
 
-def test_a_line_says_what_it_lacks(old: Path) -> None:
-    note = read_map(old).note
-    assert note.startswith(f"{old}: a map of an earlier version (schema 1): it keeps no keyframes")
+def test_a_line_says_what_it_lacks_and_the_first_maps_held_no_verdict(stored: Path) -> None:
+    assert read_map(stored).note == "", "a map of this version needs no word"
+    (stored / "topology.json").write_bytes(OLD.read_bytes())
+    note = read_map(stored).note
+    lacks = f"{stored}: a map of an earlier version (schema 1): it keeps no keyframes"
+    assert note.startswith(lacks)
     assert "\n" not in note
-
-
-def test_a_map_of_this_version_needs_no_word(stored: Path) -> None:
-    assert read_map(stored).note == ""
-
-
-def test_a_map_that_was_never_judged(old: Path) -> None:
-    """The first maps held no verdict."""
     document = json.loads(OLD.read_text())
     del document["graph"]["quality"]
-    (old / "topology.json").write_text(json.dumps(document))
-    assert read_map(old).record.graph.quality is None
+    (stored / "topology.json").write_text(json.dumps(document))
+    assert read_map(stored).record.graph.quality is None
 
 
 @pytest.mark.parametrize(

@@ -15,19 +15,11 @@ from types import TracebackType
 from typing import Any
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
-FLAGS = (
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--disable-dev-shm-usage",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--hide-scrollbars",
-    "--remote-debugging-pipe",
-)
+FLAGS = [
+    *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--disable-dev-shm-usage"),
+    *("--no-first-run", "--disable-background-networking", "--disable-component-update"),
+    *("--disable-sync", "--hide-scrollbars", "--remote-debugging-pipe"),
+]
 # the browser reads from descriptor 3 and writes to 4, whichever our ends are called
 _LAUNCH = (
     "import fcntl, os, sys\n"
@@ -162,11 +154,6 @@ class Browser:
         """One event of some fingers."""
         fingers = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(points)]
         self._send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": fingers})
-
-    def picture(self, *, whole: bool = False) -> bytes:
-        """The window as a PNG, or the whole page."""
-        sent = {"format": "png", "captureBeyondViewport": whole}
-        return base64.b64decode(self._send("Page.captureScreenshot", sent)["data"])
 
     def paper(self) -> bytes:
         """The page as it is printed: a PDF."""

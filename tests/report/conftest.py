@@ -25,6 +25,9 @@ from tests.sharing import made_once
 HOSTILE = "\"'><script>alert(1)</script>&"
 
 
+SPLITS = ((12, 1), (20, 2))  # keyframe, and which eigenvector divided the way there
+
+
 @pytest.fixture
 def house(tmp_path: Path, result: MapResult) -> StoredMap:
     """The map directory of the small house: hostile texts, two doors, findings."""
@@ -32,27 +35,15 @@ def house(tmp_path: Path, result: MapResult) -> StoredMap:
     submaps = dict(topology.submaps)
     submaps[1] = replace(submaps[1], name=HOSTILE, properties={HOSTILE: HOSTILE, "floor": 2})
     closures = tuple(replace(each, reason=f"{HOSTILE} {each.reason}") for each in topology.closures)
+    door = Door(id=0, x=-3.0, y=1.25, width_m=0.9, theta=1.5, between=(0, 1))
     doors = (
-        Door(
-            id=0,
-            x=-3.0,
-            y=1.25,
-            width_m=0.9,
-            theta=1.5,
-            between=(0, 1),
-            crossings=topology.edges[0, 1].traversals,
-            driven=True,
-        ),
+        replace(door, crossings=topology.edges[0, 1].traversals, driven=True),
         Door(id=1, x=3.0, y=1.5, width_m=0.8, theta=1.5, between=(0, 2), forbidden=True),
     )
+    place = Where.of(None, (1.0, 0.5))
     findings = (
         Finding(code="hole-in-log", severity="note", message=f"a gap {HOSTILE}"),
-        Finding(
-            code="walls-disagree",
-            severity="doubtful",
-            message="walls",
-            where=Where.of(None, (1.0, 0.5)),
-        ),
+        Finding(code="walls-disagree", severity="doubtful", message="walls", where=place),
     )
     changed = replace(topology, submaps=submaps, closures=closures, doors=doors)
     logs = tuple(replace(log, name=f"{HOSTILE}.mcap") for log in result.logs)
@@ -68,17 +59,11 @@ def evidence() -> Evidence:
     """What might be found out about the house."""
     features = (FeatureShare("area", 0.5), FeatureShare(HOSTILE, 0.25))
     nodes = np.array([[0.0, 0.0], [1.0, 0.5], [-3.0, 3.5]])
-    tests = tuple(
-        SplitTrial(
-            keyframe=keyframe,
-            eigenvalues=np.array([1.0, 0.9, 0.4]),
-            chosen=chosen,
-            split=bool(chosen),
-            nodes=nodes,
-            sides=np.array([1.0, 0.5, -1.0]),
-        )
-        for keyframe, chosen in ((5, 0), (12, 1), (20, 2))
+    values, sides = np.array([1.0, 0.9, 0.4]), np.array([1.0, 0.5, -1.0])
+    trial = SplitTrial(
+        keyframe=5, eigenvalues=values, chosen=0, split=False, nodes=nodes, sides=sides
     )
+    tests = (trial, *(replace(trial, keyframe=k, chosen=n, split=True) for k, n in SPLITS))
     return Evidence(
         learned={1: Learned(features=features, scans=10, right=0.9, alike=(Likeness(2, 0.7),))},
         fit=np.linspace(0.4, 1.0, 30),

@@ -77,6 +77,11 @@ def classed(read: Read, name: str) -> list[dict[str, str | None]]:
     return [each for each in read.of("path") if each.get("class") == name]
 
 
+def words(page: str) -> str:
+    """All that is said on a page."""
+    return " ".join(" ".join(Read(page).texts).split())
+
+
 def test_whatever_somebody_wrote_stays_text(page: str, read: Read) -> None:
     assert read.open == []
     assert read.data["names"] == {"0": "submap 0", "1": HOSTILE, "2": "submap 2"}
@@ -88,31 +93,29 @@ def test_whatever_somebody_wrote_stays_text(page: str, read: Read) -> None:
     assert handlers == []
 
 
-def test_every_layer_is_there_and_can_be_hidden(read: Read) -> None:
+def test_every_layer_is_there_and_can_be_hidden_and_the_fit_has_its_own_colours(read: Read) -> None:
     drawn = {attributes.get("data-layer") for _, attributes in read.tags} - {None}
     boxes = {attributes.get("data-shows") for attributes in read.of("input")} - {None}
     assert drawn >= LAYERS
     assert boxes == LAYERS
     paths = [attributes["d"] for attributes in read.of("path")]
     assert [each for each in paths if not re.fullmatch(r"[MlhHz\d\s-]*", each or "")] == []
+    styles = {each.get("style") or "" for each in read.of("path")}
+    assert {f"stroke:var(--fit-{k})" for k in range(5)} <= styles
+    assert f"stroke:var(--time-{11})" in styles
 
 
-def test_nothing_comes_from_elsewhere(page: str, read: Read) -> None:
-    places = [
-        value
-        for _, attributes in read.tags
-        for name, value in attributes.items()
-        if name in {"src", "href", "xlink:href", "action", "srcset", "data"}
-    ]
+def test_nothing_comes_from_elsewhere_and_the_browser_runs_no_script_but_ours(
+    page: str, read: Read
+) -> None:
+    loading = {"src", "href", "xlink:href", "action", "srcset", "data"}
+    places = [of[name] for _, of in read.tags for name in of if name in loading]
     assert places
     assert all(place and place.startswith(("#", "data:image/png;base64,")) for place in places)
     assert "@import" not in page
     assert "url(" not in page
     # the one address is the name of a format, which no browser asks for
     assert set(re.findall(r"\w+://[\w./-]+", page)) == {"http://www.w3.org/2000/svg"}
-
-
-def test_the_browser_runs_no_script_but_ours(page: str, read: Read) -> None:
     (policy,) = (each["content"] for each in read.of("meta") if each.get("http-equiv"))
     script = page.rsplit("<script>", 1)[1].split("</script>")[0]
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
@@ -126,16 +129,11 @@ def test_the_same_map_gives_the_same_bytes(house: StoredMap, evidence: Evidence,
     assert len(page.encode()) < 150_000
 
 
-def test_a_submap_is_told_of_everywhere(read: Read) -> None:
+def test_submaps_doors_and_findings_are_told_of_wherever_they_are(page: str, read: Read) -> None:
     marked = [tag for tag, attributes in read.tags if attributes.get("data-submap") == "1"]
     assert {"article", "tr", "g", "rect", "a"} <= set(marked)
-    text = " ".join(" ".join(read.texts).split())
-    assert "door 0" in text
-    assert "0.90 m" in text
-    assert "Of 10 of its own scans 90 % are told right" in text
-
-
-def test_doors_and_findings_are_marked_as_what_they_are(page: str, read: Read) -> None:
+    for told in ("door 0", "0.90 m", "Of 10 of its own scans 90 % are told right"):
+        assert told in words(page)
     groups = {each.get("id"): each.get("class") or "" for each in read.of("g")}
     assert groups["door-0"].split() == ["door", "driven"]
     assert groups["door-1"].split() == ["door", "forbidden"]
@@ -147,18 +145,12 @@ def test_doors_and_findings_are_marked_as_what_they_are(page: str, read: Read) -
 
 
 def test_headings_and_names_for_those_who_hear_the_page(read: Read) -> None:
+    every = [attributes for _, attributes in read.tags]
     assert [tag for tag, _ in read.tags if tag == "h1"] == ["h1"]
-    ids = [attributes["id"] for _, attributes in read.tags if attributes.get("id")]
+    ids = [of["id"] for of in every if of.get("id")]
     assert len(ids) == len(set(ids))
-    labelled = {
-        attributes["aria-labelledby"]
-        for _, attributes in read.tags
-        if attributes.get("aria-labelledby")
-    }
-    assert labelled <= set(ids)
-    for _, attributes in read.tags:
-        if attributes.get("role") == "button":
-            assert attributes.get("aria-label")
+    assert {of["aria-labelledby"] for of in every if of.get("aria-labelledby")} <= set(ids)
+    assert all(of.get("aria-label") for of in every if of.get("role") == "button")
     assert all(each.get("alt") for each in read.of("img"))
 
 
@@ -196,22 +188,19 @@ def test_what_differs_from_an_older_map_is_drawn_where_it_is(
     assert (f"Against {house.path.name}") in read.texts
 
 
-def test_a_map_without_evidence_has_a_page_without_these_parts(house: StoredMap) -> None:
-    read = Read(render(house, Evidence()))
-    assert not [each for each in read.of("div") if each.get("id") == "tests"]
-    assert not [each for each in read.of("select") if each.get("id") == "colours"]
-    assert "most like" not in " ".join(read.texts)
-
-
-def test_a_map_of_schema_1_has_a_page(house: StoredMap) -> None:
+def test_a_map_of_schema_1_without_evidence_has_a_page_without_these_parts(
+    house: StoredMap,
+) -> None:
     old = Path(__file__).parents[1] / "maps" / "topology_1.json"
-    (house.path / "topology.json").write_bytes(old.read_bytes())
-    read = Read(render(read_map(house.path), Evidence()))
-    assert any("schema 1" in text for text in read.texts)
-    assert len([each for each in read.of("g") if each.get("class") == "region"]) == 3
-
-
-def test_damage_is_told_in_one_line(house: StoredMap) -> None:
+    for schema_1 in (False, True):
+        if schema_1:
+            (house.path / "topology.json").write_bytes(old.read_bytes())
+        read = Read(render(read_map(house.path), Evidence()))
+        assert not [each for each in read.of("div") if each.get("id") == "tests"]
+        assert not [each for each in read.of("select") if each.get("id") == "colours"]
+        assert "most like" not in " ".join(read.texts)
+        assert any("schema 1" in text for text in read.texts) == schema_1
+        assert len([each for each in read.of("g") if each.get("class") == "region"]) == 3
     (house.path / "labels.csv").write_text("nonsense\n")
     with pytest.raises(MapError, match=r"labels\.csv: line 1"):
         render(read_map(house.path), Evidence())
@@ -222,16 +211,16 @@ def test_a_run_that_somebody_changed_is_shown_as_far_as_it_is_one(
 ) -> None:
     run = {"counts": {"scans": 30, "odd": "x"}, "seconds": {"a": "b"}, "inputs": 4, "config": {}}
     (house.path / "run.json").write_text(json.dumps(run))
-    text = " ".join(Read(render(read_map(house.path), evidence)).texts)
+    text = words(render(read_map(house.path), evidence))
     assert "Counted" in text
     assert "Seconds of each stage" not in text
 
 
 def test_what_is_left_out_is_said(house: StoredMap, evidence: Evidence) -> None:
     many = replace(evidence, tests=evidence.tests * MOST_TESTS)
-    text = " ".join(Read(render(house, many)).texts)
-    assert f"Of {3 * MOST_TESTS:,} split tests {MOST_TESTS:,} are shown" in text
-    assert "split tests" not in " ".join(Read(render(house, evidence)).texts).split('"use')[0]
+    told = f"Of {3 * MOST_TESTS:,} split tests {MOST_TESTS:,} are shown"
+    assert told in words(render(house, many))
+    assert "split tests" not in words(render(house, evidence)).split('"use')[0]
 
 
 def test_lost_scans_are_marked_where_they_were_guessed(
@@ -259,9 +248,3 @@ def test_of_many_refused_closures_those_with_the_largest_xi_are_drawn(
     assert f"(xi {0.001 * (2 * MOST_REFUSED - 1):.2f})" in (drawn[0]["data-tip"] or "")
     said = f"Of {2 * MOST_REFUSED:,} refused closures the {MOST_REFUSED:,} with the largest"
     assert any(said in text for text in read.texts)
-
-
-def test_the_fit_has_its_own_colours(read: Read) -> None:
-    styles = {each.get("style") or "" for each in read.of("path")}
-    assert {f"stroke:var(--fit-{k})" for k in range(5)} <= styles
-    assert f"stroke:var(--time-{11})" in styles

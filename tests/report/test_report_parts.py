@@ -48,18 +48,15 @@ def test_a_line_comes_back_as_it_was_but_for_repeated_points(
         assert path_data([line]) == f"M{points[0][0]} {points[0][1]}h0"
 
 
-def test_up_in_the_map_is_up_in_the_drawing() -> None:
+def test_up_in_the_map_is_up_in_a_drawing_of_all_points_with_a_margin() -> None:
     assert FRAME.place((-2.0, 8.0)) == (0, 0)
     assert FRAME.place((0.0, 7.5)) == (200, 50)
-
-
-def test_a_frame_holds_all_points_and_a_margin() -> None:
     frame = Frame.around(np.array([[0.0, 0.0], [4.0, 2.0]]))
     assert (frame.width, frame.height) == (500, 300)
     assert frame.place((0.0, 0.0)) == (50, 250)
 
 
-def test_cells_keep_their_outline_and_their_holes() -> None:
+def test_cells_keep_their_outline_and_their_holes_and_slanted_stairs_become_a_line() -> None:
     cells = np.zeros((40, 60), dtype=bool)
     cells[5:35, 10:50] = True
     cells[15:25, 20:30] = False
@@ -69,9 +66,6 @@ def test_cells_keep_their_outline_and_their_holes() -> None:
     assert rim.min(axis=0) == pytest.approx((1.0 + 1.025, 2.0 + 0.525))
     assert rim.max(axis=0) == pytest.approx((1.0 + 4.975, 2.0 + 3.475))
     assert np.ptp(hole, axis=0) == pytest.approx((1.05, 1.05))
-
-
-def test_slanted_stairs_become_a_line() -> None:
     cells = np.tril(np.ones((50, 50), dtype=bool))
     (ring,) = outlines(cells, GridMap(cells.astype(np.uint8), 0.1))
     assert len(ring) < 8
@@ -98,24 +92,26 @@ def test_the_table_of_the_way_adds_up() -> None:
     assert track.visits() == [(0.0, 5.0, 3), (5.0, 9.0, 7)]
 
 
+def lines_of(track: Track) -> list[list[tuple[int, int]]]:
+    return [line for _, data in track.by_time(FRAME) for line in drawn(data)]
+
+
 def test_between_recordings_no_time_passes_and_no_line_is_drawn() -> None:
     labels = labels_of(40)
     labels.stamps_ns[20:] += 86_400 * 10**9
     labels.poses[20:, 1] += 7.0
     track = Track.of(labels, (20,), None)
-    assert track.duration_s == 38.0
-    assert track.starts == (0.0, 19.0)
-    ys = [{y for _, y in line} for _, data in track.by_time(FRAME) for line in drawn(data)]
-    assert all(len(each) == 1 for each in ys)
+    assert (track.duration_s, track.starts) == (38.0, (0.0, 19.0))
+    assert all(len({y for _, y in line}) == 1 for line in lines_of(track))
 
 
 def test_a_long_way_is_thinned() -> None:
-    track = Track.of(labels_of(3 * MOST_POINTS), (), None)
-    assert len(track.seconds) == MOST_POINTS
-    assert track.total == 3 * MOST_POINTS
-    assert track.seconds[-1] == 3 * MOST_POINTS - 1
-    ends = [line[-1] for _, data in track.by_time(FRAME) for line in drawn(data)]
-    assert max(ends)[0] == FRAME.place((0.1 * (3 * MOST_POINTS - 1), 0.0))[0]
+    count = 3 * MOST_POINTS
+    track = Track.of(labels_of(count), (), None)
+    assert (len(track.seconds), track.total) == (MOST_POINTS, count)
+    assert track.seconds[-1] == count - 1
+    ends = [line[-1] for line in lines_of(track)]
+    assert max(ends)[0] == FRAME.place((0.1 * (count - 1), 0.0))[0]
 
 
 def xyz(colour: str) -> np.ndarray:
@@ -164,21 +160,11 @@ def test_regions_that_differ_by_day_differ_by_night() -> None:
             assert night >= 0.5 * day
 
 
-@pytest.mark.parametrize(
-    ("written", "as_read"),
-    [
-        *[(html.clock(7), "0:07"), (html.clock(65), "1:05"), (html.clock(3700), "1:01:40")],
-        *[(html.lasting(65), "65 s"), (html.lasting(600), "10 min")],
-        (html.lasting(3700), "1 h 2 min"),
-        (html.moment(1211.52), "1211.5 s"),  # counts from no day
-        (html.moment(1_700_000_000.0), "2023-11-14 22:13:20 UTC"),
-        (html.shown("  a\n\tb\x1b[31m "), "a b\\x1b[31m"),
-    ],
-)
-def test_figures_and_texts_read_as_people_write_them(written: str, as_read: str) -> None:
-    assert written == as_read
-
-
-def test_features_are_explained_where_they_are_ours() -> None:
+def test_figures_texts_and_features_read_as_people_write_them() -> None:
+    assert [html.clock(s) for s in (7, 65, 3700)] == ["0:07", "1:05", "1:01:40"]
+    assert [html.lasting(s) for s in (65, 600, 3700)] == ["65 s", "10 min", "1 h 2 min"]
+    assert html.moment(1211.52) == "1211.5 s", "counts from no day"
+    assert html.moment(1_700_000_000.0) == "2023-11-14 22:13:20 UTC"
+    assert html.shown("  a\n\tb\x1b[31m ") == "a b\\x1b[31m"
     assert [name for name in feature_names("full") if not html.feature_words(name)] == []
     assert html.feature_words("somebody_else_s") == ""

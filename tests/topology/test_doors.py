@@ -37,11 +37,8 @@ def test_a_door_is_where_its_walls_are_and_as_wide(width: float) -> None:
     assert (door.x, door.y) == pytest.approx((5.4, 1.5 + width / 2), abs=0.12)
     assert door.width_m == pytest.approx(width, abs=0.01)
     assert door.theta == pytest.approx(0.0)
-
-
-def test_the_ends_of_a_door_are_its_walls() -> None:
-    low, high = door_of(two_rooms((5.3, 1.5, 5.5, 2.4))).sides
-    assert (low[1], high[1]) == pytest.approx((1.5, 2.4), abs=0.01)
+    low, high = door.sides
+    assert (low[1], high[1]) == pytest.approx((1.5, 1.5 + width), abs=0.01)
     assert low[0] == high[0]
 
 
@@ -72,11 +69,16 @@ def test_a_door_leads_from_the_smaller_id_to_the_larger() -> None:
     assert abs(door_of(Regions.of(plan.grid, swapped)).theta) == pytest.approx(math.pi)
 
 
-def test_two_doors_between_two_rooms_are_two() -> None:
-    doors = found(two_rooms((5.3, 4.4, 5.5, 5.1), (5.3, 0.8, 5.5, 1.7))).doors
-    assert [door.id for door in doors] == [0, 1]
-    assert [door.width_m for door in doors] == pytest.approx([0.9, 0.7], abs=0.01)
-    assert [door.y for door in doors] == pytest.approx([1.25, 4.75], abs=0.05)
+def test_two_doors_between_two_rooms_are_two_and_each_has_its_traversals() -> None:
+    through = crossing(5.5, 1.1), crossing(5.2, 4.9, 1), crossing(5.4, 1.3, 2)
+    low, high = found(two_rooms((5.3, 4.4, 5.5, 5.1), (5.3, 0.8, 5.5, 1.7)), *through).doors
+    assert (low.id, high.id) == (0, 1)
+    assert (low.width_m, high.width_m) == pytest.approx((0.9, 0.7), abs=0.01)
+    assert (low.y, high.y) == pytest.approx((1.25, 4.75), abs=0.05)
+    assert low.crossings == (through[0], through[2])
+    assert high.crossings == (through[1],)
+    assert low.driven
+    assert high.driven
 
 
 def test_two_doors_are_two_though_the_border_lies_beyond_both() -> None:
@@ -114,10 +116,11 @@ def test_a_border_in_the_open_is_no_door(rooms: dict[int, list[Box]]) -> None:
     assert list(ways.openings) == [(0, 1)]
 
 
-def test_a_gap_too_narrow_for_a_door_is_none() -> None:
+def test_a_gap_too_narrow_for_a_door_is_none_nor_are_there_any_without_borders() -> None:
     narrow = two_rooms((5.3, 1.5, 5.5, 1.9))
     assert found(narrow) == Passages((), {})
     assert len(found(narrow, least_m=0.4).doors) == 1
+    assert found(regions_of((4.0, 4.0), {0: [(0.3, 0.3, 3.7, 3.7)]})) == Passages((), {})
 
 
 def test_what_nobody_saw_is_no_part_of_a_door() -> None:
@@ -135,16 +138,6 @@ def test_a_door_at_the_edge_of_the_map_ends_there() -> None:
     assert door_of(Regions.of(GridMap(cells, 0.05), owner)).width_m == pytest.approx(0.7)
 
 
-def test_each_traversal_counts_for_the_door_it_went_through() -> None:
-    plan = two_rooms((5.3, 0.8, 5.5, 1.7), (5.3, 4.4, 5.5, 5.3))
-    through = crossing(5.5, 1.1), crossing(5.2, 4.9, 1), crossing(5.4, 1.3, 2)
-    low, high = found(plan, *through).doors
-    assert low.crossings == (through[0], through[2])
-    assert high.crossings == (through[1],)
-    assert low.driven
-    assert high.driven
-
-
 def test_who_crosses_in_the_open_goes_through_no_door() -> None:
     regions = regions_of(
         (9.8, 6.6), {0: [(0.3, 0.3, 5.3, 6.3)], 1: [(5.3, 0.3, 9.5, 6.3)]}, [(5.2, 1.5, 5.4, 3.0)]
@@ -152,7 +145,3 @@ def test_who_crosses_in_the_open_goes_through_no_door() -> None:
     ways = found(regions, crossing(5.3, 5.0))
     assert (0, 1) in ways.openings
     assert not any(door.driven for door in ways.doors)
-
-
-def test_a_map_without_borders_has_no_doors() -> None:
-    assert found(regions_of((4.0, 4.0), {0: [(0.3, 0.3, 3.7, 3.7)]})) == Passages((), {})

@@ -71,10 +71,8 @@ def test_visits_traversals_and_frames_follow_the_robot() -> None:
     assert topology.submaps[0].keyframes == (0, 1, 4)
     visits = topology.submaps[0].visits
     assert [(v.start_ns, v.end_ns) for v in visits] == [(0, 1000), (4000, 4000)]
-    assert {key: edge.kind for key, edge in topology.edges.items()} == {
-        (0, 1): "traversed",
-        (0, 2): "traversed",
-    }
+    kinds = {key: edge.kind for key, edge in topology.edges.items()}
+    assert kinds == {(0, 1): "traversed", (0, 2): "traversed"}
     there, back = topology.edges[0, 1].traversals
     assert (there.source, there.target, there.x, there.stamp_ns) == (0, 1, 1.5, 2000)
     assert (back.source, back.target, back.x, back.stamp_ns) == (1, 0, 3.5, 4000)
@@ -82,14 +80,11 @@ def test_visits_traversals_and_frames_follow_the_robot() -> None:
     assert topology.edges[0, 1].source_from_target == Pose2(2.0, 0.0, 0.0)
 
 
-def test_the_robot_looks_ahead_where_it_crosses() -> None:
+def test_the_robot_looks_ahead_where_it_crosses_from_the_smaller_id() -> None:
     """Headings have no mean: that of the first keyframe on the other side is taken."""
     poses = np.array([[0.0, 0.0, 3.1], [1.0, 2.0, -3.1]])
     (crossing,) = topology_of([0, 1], poses=poses).edges[0, 1].traversals
     assert (crossing.x, crossing.y, crossing.theta) == (0.5, 1.0, -3.1)
-
-
-def test_an_edge_runs_from_the_smaller_id_whichever_was_driven_first() -> None:
     poses = np.array([[2.0, 1.0, np.pi / 2], [0.0, 0.0, 0.0]])
     (edge,) = topology_of([5, 3], poses=poses).edges.values()
     assert (edge.source, edge.target) == (3, 5)
@@ -139,12 +134,8 @@ def test_a_closure_names_regions_whose_submaps_may_have_changed() -> None:
     assert set(same.edges) == {(0, 1), (1, 2)}, "both became one submap"
     with pytest.raises(KeyError):
         topology_of([0, 1, 2], (), [closure(7, 8)], poses, regions)
-
-
-def test_a_closure_over_a_break_is_stronger_than_the_guess() -> None:
-    poses = np.zeros((2, 3))
-    found = topology_of([0, 1], breaks=(1,), closures=[closure(0, 1)], poses=poses)
-    assert found.edges[0, 1].kind == "closure"
+    broken = topology_of([0, 1], (1,), [closure(0, 1)], np.zeros((2, 3)))
+    assert broken.edges[0, 1].kind == "closure", "stronger than the guess over a break"
 
 
 @given(LABELS, st.sets(st.integers(0, 29)))
@@ -185,24 +176,17 @@ def test_visits_are_the_stays_in_order(labels: list[int]) -> None:
         assert submap.map_from_submap.x == labels.index(id_), "the frame is its first keyframe's"
 
 
-def test_no_keyframes_are_no_map() -> None:
-    nothing = topology_of([])
-    assert (nothing.submaps, nothing.edges, nothing.closures) == ({}, {}, ())
+EXCURSIONS = [
+    *(("", ""), ("a", "a"), ("ab", "ab")),
+    ("abc", "abc"),  # a way through, no excursion
+    ("abacaca", "aaaaaaa"),
+    ("abab", "aaab"),  # the last stay is followed by none
+    ("abbbbbba", "abbbbbba"),  # 1 m long
+    ("abbbbba", "aaaaaaa"),  # 0.8 m
+]
 
 
-@pytest.mark.parametrize(
-    ("labels", "settled"),
-    [
-        ("", ""),
-        ("a", "a"),
-        ("ab", "ab"),
-        ("abc", "abc"),  # a way through, no excursion
-        ("abacaca", "aaaaaaa"),
-        ("abab", "aaab"),  # the last stay is followed by none
-        ("abbbbbba", "abbbbbba"),  # 1 m long
-        ("abbbbba", "aaaaaaa"),  # 0.8 m
-    ],
-)
+@pytest.mark.parametrize(("labels", "settled"), EXCURSIONS)
 def test_what_is_an_excursion(labels: str, settled: str) -> None:
     numbers = np.array([ord(letter) for letter in labels], dtype=np.int64)
     found = settle_labels(numbers, line_of_poses(len(labels), 0.2), 0.9)
@@ -220,25 +204,16 @@ def test_settling_only_removes_stays(labels: list[int], min_path_m: float) -> No
     assert sum(a != b for a, b in pairwise(found)) <= sum(a != b for a, b in pairwise(labels))
 
 
-@given(PAIRS)
-def test_merging_agrees_with_connected_components(pairs: list[tuple[int, int]]) -> None:
+@given(PAIRS, st.randoms(use_true_random=False))
+def test_merging_agrees_with_connected_components_in_any_order(
+    pairs: list[tuple[int, int]], shuffle: random.Random
+) -> None:
     graph = nx.empty_graph(13)
     graph.add_edges_from(pairs)
     expected = {k: min(part) for part in nx.connected_components(graph) for k in part}
     assert submap_of_regions(range(13), pairs) == expected
-
-
-@given(PAIRS, st.randoms(use_true_random=False))
-def test_the_order_of_merges_does_not_matter(
-    pairs: list[tuple[int, int]], shuffle: random.Random
-) -> None:
     swapped = [(b, a) for a, b in shuffle.sample(pairs, len(pairs))]
-    regions = shuffle.sample(range(13), 13)
-    assert submap_of_regions(regions, swapped) == submap_of_regions(range(13), pairs)
-
-
-def test_regions_without_merges_are_submaps_and_an_unknown_one_is_none() -> None:
-    assert submap_of_regions([4, 9], []) == {4: 4, 9: 9}
+    assert submap_of_regions(shuffle.sample(range(13), 13), swapped) == expected
     assert submap_of_regions([], []) == {}
     with pytest.raises(KeyError):
         submap_of_regions([4, 9], [(4, 3)])
@@ -262,3 +237,5 @@ def test_the_map_keeps_its_stays_and_breaks_and_knows_the_next_id() -> None:
     assert [stay.submap for stay in topology.stays] == [0, 3]
     assert topology.breaks == (Break(1),)
     assert topology.next_id == 4
+    nothing = topology_of([])
+    assert (nothing.submaps, nothing.edges, nothing.closures) == ({}, {}, ())

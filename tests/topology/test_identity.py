@@ -61,18 +61,15 @@ def test_other_numbers_and_borders_a_little_elsewhere() -> None:
     assert {pair.old: round(pair.iou, 2) for pair in found.same} == {0: 1.0, 1: 0.83, 2: 0.87}
 
 
-def test_a_split_submap_keeps_its_id_in_the_larger_part() -> None:
-    new = regions("#########\n#000#111#\n#000#111#\n#2222233#\n#########")
-    found = identify(regions(HOUSE), new, IDENTITY)
+def test_a_split_submap_keeps_its_id_in_the_larger_part_as_does_a_merged_one() -> None:
+    split = regions("#########\n#000#111#\n#000#111#\n#2222233#\n#########")
+    found = identify(regions(HOUSE), split, IDENTITY)
     assert same_of(found) == {0: 0, 1: 1, 2: 2}
     assert found.splits == {2: (2, 3)}
     assert not found.added
     assert found.redrawn == ((), ())
-
-
-def test_merged_submaps() -> None:
-    new = regions("#########\n#000#111#\n#000#111#\n#1111111#\n#########")
-    found = identify(regions(HOUSE), new, IDENTITY)
+    merged = regions("#########\n#000#111#\n#000#111#\n#1111111#\n#########")
+    found = identify(regions(HOUSE), merged, IDENTITY)
     assert same_of(found) == {0: 0, 2: 1}
     assert found.merges == {1: (1, 2)}
     assert not found.gone
@@ -80,38 +77,22 @@ def test_merged_submaps() -> None:
 
 
 def test_what_only_one_map_saw_is_new_or_unseen_and_a_filled_room_is_gone() -> None:
-    new = regions(
-        """
-        ??#####????
-        ??#777#????
-        ??#777#????
-        666########
-        666########
-        """
-    )
+    new = regions("??#####???? ??#777#???? ??#777#???? 666######## 666########")
     # the corridor is walled up, room 1 was not visited, 6 is space that the old map never saw
     found = identify(regions(HOUSE), new, Pose2(-2.0, 0.0, 0.0))
     assert same_of(found) == {0: 7}
-    assert found.added == (6,)
-    assert found.unseen == (1,)
-    assert found.gone == (2,)
+    assert (found.added, found.unseen, found.gone) == ((6,), (1,), (2,))
 
 
-def test_borders_drawn_all_anew() -> None:
-    old, new = (
-        regions("########\n#000111#\n#000111#\n########"),
-        regions("########\n#222222#\n#333333#\n########"),
-    )
+def test_borders_drawn_all_anew_and_maps_without_a_cell_in_common() -> None:
+    old = regions("########\n#000111#\n#000111#\n########")
+    new = regions("########\n#222222#\n#333333#\n########")
     found = identify(old, new, IDENTITY)
     assert not found.same
     assert found.redrawn == ((0, 1), (2, 3))
-
-
-def test_maps_without_a_cell_in_common() -> None:
     found = identify(regions(HOUSE), regions(HOUSE), Pose2(100.0, 0.0, 0.0))
     assert not found.same
-    assert found.added == (0, 1, 2)
-    assert found.unseen == (0, 1, 2)
+    assert found.added == found.unseen == (0, 1, 2)
 
 
 @given(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.floats(-math.pi, math.pi, exclude_max=True))
@@ -146,27 +127,21 @@ def divided(*rows: str, seen: int = 60) -> Regions:
     return Regions.of(GridMap(np.ascontiguousarray(cells), 1.0), np.where(cells == FREE, owner, -1))
 
 
-def test_the_same_map_has_the_same_borders() -> None:
-    whole = divided("aab", ".bb")
-    for change, m2 in zip(border_changes(whole, whole), (200.0, 300.0), strict=True):
-        assert (change.iou, change.was_m2) == (1.0, m2)
-        assert not change.given
-        assert not change.taken
-
-
 def test_what_went_to_others_and_came_from_them_is_told() -> None:
     first, second = border_changes(divided("aaab", "..bb"), divided("aacb", "aabb"))
     assert first.iou == pytest.approx(2 / 5)
     assert dict(first.given) == {2: 100.0}
     assert dict(first.taken) == {NOBODY: 200.0}
     assert (second.iou, dict(second.given), dict(second.taken)) == (1.0, {}, {})
+    first, _ = border_changes(divided("ab"), divided("bb"))
+    assert (first.submap, first.iou, dict(first.given)) == (0, 0.0, {1: 100.0}), "no cell left"
 
 
-def test_floor_that_only_one_map_saw_does_not_count() -> None:
+def test_the_same_map_has_the_same_borders_and_floor_that_only_one_saw_does_not_count() -> None:
+    whole = divided("aab", ".bb")
+    for change, m2 in zip(border_changes(whole, whole), (200.0, 300.0), strict=True):
+        assert (change.iou, change.was_m2) == (1.0, m2)
+        assert not change.given
+        assert not change.taken
     (change,) = border_changes(divided("aa"), divided("aa", seen=10))
     assert (change.iou, change.was_m2) == (1.0, 100.0)
-
-
-def test_a_submap_without_a_cell_left_is_told() -> None:
-    first, _ = border_changes(divided("ab"), divided("bb"))
-    assert (first.submap, first.iou, dict(first.given)) == (0, 0.0, {1: 100.0})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from specmap_cli.core.geometry import FloatArray, compose
 from specmap_cli.core.records import IntArray, Labels
@@ -33,73 +34,68 @@ def room_of(poses: FloatArray) -> IntArray:
     return (poses[:, 0] // 4.1).astype(np.int64)
 
 
-def heritage(known: GridMap, poses: FloatArray, next_id: int = 2) -> Heritage:
-    """A map of the first two rooms."""
-    labels = Labels(
-        stamps_ns=np.arange(len(poses), dtype=np.int64), poses=poses, submaps=room_of(poses)
-    )
-    return Heritage(poses, labels.submaps, divide(known, labels), next_id)
+def labels_after(
+    known: GridMap,
+    first: FloatArray,
+    second: FloatArray,
+    *,
+    next_id: int = 2,
+    joint: int | None = None,
+    moved: FloatArray | None = None,
+) -> tuple[IntArray, IntArray]:
+    """Labels of the keyframes of a map of some rooms, and of a second tour.
+
+    The joint division says the room and `joint`, or one submap for all; the layout may have moved.
+    """
+    submaps = room_of(first)
+    known_as = Labels(stamps_ns=np.arange(len(first)), poses=first, submaps=submaps)
+    old = Heritage(first, submaps, divide(known, known_as), next_id)
+    poses = np.concatenate([first, second])
+    division = np.zeros_like(room_of(poses)) if joint is None else joint + room_of(poses)
+    placed = poses if moved is None else compose(moved, poses)
+    labels = inherited(old, placed, division, REGION_MIN_M)
+    return labels[: len(first)], labels[len(first) :]
 
 
 def test_a_new_room_gets_an_id_that_no_other_ever_had() -> None:
     first, second = way(1.0, 7.5), way(2.0, 14.0)
-    old = heritage(rooms(2), first, next_id=7)
-    poses = np.concatenate([first, second])
-    labels = inherited(old, poses, 10 + room_of(poses), REGION_MIN_M)
-    assert labels[: len(first)].tolist() == room_of(first).tolist()
+    kept, labels = labels_after(rooms(2), first, second, next_id=7, joint=10)
+    assert kept.tolist() == room_of(first).tolist()
     expected = np.array([0, 1, 7, 8])[room_of(second)]
-    assert (labels[len(first) :] != expected).sum() <= 2, "a door may be counted either way"
-    assert set(labels.tolist()) == {0, 1, 7, 8}
+    assert (labels != expected).sum() <= 2, "a door may be counted either way"
+    assert set(kept.tolist()) | set(labels.tolist()) == {0, 1, 7, 8}
 
 
-def test_old_borders_stay_where_the_joint_division_differs() -> None:
-    first, second = way(1.0, 7.5), way(7.0, 1.5)
-    old = heritage(rooms(2), first)
-    poses = np.concatenate([first, second])
-    labels = inherited(old, poses, np.zeros(len(poses), dtype=np.int64), REGION_MIN_M)
-    assert (labels[len(first) :] != room_of(second)).sum() <= 2
+@pytest.mark.parametrize(
+    ("second", "moved"),
+    [(way(7.0, 1.5), None), (way(2.0, 7.0), np.array([5.0, -3.0, 1.0]))],
+    ids=["in place", "moved"],
+)
+def test_old_borders_stay_where_the_joint_division_differs_and_move_with_the_keyframes(
+    second: FloatArray, moved: FloatArray | None
+) -> None:
+    _, labels = labels_after(rooms(2), way(1.0, 7.5), second, moved=moved)
+    assert (labels != room_of(second)).sum() <= 2
 
 
 def test_the_rest_of_a_room_that_was_half_seen_goes_to_its_submap() -> None:
-    known = rooms(2)
-    half = known.cells.copy()
+    half = rooms(2).cells.copy()
     half[:, 62:] = UNKNOWN
-    first, second = way(1.0, 5.8), way(5.0, 7.8)
-    old = heritage(GridMap(half, 0.1), first)
-    poses = np.concatenate([first, second])
-    labels = inherited(old, poses, room_of(poses), REGION_MIN_M)
-    assert set(labels[len(first) :].tolist()) == {1}
+    _, labels = labels_after(GridMap(half, 0.1), way(1.0, 5.8), way(5.0, 7.8), joint=0)
+    assert set(labels.tolist()) == {1}
 
 
-def test_a_new_room_only_looked_into_is_none() -> None:
-    first, second = way(1.0, 7.5), way(7.0, 8.6)
-    old = heritage(rooms(2), first)
-    poses = np.concatenate([first, second])
-    labels = inherited(old, poses, room_of(poses), REGION_MIN_M)
-    assert set(labels.tolist()) == {0, 1}
-
-
-def test_territory_moves_with_the_keyframes_when_the_layout_moved() -> None:
-    first, second = way(1.0, 7.5), way(2.0, 7.0)
-    old = heritage(rooms(2), first)
-    moved = compose(np.array([5.0, -3.0, 1.0]), np.concatenate([first, second]))
-    labels = inherited(old, moved, np.zeros(len(moved), dtype=np.int64), REGION_MIN_M)
-    assert (labels[len(first) :] != room_of(second)).sum() <= 2
-
-
-def test_a_recording_that_lies_wholly_in_new_space_is_a_submap() -> None:
-    first, second = way(1.0, 7.5), way(8.5, 9.0)
-    old = heritage(rooms(2), first)
-    poses = np.concatenate([first, second])
-    labels = inherited(old, poses, room_of(poses), REGION_MIN_M)
-    assert set(labels[len(first) :].tolist()) == {2}
+def test_a_new_room_only_looked_into_is_none_and_all_in_new_space_is_a_submap() -> None:
+    for second, ids in ((way(7.0, 8.6), {0, 1}), (way(8.5, 9.0), {0, 1, 2})):
+        both = labels_after(rooms(2), way(1.0, 7.5), second, joint=0)
+        assert set(np.concatenate(both).tolist()) == ids
+    assert set(both[1].tolist()) == {2}
 
 
 def test_a_room_that_was_only_looked_into_is_new() -> None:
     first, second = way(1.0, 3.5), way(2.0, 7.8)
-    old = heritage(rooms(2), first, next_id=1)
-    assert (old.regions.owner[:, 50:80] == 0).any(), "seen through the door, and nobody else's"
-    poses = np.concatenate([first, second])
-    labels = inherited(old, poses, 10 + room_of(poses), REGION_MIN_M)
-    expected = room_of(second)
-    assert (labels[len(first) :] != expected).sum() <= 3
+    labels = Labels(stamps_ns=np.arange(len(first)), poses=first, submaps=room_of(first))
+    owner = divide(rooms(2), labels).owner
+    assert (owner[:, 50:80] == 0).any(), "seen through the door, and nobody else's"
+    _, found = labels_after(rooms(2), first, second, next_id=1, joint=10)
+    assert (found != room_of(second)).sum() <= 3

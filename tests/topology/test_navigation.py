@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.topology.navigation import Shut, with_detours, with_shut, with_ways
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import Edge, Submap, TopologicalMap, Traversal
-from tests.topology.rooms import regions_of, two_rooms
+from tests.topology.rooms import Box, regions_of, two_rooms
 
 CONFIG = WaysConfig()
 GRID = GridMap(np.zeros((2, 2), dtype=np.uint8), 0.1)
@@ -35,9 +36,12 @@ def driven(y: float) -> Edge:
     return Edge(source=0, target=1, kind="traversed", traversals=(crossing,))
 
 
+def found_in(regions: Regions, *edges: Edge, **more: Any) -> TopologicalMap:
+    return with_ways(map_of(regions, *edges), regions, CONFIG, **more)
+
+
 def test_a_driven_edge_gets_its_way_and_its_door() -> None:
-    regions = two_rooms(NORTH)
-    found = with_ways(map_of(regions, driven(4.8)), regions, CONFIG)
+    found = found_in(two_rooms(NORTH), driven(4.8))
     (door,) = found.doors
     edge = found.edges[0, 1]
     assert (edge.kind, edge.doors, len(edge.traversals)) == ("traversed", (0,), 1)
@@ -45,8 +49,8 @@ def test_a_driven_edge_gets_its_way_and_its_door() -> None:
     assert edge.crossing == (door.x, door.y)
     assert door.crossings == edge.traversals
     assert edge.path is not None
-    assert edge.path[0].tolist() == list(found.submaps[0].anchor or ())
-    assert edge.path[-1].tolist() == list(found.submaps[1].anchor or ())
+    ends = [list(found.submaps[id_].anchor or ()) for id_ in (0, 1)]
+    assert edge.path[[0, -1]].tolist() == ends
     assert edge.clearance_m is not None
     assert edge.clearance_m >= CONFIG.robot_radius_m
     assert found.robot_radius_m == 0.2
@@ -55,8 +59,7 @@ def test_a_driven_edge_gets_its_way_and_its_door() -> None:
 
 @pytest.mark.parametrize("kind", ["seen", "doorway"])
 def test_submaps_that_only_touch_are_joined(kind: str) -> None:
-    regions = two_rooms(NORTH)
-    found = with_ways(map_of(regions), regions, CONFIG, kind=kind)  # type: ignore[arg-type]
+    found = found_in(two_rooms(NORTH), kind=kind)
     edge = found.edges[0, 1]
     assert (edge.kind, edge.traversals, edge.doors) == (kind, (), (0,))
     assert edge.source_from_target == Pose2(1.0, 0.0, 0.0)
@@ -65,20 +68,19 @@ def test_submaps_that_only_touch_are_joined(kind: str) -> None:
 
 
 def test_of_two_doors_the_way_names_the_one_it_goes_through() -> None:
-    regions = two_rooms(NORTH, SOUTH)
-    found = with_ways(map_of(regions, driven(1.8)), regions, CONFIG)
+    found = found_in(two_rooms(NORTH, SOUTH), driven(1.8))
     assert [door.driven for door in found.doors] == [True, False]
     edge = found.edges[0, 1]
-    assert len(edge.doors) == 1
     assert edge.path is not None
-    door = found.doors[edge.doors[0]]
+    (used,) = edge.doors
+    door = found.doors[used]
     nearest = np.abs(edge.path[:, 0] - door.x).argmin()
     assert abs(edge.path[nearest, 1] - door.y) < 0.4
 
 
 def test_an_edge_in_the_open_has_a_way_and_no_door() -> None:
     regions = regions_of((9.8, 2.6), {0: [(0.3, 0.3, 5.0, 2.3)], 1: [(5.0, 0.3, 9.5, 2.3)]})
-    edge = with_ways(map_of(regions), regions, CONFIG).edges[0, 1]
+    edge = found_in(regions).edges[0, 1]
     assert (edge.doors, edge.x, edge.y, edge.width_m) == ((), None, None, None)
     assert edge.length_m == pytest.approx(4.4, abs=0.1)
 
@@ -102,33 +104,27 @@ def test_submaps_without_cells_have_no_anchor_and_their_edges_no_way() -> None:
     assert (edge.kind, edge.path, edge.clearance_m) == ("loose", None, None)
 
 
-def test_the_places_where_the_robot_stood_may_lie_off_the_grid() -> None:
-    regions = two_rooms(NORTH)
-    stood = np.array([[2.0, 2.0, 0.0], [-50.0, 3.0, 0.0]])
-    found = with_ways(map_of(regions), regions, CONFIG, stood)
-    assert found.submaps[0].anchor is not None
-
-
 def test_where_a_laser_hit_a_wall_its_surface_is_inside_the_cell() -> None:
     regions = two_rooms(NORTH)
-    drawn = with_ways(map_of(regions), regions, CONFIG).doors[0]
-    scanned = with_ways(map_of(regions), regions, CONFIG, np.array([[2.0, 2.0]])).doors[0]
+    drawn = found_in(regions).doors[0]
+    scanned = found_in(regions, stood=np.array([[2.0, 2.0]])).doors[0]
     assert drawn.width_m == pytest.approx(0.9)
     assert scanned.width_m == pytest.approx(0.9 + regions.grid.resolution)
 
 
-def test_a_map_of_nothing_stays_one() -> None:
-    empty = regions_of((1.0, 1.0), {})
-    found = with_ways(TopologicalMap(), empty, CONFIG)
+def test_a_map_of_nothing_stays_one_and_the_robot_may_have_stood_off_the_grid() -> None:
+    found = found_in(regions_of((1.0, 1.0), {}))
     assert (found.doors, dict(found.edges), dict(found.submaps)) == ((), {}, {})
+    stood = np.array([[2.0, 2.0, 0.0], [-50.0, 3.0, 0.0]])
+    assert found_in(two_rooms(NORTH), stood=stood).submaps[0].anchor is not None
 
 
 NARROW = (5.3, 1.5, 5.5, 1.8)  # the robot does not fit through
 
 
-def two_doors(*doors: tuple[float, float, float, float]) -> tuple[TopologicalMap, Regions]:
+def two_doors(*doors: Box) -> tuple[TopologicalMap, Regions]:
     regions = two_rooms(*doors)
-    return with_ways(map_of(regions, driven(4.8)), regions, WaysConfig()), regions
+    return found_in(regions, driven(4.8)), regions
 
 
 def forbidden(topology: TopologicalMap, regions: Regions, *doors: int) -> TopologicalMap:
@@ -138,7 +134,8 @@ def forbidden(topology: TopologicalMap, regions: Regions, *doors: int) -> Topolo
 
 def test_the_way_leads_through_the_door_that_is_left() -> None:
     topology, regions = two_doors(NORTH, SOUTH)
-    (used,) = topology.edges[0, 1].doors
+    before = topology.edges[0, 1]
+    (used,) = before.doors
     (other,) = {door.id for door in topology.doors} - {used}
     around = forbidden(topology, regions, used)
     edge = around.edges[0, 1]
@@ -149,32 +146,19 @@ def test_the_way_leads_through_the_door_that_is_left() -> None:
     assert (edge.path[1:-1, 1] < 3.3).all(), "it was north of the middle before"
     assert edge.length_m == pytest.approx(np.hypot(*np.diff(edge.path, axis=0).T).sum())
     assert [door.forbidden for door in around.doors] == [door.id == used for door in topology.doors]
-
-
-def test_allowed_again_the_way_is_as_before() -> None:
-    topology, regions = two_doors(NORTH, SOUTH)
-    (used,) = topology.edges[0, 1].doors
-    back = forbidden(forbidden(topology, regions, used), regions)
-    assert np.array_equal(back.edges[0, 1].path, topology.edges[0, 1].path)  # type: ignore[arg-type]
-    assert replace(back.edges[0, 1], path=None) == replace(topology.edges[0, 1], path=None)
+    back = forbidden(around, regions)  # allowed again
+    assert replace(back.edges[0, 1], path=None) == replace(before, path=None)
     assert back.doors == topology.doors
+    beside = forbidden(topology, regions, other).edges[0, 1]  # not on the way
+    assert not beside.forbidden
+    for same in (back.edges[0, 1], beside):
+        np.testing.assert_array_equal(same.path, before.path)
 
 
 @pytest.mark.parametrize("doors", [(NORTH, NARROW), (NORTH, SOUTH), (NORTH,)])
-def test_a_link_without_another_way_is_forbidden(
-    doors: tuple[tuple[float, float, float, float], ...],
-) -> None:
+def test_a_link_without_another_way_is_forbidden(doors: tuple[Box, ...]) -> None:
     topology, regions = two_doors(*doors)
     shut = [door.id for door in topology.doors if NARROW not in doors or door.y > 3.0]
     around = forbidden(topology, regions, *shut)
     assert around.edges[0, 1].forbidden
-    assert np.array_equal(around.edges[0, 1].path, topology.edges[0, 1].path)  # type: ignore[arg-type]
-
-
-def test_a_door_that_is_not_on_the_way_changes_nothing() -> None:
-    topology, regions = two_doors(NORTH, SOUTH)
-    (used,) = topology.edges[0, 1].doors
-    (other,) = {door.id for door in topology.doors} - {used}
-    around = forbidden(topology, regions, other)
-    assert np.array_equal(around.edges[0, 1].path, topology.edges[0, 1].path)  # type: ignore[arg-type]
-    assert not around.edges[0, 1].forbidden
+    np.testing.assert_array_equal(around.edges[0, 1].path, topology.edges[0, 1].path)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -38,12 +40,20 @@ def after(*wished: BorderEdit) -> tuple[IntArray, tuple[BorderEdit, ...]]:
     return found.submaps, found.borders
 
 
-def test_a_merge_takes_all_keyframes() -> None:
-    submaps, (merge,) = after(Merge((1, 0)))
+def test_a_merge_takes_all_keyframes_and_those_that_came_later_are_parted_by_the_nearest() -> None:
+    labels = driven()
+    submaps, borders = after(Merge((1, 0)))
+    (merge,) = borders
     assert set(submaps.tolist()) == {1}
     assert isinstance(merge, Merge)
-    assert merge.keyframes == tuple(np.flatnonzero(driven().submaps == 0).tolist())
+    assert merge.keyframes == tuple(np.flatnonzero(labels.submaps == 0).tolist())
     assert merge.known == len(submaps)
+    poses = np.concatenate([labels.poses, [[1.0, 1.2, 0.0], [5.0, 0.8, 0.0]]])
+    before = undone(np.append(submaps, [1, 1]), poses, borders)
+    assert before[-2:].tolist() == [0, 1]
+    (moved,) = carried(borders, labels.poses, poses[-2:])
+    assert isinstance(moved, Merge)
+    assert (moved.keyframes, moved.known) == ((0,), 2)
 
 
 def test_a_split_gives_what_is_right_of_the_line_a_new_id() -> None:
@@ -68,17 +78,14 @@ def test_no_region_crosses_the_fence() -> None:
         stamps_ns=labels.stamps_ns[kept], poses=labels.poses[kept], submaps=labels.submaps[kept]
     )
     found = redrawn(whole, seen, (), [Split(submap=0, line=ACROSS, new=5)], 2)
-    regions = divide(
-        whole,
-        Labels(stamps_ns=seen.stamps_ns, poses=seen.poses, submaps=found.submaps),
-        fences_of(found.borders),
-    )
+    divided = replace(seen, submaps=found.submaps)
+    regions = divide(whole, divided, fences_of(found.borders))
     centres = whole.centres_of(np.argwhere(regions.owner == 5))
     assert centres[:, 0].max() == pytest.approx(2.0, abs=0.16)
     others = whole.centres_of(np.argwhere(regions.owner == 0))
     assert others[:, 0].min() == pytest.approx(2.0, abs=0.16)
     assert found.next_id == 6
-    free = divide(whole, Labels(stamps_ns=seen.stamps_ns, poses=seen.poses, submaps=found.submaps))
+    free = divide(whole, divided)
     assert whole.centres_of(np.argwhere(free.owner == 5))[:, 0].max() < 1.8
 
 
@@ -106,23 +113,12 @@ def test_changes_are_made_in_order_and_undone() -> None:
     assert set(submaps.tolist()) == {7}
     labels = driven()
     assert undone(submaps, labels.poses, borders).tolist() == labels.submaps.tolist()
-    changed = Labels(stamps_ns=labels.stamps_ns, poses=labels.poses, submaps=submaps)
+    changed = replace(labels, submaps=submaps)
     fewer = redrawn(hall(), changed, borders, wished[:2], 8)
     assert set(fewer.submaps.tolist()) == {1, 7}
     same = redrawn(hall(), changed, borders, wished, 8)
     assert same.submaps.tolist() == submaps.tolist()
     assert same.borders == borders
-
-
-def test_keyframes_that_came_after_a_merge_are_parted_by_the_nearest() -> None:
-    labels = driven()
-    submaps, borders = after(Merge((1, 0)))
-    poses = np.concatenate([labels.poses, [[1.0, 1.2, 0.0], [5.0, 0.8, 0.0]]])
-    before = undone(np.append(submaps, [1, 1]), poses, borders)
-    assert before[-2:].tolist() == [0, 1]
-    (moved,) = carried(borders, labels.poses, poses[-2:])
-    assert isinstance(moved, Merge)
-    assert (moved.keyframes, moved.known) == ((0,), 2)
 
 
 def test_what_cannot_be_made_is_told_and_the_rest_made() -> None:

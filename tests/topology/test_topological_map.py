@@ -6,10 +6,7 @@ from typing import Any
 
 import pytest
 
-from specmap_cli.topology.topological_map import (
-    Edge,
-    Traversal,
-)
+from specmap_cli.topology.topological_map import Edge, Traversal
 
 CROSSINGS = tuple(
     Traversal(stamp, 0, 1, x, y, 0.0) for stamp, x, y in ((1, 0.0, 3.0), (2, 2.0, 4.0))

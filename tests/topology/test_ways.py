@@ -11,17 +11,27 @@ import pytest
 from scipy import ndimage
 
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.records import IntArray
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.topology.regions import NOBODY, Regions, Space
 from specmap_cli.topology.ways import Anchor, Way, anchors_of, cells_on, straightened, tree, ways
-from tests.topology.rooms import regions_of, two_rooms
+from tests.topology.rooms import Box, regions_of, two_rooms
 
 RADIUS_M = 0.2
 NOWHERE = np.zeros((0, 2), dtype=np.int64)
 
 
-def anchors(space: Space, margin_m: float = 0.1) -> dict[int, Anchor]:
-    return anchors_of(space, NOWHERE, RADIUS_M, margin_m)
+def anchors(space: Space, stood: IntArray = NOWHERE) -> dict[int, Anchor]:
+    return anchors_of(space, stood, RADIUS_M, 0.1)
+
+
+def anchored(
+    size: tuple[float, float], boxes: list[Box], *things: Box, stood: IntArray = NOWHERE
+) -> tuple[Space, Anchor, tuple[float, float]]:
+    """A place of one submap, its anchor and where that is."""
+    space = Space.of(regions_of(size, {0: boxes}, list(things)))
+    (anchor,) = anchors(space, stood).values()
+    return space, anchor, space.place(np.array(anchor.cell))
 
 
 def way_of(regions: Regions, radius_m: float = RADIUS_M) -> Way:
@@ -61,44 +71,34 @@ def test_clearance_is_measured_to_the_side_of_what_is_not_free() -> None:
     assert corridor.clearance.max() == pytest.approx(0.55 / 2)
 
 
-def test_an_anchor_is_in_the_middle_of_an_empty_room() -> None:
-    space = Space.of(regions_of((5.0, 4.0), {3: [(0.3, 0.3, 4.7, 3.7)]}))
-    (anchor,) = anchors(space).values()
-    assert space.place(np.array(anchor.cell)) == pytest.approx((2.5, 2.0), abs=0.05)
+def test_an_anchor_is_in_the_middle_of_a_room_but_keeps_off_a_table_there() -> None:
+    room = [(0.3, 0.3, 4.7, 3.7)]
+    _, anchor, place = anchored((5.0, 4.0), room)
+    assert place == pytest.approx((2.5, 2.0), abs=0.05)
     assert anchor.clearance_m == pytest.approx(1.7, abs=0.06)
-
-
-def test_an_anchor_keeps_off_a_table_in_the_middle() -> None:
-    room = {0: [(0.3, 0.3, 4.7, 3.7)]}
-    space = Space.of(regions_of((5.0, 4.0), room, [(2.0, 1.5, 3.0, 2.5)]))
-    anchor = anchors(space)[0]
+    space, anchor, place = anchored((5.0, 4.0), room, (2.0, 1.5, 3.0, 2.5))
     assert anchor.clearance_m >= 0.3
-    assert math.dist(space.place(np.array(anchor.cell)), (2.5, 2.0)) < 1.0
+    assert math.dist(place, (2.5, 2.0)) < 1.0
     assert anchor.clearance_m == pytest.approx(room_of(space.grid)[anchor.cell])
 
 
 def test_an_anchor_of_a_narrow_place_is_where_it_is_widest_and_tells_how_wide() -> None:
-    shape = {0: [(0.3, 0.3, 3.0, 0.65), (1.0, 0.3, 1.3, 0.8)]}
-    space = Space.of(regions_of((3.3, 1.2), shape))
-    anchor = anchors(space)[0]
+    space, anchor, _ = anchored((3.3, 1.2), [(0.3, 0.3, 3.0, 0.65), (1.0, 0.3, 1.3, 0.8)])
     assert anchor.clearance_m == pytest.approx(room_of(space.grid).max())
     assert anchor.clearance_m < RADIUS_M + 0.1
 
 
-def test_an_anchor_is_where_the_robot_was_not_behind_glass() -> None:
-    rooms = {0: [(0.3, 0.3, 2.0, 3.7), (2.2, 0.3, 8.0, 3.7)]}
-    space = Space.of(regions_of((8.3, 4.0), rooms))
+def test_an_anchor_is_where_the_robot_was_not_behind_glass_or_a_railing() -> None:
+    rooms = [(0.3, 0.3, 2.0, 3.7), (2.2, 0.3, 8.0, 3.7)]
     stood = np.array([[20, 20], [40, 25]])
-    behind, before = anchors(space)[0], anchors_of(space, stood, RADIUS_M, 0.1)[0]
+    _, behind, _ = anchored((8.3, 4.0), rooms)
+    _, before, _ = anchored((8.3, 4.0), rooms, stood=stood)
     assert behind.cell[1] * 0.05 > 2.2
     assert before.cell[1] * 0.05 < 2.0
-
-
-def test_an_anchor_is_not_behind_a_railing_with_a_gap_far_along() -> None:
-    rooms = {0: [(0.3, 0.3, 9.7, 1.7), (0.3, 1.8, 9.7, 5.7), (9.0, 1.7, 9.7, 1.8)]}
-    space = Space.of(regions_of((10.0, 6.0), rooms))
+    # a railing with a gap far along
+    rooms = [(0.3, 0.3, 9.7, 1.7), (0.3, 1.8, 9.7, 5.7), (9.0, 1.7, 9.7, 1.8)]
     stood = np.array([[28, column] for column in range(12, 120, 6)])
-    anchor = anchors_of(space, stood, RADIUS_M, 0.1)[0]
+    _, anchor, _ = anchored((10.0, 6.0), rooms, stood=stood)
     assert anchor.cell[0] * 0.05 < 1.7
 
 
@@ -132,11 +132,16 @@ def test_the_cheapest_way_is_that_of_another_search(seed: int) -> None:
             assert sum(graph.edges[step]["weight"] for step in steps) == pytest.approx(cost)
 
 
-def test_a_search_that_starts_in_a_wall_leads_nowhere() -> None:
+def test_a_search_that_starts_in_a_wall_leads_nowhere_and_one_cell_is_a_point() -> None:
     free = np.zeros((3, 3), dtype=np.bool_)
     free[2] = True
     found = tree(free, np.ones((3, 3)), (slice(0, 3), slice(0, 3)), (0, 0))
     assert np.isinf(found.cost_to(np.array([[0, 0], [2, 1]]))).all()
+    assert straightened(np.array([[4, 4]]), np.ones((9, 9))).tolist() == [[4, 4]]
+
+
+def told(cells: IntArray) -> set[tuple[int, ...]]:
+    return {tuple(cell) for cell in cells.tolist()}
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -146,14 +151,9 @@ def test_all_cells_under_a_line_are_known(seed: int) -> None:
     cells, lengths = cells_on(start, end)
     assert lengths.sum() == pytest.approx(math.dist(start, end))
     points = start + np.linspace(0.0, 1.0, 5000)[:, None] * (end - start)
-    assert {tuple(c) for c in np.rint(points).astype(int).tolist()} <= {
-        tuple(c) for c in cells.tolist()
-    }
-
-
-def test_through_a_corner_a_line_touches_four_cells() -> None:
-    cells, _ = cells_on(np.array([0, 0]), np.array([1, 1]))
-    assert {tuple(c) for c in cells.tolist()} == {(0, 0), (0, 1), (1, 0), (1, 1)}
+    assert told(np.rint(points).astype(int)) <= told(cells)
+    corner, _ = cells_on(np.array([0, 0]), np.array([1, 1]))
+    assert told(corner) == {(0, 0), (0, 1), (1, 0), (1, 1)}, "through a corner it touches four"
 
 
 def test_a_way_round_a_wall_keeps_its_corner_and_loses_the_others() -> None:
@@ -167,10 +167,6 @@ def test_a_way_round_a_wall_keeps_its_corner_and_loses_the_others() -> None:
     assert 3 <= len(corners) <= 5
     for a, b in pairwise(corners):
         assert np.isfinite(price[tuple(cells_on(a, b)[0].T)]).all()
-
-
-def test_a_way_of_one_cell_is_a_point() -> None:
-    assert straightened(np.array([[4, 4]]), np.ones((9, 9))).tolist() == [[4, 4]]
 
 
 def test_a_way_leads_straight_through_a_door_in_line() -> None:
@@ -197,10 +193,10 @@ def test_ways_keep_the_radius_off_all_things(seed: int) -> None:
 
 
 def test_a_robot_too_wide_for_a_door_is_told_how_wide_it_is() -> None:
-    regions = two_rooms((5.3, 2.5, 5.5, 3.4))
-    way = way_of(regions, radius_m=0.6)
+    way = way_of(two_rooms((5.3, 2.5, 5.5, 3.4)), radius_m=0.6)
     assert (way.path, way.length_m) == (None, None)
     assert way.clearance_m == pytest.approx(0.45, abs=0.03)
+    assert way_of(two_rooms()) == Way(None, None), "they do not touch"
 
 
 def test_ways_stay_in_their_two_submaps() -> None:
@@ -214,10 +210,6 @@ def test_ways_stay_in_their_two_submaps() -> None:
     way = way_of(regions_of((9.3, 6.3), rooms))
     assert way.path is None
     assert way.clearance_m == pytest.approx(0.125, abs=0.026)
-
-
-def test_rooms_that_do_not_touch_have_no_way() -> None:
-    assert way_of(two_rooms()) == Way(None, None)
 
 
 def test_a_way_may_leave_and_enter_a_submap_in_two_pieces() -> None:
