@@ -112,9 +112,9 @@ def test_words_are_anchored_where_asked_and_as_wide_as_measured(
     canvas = Canvas(600, 60)
     canvas.text(300, 30, words, 20, align=align)
     left, right, _, _ = bounds(canvas.image[:, :, 0] < 128)
-    width = text_width(words, 20)
-    assert right - left == pytest.approx(width, abs=6)
-    assert left == pytest.approx(300 - share * width, abs=5)
+    width = text_width(words, 20)  # from pen to pen: the ink keeps a bearing off both, a 1 the most
+    assert width - 12 <= right - left <= width + 2
+    assert left == pytest.approx(300 - share * width, abs=6)
 
 
 def test_upright_words_read_upwards_from_their_first_letter() -> None:
