@@ -1,9 +1,9 @@
 """Boosted classifiers of features, one a submap against all others (Section III-A, eq. 2, 3).
 
 `StumpBoost` is the paper's own AdaBoost on one-threshold weak classifiers; `TreeBoost` is the
-default: the same idea with quantised features and weak classifiers of two levels. Both are
-estimators: the constructor stores, `fit` learns, `margins` is the sum of votes, whose sign is the
-label. `OneVsAll` has one of them for every submap. Their `...Part` is how they stand in JSON.
+default: the same idea with quantised features and weak classifiers of two levels, grown for many
+submaps at once. `margins` is the sum of votes, whose sign is the label. `OneVsAll` has one of them
+for every submap. Their `...Part` is how they stand in JSON.
 """
 
 from __future__ import annotations
@@ -11,11 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import chain
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, with_config
+from pydantic import BaseModel, ConfigDict, Field, field_validator, with_config
+from pydantic_core import PydanticCustomError
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray
@@ -24,24 +26,32 @@ from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.trees import (
     CodeArray,
     Forest,
-    Growth,
     Quantiser,
     Question,
     grown,
     shares,
 )
 
-_FEATURE_SHARE = 0.1  # share of the features that are drawn for a round of trees
-_SHRINKAGE = 0.5  # scale of every vote of trees
 _SMALLEST_ERROR = 1e-10  # below it a round separates the samples: its votes stay finite
 _VOTE_DECIMALS = 9  # of votes: the last bits of a logarithm are not the same on every processor
 _CHANCE = 0.5 - 1e-12  # the error of a coin, but for rounding
 
 
+class WrongPartError(Exception):
+    """A part of classifiers.json has the right form, and yet does not belong there: which, why."""
+
+
 class Part(BaseModel):
-    """A part of classifiers.json, of which unknown keys are left out. Read from text alone."""
+    """A part of classifiers.json. Unknown keys are left out; a key that is there has a value."""
 
     model_config = ConfigDict(strict=True, frozen=True, allow_inf_nan=False)
+
+    @field_validator("*")
+    @classmethod
+    def _is_no_null(cls, value: Any) -> Any:
+        if value is None:  # only what is not there at all is None
+            raise PydanticCustomError("null", "null is not what belongs here")
+        return value
 
 
 # The same for a dataclass that is read as such a part.
@@ -158,47 +168,19 @@ class StumpBoost:
         return {"kind": "stumps", "rounds": rounds}
 
 
+@dataclass(frozen=True, slots=True)
 class TreeBoost:
-    """Real AdaBoost on trees of two levels; the two classes start with equal total weight.
+    """Real AdaBoost on trees of two levels; `names` are the columns' names."""
 
-    `names` are the columns' names; `shrinkage` scales every leaf; `feature_share` of the features
-    is drawn each round by a generator of `seed`. `forest_` holds the fitted trees.
-    """
-
-    def __init__(
-        self,
-        names: Sequence[str],
-        rounds: int = 300,
-        shrinkage: float = 0.3,
-        feature_share: float = 0.2,
-        seed: int = 0,
-    ) -> None:
-        self.names = tuple(names)
-        self.growth = Growth(rounds, shrinkage, feature_share, seed)
-        self.forest_ = Forest.bare()
-
-    @classmethod
-    def of(cls, names: Sequence[str], forest: Forest) -> TreeBoost:
-        """The booster of trees that were grown elsewhere."""
-        booster = cls(names, len(forest.votes))
-        booster.forest_ = forest
-        return booster
-
-    def fit(self, X: NDArray[Any], y: NDArray[Any]) -> TreeBoost:
-        """Learn from features X (n, F) and labels y (n,) of +1 and -1; returns self.
-
-        `boosted` learns many classifiers of the same samples at once, faster than one by one.
-        """
-        quantiser, question = Quantiser.of(X), Question(np.arange(len(X)), np.asarray(y) > 0)
-        (self.forest_,) = grown(quantiser.codes(X), quantiser, [question], self.growth)
-        return self
+    names: tuple[str, ...]
+    forest_: Forest
 
     def margins(self, X: NDArray[Any]) -> FloatArray:
         """(n,) sums of votes: positive where the samples X (n, F) are claimed."""
         return self.forest_.margins(np.asarray(X, dtype=np.float64), classes=1)[:, 0]
 
     def to_dict(self) -> dict[str, Any]:
-        """The fitted rounds by name, ready for JSON."""
+        """The rounds by name, ready for JSON."""
         rounds = []
         columns = self.forest_.features.tolist(), self.forest_.thresholds.tolist()
         for features, thresholds, votes in zip(*columns, self.forest_.votes.tolist(), strict=True):
@@ -214,12 +196,17 @@ Booster = StumpBoost | TreeBoost
 
 
 def booster_of(part: TreesPart | StumpsPart, names: Sequence[str], where: str) -> Booster:
-    """The booster that `to_dict` described. Raises ValueError for a feature that is none."""
+    """The booster that `to_dict` described. Raises WrongPartError for a feature that is none."""
     column = {name: k for k, name in enumerate(names)}
-    asked = [split.feature for one in part.rounds for split in _splits(one)]
-    unknown = next((name for name in asked if name not in column), None)
-    if unknown is not None:
-        raise ValueError(f"{where}: {unknown!r:.60} is no feature of the set")
+    asked = [
+        (one,) if isinstance(one, StumpPart) else (one.root, one.below, one.above)
+        for one in part.rounds
+    ]
+    for k, splits in enumerate(asked):
+        for split in splits:
+            if split.feature not in column:
+                what = f"{split.feature!r:.60} is no feature of the set"
+                raise WrongPartError(f"{where}.rounds.{k}: {what}")
     if isinstance(part, StumpsPart):
         stumps = StumpBoost(names, len(part.rounds))
         stumps.rounds_ = [
@@ -227,17 +214,13 @@ def booster_of(part: TreesPart | StumpsPart, names: Sequence[str], where: str) -
             for one in part.rounds
         ]
         return stumps
-    thresholds = [[split.threshold for split in _splits(one)] for one in part.rounds]
+    nodes = list(chain.from_iterable(asked))
     forest = Forest(
-        np.array([column[name] for name in asked], dtype=np.intp).reshape(-1, 3),
-        np.array(thresholds, dtype=np.float64).reshape(-1, 3),
+        np.array([column[node.feature] for node in nodes], dtype=np.intp).reshape(-1, 3),
+        np.array([node.threshold for node in nodes], dtype=np.float64).reshape(-1, 3),
         np.array([one.votes for one in part.rounds], dtype=np.float64).reshape(-1, 4),
     )
-    return TreeBoost.of(names, forest)
-
-
-def _splits(one: TreePart | StumpPart) -> tuple[SplitPart, ...]:
-    return (one,) if isinstance(one, StumpPart) else (one.root, one.below, one.above)
+    return TreeBoost(tuple(names), forest)
 
 
 def boosted(
@@ -259,8 +242,8 @@ def boosted_trees(
     rng: np.random.Generator,
 ) -> list[Booster]:
     """The trees that answer each question about the bins (F, n) of features by a quantiser."""
-    growth = Growth(rounds, _SHRINKAGE, _FEATURE_SHARE, int(rng.integers(2**31)))
-    return [TreeBoost.of(names, forest) for forest in grown(codes, quantiser, questions, growth)]
+    forests = grown(codes, quantiser, questions, rounds, rng)
+    return [TreeBoost(tuple(names), forest) for forest in forests]
 
 
 def _best_stump(
@@ -303,7 +286,11 @@ class OneVsAll:
         ids, names, rounds = sorted(samples), feature_names(self.feature_set), self.config.rounds
         X = np.vstack([samples[i] for i in ids])
         owner = np.repeat(ids, [len(samples[i]) for i in ids])
-        questions = [self._question(owner, i) for i in ids]
+        questions = []
+        for i in ids:
+            others = evenly(np.flatnonzero(owner != i), self.config.negatives)
+            chosen = np.concatenate([np.flatnonzero(owner == i), others])
+            questions.append(Question(chosen, owner[chosen] == i))
         if self.config.booster == "trees":
             quantiser = Quantiser.of(X)
             codes = quantiser.codes(X)
@@ -318,7 +305,13 @@ class OneVsAll:
         self.classes_ = tuple(boosters)
         trees = [b.forest_ for b in boosters.values() if isinstance(b, TreeBoost)]
         alike = len(trees) == len(boosters) and len({len(f.votes) for f in trees}) == 1
-        self.forest_ = Forest.joined(trees) if alike else None
+        self.forest_ = None
+        if alike:
+            self.forest_ = Forest(
+                np.vstack([forest.features for forest in trees]),
+                np.vstack([forest.thresholds for forest in trees]),
+                np.vstack([forest.votes for forest in trees]),
+            )
         return self
 
     def margins(self, X: NDArray[Any]) -> FloatArray:
@@ -327,19 +320,6 @@ class OneVsAll:
         if self.forest_ is None:
             return np.column_stack([b.margins(X) for b in self.boosters_.values()])
         return self.forest_.margins(X, len(self.classes_))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Feature set and classifiers by class, ready for JSON."""
-        return {
-            "feature_set": self.feature_set,
-            "classifiers": {str(i): b.to_dict() for i, b in self.boosters_.items()},
-        }
-
-    def _question(self, owner: NDArray[Any], class_: int) -> Question:
-        """Which samples (n,) the classifier of a class learns from: its own, and some others."""
-        own, others = np.flatnonzero(owner == class_), np.flatnonzero(owner != class_)
-        chosen = np.concatenate([own, evenly(others, self.config.negatives)])
-        return Question(chosen, owner[chosen] == class_)
 
 
 def feature_shares(booster: Booster) -> FloatArray:

@@ -20,6 +20,7 @@ from specmap_cli.recognition.learning.boosting import (
     BoosterPart,
     OneVsAll,
     Part,
+    WrongPartError,
     as_part,
     booster_of,
 )
@@ -36,6 +37,7 @@ _MOST_BEAMS = 1_000_000  # of a laser in a file: a hundred times what any has
 _FULL_CIRCLE = 2.0 * math.pi + 1e-6  # with the rounding of drivers
 SCHEMA_VERSION = 1
 _JSON_LEVELS = 5  # file, kind of scan, classifiers, submap, rounds: a round a line
+_Hexadecimal = Annotated[str, Field(pattern="^([0-9a-fA-F]{2})*$")]
 _TINY = 1e-6  # keeps a laser of one beam from dividing by nought
 
 
@@ -67,19 +69,15 @@ class Sensor:
 
     def sees_as(self, other: Sensor) -> bool:
         """Whether features of the two sensors mean the same: field of view, density, range."""
-        ratio = max(self._density, _TINY) / max(other._density, _TINY)
+        densities = (each.beams / max(each.field_of_view, _TINY) for each in (self, other))
+        mine, others = (max(density, _TINY) for density in densities)
         return (
             self.full_circle == other.full_circle
             and abs(self.field_of_view - other.field_of_view) < _SAME_VIEW_RAD
-            and abs(math.log(ratio)) < _SAME_DENSITY_LOG
+            and abs(math.log(mine / others)) < _SAME_DENSITY_LOG
             and abs(self.range_max - other.range_max)
             < _SAME_RANGE_SHARE * max(self.range_max, _TINY)
         )
-
-    @property
-    def _density(self) -> float:
-        """Beams per radian."""
-        return self.beams / max(self.field_of_view, _TINY)
 
     def __str__(self) -> str:
         degrees = math.degrees(self.field_of_view)
@@ -122,15 +120,16 @@ class Recogniser:
 
     def to_dict(self) -> dict[str, Any]:
         """Ready for JSON."""
+        boosters = {str(i): booster.to_dict() for i, booster in self.classifiers.boosters_.items()}
         known = {} if self.familiarity is None else {"exemplars": self.familiarity.to_dict()}
-        return self.classifiers.to_dict() | known
+        return {"feature_set": self.feature_set, "classifiers": boosters, **known}
 
     @classmethod
-    def of(cls, part: _RecogniserPart) -> Recogniser:
+    def of(cls, part: _RecogniserPart, where: str) -> Recogniser:
         """What `to_dict` described. Raises MapError for a set of features that is not installed,
-        ValueError for what it has not.
+        WrongPartError for what it has not.
         """
-        feature_set = part.feature_set
+        feature_set, known = part.feature_set, part.exemplars
         if feature_set not in feature_sets():
             raise MapError(
                 f"file: its feature set {feature_set!r} is not installed",
@@ -139,19 +138,19 @@ class Recogniser:
             )
         names = feature_names(feature_set)
         boosters = {
-            int(i): booster_of(part.classifiers[i], names, f"submap {i}")
+            int(i): booster_of(part.classifiers[i], names, f"{where}.classifiers.{i}")
             for i in sorted(part.classifiers, key=int)
         }
-        known = part.exemplars
-        familiarity = (
-            None if known is None else Familiarity.of(feature_set, known.limit, known.rows)
-        )
-        return cls(OneVsAll(feature_set, RecognitionConfig()).become(boosters), familiarity)
+        classifiers = OneVsAll(feature_set, RecognitionConfig()).become(boosters)
+        if known is None:
+            return cls(classifiers, None)
+        place = f"{where}.exemplars"
+        return cls(classifiers, Familiarity.of(feature_set, known.limit, known.rows, place))
 
 
 class _ExemplarsPart(Part):
     limit: Annotated[float, Field(ge=0.0)]
-    rows: list[str]
+    rows: Annotated[list[_Hexadecimal], Field(min_length=1)]
 
 
 class _RecogniserPart(Part):
@@ -203,21 +202,25 @@ class ClassifierSet:
         """The set that `to_json` wrote; MapError in one line for anything else."""
         try:
             data = _ClassifiersPart.model_validate_json(text)
-            raw = Recogniser.of(data.raw)
-            virtual = None if data.virtual is None else Recogniser.of(data.virtual)
+            raw = Recogniser.of(data.raw, "raw")
+            virtual = None if data.virtual is None else Recogniser.of(data.virtual, "virtual")
             if virtual is not None and virtual.ids != raw.ids:
-                raise ValueError("raw and virtual classifiers are of different submaps")
-        except ValueError as error:
-            raise MapError(
-                f"{_first_finding(error)};", "build the map again", where="classifiers"
-            ) from None
-        return cls(
-            sensor=data.sensor,
-            raw=raw,
-            virtual=virtual,
-            misfit=data.misfit,
-            calibration=data.calibration,
-        )
+                raise WrongPartError("raw and virtual classifiers are of different submaps")
+        except WrongPartError as error:
+            found = str(error)
+        except ValidationError as error:
+            first = error.errors(include_input=False)[0]
+            where = ".".join(f"{part!s:.60}" for part in first["loc"]) or "file"
+            found = f"{where}: {first['msg']:.100}"
+        else:
+            return cls(
+                sensor=data.sensor,
+                raw=raw,
+                virtual=virtual,
+                misfit=data.misfit,
+                calibration=data.calibration,
+            )
+        raise MapError(f"{found};", "build the map again", where="classifiers")
 
 
 class _ClassifiersPart(Part):
@@ -227,12 +230,3 @@ class _ClassifiersPart(Part):
     virtual: _RecogniserPart | None = None
     misfit: HeldOutMisfit | None = None
     calibration: Calibration | None = None
-
-
-def _first_finding(error: ValueError) -> str:
-    """What is wrong first, and where, in one short line."""
-    if not isinstance(error, ValidationError):
-        return str(error)
-    found = error.errors(include_input=False)[0]
-    where = ".".join(f"{part!s:.60}" for part in found["loc"]) or "file"
-    return f"{where}: {found['msg']:.100}"

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.recognition.features.sets import histogram_columns
+from specmap_cli.recognition.learning.boosting import WrongPartError
 
 _STEPS = 255  # square roots of shares are stored as whole numbers of 1 / 255
 _MOST_LEFT = 600  # samples that the limit is taken from: enough for a quantile, and quick
@@ -25,7 +26,7 @@ _TINY = 1e-9  # keeps a limit of nought, when all samples are alike, from dividi
 
 
 class Familiarity:
-    """Exemplars of a map's places; `distance` is the L1 distance of the square roots of histograms.
+    """Exemplars of a map's places; distance is the L1 distance of the square roots of histograms.
 
     `fit` keeps at most `per_submap` samples of a submap as exemplars. It learns `exemplars_`
     (k, D), whole numbers from 0 to 255, and `limit_`, the distance past which a scan looks like no
@@ -53,16 +54,7 @@ class Familiarity:
         chosen = {i: self._chosen(len(X)) for i, X in sorted(samples.items())}
         kept = np.vstack([samples[i][rows] for i, rows in chosen.items()])
         self._keep(np.round(self._roots(kept) * _STEPS).astype(np.uint8))
-        left = self._held_out(samples, chosen)
-        share = self.false_unknown
-        error = math.sqrt(share * (1.0 - share) / len(left))  # of a share that n samples show
-        self.limit_ = round(float(np.quantile(left, min(1.0, 1.0 - share + error))), 6)
-        return self
-
-    def _held_out(
-        self, samples: Mapping[int, FloatArray], chosen: Mapping[int, NDArray[np.intp]]
-    ) -> FloatArray:
-        """(n,) distance of samples that are no exemplars to the nearest one of another stretch."""
+        # of samples that are no exemplars: how far the nearest one of another stretch is
         owners = np.concatenate([np.full(len(rows), i) for i, rows in chosen.items()])
         numbers = np.concatenate(list(chosen.values()))
         left = [
@@ -77,31 +69,31 @@ class Familiarity:
             if other.any():
                 row = self._roots(np.asarray(samples[i][k : k + 1], dtype=np.float32))
                 found.append(np.abs(self._places[other] - row).sum(axis=1).min())
-        return np.array(found, dtype=np.float64)
-
-    def distance(self, X: NDArray[Any]) -> FloatArray:
-        """(n,) distance of features X (n, F) to the nearest exemplar."""
-        roots = self._roots(np.asarray(X, dtype=np.float32))
-        nearest = [np.abs(self._places - row).sum(axis=1).min() for row in roots]
-        return np.array(nearest, dtype=np.float64)
+        share = self.false_unknown
+        error = math.sqrt(share * (1.0 - share) / len(found))  # of a share that n samples show
+        within = np.quantile(np.array(found, dtype=np.float64), min(1.0, 1.0 - share + error))
+        self.limit_ = round(float(within), 6)
+        return self
 
     def strangeness(self, X: NDArray[Any]) -> FloatArray:
-        """(n,) distance over the limit: above one where nothing fits."""
-        return self.distance(X) / max(self.limit_, _TINY)
+        """(n,) distance of features X (n, F) over the limit: above one where nothing fits."""
+        roots = self._roots(np.asarray(X, dtype=np.float32))
+        nearest = [np.abs(self._places - row).sum(axis=1).min() for row in roots]
+        return np.array(nearest, dtype=np.float64) / max(self.limit_, _TINY)
 
     def to_dict(self) -> dict[str, Any]:
         """Limit and exemplars, ready for JSON."""
         return {"limit": self.limit_, "rows": [row.tobytes().hex() for row in self.exemplars_]}
 
     @classmethod
-    def of(cls, feature_set: str, limit: float, rows: Sequence[str]) -> Familiarity:
-        """What `to_dict` described. Raises ValueError for rows that are no exemplars of the set."""
+    def of(cls, feature_set: str, limit: float, rows: Sequence[str], where: str) -> Familiarity:
+        """What `to_dict` described. Raises WrongPartError for rows that are not of the set."""
         known = cls(feature_set)
-        coded = [np.frombuffer(bytes.fromhex(row), dtype=np.uint8) for row in rows]
         width = len(known._columns)
-        if not coded or any(len(row) != width for row in coded) or not width:
-            raise ValueError(f"rows are not of {width} values")
-        known._keep(np.array(coded))
+        if not width or any(len(row) != 2 * width for row in rows):
+            raise WrongPartError(f"{where}: rows are not of {width} values")
+        coded = np.frombuffer(bytes.fromhex("".join(rows)), dtype=np.uint8)
+        known._keep(coded.reshape(-1, width))
         known.limit_ = limit
         return known
 

@@ -10,8 +10,9 @@ each is the same whether it is learned alone or with others.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -24,13 +25,15 @@ CodeArray = NDArray[np.uint8]
 VOTE_DECIMALS = 6  # of votes, which are of the order of one: readable, and safe from rounding
 IndexArray = NDArray[np.intp]
 BoolArray = NDArray[np.bool_]
+_FEATURE_SHARE = 0.1  # share of the features that are drawn for a round
+_SHRINKAGE = 0.5  # scale of every vote
 # Weight trimming (Friedman, Hastie and Tibshirani, 2000): every few rounds the samples that hold
 # the last 2 % of the weight are left out of the search for splits, which they hardly change.
 _TRIM_EVERY = 8
 _LIGHT_SHARE = 0.02
 _NO_EDGE = 1e300  # a threshold that no value reaches, as JSON knows no infinity
 _WHOLE = 2.0**52  # weights are whole multiples of 2^-52: sums of them below 2 are exact
-_SAMPLES_AT_ONCE = 1 << 15  # of all classifiers grown together: bounds the memory, some 10 MB
+_SAMPLES_AT_ONCE = 1 << 15  # about, of classifiers grown together: bounds the memory, some 10 MB
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,37 +77,19 @@ class Forest:
     thresholds: FloatArray
     votes: FloatArray
 
-    @classmethod
-    def bare(cls) -> Forest:
-        """A forest without trees."""
-        return cls(np.zeros((0, 3), dtype=np.intp), np.zeros((0, 3)), np.zeros((0, 4)))
+    def margins(self, X: NDArray[Any], classes: int) -> FloatArray:
+        """(n, m) sums of the votes on samples X (n, F) of each of `classes` forests in a row.
 
-    @classmethod
-    def joined(cls, forests: Sequence[Forest]) -> Forest:
-        """The trees of several forests, one forest after the other."""
-        return cls(
-            np.vstack([forest.features for forest in forests]),
-            np.vstack([forest.thresholds for forest in forests]),
-            np.vstack([forest.votes for forest in forests]),
-        )
-
-    def tree_votes(self, X: NDArray[Any]) -> FloatArray:
-        """(n, T) vote of each tree on samples X (n, F)."""
+        Rounded as the votes are: so the order of summation does not show.
+        """
         trees = np.arange(len(self.votes))
         upper = X[:, self.features[:, 0]] >= self.thresholds[:, 0]
         node = trees * 3 + 1 + upper
         feature = self.features.ravel()[node]
         value = X[0][feature] if len(X) == 1 else np.take_along_axis(X, feature, axis=1)
         above = value >= self.thresholds.ravel()[node]
-        return np.asarray(self.votes.ravel()[trees * 4 + 2 * upper + above])
-
-    def margins(self, X: NDArray[Any], classes: int) -> FloatArray:
-        """(n, m) sums of the votes of each of `classes` forests that were joined.
-
-        Rounded as the votes are: so the order of summation does not show.
-        """
-        votes = self.tree_votes(X)
-        sums = votes.reshape(len(X), classes, votes.shape[1] // classes).sum(axis=2)
+        votes = self.votes.ravel()[trees * 4 + 2 * upper + above]
+        sums = votes.reshape(len(X), classes, len(trees) // classes).sum(axis=2)
         return np.asarray(np.round(sums, VOTE_DECIMALS))
 
 
@@ -116,36 +101,24 @@ class Question:
     positive: BoolArray
 
 
-@dataclass(frozen=True, slots=True)
-class Growth:
-    """How trees are grown: `shrinkage` scales every vote, `seed` draws the features of a round."""
-
-    rounds: int
-    shrinkage: float
-    feature_share: float
-    seed: int
-
-    def draws(self, features: int) -> list[IndexArray]:
-        """The features of every round, ascending."""
-        rng = np.random.default_rng(self.seed)
-        drawn = max(1, round(self.feature_share * features))
-        return [np.sort(rng.choice(features, drawn, replace=False)) for _ in range(self.rounds)]
-
-
 def grown(
-    codes: CodeArray, quantiser: Quantiser, questions: Sequence[Question], growth: Growth
+    codes: CodeArray,
+    quantiser: Quantiser,
+    questions: Sequence[Question],
+    rounds: int,
+    rng: np.random.Generator,
 ) -> list[Forest]:
     """The forest of every question, from the bins (F, N) of all samples by `quantiser`.
 
     The two sides of each question start with equal total weight.
     """
-    draws = growth.draws(len(codes))
+    drawing = np.random.default_rng(int(rng.integers(2**31)))
+    drawn = max(1, round(_FEATURE_SHARE * len(codes)))
+    draws = [np.sort(drawing.choice(len(codes), drawn, replace=False)) for _ in range(rounds)]
+    held = np.cumsum([len(question.samples) for question in questions])
     forests: list[Forest] = []
-    for part in _batches(questions):
-        if not draws:
-            forests += [Forest.bare()] * len(part)
-            continue
-        features, cuts, votes = _boosted(codes, _Asked.of(part), draws, growth.shrinkage)
+    for _, batch in groupby(range(len(questions)), lambda k: held[k] // _SAMPLES_AT_ONCE):
+        features, cuts, votes = _boosted(codes, [questions[k] for k in batch], draws)
         # where no edge stands, the feature has fewer distinct values, and nothing lies above
         edges = quantiser.edges[features, cuts]
         thresholds = np.where(np.isfinite(edges), edges, _NO_EDGE)
@@ -164,18 +137,6 @@ def shares(weights: FloatArray, owner: IndexArray, owners: int) -> FloatArray:
     return np.asarray(np.rint(whole / totals[owner] * _WHOLE) / _WHOLE)
 
 
-def _batches(questions: Sequence[Question]) -> Iterator[Sequence[Question]]:
-    """The questions in their order, as many at a time as their samples allow; at least one."""
-    first, held = 0, 0
-    for k, question in enumerate(questions):
-        if k > first and held + len(question.samples) > _SAMPLES_AT_ONCE:
-            yield questions[first:k]
-            first, held = k, 0
-        held += len(question.samples)
-    if first < len(questions):
-        yield questions[first:]
-
-
 @dataclass(frozen=True, slots=True)
 class _Asked:
     """The samples of C questions in a row: their columns, question and side (S,) each."""
@@ -185,75 +146,68 @@ class _Asked:
     positive: BoolArray
     counts: IndexArray  # (C,) samples of each question
 
-    @classmethod
-    def of(cls, questions: Sequence[Question]) -> _Asked:
-        counts = np.array([len(question.samples) for question in questions], dtype=np.intp)
-        return cls(
-            np.concatenate([question.samples for question in questions]),
-            np.repeat(np.arange(len(questions)), counts),
-            np.concatenate([question.positive for question in questions]),
-            counts,
-        )
-
-    def taken(self, rows: IndexArray) -> _Asked:
-        """Some of the samples, ascending."""
-        counts = np.bincount(self.question[rows], minlength=len(self.counts))
-        return _Asked(self.samples[rows], self.question[rows], self.positive[rows], counts)
-
-    def shares_of_sides(self) -> FloatArray:
-        """(C, 2) weight of one sample of either side at first: half of the weight is to each.
-
-        Of a side without any: of one sample of all.
-        """
-        positive = np.bincount(self.question, self.positive, minlength=len(self.counts))
-        sides = np.column_stack([self.counts - positive, positive])
-        return np.asarray(0.5 / np.where(sides > 0.0, sides, self.counts[:, None]))
-
-    def even_weights(self) -> FloatArray:
-        """(S,) half of the weight of each question to either side."""
-        each = self.shares_of_sides()
-        return shares(
-            each[self.question, self.positive.astype(np.intp)], self.question, len(self.counts)
-        )
-
-    def heavy(self, weights: FloatArray) -> IndexArray:
-        """The samples that remain without the lightest of each question, ascending."""
-        kept = []
-        first = 0
-        for count in self.counts.tolist():
-            own = weights[first : first + count]
-            ordered = np.sort(own)
-            summed = np.cumsum(ordered)
-            least = ordered[np.searchsorted(summed, _LIGHT_SHARE * summed[-1], side="right")]
-            kept.append(first + np.flatnonzero(own >= least))
-            first += count
-        return np.concatenate(kept)
-
 
 def _boosted(
-    codes: CodeArray, asked: _Asked, draws: Sequence[IndexArray], shrinkage: float
+    codes: CodeArray, questions: Sequence[Question], draws: Sequence[IndexArray]
 ) -> tuple[IndexArray, IndexArray, FloatArray]:
     """The trees of C questions, one a round: features and cuts (C, T, 3), votes (C, T, 4)."""
-    count = len(asked.counts)
-    smooth = 0.5 * asked.shares_of_sides()[:, :, None]  # half a sample of either side
-    side = 8 * asked.question + 4 * asked.positive
-    weights = asked.even_weights()
+    count = len(questions)
+    counts = np.array([len(question.samples) for question in questions], dtype=np.intp)
+    asked = _Asked(
+        np.concatenate([question.samples for question in questions]),
+        np.repeat(np.arange(count), counts),
+        np.concatenate([question.positive for question in questions]),
+        counts,
+    )
+    # to either side half of the weight; of a side without samples each has that of one of all
+    positive = np.bincount(asked.question, asked.positive, minlength=count)
+    sides = np.column_stack([counts - positive, positive])
+    each = 0.5 / np.where(sides > 0.0, sides, counts[:, None])
+    smooth = 0.5 * each[:, :, None]  # half a sample of either side
+    side_of = asked.positive.astype(np.intp)
+    weights = shares(each[asked.question, side_of], asked.question, count)
+    bins = codes.ravel()
     trees = []
     for k, drawn in enumerate(draws):
         if k % _TRIM_EVERY == 0:
-            heavy = asked.heavy(weights)
-            searched = asked.taken(heavy)
+            heavy = _heavy(weights, counts)
+            searched = _Asked(
+                asked.samples[heavy],
+                asked.question[heavy],
+                asked.positive[heavy],
+                np.bincount(asked.question[heavy], minlength=count),
+            )
         features, cuts = _split(codes[drawn], searched, weights[heavy])
         features = drawn[features]
-        leaf = side + _leaves(codes, asked, features, cuts)
+        # the leaf of every sample in the tree of its question
+        starts, passed = (features * codes.shape[1]).ravel(), cuts.ravel().astype(np.uint8)
+        node = 3 * asked.question
+        upper = bins[starts[node] + asked.samples] > passed[node]
+        node += 1 + upper
+        above = bins[starts[node] + asked.samples] > passed[node]
+        leaf = 8 * asked.question + 4 * side_of + 2 * upper + above
         sums = np.bincount(leaf, weights, minlength=8 * count).reshape(count, 2, 4)
         odds = (sums[:, 1] + smooth[:, 1]) / (sums[:, 0] + smooth[:, 0])
-        votes = np.round(0.5 * shrinkage * np.log(odds), VOTE_DECIMALS)
+        votes = np.round(0.5 * _SHRINKAGE * np.log(odds), VOTE_DECIMALS)
         trees.append((features, cuts, votes))
         growth = np.exp(np.stack([votes, -votes], axis=1))  # eq. 3, a leaf and side at a time
         weights = shares(weights * growth.ravel()[leaf], asked.question, count)
     features, cuts, votes = (np.stack(part, axis=1) for part in zip(*trees, strict=True))
     return features, cuts, votes
+
+
+def _heavy(weights: FloatArray, counts: IndexArray) -> IndexArray:
+    """The samples that remain without the lightest of each question, ascending."""
+    kept = []
+    first = 0
+    for count in counts.tolist():
+        own = weights[first : first + count]
+        ordered = np.sort(own)
+        summed = np.cumsum(ordered)
+        least = ordered[np.searchsorted(summed, _LIGHT_SHARE * summed[-1], side="right")]
+        kept.append(first + np.flatnonzero(own >= least))
+        first += count
+    return np.concatenate(kept)
 
 
 def _split(codes: CodeArray, asked: _Asked, weights: FloatArray) -> tuple[IndexArray, IndexArray]:
@@ -301,15 +255,3 @@ def _best_splits(histograms: FloatArray) -> tuple[IndexArray, IndexArray]:
     impurity += np.sqrt(above[:, :, 0] * above[:, :, 1])
     best = impurity.reshape(len(histograms), -1).argmin(axis=1)
     return np.divmod(best, BINS - 1)
-
-
-def _leaves(codes: CodeArray, asked: _Asked, features: IndexArray, cuts: IndexArray) -> IndexArray:
-    """(S,) number of the leaf of every sample in the tree of its question."""
-    bins, starts = codes.ravel(), (features * codes.shape[1]).ravel()
-    passed = cuts.ravel().astype(np.uint8)
-    node = 3 * asked.question
-    upper = bins[starts[node] + asked.samples] > passed[node]
-    node += 1
-    node += upper
-    above = bins[starts[node] + asked.samples] > passed[node]
-    return np.asarray(2 * upper + above, dtype=np.intp)

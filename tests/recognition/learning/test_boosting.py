@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,10 @@ from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.ensemble import AdaBoostClassifier
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.recognition.learning.boosting import Booster, StumpBoost, TreeBoost
+from specmap_cli.recognition.learning.boosting import Booster, StumpBoost
+from tests.recognition.learning.made_up import trees
 from tests.strategies import few
+from tests.turning import turn
 
 NAMES = tuple(f"f{k}" for k in range(6))
 
@@ -24,6 +27,18 @@ def blobs(seed: int = 0, n: int = 240, noise: float = 1.0) -> tuple[FloatArray, 
     X = rng.normal(size=(n, len(NAMES)))
     y = np.where(X[:, 0] + 0.7 * X[:, 1] ** 2 + noise * rng.normal(size=n) > 0.5, 1.0, -1.0)
     return X, y
+
+
+def stumps_of(X: FloatArray, y: FloatArray) -> Booster:
+    return StumpBoost(NAMES, 15).fit(X, y)
+
+
+def trees_of(X: FloatArray, y: FloatArray) -> Booster:
+    return trees(NAMES, X, y)
+
+
+of_both_kinds = pytest.mark.parametrize("fitted", [stumps_of, trees_of])
+Fitted = Callable[[FloatArray, FloatArray], Booster]
 
 
 class BruteStump(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
@@ -106,19 +121,19 @@ def test_the_training_error_keeps_its_bound(seed: int) -> None:
     assert (np.sign(model.margins(X)) != y).mean() <= bound + 1e-9
 
 
-@pytest.mark.parametrize("booster", [StumpBoost(NAMES, 15), TreeBoost(NAMES, 15)])
-def test_a_monotone_change_of_the_features_changes_no_label(booster: Booster) -> None:
+@of_both_kinds
+def test_a_monotone_change_of_the_features_changes_no_label(fitted: Fitted) -> None:
     """Only the order of the values counts, but for where between two of them a threshold stands."""
     X, y = blobs(8)
-    plain = booster.fit(X, y).margins(X)
-    stretched = booster.fit(np.exp(X), y).margins(np.exp(X))
+    plain = fitted(X, y).margins(X)
+    stretched = fitted(np.exp(X), y).margins(np.exp(X))
     assert stretched == pytest.approx(plain)
 
 
-@pytest.mark.parametrize("booster", [StumpBoost(NAMES, 25), TreeBoost(NAMES, 25)])
-def test_margins_are_what_a_reader_of_the_file_would_add_up(booster: Booster) -> None:
-    X, y = blobs(9)
-    rounds = json.loads(json.dumps(booster.fit(X, y).to_dict()))["rounds"]
+@of_both_kinds
+def test_margins_are_what_a_reader_of_the_file_would_add_up(fitted: Fitted) -> None:
+    booster = fitted(*blobs(9))
+    rounds = json.loads(json.dumps(booster.to_dict()))["rounds"]
     fresh, _ = blobs(10, n=30)
     for row, margin in zip(fresh, booster.margins(fresh).tolist(), strict=True):
         sample = dict(zip(NAMES, row.tolist(), strict=True))
@@ -137,13 +152,8 @@ def vote_of(entry: dict[str, Any], sample: dict[str, float]) -> float:
     return float(entry["votes"][leaf])
 
 
-@pytest.mark.parametrize(("booster", "margin"), [(StumpBoost(NAMES), -1.0), (TreeBoost(NAMES), 0)])
-def test_a_booster_without_rounds_claims_nothing(booster: Booster, margin: float) -> None:
-    assert booster.margins(np.ones((3, len(NAMES)))).tolist() == [margin] * 3
-
-
-@pytest.mark.parametrize("booster", [StumpBoost(NAMES, 9), TreeBoost(NAMES, 9, seed=4)])
-def test_fitting_again_forgets_the_first_time(booster: Booster) -> None:
+def test_fitting_again_forgets_the_first_time() -> None:
+    booster = StumpBoost(NAMES, 9)
     once = booster.fit(*blobs(12)).to_dict()
     booster.fit(*blobs(13))
     assert booster.fit(*blobs(12)).to_dict() == once
@@ -155,25 +165,24 @@ def test_trees_learn_what_no_sum_of_stumps_can() -> None:
     y = np.where(X[:, 0] * X[:, 1] > 0.0, 1.0, -1.0)
     fresh = rng.uniform(-1.0, 1.0, (400, 6))
     truth = fresh[:, 0] * fresh[:, 1] > 0.0
-    trees = TreeBoost(NAMES, 120, 0.3, 0.5).fit(X, y)
+    turn("recognition", feature_share=0.5)
     stumps = StumpBoost(NAMES, 120).fit(X, y)
-    assert ((trees.margins(fresh) > 0) == truth).mean() > 0.85
+    assert ((trees(NAMES, X, y, 120).margins(fresh) > 0) == truth).mean() > 0.85
     assert ((stumps.margins(fresh) > 0) == truth).mean() < 0.7
 
 
 def test_trees_are_the_same_for_a_seed_and_differ_for_another() -> None:
     X, y = blobs(5)
-    first = TreeBoost(NAMES, 20, seed=3).fit(X, y)
-    again = TreeBoost(NAMES, 20, seed=3).fit(X, y)
-    other = TreeBoost(NAMES, 20, seed=4).fit(X, y)
-    assert first.to_dict() == again.to_dict()
-    assert first.to_dict() != other.to_dict()
+    first, again, other = (trees(NAMES, X, y, seed=seed).to_dict() for seed in (3, 3, 4))
+    assert first == again
+    assert first != other
 
 
 def test_the_vote_of_a_tree_s_leaf_is_half_the_log_odds() -> None:
     X = np.array([[0.0], [0.0], [0.0], [1.0], [1.0], [1.0], [1.0], [1.0]])
     y = np.array([1.0, 1.0, -1.0, -1.0, -1.0, -1.0, -1.0, 1.0])
-    booster = TreeBoost(("f0",), 1, 1.0, 1.0).fit(X, y)
+    turn("recognition", shrinkage=1.0)
+    booster = trees(("f0",), X, y, rounds=1)
     # half a sample more on either side: of three that are claimed, and of five that are not
     low = 0.5 * np.log((2.5 / 3) / (1.5 / 5))
     high = 0.5 * np.log((1.5 / 3) / (4.5 / 5))

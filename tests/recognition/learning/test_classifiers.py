@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from specmap_cli.core.settings import Config
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.calibration import Calibration
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser, Sensor
+from specmap_cli.recognition.learning.familiarity import Familiarity
 from specmap_cli.recognition.learning.misfit import HeldOutMisfit
 from specmap_cli.recognition.learning.training import train
 from tests.recognition.learning.made_up import PAPER, SMALL, samples_of
@@ -121,6 +123,21 @@ def test_dump_after_load_is_identity(classifiers: dict[int, Any]) -> None:
     assert back.margins(X[:0]).shape == (0, len(classifiers))
 
 
+@cache
+def classifier_json() -> str:
+    return classifier_set().to_json()
+
+
+def edited(path: str, value: Any) -> str:
+    """The file with another value at a place."""
+    data = place = json.loads(classifier_json())
+    *parents, last = path.split("/")
+    for key in parents:
+        place = place[int(key) if isinstance(place, list) else key]
+    place[int(last) if isinstance(place, list) else last] = value
+    return json.dumps(data)
+
+
 STUMP = {"feature": "area", "threshold": 0.5, "polarity": 1, "votes": 0.3}
 BARE = {"kind": "trees", "rounds": []}
 NAN, HUGE = float("nan"), 10**400
@@ -149,11 +166,13 @@ NONSENSE: dict[str, list[Any]] = {
     "raw/classifiers/first": [BARE],
     "raw/classifiers/" + "9" * 5000: [BARE],
     "virtual/classifiers": [{"1": BARE}],
-    "virtual/exemplars": [[]],
+    "virtual/exemplars": [[], None],
     "virtual/exemplars/rows": [[], 3],
-    "virtual/exemplars/rows/0": ["zz", "00"],
+    "virtual/exemplars/rows/0": ["zz", "00", "0"],
     "virtual/exemplars/limit": [None, -0.1],
-    "misfit": [[], {}],
+    "virtual": [None],
+    "misfit": [[], {}, None],
+    "calibration": [None],
     "misfit/typical": [-0.1, NAN, 1.1],
     "misfit/views": [HUGE, 1.5, -1, 61],
     "calibration/raw": [0.0, 1e9],
@@ -168,26 +187,45 @@ NONSENSE: dict[str, list[Any]] = {
     ids=lambda part: str(part)[:60] if isinstance(part, str) else None,
 )
 def test_a_file_edited_into_nonsense_is_refused_in_one_line(path: str, value: Any) -> None:
-    data = place = json.loads(classifier_set().to_json())
-    *parents, last = path.split("/")
-    for key in parents:
-        place = place[int(key) if isinstance(place, list) else key]
-    place[int(last) if isinstance(place, list) else last] = value
     with pytest.raises(MapError) as error:
-        ClassifierSet.from_json(json.dumps(data))
+        ClassifierSet.from_json(edited(path, value))
     assert "\n" not in str(error.value)
     assert "build the map again" in str(error.value)
     assert len(str(error.value)) < 300
 
 
-def test_the_submap_at_fault_is_named() -> None:
-    data = json.loads(classifier_set().to_json())
-    data["raw"]["classifiers"]["4"]["rounds"][7]["below"]["feature"] = "height"
+@pytest.mark.parametrize(
+    ("path", "value", "found"),
+    [
+        (
+            "raw/classifiers/4/rounds/7/below/feature",
+            "height",
+            "raw.classifiers.4.rounds.7: 'height' is no feature of the set",
+        ),
+        (
+            "virtual/classifiers/0/rounds/0/root/feature",
+            "height",
+            "virtual.classifiers.0.rounds.0: 'height' is no feature of the set",
+        ),
+        ("raw/exemplars/rows/1", "00", "raw.exemplars: rows are not of 88 values"),
+        ("virtual/exemplars/rows/1", "00", "virtual.exemplars: rows are not of 88 values"),
+        ("virtual/exemplars", None, "virtual.exemplars: null is not what belongs here"),
+        ("calibration", None, "calibration: null is not what belongs here"),
+    ],
+)
+def test_what_is_at_fault_is_named(path: str, value: Any, found: str) -> None:
     with pytest.raises(MapError) as error:
-        ClassifierSet.from_json(json.dumps(data))
-    assert str(error.value) == (
-        "classifiers: submap 4: 'height' is no feature of the set; build the map again"
-    )
+        ClassifierSet.from_json(edited(path, value))
+    assert str(error.value) == f"classifiers: {found}; build the map again"
+
+
+def test_a_mistake_in_the_program_is_no_fault_of_the_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    def mistaken(*_: Any) -> None:
+        raise ValueError("shapes do not fit")
+
+    monkeypatch.setattr(Familiarity, "_keep", mistaken)
+    with pytest.raises(ValueError, match="shapes do not fit"):
+        ClassifierSet.from_json(classifier_json())
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "null", "7", "[" * 100_000])

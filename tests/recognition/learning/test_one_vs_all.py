@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -18,6 +20,10 @@ def one_vs_all(config: Config) -> OneVsAll:
 
 def fitted(config: Config, seed: int = 0) -> OneVsAll:
     return one_vs_all(config).fit(samples_of(config), np.random.default_rng(seed))
+
+
+def told(model: OneVsAll) -> dict[int, dict[str, Any]]:
+    return {i: booster.to_dict() for i, booster in model.boosters_.items()}
 
 
 def test_the_constructor_stores_and_fit_learns() -> None:
@@ -53,7 +59,7 @@ def test_each_booster_is_one_fitted_against_an_even_choice_of_the_others() -> No
 def test_the_order_of_the_classes_does_not_matter() -> None:
     made = samples_of(SMALL)
     model = one_vs_all(SMALL).fit(dict(reversed(made.items())), np.random.default_rng(0))
-    assert model.to_dict() == fitted(SMALL).to_dict()
+    assert told(model) == told(fitted(SMALL))
 
 
 def test_one_class_is_enough_and_fitting_again_forgets_it() -> None:
@@ -67,5 +73,5 @@ def test_one_class_is_enough_and_fitting_again_forgets_it() -> None:
 
 
 def test_another_generator_draws_other_features() -> None:
-    assert fitted(SMALL, seed=0).to_dict() != fitted(SMALL, seed=1).to_dict()
-    assert fitted(PAPER, seed=0).to_dict() == fitted(PAPER, seed=1).to_dict()  # nothing is drawn
+    assert told(fitted(SMALL, seed=0)) != told(fitted(SMALL, seed=1))
+    assert told(fitted(PAPER, seed=0)) == told(fitted(PAPER, seed=1))  # nothing is drawn

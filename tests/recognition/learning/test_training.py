@@ -117,10 +117,8 @@ def test_raw_classifiers_learn_from_the_keyframes_of_the_submaps(store: Keyframe
         {i: np.vstack([X, beside[i].features]) for i, X in samples.items()},
         np.random.default_rng(0),
     )
-    assert learned.classifiers.to_dict() == classifiers.to_dict()
     looks = Familiarity("table1", config.localization.false_unknown, _EXEMPLARS)
-    assert learned.familiarity is not None
-    assert learned.familiarity.to_dict() == looks.fit(samples).to_dict()
+    assert learned.to_dict() == Recogniser(classifiers, looks.fit(samples)).to_dict()
     known = KeyframeFeatures(store, "table1")
     known.of(range(50))
     shared = raw_samples(store, SUBMAPS, config, known)

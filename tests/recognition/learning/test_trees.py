@@ -16,13 +16,15 @@ from specmap_cli.recognition.learning.trees import (
     BINS,
     CodeArray,
     Forest,
-    Growth,
     Quantiser,
     Question,
     grown,
     shares,
 )
+from tests.recognition.learning import made_up
+from tests.recognition.watching import watched
 from tests.strategies import few, seeds
+from tests.turning import turn
 
 BoolArray = NDArray[np.bool_]
 NAMES = ("a", "b", "c")
@@ -34,6 +36,14 @@ def data(seed: int, n: int = 120) -> tuple[FloatArray, FloatArray]:
     X = rng.normal(size=(n, len(NAMES)))
     y = np.where(X[:, 0] + (X[:, 1] > 0.0) + 0.5 * rng.normal(size=n) > 0.5, 1.0, -1.0)
     return X, y
+
+
+def trees_of(X: FloatArray, y: FloatArray, rounds: int, share: float = 1.0) -> TreeBoost:
+    """Trees of which each is of a share of the features."""
+    turn("recognition", feature_share=share)
+    found = made_up.trees(NAMES, X, y, rounds)
+    assert isinstance(found, TreeBoost)
+    return found
 
 
 @given(seeds, st.integers(1, 400))
@@ -60,7 +70,7 @@ def test_edges_of_many_different_values_are_their_quantiles() -> None:
 def test_a_constant_feature_has_one_bin_and_is_never_a_reason() -> None:
     X, y = data(0)
     X[:, 2] = 7.0
-    model = TreeBoost(NAMES, 30, feature_share=1.0).fit(X, y)
+    model = trees_of(X, y, 30)
     changed = X.copy()
     changed[:, 2] = -1e6
     assert Quantiser.of(X).codes(X)[2].max() <= 1
@@ -94,7 +104,7 @@ def test_the_first_tree_s_splits_are_the_best_of_all(seed: int) -> None:
     quantiser = Quantiser.of(X)
     codes = quantiser.codes(X)
     weights = np.where(positive, 0.5 / positive.sum(), 0.5 / (~positive).sum())
-    forest = TreeBoost(NAMES, 1, feature_share=1.0).fit(X, y).forest_
+    forest = trees_of(X, y, 1).forest_
     features, thresholds = forest.features[0].tolist(), forest.thresholds[0].tolist()
     everyone = np.ones(len(y), dtype=bool)
     upper = X[:, features[0]] >= thresholds[0]
@@ -114,7 +124,9 @@ def test_both_classes_weigh_alike_however_many_samples_they_have() -> None:
     def first_tree(rows: IntArray) -> Forest:
         question = Question(np.arange(len(rows)), y[rows] > 0.0)
         codes = quantiser.codes(X[rows])
-        return grown(codes, quantiser, [question], Growth(1, 0.3, 1.0, 0))[0]
+        return grown(codes, quantiser, [question], 1, np.random.default_rng(0))[0]
+
+    turn("recognition", feature_share=1.0)
 
     once, often = first_tree(np.arange(len(y))), first_tree(many)
     assert often.features.tolist() == once.features.tolist()
@@ -123,31 +135,24 @@ def test_both_classes_weigh_alike_however_many_samples_they_have() -> None:
 
 def test_a_smaller_share_of_the_features_is_drawn_anew_each_round() -> None:
     X, y = data(5)
-    third = TreeBoost(NAMES, 40, feature_share=0.34).fit(X, y).forest_.features
+    third = trees_of(X, y, 40, share=0.34).forest_.features
     assert (third == third[:, :1]).all()  # one of three features a round: all nodes ask for it
     assert len(np.unique(third)) == 3
 
 
 def test_shrinkage_scales_the_first_votes() -> None:
-    X, y = data(6)
-    whole, half = (TreeBoost(NAMES, 1, shrink, 1.0).fit(X, y) for shrink in (1.0, 0.5))
-    assert half.forest_.votes == pytest.approx(0.5 * whole.forest_.votes, abs=1e-6)
+    votes = []
+    for shrinkage in (1.0, 0.5):
+        turn("recognition", shrinkage=shrinkage)
+        votes.append(trees_of(*data(6), 1).forest_.votes)
+    assert votes[1] == pytest.approx(0.5 * votes[0], abs=1e-6)
 
 
 def test_samples_of_one_class_alone_are_all_of_it() -> None:
     X, _ = data(8)
     for sign in (1.0, -1.0):
-        margins = TreeBoost(NAMES, 5).fit(X, np.full(len(X), sign)).margins(X)
+        margins = trees_of(X, np.full(len(X), sign), 5).margins(X)
         assert (np.sign(margins) == sign).all()
-
-
-def test_joined_forests_vote_side_by_side() -> None:
-    X, y = data(9)
-    parts = [TreeBoost(NAMES, 4, seed=k).fit(X, y).forest_ for k in range(3)]
-    votes = Forest.joined(parts).tree_votes(X)
-    assert votes.shape == (len(X), 12)
-    assert votes == pytest.approx(np.hstack([part.tree_votes(X) for part in parts]))
-    assert Forest.joined(parts).tree_votes(X[:1]) == pytest.approx(votes[:1])
 
 
 @given(seeds)
@@ -157,13 +162,10 @@ def test_the_order_of_the_samples_changes_no_bit(seed: int) -> None:
     X, y = data(seed)
     X[:, 2] = X[:, 0]
     order = np.random.default_rng(seed).permutation(len(y))
-    one = TreeBoost(NAMES, 8, feature_share=1.0).fit(X, y).to_dict()
-    assert TreeBoost(NAMES, 8, feature_share=1.0).fit(X[order], y[order]).to_dict() == one
+    one = trees_of(X, y, 8).to_dict()
+    assert trees_of(X[order], y[order], 8).to_dict() == one
     asked = {part["feature"] for k in one["rounds"] for part in (k["root"], k["below"], k["above"])}
     assert "c" not in asked
-
-
-GROWTH = Growth(rounds=12, shrinkage=0.5, feature_share=0.5, seed=3)
 
 
 def world(seed: int = 0) -> tuple[CodeArray, Quantiser, list[Question]]:
@@ -185,35 +187,27 @@ def same(first: Forest, second: Forest) -> bool:
     return all(np.array_equal(getattr(first, k), getattr(second, k)) for k in kept)
 
 
-@pytest.mark.parametrize("at_once", [1, 100, 200, 1 << 15])
+@pytest.mark.parametrize(("at_once", "batches"), [(1, 5), (140, 3), (1 << 15, 1)])
 def test_a_classifier_is_the_same_alone_and_with_others(
-    at_once: int, monkeypatch: pytest.MonkeyPatch
+    at_once: int, batches: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     codes, quantiser, questions = world()
-    alone = [grown(codes, quantiser, [question], GROWTH)[0] for question in questions]
-    monkeypatch.setattr(trees, "_SAMPLES_AT_ONCE", at_once)
-    together = grown(codes, quantiser, questions, GROWTH)
-    assert all(map(same, alone, together))
+
+    def answers(asked: list[Question]) -> list[Forest]:
+        return grown(codes, quantiser, asked, 12, np.random.default_rng(3))
+
+    turn("recognition", feature_share=0.5)
+    alone = [answers([question])[0] for question in questions]
+    turn("recognition", samples_at_once=at_once)
+    calls = watched(monkeypatch, trees, "_boosted")
+    assert all(map(same, alone, answers(questions)))
     assert not same(alone[0], alone[1])
-
-
-def test_batches_hold_all_questions_in_order_and_no_more_samples_than_allowed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    questions = world()[2]
-    monkeypatch.setattr(trees, "_SAMPLES_AT_ONCE", 140)
-    batches = list(trees._batches(questions))
-    assert [question for batch in batches for question in batch] == questions
-    assert len(batches) > 1
-    for batch in batches:
-        assert len(batch) == 1 or sum(len(question.samples) for question in batch) <= 140
-
-
-def test_no_question_has_no_answer_and_no_round_leaves_a_bare_forest() -> None:
-    codes, quantiser, questions = world()
-    assert grown(codes, quantiser, [], GROWTH) == []
-    idle = Growth(rounds=0, shrinkage=0.5, feature_share=0.5, seed=3)
-    assert all(same(f, Forest.bare()) for f in grown(codes, quantiser, questions, idle))
+    # together all of them, in order, and hardly more samples at once than wanted
+    assert [question for _, batch, _ in calls for question in batch] == questions
+    assert len(calls) == batches
+    held = [sum(len(question.samples) for question in batch[1:]) for _, batch, _ in calls]
+    assert max(held) <= at_once
+    assert answers([]) == []
 
 
 @given(seeds, st.integers(1, 4))
@@ -231,15 +225,16 @@ def test_shares_sum_to_one_for_each_owner_and_sums_are_exact(seed: int, owners: 
 
 def test_what_is_left_out_of_a_search_holds_little_of_each_question_s_weight() -> None:
     questions = world()[2]
-    asked = trees._Asked.of(questions)
-    rng = np.random.default_rng(1)
-    raw = rng.random(len(asked.samples)) ** 6
-    weights = shares(raw, asked.question, len(questions))
-    kept = asked.heavy(weights)
-    held = np.bincount(asked.question[kept], weights[kept])
+    counts = np.array([len(question.samples) for question in questions])
+    asked = np.repeat(np.arange(len(questions)), counts)
+    raw = np.random.default_rng(1).random(len(asked)) ** 6
+    weights = shares(raw, asked, len(questions))
+    kept = trees._heavy(weights, counts)
+    held = np.bincount(asked[kept], weights[kept])
     assert held.min() >= 0.98 - 1e-9
     assert len(kept) < 0.8 * len(raw)
     for k in range(len(questions)):
-        left = np.setdiff1d(np.flatnonzero(asked.question == k), kept)
-        assert weights[left].max() < weights[kept[asked.question[kept] == k]].min()
-    assert len(asked.heavy(asked.even_weights())) == len(asked.samples)
+        left = np.setdiff1d(np.flatnonzero(asked == k), kept)
+        assert weights[left].max() < weights[kept[asked[kept] == k]].min()
+    alike = shares(np.ones(len(asked)), asked, len(questions))
+    assert len(trees._heavy(alike, counts)) == len(asked)
