@@ -61,8 +61,22 @@ def held_out_misfit(
         numbers = np.asarray(submaps[owner[k]], dtype=np.intp)
         others = numbers[np.abs(way[numbers] - way[k]) > _HELD_OUT_M]
         away = np.hypot(*(poses[others] - poses[k])[:, :2].T)
-        if float(away.min(initial=math.inf)) < HELD_OUT_REACH_M:  # else it is no place of the map
-            found.append(_misfit(store, k, evenly(others, _MOST_OTHERS), poses))
+        if float(away.min(initial=math.inf)) >= HELD_OUT_REACH_M:  # it is no place of the map
+            continue
+        points = near_returns(store.scan(k), FIT_RANGE_M)
+        if not len(points):
+            found.append(1.0)
+            continue
+        map_from_laser = Pose2(*poses[k].tolist()) @ store.base_from_laser(k)
+        reach = float(np.hypot(points[:, 0], points[:, 1]).max()) + REFINE_SHIFT_M
+        walls = []  # that others saw, as far as the returns could meet them
+        for other in evenly(others, _MOST_OTHERS).tolist():
+            placed = Pose2(*poses[other].tolist()) @ store.base_from_laser(other)
+            seen = placed.apply(store.scan(other).hits())
+            away = seen - np.array([map_from_laser.x, map_from_laser.y])
+            walls.append(seen[np.hypot(away[:, 0], away[:, 1]) <= reach])
+        field = ScoreField.from_points(np.vstack(walls))
+        found.append(1.0 - refine(field, points, map_from_laser).score)
     if not found:
         return HeldOutMisfit(0.0, 0)
     return HeldOutMisfit(round(float(np.median(found)), _DECIMALS), len(found))
@@ -77,28 +91,6 @@ def near_returns(scan: PlanarScan, near_m: float) -> FloatArray:
     ranges = np.hypot(hits[:, 0], hits[:, 1])
     reach = max(near_m, float(np.median(ranges))) if len(ranges) else near_m
     return np.asarray(evenly(hits[ranges <= reach], _MOST_POINTS))
-
-
-def _misfit(
-    store: KeyframeStore,
-    held_out: int,
-    others: NDArray[np.intp],
-    poses: FloatArray,
-) -> float:
-    """The misfit of one keyframe with walls that others saw: those that its returns could meet."""
-    points = near_returns(store.scan(held_out), FIT_RANGE_M)
-    if not len(points):
-        return 1.0
-    map_from_laser = Pose2(*poses[held_out].tolist()) @ store.base_from_laser(held_out)
-    reach = float(np.hypot(points[:, 0], points[:, 1]).max()) + REFINE_SHIFT_M
-    walls = []
-    for k in others.tolist():
-        placed = Pose2(*poses[k].tolist()) @ store.base_from_laser(k)
-        seen = placed.apply(store.scan(k).hits())
-        away = seen - np.array([map_from_laser.x, map_from_laser.y])
-        walls.append(seen[np.hypot(away[:, 0], away[:, 1]) <= reach])
-    field = ScoreField.from_points(np.vstack(walls))
-    return 1.0 - refine(field, points, map_from_laser).score
 
 
 def pooled(held_out: HeldOutMisfit | None, config: LocalizationConfig) -> float:

@@ -69,25 +69,15 @@ def raw_samples(
     features = features or KeyframeFeatures(store, feature_set)
     samples = {}
     for i, numbers in submaps.items():
-        chosen = _chosen(np.asarray(numbers, dtype=np.intp), features, most, starts)
+        own = np.asarray(numbers, dtype=np.intp)
+        wanted = _by_recording(evenly(own, most), starts)
+        chosen: list[int] = []
+        for recorded, share in zip(_by_recording(own, starts), wanted, strict=True):
+            known = evenly(np.array(features.known(recorded.tolist()), dtype=np.intp), len(share))
+            others = evenly(np.setdiff1d(recorded, known), len(share) - len(known))
+            chosen += sorted([*known.tolist(), *others.tolist()])
         samples[i] = Samples(features.of(chosen), np.array(chosen, dtype=np.intp))
     return samples
-
-
-def _chosen(
-    numbers: NDArray[np.intp], features: KeyframeFeatures, most: int, starts: Sequence[int]
-) -> list[int]:
-    """At most `most` of a submap's keyframes, ascending.
-
-    Of each recording its share: those with known features, then others.
-    """
-    wanted = _by_recording(evenly(numbers, most), starts)
-    chosen: list[int] = []
-    for own, share in zip(_by_recording(numbers, starts), wanted, strict=True):
-        known = evenly(np.array(features.known(own.tolist()), dtype=np.intp), len(share))
-        others = evenly(np.setdiff1d(own, known), len(share) - len(known))
-        chosen += sorted([*known.tolist(), *others.tolist()])
-    return chosen
 
 
 def _by_recording(numbers: NDArray[np.intp], starts: Sequence[int]) -> list[NDArray[np.intp]]:
@@ -135,30 +125,34 @@ def cast_samples(
 ) -> dict[int, Samples]:
     """Virtual scans of every submap, cast from free cells near its track.
 
-    In submaps of which some are `known` none are cast again.
+    Half of them are dealt out evenly, half by area. In submaps of which some are `known` none are
+    cast again.
     """
     owner = owners_of(submaps, len(poses))
     samples = {}
-    counts = _share_out(localization.augmentation, {i: g.free_area_m2 for i, g in grids.items()})
+    whole = sum(grid.free_area_m2 for grid in grids.values())
+    even = _ALIKE_SHARE / len(grids)
     tracked = np.flatnonzero(owner != NO_SUBMAP)
     tree = cKDTree(poses[tracked, :2])
     for i in sorted(submaps):
+        by_area = (1.0 - _ALIKE_SHARE) * grids[i].free_area_m2 / whole if whole > 0.0 else even
+        count = round(localization.augmentation * (even + by_area))
         before = known.rows(owner[known.keyframes] == i)
         if len(before.keyframes):
-            samples[i] = before.rows(np.arange(min(counts[i], len(before.keyframes))))
+            samples[i] = before.rows(np.arange(min(count, len(before.keyframes))))
             continue
         cells = np.argwhere(grids[i].clearance() > _AUGMENTATION_CLEARANCE_M)
         drawn = np.zeros((0, 2))
-        if len(cells) and counts[i]:
-            chosen = rng.integers(len(cells), size=_DRAWS * counts[i])
+        if len(cells) and count:
+            chosen = rng.integers(len(cells), size=_DRAWS * count)
             drawn = grids[i].centres_of(cells[chosen])
         map_from_submap = Pose2(*poses[submaps[i][0]].tolist())
         distance, nearest = tree.query(map_from_submap.apply(drawn))
         near = (distance < _AUGMENTATION_REACH_M) & (owner[tracked][nearest] == i)
         beams, reach = VIRTUAL_BEAMS, VIRTUAL_RANGE_M
-        scans = cast_circles(grids[i], drawn[near][: counts[i]], beams, reach)
+        scans = cast_circles(grids[i], drawn[near][:count], beams, reach)
         features = scans_features(scans, localization.feature_set)
-        samples[i] = Samples(features, tracked[nearest[near][: counts[i]]])
+        samples[i] = Samples(features, tracked[nearest[near][:count]])
     return samples
 
 
@@ -192,17 +186,6 @@ def _in_windows(
             turn += 1
 
 
-def _share_out(total: int, areas: Mapping[int, float]) -> dict[int, int]:
-    """How many of `total` samples each submap gets: half alike, half by its area."""
-    whole = sum(areas.values())
-    even = _ALIKE_SHARE / max(1, len(areas))
-    by_area = 1.0 - _ALIKE_SHARE
-    return {
-        i: round(total * (even + (by_area * area / whole if whole > 0.0 else even)))
-        for i, area in sorted(areas.items())
-    }
-
-
 def augmented_samples(
     store: KeyframeStore,
     submaps: Mapping[int, Sequence[int]],
@@ -216,59 +199,58 @@ def augmented_samples(
     A submap gets as many as it lacks of `recognition.augmentation` scans, or fewer: what comes to
     lie in another submap is left out. Those that are `known` are not made again.
     """
-    wanted = config.recognition.augmentation
     owner = owners_of(submaps, len(poses))
-    around = _Around(store, poses, np.flatnonzero(owner != NO_SUBMAP))
-    samples = {}
+    numbers = np.flatnonzero(owner != NO_SUBMAP)
+    kept, sources, moved = {}, [], []
     for i in sorted(submaps):
-        lacking = max(0, wanted - len(submaps[i]))
-        kept = of_keyframes(known, submaps[i])
-        kept = kept.rows(evenly(np.arange(len(kept.keyframes)), lacking))
-        lacking -= len(kept.keyframes)
-        own_keyframes = np.asarray(submaps[i], dtype=np.intp)
-        evenly_spread = np.linspace(0, len(own_keyframes) - 1, lacking).astype(np.intp)
-        sources = own_keyframes[evenly_spread]  # some of them several times if need be
+        own = np.asarray(submaps[i], dtype=np.intp)
+        lacking = max(0, config.recognition.augmentation - len(own))
+        before = of_keyframes(known, submaps[i])
+        kept[i] = before.rows(evenly(np.arange(len(before.keyframes)), lacking))
+        lacking -= len(kept[i].keyframes)
+        evenly_spread = np.linspace(0, len(own) - 1, lacking).astype(np.intp)
+        sources.append(own[evenly_spread])  # some of them several times if need be
         aside = rng.normal(0.0, _ASIDE_M, (lacking, 2))
         turned = rng.uniform(-_TURNED_RAD, _TURNED_RAD, lacking)
-        placed = poses[sources] + np.column_stack([aside, turned])
-        nearest = around.nearest(placed)
-        own = owner[nearest] == i
-        scans = around.scans(sources[own], placed[own])
-        features = scans_features(scans, config.recognition.feature_set)
-        made = Samples(features, nearest[own])
-        samples[i] = together({0: kept, 1: made}) if len(kept.keyframes) else made
+        moved.append(np.column_stack([aside, turned]))
+    source = np.concatenate(sources)
+    placed = poses[source] + np.vstack(moved)
+    nearest = numbers[cKDTree(poses[numbers, :2]).query(placed[:, :2])[1]]
+    inside = owner[nearest] == owner[source]
+    scans = _seen_from(store, poses, numbers, source[inside], placed[inside])
+    made = Samples(scans_features(scans, config.recognition.feature_set), nearest[inside])
+    samples = {}
+    for i, before in kept.items():
+        beside = made.rows(owner[made.keyframes] == i)
+        samples[i] = together({0: before, 1: beside}) if len(before.keyframes) else beside
     return samples
 
 
-class _Around:
-    """The keyframes `numbers`, at `poses` (n, 3) of all keyframes, and what they saw."""
+def _seen_from(
+    store: KeyframeStore,
+    poses: FloatArray,
+    numbers: NDArray[np.intp],
+    sources: NDArray[np.intp],
+    placed: FloatArray,
+) -> Iterator[PlanarScan]:
+    """What the lasers of keyframes `sources` (k,) would have seen from `placed` (k, 3).
 
-    def __init__(self, store: KeyframeStore, poses: FloatArray, numbers: NDArray[np.intp]) -> None:
-        self.store, self.poses, self.numbers = store, poses, numbers
-        self._places = cKDTree(poses[numbers, :2])
-        self._views = cKDTree(_views(poses[numbers]))
-        self._outline = lru_cache(_OUTLINES_KEPT)(self._found_outline)
+    It is made of what the nearest of the keyframes `numbers` saw from their `poses`.
+    """
 
-    def nearest(self, poses: FloatArray) -> NDArray[np.intp]:
-        """(k,) the keyframe nearest to each of some poses (k, 3)."""
-        _, row = self._places.query(poses[:, :2])
-        return np.asarray(self.numbers[row], dtype=np.intp)
+    @lru_cache(_OUTLINES_KEPT)
+    def outline_of(keyframe: int) -> FloatArray:
+        scan, pose = store.scan(keyframe), Pose2(*poses[keyframe].tolist())
+        return outline(scan, pose @ store.base_from_laser(keyframe), scan.range_max)
 
-    def scans(self, sources: NDArray[np.intp], poses: FloatArray) -> Iterator[PlanarScan]:
-        """What the lasers of keyframes `sources` (k,) would have seen from poses (k, 3)."""
-        near = min(_NEAR, len(self.numbers))
-        _, rows = self._views.query(_views(poses), near)
-        around = self.numbers[rows.reshape(len(poses), near)]
-        for source, pose, keyframes in zip(sources.tolist(), poses, around.tolist(), strict=True):
-            lines = np.vstack([self._outline(keyframe) for keyframe in keyframes])
-            scan = self.store.scan(source)
-            laser = Pose2(*pose.tolist()) @ self.store.base_from_laser(source)
-            ranges = seen_from(lines, laser, scan.bearings, scan.range_max)
-            yield replace(scan, ranges=ranges)
-
-    def _found_outline(self, keyframe: int) -> FloatArray:
-        scan, pose = self.store.scan(keyframe), Pose2(*self.poses[keyframe].tolist())
-        return outline(scan, pose @ self.store.base_from_laser(keyframe), scan.range_max)
+    near = min(_NEAR, len(numbers))
+    _, rows = cKDTree(_views(poses[numbers])).query(_views(placed), near)
+    around = numbers[rows.reshape(len(placed), near)]
+    for source, pose, keyframes in zip(sources.tolist(), placed, around.tolist(), strict=True):
+        lines = np.vstack([outline_of(keyframe) for keyframe in keyframes])
+        scan = store.scan(source)
+        laser = Pose2(*pose.tolist()) @ store.base_from_laser(source)
+        yield replace(scan, ranges=seen_from(lines, laser, scan.bearings, scan.range_max))
 
 
 def _views(poses: FloatArray) -> FloatArray:

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, travelled
-from specmap_cli.core.records import IntArray
+from specmap_cli.core.records import BoolArray, IntArray
 from specmap_cli.core.settings import Config, RecognitionConfig
 from specmap_cli.grids.keyframes import DIRECTION_RAD, KeyframeStore
 from specmap_cli.recognition.learning.boosting import OneVsAll
@@ -63,58 +63,33 @@ def train_and_test(
         )
         for i, own in sorted(taken.items())
     }
-    shown = samples if virtual else taken
-    learned = train(_features(samples), feature_set, config, rng, _features(shown))
+    classifiers = OneVsAll(feature_set, config.recognition).fit(
+        {i: own.features for i, own in samples.items()}, rng
+    )
+    known = Familiarity(feature_set, config.localization.false_unknown, _EXEMPLARS)
+    shown = {i: own.features for i, own in (samples if virtual else taken).items()}
+    learned = Recogniser(classifiers, known.fit(shown) if known.can_fit(shown) else None)
     if revisits is not None:
         before = revisits.classifiers.virtual if virtual else revisits.classifiers.raw
         if before is not None:
             return learned, revisits.told(taken, before)
-    pieces = Pieces(poses)
-    rest = {i: pieces.rest(own) for i, own in samples.items()}
-    tested = {i: pieces.tested(own) for i, own in taken.items()}
+    held_out = in_pieces_held_out(poses)
+    rest = {i: own.rows(~held_out[own.keyframes]) for i, own in samples.items()}
+    tested = {i: known_places(own, held_out, poses) for i, own in taken.items()}
     return learned, held_out_margins(rest, tested, feature_set, config.recognition, rng)
 
 
-def train(
-    samples: Mapping[int, FloatArray],
-    feature_set: str,
-    config: Config,
-    rng: np.random.Generator,
-    shown: Mapping[int, FloatArray],
-) -> Recogniser:
-    """What tells submaps apart, from the features (n, F) of every submap's scans.
-
-    What the map looks like is known from those `shown`.
-    """
-    classifiers = OneVsAll(feature_set, config.recognition).fit(samples, rng)
-    known = Familiarity(feature_set, config.localization.false_unknown, _EXEMPLARS)
-    return Recogniser(classifiers, known.fit(shown) if known.can_fit(shown) else None)
+def in_pieces_held_out(poses: FloatArray) -> BoolArray:
+    """(n,) which keyframes at poses (n, 3) are held out: those of a piece of the way in four."""
+    return np.asarray((travelled(poses) // _PIECE_M).astype(np.int64) % _EVERY == 1)
 
 
-def _features(samples: Mapping[int, Samples]) -> dict[int, FloatArray]:
-    return {i: own.features for i, own in samples.items()}
-
-
-class Pieces:
-    """Which keyframes are held out, and which of these the rest of their submap comes near to."""
-
-    def __init__(self, poses: FloatArray) -> None:
-        self.poses = poses
-        self.held_out = (travelled(poses) // _PIECE_M).astype(np.int64) % _EVERY == 1
-
-    def rest(self, samples: Samples) -> Samples:
-        """The samples to learn from."""
-        return samples.rows(~self.held_out[samples.keyframes])
-
-    def tested(self, samples: Samples) -> Samples:
-        """The samples to test: those of places of the submap that the rest shows, too."""
-        held_out = samples.rows(self.held_out[samples.keyframes])
-        rest = np.unique(self.rest(samples).keyframes)
-        if not len(rest):
-            return held_out.rows(np.zeros(len(held_out.keyframes), dtype=bool))
-        tree = cKDTree(self.poses[rest, :2])
-        distance, _ = tree.query(self.poses[held_out.keyframes, :2])
-        return held_out.rows(distance < HELD_OUT_REACH_M)
+def known_places(samples: Samples, held_out: BoolArray, poses: FloatArray) -> Samples:
+    """Those of a submap that are held out, of places that the rest of the submap shows, too."""
+    rest = np.setdiff1d(samples.keyframes, np.flatnonzero(held_out))
+    own = samples.rows(held_out[samples.keyframes])
+    distance, _ = cKDTree(poses[rest, :2]).query(poses[own.keyframes, :2])
+    return own.rows(np.asarray(distance < HELD_OUT_REACH_M))
 
 
 def held_out_margins(
@@ -161,22 +136,18 @@ class Revisits:
     def told(self, samples: Mapping[int, Samples], by: Recogniser) -> HeldOutMargins:
         """The margins of samples of the recording; `by` is one of the classifiers before it."""
         column = {id_: k for k, id_ in enumerate(by.ids)}
-        found = [(column[i], self._known(i, samples[i])) for i in sorted(samples) if i in column]
-        features = [own.features for _, own in found if len(own.features)]
-        if not features:
+        features, true = [], []
+        for i in sorted(column.keys() & samples.keys()):
+            before = self._views(np.flatnonzero(self.submaps[: self.first] == i))
+            own = samples[i].rows(samples[i].keyframes >= self.first)
+            known = cKDTree(before).query(self._views(own.keyframes))[0] < 1.0
+            features.append(own.features[known])
+            true += [column[i]] * len(features[-1])
+        if not true:
             return HeldOutMargins(np.zeros((0, len(column))), np.zeros(0, dtype=np.intp))
-        true = np.repeat([k for k, _ in found], [len(own.features) for _, own in found])
         rows = evenly(np.arange(len(true)), MOST_VIEWS)
-        return HeldOutMargins(by.margins(np.vstack(features)[rows]), true[rows].astype(np.intp))
-
-    def _known(self, submap: int, samples: Samples) -> Samples:
-        """Those of the recording at places of the submap that were known before."""
-        before = np.flatnonzero(self.submaps[: self.first] == submap)
-        own = samples.rows(samples.keyframes >= self.first)
-        if not len(before) or not len(own.keyframes):
-            return own.rows(np.zeros(len(own.keyframes), dtype=bool))
-        near = cKDTree(self._views(before)).query(self._views(own.keyframes))[0] < 1.0
-        return own.rows(np.asarray(near))
+        margins = by.margins(np.vstack(features)[rows])
+        return HeldOutMargins(margins, np.array(true, dtype=np.intp)[rows])
 
     def _views(self, keyframes: NDArray[np.intp]) -> FloatArray:
         """Where keyframes (k,) look from, and where to: farther apart than one is another view."""

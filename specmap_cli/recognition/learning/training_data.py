@@ -56,7 +56,10 @@ class TrainingData:
 
     def left(self, numbers: IntArray) -> TrainingData:
         """Those of the keyframes `numbers` (k,), ascending, which are 0, 1, ... from now on."""
-        return TrainingData(*(_left(own, numbers) for own in self.kinds))
+        left = (own.rows(np.isin(own.keyframes, numbers)) for own in self.kinds)
+        return TrainingData(
+            *(Samples(own.features, np.searchsorted(numbers, own.keyframes)) for own in left)
+        )
 
     @classmethod
     def joined(cls, parts: Sequence[TrainingData]) -> TrainingData:
@@ -91,9 +94,3 @@ def together(samples: Mapping[int, Samples]) -> Samples:
 def of_keyframes(samples: Samples, keyframes: Collection[int]) -> Samples:
     """The samples of some keyframes."""
     return samples.rows(np.isin(samples.keyframes, np.fromiter(keyframes, dtype=np.intp)))
-
-
-def _left(samples: Samples, numbers: IntArray) -> Samples:
-    """Samples of the keyframes `numbers`, with their new numbers."""
-    kept = samples.rows(np.isin(samples.keyframes, numbers))
-    return replace(kept, keyframes=np.searchsorted(numbers, kept.keyframes).astype(np.intp))

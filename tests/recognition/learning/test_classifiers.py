@@ -15,20 +15,21 @@ from hypothesis import strategies as st
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.settings import Config
 from specmap_cli.recognition.features.sets import feature_names
+from specmap_cli.recognition.learning.boosting import OneVsAll
 from specmap_cli.recognition.learning.calibration import Calibration
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser, Sensor
 from specmap_cli.recognition.learning.familiarity import Familiarity
 from specmap_cli.recognition.learning.misfit import HeldOutMisfit
-from specmap_cli.recognition.learning.training import train
 from tests.recognition.learning.made_up import PAPER, SMALL, samples_of
 
 SENSOR = Sensor(beams=360, field_of_view=2 * math.pi, range_max=20.0, full_circle=True)
 
 
 def recogniser(config: Config, seed: int = 0) -> Recogniser:
-    made = samples_of(config)
-    rng = np.random.default_rng(seed)
-    return train(made, config.recognition.feature_set, config, rng, made)
+    made, feature_set = samples_of(config), config.recognition.feature_set
+    classifiers = OneVsAll(feature_set, config.recognition)
+    known = Familiarity(feature_set).fit(made)
+    return Recogniser(classifiers.fit(made, np.random.default_rng(seed)), known)
 
 
 def classifier_set(config: Config = SMALL) -> ClassifierSet:

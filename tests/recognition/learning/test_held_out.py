@@ -12,7 +12,12 @@ from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.boosting import OneVsAll
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser, Sensor
-from specmap_cli.recognition.learning.training import Pieces, Revisits, held_out_margins
+from specmap_cli.recognition.learning.training import (
+    Revisits,
+    held_out_margins,
+    in_pieces_held_out,
+    known_places,
+)
 from specmap_cli.recognition.learning.training_data import Samples
 
 CONFIG = RecognitionConfig(rounds=10)
@@ -32,7 +37,7 @@ def samples(centre: float, keyframes: np.ndarray) -> Samples:
 
 
 def test_a_piece_in_four_is_held_out_but_not_the_first() -> None:
-    held = Pieces(straight(60.0)).held_out
+    held = in_pieces_held_out(straight(60.0))
     assert not held[:49].any()
     assert held[52:98].all()
     assert not held[102:248].any()
@@ -40,21 +45,22 @@ def test_a_piece_in_four_is_held_out_but_not_the_first() -> None:
 
 
 def test_only_places_that_the_rest_shows_are_tested() -> None:
-    pieces, line = Pieces(straight(60.0)), samples(0.0, np.arange(600))
-    tested = pieces.tested(line).keyframes
-    assert set(tested) < set(np.flatnonzero(pieces.held_out))
+    everywhere = samples(0.0, np.arange(600))
+    line, there_and_back = straight(60.0), np.vstack([straight(30.0), straight(30.0)[::-1]])
+    held_out = in_pieces_held_out(line)
+    tested = known_places(everywhere, held_out, line).keyframes
+    assert set(tested) < set(np.flatnonzero(held_out))
     assert {51, 97} <= set(tested)
     assert not {75} & set(tested)
-    assert len(pieces.rest(line).keyframes) == (~pieces.held_out).sum()
-    there_and_back = np.vstack([straight(30.0), straight(30.0)[::-1]])
-    both = Pieces(there_and_back)
-    again = both.tested(samples(0.0, np.arange(600))).keyframes
-    assert len(again) == both.held_out.sum()
+    held_out = in_pieces_held_out(there_and_back)
+    again = known_places(everywhere, held_out, there_and_back).keyframes
+    assert len(again) == held_out.sum()
 
 
 def test_a_submap_of_which_nothing_is_left_is_not_tested() -> None:
-    pieces = Pieces(straight(60.0))
-    assert not len(pieces.tested(samples(0.0, np.arange(55, 90))).keyframes)
+    line = straight(60.0)
+    own = samples(0.0, np.arange(55, 90))
+    assert not len(known_places(own, in_pieces_held_out(line), line).keyframes)
 
 
 def test_held_out_scans_are_told_by_what_was_learned_of_the_rest() -> None:
