@@ -19,12 +19,13 @@ from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import IntArray, PosedScan, Trajectory
 from specmap_cli.core.settings import Config, KeyframeConfig
-from specmap_cli.evaluation.trajectories import associate, read_tum
+from specmap_cli.evaluation.trajectories import associate
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.filenames import TOPOLOGY
 from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.text_files import read_tum
 from specmap_cli.pipelines.build import build_map, map_log
 from specmap_cli.pipelines.localize import localize_log
 from specmap_cli.pipelines.map_in_making import FinishedMap
