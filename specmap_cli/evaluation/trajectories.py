@@ -159,7 +159,8 @@ def reference_errors(trajectory: Trajectory, reference: Trajectory) -> Reference
             want = compose(invert(truth[starts]), truth[ends[starts]])
             have = compose(invert(poses[starts]), poses[ends[starts]])
             relative[length] = _relative_errors(want, have, len(starts))
-    whole = _difference(compose(invert(truth[0]), truth[-1]), compose(invert(poses[0]), poses[-1]))
+    driven = compose(invert(truth[0]), truth[-1])
+    whole = compose(invert(driven), compose(invert(poses[0]), poses[-1]))
     moved = nearest_motion(poses[:, :2], truth[:, :2]).apply(poses[:, :2])
     return ReferenceErrors(
         relative=relative,
@@ -179,16 +180,11 @@ def _too_few(common: int, total: int) -> InputError:
     )
 
 
-def _difference(want: FloatArray, have: FloatArray) -> FloatArray:
-    """The motions (..., 3) from wanted poses to those there are."""
-    return compose(invert(want), have)
-
-
 def _relative_errors(want: FloatArray, have: FloatArray, total: int) -> RelativeErrors:
     """The errors of poses (n, 3) against those wanted."""
     if not len(want):
         raise _too_few(0, total)
-    error = _difference(want, have)
+    error = compose(invert(want), have)
     return RelativeErrors(
         translation_m=Spread.of(np.hypot(error[:, 0], error[:, 1])),
         rotation_deg=Spread.of(np.degrees(np.abs(error[:, 2]))),
