@@ -26,8 +26,6 @@ from specmap_cli.recognition.learning.trees import CodeArray, Quantiser, Questio
 
 SAMPLES_PER_SUBMAP = 60  # scans of a submap used for ranking
 
-IndexArray = NDArray[np.intp]
-
 _POOL = 1.5  # times closure_negatives: as many are left without a group, of three
 _LEAST_ASKED = 8  # scans of a stay: a mean of chances to a tenth or two
 _OWN_SAMPLES = 2  # times SAMPLES_PER_SUBMAP: of all stays of a submap that is trained or asked
@@ -61,21 +59,17 @@ class _Scans:
     features: NDArray[Any]
     codes: CodeArray | None = None
 
-    def __len__(self) -> int:
-        return len(self.features)
-
-    def taken(self, rows: IndexArray) -> _Scans:
-        """Some of the scans."""
-        codes = None if self.codes is None else self.codes[:, rows]
-        return _Scans(self.features[rows], codes)
-
     @classmethod
-    def joined(cls, parts: Sequence[_Scans]) -> _Scans:
-        """The scans of several, one after the other; with bins if all of them have some."""
-        codes = [scans.codes for scans in parts if scans.codes is not None]
+    def joined(cls, parts: Sequence[_Scans], most: int | None = None) -> _Scans:
+        """The scans of several, one after the other, or `most` of them, evenly spread.
+
+        With bins if all of them have some.
+        """
         features = np.concatenate([scans.features for scans in parts])
-        cut = np.concatenate(codes, axis=1) if len(codes) == len(parts) else None
-        return cls(features, cut)
+        rows = slice(None) if most is None else evenly(np.arange(len(features)), most)
+        codes = [scans.codes for scans in parts if scans.codes is not None]
+        cut = np.concatenate(codes, axis=1)[:, rows] if len(codes) == len(parts) else None
+        return cls(features[rows], cut)
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +123,7 @@ class ClaimRanker:
         groups = [ids[k::count] for k in range(count)]
         # beside it the old submaps are trained whose map, or own scans, have grown since;
         # without growth allowed that is all of them: nothing is less than itself
-        held = {i: sum(len(scans) for scans in self._submaps[i]) for i in ids}
+        held = {i: sum(len(scans.features) for scans in self._submaps[i]) for i in ids}
         growth = 1.0 + self.config.refresh_growth
         stale = [
             i
@@ -158,12 +152,12 @@ class ClaimRanker:
 
         Negatives are of one pool: alike many scans of every old submap, of all its stays.
         """
-        own = [_thinned(each, _OWN_SAMPLES * SAMPLES_PER_SUBMAP) for each in stays]
+        own = [_Scans.joined(each, _OWN_SAMPLES * SAMPLES_PER_SUBMAP) for each in stays]
         most, ids = self.config.closure_negatives, sorted(self._submaps)
-        pool = [_thinned(self._submaps[i], math.ceil(_POOL * most / len(ids))) for i in ids]
-        owner = np.repeat(ids, [len(scans) for scans in pool])
+        pool = [_Scans.joined(self._submaps[i], math.ceil(_POOL * most / len(ids))) for i in ids]
+        owner = np.repeat(ids, [len(scans.features) for scans in pool])
         scans = _Scans.joined([*pool, *own])
-        ends = np.cumsum([len(owner), *(len(part) for part in own)]).tolist()
+        ends = np.cumsum([len(owner), *(len(part.features) for part in own)]).tolist()
         questions = []
         for start, end, without in zip(ends[:-1], ends[1:], left_out, strict=True):
             others = evenly(np.flatnonzero(~np.isin(owner, list(without))), most)
@@ -214,15 +208,6 @@ def _claims(c_new: Booster, c_old: Booster, new: _Scans, old: Sequence[NDArray[A
         rank=_chance(of_new) * float(by_stay.max()),
         by_stay=by_stay,
     )
-
-
-def _thinned(stays: Sequence[_Scans], most: int) -> _Scans:
-    """At most `most` scans, evenly spread over the stays."""
-    starts = np.concatenate([[0], np.cumsum([len(scans) for scans in stays])]).astype(np.intp)
-    chosen = evenly(np.arange(int(starts[-1])), most)
-    bounds = np.searchsorted(chosen, starts)
-    parts = zip(stays, starts[:-1], bounds[:-1], bounds[1:], strict=True)
-    return _Scans.joined([scans.taken(chosen[a:b] - start) for scans, start, a, b in parts])
 
 
 def _chance(margins: FloatArray) -> float:

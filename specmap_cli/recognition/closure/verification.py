@@ -61,7 +61,8 @@ class TransformSearch:
         # the larger the cells, the more steps to either side of aligned walls are tried at once
         cell_m = max(old.area.resolution, new.area.resolution)
         steps = max(0, int((cell_m - _FINE_CELL_M) / _CELL_M_PER_SLACK))
-        self.few, self.many = _slacks(steps), _slacks(steps + 1)
+        offs = [sign * k * _SLACK_RAD for k in range(1, steps + 2) for sign in (-1.0, 1.0)]
+        self.few, self.many = (0.0, *offs[:-2]), (0.0, *offs)
         self.centre: FloatArray = new.coarse.walls.mean(axis=0)
         self._old = old.coarse
         self._aligned = old.direction - new.direction
@@ -124,11 +125,6 @@ def differ(a: Pose2, b: Pose2, centre: NDArray[np.float64], metres: float, radia
     shift = a.apply(centre[None])[0] - b.apply(centre[None])[0]
     turn = abs(wrap_angle(a.theta - b.theta))
     return math.hypot(*shift.tolist()) > metres or turn > radians
-
-
-def _slacks(steps: int) -> Sequence[float]:
-    """Rotations off that of aligned walls, the smallest first, radians."""
-    return (0.0, *(sign * k * _SLACK_RAD for k in range(1, steps + 1) for sign in (-1.0, 1.0)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
