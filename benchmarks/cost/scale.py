@@ -25,9 +25,10 @@ from benchmarks.scoreboard.rows import Figures, Row
 from benchmarks.scores import map_scores
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import IntArray
-from specmap_cli.evaluation.trajectories import associate, read_tum, reference_errors
+from specmap_cli.evaluation.trajectories import associate, reference_errors
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap, cast_rays
 from specmap_cli.maps.store import read_map
+from specmap_cli.maps.text_files import read_tum
 from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.simulation.simulator import SimulationOptions
 from specmap_cli.simulation.tours import reachable_space

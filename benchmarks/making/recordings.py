@@ -14,10 +14,11 @@ from benchmarks.making.spoiling import Spoiling
 from specmap_cli.core.geometry import Pose2, nearest_motion, quaternions_from_rpy
 from specmap_cli.core.records import Sweep, Trajectory
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.evaluation.trajectories import associate, read_relations, read_tum, relation_errors
+from specmap_cli.evaluation.trajectories import associate, read_relations, relation_errors
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import LogWriter
+from specmap_cli.maps.text_files import read_tum
 from specmap_cli.simulation.simulator import SimulatedTour, stamp_of
 
 Score = Callable[[Trajectory], float]

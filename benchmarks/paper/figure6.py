@@ -26,7 +26,8 @@ from specmap_cli.core.geometry import FloatArray, Pose2, compose, nearest_motion
 from specmap_cli.core.records import NO_SUBMAP, IntArray
 from specmap_cli.drawing.predictions import render_labels
 from specmap_cli.evaluation.protocols import ClassificationScores, RevisitResult, revisit
-from specmap_cli.evaluation.trajectories import associate, read_tum
+from specmap_cli.evaluation.trajectories import associate
+from specmap_cli.maps.text_files import read_tum
 from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.localization.localizer import Label, Localizer
 

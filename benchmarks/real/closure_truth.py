@@ -11,10 +11,11 @@ import numpy as np
 
 from specmap_cli.core.config import load_config
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angle, wrap_angles
-from specmap_cli.evaluation.trajectories import associate, read_tum
+from specmap_cli.evaluation.trajectories import associate
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.closure_matching import Place, place_around, sharpened
 from specmap_cli.layout.pose_graph import Link
+from specmap_cli.maps.text_files import read_tum
 from specmap_cli.pipelines.exploration import Regions
 from specmap_cli.pipelines.laying_out import constraints_of
 from specmap_cli.pipelines.map_in_making import Explored

@@ -23,8 +23,8 @@ from benchmarks.scoreboard.bench import Bench
 from benchmarks.scoreboard.rows import Figures, Row
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.core.records import IntArray
-from specmap_cli.evaluation.trajectories import read_tum
 from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.text_files import read_tum
 
 # (session, in the map of)
 PAIRS = (

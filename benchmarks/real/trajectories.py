@@ -23,13 +23,9 @@ from benchmarks.real.laying import Seen, passes
 from benchmarks.scoreboard.bench import Bench
 from benchmarks.scoreboard.rows import Figures, Row
 from specmap_cli.core.records import Trajectory
-from specmap_cli.evaluation.trajectories import (
-    read_relations,
-    read_tum,
-    reference_errors,
-    relation_errors,
-)
+from specmap_cli.evaluation.trajectories import read_relations, reference_errors, relation_errors
 from specmap_cli.maps.store import read_map
+from specmap_cli.maps.text_files import read_tum
 
 WITHOUT = "--no-odometry"
 _OTHERS = "Cartographer .0452 (Hess 2016), graph mapping .056, scan matching .258 (Kuemmerle 2009)"

@@ -21,8 +21,9 @@ from benchmarks.real.laying import Seen, passes, placed
 from benchmarks.real.trajectories import WITHOUT, thinned
 from benchmarks.scoreboard.bench import Bench, verdict_of
 from benchmarks.scoreboard.rows import Figure, Figures, Row
-from specmap_cli.evaluation.trajectories import read_relations, read_tum, relation_errors
+from specmap_cli.evaluation.trajectories import read_relations, relation_errors
 from specmap_cli.maps.store import read_map
+from specmap_cli.maps.text_files import read_tum
 
 # recordings without a truth, and another session of the same building, "" for none
 SESSIONS = {

@@ -22,9 +22,9 @@ from benchmarks.scoreboard.bench import Bench
 from benchmarks.scoreboard.rows import Figure, Figures, Row
 from specmap_cli.core.geometry import FloatArray, Pose2, nearest_motion, wrap_angle
 from specmap_cli.core.settings import Config
-from specmap_cli.evaluation.trajectories import read_tum
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.maps.store import read_map
+from specmap_cli.maps.text_files import read_tum
 from specmap_cli.pipelines.build import build_map
 from specmap_cli.pipelines.compare import Comparison, compare_maps
 from specmap_cli.pipelines.overlaps import align_maps

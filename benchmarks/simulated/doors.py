@@ -20,9 +20,10 @@ from scipy import ndimage
 from benchmarks.simulated.door_truth import TrueDoor, narrowest
 from specmap_cli.core.geometry import FloatArray, Pose2, nearest_motion
 from specmap_cli.core.settings import WaysConfig
-from specmap_cli.evaluation.trajectories import associate, read_tum
+from specmap_cli.evaluation.trajectories import associate
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.text_files import read_tum
 from specmap_cli.topology.navigation import PLACE_MARGIN_M
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import Door, TopologicalMap

@@ -33,7 +33,7 @@ from benchmarks.scoreboard.bench import Bench
 from benchmarks.scoreboard.rows import Figures, Row
 from specmap_cli.cli.options import Settings
 from specmap_cli.core.errors import SpecmapError
-from specmap_cli.evaluation.trajectories import read_tum
+from specmap_cli.maps.text_files import read_tum
 from specmap_cli.pipelines.build import build_map
 from specmap_cli.simulation.lasers import OdometryErrors
 from specmap_cli.simulation.simulator import SimulatedTour, simulated_tour, simulation_options

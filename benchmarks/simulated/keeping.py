@@ -25,13 +25,9 @@ from benchmarks.making.replays import write_pieces
 from benchmarks.scoreboard.bench import Bench, build
 from benchmarks.scoreboard.rows import Figure, Figures, Row
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.evaluation.trajectories import (
-    read_relations,
-    read_tum,
-    reference_errors,
-    relation_errors,
-)
+from specmap_cli.evaluation.trajectories import read_relations, reference_errors, relation_errors
 from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.text_files import read_tum
 from specmap_cli.topology.identity import BorderChange, border_changes
 
 Error = Callable[[Path], float]  # of the trajectory of a map, metres

@@ -26,10 +26,10 @@ from benchmarks.simulated.door_truth import true_doors
 from benchmarks.simulated.doors import DoorScores, Truth, against, checked, map_from_plan
 from benchmarks.simulated.plans import random_plan
 from specmap_cli.core.records import Trajectory
-from specmap_cli.evaluation.trajectories import associate, read_tum, reference_errors
+from specmap_cli.evaluation.trajectories import associate, reference_errors
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.store import read_map
-from specmap_cli.maps.text_files import planar_trajectory_text
+from specmap_cli.maps.text_files import planar_trajectory_text, read_tum
 from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.simulation.simulator import SimulationOptions, simulated_tour, stamp_of
 from specmap_cli.simulation.worlds import RoomTruth

@@ -149,10 +149,8 @@ def evaluate(
     specmap evaluate --trajectory map/trajectory.tum --reference log.tum
     """
     task.check()
-    _need(
-        out is None or task.protocol is not None,
-        "--confusion (--out) is of --protocol: leave it out here",
-    )
+    if out is not None and task.protocol is None:
+        raise UsageError("--confusion (--out) is of --protocol", "leave it out here")
     inputs = [*(logs or []), *truth.references, *truth.pictures]
     check_files([out], inputs, common, overwrite=overwrite)
     effective = settings.load()
@@ -184,19 +182,24 @@ def _draw(path: Path, scores: ClassificationScores) -> None:
 
 
 def _score_trajectory(trajectory: Path, truth: Truth) -> Found:
-    from specmap_cli.evaluation import trajectories
-    from specmap_cli.evaluation.trajectories import reference_lines, relation_lines
+    from specmap_cli.evaluation.trajectories import (
+        read_relations,
+        reference_errors,
+        reference_lines,
+        relation_errors,
+        relation_lines,
+    )
+    from specmap_cli.maps.text_files import read_tum
 
     _need(
         (truth.relations is None) == (len(truth.references) == 1),
         "--trajectory needs one of --relations FILE and --reference FILE.tum",
     )
-    poses = trajectories.read_tum(trajectory)
+    poses = read_tum(trajectory)
     if truth.relations is not None:
-        relations = trajectories.read_relations(truth.relations)
-        errors = trajectories.relation_errors(poses, relations)
+        errors = relation_errors(poses, read_relations(truth.relations))
         return Found(figures=asdict(errors), lines=relation_lines(errors))
-    found = trajectories.reference_errors(poses, trajectories.read_tum(truth.references[0]))
+    found = reference_errors(poses, read_tum(truth.references[0]))
     return Found(figures=found.as_dict(), lines=reference_lines(found))
 
 

@@ -19,12 +19,13 @@ from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import IntArray, PosedScan, Trajectory
 from specmap_cli.core.settings import Config, KeyframeConfig
-from specmap_cli.evaluation.trajectories import associate, read_tum
+from specmap_cli.evaluation.trajectories import associate
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.filenames import TOPOLOGY
 from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.text_files import read_tum
 from specmap_cli.pipelines.build import build_map, map_log
 from specmap_cli.pipelines.localize import localize_log
 from specmap_cli.pipelines.map_in_making import FinishedMap
@@ -82,12 +83,14 @@ class ClassificationScores:
     @property
     def recall(self) -> float:
         """Macro average: every class counts alike, as in the paper's Table II."""
-        return _mean(self.recall_of.values())
+        of_each = self.recall_of.values()
+        return sum(of_each) / max(1, len(of_each))
 
     @property
     def precision(self) -> float:
         """Macro average: every class counts alike, as in the paper's Table II."""
-        return _mean(self.precision_of.values())
+        of_each = self.precision_of.values()
+        return sum(of_each) / max(1, len(of_each))
 
     @property
     def accuracy(self) -> float:
@@ -136,11 +139,6 @@ def score_lines(scores: ClassificationScores) -> list[str]:
     return lines
 
 
-def _mean(values: Iterable[float]) -> float:
-    listed = list(values)
-    return sum(listed) / len(listed) if listed else 0.0
-
-
 @dataclass(frozen=True, slots=True)
 class HoldOut:
     """Which keyframes are held out: a `share` of them, one by one or in blocks of `block`.
@@ -170,8 +168,11 @@ class HoldOutResult:
 
     def as_dict(self) -> dict[str, Any]:
         """Table II as JSON: macro averages, and recall and precision of every submap."""
-        recall, precision = self.test.recall_of, self.test.precision_of
-        trained = self.train.recall_of
+        figures = {
+            "recall": self.test.recall_of,
+            "precision": self.test.precision_of,
+            "train_recall": self.train.recall_of,
+        }
         return {
             "train": self.train.as_dict(),
             "test": self.test.as_dict(),
@@ -179,9 +180,10 @@ class HoldOutResult:
             "submaps": [
                 {
                     "id": submap,
-                    "recall": _rounded(recall.get(submap)),
-                    "precision": _rounded(precision.get(submap)),
-                    "train_recall": _rounded(trained.get(submap)),
+                    **{
+                        name: round(of[submap], 6) if submap in of else None
+                        for name, of in figures.items()
+                    },
                     "scans": int(self.test.confusion[k].sum()),
                 }
                 for k, submap in enumerate(self.test.ids)
@@ -335,10 +337,6 @@ def revisit(
     )
 
 
-def _rounded(value: float | None) -> float | None:
-    return None if value is None else round(value, 6)
-
-
 def revisit_logs(
     first: str | Path,
     second: str | Path,
@@ -367,7 +365,21 @@ def _revisit_map(
     config: Config,
     progress: Progress,
 ) -> RevisitResult:
-    map_from_reference = _alignment(stored, references[0], progress)
+    """The same with the map; its own log's poses are taken to it by the motion that fits best."""
+    given = read_tum(references[0])
+    joined, rows = associate(given.stamps_ns, stored.labels.stamps_ns, STAMP_REACH_NS)
+    if len(joined) < 2:
+        raise LogError(
+            "no pose at the stamps of the map's keyframes: another log?", where=references[0]
+        )
+    places, known = given.poses[rows, :2], stored.labels.poses[joined, :2]
+    map_from_reference = nearest_motion(places, known)
+    away = np.hypot(*(map_from_reference.apply(places) - known).T).mean()
+    if away > _FITTING_M:
+        progress.warn(
+            f"{references[0]}: its poses are {away:.1f} m off the map on average: of another log, "
+            "or is the map bent? the scores mean little"
+        )
     reference = read_tum(references[1])
     report = localize_log([second], stored, config, progress=progress)
     return revisit(
@@ -376,25 +388,6 @@ def _revisit_map(
         (stored.labels.poses, stored.labels.submaps),
         map_from_reference,
     )
-
-
-def _alignment(stored: StoredMap, reference: str | Path, progress: Progress) -> Pose2:
-    """The motion that takes the reference poses of the map's own log to the map."""
-    given = read_tum(reference)
-    joined, rows = associate(given.stamps_ns, stored.labels.stamps_ns, STAMP_REACH_NS)
-    if len(joined) < 2:
-        raise LogError(
-            "no pose at the stamps of the map's keyframes: another log?", where=reference
-        )
-    places, known = given.poses[rows, :2], stored.labels.poses[joined, :2]
-    map_from_reference = nearest_motion(places, known)
-    away = np.hypot(*(map_from_reference.apply(places) - known).T).mean()
-    if away > _FITTING_M:
-        progress.warn(
-            f"{reference}: its poses are {away:.1f} m off the map on average: of another log, or "
-            "is the map bent? the scores mean little"
-        )
-    return map_from_reference
 
 
 def hold_out_lines(result: HoldOutResult) -> list[str]:

@@ -27,10 +27,11 @@ from specmap_cli.evaluation.protocols import (
     ClassificationScores,
     classification_scores,
 )
-from specmap_cli.evaluation.trajectories import associate, read_tum
+from specmap_cli.evaluation.trajectories import associate
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
+from specmap_cli.maps.text_files import read_tum
 from specmap_cli.pipelines.build import map_log
 from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.features.sets import feature_names, scans_features

@@ -9,8 +9,7 @@ and the absolute error after the best rigid motion follow Sturm et al. (IROS 201
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -23,16 +22,12 @@ from specmap_cli.core.geometry import (
     compose,
     invert,
     nearest_motion,
-    rotation_from_quaternion,
     travelled,
-    yaw_of,
 )
 from specmap_cli.core.records import IntArray, Trajectory
-from specmap_cli.core.text import stamp_ns
+from specmap_cli.maps.text_files import stamped_rows
 
 PATH_LENGTHS_M = (1.0, 5.0, 20.0)  # a room's details, a room, a wing of a building
-_LATEST_S = 9.2e9  # the year 2261: later stamps in nanoseconds overflow 64 bits
-_DECIMAL = re.compile(r"[0-9]+(\.[0-9]*)?")  # seconds without a sign or an exponent
 _TOLERANCE_NS = 2_000_000  # stamps in text files are rounded to microseconds at the worst
 
 
@@ -101,24 +96,13 @@ class Relations:
     poses: FloatArray
 
 
-def read_tum(path: str | Path) -> Trajectory:
-    """A trajectory in TUM format: `t x y z qx qy qz qw` a line, seconds and metres.
-
-    Raises InputError naming the line that is not so.
-    """
-    rows = _rows(Path(path), 1, "TUM format has 8", "pose", "`t x y z qx qy qz qw`")
-    stamps = [stamp for (stamp,), _ in rows]
-    poses = [(x, y, yaw_of(rotation_from_quaternion(*q))) for _, (x, y, _, *q) in rows]
-    return Trajectory(np.array(stamps, dtype=np.int64), np.array(poses, dtype=np.float64))
-
-
 def read_relations(path: str | Path) -> Relations:
     """Ground-truth relations: `t1 t2 x y z roll pitch yaw` a line, seconds, metres, radians.
 
     Raises InputError naming the line that is not so.
     """
     expected = "`t1 t2 x y z roll pitch yaw`"
-    rows = _rows(Path(path), 2, "relations have 8", "relation", expected)
+    rows = stamped_rows(path, 2, "relations have 8", "relation", expected)
     earlier, later = np.array([stamps for stamps, _ in rows], dtype=np.int64).T
     poses = [(x, y, yaw) for _, (x, y, _, _, _, yaw) in rows]
     return Relations(earlier, later, np.array(poses, dtype=np.float64))
@@ -175,7 +159,8 @@ def reference_errors(trajectory: Trajectory, reference: Trajectory) -> Reference
             want = compose(invert(truth[starts]), truth[ends[starts]])
             have = compose(invert(poses[starts]), poses[ends[starts]])
             relative[length] = _relative_errors(want, have, len(starts))
-    whole = _difference(compose(invert(truth[0]), truth[-1]), compose(invert(poses[0]), poses[-1]))
+    driven = compose(invert(truth[0]), truth[-1])
+    whole = compose(invert(driven), compose(invert(poses[0]), poses[-1]))
     moved = nearest_motion(poses[:, :2], truth[:, :2]).apply(poses[:, :2])
     return ReferenceErrors(
         relative=relative,
@@ -195,72 +180,17 @@ def _too_few(common: int, total: int) -> InputError:
     )
 
 
-def _difference(want: FloatArray, have: FloatArray) -> FloatArray:
-    """The motions (..., 3) from wanted poses to those there are."""
-    return compose(invert(want), have)
-
-
 def _relative_errors(want: FloatArray, have: FloatArray, total: int) -> RelativeErrors:
     """The errors of poses (n, 3) against those wanted."""
     if not len(want):
         raise _too_few(0, total)
-    error = _difference(want, have)
+    error = compose(invert(want), have)
     return RelativeErrors(
         translation_m=Spread.of(np.hypot(error[:, 0], error[:, 1])),
         rotation_deg=Spread.of(np.degrees(np.abs(error[:, 2]))),
         matched=len(want),
         total=total,
     )
-
-
-def _rows(
-    path: Path, stamps: int, columns: str, what: str, expected: str
-) -> list[tuple[list[int], list[float]]]:
-    """The stamps at the beginning of each line, nanoseconds, and the numbers that follow them."""
-    rows = []
-    for number, words in _lines(path):
-        if len(words) != 8:
-            raise _malformed(path, number, f"{len(words)} columns, {columns}")
-        times = [_stamp(path, number, word) for word in words[:stamps]]
-        rows.append((times, _numbers(path, number, words[stamps:])))
-    if not rows:
-        raise InputError(f"holds no {what};", f"expected lines {expected}", where=path)
-    return rows
-
-
-def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Number and words of each line that is neither empty nor a comment."""
-    try:
-        with path.open(encoding="utf-8") as file:
-            for number, line in enumerate(file, start=1):
-                words = line.split("#", 1)[0].replace(",", " ").split()
-                if words:
-                    yield number, words
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise InputError(f"cannot be read: {reason}", where=path) from None
-
-
-def _stamp(path: Path, number: int, word: str) -> int:
-    """Seconds in decimal to nanoseconds, without the rounding of floats."""
-    value = _numbers(path, number, [word])[0]
-    if not abs(value) < _LATEST_S:
-        raise _malformed(path, number, f"{word!r} is no time in seconds")
-    return stamp_ns(word) if _DECIMAL.fullmatch(word) else round(value * 1e9)
-
-
-def _numbers(path: Path, number: int, words: list[str]) -> list[float]:
-    try:
-        values = [float(word) for word in words]
-    except ValueError:
-        raise _malformed(path, number, f"{' '.join(words)!r} are not all numbers") from None
-    if not np.isfinite(values).all():
-        raise _malformed(path, number, f"{' '.join(words)!r} are not all finite")
-    return values
-
-
-def _malformed(path: Path, number: int, found: str) -> InputError:
-    return InputError(f"{found};", "mend or remove the line", where=f"{path}:{number}")
 
 
 def relation_lines(errors: RelativeErrors) -> list[str]:

@@ -19,7 +19,7 @@ place is fixed.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,7 +42,7 @@ SPREAD_M, SPREAD_RAD = 0.3, 0.09  # looked at: beyond the errors of a match that
 _SPREAD_STEPS = 6  # of the lattice, from the match to either end
 
 PLACES, PLACES_STEP_M = 5, 0.2  # looked for everywhere: a wall is still seen in cells of 0.2 m
-APART_M = 1.0  # of two places found: nearer ones lead `refine` to the same pose
+_APART_M = 1.0  # of two places found: nearer ones lead `refine` to the same pose
 _APART_RAD = 0.3  # likewise of two headings
 
 _FAR_PERCENTILE = 80.0  # of the ranges: the few farthest points may move by more than a step
@@ -123,15 +123,28 @@ def search_everywhere(
     local = points - middle
     turn = angle_step or _angle_step(local, coarse.resolution)
     found = _everywhere(coarse, local, np.arange(0.0, 2 * np.pi, turn), count)
-    kept: list[Match] = []
+    places = ((min(1.0, score), Pose2(x, y, wrap_angle(angle))) for score, x, y, angle in found)
+    return different_places(places, middle, count)
+
+
+def different_places(
+    found: Iterable[tuple[float, Pose2]], middle: FloatArray, count: int
+) -> list[Match]:
+    """Of scores and poses of the `middle` (2,) of some points, the first `count` that differ.
+
+    Two are different answers from `_APART_M` or `_APART_RAD` on. A match is told of the points.
+    """
+    back = Pose2(-float(middle[0]), -float(middle[1]), 0.0)
     centres: list[Pose2] = []
-    for score, x, y, angle in found:
-        centre = Pose2(x, y, wrap_angle(angle))
-        if all(_differ(centre, other) for other in centres):
+    kept: list[Match] = []
+    for score, centre in found:
+        if all(
+            math.hypot(centre.x - other.x, centre.y - other.y) >= _APART_M
+            or abs(wrap_angle(centre.theta - other.theta)) >= _APART_RAD
+            for other in centres
+        ):
             centres.append(centre)
-            kept.append(
-                Match(centre @ Pose2(-float(middle[0]), -float(middle[1]), 0.0), min(1.0, score))
-            )
+            kept.append(Match(centre @ back, score))
         if len(kept) == count:
             break
     return kept
@@ -259,12 +272,6 @@ def _everywhere(
         best = peaks(maxima, target.size, cell, count)
         found.extend((peak.value, peak.x + x, peak.y + y, angle) for peak in best)
     return sorted(found, key=lambda place: (-place[0], place[1:]))
-
-
-def _differ(a: Pose2, b: Pose2) -> bool:
-    """Whether two poses are two different answers."""
-    turn = abs(wrap_angle(a.theta - b.theta))
-    return math.hypot(a.x - b.x, a.y - b.y) >= APART_M or turn >= _APART_RAD
 
 
 def observability(points: FloatArray, range_noise_m: float) -> FloatArray:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2, inverse3, wrap_angle
 from specmap_cli.core.records import BoolArray, IntArray
-from specmap_cli.grids.matching import Match, Window, search
+from specmap_cli.grids.matching import Match, Window, different_places, search
 from specmap_cli.grids.score_field import ScoreField, thinned
 from specmap_cli.layout.path_graph import MATCH_RANGE_M
 from specmap_cli.layout.uncertainty import within_ellipse
@@ -54,7 +54,6 @@ _AT_ONCE = 500_000  # lookups in one go: some 4 MB
 _SOME = 0.125  # of the points: what the search begins with, to find out what is hopeless
 _GOLDEN = 0.5 * (5**0.5 - 1.0)  # steps of this share spread points evenly over any part of them
 _BEAM = 64  # blocks followed down to a first good place, whose score prunes the others
-_APART_M, _APART_RAD = 1.0, 0.3  # places nearer than this to each other are one answer
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,26 +242,13 @@ def best_places(
     middle = np.asarray(points, dtype=np.float64).mean(axis=0)
     local = np.asarray(points, dtype=np.float64) - middle
     local = local[np.hypot(local[:, 0], local[:, 1]) <= pyramid.reach_m]
-    back = Pose2(-float(middle[0]), -float(middle[1]), 0.0)
     number, cell, scores = _descend(_Task.of(pyramid, local, -middle, angles), blocks, wanted)
     places = pyramid.corner + (cell + 0.5) * pyramid.cell_m
-    centres: list[Pose2] = []
-    kept: list[Match] = []
-    for angle, place, score in zip(angles[number], places, scores, strict=True):
-        centre = Pose2(float(place[0]), float(place[1]), wrap_angle(float(angle)))
-        if all(_apart(centre, other) for other in centres):
-            centres.append(centre)
-            kept.append(Match(centre @ back, float(score)))
-        if len(kept) == count:
-            break
-    return kept
-
-
-def _apart(pose: Pose2, other: Pose2) -> bool:
-    """Whether two poses are two answers."""
-    if math.hypot(pose.x - other.x, pose.y - other.y) >= _APART_M:
-        return True
-    return abs(wrap_angle(pose.theta - other.theta)) >= _APART_RAD
+    found = (
+        (float(score), Pose2(float(place[0]), float(place[1]), wrap_angle(float(angle))))
+        for angle, place, score in zip(angles[number], places, scores, strict=True)
+    )
+    return different_places(found, middle, count)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,12 +1,13 @@
 """The text files of a map directory: JSON, labels.csv and trajectory.tum, within bounds.
 
 What is wrong with one is a MapError of one line. A trajectory is in TUM format: `t x y z qx qy qz
-qw` a line, seconds and metres.
+qw` a line, seconds and metres. Trajectories that other programs wrote are read by `read_tum`.
 """
 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,14 @@ import numpy as np
 from pydantic import ValidationError
 
 from specmap_cli.core.arrays import runs
-from specmap_cli.core.errors import MapError
+from specmap_cli.core.errors import InputError, MapError
 from specmap_cli.core.files import read_bytes
-from specmap_cli.core.geometry import quaternions_from_rpy, rpy_from_quaternions
+from specmap_cli.core.geometry import (
+    quaternions_from_rpy,
+    rotation_from_quaternion,
+    rpy_from_quaternions,
+    yaw_of,
+)
 from specmap_cli.core.records import NO_SUBMAP, Labels, Trajectory
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.core.tables import csv_text
@@ -25,6 +31,8 @@ from specmap_cli.core.text import counted, decimal, stamp_ns, stamp_text
 
 LABELS_HEADER = "stamp,x,y,theta,submap"
 _LOST, _FOUND = "# lost", "# found"
+_LATEST_S = 9.2e9  # the year 2261: later stamps in nanoseconds overflow 64 bits
+_DECIMAL = re.compile(r"[0-9]+(\.[0-9]*)?")  # seconds without a sign or an exponent
 _FARTHEST = 1e8  # metres: twice around the earth, farther than any place in a map
 
 
@@ -218,3 +226,63 @@ def _trajectory(stamps: list[int], rows: np.ndarray, lost: list[bool]) -> Trajec
         tilt=tilt if tilt.any() else None,
         lost=marks if marks.any() else None,
     )
+
+
+def read_tum(path: str | Path) -> Trajectory:
+    """A trajectory of any program, in the plane; comments and commas may stand anywhere.
+
+    Raises InputError naming the line that is not `t x y z qx qy qz qw`.
+    """
+    rows = stamped_rows(path, 1, "TUM format has 8", "pose", "`t x y z qx qy qz qw`")
+    stamps = [stamp for (stamp,), _ in rows]
+    poses = [(x, y, yaw_of(rotation_from_quaternion(*q))) for _, (x, y, _, *q) in rows]
+    return Trajectory(np.array(stamps, dtype=np.int64), np.array(poses, dtype=np.float64))
+
+
+def stamped_rows(
+    path: str | Path, stamps: int, columns: str, what: str, expected: str
+) -> list[tuple[list[int], list[float]]]:
+    """The stamps at the beginning of each line of eight words, and the numbers that follow them.
+
+    Stamps are nanoseconds, of seconds in the file. Raises InputError naming the line at fault, or
+    `what` a file without any should hold.
+    """
+    path, rows = Path(path), []
+    try:
+        with path.open(encoding="utf-8") as file:
+            for number, line in enumerate(file, start=1):
+                words = line.split("#", 1)[0].replace(",", " ").split()
+                where = f"{path}:{number}"
+                if words and len(words) != 8:
+                    raise _malformed(where, f"{len(words)} columns, {columns}")
+                if words:
+                    times = [_stamp(where, word) for word in words[:stamps]]
+                    rows.append((times, _finite(where, words[stamps:])))
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not UTF-8 text"
+        raise InputError(f"cannot be read: {reason}", where=path) from None
+    if not rows:
+        raise InputError(f"holds no {what};", f"expected lines {expected}", where=path)
+    return rows
+
+
+def _stamp(where: str, word: str) -> int:
+    """Seconds in decimal to nanoseconds, without the rounding of floats."""
+    (value,) = _finite(where, [word])
+    if not abs(value) < _LATEST_S:
+        raise _malformed(where, f"{word!r} is no time in seconds")
+    return stamp_ns(word) if _DECIMAL.fullmatch(word) else round(value * 1e9)
+
+
+def _finite(where: str, words: list[str]) -> list[float]:
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        raise _malformed(where, f"{' '.join(words)!r} are not all numbers") from None
+    if not np.isfinite(values).all():
+        raise _malformed(where, f"{' '.join(words)!r} are not all finite")
+    return values
+
+
+def _malformed(where: str, found: str) -> InputError:
+    return InputError(f"{found};", "mend or remove the line", where=where)

@@ -165,32 +165,20 @@ class Lidar:
         self, world: World, drive: Drive, times_s: FloatArray, rng: np.random.Generator
     ) -> Iterator[Cloud]:
         """The sweeps that begin at the times (n,)."""
-        for walls in self.level.casts(world, drive, times_s):
-            for distances in walls:
-                yield self._cloud(self.level.measured(self._ranges(distances), rng))
-
-    def _ranges(self, walls: FloatArray) -> FloatArray:
-        """True ranges (B, R) of all beams, given the distances (B,) of the walls over ground."""
+        # over ground, the beams of a ring end at the ceiling or on the floor, or else at a wall
         slopes = np.tan(self.elevations)
-        above, below = self.ceiling_m - self.height_m, self.height_m
-        room = np.where(slopes > 0.0, above, below)
+        room = np.where(slopes > 0.0, self.ceiling_m - self.height_m, self.height_m)
         level = slopes == 0.0
         ends = np.where(level, np.inf, room / np.where(level, 1.0, np.abs(slopes)))
-        return np.minimum(walls[:, None], ends) / np.cos(self.elevations)
-
-    def _cloud(self, ranges: FloatArray) -> Cloud:
-        """The returns among measured ranges (B, R)."""
-        hit = np.isfinite(ranges)
-        column, ring = np.nonzero(hit)
-        bearings, elevations = self.level.bearings[column], self.elevations[ring]
-        over_ground = ranges[hit] * np.cos(elevations)
-        x, y = over_ground * np.cos(bearings), over_ground * np.sin(bearings)
-        points = np.column_stack([x, y, ranges[hit] * np.sin(elevations)])
-        timed = self.level.sweep_s > 0.0
-        return Cloud(points, self.level.beam_times_s[column] if timed else None)
-
-
-def ring_elevations(field_of_view_rad: float, rings: int) -> FloatArray:
-    """Elevations (R,) of the rings from the lowest to the highest, centred on level."""
-    half = 0.5 * field_of_view_rad
-    return np.linspace(-half, half, rings)
+        for walls in self.level.casts(world, drive, times_s):
+            for distances in walls:
+                ranges = np.minimum(distances[:, None], ends) / np.cos(self.elevations)
+                ranges = self.level.measured(ranges, rng)
+                hit = np.isfinite(ranges)
+                column, ring = np.nonzero(hit)
+                bearings, elevations = self.level.bearings[column], self.elevations[ring]
+                over_ground = ranges[hit] * np.cos(elevations)
+                x, y = over_ground * np.cos(bearings), over_ground * np.sin(bearings)
+                points = np.column_stack([x, y, ranges[hit] * np.sin(elevations)])
+                timed = self.level.sweep_s > 0.0
+                yield Cloud(points, self.level.beam_times_s[column] if timed else None)

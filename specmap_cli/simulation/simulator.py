@@ -26,7 +26,6 @@ from specmap_cli.simulation.lasers import (
     OdometryErrors,
     drifting_odometry,
     laser_bearings,
-    ring_elevations,
 )
 from specmap_cli.simulation.tours import Drive, Limits, drive, plan_tour, reachable_space
 from specmap_cli.simulation.worlds import World
@@ -72,13 +71,9 @@ class SimulationOptions(BaseModel):
     seed: int = Field(0, ge=0)
 
     @model_validator(mode="after")
-    def _sweeps_do_not_overlap(self) -> SimulationOptions:
+    def _fit_together(self) -> SimulationOptions:
         if self.sweep_s > 1.0 / self.rate_hz:
             raise ValueError(f"sweep_s is longer than the {1.0 / self.rate_hz:g} s between scans")
-        return self
-
-    @model_validator(mode="after")
-    def _lidar_stands_in_the_room(self) -> SimulationOptions:
         if self.rings > 1 and self.laser_height_m >= self.ceiling_m:
             raise ValueError(f"laser_height_m is not below ceiling_m, {self.ceiling_m:g} m")
         return self
@@ -195,13 +190,26 @@ def tour_along(
     truth = drive(path, limits)
     duration = min(truth.duration_s, options.max_duration_s or math.inf)
     scan_times = np.arange(0.0, duration + _ROUNDING_S, 1.0 / options.rate_hz)
-    laser = _laser(options)
+    laser, lidar = _laser(options), None
+    if options.rings > 1:
+        half = 0.5 * math.radians(options.vertical_fov_deg)
+        lidar = Lidar(
+            level=laser,
+            elevations=np.linspace(-half, half, options.rings),
+            height_m=options.laser_height_m,
+            ceiling_m=options.ceiling_m,
+        )
+    # dead reckoning between the stamps of the scans, and around the first and the last of them
+    period = 1.0 / options.odometry_rate_hz
+    times = np.arange(-0.5 * period, float(scan_times[-1]) + period, period)
+    errors = OdometryErrors().times(options.odometry_drift)
+    reckoned = drifting_odometry(truth.at(times), errors, np.random.default_rng(wheels))
     return SimulatedTour(
         world=world,
         laser=laser,
-        lidar=_lidar(laser, options) if options.rings > 1 else None,
+        lidar=lidar,
         truth=truth,
-        odometry=_odometry(truth, float(scan_times[-1]), options, np.random.default_rng(wheels)),
+        odometry=Drive(times, reckoned),
         scan_times_s=scan_times,
         area_m2=area_m2,
         noise=noise,
@@ -220,16 +228,6 @@ def simulate_sweeps(plan: GridMap, options: SimulationOptions) -> Iterator[tuple
     yield from simulated_tour(plan, options).scans()
 
 
-def _odometry(
-    truth: Drive, end_s: float, options: SimulationOptions, rng: np.random.Generator
-) -> Drive:
-    """Dead reckoning between the stamps of the scans, and around the first and the last of them."""
-    period = 1.0 / options.odometry_rate_hz
-    times = np.arange(-0.5 * period, end_s + period, period)
-    errors = OdometryErrors().times(options.odometry_drift)
-    return Drive(times, drifting_odometry(truth.at(times), errors, rng))
-
-
 def _laser(options: SimulationOptions) -> Laser:
     return Laser(
         bearings=laser_bearings(math.radians(options.field_of_view_deg), options.beams),
@@ -241,15 +239,6 @@ def _laser(options: SimulationOptions) -> Laser:
         step_m=options.range_step_m,
         dropouts=options.dropouts,
         sweep_s=options.sweep_s,
-    )
-
-
-def _lidar(level: Laser, options: SimulationOptions) -> Lidar:
-    return Lidar(
-        level=level,
-        elevations=ring_elevations(math.radians(options.vertical_fov_deg), options.rings),
-        height_m=options.laser_height_m,
-        ceiling_m=options.ceiling_m,
     )
 
 

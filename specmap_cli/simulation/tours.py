@@ -19,7 +19,6 @@ from scipy.sparse.csgraph import connected_components, dijkstra, shortest_path
 
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import FloatArray, step_lengths, travelled, wrap_angles
-from specmap_cli.grids.gridmap import BoolArray
 from specmap_cli.simulation.worlds import World
 
 IndexArray = NDArray[np.intp]
@@ -78,11 +77,15 @@ def reachable_space(world: World, radius_m: float, comfort_m: float) -> Lattice:
     kept = np.flatnonzero(part == np.bincount(part).argmax())
     comfort = np.minimum(clearance[open_][kept] / comfort_m, 1.0)
     lengths = csr_matrix(lengths[kept][:, kept])
+    # up to 1 + `_WALL_COST` times as much along walls
+    edges, near_wall = lengths.tocoo(), (1.0 - comfort) ** 2
+    dearer = 1.0 + _WALL_COST * 0.5 * (near_wall[edges.row] + near_wall[edges.col])
+    costs = csr_matrix((edges.data * dearer, (edges.row, edges.col)), shape=lengths.shape)
     return Lattice(
         points=centres[open_][kept],
         comfort=comfort,
         lengths=lengths,
-        costs=_costs(lengths, comfort),
+        costs=costs,
         area_m2=len(kept) * spacing**2,
         radius_m=radius_m,
     )
@@ -105,14 +108,6 @@ def _lattice_lengths(number: IndexArray, spacing_m: float) -> csr_matrix:
     return csr_matrix(half + half.T)
 
 
-def _costs(lengths: csr_matrix, comfort: FloatArray) -> csr_matrix:
-    """The lengths (n, n), up to `1 + _WALL_COST` times as much along walls."""
-    near_wall = (1.0 - comfort) ** 2
-    edges = lengths.tocoo()
-    dearer = 1.0 + _WALL_COST * 0.5 * (near_wall[edges.row] + near_wall[edges.col])
-    return csr_matrix((edges.data * dearer, (edges.row, edges.col)), shape=lengths.shape)
-
-
 def plan_tour(
     world: World, lattice: Lattice, spacing_m: float, laps: int, rng: np.random.Generator
 ) -> FloatArray:
@@ -128,7 +123,13 @@ def plan_tour(
         distances = _distances(lattice, targets, spacing_m)
         order = shortest_order(distances)
         for a, b in pairwise(order):
-            nodes.append(_way(lattice, int(targets[a]), int(targets[b]), distances[a, b]))
+            # the cheapest way; the same sum in another order may be a little more
+            source, limit = int(targets[a]), distances[a, b] * (1.0 + 1e-9) + 1e-9
+            tree = dijkstra(lattice.costs, indices=source, limit=limit, return_predecessors=True)
+            way = [int(targets[b])]
+            while way[-1] != source:
+                way.append(int(tree[1][way[-1]]))
+            nodes.append(np.array(way[-2::-1], dtype=np.intp))
         here = int(targets[order[-1]])
     return _smooth(world, lattice.points[np.concatenate(nodes)], lattice.radius_m)
 
@@ -201,16 +202,6 @@ def _best_reversal(distances: FloatArray, tour: IndexArray) -> tuple[int, int, f
     return int(first) + 1, int(last) + 1, float(gain[first, last])
 
 
-def _way(lattice: Lattice, source: int, target: int, at_most: float) -> IndexArray:
-    """Nodes of the cheapest way from `source`, itself left out, to `target`."""
-    limit = at_most * (1.0 + 1e-9) + 1e-9  # the same sum in another order may be a little more
-    _, before = dijkstra(lattice.costs, indices=source, limit=limit, return_predecessors=True)
-    way = [target]
-    while way[-1] != source:
-        way.append(int(before[way[-1]]))
-    return np.array(way[-2::-1], dtype=np.intp)
-
-
 def _smooth(world: World, path: FloatArray, radius_m: float) -> FloatArray:
     """The path without the lattice's corners; no point moves to where the robot does not fit."""
     points = _resample(path)
@@ -267,32 +258,27 @@ def drive(path: FloatArray, limits: Limits) -> Drive:
     path = path[np.concatenate([[True], step_lengths(path) > _TINY])]
     if len(path) < 2:
         return Drive(np.zeros(1), np.array([[path[0, 0], path[0, 1], 0.0]]))
-    lengths = step_lengths(path)
-    reached, left, sharp = _headings(path)
+    lengths, steps = step_lengths(path), np.diff(path, axis=0)
+    heading = np.arctan2(steps[:, 1], steps[:, 0])
+    turns = wrap_angles(np.diff(heading))
+    heading = heading[0] + np.concatenate([[0.0], np.cumsum(turns)])
+    # an inner corner is reached in the heading in which it is left, unless the robot turns there
+    sharp, middle = np.abs(turns) > _SHARP_RAD, heading[:-1] + 0.5 * turns
+    reached = np.concatenate([np.where(sharp, heading[:-1], middle), heading[-1:]])
+    left = np.concatenate([heading[:1], np.where(sharp, heading[1:], middle)])
     bend = np.abs(reached - left)
     limit = np.minimum(limits.speed_mps, limits.turn_rate_radps * lengths / np.maximum(bend, _TINY))
     corner = np.minimum(limit[:-1], limit[1:])
     speeds = np.concatenate([[0.0], np.where(sharp, 0.0, corner), [0.0]])
     speeds = _accelerated(speeds, lengths, limits.acceleration_mps2)
-    seconds = _durations(speeds, lengths, limits)
+    # from standstill to standstill by way of a peak
+    highest, acceleration = limits.speed_mps, limits.acceleration_mps2
+    peaked = 2.0 * np.sqrt(lengths / acceleration)
+    coasting = lengths / highest + highest / acceleration
+    stopped = np.where(lengths * acceleration > highest**2, coasting, peaked)
+    both = speeds[:-1] + speeds[1:]
+    seconds = np.where(both > 0.0, 2.0 * lengths / np.maximum(both, _TINY), stopped)
     return _knots(path, reached, left, seconds, limits.turn_rate_radps)
-
-
-def _headings(path: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Headings at the end (N - 1,) and at the start (N - 1,) of each step, and the sharp corners.
-
-    The heading in which an inner corner is reached is that in which it is left, unless the robot
-    turns there: `sharp` (N - 2,).
-    """
-    steps = np.diff(path, axis=0)
-    heading = np.arctan2(steps[:, 1], steps[:, 0])
-    turns = wrap_angles(np.diff(heading))
-    heading = heading[0] + np.concatenate([[0.0], np.cumsum(turns)])
-    sharp = np.abs(turns) > _SHARP_RAD
-    middle = heading[:-1] + 0.5 * turns
-    reached = np.concatenate([np.where(sharp, heading[:-1], middle), heading[-1:]])
-    left = np.concatenate([heading[:1], np.where(sharp, heading[1:], middle)])
-    return reached, left, sharp
 
 
 def _accelerated(speeds: FloatArray, lengths: FloatArray, acceleration: float) -> FloatArray:
@@ -305,16 +291,6 @@ def _accelerated(speeds: FloatArray, lengths: FloatArray, acceleration: float) -
         stoppable = math.sqrt(result[i + 1] ** 2 + 2.0 * acceleration * lengths[i])
         result[i] = min(result[i], stoppable)
     return result
-
-
-def _durations(speeds: FloatArray, lengths: FloatArray, limits: Limits) -> FloatArray:
-    """Seconds (N - 1,) from point to point; from standstill to standstill by way of a peak."""
-    both = speeds[:-1] + speeds[1:]
-    highest, acceleration = limits.speed_mps, limits.acceleration_mps2
-    peaked = 2.0 * np.sqrt(lengths / acceleration)
-    coasting = lengths / highest + highest / acceleration
-    stopped = np.where(lengths * acceleration > highest**2, coasting, peaked)
-    return np.where(both > 0.0, 2.0 * lengths / np.maximum(both, _TINY), stopped)
 
 
 def _knots(

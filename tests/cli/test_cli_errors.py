@@ -57,6 +57,11 @@ def line_of(said: Outcome) -> str:
         (("info",), "usage", "LOG", "Missing argument", "see `specmap info --help`"),
         (("build", "x", "--seed", "x"), "usage", "--seed", "Invalid value", "see `specmap b"),
         (("evaluate",), "usage", None, "say what to evaluate, and one thing only", None),
+        (
+            ("evaluate", "--trajectory", "a.tum", "--out", "c.png"),
+            *("usage", None, "--confusion (--out) is of --protocol: leave it out here"),
+            "leave it out here",
+        ),
         (("info", "none.mcap"), "log-missing", "none.mcap", "none.mcap: no such file", None),
         (("info", "a b.mcap"), "log-missing", "a b.mcap", "a b.mcap: no such file", None),
         (("segment", "none.yaml"), "map-unusable", "none.yaml", "none.yaml: cannot read", None),

@@ -17,8 +17,8 @@ from specmap_cli.core.errors import InputError
 from specmap_cli.core.geometry import Pose2, compose, nearest_motion
 from specmap_cli.core.records import Trajectory
 from specmap_cli.evaluation import trajectories
-from specmap_cli.evaluation.trajectories import Relations, read_relations, read_tum
-from specmap_cli.maps.text_files import planar_trajectory_text, trajectory_text
+from specmap_cli.evaluation.trajectories import Relations, read_relations
+from specmap_cli.maps.text_files import planar_trajectory_text, read_tum, trajectory_text
 from tests.strategies import poses, seeds
 
 

@@ -14,12 +14,12 @@ from scipy.spatial.transform import Rotation
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.records import NO_SUBMAP, Labels, Trajectory
 from specmap_cli.core.text import stamp_ns
-from specmap_cli.evaluation.trajectories import read_tum
 from specmap_cli.maps.text_files import (
     labels_text,
     planar_trajectory_text,
     read_labels,
     read_trajectory,
+    read_tum,
     trajectory_text,
 )
 from tests.strategies import few

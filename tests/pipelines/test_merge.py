@@ -13,9 +13,10 @@ import pytest
 
 from specmap_cli import read_map
 from specmap_cli.core.errors import InputError, NoResultError, UsageError
-from specmap_cli.evaluation.trajectories import read_tum, reference_errors
+from specmap_cli.evaluation.trajectories import reference_errors
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.text_files import read_tum
 from specmap_cli.pipelines.merge import merge_maps
 from specmap_cli.pipelines.overlaps import PairOfMaps
 from specmap_cli.pipelines.reports import MergeReport

@@ -16,10 +16,11 @@ from specmap_cli.core.errors import InputError, MapError, NoResultError
 from specmap_cli.core.progress import Silent
 from specmap_cli.core.records import IntArray
 from specmap_cli.core.settings import UpdateConfig
-from specmap_cli.evaluation.trajectories import read_tum, reference_errors
+from specmap_cli.evaluation.trajectories import reference_errors
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.features_file import write_features
 from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.text_files import read_tum
 from specmap_cli.pipelines.reports import UpdateReport
 from specmap_cli.pipelines.simulate import SimulationResult, simulate
 from specmap_cli.pipelines.update import update_map

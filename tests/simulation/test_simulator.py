@@ -155,3 +155,6 @@ def test_a_lidar_must_stand_below_the_ceiling_and_its_clouds_are_no_planar_scans
     assert simulator.simulation_options(laser_height_m=2.0, ceiling_m=2.0).rings == 1
     with pytest.raises(UsageError, match="rings: a 3D lidar has clouds"):
         next(simulate_sweeps(flat, brief(rings=8)))
+    lidar = simulated_tour(flat, brief(rings=4, vertical_fov_deg=30.0)).lidar
+    assert lidar is not None
+    np.testing.assert_allclose(np.degrees(lidar.elevations), [-15, -5, 5, 15])

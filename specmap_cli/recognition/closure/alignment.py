@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -130,20 +129,33 @@ class _TwoMaps:
         free = np.argwhere(pieces[1].map.whole.free)
         self._floor = pieces[1].map.whole.centres_of(evenly(free, _FLOOR_POINTS))
         self._floor_m2 = pieces[1].map.whole.free_area_m2 / max(1, len(self._floor))
-
-    @cached_property
-    def _of_wholes(self) -> list[_Candidate]:
-        """What the whole maps say of where they lie."""
-        return [self._refined(pose, None) for pose in self.search.best(self.search.many)]
+        # what the whole maps say of where they lie
+        poses = self.search.best(self.search.many)
+        self._of_wholes = [self._refined(pose, None) for pose in poses]
 
     def aligned(self, parties: Sequence[Party]) -> Alignment:
-        """The transform that most walls speak for, or why it is not to be believed."""
-        ranked = self._candidates(parties)
+        """The transform that most walls speak for, or why it is not to be believed.
+
+        Different ones are weighed, of votes and of the whole maps.
+        """
+        found = [*(self._refined(one.old_from_new, one) for one in parties), *self._of_wholes]
+        ranked: list[_Candidate] = []
+        centre = self.search.centre
+        for one in sorted(found, key=lambda candidate: -candidate.merit_m):
+            near = [
+                k
+                for k, other in enumerate(ranked)
+                if not differ(one.old_from_new, other.old_from_new, centre, RIVAL_M, RIVAL_RAD)
+            ]
+            if not near and one.merit_m > 0.0:
+                ranked.append(one)
+            elif near and ranked[near[0]].party is None:  # the same, and some submaps found it
+                ranked[near[0]] = replace(ranked[near[0]], party=one.party)
         if not ranked:
             return Alignment(old_from_new=None, reason="no place of one map was found in the other")
         best = ranked[0]
         rivals = _rivals(ranked, self._ground)
-        found = Alignment(
+        told = Alignment(
             old_from_new=best.old_from_new,
             reason="",
             votes=0 if best.party is None else len(best.party.votes),
@@ -152,28 +164,12 @@ class _TwoMaps:
             area_m2=self._common_m2(best.old_from_new),
             rival=rivals[0].merit_m / best.merit_m if rivals else 0.0,
         )
-        why_not = _why_not(found, best, rivals)
-        return replace(found, old_from_new=None, reason=why_not) if why_not else found
+        why_not = _why_not(told, best, rivals)
+        return replace(told, old_from_new=None, reason=why_not) if why_not else told
 
     def _ground(self, candidate: _Candidate) -> CommonGround:
         old, new = zip(self.pieces, self.wholes, strict=True)
         return common_ground(old, new, candidate.old_from_new)
-
-    def _candidates(self, parties: Sequence[Party]) -> list[_Candidate]:
-        """Different transforms, the best first: those of votes, and of the whole maps."""
-        found = [*(self._refined(one.old_from_new, one) for one in parties), *self._of_wholes]
-        kept: list[_Candidate] = []
-        for one in sorted(found, key=lambda candidate: -candidate.merit_m):
-            near = [k for k, other in enumerate(kept) if not self._differ(one, other)]
-            if not near and one.merit_m > 0.0:
-                kept.append(one)
-            elif near and kept[near[0]].party is None:  # the same, and some submaps found it
-                kept[near[0]] = replace(kept[near[0]], party=one.party)
-        return kept
-
-    def _differ(self, one: _Candidate, other: _Candidate) -> bool:
-        poses = one.old_from_new, other.old_from_new
-        return differ(*poses, self.search.centre, RIVAL_M, RIVAL_RAD)
 
     def _common_m2(self, old_from_new: Pose2) -> float:
         """Square metres that are free in both maps."""

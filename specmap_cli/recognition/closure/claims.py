@@ -26,11 +26,9 @@ from specmap_cli.recognition.learning.trees import CodeArray, Quantiser, Questio
 
 SAMPLES_PER_SUBMAP = 60  # scans of a submap used for ranking
 
-IndexArray = NDArray[np.intp]
-
 _POOL = 1.5  # times closure_negatives: as many are left without a group, of three
 _LEAST_ASKED = 8  # scans of a stay: a mean of chances to a tenth or two
-_OWN_SAMPLES = 2  # times SAMPLES_PER_SUBMAP: of all stays of the submap that is trained
+_OWN_SAMPLES = 2  # times SAMPLES_PER_SUBMAP: of all stays of a submap that is trained or asked
 _QUANTISED_FROM = 4000  # scans that the bins are cut from: enough for the quantiles of 16 bins
 _QUANTISED_GROWTH = 2  # the bins are cut anew once there are this many times the stays
 
@@ -53,11 +51,6 @@ class Claims:
         """The similarity of eq. 5."""
         return self.new_by_old * self.old_by_new  # eq. 5
 
-    @classmethod
-    def alike(cls, share: float, stays: int) -> Claims:
-        """Both submaps claim `share` of the other's scans, those of each of its stays."""
-        return cls(new_by_old=share, old_by_new=share, rank=share, by_stay=np.full(stays, share))
-
 
 @dataclass(frozen=True, slots=True)
 class _Scans:
@@ -66,21 +59,17 @@ class _Scans:
     features: NDArray[Any]
     codes: CodeArray | None = None
 
-    def __len__(self) -> int:
-        return len(self.features)
-
-    def taken(self, rows: IndexArray) -> _Scans:
-        """Some of the scans."""
-        codes = None if self.codes is None else self.codes[:, rows]
-        return _Scans(self.features[rows], codes)
-
     @classmethod
-    def joined(cls, parts: Sequence[_Scans]) -> _Scans:
-        """The scans of several, one after the other; with bins if all of them have some."""
-        codes = [scans.codes for scans in parts if scans.codes is not None]
+    def joined(cls, parts: Sequence[_Scans], most: int | None = None) -> _Scans:
+        """The scans of several, one after the other, or `most` of them, evenly spread.
+
+        With bins if all of them have some.
+        """
         features = np.concatenate([scans.features for scans in parts])
-        cut = np.concatenate(codes, axis=1) if len(codes) == len(parts) else None
-        return cls(features, cut)
+        rows = slice(None) if most is None else evenly(np.arange(len(features)), most)
+        codes = [scans.codes for scans in parts if scans.codes is not None]
+        cut = np.concatenate(codes, axis=1)[:, rows] if len(codes) == len(parts) else None
+        return cls(features[rows], cut)
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,18 +79,6 @@ class _Trained:
     booster: Booster
     among: int
     scans: int
-
-
-@dataclass(frozen=True, slots=True)
-class _Pool:
-    """Scans of all old submaps, some of each: what classifiers take their negatives from."""
-
-    scans: _Scans
-    owner: IndexArray  # (n,) the submap of each
-
-    def without(self, submaps: Collection[int], most: int) -> IndexArray:
-        """The rows of at most `most` scans of other submaps than these, evenly spread."""
-        return evenly(np.flatnonzero(~np.isin(self.owner, list(submaps))), most)
 
 
 class ClaimRanker:
@@ -137,79 +114,56 @@ class ClaimRanker:
         """
         ids = sorted(self._submaps)
         if len(ids) < 2:
-            return {i: Claims.alike(1.0, len(self._submaps[i])) for i in ids}
+            ones = {i: np.ones(len(self._submaps[i])) for i in ids}
+            return {
+                i: Claims(new_by_old=1.0, old_by_new=1.0, rank=1.0, by_stay=ones[i]) for i in ids
+            }
         new = self._quantised(_Scans(features))
         count = min(self.config.groups or len(ids), len(ids))
         groups = [ids[k::count] for k in range(count)]
-        c_new = self._taught(new, groups, ids)
-        return {
-            i: _claims(c_new[k], self._classifiers[i].booster, new, self._asked(i))
-            for k, group in enumerate(groups)
-            for i in group
-        }
-
-    def _taught(
-        self, new: _Scans, groups: Sequence[Sequence[int]], ids: Sequence[int]
-    ) -> list[Booster]:
-        """The new submap's classifiers, one for each group that it is trained without.
-
-        Old submaps whose classifiers are out of date are taught beside it.
-        """
-        stale = [i for i in ids if self._is_stale(i, len(ids))]
-        own = [self._own([new])] * len(groups) + [self._own(self._submaps[i]) for i in stale]
-        boosters = self._trained(own, [*groups, *([i] for i in stale)], self._pool(ids))
-        for i, booster in zip(stale, boosters[len(groups) :], strict=True):
-            self._classifiers[i] = _Trained(booster, len(ids), self._held(i))
-        return boosters[: len(groups)]
-
-    def _asked(self, submap: int) -> list[NDArray[Any]]:
-        """The scans (n, F) of each stay of an old submap that a new one's classifier is asked.
-
-        About as many of a submap that was visited often as of one that was visited twice.
-        """
-        stays = self._submaps[submap]
-        most = _OWN_SAMPLES * SAMPLES_PER_SUBMAP
-        each = max(_LEAST_ASKED, most // len(stays))
-        return [evenly(scans.features, each) for scans in stays]
-
-    def _is_stale(self, submap: int, among: int) -> bool:
-        """Whether an old submap's classifier is to be trained: the map or the submap has grown."""
-        before = self._classifiers.get(submap)
+        # beside it the old submaps are trained whose map, or own scans, have grown since;
+        # without growth allowed that is all of them: nothing is less than itself
+        held = {i: sum(len(scans.features) for scans in self._submaps[i]) for i in ids}
         growth = 1.0 + self.config.refresh_growth
-        # without growth allowed, nothing is kept: these are never less than themselves
-        return before is None or not (
-            among < before.among * growth and self._held(submap) < before.scans * growth
-        )
-
-    def _held(self, submap: int) -> int:
-        """How many scans of an old submap are remembered."""
-        return sum(len(scans) for scans in self._submaps[submap])
-
-    def _own(self, stays: Sequence[_Scans]) -> _Scans:
-        """The scans that a submap's classifier claims, of all its stays."""
-        return _thinned(stays, _OWN_SAMPLES * SAMPLES_PER_SUBMAP)
-
-    def _pool(self, ids: Sequence[int]) -> _Pool:
-        """The pool of negatives: alike many scans of every old submap, of all its stays."""
-        each = math.ceil(_POOL * self.config.closure_negatives / len(ids))
-        parts = [_thinned(self._submaps[i], each) for i in ids]
-        return _Pool(_Scans.joined(parts), np.repeat(ids, [len(part) for part in parts]))
+        stale = [
+            i
+            for i in ids
+            if (before := self._classifiers.get(i)) is None
+            or not (len(ids) < before.among * growth and held[i] < before.scans * growth)
+        ]
+        trained = [[new]] * count + [self._submaps[i] for i in stale]
+        boosters = self._trained(trained, [*groups, *([i] for i in stale)])
+        for i, booster in zip(stale, boosters[count:], strict=True):
+            self._classifiers[i] = _Trained(booster, len(ids), held[i])
+        # about as many scans are asked of a submap visited often as of one visited twice
+        most = _OWN_SAMPLES * SAMPLES_PER_SUBMAP
+        found = {}
+        for c_new, group in zip(boosters[:count], groups, strict=True):
+            for i in group:
+                each = max(_LEAST_ASKED, most // len(self._submaps[i]))
+                asked = [evenly(scans.features, each) for scans in self._submaps[i]]
+                found[i] = _claims(c_new, self._classifiers[i].booster, new, asked)
+        return found
 
     def _trained(
-        self, own: Sequence[_Scans], left_out: Sequence[Collection[int]], pool: _Pool
+        self, stays: Sequence[Sequence[_Scans]], left_out: Sequence[Collection[int]]
     ) -> list[Booster]:
-        """Classifiers of several submaps' scans against the pool without some submaps each."""
-        most = self.config.closure_negatives
-        others = [pool.without(submaps, most) for submaps in left_out]
-        ends = np.cumsum([len(pool.scans), *(len(scans) for scans in own)])
-        questions = [
-            Question(
-                np.concatenate([np.arange(end - len(scans), end), rows]),
-                np.repeat([True, False], [len(scans), len(rows)]),
-            )
-            for end, scans, rows in zip(ends[1:].tolist(), own, others, strict=True)
-        ]
-        scans = _Scans.joined([pool.scans, *own])
+        """Classifiers that claim the stays of several submaps, each without some old submaps.
+
+        Negatives are of one pool: alike many scans of every old submap, of all its stays.
+        """
+        own = [_Scans.joined(each, _OWN_SAMPLES * SAMPLES_PER_SUBMAP) for each in stays]
+        most, ids = self.config.closure_negatives, sorted(self._submaps)
+        pool = [_Scans.joined(self._submaps[i], math.ceil(_POOL * most / len(ids))) for i in ids]
+        owner = np.repeat(ids, [len(scans.features) for scans in pool])
+        scans = _Scans.joined([*pool, *own])
+        ends = np.cumsum([len(owner), *(len(part.features) for part in own)]).tolist()
+        questions = []
+        for start, end, without in zip(ends[:-1], ends[1:], left_out, strict=True):
+            others = evenly(np.flatnonzero(~np.isin(owner, list(without))), most)
+            rows = np.concatenate([np.arange(start, end), others])
+            answers = np.repeat([True, False], [end - start, len(others)])
+            questions.append(Question(rows, answers))
         names, rounds = feature_names(self.config.feature_set), self.config.closure_rounds
         if self._quantiser is None or scans.codes is None:
             return boosted(names, scans.features, questions, rounds)
@@ -254,15 +208,6 @@ def _claims(c_new: Booster, c_old: Booster, new: _Scans, old: Sequence[NDArray[A
         rank=_chance(of_new) * float(by_stay.max()),
         by_stay=by_stay,
     )
-
-
-def _thinned(stays: Sequence[_Scans], most: int) -> _Scans:
-    """At most `most` scans, evenly spread over the stays."""
-    starts = np.concatenate([[0], np.cumsum([len(scans) for scans in stays])]).astype(np.intp)
-    chosen = evenly(np.arange(int(starts[-1])), most)
-    bounds = np.searchsorted(chosen, starts)
-    parts = zip(stays, starts[:-1], bounds[:-1], bounds[1:], strict=True)
-    return _Scans.joined([scans.taken(chosen[a:b] - start) for scans, start, a, b in parts])
 
 
 def _chance(margins: FloatArray) -> float:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -46,8 +45,6 @@ class PieceFit:
     `off_m` away where it lies, at `centre` (2,) in the new map.
     """
 
-    submap: int
-    of_new: bool
     walls_m: float
     known_m: float
     confirmed_m: float
@@ -68,17 +65,15 @@ class CommonGround:
     """Two maps under a transform, where both saw.
 
     `confirmed` and `contradicted` are shares of the walls that both maps know about, the worse of
-    both maps'; `confirmed_m` metres of wall that agree; `shared` the part of the smaller map's
-    walls that the other one knows about; `at_odds` the share of the walls that are in submaps which
-    do not fit, the worse of both maps'; `residual_m` (root mean square): how far submaps lie off.
+    both maps'; `confirmed_m` metres of wall that agree; `at_odds` the share of the walls that are
+    in submaps which do not fit, the worse of both maps'; `residual_m` (root mean square): how far
+    submaps lie off.
     """
 
-    old_from_new: Pose2
     pieces: tuple[PieceFit, ...]
     confirmed: float
     contradicted: float
     confirmed_m: float
-    shared: float
     at_odds: float
     residual_m: float
 
@@ -95,43 +90,36 @@ def common_ground(
 ) -> CommonGround:
     """Two maps, each its submaps and its whole grid, under a transform."""
     there = [_fit(piece, old[1], old_from_new) for piece in new[0].all()]
-    back = [_turned(_fit(piece, new[1], old_from_new.inverse())) for piece in old[0].all()]
-    sides = _Side.of(there), _Side.of(back)
+    back = []
+    for piece in old[0].all():  # sought in the new map, and told of the old one
+        fit = _fit(piece, new[1], old_from_new.inverse())
+        centre = fit.old_from_new.apply(fit.centre[None])[0]
+        back.append(replace(fit, old_from_new=fit.old_from_new.inverse(), centre=centre))
+    sides = _shares(there), _shares(back)
+    confirmed, contradicted, confirmed_m, at_odds = zip(*sides, strict=True)
     fits = (*there, *back)
     weights = np.array([fit.confirmed_m for fit in fits])
     off = np.array([fit.off_m for fit in fits])
     heavy = weights.sum() > 0.0
     return CommonGround(
-        old_from_new=old_from_new,
         pieces=fits,
-        confirmed=min(side.confirmed for side in sides),
-        contradicted=max(side.contradicted for side in sides),
-        confirmed_m=min(side.confirmed_m for side in sides),
-        shared=max(side.shared for side in sides),
-        at_odds=max(side.at_odds for side in sides),
+        confirmed=min(confirmed),
+        contradicted=max(contradicted),
+        confirmed_m=min(confirmed_m),
+        at_odds=max(at_odds),
         residual_m=math.sqrt(float(np.average(off**2, weights=weights))) if heavy else 0.0,
     )
 
 
-class _Side(NamedTuple):
-    """The submaps of one map, judged by the other map."""
-
-    confirmed: float
-    contradicted: float
-    confirmed_m: float
-    shared: float
-    at_odds: float
-
-    @classmethod
-    def of(cls, fits: Sequence[PieceFit]) -> _Side:
-        known = sum(fit.known_m for fit in fits)
-        confirmed = sum(fit.confirmed_m for fit in fits)
-        contradicted = sum(fit.contradicted_m for fit in fits)
-        odd = sum(fit.known_m for fit in fits if fit.score < _ODD)
-        if known <= 0.0:
-            return cls(0.0, 0.0, 0.0, 0.0, 0.0)
-        walls = sum(fit.walls_m for fit in fits)
-        return cls(confirmed / known, contradicted / known, confirmed, known / walls, odd / known)
+def _shares(fits: Sequence[PieceFit]) -> tuple[float, float, float, float]:
+    """The walls of one map that are confirmed and contradicted, metres confirmed, and at odds."""
+    known = sum(fit.known_m for fit in fits)
+    if known <= 0.0:
+        return 0.0, 0.0, 0.0, 0.0
+    confirmed = sum(fit.confirmed_m for fit in fits)
+    contradicted = sum(fit.contradicted_m for fit in fits)
+    odd = sum(fit.known_m for fit in fits if fit.score < _ODD)
+    return confirmed / known, contradicted / known, confirmed, odd / known
 
 
 def _fit(piece: PlacedGrid, whole: PreparedGrid, whole_from_map: Pose2) -> PieceFit:
@@ -146,8 +134,6 @@ def _fit(piece: PlacedGrid, whole: PreparedGrid, whole_from_map: Pose2) -> Piece
     known_m = said.known * walls_m
     middle = grid.walls.mean(axis=0)[None]
     return PieceFit(
-        submap=piece.submap,
-        of_new=True,
         walls_m=walls_m,
         known_m=known_m,
         confirmed_m=said.confirmed * known_m,
@@ -155,16 +141,6 @@ def _fit(piece: PlacedGrid, whole: PreparedGrid, whole_from_map: Pose2) -> Piece
         old_from_new=best @ frame.inverse(),
         off_m=math.dist(best.apply(middle)[0], guess.apply(middle)[0]),
         centre=frame.apply(middle)[0],
-    )
-
-
-def _turned(fit: PieceFit) -> PieceFit:
-    """The fit of a submap of the old map, which was sought in the new one."""
-    return replace(
-        fit,
-        of_new=False,
-        old_from_new=fit.old_from_new.inverse(),
-        centre=fit.old_from_new.apply(fit.centre[None])[0],
     )
 
 
@@ -194,18 +170,23 @@ def joints(
         ends = ("old", i), ("new", j)
         if all(walls_m <= most.get(end, 0.0) for end in ends):
             continue  # neither's best: no more can be confirmed than lies near
-        joint = _joint(old.of(i), new.of(j), old_from_new, config)
-        if joint is not None:
-            found.append(joint)
-            most |= {end: max(_confirmed_m(joint), most.get(end, 0.0)) for end in ends}
+        one, other = old.of(i), new.of(j)
+        if one is None or other is None:
+            continue
+        guess = one.frame.inverse() @ old_from_new @ other.frame
+        points = evenly(other.grid.walls, _JOINT_POINTS)
+        pose = refine(one.grid.field, points, guess, _JOINT_STEPS, _JOINT_SHIFT_M).pose
+        check = judge(one.grid, other.grid, pose)
+        turn = abs(wrap_angle(pose.theta - guess.theta))
+        if turn <= _MOST_TURN_RAD and check.matches(config.min_score):
+            map_from_map = one.frame @ pose @ other.frame.inverse()
+            found.append(Joint(old=i, new=j, map_from_map=map_from_map, check=check))
+            most |= {end: max(check.confirmed_m, most.get(end, 0.0)) for end in ends}
     found.sort(key=lambda joint: (joint.new, joint.old))
-    best = {("old", joint.old): joint for joint in sorted(found, key=_confirmed_m)}
-    best |= {("new", joint.new): joint for joint in sorted(found, key=_confirmed_m)}
+    best: dict[tuple[str, int], Joint] = {}
+    for joint in sorted(found, key=lambda joint: joint.check.confirmed_m):
+        best["old", joint.old] = best["new", joint.new] = joint
     return tuple(joint for joint in found if any(joint is other for other in best.values()))
-
-
-def _confirmed_m(joint: Joint) -> float:
-    return joint.check.confirmed_m
 
 
 def _shared(
@@ -236,27 +217,3 @@ def _box(placed: PlacedGrid, frame: Pose2) -> tuple[FloatArray, FloatArray]:
     """The corners (2,) of the box round a submap's walls, placed at a frame."""
     walls = frame.apply(placed.grid.walls)
     return walls.min(axis=0), walls.max(axis=0)
-
-
-def _joint(
-    old: PlacedGrid | None,
-    new: PlacedGrid | None,
-    old_from_new: Pose2,
-    config: RecognitionConfig,
-) -> Joint | None:
-    """The match of two submaps near where their maps put them, if it is one."""
-    if old is None or new is None:
-        return None
-    guess = old.frame.inverse() @ old_from_new @ new.frame
-    points = evenly(new.grid.walls, _JOINT_POINTS)
-    best = refine(old.grid.field, points, guess, _JOINT_STEPS, _JOINT_SHIFT_M).pose
-    check = judge(old.grid, new.grid, best)
-    turn = abs(wrap_angle(best.theta - guess.theta))
-    if turn > _MOST_TURN_RAD or not check.matches(config.min_score):
-        return None
-    return Joint(
-        old=old.submap,
-        new=new.submap,
-        map_from_map=old.frame @ best @ new.frame.inverse(),
-        check=check,
-    )

@@ -36,8 +36,6 @@ _TWIN_MARGIN_M = 0.5  # a match that mends so much more than drift explains is o
 # it turned a little with every metre of a long way.
 _MOST_TURN_RAD, _TURN_RAD_PER_M = math.pi / 4, 0.001
 
-_Tie = tuple[float, float, float]  # two places along the way, and the metres that part them
-
 
 @dataclass(frozen=True, kw_only=True)  # without slots: the area is computed once
 class Stay:
@@ -143,7 +141,8 @@ class DriftGraph:
 
     def __init__(self, config: RecognitionConfig) -> None:
         self.config = config
-        self._ties: list[_Tie] = []
+        # two places along the way each, and the metres that part them
+        self._ties: list[tuple[float, float, float]] = []
 
     def confirm(self, old: Stay, new: Stay, mended_m: float) -> None:
         """The grids of two stays match `mended_m` from where tracking has them.
@@ -164,17 +163,12 @@ class DriftGraph:
         start, end = old.travelled_m, new.travelled_m
         if not self._ties or not (math.isfinite(start) and math.isfinite(end)):
             return abs(end - start)
-        return _shortest(start, end, self._ties)
-
-
-def _shortest(start: float, end: float, ties: list[_Tie]) -> float:
-    """Metres between two places along a way with ties between others."""
-    places = sorted({start, end, *(place for tie in ties for place in tie[:2])})
-    number = {place: k for k, place in enumerate(places)}
-    metres = {(k, k + 1): b - a for k, (a, b) in enumerate(pairwise(places))}
-    for a, b, tied_m in ties:
-        i, j = sorted((number[a], number[b]))
-        metres[i, j] = min(tied_m, metres.get((i, j), math.inf))
-    ends = np.array(list(metres), dtype=np.int32).T  # csgraph wants 32 bits
-    graph = csr_array((list(metres.values()), tuple(ends)), shape=(len(places), len(places)))
-    return float(dijkstra(graph, directed=False, indices=number[start])[number[end]])
+        places = sorted({start, end, *(place for tie in self._ties for place in tie[:2])})
+        number = {place: k for k, place in enumerate(places)}
+        metres = {(k, k + 1): b - a for k, (a, b) in enumerate(pairwise(places))}
+        for a, b, tied_m in self._ties:
+            i, j = sorted((number[a], number[b]))
+            metres[i, j] = min(tied_m, metres.get((i, j), math.inf))
+        ends = np.array(list(metres), dtype=np.int32).T  # csgraph wants 32 bits
+        graph = csr_array((list(metres.values()), tuple(ends)), shape=(len(places), len(places)))
+        return float(dijkstra(graph, directed=False, indices=number[start])[number[end]])

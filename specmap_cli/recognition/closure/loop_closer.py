@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -37,7 +37,7 @@ _MEMBERS = 2  # visits of an old submap whose grids are matched
 _PREPARED = 8  # grids prepared for matching at a time: each takes megabytes
 _NEAR_M = 2.0  # of tracks that may be of one place: a merge's reach, and what tracking is off
 _ALIKE_M = 1.0  # tracking is off by as much in either of two places
-_NO_CLAIMS = Claims.alike(0.0, 0)
+_NO_CLAIMS = Claims(new_by_old=0.0, old_by_new=0.0, rank=0.0, by_stay=np.zeros(0))
 
 
 class LoopCloser:
@@ -64,11 +64,23 @@ class LoopCloser:
         advice until `merge` is called.
         """
         features = evenly(new.features, SAMPLES_PER_SUBMAP).astype(np.float32)
-        new = replace(new, features=features, packed=_packed(new))
+        new = replace(new, features=features, packed=PackedGrid.of(cropped(new.grid)))
         claims = self._ranker.claims(features)
         self._remember_claims(new.number, claims)
         self._ranker.remember(new.number, features)
-        closures = self._verified(new, claims) if self.config.verify else self._claimed(new, claims)
+        if self.config.verify:
+            ranked = sorted(claims, key=lambda i: (-claims[i].rank, i))[:CANDIDATES]
+            orders: list[tuple[int, list[int]]] = []
+            for old in ranked:  # its stays that are claimed most come first, the later of equals
+                share = claims[old].by_stay
+                latest_first = range(len(share))[::-1]
+                orders.append((old, sorted(latest_first, key=share.__getitem__, reverse=True)))
+            orders += [(old, [k]) for old, k in self._expected(new)[:CANDIDATES]]
+            found = [self._best_match(new, old, claims[old], order) for old, order in orders]
+            closures = self._with_one_merge(new, [c for c in found if c is not None])
+            closures.sort(key=lambda c: (not c.merged, not c.verified, -c.xi, c.old))
+        else:
+            closures = self._claimed(new, claims)
         self._submaps[new.number] = [new]
         self._submap_of[new.number] = new.number
         return closures
@@ -93,15 +105,16 @@ class LoopCloser:
         for other in gone_s:
             del self._claims[other][gone]
         self._remember_claims(kept, {i: c for i, c in gone_s.items() if i != kept})
-        self._forget({stay.number for stay in stays} - {stays[k].number for k in most})
+        forgotten = {stay.number for stay in stays} - {stays[k].number for k in most}
+        self._compared = {pair for pair in self._compared if forgotten.isdisjoint(pair)}
 
     def grow(self, stay: Stay) -> None:
         """A stay went on after it was considered: from now on it is this one, whole."""
         stays = self._submaps[self._submap_of[stay.number]]
-        grown = replace(stay, packed=_packed(stay))
+        grown = replace(stay, packed=PackedGrid.of(cropped(stay.grid)))
         stays[:] = [grown if other.number == stay.number else other for other in stays]
         self._grids.forget(stay.number)
-        self._forget({stay.number})
+        self._compared = {pair for pair in self._compared if stay.number not in pair}
 
     def consider_again(self, number: int) -> list[Closure]:
         """A grown stay compared with the submaps that it may have come back to; at most a merge."""
@@ -111,25 +124,35 @@ class LoopCloser:
             return []
         expected = [(old, k) for old, k in self._expected(stay) if old != own]
         found = [
-            self._best_match(stay, old, self._best_claims(old, own), [k])
+            self._best_match(stay, old, self._claims[old].get(own, _NO_CLAIMS), [k])
             for old, k in expected[:CANDIDATES]
         ]
-        merges = [closure for closure in found if closure is not None and closure.merged]
-        told = with_one_merge(merges, lambda c: self._moved_m(c, stay), MIN_LEAD)
+        told = self._with_one_merge(stay, [closure for closure in found if closure is not None])
         return [closure for closure in told if closure.merged]
 
     def consider_leftovers(self, adjacency: Mapping[int, Collection[int]]) -> list[Closure]:
         """Pairs of submaps that may be duplicates by the topology, verified; at most one merge.
 
         `adjacency` is of the submaps that are left. Submaps one or two edges apart are compared,
-        the best ranked first. Call again after merging, until nothing merges; grids are never
-        matched twice.
+        of each the best ranked ones first. Call again after merging, until nothing merges; grids
+        are never matched twice.
         """
         if not self.config.verify:
             return []
+        pairs: list[tuple[int, int, Claims]] = []
+        for start in sorted(self._submaps):
+            near = set(adjacency.get(start, ()))
+            near |= {n for neighbour in near for n in adjacency.get(neighbour, ())}
+            for other in sorted(near & self._submaps.keys()):
+                if other > start:
+                    pairs.append((start, other, self._claims[start].get(other, _NO_CLAIMS)))
+        pairs.sort(key=lambda pair: -pair[2].rank)
+        taken: Counter[int] = Counter()
         found: list[Closure] = []
-        for old, new in self._leftover_pairs(adjacency):
-            claims = self._best_claims(old, new)
+        for old, new, claims in pairs:
+            taken[new] += 1
+            if taken[new] > _LEFTOVERS:
+                continue
             latest_first = range(len(self._submaps[old]))[::-1]
             for stay in self._submaps[new][-_MEMBERS:]:
                 closure = self._best_match(stay, old, claims, latest_first)
@@ -151,35 +174,6 @@ class LoopCloser:
                     found, by_stay=_NO_CLAIMS.by_stay
                 )
 
-    def _forget(self, gone: set[int]) -> None:
-        """Nothing is kept of the stays `gone` but the submap that they are part of."""
-        if gone:
-            self._compared = {pair for pair in self._compared if gone.isdisjoint(pair)}
-
-    def _leftover_pairs(self, adjacency: Mapping[int, Collection[int]]) -> list[tuple[int, int]]:
-        """Pairs that may be duplicates, for each submap the best ranked of those near it.
-
-        Near are submaps one or two edges apart.
-        """
-        pairs: list[tuple[int, int]] = []
-        for start in sorted(self._submaps):
-            near = set(adjacency.get(start, ()))
-            near |= {n for neighbour in near for n in adjacency.get(neighbour, ())}
-            near &= self._submaps.keys()
-            pairs.extend((start, other) for other in sorted(near) if other > start)
-        pairs.sort(key=lambda pair: -self._best_claims(*pair).rank)
-        taken: Counter[int] = Counter()
-        chosen = []
-        for old, new in pairs:
-            if taken[new] < _LEFTOVERS:
-                taken[new] += 1
-                chosen.append((old, new))
-        return chosen
-
-    def _best_claims(self, old: int, new: int) -> Claims:
-        """The best ranked claims between two submaps, none when they were never asked."""
-        return self._claims[old].get(new, _NO_CLAIMS)
-
     def _claimed(self, new: Stay, claims: Mapping[int, Claims]) -> list[Closure]:
         """The paper's own rule: the largest xi merges when it passes the threshold."""
         if len(claims) < 2:
@@ -194,16 +188,6 @@ class LoopCloser:
             by_xi = Decision(False, merged, reason)
             closures.append(_closure(new.number, old, claims[old], by_xi))
         return closures
-
-    def _verified(self, new: Stay, claims: Mapping[int, Claims]) -> list[Closure]:
-        """The best ranked candidates with their grids matched; the best of the merges wins."""
-        ranked = sorted(claims, key=lambda i: (-claims[i].rank, i))
-        orders = [(old, _most_claimed_first(claims[old])) for old in ranked[:CANDIDATES]]
-        orders += [(old, [k]) for old, k in self._expected(new)[:CANDIDATES]]
-        found = [self._best_match(new, old, claims[old], order) for old, order in orders]
-        closures = [closure for closure in found if closure is not None]
-        closures = with_one_merge(closures, lambda c: self._moved_m(c, new), MIN_LEAD)
-        return sorted(closures, key=lambda c: (not c.merged, not c.verified, -c.xi, c.old))
 
     def _expected(self, new: Stay) -> list[tuple[int, int]]:
         """The submaps, and which stay of each, that tracking says the robot has come back to.
@@ -226,29 +210,45 @@ class LoopCloser:
 
         None when all of these were compared before.
         """
-        best: Closure | None = None
+        found: list[Closure] = []
         for k in list(order)[:_MEMBERS]:
             stay = self._submaps[old][k]
             pair = min(stay.number, new.number), max(stay.number, new.number)
             if pair in self._compared:
                 continue
             self._compared.add(pair)
-            closure = self._matched(stay, new, claims)
-            if best is None or _merit(closure) > _merit(best):
-                best = closure
-            if closure.merged:
+            found.append(self._matched(stay, new, claims))
+            if found[-1].merged:
                 break
-        return best
+        # no match at all, which has no score, is the worst
+        return max(
+            found,
+            key=lambda c: (c.merged, c.verified, -math.inf if math.isnan(c.score) else c.score),
+            default=None,
+        )
 
-    def _moved_m(self, closure: Closure, new: Stay) -> float:
-        """How far a match moves a new stay from where tracking put it."""
-        assert closure.old_from_new is not None
-        return mended_m(self._stay(closure.old), new, closure.old_from_new)
+    def _with_one_merge(self, new: Stay, closures: list[Closure]) -> list[Closure]:
+        """The closures of a new stay with the best of the merges alone left as one.
 
-    def _stay(self, number: int) -> Stay:
-        """One stay of those that are kept, by its number."""
-        stays = self._submaps[self._submap_of[number]]
-        return next(stay for stay in stays if stay.number == number)
+        Of those that match nearly as well the one is right that moves the stay least from where
+        tracking put it. Twin rooms are a room apart.
+        """
+        merges = [closure for closure in closures if closure.merged]
+        enough = max((closure.score for closure in merges), default=0.0) - MIN_LEAD
+        ranked: list[tuple[float, float, int]] = []
+        for closure in merges:
+            if closure.score >= enough and closure.old_from_new is not None:
+                stays = self._submaps[self._submap_of[closure.old]]
+                old = next(stay for stay in stays if stay.number == closure.old)
+                off_m = mended_m(old, new, closure.old_from_new)
+                ranked.append((max(off_m, _ALIKE_M), -closure.score, closure.old))
+        best = min(ranked)[2] if ranked else None
+        return [
+            replace(closure, merged=False, reason="another submap fits better")
+            if closure.merged and closure.old != best
+            else closure
+            for closure in closures
+        ]
 
     def _matched(self, old: Stay, new: Stay, claims: Claims) -> Closure:
         """What the grids of two stays say."""
@@ -267,11 +267,6 @@ class LoopCloser:
         return _closure(new.number, old.number, claims, found, check)
 
 
-def _packed(stay: Stay) -> PackedGrid:
-    """The grid of a stay without what it did not see."""
-    return PackedGrid.of(cropped(stay.grid))
-
-
 def _closure(
     new: int, old: int, claims: Claims, decision: Decision, check: Check | None = None
 ) -> Closure:
@@ -287,38 +282,3 @@ def _closure(
         reason=decision.reason,
         old_from_new=check.old_from_new if check is not None and decision.verified else None,
     )
-
-
-def _most_claimed_first(claims: Claims) -> list[int]:
-    """The stays of an old submap in the order in which they are matched, the later of equals."""
-    return sorted(range(len(claims.by_stay)), key=lambda k: (-claims.by_stay[k], -k))
-
-
-def with_one_merge(
-    closures: Sequence[Closure], moved_m: Callable[[Closure], float], lead: float
-) -> list[Closure]:
-    """The closures with the best of the merges alone left as one.
-
-    Of those that match nearly as well, by less than `lead`, the one is right that tracking
-    expected: `moved_m` tells how far a match moves the new stay. Twin rooms are a room apart.
-    """
-    merges = [c for c in closures if c.merged]
-    if not merges:
-        return list(closures)
-    enough = max(c.score for c in merges) - lead
-    best = min(
-        (c for c in merges if c.score >= enough),
-        key=lambda c: (max(moved_m(c), _ALIKE_M), -c.score, c.old),
-    )
-    return [
-        replace(c, merged=False, reason="another submap fits better")
-        if c.merged and c is not best
-        else c
-        for c in closures
-    ]
-
-
-def _merit(closure: Closure) -> tuple[bool, bool, float]:
-    """What makes one match with a submap better than another; no match at all is the worst."""
-    score = -math.inf if math.isnan(closure.score) else closure.score
-    return closure.merged, closure.verified, score

@@ -105,14 +105,24 @@ def prepared(grid: GridMap) -> PreparedGrid | None:
     if len(occupied) * grid.resolution < _LEAST_WALL_M:
         return None
     points = evenly(occupied, _MOST_POINTS)
+    # what the grid knows ends as far past the cells that were seen as an inlier may be off
+    margin = max(1, round(INLIER_M / grid.resolution))
+    seen = (grid.cells != UNKNOWN).astype(np.uint8)
+    known = cv2.dilate(seen, np.ones((2 * margin + 1, 2 * margin + 1), dtype=np.uint8))
     return PreparedGrid(
         grid=grid,
         sigma_m=max(_MATCH_SIGMA_M, grid.resolution),
         walls=grid.centres_of(points),
         metres_a_point=grid.resolution * len(occupied) / len(points),
         direction=wall_direction(grid),
-        area=_known_area(grid, INLIER_M),
-        coarse=_coarse(grid, _MATCH_CELL_M),
+        area=KnownArea(
+            wall_distance=_distance(~grid.occupied, grid.resolution),
+            depth=_distance(grid.free, grid.resolution),
+            known=np.asarray(known > 0),
+            resolution=grid.resolution,
+            origin=grid.origin,
+        ),
+        coarse=_coarse(grid),
     )
 
 
@@ -164,20 +174,6 @@ def cropped(grid: GridMap) -> GridMap:
     )
 
 
-def _known_area(grid: GridMap, reach_m: float) -> KnownArea:
-    """What the grid knows, up to `reach_m` past the cells that were seen."""
-    margin = max(1, round(reach_m / grid.resolution))
-    seen = (grid.cells != UNKNOWN).astype(np.uint8)
-    known = cv2.dilate(seen, np.ones((2 * margin + 1, 2 * margin + 1), dtype=np.uint8))
-    return KnownArea(
-        wall_distance=_distance((grid.cells != OCCUPIED), grid.resolution),
-        depth=_distance(grid.free, grid.resolution),
-        known=np.asarray(known > 0),
-        resolution=grid.resolution,
-        origin=grid.origin,
-    )
-
-
 def _distance(inside: BoolArray, resolution: float) -> ImageArray:
     """(H, W) metres from each cell inside to the nearest outside; NO_OBSTACLE_M without one."""
     if inside.all():
@@ -186,9 +182,9 @@ def _distance(inside: BoolArray, resolution: float) -> ImageArray:
     return np.asarray(cells * np.float32(resolution), dtype=np.float32)
 
 
-def _coarse(grid: GridMap, about_m: float) -> CoarseGrid:
-    """The grid on cells of about `about_m` metres."""
-    factor = max(1, round(about_m / grid.resolution))
+def _coarse(grid: GridMap) -> CoarseGrid:
+    """The grid on cells of about `_MATCH_CELL_M`."""
+    factor = max(1, round(_MATCH_CELL_M / grid.resolution))
     height, width = grid.cells.shape
     padded = np.pad(
         grid.cells, ((0, -height % factor), (0, -width % factor)), constant_values=UNKNOWN

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
-from specmap_cli.grids.correlation import Peak, Target, marked_cells, peaks
+from specmap_cli.grids.correlation import Target, marked_cells, peaks
 from specmap_cli.grids.matching import refine
 from specmap_cli.recognition.closure.prepared import INLIER_M, KnownArea, PreparedGrid
 
@@ -32,7 +32,6 @@ _TRANSFORMS = 8
 _DIFFERENT_M, _DIFFERENT_RAD = 0.5, math.radians(2.0)
 RIVAL_M, RIVAL_RAD = 1.0, math.radians(10.0)
 
-_Placed = tuple[float, Pose2]
 CANDIDATES = 3  # best ranked old submaps whose grids are matched
 _HOPELESS_SCORE = 0.3  # a match below this is given up
 _SURE_SCORE = 0.8  # a match above this needs no other rotation
@@ -59,8 +58,11 @@ class TransformSearch:
     """
 
     def __init__(self, old: PreparedGrid, new: PreparedGrid) -> None:
-        steps = _slack_steps(old, new)
-        self.few, self.many = _slacks(steps), _slacks(steps + 1)
+        # the larger the cells, the more steps to either side of aligned walls are tried at once
+        cell_m = max(old.area.resolution, new.area.resolution)
+        steps = max(0, int((cell_m - _FINE_CELL_M) / _CELL_M_PER_SLACK))
+        offs = [sign * k * _SLACK_RAD for k in range(1, steps + 2) for sign in (-1.0, 1.0)]
+        self.few, self.many = (0.0, *offs[:-2]), (0.0, *offs)
         self.centre: FloatArray = new.coarse.walls.mean(axis=0)
         self._old = old.coarse
         self._aligned = old.direction - new.direction
@@ -68,15 +70,16 @@ class TransformSearch:
         # of many rotations, neighbours of the best must not crowd out the rivals that count
         self._apart = (RIVAL_M, RIVAL_RAD) if steps else (_DIFFERENT_M, _DIFFERENT_RAD)
         self._targets: dict[int, Target] = {}
-        self._placed: dict[tuple[int, float], list[list[_Placed]]] = {}
+        self._placed: dict[tuple[int, float], list[tuple[float, Pose2]]] = {}
 
     def best(self, slacks: Iterable[float]) -> list[Pose2]:
         """At most 8 transforms with one of these rotations, the most promising first."""
-        found: list[_Placed] = []
-        for quarters in (0, 1):
-            for slack in slacks:
-                for placed in self._of_rotation(quarters, slack):
-                    found.extend(placed)
+        found = [
+            placed
+            for quarters in (0, 1)
+            for slack in slacks
+            for placed in self._of_rotation(quarters, slack)
+        ]
         found.sort(key=lambda item: -item[0])
         kept: list[Pose2] = []
         for _, pose in found:
@@ -86,47 +89,35 @@ class TransformSearch:
                 break
         return kept
 
-    def _of_rotation(self, quarters: int, slack: float) -> list[list[_Placed]]:
+    def _of_rotation(self, quarters: int, slack: float) -> list[tuple[float, Pose2]]:
         """The best transforms, with their values, of a rotation and of half a turn more.
 
-        Walls and free space of the new grid, turned, are laid on the old one at every shift.
+        Walls and free space of the new grid, turned, are laid on the old one at every shift. There
+        is room for the new grid at every rotation about one of aligned walls.
         """
-        key = quarters, slack
-        if key not in self._placed:
-            target = self._target(quarters)
-            angle = self._aligned + quarters * math.pi / 2 + slack
-            turn, cell = Pose2(0.0, 0.0, angle), self._old.cell_m
-            pictures = [
-                marked_cells(turn.apply(points), cell, target.shape) for points in self._parts
-            ]
-            apart = round(_PEAKS_APART_M / cell)
-            self._placed[key] = [
-                [
-                    self._transform(peak, wrap_angle(angle + half))
-                    for peak in peaks(correlation, target.size, cell, _PEAKS_PER_ROTATION, apart)
-                ]
-                for half, correlation in zip(
-                    (0.0, math.pi), target.correlate_turned(np.stack(pictures)), strict=True
-                )
-            ]
-        return self._placed[key]
-
-    def _transform(self, peak: Peak, angle: float) -> _Placed:
-        """A peak's value, and the transform that turns by `angle` and takes the centre there."""
-        at = Pose2(peak.x + self._old.origin[0], peak.y + self._old.origin[1], angle)
-        return peak.value, at @ Pose2(-float(self.centre[0]), -float(self.centre[1]), 0.0)
-
-    def _target(self, quarters: int) -> Target:
-        """The old grid, with room for the new one at each rotation about this one."""
+        if (quarters, slack) in self._placed:
+            return self._placed[quarters, slack]
+        cell_m, (x, y) = self._old.cell_m, self._old.origin
+        angle = self._aligned + quarters * math.pi / 2
         if quarters not in self._targets:
-            angle = self._aligned + quarters * math.pi / 2
             turned = Pose2(0.0, 0.0, angle).apply(np.vstack(self._parts))
             reach: FloatArray = np.abs(turned).max(axis=0)
             reach = reach + math.sin(self.many[-1]) * reach[::-1]
             # to both sides, and what rounding to cells adds
-            columns, rows = (2 * np.ceil(reach / self._old.cell_m).astype(int) + 3).tolist()
+            columns, rows = (2 * np.ceil(reach / cell_m).astype(int) + 3).tolist()
             self._targets[quarters] = Target.of(self._old.layers, (rows, columns))
-        return self._targets[quarters]
+        target, angle = self._targets[quarters], angle + slack
+        turn, apart = Pose2(0.0, 0.0, angle), round(_PEAKS_APART_M / cell_m)
+        pictures = [marked_cells(turn.apply(part), cell_m, target.shape) for part in self._parts]
+        whole, half = target.correlate_turned(np.stack(pictures))
+        to_centre = Pose2(-float(self.centre[0]), -float(self.centre[1]), 0.0)
+        found = []
+        for correlation, heading in ((whole, angle), (half, angle + math.pi)):
+            for peak in peaks(correlation, target.size, cell_m, _PEAKS_PER_ROTATION, apart):
+                at = Pose2(peak.x + x, peak.y + y, wrap_angle(heading))
+                found.append((peak.value, at @ to_centre))
+        self._placed[quarters, slack] = found
+        return found
 
 
 def differ(a: Pose2, b: Pose2, centre: NDArray[np.float64], metres: float, radians: float) -> bool:
@@ -134,17 +125,6 @@ def differ(a: Pose2, b: Pose2, centre: NDArray[np.float64], metres: float, radia
     shift = a.apply(centre[None])[0] - b.apply(centre[None])[0]
     turn = abs(wrap_angle(a.theta - b.theta))
     return math.hypot(*shift.tolist()) > metres or turn > radians
-
-
-def _slack_steps(old: PreparedGrid, new: PreparedGrid) -> int:
-    """How many steps to either side of aligned walls are tried at once, for the size of cells."""
-    cell_m = max(old.area.resolution, new.area.resolution)
-    return max(0, int((cell_m - _FINE_CELL_M) / _CELL_M_PER_SLACK))
-
-
-def _slacks(steps: int) -> Sequence[float]:
-    """Rotations off that of aligned walls, the smallest first, radians."""
-    return (0.0, *(sign * k * _SLACK_RAD for k in range(1, steps + 1) for sign in (-1.0, 1.0)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -191,12 +171,12 @@ def verify(
     nor clear, they are tried a few degrees off as well.
     """
     search = TransformSearch(old, new)
-    trials = _Trials(old, new, plausible)
-    best = _best(trials, search.best(search.few), search.centre)
+    trials = _Trials(old, new, search.centre, plausible)
+    best = trials.best(search.best(search.few))
     promising = best is not None and _HOPELESS_SCORE <= best.score < _SURE_SCORE
     # what contradicts a clear match is a difference of the places, not an error of the direction
     if best is not None and promising and not (best.overlaps and best.lead >= MIN_LEAD):
-        other = _best(trials, search.best(search.many), search.centre)
+        other = trials.best(search.best(search.many))
         best = other if other is not None and _rank(other) > _rank(best) else best
     return best
 
@@ -213,7 +193,10 @@ def judge(old: PreparedGrid, new: PreparedGrid, old_from_new: Pose2) -> Check:
         overlap=max(there.known, back.known),
         least_overlap=min(there.known, back.known),
         net_walls_m=min(
-            said.known * len(grid.walls) * grid.metres_a_point * said.score
+            said.known
+            * len(grid.walls)
+            * grid.metres_a_point
+            * (said.confirmed - CONTRADICTION_WEIGHT * said.contradicted)
             for said, grid in ((there, new), (back, old))
         ),
     )
@@ -232,15 +215,19 @@ def tracks_overlap(
 
 
 class _Trials:
-    """Transforms between two grids that were refined and judged, each once."""
+    """Transforms between two grids that were refined and judged, each once.
+
+    `centre` (2,) is that of the new grid's walls.
+    """
 
     def __init__(
         self,
         old: PreparedGrid,
         new: PreparedGrid,
+        centre: FloatArray,
         plausible: Callable[[Pose2], bool] | None,
     ) -> None:
-        self.old, self.new, self.plausible = old, new, plausible
+        self.old, self.new, self.centre, self.plausible = old, new, centre, plausible
         self.rough = evenly(new.walls, _ROUGH_POINTS)
         self._checks: dict[tuple[Pose2, bool], Check] = {}
 
@@ -254,47 +241,32 @@ class _Trials:
             self._checks[guess, fine] = judge(self.old, self.new, match.pose)
         return self._checks[guess, fine]
 
+    def best(self, guesses: Sequence[Pose2]) -> Check | None:
+        """The best transform near guesses, and how much better it is than a different one.
 
-def _best(trials: _Trials, guesses: Sequence[Pose2], centre: FloatArray) -> Check | None:
-    """The best transform near guesses; `centre` (2,) is that of the new grid."""
-    wide, rough = trials.old.wide, trials.rough
-    likely = sorted(guesses, key=lambda guess: wide.score(rough, guess), reverse=True)
-    checks = sorted(map(trials.refined, likely[:_REFINED]), key=_rank, reverse=True)
-    if not checks:
-        return None
-    checks = _possible(checks, trials)
-    best = checks[0]
-    if best.score < _HOPELESS_SCORE:
-        return best
-    final = trials.refined(best.old_from_new, fine=True)
-    return replace(final if final.score >= best.score else best, lead=_lead(checks, centre))
-
-
-def _possible(checks: list[Check], trials: _Trials) -> list[Check]:
-    """The checks that are to be weighed, best first: without those that tracking rules out.
-
-    Where the best is ruled out itself and leads, all of them: it is to be told.
-    """
-    if trials.plausible is None:
-        return checks
-    possible = [check for check in checks if trials.plausible(check.old_from_new)]
-    if not possible or _rank(checks[0]) - _rank(possible[0]) >= MIN_LEAD:
-        return checks
-    return possible
-
-
-def _lead(checks: Sequence[Check], centre: FloatArray) -> float:
-    """How much better the first of some checks is than the best that is a different transform.
-
-    They are different when they place `centre` (2,) of the new grid elsewhere, or turn it.
-    """
-    best = checks[0]
-    rivals = [
-        check
-        for check in checks[1:]
-        if differ(check.old_from_new, best.old_from_new, centre, RIVAL_M, RIVAL_RAD)
-    ]
-    return _rank(best) - max((_rank(rival) for rival in rivals), default=-1.0)
+        Those that tracking rules out are not weighed. Where the best is ruled out itself and leads,
+        all are: it is to be told.
+        """
+        wide, rough = self.old.wide, self.rough
+        likely = sorted(guesses, key=lambda guess: wide.score(rough, guess), reverse=True)
+        checks = sorted(map(self.refined, likely[:_REFINED]), key=_rank, reverse=True)
+        if not checks:
+            return None
+        if self.plausible is not None:
+            possible = [check for check in checks if self.plausible(check.old_from_new)]
+            if possible and _rank(checks[0]) - _rank(possible[0]) < MIN_LEAD:
+                checks = possible
+        best, *others = checks
+        if best.score < _HOPELESS_SCORE:
+            return best
+        final = self.refined(best.old_from_new, fine=True)
+        rivals = [
+            _rank(check)
+            for check in others
+            if differ(check.old_from_new, best.old_from_new, self.centre, RIVAL_M, RIVAL_RAD)
+        ]
+        lead = _rank(best) - max(rivals, default=-1.0)
+        return replace(final if final.score >= best.score else best, lead=lead)
 
 
 def _rank(check: Check) -> float:
@@ -312,11 +284,6 @@ class Agreement:
     confirmed: float
     contradicted: float
     inliers: int
-
-    @property
-    def score(self) -> float:
-        """The share confirmed less twice the share contradicted."""
-        return self.confirmed - CONTRADICTION_WEIGHT * self.contradicted
 
 
 def agreement(area: KnownArea, points: FloatArray) -> Agreement:

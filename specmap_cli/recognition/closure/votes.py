@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 
@@ -132,9 +133,12 @@ class Party:
         return min(len({v.old for v in self.votes}), len({v.new for v in self.votes}))
 
     @property
-    def confirmed_m(self) -> float:
-        """Metres of wall that the votes confirm; walls seen in two submaps count twice."""
-        return sum(vote.check.confirmed_m for vote in self.votes)
+    def weight(self) -> tuple[int, float]:
+        """What makes one party stronger than another: of as many submaps, the more metres of wall.
+
+        Walls that were seen in two submaps count twice.
+        """
+        return self.strength, sum(vote.check.confirmed_m for vote in self.votes)
 
 
 def votes_of(
@@ -147,15 +151,16 @@ def votes_of(
         check = None if one is None or other is None else verify(one.grid, other.grid)
         if one and other and check and check.matches(config.min_score) and check.lead >= MIN_LEAD:
             radius_m = math.sqrt(new.map.grids[j].free_area_m2 / math.pi)
-            vote = Vote(
-                old=i,
-                new=j,
-                old_from_new=one.frame @ check.old_from_new @ other.frame.inverse(),
-                centre=np.array(other.frame[:2]),
-                radius_m=max(_LEAST_RADIUS_M, radius_m),
-                check=check,
+            votes.append(
+                Vote(
+                    old=i,
+                    new=j,
+                    old_from_new=one.frame @ check.old_from_new @ other.frame.inverse(),
+                    centre=np.array(other.frame[:2]),
+                    radius_m=max(_LEAST_RADIUS_M, radius_m),
+                    check=check,
+                )
             )
-            votes.append(vote)
     return votes
 
 
@@ -164,10 +169,10 @@ def parties_of(votes: Sequence[Vote]) -> list[Party]:
     left, parties = list(votes), list[Party]()
     while left and len(parties) < _PARTIES:
         seeds = sorted(left, key=lambda vote: -vote.check.confirmed_m)[:_SEEDS]
-        party = max((_party(vote, left) for vote in seeds), key=_weight)
+        party = max((_party(vote, left) for vote in seeds), key=attrgetter("weight"))
         parties.append(party)
         left = [vote for vote in left if not any(vote is other for other in party.votes)]
-    return sorted(parties, key=_weight, reverse=True)
+    return sorted(parties, key=attrgetter("weight"), reverse=True)
 
 
 def fitted(votes: Sequence[Vote]) -> Pose2:
@@ -183,27 +188,23 @@ def fitted(votes: Sequence[Vote]) -> Pose2:
 
 
 def _party(seed: Vote, votes: Sequence[Vote]) -> Party:
-    """The votes that agree with one, and the transform nearest to all of them."""
+    """The votes that agree with one, and the transform nearest to all of them.
+
+    A vote agrees that is for the party's transform, where it is cast and where the party's are.
+    """
     party = Party(old_from_new=seed.old_from_new, votes=(seed,))
     for _ in range(_ROUNDS):
-        found = tuple(vote for vote in votes if _agree(vote, party))
-        if not found or found == party.votes:
+        middle = np.mean([vote.centre for vote in party.votes], axis=0)
+        found = []
+        for vote in votes:
+            places = np.stack([vote.centre, middle])
+            mine, theirs = vote.old_from_new, party.old_from_new
+            gap = max(map(math.dist, mine.apply(places), theirs.apply(places)))
+            turn = abs(wrap_angle(mine.theta - theirs.theta))
+            far = math.dist(vote.centre, middle)
+            if turn <= _APART_RAD and gap <= _APART_M + _APART_PER_M * far:
+                found.append(vote)
+        if not found or tuple(found) == party.votes:
             break
-        party = Party(old_from_new=fitted(found), votes=found)
+        party = Party(old_from_new=fitted(found), votes=tuple(found))
     return party
-
-
-def _agree(vote: Vote, party: Party) -> bool:
-    """Whether a vote is for a party's transform, where it is cast and where the party's are."""
-    mine, theirs = vote.old_from_new, party.old_from_new
-    if abs(wrap_angle(mine.theta - theirs.theta)) > _APART_RAD:
-        return False
-    middle = np.mean([other.centre for other in party.votes], axis=0)
-    places = np.stack([vote.centre, middle])
-    gaps = map(math.dist, mine.apply(places), theirs.apply(places))
-    far = math.dist(vote.centre, middle)
-    return max(gaps) <= _APART_M + _APART_PER_M * far
-
-
-def _weight(party: Party) -> tuple[int, float]:
-    return party.strength, party.confirmed_m

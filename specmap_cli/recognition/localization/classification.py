@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from specmap_cli.core.errors import InputError
 from specmap_cli.core.geometry import FloatArray
@@ -45,8 +44,12 @@ class BeamSampler:
         """The scan at the known laser's bearings, cut to its range."""
         if self.same or not len(scan.bearings):
             return scan
-        wanted = self.known.bearings()
-        ranges = scan.ranges[_nearest(scan.bearings, wanted)]
+        wanted, turn = self.known.bearings(), 2.0 * math.pi
+        # of the scan's bearings, which ascend, the nearest to each wanted one, around the circle
+        around = np.concatenate([scan.bearings - turn, scan.bearings, scan.bearings + turn])
+        right = np.clip(np.searchsorted(around, wanted), 1, len(around) - 1)
+        left_is_nearer = wanted - around[right - 1] < around[right] - wanted
+        ranges = scan.ranges[(right - left_is_nearer) % len(scan.bearings)]
         with np.errstate(invalid="ignore"):
             ranges = np.where(ranges >= self.known.range_max, np.inf, ranges)
         return PlanarScan(
@@ -56,15 +59,6 @@ class BeamSampler:
             range_max=self.known.range_max,
             full_circle=self.known.full_circle,
         )
-
-
-def _nearest(bearings: FloatArray, wanted: FloatArray) -> NDArray[np.intp]:
-    """(W,) index of the bearing (B,) ascending nearest to each wanted one, around the circle."""
-    turn = 2.0 * math.pi
-    around = np.concatenate([bearings - turn, bearings, bearings + turn])
-    right = np.clip(np.searchsorted(around, wanted), 1, len(around) - 1)
-    left_is_nearer = wanted - around[right - 1] < around[right] - wanted
-    return np.asarray((right - left_is_nearer) % len(bearings), dtype=np.intp)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,7 +81,10 @@ class ClassifiedScan:
 
 
 class ScanClassifier:
-    """Asks the classifiers of a map of the scans of a log, in turn."""
+    """Asks the classifiers of a map of the scans of a log, in turn.
+
+    `note` says how the log's laser is made to fit the classifiers; empty when it is the same.
+    """
 
     def __init__(self, classifiers: ClassifierSet, config: LocalizationConfig) -> None:
         self.classifiers = classifiers
@@ -95,11 +92,7 @@ class ScanClassifier:
         self._calibration = classifiers.calibration or Calibration()
         self._recent = RecentScans()
         self._sampler: BeamSampler | None = None
-
-    @property
-    def note(self) -> str:
-        """How the log's laser is made to fit the classifiers; empty when it is the same."""
-        return self._sampler.note if self._sampler is not None else ""
+        self.note = ""
 
     def classified(self, scans: Sequence[PosedScan]) -> list[ClassifiedScan]:
         """What is said of the next scans, in turn; many at once are cheaper than one by one.
@@ -108,7 +101,11 @@ class ScanClassifier:
         little.
         """
         raw = self.classifiers.raw
-        features = scans_features([self._resampled(s.planar) for s in scans], raw.feature_set)
+        if self._sampler is None:
+            self._sampler = BeamSampler(Sensor.of(scans[0].planar), self.classifiers.sensor)
+            self.note = self._sampler.note
+        resampled = [self._sampler.apply(posed.planar) for posed in scans]
+        features = scans_features(resampled, raw.feature_set)
         margins, strange = raw.margins(features), raw.strangeness(features)
         alone = self._calibration.alone(margins)
         virtual = self.classifiers.virtual
@@ -116,16 +113,24 @@ class ScanClassifier:
             both, shown = alone, [1.0] * len(scans)
             seen = [posed.planar for posed in scans]
         else:
-            windows = [self._window(posed) for posed in scans]
-            features = scans_features([window for window, _ in windows], virtual.feature_set)
+            # what a full circle would have seen from each, of the last metres; how full these are
+            windows, filled = list[PlanarScan](), list[float]()
+            for posed in scans:
+                if posed.restarted:  # this pose has nothing to do with the last one
+                    self._recent.clear()
+                if not posed.lost:
+                    self._recent.add(posed)
+                windows.append(self._recent.scan(posed.stamp_ns, posed.map_from_laser))
+                filled.append(self._recent.filled)
+            features = scans_features(windows, virtual.feature_set)
             both = self._calibration.together(margins, virtual.margins(features))
             if virtual.familiarity is not None:
                 strange = virtual.strangeness(features)
             view = self.classifiers.sensor.field_of_view / (2.0 * math.pi)
-            shown = [max(filled, view) for _, filled in windows]
+            shown = [max(share, view) for share in filled]
             seen = [
                 posed.planar if posed.planar.full_circle else window
-                for posed, (window, _) in zip(scans, windows, strict=True)
+                for posed, window in zip(scans, windows, strict=True)
             ]
         return [
             ClassifiedScan(
@@ -138,17 +143,3 @@ class ScanClassifier:
             )
             for k in range(len(scans))
         ]
-
-    def _resampled(self, scan: PlanarScan) -> PlanarScan:
-        """The scan as the laser of the map would have taken it."""
-        if self._sampler is None:
-            self._sampler = BeamSampler(Sensor.of(scan), self.classifiers.sensor)
-        return self._sampler.apply(scan)
-
-    def _window(self, posed: PosedScan) -> tuple[PlanarScan, float]:
-        """What a full circle would have seen from here, of the last metres; how full these are."""
-        if posed.restarted:  # this pose has nothing to do with the last one
-            self._recent.clear()
-        if not posed.lost:
-            self._recent.add(posed)
-        return self._recent.scan(posed.stamp_ns, posed.map_from_laser), self._recent.filled

@@ -8,7 +8,7 @@ moving says nothing new. One more state, the last, is "unknown": outside of the 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -44,7 +44,7 @@ class ViewGrouping:
 
     `mean` of what is said of the scans of a view is what the view says, however many they are.
     `motion` is the `novelty` of the view after the one before, infinite for the first of a track.
-    `keep` stores the evidence of the view as it is known now; `tracks` returns that of all views.
+    `keep` stores the evidence of the view as it is known now.
     """
 
     def __init__(self) -> None:
@@ -83,12 +83,12 @@ class ViewGrouping:
         self._tracks[-1][-1] = evidence
         self._view_of.append(sum(len(track) for track in self._tracks) - 1)
 
-    def tracks(self) -> list[FloatArray]:
-        """The evidence (views, k) of every track."""
-        return [np.array(track) for track in self._tracks if track]
+    def of_scans(self, smooth: Callable[[FloatArray], FloatArray]) -> list[FloatArray]:
+        """For each scan the row of its view, when the evidence (views, k) of a track is smoothed.
 
-    def of_scans(self, rows: list[FloatArray]) -> list[FloatArray]:
-        """For each scan the row of its view; `rows` are those of the views of all tracks."""
+        A loss of tracking ends a track: what comes after it says nothing of what was before.
+        """
+        rows = [row for track in self._tracks if track for row in smooth(np.array(track))]
         return [rows[view] for view in self._view_of]
 
 
@@ -104,8 +104,20 @@ class HiddenMarkovFilter:
         self, adjacency: Mapping[int, Collection[int]], config: LocalizationConfig
     ) -> None:
         self.ids = sorted(adjacency)
-        self.transition = _transitions(self.ids, adjacency, config)
-        m = len(self.ids)  # before the first scan all submaps are as likely
+        m, number = len(self.ids), {submap: k for k, submap in enumerate(self.ids)}
+        self.transition = np.zeros((m + 1, m + 1))
+        inside = self.transition[:m, :m]
+        for submap, k in number.items():
+            neighbours = {number[n] for n in adjacency[submap] if n in number and n != submap}
+            inside[k, k] = config.stay if neighbours else 1.0
+            for n in neighbours:
+                inside[k, n] = (1.0 - config.stay) / len(neighbours)
+        inside *= 1.0 - LEAP - _LEAVE
+        inside += LEAP / max(1, m)
+        self.transition[:m, m] = _LEAVE
+        self.transition[m, :m] = _LEAVE / max(1, m)
+        self.transition[m, m] = 1.0 - (_LEAVE if m else 0.0)
+        # before the first scan all submaps are as likely
         known = (1.0 - _UNKNOWN_PRIOR) / max(1, m)
         self._first = np.append(np.full(m, known), _UNKNOWN_PRIOR if m else 1.0)
         self._belief: FloatArray | None = None
@@ -120,7 +132,8 @@ class HiddenMarkovFilter:
 
         `again` means one that takes the place of the last.
         """
-        return self._after(self._before if again else self._belief)
+        before = self._before if again else self._belief
+        return self._first if before is None else np.asarray(before @ self.transition)
 
     def with_unknown(self, known: NDArray[Any], worth: float, again: bool = False) -> FloatArray:
         """(m + 1,) the log likelihoods `known` (m,) of the submaps and, last, that of unknown.
@@ -151,10 +164,10 @@ class HiddenMarkovFilter:
         evidence = np.asarray(log_likelihoods, dtype=np.float64)
         likelihoods = np.exp(evidence - evidence.max(axis=1, keepdims=True))
         smoothed = np.empty(evidence.shape)
-        belief: FloatArray | None = None
+        prior = self._first
         for t, row in enumerate(evidence):
-            belief = _posterior(self._after(belief), row)
-            smoothed[t] = belief
+            belief = _posterior(prior, row)
+            smoothed[t], prior = belief, np.asarray(belief @ self.transition)
         backward = np.ones(evidence.shape[1])
         for t in range(len(evidence) - 2, -1, -1):
             backward = self.transition @ (likelihoods[t + 1] * backward)
@@ -162,35 +175,6 @@ class HiddenMarkovFilter:
             smoothed[t] *= backward
             smoothed[t] /= smoothed[t].sum()
         return smoothed
-
-    def _after(self, belief: FloatArray | None) -> FloatArray:
-        """(m + 1,) probabilities one scan after `belief`; without any, those of the start.
-
-        Then all submaps are as likely.
-        """
-        if belief is None:
-            return self._first
-        return np.asarray(belief @ self.transition)
-
-
-def _transitions(
-    ids: Sequence[int], adjacency: Mapping[int, Collection[int]], config: LocalizationConfig
-) -> FloatArray:
-    """(m + 1, m + 1) chance of going from the row's state to the column's."""
-    m = len(ids)
-    number = {submap: k for k, submap in enumerate(ids)}
-    transition = np.zeros((m + 1, m + 1))
-    for submap, k in number.items():
-        neighbours = {number[n] for n in adjacency[submap] if n in number and n != submap}
-        transition[k, k] = config.stay if neighbours else 1.0
-        for n in neighbours:
-            transition[k, n] = (1.0 - config.stay) / len(neighbours)
-    transition[:m, :m] *= 1.0 - LEAP - _LEAVE
-    transition[:m, :m] += LEAP / max(1, m)
-    transition[:m, m] = _LEAVE
-    transition[m, :m] = _LEAVE / max(1, m)
-    transition[m, m] = 1.0 - (_LEAVE if m else 0.0)
-    return transition
 
 
 def _posterior(prior: FloatArray, log_likelihoods: FloatArray) -> FloatArray:

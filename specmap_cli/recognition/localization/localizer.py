@@ -23,7 +23,7 @@ from specmap_cli.recognition.localization.filtering import (
     ViewGrouping,
 )
 from specmap_cli.recognition.localization.metric import MetricTracker
-from specmap_cli.recognition.localization.places import LeadHistory, LeadingPlace, Owners
+from specmap_cli.recognition.localization.places import LeadingPlace, Owners, looking_back
 from specmap_cli.recognition.localization.tracking import PlaceTracker
 from specmap_cli.recognition.localization.unknown import UnknownOdds, WallCheck
 from specmap_cli.recognition.localization.wall_fit import Ratio, Surroundings, WallFit
@@ -88,7 +88,7 @@ class Localizer:
         self._unknown = UnknownOdds(self.walls, config)
         self._views = ViewGrouping()
         self._labels: list[Label] = []
-        self._leads = LeadHistory()
+        self._leads: list[tuple[Pose2, bool, LeadingPlace | None]] = []
 
     @property
     def note(self) -> str:
@@ -110,71 +110,64 @@ class Localizer:
         return self._update(posed, self._classifier.classified([posed])[0])
 
     def _update(self, posed: PosedScan, scan: ClassifiedScan) -> Label:
+        """The label of a scan: what is said of its view, the filter, then the places."""
         if posed.restarted:
             self._unknown.restart()
             self._views.restart()
             self.filter.reset()
             self.places.restart()
         again = not self._views.begins(posed)
-        log_likelihoods = self._log_likelihoods(posed, scan, again)
+        known = self._views.mean(scan.all)
+        known = min(1.0, self._views.motion / steadiness(known)) * known
+        worth = -math.inf
+        if self._uses_walls:
+            # the submap first that is likeliest by all scans, then by this one's margins
+            before = np.maximum(self.filter.predicted(again)[:-1], SMALLEST)
+            by_all = scan.all + np.log(before)
+            ranked = [int(by_all.argmax()), *np.argsort(-scan.all, kind="stable").tolist()]
+            likely = [self.filter.ids[k] for k in dict.fromkeys(ranked)]
+            worth = self._unknown.worth(posed, scan, likely, again)
+        log_likelihoods = np.append(known, -math.inf)
+        if self.config.unknown:
+            log_likelihoods = self.filter.with_unknown(known, worth, again)
         belief = self.filter.update(log_likelihoods, again)
-        known = self.places.update(posed, self.walls.view, belief[:-1])
-        belief = np.append(known, belief[-1])
+        by_places = self.places.update(posed, self.walls.view, belief[:-1])
+        belief = np.append(by_places, belief[-1])
         label = self._filtered(self._raw_label(posed.stamp_ns, scan), belief)
         self._labels.append(label)
-        self._leads.add(posed, self.places.lead)
+        self._leads.append((posed.map_from_base, posed.restarted, self.places.lead))
         self._views.keep(log_likelihoods)
         return label
 
     def smoothed(self) -> list[Label]:
         """All labels so far, the filtered ones given the whole track that they belong to.
 
-        A loss of tracking ends a track: what comes after it says nothing of what was before.
+        And what a lead says of the submap.
         """
-        rows = [row for track in self._views.tracks() for row in self.filter.smooth(track)]
-        beliefs = [
-            self._led(belief, lead)
-            for belief, lead in zip(self._views.of_scans(rows), self.leads(), strict=True)
-        ]
-        return [self._filtered(a, b) for a, b in zip(self._labels, beliefs, strict=True)]
+        labels = []
+        beliefs = self._views.of_scans(self.filter.smooth)
+        for label, belief, lead in zip(self._labels, beliefs, self.leads(), strict=True):
+            led = belief
+            if lead is not None and self.places.owners.known:
+                led = (1.0 - lead.probability) * belief
+                owner = self.places.owners.of(lead.place.submap, lead.place.pose)
+                led[self.filter.ids.index(owner)] += lead.probability * float(belief[:-1].sum())
+                led[-1] = belief[-1]
+            labels.append(self._filtered(label, led))
+        return labels
 
     def leads(self) -> list[LeadingPlace | None]:
         """The place that leads at each scan so far, or that leads later and tells of it."""
-        return self._leads.looking_back(WINDOW_M)
-
-    def _led(self, belief: FloatArray, lead: LeadingPlace | None) -> FloatArray:
-        """(m + 1,) belief with what a lead says of the submap."""
-        if lead is None or not self.places.owners.known:
-            return belief
-        led = (1.0 - lead.probability) * belief
-        owner = self.filter.ids.index(self.places.owner(lead.place))
-        led[owner] += lead.probability * float(belief[:-1].sum())
-        led[-1] = belief[-1]
-        return led
-
-    def _log_likelihoods(self, posed: PosedScan, scan: ClassifiedScan, again: bool) -> FloatArray:
-        """(m + 1,) log likelihoods of every submap and, last, of unknown, of the scan's view."""
-        known = self._views.mean(scan.all)
-        known = min(1.0, self._views.motion / steadiness(known)) * known
-        worth = -math.inf
-        if self._uses_walls:
-            worth = self._unknown.worth(posed, scan, self._likely(scan, again), again)
-        if not self.config.unknown:
-            return np.append(known, -math.inf)
-        return self.filter.with_unknown(known, worth, again)
-
-    def _likely(self, scan: ClassifiedScan, again: bool) -> list[int]:
-        """The submaps, the one first that is likeliest by all scans, then by this one's margins."""
-        before = np.maximum(self.filter.predicted(again)[:-1], SMALLEST)
-        by_all = scan.all + np.log(before)
-        ranked = [int(by_all.argmax()), *np.argsort(-scan.all, kind="stable").tolist()]
-        return [self.filter.ids[k] for k in dict.fromkeys(ranked)]
+        return looking_back(self._leads, WINDOW_M)
 
     def _raw_label(self, stamp_ns: int, scan: ClassifiedScan) -> Label:
         """The label of the single scan by the most votes; nothing is filtered yet."""
         order = np.argsort(-scan.margins, kind="stable")
         ids, margins = self.filter.ids, scan.margins[order]
-        known = not self.config.unknown or not self._is_strange(scan)
+        # of no place is what fits no walls or, if that is not known, what is strange
+        of_walls = self._unknown.of_walls
+        strange = scan.strange > _STRANGE_ALONE if of_walls is None else of_walls > 0.0
+        known = not (self.config.unknown and strange)
         return Label(
             stamp_ns=stamp_ns,
             submap=ids[order[0]] if known else None,
@@ -184,13 +177,6 @@ class Localizer:
             filtered_probability=0.0,
             probability=math.exp(scan.raw[order[0]]),
         )
-
-    def _is_strange(self, scan: ClassifiedScan) -> bool:
-        """Whether a scan is of no place: it fits no walls, or, if that is not known, is strange."""
-        of_walls = self._unknown.of_walls
-        if of_walls is None:
-            return scan.strange > _STRANGE_ALONE
-        return of_walls > 0.0
 
     def _filtered(self, label: Label, belief: FloatArray) -> Label:
         """The label with the most likely submap; unknown, the last state, where none is so likely.

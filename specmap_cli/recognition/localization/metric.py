@@ -11,13 +11,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2, inverse3, product, wrap_angle
 from specmap_cli.core.records import PosedScan
-from specmap_cli.grids.matching import Match, Window, refine, search
+from specmap_cli.grids.matching import Window, refine, search
 from specmap_cli.grids.score_field import Sample, ScoreField
 from specmap_cli.recognition.localization.places import Place
 
@@ -142,7 +143,16 @@ class MetricTracker:
             return None
         prior = self._expected(posed, submap, guess)
         field = self.field(submap)
-        match = self._near(field, points, prior.pose)
+        match = refine(field, points, prior.pose)
+        if match.score < _FOLLOW_SCORE:  # the guess does not lead to it at once
+            window = Window(
+                distance_m=_FOLLOW_M,
+                angle_rad=_FOLLOW_RAD,
+                step_m=_FOLLOW_STEP_M,
+                angle_step_rad=_FOLLOW_STEP_RAD,
+            )
+            found = refine(field, points, search(field, points, prior.pose, window).pose)
+            match = max(match, found, key=attrgetter("score"))
         told = information(field, points, match.pose)
         if not prior.agrees_with(match.pose, told):
             prior = Estimate.about(prior.pose, _PLACE_M, _PLACE_RAD)
@@ -163,17 +173,3 @@ class MetricTracker:
                 if off.distance < _APART_M and abs(off.theta) < _APART_RAD:
                     return moved.within(there @ moved.pose.inverse())
         return Estimate.about(guess, _PLACE_M, _PLACE_RAD)
-
-    def _near(self, field: ScoreField, points: FloatArray, guess: Pose2) -> Match:
-        """The match near a guess, which is searched for when the guess leads to none at once."""
-        match = refine(field, points, guess)
-        if match.score >= _FOLLOW_SCORE:
-            return match
-        window = Window(
-            distance_m=_FOLLOW_M,
-            angle_rad=_FOLLOW_RAD,
-            step_m=_FOLLOW_STEP_M,
-            angle_step_rad=_FOLLOW_STEP_RAD,
-        )
-        found = refine(field, points, search(field, points, guess, window).pose)
-        return max(match, found, key=lambda each: each.score)

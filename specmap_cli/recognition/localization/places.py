@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.core.records import PosedScan
 from specmap_cli.grids.gridmap import OCCUPIED, GridMap
 
 SAME = 0.3, 0.1  # two places so near are one, metres and radians
@@ -61,39 +60,27 @@ class LeadingPlace:
     place: Place
     probability: float
 
-    def at(self, map_from_base: Pose2) -> LeadingPlace:
-        """The same lead at another scan of the track."""
-        return LeadingPlace(self.place.moved(map_from_base), self.probability)
 
+def looking_back(
+    scans: Sequence[tuple[Pose2, bool, LeadingPlace | None]], reach_m: float
+) -> list[LeadingPlace | None]:
+    """The lead of each scan, where it was; where none led, the next within `reach_m` of way.
 
-class LeadHistory:
-    """The leads of the scans of a log, in turn."""
-
-    def __init__(self) -> None:
-        # with each scan, whether a track ended before it
-        self._scans: list[tuple[Pose2, LeadingPlace | None, bool]] = []
-
-    def add(self, posed: PosedScan, lead: LeadingPlace | None) -> None:
-        """Take in the lead of the next scan, None where no place leads."""
-        self._scans.append((posed.map_from_base, lead, posed.restarted))
-
-    def looking_back(self, reach_m: float) -> list[LeadingPlace | None]:
-        """The lead of each scan, where it was; where none led, the next within `reach_m` of way.
-
-        A loss of tracking ends a track: what comes after it says nothing of what was before.
-        """
-        filled: list[LeadingPlace | None] = []
-        later: LeadingPlace | None = None
-        way, after = 0.0, None
-        for map_from_base, lead, ends in reversed(self._scans):
-            way += 0.0 if after is None else (map_from_base.inverse() @ after).distance
-            if lead is not None:
-                later, way = lead, 0.0
-            near = later if way <= reach_m else None
-            filled.append(None if near is None else near.at(map_from_base))
-            after = None if ends else map_from_base
-            later = None if ends else later
-        return filled[::-1]
+    `scans` are the poses of a log in turn, whether a track ended before each, and its lead. What
+    comes after a loss of tracking says nothing of what was before.
+    """
+    filled: list[LeadingPlace | None] = []
+    later: LeadingPlace | None = None
+    way, after = 0.0, None
+    for map_from_base, ends, lead in reversed(scans):
+        way += 0.0 if after is None else (map_from_base.inverse() @ after).distance
+        if lead is not None:
+            later, way = lead, 0.0
+        near = later if way <= reach_m else None
+        filled.append(near and LeadingPlace(near.place.moved(map_from_base), near.probability))
+        after = None if ends else map_from_base
+        later = None if ends else later
+    return filled[::-1]
 
 
 class Owners:
@@ -126,7 +113,7 @@ class Owners:
         """The submap that a pose in one belongs to."""
         if submap not in self.frames or not self._ids:
             return submap
-        here = self.frames[submap] @ pose
+        here, grid = self.frames[submap] @ pose, self.grids[submap]
         off = self._places - (here.x, here.y)
         squares = off[:, 0] ** 2 + off[:, 1] ** 2
         nearest = np.minimum.reduceat(squares, self._starts)
@@ -135,15 +122,11 @@ class Owners:
             if owner == submap:
                 break
             keyframe = first + int((squares[first:] == nearest[k]).argmax())
-            if self._is_in_sight(submap, pose, self._places[keyframe]):
+            # unless a wall of the submap stands between
+            (end,) = self.frames[submap].inverse().apply(self._places[keyframe][None])
+            way = end - (pose.x, pose.y)
+            steps = 1 + math.ceil(math.hypot(*way.tolist()) / grid.resolution)
+            on_it = np.linspace(0.0, 1.0, steps)[:, None] * way + (pose.x, pose.y)
+            if not (grid.values_at(on_it) == OCCUPIED).any():
                 return int(owner)
         return submap
-
-    def _is_in_sight(self, submap: int, pose: Pose2, place: FloatArray) -> bool:
-        """Whether no wall of a submap stands between a pose in it and a place (2,) in the map."""
-        grid = self.grids[submap]
-        (end,) = self.frames[submap].inverse().apply(place[None])
-        way = end - (pose.x, pose.y)
-        steps = 1 + math.ceil(math.hypot(*way.tolist()) / grid.resolution)
-        on_it = np.linspace(0.0, 1.0, steps)[:, None] * way + (pose.x, pose.y)
-        return not bool((grid.values_at(on_it) == OCCUPIED).any())

@@ -9,7 +9,7 @@ place believed.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -54,41 +54,6 @@ class Hypothesis:
         """The place that is followed."""
         return self.fitted.place
 
-    @classmethod
-    def born(cls, fitted: Fitted) -> Hypothesis:
-        """A place that a search found, by its first view."""
-        return cls(fitted, -fitted.against)
-
-    def seen(self, fitted: Fitted, share: float, refused: int | None) -> Hypothesis:
-        """After one more view, of which a `share` is new.
-
-        All of it is, when the place begins to fit or no longer does.
-        """
-        share = share if fitted.fits == self.fitted.fits else 1.0
-        return Hypothesis(fitted, self.weight - share * fitted.against, refused)
-
-
-def bounded(hypotheses: Sequence[Hypothesis], most: float) -> list[Hypothesis]:
-    """All lighter by what the heaviest has above `most`: what they differ by stays as it is."""
-    over = max((each.weight for each in hypotheses), default=most) - most
-    return [replace(each, weight=each.weight - max(0.0, over)) for each in hypotheses]
-
-
-def worth_following(
-    hypotheses: Iterable[Hypothesis], frames: Mapping[int, Pose2]
-) -> list[Hypothesis]:
-    """The hypotheses that are not far behind, the heaviest first, each place once.
-
-    `frames` are the submaps' frames in the layout: a place may be known in two submaps.
-    """
-    kept: list[Hypothesis] = []
-    for each in sorted(hypotheses, key=lambda h: -h.weight):
-        if kept and each.weight < kept[0].weight - _HOPELESS:
-            break
-        if not any(each.place.is_near(other.place, frames, *SAME) for other in kept):
-            kept.append(each)
-    return kept
-
 
 class PlaceTracker:
     """The places where the robot may be, in a map whose submaps are `ids`.
@@ -119,65 +84,83 @@ class PlaceTracker:
 
         `view` is what is matched of the scan, None where nothing is. Call for successive scans.
         """
+        here = posed.map_from_base
         if not posed.lost:
-            self._drive(posed.map_from_base)
+            if self._at is not None:
+                self._driven_m += (self._at.inverse() @ here).distance
+            self._new = novelty(self._at, here, self._new)
+            self._at = here
         if view is not None:
             self._look(view, belief)
         chances = self._chances(belief)
-        self.lead = None if posed.lost else self._leading(chances)
-        return self._labelled(posed.map_from_base, chances, belief)
-
-    def _drive(self, map_from_base: Pose2) -> None:
-        """Take in where the scan was taken."""
-        if self._at is not None:
-            self._driven_m += (self._at.inverse() @ map_from_base).distance
-        self._new = novelty(self._at, map_from_base, self._new)
-        self._at = map_from_base
+        self.lead = None
+        if len(chances) and not posed.lost:
+            best = int(chances.argmax())
+            leader = self.hypotheses[best]
+            if chances[best] >= self.config.lead and leader.fitted.fits:
+                self.lead = LeadingPlace(leader.place, float(chances[best]))
+        if not self.owners.known:
+            return belief
+        # those of the places, and of the filter for all else
+        known = float(belief.sum())
+        mixed = (1.0 - float(chances.sum())) * belief
+        for each, chance in zip(self.hypotheses, chances.tolist(), strict=True):
+            owner = self.owners.of(each.place.submap, each.place.moved(here).pose)
+            owner = each.place.submap if owner == each.refused else owner
+            mixed[self.ids.index(owner)] += chance * known
+        return np.asarray(mixed)
 
     def _look(self, view: View, belief: FloatArray) -> None:
         """Weigh all places by one more view, and search for others while none of them leads."""
         share, self._new = min(1.0, self._new), 0.0
-        followed = [self._followed(view, each, share) for each in self.hypotheses]
-        self._keep(followed, [], belief)
-        for submap in self._due(belief):
+        self._keep([self._followed(view, each, share) for each in self.hypotheses], belief)
+        prior = self._prior(belief)
+        likely = [k for k in np.argsort(-prior, kind="stable") if prior[k] >= _LEAST_CHANCE]
+        due = [self.ids[k] for k in likely if not self._is_searched(self.ids[k])]
+        for submap in due[: self.config.fit_submaps]:
             if self._chances(belief).max(initial=0.0) >= self.config.lead:
                 break
             self._searched[submap] = self._driven_m
-            self._keep(self.hypotheses, self.fit.anywhere(view, submap), belief)
+            found = [fitted for fitted in self.fit.anywhere(view, submap) if fitted.fits]
+            born = [Hypothesis(fitted, -fitted.against) for fitted in found]
+            self._keep([*self.hypotheses, *born], belief)
 
     def _followed(self, view: View, before: Hypothesis, share: float) -> Hypothesis:
-        """A hypothesis after one more view: in the next submap, where that is entered."""
+        """A hypothesis after one more view: in the next submap, where that is entered.
+
+        A `share` of the view is new; all of it, when the place begins to fit or no longer does.
+        """
         here = self.fit.followed(view, before.place, before.place.submap)
         assert here is not None  # the same submap
+        fitted, refused = here, None
         owner = self.owners.of(here.place.submap, here.place.pose)
-        if owner == here.place.submap:
-            return before.seen(here, share, None)
-        there = self.fit.followed(view, before.place, owner)
-        if there is None or there.against > here.against + _SLACK:
-            return before.seen(here, share, owner)
-        return before.seen(there, share, None)
+        if owner != here.place.submap:
+            there = self.fit.followed(view, before.place, owner)
+            if there is None or there.against > here.against + _SLACK:
+                refused = owner
+            else:
+                fitted = there
+        share = share if fitted.fits == before.fitted.fits else 1.0
+        return Hypothesis(fitted, before.weight - share * fitted.against, refused)
 
-    def _keep(
-        self, known: Sequence[Hypothesis], found: Sequence[Fitted], belief: FloatArray
-    ) -> None:
-        """Go on with the likeliest of the known places and of those found that fit.
+    def _keep(self, hypotheses: Sequence[Hypothesis], belief: FloatArray) -> None:
+        """Go on with the likeliest of some places that are not far behind, each of them once.
 
-        No more is remembered in favour of a place than a leap away from it is unlikely.
+        No more is remembered in favour of a place than a leap away from it is unlikely. What they
+        differ by stays as it is.
         """
-        born = [Hypothesis.born(fitted) for fitted in found if fitted.fits]
-        all_ = bounded([*known, *born], -math.log(LEAP))
-        self.hypotheses = worth_following(all_, self.fit.frames)
-        chances = self._chances(belief)
-        best = np.argsort(-chances, kind="stable")[:_MOST]
-        self.hypotheses = [self.hypotheses[k] for k in best.tolist()]
-
-    def _due(self, belief: FloatArray) -> list[int]:
-        """The submaps to search next, the likeliest first; none when all were searched."""
-        prior = self._prior(belief)
-        due = [k for k in np.argsort(-prior, kind="stable").tolist() if prior[k] >= _LEAST_CHANCE]
-        return [self.ids[k] for k in due if not self._is_searched(self.ids[k])][
-            : self.config.fit_submaps
-        ]
+        most = -math.log(LEAP)
+        over = max(0.0, max((each.weight for each in hypotheses), default=most) - most)
+        lighter = [replace(each, weight=each.weight - over) for each in hypotheses]
+        kept: list[Hypothesis] = []
+        for each in sorted(lighter, key=lambda h: -h.weight):
+            if kept and each.weight < kept[0].weight - _HOPELESS:
+                break
+            if not any(each.place.is_near(h.place, self.fit.frames, *SAME) for h in kept):
+                kept.append(each)
+        self.hypotheses = kept
+        best = np.argsort(-self._chances(belief), kind="stable")[:_MOST]
+        self.hypotheses = [kept[k] for k in best.tolist()]
 
     def _is_searched(self, submap: int) -> bool:
         """Whether a submap was searched for what is seen now: the sooner again if nothing fits."""
@@ -196,31 +179,3 @@ class PlaceTracker:
         heavy = [math.exp(h.weight) * prior[h.place.submap] for h in self.hypotheses]
         rest = sum(p * (_MISSED if self._is_searched(i) else 1.0) for i, p in prior.items())
         return np.asarray(np.array(heavy) / (sum(heavy) + rest), dtype=np.float64)
-
-    def _leading(self, chances: FloatArray) -> LeadingPlace | None:
-        """The place that leads clearly and fits."""
-        if not len(chances):
-            return None
-        best = int(chances.argmax())
-        leader = self.hypotheses[best]
-        if chances[best] < self.config.lead or not leader.fitted.fits:
-            return None
-        return LeadingPlace(leader.place, float(chances[best]))
-
-    def _labelled(
-        self, map_from_base: Pose2, chances: FloatArray, belief: FloatArray
-    ) -> FloatArray:
-        """(m,) probabilities of the submaps: of the places, and of the filter for all else."""
-        if not self.owners.known:
-            return belief
-        known = float(belief.sum())
-        mixed = (1.0 - float(chances.sum())) * belief
-        for each, chance in zip(self.hypotheses, chances.tolist(), strict=True):
-            owner = self.owner(each.place.moved(map_from_base))
-            owner = each.place.submap if owner == each.refused else owner
-            mixed[self.ids.index(owner)] += chance * known
-        return np.asarray(mixed)
-
-    def owner(self, place: Place) -> int:
-        """The submap that a place belongs to."""
-        return self.owners.of(place.submap, place.pose)

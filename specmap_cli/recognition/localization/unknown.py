@@ -66,8 +66,12 @@ class WallCheck:
         self.found, self.view = False, None
         self._patience.drive(posed.map_from_base)
         before = self._place if self._fits else None
-        if before is not None and self._drives_on(before, posed.map_from_base):
-            return None
+        if before is not None:
+            # it left the place, but is not yet at the next to look; one that stands still looks at
+            # every scan: people pass
+            track = before.map_from_base, posed.map_from_base
+            if moved(*track, VIEW_M, VIEW_RAD) and not moved(*track, _FIT_STEP_M, _FIT_STEP_RAD):
+                return None
         view = self.view = View.of(posed, seen, FIT_RANGE_M)
         if view is None:
             return None
@@ -83,15 +87,6 @@ class WallCheck:
         self._fits = False
         due = self._patience.due(likely, at_once=before is not None)
         return self._sought(view, due) if due else None
-
-    def _drives_on(self, place: Place, map_from_base: Pose2) -> bool:
-        """Whether the robot left a place where a scan fitted, but is not yet at the next to look.
-
-        A robot that stands still looks at every scan: people pass.
-        """
-        before = place.map_from_base
-        left = moved(before, map_from_base, VIEW_M, VIEW_RAD)
-        return left and not moved(before, map_from_base, _FIT_STEP_M, _FIT_STEP_RAD)
 
     def _sought(self, view: View, likely: Sequence[int]) -> float | None:
         """What the best place says, where motion leads or in the likely submaps; None: nothing.
@@ -192,19 +187,13 @@ class UnknownOdds:
         if self.config.fit_submaps:
             said = self.walls.unknown(posed, scan.seen, likely)
             self._fits.add(said, instead=self.walls.found)
-        self._appearance.add(self._strange(scan))
+        if scan.strange != -math.inf:
+            strange = _STRANGE_GAIN * (scan.strange - _STRANGE_FROM)
+            if strange > 0.0:
+                # what a short window of a narrow laser has seen so far looks strange anywhere
+                strange *= scan.shown**2
+            self._appearance.add(min(max(strange, -_STRANGE_MOST), _STRANGE_MOST))
         return self._fits.worth + self._appearance.worth
-
-    def _strange(self, scan: ClassifiedScan) -> float | None:
-        """Log likelihood of unknown by what a scan looks like."""
-        if scan.strange == -math.inf:
-            return None
-        most = _STRANGE_MOST
-        worth = _STRANGE_GAIN * (scan.strange - _STRANGE_FROM)
-        if worth > 0.0:
-            # what a short window of a narrow laser has seen so far looks strange anywhere
-            worth *= scan.shown**2
-        return min(max(worth, -most), most)
 
 
 class _Clue:

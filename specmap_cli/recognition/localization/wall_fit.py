@@ -18,8 +18,8 @@ from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, CellArray, GridMap, cast_rays
-from specmap_cli.grids.matching import Match, refine, search_everywhere
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, cast_rays
+from specmap_cli.grids.matching import refine, search_everywhere
 from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.learning.misfit import FIT_RANGE_M, HeldOutMisfit, near_returns, pooled
 from specmap_cli.recognition.localization.places import BESIDE, Place
@@ -62,29 +62,26 @@ class Surroundings:
         self._fields: dict[int, ScoreField] = {}
 
     def field(self, submap: int) -> ScoreField:
-        """The walls in and around a submap, as far as its grid reaches."""
-        if submap not in self._fields:
-            self._fields[submap] = ScoreField.from_grid(self._completed(submap))
-        return self._fields[submap]
+        """The walls in and around a submap, as far as its grid reaches.
 
-    def _completed(self, submap: int) -> GridMap:
-        """The grid of a submap with the walls of its neighbours in the cells that it never saw."""
+        Those of its neighbours are drawn in the cells that it never saw.
+        """
+        if submap in self._fields:
+            return self._fields[submap]
         own = self.grids[submap]
         cells = own.cells.copy()
-        for other in sorted(self.adjacency.get(submap, ())):
-            if other != submap and {submap, other} <= self.frames.keys():
-                own_from_other = self.frames[submap].inverse() @ self.frames[other]
-                _draw(cells, own, self.grids[other], own_from_other)
-        return GridMap(cells, own.resolution, own.origin)
-
-
-def _draw(cells: CellArray, own: GridMap, other: GridMap, own_from_other: Pose2) -> None:
-    """Draw the walls of another grid into the unknown cells (H, W) of one's own."""
-    walls = own_from_other.apply(other.centres_of(np.argwhere(other.occupied)))
-    places = own.cells_of(walls)
-    rows, columns = places[own.inside(places)].T
-    unseen = cells[rows, columns] == UNKNOWN
-    cells[rows[unseen], columns[unseen]] = OCCUPIED
+        for neighbour in sorted(self.adjacency.get(submap, ())):
+            if neighbour != submap and {submap, neighbour} <= self.frames.keys():
+                own_from_other = self.frames[submap].inverse() @ self.frames[neighbour]
+                other = self.grids[neighbour]
+                walls = own_from_other.apply(other.centres_of(np.argwhere(other.occupied)))
+                places = own.cells_of(walls)
+                rows, columns = places[own.inside(places)].T
+                unseen = cells[rows, columns] == UNKNOWN
+                cells[rows[unseen], columns[unseen]] = OCCUPIED
+        field = ScoreField.from_grid(GridMap(cells, own.resolution, own.origin))
+        self._fields[submap] = field
+        return field
 
 
 class Sightlines:
@@ -106,12 +103,6 @@ class Sightlines:
         if not len(bearings):
             return 0.0
         laser = submap_from_base @ posed.base_from_laser
-        walls = self._walls(submap, laser, bearings)
-        farther = evenly(planar.ranges[returned], _MOST_RAYS) > walls + _BEHIND_M
-        return float(np.mean(farther))
-
-    def _walls(self, submap: int, laser: Pose2, bearings: FloatArray) -> FloatArray:
-        """(N,) the farthest range that a ray near each bearing (N,) may have, inf past reach."""
         if submap not in self._distances:
             self._distances[submap] = self.grids[submap].obstacle_distance()
         origins = np.tile([laser.x, laser.y], (len(bearings), 1))
@@ -120,7 +111,8 @@ class Sightlines:
         around = np.maximum(_SLANT_RAD, _SIDE_M / np.maximum(ranges, grid.resolution))
         first = np.searchsorted(bearings, bearings - around)
         last = np.searchsorted(bearings, bearings + around, side="right")
-        return np.array([ranges[a:b].max() for a, b in zip(first, last, strict=True)])
+        farthest = np.array([ranges[a:b].max() for a, b in zip(first, last, strict=True)])
+        return float(np.mean(evenly(planar.ranges[returned], _MOST_RAYS) > farthest + _BEHIND_M))
 
 
 class Ratio:
@@ -224,9 +216,10 @@ class WallFit:
 
         The best by the field alone may be wrong: it does not know where the map saw nothing.
         """
-        guesses = [match.pose for match in _searched(self.around.field(submap), view.points)] or [
-            IDENTITY
-        ]
+        matches = search_everywhere(
+            self.around.field(submap), view.points, _PLACES, _STEP_M, _STEP_RAD
+        )
+        guesses = [match.pose for match in matches] or [IDENTITY]
         found = [self._refined(view, view.points, submap, guess) for guess in guesses]
         return sorted(found, key=attrgetter("misfit"))
 
@@ -260,17 +253,10 @@ class WallFit:
         # beyond what doors, people and moved things explain
         behind = self._sight.behind(submap, view.posed, place.pose) - _BEHIND_USUAL
         behind = max(0.0, behind) / (1.0 - _BEHIND_USUAL)
-        misfit = 1.0 - self._on_walls(field, points, place) * (1.0 - behind)
-        return Fitted(place, misfit, self.ratio.of(misfit))
-
-    def _on_walls(self, field: ScoreField, points: FloatArray, place: Place) -> float:
-        """Share of points (N, 2) on walls; those where the map saw nothing count less."""
         placed = place.pose.apply(points)
         off = 1.0 - np.asarray(field.at(placed), dtype=np.float64)
-        unseen = (self._sight.grids[place.submap].values_at(placed) == UNKNOWN) & (off > _OFF)
-        return 1.0 - float(np.mean(np.where(unseen, _UNSEEN_WEIGHT, 1.0) * off))
-
-
-def _searched(field: ScoreField, points: FloatArray) -> list[Match]:
-    """Where points (N, 2) may lie anywhere on a field."""
-    return search_everywhere(field, points, count=_PLACES, step=_STEP_M, angle_step=_STEP_RAD)
+        # where the map saw nothing counts less
+        unseen = (self._sight.grids[submap].values_at(placed) == UNKNOWN) & (off > _OFF)
+        on_walls = 1.0 - float(np.mean(np.where(unseen, _UNSEEN_WEIGHT, 1.0) * off))
+        misfit = 1.0 - on_walls * (1.0 - behind)
+        return Fitted(place, misfit, self.ratio.of(misfit))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,10 +9,12 @@ from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import RecognitionConfig
+from specmap_cli.recognition.closure import claims
 from specmap_cli.recognition.closure.claims import ClaimRanker, Claims
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning import boosting
 from specmap_cli.recognition.learning.boosting import StumpBoost
+from tests.recognition.watching import watched
 from tests.turning import altered
 
 NAMES = feature_names("table1")
@@ -90,28 +90,30 @@ def test_an_old_submap_is_never_among_the_negatives_that_judge_it(
 ) -> None:
     config = PAPER.model_copy(update={"groups": groups})
     made, new = ranker(config, 5), scans_of(7)
-    left_out: dict[str, list[set[int]]] = {"new": [], "old": []}
-    trained = ClaimRanker._trained
-
-    def watched(self: ClaimRanker, own: Any, others: Any, pool: Any) -> Any:
-        for scans, out in zip(own, others, strict=True):
-            rows = pool.without(out, 1_000_000)
-            whose = "new" if np.array_equal(scans.features, new) else "old"
-            left_out[whose].append(set(range(5)) - set(pool.owner[rows].tolist()))
-        return trained(self, own, others, pool)
-
-    monkeypatch.setattr(ClaimRanker, "_trained", watched)
+    learning = watched(monkeypatch, claims, "boosted")
     assert sorted(made.claims(new)) == list(range(5))
+    left_out: dict[str, list[set[int]]] = {"new": [], "old": []}
+    for _, X, questions, _ in learning:
+        for question in questions:
+            seen = X[question.samples]
+            whose = "new" if (seen[question.positive] == new[0]).all(axis=1).any() else "old"
+            others = {row.tobytes() for row in seen[~question.positive]}
+            left_out[whose].append({i for i in range(5) if scans_of(i)[0].tobytes() not in others})
     assert sorted(map(sorted, left_out["old"])) == [[0], [1], [2], [3], [4]]
     assert len(left_out["new"]) == min(groups or 5, 5)
     assert sorted(i for out in left_out["new"] for i in out) == [0, 1, 2, 3, 4]
 
 
-def test_of_a_submap_visited_often_no_more_scans_are_asked_than_of_one_visited_twice() -> None:
+def test_of_a_submap_visited_often_no_more_scans_are_asked_than_of_one_visited_twice(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     made = ranker(altered(TREES, "recognition", {"samples_per_submap": 40}), 2)
+    asking = watched(monkeypatch, claims, "_claims")
     counts = []
     for visit in range(1, 13):
-        asked = made._asked(1)
+        asking.clear()
+        made.claims(scans_of(9))
+        asked = asking[1][3]  # one group after the other: submap 1 is the second
         assert len(asked) == visit
         assert len({len(X) for X in asked}) == 1  # every stay alike
         counts.append(sum(map(len, asked)))
@@ -121,18 +123,26 @@ def test_of_a_submap_visited_often_no_more_scans_are_asked_than_of_one_visited_t
     assert max(counts) <= 96  # eight of each stay at the least
 
 
-def test_every_submap_gives_as_many_negatives_however_often_it_was_visited() -> None:
-    config = TREES.model_copy(update={"closure_negatives": 40})
-    made = ranker(config, 3)
+def test_every_submap_gives_as_many_negatives_however_often_it_was_visited(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made = ranker(PAPER.model_copy(update={"closure_negatives": 40, "groups": 1}), 3)
     for visit in range(1, 9):
         made.remember(10 + visit, scans_of(1, seed=visit))
         made.merge(1, 10 + visit)
-    pool = made._pool([0, 1, 2])
-    assert np.bincount(pool.owner).tolist() == [20, 20, 20]  # half as many again as are used
-    assert len(pool.without([0], 40)) == 40
-    of_one = pool.scans.features[pool.owner == 1]
-    seen = [any((scans_of(1, seed=v) == row).all(axis=1).any() for row in of_one) for v in (1, 8)]
-    assert seen == [True, True]  # evenly spread over its stays
+    learning = watched(monkeypatch, claims, "boosted")
+    made.claims(scans_of(9))
+    ((_, X, questions, _),) = learning
+    assert {int((~question.positive).sum()) for question in questions[1:]} == {40}
+    pool = X[:60]  # half as many again as are used
+    visits = {1: range(9), 0: [0], 2: [0]}
+    for place, seeds in visits.items():
+        known = np.vstack([scans_of(place, seed=seed) for seed in seeds])
+        of_place = (pool[:, None] == known).all(axis=2)
+        assert of_place.any(axis=1).sum() == 20
+        if place == 1:  # evenly spread over its stays
+            assert of_place[:, 40:80].any()
+            assert of_place[:, -40:].any()
 
 
 def test_stays_of_one_submap_are_claimed_one_by_one_and_judged_together() -> None:

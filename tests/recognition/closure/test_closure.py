@@ -98,7 +98,11 @@ def test_a_place_that_looks_new_is_compared_with_what_was_where_it_is(
     """Seen the other way round it ranks last, but tracking knows; once it was lost, it does not."""
 
     def misled(ranker: ClaimRanker, features: Any) -> dict[int, Claims]:
-        return {i: Claims.alike(float(i), 1) for i in ranker._submaps} if len(features) else {}
+        return {
+            i: Claims(new_by_old=i, old_by_new=i, rank=i, by_stay=np.ones(1))
+            for i in ranker._submaps
+            if len(features)
+        }
 
     monkeypatch.setattr(ClaimRanker, "claims", misled)
     loop = closer(configured(RecognitionConfig, "recognition", {"candidates": 1}))
@@ -318,15 +322,13 @@ def test_two_submaps_have_one_claim_on_each_other_however_many_stays_they_have(
     for number in range(4, 19):
         if number % 4 == 3:
             continue
-        before = {
-            i: loop._best_claims(*sorted((number % 4, i))) for i in range(3) if i != number % 4
-        }
+        before = {i: loop._claims[number % 4][i] for i in range(3) if i != number % 4}
         considered(loop, building, [number])
-        fresh = {i: loop._best_claims(i, number) for i in before}
+        fresh = {i: loop._claims[i][number] for i in before}
         loop.merge(number % 4, number)
         for i, claims in before.items():
             best = max(claims, fresh[i], key=lambda found: found.rank)
-            assert loop._best_claims(*sorted((number % 4, i))) == best
+            assert loop._claims[number % 4][i] == best
         assert {a: sorted(row) for a, row in loop._claims.items()} == {
             a: sorted({0, 1, 2} - {a}) for a in range(3)
         }

@@ -301,7 +301,7 @@ def test_other_directions_are_tried_when_the_first_answer_is_neither_right_nor_c
         tried.append(given)
         return check
 
-    monkeypatch.setattr(verification, "_best", answer)
+    monkeypatch.setattr(verification._Trials, "best", answer)
     assert verify(*two(building, 0, 1)) == check
     assert len(tried) == passes
 

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.recognition.localization.filtering import HiddenMarkovFilter, ViewGrouping
@@ -229,7 +230,12 @@ def test_every_scan_gets_the_row_of_its_view(views: ViewGrouping) -> None:
     views.restart()
     views.begins(at(1.0))
     views.keep(np.array([4.0]))
-    tracks = views.tracks()
+    tracks: list[FloatArray] = []
+
+    def smooth(track: FloatArray) -> FloatArray:
+        tracks.append(track)
+        return 10.0 * track
+
+    rows = views.of_scans(smooth)
     assert [track.tolist() for track in tracks] == [[[2.0], [3.0]], [[4.0]]]
-    rows = [row for track in tracks for row in track]
-    assert [row.tolist() for row in views.of_scans(rows)] == [[2.0]] * 3 + [[3.0], [4.0]]
+    assert [row.tolist() for row in rows] == [[20.0]] * 3 + [[30.0], [40.0]]

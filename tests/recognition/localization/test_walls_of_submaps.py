@@ -302,9 +302,8 @@ def test_of_the_places_found_the_one_counts_that_the_map_can_say_least_against(
     wrong = right @ Pose2(1.0, 0.8, 1.0)
     for order in ([wrong, right], [right, wrong]):
         walls, _ = walls_of(building)
-        monkeypatch.setattr(
-            wall_fit, "_searched", lambda *_, o=order: [Match(pose, 1.0) for pose in o]
-        )
+        found = [Match(pose, 1.0) for pose in order]
+        monkeypatch.setattr(wall_fit, "search_everywhere", lambda *_, found=found: found)
         assert ratio_of(walls, here, [7]) < -1.0
 
 
