@@ -11,6 +11,7 @@ import numpy as np
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import LogConfig
+from specmap_cli.core.text import legible
 from specmap_cli.logs.messages import BadMessageError, TransformRecord, decode_transforms
 from specmap_cli.logs.opening import Log
 from specmap_cli.logs.readers.recording import Message
@@ -177,9 +178,9 @@ def place_laser(
             return _placed(tree, base, laser_frame, base_from_laser)
     if asked is not None:
         above = sorted({laser_frame, *tree.ancestors(laser_frame)})
-        where, hint = f"--base-frame {bases[0]}", f"choose from {', '.join(above)}"
-        none = f"no transform joins it to the laser's frame {laser_frame!r}"
-        raise UsageError(f"{where}: {none}; {hint}", where=where, hint=hint)
+        none = f"no transform joins it to the laser's frame {laser_frame!r};"
+        hint, where = f"choose from {', '.join(above)}", f"--base-frame {bases[0]}"
+        raise UsageError(none, legible(hint), where=legible(where))
     base = odometry_child or next((b for b in USUAL_BASES if b in tree.frames), laser_frame)
     unknown = (
         f"no transform from {base!r} to the laser's frame {laser_frame!r}: "

@@ -81,8 +81,10 @@ def test_an_unknown_name_is_refused_with_those_there_are(path: Path) -> None:
         said = f"--{option}-topic /x: no .* topics with .*: /{option} "
         with pytest.raises(UsageError, match=said):
             choose(path, **{f"{option}_topic": "/x"})
-    with pytest.raises(UsageError, match="choose from base_link, laser"):
+    none = "--base-frame body: no transform joins it to the laser's frame 'laser'"
+    with pytest.raises(UsageError, match=f"^{none}; choose from base_link, laser$") as caught:
         choose(path, base_frame="body")
+    assert caught.value.hint == "choose from base_link, laser"
     chosen = choose(path, base_frame="/laser")
     assert chosen.base_frame == "laser"
     assert chosen.base_from_laser[0, 3] == 0.0

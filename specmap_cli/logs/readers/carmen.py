@@ -364,8 +364,11 @@ class CarmenFile(Recording):
         """The lines that carry data; one that cannot be parsed is reported and left out."""
         offset, number, last = 0, 0, 0
         while True:
-            self._lines_of.seek(offset)
-            text = self._lines_of.readline(_MAX_LINE_BYTES)
+            try:
+                self._lines_of.seek(offset)
+                text = self._lines_of.readline(_MAX_LINE_BYTES)
+            except OSError as error:
+                raise unreadable(self.path, error) from None
             if not text:
                 return
             offset += len(text)

@@ -11,7 +11,7 @@ from bisect import bisect_left
 from collections import Counter
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeGuard
 from urllib.parse import quote
@@ -89,6 +89,8 @@ class Rosbag2File(Recording):
             self._db = sqlite3.connect(location, uri=True)
         except sqlite3.Error as error:
             raise refused(self.path, f"cannot read: {error}") from None
+        # a damaged byte costs a character, not the row
+        self._db.text_factory = partial(str, encoding="utf-8", errors="replace")
         try:
             self._db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, self._message_max)
             self._db.execute("PRAGMA writable_schema = ON")  # lets a cut-off file be read at all
@@ -108,9 +110,11 @@ class Rosbag2File(Recording):
     def _find_time_index(self) -> str | None:
         """The name of an index by which messages come in time order without sorting them all."""
         indexes = self._db.execute("SELECT name, sql FROM sqlite_master WHERE type = 'index'")
-        return next(
-            (n for n, sql in indexes if "timestamp" in (sql or "") and "messages" in sql), None
-        )
+        for name, made in indexes:
+            sound = isinstance(name, str) and isinstance(made, str) and "\0" not in name
+            if sound and "timestamp" in made and "messages" in made:
+                return str(name)
+        return None
 
     @cached_property
     def contents(self) -> Contents:
