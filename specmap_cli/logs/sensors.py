@@ -31,7 +31,7 @@ from specmap_cli.logs.messages import (
     decode_scan,
 )
 from specmap_cli.logs.opening import Log
-from specmap_cli.logs.planar import LEVEL, ScanLeveller, covers_circle, increment
+from specmap_cli.logs.planar import ScanLeveller, covers_circle, increment
 from specmap_cli.logs.readers.encoding import ODOMETRY, SCAN_TYPES, TF_MESSAGE
 from specmap_cli.logs.readers.recording import TopicInfo, refused
 
@@ -311,7 +311,7 @@ def is_flat(log: Log, topic: TopicInfo, sensor: ScanSensor) -> bool:
 
 def ceilings_m(log: Log, topic: TopicInfo, sensor: ScanSensor) -> tuple[float, ...]:
     """The distances that stand for no return in the first planar scans."""
-    leveller = ScanLeveller(LEVEL)
+    leveller = ScanLeveller(np.eye(4))
     for record in () if sensor.is_cloud else _first_of(log, topic, sensor):
         if isinstance(record, ScanRecord):
             with suppress(BadMessageError):
