@@ -14,7 +14,7 @@ from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import legible
 from specmap_cli.logs.messages import BadMessageError, TransformRecord, decode_transforms
 from specmap_cli.logs.opening import Log
-from specmap_cli.logs.sensors import dynamic_topics, static_topics
+from specmap_cli.logs.sensors import transform_topics
 
 _MAX_DEPTH = 100  # a longer chain of frames is a loop
 
@@ -121,10 +121,10 @@ def read_frames(log: Log, laser_frame: str, bases: Iterable[str], config: LogCon
     """
     tree = TransformTree()
     wanted = list(bases)
-    topics = log.topics()
     given_up, unreadable = False, 0
     absurd: dict[tuple[str, str], None] = {}  # in the order they were met
-    for names, dynamic in ((static_topics(topics), False), (dynamic_topics(topics), True)):
+    for dynamic in (False, True):
+        names = transform_topics(log, static=not dynamic)
         for number, message in enumerate(log.messages(names) if names else ()):
             if number >= config.transform_messages:
                 given_up = True
