@@ -117,7 +117,9 @@ class StampFaults:
             if count
         ]
         if self.example_s is not None:
-            shown = f"such as {decimal(self.example_s, 3)} s{_date(self.example_s)}"
+            shown = f"such as {decimal(self.example_s, 3)} s"
+            if self.example_s > EARLIEST_STAMP_S:  # it is a day, such as one of the year 2106
+                shown += f" ({datetime.fromtimestamp(self.example_s, UTC):%Y-%m-%d})"
             told.append(f"before 1990 or in the future: {self.elsewhen:,}, {shown}")
         if not told:
             return ""
@@ -306,13 +308,3 @@ def _frame_lines(frames: Sequence[FrameSummary], scan_frame: str | None) -> list
         fixed = f"at ({x:g}, {y:g}, {z:g}) m, roll {roll:g}, pitch {pitch:g}, yaw {yaw:g} degrees"
         told.append(f"  {frame.parent} -> {frame.child}  {'moving' if frame.moving else fixed}")
     return [*told, f"  and {counted(others, 'other frame')}"] if others else told
-
-
-def _date(seconds: float) -> str:
-    """A day for stamps that are one, such as those of the year 2106."""
-    if seconds <= EARLIEST_STAMP_S:
-        return ""
-    try:
-        return f" ({datetime.fromtimestamp(seconds, UTC):%Y-%m-%d})"
-    except (ValueError, OverflowError, OSError):  # beyond the year 9999
-        return ""
