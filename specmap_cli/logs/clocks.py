@@ -24,7 +24,7 @@ from specmap_cli.logs.messages import (
 from specmap_cli.logs.opening import Log
 from specmap_cli.logs.readers.encoding import NS_PER_S, TF_MESSAGE
 from specmap_cli.logs.readers.recording import Message, time_text
-from specmap_cli.logs.sensors import LOOK_SCANS, ScanSensor
+from specmap_cli.logs.sensors import ScanSensor
 
 _ASCENDING_SHARE = 0.25  # share of stamps that must follow the one ahead, or they are of no use
 _ORDER_INTERVAL_S = 0.1  # between scans stamped by order: a usual laser's 10 Hz
@@ -85,18 +85,27 @@ class StampPair:
     scan: tuple[int, int]
     place: tuple[float, float] = (0.0, 0.0)
 
-    @property
-    def apart_ns(self) -> int:
-        """How far the clock of the scans is ahead of the clock of the odometry."""
-        stamps = self.scan[0] - self.odometry[0]
-        return stamps - (self.scan[1] - self.odometry[1])
-
 
 def choose_clock(scans: Sequence[tuple[int, int]], pairs: Sequence[StampPair]) -> Clock:
-    """The clock of a log by the stamps and times of its sensor's first scans, and the odometry."""
+    """The clock of a log by the stamps and times of its sensor's first scans, and the odometry.
+
+    Where header stamps say nothing, it is the recorder's, or the order of the scans where its times
+    say nothing either. Stamps that never step back, such as whole seconds, still give the first
+    stamp and the rate of that order. Otherwise scans are so far apart in time that the robot can
+    have driven from one to the next.
+    """
     stamps, times = [stamp for stamp, _ in scans], [time for _, time in scans]
     if not _ascends(stamps):
-        return _without_stamps(stamps, times, pairs)
+        why = "header stamps do not ascend" if any(stamps) else "header stamps are zero"
+        if _ascends(times) or len(times) < _FEWEST:
+            return Clock(source="recorder", why=why)
+        known = stamps if any(stamps) else times
+        mean = (known[-1] - known[0]) // (len(known) - 1)
+        steady = mean > 0 and all(b >= a for a, b in pairwise(known))
+        step = max((math.dist(a.place, b.place) for a, b in pairwise(pairs)), default=0.0)
+        driving_s = min(step / _ORDER_SPEED_MPS, _LONGEST_S)
+        interval = mean if steady else nanoseconds(max(_ORDER_INTERVAL_S, driving_s))
+        return Clock(source="order", why=why, first_ns=max(known[0], 0), interval_ns=interval)
     apart = nanoseconds(_CLOCKS_APART_S)
     near = [abs(stamp - time) <= apart for stamp, time in zip(stamps, times, strict=True) if stamp]
     header = Clock(zero_is_unset=2 * sum(near) > len(near))
@@ -106,7 +115,10 @@ def choose_clock(scans: Sequence[tuple[int, int]], pairs: Sequence[StampPair]) -
     if len(told) >= _FEWEST and len({pair.odometry[0] for pair in told}) == 1:
         same = "header stamps of the odometry are all the same"
         return Clock(source="recorder", why=same) if _ascends(times) else header
-    ahead = median_low(pair.apart_ns for pair in told)
+    # how far the clock of the scans is ahead of that of the odometry
+    ahead = median_low(
+        pair.scan[0] - pair.odometry[0] - (pair.scan[1] - pair.odometry[1]) for pair in told
+    )
     return replace(header, odometry_shift_ns=ahead) if abs(ahead) > apart else header
 
 
@@ -116,26 +128,6 @@ def _ascends(stamps: Sequence[int]) -> bool:
         return False
     ahead = sum(b > a for a, b in pairwise(stamps))
     return len(stamps) < _FEWEST or ahead >= _ASCENDING_SHARE * (len(stamps) - 1)
-
-
-def _without_stamps(
-    stamps: Sequence[int], times: Sequence[int], pairs: Sequence[StampPair]
-) -> Clock:
-    """The recorder's times, or the order where they say nothing more than the stamps.
-
-    Stamps that never step back, such as whole seconds, still give the first stamp and the rate.
-    Otherwise scans are so far apart in time that the robot can have driven from one to the next.
-    """
-    why = "header stamps do not ascend" if any(stamps) else "header stamps are zero"
-    if _ascends(times) or len(times) < _FEWEST:
-        return Clock(source="recorder", why=why)
-    known = stamps if any(stamps) else times
-    mean = (known[-1] - known[0]) // (len(known) - 1)
-    steady = mean > 0 and all(b >= a for a, b in pairwise(known))
-    step = max((math.dist(a.place, b.place) for a, b in pairwise(pairs)), default=0.0)
-    driving_s = min(step / _ORDER_SPEED_MPS, _LONGEST_S)
-    interval = mean if steady else nanoseconds(max(_ORDER_INTERVAL_S, driving_s))
-    return Clock(source="order", why=why, first_ns=max(known[0], 0), interval_ns=interval)
 
 
 def clock_warnings(clock: Clock, topic: str) -> Iterator[str]:
@@ -166,7 +158,6 @@ def stamp_pairs(
     found: list[StampPair] = []
     last: tuple[int, int] | None = None
     place = (0.0, 0.0)
-    most = min(_PAIRS, LOOK_SCANS)
     if not odom_topics:
         return found
     for message in islice(log.messages([scan_topic, *odom_topics]), _MOST_MESSAGES):
@@ -183,7 +174,7 @@ def stamp_pairs(
                     found.append(StampPair(last, (record.stamp_ns, message.time_ns), place))
         except BadMessageError:
             continue
-        if len(found) >= most:
+        if len(found) >= _PAIRS:
             break
     return found
 

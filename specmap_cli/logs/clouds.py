@@ -91,7 +91,7 @@ def cloud_points(
     squared = np.einsum("ij,ij->i", points, points)
     usable = (squared > 0.0) & (squared <= CLOUD_RANGE_MAX_M**2)  # false for NaN as well
     kept = slice(None) if usable.all() else np.flatnonzero(usable)
-    recorded = _times(record.points.dtype, table, stamp_ns, clock)
+    recorded = _times(table, stamp_ns, clock)
     times = recorded[kept] if recorded is not None else np.zeros(0)
     span = float(np.ptp(times)) if len(times) and np.isfinite(times).all() else 0.0
     told = span > 0.0
@@ -104,14 +104,12 @@ def cloud_points(
     )
 
 
-def _times(
-    layout: np.dtype[np.void], table: NDArray[np.void], stamp_ns: int, clock: PointClock
-) -> FloatArray | None:
+def _times(table: NDArray[np.void], stamp_ns: int, clock: PointClock) -> FloatArray | None:
     """Seconds (N,) after the stamp as recorded, None without such a field.
 
     Times nearer to the stamp than to zero are absolute.
     """
-    name = next((field for field in layout.names or () if field.lower() in TIME_FIELDS), None)
+    name = next((field for field in table.dtype.names or () if field.lower() in TIME_FIELDS), None)
     if name is None or not len(table):
         return None
     raw = table[name]
@@ -155,27 +153,12 @@ class Level(NamedTuple):
     floor_m: float | None
 
 
-class CloudLeveller:
-    """Finds the level of each cloud; one that shows no floor gets that of the cloud before it.
-
-    Without a base frame nothing in a log says which way is up: a lidar may be tilted, or carried by
-    hand. The floor says so in every cloud.
-    """
-
-    def __init__(self) -> None:
-        self._last = Level(np.eye(3), None)
-
-    def level(self, cloud: FloatArray) -> Level:
-        """The level of a cloud (N, 3)."""
-        self._last = floor_of(cloud) or self._last
-        return self._last
-
-
 def floor_of(cloud: FloatArray) -> Level | None:
     """The floor in a cloud (N, 3), None when it shows none.
 
     It is the plane below the lidar with the most returns near it, those still lower counted against
-    it: under a table top or a shelf there are returns.
+    it: under a table top or a shelf there are returns. Without a base frame nothing in a log says
+    which way is up: a lidar may be tilted, or carried by hand. The floor says so in every cloud.
     """
     squares = np.einsum("ij,ij->i", cloud, cloud)
     near = cloud[np.flatnonzero(squares <= FLOOR_RADIUS_M**2)]
@@ -188,9 +171,10 @@ def floor_of(cloud: FloatArray) -> Level | None:
     for width_m in _WIDTHS_M:
         turned = product(near, rotation.T)
         floor = turned[np.abs(turned[:, 2] - height) < width_m]
-        if not _is_wide(floor):
+        plane = _plane(floor)
+        if plane is None:
             return None
-        normal, height = _plane(floor)
+        normal, height = plane
         rotation = _upright(product(normal[None], rotation)[0])
     enough = len(floor) >= _FLOOR_SHARE * len(near)
     upright = float(rotation[2, 2]) >= math.cos(_FLOOR_TILT_MAX_RAD)
@@ -234,21 +218,18 @@ def _best_layer(points: FloatArray, tilts: FloatArray) -> tuple[int, float]:
     return number, -(depth + 0.5) * _LAYER_M
 
 
-def _is_wide(points: FloatArray) -> bool:
-    """Whether points (N, 3) are enough, and far enough apart every way, to fix a plane."""
-    if len(points) < _FEWEST:
-        return False
-    x, y = (points[:, :2] - points[:, :2].mean(axis=0)).T
-    xx, xy, yy = float((x * x).mean()), float((x * y).mean()), float((y * y).mean())
-    least = (xx + yy) / 2 - math.hypot((xx - yy) / 2, xy)
-    return least >= _SPREAD_M**2
-
-
-def _plane(points: FloatArray) -> tuple[FloatArray, float]:
+def _plane(points: FloatArray) -> tuple[FloatArray, float] | None:
     """The plane z = a x + b y + c of points (N, 3) by least squares: its normal, its height.
 
-    The height is that of the point of the plane nearest the origin, along the normal.
+    The height is that of the point of the plane nearest the origin, along the normal. None for
+    points that are too few, or too near each other some way, to fix a plane.
     """
+    if len(points) < _FEWEST:
+        return None
+    x, y = (points[:, :2] - points[:, :2].mean(axis=0)).T
+    xx, xy, yy = float((x * x).mean()), float((x * y).mean()), float((y * y).mean())
+    if (xx + yy) / 2 - math.hypot((xx - yy) / 2, xy) < _SPREAD_M**2:
+        return None
     ground = np.column_stack([points[:, :2], np.ones(len(points))])
     slopes = product(ground.T, points[:, 2:])
     a, b, c = product(inverse3(product(ground.T, ground)), slopes)[:, 0].tolist()
@@ -309,8 +290,13 @@ class CloudFlattener:
         beams = len(self._seen)
         bins = _bins(turn, beams, self._shift)
         self._seen[bins[distance > 0.0]] = True
-        inside = self._in_band(cloud, distance, floor_m)
-        inside &= (distance > 0.0) & (distance <= CLOUD_RANGE_MAX_M)
+        inside = (distance > 0.0) & (distance <= CLOUD_RANGE_MAX_M)
+        times = None
+        if not self._planar:
+            inside &= self._is_in_band(cloud, distance, floor_m)
+        elif times_s is not None and len(bins):  # of all beams by those of the points
+            order = np.argsort(bins, kind="stable")
+            times = np.interp(np.arange(beams), bins[order], times_s[order])
         ranges = np.where(self._seen, np.inf, np.nan)
         nearest = np.full(beams, np.inf)
         np.minimum.at(nearest, bins[inside], distance[inside])
@@ -321,28 +307,35 @@ class CloudFlattener:
             ranges=ranges,
             range_max=CLOUD_RANGE_MAX_M,
             full_circle=bool(self._seen.mean() >= _CLOUD_FILLED_SHARE),
-            beam_times_s=_beam_times(bins, times_s, beams) if self._planar else None,
+            beam_times_s=times,
         )
 
-    def _in_band(self, cloud: FloatArray, distance: FloatArray, floor_m: float | None) -> BoolArray:
-        """Which points (N, 3) are of the heights that count."""
-        if self._planar:
-            return np.ones(len(cloud), dtype=bool)
-        height = cloud[:, 2] - (self._first_floor(cloud, distance) if floor_m is None else floor_m)
+    def _is_in_band(
+        self, cloud: FloatArray, distance: FloatArray, floor_m: float | None
+    ) -> BoolArray:
+        """Which points (N, 3) are in the band; without a floor, above that of the first cloud."""
+        if floor_m is None:
+            if self._floor is None:
+                heights = cloud[distance <= FLOOR_RADIUS_M, 2]
+                self._floor = 0.0
+                if len(heights):
+                    self._floor = float(np.percentile(heights, _FLOOR_PERCENTILE))
+            floor_m = self._floor
+        height = cloud[:, 2] - floor_m
         return (height >= self.config.band_min_m) & (height <= self.config.band_max_m)
 
-    def _first_floor(self, cloud: FloatArray, distance: FloatArray) -> float:
-        """The floor's height where it is known once for all, or taken from the first cloud."""
-        if self._floor is None:
-            near = cloud[distance <= FLOOR_RADIUS_M]
-            self._floor = lowest_returns(near, _FLOOR_PERCENTILE)
-        return self._floor
-
     def _choose_bearings(self, turn: FloatArray) -> None:
-        """Settle on the bearings from the first cloud's returns at any height."""
+        """Settle on the bearings from the first cloud's returns at any height.
+
+        Beams of a planar laser that are as far apart as the bearings would lie on the borders of
+        these, two in the one bin and none in the next: the bearings are shifted to where they lie.
+        """
         for halvings in range(_MAX_HALVINGS + 1):
             beams = _CLOUD_BEAMS >> halvings
-            self._shift = _phase(turn * beams) if self._planar else 0.0
+            if self._planar:
+                angles = _FULL_CIRCLE * (turn * beams - 0.5)
+                sines, cosines = float(np.sin(angles).sum()), float(np.cos(angles).sum())
+                self._shift = math.atan2(sines, cosines) / _FULL_CIRCLE
             filled = np.unique(_bins(turn, beams, self._shift))
             share = _CLOUD_FILLED_SHARE
             if len(filled) and len(filled) >= share * (filled[-1] - filled[0] + 1):
@@ -359,29 +352,3 @@ def _bins(turn: FloatArray, beams: int, shift: float) -> NDArray[np.intp]:
     if shift:
         return np.floor(turn * beams - shift).astype(np.intp) % beams
     return np.minimum((turn * beams).astype(np.intp), beams - 1)
-
-
-def _phase(steps: FloatArray) -> float:
-    """Where directions (N,), in steps of the bearings, lie between two of these: -0.5 to 0.5.
-
-    Beams as far apart as the bearings would otherwise lie on their borders, two in the one bin and
-    none in the next.
-    """
-    angles = _FULL_CIRCLE * (steps - 0.5)
-    return math.atan2(float(np.sin(angles).sum()), float(np.cos(angles).sum())) / _FULL_CIRCLE
-
-
-def _beam_times(
-    bins: NDArray[np.intp], times_s: FloatArray | None, beams: int
-) -> FloatArray | None:
-    """Times (beams,) of all beams by those (N,) of points in the bins (N,), None without any."""
-    if times_s is None or not len(bins):
-        return None
-    order = np.argsort(bins, kind="stable")
-    times: FloatArray = np.interp(np.arange(beams), bins[order], times_s[order])
-    return times
-
-
-def lowest_returns(cloud: FloatArray, percentile: float) -> float:
-    """Height below which a `percentile` of a cloud (N, 3) lies; 0 when it is empty."""
-    return float(np.percentile(cloud[:, 2], percentile)) if len(cloud) else 0.0

@@ -11,10 +11,10 @@ import numpy as np
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import LogConfig
+from specmap_cli.core.text import legible
 from specmap_cli.logs.messages import BadMessageError, TransformRecord, decode_transforms
 from specmap_cli.logs.opening import Log
-from specmap_cli.logs.readers.recording import Message
-from specmap_cli.logs.sensors import dynamic_topics, static_topics
+from specmap_cli.logs.sensors import transform_topics
 
 _MAX_DEPTH = 100  # a longer chain of frames is a loop
 
@@ -80,11 +80,6 @@ class TransformTree:
         return matrix
 
 
-def tilt_of(matrix: FloatArray) -> float:
-    """Angle between the z axes of the two frames of a transform (4, 4), radians in [0, pi]."""
-    return math.acos(float(np.clip(matrix[2, 2], -1.0, 1.0)))
-
-
 _TILT_MAX_RAD = 0.175  # a laser tilted more is warned of: it is read as level
 USUAL_BASES = ("base_link", "base_footprint", "base")  # by REP 105 and by custom
 _FLOOR_FRAME = "base_footprint"  # by REP 120 the base's projection on the floor
@@ -126,34 +121,26 @@ def read_frames(log: Log, laser_frame: str, bases: Iterable[str], config: LogCon
     """
     tree = TransformTree()
     wanted = list(bases)
-    topics = log.topics()
     given_up, unreadable = False, 0
     absurd: dict[tuple[str, str], None] = {}  # in the order they were met
-    for names, dynamic in ((static_topics(topics), False), (dynamic_topics(topics), True)):
+    for dynamic in (False, True):
+        names = transform_topics(log, static=not dynamic)
         for number, message in enumerate(log.messages(names) if names else ()):
             if number >= config.transform_messages:
                 given_up = True
                 break
-            left_out = _take(tree, message, dynamic=dynamic)
-            unreadable += left_out is None
-            absurd.update(dict.fromkeys(left_out or ()))
+            try:
+                transforms = decode_transforms(message)
+            except BadMessageError:
+                unreadable += 1
+            else:
+                for record in transforms.records:
+                    tree.add(record, dynamic=dynamic)
+                absurd.update(dict.fromkeys(transforms.absurd))
             if number >= _ENOUGH_MESSAGES and _any_joined(tree, wanted, laser_frame):
                 break
     complete = not given_up or _any_joined(tree, wanted, laser_frame)
     return Frames(tree=tree, complete=complete, absurd=tuple(absurd), unreadable=unreadable)
-
-
-def _take(
-    tree: TransformTree, message: Message, *, dynamic: bool
-) -> tuple[tuple[str, str], ...] | None:
-    """Add the transforms of a message to the tree; those left out, None when it holds none."""
-    try:
-        transforms = decode_transforms(message)
-    except BadMessageError:
-        return None
-    for record in transforms.records:
-        tree.add(record, dynamic=dynamic)
-    return transforms.absurd
 
 
 def _any_joined(tree: TransformTree, bases: Iterable[str], laser_frame: str) -> bool:
@@ -173,13 +160,28 @@ def place_laser(
     bases = (odometry_child, *USUAL_BASES) if asked is None else (asked.lstrip("/"),)
     for base in bases:
         base_from_laser = None if base is None else tree.lookup(base, laser_frame)
-        if base is not None and base_from_laser is not None:
-            return _placed(tree, base, laser_frame, base_from_laser)
+        if base is None or base_from_laser is None:
+            continue
+        base_from_floor = tree.lookup(base, _FLOOR_FRAME)
+        floor = 0.0 if base != laser_frame else None
+        if base_from_floor is not None:
+            floor = float(base_from_floor[2, 3])
+        tilt = math.acos(float(np.clip(base_from_laser[2, 2], -1.0, 1.0)))
+        tilted = (
+            f"the laser's frame {laser_frame!r} is tilted by {np.degrees(tilt):.0f} degrees "
+            f"against {base!r}: a planar scan is read as if it were level"
+        )
+        return Placement(
+            base_frame=base,
+            base_from_laser=base_from_laser,
+            floor_m=floor,
+            warnings=(tilted,) if _TILT_MAX_RAD < tilt < np.pi - _TILT_MAX_RAD else (),
+        )
     if asked is not None:
         above = sorted({laser_frame, *tree.ancestors(laser_frame)})
-        where, hint = f"--base-frame {bases[0]}", f"choose from {', '.join(above)}"
-        none = f"no transform joins it to the laser's frame {laser_frame!r}"
-        raise UsageError(f"{where}: {none}; {hint}", where=where, hint=hint)
+        none = f"no transform joins it to the laser's frame {laser_frame!r};"
+        hint, where = f"choose from {', '.join(above)}", f"--base-frame {bases[0]}"
+        raise UsageError(none, legible(hint), where=legible(where))
     base = odometry_child or next((b for b in USUAL_BASES if b in tree.frames), laser_frame)
     unknown = (
         f"no transform from {base!r} to the laser's frame {laser_frame!r}: "
@@ -187,23 +189,3 @@ def place_laser(
     )
     warnings = (unknown,) if base != laser_frame else ()
     return Placement(base_frame=base, base_from_laser=np.eye(4), floor_m=None, warnings=warnings)
-
-
-def _placed(
-    tree: TransformTree, base: str, laser_frame: str, base_from_laser: FloatArray
-) -> Placement:
-    """The laser on a base that transforms join to it; a tilted one is warned of."""
-    base_from_floor = tree.lookup(base, _FLOOR_FRAME)
-    floor = 0.0 if base != laser_frame else None
-    if base_from_floor is not None:
-        floor = float(base_from_floor[2, 3])
-    tilt = tilt_of(base_from_laser)
-    warnings: tuple[str, ...] = ()
-    if _TILT_MAX_RAD < tilt < np.pi - _TILT_MAX_RAD:
-        warnings = (
-            f"the laser's frame {laser_frame!r} is tilted by {np.degrees(tilt):.0f} degrees "
-            f"against {base!r}: a planar scan is read as if it were level",
-        )
-    return Placement(
-        base_frame=base, base_from_laser=base_from_laser, floor_m=floor, warnings=warnings
-    )

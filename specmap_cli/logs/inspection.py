@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 from array import array
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from itertools import islice
@@ -15,7 +15,7 @@ import numpy as np
 
 from specmap_cli.core.arguments import instance_of
 from specmap_cli.core.errors import InputError, UsageError
-from specmap_cli.core.geometry import FloatArray, step_lengths, yaw_of
+from specmap_cli.core.geometry import step_lengths, yaw_of
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import IntArray, Sweep
 from specmap_cli.core.settings import LogConfig
@@ -25,7 +25,7 @@ from specmap_cli.logs.messages import BadMessageError, decode_scan
 from specmap_cli.logs.opening import Log
 from specmap_cli.logs.planar import Repeats
 from specmap_cli.logs.readers.encoding import LASER_SCAN, NS_PER_S, ODOMETRY, SCAN_TYPES, TF_MESSAGE
-from specmap_cli.logs.readers.recording import Message, TopicInfo
+from specmap_cli.logs.readers.recording import Message
 from specmap_cli.logs.selection import Selection
 from specmap_cli.logs.sensors import LOOK_SCANS, SeveralSensorsError
 from specmap_cli.logs.stream import SweepStream
@@ -85,8 +85,18 @@ def summarize(
         problem=look.problem,
         next_command=look.next_command,
         warnings=look.warnings,
-        topics=_topics(contents.topics, duration_s),
-        frames=_frames(look.tree),
+        topics=tuple(
+            TopicSummary(
+                name=topic.name,
+                type=topic.type,
+                count=topic.count,
+                rate_hz=(topic.count - 1) / duration_s
+                if topic.count > 1 and duration_s > 0
+                else 0.0,
+            )
+            for topic in contents.topics
+        ),
+        frames=tuple(_frames(look.tree)),
         scan=look.scan,
         checked=_checked(log, reading) if complete else None,
         preview=look.met and replace(look.met, stamps=tuple(_faults(reading))),
@@ -117,7 +127,11 @@ def _look(log: Log, config: LogConfig, *, complete: bool) -> _Look:
         command = _command(log, _likeliest(log, error, config))
         return _Look(read_frames(log, "", [], config).tree, str(error), command)
     chosen = stream.selection
-    warnings = [*chosen.warnings, *_lonely(stream), *stream.ceiling.notes, *stream.own_body.notes]
+    warnings = [*chosen.warnings]
+    without, scans = stream.counts["without_odometry"], stream.counts["scans"]
+    if 2 * without > scans:  # although the log has some
+        warnings.append(f"scans without odometry near their stamp: {without:,} of {scans:,}")
+    warnings += [*stream.ceiling.notes, *stream.own_body.notes]
     nothing = f"no usable scan on {chosen.topic.name}" if first is None else None
     return _Look(
         tree=chosen.tree,
@@ -128,13 +142,6 @@ def _look(log: Log, config: LogConfig, *, complete: bool) -> _Look:
         met=met,
         chosen=chosen,
     )
-
-
-def _lonely(stream: SweepStream) -> Iterator[str]:
-    """That most scans have no odometry, although the log has some."""
-    without, scans = stream.counts["without_odometry"], stream.counts["scans"]
-    if 2 * without > scans:
-        yield f"scans without odometry near their stamp: {without:,} of {scans:,}"
 
 
 def _preview(stream: SweepStream, *, complete: bool) -> tuple[Preview | None, Sweep | None]:
@@ -157,13 +164,18 @@ def _preview(stream: SweepStream, *, complete: bool) -> tuple[Preview | None, Sw
     if first is None:
         return None, None
     steps = _Steps(stamps)
+    ahead = steps.steps_ns[steps.steps_ns > 0]
+    rate_hz = round(NS_PER_S / float(np.median(ahead)), 6) if len(ahead) else 0.0
+    lengths = step_lengths(np.array(places).reshape(-1, 2))
+    moving = lengths[lengths > _STANDING_M]  # false for NaN as well
+    step_m = round(float(np.median(moving)), 6) if len(moving) else None
     is_cloud = stream.selection.sensor.is_cloud
     found = Preview(
         scans=len(stamps),
         blank_scans=stream.counts["blank_scans"],
         stale_scans=stale,
         invalid_share=None if is_cloud else invalid / max(readings, 1),
-        spacing=_spacing(steps, np.array(places).reshape(-1, 2)),
+        spacing=Spacing(rate_hz, step_m, step_m is not None and step_m >= _SPARSE_STEP_M),
         gaps=tuple(
             Gap(steps.length_s(n), steps.begins_s(n))
             for n in steps.longer_than(max(_GAP_S, _PAUSE_INTERVALS * steps.usual_s))
@@ -203,18 +215,6 @@ class _Steps:
         return round(float(self.stamps_ns[number]) / NS_PER_S, 6)
 
 
-def _spacing(steps: _Steps, places: FloatArray) -> Spacing:
-    """The rate by the median interval, 0 without any, and the median step that is motion."""
-    ahead = steps.steps_ns[steps.steps_ns > 0]
-    rate = round(NS_PER_S / float(np.median(ahead)), 6) if len(ahead) else 0.0
-    lengths = step_lengths(places)
-    moving = lengths[lengths > _STANDING_M]  # false for NaN as well
-    if not len(moving):
-        return Spacing(rate)
-    step = round(float(np.median(moving)), 6)
-    return Spacing(rate, step, step >= _SPARSE_STEP_M)
-
-
 @dataclass(slots=True)
 class _Heard:
     """What was read of a topic: the stamp of each message, and how many cannot be decoded."""
@@ -223,59 +223,51 @@ class _Heard:
     unusable: int = 0
 
 
-class _Reading:
+class _Reading(NamedTuple):
     """The stamps of messages: of all topics by name and type, and header stamps of those chosen.
 
     Stamps are those of the headers of scans and odometry, otherwise the recorder's times.
     """
 
-    def __init__(self, chosen: Selection | None) -> None:
-        self.heard: dict[tuple[str, str], _Heard] = {}
-        self._frame = chosen.odom_frame if chosen else None
-        self._scan_topic = chosen.topic.name if chosen else None
-        topics = (chosen.topic.name, *chosen.odom_topics) if chosen else ()
-        self.headers_ns = {topic: array("q") for topic in topics}
-
-    def take(self, message: Message) -> None:
-        """Remember a message."""
-        heard = self.heard.setdefault((message.topic, message.type), _Heard())
-        try:
-            stamp = self._header_ns(message)
-        except BadMessageError:
-            heard.unusable += 1
-            stamp = None
-        is_scan = message.type in SCAN_TYPES
-        if stamp is not None and is_scan == (message.topic == self._scan_topic):
-            self.headers_ns.get(message.topic, array("q")).append(stamp)
-        stamp = None if message.type == TF_MESSAGE else stamp
-        heard.stamps_ns.append(_clipped(stamp or message.time_ns))
-
-    def _header_ns(self, message: Message) -> int | None:
-        """The stamp of a scan or of odometry, None in other messages; raises BadMessageError."""
-        if message.type in SCAN_TYPES:
-            return decode_scan(message).stamp_ns
-        if message.type in (ODOMETRY, TF_MESSAGE):
-            pose = odometry_of(message, self._frame)
-            return None if pose is None else pose.stamp_ns
-        return None
+    heard: dict[tuple[str, str], _Heard]
+    headers_ns: dict[str, array[int]]
 
 
 def _read(log: Log, look: _Look, progress: Progress | None, *, complete: bool) -> _Reading:
     """The stamps of all messages, or of the first ones on the topics that build would read."""
-    reading = _Reading(look.chosen if look.met is not None else None)
+    chosen = look.chosen if look.met is not None else None
+    heard: dict[tuple[str, str], _Heard] = {}
+    headers_ns: dict[str, array[int]] = {}
+    messages: Iterator[Message] = iter(())
+    told = Silent() if progress is None else progress
+    if chosen is not None:
+        headers_ns = {topic: array("q") for topic in (chosen.topic.name, *chosen.odom_topics)}
+        messages = islice(log.messages(list(headers_ns)), _MOST_MESSAGES)
     if complete:
-        told = Silent() if progress is None else progress
         told.start("reading", log.contents.messages)
-        for message in log.messages():
-            reading.take(message)
+        messages = log.messages()
+    for message in messages:
+        name, kind = message.topic, message.type
+        topic = heard.setdefault((name, kind), _Heard())
+        is_scan, stamp = kind in SCAN_TYPES, None
+        try:
+            if is_scan:
+                stamp = decode_scan(message).stamp_ns
+            elif kind in (ODOMETRY, TF_MESSAGE):
+                pose = odometry_of(message, chosen.odom_frame if chosen else None)
+                stamp = None if pose is None else pose.stamp_ns
+        except BadMessageError:
+            topic.unusable += 1
+        is_of_scans = chosen is not None and name == chosen.topic.name
+        if stamp is not None and name in headers_ns and is_scan == is_of_scans:
+            headers_ns[name].append(stamp)
+        stamp = None if kind == TF_MESSAGE else stamp
+        topic.stamps_ns.append(_clipped(stamp or message.time_ns))
+        if complete:
             told.advance()
-    elif look.chosen is not None and look.met is not None:
-        scans = reading.headers_ns[look.chosen.topic.name]
-        for message in islice(log.messages(list(reading.headers_ns)), _MOST_MESSAGES):
-            reading.take(message)
-            if len(scans) >= _most_scans(look.chosen):
-                break
-    return reading
+        elif chosen is not None and len(headers_ns[chosen.topic.name]) >= _most_scans(chosen):
+            break
+    return _Reading(heard, headers_ns)
 
 
 def _checked(log: Log, reading: _Reading) -> tuple[TopicCheck, ...]:
@@ -328,43 +320,21 @@ def _faults(reading: _Reading) -> Iterator[StampFaults]:
         )
 
 
-def _topics(topics: Iterable[TopicInfo], duration_s: float) -> tuple[TopicSummary, ...]:
-    return tuple(
-        TopicSummary(
-            name=topic.name,
-            type=topic.type,
-            count=topic.count,
-            rate_hz=(topic.count - 1) / duration_s if topic.count > 1 and duration_s > 0 else 0.0,
-        )
-        for topic in topics
-    )
-
-
-def _frames(tree: TransformTree) -> tuple[FrameSummary, ...]:
-    return tuple(
-        FrameSummary(
+def _frames(tree: TransformTree) -> Iterator[FrameSummary]:
+    """The transforms; their angles are those of Rz(yaw) Ry(pitch) Rx(roll)."""
+    for parent, child, matrix, moving in tree.edges():
+        x, y, z = (round(float(value), 6) + 0.0 for value in matrix[:3, 3])
+        roll = math.atan2(float(matrix[2, 1]), float(matrix[2, 2]))
+        pitch = math.asin(min(max(-float(matrix[2, 0]), -1.0), 1.0))
+        angles = (roll, pitch, yaw_of(matrix))
+        roll, pitch, yaw = (round(math.degrees(angle), 4) + 0.0 for angle in angles)
+        yield FrameSummary(
             parent=parent,
             child=child,
-            xyz_m=_xyz(matrix),
-            roll_pitch_yaw_deg=_roll_pitch_yaw(matrix),
+            xyz_m=(x, y, z),
+            roll_pitch_yaw_deg=(roll, pitch, yaw),
             moving=moving,
         )
-        for parent, child, matrix, moving in tree.edges()
-    )
-
-
-def _xyz(matrix: FloatArray) -> tuple[float, float, float]:
-    x, y, z = (round(float(value), 6) + 0.0 for value in matrix[:3, 3])
-    return x, y, z
-
-
-def _roll_pitch_yaw(matrix: FloatArray) -> tuple[float, float, float]:
-    """Angles of the rotation Rz(yaw) Ry(pitch) Rx(roll), degrees."""
-    roll = math.atan2(float(matrix[2, 1]), float(matrix[2, 2]))
-    pitch = math.asin(min(max(-float(matrix[2, 0]), -1.0), 1.0))
-    angles = (roll, pitch, yaw_of(matrix))
-    roll, pitch, yaw = (round(math.degrees(angle), 4) + 0.0 for angle in angles)
-    return roll, pitch, yaw
 
 
 def _describe(chosen: Selection, sweep: Sweep) -> ScanSummary:
@@ -388,25 +358,20 @@ def _describe(chosen: Selection, sweep: Sweep) -> ScanSummary:
     )
 
 
-def _options(topics: Iterable[TopicInfo], config: LogConfig) -> str:
-    """The options that make the likeliest choice where there are several."""
-    chosen = []
-    scans = [t for t in topics if t.type in SCAN_TYPES and t.count]
-    if scans and (len(scans) > 1 or config.scan_topic is not None):
-        best = max(scans, key=lambda t: (t.type == LASER_SCAN, t.count))
-        chosen.append(f" --scan-topic {shlex.quote(best.name)}")
-    poses = [t for t in topics if t.type == ODOMETRY and t.count]
-    if len(poses) > 1:
-        best = max(poses, key=lambda t: t.count)
-        chosen.append(f" --odom-topic {shlex.quote(best.name)}")
-    return "".join(chosen)
-
-
 def _likeliest(log: Log, error: UsageError, config: LogConfig) -> str:
     """The options that make the likeliest choice after an error that asks for one."""
     if isinstance(error, SeveralSensorsError):
         return _given(LogConfig.model_validate({**config.model_dump(), "scan_frame": error.best}))
-    return _options(log.contents.topics, config)
+    chosen = ""
+    scans = [t for t in log.contents.topics if t.type in SCAN_TYPES and t.count]
+    if scans and (len(scans) > 1 or config.scan_topic is not None):
+        best = max(scans, key=lambda t: (t.type == LASER_SCAN, t.count))
+        chosen += f" --scan-topic {shlex.quote(best.name)}"
+    poses = [t for t in log.contents.topics if t.type == ODOMETRY and t.count]
+    if len(poses) > 1:
+        best = max(poses, key=lambda t: t.count)
+        chosen += f" --odom-topic {shlex.quote(best.name)}"
+    return chosen
 
 
 def _given(config: LogConfig) -> str:

@@ -91,7 +91,8 @@ def decode_scan(message: Message) -> ScanRecord | CloudRecord:
     if message.type == POINT_CLOUD:
         return _cloud(decoded)
     if message.type == MULTI_ECHO:
-        return _scan(decoded, _first_echoes(decoded.ranges))
+        first = [beam.echoes[0] if len(beam.echoes) else np.inf for beam in decoded.ranges]
+        return _scan(decoded, np.array(first, dtype=np.float32))
     return _scan(decoded, decoded.ranges)
 
 
@@ -171,12 +172,6 @@ def _scan(decoded: Any, ranges: NDArray[np.float32]) -> ScanRecord:
         range_max=float(decoded.range_max),
         ranges=ranges,
     )
-
-
-def _first_echoes(beams: list[Any]) -> NDArray[np.float32]:
-    """The first echo of each beam, +inf where there is none."""
-    first = [beam.echoes[0] if len(beam.echoes) else np.inf for beam in beams]
-    return np.array(first, dtype=np.float32)
 
 
 # sensor_msgs/msg/PointField.datatype -> numpy, without the byte order

@@ -59,21 +59,15 @@ class OdometryBuffer:
         place = bisect_left(self._stamps, stamp_ns)
         if place < len(self._stamps) and self._stamps[place] == stamp_ns:
             return self._poses[place]
-        if place in (0, len(self._stamps)):
-            return self._held(place, stamp_ns)
+        if place in (0, len(self._stamps)):  # the first or last pose when it is near enough in time
+            nearest = max(place - 1, 0)
+            near = self._stamps and abs(self._stamps[nearest] - stamp_ns) <= self._hold_ns
+            return self._poses[nearest] if near else None
         before, after = self._stamps[place - 1], self._stamps[place]
         if after - before > self._gap_ns:
             return None
         share = (stamp_ns - before) / (after - before)
         return interpolated(self._poses[place - 1], self._poses[place], share)
-
-    def _held(self, place: int, stamp_ns: int) -> Pose2 | None:
-        """The first or last pose when it is near enough in time."""
-        if not self._stamps:
-            return None
-        nearest = min(place, len(self._stamps) - 1)
-        close = abs(self._stamps[nearest] - stamp_ns) <= self._hold_ns
-        return self._poses[nearest] if close else None
 
 
 class Heard(NamedTuple):
@@ -102,8 +96,14 @@ class OdometryListener:
         """Remember the odometry in a message; raises BadMessageError when it cannot be read."""
         if self.selection.odometry == "tf":
             self._take_transforms(message)
-        else:
-            self._take_pose(message)
+            return
+        record = decode_odometry(message)
+        odom_from_base: FloatArray | None = record.parent_from_child
+        if record.child and record.child != self.selection.base_frame:
+            child_from_base = self._tree.lookup(record.child, self.selection.base_frame)
+            if child_from_base is not None:
+                odom_from_base = record.parent_from_child @ child_from_base
+        self._remember(record.stamp_ns, message.time_ns, odom_from_base)
 
     def own(self, stamp_ns: int, time_ns: int) -> Pose2 | None:
         """odom_from_base of a scan with these header and recorder's times, by the order of the log.
@@ -117,15 +117,6 @@ class OdometryListener:
         same = (self.last.stamp_ns, self.last.time_ns) == (stamp_ns, time_ns)
         by_order = self.selection.clock.source == "order"
         return self.last.pose if same or by_order else None
-
-    def _take_pose(self, message: Message) -> None:
-        record = decode_odometry(message)
-        odom_from_base: FloatArray | None = record.parent_from_child
-        if record.child and record.child != self.selection.base_frame:
-            child_from_base = self._tree.lookup(record.child, self.selection.base_frame)
-            if child_from_base is not None:
-                odom_from_base = record.parent_from_child @ child_from_base
-        self._remember(record.stamp_ns, message.time_ns, odom_from_base)
 
     def _take_transforms(self, message: Message) -> None:
         """Follow the chain from the odometry frame to the base; its first link sets the time."""

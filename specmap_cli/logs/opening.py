@@ -15,7 +15,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from specmap_cli.core.arguments import Paths, instance_of, paths_of
-from specmap_cli.core.errors import LOG_DAMAGED, PACKAGE, LogError, UsageError
+from specmap_cli.core.errors import LOG_DAMAGED, LOG_MISSING, PACKAGE, LogError, UsageError
 from specmap_cli.core.plugins import with_plugins
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import legible
@@ -68,22 +68,19 @@ def format_names(readers: Iterable[type[Recording]]) -> str:
 
 def _checked(name: str, reader: object) -> type[Recording]:
     """What an entry point names, if it is a reader; raises UsageError saying what it lacks."""
-    if not isinstance(reader, type) or not issubclass(reader, Recording):
-        raise _unfit(name, "is no class derived from specmap_cli.logs.readers.Recording")
-    missing = sorted(reader.__abstractmethods__)
-    if not isinstance(getattr(reader, "format", None), str):
-        missing.append("format")
-    own_sniff = any("sniff" in vars(base) for base in reader.__mro__ if base is not Recording)
-    if not reader.magic and not own_sniff:
-        missing.append("magic or sniff")
-    if missing:
-        raise _unfit(name, f"lacks {', '.join(missing)}")
-    return reader
-
-
-def _unfit(name: str, fault: str) -> UsageError:
+    fault = "is no class derived from specmap_cli.logs.readers.Recording"
+    if isinstance(reader, type) and issubclass(reader, Recording):
+        missing = sorted(reader.__abstractmethods__)
+        if not isinstance(getattr(reader, "format", None), str):
+            missing.append("format")
+        own_sniff = any("sniff" in vars(base) for base in reader.__mro__ if base is not Recording)
+        if not reader.magic and not own_sniff:
+            missing.append("magic or sniff")
+        if not missing:
+            return reader
+        fault = f"lacks {', '.join(missing)}"
     found = f"the reader {name!r} of {GROUP} {fault};"
-    return UsageError(found, "mend or remove its package", code=PACKAGE)
+    raise UsageError(found, "mend or remove its package", code=PACKAGE)
 
 
 HEAD_BYTES = 4096  # one page: longer than the magic of any format, short enough to read of any file
@@ -104,6 +101,8 @@ def is_directory(path: Path) -> bool:
         mode = path.stat().st_mode
     except OSError as error:
         raise unreadable(path, error) from None
+    except ValueError:  # a zero byte, which no name has
+        raise refused(path, "no such file or directory", code=LOG_MISSING) from None
     if not (stat.S_ISDIR(mode) or stat.S_ISREG(mode)):
         kind = next((name for is_kind, name in _KINDS if is_kind(mode)), "no file")
         found = f"is {kind}; a log must be a file or a directory"
@@ -141,30 +140,20 @@ def open_log(paths: Paths, config: LogConfig | None = None) -> Log:
         for path in given:
             for file in _files_at(path, readers):
                 recordings.append(_opened(file, readers, settings, held))
-        _refuse_repetition(recordings)
-        _refuse_rubble(recordings)
+        seen: set[Path] = set()
+        for recording in recordings:
+            place = recording.path.resolve()
+            if place in seen:  # such as by its name and by its directory: it would count twice
+                hint = "name each file of a recording once"
+                raise refused(recording.path, "given twice", hint)
+            seen.add(place)
+        messages = sum(recording.contents.messages for recording in recordings)
+        damaged = next((recording for recording in recordings if recording.damage), None)
+        if damaged is not None and not messages:
+            where = legible(str(damaged.path))
+            found = damaged.damage[0].removeprefix(f"{where}: ")
+            raise LogError(f"{found}; no message can be read", where=where, code=LOG_DAMAGED)
         return Log(recordings, given, held.pop_all())
-
-
-def _refuse_repetition(recordings: Sequence[Recording]) -> None:
-    """A file given twice, such as by its name and by its directory, would count twice."""
-    seen: set[Path] = set()
-    for recording in recordings:
-        place = recording.path.resolve()
-        if place in seen:
-            hint = "name each file of a recording once"
-            raise refused(recording.path, "given twice", hint)
-        seen.add(place)
-
-
-def _refuse_rubble(recordings: Sequence[Recording]) -> None:
-    """A damaged log of which no message is left cannot be used."""
-    messages = sum(recording.contents.messages for recording in recordings)
-    damaged = next((recording for recording in recordings if recording.damage), None)
-    if damaged is not None and not messages:
-        where = legible(str(damaged.path))
-        found = damaged.damage[0].removeprefix(f"{where}: ")
-        raise LogError(f"{found}; no message can be read", where=where, code=LOG_DAMAGED)
 
 
 def _files_at(path: Path, readers: _Readers) -> Iterator[Path]:
@@ -192,20 +181,23 @@ def looks_like_a_log(file: Path, readers: _Readers) -> bool:
 
 def _opened(path: Path, readers: _Readers, config: LogConfig, held: ExitStack) -> Recording:
     """The recording in one file, which `held` closes; a compressed one is unpacked first."""
-    compression = compression_of(_head(path, path))
+    compression = compression_of(head_of(path))
     if compression is None:
-        return _read(path, path, readers, config, held)
+        recording = _reader_of(path, path, readers)(path, path, config)
+        held.callback(recording.close)
+        return recording
 
-    def look(file: Path) -> None:
+    def reader_inside(file: Path) -> type[Recording]:
         if compression_of(head_of(file)) is not None:
             raise refused(path, "compressed twice", "unpack it first")
         with _told_of(compression):
-            _reader_of(file, path, readers)
+            return _reader_of(file, path, readers)
 
-    copy = unpacked(path, compression, config, look, held)
-    look(copy.file)
+    copy = unpacked(path, compression, config, reader_inside, held)
+    reader = reader_inside(copy.file)
     with _told_of(compression):
-        recording = _read(copy.file, path, readers, config, held)
+        recording = reader(copy.file, path, config)
+    held.callback(recording.close)
     if copy.lost is not None:
         recording.report(copy.lost)
     return recording
@@ -223,17 +215,11 @@ def _told_of(compression: str) -> Iterator[None]:
         raise LogError(found, hint, where=error.where, code=error.code) from None
 
 
-def _read(
-    file: Path, path: Path, readers: _Readers, config: LogConfig, held: ExitStack
-) -> Recording:
-    recording = _reader_of(file, path, readers)(file, path, config)
-    held.callback(recording.close)
-    return recording
-
-
 def _reader_of(file: Path, path: Path, readers: _Readers) -> type[Recording]:
     """The reader of `file`, called `path`; raises LogError saying what it is instead."""
-    head = _head(file, path)
+    head = head_of(file)
+    if not head:
+        raise refused(path, "the file is empty", code=LOG_DAMAGED)
     reader = reader_for(head, file, readers)
     if reader is not None:
         return reader
@@ -243,13 +229,6 @@ def _reader_of(file: Path, path: Path, readers: _Readers) -> type[Recording]:
     kind = "a text file" if b"\x00" not in head and is_text(head) else "of an unknown format"
     expected = f"expected {format_names(readers.values())}"
     raise refused(path, f"{kind}, not a recording", expected)
-
-
-def _head(file: Path, path: Path) -> bytes:
-    head = head_of(file)
-    if not head:
-        raise refused(path, "the file is empty", code=LOG_DAMAGED)
-    return head
 
 
 class Log:

@@ -23,26 +23,6 @@ _FULL_CIRCLE = 2.0 * math.pi
 _MISSING_BEAMS = 1.5  # of a full circle: its last beam stops one short of the first, and rounding
 
 
-class Mount(NamedTuple):
-    """How a planar laser sits on the base, and whether it hangs upside down."""
-
-    base_from_laser: Pose2
-    upside_down: bool
-
-    @classmethod
-    def from_matrix(cls, base_from_laser: FloatArray) -> Mount:
-        """The mount in a transform (4, 4).
-
-        A laser upside down is described by the level frame that shares its x axis, in which its
-        bearings have the opposite sign.
-        """
-        x, y = float(base_from_laser[0, 3]), float(base_from_laser[1, 3])
-        return cls(Pose2(x, y, yaw_of(base_from_laser)), bool(base_from_laser[2, 2] < 0.0))
-
-
-LEVEL = Mount(Pose2(0.0, 0.0, 0.0), upside_down=False)  # at the base itself
-
-
 class _Beams(NamedTuple):
     """Bearings and times (B,) of the beams, and which of the readings as recorded they are."""
 
@@ -53,18 +33,23 @@ class _Beams(NamedTuple):
 
 
 class ScanLeveller:
-    """Turns the scans of one laser into `PlanarScan`; keeps what they have in common."""
+    """Turns the scans of one laser into `PlanarScan`; keeps what they have in common.
+
+    `base_from_laser` (4, 4) is its mounting. A laser upside down is described by the level frame
+    that shares its x axis, in which its bearings have the opposite sign.
+    """
 
     def __init__(
         self,
-        mount: Mount,
+        base_from_laser: FloatArray,
         ceiling: Ceiling | None = None,
         own_body: OwnBody | None = None,
     ) -> None:
-        self.mount = mount
+        x, y = float(base_from_laser[0, 3]), float(base_from_laser[1, 3])
+        self.mount = Pose2(x, y, yaw_of(base_from_laser))
         self.ceiling = Ceiling() if ceiling is None else ceiling
         self.own_body = OwnBody() if own_body is None else own_body
-        self.longest_s = SCAN_TIME_MAX_S
+        self._upside_down = bool(base_from_laser[2, 2] < 0.0)
         self._layout: ScanLayout | None = None
         self._beams: _Beams | None = None
 
@@ -72,11 +57,14 @@ class ScanLeveller:
     def level(self, scan: ScanRecord, stamp_ns: int) -> PlanarScan:
         """The planar scan; raises BadMessageError for one without beams or without angles."""
         if self._beams is None or scan.layout != self._layout:
-            self._beams = _beams(scan.layout, self.mount.upside_down, self.longest_s)
+            self._beams = _beams(scan.layout, self._upside_down)
             self._layout = scan.layout
         bearings, times_s, used, full_circle = self._beams
         range_max = scan.range_max if scan.range_max > 0.0 else math.inf
-        ranges = _cleaned(scan.ranges[used].astype(np.float64), scan.range_min, range_max)
+        ranges = scan.ranges[used].astype(np.float64)
+        nothing = (ranges == 0.0) | (ranges >= range_max)
+        ranges[(ranges < scan.range_min) | (ranges < 0.0)] = np.nan
+        ranges[nothing] = np.inf
         self.ceiling.clear(ranges)
         self.own_body.clear(ranges)
         return PlanarScan(
@@ -89,20 +77,7 @@ class ScanLeveller:
         )
 
 
-def duration_s(scan: ScanRecord) -> float:
-    """Seconds from the first to the last beam by the scan's own word, NaN when it is none."""
-    return scan.layout.time_increment * max(scan.layout.beams - 1, 0)
-
-
-def _cleaned(ranges: FloatArray, range_min: float, range_max: float) -> FloatArray:
-    """Ranges with +inf for no return and NaN for invalid readings; changes its argument."""
-    nothing = (ranges == 0.0) | (ranges >= range_max)
-    ranges[(ranges < range_min) | (ranges < 0.0)] = np.nan
-    ranges[nothing] = np.inf
-    return ranges
-
-
-def _beams(layout: ScanLayout, upside_down: bool, longest_s: float) -> _Beams:
+def _beams(layout: ScanLayout, upside_down: bool) -> _Beams:
     """The bearings of a laser, its beam times and which readings are used, in which order."""
     count, step = layout.beams, increment(layout)
     full_circle = covers_circle(count, step)
@@ -115,7 +90,7 @@ def _beams(layout: ScanLayout, upside_down: bool, longest_s: float) -> _Beams:
     used = slice(0, count) if ascending else slice(count - 1, None, -1)
     order = slice(None) if ascending else slice(None, None, -1)
     sweep = layout.time_increment * (count - 1)
-    timed = 0.0 < sweep <= longest_s
+    timed = 0.0 < sweep <= SCAN_TIME_MAX_S
     times: FloatArray | None = layout.time_increment * numbers[order] if timed else None
     bearings = bearings[order].copy()
     bearings.setflags(write=False)
@@ -246,8 +221,10 @@ class OwnBody:
             self._learn(ranges)
         elif not self._is_ruled_out and self._is_elsewhere(ranges):
             self._learn(ranges)
-        if self._seen.any():
-            ranges[self._is_own(ranges)] = np.nan
+        if self._seen.any():  # and what is near it, on these beams and those beside: edges flicker
+            low = _of_neighbours(np.where(self._seen, self._low, np.inf), np.minimum)
+            high = _of_neighbours(np.where(self._seen, self._high, -np.inf), np.maximum)
+            ranges[(ranges >= low - _MARGIN_M) & (ranges <= high + _MARGIN_M)] = np.nan
 
     @property
     def notes(self) -> list[str]:
@@ -275,12 +252,6 @@ class OwnBody:
         others = ~self._near & ~(np.isnan(ranges) | np.isnan(self._there))
         changed = changed_share(ranges[others], self._there[others], _MOVED_M)
         return changed >= _MOVED_SHARE
-
-    def _is_own(self, ranges: FloatArray) -> BoolArray:
-        """Readings (B,) near those of the robot, on its beams and those beside: edges flicker."""
-        low = _of_neighbours(np.where(self._seen, self._low, np.inf), np.minimum)
-        high = _of_neighbours(np.where(self._seen, self._high, -np.inf), np.maximum)
-        return (ranges >= low - _MARGIN_M) & (ranges <= high + _MARGIN_M)
 
 
 def _of_neighbours(values: FloatArray, least: np.ufunc) -> FloatArray:

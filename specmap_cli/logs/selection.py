@@ -35,13 +35,17 @@ from specmap_cli.logs.sensors import (
     choose_odometry_topic,
     choose_scan_topic,
     choose_sensor,
-    dynamic_topics,
     first_scans,
     is_flat,
     sensors_of,
+    transform_topics,
 )
 
 _ABSURD_NAMED = 3  # transforms; with more of them the log is beyond help
+_UNKNOWN_FLOOR = (
+    "the lidar's tilt and height above the floor are unknown, as there is no transform "
+    "from a base frame: each cloud is levelled by the floor that it shows"
+)
 _PARTS_OVERLAP_NS = 2_000_000_000  # parts of one recording may share a moment, not more
 
 
@@ -111,9 +115,15 @@ def select(log: Log, config: LogConfig) -> Selection:
     bases = usual if config.base_frame is None else [config.base_frame.lstrip("/")]
     frames = read_frames(log, sensor.frame, bases, config)
     placement = place_laser(frames.tree, sensor.frame, child, config)
-    odometry, topics, odom_frame = _odometry_source(
-        log, odometry_topic, frames.tree, placement.base_frame, config
-    )
+    odometry: OdometryKind | None = None
+    topics: tuple[str, ...] = ()
+    odom_frame = None
+    if odometry_topic is not None:
+        odometry, topics = "topic", (odometry_topic.name,)
+    elif config.use_odometry:
+        odom_frame = odometry_ancestor(frames.tree, placement.base_frame)
+        if odom_frame is not None:
+            odometry, topics = "tf", tuple(transform_topics(log, static=False))
     pairs = stamp_pairs(log, topic.name, sensor, topics, odom_frame)
     clock = choose_clock([(scan.stamp_ns, scan.time_ns) for scan in scans], pairs)
     return Selection(
@@ -135,7 +145,7 @@ def select(log: Log, config: LogConfig) -> Selection:
             *placement.warnings,
             *_frame_warnings(placement, frames, child, config),
             *clock_warnings(clock, topic.name),
-            *_unknown_floor(placement, in_space),
+            *([_UNKNOWN_FLOOR] if in_space and placement.floor_m is None else []),
         ),
     )
 
@@ -174,14 +184,6 @@ def _frame_warnings(
         )
 
 
-def _unknown_floor(placement: Placement, in_space: bool) -> Iterator[str]:
-    if in_space and placement.floor_m is None:
-        yield (
-            "the lidar's tilt and height above the floor are unknown, as there is no transform "
-            "from a base frame: each cloud is levelled by the floor that it shows"
-        )
-
-
 def _odometry_child(log: Log, topic: TopicInfo | None) -> str | None:
     """The frame that moves in an Odometry topic, by the first message that can be read."""
     if topic is not None:
@@ -189,16 +191,6 @@ def _odometry_child(log: Log, topic: TopicInfo | None) -> str | None:
             with suppress(BadMessageError):
                 return decode_odometry(message).child or None
     return None
-
-
-def _odometry_source(
-    log: Log, topic: TopicInfo | None, tree: TransformTree, base_frame: str, config: LogConfig
-) -> tuple[OdometryKind | None, tuple[str, ...], str | None]:
-    """What odometry is read from: its kind, its topics, and the frame above the base in `tf`."""
-    if topic is not None:
-        return "topic", (topic.name,), None
-    frame = odometry_ancestor(tree, base_frame) if config.use_odometry else None
-    return (None, (), None) if frame is None else ("tf", tuple(dynamic_topics(log.topics())), frame)
 
 
 def odometry_ancestor(tree: TransformTree, base_frame: str) -> str | None:

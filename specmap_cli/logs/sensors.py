@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice, pairwise
@@ -31,65 +31,58 @@ from specmap_cli.logs.messages import (
     decode_scan,
 )
 from specmap_cli.logs.opening import Log
-from specmap_cli.logs.planar import LEVEL, ScanLeveller, covers_circle, increment
+from specmap_cli.logs.planar import ScanLeveller, covers_circle, increment
 from specmap_cli.logs.readers.encoding import ODOMETRY, SCAN_TYPES, TF_MESSAGE
 from specmap_cli.logs.readers.recording import TopicInfo, refused
 
 
-def static_topics(topics: Iterable[TopicInfo]) -> list[str]:
-    """Topics of transforms that never change."""
-    return [t.name for t in topics if t.type == TF_MESSAGE and t.name.endswith("tf_static")]
-
-
-def dynamic_topics(topics: Iterable[TopicInfo]) -> list[str]:
-    """Topics of transforms that may change."""
-    return [t.name for t in topics if t.type == TF_MESSAGE and not t.name.endswith("tf_static")]
+def transform_topics(log: Log, *, static: bool) -> list[str]:
+    """Topics of transforms that never change, or of those that may."""
+    of_tf = [topic.name for topic in log.topics() if topic.type == TF_MESSAGE]
+    return [name for name in of_tf if name.endswith("tf_static") == static]
 
 
 def choose_scan_topic(log: Log, asked: str | None) -> TopicInfo:
     """The topic of scans: the asked one, or the only one."""
-    found = [t for t in log.topics() if t.type in SCAN_TYPES and t.count]
-    if asked is not None:
-        return _asked(log, found, asked, "--scan-topic", "scans")
-    if not found:
+    chosen = _chosen(log, SCAN_TYPES, asked, "--scan-topic", "scans")
+    if chosen is None:
         there = ", ".join(f"{t.name} ({t.type})" for t in log.topics()) or "no messages at all"
         none = f"no LaserScan, MultiEchoLaserScan or PointCloud2 in it; it has {there}"
         raise refused(legible(log.name), legible(none))
-    return _only(log, found, "--scan-topic", "scans")
+    return chosen
 
 
 def choose_odometry_topic(log: Log, asked: str | None) -> TopicInfo | None:
     """The Odometry topic: the asked one, the only one, or None when there is none."""
-    found = [t for t in log.topics() if t.type == ODOMETRY and t.count]
+    return _chosen(log, {ODOMETRY}, asked, "--odom-topic", "odometry")
+
+
+def _chosen(
+    log: Log, types: Collection[str], asked: str | None, option: str, what: str
+) -> TopicInfo | None:
+    """The topic of such types that is asked for, or the only one; None when there is none."""
+    found = {
+        topic: f"({topic.type.rpartition('/')[2]}, {counted(topic.count, 'message')})"
+        for topic in log.topics()
+        if topic.type in types and topic.count
+    }
     if asked is not None:
-        return _asked(log, found, asked, "--odom-topic", "odometry")
-    return _only(log, found, "--odom-topic", "odometry") if found else None
-
-
-def _only(log: Log, found: list[TopicInfo], option: str, what: str) -> TopicInfo:
+        for topic in found:
+            if topic.name.lstrip("/") == asked.lstrip("/"):
+                return topic
+        choices = ", ".join(f"{topic.name} {told}" for topic, told in found.items()) or "none"
+        none = f"{option} {asked}: no {what} on such a topic"
+        raise _unclear(log.name, f"{none}; topics with {what}: {choices}")
     if len(found) > 1:
-        choices = " or ".join(f"`{option} {t.name}` ({_describe(t)})" for t in found)
+        choices = " or ".join(f"`{option} {topic.name}` {told}" for topic, told in found.items())
         several, hint = f"{len(found)} topics carry {what}", f"choose {choices}"
         raise _unclear(log.name, several, hint, code=CHOICE)
-    return found[0]
-
-
-def _asked(log: Log, found: list[TopicInfo], asked: str, option: str, what: str) -> TopicInfo:
-    for topic in found:
-        if topic.name.lstrip("/") == asked.lstrip("/"):
-            return topic
-    choices = ", ".join(f"{t.name} ({_describe(t)})" for t in found) or "none"
-    none = f"{option} {asked}: no {what} on such a topic"
-    raise _unclear(log.name, f"{none}; topics with {what}: {choices}")
+    return next(iter(found), None)
 
 
 def _unclear(log: str, found: str, hint: str = "", code: str | None = None) -> UsageError:
     """The error of options that choose nothing in a log, or too little."""
     return UsageError(legible(found), legible(hint) or None, where=legible(log), code=code)
-
-
-def _describe(topic: TopicInfo) -> str:
-    return f"{topic.type.rpartition('/')[2]}, {counted(topic.count, 'message')}"
 
 
 _SENSOR_SHARE = 0.1  # share of the first scans; a rarer sensor is left out without a question
@@ -311,7 +304,7 @@ def is_flat(log: Log, topic: TopicInfo, sensor: ScanSensor) -> bool:
 
 def ceilings_m(log: Log, topic: TopicInfo, sensor: ScanSensor) -> tuple[float, ...]:
     """The distances that stand for no return in the first planar scans."""
-    leveller = ScanLeveller(LEVEL)
+    leveller = ScanLeveller(np.eye(4))
     for record in () if sensor.is_cloud else _first_of(log, topic, sensor):
         if isinstance(record, ScanRecord):
             with suppress(BadMessageError):

@@ -17,17 +17,15 @@ from specmap_cli.core.geometry import Pose2, product
 from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import legible, nanoseconds
-from specmap_cli.logs.clouds import CloudFlattener, CloudLeveller, Level, PointClock, cloud_points
+from specmap_cli.logs.clouds import CloudFlattener, Level, PointClock, cloud_points, floor_of
 from specmap_cli.logs.messages import BadMessageError, CloudRecord, ScanRecord, decode_scan
 from specmap_cli.logs.odometry import OdometryBuffer, OdometryListener
 from specmap_cli.logs.opening import Log
 from specmap_cli.logs.planar import (
     SCAN_TIME_MAX_S,
     Ceiling,
-    Mount,
     OwnBody,
     ScanLeveller,
-    duration_s,
 )
 from specmap_cli.logs.readers.recording import Message
 from specmap_cli.logs.selection import Selection, select
@@ -57,6 +55,7 @@ _ADVICE = {
     "of the whole drive?"
 }
 _LEAST_SHARE = {"without_odometry": 0.01}
+_COUNTED = ("scans", "odometry", *_SAID)
 
 
 class SweepStream:
@@ -71,7 +70,7 @@ class SweepStream:
         self.log = instance_of(log, Log, "log")
         self.config = instance_of(config, LogConfig, "config")
         self.selection: Selection = select(log, config)
-        self.counts = _no_counts()
+        self.counts = dict.fromkeys(_COUNTED, 0)
         self.ceiling, self.own_body = Ceiling(), OwnBody()
 
     @property
@@ -92,29 +91,25 @@ class SweepStream:
 
     def __iter__(self) -> Iterator[Sweep]:
         """The sweeps in the order of the log."""
-        self.counts = _no_counts()
-        odometry = OdometryListener(self.selection)
-        self.ceiling, self.own_body = Ceiling(self.selection.ceilings_m), OwnBody()
-        mount = Mount.from_matrix(self.selection.base_from_laser)
-        leveller = ScanLeveller(mount, self.ceiling, self.own_body)
-        sweeps = _SweepMaker(self.selection, self.config, self.counts, leveller)
+        self.counts = counts = dict.fromkeys(_COUNTED, 0)
+        chosen, odometry = self.selection, OdometryListener(self.selection)
+        self.ceiling, self.own_body = Ceiling(chosen.ceilings_m), OwnBody()
+        leveller = ScanLeveller(chosen.base_from_laser, self.ceiling, self.own_body)
+        sweeps = _SweepMaker(chosen, self.config, counts, leveller)
         waiting: deque[_Waiting] = deque()
-        for message in self.log.messages([self.selection.topic.name, *self.selection.odom_topics]):
-            if message.topic == self.selection.topic.name:
+        for message in self.log.messages([chosen.topic.name, *chosen.odom_topics]):
+            if message.topic == chosen.topic.name:
                 waiting.extend(sweeps.decoded(message, odometry))
             else:
-                self._hear(odometry, message)
+                try:
+                    odometry.take(message)
+                except BadMessageError:
+                    counts["unusable_odometry"] += 1
+                counts["odometry"] = odometry.heard
             while waiting and self._ready(waiting, odometry.poses, message.time_ns):
                 yield from sweeps.made(waiting.popleft(), odometry.poses)
         while waiting:
             yield from sweeps.made(waiting.popleft(), odometry.poses)
-
-    def _hear(self, odometry: OdometryListener, message: Message) -> None:
-        try:
-            odometry.take(message)
-        except BadMessageError:
-            self.counts["unusable_odometry"] += 1
-        self.counts["odometry"] = odometry.heard
 
     def _ready(self, waiting: deque[_Waiting], odometry: OdometryBuffer, now_ns: int) -> bool:
         """Whether the first waiting scan has its odometry, or has waited long enough."""
@@ -136,10 +131,6 @@ class _Waiting(NamedTuple):
     own: Pose2 | None
 
 
-def _no_counts() -> dict[str, int]:
-    return dict.fromkeys(["scans", "odometry", *_SAID], 0)
-
-
 class _SweepMaker:
     """One pass over a log: how its scans become sweeps. What it meets goes into `counts`."""
 
@@ -154,12 +145,13 @@ class _SweepMaker:
         self.config = config
         self.counts = counts
         self.leveller = leveller
-        floor = selection.floor_m
+        in_space = selection.band_m is not None
         self.flattener = CloudFlattener(
-            selection.base_from_laser, floor, config, planar=selection.band_m is None
+            selection.base_from_laser, selection.floor_m, config, planar=not in_space
         )
-        unknown = floor is None and selection.band_m is not None
-        self.cloud_leveller = CloudLeveller() if unknown else None
+        # a cloud that shows no floor has the level of the one before it
+        self._is_level = selection.floor_m is not None or not in_space
+        self._level = Level(np.eye(3), None)
         self.points_clock = PointClock()
         self._last_stamp: int | None = None
         self._number = 0  # of the sensor's scans so far
@@ -183,28 +175,33 @@ class _SweepMaker:
 
     def made(self, scan: _Waiting, odometry: OdometryBuffer) -> Iterator[Sweep]:
         """The sweep of a scan, nothing when the scan is unusable."""
+        counts, last = self.counts, self._last_stamp
         try:
             if isinstance(scan.record, CloudRecord):
                 sweep = self._from_cloud(scan.record, scan.stamp_ns)
             else:
-                sweep = self._from_scan(scan.record, scan.stamp_ns)
+                sweep = Sweep(
+                    index=counts["scans"],
+                    stamp_ns=scan.stamp_ns,
+                    planar=self.leveller.level(scan.record, scan.stamp_ns),
+                    base_from_laser=self.leveller.mount,
+                )
+                layout = scan.record.layout
+                lasts_s = layout.time_increment * (layout.beams - 1)
+                counts["far_times"] += lasts_s > SCAN_TIME_MAX_S
         except BadMessageError:
-            self.counts["unusable_scans"] += 1
+            counts["unusable_scans"] += 1
             return
         pose = odometry.at(scan.stamp_ns) if scan.own is None else scan.own
-        sweep = replace(sweep, odom_from_base=pose)
-        self._count(sweep)
-        yield sweep
-
-    def _from_scan(self, record: ScanRecord, stamp_ns: int) -> Sweep:
-        planar = self.leveller.level(record, stamp_ns)
-        self.counts["far_times"] += duration_s(record) > SCAN_TIME_MAX_S
-        return Sweep(
-            index=self.counts["scans"],
-            stamp_ns=stamp_ns,
-            planar=planar,
-            base_from_laser=self.leveller.mount.base_from_laser,
-        )
+        counts["scans"] += 1
+        counts["blank_scans"] += not np.isfinite(sweep.planar.ranges).any()
+        if self.selection.odometry is not None:
+            counts["without_odometry"] += pose is None
+        if last is not None:
+            counts["backward_stamps"] += scan.stamp_ns < last
+            counts["repeated_stamps"] += scan.stamp_ns == last
+        self._last_stamp = scan.stamp_ns
+        yield replace(sweep, odom_from_base=pose)
 
     def _from_cloud(self, record: CloudRecord, stamp_ns: int) -> Sweep:
         points, times_s, far_times = cloud_points(record, stamp_ns, self.points_clock)
@@ -213,27 +210,15 @@ class _SweepMaker:
         self.counts["far_times"] += far_times
         self.counts["foreign_times"] = self.points_clock.foreign
         base_from_laser = self.selection.base_from_laser
-        level = Level(np.eye(3), None)  # as the log says, else by the floor in the cloud
-        if self.cloud_leveller is not None:
-            level = self.cloud_leveller.level(points)
-        turn = product(level.rotation, base_from_laser[:3, :3])
+        if not self._is_level:  # the log does not say how it lies: by the floor in the cloud
+            self._level = floor_of(points) or self._level
+        turn = product(self._level.rotation, base_from_laser[:3, :3])
         cloud = product(points, turn.T) + base_from_laser[:3, 3]
         sweep = Sweep(
             index=self.counts["scans"],
             stamp_ns=stamp_ns,
-            planar=self.flattener.flatten(cloud, stamp_ns, level.floor_m, times_s),
+            planar=self.flattener.flatten(cloud, stamp_ns, self._level.floor_m, times_s),
             base_from_laser=self.flattener.mount,
         )
         in_space = self.selection.band_m is not None
         return replace(sweep, cloud=cloud, cloud_times_s=times_s) if in_space else sweep
-
-    def _count(self, sweep: Sweep) -> None:
-        counts, last = self.counts, self._last_stamp
-        counts["scans"] += 1
-        counts["blank_scans"] += not np.isfinite(sweep.planar.ranges).any()
-        if self.selection.odometry is not None:
-            counts["without_odometry"] += sweep.odom_from_base is None
-        if last is not None:
-            counts["backward_stamps"] += sweep.stamp_ns < last
-            counts["repeated_stamps"] += sweep.stamp_ns == last
-        self._last_stamp = sweep.stamp_ns

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime, timedelta
 from typing import Any
@@ -117,7 +117,9 @@ class StampFaults:
             if count
         ]
         if self.example_s is not None:
-            shown = f"such as {decimal(self.example_s, 3)} s{_date(self.example_s)}"
+            shown = f"such as {decimal(self.example_s, 3)} s"
+            if self.example_s > EARLIEST_STAMP_S:  # it is a day, such as one of the year 2106
+                shown += f" ({datetime.fromtimestamp(self.example_s, UTC):%Y-%m-%d})"
             told.append(f"before 1990 or in the future: {self.elsewhen:,}, {shown}")
         if not told:
             return ""
@@ -153,20 +155,16 @@ class Preview:
             told.append(f"{repeating}: {self.stale_scans:,}")
         if self.invalid_share:
             told.append(f"readings that are invalid: {100 * self.invalid_share:.1f} %")
-        told += self._gap_lines()
+        if self.gaps:
+            longest = sorted(self.gaps, key=lambda gap: (-gap.length_s, gap.at_s))[:_NAMED_GAPS]
+            shown = ", ".join(f"{gap.length_s:.2f} s from {gap.at_s:.3f} s on" for gap in longest)
+            which = "the longest " if len(self.gaps) > len(longest) else ""
+            told.append(f"{counted(len(self.gaps), 'gap')} between scans: {which}{shown}")
         if len(self.sensors) > 1:
             names = ", ".join(f"{name} ({count:,} scans)" for name, count in self.sensors)
             told.append(f"several sensors on the topic: {names}")
         told += [faults.text() for faults in self.stamps if faults.text()]
         return [f"build would meet, in {part} scans:", *(f"  {line}" for line in told)]
-
-    def _gap_lines(self) -> Iterator[str]:
-        if not self.gaps:
-            return
-        longest = sorted(self.gaps, key=lambda gap: (-gap.length_s, gap.at_s))[:_NAMED_GAPS]
-        shown = ", ".join(f"{gap.length_s:.2f} s from {gap.at_s:.3f} s on" for gap in longest)
-        which = "the longest " if len(self.gaps) > len(longest) else ""
-        yield f"{counted(len(self.gaps), 'gap')} between scans: {which}{shown}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -202,6 +200,16 @@ class ScanSummary:
     range_max_m: float
     point_times: bool
     points: int | None
+
+    def text(self) -> str:
+        """The scan in words."""
+        what = f"{self.beams} beams" if self.points is None else f"{self.points:,} points"
+        times = "with times" if self.point_times else "all at one time"
+        reach = "of any range"
+        if math.isfinite(self.range_max_m):
+            reach = f"up to {self.range_max_m:g} m"
+        view = f"over {self.field_of_view_deg:g} degrees"
+        return f"{what} {view} in frame {self.frame}, {reach}, {times}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -254,12 +262,19 @@ class LogSummary:
             told.append(f"  {legible(topic.name):<{width}}  {topic.count:>8,}  {topic.type}{rate}")
         told += _frame_lines(self.frames, self.scan.frame if self.scan else None)
         if self.scan is not None:
-            told.append(f"scan: {_scan_text(self.scan)}")
+            told.append(f"scan: {self.scan.text()}")
         if self.chosen is not None:
             told.append(f"build would read: {self.chosen}")
         if self.preview is not None and self.scan is not None:
-            told += self.preview.lines(self._scans_on(self.scan.topic))
-        told += _checked_lines(self.checked)
+            scans = sum(each.count for each in self.topics if each.name == self.scan.topic)
+            told += self.preview.lines(scans)
+        if self.checked is None:
+            only = "only the beginning; --check reads all messages and compares the counts"
+            told.append(f"checked: {only}")
+        else:
+            told.append("checked: all messages")
+            width = max((len(legible(topic.name)) for topic in self.checked), default=0)
+            told += [f"  {legible(each.name):<{width}}  {each.text()}" for each in self.checked]
         told += [f"warning: {line}" for line in self.warnings]
         told += [f"damage: {line}" for line in self.damage]
         if self.problem is not None:
@@ -267,19 +282,6 @@ class LogSummary:
         if self.next_command is not None:
             told.append(f"next: {self.next_command}")
         return [legible(line) for line in told]
-
-    def _scans_on(self, topic: str) -> int:
-        """How many messages a topic holds."""
-        return sum(each.count for each in self.topics if each.name == topic)
-
-
-def _checked_lines(checked: Sequence[TopicCheck] | None) -> list[str]:
-    """What came of reading all messages, or that only the first ones were read."""
-    if checked is None:
-        return ["checked: only the beginning; --check reads all messages and compares the counts"]
-    width = max((len(legible(topic.name)) for topic in checked), default=0)
-    lines = [f"  {legible(topic.name):<{width}}  {topic.text()}" for topic in checked]
-    return ["checked: all messages", *lines]
 
 
 def _time(seconds: float) -> str:
@@ -299,34 +301,10 @@ def _frame_lines(frames: Sequence[FrameSummary], scan_frame: str | None) -> list
         scan_frame = by_child[scan_frame].parent
     shown = chain[::-1] or list(frames)
     others = len(frames) - len(shown)
-    told = ["frames:", *(f"  {_frame_text(frame)}" for frame in shown)] if frames else []
+    told = ["frames:"] if frames else []
+    for frame in shown:
+        x, y, z = frame.xyz_m
+        roll, pitch, yaw = frame.roll_pitch_yaw_deg
+        fixed = f"at ({x:g}, {y:g}, {z:g}) m, roll {roll:g}, pitch {pitch:g}, yaw {yaw:g} degrees"
+        told.append(f"  {frame.parent} -> {frame.child}  {'moving' if frame.moving else fixed}")
     return [*told, f"  and {counted(others, 'other frame')}"] if others else told
-
-
-def _frame_text(frame: FrameSummary) -> str:
-    x, y, z = frame.xyz_m
-    roll, pitch, yaw = frame.roll_pitch_yaw_deg
-    if frame.moving:
-        return f"{frame.parent} -> {frame.child}  moving"
-    return (
-        f"{frame.parent} -> {frame.child}  at ({x:g}, {y:g}, {z:g}) m, "
-        f"roll {roll:g}, pitch {pitch:g}, yaw {yaw:g} degrees"
-    )
-
-
-def _scan_text(scan: ScanSummary) -> str:
-    what = f"{scan.beams} beams" if scan.points is None else f"{scan.points:,} points"
-    times = "with times" if scan.point_times else "all at one time"
-    reach = f"up to {scan.range_max_m:g} m" if math.isfinite(scan.range_max_m) else "of any range"
-    view = f"over {scan.field_of_view_deg:g} degrees"
-    return f"{what} {view} in frame {scan.frame}, {reach}, {times}"
-
-
-def _date(seconds: float) -> str:
-    """A day for stamps that are one, such as those of the year 2106."""
-    if seconds <= EARLIEST_STAMP_S:
-        return ""
-    try:
-        return f" ({datetime.fromtimestamp(seconds, UTC):%Y-%m-%d})"
-    except (ValueError, OverflowError, OSError):  # beyond the year 9999
-        return ""

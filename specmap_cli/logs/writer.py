@@ -27,7 +27,7 @@ from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import counted, legible
-from specmap_cli.logs.opening import Log, open_log
+from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers.encoding import (
     LASER_SCAN,
     ODOMETRY,
@@ -73,9 +73,14 @@ class LogWriter:
         self._part = partial_of(self.path)
         self._channels: dict[tuple[str, str], int] = {}
         self._schemas: dict[str, int] = {}
-        self._file: IO[bytes] | None = self._open()
+        try:
+            remove_leftovers(self.path)
+            self._file: IO[bytes] | None = self._part.open("wb")
+        except OSError as error:
+            raise self._unwritable(error) from None
+        lock(self._file.fileno())  # by which others see that this run lives
         # Also runs at the exit of the interpreter: no interruption leaves the part behind.
-        self._clean_up = weakref.finalize(self, _unlink, self._part)
+        self._clean_up = weakref.finalize(self, self._part.unlink, missing_ok=True)
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile="ros2", library=f"specmap {__version__}")
 
@@ -183,15 +188,6 @@ class LogWriter:
         else:
             self.discard()
 
-    def _open(self) -> IO[bytes]:
-        try:
-            remove_leftovers(self.path)
-            file = self._part.open("wb")
-        except OSError as error:
-            raise self._unwritable(error) from None
-        lock(file.fileno())  # by which others see that this run lives
-        return file
-
     def _unwritable(self, error: OSError) -> UsageError:
         advice = "choose another place"
         return UsageError.of_system(error, "cannot write", advice, where=self.path, code=OUTPUT)
@@ -209,10 +205,6 @@ class LogWriter:
                 topic, "cdr", self._schemas[msgtype], metadata
             )
         return self._channels[key]
-
-
-def _unlink(path: Path) -> None:
-    path.unlink(missing_ok=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -256,37 +248,26 @@ def convert(
         raise UsageError("exists already;", hint, where=target, code=OUTPUT_EXISTS)
     with open_log(given, config) as log:
         topics = log.topics()
-        if not any(_is_wanted(topic) for topic in topics):
+        wanted = [t for t in topics if t.type in SUPPORTED_TYPES and t.count]
+        if not wanted:
             there = ", ".join(f"{t.name} ({t.type})" for t in topics) or "no messages at all"
             nothing = f"no scans, odometry or transforms; it has {there}"
             raise refused(legible(log.name), legible(nothing))
+        told = progress or Silent()
+        told.start("converting", sum(topic.count for topic in wanted))
+        counts: Counter[tuple[str, str]] = Counter()
+        latest_ns = 0
+        with LogWriter(target) as writer:
+            for message in log.messages({topic.name for topic in wanted}):
+                if message.type in SUPPORTED_TYPES:
+                    # a reader of MCAP would take what steps back in log time away from its place
+                    latest_ns = max(latest_ns, message.time_ns)
+                    writer.raw(message.topic, message.type, message.data, latest_ns)
+                    counts[message.topic, message.type] += 1
+                    told.advance()
         return Conversion(
             path=target,
-            written=_written(log, target, progress or Silent()),
+            written=tuple(TopicInfo(*key, counts[key]) for key in sorted(counts)),
             skipped=tuple(t for t in topics if t.type not in SUPPORTED_TYPES and t.count),
             damage=tuple(log.damage),
         )
-
-
-def _is_wanted(topic: TopicInfo) -> bool:
-    return topic.type in SUPPORTED_TYPES and topic.count > 0
-
-
-def _written(log: Log, target: Path, progress: Progress) -> tuple[TopicInfo, ...]:
-    """Write what specmap reads of a log; the topics written and how much of each.
-
-    Readers of MCAP sort by log time: one that steps back, as in a CARMEN log whose clock was set,
-    would take its message away from its place.
-    """
-    wanted = [topic for topic in log.topics() if _is_wanted(topic)]
-    counts: Counter[tuple[str, str]] = Counter()
-    progress.start("converting", sum(topic.count for topic in wanted))
-    latest_ns = 0
-    with LogWriter(target) as writer:
-        for message in log.messages({topic.name for topic in wanted}):
-            if message.type in SUPPORTED_TYPES:
-                latest_ns = max(latest_ns, message.time_ns)
-                writer.raw(message.topic, message.type, message.data, latest_ns)
-                counts[message.topic, message.type] += 1
-                progress.advance()
-    return tuple(TopicInfo(*key, counts[key]) for key in sorted(counts))

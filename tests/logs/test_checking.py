@@ -13,7 +13,7 @@ from specmap_cli.logs.inspection import summarize
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers.encoding import LASER_SCAN, ODOMETRY, odometry_cdr, scan_cdr
 from specmap_cli.logs.readers.recording import Message
-from specmap_cli.logs.summary import Gap, Pauses, Preview, StampFaults, TopicCheck
+from specmap_cli.logs.summary import Gap, Pauses, Preview, TopicCheck
 from specmap_cli.logs.writer import LogWriter
 from tests.logs.recordings import change_db3, write_db3
 from tests.turning import configured, turn
@@ -254,8 +254,3 @@ def test_faulty_stamps_are_counted(path: Path, stamps_s: list[float], said: str)
     found = [line for line in lines_of(path) if "stamps on" in line]
     expected = f"  stamps on /scan, of {len(stamps_s)} messages: {said}"
     assert found == ([expected] if said else [])
-
-
-def test_a_date_beyond_the_calendar_is_left_out() -> None:
-    faults = StampFaults(topic="/scan", messages=1, elsewhen=1, example_s=1e15)
-    assert faults.text().endswith("such as 1000000000000000.000 s")

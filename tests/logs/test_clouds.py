@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import Sweep
-from specmap_cli.logs.clouds import CloudLeveller, CloudPoints, PointClock, cloud_points, floor_of
+from specmap_cli.logs.clouds import CloudPoints, PointClock, cloud_points, floor_of
 from specmap_cli.logs.messages import CloudRecord
 from specmap_cli.logs.writer import LogWriter
 from tests.logs.recordings import sweeps_of
@@ -171,14 +171,15 @@ def test_a_floor_tilted_beyond_the_limit_is_none() -> None:
     assert floor_of(tilted) is None
 
 
-def test_a_cloud_without_a_floor_has_the_level_of_the_one_before() -> None:
-    leveller = CloudLeveller()
-    first = leveller.level(only("walls", "ceiling"))
-    np.testing.assert_array_equal(first.rotation, np.eye(3))
-    assert first.floor_m is None
-    second = leveller.level(Rotation.from_euler("X", 0.2).apply(room()))
-    assert second.floor_m == pytest.approx(-1.2, abs=0.01)
-    assert leveller.level(only("walls")) is second
+def test_a_cloud_without_a_floor_has_the_level_of_the_one_before(path: Path) -> None:
+    tilt, clouds = Rotation.from_euler("X", 0.2), [only("walls", "ceiling"), room(), only("walls")]
+    with LogWriter(path) as log:
+        for number, cloud in enumerate(clouds):
+            log.cloud("/points", "lidar", number * 100_000_000, tilt.apply(cloud))
+    found = [sweep.cloud for sweep in sweeps_of(path)[0]]
+    for sweep, cloud in zip(found, [tilt.apply(clouds[0]), *clouds[1:]], strict=True):
+        assert sweep is not None
+        np.testing.assert_allclose(sweep, cloud, atol=0.05)
 
 
 LASTS_S = 0.08

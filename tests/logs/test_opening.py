@@ -21,7 +21,8 @@ from tests.logs.recordings import read_rest, refusal
 
 
 def test_missing_paths_are_refused(tmp_path: Path) -> None:
-    assert "no.mcap: no such file or directory" in refusal(tmp_path / "no.mcap")
+    for name in ("no.mcap", "no\0.mcap"):
+        assert "mcap: no such file or directory" in refusal(tmp_path / name)
     with pytest.raises(LogError, match="no log given"):
         open_log([])
 

@@ -16,11 +16,11 @@ from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.clouds import CloudFlattener
 from specmap_cli.logs.messages import BadMessageError, ScanLayout, ScanRecord
-from specmap_cli.logs.planar import Mount, ScanLeveller, duration_s
+from specmap_cli.logs.planar import ScanLeveller
 from tests.strategies import few
 from tests.turning import configured, turn
 
-LEVEL = Mount.from_matrix(np.eye(4))
+LEVEL = np.eye(4)
 
 
 def record(
@@ -73,9 +73,9 @@ def test_returns_are_where_the_mounted_laser_saw_them(
     in_laser = np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles)])
     flat = np.column_stack([in_laser, np.zeros(beams), np.ones(beams)])
     expected = (flat @ base_from_laser.T)[:, :2]
-    mount = Mount.from_matrix(base_from_laser)
-    scan = ScanLeveller(mount).level(record(ranges, 0.3, step), 5)
-    found = mount.base_from_laser.apply(scan.hits())
+    leveller = ScanLeveller(base_from_laser)
+    scan = leveller.level(record(ranges, 0.3, step), 5)
+    found = leveller.mount.apply(scan.hits())
     assert (np.diff(scan.bearings) > 0.0).all()
     order = np.argsort(expected[:, 0] + 10.0 * expected[:, 1])
     again = np.argsort(found[:, 0] + 10.0 * found[:, 1])
@@ -195,12 +195,9 @@ def test_the_settings_say_how_long_a_sweep_may_take(
     leveller = ScanLeveller(LEVEL)
     scan = record(np.ones(10), time_increment=increment)
     assert (leveller.level(scan, 5).beam_times_s is not None) is timed
-    assert duration_s(scan) == pytest.approx(9 * increment)
 
 
 def test_a_scan_of_one_beam_takes_no_time() -> None:
-    assert duration_s(record([1.0], time_increment=0.5)) == 0.0
-    assert duration_s(record([], time_increment=0.5)) == 0.0
     scan = levelled(record([1.5], 0.3, 0.0, time_increment=0.5))
     assert scan.bearings.tolist() == [0.3]
     assert scan.beam_times_s is None

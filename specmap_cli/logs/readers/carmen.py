@@ -146,54 +146,42 @@ def keyword_of(line: bytes) -> str | None:
 
 
 def parse_line(keyword: str, words: list[bytes]) -> CarmenLine:
-    """One line from its words; raises ValueError or IndexError when it is not whole."""
+    """One line from its words; raises ValueError or IndexError when it is not whole.
+
+    ODOM x y theta tv rv accel ipc_time host logger_time
+    FLASER count ranges laser_x laser_y laser_theta x y theta ipc_time host logger_time
+    ROBOTLASER1 type start view increment max accuracy mode count ranges count remissions
+        laser_x laser_y laser_theta x y theta and five more, ipc_time host logger_time
+    """
     if keyword == "ODOM":
-        stamp = _stamp(words, 7, 9)
         _check_host(words, 8)
+        stamp = _stamp(words, 7)
         return CarmenLine(topic=ODOM_TOPIC, stamp_ns=stamp, odom_from_base=_pose(words, 1))
-    topic = topic_of(keyword)
-    return _robotlaser(topic, words) if keyword == "ROBOTLASER1" else _flaser(topic, words)
-
-
-def _robotlaser(topic: str, words: list[bytes]) -> CarmenLine:
-    """ROBOTLASER1 type start view increment max accuracy mode count ranges count remissions ..."""
-    count = int(words[8])
-    end = 9 + count
-    end += 1 + int(words[end])  # remissions
-    _check_host(words, end + 12)
-    scan = LaserReading(
-        odom_from_laser=_pose(words, end),
-        angle_min=_finite(words[2]),
-        angle_increment=_finite(words[4]),
-        range_max=_finite(words[5]),
-        ranges=_ranges(words, 9, count),
-    )
+    if keyword == "ROBOTLASER1":
+        count, first, behind = int(words[8]), 9, 11
+        poses = first + count + 1 + int(words[first + count])  # behind the remissions
+        angle_min, step, range_max = (_finite(words[place]) for place in (2, 4, 5))
+    else:
+        count, first, behind = int(words[1]), 2, 6
+        poses = first + count
+        (angle_min, step), range_max = flaser_angles(count), _FLASER_RANGE_MAX_M
+    _check_host(words, poses + behind + 1)
+    if count < 1 or len(words) < first + count:
+        raise ValueError(count)
+    ranges = np.array([float(word) for word in words[first : first + count]])
+    if (np.abs(ranges[np.isfinite(ranges)]) > _FLOAT_LIMIT).any():
+        raise ValueError(words[first])
     return CarmenLine(
-        topic=topic,
-        stamp_ns=_stamp(words, end + 11, end + 13),
-        odom_from_base=_pose(words, end + 3),
-        scan=scan,
-    )
-
-
-def _flaser(topic: str, words: list[bytes]) -> CarmenLine:
-    """FLASER count ranges laser_x laser_y laser_theta x y theta ipc_time host logger_time."""
-    count = int(words[1])
-    end = 2 + count
-    _check_host(words, end + 7)
-    start, increment = flaser_angles(count)
-    scan = LaserReading(
-        odom_from_laser=_pose(words, end),
-        angle_min=start,
-        angle_increment=increment,
-        range_max=_FLASER_RANGE_MAX_M,
-        ranges=_ranges(words, 2, count),
-    )
-    return CarmenLine(
-        topic=topic,
-        stamp_ns=_stamp(words, end + 6, end + 8),
-        odom_from_base=_pose(words, end + 3),
-        scan=scan,
+        topic=topic_of(keyword),
+        stamp_ns=_stamp(words, poses + behind),
+        odom_from_base=_pose(words, poses + 3),
+        scan=LaserReading(
+            odom_from_laser=_pose(words, poses),
+            angle_min=angle_min,
+            angle_increment=step,
+            range_max=range_max,
+            ranges=ranges,
+        ),
     )
 
 
@@ -207,15 +195,6 @@ def flaser_angles(beams: int) -> tuple[float, float]:
     return -0.5 * view, view / gaps
 
 
-def _ranges(words: list[bytes], start: int, count: int) -> FloatArray:
-    if count < 1 or len(words) < start + count:
-        raise ValueError(count)
-    ranges = np.array([float(word) for word in words[start : start + count]])
-    if (np.abs(ranges[np.isfinite(ranges)]) > _FLOAT_LIMIT).any():
-        raise ValueError(words[start])
-    return ranges
-
-
 def _pose(words: list[bytes], start: int) -> Pose2:
     x, y, theta = (_finite(word) for word in words[start : start + 3])
     return Pose2(x, y, theta)
@@ -226,15 +205,13 @@ def _check_host(words: list[bytes], place: int) -> None:
 
     It has then lost the end of itself, and what follows is of another line.
     """
-    if len(words) > place + 2 and _is_number(words[place]):
-        raise ValueError(words[place])
-
-
-def _is_number(word: bytes) -> bool:
-    try:
-        return math.isfinite(float(word))
-    except ValueError:
-        return False
+    if len(words) > place + 2:
+        try:
+            number = float(words[place])
+        except ValueError:
+            return
+        if math.isfinite(number):
+            raise ValueError(words[place])
 
 
 def _finite(word: bytes) -> float:
@@ -244,11 +221,11 @@ def _finite(word: bytes) -> float:
     return value
 
 
-def _stamp(words: list[bytes], ipc: int, logger: int) -> int:
-    """The time of a line in nanoseconds; decimal digits are taken exactly."""
-    word = words[ipc]
-    if _finite(word) == 0.0 and len(words) > logger:
-        word = words[logger]
+def _stamp(words: list[bytes], place: int) -> int:
+    """The time of a line, or the logger's behind the host, in ns; decimal digits exactly."""
+    word = words[place]
+    if _finite(word) == 0.0 and len(words) > place + 2:
+        word = words[place + 2]
     try:
         stamp = stamp_ns(word.decode("ascii"))
     except ValueError:  # with an exponent
@@ -326,46 +303,40 @@ class CarmenFile(Recording):
                 continue
             others = [other for topic, other in mounts.items() if topic != line.topic]
             if any(other is not None and _same(other, mount) for other in others):
-                self._report_other_laser(line)
+                self.report(
+                    f"the scan on {line.topic} at {time_text(line.stamp_ns)} has the mounting of "
+                    "another laser: its keyword is damaged, and one scan of that laser is missing"
+                )
             else:
                 mounts[line.topic] = None  # someone corrected the laser's poses
 
-    def _report_other_laser(self, line: CarmenLine) -> None:
-        """Note a scan that another laser took by its mounting: a letter of its keyword differs."""
-        self.report(
-            f"the scan on {line.topic} at {time_text(line.stamp_ns)} has the mounting of another "
-            "laser: its keyword is damaged, and one scan of that laser is missing"
-        )
-
-    @property
-    def _mounts(self) -> dict[str, Pose2]:
-        return self._survey[1]
-
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """The messages on `topics`, in the order of the lines."""
-        started: set[str] = set()  # lasers whose mounting has been told
+        mounts = dict(self._survey[1])  # of lasers whose mounting has not been told
         for line in self._lines():
-            if line.scan is not None and line.topic not in started:
-                started.add(line.topic)
-                if line.topic in self._mounts and _wanted(TF_STATIC, topics):
-                    yield self._mounting(line)
-            if _wanted(ODOM_TOPIC, topics):
-                data = odometry_cdr(ODOM_FRAME, BASE_FRAME, line.stamp_ns, line.odom_from_base)
-                yield Message(ODOM_TOPIC, ODOMETRY, line.stamp_ns, data)
-            if line.scan is not None and _wanted(line.topic, topics):
-                yield _scan_message(line, line.scan)
-
-    def _mounting(self, line: CarmenLine) -> Message:
-        mount = in_space(self._mounts[line.topic])
-        data = transform_cdr(BASE_FRAME, line.frame, line.stamp_ns, *mount)
-        return Message(TF_STATIC, TF_MESSAGE, line.stamp_ns, data)
+            scan, stamp_ns = line.scan, line.stamp_ns
+            mount = mounts.pop(line.topic, None) if scan is not None else None
+            if mount is not None and (topics is None or TF_STATIC in topics):
+                data = transform_cdr(BASE_FRAME, line.frame, stamp_ns, *in_space(mount))
+                yield Message(TF_STATIC, TF_MESSAGE, stamp_ns, data)
+            if topics is None or ODOM_TOPIC in topics:
+                data = odometry_cdr(ODOM_FRAME, BASE_FRAME, stamp_ns, line.odom_from_base)
+                yield Message(ODOM_TOPIC, ODOMETRY, stamp_ns, data)
+            if scan is not None and (topics is None or line.topic in topics):
+                ranges = np.where(scan.ranges >= scan.range_max, np.inf, scan.ranges)
+                angles, range_max = (scan.angle_min, scan.angle_increment), scan.range_max
+                data = scan_cdr(line.frame, stamp_ns, *angles, ranges, range_max=range_max)
+                yield Message(line.topic, LASER_SCAN, stamp_ns, data)
 
     def _lines(self) -> Iterator[CarmenLine]:
         """The lines that carry data; one that cannot be parsed is reported and left out."""
         offset, number, last = 0, 0, 0
         while True:
-            self._lines_of.seek(offset)
-            text = self._lines_of.readline(_MAX_LINE_BYTES)
+            try:
+                self._lines_of.seek(offset)
+                text = self._lines_of.readline(_MAX_LINE_BYTES)
+            except OSError as error:
+                raise unreadable(self.path, error) from None
             if not text:
                 return
             offset += len(text)
@@ -401,22 +372,6 @@ def _read(text: bytes) -> tuple[CarmenLine | None, list[str]]:
         return parse_line(keyword, words), lost
     except (ValueError, IndexError):
         return None, [*lost, keyword]
-
-
-def _wanted(topic: str, topics: Collection[str] | None) -> bool:
-    return topics is None or topic in topics
-
-
-def _scan_message(line: CarmenLine, scan: LaserReading) -> Message:
-    data = scan_cdr(
-        line.frame,
-        line.stamp_ns,
-        scan.angle_min,
-        scan.angle_increment,
-        np.where(scan.ranges >= scan.range_max, np.inf, scan.ranges),
-        range_max=scan.range_max,
-    )
-    return Message(line.topic, LASER_SCAN, line.stamp_ns, data)
 
 
 def _same(a: Pose2, b: Pose2) -> bool:

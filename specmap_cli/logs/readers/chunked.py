@@ -202,20 +202,22 @@ class ChunkedFile(Recording):
 
     def _merged(self, index: Index, topics: Collection[str] | None) -> Iterator[Message]:
         """The messages of all chunks in time order, or chunk by chunk when too many overlap."""
-        chunks = [ref for ref in index.chunks if topics is None or self._holds(ref, topics, index)]
+        chunks = list(index.chunks)
+        if topics is not None:
+            wanted = {n for n, channel in self.channels.items() if channel.topic in topics}
+            chunks = [ref for ref in chunks if self._may_hold(ref, wanted, checked=index.checked)]
         sources = [(ref.start_ns, partial(self._chunk_messages, ref, topics)) for ref in chunks]
         if overlapping_bytes(chunks) <= _OVERLAPPING * self.chunk_max:
             return merge_in_time(sources)
         self.report("more chunks overlap in time than log.chunk_max_mb allows: read one by one")
         return (message for _, opened in sources for message in opened())
 
-    def _holds(self, ref: ChunkRef, topics: Collection[str], index: Index) -> bool:
-        """Whether a chunk may hold messages on `topics`: what no checksum proves is asked twice."""
-        wanted = {number for number, channel in self.channels.items() if channel.topic in topics}
+    def _may_hold(self, ref: ChunkRef, wanted: set[int], *, checked: bool) -> bool:
+        """Whether a chunk may have messages of channels: what no checksum proves is asked twice."""
         if ref.channels is None or wanted & ref.channels:
             return True
-        listed = {} if index.checked else self._listing(ref).counts
-        return not index.checked and (not listed or not wanted.isdisjoint(listed))
+        listed = {} if checked else self._listing(ref).counts
+        return not checked and (not listed or not wanted.isdisjoint(listed))
 
     def compare(self, listed: Counter[str], found: Counter[str]) -> None:
         """After a pass to the end: say what is listed by topic and what no chunk was short of."""
@@ -268,10 +270,6 @@ class ChunkedFile(Recording):
         counted = ((c.topic, c.type, counts.get(number, 0)) for number, c in self.channels.items())
         return contents_of(counted, start_ns, end_ns)
 
-    def read_chunk(self, ref: ChunkRef) -> Iterator[Entry]:
-        """The entries of a chunk as written; damage is reported, not raised."""
-        return entries_at(*self._read_spots(ref))
-
     def _chunk_messages(self, ref: ChunkRef, topics: Collection[str] | None) -> Iterator[Message]:
         """The messages of a chunk on `topics` in time order."""
         records, spots = self._read_spots(ref)
@@ -282,7 +280,10 @@ class ChunkedFile(Recording):
             yield from self._message(*entry)
 
     def _read_spots(self, ref: ChunkRef) -> tuple[bytes, list[Spot]]:
-        """The records of a chunk and where its messages stand in them; what is lost is reported."""
+        """The records of a chunk and where its messages stand in them, as written.
+
+        Damage is reported, not raised.
+        """
         chunk, listing = self._open_chunk(ref), self._listing(ref)
         spots, whole = self._spots(chunk.data, listing)
         expected = Counter(ref.counts) | Counter(listing.counts)  # one may be damaged: the larger
@@ -290,31 +291,35 @@ class ChunkedFile(Recording):
         cut = self._index is None and ref.offset + ref.length > self.size  # which is told elsewhere
         if not cut and (missing or not (whole and chunk.complete)):
             fault = "beyond log.chunk_max_mb" if chunk.beyond else "damaged"
-            self._tell(ref, fault, _span(ref, listing), expected, missing)
+            self._tell(ref, fault, listing, expected, missing)
         return chunk.data, spots
 
     def _tell(
         self,
         ref: ChunkRef,
         fault: str,
-        span: str,
+        listing: Listing,
         expected: Mapping[int, int],
         missing: Mapping[int, int],
     ) -> None:
         """Say what is lost of a chunk: the messages `expected` in it, and those `missing`."""
         what = f"chunk at byte {ref.offset} is {fault}"
         there, lost = by_topic(expected, self.channels), by_topic(missing, self.channels)
+        if there and not lost:
+            self.report(f"{what}, but all of its {there.total():,} messages are found")
+            return
+        start_ns, end_ns = ref.start_ns, ref.end_ns  # by the index, or what stands behind the chunk
+        if not (start_ns or end_ns):
+            times = [time_ns for time_ns, _ in listing.entries()]
+            start_ns, end_ns = min(times, default=0), max(times, default=0)
+        span = ""
+        if start_ns or end_ns:
+            span = f"between {time_text(start_ns)} and {time_text(end_ns)}"
         if lost:
             self.report(f"{what}: {lost_text(lost, there)}{span and f', {span},'} are lost", lost)
-        elif there:
-            self.report(f"{what}, but all of its {there.total():,} messages are found")
         else:
             messages = f"messages {span}" if span else "some of its messages"
             self.report(f"{what}: {messages} are lost")
-
-    def tell_unreachable(self, ref: ChunkRef) -> None:
-        """Say what is lost of a chunk that is not where the index has it."""
-        self._tell(ref, "damaged", _span(ref, NOTHING_LISTED), ref.counts, ref.counts)
 
     def _message(self, time_ns: int, number: int, data: bytes) -> Iterator[Message]:
         """A message in ROS 2 CDR; one that does not fit its type is reported and left out."""
@@ -336,14 +341,3 @@ def entries_at(records: bytes, spots: Iterable[Spot]) -> Iterator[Entry]:
     """The messages at some places of records."""
     for time_ns, channel, start, end in spots:
         yield Entry(time_ns, channel, records[start:end])
-
-
-def _span(ref: ChunkRef, listing: Listing) -> str:
-    """`between 1.000 s and 2.000 s`, by the index or by what stands behind the chunk."""
-    start_ns, end_ns = ref.start_ns, ref.end_ns
-    if not (start_ns or end_ns):
-        times = [time_ns for time_ns, _ in listing.entries()]
-        start_ns, end_ns = min(times, default=0), max(times, default=0)
-    if not (start_ns or end_ns):
-        return ""
-    return f"between {time_text(start_ns)} and {time_text(end_ns)}"

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import lz4.frame
 import zstandard
@@ -64,7 +64,14 @@ def decompress(data: bytes, compression: str, limit: int, size: int | None = Non
     whole = _at_once(data, compression, size or 0) if known else None
     if whole is not None:
         return Unpacked(whole, complete=True)
-    return _by_pieces(data, compression, limit)
+    slices = (data[i : i + _SLICE_BYTES] for i in range(0, len(data), _SLICE_BYTES))
+    found = BytesIO()
+    complete = False
+    for part, complete in stream(slices, compression):  # noqa: B007 (the last one counts)
+        found.write(part)
+        if found.tell() > limit:
+            return Unpacked(b"", complete=False, beyond=True)
+    return Unpacked(found.getvalue(), complete)
 
 
 def _at_once(data: bytes, compression: str, size: int) -> bytes | None:
@@ -81,17 +88,6 @@ def _at_once(data: bytes, compression: str, size: int) -> bytes | None:
     except _FAILURES:
         return None
     return whole if len(whole) == size and block.eof and not block.unused_data else None
-
-
-def _by_pieces(data: bytes, compression: str, limit: int) -> Unpacked:
-    slices = (data[i : i + _SLICE_BYTES] for i in range(0, len(data), _SLICE_BYTES))
-    found = BytesIO()
-    complete = False
-    for part, complete in stream(slices, compression):  # noqa: B007 (the last one counts)
-        found.write(part)
-        if found.tell() > limit:
-            return Unpacked(b"", complete=False, beyond=True)
-    return Unpacked(found.getvalue(), complete)
 
 
 def stream(slices: Iterable[bytes], compression: str) -> Iterator[tuple[bytes, bool]]:
@@ -113,7 +109,9 @@ def stream(slices: Iterable[bytes], compression: str) -> Iterator[tuple[bytes, b
             return
         if block.eof:
             yield b"", True
-            data = _next_block(block.unused_data or b"", pending, len(MAGIC[compression]))
+            data = (block.unused_data or b"").lstrip(b"\x00")  # behind the padding
+            while len(data) < len(MAGIC[compression]) and (piece := next(pending, b"")):
+                data = (data + piece).lstrip(b"\x00")
             block = _BLOCKS[compression]()
         else:
             data = next(pending, b"")
@@ -173,14 +171,6 @@ _FEEDS: dict[str, Callable[[Any, bytes], Iterator[bytes]]] = {
 }
 
 
-def _next_block(rest: bytes, pending: Iterator[bytes], length: int) -> bytes:
-    """What follows the end of a block and its padding: `length` bytes or more, fewer at the end."""
-    rest = rest.lstrip(b"\x00")
-    while len(rest) < length and (piece := next(pending, b"")):
-        rest = (rest + piece).lstrip(b"\x00")
-    return rest
-
-
 def compression_of(head: bytes) -> str | None:
     """The compression of a file by its first bytes, None when it is not compressed."""
     return next((name for name, magic in MAGIC.items() if head.startswith(magic)), None)
@@ -217,36 +207,25 @@ def unpacked(
     try:
         temporary = tempfile.NamedTemporaryFile(prefix="specmap-")  # noqa: SIM115 (held closes it)
         copy = held.enter_context(temporary)
-        lost = _fill(copy, path, compression, config, look)
+        looked = complete = ended = False
+        for part, complete in stream(_slices(path), compression):
+            copy.write(part)
+            ended = complete or (ended and not part)
+            _refuse_swelling(copy.tell(), path, config)
+            if not looked and copy.tell() >= LOOKED_AT_BYTES:
+                copy.flush()
+                look(Path(copy.name))
+                looked = True
+        copy.flush()
     except OSError as error:
         found, advice = "cannot unpack into the temporary directory", "set TMPDIR to another one"
         raise LogError.of_system(error, found, advice, where=path) from None
+    lost = None
+    if ended and not complete:
+        lost = f"what follows the {compression} compression is no part of it and was left out"
+    elif not complete:
+        lost = f"the {compression} compression is damaged or ends early: the rest is lost"
     return Copy(Path(copy.name), lost)
-
-
-def _fill(
-    copy: IO[bytes],
-    path: Path,
-    compression: str,
-    config: LogConfig,
-    look: Callable[[Path], object],
-) -> str | None:
-    """Write the copy; what is lost of the file."""
-    looked = complete = ended = False
-    for part, complete in stream(_slices(path), compression):
-        copy.write(part)
-        ended = complete or (ended and not part)
-        _refuse_swelling(copy.tell(), path, config)
-        if not looked and copy.tell() >= LOOKED_AT_BYTES:
-            copy.flush()
-            look(Path(copy.name))
-            looked = True
-    copy.flush()
-    if complete:
-        return None
-    if ended:
-        return f"what follows the {compression} compression is no part of it and was left out"
-    return f"the {compression} compression is damaged or ends early: the rest is lost"
 
 
 def _refuse_swelling(copied: int, path: Path, config: LogConfig) -> None:

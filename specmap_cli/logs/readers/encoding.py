@@ -163,18 +163,22 @@ class Transform(NamedTuple):
 
 def transforms_cdr(stamp_ns: int, transforms: Iterable[Transform]) -> bytes:
     """A TFMessage with several transforms of one time."""
-    return _cdr(TF_MESSAGE, transforms=[_stamped(stamp_ns, given) for given in transforms])
-
-
-def _stamped(stamp_ns: int, given: Transform) -> Any:
-    """A TransformStamped."""
-    translation = message_class("geometry_msgs/msg/Vector3")(*(float(v) for v in given.xyz))
-    quaternion = (float(v) for v in given.quaternion_xyzw)
-    rotation = message_class("geometry_msgs/msg/Quaternion")(*quaternion)
-    return message_class("geometry_msgs/msg/TransformStamped")(
-        header=_header(stamp_ns, given.parent),
-        child_frame_id=given.child,
-        transform=message_class("geometry_msgs/msg/Transform")(translation, rotation),
+    vector, quaternion, transform, stamped = (
+        message_class(f"geometry_msgs/msg/{name}")
+        for name in ("Vector3", "Quaternion", "Transform", "TransformStamped")
+    )
+    return _cdr(
+        TF_MESSAGE,
+        transforms=[
+            stamped(
+                header=_header(stamp_ns, given.parent),
+                child_frame_id=given.child,
+                transform=transform(
+                    vector(*map(float, given.xyz)), quaternion(*map(float, given.quaternion_xyzw))
+                ),
+            )
+            for given in transforms
+        ],
     )
 
 
@@ -227,7 +231,17 @@ class AlikeTransforms:
     def __init__(self, frames: Sequence[tuple[str, str]]) -> None:
         nought = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
         self._blank = transforms_cdr(0, [Transform(*link, *nought) for link in frames])
-        self._offsets = _offsets(frames)
+        # of each transform the first byte and the end of its stamp, and of its seven numbers
+        self._offsets: list[tuple[tuple[int, int], tuple[int, int]]] = []
+        end = _HEADER_BYTES + _COUNT_BYTES
+        for link in frames:
+            stamp = _aligned(end, 4)
+            end = stamp + _STAMP.size
+            for text in link:
+                end = _aligned(end, 4) + _COUNT_BYTES + len(text.encode()) + 1
+            numbers = _aligned(end, 8)
+            end = numbers + _NUMBERS.size
+            self._offsets.append(((stamp, stamp + _STAMP.size), (numbers, end)))
         gaps = [(0, 0), *(at for pair in self._offsets for at in pair), (len(self._blank),) * 2]
         self._constant = [
             (end, start, self._blank[end:start]) for (_, end), (start, _) in pairwise(gaps)
@@ -250,24 +264,6 @@ class AlikeTransforms:
         when, where = self._offsets[place]
         seconds, nanoseconds = _STAMP.unpack_from(data, when[0])
         return seconds * NS_PER_S + nanoseconds, _NUMBERS.unpack_from(data, where[0])
-
-
-def _offsets(
-    frames: Sequence[tuple[str, str]],
-) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """Of each transform the first byte and the end of its stamp, and of its seven numbers."""
-    offsets, end = [], _HEADER_BYTES + _COUNT_BYTES
-    for parent, child in frames:
-        stamp = _aligned(end, 4)
-        end = _after_text(_after_text(stamp + _STAMP.size, parent), child)
-        numbers = _aligned(end, 8)
-        end = numbers + _NUMBERS.size
-        offsets.append(((stamp, stamp + _STAMP.size), (numbers, end)))
-    return offsets
-
-
-def _after_text(offset: int, text: str) -> int:
-    return _aligned(offset, 4) + _COUNT_BYTES + len(text.encode()) + 1
 
 
 def _aligned(offset: int, size: int) -> int:

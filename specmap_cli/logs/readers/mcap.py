@@ -10,6 +10,7 @@ import struct
 import zlib
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
@@ -42,11 +43,6 @@ HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = ra
 ATTACHMENT, STATISTICS, METADATA, DATA_END = 0x09, 0x0B, 0x0C, 0x0F
 FIRST_PRIVATE = 0x80  # records from here on are to be passed over
 
-# Before the end of the data no other records stand.
-_OF_DATA = frozenset(
-    {HEADER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, ATTACHMENT, METADATA, DATA_END}
-)
-
 RECORD_HEAD = struct.Struct("<BQ")  # opcode, length of the body
 MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 CHUNK_HEAD = struct.Struct("<QQQII")  # start, end, size, crc, length of the compression's name
@@ -73,46 +69,6 @@ def records_in(data: bytes) -> Iterator[tuple[int, bytes]]:
         position += RECORD_HEAD.size
         yield opcode, data[position : position + length]
         position += length
-
-
-def counts_in(statistics: bytes) -> dict[int, int]:
-    """The messages of each channel by a statistics record; none when it contradicts itself."""
-    try:
-        told = Statistics.read(stream_of(statistics))
-    except BAD_BODY:
-        return {}
-    counts: dict[int, int] = told.channel_message_counts
-    return counts if sum(counts.values()) == told.message_count else {}
-
-
-def fits(opcode: int, length: int, first: bool, body: bytes) -> bool:
-    """Whether a body is built like the records of its opcode that stand among the data.
-
-    `body` are the first bytes of it, `first` says that the record is the first one of the file.
-    Schemas and channels are judged where they are parsed.
-    """
-    if opcode not in _OF_DATA:
-        return False
-    try:
-        if opcode == MESSAGE_INDEX:
-            return bool(_U32.unpack_from(body, 2)[0] == length - 2 - _U32.size)
-        if opcode in (ATTACHMENT, METADATA):
-            return _named_length(opcode, body) == length
-    except struct.error:
-        return False
-    exact = {DATA_END: _DATA_END_BYTES, HEADER: length if first else -1}
-    least = {MESSAGE: MESSAGE_HEAD.size, CHUNK: CHUNK_HEAD.size}
-    return length == exact.get(opcode, length) and length >= least.get(opcode, 0)
-
-
-def _named_length(opcode: int, body: bytes) -> int:
-    """The length that the fields of an attachment or a metadata record add up to."""
-    position = _ATTACHMENT_TIMES if opcode == ATTACHMENT else 0
-    for _ in range(2):  # the name and the media type, or the name and the map
-        position += _U32.size + _U32.unpack_from(body, position)[0]
-    if opcode == METADATA:
-        return position
-    return int(position + _U64.size + _U64.unpack_from(body, position)[0] + _CRC_BYTES)
 
 
 _FOOTER_BODY = 20  # by the format: two offsets and a checksum
@@ -194,9 +150,18 @@ class McapFile(ChunkedFile):
         if ref.length > self.chunk_max + CHUNK_HEAD.size + RECORD_HEAD.size:
             return Unpacked(b"", complete=False, beyond=True)
         record = self.read_at(ref.offset, ref.length)
-        head = RECORD_HEAD.pack(CHUNK, max(ref.length - RECORD_HEAD.size, 0))
-        found = records_of(record[RECORD_HEAD.size :], self.chunk_max)
-        return found._replace(complete=found.complete and record.startswith(head))
+        if len(record) < RECORD_HEAD.size + CHUNK_HEAD.size:
+            return Unpacked(b"", complete=False)
+        _, _, size, crc, name_length = CHUNK_HEAD.unpack_from(record, RECORD_HEAD.size)
+        name = RECORD_HEAD.size + CHUNK_HEAD.size
+        start = name + name_length + _U64.size
+        compression = record[name : start - _U64.size].decode("ascii", errors="replace")
+        found = decompress(record[start:], compression, self.chunk_max, size)
+        sized = found.complete and len(found.data) == size
+        if crc and sized and zlib.crc32(found.data) != crc:
+            return Unpacked(b"", complete=False)
+        head = RECORD_HEAD.pack(CHUNK, ref.length - RECORD_HEAD.size)
+        return found._replace(complete=sized and record.startswith(head))
 
     def _listing(self, ref: ChunkRef) -> Listing:
         counts: Counter[int] = Counter()
@@ -258,7 +223,11 @@ class McapFile(ChunkedFile):
                 return
             if opcode == STATISTICS:
                 body = self.read_at(ref.offset + RECORD_HEAD.size, min(length, self.chunk_max))
-                self._told = counts_in(body)
+                self._told = {}
+                with suppress(*BAD_BODY):
+                    told = Statistics.read(stream_of(body))
+                    counts: dict[int, int] = told.channel_message_counts
+                    self._told = counts if sum(counts.values()) == told.message_count else {}
             elif opcode in (CHUNK, MESSAGE) and self._is_of_data(opcode, ref):
                 self.report(
                     f"the record at byte {ref.offset} stands behind the end of the data at byte "
@@ -277,13 +246,35 @@ class McapFile(ChunkedFile):
         """Whether a record is the end of the data, or the footer of a file without such an end."""
         if opcode == FOOTER:
             return length == _FOOTER_BODY and end + len(MAGIC) >= self.size
-        return opcode == DATA_END and fits(opcode, length, first=False, body=b"")
+        return opcode == DATA_END and length == _DATA_END_BYTES
 
     def _is_of_data(self, opcode: int, ref: ChunkRef) -> bool:
-        """Whether the record at a place is built as records among the data are."""
-        seen = _BODY_MAX_SEEN if opcode in (ATTACHMENT, METADATA) else CHUNK_HEAD.size
+        """Whether the record at a place is built like those of its opcode among the data.
+
+        Schemas and channels are judged where they are parsed.
+        """
+        length = ref.length - RECORD_HEAD.size
+        if opcode == HEADER:
+            return ref.offset == len(MAGIC)
+        if opcode == DATA_END:
+            return length == _DATA_END_BYTES
+        if opcode in (MESSAGE, CHUNK):
+            return length >= (MESSAGE_HEAD if opcode == MESSAGE else CHUNK_HEAD).size
+        if opcode not in (MESSAGE_INDEX, ATTACHMENT, METADATA):
+            return opcode in (SCHEMA, CHANNEL)
+        seen = INDEX_HEAD.size if opcode == MESSAGE_INDEX else _BODY_MAX_SEEN
         body = self.read_at(ref.offset + RECORD_HEAD.size, seen)
-        return fits(opcode, ref.length - RECORD_HEAD.size, ref.offset == len(MAGIC), body)
+        try:
+            if opcode == MESSAGE_INDEX:
+                return bool(_U32.unpack_from(body, 2)[0] == length - 2 - _U32.size)
+            position = _ATTACHMENT_TIMES if opcode == ATTACHMENT else 0
+            for _ in range(2):  # the name and the media type, or the name and the map
+                position += _U32.size + _U32.unpack_from(body, position)[0]
+            if opcode == ATTACHMENT:
+                position += _U64.size + _U64.unpack_from(body, position)[0] + _CRC_BYTES
+        except struct.error:
+            return False
+        return position == length
 
     def _passes_over(self, opcode: int, ref: ChunkRef) -> bool:
         """Whether reading can go on behind a record of another kind; it is said what it may be."""
@@ -317,24 +308,22 @@ class McapFile(ChunkedFile):
         return ref.length == RECORD_HEAD.size + CHUNK_HEAD.size + name + 8 + held
 
     def _held(self, opcode: int, ref: ChunkRef) -> Iterator[Entry]:
-        """The messages of a record met on the walk, or of the readable part of a chunk."""
+        """The messages of a record met on the walk: one, a chunk's, or none of a definition."""
         if opcode == CHUNK:
             head = self.read_at(ref.offset + RECORD_HEAD.size, CHUNK_HEAD.size)
             start_ns, end_ns = CHUNK_HEAD.unpack(head.ljust(CHUNK_HEAD.size))[:2]
-            yield from self.read_chunk(replace(ref, start_ns=start_ns, end_ns=end_ns))
+            ref = replace(ref, start_ns=start_ns, end_ns=end_ns)
+            yield from entries_at(*self._read_spots(ref))
         elif opcode in (SCHEMA, CHANNEL, MESSAGE) and ref.offset + ref.length <= self.size:
-            yield from self._single(ref)
-
-    def _single(self, ref: ChunkRef) -> Iterator[Entry]:
-        """A message outside any chunk, or a definition; one of an unknown channel is reported."""
-        if ref.length > self.chunk_max:
-            self.report(f"the record at byte {ref.offset} is beyond log.chunk_max_mb: it is lost")
-            return
-        record = self.read_at(ref.offset, ref.length)
-        spots, whole = self._spots(record, NOTHING_LISTED)
-        yield from entries_at(record, spots)
-        if not whole:
-            self.report(f"the record at byte {ref.offset} is damaged: what it holds is lost")
+            if ref.length > self.chunk_max:
+                place = f"the record at byte {ref.offset}"
+                self.report(f"{place} is beyond log.chunk_max_mb: it is lost")
+                return
+            record = self.read_at(ref.offset, ref.length)
+            spots, whole = self._spots(record, NOTHING_LISTED)
+            yield from entries_at(record, spots)
+            if not whole:  # or of an unknown channel
+                self.report(f"the record at byte {ref.offset} is damaged: what it holds is lost")
 
     def _spots(self, records: bytes, listing: Listing) -> tuple[list[Spot], bool]:
         spots: list[Spot] = []
@@ -376,16 +365,3 @@ class McapFile(ChunkedFile):
         except BAD_BODY:
             return False
         return True
-
-
-def records_of(body: bytes, limit: int) -> Unpacked:
-    """The records inside the body of a chunk, possibly cut off."""
-    if len(body) < CHUNK_HEAD.size:
-        return Unpacked(b"", complete=False)
-    _, _, size, crc, name_length = CHUNK_HEAD.unpack_from(body)
-    start = CHUNK_HEAD.size + name_length + 8
-    compression = body[CHUNK_HEAD.size : start - 8].decode("ascii", errors="replace")
-    found = decompress(body[start:], compression, limit, size)
-    if crc and found.complete and len(found.data) == size and zlib.crc32(found.data) != crc:
-        return Unpacked(b"", complete=False)
-    return found._replace(complete=found.complete and len(found.data) == size)

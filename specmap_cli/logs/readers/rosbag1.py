@@ -164,8 +164,14 @@ class Rosbag1File(ChunkedFile):
         expected = [len({ref.offset for ref in refs}), len(connections)]
         if expected != [U32.unpack(header[key])[0] for key in (b"chunk_count", b"conn_count")]:
             return None
-        sound = list(self._sound_chunks(refs))
-        for ref in sound:
+        sound: list[ChunkRef] = []
+        for ref in refs:
+            chunk = self._record_or_none(ref.offset)
+            if chunk is None or chunk.opcode != CHUNK or chunk.end > self.size:
+                self._tell(ref, "damaged", NOTHING_LISTED, ref.counts, ref.counts)
+                continue
+            size = U32.unpack(chunk.fields.get(b"size", bytes(4)))[0]
+            sound.append(replace(ref, length=chunk.end - ref.offset, size=size))
             counts.update(ref.counts)
         if not set(counts) <= connections or not sound:
             return None
@@ -178,16 +184,6 @@ class Rosbag1File(ChunkedFile):
                 f"all {index.contents.messages} messages of the file's list of chunks are there"
             )
         return index
-
-    def _sound_chunks(self, refs: list[ChunkRef]) -> Iterator[ChunkRef]:
-        """The chunks that start where the index says, with their lengths; others are reported."""
-        for ref in refs:
-            record = self._record_or_none(ref.offset)
-            if record is None or record.opcode != CHUNK or record.end > self.size:
-                self.tell_unreachable(ref)
-            else:
-                size = U32.unpack(record.fields.get(b"size", bytes(4)))[0]
-                yield replace(ref, length=record.end - ref.offset, size=size)
 
     def _broken_record(self, chunks: list[int]) -> int | None:
         """Offset of a record that does not lead to the next chunk, None when all is well.
@@ -248,12 +244,19 @@ class Rosbag1File(ChunkedFile):
             if record.end > self.size:
                 self.report_end(self.size, last)
                 return
-            offset = self._following(offset, record)
+            start, offset, count = offset, record.end, record.fields.get(b"count", b"")
+            if record.opcode == INDEX and len(count) == 4 and self._record_or_none(offset) is None:
+                # some writers give their index records a wrong length
+                counted = record.start + INDEX_ENTRY.size * U32.unpack(count)[0]
+                if counted != offset and self._record_or_none(counted) is not None:
+                    self.report(f"the record at byte {start} is damaged and was passed over")
+                    offset = counted
 
     def _held(self, offset: int, record: Record) -> Iterator[Entry]:
         """The messages in a record met on the walk, or in its readable part."""
         if record.opcode == CHUNK:
-            yield from self.read_chunk(ChunkRef(offset=offset, length=record.end - offset))
+            ref = ChunkRef(offset=offset, length=record.end - offset)
+            yield from entries_at(*self._read_spots(ref))
             return
         whole = record.sound and record.end <= self.size
         if record.opcode in (MESSAGE, CONNECTION) and whole:
@@ -262,18 +265,6 @@ class Rosbag1File(ChunkedFile):
             yield from entries_at(data, spots)
         if not whole and record.end <= self.size:  # of a cut the walk tells
             self.report(f"record at byte {offset} is damaged: what it holds is lost")
-
-    def _following(self, offset: int, record: Record) -> int:
-        """Where the next record starts: some writers give their index records a wrong length."""
-        end = record.end
-        count = record.fields.get(b"count", b"")
-        if record.opcode != INDEX or len(count) != 4 or self._record_or_none(end) is not None:
-            return end
-        counted = record.start + INDEX_ENTRY.size * U32.unpack(count)[0]
-        if counted == end or self._record_or_none(counted) is None:
-            return end
-        self.report(f"the record at byte {offset} is damaged and was passed over")
-        return int(counted)
 
     def _record_or_none(self, offset: int) -> Record | None:
         try:

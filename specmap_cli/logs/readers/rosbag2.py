@@ -10,10 +10,11 @@ import sqlite3
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Collection, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, NamedTuple, TypeGuard
+from typing import Any, NamedTuple
 from urllib.parse import quote
 
 from specmap_cli.core.errors import LOG_DAMAGED
@@ -89,6 +90,8 @@ class Rosbag2File(Recording):
             self._db = sqlite3.connect(location, uri=True)
         except sqlite3.Error as error:
             raise refused(self.path, f"cannot read: {error}") from None
+        # a damaged byte costs a character, not the row
+        self._db.text_factory = partial(str, encoding="utf-8", errors="replace")
         try:
             self._db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, self._message_max)
             self._db.execute("PRAGMA writable_schema = ON")  # lets a cut-off file be read at all
@@ -98,19 +101,20 @@ class Rosbag2File(Recording):
                 for number, name, kind in rows
                 if isinstance(name, str) and isinstance(kind, str)  # a cut-off file has holes
             }
-            self._time_index = self._find_time_index()
+            # an index by which messages come in time order without sorting them all
+            self._time_index: str | None = None
+            for name, made in self._db.execute(
+                "SELECT name, sql FROM sqlite_master WHERE type = 'index'"
+            ):
+                sound = isinstance(name, str) and isinstance(made, str) and "\0" not in name
+                if sound and "timestamp" in made and "messages" in made:
+                    self._time_index = name
+                    break
             self._sorted = self._time_index is not None
         except sqlite3.Error as error:
             self._db.close()
             fault = f"no readable rosbag2 file: {error}"
             raise refused(self.path, fault, code=LOG_DAMAGED) from None
-
-    def _find_time_index(self) -> str | None:
-        """The name of an index by which messages come in time order without sorting them all."""
-        indexes = self._db.execute("SELECT name, sql FROM sqlite_master WHERE type = 'index'")
-        return next(
-            (n for n, sql in indexes if "timestamp" in (sql or "") and "messages" in sql), None
-        )
 
     @cached_property
     def contents(self) -> Contents:
@@ -123,17 +127,6 @@ class Rosbag2File(Recording):
             if not self.damage:
                 self.report("damaged or cut off: some messages are lost")
             return found
-        self._check_topics(table)
-        try:
-            self._check_numbers(table)
-        except sqlite3.Error as error:
-            self._sorted = False
-            self.report(f"{error}: whether messages are missing cannot be checked")
-        counts = ((*topic, table.counts[number]) for number, topic in self._topics.items())
-        return contents_of(counts, table.start_ns, table.end_ns)
-
-    def _check_topics(self, table: _Table) -> None:
-        """Tell of topics that are lost, or whose messages nobody can read."""
         if not self._topics:
             self.report("the list of topics is lost")
         for number, (name, kind) in self._topics.items():
@@ -143,6 +136,13 @@ class Rosbag2File(Recording):
                     f"the type of topic {legible(name)} is damaged ({legible(kind)}): "
                     f"{counted(count, 'message')} cannot be read"
                 )
+        try:
+            self._check_numbers(table)
+        except sqlite3.Error as error:
+            self._sorted = False
+            self.report(f"{error}: whether messages are missing cannot be checked")
+        counts = ((*topic, table.counts[number]) for number, topic in self._topics.items())
+        return contents_of(counts, table.start_ns, table.end_ns)
 
     @cached_property
     def _table(self) -> _Table:
@@ -153,7 +153,7 @@ class Rosbag2File(Recording):
         ).fetchall()
         times = [time for row in rows for time in row[2:4] if isinstance(time, int)]
         return _Table(
-            counts=Counter({number: count for number, count, *_ in rows if _is_number(number)}),
+            counts=Counter({row[0]: row[1] for row in rows if isinstance(row[0], int)}),
             start_ns=min(times, default=0),
             end_ns=max(times, default=0),
             fingerprint=sum(row[4] for row in rows),
@@ -206,32 +206,26 @@ class Rosbag2File(Recording):
             message = self._message(*row)
             if message is not None:
                 yield message
-        lost = self._unread(wanted, found)
-        if lost:
-            self.report(f"{lost_text(lost)} cannot be found", lost)
+        lost: Counter[str] = Counter()
+        with suppress(sqlite3.Error):  # what the table has and this pass has not come to
+            counts = self._table.counts
+            for number in wanted:
+                lost[self._topics[number][0]] += max(counts[number] - found[number], 0)
+        if +lost:
+            self.report(f"{lost_text(+lost)} cannot be found", +lost)
 
     def _tell(self, fault: Fault) -> None:
         """Report what could not be read of the table."""
+        time = time_text(fault.time_ns) if isinstance(fault.time_ns, int) else None
         if fault.topic is not None:
             name = self._topics[fault.topic][0]
-            time = time_text(fault.time_ns) if _is_number(fault.time_ns) else "an unknown time"
             why = "it is beyond log.chunk_max_mb" if "too big" in fault.error else fault.error
-            self.report(f"one message on {name} at {time} is lost: {why}", {name: 1})
-            return
-        where = f"after {time_text(fault.time_ns)}" if _is_number(fault.time_ns) else "at first"
-        rest = "what followed" if fault.is_end else "some of what followed"
-        self.report(f"{fault.error} {where}: {rest} is lost")
-
-    def _unread(self, wanted: list[int], found: Counter[int]) -> Counter[str]:
-        """The messages by topic that the table has and that no pass has come to."""
-        try:
-            counts = self._table.counts
-        except sqlite3.Error:
-            return Counter()
-        unread: Counter[str] = Counter()
-        for number in wanted:
-            unread[self._topics[number][0]] += max(counts[number] - found[number], 0)
-        return +unread
+            when = time or "an unknown time"
+            self.report(f"one message on {name} at {when} is lost: {why}", {name: 1})
+        else:
+            when = f"after {time}" if time else "at first"
+            rest = "what followed" if fault.is_end else "some of what followed"
+            self.report(f"{fault.error} {when}: {rest} is lost")
 
     def _message(self, number: int, time_ns: object, data: object) -> Message | None:
         """The message in a row of the table; None, and reported, when there is none."""
@@ -255,11 +249,6 @@ class Rosbag2File(Recording):
     def close(self) -> None:
         """Release the file."""
         self._db.close()
-
-
-def _is_number(value: object) -> TypeGuard[int]:
-    """Whether a cell holds a whole number, as a sound one of a topic or a time does."""
-    return isinstance(value, int)
 
 
 _ROWS_END = 1 << 63  # SQLite numbers its rows in 64 bits
@@ -315,17 +304,15 @@ class Rows:
                 found, place = self._single(place, str(error))
             if found is not None:
                 yield found
-            if place is None or not self._is_behind(place, before):
+            if place is None:
                 return
-
-    def _is_behind(self, place: _Place, other: _Place | None) -> bool:
-        """Whether a place comes later: in a damaged table rows may lead back, round and round."""
-        if other is None:
-            return True
-        if not self._by_time:
-            return place.row > other.row
-        times = [time if isinstance(time, int) else 0 for time in (place.time_ns, other.time_ns)]
-        return (times[0], place.row) > (times[1], other.row)
+            if before is not None:  # in a damaged table rows may lead back, round and round
+                now, then = (
+                    (time if self._by_time and isinstance(time, int) else 0, row)
+                    for time, row in (place, before)
+                )
+                if now <= then:
+                    return
 
     def _single(self, place: _Place | None, error: str) -> tuple[Row | Fault | None, _Place | None]:
         """The row behind a place read on its own, and from where to go on: None for nowhere."""

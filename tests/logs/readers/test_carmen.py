@@ -6,6 +6,7 @@ import gzip
 import math
 import random
 from collections import Counter
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -216,6 +217,16 @@ def test_a_reading_of_80_m_is_no_return(path: Path) -> None:
     (sweep,), _ = sweeps_of(path)
     assert sweep.planar.ranges.tolist() == pytest.approx([79.99, math.inf, math.inf])
     assert sweep.planar.range_max == 80.0
+
+
+def test_a_disk_that_fails_is_one_line(front: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Failing(BytesIO):
+        def seek(self, *_: int) -> int:
+            raise OSError(5, "Input/output error")
+
+    content = front.read_bytes()
+    monkeypatch.setattr(Path, "open", lambda *_: Failing(content))
+    assert refusal(front) == f"{front}: cannot read: Input/output error"
 
 
 def test_a_mounting_may_differ_by_rounding(path: Path) -> None:

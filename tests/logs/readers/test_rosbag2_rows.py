@@ -152,6 +152,26 @@ def test_a_table_with_a_byte_cut_out_is_survived(path: Path, drive_messages: lis
             assert damage
 
 
+@pytest.mark.parametrize("text", ["x'69ff'", "CAST(x'69ff' AS TEXT)", "CAST(x'6900' AS TEXT)", "5"])
+@pytest.mark.parametrize("column", ["name", "sql"])
+def test_a_list_of_indexes_with_other_bytes_in_it_costs_nothing(
+    stored: Path, drive_messages: list[Message], column: str, text: str
+) -> None:
+    with sqlite3.connect(stored) as db:
+        db.execute("PRAGMA writable_schema = ON")
+        db.execute(f"UPDATE sqlite_master SET {column} = {text} WHERE type = 'index'")
+    db.close()
+    assert read(stored)[0] == drive_messages
+
+
+def test_a_topic_with_a_damaged_byte_is_read_all_the_same(
+    stored: Path, drive_messages: list[Message]
+) -> None:
+    change_db3(stored, "UPDATE topics SET name = CAST(x'2fff' AS TEXT) WHERE name = '/scan'")
+    renamed = [m._replace(topic="/\ufffd") if m.topic == "/scan" else m for m in drive_messages]
+    assert read(stored) == (renamed, [])
+
+
 def test_a_topic_whose_type_is_damaged_is_told(stored: Path) -> None:
     change_db3(stored, "UPDATE topics SET type = ? WHERE name = '/scan'", (str(-(2**63)),))
     with open_log(stored) as log:
