@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
-from itertools import compress, pairwise
+from itertools import pairwise
 
 import numpy as np
 
@@ -177,23 +177,10 @@ def _motions(
 
 
 def _links_of(layout: Layout, numbers: IntArray, recordings: IntArray) -> list[Link]:
-    """The links with ends that are kept, by their old numbers; of those moved there one a pair."""
-    kept_end = _nearest_kept(numbers, recordings)
-    ends = [(int(kept_end[one.source]), int(kept_end[one.target])) for one in layout.kept]
-    whole = [(one.source, one.target) == pair for one, pair in zip(layout.kept, ends, strict=True)]
-    links = list(compress(layout.kept, whole))
-    pairs = {frozenset((one.source, one.target)) for one in links}
-    spread = Uncertainty.along(layout.poses[layout.nodes], layout.odometry, 0.0)
-    for one, (source, target) in zip(layout.kept, ends, strict=True):
-        pair = frozenset((source, target))
-        if len(pair) == 2 and pair not in pairs:
-            pairs.add(pair)
-            links.append(_between(layout, spread, source, target, one))
-    return links
+    """The links with ends that are kept, by their old numbers; of those moved there one a pair.
 
-
-def _nearest_kept(numbers: IntArray, recordings: IntArray) -> IntArray:
-    """(n,) for each keyframe the kept one next to it along the way, of the same recording."""
+    An end that is gone moves to the keyframe next to it along the way, of the same recording.
+    """
     nearest = np.arange(len(recordings))
     kept = np.isin(nearest, numbers)
     for recording in np.unique(recordings[~kept]).tolist():
@@ -202,7 +189,16 @@ def _nearest_kept(numbers: IntArray, recordings: IntArray) -> IntArray:
         after = np.clip(np.searchsorted(left, gone), 1, max(1, len(left) - 1))
         before, after = left[after - 1], left[np.minimum(after, len(left) - 1)]
         nearest[gone] = np.where(gone - before <= after - gone, before, after)
-    return nearest
+    links = [one for one in layout.kept if kept[one.source] and kept[one.target]]
+    pairs = {frozenset((one.source, one.target)) for one in links}
+    spread = Uncertainty.along(layout.poses[layout.nodes], layout.odometry, 0.0)
+    for one in layout.kept:
+        source, target = int(nearest[one.source]), int(nearest[one.target])
+        pair = frozenset((source, target))
+        if len(pair) == 2 and pair not in pairs:
+            pairs.add(pair)
+            links.append(_between(layout, spread, source, target, one))
+    return links
 
 
 def _between(layout: Layout, spread: Uncertainty, source: int, target: int, link: Link) -> Link:

@@ -132,7 +132,11 @@ def rejoin(
         return draft, search
     draft = replace(draft, tries={**draft.tries, part: tries + 1})
     if search is None:
-        search = _begun(part, graph, draft.poses, walls)
+        rows = np.flatnonzero(graph.parts < part)
+        seen_from = rows[::_EVERY].tolist()
+        free = partial(seen_free, walls, seen_from, draft.poses)
+        older = WallMap.of(walls.of_all(seen_from, draft.poses), free)
+        search = PartSearch(part=part, rows=rows, older=older)
         draft = draft.counting("stray_cells", search.older.coarsened)
     fit = search.older.place_of(walls.around(node, PLACE_NODES, draft.poses))
     if fit is not None:
@@ -140,10 +144,3 @@ def rejoin(
         search = replace(search, finds=(*search.finds, find))
     known = (*draft.hints, *search.finds)
     return place_part(graph, draft, part, known, votes=_PART_VOTES), search
-
-
-def _begun(part: int, graph: Graph, poses: FloatArray, walls: Walls) -> PartSearch:
-    rows = np.flatnonzero(graph.parts < part)
-    seen_from = rows[::_EVERY].tolist()
-    free = partial(seen_free, walls, seen_from, poses)
-    return PartSearch(part=part, rows=rows, older=WallMap.of(walls.of_all(seen_from, poses), free))
