@@ -117,27 +117,12 @@ class WallMap:
         They must fit well, nowhere else nearly as well, and leave no direction open: in a bare
         corridor nothing is found.
         """
-        best = self._best(source, guess)
-        if best is None:
-            return None
-        away = self.points - (best.pose.x, best.pose.y)
-        near = np.hypot(away[:, 0], away[:, 1]) < _NEAR_RANGES * MATCH_RANGE_M
-        field = field_of(self.points[near])
-        found = confirmed(field, source, best.pose, sure_score())
-        if found is None:
-            return None
-        variance = float(inverse3(found.information)[:2, :2].trace())
-        return found if variance <= 2 * _PINNED_M**2 else None
-
-    def _best(self, source: FloatArray, guess: Guess | None) -> Match | None:
-        """The place that fits best, if it leads clearly."""
-        few = thinned(source, FINE_POINTS_M)
+        few, sparse = thinned(source, FINE_POINTS_M), thinned(source, _SPARSE_M)
         if len(few) < MATCH_POINTS:
             return None
         turn = min(_TURN_RAD * self.step_m / _STEP_M, _MOST_TURN_RAD)
-        sparse = thinned(source, _SPARSE_M)
         angles, blocks = np.arange(0.0, 2 * np.pi, turn), self.pyramid.blocks()
-        if guess is not None and len(sparse):
+        if guess is not None:
             angles = guess.angles(turn)
             blocks = blocks[guess.reaches(self.pyramid.centres_of(blocks), sparse.mean(axis=0))]
         # the pooled score, an upper bound, may still become that of a match
@@ -148,7 +133,15 @@ class WallMap:
         fine.sort(key=lambda match: -match.score)
         if not fine or (len(fine) > 1 and fine[1].score > fine[0].score - _LEAD):
             return None
-        return fine[0]
+        best = fine[0]
+        away = self.points - (best.pose.x, best.pose.y)
+        near = np.hypot(away[:, 0], away[:, 1]) < _NEAR_RANGES * MATCH_RANGE_M
+        field = field_of(self.points[near])
+        found = confirmed(field, source, best.pose, sure_score())
+        if found is None:
+            return None
+        variance = float(inverse3(found.information)[:2, :2].trace())
+        return found if variance <= 2 * _PINNED_M**2 else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -295,10 +288,6 @@ class _Task:
         """The sum of a perfect fit."""
         return int(_FULL * self.points.shape[1])
 
-    def some(self) -> _Task:
-        """The same of some of the points, which lie all over."""
-        return replace(self, points=self.points[:, : math.ceil(_SOME * self.points.shape[1])])
-
     def starts(self, cell: IntArray) -> IntArray:
         """(K,) cells (K, 2) in the flat field."""
         return np.asarray(cell[:, 1] * self.pyramid.levels[0].shape[1] + cell[:, 0])
@@ -346,7 +335,8 @@ def _descend(
     """
     number = np.repeat(np.arange(len(task.points)), len(blocks))
     number, cell = task.allowed(_TOP, number, np.tile(blocks, (len(task.points), 1)))
-    some, lead = task.some(), math.floor(wanted.lead * task.full)
+    lead, count = math.floor(wanted.lead * task.full), task.points.shape[1]
+    some = replace(task, points=task.points[:, : math.ceil(_SOME * count)])  # which lie all over
     rough = some.sums(_TOP, number, cell, 0)
     floor = math.ceil(wanted.least * task.full)
     floor = max(floor, _greedy(task, _TOP, number, cell, rough) - lead)
