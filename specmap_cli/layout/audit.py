@@ -169,26 +169,21 @@ def passes_of(store: KeyframeStore, poses: FloatArray, breaks: Collection[int]) 
         if not ended and way[after] - way[first] < _PASS_M:
             continue
         grid = integrate_keyframes(store, chosen, poses[chosen], coarse).snapshot()
+        known = grid.cells != UNKNOWN
+        rows, columns = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
+        if len(rows):  # hundreds are kept: what is known alone
+            within = (slice(int(each[0]), int(each[-1]) + 1) for each in (rows, columns))
+            grid = grid.window(*within)
         one = Pass(
             first=first,
             last=number,
             centre=poses[first:after, :2].mean(axis=0),
             way_m=float(way[first]),
-            grid=_cropped(grid),
+            grid=grid,
         )
         passes.append(one)
         first, chosen, before = after, [], None
     return passes
-
-
-def _cropped(grid: GridMap) -> GridMap:
-    """The part of a grid that holds anything: hundreds of them are kept."""
-    rows, columns = (np.flatnonzero((grid.cells != UNKNOWN).any(axis=axis)) for axis in (1, 0))
-    if not len(rows):
-        return grid
-    return grid.window(
-        slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
-    )
 
 
 def pairs_of(passes: Sequence[Pass]) -> Iterator[tuple[Pass, Pass]]:

@@ -22,6 +22,7 @@ from specmap_cli.core.geometry import (
     inverse3,
     invert,
     product,
+    travelled,
     wrap_angles,
 )
 from specmap_cli.core.records import BoolArray, IntArray
@@ -82,8 +83,7 @@ class Place:
 def place_around(store: KeyframeStore, keyframes: Sequence[int], k: int) -> Place:
     """What was seen near the k-th of some keyframes of one pass."""
     poses = store.poses_of(keyframes)
-    steps = np.hypot(*np.diff(poses[:, :2], axis=0).T)
-    path = np.concatenate([[0.0], np.cumsum(steps)])
+    path = travelled(poses)
     near = np.flatnonzero(np.abs(path - path[k]) <= _PLACE_M)
     scans = tuple(store.points(keyframes[i], MATCH_RANGE_M) for i in near.tolist())
     relative = compose(invert(poses[k]), poses[near])

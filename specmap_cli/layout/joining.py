@@ -45,13 +45,17 @@ _LAID_OUT = Bridge(0.02, 0.005)
 
 def placed(layout: Layout, map_from_own: Pose2, first: int = 0) -> Layout:
     """A layout moved as a whole into another map, its keyframes numbered from `first` on."""
+    odometry, kept, dropped = (
+        tuple(replace(one, source=one.source + first, target=one.target + first) for one in links)
+        for links in (layout.odometry, layout.kept, layout.dropped)
+    )
     return replace(
         layout,
         poses=compose(np.array(map_from_own), layout.poses),
         nodes=layout.nodes + first,
-        odometry=_renumbered(layout.odometry, first),
-        kept=_renumbered(layout.kept, first),
-        dropped=_renumbered(layout.dropped, first),
+        odometry=odometry,
+        kept=kept,
+        dropped=dropped,
         loose=tuple(start + first for start in layout.loose),
     )
 
@@ -83,12 +87,6 @@ def join_layouts(
     dropped = (*old.dropped, *new.dropped, *dropped)
     agreement = views.agreement(draft.poses)
     return Layout.of(graph, Candidate("relaxed", draft, dropped, agreement))
-
-
-def _renumbered(links: Sequence[Link], first: int) -> tuple[Link, ...]:
-    return tuple(
-        replace(link, source=link.source + first, target=link.target + first) for link in links
-    )
 
 
 def gaps_of(poses: FloatArray, thinned: IntArray) -> dict[int, Bridge]:
@@ -142,38 +140,23 @@ def without_keyframes(
     ends = {end for link in kept for end in (link.source, link.target)}
     old = {row[node] for node in layout.nodes.tolist() if node in row}
     nodes = chosen_nodes(store.poses, {*old, *ends, *breaks})
-    return replace(
-        layout,
-        poses=layout.poses[numbers],
-        nodes=nodes,
-        odometry=_motions(store, nodes, layout.odometry, row, breaks),
-        kept=kept,
-        dropped=(),
-        loose=tuple(row[start] for start in layout.loose),
-    )
-
-
-def _motions(
-    store: KeyframeStore,
-    nodes: IntArray,
-    known: Sequence[Link],
-    row: Mapping[int, int],
-    breaks: Mapping[int, Bridge | None],
-) -> tuple[Link, ...]:
-    """The motions between the nodes, those that are known by their old numbers as they are."""
-    same = {
-        (row[one.source], row[one.target]): one
-        for one in known
-        if one.source in row and one.target in row
-    }
+    known = {(one.source, one.target): one for one in layout.odometry}  # by their old numbers
     motions: list[Link] = []
-    for source, target in zip(nodes[:-1].tolist(), nodes[1:].tolist(), strict=True):
-        one = same.get((source, target))
+    for source, target in pairwise(nodes.tolist()):
+        one = known.get((int(numbers[source]), int(numbers[target])))
         if one is None:
             motions += motion_links(store, np.array([source, target]), breaks)
         else:
             motions.append(replace(one, source=source, target=target))
-    return tuple(motions)
+    return replace(
+        layout,
+        poses=layout.poses[numbers],
+        nodes=nodes,
+        odometry=tuple(motions),
+        kept=kept,
+        dropped=(),
+        loose=tuple(row[start] for start in layout.loose),
+    )
 
 
 def _links_of(layout: Layout, numbers: IntArray, recordings: IntArray) -> list[Link]:

@@ -124,7 +124,9 @@ class WallMap:
         angles, blocks = np.arange(0.0, 2 * np.pi, turn), self.pyramid.blocks()
         if guess is not None:
             angles = guess.angles(turn)
-            blocks = blocks[guess.reaches(self.pyramid.centres_of(blocks), sparse.mean(axis=0))]
+            pyramid, middle = self.pyramid, sparse.mean(axis=0)
+            places = pyramid.corner + (blocks + 0.5 * 2**_TOP) * pyramid.cell_m
+            blocks = blocks[guess.reaches(places, middle)]
         # the pooled score, an upper bound, may still become that of a match
         wanted = Wanted(least=LOOP_SCORE, lead=2 * _LEAD, most=_SEARCH_BLOCKS)
         rough = best_places(self.pyramid, sparse, blocks, angles, wanted, _RIVALS)
@@ -188,10 +190,6 @@ class Pyramid:
         x, y = np.meshgrid(columns, rows)
         return np.column_stack([x.ravel(), y.ravel()]).astype(np.int64)
 
-    def centres_of(self, blocks: IntArray) -> FloatArray:
-        """(B, 2) metres of the middles of blocks of the top level."""
-        return np.asarray(self.corner + (blocks + 0.5 * 2**_TOP) * self.cell_m, dtype=np.float64)
-
 
 def _levels(cells: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], ...]:
     """The cells, and the maxima over blocks of them, level after level."""
@@ -236,8 +234,16 @@ def best_places(
     middle = np.asarray(points, dtype=np.float64).mean(axis=0)
     local = np.asarray(points, dtype=np.float64) - middle
     local = local[np.hypot(local[:, 0], local[:, 1]) <= pyramid.reach_m]
+    spread = np.argsort(np.arange(len(local)) * _GOLDEN % 1.0, kind="stable")
+    x, y = np.concatenate([local[spread], -middle[None]]).T  # the robot last
+    c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
+    columns = np.round((c * x - s * y) / pyramid.cell_m)
+    rows = np.round((s * x + c * y) / pyramid.cell_m)
+    jumps = np.asarray(rows * pyramid.levels[0].shape[1] + columns, dtype=np.int32)
+    known = pyramid.free and np.hypot(middle[0], middle[1]) <= pyramid.reach_m
+    task = _Task(pyramid, jumps[:, :-1], jumps[:, -1] if known else None)
+    number, cell, scores = _descend(task, blocks, wanted)
     back = Pose2(-float(middle[0]), -float(middle[1]), 0.0)
-    number, cell, scores = _descend(_Task.of(pyramid, local, -middle, angles), blocks, wanted)
     places = pyramid.corner + (cell + 0.5) * pyramid.cell_m
     centres: list[Pose2] = []
     kept: list[Match] = []
@@ -268,20 +274,6 @@ class _Task:
     pyramid: Pyramid
     points: NDArray[np.int32]
     robot: NDArray[np.int32] | None
-
-    @classmethod
-    def of(
-        cls, pyramid: Pyramid, points: FloatArray, robot: FloatArray, angles: FloatArray
-    ) -> _Task:
-        """Of points (N, 2) about their middle, and the robot (2,) seen from there."""
-        spread = np.argsort(np.arange(len(points)) * _GOLDEN % 1.0, kind="stable")
-        x, y = np.concatenate([points[spread], robot[None]]).T
-        c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
-        columns = np.round((c * x - s * y) / pyramid.cell_m)
-        rows = np.round((s * x + c * y) / pyramid.cell_m)
-        jumps = np.asarray(rows * pyramid.levels[0].shape[1] + columns, dtype=np.int32)
-        known = pyramid.free and np.hypot(robot[0], robot[1]) <= pyramid.reach_m
-        return cls(pyramid, jumps[:, :-1], jumps[:, -1] if known else None)
 
     @property
     def full(self) -> int:

@@ -82,12 +82,19 @@ def _solution(
     Where a rough one will do the chains of the path are solved as one motion each.
     """
     widths = {"closure": width, "nearby": width, "loose": _KERNEL_SIGMAS, "bridge": _KERNEL_SIGMAS}
-    links = LinkArrays.of((*_motions(graph, draft), *draft.loops), graph.row, widths)
+    motions = list(graph.odometry)
+    for row, motion in enumerate(motions):
+        # where a part was placed, the guess that led to it says nothing any more: it holds the part
+        # where it is, so that it does not bend the path that closures tie
+        if motion.kind == "loose" and int(graph.parts[row + 1]) in draft.tied:
+            placed = compose(invert(draft.poses[row]), draft.poses[row + 1])
+            motions[row] = replace(motion, source_from_target=Pose2(*placed.tolist()))
+    links = LinkArrays.of((*motions, *draft.loops), graph.row, widths)
     steps = _HASTY if hasty else _SOLVE_ITERATIONS
     # what follows the last row that a link may move hangs on it by motions and goes with it
     missed = errors(draft.poses, links.i, links.j, links.z)
     pulls = np.abs(missed).max(axis=1, initial=0.0) > _EXACT
-    pulls[len(graph.odometry) :] = True
+    pulls[len(motions) :] = True
     count = 1 + int(np.maximum(links.i, links.j)[pulls].max(initial=0))
     path, some = draft.poses[:count], links.some((links.i < count) & (links.j < count))
     if settled <= SETTLED:
@@ -99,19 +106,6 @@ def _solution(
     tail = compose(invert(draft.poses[count - 1]), draft.poses[count:])
     poses = np.concatenate([found.poses, compose(found.poses[-1], tail)])
     return replace(found, poses=poses, chi2=squared(poses, links))
-
-
-def _motions(graph: Graph, draft: Draft) -> list[Link]:
-    """The motions; where a part was placed the guess that led to it says nothing any more.
-
-    It holds the part where it is, so that it does not bend the path that closures tie.
-    """
-    motions = list(graph.odometry)
-    for row, motion in enumerate(motions):
-        if motion.kind == "loose" and int(graph.parts[row + 1]) in draft.tied:
-            placed = compose(invert(draft.poses[row]), draft.poses[row + 1])
-            motions[row] = replace(motion, source_from_target=Pose2(*placed.tolist()))
-    return motions
 
 
 def _with(draft: Draft, solution: Solution) -> Draft:

@@ -55,11 +55,20 @@ def loose_parts(evidence: Evidence) -> Iterator[Finding]:
 
 
 def walls(evidence: Evidence) -> Iterator[Finding]:
-    """Places where passes of the robot disagree about the walls, a finding a place."""
-    found = evidence.audit.disagreements
-    if not found:
-        return
-    share = len(found) / evidence.audit.compared
+    """Places where passes of the robot disagree about the walls, a finding a place.
+
+    Where there are none, passes may contradict each other all over the map, a little everywhere.
+    """
+    found, agreement = evidence.audit.disagreements, evidence.layout.agreement
+    if not found and agreement.is_doubtful:
+        yield Finding(
+            code=WALLS,
+            severity="doubtful",
+            message=f"{agreement.share:.1%} of the walls that two passes saw contradict each other",
+            advice="the map is bent, or much moved meanwhile",
+            value=agreement.share,
+        )
+    share = len(found) / max(1, evidence.audit.compared)
     severity, limit = graded(share, 0.0, _WALLS_SHARE_POOR)
     waiting = sorted(found, key=lambda one: -one.walls_m)
     while waiting:
@@ -78,19 +87,6 @@ def walls(evidence: Evidence) -> Iterator[Finding]:
             value=share,
             limit=limit,
             where=Where(later.stamp_ns, x, y),
-        )
-
-
-def contradictions(evidence: Evidence) -> Iterator[Finding]:
-    """Passes that contradict each other all over the map, a little everywhere."""
-    agreement = evidence.layout.agreement
-    if agreement.is_doubtful and not evidence.audit.disagreements:
-        yield Finding(
-            code=WALLS,
-            severity="doubtful",
-            message=f"{agreement.share:.1%} of the walls that two passes saw contradict each other",
-            advice="the map is bent, or much moved meanwhile",
-            value=agreement.share,
         )
 
 
@@ -226,7 +222,6 @@ CHECKS: tuple[Callable[[Evidence], Iterator[Finding]], ...] = (
     refused_layout,
     walls,
     mended,
-    contradictions,
     refuted,
     beyond_grid,
 )

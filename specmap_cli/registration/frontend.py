@@ -96,8 +96,12 @@ class FrontEnd:
 
     @property
     def warnings(self) -> list[str]:
-        """What went beyond a limit so far, a sentence a limit."""
-        return warnings_of(self.counts, self.config)
+        """What went beyond a limit so far, a sentence a limit with the settings that set it."""
+        return [
+            sentence.format(hits=counted(self.counts[name], noun), limits=self.config)
+            for name, (noun, sentence) in _SENTENCES.items()
+            if self.counts[name]
+        ]
 
     def take(self, sweep: Sweep) -> tuple[PosedScan, ...]:
         """The scans that are settled by one more sweep, in their order: mostly its own.
@@ -296,12 +300,3 @@ class Track:
             return False
         slack = self.reliance.slack(self.keyframe.inverse() @ self.by_motion)
         return slack.place_m <= config.max_shift_m and slack.turn_rad <= config.max_shift_rad
-
-
-def warnings_of(counts: Mapping[str, int], config: RegistrationConfig) -> list[str]:
-    """A sentence for each limit that something went beyond, with the settings that set it."""
-    return [
-        sentence.format(hits=counted(counts[name], noun), limits=config)
-        for name, (noun, sentence) in _SENTENCES.items()
-        if counts[name]
-    ]

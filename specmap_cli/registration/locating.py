@@ -84,7 +84,14 @@ def locate(scene: Scene, guess: MotionGuess) -> Located:
         doubted = support.share < share or support.score <= GOOD_SCORE
     if doubted:
         fit = _searched(scene, guess, fit, bounds)
-    wide = doubted and _calls_for_wide_search(scene, guess, fit)
+    agreeing = guess.agrees(fit)
+    # before a contradiction is believed, the robot is looked for wherever it can have come
+    wide = doubted and fit.score < (SURE_SCORE if agreeing else BEYOND_DOUBT)
+    if wide and agreeing:  # not if the score is low for new space alone
+        support = scene.support(fit.planar)
+        new = support.share < _NEARLY_ALL or not measured
+        known = support.share >= MOST and support.score >= FAIR_SCORE
+        wide = not known and not (new and fit.score >= POOR_SCORE)
     if wide:
         free = not guess.trusted or guess.expected.hole
         window, reach = wide_search(guess, config, free=free)
@@ -190,21 +197,6 @@ def _better(scene: Scene, guess: MotionGuess, fit: Fit, found: Fit, place: Pose2
         needed = fit.score + _PER_SLACK * guess.reliance.slacks(guess.expected.motion, away)
         kept = found.score < needed
     return replace(fit, refused=fit.refused + found.refused) if kept else fit.or_better(found)
-
-
-def _calls_for_wide_search(scene: Scene, guess: MotionGuess, fit: Fit) -> bool:
-    """Whether a result is poor or contradicts the motion expected, and not for new space alone.
-
-    Before a contradiction is believed, the robot is looked for wherever it can have come.
-    """
-    agreeing = guess.agrees(fit)
-    if fit.score >= (SURE_SCORE if agreeing else BEYOND_DOUBT):
-        return False
-    support = scene.support(fit.planar)
-    new = support.share < _NEARLY_ALL or not guess.expected.measured
-    if agreeing and fit.score >= POOR_SCORE and new:
-        return False
-    return not (agreeing and support.share >= MOST and support.score >= FAIR_SCORE)
 
 
 def _is_far(guess: MotionGuess, fit: Fit) -> bool:

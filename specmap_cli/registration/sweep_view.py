@@ -60,7 +60,7 @@ def view_of(sweep: Sweep, expected: ExpectedMotion, config: RegistrationConfig) 
     walls = _thinned_to(hits, config.voxel_m / 2, _MAX_POINTS)
     probe = thinned(walls, config.voxel_m)
     if sweep.cloud is None:
-        cloud, sparse = _in_space(walls), _in_space(probe)
+        cloud, sparse = (np.column_stack([at, np.zeros(len(at))]) for at in (walls, probe))
         dense = cloud
     else:
         # cut to range, thinned, and then de-skewed; what is too near over ground is the robot
@@ -99,11 +99,6 @@ def outline_of(scan: PlanarScan, base_from_laser: Pose2, reach_m: float) -> Floa
     return base_from_laser.apply(
         np.concatenate([laser, ends, ends[:1] if scan.full_circle else laser])
     )
-
-
-def _in_space(points: FloatArray) -> FloatArray:
-    """Points (N, 2) of the plane as (N, 3) with z = 0."""
-    return np.column_stack([points, np.zeros(len(points))])
 
 
 def _thinned_to(points: FloatArray, cell_m: float, most: int) -> FloatArray:
