@@ -46,12 +46,16 @@ def place_parts(graph: Graph, closures: Sequence[Link], votes: int) -> Draft:
 def place_part(
     graph: Graph, draft: Draft, part: int, links: Sequence[Link], *, votes: int
 ) -> Draft:
-    """The draft with `part` tied, where the links put it, when `votes` of them agree.
+    """The draft with `part` tied, where links to older parts put it, when `votes` of them agree.
 
     The guess that placed the part counts as one of them. The later parts, which hang on it, move
     with it.
     """
-    motions = corrections(graph, draft.poses, part, links)
+    ends = Ends.of(graph.row, links)
+    older, newer = ends.parts(graph)
+    across = (newer == part) & (older < part)
+    claimed = compose(draft.poses[ends.i[across]], ends.z[across])
+    motions = compose(claimed, invert(draft.poses[ends.j[across]]))  # of the map
     if not len(motions):
         return draft
     motions = np.concatenate([motions, np.zeros((1, 3))])
@@ -61,18 +65,6 @@ def place_part(
     poses, later = np.array(draft.poses), graph.parts >= part
     poses[later] = compose(motion, poses[later])
     return replace(draft, poses=poses, tied=draft.tied | {part})
-
-
-def corrections(graph: Graph, poses: FloatArray, part: int, links: Sequence[Link]) -> FloatArray:
-    """Motions (L, 3) of the map that would satisfy each link between `part` and an older part.
-
-    Each is to be composed from the left with the poses (M, 3) of the part.
-    """
-    ends = Ends.of(graph.row, links)
-    older, newer = ends.parts(graph)
-    across = (newer == part) & (older < part)
-    claimed = compose(poses[ends.i[across]], ends.z[across])
-    return compose(claimed, invert(poses[ends.j[across]]))
 
 
 def most_voted(motions: FloatArray, centre: FloatArray) -> tuple[FloatArray, int]:
