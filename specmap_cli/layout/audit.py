@@ -16,9 +16,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, moved, step_lengths
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, moved, travelled
 from specmap_cli.core.settings import GridConfig
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, CellArray, GridMap
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.grids.matching import Window, refine, search
 from specmap_cli.grids.score_field import ScoreField
@@ -26,7 +26,6 @@ from specmap_cli.layout.consistency import judge
 from specmap_cli.layout.contradictions import Views
 from specmap_cli.layout.passes import LOOP_SEARCH_M
 from specmap_cli.layout.path_graph import Draft, Graph
-from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.result import Candidate, Choice, Layout, Repair
 from specmap_cli.layout.solving import settle, tighten
 from specmap_cli.layout.wall_matching import match_passes
@@ -42,7 +41,6 @@ _DEPTH_M = 0.2  # a wall this deep in free space contradicts; less is noise
 _WALL_M = 1.2  # shorter walls may be doors, people or chairs
 _DISAGREEING_SHARE = 0.15  # of the walls that both passes saw, when they disagree
 _SEARCH_M = 3.0  # walls drawn twice are at most so far apart
-_UNKNOWN, _WALL, _OPEN = range(3)  # what a pass says of a place
 _KEYFRAME_M, _KEYFRAME_RAD = 0.3, 0.25  # between the keyframes of a pass: they see nearly the same
 _STEP_M, _REFINE_STEPS = 0.2, 10  # of the search for how far two walls stand apart
 _TURN_RAD = 0.1  # of that search: passes are turned little against each other
@@ -74,23 +72,15 @@ class Pass:
         return self.grid.centres_of(np.argwhere(self.grid.cells == OCCUPIED))
 
     @cached_property
-    def says(self) -> CellArray:
-        """(H, W) open space well clear of anything else, a wall near by, or nothing certain."""
+    def says(self) -> GridMap:
+        """Space that is free well clear of anything else, walls with what is near, or nothing."""
         reach = max(1, round(_DEPTH_M / self.grid.resolution))
         kernel = np.ones((2 * reach + 1, 2 * reach + 1), dtype=np.uint8)
         free = (self.grid.cells == FREE).astype(np.uint8)
-        said = np.full(free.shape, _UNKNOWN, dtype=np.uint8)
-        said[cv2.erode(free, kernel, borderValue=0) > 0] = _OPEN
-        said[cv2.dilate((self.grid.cells == OCCUPIED).astype(np.uint8), kernel) > 0] = _WALL
-        return said
-
-    def of(self, points: FloatArray) -> CellArray:
-        """(N,) what this pass says of points (N, 2)."""
-        cells = self.grid.cells_of(points)
-        inside = self.grid.inside(cells)
-        said = np.full(len(points), _UNKNOWN, dtype=np.uint8)
-        said[inside] = self.says[cells[inside, 0], cells[inside, 1]]
-        return said
+        said = np.full(free.shape, UNKNOWN, dtype=np.uint8)
+        said[cv2.erode(free, kernel, borderValue=0) > 0] = FREE
+        said[cv2.dilate((self.grid.cells == OCCUPIED).astype(np.uint8), kernel) > 0] = OCCUPIED
+        return replace(self.grid, cells=said)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,59 +129,61 @@ class Audit:
 
 def audit(store: KeyframeStore, poses: FloatArray, breaks: Collection[int]) -> Audit:
     """Compare all passes through the same places, keyframes being at poses (n, 3)."""
-    if not len(poses):
-        return Audit()
-    passes = passes_of(store, poses, breaks)
     found, compared = [], 0
-    for earlier, later in pairs_of(passes):
-        shared, contradicted = _compare(earlier, later)
-        if not shared:
+    for earlier, later in pairs_of(passes_of(store, poses, breaks)):
+        shared, standing = 0, []
+        for one, other in ((earlier, later), (later, earlier)):
+            said = other.says.values_at(one.walls)
+            shared += int(np.count_nonzero(said != UNKNOWN))
+            standing.append(_long(one.walls[said == FREE]))
+        compared += shared > 0
+        contradicted = np.concatenate(standing)
+        walls_m = len(contradicted) * _CELL_M
+        if walls_m < _WALL_M or walls_m < _DISAGREEING_SHARE * shared * _CELL_M:
             continue
-        compared += 1
-        length_m = len(contradicted) * _CELL_M
-        if length_m >= _WALL_M and length_m >= _DISAGREEING_SHARE * shared * _CELL_M:
-            found.append(_disagreement(earlier, later, shared, contradicted))
+        x, y = np.median(contradicted, axis=0).tolist()
+        disagreement = Disagreement(
+            earlier=(earlier.first + earlier.last) // 2,
+            later=(later.first + later.last) // 2,
+            place=(x, y),
+            walls_m=walls_m,
+            share=len(contradicted) / shared,
+            offset=_offset(earlier, later),
+        )
+        found.append(disagreement)
     return Audit(compared=compared, disagreements=tuple(found))
 
 
 def passes_of(store: KeyframeStore, poses: FloatArray, breaks: Collection[int]) -> list[Pass]:
     """The path cut into passes of `_PASS_M`, and where the tracking was lost."""
-    way = np.concatenate([[0.0], np.cumsum(step_lengths(poses))])
-    passes: list[Pass] = []
-    first = 0
-    for number in range(1, len(poses) + 1):
-        ended = number == len(poses) or number in breaks
-        if ended or way[number] - way[first] >= _PASS_M:
-            passes.append(_pass(store, poses, first, number - 1, float(way[first])))
-            first = number
-    return passes
-
-
-def _pass(store: KeyframeStore, poses: FloatArray, first: int, last: int, way_m: float) -> Pass:
-    chosen: list[int] = []
-    for number in range(first, last + 1):
-        before = Pose2(*poses[chosen[-1]].tolist()) if chosen else None
-        if moved(before, Pose2(*poses[number].tolist()), _KEYFRAME_M, _KEYFRAME_RAD):
-            chosen.append(number)
     coarse = GridConfig(resolution_m=_CELL_M, max_range_m=_RANGE_M)
-    grid = integrate_keyframes(store, chosen, poses[chosen], coarse).snapshot()
-    return Pass(
-        first=first,
-        last=last,
-        centre=poses[first : last + 1, :2].mean(axis=0),
-        way_m=way_m,
-        grid=_cropped(grid),
-    )
-
-
-def _cropped(grid: GridMap) -> GridMap:
-    """The part of a grid that holds anything: hundreds of them are kept."""
-    rows, columns = (np.flatnonzero((grid.cells != 2).any(axis=axis)) for axis in (1, 0))
-    if not len(rows):
-        return grid
-    return grid.window(
-        slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
-    )
+    way = travelled(poses)
+    passes: list[Pass] = []
+    first, chosen, before = 0, list[int](), None
+    for number, pose in enumerate(Pose2(*row) for row in poses.tolist()):
+        if moved(before, pose, _KEYFRAME_M, _KEYFRAME_RAD):
+            chosen.append(number)
+            before = pose
+        after = number + 1
+        ended = after == len(poses) or after in breaks
+        if not ended and way[after] - way[first] < _PASS_M:
+            continue
+        grid = integrate_keyframes(store, chosen, poses[chosen], coarse).snapshot()
+        known = grid.cells != UNKNOWN
+        rows, columns = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
+        if len(rows):  # hundreds are kept: what is known alone
+            within = (slice(int(each[0]), int(each[-1]) + 1) for each in (rows, columns))
+            grid = grid.window(*within)
+        one = Pass(
+            first=first,
+            last=number,
+            centre=poses[first:after, :2].mean(axis=0),
+            way_m=float(way[first]),
+            grid=grid,
+        )
+        passes.append(one)
+        first, chosen, before = after, [], None
+    return passes
 
 
 def pairs_of(passes: Sequence[Pass]) -> Iterator[tuple[Pass, Pass]]:
@@ -203,16 +195,6 @@ def pairs_of(passes: Sequence[Pass]) -> Iterator[tuple[Pass, Pass]]:
             earlier = passes[k]
             if away[k] <= _NEAR_M and later.way_m - earlier.way_m >= _APART_M:
                 yield earlier, later
-
-
-def _compare(earlier: Pass, later: Pass) -> tuple[int, FloatArray]:
-    """How many wall cells of either pass the other one saw, and those it contradicts (N, 2)."""
-    shared, contradicted = 0, []
-    for one, other in ((earlier, later), (later, earlier)):
-        said = other.of(one.walls)
-        shared += int(np.count_nonzero(said != _UNKNOWN))
-        contradicted.append(_long(one.walls[said == _OPEN]))
-    return shared, np.concatenate(contradicted)
 
 
 def _long(points: FloatArray) -> FloatArray:
@@ -231,20 +213,6 @@ def _long(points: FloatArray) -> FloatArray:
     return points[kept]
 
 
-def _disagreement(
-    earlier: Pass, later: Pass, shared: int, contradicted: FloatArray
-) -> Disagreement:
-    x, y = np.median(contradicted, axis=0).tolist()
-    return Disagreement(
-        earlier=(earlier.first + earlier.last) // 2,
-        later=(later.first + later.last) // 2,
-        place=(x, y),
-        walls_m=len(contradicted) * _CELL_M,
-        share=len(contradicted) / shared,
-        offset=_offset(earlier, later),
-    )
-
-
 def _offset(earlier: Pass, later: Pass) -> Pose2 | None:
     """The motion of the map that brings the later pass onto the earlier one, if one does clearly.
 
@@ -260,17 +228,14 @@ def _offset(earlier: Pass, later: Pass) -> Pose2 | None:
     window = Window(distance_m=_SEARCH_M, angle_rad=_TURN_RAD, step_m=_STEP_M)
     rough = search(field, points, centre, window)
     best = refine(field, points, rough.pose, _REFINE_STEPS)
-    before, after = (_share_on_walls(earlier, pose.apply(points)) for pose in (centre, best.pose))
-    if after < max(_LEAST, before + _LEAD):
+    shares = []  # of the walls that the earlier pass knows, those that lie by its own
+    for pose in (centre, best.pose):
+        said = earlier.says.values_at(pose.apply(points))
+        known = int(np.count_nonzero(said != UNKNOWN))
+        shares.append(float(np.count_nonzero(said == OCCUPIED)) / known if known else 0.0)
+    if shares[1] < max(_LEAST, shares[0] + _LEAD):
         return None
     return best.pose @ centre.inverse()
-
-
-def _share_on_walls(seen: Pass, walls: FloatArray) -> float:
-    """The share of wall cells (N, 2), of those that a pass knows, that lie by its own walls."""
-    said = seen.of(walls)
-    known = int(np.count_nonzero(said != _UNKNOWN))
-    return float(np.count_nonzero(said == _WALL)) / known if known else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -296,7 +261,9 @@ def repaired(store: KeyframeStore, layout: Layout, breaks: Collection[int]) -> A
         if trial is None:
             break
         again = Audited(trial, audit(store, trial.poses, breaks))
-        if not _is_better(again, best):
+        if again.audit.walls_m >= best.audit.walls_m or again.audit.share > best.audit.share:
+            break
+        if trial.agreement.is_worse_than(best.layout.agreement):
             break
         best = again
     if best is first:
@@ -310,16 +277,11 @@ def repaired(store: KeyframeStore, layout: Layout, breaks: Collection[int]) -> A
     return replace(best, layout=replace(best.layout, repair=repair))
 
 
-def _is_better(trial: Audited, before: Audited) -> bool:
-    """Whether less wall is contradicted, and not more all over the map."""
-    less = trial.audit.walls_m < before.audit.walls_m and trial.audit.share <= before.audit.share
-    return less and not trial.layout.agreement.is_worse_than(before.layout.agreement)
-
-
 def _mended(store: KeyframeStore, found: Audited) -> Layout | None:
     """The layout solved with the claims of the audit that are believed, if there are any.
 
-    One claim alone may mend little, as a pass found far away: others must agree with it.
+    A claim is a link between passes that disagree, where their walls fit when moved by the offset.
+    One alone may mend little, as a pass found far away: others must agree with it.
     """
     layout, disagreements = found.layout, found.audit.disagreements
     if all(one.offset is None for one in disagreements):
@@ -331,7 +293,19 @@ def _mended(store: KeyframeStore, found: Audited) -> Layout | None:
         tied=graph.known_parts(layout.loose),
         limits=layout.limits,
     )
-    claims = _claims(graph, draft, disagreements, Walls(store, graph))
+    walls = Walls(store, graph)
+    claims = []
+    for one in disagreements:
+        if one.offset is None:
+            continue
+        ends = np.array([one.earlier, one.later])
+        old, new = (np.searchsorted(graph.nodes, ends, side="right") - 1).tolist()
+        moved_by = compose(np.array(one.offset), draft.poses[new])
+        guess = Pose2(*compose(invert(draft.poses[old]), moved_by).tolist())
+        claim = match_passes(
+            graph, walls, draft.poses, (old, new), guess, LOOP_SEARCH_M, PLACE_NODES
+        )
+        claims += [] if claim is None else [claim]
     believed = [one.link for one in judge(graph, draft, claims)[0] if one.believed]
     if not believed:
         return None
@@ -339,22 +313,3 @@ def _mended(store: KeyframeStore, found: Audited) -> Layout | None:
     choice: Choice = "passes" if layout.choice == "tracked" else layout.choice
     agreement = Views.of(store, graph).agreement(trial.poses)
     return Layout.of(graph, Candidate(choice, trial, (*layout.dropped, *dropped), agreement))
-
-
-def _claims(
-    graph: Graph, draft: Draft, disagreements: Sequence[Disagreement], walls: Walls
-) -> list[Link]:
-    """Links between passes that disagree, where their walls fit when moved by the offset."""
-    claims = []
-    for one in disagreements:
-        if one.offset is None:
-            continue
-        ends = np.array([one.earlier, one.later])
-        old, new = (np.searchsorted(graph.nodes, ends, side="right") - 1).tolist()
-        moved = compose(np.array(one.offset), draft.poses[new])
-        guess = Pose2(*compose(invert(draft.poses[old]), moved).tolist())
-        found = match_passes(
-            graph, walls, draft.poses, (old, new), guess, LOOP_SEARCH_M, PLACE_NODES
-        )
-        claims += [] if found is None else [found]
-    return claims

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -21,6 +22,7 @@ from specmap_cli.core.geometry import (
     inverse3,
     invert,
     product,
+    travelled,
     wrap_angles,
 )
 from specmap_cli.core.records import BoolArray, IntArray
@@ -81,8 +83,7 @@ class Place:
 def place_around(store: KeyframeStore, keyframes: Sequence[int], k: int) -> Place:
     """What was seen near the k-th of some keyframes of one pass."""
     poses = store.poses_of(keyframes)
-    steps = np.hypot(*np.diff(poses[:, :2], axis=0).T)
-    path = np.concatenate([[0.0], np.cumsum(steps)])
+    path = travelled(poses)
     near = np.flatnonzero(np.abs(path - path[k]) <= _PLACE_M)
     scans = tuple(store.points(keyframes[i], MATCH_RANGE_M) for i in near.tolist())
     relative = compose(invert(poses[k]), poses[near])
@@ -99,17 +100,13 @@ def sharpened(old: Place, new: Place, guess: Pose2) -> Pose2:
     rough = onto_lines(new.walls, old.walls, guess, _SPREAD)
     if rough.share < LOOP_SCORE or rough.points < MATCH_POINTS:
         return guess
-    fine = _together(old, new, rough.target_from_source)
-    off = guess.inverse() @ fine
-    return fine if off.distance <= _BASIN_M and abs(off.theta) <= _BASIN_RAD else guess
-
-
-def _together(old: Place, new: Place, rough: Pose2) -> Pose2:
-    """The same from a pose a few centimetres off, by the scans of both places on each other."""
-    poses = np.concatenate([old.poses, compose(np.array(rough), new.poses)])
+    # then, a few centimetres off at the most, the scans of both places are laid on each other
+    poses = np.concatenate([old.poses, compose(np.array(rough.target_from_source), new.poses)])
     placed = on_lines([*old.scans, *new.scans], poses)
     ends = placed[old.own], placed[len(old.poses) + new.own]
-    return Pose2(*compose(invert(ends[0]), ends[1]).tolist())
+    fine = Pose2(*compose(invert(ends[0]), ends[1]).tolist())
+    off = guess.inverse() @ fine
+    return fine if off.distance <= _BASIN_M and abs(off.theta) <= _BASIN_RAD else guess
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,26 +130,19 @@ def onto_lines(
     `guess` is `target_from_source` to within two of `spread`, metres and radians. What only one of
     the two shows does not count.
     """
-    cloud = _Cloud.of([target, source])
+    cloud = _Cloud([target, source])
     first = np.array([(0.0, 0.0, 0.0), guess])
     trust, placed = np.array([spread[0], spread[0], spread[1]]) ** -2.0, first
+    moving = np.array([[0.0], [1.0]])  # the target stays
     for around_m in (2.0 * spread[0], _AROUND_M):
-        for _ in range(_SEARCHES):
-            near = cloud.neighbours(placed, around_m)
-            for _ in range(_STEPS):
-                step = _steps(cloud, cloud.lines(near, placed), placed, first, trust)
-                placed = placed + step * [[0.0], [1.0]]  # the target stays
-    near = cloud.neighbours(placed, _AROUND_M)
-    return _fit(cloud, cloud.lines(near, placed), Pose2(*placed[1].tolist()))
-
-
-def _fit(cloud: _Cloud, lines: _Lines, pose: Pose2) -> LineFit:
-    """How well two places fit by the lines of each at the points of the other."""
+        placed = cloud.laid(placed, first, trust, around_m, moving)
+    lines = cloud.lines(placed, *cloud.neighbours(placed, _AROUND_M))
     known = [lines.known & (cloud.scan == k) for k in (0, 1)]
-    on = [int(np.count_nonzero(lines.on_it & each)) for each in known]
+    on_it = np.abs(lines.off) < _NOISE_M
+    on = [int(np.count_nonzero(on_it & each)) for each in known]
     count = [int(np.count_nonzero(each)) for each in known]
     share = min(part / max(whole, 1) for part, whole in zip(on, count, strict=True))
-    return LineFit(pose, share, min(count))
+    return LineFit(Pose2(*placed[1].tolist()), share, min(count))
 
 
 def on_lines(scans: Sequence[FloatArray], poses: FloatArray) -> FloatArray:
@@ -160,62 +150,10 @@ def on_lines(scans: Sequence[FloatArray], poses: FloatArray) -> FloatArray:
 
     All may move; what counts is how they lie to each other. One that shows no line stays.
     """
-    cloud, placed = _Cloud.of(scans), poses
-    for _ in range(_SEARCHES):
-        near = cloud.neighbours(placed, _AROUND_M)
-        for _ in range(_STEPS):
-            placed = placed + _steps(cloud, cloud.lines(near, placed), placed, poses, _TRUST)
-    return placed
+    return _Cloud(scans).laid(poses, poses, _TRUST, _AROUND_M, np.ones((len(poses), 1)))
 
 
-@dataclass(frozen=True, slots=True)
-class _Cloud:
-    """The points (N, 2) of all scans, each in its scan's frame, and the scan (N,) of each."""
-
-    points: FloatArray
-    scan: IntArray
-
-    @classmethod
-    def of(cls, scans: Sequence[FloatArray]) -> _Cloud:
-        scan = np.repeat(np.arange(len(scans)), [len(points) for points in scans])
-        return cls(np.concatenate(scans), scan)
-
-    def turned(self, poses: FloatArray) -> FloatArray:
-        """(N, 2) the points about the place of their scan, turned as it is."""
-        c, s = np.cos(poses[:, 2])[self.scan], np.sin(poses[:, 2])[self.scan]
-        x, y = self.points.T
-        return np.column_stack([c * x - s * y, s * x + c * y])
-
-    def placed(self, poses: FloatArray) -> FloatArray:
-        """(N, 2) the points with the scans at some poses (n, 3)."""
-        return self.turned(poses) + poses[self.scan, :2]
-
-    def neighbours(self, poses: FloatArray, around_m: float) -> _Neighbours:
-        """The points of other scans around each, with the scans at some poses."""
-        placed = self.placed(poses)
-        if not len(placed):
-            return _Neighbours(np.zeros((0, 1), dtype=np.int64), np.zeros((0, 1), dtype=bool))
-        nearest = range(1, min(_NEIGHBOURS, len(placed)) + 1)
-        _, found = cKDTree(placed).query(placed, nearest, distance_upper_bound=around_m)
-        known = found < len(placed)
-        found[~known] = 0
-        return _Neighbours(found, known & (self.scan[found] != self.scan[:, None]))
-
-    def lines(self, near: _Neighbours, poses: FloatArray) -> _Lines:
-        """The lines that the neighbours of each point draw, with the scans at some poses."""
-        return _Lines.through(self.placed(poses), near)
-
-
-@dataclass(frozen=True, slots=True)
-class _Neighbours:
-    """The numbers (N, k) of the points near each point, and which of them count."""
-
-    points: IntArray
-    counted: BoolArray
-
-
-@dataclass(frozen=True, slots=True)
-class _Lines:
+class _Lines(NamedTuple):
     """Lines beside N points, where they are `known` (N,).
 
     Unit `normals` (2, N), and how far `off` (N,) along them, metres, the lines are.
@@ -225,22 +163,54 @@ class _Lines:
     off: FloatArray
     known: BoolArray
 
-    @property
-    def on_it(self) -> BoolArray:
-        """(N,) whether a point lies on its line, as far as the noise lets tell."""
-        return np.abs(self.off) < _NOISE_M
 
-    @property
-    def weights(self) -> FloatArray:
-        """(N,) of the points: Cauchy's, so that what stands elsewhere now draws at nothing."""
-        return self.known / (_NOISE_M**2 + self.off * self.off)
+class _Cloud:
+    """The points (N, 2) of all scans, each in its scan's frame, and the `scan` (N,) of each."""
 
-    @classmethod
-    def through(cls, placed: FloatArray, near: _Neighbours) -> _Lines:
-        """The lines through the neighbours of points (N, 2), as they are placed."""
-        count = near.counted.sum(axis=1)
-        shares = near.counted / np.maximum(count, 1)[:, None]
-        x, y = (placed[:, axis][near.points] - placed[:, axis, None] for axis in (0, 1))
+    def __init__(self, scans: Sequence[FloatArray]) -> None:
+        self.points = np.concatenate(scans)
+        self.scan = np.repeat(np.arange(len(scans)), [len(points) for points in scans])
+
+    def laid(
+        self,
+        placed: FloatArray,
+        first: FloatArray,
+        trust: FloatArray,
+        around_m: float,
+        moving: FloatArray,
+    ) -> FloatArray:
+        """The poses (n, 3) after some steps from those at which the scans are `placed`.
+
+        `first` (n, 3) are those that were known to `trust` (3,), an information in x, y and turn.
+        Each moves by the share `moving` (n, 1) of its steps.
+        """
+        for _ in range(_SEARCHES):
+            near = self.neighbours(placed, around_m)
+            for _ in range(_STEPS):
+                lines = self.lines(placed, *near)
+                placed = placed + self._step(lines, placed, first, trust) * moving
+        return placed
+
+    def neighbours(self, poses: FloatArray, around_m: float) -> tuple[IntArray, BoolArray]:
+        """(N, k) and (N, k) the points near each, with the scans at some poses, and which count.
+
+        Those count that are of other scans.
+        """
+        placed = self._turned(poses) + poses[self.scan, :2]
+        if not len(placed):
+            return np.zeros((0, 1), dtype=np.int64), np.zeros((0, 1), dtype=bool)
+        nearest = range(1, min(_NEIGHBOURS, len(placed)) + 1)
+        _, found = cKDTree(placed).query(placed, nearest, distance_upper_bound=around_m)
+        known = found < len(placed)
+        found[~known] = 0
+        return found, known & (self.scan[found] != self.scan[:, None])
+
+    def lines(self, poses: FloatArray, near: IntArray, counted: BoolArray) -> _Lines:
+        """The lines that the neighbours of each point draw, with the scans at some poses."""
+        placed = self._turned(poses) + poses[self.scan, :2]
+        count = counted.sum(axis=1)
+        shares = counted / np.maximum(count, 1)[:, None]
+        x, y = (placed[:, axis][near] - placed[:, axis, None] for axis in (0, 1))
         mean_x, mean_y = (shares * x).sum(axis=1), (shares * y).sum(axis=1)
         xx = (shares * x * x).sum(axis=1) - mean_x * mean_x
         yy = (shares * y * y).sum(axis=1) - mean_y * mean_y
@@ -248,47 +218,40 @@ class _Lines:
         half, middle = 0.5 * (xx - yy), 0.5 * (xx + yy)
         reach = np.sqrt(half * half + xy * xy)
         across, along = middle - reach, middle + reach
-        normals = _minor_axes(half, xy, reach)
+        # the shorter axis, by that of the two forms of the vector that does not vanish
+        steep = half > 0.0
+        normals = np.stack([np.where(steep, -xy, reach - half), np.where(steep, half + reach, -xy)])
+        length = np.sqrt(normals[0] * normals[0] + normals[1] * normals[1])
+        normals = normals / np.where(length > 0.0, length, 1.0)
         is_line = (count >= _FEWEST) & (along > _SHORTEST_M**2) & (across < _FLAT * along)
-        return cls(normals, normals[0] * mean_x + normals[1] * mean_y, is_line)
+        return _Lines(normals, normals[0] * mean_x + normals[1] * mean_y, is_line)
 
+    def _turned(self, poses: FloatArray) -> FloatArray:
+        """(N, 2) the points about the place of their scan, turned as it is."""
+        c, s = np.cos(poses[:, 2])[self.scan], np.sin(poses[:, 2])[self.scan]
+        x, y = self.points.T
+        return np.column_stack([c * x - s * y, s * x + c * y])
 
-def _minor_axes(half: FloatArray, xy: FloatArray, reach: FloatArray) -> FloatArray:
-    """(2, N) unit vectors along the shorter axis of covariances.
+    def _step(
+        self, lines: _Lines, placed: FloatArray, first: FloatArray, trust: FloatArray
+    ) -> FloatArray:
+        """(n, 3) a Gauss-Newton step of every scan towards the lines of the others."""
+        (nx, ny), (x, y) = lines.normals, self._turned(placed).T
+        rows = np.stack([nx, ny, ny * x - nx * y])
+        # Cauchy's, so that what stands elsewhere now draws at nothing
+        weights = lines.known / (_NOISE_M**2 + lines.off * lines.off)
+        weighted = rows * weights
+        back = first - placed
+        back[:, 2] = wrap_angles(back[:, 2])
+        held = np.zeros((len(placed), 3)) + trust
+        held[:, :2] += _SCATTER * self._sums(weights, len(placed))[:, None]
+        side, hessian = held * back, held[..., None] * np.eye(3)
+        for i in range(3):
+            side[:, i] += self._sums(weighted[i] * lines.off, len(placed))
+            for j in range(3):
+                hessian[:, i, j] += self._sums(weighted[i] * rows[j], len(placed))
+        return product(inverse3(hessian), side[..., None])[..., 0]
 
-    `half` is half the difference of the variances in x and in y, `reach` the root of the sum of
-    its square and that of `xy`. Of the two forms of the vector the one that does not vanish.
-    """
-    steep = half > 0.0
-    x = np.where(steep, -xy, reach - half)
-    y = np.where(steep, half + reach, -xy)
-    length = np.sqrt(x * x + y * y)
-    return np.stack([x, y]) / np.where(length > 0.0, length, 1.0)
-
-
-def _steps(
-    cloud: _Cloud, lines: _Lines, placed: FloatArray, first: FloatArray, trust: FloatArray
-) -> FloatArray:
-    """(n, 3) a Gauss-Newton step of every scan towards the lines of the others.
-
-    `placed` (n, 3) are the poses now, `first` those that were known to `trust` (3,), an information
-    in x, y and turn.
-    """
-    (nx, ny), (x, y) = lines.normals, cloud.turned(placed).T
-    rows = np.stack([nx, ny, ny * x - nx * y])
-    weighted = rows * lines.weights
-    back = first - placed
-    back[:, 2] = wrap_angles(back[:, 2])
-    held = np.zeros((len(placed), 3)) + trust
-    held[:, :2] += _SCATTER * _sums(cloud, lines.weights, len(placed))[:, None]
-    side, hessian = held * back, held[..., None] * np.eye(3)
-    for i in range(3):
-        side[:, i] += _sums(cloud, weighted[i] * lines.off, len(placed))
-        for j in range(3):
-            hessian[:, i, j] += _sums(cloud, weighted[i] * rows[j], len(placed))
-    return product(inverse3(hessian), side[..., None])[..., 0]
-
-
-def _sums(cloud: _Cloud, values: FloatArray, scans: int) -> FloatArray:
-    """(n,) the sum of values (N,) over the points of each scan."""
-    return np.asarray(np.bincount(cloud.scan, values, scans), dtype=np.float64)
+    def _sums(self, values: FloatArray, scans: int) -> FloatArray:
+        """(n,) the sum of values (N,) over the points of each scan."""
+        return np.asarray(np.bincount(self.scan, values, scans), dtype=np.float64)

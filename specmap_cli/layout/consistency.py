@@ -41,6 +41,7 @@ _MEND_SIGMAS = 5.0  # sigmas of the path's error that closures which agree may m
 _SURE = 3.0  # a closure that agrees with another one knows its place better than the path, by this
 # Error of a closure that is right, where closures are compared: of its place, of its heading.
 _CLOSURE_M, _CLOSURE_RAD = 0.15, 0.03
+_CLOSURE_ERROR = np.diag([_CLOSURE_M**2, _CLOSURE_M**2, _CLOSURE_RAD**2])
 _AGREE_CHI2 = 16.3  # below it two closures agree: one right pair of 1,000 is above
 _CLIQUE_STEPS = 100_000  # steps of the search for the largest set that agrees, at the most
 
@@ -84,14 +85,23 @@ def judge(
     ends, spread = Ends.of(graph.row, closures), path_error(graph, draft.poses)
     pairs = Pairs.of(graph, draft.poses, ends, spread)
     votes, cut_short = _votes(graph, ends, pairs, spread)
-    outvoted = _outvoted(graph, ends, pairs, votes >= _CLOSURE_VOTES)
-    reasons = [
+    winners = votes >= _CLOSURE_VOTES
+    rivals = pairs.same & winners
+    against = (rivals & ~pairs.agree).sum(axis=1)
+    outvoted = ~winners & (2 * against > rivals.sum(axis=1))
+    reasons: list[Reason] = []
+    for k, link in enumerate(closures):
+        if outvoted[k]:
+            reasons.append("outvoted")
+        elif away_m[k] <= CLOSURE_SLACK_M:
+            reasons.append("near")
+        elif winners[k]:
+            reasons.append("votes")
         # what is found far away may mend nothing alone, since walls look alike
-        _reason(away, allowed if link.kind == "closure" else 0.0, count, out)
-        for link, away, allowed, count, out in zip(
-            closures, away_m, allowed_m, votes, outvoted, strict=True
-        )
-    ]
+        elif link.kind == "closure" and away_m[k] <= allowed_m[k]:
+            reasons.append("drift")
+        else:
+            reasons.append("impossible")
     if "votes" in reasons:  # one alone is asked again in the layout that these have mended
         reasons = ["waiting" if reason == "drift" else reason for reason in reasons]
     judged = tuple(
@@ -107,69 +117,46 @@ def judge(
     return judged, cut_short
 
 
-def _reason(away_m: float, allowed_m: float, votes: int, outvoted: bool) -> Reason:
-    if outvoted:
-        return "outvoted"
-    if away_m <= CLOSURE_SLACK_M:
-        return "near"
-    if votes >= _CLOSURE_VOTES:
-        return "votes"
-    return "drift" if away_m <= allowed_m else "impossible"
-
-
 @dataclass(frozen=True, slots=True)
 class Pairs:
-    """Which links agree, (L, L), and how well one says where another would be, (L, L) metres.
+    """Which links lie between the `same` two parts, (L, L), and which of these `agree`.
 
-    The second is the standard deviation of the place; inf where links say nothing of each other.
+    `sigma_m` (L, L): how well one says where another would be, as the standard deviation of the
+    place; inf where links say nothing of each other.
     """
 
+    same: BoolArray
     agree: BoolArray
     sigma_m: FloatArray
 
     @classmethod
     def of(cls, graph: Graph, poses: FloatArray, ends: Ends, spread: Uncertainty) -> Pairs:
-        """Of links at poses (M, 3). Those between other parts say nothing of each other."""
-        count = len(ends.i)
+        """Of links at poses (M, 3). Those between other parts say nothing of each other.
+
+        The way home leads from the older end of link a over it, along the newer pass, back over
+        link b, and along the older pass. Its error is told in the frame of the newer end of b.
+        """
         older, newer = ends.parts(graph)
-        a, b = np.triu_indices(count, 1)
-        same = (older[a] == older[b]) & (newer[a] == newer[b])
-        a, b = a[same], b[same]
-        error, covariance = _way_home(poses, ends, a, b, spread)
-        agree, sigma = np.zeros((count, count), dtype=bool), np.full((count, count), np.inf)
+        same = (older[:, None] == older) & (newer[:, None] == newer)
+        a, b = np.nonzero(np.triu(same, 1))
+        later = compose(invert(poses[ends.j[a]]), poses[ends.j[b]])  # ja from jb
+        before = compose(invert(poses[ends.i[b]]), poses[ends.i[a]])  # ib from ia
+        over = compose(compose(before, ends.z[a]), later)  # ib from jb, by way of link a
+        error = compose(invert(ends.z[b]), over)
+        # each piece's error, moved to the frame of jb: that of a link acts in the frame of its end
+        covariance = spread.between(ends.j[a], ends.j[b]) + _CLOSURE_ERROR
+        covariance = covariance + moved_covariance(adjoint(invert(later)), _CLOSURE_ERROR[None])
+        back = adjoint(invert(compose(ends.z[a], later)))  # jb from ia
+        covariance = covariance + moved_covariance(back, spread.between(ends.i[b], ends.i[a]))
+        agree, sigma = np.zeros(same.shape, dtype=bool), np.full(same.shape, np.inf)
         agree[a, b] = chi2_of(error, covariance) <= _AGREE_CHI2
         sigma[a, b] = _place_sigma(covariance)
-        return cls(agree | agree.T, np.minimum(sigma, sigma.T))
+        return cls(same, agree | agree.T, np.minimum(sigma, sigma.T))
 
 
 def _place_sigma(covariance: FloatArray) -> FloatArray:
     """(L,) standard deviations of the place, in the mean of all directions, of (L, 3, 3)."""
     return np.asarray(np.sqrt((covariance[:, 0, 0] + covariance[:, 1, 1]) / 2))
-
-
-def _closure_covariance() -> FloatArray:
-    return np.diag([_CLOSURE_M**2, _CLOSURE_M**2, _CLOSURE_RAD**2])
-
-
-def _way_home(
-    poses: FloatArray, ends: Ends, a: IntArray, b: IntArray, spread: Uncertainty
-) -> tuple[FloatArray, FloatArray]:
-    """Errors (P, 3) of the ways over links `a` (P,) and back over `b`, and covariances (P, 3, 3).
-
-    From the older end of a link over it, along the newer pass, back over the other link, and along
-    the older pass. Errors are told in the frame of the newer end of b.
-    """
-    later = compose(invert(poses[ends.j[a]]), poses[ends.j[b]])  # ja from jb
-    older = compose(invert(poses[ends.i[b]]), poses[ends.i[a]])  # ib from ia
-    over = compose(compose(older, ends.z[a]), later)  # ib from jb, by way of link a
-    error = compose(invert(ends.z[b]), over)
-    # each piece's error, moved to the frame of jb: that of a link acts in the frame of its end
-    one = _closure_covariance()
-    covariance = spread.between(ends.j[a], ends.j[b]) + one
-    covariance = covariance + moved_covariance(adjoint(invert(later)), one[None])
-    back = invert(compose(ends.z[a], later))  # jb from ia
-    covariance = covariance + moved_covariance(adjoint(back), spread.between(ends.i[b], ends.i[a]))
-    return error, covariance
 
 
 def _votes(graph: Graph, ends: Ends, pairs: Pairs, spread: Uncertainty) -> tuple[IntArray, int]:
@@ -180,8 +167,12 @@ def _votes(graph: Graph, ends: Ends, pairs: Pairs, spread: Uncertainty) -> tuple
     much better than the path does: far along the path anything agrees.
     """
     sure_m = _place_sigma(spread.between(ends.i, ends.j)) / _SURE
+    # how far each is from the path as tracked, in sigmas of its error
+    error = path_error(graph, graph.poses).between(ends.i, ends.j) + _CLOSURE_ERROR
+    sigmas = np.sqrt(chi2_of(errors(graph.poses, ends.i, ends.j, ends.z), error))
+    older, newer = ends.parts(graph)
+    left = np.flatnonzero((older != newer) | (sigmas <= _MEND_SIGMAS))
     votes, cut_short = np.ones(len(ends.i), dtype=np.int64), 0
-    left = np.flatnonzero(_sigmas(graph, ends) <= _MEND_SIGMAS)
     while len(left):
         clique, is_largest = largest_clique(pairs.agree[np.ix_(left, left)], _CLIQUE_STEPS)
         cut_short += not is_largest
@@ -191,29 +182,8 @@ def _votes(graph: Graph, ends: Ends, pairs: Pairs, spread: Uncertainty) -> tuple
         for number in range(int(chain.max()) + 1):
             linked = members[chain == number]
             votes[linked] = independent(ends, linked.tolist(), graph.path, _CLOSURE_APART_M)
-        left = left[~_same_parts(graph, ends, members[:1])[left, 0]]
+        left = left[~pairs.same[left, members[0]]]
     return votes, cut_short
-
-
-def _sigmas(graph: Graph, ends: Ends) -> FloatArray:
-    """(c,) how far each closure is from the path as tracked, in sigmas of its error."""
-    spread = path_error(graph, graph.poses).between(ends.i, ends.j) + _closure_covariance()
-    sigmas = np.sqrt(chi2_of(errors(graph.poses, ends.i, ends.j, ends.z), spread))
-    older, newer = ends.parts(graph)
-    return np.where(older != newer, 0.0, sigmas)
-
-
-def _outvoted(graph: Graph, ends: Ends, pairs: Pairs, winners: BoolArray) -> BoolArray:
-    """(c,) whether most of the winners of the same parts disagree with a closure."""
-    same = _same_parts(graph, ends, np.arange(len(winners))) & winners
-    against = (same & ~pairs.agree).sum(axis=1)
-    return np.asarray(~winners & (2 * against > same.sum(axis=1)), dtype=bool)
-
-
-def _same_parts(graph: Graph, ends: Ends, rows: IntArray) -> BoolArray:
-    """(c, r) whether closures lie between the same two parts as those of some rows."""
-    i, j = ends.parts(graph)
-    return np.asarray((i[:, None] == i[rows]) & (j[:, None] == j[rows]))
 
 
 def independent(ends: Ends, members: Sequence[int], way: FloatArray, apart_m: float) -> int:
@@ -251,7 +221,14 @@ class _CliqueSearch:
         ]
         self.all = (1 << len(adjacent)) - 1
         self.left = most_steps
-        self.best = self._greedy()
+        self.best: list[int] = []  # at first of the most neighbours, each one of all before
+        common = self.all
+        for vertex in sorted(
+            range(len(adjacent)), key=lambda v: (-self.neighbours[v].bit_count(), v)
+        ):
+            if common >> vertex & 1:
+                self.best.append(vertex)
+                common &= self.neighbours[vertex]
 
     def expand(self, clique: list[int], candidates: int) -> None:
         """Look for larger cliques of `clique` and some of its common neighbours `candidates`."""
@@ -277,16 +254,3 @@ class _CliqueSearch:
                 free &= ~(1 << vertex) & ~self.neighbours[vertex]
                 order.append((vertex, colour))
         return order
-
-    def _greedy(self) -> list[int]:
-        """Vertices of the most neighbours first, each that is a neighbour of all before."""
-        ranked = sorted(
-            range(len(self.neighbours)), key=lambda v: (-self.neighbours[v].bit_count(), v)
-        )
-        clique: list[int] = []
-        common = self.all
-        for vertex in ranked:
-            if common >> vertex & 1:
-                clique.append(vertex)
-                common &= self.neighbours[vertex]
-        return clique

@@ -89,10 +89,13 @@ class Views:
         every_m = max(LOOP_EVERY_M, float(graph.path[-1]) / _MOST_VIEWS)
         rows = np.array(rows_every(graph.path, every_m), dtype=np.int64)
         numbers = graph.nodes[rows].tolist()
-        ranges = [_nearest(store, number, MATCH_RANGE_M) for number in numbers]
+        ranges = np.full((len(numbers), _BEARINGS), np.inf, dtype=np.float32)
+        for nearest, number in zip(ranges, numbers, strict=True):
+            x, y = store.scan(number).hits(MATCH_RANGE_M).T
+            np.minimum.at(nearest, _bins(np.arctan2(y, x)), np.hypot(x, y))
         return cls(
             rows=rows,
-            ranges=np.array(ranges, dtype=np.float32).reshape(-1, _BEARINGS),
+            ranges=ranges,
             mounts=np.array([store.base_from_laser(k) for k in numbers]).reshape(-1, 3),
             way=graph.path[rows],
         )
@@ -142,16 +145,6 @@ class Views:
         clear = known & np.isfinite(gaps).all(axis=0)
         clear &= gaps.min(axis=0) > _CLEAR_M + _CLEAR_SHARE * distance
         return int(same.sum()), int((clear & ~same).sum())
-
-
-def _nearest(store: KeyframeStore, number: int, range_m: float) -> Ranges:
-    """(B,) the nearest return of a keyframe at each bearing of its laser, +inf without one."""
-    hits = store.scan(number).hits(range_m)
-    ranges = np.full(_BEARINGS, np.inf, dtype=np.float32)
-    np.minimum.at(
-        ranges, _bins(np.arctan2(hits[:, 1], hits[:, 0])), np.hypot(hits[:, 0], hits[:, 1])
-    )
-    return ranges
 
 
 def _bins(angles: NDArray[Any]) -> IntArray:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
-from itertools import compress, pairwise
+from itertools import pairwise
 
 import numpy as np
 
@@ -45,13 +45,17 @@ _LAID_OUT = Bridge(0.02, 0.005)
 
 def placed(layout: Layout, map_from_own: Pose2, first: int = 0) -> Layout:
     """A layout moved as a whole into another map, its keyframes numbered from `first` on."""
+    odometry, kept, dropped = (
+        tuple(replace(one, source=one.source + first, target=one.target + first) for one in links)
+        for links in (layout.odometry, layout.kept, layout.dropped)
+    )
     return replace(
         layout,
         poses=compose(np.array(map_from_own), layout.poses),
         nodes=layout.nodes + first,
-        odometry=_renumbered(layout.odometry, first),
-        kept=_renumbered(layout.kept, first),
-        dropped=_renumbered(layout.dropped, first),
+        odometry=odometry,
+        kept=kept,
+        dropped=dropped,
         loose=tuple(start + first for start in layout.loose),
     )
 
@@ -83,12 +87,6 @@ def join_layouts(
     dropped = (*old.dropped, *new.dropped, *dropped)
     agreement = views.agreement(draft.poses)
     return Layout.of(graph, Candidate("relaxed", draft, dropped, agreement))
-
-
-def _renumbered(links: Sequence[Link], first: int) -> tuple[Link, ...]:
-    return tuple(
-        replace(link, source=link.source + first, target=link.target + first) for link in links
-    )
 
 
 def gaps_of(poses: FloatArray, thinned: IntArray) -> dict[int, Bridge]:
@@ -142,58 +140,30 @@ def without_keyframes(
     ends = {end for link in kept for end in (link.source, link.target)}
     old = {row[node] for node in layout.nodes.tolist() if node in row}
     nodes = chosen_nodes(store.poses, {*old, *ends, *breaks})
+    known = {(one.source, one.target): one for one in layout.odometry}  # by their old numbers
+    motions: list[Link] = []
+    for source, target in pairwise(nodes.tolist()):
+        one = known.get((int(numbers[source]), int(numbers[target])))
+        if one is None:
+            motions += motion_links(store, np.array([source, target]), breaks)
+        else:
+            motions.append(replace(one, source=source, target=target))
     return replace(
         layout,
         poses=layout.poses[numbers],
         nodes=nodes,
-        odometry=_motions(store, nodes, layout.odometry, row, breaks),
+        odometry=tuple(motions),
         kept=kept,
         dropped=(),
         loose=tuple(row[start] for start in layout.loose),
     )
 
 
-def _motions(
-    store: KeyframeStore,
-    nodes: IntArray,
-    known: Sequence[Link],
-    row: Mapping[int, int],
-    breaks: Mapping[int, Bridge | None],
-) -> tuple[Link, ...]:
-    """The motions between the nodes, those that are known by their old numbers as they are."""
-    same = {
-        (row[one.source], row[one.target]): one
-        for one in known
-        if one.source in row and one.target in row
-    }
-    motions: list[Link] = []
-    for source, target in zip(nodes[:-1].tolist(), nodes[1:].tolist(), strict=True):
-        one = same.get((source, target))
-        if one is None:
-            motions += motion_links(store, np.array([source, target]), breaks)
-        else:
-            motions.append(replace(one, source=source, target=target))
-    return tuple(motions)
-
-
 def _links_of(layout: Layout, numbers: IntArray, recordings: IntArray) -> list[Link]:
-    """The links with ends that are kept, by their old numbers; of those moved there one a pair."""
-    kept_end = _nearest_kept(numbers, recordings)
-    ends = [(int(kept_end[one.source]), int(kept_end[one.target])) for one in layout.kept]
-    whole = [(one.source, one.target) == pair for one, pair in zip(layout.kept, ends, strict=True)]
-    links = list(compress(layout.kept, whole))
-    pairs = {frozenset((one.source, one.target)) for one in links}
-    spread = Uncertainty.along(layout.poses[layout.nodes], layout.odometry, 0.0)
-    for one, (source, target) in zip(layout.kept, ends, strict=True):
-        pair = frozenset((source, target))
-        if len(pair) == 2 and pair not in pairs:
-            pairs.add(pair)
-            links.append(_between(layout, spread, source, target, one))
-    return links
+    """The links with ends that are kept, by their old numbers; of those moved there one a pair.
 
-
-def _nearest_kept(numbers: IntArray, recordings: IntArray) -> IntArray:
-    """(n,) for each keyframe the kept one next to it along the way, of the same recording."""
+    An end that is gone moves to the keyframe next to it along the way, of the same recording.
+    """
     nearest = np.arange(len(recordings))
     kept = np.isin(nearest, numbers)
     for recording in np.unique(recordings[~kept]).tolist():
@@ -202,7 +172,16 @@ def _nearest_kept(numbers: IntArray, recordings: IntArray) -> IntArray:
         after = np.clip(np.searchsorted(left, gone), 1, max(1, len(left) - 1))
         before, after = left[after - 1], left[np.minimum(after, len(left) - 1)]
         nearest[gone] = np.where(gone - before <= after - gone, before, after)
-    return nearest
+    links = [one for one in layout.kept if kept[one.source] and kept[one.target]]
+    pairs = {frozenset((one.source, one.target)) for one in links}
+    spread = Uncertainty.along(layout.poses[layout.nodes], layout.odometry, 0.0)
+    for one in layout.kept:
+        source, target = int(nearest[one.source]), int(nearest[one.target])
+        pair = frozenset((source, target))
+        if len(pair) == 2 and pair not in pairs:
+            pairs.add(pair)
+            links.append(_between(layout, spread, source, target, one))
+    return links
 
 
 def _between(layout: Layout, spread: Uncertainty, source: int, target: int, link: Link) -> Link:

@@ -41,7 +41,7 @@ def along_walls(layout: Layout, store: KeyframeStore, config: RelaxationConfig) 
     """
     if not config.follow_walls:
         return layout
-    turn = -wall_direction(*_pieces(store, layout.poses, MATCH_RANGE_M))
+    turn = -wall_direction(*_pieces(store, layout.poses))
     if turn == 0.0:
         return layout
     return replace(layout, poses=compose(np.array([0.0, 0.0, turn]), layout.poses))
@@ -55,7 +55,14 @@ def wall_direction(directions: FloatArray, lengths: FloatArray) -> float:
     """
     if not len(lengths):
         return 0.0
-    direction = _peak(directions, lengths)
+    # the direction round which there are most metres of wall
+    bins = np.floor(np.mod(directions, _QUARTER) * (_BINS / _QUARTER)).astype(np.intp) % _BINS
+    metres = np.bincount(bins, weights=lengths, minlength=_BINS)
+    around = np.arange(-_BINS // 2, _BINS // 2)
+    curve = np.exp(-0.5 * (around * (_QUARTER / _BINS) / _SPREAD_RAD) ** 2)
+    rows = (np.arange(_BINS)[:, None] + around) % _BINS
+    peak = int((metres[rows] * curve).sum(axis=1).argmax())
+    direction = (peak + 0.5) * (_QUARTER / _BINS)
     for near in _NEAR_RAD:
         off = _between(directions, direction)
         taken = np.abs(off) < near
@@ -66,42 +73,26 @@ def wall_direction(directions: FloatArray, lengths: FloatArray) -> float:
     return round(nearest / _STEP_RAD) * _STEP_RAD
 
 
-def _peak(directions: FloatArray, lengths: FloatArray) -> float:
-    """The direction round which there are most metres of wall."""
-    bins = np.floor(np.mod(directions, _QUARTER) * (_BINS / _QUARTER)).astype(np.intp) % _BINS
-    metres = np.bincount(bins, weights=lengths, minlength=_BINS)
-    away = np.arange(-_BINS // 2, _BINS // 2) * (_QUARTER / _BINS)
-    curve = np.exp(-0.5 * (away / _SPREAD_RAD) ** 2)
-    rows = (np.arange(_BINS)[:, None] + np.arange(-_BINS // 2, _BINS // 2)) % _BINS
-    return (int((metres[rows] * curve).sum(axis=1).argmax()) + 0.5) * (_QUARTER / _BINS)
-
-
 def _between(directions: FloatArray, direction: float) -> FloatArray:
     """(n,) directions seen from another one, in [-pi/4, pi/4), whatever quarter they are in."""
     return np.asarray(np.mod(directions - direction + 0.5 * _QUARTER, _QUARTER) - 0.5 * _QUARTER)
 
 
-def _pieces(
-    store: KeyframeStore, poses: FloatArray, range_m: float
-) -> tuple[FloatArray, FloatArray]:
+def _pieces(store: KeyframeStore, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Directions (n,) in the map and lengths (n,) of straight pieces of wall in some keyframes."""
     found = [np.zeros((2, 0))]
+    shortest, longest = _LENGTHS_M
     for number in evenly(np.arange(len(store)), _MOST).tolist():
         heading = poses[number, 2] + store.base_from_laser(number).theta
         scan = store.scan(number)
-        ranges = np.where(scan.ranges <= range_m, scan.ranges, np.nan)
+        ranges = np.where(scan.ranges <= MATCH_RANGE_M, scan.ranges, np.nan)
         angles = heading + scan.bearings
         points = np.stack([ranges * np.cos(angles), ranges * np.sin(angles)])
-        found += [_straight(points, apart) for apart in _APART]
+        for apart in _APART:
+            start, end, half = points[:, :-apart], points[:, apart:], apart // 2
+            along, sag = end - start, 0.5 * (start + end) - points[:, half:-half]
+            length = np.hypot(along[0], along[1])
+            wall = (length > shortest) & (length < longest) & (np.hypot(sag[0], sag[1]) < _BENT_M)
+            found.append(np.stack([np.arctan2(along[1], along[0])[wall], length[wall]]))
     directions, lengths = np.concatenate(found, axis=1)
     return directions, lengths
-
-
-def _straight(points: FloatArray, apart: int) -> FloatArray:
-    """(2, k) directions and lengths from points (2, n) to those `apart` beams on, of a wall."""
-    start, end, half = points[:, :-apart], points[:, apart:], apart // 2
-    along, sag = end - start, 0.5 * (start + end) - points[:, half:-half]
-    length = np.hypot(along[0], along[1])
-    shortest, longest = _LENGTHS_M
-    wall = (length > shortest) & (length < longest) & (np.hypot(sag[0], sag[1]) < _BENT_M)
-    return np.stack([np.arctan2(along[1], along[0])[wall], length[wall]])

@@ -46,12 +46,16 @@ def place_parts(graph: Graph, closures: Sequence[Link], votes: int) -> Draft:
 def place_part(
     graph: Graph, draft: Draft, part: int, links: Sequence[Link], *, votes: int
 ) -> Draft:
-    """The draft with `part` tied, where the links put it, when `votes` of them agree.
+    """The draft with `part` tied, where links to older parts put it, when `votes` of them agree.
 
     The guess that placed the part counts as one of them. The later parts, which hang on it, move
     with it.
     """
-    motions = corrections(graph, draft.poses, part, links)
+    ends = Ends.of(graph.row, links)
+    older, newer = ends.parts(graph)
+    across = (newer == part) & (older < part)
+    claimed = compose(draft.poses[ends.i[across]], ends.z[across])
+    motions = compose(claimed, invert(draft.poses[ends.j[across]]))  # of the map
     if not len(motions):
         return draft
     motions = np.concatenate([motions, np.zeros((1, 3))])
@@ -61,18 +65,6 @@ def place_part(
     poses, later = np.array(draft.poses), graph.parts >= part
     poses[later] = compose(motion, poses[later])
     return replace(draft, poses=poses, tied=draft.tied | {part})
-
-
-def corrections(graph: Graph, poses: FloatArray, part: int, links: Sequence[Link]) -> FloatArray:
-    """Motions (L, 3) of the map that would satisfy each link between `part` and an older part.
-
-    Each is to be composed from the left with the poses (M, 3) of the part.
-    """
-    ends = Ends.of(graph.row, links)
-    older, newer = ends.parts(graph)
-    across = (newer == part) & (older < part)
-    claimed = compose(poses[ends.i[across]], ends.z[across])
-    return compose(claimed, invert(poses[ends.j[across]]))
 
 
 def most_voted(motions: FloatArray, centre: FloatArray) -> tuple[FloatArray, int]:
@@ -132,7 +124,11 @@ def rejoin(
         return draft, search
     draft = replace(draft, tries={**draft.tries, part: tries + 1})
     if search is None:
-        search = _begun(part, graph, draft.poses, walls)
+        rows = np.flatnonzero(graph.parts < part)
+        seen_from = rows[::_EVERY].tolist()
+        free = partial(seen_free, walls, seen_from, draft.poses)
+        older = WallMap.of(walls.of_all(seen_from, draft.poses), free)
+        search = PartSearch(part=part, rows=rows, older=older)
         draft = draft.counting("stray_cells", search.older.coarsened)
     fit = search.older.place_of(walls.around(node, PLACE_NODES, draft.poses))
     if fit is not None:
@@ -140,10 +136,3 @@ def rejoin(
         search = replace(search, finds=(*search.finds, find))
     known = (*draft.hints, *search.finds)
     return place_part(graph, draft, part, known, votes=_PART_VOTES), search
-
-
-def _begun(part: int, graph: Graph, poses: FloatArray, walls: Walls) -> PartSearch:
-    rows = np.flatnonzero(graph.parts < part)
-    seen_from = rows[::_EVERY].tolist()
-    free = partial(seen_free, walls, seen_from, poses)
-    return PartSearch(part=part, rows=rows, older=WallMap.of(walls.of_all(seen_from, poses), free))

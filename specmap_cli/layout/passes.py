@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angles
-from specmap_cli.core.records import IntArray
 from specmap_cli.layout.parts import PartSearch, rejoin
 from specmap_cli.layout.path_graph import (
     LOOP_EVERY_M,
@@ -70,6 +69,7 @@ def find_passes(graph: Graph, draft: Draft, walls: Walls, first: int = 0) -> Dra
     asked = {newer for _, newer in matched}
     tied_m, news = float(graph.path[first]), 0
     due_m = tied_m + LOOP_EVERY_M
+    safe_m = 0.5 * LOOP_SEARCH_M / DRIFT_SHARE  # on it the path drifts by half of the least search
     renew_after = max(_SOLVE_EVERY, len(graph.nodes) // _NODES_A_LINK)
     search: PartSearch | None = None
     for node, way_m in enumerate(graph.path.tolist()):
@@ -83,7 +83,9 @@ def find_passes(graph: Graph, draft: Draft, walls: Walls, first: int = 0) -> Dra
             matched.update(passes.guesses)
             draft = draft.counting("loop_search_max_m", passes.cut_short)
             if is_tied:
-                due_m = way_m + _spacing_m(passes.older)
+                # n passes err by one over the root of n: the more, the less one match can add
+                spacing_m = math.sqrt(passes.older) * LOOP_EVERY_M
+                due_m = way_m + max(LOOP_EVERY_M, min(spacing_m, safe_m))
         else:
             draft, search = rejoin(node, graph, draft, walls, search)
             found = search.finds if search is not None and part in draft.tied else ()
@@ -98,16 +100,6 @@ def find_passes(graph: Graph, draft: Draft, walls: Walls, first: int = 0) -> Dra
         if news >= renew_after:
             draft, news = solved(graph, draft, roughly=True), 0
     return replace(draft, matched=matched)
-
-
-def _spacing_m(older: int) -> float:
-    """The way from a node that is tied to the next one asked, where `older` passes came by.
-
-    What n passes tell of a place errs by one over the root of n: the more of them, the less one
-    match more can add. But never so far that the path drifts by half of the least search.
-    """
-    safe_m = 0.5 * LOOP_SEARCH_M / DRIFT_SHARE
-    return max(LOOP_EVERY_M, min(math.sqrt(older) * LOOP_EVERY_M, safe_m))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -199,7 +191,10 @@ def far_passes(graph: Graph, draft: Draft, walls: Walls) -> tuple[tuple[Link, ..
         error = _error_since(last, row, graph, spread)
         if error is None:
             continue
-        old = _rows_within(row, error, graph, draft.poses)
+        old = np.flatnonzero(graph.path < graph.path[row] - LOOP_PATH_M)
+        reach = _REACH_SIGMAS**2 * error[:2, :2] + _NEAR_M**2 * np.eye(2)
+        old = old[within_ellipse(draft.poses[old, :2] - draft.poses[row, :2], reach)]
+        old = old[:: max(1, -(-len(old) // _MOST_ROWS))]
         if not len(old):
             continue
         searched[row] = pose
@@ -225,12 +220,3 @@ def _error_since(last: int, row: int, graph: Graph, spread: Uncertainty) -> Floa
     scale = min(1.0, _WIDE_SEARCH_MAX_M / (_REACH_SIGMAS * longest))
     error[:2, :2] = place * scale**2
     return np.asarray(error, dtype=np.float64)
-
-
-def _rows_within(row: int, error: FloatArray, graph: Graph, poses: FloatArray) -> IntArray:
-    """Older rows that the path's error lets be near a row, thinned."""
-    old = np.flatnonzero(graph.path < graph.path[row] - LOOP_PATH_M)
-    reach = _REACH_SIGMAS**2 * error[:2, :2] + _NEAR_M**2 * np.eye(2)
-    away = poses[old, :2] - poses[row, :2]
-    old = old[within_ellipse(away, reach)]
-    return np.asarray(old[:: max(1, -(-len(old) // _MOST_ROWS))], dtype=np.int64)

@@ -12,7 +12,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from specmap_cli.core.geometry import (
     FloatArray,
@@ -246,20 +245,6 @@ class Ends:
     def parts(self, graph: Graph) -> tuple[IntArray, IntArray]:
         """(L,) and (L,) the parts that the older and the newer end belong to."""
         return graph.parts[self.i], graph.parts[self.j]
-
-
-def lengths_matrix(count: int, pairs: Sequence[RowPair], lengths: Sequence[float]) -> csr_array:
-    """The (count, count) sparse matrix of undirected edges for scipy.sparse.csgraph.
-
-    Of several edges between the same two rows the shortest counts. Lengths must be above zero.
-    """
-    shortest: dict[RowPair, float] = {}
-    for (a, b), length in zip(pairs, lengths, strict=True):
-        pair = (min(a, b), max(a, b))
-        shortest[pair] = min(length, shortest.get(pair, np.inf))
-    ends = np.array(list(shortest), dtype=np.int32).reshape(-1, 2)  # csgraph wants 32 bits
-    values = np.array(list(shortest.values()), dtype=np.float64)
-    return csr_array((values, (ends[:, 0], ends[:, 1])), shape=(count, count))
 
 
 def rows_every(path: FloatArray, every_m: float) -> list[int]:

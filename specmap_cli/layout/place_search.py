@@ -116,29 +116,16 @@ class WallMap:
         They must fit well, nowhere else nearly as well, and leave no direction open: in a bare
         corridor nothing is found.
         """
-        best = self._best(source, guess)
-        if best is None:
-            return None
-        away = self.points - (best.pose.x, best.pose.y)
-        near = np.hypot(away[:, 0], away[:, 1]) < _NEAR_RANGES * MATCH_RANGE_M
-        field = field_of(self.points[near])
-        found = confirmed(field, source, best.pose, sure_score())
-        if found is None:
-            return None
-        variance = float(inverse3(found.information)[:2, :2].trace())
-        return found if variance <= 2 * _PINNED_M**2 else None
-
-    def _best(self, source: FloatArray, guess: Guess | None) -> Match | None:
-        """The place that fits best, if it leads clearly."""
-        few = thinned(source, FINE_POINTS_M)
+        few, sparse = thinned(source, FINE_POINTS_M), thinned(source, _SPARSE_M)
         if len(few) < MATCH_POINTS:
             return None
         turn = min(_TURN_RAD * self.step_m / _STEP_M, _MOST_TURN_RAD)
-        sparse = thinned(source, _SPARSE_M)
         angles, blocks = np.arange(0.0, 2 * np.pi, turn), self.pyramid.blocks()
-        if guess is not None and len(sparse):
+        if guess is not None:
             angles = guess.angles(turn)
-            blocks = blocks[guess.reaches(self.pyramid.centres_of(blocks), sparse.mean(axis=0))]
+            pyramid, middle = self.pyramid, sparse.mean(axis=0)
+            places = pyramid.corner + (blocks + 0.5 * 2**_TOP) * pyramid.cell_m
+            blocks = blocks[guess.reaches(places, middle)]
         # the pooled score, an upper bound, may still become that of a match
         wanted = Wanted(least=LOOP_SCORE, lead=2 * _LEAD, most=_SEARCH_BLOCKS)
         rough = best_places(self.pyramid, sparse, blocks, angles, wanted, _RIVALS)
@@ -147,7 +134,15 @@ class WallMap:
         fine.sort(key=lambda match: -match.score)
         if not fine or (len(fine) > 1 and fine[1].score > fine[0].score - _LEAD):
             return None
-        return fine[0]
+        best = fine[0]
+        away = self.points - (best.pose.x, best.pose.y)
+        near = np.hypot(away[:, 0], away[:, 1]) < _NEAR_RANGES * MATCH_RANGE_M
+        field = field_of(self.points[near])
+        found = confirmed(field, source, best.pose, sure_score())
+        if found is None:
+            return None
+        variance = float(inverse3(found.information)[:2, :2].trace())
+        return found if variance <= 2 * _PINNED_M**2 else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -194,10 +189,6 @@ class Pyramid:
         x, y = np.meshgrid(columns, rows)
         return np.column_stack([x.ravel(), y.ravel()]).astype(np.int64)
 
-    def centres_of(self, blocks: IntArray) -> FloatArray:
-        """(B, 2) metres of the middles of blocks of the top level."""
-        return np.asarray(self.corner + (blocks + 0.5 * 2**_TOP) * self.cell_m, dtype=np.float64)
-
 
 def _levels(cells: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], ...]:
     """The cells, and the maxima over blocks of them, level after level."""
@@ -242,7 +233,15 @@ def best_places(
     middle = np.asarray(points, dtype=np.float64).mean(axis=0)
     local = np.asarray(points, dtype=np.float64) - middle
     local = local[np.hypot(local[:, 0], local[:, 1]) <= pyramid.reach_m]
-    number, cell, scores = _descend(_Task.of(pyramid, local, -middle, angles), blocks, wanted)
+    spread = np.argsort(np.arange(len(local)) * _GOLDEN % 1.0, kind="stable")
+    x, y = np.concatenate([local[spread], -middle[None]]).T  # the robot last
+    c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
+    columns = np.round((c * x - s * y) / pyramid.cell_m)
+    rows = np.round((s * x + c * y) / pyramid.cell_m)
+    jumps = np.asarray(rows * pyramid.levels[0].shape[1] + columns, dtype=np.int32)
+    known = pyramid.free and np.hypot(middle[0], middle[1]) <= pyramid.reach_m
+    task = _Task(pyramid, jumps[:, :-1], jumps[:, -1] if known else None)
+    number, cell, scores = _descend(task, blocks, wanted)
     places = pyramid.corner + (cell + 0.5) * pyramid.cell_m
     found = (
         (float(score), Pose2(float(place[0]), float(place[1]), wrap_angle(float(angle))))
@@ -262,28 +261,10 @@ class _Task:
     points: NDArray[np.int32]
     robot: NDArray[np.int32] | None
 
-    @classmethod
-    def of(
-        cls, pyramid: Pyramid, points: FloatArray, robot: FloatArray, angles: FloatArray
-    ) -> _Task:
-        """Of points (N, 2) about their middle, and the robot (2,) seen from there."""
-        spread = np.argsort(np.arange(len(points)) * _GOLDEN % 1.0, kind="stable")
-        x, y = np.concatenate([points[spread], robot[None]]).T
-        c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
-        columns = np.round((c * x - s * y) / pyramid.cell_m)
-        rows = np.round((s * x + c * y) / pyramid.cell_m)
-        jumps = np.asarray(rows * pyramid.levels[0].shape[1] + columns, dtype=np.int32)
-        known = pyramid.free and np.hypot(robot[0], robot[1]) <= pyramid.reach_m
-        return cls(pyramid, jumps[:, :-1], jumps[:, -1] if known else None)
-
     @property
     def full(self) -> int:
         """The sum of a perfect fit."""
         return int(_FULL * self.points.shape[1])
-
-    def some(self) -> _Task:
-        """The same of some of the points, which lie all over."""
-        return replace(self, points=self.points[:, : math.ceil(_SOME * self.points.shape[1])])
 
     def starts(self, cell: IntArray) -> IntArray:
         """(K,) cells (K, 2) in the flat field."""
@@ -332,7 +313,8 @@ def _descend(
     """
     number = np.repeat(np.arange(len(task.points)), len(blocks))
     number, cell = task.allowed(_TOP, number, np.tile(blocks, (len(task.points), 1)))
-    some, lead = task.some(), math.floor(wanted.lead * task.full)
+    lead, count = math.floor(wanted.lead * task.full), task.points.shape[1]
+    some = replace(task, points=task.points[:, : math.ceil(_SOME * count)])  # which lie all over
     rough = some.sums(_TOP, number, cell, 0)
     floor = math.ceil(wanted.least * task.full)
     floor = max(floor, _greedy(task, _TOP, number, cell, rough) - lead)

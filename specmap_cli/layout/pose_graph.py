@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.sparse import coo_matrix, csc_matrix
+from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import splu
 
 from specmap_cli.core.errors import InputError
@@ -134,7 +134,9 @@ def solve(
     while not converged and done < iterations:
         done += 1
         step = _step(current, edges, damping)
-        trial = _moved_by(current, step)
+        trial = current.copy()
+        trial[1:] += step
+        trial[:, 2] = wrap_angles(trial[:, 2])
         trial_cost = _cost(squared(trial, edges), edges.width)
         if float(np.abs(step).max()) < _STILL:  # rounding would decide which cost is less
             converged = True
@@ -161,14 +163,6 @@ def _cost(chi2: FloatArray, width: FloatArray) -> float:
     return float(np.where(plain, chi2, c2 * np.log1p(chi2 / c2)).sum())
 
 
-def _moved_by(poses: FloatArray, step: FloatArray) -> FloatArray:
-    """Poses (n, 3), all but the first moved by a step (n - 1, 3)."""
-    moved = poses.copy()
-    moved[1:] += step
-    moved[:, 2] = wrap_angles(moved[:, 2])
-    return moved
-
-
 def _step(poses: FloatArray, edges: LinkArrays, damping: float) -> FloatArray:
     """The Gauss-Newton step (n - 1, 3) of all poses but the first."""
     e = errors(poses, edges.i, edges.j, edges.z)
@@ -184,20 +178,14 @@ def _step(poses: FloatArray, edges: LinkArrays, damping: float) -> FloatArray:
     gradient = np.zeros((len(poses), 3))
     np.add.at(gradient, edges.i, np.einsum("eba,eb->ea", wa, e))
     np.add.at(gradient, edges.j, np.einsum("eba,eb->ea", wb, e))
-    hessian = _assembled(blocks, rows, columns, len(poses))
+    free, k, n = (rows > 0) & (columns > 0), np.arange(3), 3 * (len(poses) - 1)
+    r = (3 * (rows[free, None, None] - 1) + k[:, None]) + 0 * k
+    c = (3 * (columns[free, None, None] - 1) + k[None, :]) + 0 * k[:, None]
+    values = blocks[free].ravel()  # those of the same cell add up
+    hessian = coo_matrix((values, (r.ravel(), c.ravel())), shape=(n, n)).tocsc()
     hessian.setdiag(hessian.diagonal() * (1.0 + damping) + _RIDGE)
     factor = splu(hessian, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
     return np.asarray(factor.solve(-gradient[1:].ravel()), dtype=np.float64).reshape(-1, 3)
-
-
-def _assembled(blocks: FloatArray, rows: IntArray, columns: IntArray, poses: int) -> csc_matrix:
-    """The sparse Hessian of all poses but the first, from blocks (B, 3, 3), which add up."""
-    free = (rows > 0) & (columns > 0)
-    k = np.arange(3)
-    r = (3 * (rows[free, None, None] - 1) + k[:, None]) + 0 * k
-    c = (3 * (columns[free, None, None] - 1) + k[None, :]) + 0 * k[:, None]
-    n = 3 * (poses - 1)
-    return coo_matrix((blocks[free].ravel(), (r.ravel(), c.ravel())), shape=(n, n)).tocsc()
 
 
 def _jacobians(poses: FloatArray, edges: LinkArrays) -> tuple[FloatArray, FloatArray]:
@@ -247,28 +235,23 @@ def read_g2o(text: str) -> tuple[dict[int, FloatArray], list[Link]]:
             if tag == "VERTEX_SE2":
                 poses[int(words[0])] = np.array(_floats(words[1:], 3))
             elif tag == "EDGE_SE2":
-                links.append(_edge(words))
+                x, y, theta, *upper = _floats(words[2:], 9)
+                information = np.zeros((3, 3))
+                information[_UPPER] = upper
+                source, target = int(words[0]), int(words[1])
+                link = Link(
+                    source=source,
+                    target=target,
+                    source_from_target=Pose2(x, y, theta),
+                    information=information + np.triu(information, 1).T,
+                    kind="odometry" if target == source + 1 else "closure",
+                )
+                links.append(link)
         except (ValueError, IndexError):
             raise InputError(
                 f"g2o, line {number}: {line!r} is no {tag};", "mend the line"
             ) from None
     return poses, links
-
-
-def _edge(words: Sequence[str]) -> Link:
-    x, y, theta, *upper = _floats(words[2:], 9)
-    information = np.zeros((3, 3))
-    information[_UPPER] = upper
-    information += np.triu(information, 1).T
-    source, target = int(words[0]), int(words[1])
-    kind: LinkKind = "odometry" if target == source + 1 else "closure"
-    return Link(
-        source=source,
-        target=target,
-        source_from_target=Pose2(x, y, theta),
-        information=information,
-        kind=kind,
-    )
 
 
 def _floats(words: Sequence[str], count: int) -> list[float]:

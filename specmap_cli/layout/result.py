@@ -79,6 +79,20 @@ class Layout:
         draft = candidate.draft
         spent = [part for part, tries in draft.tries.items() if tries >= PART_TRIES]
         given_up = sum(part not in draft.tied for part in spent)
+        older, newer = Ends.of(graph.row, draft.loops).parts(graph)
+        moves = []
+        for part in graph.part_numbers[1:]:
+            row = int(np.argmax(graph.parts == part))
+            was, now = (
+                compose(invert(poses[row - 1]), poses[row]) for poses in (graph.poses, draft.poses)
+            )
+            gap = compose(invert(was), now)
+            move = PartMove(
+                first=int(graph.nodes[row]),
+                moved_m=float(np.hypot(gap[0], gap[1])),
+                votes=int(np.count_nonzero((older == part) != (newer == part))),
+            )
+            moves.append(move)
         return cls(
             poses=propagated(graph.tracked, graph.nodes, draft.poses),
             nodes=graph.nodes,
@@ -87,7 +101,7 @@ class Layout:
             dropped=candidate.dropped,
             loose=loose_starts(graph, draft.loops),
             choice=candidate.choice,
-            parts=_part_moves(graph, draft),
+            parts=tuple(moves),
             agreement=candidate.agreement,
             limits=draft.counting("stray_tries", given_up).limits,
         )
@@ -113,23 +127,3 @@ class Candidate:
     draft: Draft
     dropped: tuple[Link, ...]
     agreement: Agreement
-
-
-def _part_moves(graph: Graph, draft: Draft) -> tuple[PartMove, ...]:
-    """How far each part after a break was moved."""
-    older, newer = Ends.of(graph.row, draft.loops).parts(graph)
-    moves = []
-    for part in graph.part_numbers[1:]:
-        row = int(np.argmax(graph.parts == part))
-        was, now = (
-            compose(invert(poses[row - 1]), poses[row]) for poses in (graph.poses, draft.poses)
-        )
-        gap = compose(invert(was), now)
-        moves.append(
-            PartMove(
-                first=int(graph.nodes[row]),
-                moved_m=float(np.hypot(gap[0], gap[1])),
-                votes=int(np.count_nonzero((older == part) != (newer == part))),
-            )
-        )
-    return tuple(moves)

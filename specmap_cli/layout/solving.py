@@ -77,53 +77,35 @@ def settle(graph: Graph, draft: Draft) -> tuple[Draft, tuple[Link, ...]]:
 def _solution(
     graph: Graph, draft: Draft, width: float, settled: float = SETTLED, *, hasty: bool = False
 ) -> Solution:
-    """The solution with Cauchy's kernel of `width` sigmas on the loops."""
+    """The solution with Cauchy's kernel of `width` sigmas on the loops.
+
+    Where a rough one will do the chains of the path are solved as one motion each.
+    """
     widths = {"closure": width, "nearby": width, "loose": _KERNEL_SIGMAS, "bridge": _KERNEL_SIGMAS}
-    links = LinkArrays.of((*_motions(graph, draft), *draft.loops), graph.row, widths)
-    steps = _HASTY if hasty else _SOLVE_ITERATIONS
-    count = _first_rows(draft.poses, links, len(graph.odometry))
-    among = (links.i < count) & (links.j < count)
-    found = _solved(draft.poses[:count], links.some(among), steps, settled)
-    tail = compose(invert(draft.poses[count - 1]), draft.poses[count:])
-    poses = np.concatenate([found.poses, compose(found.poses[-1], tail)])
-    return replace(found, poses=poses, chi2=squared(poses, links))
-
-
-def _solved(poses: FloatArray, links: LinkArrays, iterations: int, settled: float) -> Solution:
-    """The solution of a path (M, 3), of which the first M - 1 links are the motions.
-
-    Where a rough one will do its chains are solved as one motion each.
-    """
-    if settled <= SETTLED:
-        return solve(poses, links, iterations, settled)
-    condensed = Condensed.of(links, len(poses) - 1)
-    found = solve(poses[condensed.kept], condensed.links, iterations, settled)
-    return replace(found, poses=condensed.expanded(found.poses))
-
-
-def _first_rows(poses: FloatArray, links: LinkArrays, motions: int) -> int:
-    """How many rows there are up to the last one that a link may move.
-
-    What follows hangs on it by motions alone, the first of the links, and lies where they say: it
-    goes with it as it is.
-    """
-    missed = errors(poses, links.i, links.j, links.z)
-    pulls = np.abs(missed).max(axis=1, initial=0.0) > _EXACT
-    pulls[motions:] = True
-    return 1 + int(np.maximum(links.i, links.j)[pulls].max(initial=0))
-
-
-def _motions(graph: Graph, draft: Draft) -> list[Link]:
-    """The motions; where a part was placed the guess that led to it says nothing any more.
-
-    It holds the part where it is, so that it does not bend the path that closures tie.
-    """
     motions = list(graph.odometry)
     for row, motion in enumerate(motions):
+        # where a part was placed, the guess that led to it says nothing any more: it holds the part
+        # where it is, so that it does not bend the path that closures tie
         if motion.kind == "loose" and int(graph.parts[row + 1]) in draft.tied:
             placed = compose(invert(draft.poses[row]), draft.poses[row + 1])
             motions[row] = replace(motion, source_from_target=Pose2(*placed.tolist()))
-    return motions
+    links = LinkArrays.of((*motions, *draft.loops), graph.row, widths)
+    steps = _HASTY if hasty else _SOLVE_ITERATIONS
+    # what follows the last row that a link may move hangs on it by motions and goes with it
+    missed = errors(draft.poses, links.i, links.j, links.z)
+    pulls = np.abs(missed).max(axis=1, initial=0.0) > _EXACT
+    pulls[len(motions) :] = True
+    count = 1 + int(np.maximum(links.i, links.j)[pulls].max(initial=0))
+    path, some = draft.poses[:count], links.some((links.i < count) & (links.j < count))
+    if settled <= SETTLED:
+        found = solve(path, some, steps, settled)
+    else:
+        condensed = Condensed.of(some, count - 1)
+        found = solve(path[condensed.kept], condensed.links, steps, settled)
+        found = replace(found, poses=condensed.expanded(found.poses))
+    tail = compose(invert(draft.poses[count - 1]), draft.poses[count:])
+    poses = np.concatenate([found.poses, compose(found.poses[-1], tail)])
+    return replace(found, poses=poses, chi2=squared(poses, links))
 
 
 def _with(draft: Draft, solution: Solution) -> Draft:
@@ -149,16 +131,25 @@ class Condensed:
 
     @classmethod
     def of(cls, links: LinkArrays, motions: int) -> Condensed:
-        """Of links whose first `motions` lead from each row to the next, in order."""
-        kept, since = _kept(links, motions)
+        """Of links whose first `motions` lead from each row to the next, in order.
+
+        Rows that anything but two motions ties are kept, and some more: no chain is too long.
+        """
+        tied, loops = np.zeros(motions + 1, dtype=bool), slice(motions, None)
+        tied[[0, motions]] = True
+        tied[links.i[loops]] = tied[links.j[loops]] = True
+        special = np.flatnonzero(np.isfinite(links.width[:motions]))
+        tied[special] = tied[special + 1] = True
+        rows, ends = np.arange(motions + 1), np.flatnonzero(tied)
+        since = (rows - ends[np.searchsorted(ends, rows, side="right") - 1]) % _LONGEST
+        kept = np.flatnonzero(since == 0)
         there, sums, after, total = _along(links.z[:motions], links.w[:motions], since)
-        start = np.searchsorted(kept, np.arange(motions + 1), side="right") - 1
+        start = np.searchsorted(kept, rows, side="right") - 1
         last = kept[1:] - 1  # motion of each chain
         share = np.zeros((motions + 1, 3, 3))
         inner = np.flatnonzero(since)
         share[inner] = product(sums[inner], inverse3(total)[last[start[inner]]])
         spread = moved_covariance(adjoint(invert(after[last])), total[last])
-        loops = slice(motions, None)
         chains = LinkArrays(
             i=np.concatenate([start[kept[:-1]], start[links.i[loops]]]),
             j=np.concatenate([start[kept[1:]], start[links.j[loops]]]),
@@ -175,21 +166,6 @@ class Condensed:
         motion = np.concatenate([motion, np.zeros((1, 3))])  # nothing follows the last row
         moved = np.einsum("mab,mb->ma", self.share, motion[self.start])
         return compose(poses[self.start], compose(moved, self.there))
-
-
-def _kept(links: LinkArrays, motions: int) -> tuple[IntArray, IntArray]:
-    """Rows that anything but two motions ties, and some more, so that no chain is too long.
-
-    And for each row how many motions lead there from the last of these (M,).
-    """
-    tied = np.zeros(motions + 1, dtype=bool)
-    tied[[0, motions]] = True
-    tied[links.i[motions:]] = tied[links.j[motions:]] = True
-    special = np.flatnonzero(np.isfinite(links.width[:motions]))
-    tied[special] = tied[special + 1] = True
-    rows, ends = np.arange(motions + 1), np.flatnonzero(tied)
-    since = (rows - ends[np.searchsorted(ends, rows, side="right") - 1]) % _LONGEST
-    return np.flatnonzero(since == 0), since
 
 
 def _along(

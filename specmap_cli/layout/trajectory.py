@@ -93,12 +93,9 @@ def rows_of(trajectory: Trajectory, stamps_ns: Sequence[int], poses: FloatArray)
         if len(rows) == len(wanted):
             break
         keyframe_stamp, keyframe = wanted[len(rows)]
-        if stamp == keyframe_stamp and _is_same(pose, keyframe):
+        if stamp != keyframe_stamp:
+            continue
+        x, y, turn = (a - b for a, b in zip(pose, keyframe, strict=True))
+        if max(abs(x), abs(y), abs(wrap_angle(turn))) <= _SAME:
             rows.append(row)
     return np.array(rows, dtype=np.int64)
-
-
-def _is_same(pose: Sequence[float], other: Sequence[float]) -> bool:
-    """Whether two poses are equal but for rounding."""
-    turn = abs(wrap_angle(pose[2] - other[2]))
-    return max(abs(pose[0] - other[0]), abs(pose[1] - other[1]), turn) <= _SAME

@@ -16,11 +16,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from specmap_cli.core.geometry import FloatArray, inverse3, invert
 from specmap_cli.core.records import BoolArray, IntArray
-from specmap_cli.layout.path_graph import GUESS_M, Draft, Graph, lengths_matrix
+from specmap_cli.layout.path_graph import GUESS_M, Draft, Graph, RowPair
 from specmap_cli.layout.pose_graph import Link, LinkArrays, errors
 
 DRIFT_SHARE = 0.04  # metres per metre driven by which a layout with passes may be off
@@ -135,18 +136,19 @@ def chain_lengths(graph: Graph, loops: Sequence[Link], closures: Sequence[Link])
     """
     if not closures:
         return np.zeros(0)
-    links = [link for link in (*graph.odometry, *loops) if link.kind != "loose"]
-    pairs = [(graph.row[link.source], graph.row[link.target]) for link in links]
-    lengths = [max(_length(link), _LEAST_M) for link in links]
+    shortest: dict[RowPair, float] = {}  # csgraph would add up edges between the same two rows
+    for link in (*graph.odometry, *loops):
+        if link.kind == "loose":
+            continue
+        length_m = link.source_from_target.distance
+        if link.kind == "bridge":
+            reach_m = _BRIDGE_SIGMAS / float(np.sqrt(link.information[:2, :2].trace() / 2))
+            length_m += reach_m / _CLOSURE_DRIFT_SHARE
+        a, b = sorted((graph.row[link.source], graph.row[link.target]))
+        shortest[a, b] = min(max(length_m, _LEAST_M), shortest.get((a, b), np.inf))
+    ends = np.array(list(shortest), dtype=np.int32).reshape(-1, 2).T  # csgraph wants 32 bits
+    lengths, count = np.array(list(shortest.values()), dtype=np.float64), len(graph.nodes)
+    matrix = csr_array((lengths, (ends[0], ends[1])), shape=(count, count))
     starts, which = np.unique([graph.row[one.source] for one in closures], return_inverse=True)
-    matrix = lengths_matrix(len(graph.nodes), pairs, lengths)
     found = dijkstra(matrix, directed=False, indices=starts)
     return np.asarray(found[which, [graph.row[one.target] for one in closures]])
-
-
-def _length(link: Link) -> float:
-    """Metres of a link, with what a bridge adds: three sigmas of its place."""
-    if link.kind != "bridge":
-        return link.source_from_target.distance
-    reach_m = _BRIDGE_SIGMAS / float(np.sqrt(link.information[:2, :2].trace() / 2))
-    return link.source_from_target.distance + reach_m / _CLOSURE_DRIFT_SHARE

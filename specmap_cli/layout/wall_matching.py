@@ -62,10 +62,10 @@ def match_walls(
     few = thinned(source, FINE_POINTS_M)
     if len(few) < MATCH_POINTS:
         return None
-    if drift_m <= _APART_M:
-        near = _settled(field, source, few, guess, least_score)
-        if near is not None:
-            return _fit(field, source, few, near)
+    if drift_m <= _APART_M and field.score(few, guess) >= least_score:  # perhaps no search is due
+        near = refine(field, thinned(source, _REFINED_POINTS_M), guess, _REFINED_STEPS, _BLUR_M)
+        if near.score >= sure_score(least_score):
+            return _fit(field, source, few, near.pose)
     window = Window(
         distance_m=drift_m,
         angle_rad=float(np.clip(_TURN_PER_M * drift_m, _LEAST_TURN_RAD, _MOST_TURN_RAD)),
@@ -78,19 +78,6 @@ def match_walls(
     if rough.score < _HOPELESS * least_score:
         return None
     return confirmed(field, source, rough.pose, least_score)
-
-
-def _settled(
-    field: ScoreField, source: FloatArray, few: FloatArray, guess: Pose2, least_score: float
-) -> Pose2 | None:
-    """The best pose right by the guess, if points (N, 2) fit so well there that no search is due.
-
-    `few` are some of the points.
-    """
-    if field.score(few, guess) < least_score:
-        return None
-    near = refine(field, thinned(source, _REFINED_POINTS_M), guess, _REFINED_STEPS, _BLUR_M)
-    return near.pose if near.score >= sure_score(least_score) else None
 
 
 def sure_score(least_score: float = LOOP_SCORE) -> float:

@@ -14,7 +14,6 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.core.records import BoolArray
@@ -59,8 +58,9 @@ class Walls:
 
     def sides_around(self, node: int, reach: int, poses: FloatArray) -> Sides:
         """The same points with the sides of the walls that are seen from there."""
-        near = self._near(node, reach, poses)
-        return Sides.joined([self.sides(k).placed(pose) for k, pose in near])
+        near = [self.sides(k).placed(pose) for k, pose in self._near(node, reach, poses)]
+        points, normals = [one.points for one in near], [one.normals for one in near]
+        return Sides(np.concatenate(points), np.concatenate(normals))
 
     def _near(self, node: int, reach: int, poses: FloatArray) -> list[tuple[int, Pose2]]:
         """The rows around a row, and where they are in its frame."""
@@ -123,12 +123,6 @@ class Sides:
         turn = Pose2(0.0, 0.0, pose.theta)
         return Sides(pose.apply(self.points), turn.apply(self.normals))
 
-    @classmethod
-    def joined(cls, parts: Sequence[Sides]) -> Sides:
-        """All of them, in one frame, in their order."""
-        points, normals = ([getattr(part, name) for part in parts] for name in cls.__slots__)
-        return cls(np.concatenate(points), np.concatenate(normals))
-
 
 def from_behind(source: Sides, target: Sides, guess: Pose2, drift_m: float) -> BoolArray:
     """(N,) whether the target shows the wall under a point of the source from its other side only.
@@ -142,38 +136,29 @@ def from_behind(source: Sides, target: Sides, guess: Pose2, drift_m: float) -> B
         return np.zeros(len(source.points), dtype=bool)
     reach = math.ceil((drift_m + _THICK_M) / _CELL_M)
     low = cells.min(axis=0) - reach
-    around = _around(cells - low, np.round(_UNIT * target.normals), reach)
+    width, height = (cells.max(axis=0) - low + reach + 1).tolist()
+    columns, rows = (cells - low).T
+    normals = np.round(_UNIT * target.normals)
+    lengths = np.where(normals.any(axis=1), _UNIT, 0.0)
+    # in x and y, and of the lengths, over the square around each cell
+    sums = [
+        cv2.boxFilter(
+            np.bincount(rows * width + columns, each, width * height).reshape(height, width),
+            ddepth=-1,
+            ksize=(2 * reach + 1, 2 * reach + 1),
+            normalize=False,
+            borderType=cv2.BORDER_CONSTANT,
+        )
+        for each in (*normals.T, lengths)
+    ]
     placed = source.placed(guess)
     at = np.floor(placed.points / _CELL_M).astype(np.int64) - low
-    height, width = around.shape[1:]
     inside = (at >= 0).all(axis=1) & (at[:, 0] < width) & (at[:, 1] < height)
-    x, y, known = around[:, at[inside, 1], at[inside, 0]]
+    x, y, known = (each[at[inside, 1], at[inside, 0]] for each in sums)
     behind = np.zeros(len(at), dtype=bool)
     along = placed.normals[inside]
     behind[inside] = along[:, 0] * x + along[:, 1] * y < _OTHER_SIDE * known
     return behind
-
-
-def _around(cells: NDArray[np.int64], normals: FloatArray, reach: int) -> FloatArray:
-    """(3, H, W) sums of normals in x and y, and of their lengths, over squares around each cell.
-
-    Of points in cells (N, 2), columns and rows no less than `reach`, with normals (N, 2).
-    """
-    width, height = (cells.max(axis=0) + reach + 1).tolist()
-    flat = cells[:, 1] * width + cells[:, 0]
-    lengths = np.where(normals.any(axis=1), _UNIT, 0.0)
-    return np.stack(
-        [
-            cv2.boxFilter(
-                np.bincount(flat, weights, width * height).reshape(height, width),
-                ddepth=-1,
-                ksize=(2 * reach + 1, 2 * reach + 1),
-                normalize=False,
-                borderType=cv2.BORDER_CONSTANT,
-            )
-            for weights in (normals[:, 0], normals[:, 1], lengths)
-        ]
-    )
 
 
 def seen_free(
@@ -184,18 +169,14 @@ def seen_free(
     What a scan saw is the area between the robot and its returns, joined in their order.
     """
     seen = np.zeros(field.values.shape, dtype=np.uint8)
+    height, width = field.values.shape
     for node in nodes:
         corners = np.concatenate([np.zeros((1, 2)), walls.points(node)])
         if len(corners) >= _FEWEST:
-            cv2.fillPoly(seen, [_cells(Pose2(*poses[node].tolist()).apply(corners), field)], 1)
+            placed = Pose2(*poses[node].tolist()).apply(corners)
+            cells = np.floor((placed - np.asarray(field.origin)) / field.resolution)
+            near = np.clip(cells, (-width, -height), (2 * width, 2 * height))  # 32 bits hold these
+            cv2.fillPoly(seen, [near.astype(np.int32)], 1)
     reach = max(1, round(_MARGIN_M / field.resolution))
     kernel = np.ones((2 * reach + 1, 2 * reach + 1), dtype=np.uint8)
     return np.asarray(cv2.dilate(seen, kernel) > 0)
-
-
-def _cells(points: FloatArray, field: ScoreField) -> NDArray[np.int32]:
-    """(N, 2) columns and rows of points (N, 2), those far outside brought to the border."""
-    cells = np.floor((points - np.asarray(field.origin)) / field.resolution)
-    height, width = field.values.shape
-    near = np.clip(cells, (-width, -height), (2 * width, 2 * height))
-    return np.asarray(near, dtype=np.int32)

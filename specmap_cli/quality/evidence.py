@@ -127,9 +127,22 @@ def holes_of(
     found: list[Hole] = []
     for before, after, kind in sorted(_spans(trajectory, rows, breaks)):
         keyframe = int(np.searchsorted(rows, after))
-        if 0 < keyframe < len(rows):  # else the map has nothing on one of the two sides
-            alike = _alike(store, layout.poses, keyframe, _HOLE_WALLS_M)
-            found.append(_hole(trajectory, before, after, kind, keyframe, alike))
+        if not 0 < keyframe < len(rows):  # the map has nothing on one of the two sides
+            continue
+        # map and odometry are compared from the last scan that was registered to the next one
+        start, end = _registered(trajectory, before, -1), _registered(trajectory, after, 1)
+        around = _measured(trajectory, start, end)
+        by_map = _motion(trajectory.poses, start, end)
+        hole = Hole(
+            row=after,
+            keyframe=keyframe,
+            seconds=float(trajectory.stamps_ns[after] - trajectory.stamps_ns[before]) * 1e-9,
+            measured=None if around is None else _measured(trajectory, before, after),
+            apart=by_map.inverse() @ (IDENTITY if around is None else around),
+            alike=_alike(store, layout.poses, keyframe),
+            kind=kind,
+        )
+        found.append(hole)
     return tuple(found)
 
 
@@ -137,7 +150,12 @@ def _spans(
     trajectory: Trajectory, rows: IntArray, breaks: Collection[int]
 ) -> Iterator[tuple[int, int, HoleKind]]:
     """The rows between which holes lie, and what kind of hole each is."""
-    missing = _missing(trajectory.stamps_ns)
+    intervals_s = np.diff(trajectory.stamps_ns) * 1e-9
+    longest_s = HOLE_S
+    if len(intervals_s):
+        usual_s = float(np.percentile(intervals_s, _USUAL_PERCENTILE, method="lower"))
+        longest_s = max(HOLE_S, _HOLE_INTERVALS * usual_s)
+    missing = np.flatnonzero(intervals_s > longest_s)
     yield from ((before, before + 1, "missing") for before in missing.tolist())
     told = set(np.searchsorted(rows, missing + 1).tolist())
     for keyframe in sorted(set(breaks) - told):
@@ -157,55 +175,20 @@ def _rests(trajectory: Trajectory) -> Iterator[tuple[int, int]]:
 
     That is what a laser that hangs looks like.
     """
-    if trajectory.odometry is None:
+    odometry = trajectory.odometry
+    if odometry is None:
         return
     places, start = [Pose2(*pose) for pose in trajectory.poses.tolist()], 0
     way_m = ODOMETRY_SLIP_SHARE * ODOMETRY_WINDOW_M  # less may be wheels that slip
     for row in range(1, len(places)):
-        if moved(places[start], places[row], STILL_M, STILL_RAD):
-            if _drives_on(trajectory, start, row - 1, way_m):
+        if not moved(places[start], places[row], STILL_M, STILL_RAD):
+            continue
+        driven = _measured(trajectory, start, row - 1)
+        if driven is not None and driven.distance > way_m:
+            steps = step_lengths(odometry[start:row])
+            if np.nanmax(steps) < _JUMP * driven.distance:  # it does not just jump there
                 yield start, row
-            start = row
-
-
-def _drives_on(trajectory: Trajectory, first: int, last: int, way_m: float) -> bool:
-    """Whether odometry leads so far away between two rows, and does not just jump there."""
-    driven = _measured(trajectory, first, last)
-    if trajectory.odometry is None or driven is None or driven.distance <= way_m:
-        return False
-    steps = step_lengths(trajectory.odometry[first : last + 1])
-    return bool(np.nanmax(steps) < _JUMP * driven.distance)
-
-
-def _missing(stamps_ns: IntArray) -> IntArray:
-    """The rows after which scans are missing: much longer than what is usual in this log."""
-    intervals_s = np.diff(stamps_ns) * 1e-9
-    if not len(intervals_s):
-        return np.zeros(0, dtype=np.int64)
-    usual_s = float(np.percentile(intervals_s, _USUAL_PERCENTILE, method="lower"))
-    longest_s = max(HOLE_S, _HOLE_INTERVALS * usual_s)
-    return np.flatnonzero(intervals_s > longest_s)
-
-
-def _hole(
-    trajectory: Trajectory, before: int, after: int, kind: HoleKind, keyframe: int, alike: float
-) -> Hole:
-    """The hole between two rows of a trajectory, ahead of a keyframe.
-
-    Map and odometry are compared from the last scan that was registered to the next one.
-    """
-    start, end = _registered(trajectory, before, -1), _registered(trajectory, after, 1)
-    measured, around = (_measured(trajectory, a, b) for a, b in ((before, after), (start, end)))
-    by_map = _motion(trajectory.poses, start, end)
-    return Hole(
-        row=after,
-        keyframe=keyframe,
-        seconds=float(trajectory.stamps_ns[after] - trajectory.stamps_ns[before]) * 1e-9,
-        measured=None if around is None else measured,
-        apart=by_map.inverse() @ (IDENTITY if around is None else around),
-        alike=alike,
-        kind=kind,
-    )
+        start = row
 
 
 def _registered(trajectory: Trajectory, row: int, step: int) -> int:
@@ -228,19 +211,17 @@ def _motion(poses: FloatArray, before: int, after: int) -> Pose2:
     return Pose2(*poses[before].tolist()).inverse() @ Pose2(*poses[after].tolist())
 
 
-def _alike(store: KeyframeStore, poses: FloatArray, keyframe: int, near_m: float) -> float:
+def _alike(store: KeyframeStore, poses: FloatArray, keyframe: int) -> float:
     """The share of the walls seen from a keyframe that lie where earlier keyframes saw some."""
-    before = range(max(0, keyframe - _BEFORE), keyframe)
-    walls = np.concatenate([_walls(store, poses, number) for number in before])
-    seen = _walls(store, poses, keyframe)
+    *before, seen = (
+        Pose2(*poses[number].tolist()).apply(store.points(number, _RANGE_M))
+        for number in range(max(0, keyframe - _BEFORE), keyframe + 1)
+    )
+    walls = np.concatenate(before)
     if not len(walls) or not len(seen):
         return 0.0
     away, _ = cKDTree(walls).query(seen)
-    return float((away <= near_m).mean())
-
-
-def _walls(store: KeyframeStore, poses: FloatArray, number: int) -> FloatArray:
-    return Pose2(*poses[number].tolist()).apply(store.points(number, _RANGE_M))
+    return float((away <= _HOLE_WALLS_M).mean())
 
 
 def is_still(motion: Pose2) -> bool:

@@ -9,7 +9,6 @@ import numpy as np
 from specmap_cli.core.findings import Finding, Where
 from specmap_cli.core.geometry import FloatArray, compose, invert, step_lengths
 from specmap_cli.core.text import counted
-from specmap_cli.layout.audit import Disagreement
 from specmap_cli.layout.path_graph import Ends
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.quality.evidence import (
@@ -56,15 +55,26 @@ def loose_parts(evidence: Evidence) -> Iterator[Finding]:
 
 
 def walls(evidence: Evidence) -> Iterator[Finding]:
-    """Places where passes of the robot disagree about the walls, a finding a place."""
-    found = evidence.audit.disagreements
-    if not found:
-        return
-    share = len(found) / evidence.audit.compared
+    """Places where passes of the robot disagree about the walls, a finding a place.
+
+    Where there are none, passes may contradict each other all over the map, a little everywhere.
+    """
+    found, agreement = evidence.audit.disagreements, evidence.layout.agreement
+    if not found and agreement.is_doubtful:
+        yield Finding(
+            code=WALLS,
+            severity="doubtful",
+            message=f"{agreement.share:.1%} of the walls that two passes saw contradict each other",
+            advice="the map is bent, or much moved meanwhile",
+            value=agreement.share,
+        )
+    share = len(found) / max(1, evidence.audit.compared)
     severity, limit = graded(share, 0.0, _WALLS_SHARE_POOR)
-    for group in _by_place(found, SAME_PLACE_M):
-        worst = max(group, key=lambda one: one.walls_m)
-        x, y = worst.place
+    waiting = sorted(found, key=lambda one: -one.walls_m)
+    while waiting:
+        worst, (x, y) = waiting[0], waiting[0].place
+        away = [np.hypot(one.place[0] - x, one.place[1] - y) for one in waiting]
+        waiting = [one for one, m in zip(waiting, away, strict=True) if m > SAME_PLACE_M]
         earlier, later = (evidence.at_keyframe(n) for n in (worst.earlier, worst.later))
         apart_m = worst.apart_m
         how = "contradict each other" if apart_m is None else f"are {apart_m:.2f} m apart"
@@ -77,19 +87,6 @@ def walls(evidence: Evidence) -> Iterator[Finding]:
             value=share,
             limit=limit,
             where=Where(later.stamp_ns, x, y),
-        )
-
-
-def contradictions(evidence: Evidence) -> Iterator[Finding]:
-    """Passes that contradict each other all over the map, a little everywhere."""
-    agreement = evidence.layout.agreement
-    if agreement.is_doubtful and not evidence.audit.disagreements:
-        yield Finding(
-            code=WALLS,
-            severity="doubtful",
-            message=f"{agreement.share:.1%} of the walls that two passes saw contradict each other",
-            advice="the map is bent, or much moved meanwhile",
-            value=agreement.share,
         )
 
 
@@ -163,16 +160,6 @@ def beyond_grid(evidence: Evidence) -> Iterator[Finding]:
         )
 
 
-def _by_place(found: Sequence[Disagreement], reach_m: float) -> Iterator[list[Disagreement]]:
-    """Disagreements near each other together, the longest walls first."""
-    waiting = sorted(found, key=lambda one: -one.walls_m)
-    while waiting:
-        centre = np.array(waiting[0].place)
-        near = [np.hypot(*(np.array(one.place) - centre)) <= reach_m for one in waiting]
-        yield [one for one, is_near in zip(waiting, near, strict=True) if is_near]
-        waiting = [one for one, is_near in zip(waiting, near, strict=True) if not is_near]
-
-
 def rival_places(evidence: Evidence) -> Iterator[Finding]:
     """Pieces after an unmeasured hole or break that several refuted closures put elsewhere.
 
@@ -181,7 +168,10 @@ def rival_places(evidence: Evidence) -> Iterator[Finding]:
     the right place were refuted; but they agree, too, which chance hardly makes.
     """
     poses = evidence.layout.poses
-    for start in _unmeasured(evidence):
+    starts = {hole.keyframe for hole in evidence.holes if hole.measured is None}
+    if not evidence.measured.any():
+        starts |= set(evidence.breaks)
+    for start in sorted(start for start in starts if start < len(evidence.keyframes_ns)):
         across = [
             link
             for link in evidence.layout.dropped
@@ -206,14 +196,6 @@ def rival_places(evidence: Evidence) -> Iterator[Finding]:
         )
 
 
-def _unmeasured(evidence: Evidence) -> list[int]:
-    """The keyframes before which nothing measured the way."""
-    starts = {hole.keyframe for hole in evidence.holes if hole.measured is None}
-    if not evidence.measured.any():
-        starts |= set(evidence.breaks)
-    return sorted(start for start in starts if start < len(evidence.keyframes_ns))
-
-
 def _most_agreed(links: Sequence[Link], poses: FloatArray) -> tuple[int, FloatArray]:
     """How many links agree on one motion (3,) of the newer piece in the map, and that motion.
 
@@ -223,11 +205,11 @@ def _most_agreed(links: Sequence[Link], poses: FloatArray) -> tuple[int, FloatAr
     newer, claimed = poses[ends.j], compose(poses[ends.i], ends.z)
     motions = compose(claimed, invert(newer))
     away = compose(invert(newer), claimed)
-    apart = compose(invert(compose(motions[:, None], newer[None])), claimed[None])
-    agree = (np.hypot(apart[..., 0], apart[..., 1]) <= MOVED_M) & (abs(apart[..., 2]) <= STILL_RAD)
     best, motion = 0, np.zeros(3)
     for k in np.flatnonzero(np.hypot(away[:, 0], away[:, 1]) > MOVED_M).tolist():
-        votes = min(len(set(numbers[agree[k]].tolist())) for numbers in (ends.i, ends.j))
+        apart = compose(invert(compose(motions[k], newer)), claimed)
+        agree = (np.hypot(apart[:, 0], apart[:, 1]) <= MOVED_M) & (abs(apart[:, 2]) <= STILL_RAD)
+        votes = min(len(set(numbers[agree].tolist())) for numbers in (ends.i, ends.j))
         if votes > best:
             best, motion = votes, motions[k]
     return best, motion
@@ -240,7 +222,6 @@ CHECKS: tuple[Callable[[Evidence], Iterator[Finding]], ...] = (
     refused_layout,
     walls,
     mended,
-    contradictions,
     refuted,
     beyond_grid,
 )

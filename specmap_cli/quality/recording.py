@@ -151,40 +151,41 @@ def odometry_disagrees(evidence: Evidence) -> Iterator[Finding]:
     apart = np.hypot(off[:, 0], off[:, 1]) / ODOMETRY_WINDOW_M
     usual, worst = float(np.median(apart)), int(apart.argmax())
     everywhere = usual > ODOMETRY_SHARE
-    if not everywhere and apart[worst] <= ODOMETRY_SLIP_SHARE:
+    share = usual if everywhere else float(apart[worst])
+    limit = ODOMETRY_SHARE if everywhere else ODOMETRY_SLIP_SHARE
+    if share <= limit:
         return
     where = evidence.at_scan(int(starts[worst]))
-    disagree = "odometry and the map disagree by"
+    place = "nearly everywhere" if everywhere else f"at {told(where)}, elsewhere by {usual:.0%}"
+    advice = "is the odometry of this robot and this clock, is the laser where the log says?"
     yield Finding(
         code=ODOMETRY,
         severity="doubtful" if everywhere else "note",
-        message=f"{disagree} {usual:.0%} of the way nearly everywhere"
-        if everywhere
-        else f"{disagree} {apart[worst]:.0%} of the way at {told(where)}, elsewhere by {usual:.0%}",
-        advice="is the odometry of this robot and this clock, is the laser where the log says?"
-        if everywhere
-        else "",
-        value=usual if everywhere else float(apart[worst]),
-        limit=ODOMETRY_SHARE if everywhere else ODOMETRY_SLIP_SHARE,
+        message=f"odometry and the map disagree by {share:.0%} of the way {place}",
+        advice=advice if everywhere else "",
+        value=share,
+        limit=limit,
         where=where,
     )
 
 
 def unwatched(evidence: Evidence) -> Iterator[Finding]:
     """Holes after which nothing shows that the robot was where the map has it."""
-    open_ = [hole for hole in evidence.holes if not _is_bridged(hole)]
-    starts = np.unique(np.array([hole.keyframe for hole in open_], dtype=np.int64))
+    doubts = [(hole, doubt) for hole in evidence.holes if (doubt := _doubt(hole))]
+    starts = np.unique(np.array([hole.keyframe for hole, _ in doubts], dtype=np.int64))
     joined = _joined(evidence.layout, starts)
-    for hole in open_:
+    for hole, doubt in doubts:
         number = int(np.searchsorted(starts, hole.keyframe))
-        if joined[number + 1] in joined[: number + 1] and not _is_contradicted(hole):
+        # matches do not outvote odometry and walls: in corridors there are many of a wrong map, too
+        denied = hole.kind == "rest" and hole.alike < _HOLE_WALLS_SHARE
+        if joined[number + 1] in joined[: number + 1] and not denied:
             continue
         where = evidence.at_scan(hole.row)
         yield Finding(
             code=HOLE,
             severity="doubtful",
             message=f"{_WHAT[hole.kind]} for {hole.seconds:.0f} s before {told(where)}, "
-            f"and {_reason(hole)}: where the robot was afterwards is a guess",
+            f"and {doubt}: where the robot was afterwards is a guess",
             advice=_ADVICE[hole.kind],
             value=hole.seconds,
             limit=HOLE_S if hole.kind == "missing" else None,
@@ -192,25 +193,28 @@ def unwatched(evidence: Evidence) -> Iterator[Finding]:
         )
 
 
-def _is_bridged(hole: Hole) -> bool:
-    """Whether odometry moved as the map did, or the robot stood among the same walls.
+def _doubt(hole: Hole) -> str:
+    """Why the motion over a hole is not known; nothing where it is.
 
-    A robot that was carried elsewhere is not put down to a decimetre where it would have stood.
+    It is where odometry moved as the map did, or the robot stood among the same walls: one that was
+    carried elsewhere is not put down to a decimetre where it would have stood.
     """
     measured, apart = hole.measured, hole.apart
-    if measured is None or is_still(measured):
-        return is_still(apart) and hole.alike >= _HOLE_WALLS_SHARE
-    slack_m = STILL_M + ODOMETRY_SHARE * measured.distance
-    slack_rad = STILL_RAD + ODOMETRY_SHARE * abs(measured.theta)
-    return apart.distance <= slack_m and abs(apart.theta) <= slack_rad
-
-
-def _is_contradicted(hole: Hole) -> bool:
-    """Whether odometry and walls both say that the robot did not stay where the map has it.
-
-    Matches do not count against that: in corridors there are many of a wrong map, too.
-    """
-    return hole.kind == "rest" and hole.alike < _HOLE_WALLS_SHARE
+    if measured is not None and not is_still(measured):
+        slack_m = STILL_M + ODOMETRY_SHARE * measured.distance
+        slack_rad = STILL_RAD + ODOMETRY_SHARE * abs(measured.theta)
+        same = apart.distance <= slack_m and abs(apart.theta) <= slack_rad
+        return "" if same else "odometry tells another motion than the map"
+    if is_still(apart) and hole.alike >= _HOLE_WALLS_SHARE:
+        return ""
+    if measured is None:
+        return "no odometry tells of it"
+    if is_still(apart):
+        return "the walls changed though the wheels did not turn"
+    return (
+        f"the wheels did not turn though the map has the robot {apart.distance:.1f} m and "
+        f"{math.degrees(abs(apart.theta)):.0f} degrees away"
+    )
 
 
 def _joined(layout: Layout, starts: IntArray) -> IntArray:
@@ -234,21 +238,6 @@ def _joined(layout: Layout, starts: IntArray) -> IntArray:
     places = coo_array((np.ones(len(a)), (a, b)), shape=(count, count)).tocsr()
     _, groups = connected_components(places >= MOVED_VOTES, directed=False)
     return np.asarray(groups, dtype=np.int64)
-
-
-def _reason(hole: Hole) -> str:
-    """Why the motion over a hole is not known."""
-    measured, apart = hole.measured, hole.apart
-    if measured is None:
-        return "no odometry tells of it"
-    if not is_still(measured):
-        return "odometry tells another motion than the map"
-    if is_still(apart):
-        return "the walls changed though the wheels did not turn"
-    return (
-        f"the wheels did not turn though the map has the robot {apart.distance:.1f} m and "
-        f"{math.degrees(abs(apart.theta)):.0f} degrees away"
-    )
 
 
 CHECKS: tuple[Callable[[Evidence], Iterator[Finding]], ...] = (

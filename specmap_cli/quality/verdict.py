@@ -15,11 +15,6 @@ LAYOUT_CODES = laid_out.CODES  # what is said of a layout; the other codes are a
 _ORDER: tuple[Severity, ...] = ("poor", "doubtful", "note")
 
 
-def judged(evidence: Evidence) -> Quality:
-    """The verdict with all findings, the gravest first, in the order of the stages otherwise."""
-    return quality_of([*of_recording(evidence), *of_layout(evidence)])
-
-
 def of_recording(evidence: Evidence) -> list[Finding]:
     """What is to be said of a recording, wherever its map is laid into another one."""
     inputs = [Finding(code=INPUT, severity="note", message=text) for text in evidence.warnings]

@@ -96,8 +96,12 @@ class FrontEnd:
 
     @property
     def warnings(self) -> list[str]:
-        """What went beyond a limit so far, a sentence a limit."""
-        return warnings_of(self.counts, self.config)
+        """What went beyond a limit so far, a sentence a limit with the settings that set it."""
+        return [
+            sentence.format(hits=counted(self.counts[name], noun), limits=self.config)
+            for name, (noun, sentence) in _SENTENCES.items()
+            if self.counts[name]
+        ]
 
     def take(self, sweep: Sweep) -> tuple[PosedScan, ...]:
         """The scans that are settled by one more sweep, in their order: mostly its own.
@@ -119,16 +123,36 @@ class FrontEnd:
         """
         expected = self._motion.expect(sweep)
         view = view_of(sweep, expected, self.config)
-        local = self._local_map(sweep)
-        self._track = self._track.moved_on(expected.motion, measured=expected.measured)
-        judgement = self._founder(self._judged(view, expected, local), view, local)
+        if self._map is None:  # made for the sensor of the first sweep
+            sensor = SensorKind.of(sweep, self.config)
+            self._map = LocalMap(self._make_aligner(self.config, sensor), sensor, self.config)
+        local, by_motion = self._map, self._track.by_motion @ expected.motion
+        measured = self._track.measured and expected.measured
+        self._track = track = replace(self._track, by_motion=by_motion, measured=measured)
+        self.counts["odometry_jumps"] += expected.jumped
+        self.counts["shortened_motions"] += expected.shortened
+        moved_on = product(track.pose, expected.motion.matrix())
+        sees_little = len(view.probe) < self.config.min_points
+        if sees_little:
+            self.counts["few_points"] += 1
+            ranges = view.planar.ranges
+            looked = 2 * int(np.count_nonzero(np.isnan(ranges))) < len(ranges)  # and saw none
+            carried = looked and track.is_carried(self.config)
+            judgement = Judgement(fit=Fit(pose=moved_on, score=0.0), lost=not carried)
+        elif not len(local):  # a new map begins at the guess
+            judgement = Judgement(fit=Fit(pose=moved_on, score=1.0))
+        else:
+            judgement = self._judged(view, expected, local)
         in_space = sweep.cloud is not None
         if in_space and not judgement.lost:
             judgement = judgement.levelled(self.config.level_share)
-        restarted = self._track.broken and not judgement.lost
-        bridge = self._track.bridge if restarted else None
-        blind = _is_blind(sweep, view)
-        self._conclude(judgement, view, local, blind=blind)
+        restarted = track.broken and not judgement.lost
+        # neither odometry nor walls fix the place along some direction
+        blind = (
+            sweep.odom_from_base is None
+            and weakest_direction(sweep.base_from_laser.apply(view.planar.hits())).open
+        )
+        self._conclude(judgement, view, local, walls=not sees_little, blind=blind)
         return PosedScan(
             index=sweep.index,
             stamp_ns=sweep.stamp_ns,
@@ -139,30 +163,17 @@ class FrontEnd:
             agrees=judgement.agrees,
             lost=judgement.lost,
             restarted=restarted,
-            bridge=bridge,
+            bridge=track.bridge if restarted else None,
             blind=blind,
             odom_from_base=sweep.odom_from_base,
             map_from_base_3d=judgement.fit.pose if in_space else None,
         )
 
-    def _local_map(self, sweep: Sweep) -> LocalMap:
-        """The local map, made for the sensor of the first sweep."""
-        if self._map is None:
-            sensor = SensorKind.of(sweep, self.config)
-            self._map = LocalMap(self._make_aligner(self.config, sensor), sensor, self.config)
-        return self._map
-
     def _judged(self, view: SweepView, expected: ExpectedMotion, local: LocalMap) -> Judgement:
-        """Where the sweep was taken, and whether that can be believed."""
-        self.counts["odometry_jumps"] += expected.jumped
-        self.counts["shortened_motions"] += expected.shortened
-        moved_on = product(self._track.pose, expected.motion.matrix())
-        if self._sees_little(view):
-            self.counts["few_points"] += 1
-            carried = self._track.is_carried(self.config) and _has_looked(view)
-            return Judgement(fit=Fit(pose=moved_on, score=0.0), lost=not carried)
-        if not len(local):
-            return Judgement(fit=Fit(pose=moved_on, score=1.0))  # a new map begins at the guess
+        """Where the sweep was taken, and whether that can be believed.
+
+        If it refutes the first one of a map, it begins a map itself.
+        """
         scene, track = Scene(view=view, local=local, config=self.config), self._track
         guess = MotionGuess(
             pose=best_guess(scene, track.pose, expected),
@@ -176,34 +187,34 @@ class FrontEnd:
         self.counts["wide_searched"] += located.wide_searched
         self.counts["refused_alignments"] += located.fit.refused
         self.counts["walls_left_out"] += local.field.left_out > 0
-        return judge(located, guess, self.config)
-
-    def _founder(self, judgement: Judgement, view: SweepView, local: LocalMap) -> Judgement:
-        """The judgement, unless the sweep refutes the first one of a map: then it begins a map."""
-        if self._sees_little(view) or self._track.founded or not len(local):
+        judgement = judge(located, guess, self.config)
+        if track.founded:
             return judgement
         laser = judgement.fit.planar @ view.base_from_laser
         empty = looked_through(local.walls, view.planar, laser)
         if not judgement.refutes and empty <= _REFUTING_SHARE:
             return judgement
         local.clear()
-        self._track = replace(self._track, keyframe=None)
+        self._track = replace(track, keyframe=None)
         refuted = self._founding.refute()
         self.counts["registered"] -= refuted
         self.counts["lost"] += refuted
         return Judgement(fit=replace(judgement.fit, score=1.0))
 
     def _conclude(
-        self, judgement: Judgement, view: SweepView, local: LocalMap, *, blind: bool
+        self, judgement: Judgement, view: SweepView, local: LocalMap, *, walls: bool, blind: bool
     ) -> None:
-        """Keep the pose, insert a keyframe when due, end the map after a run of lost sweeps."""
+        """Keep the pose, insert a keyframe when due, end the map after a run of lost sweeps.
+
+        The sweep sees `walls` enough for a keyframe, unless it is lost.
+        """
         fit, track = judgement.fit, self._track
         step = Pose2.from_matrix(track.pose).inverse() @ fit.planar
         self._motion.conclude(step, confirmed=judgement.proven)
         self.counts["lost" if judgement.lost else "registered"] += 1
         lost_in_a_row = track.lost_in_a_row + 1 if judgement.lost else 0
         founded = track.founded or judgement.founds
-        walls = not judgement.lost and not self._sees_little(view)
+        walls = walls and not judgement.lost
         if walls and not blind:
             track = track.with_steady(step)
         track = replace(track, pose=fit.pose, lost_in_a_row=lost_in_a_row, founded=founded)
@@ -215,34 +226,22 @@ class FrontEnd:
         due = moved(track.keyframe, fit.planar, _KEYFRAME_M, _KEYFRAME_RAD)
         if due and walls:
             local.insert(view, fit.pose)
-            track = track.with_keyframe(fit.planar, self._reliance(track, judgement, view))
+            reliance = track.reliance
+            if track.keyframe is not None and track.measured and judgement.certain:
+                motion = track.keyframe.inverse() @ track.by_motion
+                away = track.by_motion.inverse() @ fit.planar
+                fixed = fixed_directions(view.planar, view.base_from_laser, motion)
+                reliance = reliance.after(motion, away, fixed)
+            track = replace(
+                track,
+                keyframe=fit.planar,
+                left=None,
+                by_motion=fit.planar,
+                measured=True,
+                broken=False,
+                reliance=reliance,
+            )
         self._track = track
-
-    def _reliance(self, track: Track, judgement: Judgement, view: SweepView) -> Reliance:
-        """What odometry is worth, the motion since the last keyframe included if it is certain."""
-        if track.keyframe is None or not (track.measured and judgement.certain):
-            return track.reliance
-        motion = track.keyframe.inverse() @ track.by_motion
-        away = track.by_motion.inverse() @ judgement.fit.planar
-        fixed = fixed_directions(view.planar, view.base_from_laser, motion)
-        return track.reliance.after(motion, away, fixed)
-
-    def _sees_little(self, view: SweepView) -> bool:
-        """Whether a sweep has too few walls to be registered."""
-        return len(view.probe) < self.config.min_points
-
-
-def _has_looked(view: SweepView) -> bool:
-    """Whether a sweep with few walls saw that there are none: most beams are valid."""
-    invalid = int(np.count_nonzero(np.isnan(view.planar.ranges)))
-    return 2 * invalid < len(view.planar.ranges)
-
-
-def _is_blind(sweep: Sweep, view: SweepView) -> bool:
-    """Whether neither odometry nor walls fix the place of a sweep along some direction."""
-    if sweep.odom_from_base is not None:
-        return False
-    return weakest_direction(sweep.base_from_laser.apply(view.planar.hits())).open
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -280,10 +279,6 @@ class Track:
         """The state after one more motion that walls fixed."""
         return replace(self, steady=(*self.steady, motion)[-_STEADY:])
 
-    def moved_on(self, motion: Pose2, *, measured: bool) -> Track:
-        """The state after one more motion is expected, which odometry measured or did not."""
-        return replace(self, by_motion=self.by_motion @ motion, measured=self.measured and measured)
-
     @property
     def bridge(self) -> tuple[float, float] | None:
         """How far odometry may be off across a break, metres and radians; None without odometry.
@@ -305,24 +300,3 @@ class Track:
             return False
         slack = self.reliance.slack(self.keyframe.inverse() @ self.by_motion)
         return slack.place_m <= config.max_shift_m and slack.turn_rad <= config.max_shift_rad
-
-    def with_keyframe(self, keyframe: Pose2, reliance: Reliance) -> Track:
-        """The state after a keyframe was put at a pose."""
-        return replace(
-            self,
-            keyframe=keyframe,
-            left=None,
-            by_motion=keyframe,
-            measured=True,
-            broken=False,
-            reliance=reliance,
-        )
-
-
-def warnings_of(counts: Mapping[str, int], config: RegistrationConfig) -> list[str]:
-    """A sentence for each limit that something went beyond, with the settings that set it."""
-    return [
-        sentence.format(hits=counted(counts[name], noun), limits=config)
-        for name, (noun, sentence) in _SENTENCES.items()
-        if counts[name]
-    ]

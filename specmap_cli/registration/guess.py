@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from specmap_cli.core.geometry import FloatArray, Pose2, product
 from specmap_cli.core.settings import RegistrationConfig
@@ -101,10 +101,6 @@ class MotionGuess:
             return True
         return self.reliance.trusted and not self.agrees(fit)
 
-    def slacks(self, place: Pose2, fit: Fit) -> float:
-        """How many slacks of odometry a result is away from a place."""
-        return self.reliance.slacks(self.expected.motion, place.inverse() @ fit.planar)
-
 
 def best_guess(scene: Scene, before: FloatArray, expected: ExpectedMotion) -> FloatArray:
     """The pose (4, 4) expected after the pose `before`: by odometry or by the motion before.
@@ -139,28 +135,26 @@ def near_window(*, measured: bool) -> Window:
     )
 
 
-def wide_window(guess: MotionGuess, config: RegistrationConfig, *, free: bool) -> Window:
-    """Where the robot can have come in a hole of the log, or by wheels that slipped.
+def wide_search(
+    guess: MotionGuess, config: RegistrationConfig, *, free: bool
+) -> tuple[Window, Bounds]:
+    """Where the robot can have come in a hole of the log, or by wheels that slipped; and bounds.
 
     Unless it is `free`, odometry is trusted: it does not err by a wide turn, but wheels may have
-    turned in vain.
+    turned in vain. If it is, a result may be as far from the guess as the search looks.
     """
     slipped_m = _WIDE_SEARCH_M + guess.expected.motion.distance
-    return Window(
+    window = Window(
         distance_m=_WIDE_SEARCH_M if free else min(config.max_shift_m, slipped_m),
         angle_rad=_WIDE_SEARCH_RAD if free else _SEARCH_RAD,
         step_m=_WIDE_STEP_M,
         penalty_per_m2=_WIDE_PER_M2,
         penalty_per_rad2=_WIDE_PER_RAD2,
     )
-
-
-def wide_bounds(pose: FloatArray, config: RegistrationConfig) -> Bounds:
-    """As far around a pose (4, 4) as the wide search looks, if other results may not be so far."""
+    bounds = Bounds.around(guess.pose, config)
+    if not free:
+        return window, bounds
     corner_m = math.hypot(_WIDE_SEARCH_M, _WIDE_SEARCH_M)
-    return Bounds(
-        pose,
-        shift_m=max(config.max_shift_m, corner_m + _WIDE_STEP_M),
-        shift_rad=max(config.max_shift_rad, _WIDE_SEARCH_RAD + _SEARCH_RAD),
-        tilt_rad=config.max_tilt_rad,
-    )
+    shift_m = max(bounds.shift_m, corner_m + _WIDE_STEP_M)
+    shift_rad = max(bounds.shift_rad, _WIDE_SEARCH_RAD + _SEARCH_RAD)
+    return window, replace(bounds, shift_m=shift_m, shift_rad=shift_rad)

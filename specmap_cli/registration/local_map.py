@@ -12,14 +12,13 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2, product
 from specmap_cli.core.settings import RegistrationConfig
+from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap
 from specmap_cli.grids.matching import Window, search
 from specmap_cli.grids.score_field import PointCells, ScoreField, approach
 from specmap_cli.registration.aligner import (
@@ -44,37 +43,19 @@ _COARSE_VOXELS = 0.5  # kernels wider than this need neither all points nor full
 _CLEARLY_BETTER = 0.02  # score that a search must gain: as much as scores of one place vary
 
 
-@dataclass(frozen=True, slots=True)
-class SeenSpace:
-    """`cells` (H, W), not 0 where a keyframe looked; `origin` (x, y) is the lower left corner."""
+def seen_space(outlines: Sequence[FloatArray], cell_m: float, side_m: float) -> GridMap:
+    """The space inside of outlines (N, 2), in one frame, and a cell around it; else UNKNOWN.
 
-    cells: NDArray[np.uint8]
-    cell_m: float
-    origin: tuple[float, float]
-
-    @classmethod
-    def of(cls, outlines: Sequence[FloatArray], cell_m: float, side_m: float) -> SeenSpace:
-        """The space inside of outlines (N, 2), in one frame, and a cell around it.
-
-        It ends `side_m` to each side of the first outline's first point, a laser.
-        """
-        low = outlines[0][0] - side_m
-        side = math.ceil(2 * side_m / cell_m)
-        cells = np.zeros((side, side), dtype=np.uint8)
-        for outline in outlines:
-            corners = np.floor((outline - low) / cell_m).astype(np.int32)
-            cv2.fillPoly(cells, [corners], 1)
-        grown = cv2.dilate(cells, np.ones((3, 3), dtype=np.uint8))
-        return cls(np.asarray(grown, dtype=np.uint8), cell_m, (float(low[0]), float(low[1])))
-
-    def holds(self, points: FloatArray) -> NDArray[Any]:
-        """(N,) whether each of points (N, 2) lies where a keyframe looked."""
-        columns, rows = np.floor((points - np.asarray(self.origin)) / self.cell_m).T
-        height, width = self.cells.shape
-        inside = (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
-        seen = np.zeros(len(points), dtype=bool)
-        seen[inside] = self.cells[rows[inside].astype(np.intp), columns[inside].astype(np.intp)] > 0
-        return seen
+    It ends `side_m` to each side of the first outline's first point, a laser.
+    """
+    low = outlines[0][0] - side_m
+    side = math.ceil(2 * side_m / cell_m)
+    seen = np.zeros((side, side), dtype=np.uint8)
+    for outline in outlines:
+        cv2.fillPoly(seen, [np.floor((outline - low) / cell_m).astype(np.int32)], 1)
+    grown = cv2.dilate(seen, np.ones((3, 3), dtype=np.uint8))
+    cells = np.where(grown > 0, FREE, UNKNOWN).astype(np.uint8)
+    return GridMap(cells, cell_m, (float(low[0]), float(low[1])))
 
 
 class LocalMap:
@@ -94,7 +75,7 @@ class LocalMap:
         self._outlines: deque[FloatArray] = deque(maxlen=WINDOW_KEYFRAMES)
         self._cells: deque[PointCells] = deque(maxlen=WINDOW_KEYFRAMES)  # of the walls
         self._field: ScoreField | None = None
-        self._seen: SeenSpace | None = None
+        self._seen: GridMap | None = None
 
     def __len__(self) -> int:
         return len(self._walls)
@@ -142,11 +123,11 @@ class LocalMap:
         return self._field
 
     @property
-    def seen(self) -> SeenSpace:
-        """The space that the keyframes have looked at, made when first asked for."""
+    def seen(self) -> GridMap:
+        """The space that the keyframes have looked at is free; made when first asked for."""
         if self._seen is None:
             cell_m = _SEEN_SPACINGS * self._spacing_m
-            self._seen = SeenSpace.of(self._outlines, cell_m, self._side_m / 2)
+            self._seen = seen_space(self._outlines, cell_m, self._side_m / 2)
         return self._seen
 
 
@@ -229,7 +210,7 @@ class Scene:
     def support(self, place: Pose2) -> Support:
         """How well the walls that could be seen lie on the map's when the base is at a place."""
         placed = place.apply(self.view.probe)
-        seen = self.local.seen.holds(placed)
+        seen = self.local.seen.values_at(placed) == FREE
         count = int(np.count_nonzero(seen))
         if not count:
             return Support(score=0.0, share=0.0, count=0)
@@ -242,7 +223,8 @@ class Scene:
         It is 0 where there are none of them.
         """
         here, there = (pose.apply(self.view.probe) for pose in (place, other))
-        both = self.local.seen.holds(here) & self.local.seen.holds(there)
+        seen = self.local.seen
+        both = (seen.values_at(here) == FREE) & (seen.values_at(there) == FREE)
         if not both.any():
             return 0.0
         walls = self.local.field

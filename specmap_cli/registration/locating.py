@@ -20,8 +20,7 @@ from specmap_cli.registration.guess import (
     SEARCH_M,
     MotionGuess,
     near_window,
-    wide_bounds,
-    wide_window,
+    wide_search,
 )
 from specmap_cli.registration.local_map import Bounds, Fit, Scene, Support
 
@@ -74,19 +73,28 @@ def locate(scene: Scene, guess: MotionGuess) -> Located:
     """The best pose found for a sweep, never farther from its guess than the bounds allow."""
     config, measured = scene.config, guess.expected.measured
     bounds = Bounds.around(guess.pose, config)
-    fit = _first_fit(scene, guess, bounds)
-    low = _is_far(guess, fit) or fit.score <= GOOD_SCORE
-    doubted = low and not _is_settled(scene, guess, fit)
+    # a motion carried on may err by more than a quick alignment mends, and streets look alike
+    fit = scene.align_quickly(guess.pose, bounds) if measured else None
+    if fit is None or fit.score < BEYOND_DOUBT or fit.refused or _is_far(guess, fit):
+        fit = scene.align(guess.pose, _KERNEL_VOXELS, bounds)
+    doubted = fit.score <= GOOD_SCORE or _is_far(guess, fit)
+    if doubted and guess.agrees(fit):  # no longer if the walls that could be seen speak for it
+        support = scene.support(fit.planar)
+        share = ENOUGH if guess.trusted else MOST
+        doubted = support.share < share or support.score <= GOOD_SCORE
     if doubted:
-        found = scene.search(guess.pose, near_window(measured=measured), _KERNEL_VOXELS, bounds)
-        fit = _better(scene, guess, fit, found, guess.planar)
-        fit = _backed_up(scene, guess, fit)
-        fit = _unturned(scene, guess, fit)
-    wide = doubted and _calls_for_wide_search(scene, guess, fit)
+        fit = _searched(scene, guess, fit, bounds)
+    agreeing = guess.agrees(fit)
+    # before a contradiction is believed, the robot is looked for wherever it can have come
+    wide = doubted and fit.score < (SURE_SCORE if agreeing else BEYOND_DOUBT)
+    if wide and agreeing:  # not if the score is low for new space alone
+        support = scene.support(fit.planar)
+        new = support.share < _NEARLY_ALL or not measured
+        known = support.share >= MOST and support.score >= FAIR_SCORE
+        wide = not known and not (new and fit.score >= POOR_SCORE)
     if wide:
         free = not guess.trusted or guess.expected.hole
-        reach = wide_bounds(guess.pose, config) if free else bounds
-        window = wide_window(guess, config, free=free)
+        window, reach = wide_search(guess, config, free=free)
         if not free and _speaks_against(scene.support(fit.planar), config):
             window = replace(window, angle_rad=config.max_shift_rad)
         fit = fit.or_better(scene.search(guess.pose, window, _WIDER_KERNELS, reach))
@@ -97,30 +105,33 @@ def locate(scene: Scene, guess: MotionGuess) -> Located:
     return _concluded(scene, guess, fit, searched=doubted, wide_searched=wide)
 
 
-def _first_fit(scene: Scene, guess: MotionGuess, bounds: Bounds) -> Fit:
-    """The alignment from the guess: a quick one where that leaves no doubt, else by all kernels.
-
-    A motion carried on may err by more than a quick one mends, and streets look alike.
-    """
-    if guess.expected.measured:
-        quick = scene.align_quickly(guess.pose, bounds)
-        sure = quick.score >= BEYOND_DOUBT and not quick.refused
-        if sure and not _is_far(guess, quick):
-            return quick
-    return scene.align(guess.pose, _KERNEL_VOXELS, bounds)
-
-
 def _concluded(
     scene: Scene, guess: MotionGuess, fit: Fit, *, searched: bool, wide_searched: bool
 ) -> Located:
-    """The result, or trusted odometry's own place where that is the better one."""
-    support = _support(scene, fit)
-    agrees, unaligned = guess.agrees(fit) or _agrees_with_walls(guess, fit, support), False
-    doubted = searched or fit.score < SURE_SCORE
-    if guess.trusted and doubted and not agrees:
-        own = _by_odometry(scene, guess)
+    """The result, or trusted odometry's own place where that is the better one.
+
+    A result that is a little too far from odometry's place agrees if the walls speak for it.
+    Otherwise the walls may object to odometry's own only if they are clearly better explained at
+    the result, over those that could be seen from both: rooms and corridors that look alike explain
+    new walls well.
+    """
+    if fit.score > GOOD_SCORE:  # nearly all walls fit: they all count
+        support = Support(score=fit.score, share=1.0, count=len(scene.view.probe))
+    else:
+        support = scene.support(fit.planar)
+    agrees, unaligned = guess.agrees(fit), False
+    spoken_for = support.share >= MOST and support.score >= SURE_SCORE
+    if guess.expected.measured and spoken_for and not agrees:
+        agrees = guess.agrees(fit, _ROUGHLY if guess.trusted else _NEARLY)
+    if guess.trusted and not agrees and (searched or fit.score < SURE_SCORE):
+        own = scene.align(guess.pose, _FINE_KERNELS)  # on walls near by, if that agrees
+        if not guess.agrees(own):
+            own = Fit(pose=guess.pose, score=scene.score(guess.planar))
         there = scene.support(own.planar)
-        if _is_tenable(scene, own, there, fit):
+        explained = there.share >= ENOUGH and there.score >= SURE_SCORE
+        refuted = fit.score >= SURE_SCORE and not explained
+        refuted = refuted and scene.gain(own.planar, fit.planar) >= _REFUTES
+        if not (refuted or _speaks_against(there, scene.config)):
             fit, support = replace(own, refused=fit.refused), there
             agrees = unaligned = True
     return Located(
@@ -133,57 +144,40 @@ def _concluded(
     )
 
 
-def _by_odometry(scene: Scene, guess: MotionGuess) -> Fit:
-    """Odometry's own place, on walls near by if that agrees with it."""
-    closer = scene.align(guess.pose, _FINE_KERNELS)
-    if guess.agrees(closer):
-        return closer
-    return Fit(pose=guess.pose, score=scene.score(guess.planar))
-
-
-def _is_tenable(scene: Scene, own: Fit, support: Support, other: Fit) -> bool:
-    """Whether trusted odometry's own place may be the right one, and not another far from it.
-
-    The walls may object to it only if they are clearly better explained at the other place, over
-    those that could be seen from both. Rooms and corridors that look alike explain new walls well.
-    """
-    config = scene.config
-    if _speaks_against(support, config):
-        return False
-    explained = support.share >= ENOUGH and support.score >= SURE_SCORE
-    if other.score < SURE_SCORE or explained:
-        return True
-    return scene.gain(own.planar, other.planar) < _REFUTES
-
-
-def _agrees_with_walls(guess: MotionGuess, fit: Fit, support: Support) -> bool:
-    """Whether a result is a little too far from odometry's place, but the walls speak for it."""
-    if not guess.expected.measured or support.share < MOST:
-        return False
-    near = guess.agrees(fit, _ROUGHLY if guess.trusted else _NEARLY)
-    return near and support.score >= SURE_SCORE
-
-
-def _support(scene: Scene, fit: Fit) -> Support:
-    """What the walls say of a result; where nearly all fit, all of them."""
-    if fit.score > GOOD_SCORE:
-        return Support(score=fit.score, share=1.0, count=len(scene.view.probe))
-    return scene.support(fit.planar)
-
-
 def _speaks_against(support: Support, config: RegistrationConfig) -> bool:
     """Whether the walls that could be seen are enough to say no, and do."""
     enough = support.count >= config.min_points and support.share >= ENOUGH
     return enough and support.score < POOR_SCORE * min(1.0, support.share / MOST)
 
 
-def _is_settled(scene: Scene, guess: MotionGuess, fit: Fit) -> bool:
-    """Whether a result scores low for new space alone: what could be seen speaks for it."""
-    if not guess.agrees(fit):
-        return False
-    support = scene.support(fit.planar)
-    share = ENOUGH if guess.trusted else MOST
-    return support.share >= share and support.score > GOOD_SCORE
+def _searched(scene: Scene, guess: MotionGuess, fit: Fit, bounds: Bounds) -> Fit:
+    """The best one of a doubtful result and of places around the guess and behind it.
+
+    Wheels that only count tell nothing of the direction in which they turn. A step of the log may
+    be driven backwards as a whole, or half of it. A result that is poor then gives way to the place
+    without odometry's turn if most walls there are known and fit: where odometry's turn is right,
+    walls come into sight that are new at the other place.
+    """
+    expected = guess.expected
+    window = near_window(measured=expected.measured)
+    found = scene.search(guess.pose, window, _KERNEL_VOXELS, bounds)
+    fit = _better(scene, guess, fit, found, guess.planar)
+    beyond = expected.motion.distance > SEARCH_M  # the search around the guess reaches as far
+    if expected.measured and beyond and fit.score < BEYOND_DOUBT:
+        for share in _BACKED_UP:
+            place = guess.pose.copy()
+            place[:3, 3] += share * (guess.backwards[:3, 3] - guess.pose[:3, 3])
+            around = Bounds.around(place, scene.config)
+            found = scene.search(place, window, _KERNEL_VOXELS, around)
+            if found.score >= BEYOND_DOUBT:
+                fit = _better(scene, guess, fit, found, Pose2.from_matrix(place))
+    unturned = guess.unturned
+    if unturned is None or fit.score >= POOR_SCORE:
+        return fit
+    found = scene.align(unturned, _KERNEL_VOXELS)
+    support = scene.support(found.planar)
+    certain = support.share >= MOST and support.score > GOOD_SCORE
+    return fit.or_better(found) if certain else replace(fit, refused=fit.refused + found.refused)
 
 
 def _better(scene: Scene, guess: MotionGuess, fit: Fit, found: Fit, place: Pose2) -> Fit:
@@ -199,58 +193,10 @@ def _better(scene: Scene, guess: MotionGuess, fit: Fit, found: Fit, place: Pose2
     if support.share < _NEARLY_ALL:
         kept = support.share >= ENOUGH and support.score >= FAIR_SCORE
     else:
-        needed = fit.score + _PER_SLACK * guess.slacks(place, found)
+        away = place.inverse() @ found.planar
+        needed = fit.score + _PER_SLACK * guess.reliance.slacks(guess.expected.motion, away)
         kept = found.score < needed
     return replace(fit, refused=fit.refused + found.refused) if kept else fit.or_better(found)
-
-
-def _backed_up(scene: Scene, guess: MotionGuess, fit: Fit) -> Fit:
-    """The better one of a doubtful result and of a place behind it.
-
-    Wheels that only count tell nothing of the direction in which they turn. A step of the log may
-    be driven backwards as a whole, or half of it.
-    """
-    expected = guess.expected
-    short = expected.motion.distance <= SEARCH_M  # the search around the guess reaches as far
-    if not expected.measured or short or fit.score >= BEYOND_DOUBT:
-        return fit
-    for share in _BACKED_UP:
-        place = guess.pose.copy()
-        place[:3, 3] += share * (guess.backwards[:3, 3] - guess.pose[:3, 3])
-        bounds = Bounds.around(place, scene.config)
-        found = scene.search(place, near_window(measured=True), _KERNEL_VOXELS, bounds)
-        if found.score >= BEYOND_DOUBT:
-            fit = _better(scene, guess, fit, found, Pose2.from_matrix(place))
-    return fit
-
-
-def _unturned(scene: Scene, guess: MotionGuess, fit: Fit) -> Fit:
-    """A poor result, or the place without odometry's turn, if most walls there are known and fit.
-
-    Where odometry's turn is right, walls come into sight that are new at the other place.
-    """
-    place = guess.unturned
-    if place is None or fit.score >= POOR_SCORE:
-        return fit
-    found = scene.align(place, _KERNEL_VOXELS)
-    support = scene.support(found.planar)
-    certain = support.share >= MOST and support.score > GOOD_SCORE
-    return fit.or_better(found) if certain else replace(fit, refused=fit.refused + found.refused)
-
-
-def _calls_for_wide_search(scene: Scene, guess: MotionGuess, fit: Fit) -> bool:
-    """Whether a result is poor or contradicts the motion expected, and not for new space alone.
-
-    Before a contradiction is believed, the robot is looked for wherever it can have come.
-    """
-    agreeing = guess.agrees(fit)
-    if fit.score >= (SURE_SCORE if agreeing else BEYOND_DOUBT):
-        return False
-    support = scene.support(fit.planar)
-    new = support.share < _NEARLY_ALL or not guess.expected.measured
-    if agreeing and fit.score >= POOR_SCORE and new:
-        return False
-    return not (agreeing and support.share >= MOST and support.score >= FAIR_SCORE)
 
 
 def _is_far(guess: MotionGuess, fit: Fit) -> bool:

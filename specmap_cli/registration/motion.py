@@ -90,10 +90,21 @@ class MotionModel:
         self._odometry, self._stamp_ns = now, sweep.stamp_ns
         farthest_m = config.odometry_jump_m + config.odometry_jump_mps * interval_s
         jumped = increment is not None and not increment.distance <= farthest_m  # or it is NaN
-        limits, steady = self._limits(), self._steady()
+        # the settings limit what may be carried on until walls have confirmed larger motions
+        settings = config.carried_forward_m, config.carried_sideways_m, config.carried_rad
+        both = zip(settings, self._largest, strict=True)
+        limits = Pose2(*(max(limit, _FASTER * second) for limit, (_, second) in both))
+        # Odometry, whose clock may be apart from the laser's, draws walls double in turns. The last
+        # motion alone feeds each error back with its sign turned: a robot at rest would seem to
+        # swing, ever wider. The mean of the last two lets go of what alternates.
+        a, b = self._before, self._last
+        steady = Pose2((a.x + b.x) / 2, (a.y + b.y) / 2, (a.theta + b.theta) / 2)
         carried, during = _shortened(self._last, limits), _shortened(steady, limits)
         measured = increment is not None and not jumped
-        hole = self._is_hole(interval_s)
+        hole, known = False, sorted(self._intervals)
+        if len(known) >= _INTERVALS // 2:
+            usual_s = known[int(_LONG_INTERVAL * len(known))]
+            hole = interval_s > _HOLE * usual_s > 0.0
         self._intervals.append(interval_s)
         timed = sweep.planar.beam_times_s is not None or sweep.cloud_times_s is not None
         return ExpectedMotion(
@@ -115,34 +126,6 @@ class MotionModel:
             sizes = zip(self._largest, motion, strict=True)
             ranked = [sorted((*pair, abs(value)), reverse=True) for pair, value in sizes]
             self._largest = [(first, second) for first, second, _ in ranked]
-
-    def _is_hole(self, interval_s: float) -> bool:
-        """Whether scans are missing before this one."""
-        few = len(self._intervals) < _INTERVALS // 2
-        if few or interval_s <= _HOLE * min(self._intervals):
-            return False
-        usual = sorted(self._intervals)[int(_LONG_INTERVAL * len(self._intervals))]
-        return interval_s > _HOLE * usual > 0.0
-
-    def _steady(self) -> Pose2:
-        """The mean of the last two motions as registered.
-
-        Odometry, whose clock may be apart from the laser's, draws walls double in turns. The last
-        motion alone feeds each error back with its sign turned: a robot at rest would seem to
-        swing, ever wider. The mean lets go of what alternates.
-        """
-        a, b = self._before, self._last
-        return Pose2((a.x + b.x) / 2, (a.y + b.y) / 2, (a.theta + b.theta) / 2)
-
-    def _limits(self) -> Pose2:
-        """The longest motion that may be carried on, in each direction; none is negative.
-
-        The settings limit it until walls have confirmed larger motions.
-        """
-        config = self._config
-        settings = config.carried_forward_m, config.carried_sideways_m, config.carried_rad
-        both = zip(settings, self._largest, strict=True)
-        return Pose2(*(max(limit, _FASTER * second) for limit, (_, second) in both))
 
 
 def _shortened(motion: Pose2, limits: Pose2) -> Pose2:
@@ -177,7 +160,11 @@ class Reliance:
     limits: Slack = field(init=False)
 
     def __post_init__(self) -> None:
-        sizes = (_limit(deviations) for deviations in (self.along, self.across, self.turn))
+        sizes, usual = [], _QUANTILE_SIGMAS / _SIGMAS  # 1 for an odometry of which nothing is known
+        for deviations in (self.along, self.across, self.turn):
+            known = sorted((*(usual,) * _PRIOR, *deviations))
+            sigma = known[int(_QUANTILE * len(known))] / _QUANTILE_SIGMAS
+            sizes.append(min(_WIDEST, max(_NARROWEST, _SIGMAS * sigma)))
         object.__setattr__(self, "limits", Slack(*sizes))
 
     @property
@@ -247,14 +234,6 @@ def _unknown(motion: Pose2) -> Slack:
 
 def _with(deviations: tuple[float, ...], latest: float) -> tuple[float, ...]:
     return (*deviations, abs(latest))[-_REMEMBERED:]
-
-
-def _limit(deviations: tuple[float, ...]) -> float:
-    """Slacks within which odometry agrees; 1 for an odometry of which nothing is known."""
-    usual = _QUANTILE_SIGMAS / _SIGMAS
-    known = sorted((*(usual,) * _PRIOR, *deviations))
-    sigma = known[int(_QUANTILE * len(known))] / _QUANTILE_SIGMAS
-    return min(_WIDEST, max(_NARROWEST, _SIGMAS * sigma))
 
 
 UNKNOWN = Reliance()  # nothing was compared yet

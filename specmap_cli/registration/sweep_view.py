@@ -60,10 +60,18 @@ def view_of(sweep: Sweep, expected: ExpectedMotion, config: RegistrationConfig) 
     walls = _thinned_to(hits, config.voxel_m / 2, _MAX_POINTS)
     probe = thinned(walls, config.voxel_m)
     if sweep.cloud is None:
-        cloud, sparse = _in_space(walls), _in_space(probe)
+        cloud, sparse = (np.column_stack([at, np.zeros(len(at))]) for at in (walls, probe))
         dense = cloud
     else:
-        dense = _cloud_of(sweep.cloud, sweep.cloud_times_s, expected, config)
+        # cut to range, thinned, and then de-skewed; what is too near over ground is the robot
+        points, times_s = sweep.cloud, sweep.cloud_times_s
+        x, y = points[:, 0], points[:, 1]
+        away = np.sqrt(x * x + y * y)
+        kept = np.flatnonzero((away > config.min_range_m) & (away <= config.cloud_range_m))
+        kept = kept[first_in_cells(points[kept], config.cloud_voxel_m / 2)]
+        usable = times_s is not None and usable_times(times_s, len(points))
+        times_s = times_s[kept] if times_s is not None and usable else None
+        dense = moved_returns(points[kept], times_s, expected.during, expected.interval_s)
         cloud = _thinned_to(dense, config.cloud_voxel_m, _MAX_CLOUD_POINTS)
         sparse = _thinned_to(cloud, 2 * config.cloud_voxel_m, _MAX_CLOUD_POINTS // 2)
     return SweepView(
@@ -76,25 +84,6 @@ def view_of(sweep: Sweep, expected: ExpectedMotion, config: RegistrationConfig) 
         base_from_laser=sweep.base_from_laser,
         reach_m=reach_m,
     )
-
-
-def _cloud_of(
-    cloud: FloatArray,
-    times_s: FloatArray | None,
-    expected: ExpectedMotion,
-    config: RegistrationConfig,
-) -> FloatArray:
-    """The points of a cloud (N, 3) to be registered: cut to range, thinned, and then de-skewed.
-
-    Points nearer than `min_range_m` over ground are the robot itself.
-    """
-    x, y = cloud[:, 0], cloud[:, 1]
-    distance = np.sqrt(x * x + y * y)
-    kept = np.flatnonzero((distance > config.min_range_m) & (distance <= config.cloud_range_m))
-    kept = kept[first_in_cells(cloud[kept], config.cloud_voxel_m / 2)]
-    usable = times_s is not None and usable_times(times_s, len(cloud))
-    times = times_s[kept] if times_s is not None and usable else None
-    return moved_returns(cloud[kept], times, expected.during, expected.interval_s)
 
 
 def outline_of(scan: PlanarScan, base_from_laser: Pose2, reach_m: float) -> FloatArray:
@@ -110,11 +99,6 @@ def outline_of(scan: PlanarScan, base_from_laser: Pose2, reach_m: float) -> Floa
     return base_from_laser.apply(
         np.concatenate([laser, ends, ends[:1] if scan.full_circle else laser])
     )
-
-
-def _in_space(points: FloatArray) -> FloatArray:
-    """Points (N, 2) of the plane as (N, 3) with z = 0."""
-    return np.column_stack([points, np.zeros(len(points))])
 
 
 def _thinned_to(points: FloatArray, cell_m: float, most: int) -> FloatArray:

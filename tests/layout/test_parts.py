@@ -12,7 +12,6 @@ from specmap_cli.core.geometry import FloatArray, compose, invert, wrap_angles
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.parts import (
     PartSearch,
-    corrections,
     loose_starts,
     most_voted,
     place_part,
@@ -51,23 +50,24 @@ def kidnapped() -> tuple[FloatArray, Graph]:
 
 
 @given(pose_arrays(4), seeds)
-def test_a_correction_satisfies_its_link(poses: FloatArray, seed: int) -> None:
-    graph = graph_by_hand(poses, breaks=(2,))
+def test_a_part_goes_where_links_put_it(poses: FloatArray, seed: int) -> None:
+    draft = Draft(poses=poses)
     z = np.random.default_rng(seed).uniform(-3, 3, 3)
     there, back = link(1, 3, z.tolist()), link(3, 1, invert(z).tolist())
-    for motion in corrections(graph, poses, 1, [there, back]):
-        moved = np.array(poses)
-        moved[2:] = compose(motion, poses[2:])
-        gap = compose(invert(z), compose(invert(moved[1]), moved[3]))
-        assert np.hypot(*gap[:2]) < 1e-6
-        assert abs(wrap_angles(gap[2:])[0]) < 1e-9
+    placed = place_part(graph_by_hand(poses, breaks=(2,)), draft, 1, [there, back], votes=2)
+    gap = compose(invert(z), compose(invert(placed.poses[1]), placed.poses[3]))
+    assert placed.tied == {0, 1}
+    assert np.hypot(*gap[:2]) < 1e-6
+    assert abs(wrap_angles(gap[2:])[0]) < 1e-9
 
 
-def test_only_links_from_a_part_to_older_ones_correct_it() -> None:
+def test_only_links_from_a_part_to_older_ones_place_it() -> None:
     truth, graph = kidnapped()
-    inside, later, other = (true_link(truth, *ends) for ends in ((21, 30), (25, 50), (5, 45)))
-    assert corrections(graph, graph.poses, 1, [inside, later, other]).shape == (0, 3)
-    assert corrections(graph, graph.poses, 2, [inside, later, other]).shape == (2, 3)
+    draft = Draft(poses=graph.poses)
+    links = [true_link(truth, *ends) for ends in ((21, 30), (25, 50), (5, 45))]
+    assert place_part(graph, draft, 1, links, votes=1) is draft
+    assert place_part(graph, draft, 2, links, votes=1).tied == {0, 2}
+    assert place_part(graph, draft, 2, links, votes=3) is draft
 
 
 MOTIONS = st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-0.4, 0.4))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import astuple
 
 import numpy as np
 import pytest
@@ -126,7 +127,7 @@ def test_what_is_not_seen_from_behind() -> None:
     """The same side, a wall seen from both sides, walls around a corner, and new walls."""
     lower, upper = seen(wall(), LOWER), seen(wall(0.2), UPPER)
     assert not from_behind(lower, lower, Pose2(0.0, 0.2, 0.1), 0.3).any()
-    both = Sides.joined([lower, upper])
+    both = Sides(*np.concatenate([astuple(lower), astuple(upper)], axis=1))
     assert not from_behind(lower, both, IDENTITY, 0.3).any()
     assert not from_behind(upper, both, IDENTITY, 0.3).any()
     across = Pose2(-2.0, 0.0, math.pi / 2)

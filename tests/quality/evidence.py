@@ -7,11 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from specmap_cli.core.findings import Quality
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import Trajectory
 from specmap_cli.layout.audit import Audit
 from specmap_cli.layout.result import Layout
 from specmap_cli.quality.evidence import Evidence
+from specmap_cli.quality.verdict import of_layout, of_recording, quality_of
 
 
 def evidence_of(
@@ -32,3 +34,8 @@ def evidence_of(
         layout=Layout(poses=poses, **(layout or {})),
         **fields,
     )
+
+
+def judged(evidence: Evidence) -> Quality:
+    """The verdict on a recording and its layout."""
+    return quality_of([*of_recording(evidence), *of_layout(evidence)])

@@ -12,9 +12,8 @@ from specmap_cli.layout.audit import Audit, Disagreement
 from specmap_cli.layout.contradictions import Agreement
 from specmap_cli.layout.result import PartMove, Repair
 from specmap_cli.quality.evidence import Evidence, graded
-from specmap_cli.quality.verdict import judged
 from tests.layout.driving import link
-from tests.quality.evidence import evidence_of
+from tests.quality.evidence import evidence_of, judged
 
 SCANS = 100  # a metre apart along x, one a second; every one a keyframe
 

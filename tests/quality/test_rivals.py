@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from collections.abc import Sequence
 
 import numpy as np
@@ -60,3 +61,15 @@ def test_refuted_closures_that_agree_on_another_place_are_told() -> None:
 )
 def test_what_does_not_agree_on_another_place_is_not_told(refuted: list[Link]) -> None:
     assert found(refuted) == []
+
+
+def test_the_memory_does_not_grow_with_the_square_of_the_refuted_closures() -> None:
+    refuted = [claim(k % BREAK, BREAK + k % (SCANS - BREAK), ELSEWHERE) for k in range(1000)]
+    tracemalloc.start()
+    try:
+        (message,) = found(refuted)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert message.startswith("30 refuted loop closures agree")
+    assert peak < 5e6, "one motion a pair of them is 24 MB"

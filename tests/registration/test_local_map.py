@@ -14,10 +14,10 @@ from scipy.spatial import KDTree
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import RegistrationConfig
-from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.gridmap import FREE, GridMap
 from specmap_cli.grids.matching import Window
 from specmap_cli.registration.aligner import SensorKind
-from specmap_cli.registration.local_map import Fit, LocalMap, SeenSpace
+from specmap_cli.registration.local_map import Fit, LocalMap, seen_space
 from specmap_cli.registration.sweep_view import outline_of
 from tests.registration.aligners import ToldAligner
 from tests.registration.drives import circle, scene_in, scene_of, turned, view_of_points
@@ -160,8 +160,8 @@ def test_the_field_follows_the_robot_when_keyframes_are_far_apart() -> None:
     last = Pose2(78.0, 0.0, 0.0)
     assert local.field.score(walls, last) == pytest.approx(1.0)
     assert local.field.left_out > 0
-    assert local.seen.holds(last.apply(walls)).all()
-    assert not local.seen.holds(walls).any()  # walls that score nothing are no evidence
+    assert (local.seen.values_at(last.apply(walls)) == FREE).all()
+    assert (local.seen.values_at(walls) != FREE).all()  # walls that score nothing are no evidence
 
 
 def test_support_counts_only_what_could_be_seen() -> None:
@@ -196,7 +196,7 @@ def test_space_inside_of_an_outline_was_seen_and_space_outside_was_not(seed: int
     polygons = [outline[1:].astype(np.float32) for outline in outlines]
     deep = [[cv2.pointPolygonTest(one, at, True) for one in polygons] for at in points.tolist()]
     depths = np.max(deep, axis=1)
-    found = SeenSpace.of(outlines, CELL_M, 20.0).holds(points)
+    found = seen_space(outlines, CELL_M, 20.0).values_at(points) == FREE
     assert found[depths > 0.0].all()
     assert not found[depths < -3 * CELL_M].any()
 
@@ -231,8 +231,9 @@ def test_what_was_seen(
     points: list[tuple[float, float]],
     held: bool,
 ) -> None:
-    seen = SeenSpace.of([outline_of(scan, laser, range_m)], CELL_M, side_m)
-    assert seen.holds(np.array(points)).tolist() == [held] * len(points)
+    seen = seen_space([outline_of(scan, laser, range_m)], CELL_M, side_m)
+    found = seen.values_at(np.array(points)) == FREE
+    assert found.tolist() == [held] * len(points)
 
 
 @pytest.mark.parametrize("beams", [4, 359, 720, 5000])
