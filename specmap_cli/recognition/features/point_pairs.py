@@ -7,8 +7,6 @@ normals stand to each other. In the spirit of the point-pair features of Drost e
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,44 +44,36 @@ _PARALLEL, _CORNER_IN, _CORNER_OUT, _OPPOSED = range(len(ORIENTATIONS))
 _OF_NONE = int(_BIN_OF_STEP[-1]) + _CORNER_OUT  # where pairs with a point that is none are counted
 
 
-@dataclass(frozen=True, slots=True)
-class Boundary:
-    """The boundaries of n scans by arc length, K points in all.
-
-    `points` and `normals`, of length 1 and to the robot, (2, K); `segments` says whose they are;
-    `lengths` (n,) metres. Leaps from one surface to another are not boundary. Points lie 0.08 m
-    apart, or farther so that there are at most 110 of a scan.
-    """
-
-    segments: Segments
-    points: FloatArray
-    normals: FloatArray
-    lengths: FloatArray
-
-
 def point_pair_histogram(batch: ReturnsBatch) -> FloatArray:
     """(n, 66) shares of pairs by distance and orientation, boundary length in metres, point count.
 
     Orientations: normals within 45 degrees of each other (`parallel`), across each other in a
     concave or convex corner (`corner_in`, `corner_out`), against each other (`opposed`).
     """
-    found = boundary(batch)
-    columns = np.concatenate([found.points, found.normals])
-    firsts, seconds = pair_windows(found.segments.padded(columns, np.nan))
+    segments, points, lengths = boundary(batch)
+    firsts, seconds = pair_windows(segments.padded(points, np.nan))
     # scan by scan: what is held of the pairs of one stays in the nearest cache of a processor
     counts = np.array([_pair_counts(firsts[:, k], seconds[:, k]) for k in range(len(batch))])
-    n = found.segments.counts
+    n = segments.counts
     pairs = n * (n - 1) // 2
     counts[:, _OF_NONE] += pairs - counts.sum(axis=1)  # those with a point that is none
-    return np.column_stack([counts / np.maximum(1, pairs)[:, None], found.lengths, n])
+    return np.column_stack([counts / np.maximum(1, pairs)[:, None], lengths, n])
 
 
-def boundary(batch: ReturnsBatch) -> Boundary:
-    """The boundaries of n scans."""
+def boundary(batch: ReturnsBatch) -> tuple[Segments, FloatArray, FloatArray]:
+    """The boundaries of n scans by arc length, K points in all: whose they are, and lengths (n,).
+
+    Of each point (4, K) x, y and its normal, of length 1 and to the robot. Leaps from one surface
+    to another are not boundary. Points lie 0.08 m apart, or farther so that there are at most 110
+    of a scan.
+    """
     breaks = breaks_of(batch)
     travelled = travelled_along(batch, breaks)
     lengths = batch.segments.max(travelled)
-    segments, places = _places(lengths)
+    spacing = np.maximum(_SPACING_M, lengths / _MOST_POINTS)
+    counts = np.minimum(_MOST_POINTS, np.ceil((lengths - 0.5 * spacing) / spacing))
+    segments = Segments.of_counts(np.maximum(0, counts))
+    places = segments.spread(0.5 * spacing) + segments.place * segments.spread(spacing)
     reach = np.array([[0.0], [-_NORMAL_REACH_M], [_NORMAL_REACH_M]])
     at, before, after = _interpolated(batch, breaks, travelled, segments, places + reach)
     along_x, along_y = after - before
@@ -92,16 +82,7 @@ def boundary(batch: ReturnsBatch) -> Boundary:
     points, normals = at[:, good], np.stack([-along_y, along_x])[:, good] / size[good]
     away = points[0] * normals[0] + points[1] * normals[1] > 0.0
     normals[:, away] *= -1.0
-    return Boundary(segments.kept(good), points, normals, lengths)
-
-
-def _places(lengths: FloatArray) -> tuple[Segments, FloatArray]:
-    """Where points lie along boundaries of some lengths (n,), metres from the first return."""
-    spacing = np.maximum(_SPACING_M, lengths / _MOST_POINTS)
-    counts = np.minimum(_MOST_POINTS, np.ceil((lengths - 0.5 * spacing) / spacing))
-    segments = Segments.of_counts(np.maximum(0, counts))
-    first, step = segments.spread(0.5 * spacing), segments.spread(spacing)
-    return segments, first + segments.place * step
+    return segments.kept(good), np.concatenate([points, normals]), lengths
 
 
 def _interpolated(

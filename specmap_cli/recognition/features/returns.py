@@ -57,18 +57,16 @@ class Segments:
         return np.arange(int(self.starts[-1])) - self.starts[self.owner]
 
     @cached_property
-    def last(self) -> BoolArray:
-        """(N,) whether an item is the last one of its piece."""
-        last = np.zeros(int(self.starts[-1]), dtype=np.bool_)
-        last[self.starts[1:][self._filled] - 1] = True
-        return last
-
-    @cached_property
     def following(self) -> Indices:
         """(N,) the item after each in its piece, the first one after the last."""
         after = np.arange(1, int(self.starts[-1]) + 1)
-        after[self.starts[1:][self._filled] - 1] = self._heads
+        after[self.starts[1:][self._filled] - 1] = self.starts[:-1][self._filled]
         return after
+
+    @cached_property
+    def last(self) -> BoolArray:
+        """(N,) whether an item is the last one of its piece."""
+        return self.following <= np.arange(len(self.following))
 
     def spread(self, values: NDArray[Any]) -> NDArray[Any]:
         """(..., N) for each item the value (..., n) of its piece."""
@@ -80,23 +78,13 @@ class Segments:
         filled = self.counts > 0
         return slice(None) if filled.all() else filled
 
-    @cached_property
-    def _heads(self) -> Indices:
-        """The first items of the pieces that are not empty."""
-        return self.starts[:-1][self._filled]
-
-    @cached_property
-    def _sizes(self) -> FloatArray:
-        """(n,) what sums are divided by for a mean: the count, or 1 without any item."""
-        return np.maximum(self.counts, 1).astype(np.float64)
-
     def sum(self, values: NDArray[Any]) -> NDArray[Any]:
         """(..., n) sums of values (..., N), nought where empty; truth values are counted."""
         return self._reduced(np.add, values, np.intp if values.dtype == np.bool_ else values.dtype)
 
     def mean(self, values: NDArray[Any]) -> NDArray[Any]:
         """(..., n) means of values (..., N), nought where empty."""
-        return self.sum(values) / self._sizes
+        return self.sum(values) / np.maximum(self.counts, 1)
 
     def max(self, values: FloatArray) -> FloatArray:
         """(..., n) the largest of values (..., N), nought where empty."""
@@ -105,8 +93,9 @@ class Segments:
     def _reduced(self, function: np.ufunc, values: NDArray[Any], dtype: DTypeLike) -> NDArray[Any]:
         """(..., n) values (..., N) of each piece put together by a function, nought where empty."""
         together = np.zeros((*values.shape[:-1], len(self)), dtype=dtype)
-        if len(self._heads):
-            reduced = function.reduceat(values, self._heads, axis=-1, dtype=dtype)
+        heads = self.starts[:-1][self._filled]
+        if len(heads):
+            reduced = function.reduceat(values, heads, axis=-1, dtype=dtype)
             together[..., self._filled] = reduced
         return together
 
@@ -212,7 +201,15 @@ class ReturnsBatch:
         points = np.stack([r * np.cos(b), r * np.sin(b)])
         onward = _onward(segments, points)
         closed = np.array([scan.full_circle for scan in scans], dtype=np.bool_)
-        order = _after_the_widest_jump(segments, onward, closed)
+        # circles begin after their widest jump
+        first, counts = segments.starts[:-1], segments.counts
+        widest = segments.argmax(onward)
+        some = np.flatnonzero(closed & (counts > 2))
+        some = some[onward[widest[some]] > onward[first[some] + counts[some] - 1]]
+        turned = np.zeros(len(segments), dtype=np.intp)
+        turned[some] = (widest - first + 1)[some]
+        place = (segments.place + segments.spread(turned)) % segments.spread(counts)
+        order = segments.spread(first) + place
         return cls(
             segments=segments,
             ranges=r[order],
@@ -221,7 +218,7 @@ class ReturnsBatch:
             onward=onward[order],
             closed=closed,
             beams=beams,
-            no_return=readings.sum(valid) - segments.counts,
+            no_return=readings.sum(valid) - counts,
         )
 
     def __len__(self) -> int:
@@ -305,18 +302,6 @@ def _onward(segments: Segments, points: FloatArray) -> FloatArray:
     """(N,) metres from each point (2, N) to the next of its piece, from the last to the first."""
     dx, dy = points[:, segments.following] - points
     return np.asarray(np.sqrt(dx * dx + dy * dy))
-
-
-def _after_the_widest_jump(segments: Segments, onward: FloatArray, closed: BoolArray) -> IntArray:
-    """(N,) the order in which circles begin after their widest jump, the others where they do."""
-    first, counts = segments.starts[:-1], segments.counts
-    widest = segments.argmax(onward)
-    turned = np.zeros(len(segments), dtype=np.intp)
-    some = np.flatnonzero(closed & (counts > 2))
-    inner = onward[widest[some]] > onward[first[some] + counts[some] - 1]
-    turned[some[inner]] = (widest - first + 1)[some[inner]]
-    place = (segments.place + segments.spread(turned)) % segments.spread(counts)
-    return np.asarray(segments.spread(first) + place)
 
 
 def _pair_counts(first: FloatArray, second: FloatArray) -> IntArray:

@@ -56,7 +56,18 @@ def feature_sets() -> Mapping[str, FeatureSet]:
     Read once a process. Raises UsageError for a package whose set cannot be used.
     """
     table = with_plugins(ENTRY_POINTS, BUILT_IN)
-    return {name: _usable(name, groups) for name, groups in table.items()}
+    sets: dict[str, FeatureSet] = {}
+    for name, groups in table.items():
+        listed = tuple(groups) if isinstance(groups, Iterable) else ()
+        if not listed or not all(isinstance(group, FeatureGroup | BatchGroup) for group in listed):
+            raise _unusable(name, "it is no tuple of FeatureGroup")
+        columns = [column for group in listed for column in group.columns]
+        if len(set(columns)) < len(columns):
+            raise _unusable(name, "two of its columns have one name")
+        if not all(g.columns and set(g.histogram) <= set(g.columns) for g in listed):
+            raise _unusable(name, "a group has no columns, or histograms that are none of them")
+        sets[name] = listed
+    return sets
 
 
 def check_feature_sets(config: Config) -> None:
@@ -89,27 +100,27 @@ def scans_features(scans: Iterable[PlanarScan], feature_set: str) -> FloatArray:
 
     Raises UsageError for a set that does not exist, and for one whose functions break their word.
     """
-    rows = [np.zeros((0, len(feature_names(feature_set))))]
+    names, groups = feature_names(feature_set), _groups_of(feature_set)
+    rows = [np.zeros((0, len(names)))]
     left = iter(scans)
     while some := list(islice(left, _TOGETHER)):
-        rows.append(_batch_features(ReturnsBatch.of(some), feature_set))
+        batch, parts = ReturnsBatch.of(some), []
+        for group in groups:
+            try:
+                parts.append(group.values(batch))
+            except WrongCountError as error:
+                raise _unusable(
+                    feature_set, f"the group of {group.columns[0]!r} {error}"
+                ) from error
+        features = np.hstack(parts)
+        finite = np.isfinite(features).all(axis=0)
+        if not finite.all():
+            raise _unusable(
+                feature_set, f"{names[int(np.argmin(finite))]!r} is not finite for a scan"
+            )
+        cut = np.clip(features, -_LARGEST, _LARGEST)
+        rows.append(cut.astype(np.float32).astype(np.float64))
     return np.vstack(rows)
-
-
-def _batch_features(batch: ReturnsBatch, feature_set: str) -> FloatArray:
-    """(n, F) features of the returns of n scans."""
-    parts = []
-    for group in _groups_of(feature_set):
-        try:
-            parts.append(group.values(batch))
-        except WrongCountError as error:
-            raise _unusable(feature_set, f"the group of {group.columns[0]!r} {error}") from error
-    features = np.hstack(parts)
-    finite = np.isfinite(features)
-    if not finite.all():
-        first = feature_names(feature_set)[int(np.argmin(finite.all(axis=0)))]
-        raise _unusable(feature_set, f"{first!r} is not finite for a scan")
-    return np.clip(features, -_LARGEST, _LARGEST).astype(np.float32).astype(np.float64)
 
 
 class KeyframeFeatures:
@@ -163,19 +174,6 @@ def _groups_of(feature_set: str, setting: str = "feature_set") -> FeatureSet:
             code=SETTING,
         )
     return table[feature_set]
-
-
-def _usable(name: str, groups: Any) -> FeatureSet:
-    """The set that a package offers, as a tuple of groups with columns of different names."""
-    listed = tuple(groups) if isinstance(groups, Iterable) else ()
-    if not listed or not all(isinstance(group, FeatureGroup | BatchGroup) for group in listed):
-        raise _unusable(name, "it is no tuple of FeatureGroup")
-    columns = [column for group in listed for column in group.columns]
-    if len(set(columns)) < len(columns):
-        raise _unusable(name, "two of its columns have one name")
-    if not all(group.columns and set(group.histogram) <= set(group.columns) for group in listed):
-        raise _unusable(name, "a group has no columns, or histograms that are none of them")
-    return listed
 
 
 def _unusable(name: str, why: str) -> UsageError:

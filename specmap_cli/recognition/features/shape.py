@@ -134,23 +134,20 @@ def harmonics(batch: ReturnsBatch) -> FloatArray:
 
     A turn of a full circle shifts the signal, which the magnitudes do not see.
     """
-    some = batch.counts >= 2
-    values = np.zeros((len(batch), HARMONICS))
-    spectrum = np.fft.rfft(_resampled(batch, np.flatnonzero(some)), axis=1)
-    values[some] = np.abs(spectrum)[:, 1 : HARMONICS + 1] / _SAMPLES
-    return values
-
-
-def _resampled(batch: ReturnsBatch, scans: IntArray) -> FloatArray:
-    """(m, 128) ranges of some scans at even bearings, cut at 12 m, around where they are circles.
-
-    Each has two returns at the least.
-    """
-    bearings = _unwrapped(batch)
+    segments, bearings = batch.segments, batch.bearings
+    # without leaps of more than half a turn within a scan
+    change = np.concatenate([np.zeros(min(1, len(bearings))), np.diff(bearings)])
+    leap = (np.abs(change) >= np.pi) & (segments.place > 0)
+    if leap.any():
+        turns = np.zeros(len(bearings))
+        turns[leap] = np.mod(change[leap] + np.pi, 2.0 * np.pi) - np.pi - change[leap]
+        bearings = bearings + segments.cumsum(turns)
     ranges = np.minimum(batch.ranges, _FARTHEST_M)
-    rows = np.zeros((len(scans), _SAMPLES))
+    values = np.zeros((len(batch), HARMONICS))
+    scans = np.flatnonzero(batch.counts >= 2)
+    rows = np.zeros((len(scans), _SAMPLES))  # ranges at even bearings
     for row, scan in zip(rows, scans.tolist(), strict=True):
-        start, end = batch.segments.starts[scan : scan + 2].tolist()
+        start, end = segments.starts[scan : scan + 2].tolist()
         b, r = bearings[start:end], ranges[start:end]
         if batch.closed[scan]:
             places = b[0] + 2.0 * np.pi / _SAMPLES * np.arange(_SAMPLES)
@@ -158,19 +155,8 @@ def _resampled(batch: ReturnsBatch, scans: IntArray) -> FloatArray:
         else:
             places = np.linspace(b[0], b[-1], _SAMPLES)
         row[:] = np.interp(places, b, r)
-    return rows
-
-
-def _unwrapped(batch: ReturnsBatch) -> FloatArray:
-    """(N,) bearings without leaps of more than half a turn within a scan."""
-    segments, b = batch.segments, batch.bearings
-    change = np.concatenate([np.zeros(min(1, len(b))), np.diff(b)])
-    leaps = (np.abs(change) >= np.pi) & (segments.place > 0)
-    if not leaps.any():
-        return b
-    turns = np.zeros(len(b))
-    turns[leaps] = np.mod(change[leaps] + np.pi, 2.0 * np.pi) - np.pi - change[leaps]
-    return b + segments.cumsum(turns)
+    values[scans] = np.abs(np.fft.rfft(rows, axis=1))[:, 1 : HARMONICS + 1] / _SAMPLES
+    return values
 
 
 # the rings are a histogram of one view, not of the place: it is not the one to know places by

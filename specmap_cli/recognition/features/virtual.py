@@ -151,36 +151,25 @@ def seen_from(
     """
     laser = map_from_laser.inverse()
     starts, ends = laser.apply(lines[:, :2]), laser.apply(lines[:, 2:])
-    begun, ended = _spans(starts, ends)
-    first, last = np.searchsorted(bearings, begun), np.searchsorted(bearings, ended, side="right")
-    beams = np.maximum(last - first, 0)
-    line = np.repeat(np.arange(len(beams)), beams)
-    beam = np.arange(len(line)) - np.repeat(np.cumsum(beams) - beams, beams) + first[line]
-    line %= len(lines)
-    ranges = np.full(len(bearings), np.inf)
-    hits = _hits(starts[line], ends[line], bearings[beam])
-    seen = (hits > _NEAREST_M) & (hits < reach_m)
-    np.minimum.at(ranges, beam[seen], hits[seen])
-    return np.round(ranges, _RANGE_DECIMALS)
-
-
-def _spans(starts: FloatArray, ends: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """From and to which bearing lines (k,) are seen, three times (3 k,): a turn apart.
-
-    So a line behind the laser is found on either side of where its bearings begin.
-    """
+    # from and to which bearing each line is seen, three times, a turn apart: so a line behind the
+    # laser is found on either side of where its bearings begin
     a = np.arctan2(starts[:, 1], starts[:, 0])
     turn = np.arctan2(ends[:, 1], ends[:, 0]) - a
     b = a + turn - _TURN * np.round(turn / _TURN)
     shifts = np.array([0.0, _TURN, -_TURN])[:, None]
-    return (np.minimum(a, b) + shifts).ravel(), (np.maximum(a, b) + shifts).ravel()
-
-
-def _hits(starts: FloatArray, ends: FloatArray, bearings: FloatArray) -> FloatArray:
-    """(n,) how far along each bearing its line is crossed."""
-    along = ends - starts
-    crossed = starts[:, 0] * along[:, 1] - starts[:, 1] * along[:, 0]
-    facing = np.cos(bearings) * along[:, 1] - np.sin(bearings) * along[:, 0]
+    first = np.searchsorted(bearings, (np.minimum(a, b) + shifts).ravel())
+    last = np.searchsorted(bearings, (np.maximum(a, b) + shifts).ravel(), side="right")
+    beams = np.maximum(last - first, 0)
+    line = np.repeat(np.arange(len(beams)), beams)
+    beam = np.arange(len(line)) - np.repeat(np.cumsum(beams) - beams, beams) + first[line]
+    line %= len(lines)
+    # how far along its bearing each beam crosses its line
+    start, along = starts[line], (ends - starts)[line]
+    crossed = start[:, 0] * along[:, 1] - start[:, 1] * along[:, 0]
+    facing = np.cos(bearings[beam]) * along[:, 1] - np.sin(bearings[beam]) * along[:, 0]
+    hits = np.full(len(beam), np.inf)
+    np.divide(crossed, facing, out=hits, where=facing != 0.0)
     ranges = np.full(len(bearings), np.inf)
-    np.divide(crossed, facing, out=ranges, where=facing != 0.0)
-    return ranges
+    seen = (hits > _NEAREST_M) & (hits < reach_m)
+    np.minimum.at(ranges, beam[seen], hits[seen])
+    return np.round(ranges, _RANGE_DECIMALS)

@@ -29,5 +29,5 @@ def of_one(function: Function, batch: ReturnsBatch) -> list[float]:
 
 def boundary_of(batch: ReturnsBatch) -> tuple[FloatArray, FloatArray, float]:
     """Points (K, 2), normals (K, 2) and length of the boundary of a batch of one."""
-    found = boundary(batch)
-    return found.points.T, found.normals.T, float(found.lengths[0])
+    _, points, lengths = boundary(batch)
+    return points[:2].T, points[2:].T, float(lengths[0])
