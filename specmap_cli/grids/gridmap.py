@@ -88,6 +88,19 @@ class GridMap:
         corner = (x + left * self.resolution, y + low * self.resolution)
         return GridMap(self.cells[rows, columns].copy(), self.resolution, corner)
 
+    def cropped(self, shown: BoolArray | None = None, frame: int = 0) -> GridMap:
+        """The part of the map round the cells `shown` (H, W), by default those that are known.
+
+        A `frame` of so many cells stays round it. Where nothing is shown the map stays as it is.
+        """
+        window = window_of(np.asarray(self.cells != UNKNOWN) if shown is None else shown)
+        if window is None:
+            return self
+        sides = zip(window, self.cells.shape, strict=True)
+        return self.window(
+            *(slice(max(one.start - frame, 0), min(one.stop + frame, side)) for one, side in sides)
+        )
+
     def near(self, points: FloatArray, reach_m: float) -> GridMap:
         """The part of the map within `reach_m` of the box round some points (n, 2 or more)."""
         shape = self.cells.shape

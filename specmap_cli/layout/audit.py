@@ -180,17 +180,7 @@ def _pass(store: KeyframeStore, poses: FloatArray, first: int, last: int, way_m:
         last=last,
         centre=poses[first : last + 1, :2].mean(axis=0),
         way_m=way_m,
-        grid=_cropped(grid),
-    )
-
-
-def _cropped(grid: GridMap) -> GridMap:
-    """The part of a grid that holds anything: hundreds of them are kept."""
-    rows, columns = (np.flatnonzero((grid.cells != 2).any(axis=axis)) for axis in (1, 0))
-    if not len(rows):
-        return grid
-    return grid.window(
-        slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+        grid=grid.cropped(),  # hundreds of them are kept
     )
 
 

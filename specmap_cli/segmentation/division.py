@@ -23,7 +23,6 @@ from specmap_cli.grids.gridmap import (
     BoolArray,
     CellArray,
     GridMap,
-    window_of,
 )
 from specmap_cli.segmentation.cells import (
     RINGS,
@@ -249,6 +248,4 @@ def region_grid(grid: GridMap, region: BoolArray) -> GridMap:
     cells: CellArray = np.full(grid.cells.shape, UNKNOWN, dtype=np.uint8)
     cells[shown & (grid.cells == OCCUPIED)] = OCCUPIED
     cells[region & (grid.cells == FREE)] = FREE
-    window = window_of(shown)
-    assert window is not None
-    return GridMap(cells, grid.resolution, grid.origin).window(*window)
+    return GridMap(cells, grid.resolution, grid.origin).cropped(shown)

@@ -29,7 +29,7 @@ from specmap_cli.recognition.closure.decision import (
     mended_m,
     plausible,
 )
-from specmap_cli.recognition.closure.prepared import PreparedGrids, cropped
+from specmap_cli.recognition.closure.prepared import PreparedGrids
 from specmap_cli.recognition.closure.verification import CANDIDATES, MIN_LEAD, Check, verify
 
 _LEFTOVERS = 2  # pairs matched a submap in search of duplicates
@@ -269,7 +269,7 @@ class LoopCloser:
 
 def _packed(stay: Stay) -> PackedGrid:
     """The grid of a stay without what it did not see."""
-    return PackedGrid.of(cropped(stay.grid))
+    return PackedGrid.of(stay.grid.cropped())
 
 
 def _closure(
