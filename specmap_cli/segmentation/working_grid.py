@@ -64,23 +64,20 @@ def canonical(free: BoolArray, block: int = 1) -> Orientation:
     window = window_of(free)
     if window is None:
         return Orientation((slice(0, 0), slice(0, 0)), 0)
-    mass = _bulk(free[window])
+    shown = free[window]
+    inner = cv2.erode(shown.astype(np.uint8), _AROUND, borderValue=0) > 0
+    mass = inner if inner.any() else shown
     high, wide = (_moments(mass.sum(axis=axis).tolist()) for axis in (1, 0))
     # a quarter turn counter-clockwise of the array: what was its columns, backwards, is its rows
     turned = ((high, wide), (_back(wide), high), (_back(high), _back(wide)), (wide, _back(high)))
+    pictures = [np.rot90(shown, turns) for turns in range(4)]
     keys = [
-        (a[0] > b[0], -(a[1] + b[1]), *_bytes(np.rot90(free[window], turns)))
-        for turns, (a, b) in enumerate(turned)
+        (a[0] > b[0], -(a[1] + b[1]), picture.shape, picture.tobytes())
+        for picture, (a, b) in zip(pictures, turned, strict=True)
     ]
-    turns = min(range(4), key=lambda turns: keys[turns])
+    turns = keys.index(min(keys))
     middle = np.argwhere(np.rot90(mass, turns)).mean(axis=0).astype(int).tolist()
     return Orientation(window, turns, (-middle[0] % block, -middle[1] % block))
-
-
-def _bulk(free: BoolArray) -> BoolArray:
-    """The free cells (H, W) with free ones all around, or all if there are none."""
-    inner = cv2.erode(free.astype(np.uint8), _AROUND, borderValue=0) > 0
-    return np.asarray(inner) if inner.any() else free
 
 
 def _moments(counts: Sequence[int]) -> tuple[int, int]:
@@ -95,10 +92,6 @@ def _moments(counts: Sequence[int]) -> tuple[int, int]:
 def _back(moments: tuple[int, int]) -> tuple[int, int]:
     """The moments of the same counts taken backwards."""
     return moments[0], -moments[1]
-
-
-def _bytes(picture: BoolArray) -> tuple[tuple[int, ...], bytes]:
-    return picture.shape, picture.tobytes()
 
 
 @dataclass(frozen=True, slots=True)

@@ -466,12 +466,11 @@ def test_clusters_are_joined_as_one_by_one(seed: int, ratio: float, percent: flo
     assert sorted(set(names)) == list(range(len(found)))
 
 
-def test_a_border_of_just_the_ratio_joins_and_a_cluster_without_nodes_or_width_none() -> None:
+def test_a_border_of_just_the_ratio_joins_and_a_cluster_without_width_none() -> None:
     widths = [np.full(2, 0.5), np.full(2, 2.0)]
     assert join_wide({(0, 1): 0.8}, widths, 0.8, 60.0) == [0, 0]
     assert join_wide({(0, 1): 0.7999}, widths, 0.8, 60.0) == [0, 1]
-    widths = [np.zeros(3), np.zeros(0), np.ones(3)]
-    assert join_wide({(0, 2): 0.1, (1, 2): 0.1}, widths, 0.8, 60.0) == [0, 0, 0]
+    assert join_wide({(0, 1): 0.1}, [np.zeros(3), np.ones(3)], 0.8, 60.0) == [0, 0]
     assert join_wide({}, [], 0.8, 60.0) == []
 
 
