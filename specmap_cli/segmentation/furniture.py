@@ -35,10 +35,13 @@ def furniture(free: BoolArray, resolution: float, config: SegmentationConfig) ->
     sizes = np.array([config.obstacle_m, config.furniture_m, FURNITURE_THICK_M])
     largest, bulky, thick = (sizes / resolution).tolist()
     pieces = small_obstacles(free, largest)
+    found = small_obstacles(free, largest, bulky, thick)
+    if not pieces.any():
+        return found
     square = _slit_square(resolution)
     linked = cv2.morphologyEx(pieces.astype(np.uint8), cv2.MORPH_CLOSE, square) > 0
     rows = linked & ~small_obstacles(~linked, max(largest, bulky))
-    return np.asarray(small_obstacles(free, largest, bulky, thick) & ~(pieces & rows))
+    return np.asarray(found & ~(pieces & rows))
 
 
 def without_slits(free: BoolArray, resolution: float) -> BoolArray:

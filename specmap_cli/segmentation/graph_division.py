@@ -69,23 +69,15 @@ def _clusters_of_parts(
 
     What a cut takes from the row of a node stays in its degree: it goes to a neighbour elsewhere.
     """
-    found = [clusters_of(L[part][:, part], degrees[part], config.eigenvalue_min) for part in parts]
-    return _together(len(degrees), parts, found)
-
-
-def _together(nodes: int, parts: Sequence[IndexArray], found: Sequence[Spectrum]) -> Spectrum:
-    """One spectrum of a graph from those of its parts, which hold the nodes `parts`."""
-    labels = np.full(nodes, -1, dtype=np.int32)
-    clusters = 0
-    for part, spectrum in zip(parts, found, strict=True):
-        labels[part] = clusters + spectrum.labels
-        clusters += int(spectrum.labels.max()) + 1
-    values = np.concatenate([np.zeros(0), *(spectrum.eigenvalues for spectrum in found)])
-    return Spectrum(
-        labels=labels,
-        eigenvalues=np.sort(values)[::-1],
-        used=sum(spectrum.used for spectrum in found),
-    )
+    labels = np.full(len(degrees), -1, dtype=np.int32)
+    values, clusters, used = [np.zeros(0)], 0, 0
+    for part in parts:
+        found = clusters_of(L[part][:, part], degrees[part], config.eigenvalue_min)
+        labels[part] = clusters + found.labels
+        clusters += int(found.labels.max()) + 1
+        values.append(found.eigenvalues)
+        used += found.used
+    return Spectrum(labels=labels, eigenvalues=np.sort(np.concatenate(values))[::-1], used=used)
 
 
 def parts_of(S: Any, most: int) -> list[IndexArray]:
@@ -133,7 +125,10 @@ def _beyond_the_neck(S: Any) -> BoolArray:
     L, degrees = normalised(S)
     _, vectors = largest_eigenpairs(L, 2, _ROUGH)
     order = np.argsort(vectors[:, 1] / np.sqrt(degrees), kind="stable")
-    lost = _lost_after_each(S[order][:, order])
+    edges = S[order][:, order].tocoo()
+    ends = np.minimum(edges.row, edges.col), np.maximum(edges.row, edges.col)
+    begun, ended = (np.bincount(each, edges.data, len(order)) for each in ends)
+    lost = np.cumsum(begun - ended)[:-1] / 2.0  # each edge stands in S twice
     before = np.cumsum(degrees[order])[:-1]
     after = degrees.sum() - before
     cost = lost / before + lost / after
@@ -141,15 +136,6 @@ def _beyond_the_neck(S: Any) -> BoolArray:
     beyond = np.zeros(len(order), dtype=np.bool_)
     beyond[order[int(cost.argmin()) + 1 :]] = True
     return beyond
-
-
-def _lost_after_each(S: Any) -> Any:
-    """(n - 1,) the similarity between the nodes up to each one and those after it."""
-    size = S.shape[0]
-    edges = S.tocoo()
-    first, last = np.minimum(edges.row, edges.col), np.maximum(edges.row, edges.col)
-    begun, ended = (np.bincount(ends, edges.data, size) for ends in (first, last))
-    return np.cumsum(begun - ended)[:-1] / 2.0  # each edge stands in S twice
 
 
 def split_again(
