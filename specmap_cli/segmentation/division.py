@@ -100,7 +100,8 @@ def segment(grid: GridMap, config: SegmentationConfig) -> Segmentation:
     placements = [_placement(work, config, block, k) for k in range(config.placements)]
     cells = consensus([found for found, _, _ in placements])
     rings = max(RINGS, work.step + 1)  # across a coarse cell that is not wholly free
-    fine = spread_labels(work.refine(cells, opened.shape), opened, rings)
+    fine = np.repeat(np.repeat(cells, work.step, axis=0), work.step, axis=1)
+    fine = spread_labels(fine[: free.shape[0], : free.shape[1]], opened, rings)
     if config.fill:
         pieces = upright.apply(pieces_at_walls(grid, FURNITURE_THICK_M))
         fine = fill_cupboards(fine, pieces, grid.resolution)

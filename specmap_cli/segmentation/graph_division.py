@@ -53,7 +53,11 @@ def spectral_clusters(graph: VisibilityGraph, config: SegmentationConfig) -> Spe
     L, degrees = normalised(S)  # Algorithm 2, line 2
     parts = parts_of(S, config.part_nodes)
     first = _clusters_of_parts(L, degrees, parts, config)
-    cut = touched(graph.pairs, parts, first.labels)
+    part_of = np.zeros(nodes, dtype=np.intp)
+    for number, part in enumerate(parts):
+        part_of[part] = number
+    ends = graph.pairs[part_of[graph.pairs[:, 0]] != part_of[graph.pairs[:, 1]]]
+    cut = np.flatnonzero(np.isin(first.labels, first.labels[ends]))
     if not len(cut):
         return first
     again = [cut[part] for part in parts_of(S[cut][:, cut], config.part_nodes)]
@@ -86,33 +90,17 @@ def parts_of(S: Any, most: int) -> list[IndexArray]:
     S (n, n) sparse is the similarity of eq. 1. A part is connected. One with more than `most` nodes
     is cut in two.
     """
-    parts, pending = [], _connected(S, np.arange(S.shape[0]))
+    parts, pending = [], [np.arange(S.shape[0])]
     while pending:
-        part = pending.pop()
-        if len(part) <= most:
-            parts.append(part)
-            continue
-        beyond = _beyond_the_neck(S[part][:, part])
-        pending += _connected(S, part[beyond]) + _connected(S, part[~beyond])
+        nodes = pending.pop()
+        count, piece = connected_components(S[nodes][:, nodes], directed=False)
+        for part in (nodes[piece == number] for number in range(count)):
+            if len(part) <= most:
+                parts.append(part)
+            else:
+                beyond = _beyond_the_neck(S[part][:, part])
+                pending += [part[beyond], part[~beyond]]
     return sorted(parts, key=lambda part: int(part[0]))
-
-
-def touched(pairs: IndexArray, parts: Sequence[IndexArray], labels: LabelArray) -> IndexArray:
-    """The nodes, ascending, of all clusters with an edge from one part to another.
-
-    `pairs` (m, 2) are the edges, `labels` (n,) the clusters.
-    """
-    part = np.zeros(len(labels), dtype=np.intp)
-    for number, nodes in enumerate(parts):
-        part[nodes] = number
-    ends = pairs[part[pairs[:, 0]] != part[pairs[:, 1]]]
-    return np.flatnonzero(np.isin(labels, labels[ends]))
-
-
-def _connected(S: Any, nodes: IndexArray) -> list[IndexArray]:
-    """The connected pieces of some nodes of a graph."""
-    count, piece = connected_components(S[nodes][:, nodes], directed=False)
-    return [nodes[piece == number] for number in range(count)]
 
 
 def _beyond_the_neck(S: Any) -> BoolArray:
@@ -166,7 +154,7 @@ def split_again(
         pending += [
             (members[half], subgraph(part, np.flatnonzero(half))) for half in (~other, other)
         ]
-    return np.unique(labels, return_inverse=True)[1].astype(np.int32)
+    return numbered(labels)
 
 
 def subgraph(graph: VisibilityGraph, members: IndexArray) -> VisibilityGraph:

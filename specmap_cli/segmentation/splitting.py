@@ -9,8 +9,7 @@ the keyframes of the submap, and a grid of them that is just good enough to find
 
 from __future__ import annotations
 
-from array import array
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -212,7 +211,6 @@ class CoarseSubmap:
         )
         self._store = store
         self._keyframes: list[int] = []
-        self._places = array("d")  # x, y and theta of each
         self._chosen: list[int] = []  # keyframes for the grid, ascending
         self._counted = 0  # of these that are in it
         self._grid = OccupancyGrid(self.grid_config)
@@ -225,14 +223,13 @@ class CoarseSubmap:
     @property
     def poses(self) -> FloatArray:
         """(p, 3) poses of the keyframes."""
-        return np.array(self._places).reshape(-1, 3)
+        return self._store.poses_of(self._keyframes)
 
     def add(self, keyframe: int) -> float:
         """Append a keyframe; the metres driven since the one before it."""
         driven = way_driven(self._store, [*self._keyframes[-1:], keyframe])
         pose = self._store.pose(keyframe)
         self._keyframes.append(keyframe)
-        self._places.extend(pose)
         last = self._store.pose(self._chosen[-1]) if self._chosen else None
         if moved(last, pose, _SPLIT_STEP_M, _SPLIT_STEP_RAD):
             self._chosen.append(keyframe)
@@ -251,9 +248,8 @@ class CoarseSubmap:
         staying = set(np.array(self._keyframes)[stays].tolist())
         rest, left = (CoarseSubmap(self.config, self.grid_config, self._store) for _ in range(2))
         for part, members in ((rest, staying), (left, set(self._keyframes) - staying)):
-            part._append(
-                *([k for k in some if k in members] for some in (self._keyframes, self._chosen))
-            )
+            part._keyframes = [k for k in self._keyframes if k in members]
+            part._chosen = [k for k in self._chosen if k in members]
         few, many = sorted((rest, left), key=lambda part: len(part._chosen))
         few._count()
         many._grid, many._counted = self._grid.without(few._grid), len(many._chosen)
@@ -264,7 +260,8 @@ class CoarseSubmap:
         both = CoarseSubmap(self.config, self.grid_config, self._store)
         for part in (self, other):
             part._count()
-            both._append(part._keyframes, part._chosen)
+            both._keyframes += part._keyframes
+            both._chosen += part._chosen
             both._grid.include(part._grid)
         both._counted = len(both._chosen)
         return both
@@ -289,13 +286,6 @@ class CoarseSubmap:
         reach = 2.0 * self.config.path_band_m or np.inf
         away, _ = cKDTree(some[:, :2]).query(others[:, :2], distance_upper_bound=reach)
         return np.asarray(away <= reach)
-
-    def _append(self, keyframes: Iterable[int], chosen: Iterable[int]) -> None:
-        """Take over keyframes of another submap and which of them it chose for its grid."""
-        for keyframe in keyframes:
-            self._keyframes.append(keyframe)
-            self._places.extend(self._store.pose(keyframe))
-        self._chosen.extend(chosen)
 
     def _count(self) -> None:
         """Add to the grid what was chosen for it since the last time."""

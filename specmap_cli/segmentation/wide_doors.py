@@ -58,12 +58,6 @@ class _Lengths:
     straight: int
     corner: int
 
-    @classmethod
-    def at(cls, resolution: float, widest_m: float) -> _Lengths:
-        openings = (widest_m, _DOOR_M, _LINE_M, _BETWEEN_POSTS_M, _POST_M, _POST_THICK_M, _PANEL_M)
-        ends = (_THICKEST_M, _OPEN_M, _JAMB_M, _FRAME_M, _STRAIGHT_M, _CORNER_M)
-        return cls(*(max(1, round(length / resolution)) for length in (*openings, *ends)))
-
 
 def with_narrow_doors(
     free: BoolArray, small: BoolArray, resolution: float, widest_m: float
@@ -73,7 +67,9 @@ def with_narrow_doors(
     Posts in the line of a wall are not among the obstacles that are taken out. Openings up to
     `widest_m` are narrowed.
     """
-    lengths = _Lengths.at(resolution, widest_m)
+    openings = (widest_m, _DOOR_M, _LINE_M, _BETWEEN_POSTS_M, _POST_M, _POST_THICK_M, _PANEL_M)
+    ends = (_THICKEST_M, _OPEN_M, _JAMB_M, _FRAME_M, _STRAIGHT_M, _CORNER_M)
+    lengths = _Lengths(*(max(1, round(length / resolution)) for length in (*openings, *ends)))
     margin = max(lengths.straight, lengths.jamb + lengths.frame)  # so that ends may lie at the edge
     even = np.pad(without_slits(free | small, resolution), margin)
     pieces = np.pad(small, margin) & even

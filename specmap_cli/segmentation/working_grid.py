@@ -115,11 +115,6 @@ class WorkingGrid:
         """Rows and columns (n, 2), fractional, of the middles of coarse cells on the fine grid."""
         return np.asarray((cells + 0.5) * self.step - 0.5, dtype=np.float64)
 
-    def refine(self, values: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
-        """Coarse `values` (h, w) on the fine grid of `shape` (H, W)."""
-        fine = np.repeat(np.repeat(values, self.step, axis=0), self.step, axis=1)
-        return fine[: shape[0], : shape[1]]
-
 
 def coarse_step(resolution: float, cell_m: float) -> int:
     """How many cells of a grid a coarse cell of about `cell_m` is wide."""
