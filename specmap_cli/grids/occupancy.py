@@ -20,7 +20,7 @@ from specmap_cli.core.records import BoolArray, PlanarScan
 from specmap_cli.core.settings import GridConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, slices_near, window_of
 
-Cell = tuple[int, int]  # column and row
+Cell = Sequence[int]  # column and row
 _Indices = NDArray[np.intp]
 
 _OCCUPIED_SHARE = 0.25  # hits / (hits + misses) of a wall
@@ -61,7 +61,7 @@ class OccupancyGrid:
         low, high, inside = footprints_of(grid_from_base, self.config.footprint_m, self.resolution)
         stood = []
         fans = fans_of(scans, grid_from_laser, self.config)
-        for fan, first, end in zip(fans, _pairs(low), _pairs(high), strict=True):
+        for fan, first, end in zip(fans, low.tolist(), high.tolist(), strict=True):
             if fan is not None and not self._cover(fan.low, fan.high):
                 self.refused += 1
             elif fan is not None:
@@ -237,8 +237,8 @@ def fans_of(
     columns, rows = x[hit].astype(np.intp), y[hit].astype(np.intp)
     for number, one, other, (begin, end), (some_hit, last_hit) in zip(
         some.tolist(),
-        _pairs(low),
-        _pairs(high),
+        low.tolist(),
+        high.tolist(),
         pairwise([*starts.tolist(), len(star)]),
         pairwise(returns.tolist()),
         strict=True,
@@ -262,19 +262,14 @@ def _stars(
     begins[first] = True
     opens = np.flatnonzero(begins)
     scan = np.searchsorted(first, opens, side="right") - 1
-    star = np.empty((len(x) + len(opens), 2), dtype=np.int32)
+    star = np.empty((len(x) + len(opens), 2))
     lasers = opens + np.arange(len(opens))
     ends = np.ones(len(star), dtype=np.bool_)
     ends[lasers] = False
-    for side, places in enumerate((x, y)):
-        star[ends, side] = _fixed(places)
-        star[lasers, side] = _fixed(laser[scan, side])
-    return star, lasers[np.searchsorted(opens, first)]
-
-
-def _fixed(places: FloatArray) -> NDArray[np.int32]:
-    """Places, in cells from a corner, as OpenCV counts them: 1/16 from the middle of a cell."""
-    return np.round((places - 0.5) * (1 << SUBPIXEL_BITS)).astype(np.int32)
+    star[ends], star[lasers] = np.column_stack([x, y]), laser[scan]
+    # as OpenCV counts places, in cells from a corner: 1/16 from the middle of a cell
+    corners = np.round((star - 0.5) * (1 << SUBPIXEL_BITS)).astype(np.int32)
+    return corners, lasers[np.searchsorted(opens, first)]
 
 
 def footprints_of(
@@ -294,8 +289,3 @@ def footprints_of(
     squares = off * off
     inside = squares[:, :, None, 1] + squares[:, None, :, 0] <= reach * reach
     return low.astype(np.intp), high, np.asarray(inside)
-
-
-def _pairs(cells: _Indices) -> list[Cell]:
-    """Columns and rows (n, 2) as whole numbers of Python."""
-    return [(column, row) for column, row in cells.tolist()]
