@@ -45,7 +45,7 @@ def draw_test(test: SplitTest, threshold: float, split: bool, occasion: Occasion
     (H, W, 3) BGR. Nodes on the robot's side are orange, the others blue, and the fainter the closer
     the eigenvector is to zero there.
     """
-    grid = _cropped(test.grid)
+    grid = test.grid.cropped(test.grid.free, round(_FRAME_M / test.grid.resolution))
     picture, scale = _map_picture(grid, _SIDE)
     if len(test.nodes):
         strength = np.abs(test.eigenvector) / max(float(np.abs(test.eigenvector).max()), 1e-12)
@@ -86,7 +86,7 @@ def _about(
 
 def draw_segmentation(grid: GridMap, found: Segmentation, threshold: float) -> Image:
     """A divided map: nodes and sight lines in the colours of the regions, and the spectrum."""
-    grid = _cropped(grid)
+    grid = grid.cropped(grid.free, round(_FRAME_M / grid.resolution))
     picture, scale = _map_picture(grid, _LARGE_SIDE)
     spots = _pixels(grid, found.nodes, scale)
     _draw_sight_lines(picture, spots, found)
@@ -111,17 +111,6 @@ def _draw_sight_lines(picture: Image, spots: list[tuple[int, int]], found: Segme
     for k in np.flatnonzero(lengths <= np.median(lengths)):
         start, end = ends[k].tolist()
         cv2.line(picture, start, end, _ALIKE if alike[k] else _APART, 1, cv2.LINE_AA)
-
-
-def _cropped(grid: GridMap) -> GridMap:
-    """The part of a map round its free cells; the whole when there are none."""
-    cells = np.argwhere(grid.free)
-    if not len(cells):
-        return grid
-    frame = round(_FRAME_M / grid.resolution)
-    low = np.maximum(cells.min(axis=0) - frame, 0)
-    high = np.minimum(cells.max(axis=0) + frame + 1, grid.cells.shape)
-    return grid.window(slice(low[0], high[0]), slice(low[1], high[1]))
 
 
 def _map_picture(grid: GridMap, side: int) -> tuple[Image, float]:

@@ -32,9 +32,18 @@ class BentMotion:
         """Points (N, 2) of one map in the other."""
         if not self.local:
             return self.rigid.apply(points)
+        centres = np.array([one.centre for one in self.local])
+        weights = np.array([one.weight for one in self.local])
+        placed = np.zeros((len(points), 2))
         step = max(1, _AT_ONCE // len(self.local))
-        parts = [self._part(points[k : k + step]) for k in range(0, len(points), step)]
-        return np.concatenate(parts) if parts else np.zeros((0, 2))
+        for first in range(0, len(points), step):
+            some, there = points[first : first + step], placed[first : first + step]
+            squares = ((some[:, None, :] - centres[None]) ** 2).sum(axis=2)
+            shares = weights / (_REACH_M2 + squares) ** 2  # far ones do not add up
+            shares /= shares.sum(axis=1, keepdims=True)
+            for k, one in enumerate(self.local):
+                there += shares[:, k, None] * one.motion.apply(some)
+        return placed
 
     def near(self, place: FloatArray) -> Pose2:
         """The rigid motion round a place (2,)."""
@@ -54,14 +63,3 @@ class BentMotion:
             for one in self.local
         )
         return BentMotion(self.rigid.inverse(), local)
-
-    def _part(self, points: FloatArray) -> FloatArray:
-        centres = np.array([one.centre for one in self.local])
-        weights = np.array([one.weight for one in self.local])
-        squares = ((points[:, None, :] - centres[None]) ** 2).sum(axis=2)
-        shares = weights / (_REACH_M2 + squares) ** 2  # far ones do not add up
-        shares /= shares.sum(axis=1, keepdims=True)
-        placed = np.zeros((len(points), 2))
-        for k, one in enumerate(self.local):
-            placed += shares[:, k, None] * one.motion.apply(points)
-        return placed

@@ -88,6 +88,19 @@ class GridMap:
         corner = (x + left * self.resolution, y + low * self.resolution)
         return GridMap(self.cells[rows, columns].copy(), self.resolution, corner)
 
+    def cropped(self, shown: BoolArray | None = None, frame: int = 0) -> GridMap:
+        """The part of the map round the cells `shown` (H, W), by default those that are known.
+
+        A `frame` of so many cells stays round it. Where nothing is shown the map stays as it is.
+        """
+        window = window_of(np.asarray(self.cells != UNKNOWN) if shown is None else shown)
+        if window is None:
+            return self
+        sides = zip(window, self.cells.shape, strict=True)
+        return self.window(
+            *(slice(max(one.start - frame, 0), min(one.stop + frame, side)) for one, side in sides)
+        )
+
     def near(self, points: FloatArray, reach_m: float) -> GridMap:
         """The part of the map within `reach_m` of the box round some points (n, 2 or more)."""
         shape = self.cells.shape
@@ -190,11 +203,9 @@ def cast_ranges(
 
     `distance` is `grid.obstacle_distance()`; see `cast_rays`.
     """
-    origins = np.asarray(origins, dtype=np.float64).reshape(-1, 2)
     starts = np.repeat(origins, len(bearings), axis=0)
-    angles = np.tile(np.asarray(bearings, dtype=np.float64), len(origins))
-    ranges = cast_rays(distance, grid, starts, angles, max_range)
-    return ranges.reshape(len(origins), len(bearings))
+    angles = np.tile(bearings, len(origins))
+    return cast_rays(distance, grid, starts, angles, max_range).reshape(-1, len(bearings))
 
 
 def cast_rays(
@@ -211,50 +222,34 @@ def cast_rays(
     first occupied cell it touches, exact to a thousandth of a millimetre. Rays that leave the grid
     return +inf.
     """
+    (height, width), flat = distance.shape, distance.reshape(-1)
+    limit = max_range / grid.resolution
     ranges = np.full(len(angles), np.inf)
     for first in range(0, len(angles), _RAYS_AT_ONCE):
         part = slice(first, first + _RAYS_AT_ONCE)
         starts = (np.asarray(origins[part], dtype=np.float64) - grid.origin) / grid.resolution
-        cells = _march(distance, grid.resolution, starts, angles[part], max_range / grid.resolution)
-        ranges[part] = cells * grid.resolution
+        x, y = starts.T  # in cells
+        dx, dy = (
+            np.where(np.abs(side) < _TINY, _TINY, side)
+            for side in (np.cos(angles[part]), np.sin(angles[part]))
+        )
+        alive, travelled = first + np.arange(len(x)), np.zeros(len(x))
+        while len(alive):
+            column, row = np.floor(x), np.floor(y)
+            on = (column >= 0) & (row >= 0) & (column < width) & (row < height)
+            on &= travelled <= limit
+            index = np.where(on, row * width + column, 0).astype(np.intp)
+            room = flat[index] / grid.resolution
+            stopped = on & (room <= 0.0)
+            ranges[alive[stopped]] = travelled[stopped] * grid.resolution
+            border = np.minimum((column + (dx > 0) - x) / dx, (row + (dy > 0) - y) / dy)
+            # neither the ray nor the obstacle need be at the centre of its cell
+            step = np.maximum(room - _DIAGONAL, border + _BORDER)
+            on &= ~stopped
+            alive, step, dx, dy = alive[on], step[on], dx[on], dy[on]
+            x, y = x[on] + dx * step, y[on] + dy * step
+            travelled = travelled[on] + step
     return ranges
-
-
-def _march(
-    distance: NDArray[Any],
-    resolution: float,
-    starts: FloatArray,
-    angles: NDArray[Any],
-    limit: float,
-) -> FloatArray:
-    """`cast_rays` in cells: starts (N, 2) column and row; lengths (N,), +inf past `limit`."""
-    height, width = distance.shape
-    flat = distance.reshape(-1)
-    lengths = np.full(len(angles), np.inf)
-    alive = np.arange(len(angles))
-    x, y = starts[:, 0].copy(), starts[:, 1].copy()
-    dx, dy = _nonzero(np.cos(angles)), _nonzero(np.sin(angles))
-    travelled = np.zeros(len(angles))
-    while len(alive):
-        column, row = np.floor(x), np.floor(y)
-        on = (column >= 0) & (row >= 0) & (column < width) & (row < height) & (travelled <= limit)
-        index = np.where(on, row * width + column, 0).astype(np.intp)
-        room = flat[index] / resolution
-        stopped = on & (room <= 0.0)
-        lengths[alive[stopped]] = travelled[stopped]
-        border = np.minimum((column + (dx > 0) - x) / dx, (row + (dy > 0) - y) / dy)
-        # neither the ray nor the obstacle need be at the centre of its cell
-        step = np.maximum(room - _DIAGONAL, border + _BORDER)
-        on &= ~stopped
-        alive, step, dx, dy = alive[on], step[on], dx[on], dy[on]
-        x, y = x[on] + dx * step, y[on] + dy * step
-        travelled = travelled[on] + step
-    return lengths
-
-
-def _nonzero(direction: FloatArray) -> FloatArray:
-    """The same components with those next to zero replaced by a tiny one of a sure sign."""
-    return np.where(np.abs(direction) < _TINY, _TINY, direction)
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,8 +18,8 @@ from array import array
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
-from typing import IO
 
 import numpy as np
 
@@ -183,10 +183,16 @@ class KeyframeStore:
 
     def scan(self, number: int) -> PlanarScan:
         """The planar scan of one keyframe, read from disk, without the times of its beams."""
-        data = _read_at(self._file, self._begins[number], self._bytes[number])
+        offset, size = self._begins[number], self._bytes[number]
+        if hasattr(os, "pread"):  # the file's own place, which forked processes share, stays
+            data = os.pread(self._file.fileno(), size, offset)
+        else:  # no such call on this system, which does not fork either
+            self._file.seek(offset)
+            data = self._file.read(size)
+            self._file.seek(0, os.SEEK_END)
         readings = np.frombuffer(data, dtype=_READING)
         bearings, ranges = readings.astype(np.float64).reshape(2, -1)
-        laser = self._laser(number)
+        laser = self._lasers[self._laser_of[number]]
         stamp_ns = self._stamps_ns[number]
         return PlanarScan(stamp_ns, bearings, ranges, laser.range_max, laser.full_circle)
 
@@ -202,10 +208,7 @@ class KeyframeStore:
 
     def base_from_laser(self, number: int) -> Pose2:
         """Mounting of the laser of one keyframe."""
-        return self._laser(number).base_from_laser
-
-    def _laser(self, number: int) -> _Laser:
-        return self._lasers[self._laser_of[number]]
+        return self._lasers[self._laser_of[number]].base_from_laser
 
     def points(self, number: int, max_range: float = np.inf) -> FloatArray:
         """Returns (N, 2) of one keyframe in the base frame."""
@@ -221,16 +224,6 @@ class KeyframeStore:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def _read_at(file: IO[bytes], offset: int, size: int) -> bytes:
-    """Bytes of a file; its place, which forked processes share, stays where it is."""
-    if hasattr(os, "pread"):
-        return os.pread(file.fileno(), size, offset)
-    file.seek(offset)  # no such call on this system, which does not fork either
-    data = file.read(size)
-    file.seek(0, os.SEEK_END)
-    return data
 
 
 def views_needed(scan: PlanarScan, config: GridConfig) -> int:
@@ -264,30 +257,26 @@ def repeated(recorded: Recorded, needed: BoolArray) -> BoolArray:
     The last recording was there, and it and the ones between, of what is kept of them, were there
     often enough.
     """
+    from scipy.spatial import cKDTree  # slow to load, and only an update asks
+
     gone = np.zeros(len(needed), dtype=bool)
     last = len(recorded.enough) - 1
     for recording in reversed(range(last)):
         own = np.flatnonzero((recorded.of == recording) & ~needed)
         newer = np.flatnonzero((recorded.of > recording) & ~gone)
-        old, new = _pairs(recorded, own, newer)
+        if not len(own) or not len(newer):
+            continue
+        # pairs that look alike: places in `own`, and numbers of newer ones
+        places, there = (cKDTree(recorded.poses[some, :2]) for some in (own, newer))
+        found = places.sparse_distance_matrix(there, PLACE_M, output_type="ndarray")
+        old, new = found["i"].astype(np.int64), newer[found["j"]]
+        turn = np.abs(wrap_angles(recorded.poses[own[old], 2] - recorded.poses[new, 2]))
+        alike = recorded.all_round[recorded.of[new]] | (turn <= DIRECTION_RAD)
+        old, new = old[alike], new[alike]
         share = np.bincount(old, 1.0 / recorded.enough[recorded.of[new]], len(own))
         again = np.bincount(old, recorded.of[new] == last, len(own))
         gone[own[(again > 0) & (share >= 1.0 - _ROUNDING)]] = True
     return gone
-
-
-def _pairs(recorded: Recorded, own: IntArray, newer: IntArray) -> tuple[IntArray, IntArray]:
-    """The pairs (P,) of keyframes that look alike: places in `own`, and numbers of newer ones."""
-    if not len(own) or not len(newer):
-        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    from scipy.spatial import cKDTree  # slow to load, and only an update asks
-
-    places, there = (cKDTree(recorded.poses[some, :2]) for some in (own, newer))
-    found = places.sparse_distance_matrix(there, PLACE_M, output_type="ndarray")
-    old, new = found["i"].astype(np.int64), newer[found["j"]]
-    turn = np.abs(wrap_angles(recorded.poses[own[old], 2] - recorded.poses[new, 2]))
-    alike = recorded.all_round[recorded.of[new]] | (turn <= DIRECTION_RAD)
-    return old[alike], new[alike]
 
 
 def sole_views(
@@ -304,58 +293,48 @@ def sole_views(
     cells `unseen` (H, W) are those of walls that recordings after these did not look at. Of several
     that show such a wall the last one stays.
     """
-    shown = _Shown(store, poses, walls, max_range_m)
+    shown = partial(_shown, store, poses, walls, max_range_m)
     claims, left = {}, np.asarray(unseen).copy()
-    for number, cells in shown.among(np.flatnonzero(gone)[::-1], left):
+    for number, cells in shown(np.flatnonzero(gone)[::-1], left):
         claims[number] = cells[left[cells[:, 0], cells[:, 1]]]
         _clear(left, cells)
     claimed = np.zeros(unseen.shape, dtype=bool)
     for cells in claims.values():
         claimed[cells[:, 0], cells[:, 1]] = True
     others = np.flatnonzero(~gone)
-    for _, cells in shown.among(others[np.argsort(others % _STRIDE, kind="stable")], claimed):
+    for _, cells in shown(others[np.argsort(others % _STRIDE, kind="stable")], claimed):
         _clear(claimed, cells)
     stay = [number for number, cells in claims.items() if claimed[cells[:, 0], cells[:, 1]].any()]
     return np.array(sorted(stay), dtype=np.int64)
 
 
-@dataclass(frozen=True, slots=True)
-class _Shown:
-    """The cells of a grid that keyframes at `poses` (n, 3) hit."""
+def _shown(
+    store: KeyframeStore,
+    poses: FloatArray,
+    walls: GridMap,
+    max_range_m: float,
+    numbers: IntArray,
+    wanted: BoolArray,
+) -> Iterator[tuple[int, IntArray]]:
+    """Keyframes, in turn, that hit any of the cells `wanted` (H, W) by then, with all they hit.
 
-    store: KeyframeStore
-    poses: FloatArray
-    walls: GridMap
-    max_range_m: float
+    It ends when nothing is wanted any more.
+    """
+    from scipy.spatial import cKDTree  # slow to load, and only an update asks
 
-    def among(self, numbers: IntArray, wanted: BoolArray) -> Iterator[tuple[int, IntArray]]:
-        """Keyframes, in turn, that hit any of the cells `wanted` (H, W) by then, with all they hit.
-
-        It ends when nothing is wanted any more.
-        """
-        for number in numbers[self._near(numbers, wanted)].tolist():
-            cells = self._cells(number)
-            if wanted[cells[:, 0], cells[:, 1]].any():
-                yield number, cells
-                if not wanted.any():
-                    return
-
-    def _near(self, numbers: IntArray, wanted: BoolArray) -> BoolArray:
-        """Which of some keyframes have a wanted cell within reach."""
-        centres = self.walls.centres_of(np.argwhere(wanted))
-        if not len(centres) or not len(numbers):
-            return np.zeros(len(numbers), dtype=bool)
-        from scipy.spatial import cKDTree  # slow to load, and only an update asks
-
-        places = self.poses[numbers, :2]
-        away = cKDTree(centres).query(places, distance_upper_bound=self.max_range_m + _LASER_M)[0]
-        return np.asarray(np.isfinite(away))
-
-    def _cells(self, number: int) -> IntArray:
-        """(N, 2) rows and columns, on the grid."""
-        points = self.store.points(number, self.max_range_m)
-        cells = self.walls.cells_of(Pose2(*self.poses[number].tolist()).apply(points))
-        return cells[self.walls.inside(cells)]
+    centres = walls.centres_of(np.argwhere(wanted))
+    if not len(centres) or not len(numbers):
+        return
+    reach_m = max_range_m + _LASER_M
+    away = cKDTree(centres).query(poses[numbers, :2], distance_upper_bound=reach_m)[0]
+    for number in numbers[np.isfinite(away)].tolist():
+        hits = Pose2(*poses[number].tolist()).apply(store.points(number, max_range_m))
+        cells = walls.cells_of(hits)
+        cells = cells[walls.inside(cells)]
+        if wanted[cells[:, 0], cells[:, 1]].any():
+            yield number, cells
+            if not wanted.any():
+                return
 
 
 def _clear(left: BoolArray, cells: IntArray) -> None:

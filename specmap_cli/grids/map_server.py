@@ -29,7 +29,6 @@ from pydantic import (
 
 from specmap_cli.core.errors import TOO_LARGE, MapError
 from specmap_cli.core.files import read_bytes, write_bytes, write_text
-from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.core.yaml import read_yaml
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, CellArray, GridMap
@@ -42,6 +41,7 @@ OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196
 # or furniture and hatching in a floor plan. A YAML beside the picture can say otherwise.
 PICTURE_FREE_THRESHOLD = 0.0196
 
+_EXPECTED = "expected a map_server YAML"
 _LARGEST_YAML_MB = 0.066  # such a file has some hundred: anything larger is something else
 _DECIMALS = 6  # of lengths written: a micrometre
 _FARTHEST_M = 1e8  # twice around the earth: no place of a map is farther off
@@ -114,49 +114,46 @@ def read_grid(
     path = Path(path)
     scale = {} if resolution is None else {"resolution": resolution}
     if path.suffix.lower() in (".yaml", ".yml"):
-        about = _about(path, _read_entries(path) | scale)
+        entries = _read_entries(path) | scale
     elif resolution is None:
         raise MapError(
             "a picture has no scale", "give metres a pixel with --resolution", where=path
         )
     else:
-        about = _about(path, {"image": path.name, "free_thresh": PICTURE_FREE_THRESHOLD} | scale)
+        entries = {"image": path.name, "free_thresh": PICTURE_FREE_THRESHOLD} | scale
+    try:
+        about = _MapYaml.model_validate(entries)
+    except ValidationError as error:
+        raise MapError(*_complaint(error, entries), where=path) from None
     cells = about.cells(read_picture(path.parent / about.image, limits))
     return GridMap(cells, about.resolution, (about.origin[0], about.origin[1]))
 
 
 def _read_entries(path: Path) -> dict[str, Any]:
-    expected = "expected a map_server YAML"
     try:
         entries = read_yaml(read_bytes(path, _LARGEST_YAML_MB))
     except ValueError as error:
-        raise MapError(f"{error}: {expected}", where=path) from None
+        raise MapError(error, _EXPECTED, where=path) from None
     except OSError as error:
         if error.errno == errno.EFBIG:
             size = f"larger than {_LARGEST_YAML_MB * 1000:g} kB"
-            raise MapError(f"{size}: {expected}", where=path) from None
+            raise MapError(size, _EXPECTED, where=path) from None
         raise MapError.of_system(error, "cannot read the map", where=path) from None
     return entries if isinstance(entries, dict) else {}
 
 
-def _about(path: Path, entries: dict[str, Any]) -> _MapYaml:
-    try:
-        return _MapYaml.model_validate(entries)
-    except ValidationError as error:
-        raise MapError(_complaint(error, entries), where=path) from None
-
-
-def _complaint(error: ValidationError, entries: dict[str, Any]) -> str:
-    """What is wrong first: the key, what stands there and what should."""
+def _complaint(error: ValidationError, entries: dict[str, Any]) -> tuple[str, ...]:
+    """What is wrong first: the key and what stands there; and, in most cases, what should."""
     first = error.errors()[0]
     if first["type"] == "value_error":
-        return str(first["ctx"]["error"])
+        parts: tuple[str, ...] = first["ctx"]["error"].args
+        return parts
     key = str(first["loc"][0])
     if first["type"] == "missing":
-        return f"no `{key}` entry: expected a map_server YAML"
+        return f"no `{key}` entry", _EXPECTED
     found, expected = entries[key], _MapYaml.model_fields[key].description
     shown = f"{found:g}" if isinstance(found, float | int) else repr(_written(found))
-    return f"{key} is {shown}: expected {expected}"
+    return f"{key} is {shown}", f"expected {expected}"
 
 
 def _written(value: Any) -> str:
@@ -165,8 +162,6 @@ def _written(value: Any) -> str:
 
 
 _Metres = Annotated[float, Field(ge=-_FARTHEST_M, le=_FARTHEST_M)]
-
-
 _Share = Annotated[float, Field(ge=0.0, le=1.0, description="a number from 0 to 1")]
 
 
@@ -194,7 +189,7 @@ class _MapYaml(BaseModel):
     @classmethod
     def _stands_straight(cls, origin: list[float]) -> list[float]:
         if len(origin) == 3 and abs(origin[2]) > _LARGEST_TURN:
-            raise ValueError(f"origin is turned by {origin[2]:g} rad: turn the image, write 0")
+            raise ValueError(f"origin is turned by {origin[2]:g} rad", "turn the image, write 0")
         return origin
 
     @model_validator(mode="after")
@@ -205,34 +200,29 @@ class _MapYaml(BaseModel):
         return self
 
     def cells(self, picture: NDArray[Any]) -> CellArray:
-        """(H, W) cells of a picture (H, W, C)."""
-        if picture.shape[2] == 1 and picture.dtype == np.uint8:  # the usual one, and large at times
-            levels = np.arange(256, dtype=np.uint8)[:, None, None]
-            return np.asarray(self._cells(levels)[:, 0][picture[..., 0]])
-        return self._cells(picture)
+        """(H, W) cells of a picture (H, W, C): the darker the pixel, the surer the obstacle.
 
-    def _cells(self, picture: NDArray[Any]) -> CellArray:
-        values = picture / (257.0 if picture.dtype == np.uint16 else 1.0)
-        occupancy = _percent(values) if self.mode == "raw" else _occupancy(values, self.negate)
+        With `negate` it is the lighter; in mode raw values are percent as they stand. Transparent
+        pixels are unknown, and those of more than a hundred percent.
+        """
+        channels = picture.shape[2]
+        plain = channels == 1 and picture.dtype == np.uint8  # the usual one, and large at times
+        values = np.arange(256.0)[:, None, None] if plain else picture.astype(np.float64)
+        if picture.dtype == np.uint16:
+            values /= 257.0
+        if self.mode == "raw":
+            percent = values[..., 0]
+            occupancy = np.where(percent <= 100.0, percent / 100.0, np.nan)
+        else:
+            transparent = channels in (2, 4)
+            light = values[..., : channels - transparent].mean(axis=2) / 255.0
+            occupancy = light if self.negate else 1.0 - light
+            if transparent:
+                occupancy[values[..., -1] < 255.0] = np.nan
         cells = np.full(occupancy.shape, UNKNOWN, dtype=np.uint8)
         cells[occupancy > self.occupied_thresh] = OCCUPIED
         cells[occupancy < self.free_thresh] = FREE
-        return cells
-
-
-def _occupancy(picture: FloatArray, negate: bool) -> FloatArray:
-    """(H, W) 0 to 1, the darker the more (`negate`: the lighter), NaN where it is transparent."""
-    channels = picture.shape[2]
-    transparent = channels in (2, 4)
-    light = picture[..., : channels - transparent].mean(axis=2) / 255.0
-    occupancy = light if negate else 1.0 - light
-    return np.where(picture[..., -1] < 255.0, np.nan, occupancy) if transparent else occupancy
-
-
-def _percent(picture: FloatArray) -> FloatArray:
-    """(H, W) 0 to 1 of values that are percent as they stand, NaN above a hundred."""
-    percent = picture[..., 0]
-    return np.where(percent <= 100.0, percent / 100.0, np.nan)
+        return np.asarray(cells[:, 0][picture[..., 0]]) if plain else cells
 
 
 def read_picture(path: Path, limits: LimitsConfig | None = None) -> NDArray[Any]:

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2, product, wrap_angle
-from specmap_cli.core.records import BoolArray, IntArray
+from specmap_cli.core.records import BoolArray
 from specmap_cli.grids.correlation import Target, cell_counts, local_maxima, peaks
 from specmap_cli.grids.occupancy import SURFACE_GAP_M
 from specmap_cli.grids.score_field import ScoreField, descend
@@ -41,7 +41,6 @@ SPREAD_TEMPERATURE = 0.02
 SPREAD_M, SPREAD_RAD = 0.3, 0.09  # looked at: beyond the errors of a match that is right
 _SPREAD_STEPS = 6  # of the lattice, from the match to either end
 
-PLACES, PLACES_STEP_M = 5, 0.2  # looked for everywhere: a wall is still seen in cells of 0.2 m
 _APART_M = 1.0  # of two places found: nearer ones lead `refine` to the same pose
 _APART_RAD = 0.3  # likewise of two headings
 
@@ -103,11 +102,7 @@ def search(field: ScoreField, points: NDArray[Any], guess: Pose2, window: Window
 
 
 def search_everywhere(
-    field: ScoreField,
-    points: NDArray[Any],
-    count: int = PLACES,
-    step: float = PLACES_STEP_M,
-    angle_step: float | None = None,
+    field: ScoreField, points: NDArray[Any], count: int, step: float, angle_step: float
 ) -> list[Match]:
     """The best `count` poses of points (N, 2) anywhere on the field at any angle, best first.
 
@@ -119,11 +114,22 @@ def search_everywhere(
     if not len(points):
         return []
     coarse = field.coarser(max(1, round(step / field.resolution)))
+    cell = coarse.resolution
     middle = np.asarray(points).mean(axis=0)
     local = points - middle
-    turn = angle_step or _angle_step(local, coarse.resolution)
-    found = _everywhere(coarse, local, np.arange(0.0, 2 * np.pi, turn), count)
-    places = ((min(1.0, score), Pose2(x, y, wrap_angle(angle))) for score, x, y, angle in found)
+    reach = math.ceil(float(np.sqrt((local**2).sum(axis=1)).max()) / cell) + 1
+    target = Target.of(coarse.values.astype(np.float64)[None], (2 * reach, 2 * reach))
+    x, y = coarse.origin
+    found: list[tuple[float, float, float, float]] = []
+    for angle in np.arange(0.0, 2 * np.pi, angle_step).tolist():
+        turned = Pose2(0.0, 0.0, angle).apply(local)
+        picture = cell_counts(turned, cell, target.shape) / len(local)
+        maxima = local_maxima(target.correlate(picture[None]))
+        best = peaks(maxima, target.size, cell, count)
+        found.extend((-peak.value, peak.x + x, peak.y + y, angle) for peak in best)
+    places = (
+        (min(1.0, -worse), Pose2(x, y, wrap_angle(angle))) for worse, x, y, angle in sorted(found)
+    )
     return different_places(places, middle, count)
 
 
@@ -200,17 +206,14 @@ def _lattice(
     cells = np.column_stack([x.ravel(), y.ravel()])
     cells = cells[np.argsort((cells**2).sum(axis=1), kind="stable")]
     shifts = np.asarray(cells * (stride * resolution), dtype=np.float64)
-    turn = window.angle_step_rad or _angle_step(points, window.step_m)
+    turn = window.angle_step_rad
+    if turn is None:  # the one that moves the point at four fifths of the ranges by a step
+        far = float(np.percentile(np.sqrt((np.asarray(points) ** 2).sum(axis=1)), _FAR_PERCENTILE))
+        turn = min(_MOST_TURN_RAD, max(_LEAST_TURN_RAD, window.step_m / max(far, _SLACK)))
     m = math.ceil(window.angle_rad / turn - _SLACK)
     spacing = window.angle_rad / max(m, 1)
     angles = np.array([0.0] + [s * k * spacing for k in range(1, m + 1) for s in (-1, 1)])
     return shifts, angles
-
-
-def _angle_step(points: NDArray[Any], step: float) -> float:
-    """The angle that moves the point at four fifths of the ranges by one step, within limits."""
-    far = float(np.percentile(np.sqrt((np.asarray(points) ** 2).sum(axis=1)), _FAR_PERCENTILE))
-    return min(_MOST_TURN_RAD, max(_LEAST_TURN_RAD, step / max(far, _SLACK)))
 
 
 def _lattice_scores(
@@ -220,7 +223,13 @@ def _lattice_scores(
     offsets = np.round(shifts / field.resolution).astype(np.intp)
     reach = int(np.abs(offsets).max(initial=0))
     border = 2 * reach + 1
-    low, high = _touched(field, points, guess, reach)
+    # what points may touch at any angle: columns and rows, one at least; the last is excluded
+    size = np.array(field.values.shape[::-1])
+    far = float(np.sqrt((np.asarray(points) ** 2).sum(axis=1)).max(initial=0.0))
+    middle = (np.array([guess.x, guess.y]) - field.origin) / field.resolution
+    around = far / field.resolution + reach + 2
+    low = np.clip(np.floor(middle - around), 0, size - 1).astype(np.int64)
+    high = np.clip(np.ceil(middle + around), low + 1, size).astype(np.int64)
     padded = cv2.copyMakeBorder(
         field.values[low[1] : high[1], low[0] : high[0]],
         *(border, border, border, border),
@@ -238,40 +247,6 @@ def _lattice_scores(
         np.clip(rows, reach, height - 1 - reach, out=rows)
         cells = jumps[:, None] + (rows * width + columns)[None, :]
         yield angle, flat.take(cells).sum(axis=1, dtype=np.float64) / len(points)
-
-
-def _touched(
-    field: ScoreField, points: NDArray[Any], guess: Pose2, reach: int
-) -> tuple[IntArray, IntArray]:
-    """First and last column and row (2,), the last excluded, that points may touch at any angle.
-
-    `reach` is that of their shifts, in cells. At least one cell is told.
-    """
-    size = np.array(field.values.shape[::-1])
-    far = float(np.sqrt((np.asarray(points) ** 2).sum(axis=1)).max(initial=0.0))
-    middle = (np.array([guess.x, guess.y]) - field.origin) / field.resolution
-    around = far / field.resolution + reach + 2
-    low = np.clip(np.floor(middle - around), 0, size - 1).astype(np.int64)
-    high = np.clip(np.ceil(middle + around), low + 1, size).astype(np.int64)
-    return low, high
-
-
-def _everywhere(
-    coarse: ScoreField, local: FloatArray, angles: FloatArray, count: int
-) -> list[tuple[float, float, float, float]]:
-    """(score, x, y, angle) of the best places of centred points (N, 2), best first."""
-    cell = coarse.resolution
-    reach = math.ceil(float(np.sqrt((local**2).sum(axis=1)).max()) / cell) + 1
-    target = Target.of(coarse.values.astype(np.float64)[None], (2 * reach, 2 * reach))
-    x, y = coarse.origin
-    found: list[tuple[float, float, float, float]] = []
-    for angle in angles.tolist():
-        turned = Pose2(0.0, 0.0, angle).apply(local)
-        picture = cell_counts(turned, cell, target.shape) / len(local)
-        maxima = local_maxima(target.correlate(picture[None]))
-        best = peaks(maxima, target.size, cell, count)
-        found.extend((peak.value, peak.x + x, peak.y + y, angle) for peak in best)
-    return sorted(found, key=lambda place: (-place[0], place[1:]))
 
 
 def observability(points: FloatArray, range_noise_m: float) -> FloatArray:
@@ -312,7 +287,15 @@ def weakest_direction(points: FloatArray) -> WeakestDirection:
     As `observability`, but of walls smoothed over some decimetres: the noise of single readings
     turns the normals of dense points so much that a bare corridor would seem to have ends.
     """
-    places, normals, counts = _smoothed_surfaces(points)
+    if len(points) < _FEWEST_SURFACES:
+        return WeakestDirection(0.0, 0.0)
+    steps = np.hypot(*np.diff(points, axis=0).T)
+    apart = np.where(steps < _SMOOTHED_GAP_M, steps, 2.0 * _SMOOTHED_GAP_M)
+    piece = np.floor(np.concatenate([[0.0], np.cumsum(apart)]) / _PIECE_M)
+    _, start, count = np.unique(piece, return_index=True, return_counts=True)
+    smooth = np.add.reduceat(points, start, axis=0) / count[:, None]
+    good, normals = _normals(smooth, _SMOOTHED_GAP_M)
+    places, counts = smooth[1:-1][good], count[1:-1][good].astype(np.float64)
     if len(places) < _FEWEST_SURFACES:
         return WeakestDirection(0.0, 0.0)
     turns = places[:, 0] * normals[:, 1] - places[:, 1] * normals[:, 0]
@@ -324,19 +307,6 @@ def weakest_direction(points: FloatArray) -> WeakestDirection:
     middle, half = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
     heading = 0.5 * math.atan2(2.0 * xy, xx - yy) + 0.5 * math.pi  # across the strongest one
     return WeakestDirection(max(0.0, (middle - half) / (2.0 * middle)), heading)
-
-
-def _smoothed_surfaces(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Places (k, 2), unit normals (k, 2) and numbers of points (k,) of pieces of surfaces."""
-    if len(points) < _FEWEST_SURFACES:
-        return np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)
-    steps = np.hypot(*np.diff(points, axis=0).T)
-    apart = np.where(steps < _SMOOTHED_GAP_M, steps, 2.0 * _SMOOTHED_GAP_M)
-    piece = np.floor(np.concatenate([[0.0], np.cumsum(apart)]) / _PIECE_M)
-    _, start, count = np.unique(piece, return_index=True, return_counts=True)
-    middle = np.add.reduceat(points, start, axis=0) / count[:, None]
-    good, normal = _normals(middle, _SMOOTHED_GAP_M)
-    return middle[1:-1][good], normal, count[1:-1][good].astype(np.float64)
 
 
 def _normals(points: FloatArray, gap_m: float) -> tuple[BoolArray, FloatArray]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -20,7 +20,7 @@ from specmap_cli.core.records import BoolArray, PlanarScan
 from specmap_cli.core.settings import GridConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, slices_near, window_of
 
-Cell = tuple[int, int]  # column and row
+Cell = Sequence[int]  # column and row
 _Indices = NDArray[np.intp]
 
 _OCCUPIED_SHARE = 0.25  # hits / (hits + misses) of a wall
@@ -61,12 +61,23 @@ class OccupancyGrid:
         low, high, inside = footprints_of(grid_from_base, self.config.footprint_m, self.resolution)
         stood = []
         fans = fans_of(scans, grid_from_laser, self.config)
-        for fan, first, end in zip(fans, _pairs(low), _pairs(high), strict=True):
-            self._add(fan)
+        for fan, first, end in zip(fans, low.tolist(), high.tolist(), strict=True):
+            if fan is not None and not self._cover(fan.low, fan.high):
+                self.refused += 1
+            elif fan is not None:
+                (left, bottom), (right, top) = fan.low, fan.high
+                passed = np.zeros((top - bottom, right - left), dtype=np.uint8)
+                cv2.fillPoly(passed, [fan.star], 1, cv2.LINE_8, SUBPIXEL_BITS)
+                passed[fan.rows, fan.columns] = 0
+                window = self._window(fan.low, fan.high)
+                cv2.accumulate(passed, self._misses[window])
+                rows, columns = fan.rows + window[0].start, fan.columns + window[1].start
+                # once for a cell that several beams hit
+                self._hits.reshape(-1)[rows * self._hits.shape[1] + columns] += 1
             stood.append(self._cover(first, end))
         disc, rows, columns = np.nonzero(inside & np.array(stood)[:, None, None])
         rows, columns = rows + low[disc, 1] - self._corner[1], columns + low[disc, 0]
-        cells = self._flat(rows, columns - self._corner[0])
+        cells = rows * self._hits.shape[1] + columns - self._corner[0]
         np.add.at(self._misses.reshape(-1), cells, _ONCE)  # each as often as it is stood on
 
     def snapshot(self) -> GridMap:
@@ -97,36 +108,17 @@ class OccupancyGrid:
         rest = OccupancyGrid(self.config)
         if not self._hits.size:
             return rest
-        rest._corner, rest._hits, rest._misses = (
-            self._corner,
-            self._hits.copy(),
-            self._misses.copy(),
-        )
+        rest._corner = self._corner
+        rest._hits, rest._misses = self._hits.copy(), self._misses.copy()
         here, there = rest._shared(part), part._shared(rest)
         for counts, taken in ((rest._hits, part._hits), (rest._misses, part._misses)):
             counts[here] = np.maximum(counts[here] - taken[there], 0)
-        rest._crop()
+        window = window_of((rest._hits > 0) | (rest._misses > 0))
+        rows, columns = window or (slice(0, 0), slice(0, 0))
+        rest._hits = rest._hits[rows, columns].copy()
+        rest._misses = rest._misses[rows, columns].copy()
+        rest._corner = self._corner[0] + columns.start, self._corner[1] + rows.start
         return rest
-
-    def _add(self, fan: Fan | None) -> None:
-        """Count what one scan proves, if it proves anything and the grid may grow to hold it."""
-        if fan is None:
-            return
-        if not self._cover(fan.low, fan.high):
-            self.refused += 1
-            return
-        (left, bottom), (right, top) = fan.low, fan.high
-        passed = np.zeros((top - bottom, right - left), dtype=np.uint8)
-        cv2.fillPoly(passed, [fan.star], 1, cv2.LINE_8, SUBPIXEL_BITS)
-        passed[fan.rows, fan.columns] = 0
-        rows, columns = self._window(fan.low, fan.high)
-        cv2.accumulate(passed, self._misses[rows, columns])
-        cells = self._flat(fan.rows + rows.start, fan.columns + columns.start)
-        self._hits.reshape(-1)[cells] += 1  # once for a cell that several beams hit
-
-    def _flat(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Numbers (m,) of the elements in some rows and columns (m,), row after row."""
-        return np.asarray(rows * self._hits.shape[1] + columns)
 
     def _picture(self, rows: slice, columns: slice) -> GridMap:
         """The trinary grid in some rows and columns."""
@@ -159,58 +151,39 @@ class OccupancyGrid:
         high = max(low[0], min(high[0], end[0])), max(low[1], min(high[1], end[1]))
         return self._window(low, high)
 
-    def _crop(self) -> None:
-        """Give up the rows and columns at the sides in which nothing was counted."""
-        window = window_of((self._hits > 0) | (self._misses > 0))
-        if window is None:
-            self._hits, self._misses = self._hits[:0, :0], self._misses[:0, :0]
-            return
-        self._hits, self._misses = self._hits[window].copy(), self._misses[window].copy()
-        self._corner = self._corner[0] + window[1].start, self._corner[1] + window[0].start
-
     def _window(self, low: Cell, high: Cell) -> tuple[slice, slice]:
         column, row = self._corner
         return slice(low[1] - row, high[1] - row), slice(low[0] - column, high[0] - column)
 
     def _cover(self, low: Cell, high: Cell) -> bool:
         """Grow to hold cells low..high; False when that would pass the size limit."""
-        rows, columns = self._hits.shape
-        corner = self._corner
-        if not rows:
-            return self._grow_within(
-                np.array(low), np.array(high), np.full((2, 2), _GROWTH_CELLS // 2)
-            )
-        end = corner[0] + columns, corner[1] + rows
+        corner, end = self._box
         if low[0] >= corner[0] and low[1] >= corner[1] and high[0] <= end[0] and high[1] <= end[1]:
             return True
-        outside = np.array([np.less(low, corner), np.greater(high, end)])
-        return self._grow_within(
-            np.minimum(low, corner), np.maximum(high, end), outside * _GROWTH_CELLS
-        )
-
-    def _grow_within(self, low: NDArray[Any], high: NDArray[Any], spare: NDArray[np.intp]) -> bool:
-        """Cover cells low..high, with `spare` (2, 2) cells below and above if the limits allow."""
-        for margin in (spare, np.zeros_like(spare)):
-            first, end = low - margin[0], high + margin[1]
-            sides = (end - first) * self.resolution
+        rows, columns = self._hits.shape
+        first, last = np.array(low), np.array(high)
+        spare = np.full((2, 2), _GROWTH_CELLS // 2)  # cells below and above, if the limits allow
+        if rows:
+            spare = np.array([first < corner, last > end]) * _GROWTH_CELLS
+            first, last = np.minimum(first, corner), np.maximum(last, end)
+        for below, above in (spare, np.zeros_like(spare)):
+            width, height = (last + above - first + below).tolist()
+            sides = (width * self.resolution, height * self.resolution)
             large = max(sides) > self.config.max_extent_m
             if not large and math.prod(sides) <= self.config.max_area_m2:
-                self._grow(first, end)
-                return True
-        return False
-
-    def _grow(self, low: NDArray[Any], high: NDArray[Any]) -> None:
-        """Make the grid cover cells low..high, which hold all it covers now."""
-        width, height = (high - low).tolist()
+                first = first - below
+                break
+        else:
+            return False
         hits = np.zeros((height, width), dtype=np.int32)
         misses = np.zeros((height, width), dtype=np.float32)
-        rows, columns = self._hits.shape
+        dx, dy = (np.array(corner) - first).tolist()
         if rows:
-            dx, dy = (np.array(self._corner) - low).tolist()
             hits[dy : dy + rows, dx : dx + columns] = self._hits
             misses[dy : dy + rows, dx : dx + columns] = self._misses
         self._hits, self._misses = hits, misses
-        self._corner = (int(low[0]), int(low[1]))
+        self._corner = (int(first[0]), int(first[1]))
+        return True
 
 
 class Fan(NamedTuple):
@@ -243,20 +216,29 @@ def fans_of(
         return fans
     bearings = np.concatenate([scan.bearings for scan in scans])[beams]
     ranges, first, counts = ranges[beams], bounds[some], np.diff(bounds)[some]
-    x, y = _ends(bearings, ranges, np.repeat(grid_from_laser[some].T, counts, axis=1), config)
+    hit = ranges <= config.max_range_m
+    # where beams end, in cells: columns and rows with their fractions
+    lasers = np.repeat(grid_from_laser[some].T, counts, axis=1)
+    bearings, ranges = bearings + lasers[2], np.minimum(ranges, config.max_range_m)
+    x = (np.cos(bearings) * ranges + lasers[0]) / config.resolution_m
+    y = (np.sin(bearings) * ranges + lasers[1]) / config.resolution_m
+    # the box of cells round each scan's ends and its laser, with a spare cell on each side
     laser = grid_from_laser[some, :2] / config.resolution_m
-    low, high = _boxes(x, y, first, laser)
+    lowest, highest = (
+        np.stack([extreme.reduceat(side, first) for side in (x, y)], axis=1)
+        for extreme in (np.minimum, np.maximum)
+    )
+    low = np.floor(np.minimum(lowest, laser)).astype(np.intp) - 1
+    high = np.floor(np.maximum(highest, laser)).astype(np.intp) + 2
     x -= np.repeat(low[:, 0], counts)
     y -= np.repeat(low[:, 1], counts)
-    opens = _openings(beams, x, y, first, SURFACE_GAP_M / config.resolution_m)
-    star, starts = _stars(x, y, laser - low, opens, first)
-    hit = ranges <= config.max_range_m
+    star, starts = _stars(beams, x, y, laser - low, first, SURFACE_GAP_M / config.resolution_m)
     returns = np.concatenate([[0], np.cumsum(np.add.reduceat(hit, first, dtype=np.intp))])
     columns, rows = x[hit].astype(np.intp), y[hit].astype(np.intp)
     for number, one, other, (begin, end), (some_hit, last_hit) in zip(
         some.tolist(),
-        _pairs(low),
-        _pairs(high),
+        low.tolist(),
+        high.tolist(),
         pairwise([*starts.tolist(), len(star)]),
         pairwise(returns.tolist()),
         strict=True,
@@ -266,64 +248,28 @@ def fans_of(
     return fans
 
 
-def _ends(
-    bearings: FloatArray, ranges: FloatArray, lasers: FloatArray, config: GridConfig
-) -> tuple[FloatArray, FloatArray]:
-    """Where beams end, in cells: (N,) columns and rows with their fractions; `lasers` (3, N)."""
-    bearings = bearings + lasers[2]
-    ranges = np.minimum(ranges, config.max_range_m)
-    x = (np.cos(bearings) * ranges + lasers[0]) / config.resolution_m
-    y = (np.sin(bearings) * ranges + lasers[1]) / config.resolution_m
-    return x, y
-
-
-def _boxes(
-    x: FloatArray, y: FloatArray, first: _Indices, laser: FloatArray
-) -> tuple[_Indices, _Indices]:
-    """The box (n, 2) low and high of cells round each scan's ends and its `laser` (n, 2).
-
-    There is a spare cell on each side. The ends of scan i begin at number `first` (n,).
-    """
-    low, high = (
-        np.stack([extreme.reduceat(side, first) for side in (x, y)], axis=1)
-        for extreme in (np.minimum, np.maximum)
-    )
-    low, high = np.floor(np.minimum(low, laser)), np.floor(np.maximum(high, laser))
-    return low.astype(np.intp) - 1, high.astype(np.intp) + 2
-
-
-def _openings(
-    beams: _Indices, x: FloatArray, y: FloatArray, first: _Indices, gap: float
-) -> _Indices:
-    """Numbers of the ends at which another surface begins than that of the beam before."""
-    opens = np.empty(len(x), dtype=np.bool_)
-    opens[1:] = np.diff(beams) != 1
-    opens[1:] |= np.diff(x) ** 2 + np.diff(y) ** 2 > gap * gap
-    opens[first] = True
-    return np.flatnonzero(opens)
-
-
 def _stars(
-    x: FloatArray, y: FloatArray, laser: FloatArray, opens: _Indices, first: _Indices
+    beams: _Indices, x: FloatArray, y: FloatArray, laser: FloatArray, first: _Indices, gap: float
 ) -> tuple[NDArray[np.int32], _Indices]:
     """The stars of all scans, one after the other, and where each begins.
 
-    A star stands at its scan's laser (n, 2) before the first end of each surface.
+    A star stands at its scan's laser (n, 2) before the first end of each surface: a beam is left
+    out before it, or its end is more than `gap` from that of the beam before.
     """
+    begins = np.empty(len(x), dtype=np.bool_)
+    begins[1:] = np.diff(beams) != 1
+    begins[1:] |= np.diff(x) ** 2 + np.diff(y) ** 2 > gap * gap
+    begins[first] = True
+    opens = np.flatnonzero(begins)
     scan = np.searchsorted(first, opens, side="right") - 1
-    star = np.empty((len(x) + len(opens), 2), dtype=np.int32)
+    star = np.empty((len(x) + len(opens), 2))
     lasers = opens + np.arange(len(opens))
     ends = np.ones(len(star), dtype=np.bool_)
     ends[lasers] = False
-    for side, places in enumerate((x, y)):
-        star[ends, side] = _fixed(places)
-        star[lasers, side] = _fixed(laser[scan, side])
-    return star, lasers[np.searchsorted(opens, first)]
-
-
-def _fixed(places: FloatArray) -> NDArray[np.int32]:
-    """Places, in cells from a corner, as OpenCV counts them: 1/16 from the middle of a cell."""
-    return np.round((places - 0.5) * (1 << SUBPIXEL_BITS)).astype(np.int32)
+    star[ends], star[lasers] = np.column_stack([x, y]), laser[scan]
+    # as OpenCV counts places, in cells from a corner: 1/16 from the middle of a cell
+    corners = np.round((star - 0.5) * (1 << SUBPIXEL_BITS)).astype(np.int32)
+    return corners, lasers[np.searchsorted(opens, first)]
 
 
 def footprints_of(
@@ -343,8 +289,3 @@ def footprints_of(
     squares = off * off
     inside = squares[:, :, None, 1] + squares[:, None, :, 0] <= reach * reach
     return low.astype(np.intp), high, np.asarray(inside)
-
-
-def _pairs(cells: _Indices) -> list[Cell]:
-    """Columns and rows (n, 2) as whole numbers of Python."""
-    return [(column, row) for column, row in cells.tolist()]

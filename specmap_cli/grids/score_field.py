@@ -66,11 +66,6 @@ class PointCells:
         (left, below), (right, above) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
         return cls(cells, (left, below), (right, above), resolution)
 
-    @property
-    def spread(self) -> float:
-        """How far the points spread in x or y, whichever is more, metres."""
-        return max(self.high[0] - self.low[0], self.high[1] - self.low[1])
-
 
 @dataclass(frozen=True, slots=True)
 class ScoreField:
@@ -101,7 +96,8 @@ class ScoreField:
         """
         points = np.asarray(points, dtype=np.float64).reshape(-1, 2)
         cells = PointCells.of(points, resolution)
-        x, y = np.median(points, axis=0).tolist() if cells.spread > max_side else (0.0, 0.0)
+        spread = max(high - low for low, high in zip(cells.low, cells.high, strict=True))
+        x, y = np.median(points, axis=0).tolist() if spread > max_side else (0.0, 0.0)
         return cls.from_cells([cells], sigma, max_side, (x, y))
 
     @classmethod
@@ -118,11 +114,14 @@ class ScoreField:
         if not seen:
             return cls(np.zeros((1, 1), dtype=np.float32), resolution, (0.0, 0.0))
         margin = math.ceil(_REACH_SIGMAS * sigma / resolution)
-        ends = [_extent(seen, axis, max_side, middle[axis]) for axis in (0, 1)]
-        (left, right), (below, above) = (
-            (math.floor(low / resolution) - margin, math.floor(high / resolution) + margin)
-            for low, high in ends
-        )
+        bounds = []
+        for axis, centre in enumerate(middle):
+            low, high = min(part.low[axis] for part in seen), max(part.high[axis] for part in seen)
+            if high - low > max_side:
+                low, high = max(low, centre - max_side / 2), min(high, centre + max_side / 2)
+            ends = math.floor(low / resolution), math.floor(high / resolution)
+            bounds.append((ends[0] - margin, ends[1] + margin))
+        (left, right), (below, above) = bounds
         width, height = right - left + 1, above - below + 1
         columns, rows = np.concatenate([part.cells for part in seen], axis=1)
         columns, rows = columns - left, rows - below
@@ -212,16 +211,6 @@ def _stamp(resolution: float, sigma: float) -> FieldArray:
     return values
 
 
-def _extent(
-    parts: Sequence[PointCells], axis: int, longest: float, middle: float
-) -> tuple[float, float]:
-    """Least and greatest x (axis 0) or y, cut to half of `longest` on either side of a middle."""
-    low, high = min(part.low[axis] for part in parts), max(part.high[axis] for part in parts)
-    if high - low <= longest:
-        return low, high
-    return max(low, middle - longest / 2), min(high, middle + longest / 2)
-
-
 def _field_values(empty: NDArray[np.uint8], resolution: float, sigma: float) -> FieldArray:
     """exp(-d^2 / 2 sigma^2) of the distance d from each cell to the nearest zero cell."""
     if empty.all():
@@ -293,21 +282,14 @@ def _size(step: Step) -> float:
 
 
 def _step(here: Sample, damping: float) -> Step:
-    """The Gauss-Newton step from a pose, cut to the longest allowed."""
-    equations = here.equations()
-    sums = product(equations, equations.T).tolist()
-    step = _solved(sums, damping * equations.shape[1])
-    share = min(1.0, _LONGEST_STEP / max(_size(step), _TINY))
-    return step[0] * share, step[1] * share, step[2] * share
+    """The Gauss-Newton step from a pose, cut to the longest allowed; `damping` is that of a point.
 
-
-def _solved(sums: Sequence[Sequence[float]], damping: float) -> Step:
-    """The solution of a symmetric, positive definite system.
-
-    Of `sums` (4, 4) the upper left (3, 3) is the matrix, its diagonal to be damped, and the last
-    row the right side. L D L^T step by step: LAPACK rounds otherwise on another processor.
+    The normal equations are solved by L D L^T: LAPACK rounds otherwise on another processor.
     """
-    (a, *_), (b, c, *_), (d, e, f, _), (x, y, z, _) = sums
+    equations = here.equations()
+    # the lower half of the normal matrix, and the right side
+    (a, *_), (b, c, *_), (d, e, f, _), (x, y, z, _) = product(equations, equations.T).tolist()
+    damping *= equations.shape[1]
     a, c, f = a + damping, c + damping, f + damping
     low, last = b / a, d / a
     middle = c - low * b
@@ -315,7 +297,9 @@ def _solved(sums: Sequence[Sequence[float]], damping: float) -> Step:
     y -= low * x
     z = (z - last * x - side * y) / (f - last * d - side * side * middle)
     y = y / middle - side * z
-    return x / a - low * y - last * z, y, z
+    step = x / a - low * y - last * z, y, z
+    share = min(1.0, _LONGEST_STEP / max(_size(step), _TINY))
+    return step[0] * share, step[1] * share, step[2] * share
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -169,17 +169,12 @@ def passes_of(store: KeyframeStore, poses: FloatArray, breaks: Collection[int]) 
         if not ended and way[after] - way[first] < _PASS_M:
             continue
         grid = integrate_keyframes(store, chosen, poses[chosen], coarse).snapshot()
-        known = grid.cells != UNKNOWN
-        rows, columns = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
-        if len(rows):  # hundreds are kept: what is known alone
-            within = (slice(int(each[0]), int(each[-1]) + 1) for each in (rows, columns))
-            grid = grid.window(*within)
         one = Pass(
             first=first,
             last=number,
             centre=poses[first:after, :2].mean(axis=0),
             way_m=float(way[first]),
-            grid=grid,
+            grid=grid.cropped(),  # hundreds of them are kept
         )
         passes.append(one)
         first, chosen, before = after, [], None

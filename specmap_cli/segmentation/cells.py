@@ -6,7 +6,7 @@ narrowing separates are joined; and several divisions of the same cells become o
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import cv2
@@ -40,7 +40,7 @@ def flood_labels(clearance: FloatArray, nodes: IndexArray, labels: LabelArray) -
     if not len(nodes):
         return np.full(clearance.shape, -1, dtype=np.int32)
     flooded = _watershed(clearance, nodes, labels)
-    piece, held = _pieces(free, nodes)
+    piece, held = _pieces(free, tuple(nodes.T))
     flooded[(flooded < 0) | ~held[piece]] = -1
     return spread_labels(flooded, free)
 
@@ -60,7 +60,7 @@ def flooded_at(
         cells - low,
     )
     flooded = _watershed(clearance, nodes, labels)
-    piece, held = _pieces(clearance > 0.0, nodes)
+    piece, held = _pieces(clearance > 0.0, tuple(nodes.T))
     found = _at(flooded, piece, held, cells)
     lines = np.flatnonzero((found < 0) & (piece[cells[:, 0], cells[:, 1]] > 0))
     around = np.clip(cells[lines, None] + _AROUND, 0, np.array(clearance.shape) - 1)
@@ -102,14 +102,14 @@ def _watershed(clearance: FloatArray, nodes: IndexArray, labels: LabelArray) -> 
     return markers[1:-1, 1:-1] - 1
 
 
-def _pieces(free: BoolArray, nodes: IndexArray) -> tuple[LabelArray, BoolArray]:
-    """The piece (h, w) of `free` that a cell is of, 0: none; and which pieces hold a node (n, 2).
+def _pieces(free: BoolArray, seeds: Any) -> tuple[LabelArray, BoolArray]:
+    """The piece (h, w) of `free` that a cell is of, 0: none; and which pieces hold a seed.
 
-    Pieces are joined over edges and corners.
+    `seeds` is an index of cells. Pieces are joined over edges and corners.
     """
     count, piece = cv2.connectedComponents(free.astype(np.uint8), connectivity=8)
     held = np.zeros(count, dtype=bool)
-    held[piece[nodes[:, 0], nodes[:, 1]]] = True
+    held[piece[seeds]] = True
     held[0] = False
     return np.asarray(piece, dtype=np.int32), held
 
@@ -140,10 +140,8 @@ def spread_labels(labels: LabelArray, free: BoolArray, rings: int = RINGS) -> La
         grown[open_cells] = bigger[open_cells]
     missing &= grown == 0
     if missing.any():
-        _, piece = cv2.connectedComponents(free.astype(np.uint8), connectivity=8)
-        reached = np.zeros(int(piece.max()) + 1, dtype=bool)
-        reached[piece[grown > 0]] = True
-        missing &= reached[piece]
+        piece, held = _pieces(free, grown > 0)
+        missing &= held[piece]
     if missing.any():
         grown[missing] = nearest_values(grown)[0][missing]
     return grown.astype(np.int32) - 1
@@ -185,7 +183,7 @@ def join_wide(
     goes on where its width goes on, and ends where it opens into a hall or a room.
     """
     nodes = list(widths)
-    width = [_percentile(some, percentile) for some in nodes]
+    width = [float(np.percentile(some, percentile)) for some in nodes]
     part_of = np.arange(len(widths))
     touching: list[dict[int, float]] = [{} for _ in widths]
     for (one, other), border in borders.items():
@@ -194,7 +192,7 @@ def join_wide(
         keep, gone = pair
         part_of[part_of == gone] = keep
         nodes[keep] = np.concatenate([nodes[keep], nodes[gone]])
-        width[keep] = _percentile(nodes[keep], percentile)
+        width[keep] = float(np.percentile(nodes[keep], percentile))
         for other, border in touching[gone].items():
             del touching[other][gone]
             if other != keep:
@@ -203,10 +201,6 @@ def join_wide(
         touching[gone] = {}
     labels: list[int] = np.unique(part_of, return_inverse=True)[1].tolist()
     return labels
-
-
-def _percentile(widths: FloatArray, percentile: float) -> float:
-    return float(np.percentile(widths, percentile)) if len(widths) else 0.0
 
 
 def _widest(touching: list[dict[int, float]], width: list[float], ratio: float) -> Pair | None:
@@ -230,112 +224,77 @@ def consensus(divisions: Sequence[LabelArray]) -> LabelArray:
         return divisions[0]
     atoms, labels = _atoms(divisions)
     area = np.bincount(atoms[atoms >= 0], minlength=len(labels)).astype(np.float64)
-    holds = _regions(labels)
-    owner = _with_leftovers(_elected(holds, area, len(divisions)), holds, area, labels)
+    # (r, m) 1 where a region of any division, in their order, holds an atom
+    spans = np.cumsum([0, *(labels.max(axis=0) + 1)])
+    atom, division = np.nonzero(labels >= 0)
+    regions = (labels + spans[:-1])[atom, division]
+    holds = csr_array((np.ones(len(atom)), (regions, atom)), (int(spans[-1]), len(labels)))
+    owner = _elected(holds, area, len(divisions))
+    # atoms without an owner go to that of most of the regions that hold them, or stay what the
+    # first division that has them makes of them
+    left, taken = np.flatnonzero(owner < 0), np.flatnonzero(owner >= 0)
+    count = int(owner.max(initial=-1)) + 1
+    owner[left] = count + labels[left, (labels[left] >= 0).argmax(axis=1)]
+    if count and len(left):
+        owned = csr_array((area[taken], (taken, owner[taken])), (len(area), count))
+        parts = (holds @ owned).multiply(1.0 / (holds @ area)[:, None]).tocsr()
+        together = (holds.T.tocsr()[left] @ parts).toarray()
+        some = together.any(axis=1)
+        owner[left[some]] = together[some].argmax(axis=1)
     named = np.unique(owner, return_inverse=True)[1].astype(np.int32)
     return np.where(atoms < 0, np.int32(-1), named[np.maximum(atoms, 0)])
 
 
 def _atoms(divisions: Sequence[LabelArray]) -> tuple[LabelArray, IntArray]:
-    """Number (h, w) of the set of labels that each cell has, -1 without one; the sets (m, k)."""
+    """Number (h, w) of the set of labels that each cell has, -1 without one; the sets (m, k).
+
+    Numbers follow the order in which sets appear, so that none hangs on what labels are called.
+    """
     some = np.any([division >= 0 for division in divisions], axis=0)
     columns = [division[some].astype(np.int64) for division in divisions]
     code = np.zeros(len(columns[0]), dtype=np.int64)
     for column in columns:
-        code, first = _in_order(code * (int(column.max()) + 2) + column + 1)
+        code = code * (int(column.max()) + 2) + column + 1
+        # without sorting: there is a code for every cell
+        seen = np.full(int(code.max()) + 1, -1, dtype=np.int64)
+        seen[code[::-1]] = np.arange(len(code))[::-1]  # the last one to be written is the first
+        first = np.sort(seen[seen >= 0])
+        seen[code[first]] = np.arange(len(first))
+        code = seen[code]
     atoms = np.full(some.shape, -1, dtype=np.int32)
     atoms[some] = code
     return atoms, np.column_stack([column[first] for column in columns])
 
 
-def _in_order(codes: IntArray) -> tuple[IntArray, IntArray]:
-    """Codes (n,) as numbers 0, 1, ... in the order in which they appear, and where they first do.
-
-    So no number hangs on what the labels are called. Without sorting: n is that of all cells.
-    """
-    seen = np.full(int(codes.max()) + 1, -1, dtype=np.int64)
-    seen[codes[::-1]] = np.arange(len(codes))[::-1]  # the last one to be written is the first
-    first = np.sort(seen[seen >= 0])
-    seen[codes[first]] = np.arange(len(first))
-    return seen[codes], first
-
-
-def _regions(labels: IntArray) -> Any:
-    """(r, m) sparse: 1 where a region of any division holds an atom; `labels` (m, k) of each atom.
-
-    Regions stand in the order of their divisions.
-    """
-    spans = np.cumsum([0, *(labels.max(axis=0) + 1)])
-    atoms, division = np.nonzero(labels >= 0)
-    regions = (labels + spans[:-1])[atoms, division]
-    shape = (int(spans[-1]), len(labels))
-    return csr_array((np.ones(len(atoms)), (regions, atoms)), shape)
-
-
 def _elected(holds: Any, area: FloatArray, divisions: int) -> IntArray:
     """(m,) the number of the elected region that each atom goes to, -1 for none.
 
-    An atom goes to the region of whose finds the largest share holds it.
+    A region is found once by each division that has the same. Those that most divisions found are
+    elected in turn, if most of their cells are free by then. An atom goes to the region of whose
+    finds the largest share holds it.
     """
-    owner, most = np.full(len(area), -1), np.zeros(len(area))
-    for number, share in enumerate(_elections(holds, area, divisions)):
-        more = share > most
-        owner[more], most[more] = number, share[more]
-    return owner
-
-
-def _elections(holds: Any, area: FloatArray, divisions: int) -> Iterator[FloatArray]:
-    """Of each region that is taken, the share (m,) of its finds that hold each atom."""
-    same = _same_regions(holds, area)
     size = holds @ area
-    finds, alike = np.diff(same.indptr), same.sum(axis=1)
+    shared = (holds.multiply(area) @ holds.T).tocoo()  # numbers of cells: exact in any order
+    iou = shared.data / (size[shared.row] + size[shared.col] - shared.data)
+    alike = iou > _SAME
+    same = csr_array((iou[alike], (shared.row[alike], shared.col[alike])), shared.shape)
+    same.sort_indices()
+    finds, likeness = np.diff(same.indptr), same.sum(axis=1)
+    atoms_of, found_by = (np.split(each.indices, each.indptr[1:-1]) for each in (holds, same))
     free, gone = np.ones(len(area), dtype=bool), np.zeros(len(size), dtype=bool)
-    for region in np.lexsort((-size, -alike, -finds)).tolist():
-        if 2 * finds[region] <= divisions:
-            return
-        mine = _row(holds, region)
+    owner, most = np.full(len(area), -1), np.zeros(len(area))
+    elected = 0
+    for region in np.lexsort((-size, -likeness, -finds)).tolist():
+        mine, found = atoms_of[region], found_by[region]
+        if 2 * len(found) <= divisions:
+            break
         if gone[region] or area[mine[free[mine]]].sum() <= _HALF * size[region]:
             continue
-        found = _row(same, region)
         votes = np.asarray(holds[found].sum(axis=0))
         free &= 2 * votes <= len(found)
         gone[found] = True
-        yield votes / len(found)
-
-
-def _same_regions(holds: Any, area: FloatArray) -> Any:
-    """(r, r) sparse: intersection over union of the regions that are the same, each itself, too."""
-    shared = (holds.multiply(area) @ holds.T).tocoo()  # numbers of cells: exact in any order
-    size = holds @ area
-    iou = shared.data / (size[shared.row] + size[shared.col] - shared.data)
-    alike = iou > _SAME
-    places = shared.row[alike], shared.col[alike]
-    same = csr_array((iou[alike], places), shared.shape)
-    same.sort_indices()
-    return same
-
-
-def _row(matrix: Any, number: int) -> IntArray:
-    """The columns of a row of a sparse matrix that are not zero."""
-    return np.asarray(matrix.indices[matrix.indptr[number] : matrix.indptr[number + 1]])
-
-
-def _with_leftovers(owner: IntArray, holds: Any, area: FloatArray, labels: IntArray) -> IntArray:
-    """The region (m,) of each atom, when some have no `owner` (m,).
-
-    They go to the owner of most of the regions that hold them, or stay what the first division
-    that has them makes of them.
-    """
-    left, taken = np.flatnonzero(owner < 0), np.flatnonzero(owner >= 0)
-    count = int(owner.max(initial=-1)) + 1
-    owner = owner.copy()
-    first = labels[left, (labels[left] >= 0).argmax(axis=1)]
-    owner[left] = count + first
-    if not count or not len(left):
-        return owner
-    owned = csr_array((area[taken], (taken, owner[taken])), (len(area), count))
-    parts = (holds @ owned).multiply(1.0 / (holds @ area)[:, None]).tocsr()
-    together = (holds.T.tocsr()[left] @ parts).toarray()
-    some = together.any(axis=1)
-    owner[left[some]] = together[some].argmax(axis=1)
+        share = votes / len(found)
+        more = share > most
+        owner[more], most[more] = elected, share[more]
+        elected += 1
     return owner

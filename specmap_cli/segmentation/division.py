@@ -23,7 +23,6 @@ from specmap_cli.grids.gridmap import (
     BoolArray,
     CellArray,
     GridMap,
-    window_of,
 )
 from specmap_cli.segmentation.cells import (
     RINGS,
@@ -81,108 +80,78 @@ class Segmentation:
 def segment(grid: GridMap, config: SegmentationConfig) -> Segmentation:
     """Divide the free space of `grid` into regions.
 
+    Where a region ends is decided in this order: which obstacles are furniture, and which openings
+    are as good as doors; the clusters of a graph of what is then free, their halves, the flood from
+    its nodes, and the borders too wide to be any (`_placement`); what most placements of the nodes
+    agree on. After that no border moves: cells without a label, and cupboards, take one.
+
     The result does not depend on where the map lies on its grid nor on which of the four ways it is
     turned: the work is done on the map cropped and turned to one canonical orientation.
     """
     step = coarse_step(grid.resolution, config.cell_m)
-    upright = canonical(grid.free, step * _block(step * grid.resolution, config))
+    block = max(1, round(config.node_step_m / (step * grid.resolution)))  # in coarse cells
+    upright = canonical(grid.free, step * block)
     free = upright.apply(grid.free)
     small = furniture(free, grid.resolution, config)
     opened = narrowed = free | small
     if config.wide_door_m:
         opened, narrowed = with_narrow_doors(free, small, grid.resolution, config.wide_door_m)
     work = working_grid(narrowed, grid.resolution, config.cell_m)
-    found = [_placement(work, config, number) for number in range(config.placements)]
-    cells = consensus([one.cells for one in found])
-    graph, spectrum = found[0].graph, found[0].spectrum
-    clusters = cells[graph.nodes[:, 0], graph.nodes[:, 1]]
+    placements = [_placement(work, config, block, k) for k in range(config.placements)]
+    cells = consensus([found for found, _, _ in placements])
     rings = max(RINGS, work.step + 1)  # across a coarse cell that is not wholly free
-    fine = spread_labels(work.refine(cells, opened.shape), opened, rings)
+    fine = np.repeat(np.repeat(cells, work.step, axis=0), work.step, axis=1)
+    fine = spread_labels(fine[: free.shape[0], : free.shape[1]], opened, rings)
     if config.fill:
         pieces = upright.apply(pieces_at_walls(grid, FURNITURE_THICK_M))
         fine = fill_cupboards(fine, pieces, grid.resolution)
-    named, names = _by_area(fine if config.fill else np.where(free, fine, np.int32(-1)))
+    else:
+        fine = np.where(free, fine, np.int32(-1))
+    sizes = np.bincount(fine[fine >= 0], minlength=1)
+    names = np.zeros(len(sizes), dtype=np.int32)
+    names[np.argsort(-sizes, kind="stable")] = np.arange(len(sizes))
+    named = np.where(fine < 0, np.int32(-1), names[np.maximum(fine, 0)])
+    _, graph, spectrum = placements[0]
     return Segmentation(
         labels=upright.undo(named, np.full(grid.cells.shape, -1, dtype=np.int32)),
         nodes=grid.centres_of(upright.cells_in_grid(work.fine_cells(graph.nodes), free.shape)),
-        node_labels=names[clusters],
+        node_labels=names[cells[graph.nodes[:, 0], graph.nodes[:, 1]]],
         pairs=graph.pairs,
         spectrum=spectrum,
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Placement:
-    """The working grid divided by one placement of the nodes: labels (h, w) of its `cells`."""
+def _placement(
+    work: WorkingGrid, config: SegmentationConfig, block: int, number: int
+) -> tuple[LabelArray, VisibilityGraph, Spectrum]:
+    """The labels (h, w) of the working grid by one placement of the nodes, and what led to them.
 
-    graph: VisibilityGraph
-    spectrum: Spectrum
-    cells: LabelArray
-
-
-def _placement(work: WorkingGrid, config: SegmentationConfig, number: int) -> _Placement:
-    """Divide the working grid; placements differ in where the blocks of the nodes begin."""
-    graph = build_graph(work, config, number / config.placements)
+    Placements differ in how far before the grid the blocks of the nodes begin. Lengths in the graph
+    are coarse cells.
+    """
+    least, sight = config.clearance_m / work.cell_m, config.sight_m / work.cell_m
+    before = round(number / config.placements * block)
+    shifted = np.pad(work.clearance, ((before, 0), (before, 0)))
+    nodes = sample_nodes(shifted, block, least, config.nodes) - before
+    graph = visibility_graph(work.clearance, nodes, sight, least)
     spectrum = spectral_clusters(graph, config)
     clusters = spectrum.labels
     if config.halve:
         clusters = split_again(graph, clusters, config.neighbours, config.halve_eigenvalue)
     if config.labels == "nearest":
-        cells = nearest_labels(work.free, graph.nodes, clusters)
+        cells = nearest_labels(work.free, nodes, clusters)
     else:
-        cells = flood_labels(work.clearance, graph.nodes, clusters)
-    if config.merge and len(clusters):
-        cells = _merged(work, graph, cells, clusters, config)
-    return _Placement(graph, spectrum, cells)
-
-
-def build_graph(
-    work: WorkingGrid, config: SegmentationConfig, before: float = 0.0
-) -> VisibilityGraph:
-    """The visibility graph of section II-B; lengths in coarse cells.
-
-    The blocks of the nodes begin this part of a block `before` the grid.
-    """
-    least = config.clearance_m / work.cell_m
-    block = _block(work.cell_m, config)
-    skipped = round(before * block)
-    shifted = np.pad(work.clearance, ((skipped, 0), (skipped, 0)))
-    nodes = sample_nodes(shifted, block, least, config.nodes) - skipped
-    return visibility_graph(work.clearance, nodes, config.sight_m / work.cell_m, least)
-
-
-def _block(cell_m: float, config: SegmentationConfig) -> int:
-    """The side of a block with one node, in coarse cells of `cell_m`."""
-    return max(1, round(config.node_step_m / cell_m))
-
-
-def _merged(
-    work: WorkingGrid,
-    graph: VisibilityGraph,
-    cells: LabelArray,
-    clusters: LabelArray,
-    config: SegmentationConfig,
-) -> LabelArray:
-    """Labels of cells (h, w) after joining clusters that no narrowing separates."""
-    own = work.clearance[graph.nodes[:, 0], graph.nodes[:, 1]]
-    widest = 0.5 * config.sight_m / work.cell_m  # the disc that the longest sight line spans
-    widths = local_widths(own, graph.lengths, graph.pairs, widest)
-    groups = [widths[clusters == label] for label in range(int(clusters.max()) + 1)]
-    borders = border_widths(cells, work.clearance)
-    joined = np.array(
-        join_wide(borders, groups, config.merge_ratio, _WIDTH_PERCENTILE), dtype=np.int32
-    )
-    return np.where(cells < 0, np.int32(-1), joined[np.maximum(cells, 0)])
-
-
-def _by_area(labels: LabelArray) -> tuple[LabelArray, LabelArray]:
-    """Labels renamed 0, 1, ... by falling number of cells, and the new name of each old label."""
-    sizes = np.bincount(labels[labels >= 0])
-    names = np.zeros(len(sizes), dtype=np.int32)
-    names[np.argsort(-sizes, kind="stable")] = np.arange(len(sizes))
-    if not len(names):
-        return labels, names
-    return np.where(labels < 0, np.int32(-1), names[np.maximum(labels, 0)]), names
+        cells = flood_labels(work.clearance, nodes, clusters)
+    if config.merge and len(clusters):  # clusters that no narrowing separates
+        own = work.clearance[nodes[:, 0], nodes[:, 1]]
+        # no wider than the disc that the longest sight line spans
+        widths = local_widths(own, graph.lengths, graph.pairs, 0.5 * config.sight_m / work.cell_m)
+        groups = [widths[clusters == label] for label in range(int(clusters.max()) + 1)]
+        borders = border_widths(cells, work.clearance)
+        joined = join_wide(borders, groups, config.merge_ratio, _WIDTH_PERCENTILE)
+        names = np.array(joined, dtype=np.int32)
+        cells = np.where(cells < 0, np.int32(-1), names[np.maximum(cells, 0)])
+    return cells, graph, spectrum
 
 
 def regions_of(grid: GridMap, poses: FloatArray, config: SegmentationConfig) -> IntArray:
@@ -201,41 +170,32 @@ def regions_of(grid: GridMap, poses: FloatArray, config: SegmentationConfig) -> 
         )
         rows, columns = nearest[:, rows, columns]
     labels = found[rows, columns].astype(np.int64)
-    return _without_grazed(labels, poses, config.region_min_m)
-
-
-def _without_grazed(labels: IntArray, poses: FloatArray, way_m: float) -> IntArray:
-    """Labels without those driven less than `way_m`, each keyframe in the last label that stays."""
     way = np.bincount(labels[1:], weights=step_lengths(poses), minlength=int(labels.max()) + 1)
-    stays = way[labels] >= way_m
+    stays = way[labels] >= config.region_min_m
     if not stays.any():
         return np.full_like(labels, np.bincount(labels).argmax())
-    first = int(np.argmax(stays))
-    source = np.where(stays, np.arange(len(labels)), first)
+    source = np.where(stays, np.arange(len(labels)), int(np.argmax(stays)))
     return np.asarray(labels[np.maximum.accumulate(source)], dtype=np.int64)
 
 
 def segment_floorplan(grid: GridMap, config: SegmentationConfig) -> Segmentation:
-    """Divide `grid` into regions of one piece; NoResultError when no free space holds a node."""
-    found = _in_one_piece(segment(grid, config))
+    """Divide `grid` into regions of one piece, the largest of each; scraps have no label.
+
+    NoResultError when no free space holds a node.
+    """
+    found = segment(grid, config)
     if not found.count:
         raise NoResultError(
             f"no free space wider than {2 * config.clearance_m:g} m in the map "
             f"({grid.free_area_m2:.1f} m2 free)",
             "check the resolution and the thresholds",
         )
-    return found
-
-
-def _in_one_piece(found: Segmentation) -> Segmentation:
-    """Regions without scraps: of each only its largest connected piece stays labelled."""
     labels = np.full_like(found.labels, -1)
     for label, window in enumerate(ndimage.find_objects(found.labels + 1)):
-        if window is not None:
-            mine = (found.labels[window] == label).astype(np.uint8)
-            _, piece, stats, _ = cv2.connectedComponentsWithStats(mine, connectivity=8)
-            largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
-            labels[window][piece == largest] = label
+        mine = (found.labels[window] == label).astype(np.uint8)
+        _, piece, stats, _ = cv2.connectedComponentsWithStats(mine, connectivity=8)
+        largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
+        labels[window][piece == largest] = label
     return replace(found, labels=labels)
 
 
@@ -249,6 +209,4 @@ def region_grid(grid: GridMap, region: BoolArray) -> GridMap:
     cells: CellArray = np.full(grid.cells.shape, UNKNOWN, dtype=np.uint8)
     cells[shown & (grid.cells == OCCUPIED)] = OCCUPIED
     cells[region & (grid.cells == FREE)] = FREE
-    window = window_of(shown)
-    assert window is not None
-    return GridMap(cells, grid.resolution, grid.origin).window(*window)
+    return GridMap(cells, grid.resolution, grid.origin).cropped(shown)

@@ -7,13 +7,10 @@ the label of the room it stands in.
 
 from __future__ import annotations
 
-from typing import Any
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.records import IntArray
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import UNKNOWN, BoolArray, GridMap, cell_distances
 from specmap_cli.segmentation.visibility import LabelArray
@@ -38,9 +35,13 @@ def furniture(free: BoolArray, resolution: float, config: SegmentationConfig) ->
     sizes = np.array([config.obstacle_m, config.furniture_m, FURNITURE_THICK_M])
     largest, bulky, thick = (sizes / resolution).tolist()
     pieces = small_obstacles(free, largest)
-    linked = _linked(pieces, resolution)
+    found = small_obstacles(free, largest, bulky, thick)
+    if not pieces.any():
+        return found
+    square = _slit_square(resolution)
+    linked = cv2.morphologyEx(pieces.astype(np.uint8), cv2.MORPH_CLOSE, square) > 0
     rows = linked & ~small_obstacles(~linked, max(largest, bulky))
-    return np.asarray(small_obstacles(free, largest, bulky, thick) & ~(pieces & rows))
+    return np.asarray(found & ~(pieces & rows))
 
 
 def without_slits(free: BoolArray, resolution: float) -> BoolArray:
@@ -49,14 +50,6 @@ def without_slits(free: BoolArray, resolution: float) -> BoolArray:
     side = len(square)
     opened = cv2.morphologyEx(np.pad(free, side).astype(np.uint8), cv2.MORPH_OPEN, square)
     return np.asarray(opened[side:-side, side:-side] > 0)
-
-
-def _linked(pieces: BoolArray, resolution: float) -> BoolArray:
-    """Pieces (H, W) with the slits between them."""
-    if not pieces.any():
-        return pieces
-    closed = cv2.morphologyEx(pieces.astype(np.uint8), cv2.MORPH_CLOSE, _slit_square(resolution))
-    return np.asarray(closed > 0)
 
 
 def _slit_square(resolution: float) -> NDArray[np.uint8]:
@@ -74,7 +67,8 @@ def small_obstacles(
     touch by a side or a corner are one piece, and the outside of the grid is not free. Chairs,
     table legs and cells that no beam happened to cross are small pieces; walls are not. A piece up
     to `bulky_cells` is small, too, when it is solid and `thick_cells` across: tables and cupboards
-    are, and pieces of a wall are thin or go round corners.
+    are, and pieces of a wall are thin or go round corners. Solid is what fills the narrowest
+    rectangle around it: noise at its edges, or a hole in it, changes its area little.
     """
     blocked = np.pad(~free, 1, constant_values=True).astype(np.uint8)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(blocked, connectivity=8)
@@ -82,22 +76,15 @@ def small_obstacles(
     small = sides <= largest_cells + _SLACK
     outside = 0, int(labels[0, 0])  # free space, and what the outside is part of
     for piece in np.flatnonzero(~small & (sides <= bulky_cells + _SLACK)).tolist():
-        small[piece] = piece not in outside and _is_solid(labels, stats[piece], piece, thick_cells)
+        if piece in outside:
+            continue
+        x, y, width, height, area = stats[piece].tolist()
+        rows, columns = np.nonzero(labels[y : y + height, x : x + width] == piece)
+        _, about, _ = cv2.minAreaRect(np.column_stack([columns, rows]).astype(np.float32))
+        short, long = sorted(side + 1.0 for side in about)  # from middle to middle of its cells
+        small[piece] = short >= thick_cells - _SLACK and area >= _SOLID * short * long
     small[list(outside)] = False
     return np.asarray(small[labels[1:-1, 1:-1]])
-
-
-def _is_solid(labels: NDArray[Any], about: NDArray[Any], piece: int, thick_cells: float) -> bool:
-    """Whether a piece fills the narrowest rectangle around it, and that is thick enough.
-
-    `about` are its `connectedComponentsWithStats`. Noise at its edges, or a hole in it, changes its
-    area little.
-    """
-    x, y, width, height, area = about.tolist()
-    rows, columns = np.nonzero(labels[y : y + height, x : x + width] == piece)
-    _, sides, _ = cv2.minAreaRect(np.column_stack([columns, rows]).astype(np.float32))
-    short, long = sorted(side + 1.0 for side in sides)  # from middle to middle of its cells
-    return bool(short >= thick_cells - _SLACK and area >= _SOLID * short * long)
 
 
 def pieces_at_walls(grid: GridMap, thick_m: float) -> LabelArray:
@@ -105,10 +92,21 @@ def pieces_at_walls(grid: GridMap, thick_m: float) -> LabelArray:
 
     What is outside of the building is none: what is unknown and large, and all at the map's edge.
     """
-    unknown = np.asarray(grid.cells == UNKNOWN)
-    thick = _thick(~grid.free & ~_large(unknown, grid.resolution), thick_m / grid.resolution)
-    if not thick.any():
-        return np.zeros(thick.shape, dtype=np.int32)
+    nowhere = np.zeros(grid.cells.shape, dtype=np.int32)
+    radius = (round(thick_m / grid.resolution) - 1) // 2
+    if radius < 1:  # of so few cells it could be a wall
+        return nowhere
+    framed = np.pad(grid.cells, 1, constant_values=UNKNOWN) == UNKNOWN
+    piece, large = _pieces(framed, grid.resolution)
+    large[piece[0, 0]] = True  # joined to what is beyond the map
+    outside = (large[piece] & framed)[1:-1, 1:-1]
+    # cells that a disc covers which is so wide and fits in
+    blocked = np.pad(~grid.free & ~outside, radius + 1).astype(np.uint8)
+    middle = cell_distances(blocked) > radius
+    if not middle.any():
+        return nowhere
+    covered = cell_distances((~middle).astype(np.uint8)) <= radius
+    thick = covered[radius + 1 : -radius - 1, radius + 1 : -radius - 1]
     pieces, large = _pieces(thick, grid.resolution)
     for edge in (pieces[0], pieces[-1], pieces[:, 0], pieces[:, -1]):
         large[edge] = True
@@ -122,16 +120,16 @@ def fill_cupboards(labels: LabelArray, pieces: LabelArray, resolution: float) ->
     """
     if not pieces.any():
         return labels
-    best = _label_around(labels, pieces, round(_REACH_M / resolution))
+    grown = pieces.astype(np.float64)
+    for _ in range(round(_REACH_M / resolution)):
+        grown = np.where(pieces > 0, grown, cv2.dilate(grown, np.ones((3, 3), np.uint8)))
+    around = grown.astype(np.int32)
+    ring = (around > 0) & (labels >= 0)
+    votes = np.zeros((int(pieces.max()) + 1, int(labels.max(initial=0)) + 1), dtype=np.int64)
+    np.add.at(votes, (around[ring], labels[ring]), 1)
+    sure = 2 * votes.max(axis=1) > votes.sum(axis=1)
+    best = np.where(sure, votes.argmax(axis=1), -1).astype(np.int32)
     return np.where((pieces > 0) & (labels < 0), best[pieces], labels)
-
-
-def _large(unknown: BoolArray, resolution: float) -> BoolArray:
-    """(H, W) what is unknown and larger than furniture, or joined to what is beyond the map."""
-    framed = np.pad(unknown, 1, constant_values=True)
-    piece, large = _pieces(framed, resolution)
-    large[piece[0, 0]] = True
-    return np.asarray((large[piece] & framed)[1:-1, 1:-1])
 
 
 def _pieces(mask: BoolArray, resolution: float) -> tuple[LabelArray, BoolArray]:
@@ -142,30 +140,3 @@ def _pieces(mask: BoolArray, resolution: float) -> tuple[LabelArray, BoolArray]:
     _, piece, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
     longest = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1)
     return np.asarray(piece, dtype=np.int32), np.asarray(longest * resolution > _LONGEST_M)
-
-
-def _thick(blocked: BoolArray, across: float) -> BoolArray:
-    """(H, W) the cells of `blocked` that a disc covers which is `across` cells wide and fits in."""
-    radius = (round(across) - 1) // 2
-    framed = np.pad(blocked, radius + 1).astype(np.uint8)
-    middle = cell_distances(framed) > radius
-    if radius < 1 or not middle.any():  # of so few cells it could be a wall
-        return np.zeros_like(blocked)
-    covered = cell_distances((~middle).astype(np.uint8)) <= radius
-    return np.asarray(covered[radius + 1 : -radius - 1, radius + 1 : -radius - 1])
-
-
-def _label_around(labels: LabelArray, pieces: LabelArray, reach: int) -> IntArray:
-    """(k,) the label of more than half of the labelled cells round each piece (H, W), -1: none.
-
-    Cells count within `reach` of it.
-    """
-    grown = pieces.astype(np.float64)
-    for _ in range(reach):
-        grown = np.where(pieces > 0, grown, cv2.dilate(grown, np.ones((3, 3), np.uint8)))
-    around = grown.astype(np.int32)
-    ring = (around > 0) & (labels >= 0)
-    votes = np.zeros((int(pieces.max()) + 1, int(labels.max(initial=0)) + 1), dtype=np.int64)
-    np.add.at(votes, (around[ring], labels[ring]), 1)
-    sure = 2 * votes.max(axis=1) > votes.sum(axis=1)
-    return np.where(sure, votes.argmax(axis=1), -1).astype(np.int32)

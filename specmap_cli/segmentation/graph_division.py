@@ -53,7 +53,11 @@ def spectral_clusters(graph: VisibilityGraph, config: SegmentationConfig) -> Spe
     L, degrees = normalised(S)  # Algorithm 2, line 2
     parts = parts_of(S, config.part_nodes)
     first = _clusters_of_parts(L, degrees, parts, config)
-    cut = touched(graph.pairs, parts, first.labels)
+    part_of = np.zeros(nodes, dtype=np.intp)
+    for number, part in enumerate(parts):
+        part_of[part] = number
+    ends = graph.pairs[part_of[graph.pairs[:, 0]] != part_of[graph.pairs[:, 1]]]
+    cut = np.flatnonzero(np.isin(first.labels, first.labels[ends]))
     if not len(cut):
         return first
     again = [cut[part] for part in parts_of(S[cut][:, cut], config.part_nodes)]
@@ -69,23 +73,15 @@ def _clusters_of_parts(
 
     What a cut takes from the row of a node stays in its degree: it goes to a neighbour elsewhere.
     """
-    found = [clusters_of(L[part][:, part], degrees[part], config.eigenvalue_min) for part in parts]
-    return _together(len(degrees), parts, found)
-
-
-def _together(nodes: int, parts: Sequence[IndexArray], found: Sequence[Spectrum]) -> Spectrum:
-    """One spectrum of a graph from those of its parts, which hold the nodes `parts`."""
-    labels = np.full(nodes, -1, dtype=np.int32)
-    clusters = 0
-    for part, spectrum in zip(parts, found, strict=True):
-        labels[part] = clusters + spectrum.labels
-        clusters += int(spectrum.labels.max()) + 1
-    values = np.concatenate([np.zeros(0), *(spectrum.eigenvalues for spectrum in found)])
-    return Spectrum(
-        labels=labels,
-        eigenvalues=np.sort(values)[::-1],
-        used=sum(spectrum.used for spectrum in found),
-    )
+    labels = np.full(len(degrees), -1, dtype=np.int32)
+    values, clusters, used = [np.zeros(0)], 0, 0
+    for part in parts:
+        found = clusters_of(L[part][:, part], degrees[part], config.eigenvalue_min)
+        labels[part] = clusters + found.labels
+        clusters += int(found.labels.max()) + 1
+        values.append(found.eigenvalues)
+        used += found.used
+    return Spectrum(labels=labels, eigenvalues=np.sort(np.concatenate(values))[::-1], used=used)
 
 
 def parts_of(S: Any, most: int) -> list[IndexArray]:
@@ -94,33 +90,17 @@ def parts_of(S: Any, most: int) -> list[IndexArray]:
     S (n, n) sparse is the similarity of eq. 1. A part is connected. One with more than `most` nodes
     is cut in two.
     """
-    parts, pending = [], _connected(S, np.arange(S.shape[0]))
+    parts, pending = [], [np.arange(S.shape[0])]
     while pending:
-        part = pending.pop()
-        if len(part) <= most:
-            parts.append(part)
-            continue
-        beyond = _beyond_the_neck(S[part][:, part])
-        pending += _connected(S, part[beyond]) + _connected(S, part[~beyond])
+        nodes = pending.pop()
+        count, piece = connected_components(S[nodes][:, nodes], directed=False)
+        for part in (nodes[piece == number] for number in range(count)):
+            if len(part) <= most:
+                parts.append(part)
+            else:
+                beyond = _beyond_the_neck(S[part][:, part])
+                pending += [part[beyond], part[~beyond]]
     return sorted(parts, key=lambda part: int(part[0]))
-
-
-def touched(pairs: IndexArray, parts: Sequence[IndexArray], labels: LabelArray) -> IndexArray:
-    """The nodes, ascending, of all clusters with an edge from one part to another.
-
-    `pairs` (m, 2) are the edges, `labels` (n,) the clusters.
-    """
-    part = np.zeros(len(labels), dtype=np.intp)
-    for number, nodes in enumerate(parts):
-        part[nodes] = number
-    ends = pairs[part[pairs[:, 0]] != part[pairs[:, 1]]]
-    return np.flatnonzero(np.isin(labels, labels[ends]))
-
-
-def _connected(S: Any, nodes: IndexArray) -> list[IndexArray]:
-    """The connected pieces of some nodes of a graph."""
-    count, piece = connected_components(S[nodes][:, nodes], directed=False)
-    return [nodes[piece == number] for number in range(count)]
 
 
 def _beyond_the_neck(S: Any) -> BoolArray:
@@ -133,7 +113,10 @@ def _beyond_the_neck(S: Any) -> BoolArray:
     L, degrees = normalised(S)
     _, vectors = largest_eigenpairs(L, 2, _ROUGH)
     order = np.argsort(vectors[:, 1] / np.sqrt(degrees), kind="stable")
-    lost = _lost_after_each(S[order][:, order])
+    edges = S[order][:, order].tocoo()
+    ends = np.minimum(edges.row, edges.col), np.maximum(edges.row, edges.col)
+    begun, ended = (np.bincount(each, edges.data, len(order)) for each in ends)
+    lost = np.cumsum(begun - ended)[:-1] / 2.0  # each edge stands in S twice
     before = np.cumsum(degrees[order])[:-1]
     after = degrees.sum() - before
     cost = lost / before + lost / after
@@ -141,15 +124,6 @@ def _beyond_the_neck(S: Any) -> BoolArray:
     beyond = np.zeros(len(order), dtype=np.bool_)
     beyond[order[int(cost.argmin()) + 1 :]] = True
     return beyond
-
-
-def _lost_after_each(S: Any) -> Any:
-    """(n - 1,) the similarity between the nodes up to each one and those after it."""
-    size = S.shape[0]
-    edges = S.tocoo()
-    first, last = np.minimum(edges.row, edges.col), np.maximum(edges.row, edges.col)
-    begun, ended = (np.bincount(ends, edges.data, size) for ends in (first, last))
-    return np.cumsum(begun - ended)[:-1] / 2.0  # each edge stands in S twice
 
 
 def split_again(
@@ -180,7 +154,7 @@ def split_again(
         pending += [
             (members[half], subgraph(part, np.flatnonzero(half))) for half in (~other, other)
         ]
-    return np.unique(labels, return_inverse=True)[1].astype(np.int32)
+    return numbered(labels)
 
 
 def subgraph(graph: VisibilityGraph, members: IndexArray) -> VisibilityGraph:

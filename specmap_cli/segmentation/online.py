@@ -66,11 +66,41 @@ class OnlineSegmenter:
         self._finished = 0
 
     def add(self, keyframe: int) -> list[Region]:
-        """Take one keyframe into the current submap; the regions left with it, oldest first."""
-        if self._test_is_due(keyframe):
-            self._since_test = 0.0
-            return self._test()
-        return []
+        """Take one keyframe into the current submap; the regions left with it, oldest first.
+
+        What decides on a split, in this order: whether it is time for a test; which keyframes free
+        space does not join with the robot, for these go; whether the eigenvector that divides the
+        way has an eigenvalue above the threshold (`examine`); and whether both sides are long
+        enough. What was left then continues an earlier region, or is one (`_finish`).
+        """
+        driven = self._current.add(keyframe)
+        if self.config.test_every == "keyframes":
+            self._since_test += 1
+            due: float = self.config.test_keyframes
+        else:
+            self._since_test += driven
+            self._way_m += driven
+            # A test costs what the submap has grown to. In a long one, where only a part of many
+            # metres can be split off, it is made more seldom.
+            due = max(_TEST_METRES, _LATER * (self.config.split_share * self._way_m))
+        if self._since_test < due:
+            return []
+        self._since_test = 0.0
+        test = examine(self._current.grid(), self._current.poses, self.config)
+        apart = self._current.apart(test.reached)
+        # Left there, what lies apart would make the map of every test as large as the way from it.
+        lost = [self._numbered(self._leave(~apart), None)] if apart.any() else []
+        keyframes, stays = np.array(self._current.keyframes), test.stays[~apart]
+        split = test.eigenvalue > self.config.split_eigenvalue and all(
+            len(side) and way_driven(self._store, side.tolist()) >= self.config.region_min_m
+            for side in (keyframes[~stays], keyframes[stays])
+        )
+        if self.observer is not None:
+            first, latest = keyframes[[0, -1]].tolist()
+            stamps_ns = self._store.stamps_ns
+            seconds = (stamps_ns[latest] - stamps_ns[0]) / 1e9
+            self.observer(test, split, Occasion(first, latest, seconds))
+        return [*lost, self._finish(self._leave(stays))] if split else lost
 
     def flush(self) -> list[Region]:
         """End the current submap, at the end of a log or after a loss of track."""
@@ -83,78 +113,30 @@ class OnlineSegmenter:
         self._since_test = self._way_m = 0.0
         return [region]
 
-    def _test_is_due(self, keyframe: int) -> bool:
-        """Add `keyframe` and tell whether the way since the last test is long enough.
-
-        A test costs what the submap has grown to. In a long one, where only a part of many metres
-        can be split off, it is made more seldom.
-        """
-        driven = self._current.add(keyframe)
-        if self.config.test_every == "keyframes":
-            self._since_test += 1
-            return self._since_test >= self.config.test_keyframes
-        self._since_test += driven
-        self._way_m += driven
-        least_m = self.config.split_share * self._way_m
-        return self._since_test >= max(_TEST_METRES, _LATER * least_m)
-
-    def _test(self) -> list[Region]:
-        """Test the current submap; the regions that were split off, oldest first."""
-        test = examine(self._current.grid(), self._current.poses, self.config)
-        apart = self._current.apart(test.reached)
-        lost = self._without(apart)
-        keyframes, stays = np.array(self._current.keyframes), test.stays[~apart]
-        split = test.eigenvalue > self.config.split_eigenvalue and all(
-            len(side) and way_driven(self._store, side.tolist()) >= self.config.region_min_m
-            for side in (keyframes[~stays], keyframes[stays])
-        )
-        if self.observer is not None:
-            self.observer(test, split, self._occasion())
-        if not split:
-            return lost
-        return [*lost, self._finish(self._split(stays))]
-
-    def _occasion(self) -> Occasion:
-        first, latest = self._current.keyframes[0], self._current.keyframes[-1]
-        stamps_ns = self._store.stamps_ns
-        return Occasion(first, latest, (stamps_ns[latest] - stamps_ns[0]) / 1e9)
-
-    def _split(self, stays: BoolArray) -> CoarseSubmap:
+    def _leave(self, stays: BoolArray) -> CoarseSubmap:
         """Keep the keyframes (p,) that stay in the current submap; the others, which were left."""
         self._current, left = self._current.split(stays)
         self._way_m = way_driven(self._store, self._current.keyframes)
         return left
 
-    def _without(self, apart: BoolArray) -> list[Region]:
-        """Take keyframes (p,) out of the current submap: a region that the robot is long gone from.
-
-        Left there, it would make the map of every test as large as the way from there.
-        """
-        if not apart.any():
-            return []
-        region = Region(self._finished, self._split(~apart).keyframes, None)
-        self._finished += 1
-        return [region]
-
     def _finish(self, left: CoarseSubmap) -> Region:
-        """The next finished region, a piece of an earlier one where the robot came back to it."""
-        earlier = self._came_back_to(left)
+        """The next finished region, a piece of an earlier one where the robot came back to it.
+
+        It came back to the region left before the last one, if that and what was `left` now are
+        one region: no eigenvector divides their keyframes.
+        """
         continues = None
-        if earlier is not None:
-            continues = earlier.number if earlier.continues is None else earlier.continues
-        region = Region(self._finished, left.keyframes, continues)
-        self._finished += 1
+        if self.config.regrow and len(self._recent) == 2:
+            earlier, before = self._recent[0]
+            if before.near(left):
+                union = before.joined(left)
+                test = examine(union.grid(), union.poses, self.config)
+                if test.reached.all() and test.eigenvalue <= self.config.split_eigenvalue:
+                    continues = earlier.number if earlier.continues is None else earlier.continues
+        region = self._numbered(left, continues)
         self._recent = [*self._recent[-1:], (region, left)]
         return region
 
-    def _came_back_to(self, left: CoarseSubmap) -> Region | None:
-        """The region left before the last one, if it and what was `left` now are one region."""
-        if not self.config.regrow or len(self._recent) < 2:
-            return None
-        region, before = self._recent[0]
-        if not before.near(left):
-            return None
-        union = before.joined(left)
-        test = examine(union.grid(), union.poses, self.config)
-        whole = bool(test.reached.all()) and test.eigenvalue <= self.config.split_eigenvalue
-        return region if whole else None
+    def _numbered(self, left: CoarseSubmap, continues: int | None) -> Region:
+        self._finished += 1
+        return Region(self._finished - 1, left.keyframes, continues)

@@ -9,8 +9,7 @@ the keyframes of the submap, and a grid of them that is just good enough to find
 
 from __future__ import annotations
 
-from array import array
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -78,8 +77,15 @@ class SplitTest:
 
 
 def examine(grid: GridMap, poses: FloatArray, config: SegmentationConfig) -> SplitTest:
-    """Look for a second region in `grid` along the way `poses` (p, 3), oldest first."""
-    window = _near_the_way(grid, poses, config)
+    """Look for a second region in `grid` along the way `poses` (p, 3), oldest first.
+
+    What decides, in this order: the free space near the way, without small obstacles; nodes in it,
+    and in whose region each pose lies; the eigenvectors of the graph of the nodes that sight lines
+    join with the latest one; and the first of these that divides the way (`_dividing`).
+    """
+    window = grid
+    if config.path_band_m:
+        window = grid.near(poses, config.path_band_m + PATH_MARGIN_M)
     if not window.cells.size:  # the way leaves a grid that may not grow any more
         return _undivided(window, poses, np.empty((0, 2)))
     opened = window.free | small_obstacles(window.free, config.split_obstacle_m / window.resolution)
@@ -89,11 +95,21 @@ def examine(grid: GridMap, poses: FloatArray, config: SegmentationConfig) -> Spl
     places = window.centres_of(work.fine_cells(nodes))
     if len(nodes) < _FEWEST_NODES:
         return _undivided(window, poses, places)
-    home = _homes(work, nodes, way)
+    numbers = np.arange(len(nodes), dtype=np.int32)
+    home = flooded_at(work.clearance, nodes, numbers, way).astype(np.intp)
+    lost = home < 0
+    if lost.any():
+        home[lost] = cKDTree(nodes).query(way[lost])[1]
     members, values, vectors = _spectrum(work, nodes, int(home[-1]), config)
-    home = _among(members, home, len(nodes))
+    place = np.full(len(nodes), -1)  # of the members
+    place[members] = np.arange(len(members))
+    home = place[home]
     reached = home >= 0
-    weight = _way_weights(poses) * reached
+    weight, halves = np.zeros(len(poses)), 0.5 * step_lengths(poses)  # the way at each pose
+    weight[1:] += halves
+    weight[:-1] += halves
+    weight += _STANDING_M
+    weight = weight / weight.sum() * reached
     chosen, sides = _dividing(vectors, home, weight, config.split_share)
     near = sides == sides[home[-1]]
     return SplitTest(
@@ -125,13 +141,6 @@ def _undivided(window: GridMap, poses: FloatArray, nodes: FloatArray) -> SplitTe
     )
 
 
-def _near_the_way(grid: GridMap, poses: FloatArray, config: SegmentationConfig) -> GridMap:
-    """The part of `grid` near the poses, or all of it when nodes may lie anywhere."""
-    if not config.path_band_m:
-        return grid
-    return grid.near(poses, config.path_band_m + PATH_MARGIN_M)
-
-
 def _nodes_along(work: WorkingGrid, way: IndexArray, config: SegmentationConfig) -> IndexArray:
     """Nodes near the cells `way` (p, 2); the blocks grow until there are few enough."""
     clearance = work.clearance
@@ -149,55 +158,22 @@ def _nodes_along(work: WorkingGrid, way: IndexArray, config: SegmentationConfig)
         block = max(block + 1, int(block * (len(nodes) / _SPLIT_NODES) ** 0.5))
 
 
-def _homes(work: WorkingGrid, nodes: IndexArray, cells: IndexArray) -> IndexArray:
-    """(p,) the node in whose region each of the cells (p, 2) lies."""
-    numbers = np.arange(len(nodes), dtype=np.int32)
-    home = flooded_at(work.clearance, nodes, numbers, cells).astype(np.intp)
-    lost = home < 0
-    if lost.any():
-        home[lost] = cKDTree(nodes).query(cells[lost])[1]
-    return home
-
-
 def _spectrum(
     work: WorkingGrid, nodes: IndexArray, here: int, config: SegmentationConfig
 ) -> tuple[IndexArray, FloatArray, FloatArray]:
-    """The nodes connected with node `here` (n,), their eigenvalues (k,) and vectors (n, k)."""
+    """The nodes joined with node `here` (n,), their eigenvalues (k,) and vectors (n, k)."""
     least = config.split_clearance_m / work.cell_m
     graph = visibility_graph(work.clearance, nodes, config.split_sight_m / work.cell_m, least)
     scales = local_scales(graph.lengths, graph.pairs, len(nodes), config.neighbours)
     S = dense_similarity(graph.lengths, graph.pairs, config.split_scale * scales, len(nodes))
-    members = _joined(S > 0.0, here)
+    joined, newest = np.zeros(len(nodes), dtype=np.bool_), np.array([here])
+    while len(newest):
+        joined[newest] = True
+        newest = np.flatnonzero((S[newest] > 0.0).any(axis=0) & ~joined)
+    members = np.flatnonzero(joined)
     L = dense_normalised(S[np.ix_(members, members)])
     values, vectors = largest_eigenpairs(L, _SPLIT_EIGENPAIRS)
     return members, values, vectors
-
-
-def _joined(sees: BoolArray, here: int) -> IndexArray:
-    """The nodes (n,) that sight lines, `sees` (n, n), join with node `here`, and that one."""
-    joined = np.zeros(len(sees), dtype=np.bool_)
-    newest = np.array([here])
-    while len(newest):
-        joined[newest] = True
-        newest = np.flatnonzero(sees[newest].any(axis=0) & ~joined)
-    return np.flatnonzero(joined)
-
-
-def _among(members: IndexArray, nodes: IndexArray, count: int) -> IndexArray:
-    """(p,) the place of `nodes` (p,) among `members`, -1 of others; there are `count` in all."""
-    place = np.full(count, -1)
-    place[members] = np.arange(len(members))
-    return place[nodes]
-
-
-def _way_weights(poses: FloatArray) -> FloatArray:
-    """(p,) share of the way at each pose."""
-    halves = 0.5 * step_lengths(poses)
-    weight = np.zeros(len(poses))
-    weight[1:] += halves
-    weight[:-1] += halves
-    weight += _STANDING_M
-    return np.asarray(weight / weight.sum())
 
 
 def _dividing(
@@ -206,7 +182,8 @@ def _dividing(
     """The first eigenvector from the second on that divides the way, and the sides of the nodes.
 
     A division is Algorithm 2 with k = 2 on that eigenvector and the first; each side must hold more
-    than `share` of the way. Number 0 and one side when none does.
+    than `share` of the way, of which each pose has a `weight` (p,). Number 0 and one side when none
+    does.
     """
     for column in range(1, vectors.shape[1]):
         sides = bisect(vectors[:, 0], vectors[:, column])
@@ -234,7 +211,6 @@ class CoarseSubmap:
         )
         self._store = store
         self._keyframes: list[int] = []
-        self._places = array("d")  # x, y and theta of each
         self._chosen: list[int] = []  # keyframes for the grid, ascending
         self._counted = 0  # of these that are in it
         self._grid = OccupancyGrid(self.grid_config)
@@ -247,14 +223,13 @@ class CoarseSubmap:
     @property
     def poses(self) -> FloatArray:
         """(p, 3) poses of the keyframes."""
-        return np.array(self._places).reshape(-1, 3)
+        return self._store.poses_of(self._keyframes)
 
     def add(self, keyframe: int) -> float:
         """Append a keyframe; the metres driven since the one before it."""
         driven = way_driven(self._store, [*self._keyframes[-1:], keyframe])
         pose = self._store.pose(keyframe)
         self._keyframes.append(keyframe)
-        self._places.extend(pose)
         last = self._store.pose(self._chosen[-1]) if self._chosen else None
         if moved(last, pose, _SPLIT_STEP_M, _SPLIT_STEP_RAD):
             self._chosen.append(keyframe)
@@ -270,8 +245,11 @@ class CoarseSubmap:
     def split(self, stays: BoolArray) -> tuple[CoarseSubmap, CoarseSubmap]:
         """Those of the keyframes (p,) that stay, and those that do not: two submaps."""
         self._count()
-        staying = {k for k, stay in zip(self._keyframes, stays.tolist(), strict=True) if stay}
-        rest, left = self._part(staying), self._part(set(self._keyframes) - staying)
+        staying = set(np.array(self._keyframes)[stays].tolist())
+        rest, left = (CoarseSubmap(self.config, self.grid_config, self._store) for _ in range(2))
+        for part, members in ((rest, staying), (left, set(self._keyframes) - staying)):
+            part._keyframes = [k for k in self._keyframes if k in members]
+            part._chosen = [k for k in self._chosen if k in members]
         few, many = sorted((rest, left), key=lambda part: len(part._chosen))
         few._count()
         many._grid, many._counted = self._grid.without(few._grid), len(many._chosen)
@@ -282,7 +260,8 @@ class CoarseSubmap:
         both = CoarseSubmap(self.config, self.grid_config, self._store)
         for part in (self, other):
             part._count()
-            both._append(part._keyframes, part._chosen)
+            both._keyframes += part._keyframes
+            both._chosen += part._chosen
             both._grid.include(part._grid)
         both._counted = len(both._chosen)
         return both
@@ -307,21 +286,6 @@ class CoarseSubmap:
         reach = 2.0 * self.config.path_band_m or np.inf
         away, _ = cKDTree(some[:, :2]).query(others[:, :2], distance_upper_bound=reach)
         return np.asarray(away <= reach)
-
-    def _part(self, members: set[int]) -> CoarseSubmap:
-        """The submap of some of the keyframes, nothing of it in its grid."""
-        part = CoarseSubmap(self.config, self.grid_config, self._store)
-        part._append(
-            *([k for k in some if k in members] for some in (self._keyframes, self._chosen))
-        )
-        return part
-
-    def _append(self, keyframes: Iterable[int], chosen: Iterable[int]) -> None:
-        """Take over keyframes of another submap and which of them it chose for its grid."""
-        for keyframe in keyframes:
-            self._keyframes.append(keyframe)
-            self._places.extend(self._store.pose(keyframe))
-        self._chosen.extend(chosen)
 
     def _count(self) -> None:
         """Add to the grid what was chosen for it since the last time."""

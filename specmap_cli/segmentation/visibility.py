@@ -83,41 +83,29 @@ def visible(clearance: FloatArray, nodes: IndexArray, pairs: IndexArray, least: 
     A line is walked by the free distance it stands on, which cannot jump over an obstacle, and by
     one cell at least.
     """
-    seen = np.zeros(len(pairs), dtype=bool)
+    width, flat = clearance.shape[1], clearance.ravel()
+    seen = np.ones(len(pairs), dtype=bool)
     for first in range(0, len(pairs), _CHUNK):
-        chunk = pairs[first : first + _CHUNK]
-        seen[first : first + _CHUNK] = _walk(
-            clearance, nodes[chunk[:, 0]], nodes[chunk[:, 1]], least
-        )
+        start, end = nodes[pairs[first : first + _CHUNK].T]
+        delta = (end - start).astype(np.float64)
+        length = np.hypot(delta[:, 0], delta[:, 1])
+        row, column = start[:, 0].astype(np.float64), start[:, 1].astype(np.float64)
+        row_step, column_step = delta[:, 0] / length, delta[:, 1] / length
+        gone = np.zeros(len(length))
+        alive = first + np.arange(len(length))
+        while len(alive):
+            blocked = np.zeros(len(alive), dtype=bool)
+            # lines that have ended wait at their end, which is clear, until the next clearing out
+            for _ in range(_STEPS):
+                at = np.rint(row_step * gone + row)
+                at *= width
+                at += np.rint(column_step * gone + column)
+                room = flat.take(at.astype(np.intp)) - least
+                blocked |= room <= _SLACK
+                gone += np.maximum(room - 1.0, 1.0)
+                np.minimum(gone, length, out=gone)
+            seen[alive[blocked]] = False
+            on = np.flatnonzero(~blocked & (gone < length))
+            alive, gone, length = alive[on], gone[on], length[on]
+            row, column, row_step, column_step = row[on], column[on], row_step[on], column_step[on]
     return seen
-
-
-def _walk(clearance: FloatArray, start: IndexArray, end: IndexArray, least: float) -> BoolArray:
-    """(m,) whether the lines start -> end (m, 2) stay clear.
-
-    Lines that have ended wait at their end, which is clear, until the next clearing out.
-    """
-    width = clearance.shape[1]
-    flat = clearance.ravel()
-    delta = (end - start).astype(np.float64)
-    length = np.hypot(delta[:, 0], delta[:, 1])
-    row, column = start[:, 0].astype(np.float64), start[:, 1].astype(np.float64)
-    row_step, column_step = delta[:, 0] / length, delta[:, 1] / length
-    gone = np.zeros(len(length))
-    clear = np.ones(len(length), dtype=bool)
-    alive = np.arange(len(length))
-    while len(alive):
-        blocked = np.zeros(len(alive), dtype=bool)
-        for _ in range(_STEPS):
-            at = np.rint(row_step * gone + row)
-            at *= width
-            at += np.rint(column_step * gone + column)
-            room = flat.take(at.astype(np.intp)) - least
-            blocked |= room <= _SLACK
-            gone += np.maximum(room - 1.0, 1.0)
-            np.minimum(gone, length, out=gone)
-        clear[alive[blocked]] = False
-        on = np.flatnonzero(~blocked & (gone < length))
-        alive, gone, length = alive[on], gone[on], length[on]
-        row, column, row_step, column_step = row[on], column[on], row_step[on], column_step[on]
-    return clear

@@ -12,7 +12,7 @@ noise of a laser leaves in them: these would tip what is an end, and what is thi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from specmap_cli.core.records import IntArray
 from specmap_cli.grids.gridmap import BoolArray
 from specmap_cli.segmentation.furniture import without_slits
-from specmap_cli.segmentation.visibility import LabelArray
 
 _DOOR_M = 0.9  # what is left of a wide opening
 _LINE_M = 6.0  # the longest row of openings and posts between two walls
@@ -36,6 +35,9 @@ _FRAME_M = 0.1  # at its end a frame may stand out
 _STRAIGHT_M = 0.4  # length on which a face has to be straight: no slanted wall is
 _CORNER_M = 0.1  # length of a face that makes a corner
 _UNEVEN = 2  # cells by which a straight face may stray: noise
+
+
+_Face = tuple[BoolArray, IntArray]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,12 +58,6 @@ class _Lengths:
     straight: int
     corner: int
 
-    @classmethod
-    def at(cls, resolution: float, widest_m: float) -> _Lengths:
-        openings = (widest_m, _DOOR_M, _LINE_M, _BETWEEN_POSTS_M, _POST_M, _POST_THICK_M, _PANEL_M)
-        ends = (_THICKEST_M, _OPEN_M, _JAMB_M, _FRAME_M, _STRAIGHT_M, _CORNER_M)
-        return cls(*(max(1, round(length / resolution)) for length in (*openings, *ends)))
-
 
 def with_narrow_doors(
     free: BoolArray, small: BoolArray, resolution: float, widest_m: float
@@ -71,7 +67,9 @@ def with_narrow_doors(
     Posts in the line of a wall are not among the obstacles that are taken out. Openings up to
     `widest_m` are narrowed.
     """
-    lengths = _Lengths.at(resolution, widest_m)
+    openings = (widest_m, _DOOR_M, _LINE_M, _BETWEEN_POSTS_M, _POST_M, _POST_THICK_M, _PANEL_M)
+    ends = (_THICKEST_M, _OPEN_M, _JAMB_M, _FRAME_M, _STRAIGHT_M, _CORNER_M)
+    lengths = _Lengths(*(max(1, round(length / resolution)) for length in (*openings, *ends)))
     margin = max(lengths.straight, lengths.jamb + lengths.frame)  # so that ends may lie at the edge
     even = np.pad(without_slits(free | small, resolution), margin)
     pieces = np.pad(small, margin) & even
@@ -90,66 +88,44 @@ def _along_rows(
 ) -> tuple[BoolArray, BoolArray]:
     """What narrows the openings (H, W) of walls along the rows, and the posts (H, W) in them."""
     opened = free | small
-    _, piece = cv2.connectedComponents(small.astype(np.uint8), connectivity=8)
     posts, panels = _posts(small, lengths)
-    lines = Runs.of(opened)  # from wall to wall, past what small things stand there
+    # lines: from wall to wall, past what small things stand there
+    lines = Runs.of(opened)
     inside = (lines.first >= lengths.straight) & (lines.last < free.shape[1] - lengths.straight)
     lines = lines.those(inside & (lines.lengths <= lengths.line))
     lines = lines.those(_between_ends(opened, lines, panels, lengths))
-    doors, kept = _openings(lines, posts > 0, lengths)
-    in_line = kept.painted(free.shape, np.ones(len(kept.row), dtype=np.bool_))
+    # their openings, between posts; a line with one that is too wide is left out with all of its
+    number = lines.painted(free.shape, np.arange(1, len(lines.row) + 1))
+    doors = Runs.of((number > 0) & ~posts)
+    of = number[doors.row, doors.first] - 1
+    several = np.bincount(of, minlength=len(lines.row)) > 1
+    widest = np.where(several, lengths.between_posts, lengths.widest)
+    good = np.ones(len(lines.row), dtype=np.bool_)
+    good[of[doors.lengths > widest[of]]] = False
+    doors, lines = doors.those(good[of]), lines.those(good)
+    # what is taken from both ends of an opening, to leave a door
+    cut = np.maximum(doors.lengths - lengths.door, 0) // 2
+    jambs = Runs(doors.row, doors.first, doors.first + cut - 1).mask(free.shape)
+    jambs |= Runs(doors.row, doors.last - cut + 1, doors.last).mask(free.shape)
+    _, piece = cv2.connectedComponents(small.astype(np.uint8), connectivity=8)
     standing = np.zeros(int(piece.max(initial=0)) + 1, dtype=np.bool_)
-    standing[piece[in_line & (posts > 0)]] = True
-    return _jambs(doors, lengths.door, free.shape), standing[piece]
+    standing[piece[lines.mask(free.shape) & posts]] = True
+    return jambs, standing[piece]
 
 
-def _posts(small: BoolArray, lengths: _Lengths) -> tuple[LabelArray, BoolArray]:
-    """The number (H, W) of the part of a small piece that is thin across the rows; the panels.
+def _posts(small: BoolArray, lengths: _Lengths) -> tuple[BoolArray, BoolArray]:
+    """(H, W) the parts of small pieces that are thin across the rows; those that are panels.
 
-    It is 0 where there is none. The wall from which another one goes off has two such parts.
+    The wall from which another one goes off has two such parts.
     """
     across_rows = Runs.of(small.T)
     thin = across_rows.painted(small.T.shape, across_rows.lengths <= lengths.post_thick).T
-    count, part, stats, _ = cv2.connectedComponentsWithStats(thin.astype(np.uint8), connectivity=8)
+    _, part, stats, _ = cv2.connectedComponentsWithStats(thin.astype(np.uint8), connectivity=8)
     along, across = stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]
     post = (along >= lengths.post) & (across <= lengths.post_thick)
     post[0] = False
     panel = post & (along >= lengths.panel) & (along >= _SLENDER * across)
-    names = np.where(post, np.arange(count), 0).astype(np.int32)
-    return names[part], np.asarray(panel[part])
-
-
-def _openings(lines: Runs, posts: BoolArray, lengths: _Lengths) -> tuple[Runs, Runs]:
-    """The openings between the `posts` (H, W) of some lines, and the lines they are of.
-
-    Lines with an opening that is too wide are left out with all of theirs.
-    """
-    number = lines.painted(posts.shape, np.arange(1, len(lines.row) + 1))
-    gaps = Runs.of((number > 0) & ~posts)
-    of = number[gaps.row, gaps.first] - 1
-    several = np.bincount(of, minlength=len(lines.row)) > 1
-    widest = np.where(several, lengths.between_posts, lengths.widest)
-    good = np.ones(len(lines.row), dtype=np.bool_)
-    good[of[gaps.lengths > widest[of]]] = False
-    return gaps.those(good[of]), lines.those(good)
-
-
-def _jambs(doors: Runs, door: int, shape: tuple[int, ...]) -> BoolArray:
-    """(H, W) what is to be taken from both ends of each opening to leave a `door` of cells."""
-    cut = np.maximum(doors.lengths - door, 0) // 2
-    every = np.ones(len(cut), dtype=np.bool_)
-    one = Runs(doors.row, doors.first, doors.first + cut - 1).painted(shape, every)
-    return np.asarray(one | Runs(doors.row, doors.last - cut + 1, doors.last).painted(shape, every))
-
-
-class _Face(NamedTuple):
-    """One face of what is not free: `behind` (H, W) the cells that are no deeper than a wall.
-
-    `row` (H, W) is the row of the face in the column of each of them.
-    """
-
-    behind: BoolArray
-    row: IntArray
+    return np.asarray(post[part]), np.asarray(panel[part])
 
 
 def _between_ends(free: BoolArray, gaps: Runs, panels: BoolArray, lengths: _Lengths) -> BoolArray:
@@ -162,18 +138,29 @@ def _between_ends(free: BoolArray, gaps: Runs, panels: BoolArray, lengths: _Leng
     to both sides.
     """
     thin, faces = _faces(free, lengths)
-    pointing = _pointing(thin, gaps, lengths)
+    # a wall points at the gap when it begins no farther than a frame off its end, and goes on
+    # without a break: a leaf that stands open behind the wall that a corridor runs along does not
+    from_before = from_after = np.zeros(len(gaps.row), dtype=np.bool_)
+    for off in range(lengths.frame + 1):
+        wider = Runs(gaps.row, gaps.first - off, gaps.last + off)
+        one, other = _beside(thin, wider, lengths.jamb)
+        from_before = from_before | (one == lengths.jamb)
+        from_after = from_after | (other == lengths.jamb)
     panel = gaps.counts(panels) > 0
-    crossed = _crossed(free, gaps, lengths)
+    reach, along = lengths.straight, np.arange(lengths.straight)
     found = np.zeros(len(gaps.row), dtype=np.bool_)
-    for face in faces:
-        before, after = (
-            count == lengths.corner for count in _beside(face.behind, gaps, lengths.corner)
+    for behind, row in faces:
+        before, after = (count == lengths.corner for count in _beside(behind, gaps, lengths.corner))
+        straight_before, straight_after = (
+            (whole == reach)
+            & (np.ptp(row[gaps.row[:, None], start[:, None] + along], axis=1) <= _UNEVEN)
+            for whole, start in zip(
+                _beside(behind, gaps, reach), (gaps.first - reach, gaps.last + 1), strict=True
+            )
         )
-        one, other = _straight(face, gaps, lengths.straight)
-        jambs = (pointing[0] & one & after) | (pointing[1] & other & before)
+        jambs = (from_before & straight_before & after) | (from_after & straight_after & before)
         found |= jambs | (panel & before & after)
-    return found & crossed
+    return found & _crossed(free, gaps, lengths)
 
 
 def _crossed(free: BoolArray, gaps: Runs, lengths: _Lengths) -> BoolArray:
@@ -190,7 +177,11 @@ def _crossed(free: BoolArray, gaps: Runs, lengths: _Lengths) -> BoolArray:
 
 
 def _faces(free: BoolArray, lengths: _Lengths) -> tuple[BoolArray, tuple[_Face, _Face]]:
-    """The cells (H, W) of thin walls with open space on both sides; both faces of all walls."""
+    """The cells (H, W) of thin walls with open space on both sides; both faces of all walls.
+
+    Of a face: the cells (H, W) behind it that are no deeper than a wall, and (H, W) its row in the
+    column of each of them.
+    """
     shape = free.T.shape
     walls, spaces = Runs.of(~free.T), Runs.of(free.T)
     depth = np.pad(spaces.painted(shape, spaces.lengths), ((0, 0), (1, 1)))
@@ -201,8 +192,8 @@ def _faces(free: BoolArray, lengths: _Lengths) -> tuple[BoolArray, tuple[_Face, 
     near_high = np.maximum(walls.first, walls.last - lengths.thickest + 1)
     near, far = Runs(walls.row, walls.first, near_low), Runs(walls.row, near_high, walls.last)
     faces = (
-        _Face(near.painted(shape, low).T, walls.painted(shape, walls.first).T),
-        _Face(far.painted(shape, high).T, walls.painted(shape, walls.last).T),
+        (near.painted(shape, low).T, walls.painted(shape, walls.first).T),
+        (far.painted(shape, high).T, walls.painted(shape, walls.last).T),
     )
     return thin.T, faces
 
@@ -211,31 +202,6 @@ def _beside(mask: BoolArray, gaps: Runs, reach: int) -> tuple[IntArray, IntArray
     """(n,) the number of set cells among the `reach` before each gap, and after it."""
     before = Runs(gaps.row, gaps.first - reach, gaps.first - 1)
     return before.counts(mask), Runs(gaps.row, gaps.last + 1, gaps.last + reach).counts(mask)
-
-
-def _pointing(thin: BoolArray, gaps: Runs, lengths: _Lengths) -> tuple[BoolArray, BoolArray]:
-    """(n,) whether a thin wall, unbroken for a jamb, begins no farther than a frame off each end.
-
-    Without a break: a leaf that stands open behind the wall that a corridor runs along is none.
-    """
-    before = after = np.zeros(len(gaps.row), dtype=np.bool_)
-    for off in range(lengths.frame + 1):
-        wider = Runs(gaps.row, gaps.first - off, gaps.last + off)
-        one, other = _beside(thin, wider, lengths.jamb)
-        before, after = before | (one == lengths.jamb), after | (other == lengths.jamb)
-    return before, after
-
-
-def _straight(face: _Face, gaps: Runs, reach: int) -> tuple[BoolArray, BoolArray]:
-    """(n,) whether the face of what is before each gap, and after it, is straight for `reach`."""
-    whole = _beside(face.behind, gaps, reach)
-    starts = gaps.first - reach, gaps.last + 1
-    along = np.arange(reach)
-    even = [
-        np.ptp(face.row[gaps.row[:, None], start[:, None] + along], axis=1) <= _UNEVEN
-        for start in starts
-    ]
-    return (whole[0] == reach) & even[0], (whole[1] == reach) & even[1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,6 +232,10 @@ class Runs:
         """(n,) how many of their cells are set in a `mask` (H, W)."""
         before = np.pad(np.cumsum(mask, axis=1), ((0, 0), (1, 0)))
         return np.asarray(before[self.row, self.last + 1] - before[self.row, self.first])
+
+    def mask(self, shape: tuple[int, ...]) -> BoolArray:
+        """(H, W) their cells."""
+        return np.asarray(self.painted(shape, np.ones(len(self.row), dtype=np.bool_)))
 
     def painted(self, shape: tuple[int, ...], values: NDArray[Any]) -> NDArray[Any]:
         """A picture (H, W) with the value (n,) of each run on its cells, and zeros elsewhere.

@@ -5,7 +5,6 @@ One window and one orientation serve every copy of a map, wherever it lies and h
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -64,41 +63,28 @@ def canonical(free: BoolArray, block: int = 1) -> Orientation:
     window = window_of(free)
     if window is None:
         return Orientation((slice(0, 0), slice(0, 0)), 0)
-    mass = _bulk(free[window])
-    high, wide = (_moments(mass.sum(axis=axis).tolist()) for axis in (1, 0))
+    shown = free[window]
+    inner = cv2.erode(shown.astype(np.uint8), _AROUND, borderValue=0) > 0
+    mass = inner if inner.any() else shown
+    # second and third central moments along the rows and the columns, exact, times n^3
+    spread, skew = [], []
+    for counts in (mass.sum(axis=1).tolist(), mass.sum(axis=0).tolist()):
+        total = sum(counts)
+        first = sum(place * count for place, count in enumerate(counts))
+        away = [total * place - first for place in range(len(counts))]
+        spread.append(total * sum(n * far**2 for far, n in zip(away, counts, strict=True)))
+        skew.append(sum(n * far**3 for far, n in zip(away, counts, strict=True)))
+    (high, wide), (up, right) = spread, skew
     # a quarter turn counter-clockwise of the array: what was its columns, backwards, is its rows
-    turned = ((high, wide), (_back(wide), high), (_back(high), _back(wide)), (wide, _back(high)))
+    tall, leans = (high > wide, wide > high), (up + right, up - right, -up - right, right - up)
+    pictures = [np.rot90(shown, turns) for turns in range(4)]
     keys = [
-        (a[0] > b[0], -(a[1] + b[1]), *_bytes(np.rot90(free[window], turns)))
-        for turns, (a, b) in enumerate(turned)
+        (tall[turns % 2], -leans[turns], picture.shape, picture.tobytes())
+        for turns, picture in enumerate(pictures)
     ]
-    turns = min(range(4), key=lambda turns: keys[turns])
+    turns = keys.index(min(keys))
     middle = np.argwhere(np.rot90(mass, turns)).mean(axis=0).astype(int).tolist()
     return Orientation(window, turns, (-middle[0] % block, -middle[1] % block))
-
-
-def _bulk(free: BoolArray) -> BoolArray:
-    """The free cells (H, W) with free ones all around, or all if there are none."""
-    inner = cv2.erode(free.astype(np.uint8), _AROUND, borderValue=0) > 0
-    return np.asarray(inner) if inner.any() else free
-
-
-def _moments(counts: Sequence[int]) -> tuple[int, int]:
-    """Second and third central moment of places 0, 1, ... that count so much, exact, times n^3."""
-    total = sum(counts)
-    first = sum(place * count for place, count in enumerate(counts))
-    away = [total * place - first for place in range(len(counts))]
-    second = total * sum(count * far**2 for far, count in zip(away, counts, strict=True))
-    return second, sum(count * far**3 for far, count in zip(away, counts, strict=True))
-
-
-def _back(moments: tuple[int, int]) -> tuple[int, int]:
-    """The moments of the same counts taken backwards."""
-    return moments[0], -moments[1]
-
-
-def _bytes(picture: BoolArray) -> tuple[tuple[int, ...], bytes]:
-    return picture.shape, picture.tobytes()
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,11 +107,6 @@ class WorkingGrid:
     def fine_cells(self, cells: NDArray[Any]) -> FloatArray:
         """Rows and columns (n, 2), fractional, of the middles of coarse cells on the fine grid."""
         return np.asarray((cells + 0.5) * self.step - 0.5, dtype=np.float64)
-
-    def refine(self, values: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
-        """Coarse `values` (h, w) on the fine grid of `shape` (H, W)."""
-        fine = np.repeat(np.repeat(values, self.step, axis=0), self.step, axis=1)
-        return fine[: shape[0], : shape[1]]
 
 
 def coarse_step(resolution: float, cell_m: float) -> int:

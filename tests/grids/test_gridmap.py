@@ -164,3 +164,25 @@ def test_many_rays_are_the_same_rays_few_at_a_time() -> None:
     for part in (slice(0, 5), slice(65_530, 65_545), slice(69_995, 70_000)):
         few = cast_rays(distance, room, origins[part], angles[part], 20.0)
         np.testing.assert_array_equal(few, whole[part])
+
+
+@given(grid_maps())
+def test_a_crop_keeps_every_known_cell_in_its_place(grid: GridMap) -> None:
+    crop = grid.cropped()
+    for state in (FREE, OCCUPIED):
+        before = grid.centres_of(np.argwhere(grid.cells == state))
+        after = crop.centres_of(np.argwhere(crop.cells == state))
+        assert after == pytest.approx(before)
+    if (grid.cells != UNKNOWN).any():
+        for side in (crop.cells[0], crop.cells[-1], crop.cells[:, 0], crop.cells[:, -1]):
+            assert (side != UNKNOWN).any()
+    else:
+        assert crop is grid
+
+
+def test_a_crop_keeps_a_frame_as_far_as_the_map_goes() -> None:
+    cells = np.arange(12, dtype=np.uint8).reshape(3, 4) % 3
+    only = np.zeros((3, 4), dtype=bool)
+    only[0, 2] = True
+    crop = GridMap(cells, 0.5, (1.0, 2.0)).cropped(only, 1)
+    assert (crop.cells.tolist(), crop.origin) == (cells[:2, 1:].tolist(), (1.5, 2.0))

@@ -239,6 +239,7 @@ METRES, MAP = "expected metres a cell, above 0", "expected a map_server YAML"
     [
         ("", f"no `image` entry: {MAP}"),
         ("- 1\n", f"no `image` entry: {MAP}"),
+        ("a: b: c", f"line 1: mapping values are not allowed in this context: {MAP}"),
         (YAML.replace("m.png", ""), "image is '': expected the name of a picture"),
         (YAML + "x: " + "y" * 67_000, f"larger than 66 kB: {MAP}"),
         (YAML.replace("resolution", "x"), f"no `resolution` entry: {MAP}"),
@@ -263,6 +264,8 @@ def test_what_is_said_of_a_damaged_map(tmp_path: Path, yaml: str, said: str) -> 
     with pytest.raises(MapError) as caught:
         read_grid(path)
     assert str(caught.value) == f"{path}: {said}"
+    found, *advice = said.rsplit(": ", 1)
+    assert (caught.value.found, caught.value.hint) == (found, advice[0] if advice else None)
 
 
 def with_size(png: bytes, width: int, height: int) -> bytes:

@@ -22,6 +22,10 @@ NARROW = Window(distance_m=0.3, angle_rad=0.1, step_m=0.1)
 BEARINGS = np.linspace(-math.pi, math.pi, 720, endpoint=False)
 
 
+def everywhere(field: ScoreField, points: FloatArray, count: int) -> list[matching.Match]:
+    return matching.search_everywhere(field, points, count, step=0.2, angle_step=0.05)
+
+
 def assert_near(found: Pose2, true: Pose2, metres: float, radians: float) -> None:
     away = true.inverse() @ found
     assert away.distance < metres
@@ -33,7 +37,7 @@ def test_without_points_on_the_field_every_answer_is_the_guess(field: ScoreField
     guess = Pose2(1.0, 2.0, 0.3)
     assert search(field, nothing, guess, WIDE).pose == guess
     assert refine(field, nothing, guess).pose == guess
-    assert matching.search_everywhere(field, nothing) == []
+    assert everywhere(field, nothing, 1) == []
     assert ScoreField.from_points(nothing).score(np.ones((3, 2)), IDENTITY) == 0.0
     lone = np.array([[100.0, 100.0], [-200.0, 3.0], [50.0, -70.0]])
     assert search(field, lone, IDENTITY, WIDE).score == 0.0
@@ -59,14 +63,14 @@ def test_a_scan_is_found_without_a_guess(
 ) -> None:
     true = Pose2(6.0, -9.0, heading)
     scan = true.inverse().apply(room[::2])
-    best, *others = matching.search_everywhere(field, scan, count=3)
+    best, *others = everywhere(field, scan, 3)
     assert_near(refine(field, scan, best.pose).pose, true, 0.05, 0.02)
     assert all(other.score < best.score for other in others)
 
 
 def test_places_found_everywhere_are_apart(field: ScoreField, room: FloatArray) -> None:
     centre = room[::2].mean(axis=0)[None, :]
-    for a, b in itertools.combinations(matching.search_everywhere(field, room[::2], count=4), 2):
+    for a, b in itertools.combinations(everywhere(field, room[::2], 4), 2):
         gap = np.hypot(*(a.pose.apply(centre) - b.pose.apply(centre))[0])
         assert gap >= 0.99 or abs(wrap_angle(a.pose.theta - b.pose.theta)) >= 0.29
 
@@ -160,7 +164,7 @@ def test_scores_found_everywhere_are_never_below_the_true_ones(
     field: ScoreField, room: FloatArray
 ) -> None:
     scan = Pose2(2.0, -1.0, 1.1).inverse().apply(room[::3])
-    for match in matching.search_everywhere(field, scan, count=5):
+    for match in everywhere(field, scan, 5):
         near = search(field, scan, match.pose, NARROW)
         assert 0.0 <= match.score <= 1.0
         assert field.score(scan, match.pose) <= match.score + 1e-9

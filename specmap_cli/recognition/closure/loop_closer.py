@@ -29,7 +29,7 @@ from specmap_cli.recognition.closure.decision import (
     mended_m,
     plausible,
 )
-from specmap_cli.recognition.closure.prepared import PreparedGrids, cropped
+from specmap_cli.recognition.closure.prepared import PreparedGrids
 from specmap_cli.recognition.closure.verification import CANDIDATES, MIN_LEAD, Check, verify
 
 _LEFTOVERS = 2  # pairs matched a submap in search of duplicates
@@ -64,7 +64,7 @@ class LoopCloser:
         advice until `merge` is called.
         """
         features = evenly(new.features, SAMPLES_PER_SUBMAP).astype(np.float32)
-        new = replace(new, features=features, packed=PackedGrid.of(cropped(new.grid)))
+        new = replace(new, features=features, packed=PackedGrid.of(new.grid.cropped()))
         claims = self._ranker.claims(features)
         self._remember_claims(new.number, claims)
         self._ranker.remember(new.number, features)
@@ -111,7 +111,7 @@ class LoopCloser:
     def grow(self, stay: Stay) -> None:
         """A stay went on after it was considered: from now on it is this one, whole."""
         stays = self._submaps[self._submap_of[stay.number]]
-        grown = replace(stay, packed=PackedGrid.of(cropped(stay.grid)))
+        grown = replace(stay, packed=PackedGrid.of(stay.grid.cropped()))
         stays[:] = [grown if other.number == stay.number else other for other in stays]
         self._grids.forget(stay.number)
         self._compared = {pair for pair in self._compared if stay.number not in pair}

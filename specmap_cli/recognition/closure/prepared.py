@@ -100,7 +100,7 @@ class PreparedGrid:
 
 def prepared(grid: GridMap) -> PreparedGrid | None:
     """The grid prepared for matching; None when it shows too little of a wall."""
-    grid = cropped(grid)
+    grid = grid.cropped()
     occupied = np.argwhere(grid.occupied)
     if len(occupied) * grid.resolution < _LEAST_WALL_M:
         return None
@@ -161,17 +161,6 @@ def wall_direction(grid: GridMap) -> float:
     square = gradient * gradient
     total = complex((square * square / (np.abs(square) + _FLAT)).sum(dtype=np.complex128))
     return (math.atan2(total.imag, total.real) / 4.0) % (math.pi / 2.0)
-
-
-def cropped(grid: GridMap) -> GridMap:
-    """The grid cut down to its known cells; a grid without any stays as it is."""
-    seen = grid.cells != UNKNOWN
-    rows, columns = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
-    if not len(rows):
-        return grid
-    return grid.window(
-        slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
-    )
 
 
 def _distance(inside: BoolArray, resolution: float) -> ImageArray:

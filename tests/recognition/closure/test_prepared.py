@@ -16,13 +16,11 @@ from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.closure.prepared import (
     PreparedGrid,
     PreparedGrids,
-    cropped,
     prepared,
     wall_direction,
 )
 from specmap_cli.recognition.closure.verification import verify
 from tests.recognition.watching import watched
-from tests.strategies import grid_maps
 from tests.turning import turn
 
 
@@ -51,23 +49,6 @@ def test_the_direction_of_walls_turns_with_them(degrees: float) -> None:
     assert abs(np.degrees(off)) < 1.0
 
 
-@given(grid_maps())
-def test_a_crop_keeps_every_known_cell_in_its_place(grid: GridMap) -> None:
-    crop = cropped(grid)
-    for state in (FREE, OCCUPIED):
-        before = grid.centres_of(np.argwhere(grid.cells == state))
-        after = crop.centres_of(np.argwhere(crop.cells == state))
-        assert after == pytest.approx(before)
-    if (grid.cells != UNKNOWN).any():
-        for side in (crop.cells[0], crop.cells[-1], crop.cells[:, 0], crop.cells[:, -1]):
-            assert (side != UNKNOWN).any()
-
-
-def test_a_grid_of_nothing_is_cropped_to_itself() -> None:
-    empty = GridMap(np.full((7, 5), UNKNOWN, dtype=np.uint8), 0.1)
-    assert cropped(empty) is empty
-
-
 @pytest.mark.parametrize(("cells", "enough"), [(0, False), (9, False), (10, True)])
 def test_a_grid_with_hardly_a_wall_cannot_be_prepared(cells: int, enough: bool) -> None:
     picture = np.full((30, 30), FREE, dtype=np.uint8)
@@ -86,7 +67,7 @@ def test_walls_are_thinned_evenly() -> None:
 
 def test_distances_and_depth_are_those_of_scipy() -> None:
     area = prepared_box().area
-    grid = cropped(box())
+    grid = box().cropped()
     assert area.origin == grid.origin
     for ours, inside in ((area.wall_distance, ~grid.occupied), (area.depth, grid.free)):
         expected = distance_transform_edt(inside) * 0.05
