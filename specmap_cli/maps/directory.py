@@ -226,9 +226,17 @@ def _signals_held() -> Iterator[None]:
         yield
         return
     received: list[int] = []
+    holding = True
 
     def remember(number: int, _frame: FrameType | None) -> None:
-        received.append(number)
+        if holding:
+            received.append(number)
+        else:  # this one was not put back yet, and never will be where another one was raised
+            put_back(number)
+            os.kill(os.getpid(), number)
+
+    def put_back(number: int) -> None:
+        signal.signal(number, before[number] or signal.SIG_DFL)
 
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
@@ -236,10 +244,13 @@ def _signals_held() -> Iterator[None]:
             signal.signal(number, remember)
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, signal.SIG_DFL if handler is None else handler)
-        for pending in received:
-            os.kill(os.getpid(), pending)
+        try:
+            holding = False
+            for number in before:
+                put_back(number)
+        finally:  # whatever came between
+            for pending in received:
+                os.kill(os.getpid(), pending)
 
 
 def exchanged(one: Path, other: Path) -> bool:

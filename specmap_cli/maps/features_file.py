@@ -117,4 +117,4 @@ def _check(path: Path, features: NDArray[Any], own: NDArray[Any], keyframes: int
 
 
 def _damaged(path: Path, what: str) -> MapError:
-    return MapError(f"{what}: delete it, or build the map again", where=path)
+    return MapError(what, "delete it, or build the map again", where=path)

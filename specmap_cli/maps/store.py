@@ -141,9 +141,9 @@ class StoredMap:
         path, stamps_ns = self.path / filenames.KEYFRAMES, self.labels.stamps_ns.tolist()
         if not path.exists():
             raise MapError(
-                f"has no {path.name}: only maps that this version of `specmap build` made "
-                "of a recording keep their scans",
-                "build the map again",
+                f"has no {path.name}",
+                "only maps that this version of `specmap build` made of a recording keep their "
+                "scans: build the map again",
                 where=self.path,
             )
         store = read_keyframes(path, len(stamps_ns), self.limits)
@@ -185,8 +185,9 @@ class StoredMap:
         path = self.path / name
         if not path.exists():
             raise MapError(
-                f"has no {name}: `specmap segment` makes maps without; here one is needed "
-                "that `specmap build` made of a recording",
+                f"has no {name}",
+                "`specmap segment` makes maps without; here one is needed that `specmap build` "
+                "made of a recording",
                 where=self.path,
             )
         return path
