@@ -231,14 +231,15 @@ def _signals_held() -> Iterator[None]:
     def remember(number: int, _frame: FrameType | None) -> None:
         if holding:
             received.append(number)
-        else:  # this one was not put back yet, and never will be where another one was raised
+        else:  # its handler was not put back yet: the other signal may have raised before that
             put_back(number)
             os.kill(os.getpid(), number)
 
     def put_back(number: int) -> None:
         signal.signal(number, before[number] or signal.SIG_DFL)
 
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    numbers: tuple[int, ...] = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.getsignal(number) for number in numbers}
     try:
         for number in before:
             signal.signal(number, remember)

@@ -256,7 +256,9 @@ class TestDamage:
 
     def test_a_map_of_a_plan_says_what_it_lacks(self, stored: Path) -> None:
         (stored / "classifiers.json").unlink()
-        with pytest.raises(MapError, match=r"has no classifiers\.json: `specmap segment`") as caught:
+        with pytest.raises(
+            MapError, match=r"has no classifiers\.json: `specmap segment`"
+        ) as caught:
             _ = read_map(stored).classifiers
         assert caught.value.found == "has no classifiers.json"
         (stored / "classifiers.json").mkdir()
