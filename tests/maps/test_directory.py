@@ -238,13 +238,13 @@ def test_a_signal_while_handlers_are_put_back_swallows_no_other(
             os.kill(os.getpid(), other)
         return replaced
 
-    def swapping(directory: OutputDirectory, replaced: Path) -> None:
-        swap(directory, replaced)
+    def renamed(source: Path, target: Path) -> None:
+        rename(source, target)
         monkeypatch.setattr(signal, "signal", signal_between)
         os.kill(os.getpid(), first)
 
-    swap = OutputDirectory._swap
-    monkeypatch.setattr(OutputDirectory, "_swap", swapping)
+    rename = os.rename
+    monkeypatch.setattr(os, "rename", renamed)
     before = {number: put(number, stop) for number in pair}
     try:
         with pytest.raises(SystemExit):
