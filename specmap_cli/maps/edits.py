@@ -76,7 +76,7 @@ def _is_place(value: Any) -> bool:
 
 
 def _must(fits: Callable[[Any], bool], told: str) -> BeforeValidator:
-    """Refuse what does not fit. Of several the last one looks first."""
+    """A validator that refuses what does not fit. Of several the last one looks first."""
 
     def check(value: Any) -> Any:
         if not fits(value):
@@ -315,9 +315,7 @@ def _tables(submaps: Mapping[int, SubmapEdit], changes: Sequence[Change]) -> lis
     ]
     texts = []
     for head, table in tables:
-        said = {
-            key: each for key, each in table.model_dump(exclude_none=True).items() if each != {}
-        }
-        lines = [head, *(f"{key} = {toml_value(value)}" for key, value in said.items())]
-        texts.append("\n".join(lines) + "\n")
+        said = table.model_dump(exclude_none=True).items()
+        lines = [f"{key} = {toml_value(value)}" for key, value in said if value != {}]
+        texts.append("\n".join([head, *lines]) + "\n")
     return texts
