@@ -262,7 +262,7 @@ def _is_told(change: Change, told: Comparison, plan_from_old: Pose2) -> bool:
 
 def _is_added(box: Box | None, told: Comparison, plan_from_old: Pose2) -> bool:
     """Whether a new submap has its centre in a box of the plan."""
-    added = [told.new.regions.outline(i).centroid for i in told.differences.identity.added]
+    added = [told.new.regions.outline(i).centroid for i in told.differences.identity.new]
     places = np.array([place for place in added if place is not None]).reshape(-1, 2)
     return _near(box, plan_from_old.apply(told.old_from_new.apply(places)))
 

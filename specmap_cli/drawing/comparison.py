@@ -106,7 +106,7 @@ def _draw_ids(
     for id_, outline in sorted(old.outlines.items()):
         if outline.centroid is not None:
             _id(sheet, outline.centroid, id_, QUIET)
-    for id_ in found.identity.added:
+    for id_ in found.identity.new:
         centroid = new.outline(id_).centroid
         if centroid is not None:
             _id(sheet, old_from_new.apply(centroid[None])[0], id_, NEW)

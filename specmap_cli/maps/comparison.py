@@ -14,7 +14,7 @@ from pydantic import Field
 
 from specmap_cli.core.json_values import Amount, Count, Measured, Number, Point, Transform
 from specmap_cli.core.schemas import ModelSchema
-from specmap_cli.topology.identity import Same
+from specmap_cli.topology.identity import Identity
 
 SCHEMA_VERSION = 1
 
@@ -50,38 +50,6 @@ class AlignmentRecord(Measured):
     walls_m: Amount = Field(description="walls that agree")
     residual_m: Amount
     rival: float
-
-
-class SplitRecord(Measured):
-    """An old submap that is several new ones."""
-
-    old: Count
-    new: list[Count]
-
-
-class MergeRecord(Measured):
-    """Several old submaps that are one new one."""
-
-    old: list[Count]
-    new: Count
-
-
-class SubmapsRecord(Measured):
-    """What became of the submaps.
-
-    `new`: space that the old map did not see; `unseen`: submaps that the new map did not see;
-    `gone`: the new map saw their place, where there is no floor any more; `redrawn_old` and
-    `redrawn_new`: what is left, whose borders are drawn elsewhere.
-    """
-
-    same: tuple[Same, ...]
-    split: list[SplitRecord]
-    merged: list[MergeRecord]
-    new: list[Count]
-    unseen: list[Count]
-    gone: list[Count]
-    redrawn_old: list[Count]
-    redrawn_new: list[Count]
 
 
 class DoorRecord(Measured):
@@ -134,7 +102,7 @@ class ComparisonRecord(Measured):
     new: MapFigures
     identical: bool
     alignment: AlignmentRecord
-    submaps: SubmapsRecord
+    submaps: Identity
     doors: DoorsRecord
     things: ThingsRecord
 

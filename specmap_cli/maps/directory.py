@@ -11,6 +11,7 @@ ends: a sibling without a lock belongs to nobody any more, and the next run puts
 from __future__ import annotations
 
 import ctypes
+import functools
 import os
 import re
 import shutil
@@ -78,7 +79,12 @@ class OutputDirectory:
             for line in put_right(self._target, self.marker):
                 self.progress.note(line)
             self._check_target()
-            self._make_parents()
+            missing = self._target.parent
+            while not missing.exists():
+                self._parents.append(missing)
+                missing = missing.parent
+            for parent in reversed(self._parents):
+                parent.mkdir(exist_ok=True)
             self._partial.mkdir()
             self._lock.enter_context(held(self._partial))
         except OSError as error:
@@ -103,7 +109,12 @@ class OutputDirectory:
                 self._commit()
         finally:
             self._clean_up()
-        if isinstance(error, OSError) and self._is_of_output(error):
+        # where the system refused to write what belongs into the directory, and no other file
+        if (
+            isinstance(error, OSError)
+            and is_of_the_place(error)
+            and (error.filename is None or str(error.filename).startswith(str(self._partial)))
+        ):
             advice = "choose another output directory"
             raise UsageError.of_system(
                 error, "cannot be written", advice, where=self.path, code=OUTPUT
@@ -119,90 +130,60 @@ class OutputDirectory:
             raise
         self._finalizer.detach()
 
-    def _is_of_output(self, error: OSError) -> bool:
-        """Whether the system refused to write what belongs into the directory."""
-        inside = error.filename is None or str(error.filename).startswith(str(self._partial))
-        return inside and is_of_the_place(error)
-
     def _check_target(self) -> None:
         """Refuse a target that must not be replaced."""
+        refused = functools.partial(UsageError, where=self.path, code=OUTPUT)
         if not self._target.name:
-            raise UsageError(
-                "not a place for a map",
-                "choose a directory of its own",
-                where=self.path,
-                code=OUTPUT,
-            )
+            raise refused("not a place for a map", "choose a directory of its own")
         if not os.path.lexists(self._target):
             return
         if not self._target.is_dir():
-            raise UsageError(
-                "is a file",
-                "choose a directory that does not exist yet",
-                where=self.path,
-                code=OUTPUT,
-            )
+            raise refused("is a file", "choose a directory that does not exist yet")
         if os.path.ismount(self._target):
-            raise UsageError(
-                "is a mount point", "choose a directory inside it", where=self.path, code=OUTPUT
-            )
+            raise refused("is a mount point", "choose a directory inside it")
         if not any(self._target.iterdir()):
             return
+        of_map = self.marker == TOPOLOGY
         if not (self._target / self.marker).is_file():  # we wrote no directory without it
-            what = "map" if self.marker == TOPOLOGY else "earlier result"
-            raise UsageError(
-                f"is not empty and holds no {what} (no {self.marker} in it)",
+            raise refused(
+                f"is not empty and holds no {'map' if of_map else 'earlier result'} "
+                f"(no {self.marker} in it)",
                 "choose another output directory",
-                where=self.path,
-                code=OUTPUT,
             )
         if not self.overwrite:
-            what = "a map" if self.marker == TOPOLOGY else "a result"
-            raise UsageError(
-                f"already holds {what}",
+            raise refused(
+                f"already holds {'a map' if of_map else 'a result'}",
                 "use --overwrite to replace it, or another --out",
-                where=self.path,
                 code=OUTPUT_EXISTS,
             )
 
-    def _make_parents(self) -> None:
-        missing = self._target.parent
-        while not missing.exists():
-            self._parents.append(missing)
-            missing = missing.parent
-        for parent in reversed(self._parents):
-            parent.mkdir(exist_ok=True)
-
     def _commit(self) -> None:
-        """Put the finished directory in place of the target."""
+        """Put the finished directory in place of the target.
+
+        Old away, new in: at once where the system can exchange them, otherwise one by one. The old
+        one comes back when the new one cannot take its place.
+        """
         replaced = sibling(self._target, "replaced", self._partial.name[-8:])
         try:
             self._check_target()
             with _signals_held():
-                self._swap(replaced)
+                present = self._target.exists()
+                if present and exchanged(self._partial, self._target):
+                    return  # the old one is the partial directory now, and goes with it
+                if present:
+                    os.rename(self._target, replaced)
+                try:
+                    os.rename(self._partial, self._target)
+                except BaseException:
+                    if present:
+                        os.rename(replaced, self._target)
+                    raise
+                if present:  # by that name it may go piece by piece
+                    os.rename(replaced, self._partial)
         except OSError as error:
             raise UsageError.of_system(
                 error, "cannot put the finished directory in place", where=self.path, code=OUTPUT
             ) from None
-
-    def _swap(self, replaced: Path) -> None:
-        """Old away, new in: at once where the system can exchange them, otherwise one by one.
-
-        The old one comes back when the new one cannot take its place.
-        """
-        present = self._target.exists()
-        if present and exchanged(self._partial, self._target):
-            return  # the old one is the partial directory now, and goes with it
-        if present:
-            os.rename(self._target, replaced)
-        try:
-            os.rename(self._partial, self._target)
-        except BaseException:
-            if present:
-                os.rename(replaced, self._target)
-            raise
-        if present:  # by that name it may go piece by piece
-            os.rename(replaced, self._partial)
 
 
 def _remove(partial: Path, parents: list[Path]) -> None:
@@ -226,20 +207,32 @@ def _signals_held() -> Iterator[None]:
         yield
         return
     received: list[int] = []
+    holding = True
 
     def remember(number: int, _frame: FrameType | None) -> None:
-        received.append(number)
+        if holding:
+            received.append(number)
+        else:  # its handler was not put back yet: the other signal may have raised before that
+            put_back(number)
+            os.kill(os.getpid(), number)
 
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    def put_back(number: int) -> None:
+        signal.signal(number, before[number] or signal.SIG_DFL)
+
+    numbers: tuple[int, ...] = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.getsignal(number) for number in numbers}
     try:
         for number in before:
             signal.signal(number, remember)
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, signal.SIG_DFL if handler is None else handler)
-        for pending in received:
-            os.kill(os.getpid(), pending)
+        try:
+            holding = False
+            for number in before:
+                put_back(number)
+        finally:  # whatever came between
+            for pending in received:
+                os.kill(os.getpid(), pending)
 
 
 def exchanged(one: Path, other: Path) -> bool:
@@ -250,9 +243,6 @@ def exchanged(one: Path, other: Path) -> bool:
         return False
     here = -100  # AT_FDCWD: the paths are as they stand
     return bool(rename(here, os.fsencode(one), here, os.fsencode(other), _EXCHANGE) == 0)
-
-
-_TOKEN = "[0-9a-f]{8}"  # of the names that OutputDirectory gives
 
 
 def sibling(target: Path, role: str, token: str) -> Path:
@@ -272,7 +262,8 @@ def put_right(target: Path, marker: str = TOPOLOGY) -> list[str]:
         if not (old / marker).is_file():
             continue  # no map: not ours
         if target.exists():
-            os.rename(old, _as_partial(old, target))  # by that name it may go piece by piece
+            # by that name it may go piece by piece
+            os.rename(old, sibling(target, "partial", old.name[-8:]))
             done.append(f"removed {old.name}, the map that it had replaced")
         else:
             os.rename(old, target)
@@ -297,7 +288,7 @@ def held(directory: Path) -> Iterator[None]:
 
 def _ours(target: Path, role: str) -> list[Path]:
     """The siblings of the target whose names only OutputDirectory gives, in order."""
-    name = re.compile(re.escape(f".{target.name}.{role}-") + _TOKEN)
+    name = re.compile(re.escape(f".{target.name}.{role}-") + "[0-9a-f]{8}")
     with suppress(OSError):
         return [
             path
@@ -305,8 +296,3 @@ def _ours(target: Path, role: str) -> list[Path]:
             if name.fullmatch(path.name) and path.is_dir() and not path.is_symlink()
         ]
     return []
-
-
-def _as_partial(old: Path, target: Path) -> Path:
-    """The name of a replaced directory as one that was not finished."""
-    return sibling(target, "partial", old.name[-8:])

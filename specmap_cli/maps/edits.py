@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -33,6 +35,7 @@ from specmap_cli.topology.topological_map import BorderEdit, Merge, Said, Split,
 _LONGEST_NAME = 80  # characters: what a badge, a row of a table and a legend can show
 _SHORTEST_LINE_M = 0.1
 _LAST_ID = 999_999_999
+_SURROGATE = re.compile("[\ud800-\udfff]")
 _MOST = 1e9  # metres on the earth, and numbers that stay exact
 
 
@@ -45,16 +48,6 @@ def _one_line(text: str) -> str:
     return text
 
 
-def _value(value: Any) -> Any:
-    """Refuse what is no value of a property."""
-    if isinstance(value, str):
-        if any("\ud800" <= letter <= "\udfff" for letter in value):
-            raise ValueError("must be text that can be written as UTF-8")
-    elif not isinstance(value, bool) and not _is_number(value):
-        raise ValueError(f"must be a string, true, false, or a number up to {_MOST:g}")
-    return value
-
-
 def _by_id(tables: Any) -> Any:
     """The tables of submaps by number."""
     if not isinstance(tables, Mapping):
@@ -63,32 +56,6 @@ def _by_id(tables: Any) -> Any:
         if not _is_id(key) and re.fullmatch(r"0|[1-9]\d{0,8}", str(key)) is None:
             raise ValueError(f"{key!r:.60} is no id of a submap: expected a number, as in 3")
     return {int(key): table for key, table in tables.items()}
-
-
-def _pair(value: Any) -> Any:
-    """Refuse what are no two submaps."""
-    if not isinstance(value, (list, tuple)) or len(value) != 2 or not all(map(_is_id, value)):
-        raise ValueError("must be the ids of two submaps, as in [3, 4]")
-    if value[0] == value[1]:
-        raise ValueError("must be two different submaps")
-    return value
-
-
-def _place(value: Any) -> Any:
-    """Refuse what is no place in the map."""
-    if not isinstance(value, (list, tuple)) or len(value) != 2 or not all(map(_is_number, value)):
-        raise ValueError("must be a place in metres, as in [1.5, 2.0]")
-    return value
-
-
-def _line(value: Any) -> Any:
-    """Refuse what are no two places with something between them."""
-    if not isinstance(value, (list, tuple)) or len(value) != 2:
-        raise ValueError("must be two places, as in [[1.5, 2.0], [1.5, 6.0]]")
-    one, other = map(_place, value)
-    if math.dist(one, other) < _SHORTEST_LINE_M:
-        raise ValueError(f"must be two places {_SHORTEST_LINE_M:g} m apart or more")
-    return value
 
 
 def _is_id(value: Any) -> bool:
@@ -100,20 +67,54 @@ def _is_number(value: Any) -> bool:
     return known and abs(value) <= _MOST  # false for NaN as well
 
 
-def _id(value: Any) -> Any:
-    """Refuse what cannot be an id of a submap."""
-    if not _is_id(value):
-        raise ValueError("must be the id of a submap, as in 3")
-    return value
+def _is_two(value: Any, fits: Callable[[Any], bool] = lambda _: True) -> bool:
+    return isinstance(value, (list, tuple)) and len(value) == 2 and all(map(fits, value))
 
 
-Id = Annotated[int, BeforeValidator(_id)]
+def _is_place(value: Any) -> bool:
+    return _is_two(value, _is_number)
+
+
+def _must(fits: Callable[[Any], bool], told: str) -> BeforeValidator:
+    """A validator that refuses what does not fit. Of several the last one looks first."""
+
+    def check(value: Any) -> Any:
+        if not fits(value):
+            raise ValueError(f"must be {told}")
+        return value
+
+    return BeforeValidator(check)
+
+
+Id = Annotated[int, _must(_is_id, "the id of a submap, as in 3")]
 Place = tuple[float, float]
-Pair = Annotated[tuple[int, int], BeforeValidator(_pair)]
-Spot = Annotated[Place, BeforeValidator(_place)]
-CutLine = Annotated[tuple[Place, Place], BeforeValidator(_line)]
+Spot = Annotated[Place, _must(_is_place, "a place in metres, as in [1.5, 2.0]")]
+Pair = Annotated[
+    tuple[int, int],
+    _must(lambda pair: pair[0] != pair[1], "two different submaps"),
+    _must(lambda value: _is_two(value, _is_id), "the ids of two submaps, as in [3, 4]"),
+]
+CutLine = Annotated[
+    tuple[Place, Place],
+    _must(
+        lambda line: math.dist(*line) >= _SHORTEST_LINE_M,
+        f"two places {_SHORTEST_LINE_M:g} m apart or more",
+    ),
+    _must(lambda line: all(map(_is_place, line)), "a place in metres, as in [1.5, 2.0]"),
+    _must(_is_two, "two places, as in [[1.5, 2.0], [1.5, 6.0]]"),
+]
 Name = Annotated[str, AfterValidator(_one_line)]
-Properties = dict[Name, Annotated[PropertyValue, BeforeValidator(_value)]]
+Property = Annotated[
+    PropertyValue,
+    _must(
+        lambda value: isinstance(value, (str, bool)) or _is_number(value),
+        f"a string, true, false, or a number up to {_MOST:g}",
+    ),
+    _must(
+        lambda value: not isinstance(value, str) or _SURROGATE.search(value) is None,
+        "text that can be written as UTF-8",
+    ),
+]
 
 
 class SubmapEdit(Record):
@@ -121,7 +122,7 @@ class SubmapEdit(Record):
 
     name: Name | None = None
     kind: SubmapKind | None = None
-    properties: Properties = Field(default_factory=dict)
+    properties: dict[Name, Property] = Field(default_factory=dict)
 
 
 class MergeEdit(Record):
@@ -191,21 +192,26 @@ def said_in(edits: Edits) -> tuple[Said, ...]:
     """What is said of the submaps, by id, as a map keeps it."""
     return tuple(
         Said(id_, edit.name, edit.kind, dict(edit.properties))
-        for id_, edit in sorted(edits.submaps.items())
-        if edit != SubmapEdit()
+        for id_, edit in _with_words(edits).items()
     )
+
+
+def _with_words(edits: Edits) -> dict[int, SubmapEdit]:
+    """The submaps of which something is said, by id."""
+    return {id_: edit for id_, edit in sorted(edits.submaps.items()) if edit != SubmapEdit()}
 
 
 def borders_in(edits: Edits) -> list[BorderEdit]:
     """The borders that are asked for, to the decimals that a map keeps."""
-    return [_requested(change) for change in edits.changes if not isinstance(change, ForbidEdit)]
-
-
-def _requested(change: MergeEdit | SplitEdit) -> BorderEdit:
-    if isinstance(change, MergeEdit):
-        return Merge(change.merge)
-    one, other = change.line
-    return Split(submap=change.split, line=(point(one), point(other)), new=change.new)
+    borders: list[BorderEdit] = []
+    for change in edits.changes:
+        if isinstance(change, MergeEdit):
+            borders.append(Merge(change.merge))
+        elif isinstance(change, SplitEdit):
+            one, other = change.line
+            line = point(one), point(other)
+            borders.append(Split(submap=change.split, line=line, new=change.new))
+    return borders
 
 
 def read_edits(directory: Path, limits: LimitsConfig | None = None) -> Edits:
@@ -262,44 +268,38 @@ def written(edits: Edits, before: str = "") -> str:
     """
     if edits == Edits() and not before:
         return ""
-    kept = _kept(edits, before)
-    return kept if kept is not None else _anew(edits)
+    with suppress(MapError):  # a string over several lines, of which one begins as a table does
+        kept = _kept(edits, before)
+        found = EDITS.of_text(kept)
+        same = said_in(found) == said_in(edits) and found.changes == edits.changes
+        if same and before.strip():
+            return kept
+    return "\n".join([HEAD, *_tables(_with_words(edits), edits.changes)])
 
 
-def _anew(edits: Edits) -> str:
-    """All tables in order: the submaps by id, then the changes."""
-    tables = [_submap(id_, edit) for id_, edit in sorted(edits.submaps.items()) if _says(edit)]
-    return "\n".join([HEAD, *tables, *(_change(change) for change in edits.changes)])
+def _kept(edits: Edits, before: str) -> str:
+    """The text with its unchanged tables; MapError where it cannot be taken apart."""
+    starts = [0]  # of the text before the first table, and of each with the comments right above
+    for match in _TABLE.finditer(before):
+        above = _COMMENTS.search(before, 0, match.start())
+        starts.append(match.start() if above is None else above.start())
+    waiting, changes, text = _with_words(edits), list(edits.changes), ""
+    for start, end in pairwise([*starts, len(before)]):
+        text += _piece(before[start:end], waiting, changes)
+    added = _tables(waiting, changes)
+    return "\n".join([text.rstrip("\n") + "\n", *added]) if added else text
 
 
-def _kept(edits: Edits, before: str) -> str | None:
-    """The text with its unchanged tables, None where it cannot be taken apart."""
-    pieces = list(_pieces(before))
-    try:
-        parts = [EDITS.of_text(piece) for piece in pieces]
-    except MapError:  # a string over several lines, of which one begins as a table does
-        return None
-    waiting = {id_: edit for id_, edit in edits.submaps.items() if _says(edit)}
-    changes = list(edits.changes)
-    lines = []
-    for piece, part in zip(pieces, parts, strict=True):
-        lines.append(_piece(piece, part, waiting, changes))
-    added = [_submap(id_, edit) for id_, edit in sorted(waiting.items())]
-    added += [_change(change) for change in changes]
-    text = "\n".join(["".join(lines).rstrip("\n") + "\n", *added]) if added else "".join(lines)
-    return text if before.strip() and _says_the_same(text, edits) else None
-
-
-def _piece(piece: str, part: Edits, waiting: dict[int, SubmapEdit], changes: list[Change]) -> str:
+def _piece(piece: str, waiting: dict[int, SubmapEdit], changes: list[Change]) -> str:
     """One table of the text as it is to be; what it says is taken from what is `waiting`."""
-    if not part.submaps and not part.changes:
-        return piece
+    part = EDITS.of_text(piece)
     for id_, edit in part.submaps.items():
         wanted = waiting.pop(id_, None)
         if wanted is None:
             return ""
         if wanted != edit:
-            return _comments(piece) + _submap(id_, wanted) + "\n"
+            comments = piece[: next(_TABLE.finditer(piece)).start()]
+            return comments + _tables({id_: wanted}, ())[0] + "\n"
     for change in part.changes:
         if change not in changes:
             return ""
@@ -307,45 +307,15 @@ def _piece(piece: str, part: Edits, waiting: dict[int, SubmapEdit], changes: lis
     return piece
 
 
-def _pieces(text: str) -> Iterator[str]:
-    """The text before the first table, and each table with the comments right above it."""
-    starts = [0]
-    for match in _TABLE.finditer(text):
-        above = _COMMENTS.search(text, 0, match.start())
-        starts.append(match.start() if above is None else above.start())
-    for start, end in zip(starts, [*starts[1:], len(text)], strict=True):
-        yield text[start:end]
-
-
-def _comments(piece: str) -> str:
-    """The comments above a table."""
-    return piece[: max(0, next(_TABLE.finditer(piece)).start())]
-
-
-def _says_the_same(text: str, edits: Edits) -> bool:
-    """Whether a text is TOML that says what the edits say."""
-    try:
-        found = EDITS.of_text(text)
-    except MapError:
-        return False
-    said = {id_: edit for id_, edit in edits.submaps.items() if _says(edit)}
-    there = {id_: edit for id_, edit in found.submaps.items() if _says(edit)}
-    return there == said and found.changes == edits.changes
-
-
-def _says(edit: SubmapEdit) -> bool:
-    return edit != SubmapEdit()
-
-
-def _submap(id_: int, edit: SubmapEdit) -> str:
-    """The table of one submap."""
-    said = {"name": edit.name, "kind": edit.kind, "properties": edit.properties or None}
-    lines = [f"{key} = {toml_value(value)}" for key, value in said.items() if value is not None]
-    return "\n".join([f"[submaps.{id_}]", *lines]) + "\n"
-
-
-def _change(change: Change) -> str:
-    """The table of one change."""
-    said = change.model_dump(exclude_none=True)
-    lines = [f"{key} = {toml_value(value)}" for key, value in said.items()]
-    return "\n".join(["[[changes]]", *lines]) + "\n"
+def _tables(submaps: Mapping[int, SubmapEdit], changes: Sequence[Change]) -> list[str]:
+    """The tables of submaps, then of changes, in order."""
+    tables: list[tuple[str, Record]] = [
+        *((f"[submaps.{id_}]", edit) for id_, edit in sorted(submaps.items())),
+        *(("[[changes]]", change) for change in changes),
+    ]
+    texts = []
+    for head, table in tables:
+        said = table.model_dump(exclude_none=True).items()
+        lines = [f"{key} = {toml_value(value)}" for key, value in said if value != {}]
+        texts.append("\n".join([head, *lines]) + "\n")
+    return texts

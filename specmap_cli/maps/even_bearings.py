@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.records import BoolArray, PlanarScan
+from specmap_cli.core.records import PlanarScan
 from specmap_cli.logs.planar import covers_circle
 
 _FULL_CIRCLE = 2.0 * math.pi
@@ -46,42 +46,24 @@ class EvenSpacing:
     def beams(self, scan: PlanarScan) -> EvenBeams:
         """The scan with evenly spaced beams."""
         bearings, ranges = scan.bearings, scan.ranges
-        if not self._is_even(bearings):
-            bearings = self._known.get(len(bearings), _evened(scan))
-            ranges = _nearest(scan, bearings)
-        step = _step(bearings)
-        if not scan.full_circle and covers_circle(len(bearings), step):
+        count, step = len(bearings), _step(bearings)
+        known = self._known.get(count)
+        if known is None or not np.array_equal(known, bearings):
+            first, numbers = float(bearings[0]), np.arange(count, dtype=np.float64)
+            if np.abs(bearings - (first + step * numbers)).max() <= _EVEN_RAD:
+                self._known[count] = bearings
+            else:
+                over_view = _FULL_CIRCLE / count if scan.full_circle else step
+                bearings = first + over_view * numbers if known is None else known
+                ranges, step = _nearest(scan, bearings), _step(bearings)
+        if not scan.full_circle and covers_circle(count, step):
             bearings, ranges = _looked_at(bearings, ranges)
         return EvenBeams(float(np.float32(bearings[0])), float(np.float32(step)), ranges)
-
-    def _is_even(self, bearings: FloatArray) -> bool:
-        known = self._known.get(len(bearings))
-        if known is not None and np.array_equal(known, bearings):
-            return True
-        if not _near(bearings, _spread(float(bearings[0]), _step(bearings), len(bearings))):
-            return False
-        self._known[len(bearings)] = bearings
-        return True
 
 
 def _step(bearings: FloatArray) -> float:
     """The angle from beam to beam; 0 for a single one."""
     return float(bearings[-1] - bearings[0]) / max(len(bearings) - 1, 1)
-
-
-def _spread(first: float, step: float, count: int) -> FloatArray:
-    return first + step * np.arange(count, dtype=np.float64)
-
-
-def _near(bearings: FloatArray, others: FloatArray) -> bool:
-    return bool(np.abs(bearings - others).max() <= _EVEN_RAD)
-
-
-def _evened(scan: PlanarScan) -> FloatArray:
-    """Evenly spaced bearings over the field of view of a scan."""
-    count = len(scan.bearings)
-    step = _FULL_CIRCLE / count if scan.full_circle else _step(scan.bearings)
-    return _spread(float(scan.bearings[0]), step, count)
 
 
 def _nearest(scan: PlanarScan, bearings: FloatArray) -> FloatArray:
@@ -97,19 +79,17 @@ def _nearest(scan: PlanarScan, bearings: FloatArray) -> FloatArray:
 
 
 def _looked_at(bearings: FloatArray, ranges: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A circle of beams without the longest run of those that saw nothing, two at the least."""
-    start, length = _longest_run(np.isnan(ranges))
-    kept = max(len(ranges) - max(length, 2), 1)
-    order = np.roll(np.arange(len(ranges)), -(start + length))[:kept]
+    """A circle of beams without the longest run of those that saw nothing, the first of equals.
+
+    Two beams go at the least.
+    """
+    count, seen = len(ranges), np.flatnonzero(~np.isnan(ranges))
+    start, length = 0, count
+    if len(seen):
+        lengths = np.diff(seen, append=seen[0] + count) - 1
+        longest = int(np.argmax(lengths))
+        start, length = int(seen[longest] + 1) % count, int(lengths[longest])
+    kept = max(count - max(length, 2), 1)
+    order = np.roll(np.arange(count), -(start + length))[:kept]
     turned = np.where(order < order[0], bearings[order] + _FULL_CIRCLE, bearings[order])
     return turned, ranges[order]
-
-
-def _longest_run(marked: BoolArray) -> tuple[int, int]:
-    """Where the longest run of a circle's marked places begins, the first of equals; its length."""
-    unmarked = np.flatnonzero(~marked)
-    if not len(unmarked):
-        return 0, len(marked)
-    lengths = np.diff(unmarked, append=unmarked[0] + len(marked)) - 1
-    longest = int(np.argmax(lengths))
-    return int(unmarked[longest] + 1) % len(marked), int(lengths[longest])

@@ -12,7 +12,7 @@ import re
 import struct
 import zipfile
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -60,35 +60,34 @@ def read_features(path: Path, keyframes: int, limits: LimitsConfig) -> Arrays:
 
     Raises MapError for a file that is damaged, or beyond its limits.
     """
+    names = sorted(kind + what + _END for kind in KINDS for what in ("", KEYFRAMES_OF))
+    older = [name for name in names if name.removesuffix(_END) not in _NONE]
+    arrays: dict[str, NDArray[Any]] = dict(_NONE)
     try:
         data = read_bytes(path, limits.text_max_mb, _MOST_MB)
-        arrays = _unpacked(data, path, limits)
+        with zipfile.ZipFile(io.BytesIO(data)) as packed:
+            infos = packed.infolist()
+            if sorted(info.filename for info in infos) not in (names, older):
+                raise _damaged(path, "holds other arrays than those of a map")
+            if any(i.flag_bits & _ENCRYPTED or i.compress_type not in _PACKED for i in infos):
+                raise _damaged(path, "is packed in a way that is not read")
+            if sum(info.file_size for info in infos) > limits.text_max_mb * 1e6:
+                raise MapError(f"unpacked larger than {_MOST_MB}", where=path, code=TOO_LARGE)
+            for info in infos:
+                arrays[info.filename.removesuffix(_END)] = _array(packed.read(info))
     except OSError as error:
         raise MapError.of_system(error, "cannot be read", where=path) from None
     except (ValueError, EOFError, NotImplementedError, zipfile.BadZipFile, zlib.error):
         raise _damaged(path, "is no zip file of arrays") from None
     for kind in KINDS:
-        _check(path, arrays[kind], arrays[kind + KEYFRAMES_OF], keyframes)
+        found, own = arrays[kind], arrays[kind + KEYFRAMES_OF]
+        if found.dtype != np.float16 or found.ndim != 2 or own.dtype != np.int32 or own.ndim != 1:
+            raise _damaged(path, "holds arrays of another kind")
+        if found.shape[1] != len(own) or not np.isfinite(found).all():
+            raise _damaged(path, "holds features that are none")
+        if len(own) and not 0 <= own.min() <= own.max() < keyframes:
+            raise _damaged(path, "names keyframes that the map does not have")
     return arrays
-
-
-def _unpacked(data: bytes, path: Path, limits: LimitsConfig) -> dict[str, NDArray[Any]]:
-    names = [name for kind in KINDS for name in (kind, kind + KEYFRAMES_OF)]
-    with zipfile.ZipFile(io.BytesIO(data)) as packed:
-        infos = packed.infolist()
-        held = sorted(info.filename for info in infos)
-        if held not in (_files(names), _files(name for name in names if name not in _NONE)):
-            raise _damaged(path, "holds other arrays than those of a map")
-        if any(i.flag_bits & _ENCRYPTED or i.compress_type not in _PACKED for i in infos):
-            raise _damaged(path, "is packed in a way that is not read")
-        if sum(info.file_size for info in infos) > limits.text_max_mb * 1e6:
-            raise MapError(f"unpacked larger than {_MOST_MB}", where=path, code=TOO_LARGE)
-        return dict(_NONE) | {name.removesuffix(_END): _array(packed.read(name)) for name in held}
-
-
-def _files(names: Iterable[str]) -> list[str]:
-    """What arrays are called in a zip file."""
-    return sorted(name + _END for name in names)
 
 
 def _array(data: bytes) -> NDArray[Any]:
@@ -106,15 +105,5 @@ def _array(data: bytes) -> NDArray[Any]:
     return np.frombuffer(data, dtype=header[1].decode(), offset=end).reshape(shape)
 
 
-def _check(path: Path, features: NDArray[Any], own: NDArray[Any], keyframes: int) -> None:
-    """Refuse features that are none, or of keyframes that are none."""
-    if features.dtype != np.float16 or features.ndim != 2 or own.dtype != np.int32 or own.ndim != 1:
-        raise _damaged(path, "holds arrays of another kind")
-    if features.shape[1] != len(own) or not np.isfinite(features).all():
-        raise _damaged(path, "holds features that are none")
-    if len(own) and not 0 <= own.min() <= own.max() < keyframes:
-        raise _damaged(path, "names keyframes that the map does not have")
-
-
 def _damaged(path: Path, what: str) -> MapError:
-    return MapError(f"{what}: delete it, or build the map again", where=path)
+    return MapError(what, "delete it, or build the map again", where=path)

@@ -8,7 +8,7 @@ scan is keyframe i. Log times rise from scan to scan, whatever the stamps do, to
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
@@ -23,7 +23,6 @@ from specmap_cli.logs.messages import (
     BadMessageError,
     CloudRecord,
     ScanRecord,
-    TransformRecord,
     decode_scan,
     decode_transforms,
 )
@@ -61,12 +60,31 @@ def write_keyframes(
     map_from_odom = _cut(compose(poses, invert(odom_from_base)))
     form = AlikeTransforms([(map_frame, ODOM_FRAME), (ODOM_FRAME, BASE_FRAME)])
     chains = zip(_in_space(map_from_odom), _in_space(odom_from_base), strict=True)
+    lasers: dict[Pose2, tuple[str, EvenSpacing]] = {}  # each has a frame of its own
     with LogWriter(path) as log:
-        scans, time_ns = _ScanWriter(log, store), -1
+        for base_from_laser in map(store.base_from_laser, range(len(store))):
+            if base_from_laser not in lasers:
+                frame = f"{LASER_FRAME}_{len(lasers) + 1}" if lasers else LASER_FRAME
+                lasers[base_from_laser] = frame, EvenSpacing()
+                mounting = Transform(BASE_FRAME, frame, *in_space(_mounting(base_from_laser)))
+                start_ns = store.stamps_ns[0]
+                log.raw(TF_STATIC, TF_MESSAGE, transforms_cdr(start_ns, [mounting]), start_ns)
+        time_ns = -1
         for number, (stamp_ns, chain) in enumerate(zip(store.stamps_ns, chains, strict=True)):
             time_ns = max(stamp_ns, time_ns + 1)
             log.raw(TF, TF_MESSAGE, form.encoded(stamp_ns, chain), time_ns)
-            scans.write(number, time_ns)
+            frame, spacing = lasers[store.base_from_laser(number)]
+            scan = store.scan(number)
+            even = spacing.beams(scan)
+            data = scan_cdr(
+                frame,
+                scan.stamp_ns,
+                even.angle_min,
+                even.increment,
+                np.round(even.ranges * _MM_PER_M) / _MM_PER_M,
+                range_max=scan.range_max,
+            )
+            log.raw(SCAN_TOPIC, LASER_SCAN, data, time_ns)
 
 
 def _cut(poses: FloatArray) -> FloatArray:
@@ -83,43 +101,6 @@ def _in_space(poses: FloatArray) -> list[list[float]]:
     return rows
 
 
-class _ScanWriter:
-    """Writes the scans of a store, each laser in a frame of its own."""
-
-    def __init__(self, log: LogWriter, store: KeyframeStore) -> None:
-        self._log, self._store = log, store
-        self._frames: dict[Pose2, str] = {}
-        self._spacings: dict[Pose2, EvenSpacing] = {}
-        for number in range(len(store)):
-            self._place(store.base_from_laser(number))
-
-    def write(self, number: int, time_ns: int) -> None:
-        """Write the scan of one keyframe."""
-        base_from_laser, scan = self._store.base_from_laser(number), self._store.scan(number)
-        even = self._spacings[base_from_laser].beams(scan)
-        data = scan_cdr(
-            self._frames[base_from_laser],
-            scan.stamp_ns,
-            even.angle_min,
-            even.increment,
-            np.round(even.ranges * _MM_PER_M) / _MM_PER_M,
-            range_max=scan.range_max,
-        )
-        self._log.raw(SCAN_TOPIC, LASER_SCAN, data, time_ns)
-
-    def _place(self, base_from_laser: Pose2) -> None:
-        """Give a laser its frame, when it is a new one."""
-        if base_from_laser in self._frames:
-            return
-        count = len(self._frames) + 1
-        frame = LASER_FRAME if count == 1 else f"{LASER_FRAME}_{count}"
-        self._frames[base_from_laser] = frame
-        self._spacings[base_from_laser] = EvenSpacing()
-        mounting = Transform(BASE_FRAME, frame, *in_space(_mounting(base_from_laser)))
-        start_ns = self._store.stamps_ns[0]
-        self._log.raw(TF_STATIC, TF_MESSAGE, transforms_cdr(start_ns, [mounting]), start_ns)
-
-
 def _mounting(pose: Pose2) -> Pose2:
     """A mounting without the last bits of its angle, which its quaternion does not keep."""
     return Pose2(pose.x, pose.y, round(pose.theta, 12))
@@ -131,7 +112,20 @@ def read_keyframes(path: Path, most: int, limits: LimitsConfig | None = None) ->
     They pass through a temporary file, as in a build. Raises MapError for a file that is missing,
     damaged or beyond its limits, UsageError when there is no room for the temporary file.
     """
-    _check_size(path, LimitsConfig() if limits is None else limits)
+    most_mb = (LimitsConfig() if limits is None else limits).keyframes_max_mb
+    try:
+        size, regular = path.stat().st_size, path.is_file()
+    except OSError as error:
+        raise MapError.of_system(error, "cannot read the keyframes", where=path) from None
+    if not regular:
+        raise MapError("not a regular file", "build the map again", where=path)
+    if size > most_mb * 1e6:
+        raise MapError(
+            f"larger than {most_mb:g} MB;",
+            "if it is meant, raise limits.keyframes_max_mb",
+            where=path,
+            code=TOO_LARGE,
+        )
     store = KeyframeStore()
     try:
         for scan in _scans(path):
@@ -142,22 +136,6 @@ def read_keyframes(path: Path, most: int, limits: LimitsConfig | None = None) ->
         store.close()
         raise
     return store
-
-
-def _check_size(path: Path, limits: LimitsConfig) -> None:
-    try:
-        size, regular = path.stat().st_size, path.is_file()
-    except OSError as error:
-        raise MapError.of_system(error, "cannot read the keyframes", where=path) from None
-    if not regular:
-        raise MapError("not a regular file", "build the map again", where=path)
-    if size > limits.keyframes_max_mb * 1e6:
-        raise MapError(
-            f"larger than {limits.keyframes_max_mb:g} MB;",
-            "if it is meant, raise limits.keyframes_max_mb",
-            where=path,
-            code=TOO_LARGE,
-        )
 
 
 def _scans(path: Path) -> Iterator[PosedScan]:
@@ -191,32 +169,31 @@ class _Reader:
         """Take in a message; the keyframe that it completes, if any. Raises BadMessageError."""
         if message.topic == SCAN_TOPIC:
             return self._posed(decode_scan(message))
-        if message.topic == TF_STATIC:
+        if message.topic == TF:
+            self._take_pose(message)
+        else:
             for record in decode_transforms(message).records:
                 self._lasers[record.child] = _mounting(Pose2.from_matrix(record.parent_from_child))
-        elif not self._took_alike(message):
-            self._take_pose(decode_transforms(message).records)
         return None
 
-    def _take_pose(self, records: Sequence[TransformRecord]) -> None:
-        """Take the pose of the base; the next messages are probably of the same frames."""
+    def _take_pose(self, message: Message) -> None:
+        """Take the pose of the base; most messages are of the same frames as the last one."""
+        form = self._form if message.type == TF_MESSAGE else None
+        found = None if form is None else form.decoded(message.data, self._place)
+        if found is not None:
+            x, y, _, x_turn, y_turn, z_turn, w_turn = found[1]
+            square = z_turn * z_turn + w_turn * w_turn
+            level = x_turn == y_turn == 0.0 and 0.5 < square < 2.0  # as it is written here
+            if level and max(abs(x), abs(y)) <= _FAR_M:
+                theta = math.atan2(2.0 * w_turn * z_turn, w_turn * w_turn - z_turn * z_turn)
+                self._pose = found[0], _pose(Pose2(x, y, theta))
+                return
+        records = decode_transforms(message).records
         for place, record in enumerate(records):
             if record.child == BASE_FRAME:
                 self._pose = record.stamp_ns, _pose(Pose2.from_matrix(record.parent_from_child))
                 self._place = place
                 self._form = AlikeTransforms([(each.parent, each.child) for each in records])
-
-    def _took_alike(self, message: Message) -> bool:
-        """Take the pose out of a message of the frames of the last one; whether it is in there."""
-        if self._form is None or message.type != TF_MESSAGE:
-            return False
-        found = self._form.decoded(message.data, self._place)
-        if found is None or not _is_level(found[1]):
-            return False
-        x, y, _, _, _, z_turn, w_turn = found[1]
-        theta = math.atan2(2.0 * w_turn * z_turn, w_turn * w_turn - z_turn * z_turn)
-        self._pose = found[0], _pose(Pose2(x, y, theta))
-        return True
 
     def _posed(self, record: ScanRecord | CloudRecord) -> PosedScan:
         if isinstance(record, CloudRecord):
@@ -226,11 +203,18 @@ class _Reader:
         if record.frame not in self._lasers:
             raise BadMessageError(f"scan {self._count} is of no known laser: {record.frame!r}")
         self._count += 1
+        beams, step = record.layout.beams, increment(record.layout)
         return PosedScan(
             index=self._count - 1,
             stamp_ns=record.stamp_ns,
             map_from_base=self._pose[1],
-            planar=_planar(record),
+            planar=PlanarScan(  # the ranges mean what they do in the message
+                stamp_ns=record.stamp_ns,
+                bearings=record.layout.angle_min + step * np.arange(beams, dtype=np.float64),
+                ranges=record.ranges.astype(np.float64),
+                range_max=record.range_max,
+                full_circle=covers_circle(beams, step),
+            ),
             base_from_laser=self._lasers[record.frame],
         )
 
@@ -238,22 +222,3 @@ class _Reader:
 def _pose(pose: Pose2) -> Pose2:
     """A pose as it was before its quaternion was cut."""
     return Pose2(*_cut(np.array(pose)).tolist())
-
-
-def _is_level(numbers: Sequence[float]) -> bool:
-    """Whether place and quaternion are of a pose in the plane, as it is written here."""
-    x, y, _, x_turn, y_turn, z_turn, w_turn = numbers
-    square = z_turn * z_turn + w_turn * w_turn
-    return x_turn == y_turn == 0.0 and 0.5 < square < 2.0 and max(abs(x), abs(y)) <= _FAR_M
-
-
-def _planar(record: ScanRecord) -> PlanarScan:
-    """The scan with the ranges as they stand: their meanings are those of a `PlanarScan`."""
-    beams, step = record.layout.beams, increment(record.layout)
-    return PlanarScan(
-        stamp_ns=record.stamp_ns,
-        bearings=record.layout.angle_min + step * np.arange(beams, dtype=np.float64),
-        ranges=record.ranges.astype(np.float64),
-        range_max=record.range_max,
-        full_circle=covers_circle(beams, step),
-    )

@@ -86,37 +86,6 @@ class GraphRecord(Record):
     edits: EditsRecord = Field(description="what of edits.toml the map shows")
     quality: Quality | None = Field(description="null where the map was not judged")
 
-    @classmethod
-    def of(
-        cls,
-        topology: TopologicalMap,
-        logs: Sequence[LogInfo],
-        frame: str,
-        quality: Quality | None,
-    ) -> Self:
-        """What holds for a map; closures name the submaps that their stays are in by now."""
-        submap_of = {stay.number: stay.submap for stay in topology.stays}
-        return cls(
-            schema_version=SCHEMA_VERSION,
-            frame=frame,
-            next_id=max(topology.next_id, 1 + max(topology.submaps, default=-1)),
-            logs=tuple(logs),
-            stays=topology.stays,
-            breaks=topology.breaks,
-            closures=tuple(
-                replace(
-                    closure,
-                    new_submap=submap_of.get(closure.new),
-                    old_submap=submap_of.get(closure.old),
-                )
-                for closure in topology.closures
-            ),
-            doors=topology.doors,
-            robot_radius_m=topology.robot_radius_m,
-            edits=EditsRecord(submaps=topology.said, borders=topology.borders),
-            quality=quality,
-        )
-
 
 class NodeRecord(Record):
     """One submap."""
@@ -176,23 +145,6 @@ class NodeRecord(Record):
         """The pose of its frame in the map."""
         return Pose2(self.x, self.y, self.theta)
 
-    def submap(self, grid: GridMap, keyframes: Iterable[int]) -> Submap:
-        """The submap with what stands in other files: its grid, and its keyframes in order."""
-        polygon = np.array(self.polygon, dtype=np.float64).reshape(-1, 2)
-        return Submap(
-            id=self.id,
-            map_from_submap=self.frame,
-            keyframes=tuple(keyframes),
-            visits=self.visits,
-            grid=grid,
-            polygon=self.frame.inverse().apply(polygon),
-            name=self.name,
-            kind=self.kind,
-            properties=self.properties,
-            anchor=self.anchor,
-            anchor_clearance_m=self.anchor_clearance_m,
-        )
-
 
 class TopologyRecord(Record):
     """The whole file."""
@@ -212,11 +164,34 @@ class TopologyRecord(Record):
         frame: str = "map",
         quality: Quality | None = None,
     ) -> Self:
-        """The file of a map with these regions, made of `logs`; `frame` is that of coordinates."""
+        """The file of a map with these regions, made of `logs`; `frame` is that of coordinates.
+
+        Closures name the submaps that their stays are in by now.
+        """
+        submap_of = {stay.number: stay.submap for stay in topology.stays}
         return cls(
             directed=False,
             multigraph=False,
-            graph=GraphRecord.of(topology, logs, frame, quality),
+            graph=GraphRecord(
+                schema_version=SCHEMA_VERSION,
+                frame=frame,
+                next_id=max(topology.next_id, 1 + max(topology.submaps, default=-1)),
+                logs=tuple(logs),
+                stays=topology.stays,
+                breaks=topology.breaks,
+                closures=tuple(
+                    replace(
+                        closure,
+                        new_submap=submap_of.get(closure.new),
+                        old_submap=submap_of.get(closure.old),
+                    )
+                    for closure in topology.closures
+                ),
+                doors=topology.doors,
+                robot_radius_m=topology.robot_radius_m,
+                edits=EditsRecord(submaps=topology.said, borders=topology.borders),
+                quality=quality,
+            ),
             nodes=tuple(
                 NodeRecord.of(topology.submaps[id_], regions.outline(id_))
                 for id_ in sorted(topology.submaps)
@@ -232,12 +207,24 @@ class TopologyRecord(Record):
         keyframes_of: Callable[[int], Iterable[int]],
     ) -> TopologicalMap:
         """The map; grids and keyframe numbers come from the files beside this one."""
-        graph = self.graph
+        graph, submaps = self.graph, {}
+        for node in self.nodes:
+            polygon = np.array(node.polygon, dtype=np.float64).reshape(-1, 2)
+            submaps[node.id] = Submap(
+                id=node.id,
+                map_from_submap=node.frame,
+                keyframes=tuple(keyframes_of(node.id)) if node.scans else (),
+                visits=node.visits,
+                grid=grid_of(node),
+                polygon=node.frame.inverse().apply(polygon),
+                name=node.name,
+                kind=node.kind,
+                properties=node.properties,
+                anchor=node.anchor,
+                anchor_clearance_m=node.anchor_clearance_m,
+            )
         return TopologicalMap(
-            submaps={
-                node.id: node.submap(grid_of(node), keyframes_of(node.id) if node.scans else ())
-                for node in self.nodes
-            },
+            submaps=submaps,
             edges={(edge.source, edge.target): edge for edge in self.edges},
             closures=graph.closures,
             stays=graph.stays,

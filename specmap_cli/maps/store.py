@@ -89,31 +89,23 @@ class StoredMap:
     @cached_property
     def topology(self) -> TopologicalMap:
         """The map with all its grids; keyframes are rows of `labels`."""
-        self._check_keyframes()
-        return self.record.topology(
-            lambda node: self.grid(node.id),
-            lambda id_: np.flatnonzero(self.labels.submaps == id_).tolist(),
-        )
-
-    def _check_keyframes(self) -> None:
-        """Refuse stays, breaks and merges of keyframes that are none, and one in two stays."""
         graph = self.record.graph
         runs = [run for stay in graph.stays for run in stay.runs]
-        merges = [each for each in graph.edits.borders if isinstance(each, Merge)]
-        merged = [run for merge in merges for run in merge.runs]
-        last = max(
-            [end for _, end in runs + merged] + [each.keyframe for each in graph.breaks], default=-1
+        merged = [run for one in graph.edits.borders if isinstance(one, Merge) for run in one.runs]
+        lasts = [end for _, end in runs + merged] + [each.keyframe for each in graph.breaks]
+        if lasts:  # of keyframes that there are, none of them in two stays
+            known = len(self.labels.stamps_ns)
+            if max(lasts) >= known or sum(end - start + 1 for start, end in runs) > known:
+                raise MapError(
+                    "graph.stays, breaks or edits do not fit to the "
+                    f"{counted(known, 'keyframe')} of {filenames.LABELS}",
+                    "build the map again",
+                    where=self.path / filenames.TOPOLOGY,
+                )
+        return self.record.topology(
+            lambda node: self.grids[node.id],
+            lambda id_: np.flatnonzero(self.labels.submaps == id_).tolist(),
         )
-        if last < 0:
-            return
-        known = len(self.labels.stamps_ns)
-        if last >= known or sum(end - start + 1 for start, end in runs) > known:
-            raise MapError(
-                "graph.stays, breaks or edits do not fit to the "
-                f"{counted(known, 'keyframe')} of {filenames.LABELS}",
-                "build the map again",
-                where=self.path / filenames.TOPOLOGY,
-            )
 
     @cached_property
     def regions(self) -> Regions:
@@ -141,9 +133,9 @@ class StoredMap:
         path, stamps_ns = self.path / filenames.KEYFRAMES, self.labels.stamps_ns.tolist()
         if not path.exists():
             raise MapError(
-                f"has no {path.name}: only maps that this version of `specmap build` made "
-                "of a recording keep their scans",
-                "build the map again",
+                f"has no {path.name}",
+                "only maps that this version of `specmap build` made of a recording keep their "
+                "scans: build the map again",
                 where=self.path,
             )
         store = read_keyframes(path, len(stamps_ns), self.limits)
@@ -185,8 +177,9 @@ class StoredMap:
         path = self.path / name
         if not path.exists():
             raise MapError(
-                f"has no {name}: `specmap segment` makes maps without; here one is needed "
-                "that `specmap build` made of a recording",
+                f"has no {name}",
+                "`specmap segment` makes maps without; here one is needed that `specmap build` "
+                "made of a recording",
                 where=self.path,
             )
         return path

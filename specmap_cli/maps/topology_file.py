@@ -7,7 +7,7 @@ check of schema 2 to refuse.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,8 @@ def read_topology(path: Path, limits: LimitsConfig) -> tuple[TopologyRecord, str
     Raises MapError when it cannot be read, is of an unknown version, or contradicts itself.
     """
     document = map_json(path, limits)
-    version, note = version_of(document), ""
+    graph = document.get("graph") if isinstance(document, dict) else None
+    version, note = graph.get("schema_version") if isinstance(graph, dict) else None, ""
     if version == 1:
         document, note = upgraded(document), f"{path.parent}: {MISSING}"
     elif version != SCHEMA_VERSION:
@@ -47,45 +48,32 @@ def read_topology(path: Path, limits: LimitsConfig) -> tuple[TopologyRecord, str
 
 def _faults(record: TopologyRecord) -> Iterator[str]:
     """What does not fit together in a record."""
-    ids = {node.id for node in record.nodes}
+    graph, ids = record.graph, {node.id for node in record.nodes}
     if len(ids) != len(record.nodes):
         yield "nodes: an id occurs twice"
-    if record.graph.next_id <= max(ids, default=-1):
-        yield f"graph.next_id: {record.graph.next_id} is the id of a node or smaller"
-    for where, id_ in _named_submaps(record):
-        if id_ is not None and id_ not in ids:
-            yield f"{where}: submap {id_} is not among the nodes"
-    yield from _door_faults(record)
-    yield from _stay_faults(record)
-    yield from _edit_faults(record.graph.edits)
-
-
-def _named_submaps(record: TopologyRecord) -> Iterator[tuple[str, int | None]]:
-    """Each place that names a submap, and the submap."""
-    for number, edge in enumerate(record.edges):
-        yield f"edges.{number}", edge.source
-        yield f"edges.{number}", edge.target
-    for number, door in enumerate(record.graph.doors):
-        yield f"graph.doors.{number}", door.between[0]
-        yield f"graph.doors.{number}", door.between[1]
-    for number, stay in enumerate(record.graph.stays):
-        yield f"graph.stays.{number}", stay.submap
-    for number, closure in enumerate(record.graph.closures):
-        yield f"graph.closures.{number}", closure.new_submap
-        yield f"graph.closures.{number}", closure.old_submap
-    for number, said in enumerate(record.graph.edits.submaps):
-        yield f"graph.edits.submaps.{number}", said.id
-
-
-def _door_faults(record: TopologyRecord) -> Iterator[str]:
-    """Doors of one number, and edges through doors that are none."""
-    ids = {door.id for door in record.graph.doors}
-    if len(ids) != len(record.graph.doors):
+    if graph.next_id <= max(ids, default=-1):
+        yield f"graph.next_id: {graph.next_id} is the id of a node or smaller"
+    named: dict[str, list[tuple[int | None, ...]]] = {
+        "edges": [(edge.source, edge.target) for edge in record.edges],
+        "graph.doors": [door.between for door in graph.doors],
+        "graph.stays": [(stay.submap,) for stay in graph.stays],
+        "graph.closures": [(one.new_submap, one.old_submap) for one in graph.closures],
+        "graph.edits.submaps": [(said.id,) for said in graph.edits.submaps],
+    }
+    for where, all_ in named.items():
+        for number, some in enumerate(all_):
+            for id_ in some:
+                if id_ is not None and id_ not in ids:
+                    yield f"{where}.{number}: submap {id_} is not among the nodes"
+    doors = {door.id for door in graph.doors}
+    if len(doors) != len(graph.doors):
         yield "graph.doors: an id occurs twice"
     for number, edge in enumerate(record.edges):
         for door in edge.doors:
-            if door not in ids:
+            if door not in doors:
                 yield f"edges.{number}: door {door} is not among graph.doors"
+    yield from _stay_faults(record)
+    yield from _edit_faults(graph.edits)
 
 
 def _stay_faults(record: TopologyRecord) -> Iterator[str]:
@@ -128,65 +116,41 @@ MISSING = (
     "or ways, and cannot be updated, merged or divided anew; build it again to have these"
 )
 
-_NODE: dict[str, Any] = {
-    "kind": None,
-    "properties": {},
-    "anchor": None,
-    "anchor_clearance_m": None,
-}
-_EDGE: dict[str, Any] = {
-    "doors": [],
-    "path": None,
-    "length_m": None,
-    "clearance_m": None,
-    "forbidden": False,
-}
-
-
-def version_of(document: Any) -> Any:
-    """The schema version that a document names, None where it names none."""
-    graph = document.get("graph") if isinstance(document, dict) else None
-    return graph.get("schema_version") if isinstance(graph, dict) else None
-
 
 def upgraded(document: dict[str, Any]) -> dict[str, Any]:
     """A document of schema 1 as one of schema 2."""
-    nodes = document.get("nodes")
+    graph, nodes = document["graph"], document.get("nodes")
+    objects = [node for node in nodes if isinstance(node, dict)] if isinstance(nodes, list) else []
+    ids = [node["id"] for node in objects if isinstance(node.get("id"), int)]
     return {
         **document,
-        "graph": _graph(document["graph"], nodes),
-        "nodes": _each(nodes, lambda node: {**_NODE, **node}),
-        "edges": _each(document.get("edges"), lambda edge: {**_EDGE, **edge}),
-    }
-
-
-def _graph(graph: dict[str, Any], nodes: Any) -> dict[str, Any]:
-    kept = {key: value for key, value in graph.items() if key != "log"}
-    return {
-        "quality": None,  # the first maps were not judged
-        **kept,
-        "schema_version": SCHEMA_VERSION,
-        "next_id": 1 + max(_ids(nodes), default=-1),
-        "logs": _each([graph.get("log")], lambda log: {"keyframes": None, **log}),
-        "stays": [],
-        "breaks": [],
-        "doors": [],
-        "robot_radius_m": None,
-        "edits": {"submaps": [], "borders": []},
-        "closures": _each(
-            graph.get("closures"),
-            lambda closure: {"new_submap": None, "old_submap": None, **closure},
+        "graph": {
+            "quality": None,  # the first maps were not judged
+            **{key: value for key, value in graph.items() if key != "log"},
+            "schema_version": SCHEMA_VERSION,
+            "next_id": 1 + max(ids, default=-1),
+            "logs": _each([graph.get("log")], keyframes=None),
+            "stays": [],
+            "breaks": [],
+            "doors": [],
+            "robot_radius_m": None,
+            "edits": {"submaps": [], "borders": []},
+            "closures": _each(graph.get("closures"), new_submap=None, old_submap=None),
+        },
+        "nodes": _each(nodes, kind=None, properties={}, anchor=None, anchor_clearance_m=None),
+        "edges": _each(
+            document.get("edges"),
+            doors=[],
+            path=None,
+            length_m=None,
+            clearance_m=None,
+            forbidden=False,
         ),
     }
 
 
-def _ids(nodes: Any) -> list[int]:
-    objects = [node for node in nodes if isinstance(node, dict)] if isinstance(nodes, list) else []
-    return [node["id"] for node in objects if isinstance(node.get("id"), int)]
-
-
-def _each(values: Any, change: Callable[[dict[str, Any]], dict[str, Any]]) -> Any:
-    """A list with its objects changed."""
+def _each(values: Any, **lacking: Any) -> Any:
+    """A list whose objects have what they were `lacking`."""
     if not isinstance(values, list):
         return values
-    return [change(value) if isinstance(value, dict) else value for value in values]
+    return [{**lacking, **value} if isinstance(value, dict) else value for value in values]

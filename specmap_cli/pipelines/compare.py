@@ -27,9 +27,6 @@ from specmap_cli.maps.comparison import (
     DoorRecord,
     DoorsRecord,
     MapFigures,
-    MergeRecord,
-    SplitRecord,
-    SubmapsRecord,
     ThingRecord,
     ThingsRecord,
 )
@@ -39,7 +36,6 @@ from specmap_cli.pipelines.localize import settings_for
 from specmap_cli.pipelines.overlaps import align_maps
 from specmap_cli.recognition.closure.alignment import Alignment
 from specmap_cli.topology.differences import Crossing, Differences, Obstacle, differences
-from specmap_cli.topology.identity import Identity
 from specmap_cli.topology.topological_map import default_name, driven_m, starts_of
 
 COMPARISON, SUMMARY, PICTURE = "compare.json", "summary.txt", "compare.png"
@@ -179,7 +175,7 @@ def record_of(
         new=new,
         identical=identical,
         alignment=_alignment(alignment),
-        submaps=_submaps(found.identity),
+        submaps=found.identity,
         doors=DoorsRecord(
             closed=[_door(way) for way in found.closed], opened=[_door(way) for way in found.opened]
         ),
@@ -247,19 +243,6 @@ def _alignment(alignment: Alignment) -> AlignmentRecord:
     )
 
 
-def _submaps(identity: Identity) -> SubmapsRecord:
-    return SubmapsRecord(
-        same=identity.same,
-        split=[SplitRecord(old=old, new=list(new)) for old, new in identity.splits.items()],
-        merged=[MergeRecord(old=list(old), new=new) for new, old in identity.merges.items()],
-        new=list(identity.added),
-        unseen=list(identity.unseen),
-        gone=list(identity.gone),
-        redrawn_old=list(identity.redrawn[0]),
-        redrawn_new=list(identity.redrawn[1]),
-    )
-
-
 def _door(way: Crossing) -> DoorRecord:
     x, y = way.place.tolist()
     return DoorRecord(between=way.between, x=x, y=y, width_m=way.width_m)
@@ -272,7 +255,7 @@ def _obstacle(one: Obstacle) -> ThingRecord:
         y=y,
         length_m=one.length_m,
         width_m=one.width_m,
-        area_m2=one.area_m2,
+        area_m2=one.length_m * one.width_m,
         corners=[point(corner) for corner in one.corners],
         old_submap=one.old_submap,
         new_submap=one.new_submap,

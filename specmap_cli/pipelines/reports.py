@@ -25,7 +25,7 @@ from specmap_cli.topology.regions import NOBODY
 SCHEMA_VERSION = 1  # of run.json: schemas/run.schema.json
 
 # The counts that say what the map is; the others say what was read for it.
-OF_THE_MAP = frozenset({"scans", "keyframes", "submaps", "edges", "merges", "path_m"})
+OF_THE_MAP = frozenset({"scans", "keyframes", "submaps", "edges", "doors", "merges", "path_m"})
 _MOVED_IOU = 0.9  # below it a border is not the one that people knew
 
 

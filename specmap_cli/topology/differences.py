@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -18,31 +18,27 @@ from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.topology.identity import Identity, identify
 from specmap_cli.topology.regions import NOBODY, Regions, borders_of
 
+_Cells = NDArray[np.intp]  # (n, 2) rows and columns
+
 _DOORWAY_M = 0.5  # from a way, besides half its width: what stands there is its door
 _NEAR_M = 1.0  # from a submap's floor: what stands there stands in it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Obstacle:
-    """Something that stands in one map where the other saw free space.
+    """An obstacle of one map where the other saw free space, in the frame of the old map.
 
     `corners` (4, 2) are those of the smallest box round it, `centre` (2,) its middle, `length_m`
-    and `width_m` the sides of the box, the longer first; `cells` how many cells of the map show it.
-    `old_submap` and `new_submap` are those that it stands in, by either map.
+    and `width_m` the sides of the box, the longer first. `old_submap` and `new_submap` are those
+    that it stands in, by either map.
     """
 
     corners: FloatArray
     centre: FloatArray
     length_m: float
     width_m: float
-    cells: int
     old_submap: int | None = None
     new_submap: int | None = None
-
-    @property
-    def area_m2(self) -> float:
-        """Square metres of the box."""
-        return self.length_m * self.width_m
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,8 +58,8 @@ class Differences:
     """Two maps against each other; all places are in the old map.
 
     `closed`: ways of the old map, between its submaps, that are blocked in the new one; `opened`:
-    ways of the new map, between its submaps, that were blocked. `appeared` and `vanished`: what
-    stands in one map where the other saw free space.
+    ways of the new map, between its submaps, that were blocked. `appeared` and `vanished`: the
+    obstacles of one map where the other saw free space.
     """
 
     identity: Identity
@@ -80,52 +76,39 @@ def differences(
     new_from_old = old_from_new.inverse()
     before, after = Surveyed(old.grid, tracks[0]), Surveyed(new.grid, tracks[1])
     closed = blocked_ways(old, after, new_from_old)
-    opened = [_moved(way, old_from_new) for way in blocked_ways(new, before, old_from_new)]
-    obstacles = obstacles_in(new.grid, before, old_from_new)
-    appeared = [_turned(obstacle, old_from_new) for obstacle in obstacles]
-    vanished = obstacles_in(old.grid, after, new_from_old)
-    placed = [
-        tuple(_placed(obstacle, old, new, new_from_old) for obstacle in _outside(obstacles, ways))
-        for obstacles, ways in ((appeared, closed), (vanished, opened))
+    opened = [
+        replace(way, place=old_from_new.apply(way.place[None])[0])
+        for way in blocked_ways(new, before, old_from_new)
     ]
+    vanished = obstacles_in(old.grid, after, new_from_old)
+    appeared = []
+    for obstacle in obstacles_in(new.grid, before, old_from_new):
+        near = old_from_new.near(obstacle.centre)
+        centre, corners = near.apply(obstacle.centre[None])[0], near.apply(obstacle.corners)
+        appeared.append(replace(obstacle, centre=centre, corners=corners))
+
+    def placed(obstacles: Iterable[Obstacle], ways: Sequence[Crossing]) -> tuple[Obstacle, ...]:
+        """Those that are not the doors of these ways, with the submaps that they stand in."""
+        return tuple(
+            replace(
+                obstacle,
+                old_submap=_submap_at(old, obstacle.centre),
+                new_submap=_submap_at(new, new_from_old.apply(obstacle.centre[None])[0]),
+            )
+            for obstacle in obstacles
+            if all(
+                math.dist(obstacle.centre, way.place) > way.width_m / 2 + _DOORWAY_M
+                or obstacle.length_m > way.width_m + 2 * _DOORWAY_M
+                for way in ways
+            )
+        )
+
     return Differences(
         identity=identify(old, new, old_from_new.rigid),
         closed=tuple(closed),
         opened=tuple(opened),
-        appeared=placed[0],
-        vanished=placed[1],
-    )
-
-
-def _moved(way: Crossing, old_from_new: BentMotion) -> Crossing:
-    return replace(way, place=old_from_new.apply(way.place[None])[0])
-
-
-def _turned(obstacle: Obstacle, old_from_new: BentMotion) -> Obstacle:
-    near = old_from_new.near(obstacle.centre)
-    return replace(
-        obstacle, centre=near.apply(obstacle.centre[None])[0], corners=near.apply(obstacle.corners)
-    )
-
-
-def _outside(obstacles: Iterable[Obstacle], ways: Sequence[Crossing]) -> list[Obstacle]:
-    """The obstacles that are not the doors of some ways."""
-    return [
-        obstacle
-        for obstacle in obstacles
-        if all(
-            math.dist(obstacle.centre, way.place) > way.width_m / 2 + _DOORWAY_M
-            or obstacle.length_m > way.width_m + 2 * _DOORWAY_M
-            for way in ways
-        )
-    ]
-
-
-def _placed(obstacle: Obstacle, old: Regions, new: Regions, new_from_old: BentMotion) -> Obstacle:
-    """A obstacle with the submaps that it stands in."""
-    there = new_from_old.apply(obstacle.centre[None])[0]
-    return replace(
-        obstacle, old_submap=_submap_at(old, obstacle.centre), new_submap=_submap_at(new, there)
+        appeared=placed(appeared, closed),
+        vanished=placed(vanished, opened),
     )
 
 
@@ -172,7 +155,7 @@ class Surveyed:
 
 
 def obstacles_in(grid: GridMap, survey: Surveyed, other_from_grid: BentMotion) -> list[Obstacle]:
-    """What stands in a map where another one saw free space, the largest first."""
+    """The obstacles of a map where another one saw free space, the largest first."""
     cells, other = np.argwhere(grid.occupied), survey.grid
     apart_m, depth_m = other.obstacle_distance(), other.clearance()
     places = other_from_grid.apply(grid.centres_of(cells))
@@ -185,42 +168,33 @@ def obstacles_in(grid: GridMap, survey: Surveyed, other_from_grid: BentMotion) -
     sure = free & (apart > max(_APART_M, _APART_CELLS * other.resolution) + _ROUNDING_M)
     sure &= depth_m[rows, columns] > max(_DEPTH_M, _DEPTH_CELLS * other.resolution)
     adjoining = free & (apart > _ADJOINING_CELLS * other.resolution)
-    found = [_obstacle(grid, part) for part in _parts(grid, cells, sure, adjoining)]
-    large = [
-        obstacle
-        for obstacle in found
-        if obstacle.length_m >= _LEAST_M and obstacle.cells >= _LEAST_CELLS
-    ]
-    return sorted(large, key=lambda obstacle: (-obstacle.length_m, *obstacle.centre.tolist()))
+    obstacles = []
+    for part in _parts(grid, cells[sure], cells[sure | adjoining]):
+        points = grid.centres_of(part)
+        (x, y), sides, _ = box = cv2.minAreaRect(points.astype(np.float32))
+        length_m, width_m = sorted((float(side) + grid.resolution for side in sides), reverse=True)
+        if length_m >= _LEAST_M:
+            obstacles.append(
+                Obstacle(
+                    corners=np.asarray(cv2.boxPoints(box), dtype=np.float64),
+                    centre=np.array([x, y], dtype=np.float64),
+                    length_m=length_m,
+                    width_m=width_m,
+                )
+            )
+    return sorted(obstacles, key=lambda one: (-one.length_m, *one.centre.tolist()))
 
 
-def _parts(
-    grid: GridMap, cells: NDArray[np.intp], sure: BoolArray, adjoining: BoolArray
-) -> list[NDArray[np.intp]]:
-    """The cells (N, 2) of each obstacle: those that are sure and what hangs together with them."""
+def _parts(grid: GridMap, sure: _Cells, some: _Cells) -> list[_Cells]:
+    """The cells (n, 2) of each obstacle: those that are sure and `some` that hang together."""
     picture = np.zeros(grid.cells.shape, dtype=np.uint8)
-    picture[tuple(cells[sure | adjoining].T)] = 1
+    picture[tuple(some.T)] = 1
     reach = max(1, round(0.5 * _GAP_M / grid.resolution))
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     count, labels = cv2.connectedComponents(cv2.dilate(picture, kernel), connectivity=8)
-    some = cells[sure | adjoining]
     of_cell = labels[tuple(some.T)]
-    known = np.bincount(labels[tuple(cells[sure].T)], minlength=count)
+    known = np.bincount(labels[tuple(sure.T)], minlength=count)
     return [some[of_cell == k] for k in range(1, count) if known[k] >= _LEAST_CELLS]
-
-
-def _obstacle(grid: GridMap, cells: NDArray[np.intp]) -> Obstacle:
-    """The obstacle that some cells (N, 2) show."""
-    points = grid.centres_of(cells)
-    (x, y), sides, _ = box = cv2.minAreaRect(points.astype(np.float32))
-    length, width = sorted((float(side) + grid.resolution for side in sides), reverse=True)
-    return Obstacle(
-        corners=np.asarray(cv2.boxPoints(box), dtype=np.float64),
-        centre=np.array([x, y], dtype=np.float64),
-        length_m=length,
-        width_m=width,
-        cells=len(cells),
-    )
 
 
 def walls_in_common(grid: GridMap, other: GridMap, other_from_grid: BentMotion) -> BoolArray:
@@ -243,8 +217,6 @@ _ASIDE_M = 0.25  # what lies farther than this from a border is on one side of i
 _PASSABLE_M = 0.1  # from obstacles: a leaf of a door has gaps of a cell or two
 _SEEN = 0.5  # share of a side that the other map must have seen
 
-_Cells = NDArray[np.intp]
-
 
 def blocked_ways(regions: Regions, survey: Surveyed, other_from_map: BentMotion) -> list[Crossing]:
     """The ways of a divided map that are blocked in another map, which saw one side at the least.
@@ -253,84 +225,63 @@ def blocked_ways(regions: Regions, survey: Surveyed, other_from_map: BentMotion)
 
     In order of the pairs of submaps, then of the places.
     """
-    other = survey.grid, survey.grid.obstacle_distance()
-    return [
-        way
-        for way, border in _ways(regions)
-        if survey.saw_well(other_from_map.apply(way.place[None]))[0]
-        and _is_blocked(regions, way, border, other, other_from_map)
-    ]
-
-
-def _ways(regions: Regions) -> Iterator[tuple[Crossing, FloatArray]]:
-    """Each way with the cells (n, 2) of its border, metres of the map."""
     grid, clearance = regions.grid, regions.grid.clearance()
+    away_m, blocked = survey.grid.obstacle_distance(), []
     for border in borders_of(regions.owner):
         cells = np.unique(np.concatenate([border.low, border.high]), axis=0)
         widths = clearance[tuple(cells.T)]
         width_m = 2.0 * float(widths.max())
-        if width_m >= _WAY_M:
-            places = grid.centres_of(cells)
-            widest = places[int(widths.argmax())]
-            yield Crossing(between=border.pair, place=widest, width_m=width_m), places
-
-
-def _is_blocked(
-    regions: Regions,
-    way: Crossing,
-    border: FloatArray,
-    other: tuple[GridMap, FloatArray],
-    other_from_map: BentMotion,
-) -> bool:
-    """Whether the other map saw a side of a way, and something all across it."""
-    grid, near_m = other
-    cells, shape, sides = _around(regions, way, border)
-    placed = grid.cells_of(other_from_map.apply(regions.grid.centres_of(cells)))
-    inside = grid.inside(placed)
-    values = np.full(len(cells), UNKNOWN, dtype=np.uint8)
-    away = np.zeros(len(cells))
-    rows, columns = placed[inside].T
-    values[inside], away[inside] = grid.cells[rows, columns], near_m[rows, columns]
-    free = (values == FREE) & (away > _PASSABLE_M)
-    unknown = values == UNKNOWN
-    low = cells.min(axis=0)
-    if not any(side.any() and np.mean(values[side] == FREE) >= _SEEN for side in sides):
-        return False
-    return not _connects(cells - low, shape, free | unknown, sides) and bool(
-        (values[~(sides[0] | sides[1])] == OCCUPIED).any()
-    )
+        if width_m < _WAY_M:
+            continue
+        place = grid.centres_of(cells)[int(widths.argmax())]
+        way = Crossing(between=border.pair, place=place, width_m=width_m)
+        if survey.saw_well(other_from_map.apply(place[None]))[0]:
+            around, sides = _around(regions, way, cells)
+            placed = survey.grid.cells_of(other_from_map.apply(grid.centres_of(around)))
+            if _is_blocked(survey.grid, away_m, placed, around, sides):
+                blocked.append(way)
+    return blocked
 
 
 def _around(
-    regions: Regions, way: Crossing, border: FloatArray
-) -> tuple[_Cells, tuple[int, int], tuple[BoolArray, BoolArray]]:
-    """The cells (n, 2) of the two submaps round a way, how many rows and columns they span, and
-    which of them are on either side of it.
-    """
+    regions: Regions, way: Crossing, border: _Cells
+) -> tuple[_Cells, tuple[BoolArray, BoolArray]]:
+    """The cells (n, 2) of the two submaps round a way, and which of them are on either side."""
     reach_m = way.width_m / 2 + _REACH_M
     box = regions.grid
     low = box.cells_of((way.place - reach_m)[None])[0].clip(0)
     high = box.cells_of((way.place + reach_m)[None])[0] + 1
-    window = regions.owner[low[0] : high[0], low[1] : high[1]]
-    cells = np.argwhere(np.isin(window, way.between)) + low
+    window = slice(low[0], high[0]), slice(low[1], high[1])
+    cells = np.argwhere(np.isin(regions.owner[window], way.between)) + low
+    apart = np.ones(box.cells.shape, dtype=np.uint8)
+    apart[tuple(border.T)] = 0
+    away = cv2.distanceTransform(apart[window], cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    far = away[tuple((cells - low).T)] * box.resolution > _ASIDE_M
     owners = regions.owner[tuple(cells.T)]
-    away = np.full(box.cells.shape, 1, dtype=np.uint8)
-    away[tuple(box.cells_of(border).T)] = 0
-    window_away = cv2.distanceTransform(
-        away[low[0] : high[0], low[1] : high[1]], cv2.DIST_L2, cv2.DIST_MASK_PRECISE
-    )
-    far = window_away[tuple((cells - low).T)] * box.resolution > _ASIDE_M
-    sides = far & (owners == way.between[0]), far & (owners == way.between[1])
-    span = cells.max(axis=0) - cells.min(axis=0) + 1
-    return cells, (int(span[0]), int(span[1])), sides
+    return cells, (far & (owners == way.between[0]), far & (owners == way.between[1]))
 
 
-def _connects(
-    cells: _Cells, shape: tuple[int, int], passable: BoolArray, sides: tuple[BoolArray, BoolArray]
+def _is_blocked(
+    other: GridMap,
+    away_m: FloatArray,
+    placed: _Cells,
+    cells: _Cells,
+    sides: tuple[BoolArray, BoolArray],
 ) -> bool:
-    """Whether one can go from one side to the other through cells (n, 2) that are passable (n,)."""
-    picture = np.zeros(shape, dtype=np.uint8)
-    picture[tuple(cells[passable].T)] = 1
-    _, labels = cv2.connectedComponents(picture, connectivity=4)
-    one, other = (set(labels[tuple(cells[side & passable].T)].tolist()) for side in sides)
-    return bool(one & other)
+    """Whether another map saw a side of a way, and obstacles all across it.
+
+    `cells` (n, 2) round the way are `placed` (n, 2) in that map, `away_m` from its obstacles.
+    """
+    inside = other.inside(placed)
+    values, away = np.full(len(cells), UNKNOWN, dtype=np.uint8), np.zeros(len(cells))
+    rows, columns = placed[inside].T
+    values[inside], away[inside] = other.cells[rows, columns], away_m[rows, columns]
+    if not any(side.any() and np.mean(values[side] == FREE) >= _SEEN for side in sides):
+        return False
+    passable = ((values == FREE) & (away > _PASSABLE_M)) | (values == UNKNOWN)
+    local = cells - cells.min(axis=0)
+    picture = np.zeros(local.max(axis=0) + 1, dtype=np.uint8)
+    picture[tuple(local[passable].T)] = 1
+    _, parts = cv2.connectedComponents(picture, connectivity=4)
+    one, two = (set(parts[tuple(local[side & passable].T)].tolist()) for side in sides)
+    return not one & two and bool((values[~(sides[0] | sides[1])] == OCCUPIED).any())

@@ -45,70 +45,60 @@ def passages(
     """
     least = least_m / space.grid.resolution
     places: dict[Pair, list[Narrow]] = {}
-    openings: dict[Pair, list[FloatArray]] = {}
+    open_cells: dict[Pair, list[FloatArray]] = {}
     for border in borders_of(space.owner):
-        if 2.0 * border.clearance(space.away) >= least:
-            found = list(narrows(space, border, least))
-            if found:
-                places.setdefault(border.pair, []).extend(found)
-            else:
-                openings.setdefault(border.pair, []).append(_cells(space, border))
-    open_borders = {pair: np.concatenate(cells) for pair, cells in openings.items()}
-    doors: list[Door] = []
-    for pair in sorted(places):
-        mine = [_door(space, pair, place) for place in _different(places[pair])]
-        mine.sort(key=lambda door: (door.y, door.x))
-        doors.extend(_crossed(mine, traversals.get(pair, ()), open_borders.get(pair)))
-    numbered = tuple(replace(door, id=number) for number, door in enumerate(doors))
-    return Passages(numbered, open_borders)
+        both = np.minimum(space.away[tuple(border.low.T)], space.away[tuple(border.high.T)])
+        if 2.0 * float(both.max()) < least:
+            continue
+        found = list(narrows(space, border, least))
+        if not found:
+            middles = space.grid.centres_of((border.low + border.high) / 2.0)
+            open_cells.setdefault(border.pair, []).append(middles)
+        for place in found:  # some were found from another stretch of the border, too
+            mine = places.setdefault(border.pair, [])
+            if all(
+                float(np.linalg.norm(place.middle - one.middle)) >= (place.width + one.width) / 2.0
+                for one in mine
+            ):
+                mine.append(place)
+    openings = {pair: np.concatenate(cells) for pair, cells in open_cells.items()}
+    doors = [
+        door
+        for pair in sorted(places)
+        for door in _doors(
+            space, pair, places[pair], traversals.get(pair, ()), openings.get(pair, _NO_PLACES)
+        )
+    ]
+    return Passages(tuple(replace(door, id=number) for number, door in enumerate(doors)), openings)
 
 
-def _cells(space: Space, border: Border) -> FloatArray:
-    """(m, 2) the middles of a border's pairs of cells, metres of the map."""
-    return space.grid.centres_of((border.low + border.high) / 2.0)
-
-
-def _different(found: Iterable[Narrow]) -> list[Narrow]:
-    """Narrow places without those that were found from another stretch of the border, too."""
-    kept: list[Narrow] = []
-    for place in found:
-        if all(
-            float(np.linalg.norm(place.middle - other.middle)) >= (place.width + other.width) / 2.0
-            for other in kept
-        ):
-            kept.append(place)
-    return kept
-
-
-def _door(space: Space, pair: Pair, place: Narrow) -> Door:
-    """The door at a narrow place, not yet numbered."""
-    x, y = space.place(place.middle)
-    theta = math.atan2(place.along[0], place.along[1])  # rows run along y, columns along x
-    width_m = place.width * space.grid.resolution
-    return Door(id=0, x=x, y=y, width_m=width_m, theta=theta, between=pair)
-
-
-def _crossed(
-    doors: Sequence[Door], traversals: Iterable[Traversal], opening: FloatArray | None
+def _doors(
+    space: Space,
+    pair: Pair,
+    places: Iterable[Narrow],
+    traversals: Iterable[Traversal],
+    opening: FloatArray,
 ) -> list[Door]:
-    """The doors of one pair with the traversals that went through them."""
+    """The doors of one pair, not yet numbered, with the traversals that went through them."""
+    doors = []
+    for place in places:
+        x, y = space.place(place.middle)
+        theta = math.atan2(place.along[0], place.along[1])  # rows run along y, columns along x
+        width_m = place.width * space.grid.resolution
+        doors.append(Door(id=0, x=x, y=y, width_m=width_m, theta=theta, between=pair))
+    doors.sort(key=lambda door: (door.y, door.x))
     crossings: list[list[Traversal]] = [[] for _ in doors]
     for traversal in traversals:
         here = np.array([traversal.x, traversal.y])
         away = [math.dist(here, (door.x, door.y)) - door.width_m / 2.0 for door in doors]
         nearest = int(np.argmin(away))
-        in_the_open = math.inf if opening is None else _distance(opening, here)
+        in_the_open = np.linalg.norm(opening - here, axis=1).min(initial=math.inf)
         if away[nearest] <= in_the_open:
             crossings[nearest].append(traversal)
     return [
         replace(door, crossings=tuple(mine), driven=bool(mine))
         for door, mine in zip(doors, crossings, strict=True)
     ]
-
-
-def _distance(places: FloatArray, here: FloatArray) -> float:
-    """Metres from a place to the nearest of some (m, 2)."""
-    return float(np.linalg.norm(places - here, axis=1).min())
 
 
 # Space wider than this is no narrowing any more: rooms whose border is 0.8 times as wide as they
@@ -118,6 +108,7 @@ _REACH_M = 1.5  # from a border: the half of a corridor, a step into a room
 _STEP = 0.5  # cells, between the levels that are looked at first
 _OPPOSITE = -0.5  # cosine between the ways to the two sides of a passage: 120 degrees and more
 _EIGHT = np.ones((3, 3), dtype=np.uint8)
+_NO_PLACES = np.zeros((0, 2))
 
 Parts = NDArray[np.int32]
 
@@ -140,10 +131,22 @@ def narrows(space: Space, border: Border, least: float) -> Iterator[Narrow]:
     A border lies no farther from its door than the door is wide: submaps that meet in the open end
     somewhere, and a gap between chairs beyond is not their border.
     """
-    view = _View.of(space, border)
-    heights = view.heights.copy()
-    while (saddle := _saddle(heights, view.is_low, view.from_border, least)) is not None:
-        found = _measured(space, view, saddle)
+    reach = math.ceil(_REACH_M / space.grid.resolution)
+    cells = np.concatenate([border.low, border.high])
+    corner = np.maximum(cells.min(axis=0) - reach, 0)
+    end = cells.max(axis=0) + reach + 1
+    window = slice(corner[0], end[0]), slice(corner[1], end[1])
+    owner, own = space.owner[window], tuple((cells - corner).T)
+    line = np.ones(owner.shape, dtype=np.uint8)
+    line[own] = 0
+    from_border = cell_distances(line)
+    near = np.isin(owner, border.pair) & (from_border <= reach)
+    parts = _parts(near)
+    joined = near & np.isin(parts, np.unique(parts[own]))  # what hangs together with the border
+    heights = np.where(joined, space.away[window], 0.0)
+    is_low = owner == border.pair[0]
+    while (saddle := _saddle(heights, is_low, from_border, least)) is not None:
+        found = _measured(space, corner, saddle)
         if found.width >= least:
             yield found
         blocked = np.ones(heights.shape, dtype=np.uint8)
@@ -152,41 +155,8 @@ def narrows(space: Space, border: Border, least: float) -> Iterator[Narrow]:
 
 
 @dataclass(frozen=True, slots=True)
-class _View:
-    """The cells round a border: `corner` is the row and column of its first cell on the map.
-
-    `heights` (h, w) are the cells to the nearest one that is not free, 0 for those that do not
-    belong to the two submaps or hang together with the border; `is_low` those of the first one;
-    `from_border` (h, w) their distance, in cells.
-    """
-
-    corner: IntArray
-    heights: FloatArray
-    is_low: BoolArray
-    from_border: FloatArray
-
-    @classmethod
-    def of(cls, space: Space, border: Border) -> _View:
-        reach = math.ceil(_REACH_M / space.grid.resolution)
-        cells = np.concatenate([border.low, border.high])
-        corner = np.maximum(cells.min(axis=0) - reach, 0)
-        end = cells.max(axis=0) + reach + 1
-        window = slice(corner[0], end[0]), slice(corner[1], end[1])
-        owner = space.owner[window]
-        own = tuple((cells - corner).T)
-        line = np.ones(owner.shape, dtype=np.uint8)
-        line[own] = 0
-        from_border = cell_distances(line)
-        near = np.isin(owner, border.pair) & (from_border <= reach)
-        parts = _parts(near)
-        joined = np.isin(parts, np.unique(parts[own]))
-        heights = np.where(near & joined, space.away[window], 0.0)
-        return cls(corner, heights, owner == border.pair[0], from_border)
-
-
-@dataclass(frozen=True, slots=True)
 class _Saddle:
-    """A cell of the view between two hills, its height, and those hills (h, w)."""
+    """A cell of a window of the map between two hills, its height, and those hills (h, w)."""
 
     cell: tuple[int, int]
     height: float
@@ -197,7 +167,11 @@ class _Saddle:
 def _saddle(
     heights: FloatArray, is_low: BoolArray, from_border: FloatArray, least: float
 ) -> _Saddle | None:
-    """The highest saddle between a hill of each submap that is near enough to their border."""
+    """The highest saddle between a hill of each submap that is near enough to their border.
+
+    `heights` (h, w) are the cells to the nearest one that is not free, `is_low` (h, w) which cells
+    are the first submap's, `from_border` (h, w) how far they are from the border, in cells.
+    """
     tops = [float(np.max(heights[side], initial=0.0)) for side in (is_low, ~is_low)]
     # steps so low that no hill is high enough for a saddle and yet vanishes in one of them
     step = min(_STEP, (_HILL - 1.0) * least / 2.0)
@@ -276,22 +250,13 @@ def _steps(start: BoolArray, part: BoolArray) -> IntArray:
     return steps
 
 
-def _measured(space: Space, view: _View, saddle: _Saddle) -> Narrow:
-    """The narrow place at a saddle: from the nearest wall to the nearest one on the other side."""
-    cell = np.array(saddle.cell) + view.corner
-    side, other = _sides(space, cell, saddle.height)
-    across = (other - side) / np.linalg.norm(other - side)
-    along = np.array([-across[1], across[0]])
-    onward = _nearest(saddle.high, saddle.cell) - _nearest(saddle.low, saddle.cell)
-    if float(np.sum(along * onward)) < 0.0:
-        along = -along
-    width = float(np.linalg.norm(other - side)) - 1.0 + 2.0 * space.wall_depth
-    return Narrow((side + other) / 2.0, width, along)
+def _measured(space: Space, corner: IntArray, saddle: _Saddle) -> Narrow:
+    """The narrow place at a saddle: from the nearest wall to the nearest one on the other side.
 
-
-def _sides(space: Space, cell: IntArray, height: float) -> tuple[FloatArray, FloatArray]:
-    """Row and column of the cells that are not free next to a place, one on each side of it."""
-    reach = math.ceil(2.0 * height) + 2
+    `corner` is the row and column on the map of the first cell of the saddle's window.
+    """
+    cell = np.array(saddle.cell) + corner
+    reach = math.ceil(2.0 * saddle.height) + 2
     low = np.maximum(cell - reach, 0)
     window = slice(low[0], cell[0] + reach + 1), slice(low[1], cell[1] + reach + 1)
     # what is off the map is not free; off the window, something as far off is beyond the other side
@@ -301,14 +266,16 @@ def _sides(space: Space, cell: IntArray, height: float) -> tuple[FloatArray, Flo
     nearest = int(np.argmin(length))
     cosine = np.sum(way * way[nearest], axis=1) / (length * length[nearest])
     opposite = np.flatnonzero(cosine <= _OPPOSITE)
-    other = opposite[np.argmin(length[opposite])]
-    return taken[nearest].astype(np.float64), taken[other].astype(np.float64)
-
-
-def _nearest(cells: BoolArray, place: tuple[int, int]) -> IntArray:
-    """Row and column of the cell nearest to a place."""
-    found = np.argwhere(cells)
-    return np.asarray(found[np.argmin(np.sum((found - place) ** 2, axis=1))])
+    farther = opposite[np.argmin(length[opposite])]
+    side, other = taken[[nearest, farther]].astype(np.float64)
+    across = (other - side) / np.linalg.norm(other - side)
+    along = np.array([-across[1], across[0]])
+    hills = [np.argwhere(hill) for hill in (saddle.low, saddle.high)]
+    start, end = (hill[np.argmin(np.sum((hill - saddle.cell) ** 2, axis=1))] for hill in hills)
+    if float(np.sum(along * (end - start))) < 0.0:
+        along = -along
+    width = float(np.linalg.norm(other - side)) - 1.0 + 2.0 * space.wall_depth
+    return Narrow((side + other) / 2.0, width, along)
 
 
 def _parts(cells: BoolArray) -> Parts:

@@ -12,7 +12,7 @@ that no other ever had. So does a room that the robot had only looked into from 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -28,7 +28,6 @@ from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.topology.regions import NOBODY, Regions
 from specmap_cli.topology.topological_map import (
     Break,
-    Edge,
     EdgeKind,
     Stay,
     Submap,
@@ -40,7 +39,6 @@ from specmap_cli.topology.topological_map import (
 
 # A robot keeps its own radius off both sides of a wall: tracks this near are in one room.
 _MEETING_M = 0.5
-_STRENGTH: Mapping[EdgeKind, int] = {"loose": 0, "closure": 1, "traversed": 2}
 
 Pair = tuple[int, int]
 Span = tuple[int, int]
@@ -93,15 +91,29 @@ def build_topology(
     origin is the pose of their first keyframe. `starts` are the keyframes with which other
     recordings begin: nobody drove from the one before to these.
     """
-    spans = _spans(labels, starts)
+    recording = np.isin(np.arange(len(labels)), list(starts)).cumsum()
+    both = np.unique(np.column_stack([recording, labels]), axis=0, return_inverse=True)[1]
+    spans = runs(both.reshape(-1))  # in one submap, and of one recording
     submaps = _submaps(labels, poses, stamps_ns, spans, grids)
-    contacts = [
-        *_driven(labels, poses, stamps_ns, spans, starts, {each.keyframe for each in breaks}),
-        *_recognised(labels, poses, closures, {stay.number: stay.submap for stay in stays}),
-    ]
+    broken = {each.keyframe for each in breaks}
+    traversals = _traversals(labels, poses, stamps_ns, spans, starts, broken)
+    submap_of = {stay.number: stay.submap for stay in stays}
+    recognised: dict[Pair, None] = {}
+    for closure in closures:
+        if closure.verified and not closure.merged:
+            low, high = sorted((submap_of[closure.old], submap_of[closure.new]))
+            if low != high and (low, high) not in recognised:
+                away = cKDTree(poses[labels == low, :2]).query(poses[labels == high, :2])[0]
+                if float(np.min(away, initial=np.inf)) < _MEETING_M:
+                    recognised[low, high] = None
+    edges = {}
+    for pair in {**traversals, **recognised}:
+        crossed = tuple(traversals.get(pair, ()))
+        kind: EdgeKind = "closure" if pair in recognised else "loose"
+        edges[pair] = edge_between(submaps, pair, "traversed" if crossed else kind, crossed)
     return TopologicalMap(
         submaps=submaps,
-        edges=_edges(contacts, submaps),
+        edges=edges,
         closures=tuple(closures),
         stays=tuple(stays),
         breaks=tuple(breaks),
@@ -131,13 +143,6 @@ def stays_of(
     )
 
 
-def _spans(labels: IntArray, starts: Collection[int]) -> list[Span]:
-    """Half-open ranges of keyframes in one submap, of one recording each."""
-    recording = np.isin(np.arange(len(labels)), list(starts)).cumsum()
-    both = np.unique(np.column_stack([recording, labels]), axis=0, return_inverse=True)[1]
-    return runs(both.reshape(-1))
-
-
 def _submaps(
     labels: IntArray,
     poses: FloatArray,
@@ -161,68 +166,26 @@ def _submaps(
     }
 
 
-@dataclass(frozen=True, slots=True)
-class _Contact:
-    """One reason for an edge between two submaps, the smaller id first."""
-
-    pair: Pair
-    kind: EdgeKind
-    traversal: Traversal | None = None
-
-
-def _driven(
+def _traversals(
     labels: IntArray,
     poses: FloatArray,
     stamps_ns: Sequence[int],
     spans: Sequence[Span],
     starts: Collection[int],
     breaks: Collection[int],
-) -> Iterator[_Contact]:
-    """From each visit to the next: traversed, or loose where tracking restarted."""
+) -> dict[Pair, list[Traversal]]:
+    """Each crossing from a visit to the next, by pair; none over a restart of tracking."""
+    found: dict[Pair, list[Traversal]] = {}
     for (start, end), (after, _) in pairwise(spans):
         if after in starts:
             continue
         source, target = int(labels[start]), int(labels[after])
-        pair = (min(source, target), max(source, target))
-        if after in breaks:
-            yield _Contact(pair, "loose")
-            continue
-        x, y, _ = ((poses[end - 1] + poses[after]) / 2.0).tolist()
-        crossing = (x, y, float(poses[after, 2]))
-        yield _Contact(pair, "traversed", Traversal(stamps_ns[after], source, target, *crossing))
-
-
-def _recognised(
-    labels: IntArray,
-    poses: FloatArray,
-    closures: Iterable[Closure],
-    submap_of: Mapping[int, int],
-) -> Iterator[_Contact]:
-    """Closures that were verified though nothing was merged, where the robot's tracks meet."""
-    for closure in closures:
-        if closure.verified and not closure.merged:
-            low, high = sorted((submap_of[closure.old], submap_of[closure.new]))
-            if low == high:
-                continue
-            away = cKDTree(poses[labels == low, :2]).query(poses[labels == high, :2])[0]
-            if float(np.min(away, initial=np.inf)) < _MEETING_M:
-                yield _Contact((low, high), "closure")
-
-
-def _edges(contacts: Iterable[_Contact], submaps: Mapping[int, Submap]) -> dict[Pair, Edge]:
-    """One edge for each pair in contact, of the strongest kind, in order of the first contact."""
-    by_pair: dict[Pair, list[_Contact]] = {}
-    for contact in contacts:
-        by_pair.setdefault(contact.pair, []).append(contact)
-    return {
-        pair: edge_between(
-            submaps,
-            pair,
-            max((contact.kind for contact in found), key=_STRENGTH.__getitem__),
-            tuple(c.traversal for c in found if c.traversal is not None),
-        )
-        for pair, found in by_pair.items()
-    }
+        crossed = found.setdefault((min(source, target), max(source, target)), [])
+        if after not in breaks:
+            x, y, _ = ((poses[end - 1] + poses[after]) / 2.0).tolist()
+            theta = float(poses[after, 2])
+            crossed.append(Traversal(stamps_ns[after], source, target, x, y, theta))
+    return found
 
 
 _MOST = 0.5  # share of a submap in one region of the joint map: that region is the same place
@@ -250,61 +213,55 @@ def inherited(old: Heritage, poses: FloatArray, divided: IntArray, region_min_m:
     which the robot drove less than `region_min_m` becomes no submap of its own.
     """
     count = len(old.poses)
-    labels = np.concatenate([old.submaps, _territory(old, poses)])
-    known = _driven_in(divided[:count], poses[:count], region_min_m)
+    # carried back into the old map by the old keyframe nearest to it, a new one has a territory
+    nearest = cKDTree(poses[:count, :2]).query(poses[count:, :2])[1]
+    back = compose(old.poses[nearest], compose(invert(poses[nearest]), poses[count:]))
+    labels = np.concatenate([old.submaps, old.regions.owners(back)])
+    # what the old robot only looked into through a door is not known, whoever got its cells
+    driven_m = _driven_m(divided[:count], poses[:count])
+    known = [region for region, way_m in driven_m.items() if way_m >= region_min_m]
     strange = (labels == NOBODY) | ~np.isin(divided, known)
     strange[:count] = False
-    heirs = {**_mostly_in(labels, divided, known), **_heirs(old.submaps, divided[:count])}
-    names = _names(divided[strange].tolist(), heirs, old.next_id)
+    heirs = _heirs(labels, old.submaps, divided, known)
+    names: dict[int, int] = {}
+    for region in divided[strange].tolist():
+        names.setdefault(region, heirs.get(region, old.next_id + len(names)))
     labels[strange] = [names[region] for region in divided[strange].tolist()]
     own = _without_grazed(labels[count:], poses[count:], old.next_id, region_min_m)
     labels[count:] = settle_labels(own, poses[count:], region_min_m)
-    return _renumbered(labels, old.next_id)
+    order: dict[int, int] = {}  # new ids have no gaps
+    for label in labels[labels >= old.next_id].tolist():
+        order.setdefault(label, old.next_id + len(order))
+    return np.array([order.get(label, label) for label in labels.tolist()], dtype=np.int64)
 
 
-def _territory(old: Heritage, poses: FloatArray) -> IntArray:
-    """(m - n,) the old submap in whose region each new keyframe lies, NOBODY outside.
-
-    A place is carried back into the old map by the old keyframe nearest to it.
-    """
-    count = len(old.poses)
-    nearest = cKDTree(poses[:count, :2]).query(poses[count:, :2])[1]
-    back = compose(old.poses[nearest], compose(invert(poses[nearest]), poses[count:]))
-    return old.regions.owners(back)
-
-
-def _driven_in(divided: IntArray, poses: FloatArray, way_m: float) -> list[int]:
-    """The regions of the division in which old keyframes drove `way_m` or more.
-
-    What the old robot only looked into through a door is not known, whoever got its cells.
-    """
+def _driven_m(labels: IntArray, poses: FloatArray) -> dict[int, float]:
+    """How far the robot drove in each submap or region."""
     steps = np.append(step_lengths(poses), 0.0)
-    regions = np.unique(divided[divided != NOBODY]).tolist()
-    return [region for region in regions if steps[divided == region].sum() >= way_m]
+    found = np.unique(labels[labels != NOBODY]).tolist()
+    return {label: float(steps[labels == label].sum()) for label in found}
 
 
-def _mostly_in(labels: IntArray, divided: IntArray, known: Sequence[int]) -> dict[int, int]:
-    """For regions of the division whose keyframes lie for the most part in one submap: its id."""
-    found = {}
+def _heirs(
+    labels: IntArray, old: IntArray, divided: IntArray, known: Iterable[int]
+) -> dict[int, int]:
+    """The submap that new space in a region of the division goes to, for some of them.
+
+    An old submap goes on where most of its keyframes, `old` (n,), are; of several in one region
+    that with the most. A `known` region without one goes to the submap of most of its keyframes.
+    """
+    heirs = {}
     for region in known:
         submap, share = _commonest(labels[divided == region])
         if submap != NOBODY and share > _MOST:
-            found[region] = submap
-    return found
-
-
-def _heirs(submaps: IntArray, divided: IntArray) -> dict[int, int]:
-    """For regions of the division that are an old submap's place: its id.
-
-    Most of the old keyframes of the submap lie there, and of all such submaps it has the most.
-    """
-    heirs: dict[int, tuple[float, int]] = {}
-    for submap in np.unique(submaps[submaps != NOBODY]).tolist():
-        region, share = _commonest(divided[submaps == submap])
-        count = share * np.count_nonzero(submaps == submap)
-        if region != NOBODY and share > _MOST and count > heirs.get(region, (0.0, 0))[0]:
-            heirs[region] = (count, submap)
-    return {region: submap for region, (_, submap) in heirs.items()}
+            heirs[region] = submap
+    most: dict[int, float] = {}
+    for submap in np.unique(old[old != NOBODY]).tolist():
+        mine = divided[: len(old)][old == submap]
+        region, share = _commonest(mine)
+        if region != NOBODY and share > _MOST and share * len(mine) > most.get(region, 0.0):
+            most[region], heirs[region] = share * len(mine), submap
+    return heirs
 
 
 def _commonest(values: IntArray) -> tuple[int, float]:
@@ -314,39 +271,15 @@ def _commonest(values: IntArray) -> tuple[int, float]:
     return int(found[most]), float(counts[most] / counts.sum())
 
 
-def _names(regions: list[int], heirs: dict[int, int], next_id: int) -> dict[int, int]:
-    """The submap of each region with new space, new ids in the order of appearance."""
-    names: dict[int, int] = {}
-    for region in regions:
-        if region not in names and region in heirs:
-            names[region] = heirs[region]
-        elif region not in names:
-            names[region] = next_id
-            next_id += 1
-    return names
-
-
 def _without_grazed(labels: IntArray, poses: FloatArray, next_id: int, way_m: float) -> IntArray:
     """Labels (k,) without new submaps driven less than `way_m`: these go to where the robot was.
 
     A recording that is nowhere else makes a submap, however little it drove.
     """
-    steps = np.append(step_lengths(poses), 0.0)
-    grazed = [
-        label
-        for label in np.unique(labels[labels >= next_id]).tolist()
-        if steps[labels == label].sum() < way_m
-    ]
+    driven_m = _driven_m(labels, poses)
+    grazed = [label for label, m in driven_m.items() if label >= next_id and m < way_m]
     stays = ~np.isin(labels, grazed)
     if not stays.any():
         return labels
     source = np.where(stays, np.arange(len(labels)), int(np.argmax(stays)))
     return np.asarray(labels[np.maximum.accumulate(source)], dtype=np.int64)
-
-
-def _renumbered(labels: IntArray, next_id: int) -> IntArray:
-    """Labels whose new ids have no gaps, in the order of first visit."""
-    order: dict[int, int] = {}
-    for label in labels[labels >= next_id].tolist():
-        order.setdefault(label, next_id + len(order))
-    return np.array([order.get(label, label) for label in labels.tolist()], dtype=np.int64)

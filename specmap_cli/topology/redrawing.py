@@ -67,12 +67,19 @@ def undone(submaps: IntArray, poses: FloatArray, borders: Sequence[BorderEdit]) 
 
     Keyframes that came after a merge go to the submap of the keyframe nearest to them.
     """
-    before = submaps.copy()
+    before, number = submaps.copy(), np.arange(len(submaps))
     for border in reversed(borders):
         if isinstance(border, Split):
             before[before == border.new] = border.submap
-        else:
-            before = _parted(before, poses, border)
+            continue
+        later = np.flatnonzero((number >= border.known) & (before == border.kept))
+        came = np.array(border.keyframes, dtype=np.int64)
+        before[came[before[came] == border.kept]] = border.gone
+        both = np.isin(before, (border.kept, border.gone))
+        own = np.flatnonzero((number < border.known) & both)
+        if len(later) and len(own):
+            nearest = cKDTree(poses[own, :2]).query(poses[later, :2])[1]
+            before[later] = before[own[nearest]]
     return before
 
 
@@ -96,62 +103,33 @@ def carried(
     )
 
 
-def _parted(submaps: IntArray, poses: FloatArray, merge: Merge) -> IntArray:
-    """The keyframes before a merge."""
-    parted = submaps.copy()
-    came = np.array(merge.keyframes, dtype=np.int64)
-    parted[came[submaps[came] == merge.kept]] = merge.gone
-    number = np.arange(len(parted))
-    later = np.flatnonzero((number >= merge.known) & (submaps == merge.kept))
-    own = np.flatnonzero((number < merge.known) & np.isin(parted, (merge.kept, merge.gone)))
-    if len(later) and len(own):
-        nearest = cKDTree(poses[own, :2]).query(poses[later, :2])[1]
-        parted[later] = parted[own[nearest]]
-    return parted
-
-
 def _made(whole: GridMap, labels: Labels, state: Redrawn, border: BorderEdit) -> Redrawn | str:
     """The keyframes with one border more, or why it cannot be made."""
-    if isinstance(border, Merge):
-        return _merged(state, border)
-    return _split(whole, labels, state, border)
-
-
-def _merged(state: Redrawn, border: Merge) -> Redrawn | str:
-    for id_ in (border.kept, border.gone):
+    for id_ in (border.kept, border.gone) if isinstance(border, Merge) else (border.submap,):
         if not (state.submaps == id_).any():
             return f"there is no submap {id_}"
-    own = np.flatnonzero(state.submaps == border.gone)
-    submaps = state.submaps.copy()
-    submaps[own] = border.kept
-    made = replace(border, runs=runs_of(own.tolist()), known=len(submaps))
-    return replace(state, submaps=submaps, borders=(*state.borders, made))
-
-
-def _split(whole: GridMap, labels: Labels, state: Redrawn, border: Split) -> Redrawn | str:
-    own = np.flatnonzero(state.submaps == border.submap)
-    if not len(own):
-        return f"there is no submap {border.submap}"
-    new = state.next_id if border.new is None else border.new
-    if (state.submaps == new).any():
-        return f"submap {new} exists already"
-    regions = divide(whole, replace(labels, submaps=state.submaps), fences=fences_of(state.borders))
-    mine = regions.owner == border.submap
-    fence = fence_of(mine, whole, border.line)
-    if fence is None:
-        return f"the line does not cross submap {border.submap}"
-    right = is_right_of(fence, mine, whole, labels.poses[own])
-    if right.all() or not right.any():
-        return f"the robot was on one side of the line only in submap {border.submap}"
-    submaps = state.submaps.copy()
-    submaps[own[right]] = new
-    made = replace(border, new=new, fence=fence)
-    return replace(
-        state,
-        submaps=submaps,
-        borders=(*state.borders, made),
-        next_id=max(state.next_id, 1 + new),
-    )
+    submaps, next_id = state.submaps.copy(), state.next_id
+    made: BorderEdit
+    if isinstance(border, Merge):
+        moved, owner = np.flatnonzero(submaps == border.gone), border.kept
+        made = replace(border, runs=runs_of(moved.tolist()), known=len(submaps))
+    else:
+        own = np.flatnonzero(submaps == border.submap)
+        owner = next_id if border.new is None else border.new
+        if (submaps == owner).any():
+            return f"submap {owner} exists already"
+        regions = divide(whole, replace(labels, submaps=submaps), fences=fences_of(state.borders))
+        mine = regions.owner == border.submap
+        fence = fence_of(mine, whole, border.line)
+        if fence is None:
+            return f"the line does not cross submap {border.submap}"
+        right = is_right_of(fence, mine, whole, labels.poses[own])
+        if right.all() or not right.any():
+            return f"the robot was on one side of the line only in submap {border.submap}"
+        moved, next_id = own[right], max(next_id, 1 + owner)
+        made = replace(border, new=owner, fence=fence)
+    submaps[moved] = owner
+    return replace(state, submaps=submaps, borders=(*state.borders, made), next_id=next_id)
 
 
 _STEP = 0.5  # cells: no cell is passed over, but for its corner

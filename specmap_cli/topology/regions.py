@@ -44,15 +44,11 @@ class Regions:
     @classmethod
     def of(cls, grid: GridMap, owner: OwnerArray) -> Regions:
         """The regions with their outlines."""
-        from scipy import ndimage  # takes a fifth of a second to load, and `localize` never asks
-
         outlines = {}
-        for id_, window in enumerate(ndimage.find_objects(owner + 1)):
-            if window is not None:
-                rows, columns = window
-                x, y = np.array([columns.start, rows.start]) * grid.resolution + grid.origin
-                part = GridMap(grid.cells[window], grid.resolution, (float(x), float(y)))
-                outlines[id_] = outline_of(owner[window] == id_, part)
+        for id_, (rows, columns) in windows_of(owner).items():
+            x, y = np.array([columns.start, rows.start]) * grid.resolution + grid.origin
+            part = GridMap(grid.cells[rows, columns], grid.resolution, (float(x), float(y)))
+            outlines[id_] = outline_of(owner[rows, columns] == id_, part)
         return cls(grid, owner, outlines)
 
     def outline(self, submap: int) -> Outline:
@@ -100,14 +96,10 @@ def divide(whole: GridMap, labels: Labels, fences: Sequence[Line] = ()) -> Regio
     entered = _connected(roomy, markers > 0)
     nearest = np.where(entered, flood(entered, markers, fence), 0).astype(np.int32)
     owner = flood(passable, nearest, fence) - 1
-    owner[~whole.free | ~_near(entered, passable, whole.resolution) | (owner < 0)] = NOBODY
-    return Regions.of(whole, owner)
-
-
-def _near(entered: BoolArray, passable: BoolArray, resolution: float) -> BoolArray:
-    """(H, W) the passable cells within reach of those that a robot could have `entered`."""
     away = cv2.distanceTransform((~entered).astype(np.uint8), cv2.DIST_L2, 5)
-    return _connected((away * resolution <= _REACH_M) & passable, entered)
+    within_reach = _connected((away * whole.resolution <= _REACH_M) & passable, entered)
+    owner[~whole.free | ~within_reach | (owner < 0)] = NOBODY
+    return Regions.of(whole, owner)
 
 
 def _connected(cells: BoolArray, seeds: BoolArray) -> BoolArray:
@@ -222,11 +214,6 @@ class Border:
     low: IntArray
     high: IntArray
 
-    def clearance(self, away: FloatArray) -> float:
-        """The widest place at which it can be crossed, as `Space.away`, in cells."""
-        both = np.minimum(away[tuple(self.low.T)], away[tuple(self.high.T)])
-        return float(both.max())
-
 
 def borders_of(owner: OwnerArray) -> list[Border]:
     """Every stretch along which two submaps touch: by pair, then from the lowest row on."""
@@ -235,21 +222,18 @@ def borders_of(owner: OwnerArray) -> list[Border]:
     low = np.where(swap[:, None], touching.other, touching.one)
     high = np.where(swap[:, None], touching.one, touching.other)
     pairs, which = np.unique(touching.labels, axis=0, return_inverse=True)
+    side = 2 * _JOINED_HALF_CELLS + 1
     found = []
     for number, (a, b) in enumerate(pairs.tolist()):
         mine = np.flatnonzero(which.ravel() == number)
-        for stretch in _stretches(low[mine] + high[mine]):
-            found.append(Border((a, b), low[mine[stretch]], high[mine[stretch]]))
+        spots = low[mine] + high[mine]  # in half cells
+        spots -= spots.min(axis=0)
+        picture = np.zeros(spots.max(axis=0) + 1, dtype=np.uint8)
+        picture[tuple(spots.T)] = 1
+        joined = cv2.dilate(picture, np.ones((side, side), dtype=np.uint8))
+        count, parts = cv2.connectedComponents(joined, connectivity=8)
+        stretch = parts[tuple(spots.T)]
+        for part in range(1, count):
+            here = mine[stretch == part]
+            found.append(Border((a, b), low[here], high[here]))
     return found
-
-
-def _stretches(spots: IntArray) -> list[IntArray]:
-    """The connected stretches of a border: rows of its points (m, 2), given in half cells."""
-    first = spots.min(axis=0)
-    picture = np.zeros(spots.max(axis=0) - first + 1, dtype=np.uint8)
-    picture[tuple((spots - first).T)] = 1
-    side = 2 * _JOINED_HALF_CELLS + 1
-    joined = cv2.dilate(picture, np.ones((side, side), dtype=np.uint8))
-    count, parts = cv2.connectedComponents(joined, connectivity=8)
-    part = parts[tuple((spots - first).T)]
-    return [np.flatnonzero(part == number) for number in range(1, count)]

@@ -8,7 +8,6 @@ straight or bent, that is the width of the strip; for a square it is two thirds 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
@@ -46,38 +45,30 @@ def outline_of(region: BoolArray, grid: GridMap) -> Outline:
     """
     if not region.any():
         return NOTHING
-    part = _largest_part(region)
-    return Outline(
-        _contour(part) * grid.resolution + grid.origin,
-        grid.centres_of(_middle(part)[None])[0],
-        float(np.count_nonzero(region)) * grid.resolution**2,
-    )
-
-
-def _largest_part(region: BoolArray) -> BoolArray:
-    """The largest 4-connected part of a region, the first of equals."""
+    # of its largest connected part, the first of equals
     _, labels, stats, _ = cv2.connectedComponentsWithStats(
         region.astype(np.uint8), connectivity=4, ltype=cv2.CV_32S
     )
-    return np.asarray(labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])))
-
-
-def _middle(region: BoolArray) -> NDArray[np.intp]:
-    """Row and column of the cell of a region nearest the mean of its cells."""
-    counts = [np.count_nonzero(region, axis=axis) for axis in (1, 0)]
+    part = np.asarray(labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])))
+    counts = [np.count_nonzero(part, axis=axis) for axis in (1, 0)]
     mean = np.array([np.average(np.arange(len(count)), weights=count) for count in counts])
     cell = np.round(mean).astype(np.intp)
-    if region[cell[0], cell[1]]:
-        return cell
-    eroded = cv2.erode(region.astype(np.uint8), np.ones((3, 3), dtype=np.uint8))
-    border = np.argwhere(region & (eroded == 0))
-    return np.asarray(border[np.argmin(np.sum((border - mean) ** 2, axis=1))])
+    if not part[tuple(cell)]:
+        eroded = cv2.erode(part.astype(np.uint8), np.ones((3, 3), dtype=np.uint8))
+        border = np.argwhere(part & (eroded == 0))
+        cell = border[np.argmin(np.sum((border - mean) ** 2, axis=1))]
+    return Outline(
+        _contour(part) * grid.resolution + grid.origin,
+        grid.centres_of(cell[None])[0],
+        float(np.count_nonzero(region)) * grid.resolution**2,
+    )
 
 
 def _contour(region: BoolArray) -> FloatArray:
     """(N, 2) columns and rows of the outer contour of one connected region, counter-clockwise.
 
-    Cell (row, column) covers [column, column + 1) x [row, row + 1).
+    Cell (row, column) covers [column, column + 1) x [row, row + 1). The contour has few corners, as
+    far as it stays the outline of an area.
     """
     # Doubled, so that the contour runs a quarter of a cell inside the region, not along centres,
     # where a passage one cell wide would have no area.
@@ -87,48 +78,33 @@ def _contour(region: BoolArray) -> FloatArray:
     doubled = cv2.copyMakeBorder(doubled, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=(0,))
     contours, _ = cv2.findContours(doubled, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     ring = max(contours, key=cv2.contourArea)
-    corners = (_simplified(ring).reshape(-1, 2).astype(np.float64) - 0.5) / 2.0
-    x, y = corners.T
-    turning = float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
-    return corners if turning >= 0.0 else corners[::-1]
-
-
-def _simplified(ring: NDArray[Any]) -> NDArray[Any]:
-    """A contour (N, 1, 2) with fewer corners, as far as it stays the outline of an area."""
     area = cv2.contourArea(ring)
     for tolerance in (_TOLERANCE, _TOLERANCE / 2.0):
         simple = cv2.approxPolyDP(ring, tolerance, True)
         is_thin = cv2.contourArea(simple) < _KEPT_AREA * area  # thinner than the tolerance
         if not is_thin and not _meets_itself(simple.reshape(-1, 2).astype(np.int64)):
-            return np.asarray(simple)
-    return ring
+            ring = simple
+            break
+    corners = (ring.reshape(-1, 2).astype(np.float64) - 0.5) / 2.0
+    x, y = corners.T
+    turning = float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
+    return corners if turning >= 0.0 else corners[::-1]
 
 
 def _meets_itself(ring: NDArray[np.int64]) -> bool:
     """Whether two sides of a ring (N, 2), which are no neighbours, cross or touch: exactly."""
     ends = np.roll(ring, -1, axis=0)
+    low, high = np.minimum(ring, ends), np.maximum(ring, ends)
     last = len(ring) - 1
     for number in range(last - 1):
         others = slice(number + 2, last if number == 0 else last + 1)
         start, end = ring[number], ends[number]
-        near = _overlap(start, end, ring[others], ends[others])
+        near = ((high[others] >= low[number]) & (low[others] <= high[number])).all(axis=1)
         apart = _side(start, end, ring[others]) * _side(start, end, ends[others]) > 0
         aside = _side(ring[others], ends[others], start) * _side(ring[others], ends[others], end)
         if (near & ~apart & (aside <= 0)).any():
             return True
     return False
-
-
-def _overlap(
-    start: NDArray[np.int64],
-    end: NDArray[np.int64],
-    starts: NDArray[np.int64],
-    ends: NDArray[np.int64],
-) -> BoolArray:
-    """(N,) whether the rectangles around a line and each of others (N, 2) overlap."""
-    low, high = np.minimum(start, end), np.maximum(start, end)
-    above = np.maximum(starts, ends) >= low
-    return np.asarray((above & (np.minimum(starts, ends) <= high)).all(axis=1))
 
 
 def _side(
@@ -165,16 +141,7 @@ def kind_of(polygon: FloatArray) -> SubmapKind | None:
 
 
 def _area_and_width(polygon: FloatArray) -> tuple[float, float]:
-    """Square metres, and the mean width in metres."""
-    cell, shape = _drawn(polygon)
-    away = cv2.distanceTransform(shape, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[shape > 0]
-    away = away.astype(np.float64) - 1.0  # the border runs through the outermost cells
-    cells = len(away) - 0.5 * np.count_nonzero(away <= 0.0)  # which lie half outside
-    return cells * cell**2, 4.0 * cell * float(away.sum()) / cells
-
-
-def _drawn(polygon: FloatArray) -> tuple[float, NDArray[np.uint8]]:
-    """The side of a cell, and the region in cells, its narrow gaps filled."""
+    """Square metres, and the mean width in metres, of a region whose narrow gaps are filled."""
     low, sides = polygon.min(axis=0), np.ptp(polygon, axis=0)
     cell = max(_CELL_M, float(sides.max()) / _MOST_CELLS)
     reach = round(_GAP_M / 2.0 / cell)
@@ -184,4 +151,8 @@ def _drawn(polygon: FloatArray) -> tuple[float, NDArray[np.uint8]]:
     corners = np.round((polygon - low) / cell).astype(np.int32) + margin
     cv2.fillPoly(shape, [corners], (1,))
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
-    return cell, np.asarray(cv2.morphologyEx(shape, cv2.MORPH_CLOSE, disc), dtype=np.uint8)
+    shape = np.asarray(cv2.morphologyEx(shape, cv2.MORPH_CLOSE, disc), dtype=np.uint8)
+    away = cv2.distanceTransform(shape, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[shape > 0]
+    away = away.astype(np.float64) - 1.0  # the border runs through the outermost cells
+    cells = len(away) - 0.5 * np.count_nonzero(away <= 0.0)  # which lie half outside
+    return cells * cell**2, 4.0 * cell * float(away.sum()) / cells

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -429,9 +429,7 @@ BorderEdit = Merge | Split
 
 def bare(border: BorderEdit) -> BorderEdit:
     """A border as it was requested."""
-    if isinstance(border, Merge):
-        return Merge(border.merge)
-    return Split(submap=border.submap, line=border.line, new=border.new)
+    return Merge(border.merge) if isinstance(border, Merge) else replace(border, fence=None)
 
 
 def fences_of(borders: Iterable[BorderEdit]) -> tuple[Line, ...]:

@@ -6,9 +6,8 @@ cells, drawn as a line with few corners.
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -55,13 +54,27 @@ def ways(
     A way leads through the two submaps only, in a straight line where that is no nearer to walls.
     The time is that of one search over the cells of each submap: linear in the area.
     """
-    land = _Land.of(space, anchors, radius_m)
+    clearance, most = space.clearance, _COMFORT * radius_m
+    with np.errstate(divide="ignore"):
+        price = most / np.minimum(clearance, most)
+    price[clearance < radius_m] = np.inf
+    windows, trees = windows_of(space.owner), {}
+    for submap, window in windows.items():
+        mine = (space.owner[window] == submap) & np.isfinite(price[window])
+        trees[submap] = tree(mine, price[window], window, anchors[submap].cell)
+    borders: dict[Pair, list[Border]] = {}
+    for border in borders_of(space.owner):
+        borders.setdefault(border.pair, []).append(border)
+    land = _Land(space, clearance, price, anchors, windows, trees, borders)
     return {pair: _way(land, pair) for pair in pairs}
 
 
 @dataclass(frozen=True, slots=True)
 class _Land:
-    """What every search needs: prices of cells (H, W), and the cheapest ways in each submap."""
+    """What every search needs: prices of cells (H, W), and the cheapest ways in each submap.
+
+    `borders` are the stretches along which two submaps touch.
+    """
 
     space: Space
     clearance: FloatArray
@@ -69,103 +82,61 @@ class _Land:
     anchors: Mapping[int, Anchor]
     windows: Mapping[int, Window]
     trees: Mapping[int, Tree]
-    borders: Mapping[Pair, Border]
-
-    @classmethod
-    def of(cls, space: Space, anchors: Mapping[int, Anchor], radius_m: float) -> _Land:
-        clearance = space.clearance
-        most = _COMFORT * radius_m
-        with np.errstate(divide="ignore"):
-            price = most / np.minimum(clearance, most)
-        price[clearance < radius_m] = np.inf
-        windows = windows_of(space.owner)
-        trees = {}
-        for submap, window in windows.items():
-            mine = (space.owner[window] == submap) & np.isfinite(price[window])
-            trees[submap] = tree(mine, price[window], window, anchors[submap].cell)
-        return cls(space, clearance, price, anchors, windows, trees, _whole(space))
-
-
-def _whole(space: Space) -> dict[Pair, Border]:
-    """The whole border of each pair of submaps that touch, of one piece or of several."""
-    pieces: dict[Pair, list[Border]] = {}
-    for border in borders_of(space.owner):
-        pieces.setdefault(border.pair, []).append(border)
-    return {
-        pair: Border(
-            pair,
-            np.concatenate([border.low for border in mine]),
-            np.concatenate([border.high for border in mine]),
-        )
-        for pair, mine in pieces.items()
-    }
+    borders: Mapping[Pair, Sequence[Border]]
 
 
 def _way(land: _Land, pair: Pair) -> Way:
-    """The way between the anchors of two submaps."""
+    """The way between the anchors of two submaps.
+
+    It is the cheapest that crosses their border once. Where none does it is the cheapest over the
+    cells of both, whoever's they are.
+    """
     if pair not in land.borders:
         return NO_WAY
-    cells = _across(land, pair)
-    if cells is None:
-        widest = _widest(land, pair)
-        cells = None if widest is None else _through_both(land, pair)
-        if cells is None:
+    beside = np.concatenate([border.low for border in land.borders[pair]])
+    beyond = np.concatenate([border.high for border in land.borders[pair]])
+    low, high = (land.trees[submap] for submap in pair)
+    step = (land.price[tuple(beside.T)] + land.price[tuple(beyond.T)]) / 2.0
+    cost = low.cost_to(beside) + step + high.cost_to(beyond)
+    best = int(np.argmin(cost))
+    if np.isfinite(cost[best]):
+        cells = np.concatenate([low.way_to(beside[best]), high.way_to(beyond[best])[::-1]])
+    else:
+        one, other = (land.windows[submap] for submap in pair)
+        rows, columns = (
+            slice(min(a.start, b.start), max(a.stop, b.stop))
+            for a, b in zip(one, other, strict=True)
+        )
+        window, mine = (rows, columns), np.isin(land.space.owner[rows, columns], pair)
+        start, end = (np.array(land.anchors[submap].cell) for submap in pair)
+        corner = (rows.start, columns.start)
+        room = np.where(mine, land.clearance[window], 0.0)
+        widest = _widest(room, tuple(start - corner), tuple(end - corner))
+        if widest is None:
+            return NO_WAY
+        price = land.price[window]
+        found = tree(mine & np.isfinite(price), price, window, land.anchors[pair[0]].cell)
+        if not np.isfinite(found.cost_to(end[None])[0]):
             return Way(None, widest)
+        cells = found.way_to(end)
     corners = straightened(cells, land.price)
     under = np.concatenate([cells_on(a, b)[0] for a, b in pairwise(corners)])
     return Way(land.space.grid.centres_of(corners), float(land.clearance[tuple(under.T)].min()))
 
 
-def _across(land: _Land, pair: Pair) -> IntArray | None:
-    """(n, 2) the cells of the cheapest way that crosses the border of two submaps once."""
-    border = land.borders[pair]
-    low, high = (land.trees[submap] for submap in pair)
-    step = (land.price[tuple(border.low.T)] + land.price[tuple(border.high.T)]) / 2.0
-    cost = low.cost_to(border.low) + step + high.cost_to(border.high)
-    best = int(np.argmin(cost))
-    if not np.isfinite(cost[best]):
-        return None
-    there, back = low.way_to(border.low[best]), high.way_to(border.high[best])
-    return np.concatenate([there, back[::-1]])
-
-
-def _through_both(land: _Land, pair: Pair) -> IntArray | None:
-    """(n, 2) the cells of the cheapest way over the cells of both, whoever's they are."""
-    window, mine = _both(land, pair)
-    price = land.price[window]
-    start, end = (land.anchors[submap].cell for submap in pair)
-    found = tree(mine & np.isfinite(price), price, window, start)
-    goal = np.array(end)
-    return found.way_to(goal) if np.isfinite(found.cost_to(goal[None])[0]) else None
-
-
-def _widest(land: _Land, pair: Pair) -> float | None:
-    """The clearance of the widest way between the anchors over the cells of both, or None."""
-    window, mine = _both(land, pair)
-    room = np.where(mine, land.clearance[window], 0.0)
-    corner = np.array([part.start for part in window])
-    ends = [tuple(np.array(land.anchors[submap].cell) - corner) for submap in pair]
+def _widest(room: FloatArray, start: tuple[int, ...], end: tuple[int, ...]) -> float | None:
+    """The clearance of the widest way between two cells of some `room` (h, w), or None."""
     levels = np.unique(room[room > 0.0])
     low, high = 0, len(levels)  # joined at levels below `low`, apart from `high` on
     while low < high:
         middle = (low + high) // 2
         level = (room >= levels[middle]).astype(np.uint8)
         _, parts = cv2.connectedComponents(level, connectivity=4)
-        one, other = (int(parts[end]) for end in ends)
-        if one == other != 0:
+        if parts[start] == parts[end] != 0:
             low = middle + 1
         else:
             high = middle
     return float(levels[low - 1]) if low else None
-
-
-def _both(land: _Land, pair: Pair) -> tuple[Window, BoolArray]:
-    """The window of two submaps, and which of its cells are theirs."""
-    one, other = (land.windows[submap] for submap in pair)
-    rows, columns = (
-        slice(min(a.start, b.start), max(a.stop, b.stop)) for a, b in zip(one, other, strict=True)
-    )
-    return (rows, columns), np.isin(land.space.owner[rows, columns], pair)
 
 
 _OFF_TRACK_M = 2.0  # on foot from the robot's way: farther off lies what was seen through glass
@@ -199,20 +170,20 @@ def anchors_of(
     for submap, window in windows_of(space.owner).items():
         mine, room = space.owner[window] == submap, clearance[window]
         wide = mine & (room >= radius_m)
-        piece = _piece(wide if wide.any() else mine, visits[window])
+        roomy = wide if wide.any() else mine
+        count, parts = cv2.connectedComponents(roomy.astype(np.uint8), connectivity=4)
+        size = np.bincount(parts.ravel(), minlength=count)
+        often = np.bincount(parts.ravel(), weights=visits[window].ravel(), minlength=count)
+        size[0] = often[0] = -1
+        piece = np.asarray(parts == np.lexsort([size, often])[-1])
         piece = _near_on_foot(piece, visits[window] > 0, _OFF_TRACK_M / space.grid.resolution)
-        anchors[submap] = _anchor(piece, room, window, radius_m + margin_m)
+        kept = np.where(piece, room, -1.0)
+        cells = np.argwhere(kept >= min(radius_m + margin_m, float(kept.max())))
+        middle = np.argwhere(piece).mean(axis=0)
+        cell = cells[np.argmin(np.sum((cells - middle) ** 2, axis=1))]
+        row, column = (cell + [window[0].start, window[1].start]).tolist()
+        anchors[submap] = Anchor((row, column), float(room[tuple(cell)]))
     return anchors
-
-
-def _anchor(roomy: BoolArray, clearance: FloatArray, window: Window, kept_m: float) -> Anchor:
-    """The cell of some of a window of the map that keeps enough, nearest to their middle."""
-    kept = np.where(roomy, clearance, -1.0)
-    cells = np.argwhere(kept >= min(kept_m, float(kept.max())))
-    middle = np.argwhere(roomy).mean(axis=0)
-    cell = cells[np.argmin(np.sum((cells - middle) ** 2, axis=1))]
-    row, column = (cell + [window[0].start, window[1].start]).tolist()
-    return Anchor((row, column), float(clearance[tuple(cell)]))
 
 
 def _near_on_foot(cells: BoolArray, stood: BoolArray, reach: float) -> BoolArray:
@@ -228,15 +199,6 @@ def _near_on_foot(cells: BoolArray, stood: BoolArray, reach: float) -> BoolArray
     return near
 
 
-def _piece(cells: BoolArray, visits: IntArray) -> BoolArray:
-    """The connected part of some cells with the most visits; of equals the largest."""
-    count, parts = cv2.connectedComponents(cells.astype(np.uint8), connectivity=4)
-    size = np.bincount(parts.ravel(), minlength=count)
-    often = np.bincount(parts.ravel(), weights=visits.ravel(), minlength=count)
-    size[0] = often[0] = -1
-    return np.asarray(parts == np.lexsort([size, often])[-1])
-
-
 _STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))  # to half of the eight neighbours
 _NO_NODE = -1
 
@@ -245,12 +207,13 @@ _NO_NODE = -1
 class Tree:
     """The cheapest ways from one cell over the cells of a window of the map.
 
-    `number` (h, w) is the node of each cell, or -1; `cells` (n, 2) the row and column on the map;
-    `cost` (n + 1,) that of the way, infinite where there is none and for node -1; `before` (n,) the
-    node that comes before it on the way, negative for the first.
+    `corner` is the row and column on the map of its first cell; `number` (h, w) the node of each
+    cell, or -1; `cells` (n, 2) the row and column on the map of each node; `cost` (n + 1,) that of
+    the way, infinite where there is none and for node -1; `before` (n,) the node that comes before
+    it on the way, negative for the first.
     """
 
-    window: Window
+    corner: IntArray
     number: IntArray
     cells: IntArray
     cost: FloatArray
@@ -258,19 +221,16 @@ class Tree:
 
     def cost_to(self, cells: IntArray) -> FloatArray:
         """(m,) the cost of the way to cells (m, 2) of the window, infinite where there is none."""
-        return np.asarray(self.cost[self._nodes(cells)])
+        rows, columns = (cells - self.corner).T
+        return np.asarray(self.cost[self.number[rows, columns]])
 
     def way_to(self, cell: IntArray) -> IntArray:
         """(k, 2) the cells of the way to one that can be reached, from the first on."""
-        node = int(self._nodes(cell[None])[0])
-        way = [node]
-        while (node := int(self.before[node])) >= 0:
+        way, node = [], int(self.number[tuple(cell - self.corner)])
+        while node >= 0:
             way.append(node)
+            node = int(self.before[node])
         return np.asarray(self.cells[way[::-1]])
-
-    def _nodes(self, cells: IntArray) -> IntArray:
-        rows, columns = (cells - [part.start for part in self.window]).T
-        return np.asarray(self.number[rows, columns])
 
 
 def tree(open_cells: BoolArray, price: FloatArray, window: Window, start: tuple[int, int]) -> Tree:
@@ -285,20 +245,8 @@ def tree(open_cells: BoolArray, price: FloatArray, window: Window, start: tuple[
     number = np.full(open_cells.shape, _NO_NODE, dtype=np.int64)
     cells = np.argwhere(open_cells)
     number[open_cells] = np.arange(len(cells))
-    ends, prices = _steps(number, price)
-    graph = csr_matrix((prices, (ends[:, 0], ends[:, 1])), shape=(len(cells), len(cells)))
-    first = int(number[start[0] - window[0].start, start[1] - window[1].start])
-    cost, before = np.full(len(cells), np.inf), np.full(len(cells), _NO_NODE, dtype=np.int32)
-    if first != _NO_NODE:
-        cost, before = dijkstra(graph, directed=False, indices=first, return_predecessors=True)
-    corner = [part.start for part in window]
-    return Tree(window, number, cells + corner, np.append(cost, np.inf), before)
-
-
-def _steps(number: IntArray, price: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Both nodes (m, 2) of each step between two numbered cells, and its price (m,)."""
     ends, prices = [], []
-    height, width = number.shape
+    height, width = open_cells.shape
     for down, right in _STEPS:
         here = slice(0, height - down), slice(max(0, -right), width - max(0, right))
         there = slice(down, height), slice(max(0, right), width - max(0, -right))
@@ -306,9 +254,16 @@ def _steps(number: IntArray, price: FloatArray) -> tuple[IntArray, FloatArray]:
         if down and right:  # a line across a corner touches the cells on both sides of it
             both &= number[there[0], here[1]] != _NO_NODE
             both &= number[here[0], there[1]] != _NO_NODE
-        ends.append(np.column_stack([number[here][both], number[there][both]]))
+        ends.append(np.stack([number[here][both], number[there][both]]))
         prices.append((price[here][both] + price[there][both]) * (0.5 * np.hypot(down, right)))
-    return np.concatenate(ends), np.concatenate(prices)
+    steps = np.concatenate(prices), np.concatenate(ends, axis=1)
+    graph = csr_matrix(steps, shape=(len(cells), len(cells)))
+    corner = np.array([part.start for part in window])
+    first = int(number[tuple(np.array(start) - corner)])
+    cost, before = np.full(len(cells), np.inf), np.full(len(cells), _NO_NODE, dtype=np.int32)
+    if first != _NO_NODE:
+        cost, before = dijkstra(graph, directed=False, indices=first, return_predecessors=True)
+    return Tree(corner, number, cells + corner, np.append(cost, np.inf), before)
 
 
 _DEVIATION_CELLS = 2.0  # how far a straight piece may leave the cells that it stands for
@@ -322,7 +277,43 @@ def straightened(way: IntArray, price: FloatArray) -> IntArray:
     Cells that a line must not enter have an infinite `price` (H, W). A piece of the line costs no
     more than the corners that it replaces: so it keeps off walls as the way does.
     """
-    return _pulled(way[_corners(way, price)], price)
+    corners = way[_corners(way, price)]
+    prices = [line_price(a, b, price) for a, b in pairwise(corners)]
+    kept = [0]
+    while kept[-1] < len(corners) - 1:
+        here = kept[-1]
+        kept.append(
+            next(
+                there
+                for there in range(len(corners) - 1, here, -1)
+                if there == here + 1
+                or line_price(corners[here], corners[there], price)
+                <= sum(prices[here:there]) + _SLACK
+            )
+        )
+    return corners[kept]
+
+
+def _corners(way: IntArray, price: FloatArray) -> list[int]:
+    """Rows of a way between which a straight line may be drawn: Douglas and Peucker (1973)."""
+    kept, waiting = {0, len(way) - 1}, [(0, len(way) - 1)]
+    while waiting:
+        first, last = waiting.pop()
+        if last - first < 2:
+            continue
+        along = way[last] - way[first]
+        length = float(np.sqrt(np.sum(along**2)))
+        rows, columns = (way[first : last + 1] - way[first]).T
+        if length == 0.0:
+            deviation = np.hypot(rows, columns)
+        else:
+            deviation = np.abs(rows * along[1] - columns * along[0]) / length
+        open_line = math.isfinite(line_price(way[first], way[last], price))
+        if float(deviation.max()) > _DEVIATION_CELLS or not open_line:
+            corner = first + 1 + int(np.argmax(deviation[1:-1]))
+            kept.add(corner)
+            waiting += [(first, corner), (corner, last)]
+    return sorted(kept)
 
 
 def line_price(start: IntArray, end: IntArray, price: FloatArray) -> float:
@@ -338,8 +329,9 @@ def cells_on(start: IntArray, end: IntArray) -> tuple[IntArray, FloatArray]:
     Through a corner the line touches the cells on both sides, at no length.
     """
     along = (end - start).astype(np.float64)
-    met = np.concatenate([[0.0, 1.0], *(_edges_met(part) for part in along.tolist())])
-    ends = np.unique(met)
+    counts = [round(abs(part)) for part in along.tolist()]  # of edges of cells met on each axis
+    met = [(np.arange(count) + 0.5) / count for count in counts if count]
+    ends = np.unique(np.concatenate([[0.0, 1.0], *met]))
     middles = (ends[:-1] + ends[1:]) / 2.0
     under = np.rint(start + middles[:, None] * along)
     touched = np.rint(start + ends[:, None, None] * along + _HAIRS)
@@ -348,55 +340,3 @@ def cells_on(start: IntArray, end: IntArray) -> tuple[IntArray, FloatArray]:
         np.concatenate([under, touched.reshape(-1, 2)]).astype(np.int64),
         np.concatenate([lengths, np.zeros(touched.size // 2)]),
     )
-
-
-def _edges_met(along: float) -> FloatArray:
-    """The shares of a line, between 0 and 1, at which it meets an edge of cells on one axis."""
-    count = round(abs(along))
-    if not count:
-        return np.zeros(0)
-    return (np.arange(count) + 0.5) / count
-
-
-def _corners(way: IntArray, price: FloatArray) -> list[int]:
-    """Rows of a way between which a straight line may be drawn: Douglas and Peucker (1973)."""
-    kept, waiting = {0, len(way) - 1}, [(0, len(way) - 1)]
-    while waiting:
-        first, last = waiting.pop()
-        if last - first < 2:
-            continue
-        deviation = _deviation(way[first : last + 1])
-        open_line = math.isfinite(line_price(way[first], way[last], price))
-        if float(deviation.max()) > _DEVIATION_CELLS or not open_line:
-            corner = first + 1 + int(np.argmax(deviation[1:-1]))
-            kept.add(corner)
-            waiting += [(first, corner), (corner, last)]
-    return sorted(kept)
-
-
-def _deviation(way: IntArray) -> FloatArray:
-    """(n,) how far the cells of a way lie from the straight line between its ends, in cells."""
-    along = way[-1] - way[0]
-    length = float(np.sqrt(np.sum(along**2)))
-    rows, columns = (way - way[0]).T
-    if length == 0.0:
-        return np.asarray(np.hypot(rows, columns))
-    return np.asarray(np.abs(rows * along[1] - columns * along[0]) / length)
-
-
-def _pulled(corners: IntArray, price: FloatArray) -> IntArray:
-    """The corners without those that a straight line can leave out at no higher price."""
-    prices = [line_price(a, b, price) for a, b in itertools.pairwise(corners)]
-    kept = [0]
-    while kept[-1] < len(corners) - 1:
-        here = kept[-1]
-        kept.append(
-            next(
-                there
-                for there in range(len(corners) - 1, here, -1)
-                if there == here + 1
-                or line_price(corners[here], corners[there], price)
-                <= sum(prices[here:there]) + _SLACK
-            )
-        )
-    return corners[kept]

@@ -217,6 +217,48 @@ def test_handlers_of_signals_are_those_from_before(tmp_path: Path) -> None:
     assert {number: signal.getsignal(number) for number in before} == before
 
 
+@pytest.mark.parametrize("first", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_handlers_are_put_back_swallows_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, first: signal.Signals
+) -> None:
+    """One is held back, the other comes as soon as its own handler is there again."""
+    pair = (signal.SIGINT, signal.SIGTERM)
+    other = next(number for number in pair if number != first)
+    told: list[int] = []
+
+    def stop(number: int, _frame: FrameType | None) -> None:
+        told.append(number)
+        raise SystemExit
+
+    put = signal.signal
+
+    def signal_between(number: int, handler: Any) -> Any:
+        replaced = put(number, handler)
+        if number == other and handler is stop and not told:
+            os.kill(os.getpid(), other)
+        return replaced
+
+    def renamed(source: Path, target: Path) -> None:
+        rename(source, target)
+        monkeypatch.setattr(signal, "signal", signal_between)
+        os.kill(os.getpid(), first)
+
+    rename = os.rename
+    monkeypatch.setattr(os, "rename", renamed)
+    before = {number: put(number, stop) for number in pair}
+    try:
+        with pytest.raises(SystemExit):
+            write(tmp_path / "out")
+        for number in pair:
+            with contextlib.suppress(SystemExit):
+                os.kill(os.getpid(), number)
+    finally:
+        for number, handler in before.items():
+            put(number, handler)
+    assert told == [other, first, *pair]
+    assert os.listdir(tmp_path) == ["out"]
+
+
 def interrupted_at(event: int, out: Path) -> bool:
     """Overwrite `out`, with SIGINT at one event of tracing; False when the write has fewer.
 

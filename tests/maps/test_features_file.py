@@ -76,6 +76,7 @@ def test_arrays_that_make_no_sense_are_refused(
     with pytest.raises(MapError, match=r"features.npz: .*delete it") as caught:
         read_features(path, 10, LIMITS)
     assert "\n" not in str(caught.value)
+    assert caught.value.hint == "delete it, or build the map again"
 
 
 def test_objects_are_never_loaded(path: Path) -> None:

@@ -223,8 +223,9 @@ def keyframes_of(result: MapResult) -> KeyframeStore:
 def test_the_keyframes_of_a_map_are_those_of_its_labels(
     stored: Path, tmp_path: Path, result: MapResult
 ) -> None:
-    with pytest.raises(MapError, match=r"has no keyframes\.mcap: .*build the map again"):
+    with pytest.raises(MapError, match=r"has no keyframes\.mcap: .*build the map again") as caught:
         read_map(stored).keyframes()
+    assert caught.value.found == "has no keyframes.mcap"
     shifted = replace(result.labels, stamps_ns=result.labels.stamps_ns + 1)
     for name, labels in (("own", result.labels), ("others", shifted)):
         (tmp_path / name).mkdir()

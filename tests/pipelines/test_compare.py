@@ -52,7 +52,7 @@ def test_what_changed_is_told(told: Comparison) -> None:
     assert not found.vanished
     cabinet = found.appeared[0]
     assert cabinet.length_m == pytest.approx(0.8, abs=0.2)
-    assert 0.05 < cabinet.area_m2 < 0.5
+    assert 0.05 < cabinet.length_m * cabinet.width_m < 0.5
     assert found.appeared[0].old_submap is not None
     assert len(told.record.submaps.same) >= 3
 

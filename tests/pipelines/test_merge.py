@@ -96,7 +96,9 @@ def test_maps_that_meet_become_one(parts: Parts, both: MergeReport) -> None:
     merged = read_map(both.out)
     assert both.parts == (("first", "third"),) or both.parts == (("third", "first"),)
     scans = sum(parts.logs[name].scans for name in ("third", "first"))
-    assert both.run["counts"]["scans"] == scans
+    counts = both.run["counts"]
+    assert counts["scans"] == scans
+    assert counts["doors"] == len(merged.record.graph.doors)
     assert both.quality.verdict == "good"
     areas = [parts.third_closed.map_grid.free_area_m2, parts.first_closed.map_grid.free_area_m2]
     assert merged.map_grid.free_area_m2 > max(areas) + 5.0, "each map knew a room more"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any
 
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.topology.identity import Identity, border_changes, identify
+from specmap_cli.topology.identity import Divided, Identity, United, border_changes, identify
 from specmap_cli.topology.regions import NOBODY, Regions
 
 CELL_M = 0.1
@@ -42,6 +43,11 @@ HOUSE = """
 """
 
 
+NOTHING: dict[str, Any] = {
+    each.name: () for each in dataclasses.fields(Identity) if each.name != "same"
+}
+
+
 def same_of(identity: Identity) -> dict[int, int]:
     return {pair.old: pair.new for pair in identity.same}
 
@@ -50,8 +56,7 @@ def test_a_map_is_the_same_as_itself() -> None:
     found = identify(regions(HOUSE), regions(HOUSE), IDENTITY)
     assert same_of(found) == {0: 0, 1: 1, 2: 2}
     assert all(pair.iou == pytest.approx(1.0) for pair in found.same)
-    assert not any((found.splits, found.merges, found.added, found.unseen, found.gone))
-    assert found.redrawn == ((), ())
+    assert found == Identity(same=found.same, **NOTHING)
 
 
 def test_other_numbers_and_borders_a_little_elsewhere() -> None:
@@ -65,15 +70,11 @@ def test_a_split_submap_keeps_its_id_in_the_larger_part_as_does_a_merged_one() -
     split = regions("#########\n#000#111#\n#000#111#\n#2222233#\n#########")
     found = identify(regions(HOUSE), split, IDENTITY)
     assert same_of(found) == {0: 0, 1: 1, 2: 2}
-    assert found.splits == {2: (2, 3)}
-    assert not found.added
-    assert found.redrawn == ((), ())
+    assert found == Identity(same=found.same, **NOTHING | {"split": (Divided(old=2, new=(2, 3)),)})
     merged = regions("#########\n#000#111#\n#000#111#\n#1111111#\n#########")
     found = identify(regions(HOUSE), merged, IDENTITY)
     assert same_of(found) == {0: 0, 2: 1}
-    assert found.merges == {1: (1, 2)}
-    assert not found.gone
-    assert not found.unseen
+    assert found == Identity(same=found.same, **NOTHING | {"merged": (United(old=(1, 2), new=1),)})
 
 
 def test_what_only_one_map_saw_is_new_or_unseen_and_a_filled_room_is_gone() -> None:
@@ -81,7 +82,7 @@ def test_what_only_one_map_saw_is_new_or_unseen_and_a_filled_room_is_gone() -> N
     # the corridor is walled up, room 1 was not visited, 6 is space that the old map never saw
     found = identify(regions(HOUSE), new, Pose2(-2.0, 0.0, 0.0))
     assert same_of(found) == {0: 7}
-    assert (found.added, found.unseen, found.gone) == ((6,), (1,), (2,))
+    assert (found.new, found.unseen, found.gone) == ((6,), (1,), (2,))
 
 
 def test_borders_drawn_all_anew_and_maps_without_a_cell_in_common() -> None:
@@ -89,10 +90,10 @@ def test_borders_drawn_all_anew_and_maps_without_a_cell_in_common() -> None:
     new = regions("########\n#222222#\n#333333#\n########")
     found = identify(old, new, IDENTITY)
     assert not found.same
-    assert found.redrawn == ((0, 1), (2, 3))
+    assert (found.redrawn_old, found.redrawn_new) == ((0, 1), (2, 3))
     found = identify(regions(HOUSE), regions(HOUSE), Pose2(100.0, 0.0, 0.0))
     assert not found.same
-    assert found.added == found.unseen == (0, 1, 2)
+    assert found.new == found.unseen == (0, 1, 2)
 
 
 @given(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.floats(-math.pi, math.pi, exclude_max=True))
