@@ -166,7 +166,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         command = context.command_path if context is not None else "specmap"
         message = error.format_message().rstrip(".")  # type: ignore[attr-defined]
         message = message.replace(": Value error, ", ": ", 1)  # pydantic's word, not ours
-        told = UsageError(f"{message};", f"see `{command} --help`")
+        told = UsageError(f"{message}", f"see `{command} --help`", mark=";")
         told.where = _parameter_of(error)  # which stands within the message
         raise told from None
     except SystemExit as leaving:

@@ -130,7 +130,7 @@ def _told(error: Exception) -> SpecmapError | None:
     if isinstance(error, MemoryError) or _is_want_of_memory(error):
         what = f": {error}" if str(error) else ""
         hint = "a shorter log or a coarser grid (--set grid.resolution_m) needs less"
-        return InputError(f"not enough memory{what};", hint, code=MEMORY)
+        return InputError(f"not enough memory{what}", hint, mark=";", code=MEMORY)
     return None
 
 
@@ -141,7 +141,7 @@ def _told_of_system(error: OSError) -> UsageError | None:
         return UsageError(error.strerror, hint, code=MACHINE)
     if is_of_the_machine(error):
         said, hint = reason(error)
-        return UsageError(f"{said};", hint, where=error.filename, code=MACHINE)
+        return UsageError(said, hint, mark=";", where=error.filename, code=MACHINE)
     if is_of_the_place(error):
         advice = "write elsewhere"
         if _is_temporary(error.filename):

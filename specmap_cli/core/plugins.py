@@ -44,8 +44,9 @@ def _loaded(point: EntryPoint) -> Any:
     except Exception as error:
         raise UsageError(
             f"its {point.group} entry {point.name!r} cannot be loaded: "
-            f"{type(error).__name__}: {error};",
+            f"{type(error).__name__}: {error}",
             "mend or remove the package",
+            mark=";",
             where=_origin(point),
             code=PACKAGE,
         ) from error

@@ -58,7 +58,8 @@ def plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [plain(item) for item in value]
     if hasattr(value, "tolist"):  # an array of numpy, or one number of it
-        return plain(value.tolist())
+        items = value.tolist()
+        return plain(float(items) if type(items) is type(value) else items)  # a long double
     if isinstance(value, float):
         return rounded(value)
     return value if value is None or isinstance(value, int) else encodable(str(value))

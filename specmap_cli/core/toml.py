@@ -49,10 +49,10 @@ def unless(fits: Callable[[Any], bool], hint: str) -> BeforeValidator:
 class TomlFormat(Generic[Model]):
     """A kind of document: the model of what it holds, and how what is wrong with one is told.
 
-    `error` is the class of the errors, or makes them as it does. A key is called `noun`, and a
-    complaint ends with `advice`, which begins with its colon or semicolon. `plainly` has our words
-    for types of pydantic's findings. `named` gives a place as a person finds it, and the keys that
-    may stand there; without it keys are dotted.
+    `error` is the class of the errors, `code` theirs, by default that of the class. A key is called
+    `noun`, and a complaint ends with `advice`, which begins with its colon or semicolon. `plainly`
+    has our words for types of pydantic's findings. `named` gives a place as a person finds it, and
+    the keys that may stand there; without it keys are dotted.
     """
 
     model: type[Model]
@@ -117,10 +117,9 @@ class TomlFormat(Generic[Model]):
     def _error(self, where: str, found: str, hint: str, key: str | None = None) -> SpecmapError:
         """The error of a line; `hint` begins with what parts it from what was found."""
         file, _, place = where.partition(": ")
-        mark = hint[:1].strip(":")
-        told = f"{place}{found}{mark}"
-        error = self.error(told, hint[1:].strip() or None, where=file or None, code=self.code)
-        error.where = file or key
+        mark, advice = hint[:1], hint[1:].strip() or None
+        error = self.error(f"{place}{found}", advice, mark=mark, where=file or None, code=self.code)
+        error.where = file or key  # a key stands within what was found
         return error
 
     def _complaint(self, finding: Mapping[str, Any]) -> tuple[str, str, str]:

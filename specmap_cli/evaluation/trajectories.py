@@ -224,7 +224,7 @@ def _rows(
         times = [_stamp(path, number, word) for word in words[:stamps]]
         rows.append((times, _numbers(path, number, words[stamps:])))
     if not rows:
-        raise InputError(f"holds no {what};", f"expected lines {expected}", where=path)
+        raise InputError(f"holds no {what}", f"expected lines {expected}", mark=";", where=path)
     return rows
 
 
@@ -260,7 +260,7 @@ def _numbers(path: Path, number: int, words: list[str]) -> list[float]:
 
 
 def _malformed(path: Path, number: int, found: str) -> InputError:
-    return InputError(f"{found};", "mend or remove the line", where=f"{path}:{number}")
+    return InputError(found, "mend or remove the line", mark=";", where=f"{path}:{number}")
 
 
 def relation_lines(errors: RelativeErrors) -> list[str]:

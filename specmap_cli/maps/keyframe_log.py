@@ -153,8 +153,9 @@ def _check_size(path: Path, limits: LimitsConfig) -> None:
         raise MapError("not a regular file", "build the map again", where=path)
     if size > limits.keyframes_max_mb * 1e6:
         raise MapError(
-            f"larger than {limits.keyframes_max_mb:g} MB;",
+            f"larger than {limits.keyframes_max_mb:g} MB",
             "if it is meant, raise limits.keyframes_max_mb",
+            mark=";",
             where=path,
             code=TOO_LARGE,
         )

@@ -214,7 +214,8 @@ def _make_room(folder: Path, overwrite: bool) -> None:
             picture.unlink()
     except OSError as error:
         raise UsageError(
-            f"cannot write pictures there: {error.strerror};",
+            f"cannot write pictures there: {error.strerror}",
             "choose another directory",
+            mark=";",
             where=folder,
         ) from None

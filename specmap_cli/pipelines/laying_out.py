@@ -110,8 +110,9 @@ def _whole_grid(store: KeyframeStore, layout: Layout, config: Config) -> tuple[G
     whole = counts.snapshot()
     if not whole.cells.size:
         raise NoResultError(
-            "no scan fits into the largest grid allowed: nothing to map;",
+            "no scan fits into the largest grid allowed: nothing to map",
             "raise grid.max_extent_m or grid.max_area_m2, or lower grid.max_range_m",
+            mark=";",
         )
     return whole, counts.refused
 

@@ -82,7 +82,7 @@ def localize_log(
         progress.start("localising", stream.expected)
         scans = tuple(_localized(stream, front_end, localizer, metric and not offline, progress))
         if not scans:
-            raise LogError("no usable scan in it;", "see `specmap info`", where=log.name)
+            raise LogError("no usable scan in it", "see `specmap info`", mark=";", where=log.name)
         if offline:
             scans = _smoothed(scans, stream, config, localizer, metric, progress)
         notes = [localizer.note] if localizer.note else []
@@ -207,13 +207,13 @@ def localizer_of(stored: StoredMap, config: Config, *, metric: bool = False) -> 
 
 def classifiers_of(stored: StoredMap) -> ClassifierSet:
     """The classifiers of a stored map, one a submap; MapError naming the file otherwise."""
-    path = stored.path / CLASSIFIERS
+    path, text = stored.path / CLASSIFIERS, stored.classifiers
     try:
-        classifiers = ClassifierSet.from_json(stored.classifiers)
+        classifiers = ClassifierSet.from_json(text)
     except MapError as error:
-        if str(path) in str(error):
-            raise
-        raise MapError(str(error).removeprefix("classifiers: "), where=path) from None
+        raise MapError(
+            error.found, error.hint, mark=error.mark, where=path, code=error.code
+        ) from None
     if classifiers.ids != stored.ids:
         raise MapError(
             f"classifiers of the submaps {classifiers.ids}, but the map has {stored.ids}",

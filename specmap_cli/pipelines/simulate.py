@@ -76,7 +76,7 @@ def simulate(
     truth = out.with_suffix(".tum") if truth is None else Path(truth)
     if truth == out:
         raise UsageError(
-            "the recording and the true poses would be one file;", "rename one", where=out
+            "the recording and the true poses would be one file", "rename one", mark=";", where=out
         )
     tour = simulated_tour(plan, options)
     progress.start("simulate", len(tour.scan_times_s))

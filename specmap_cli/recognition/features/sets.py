@@ -180,5 +180,8 @@ def _usable(name: str, groups: Any) -> FeatureSet:
 
 def _unusable(name: str, why: str) -> UsageError:
     return UsageError(
-        f"feature set {name!r}: {why};", "mend or remove the package that offers it", code=PACKAGE
+        f"feature set {name!r}: {why}",
+        "mend or remove the package that offers it",
+        mark=";",
+        code=PACKAGE,
     )

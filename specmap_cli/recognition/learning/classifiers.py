@@ -209,7 +209,7 @@ class ClassifierSet:
                 raise ValueError("raw and virtual classifiers are of different submaps")
         except ValueError as error:
             raise MapError(
-                f"{_first_finding(error)};", "build the map again", where="classifiers"
+                _first_finding(error), "build the map again", mark=";", where="classifiers"
             ) from None
         return cls(
             sensor=data.sensor,
