@@ -125,10 +125,18 @@ class TomlFormat(Generic[Model]):
     def _complaint(self, finding: Mapping[str, Any]) -> tuple[str, str, str]:
         """One finding of a validation: the key, what is wrong with it, and what to do."""
         place = tuple(part for part in finding["loc"] if part != "[key]")
-        key, known = self._dotted(place) if self.named is None else self.named(place)
+        if self.named is not None:
+            key, known = self.named(place)
+        else:
+            key, known = ".".join(str(part) for part in place), list(_keys(self.model))
         kind, value, told = finding["type"], finding["input"], str(finding["msg"])
         if kind == "extra_forbidden":
-            return key, f": no such {self.noun}", _hint(key, known)
+            # which key was meant, by its dotted name or its last part; which there are, if few
+            near = _nearest(key, known) or _nearest(re.split(r"[.\s]", key)[-1], known)
+            told = near and f", did you mean {near}?"
+            if not near and len(known) <= _MOST_LISTED:
+                told = f", expected {', '.join(known)}"
+            return key, f": no such {self.noun}", told
         if kind == "missing":
             return key, ": is missing", ""
         unfit = finding.get("ctx", {}).get("error")
@@ -143,9 +151,6 @@ class TomlFormat(Generic[Model]):
         found = "" if of_all else f", found {value!r:.60}"
         return key, f": {told.removeprefix('Value error, ')}{found}", ""
 
-    def _dotted(self, place: Keys) -> tuple[str, Sequence[str]]:
-        return ".".join(str(part) for part in place), list(_keys(self.model))
-
 
 def _keys(model: type[BaseModel]) -> Iterator[str]:
     """The keys of a document, those in its sections dotted."""
@@ -153,14 +158,6 @@ def _keys(model: type[BaseModel]) -> Iterator[str]:
         yield name
         if isinstance(entry.annotation, type) and issubclass(entry.annotation, BaseModel):
             yield from (f"{name}.{key}" for key in _keys(entry.annotation))
-
-
-def _hint(key: str, known: Sequence[str]) -> str:
-    """Which key was meant, by its dotted name or its last part; which there are, if few."""
-    near = _nearest(key, known) or _nearest(re.split(r"[.\s]", key)[-1], known)
-    if near or len(known) > _MOST_LISTED:
-        return near and f", did you mean {near}?"
-    return f", expected {', '.join(known)}"
 
 
 def choice(name: str, known: Iterable[str]) -> str:
@@ -206,11 +203,9 @@ def toml_value(value: Any) -> str:
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(toml_value(each) for each in value) + "]"
     if isinstance(value, Mapping):
-        inner = ", ".join(f"{_key(key)} = {toml_value(each)}" for key, each in value.items())
-        return f"{{ {inner} }}"
+        inner = [
+            f"{key if _BARE.fullmatch(key) else toml_value(key)} = {toml_value(each)}"
+            for key, each in value.items()
+        ]
+        return f"{{ {', '.join(inner)} }}"
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def _key(name: str) -> str:
-    """A key as it stands in TOML, in quotes where it must be."""
-    return name if _BARE.fullmatch(name) else toml_value(name)
