@@ -147,16 +147,6 @@ for _command in _COMMANDS:
     )
 
 
-def _parameter_of(error: Exception) -> str | None:
-    """The option or the argument that Typer complains of."""
-    parameter = getattr(error, "param", None)
-    if parameter is None:
-        return getattr(error, "option_name", None)
-    if parameter.param_type_name == "option":
-        return str(parameter.opts[0])
-    return str(parameter.metavar or parameter.name)
-
-
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code; UsageError for arguments that make no command."""
     try:
@@ -166,8 +156,15 @@ def run(arguments: Sequence[str] | None = None) -> int:
         command = context.command_path if context is not None else "specmap"
         message = error.format_message().rstrip(".")  # type: ignore[attr-defined]
         message = message.replace(": Value error, ", ": ", 1)  # pydantic's word, not ours
-        told = UsageError(f"{message};", f"see `{command} --help`")
-        told.where = _parameter_of(error)  # which stands within the message
+        told = UsageError(message, f"see `{command} --help`", mark=";")
+        # the option or the argument that it complains of, which stands within the message
+        parameter = getattr(error, "param", None)
+        if parameter is None:
+            told.where = getattr(error, "option_name", None)
+        elif parameter.param_type_name == "option":
+            told.where = str(parameter.opts[0])
+        else:
+            told.where = str(parameter.metavar or parameter.name)
         raise told from None
     except SystemExit as leaving:
         if isinstance(leaving.__context__, BrokenPipeError):  # `specmap --help | head`

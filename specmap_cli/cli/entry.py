@@ -80,7 +80,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     An error is a line on stderr, and with `--json` an object on stdout, too. A bug is raised.
     """
-    as_json = _asks_for_json(sys.argv[1:] if arguments is None else arguments)
+    options = sys.argv[1:] if arguments is None else arguments
+    if "--" in options:  # what follows are names of files
+        options = options[: options.index("--")]
+    as_json = "--json" in options or os.environ.get(JSON_VARIABLE, "").lower() in _YES
     try:
         with interruptible(last=arguments is None):
             return _run(arguments, as_json)
@@ -89,15 +92,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         error = SpecmapError(message, code=INTERRUPTED)
         error.exit_code = interruption.exit_code
         return _fail(error, as_json)
-
-
-def _asks_for_json(arguments: Sequence[str]) -> bool:
-    """Whether `--json` is among the options, or asked for by the environment.
-
-    What follows `--` are names of files.
-    """
-    options = arguments[: arguments.index("--")] if "--" in arguments else arguments
-    return "--json" in options or os.environ.get(JSON_VARIABLE, "").lower() in _YES
 
 
 def _run(arguments: Sequence[str] | None, as_json: bool) -> int:
@@ -127,10 +121,12 @@ def _told(error: Exception) -> SpecmapError | None:
         return error
     if isinstance(error, OSError):
         return _told_of_system(error)
-    if isinstance(error, MemoryError) or _is_want_of_memory(error):
+    of_opencv = type(error).__module__ == "cv2"  # it has an error of its own for want of memory
+    short = of_opencv and getattr(error, "code", None) == _OPENCV_NO_MEMORY
+    if isinstance(error, MemoryError) or short:
         what = f": {error}" if str(error) else ""
         hint = "a shorter log or a coarser grid (--set grid.resolution_m) needs less"
-        return InputError(f"not enough memory{what};", hint, code=MEMORY)
+        return InputError(f"not enough memory{what}", hint, mark=";", code=MEMORY)
     return None
 
 
@@ -141,27 +137,15 @@ def _told_of_system(error: OSError) -> UsageError | None:
         return UsageError(error.strerror, hint, code=MACHINE)
     if is_of_the_machine(error):
         said, hint = reason(error)
-        return UsageError(f"{said};", hint, where=error.filename, code=MACHINE)
+        return UsageError(said, hint, mark=";", where=error.filename, code=MACHINE)
     if is_of_the_place(error):
-        advice = "write elsewhere"
-        if _is_temporary(error.filename):
+        from tempfile import gettempdir
+
+        where, advice = error.filename or "the output", "write elsewhere"
+        if isinstance(where, str) and where.startswith(os.path.join(gettempdir(), "")):
             advice = "set TMPDIR to another directory"
-        where = error.filename or "the output"
         return UsageError.of_system(error, "cannot be written", advice, where=where, code=MACHINE)
     return None
-
-
-def _is_temporary(name: object) -> bool:
-    """Whether a file is in the directory for temporary files."""
-    from tempfile import gettempdir
-
-    return isinstance(name, str) and name.startswith(os.path.join(gettempdir(), ""))
-
-
-def _is_want_of_memory(error: Exception) -> bool:
-    """Whether OpenCV ran out of memory; it has an error of its own for it."""
-    of_opencv = type(error).__module__ == "cv2"
-    return of_opencv and getattr(error, "code", None) == _OPENCV_NO_MEMORY
 
 
 def _fail(error: SpecmapError, as_json: bool) -> int:

@@ -220,19 +220,16 @@ def options_of(command: Any) -> dict[str, Option]:
     found: dict[str, Option] = {}
     for parameter in command.params:
         names = tuple(name[2:] for name in parameter.opts if name.startswith("--"))
-        if names:
-            meaning = _meaning(parameter, hints[parameter.name].annotation)
-            found |= dict.fromkeys(names, Option(names, meaning, parameter.multiple))
+        if not names:
+            continue
+        hint = hints[parameter.name].annotation
+        meaning: Meaning = "text"
+        if parameter.is_flag:
+            meaning = "flag"
+        elif _holds_path(hint):
+            meaning = "output" if WRITTEN in hint.__metadata__ else "input"
+        found |= dict.fromkeys(names, Option(names, meaning, parameter.multiple))
     return found
-
-
-def _meaning(parameter: Any, hint: Any) -> Meaning:
-    """What an option takes, by what is declared of it."""
-    if parameter.is_flag:
-        return "flag"
-    if not _holds_path(hint):
-        return "text"
-    return "output" if WRITTEN in hint.__metadata__ else "input"
 
 
 def _holds_path(hint: Any) -> bool:

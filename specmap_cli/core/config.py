@@ -106,8 +106,9 @@ def load_config(
     if from_file.get("preset", name) != name and len(from_file) > 1:
         raise UsageError(
             f"preset is {from_file['preset']!r}, but --preset {name} was given: the file's values "
-            "would undo it;",
+            "would undo it",
             "take the line `preset` and the values you do not want to keep out of the file",
+            mark=";",
             where=path,
             code=SETTING,
         )

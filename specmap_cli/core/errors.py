@@ -8,8 +8,9 @@
     └── NoResultError       4   the run finished and there is nothing to show for it
 
 An error is made of its parts: what was found, what to do about it (`hint`), and where (a file, an
-option, a setting). Its line is `WHERE: FOUND: HINT`. Programs get the parts, and a `code` that
-stays the same over versions: one of `CODES`.
+option, a setting). Its line is `WHERE: FOUND: HINT`, with another `mark` than the last colon where
+the error asks for it. Programs get the parts, and a `code` that stays the same over versions: one
+of `CODES`.
 Nothing in the packages prints or exits: `specmap_cli.cli` holds the one handler. What a
 machine runs out of is told as what it is, with what to do about it (`reason`).
 """
@@ -60,8 +61,7 @@ class SpecmapError(Exception):
     """Base of every error meant for the user; `exit_code` is the process's exit status.
 
     `found` is what is wrong, `hint` what to do, `where` the file, the option or the setting at
-    fault, `code` one of `CODES`, by default that of the class. What was `found` may end in a
-    semicolon or a comma: the hint then follows it, in place of a colon.
+    fault, `code` one of `CODES`, by default that of the class. `mark` stands before the hint.
     """
 
     exit_code = 1
@@ -72,23 +72,22 @@ class SpecmapError(Exception):
         found: object = "",
         hint: str | None = None,
         *,
+        mark: str = ":",
         where: object = None,
         code: str | None = None,
     ) -> None:
-        self.found, self.hint = str(found), hint
+        self.found, self.hint, self.mark = str(found), hint, mark
         self.where = None if where is None else str(where)
         if code is not None:
             self.code = code
-        line = ": ".join(str(part) for part in (where, found) if part not in (None, ""))
-        if hint is not None:
-            mark = " " if line.endswith((";", ",")) else ": "
-            line = f"{line}{mark}{hint}" if line else hint
-        super().__init__(line)
+        # What is told before the hint.
+        self.told = ": ".join(str(part) for part in (where, found) if part not in (None, ""))
+        before = f"{self.told}{mark} " if self.told and hint is not None else self.told
+        super().__init__(f"{before}{hint or ''}")
 
     def within(self, place: object) -> Self:
         """The same error, told of a larger place, such as a file of jobs."""
-        found = self.found if self.where is None else f"{self.where}: {self.found}"
-        return type(self)(found, self.hint, where=place, code=self.code)
+        return type(self)(self.told, self.hint, mark=self.mark, where=place, code=self.code)
 
     @classmethod
     def of_system(
@@ -102,8 +101,7 @@ class SpecmapError(Exception):
     ) -> Self:
         """The error that the system's makes: `advice` where another place helps."""
         said, hint = reason(error, advice)
-        mark = ";" if hint else ""
-        return cls(f"{found}: {said}{mark}", hint or None, where=where, code=code)
+        return cls(f"{found}: {said}", hint or None, mark=";", where=where, code=code)
 
 
 class UsageError(SpecmapError):

@@ -30,13 +30,6 @@ class Where(Value):
     x: Annotated[Number | None, Field(description="metres; null where it has no place")]
     y: Annotated[Number | None, Field(description="metres; null where it has no place")]
 
-    @classmethod
-    def of(cls, stamp_ns: int | None, place: Place | None) -> Where | None:
-        """When and where, as far as it is known; None where neither is."""
-        if stamp_ns is None and place is None:
-            return None
-        return cls(stamp_ns, *(place or (None, None)))
-
     @property
     def place(self) -> Place | None:
         """Where in the map (x, y), metres."""

@@ -10,8 +10,8 @@ A package offers something by an entry point in its own pyproject.toml, under th
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib.metadata import EntryPoint, entry_points
-from typing import Any, TypeVar
+from importlib.metadata import entry_points
+from typing import TypeVar
 
 from specmap_cli.core.errors import PACKAGE, UsageError
 
@@ -26,31 +26,23 @@ def with_plugins(group: str, built_in: Mapping[str, Kind]) -> dict[str, Kind]:
     """
     table = dict(built_in)
     for point in sorted(entry_points(group=group), key=lambda point: (point.name, point.value)):
+        where = "a package" if point.dist is None else f"package {point.dist.name}"
         if point.name in table:
             raise UsageError(
                 f"offers {point.name!r} in {group}, which exists already",
                 "remove the package or rename its entry point",
-                where=_origin(point),
+                where=where,
                 code=PACKAGE,
             )
-        table[point.name] = _loaded(point)
+        try:
+            table[point.name] = point.load()
+        except Exception as error:  # whatever fails in the package
+            raise UsageError(
+                f"its {point.group} entry {point.name!r} cannot be loaded: "
+                f"{type(error).__name__}: {error}",
+                "mend or remove the package",
+                mark=";",
+                where=where,
+                code=PACKAGE,
+            ) from error
     return table
-
-
-def _loaded(point: EntryPoint) -> Any:
-    """The object that an entry point names; any failure of its package is told in one line."""
-    try:
-        return point.load()
-    except Exception as error:
-        raise UsageError(
-            f"its {point.group} entry {point.name!r} cannot be loaded: "
-            f"{type(error).__name__}: {error};",
-            "mend or remove the package",
-            where=_origin(point),
-            code=PACKAGE,
-        ) from error
-
-
-def _origin(point: EntryPoint) -> str:
-    """The package that offers an entry point."""
-    return f"package {point.dist.name}" if point.dist is not None else "a package"

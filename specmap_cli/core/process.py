@@ -16,8 +16,6 @@ from contextlib import ExitStack, contextmanager
 from importlib import metadata
 from pathlib import Path
 
-from threadpoolctl import ThreadpoolController
-
 from specmap_cli import __version__
 
 # Read by a library when it is loaded: some are loaded while the work is under way.
@@ -52,6 +50,8 @@ def one_blas_thread() -> Iterator[None]:
 @contextmanager
 def _limited() -> Iterator[None]:
     """The limit itself, set and taken back."""
+    from threadpoolctl import ThreadpoolController  # what tells that it is missing can do without
+
     loaded = ThreadpoolController().select(user_api="blas")
     usual = max((one.num_threads for one in loaded.lib_controllers), default=os.cpu_count() or 1)
     known = {one.filepath for one in loaded.lib_controllers}

@@ -36,25 +36,21 @@ class ModelSchema:
     title: str
 
     def document(self) -> dict[str, Any]:
-        """The schema (draft 2020-12)."""
-        made = _called_by_title(self.model.model_json_schema())
+        """The schema (draft 2020-12); its definitions are called by their titles."""
+        made = self.model.model_json_schema()
+        parts = made.pop("$defs", {})
+        titles = {name: part.get("title", name) for name, part in parts.items()}
+        if parts:
+            made["$defs"] = {titles[name]: part for name, part in parts.items()}
+        text = json.dumps(made)
+        for name, title in titles.items():
+            text = text.replace(f'"#/$defs/{name}"', f'"#/$defs/{title}"')
         head = {"$schema": DRAFT, "$id": f"urn:specmap:{self.name}:{self.version}"}
-        return {**head, **made, "title": self.title}
+        return {**head, **json.loads(text), "title": self.title}
 
     def text(self) -> str:
         """The text of `NAME.schema.json`."""
         return json.dumps(self.document(), indent=2, sort_keys=True) + "\n"
-
-
-def _called_by_title(schema: dict[str, Any]) -> dict[str, Any]:
-    """A schema whose definitions are called by their titles, not by their classes."""
-    parts = schema.get("$defs", {})
-    titles = {name: part.get("title", name) for name, part in parts.items()}
-    text = json.dumps({**schema, "$defs": {titles[name]: part for name, part in parts.items()}})
-    for name, title in titles.items():
-        text = text.replace(f'"#/$defs/{name}"', f'"#/$defs/{title}"')
-    found: dict[str, Any] = json.loads(text)
-    return found if parts else schema
 
 
 def schema_names() -> list[str]:

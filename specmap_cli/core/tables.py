@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree
@@ -24,33 +24,27 @@ def csv_text(head: Sequence[str], rows: Iterable[Sequence[Any]], line_end: str =
     gets a single quote before it (OWASP, "CSV Injection"). A text of several quotes and such a sign
     gets one more, so that whoever takes one quote away has the text again. Numbers stay.
     """
-    return "".join(line + line_end for line in _lines([head, *rows]))
-
-
-def _lines(rows: Iterable[Sequence[Any]]) -> Iterator[str]:
-    """Rows without their ends. All line ends in them are in quotes, whichever end the rows get."""
+    lines = []
     text = io.StringIO()
+    # with these ends all line ends in cells are in quotes, whichever end the rows get
     writer = csv.writer(text, lineterminator="\r\n")
-    for row in rows:
+    for row in [head, *rows]:
         writer.writerow(map(_defused, row))
-        yield text.getvalue().removesuffix("\r\n")
+        lines.append(text.getvalue().removesuffix("\r\n") + line_end)
         text.seek(0)
         text.truncate()
+    return "".join(lines)
 
 
 def _defused(cell: Any) -> Any:
     """A cell that is no formula."""
-    if not isinstance(cell, str) or _FORMULA.match(cell) is None or _is_number(cell):
+    if not isinstance(cell, str) or _FORMULA.match(cell) is None:
         return cell
-    return f"'{cell}"
-
-
-def _is_number(text: str) -> bool:
     try:
-        float(text)
+        float(cell)
     except ValueError:
-        return False
-    return True
+        return f"'{cell}"
+    return cell
 
 
 def markdown_table(
@@ -104,21 +98,15 @@ def junit(suite: str, group: str, cases: Sequence[Case]) -> bytes:
     counts |= _time(sum(times) if times else None)
     element = ElementTree.SubElement(root, "testsuite", counts)
     for case in cases:
-        element.append(_element(case, group))
+        names = {"classname": _xml_text(group), "name": _xml_text(case.name)}
+        own = ElementTree.SubElement(element, "testcase", names | _time(case.seconds))
+        if case.failure is not None:
+            told = {"message": _xml_text(case.failure), "type": case.kind}
+            ElementTree.SubElement(own, "failure", told).text = _xml_text(case.detail)
+        elif case.skipped:
+            ElementTree.SubElement(own, "skipped")
     ElementTree.indent(root)
     return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)) + b"\n"
-
-
-def _element(case: Case, group: str) -> ElementTree.Element:
-    """One test case."""
-    names = {"classname": _xml_text(group), "name": _xml_text(case.name)}
-    element = ElementTree.Element("testcase", names | _time(case.seconds))
-    if case.failure is not None:
-        told = {"message": _xml_text(case.failure), "type": case.kind}
-        ElementTree.SubElement(element, "failure", told).text = _xml_text(case.detail)
-    elif case.skipped:
-        ElementTree.SubElement(element, "skipped")
-    return element
 
 
 def _time(seconds: float | None) -> dict[str, str]:

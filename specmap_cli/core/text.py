@@ -58,7 +58,8 @@ def plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [plain(item) for item in value]
     if hasattr(value, "tolist"):  # an array of numpy, or one number of it
-        return plain(value.tolist())
+        items = value.tolist()
+        return plain(float(items) if type(items) is type(value) else items)  # a long double
     if isinstance(value, float):
         return rounded(value)
     return value if value is None or isinstance(value, int) else encodable(str(value))
@@ -121,11 +122,7 @@ def legible(text: str) -> str:
 
 def legible_json(text: str) -> str:
     """JSON with JSON's own escapes for what `legible` escapes; it is read back as it was."""
-    return _UNSHOWN.sub(lambda match: match[0] if match[0] == "\n" else _escaped(match[0]), text)
-
-
-def _escaped(character: str) -> str:
-    return f"\\u{ord(character):04x}"
+    return _UNSHOWN.sub(lambda it: it[0] if it[0] == "\n" else f"\\u{ord(it[0]):04x}", text)
 
 
 def encodable(text: str) -> str:

@@ -49,10 +49,10 @@ def unless(fits: Callable[[Any], bool], hint: str) -> BeforeValidator:
 class TomlFormat(Generic[Model]):
     """A kind of document: the model of what it holds, and how what is wrong with one is told.
 
-    `error` is the class of the errors, or makes them as it does. A key is called `noun`, and a
-    complaint ends with `advice`, which begins with its colon or semicolon. `plainly` has our words
-    for types of pydantic's findings. `named` gives a place as a person finds it, and the keys that
-    may stand there; without it keys are dotted.
+    `error` is the class of the errors, `code` theirs, by default that of the class. A key is called
+    `noun`, and a complaint ends with `advice`, which begins with its colon or semicolon. `plainly`
+    has our words for types of pydantic's findings. `named` gives a place as a person finds it, and
+    the keys that may stand there; without it keys are dotted.
     """
 
     model: type[Model]
@@ -117,19 +117,26 @@ class TomlFormat(Generic[Model]):
     def _error(self, where: str, found: str, hint: str, key: str | None = None) -> SpecmapError:
         """The error of a line; `hint` begins with what parts it from what was found."""
         file, _, place = where.partition(": ")
-        mark = hint[:1].strip(":")
-        told = f"{place}{found}{mark}"
-        error = self.error(told, hint[1:].strip() or None, where=file or None, code=self.code)
-        error.where = file or key
+        mark, advice = hint[:1], hint[1:].strip() or None
+        error = self.error(f"{place}{found}", advice, mark=mark, where=file or None, code=self.code)
+        error.where = file or key  # a key stands within what was found
         return error
 
     def _complaint(self, finding: Mapping[str, Any]) -> tuple[str, str, str]:
         """One finding of a validation: the key, what is wrong with it, and what to do."""
         place = tuple(part for part in finding["loc"] if part != "[key]")
-        key, known = self._dotted(place) if self.named is None else self.named(place)
+        if self.named is not None:
+            key, known = self.named(place)
+        else:
+            key, known = ".".join(str(part) for part in place), list(_keys(self.model))
         kind, value, told = finding["type"], finding["input"], str(finding["msg"])
         if kind == "extra_forbidden":
-            return key, f": no such {self.noun}", _hint(key, known)
+            # which key was meant, by its dotted name or its last part; which there are, if few
+            near = _nearest(key, known) or _nearest(re.split(r"[.\s]", key)[-1], known)
+            told = near and f", did you mean {near}?"
+            if not near and len(known) <= _MOST_LISTED:
+                told = f", expected {', '.join(known)}"
+            return key, f": no such {self.noun}", told
         if kind == "missing":
             return key, ": is missing", ""
         unfit = finding.get("ctx", {}).get("error")
@@ -144,9 +151,6 @@ class TomlFormat(Generic[Model]):
         found = "" if of_all else f", found {value!r:.60}"
         return key, f": {told.removeprefix('Value error, ')}{found}", ""
 
-    def _dotted(self, place: Keys) -> tuple[str, Sequence[str]]:
-        return ".".join(str(part) for part in place), list(_keys(self.model))
-
 
 def _keys(model: type[BaseModel]) -> Iterator[str]:
     """The keys of a document, those in its sections dotted."""
@@ -154,14 +158,6 @@ def _keys(model: type[BaseModel]) -> Iterator[str]:
         yield name
         if isinstance(entry.annotation, type) and issubclass(entry.annotation, BaseModel):
             yield from (f"{name}.{key}" for key in _keys(entry.annotation))
-
-
-def _hint(key: str, known: Sequence[str]) -> str:
-    """Which key was meant, by its dotted name or its last part; which there are, if few."""
-    near = _nearest(key, known) or _nearest(re.split(r"[.\s]", key)[-1], known)
-    if near or len(known) > _MOST_LISTED:
-        return near and f", did you mean {near}?"
-    return f", expected {', '.join(known)}"
 
 
 def choice(name: str, known: Iterable[str]) -> str:
@@ -207,11 +203,9 @@ def toml_value(value: Any) -> str:
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(toml_value(each) for each in value) + "]"
     if isinstance(value, Mapping):
-        inner = ", ".join(f"{_key(key)} = {toml_value(each)}" for key, each in value.items())
-        return f"{{ {inner} }}"
+        inner = [
+            f"{key if _BARE.fullmatch(key) else toml_value(key)} = {toml_value(each)}"
+            for key, each in value.items()
+        ]
+        return f"{{ {', '.join(inner)} }}"
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def _key(name: str) -> str:
-    """A key as it stands in TOML, in quotes where it must be."""
-    return name if _BARE.fullmatch(name) else toml_value(name)

@@ -249,7 +249,7 @@ def read_g2o(text: str) -> tuple[dict[int, FloatArray], list[Link]]:
                 links.append(link)
         except (ValueError, IndexError):
             raise InputError(
-                f"g2o, line {number}: {line!r} is no {tag};", "mend the line"
+                f"g2o, line {number}: {line!r} is no {tag}", "mend the line", mark=";"
             ) from None
     return poses, links
 

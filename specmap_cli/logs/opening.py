@@ -133,7 +133,7 @@ def open_log(paths: Paths, config: LogConfig | None = None) -> Log:
     given = paths_of(paths, "paths")
     settings = LogConfig() if config is None else instance_of(config, LogConfig, "config")
     if not given:
-        raise LogError("no log given;", "name a file or a directory")
+        raise LogError("no log given", "name a file or a directory", mark=";")
     readers = known_readers()
     with ExitStack() as held:
         recordings: list[Recording] = []
@@ -212,7 +212,7 @@ def _told_of(compression: str) -> Iterator[None]:
     except LogError as error:
         found, hint = error.found, error.hint
         found, hint = (found, f"{hint} {inside}") if hint else (f"{found} {inside}", None)
-        raise LogError(found, hint, where=error.where, code=error.code) from None
+        raise LogError(found, hint, mark=error.mark, where=error.where, code=error.code) from None
 
 
 def _reader_of(file: Path, path: Path, readers: _Readers) -> type[Recording]:

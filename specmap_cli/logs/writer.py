@@ -69,7 +69,9 @@ class LogWriter:
     def __init__(self, path: Path | str) -> None:
         self.path = path_of(path, "path")
         if self.path.is_dir():
-            raise UsageError("is a directory;", "name the MCAP file to write", where=self.path)
+            raise UsageError(
+                "is a directory", "name the MCAP file to write", mark=";", where=self.path
+            )
         self._part = partial_of(self.path)
         self._channels: dict[tuple[str, str], int] = {}
         self._schemas: dict[str, int] = {}
@@ -245,7 +247,7 @@ def convert(
     given, target = paths_of(paths, "paths"), path_of(out, "out")
     if target.exists() and not overwrite:
         hint = "use --overwrite to replace it"
-        raise UsageError("exists already;", hint, where=target, code=OUTPUT_EXISTS)
+        raise UsageError("exists already", hint, mark=";", where=target, code=OUTPUT_EXISTS)
     with open_log(given, config) as log:
         topics = log.topics()
         wanted = [t for t in topics if t.type in SUPPORTED_TYPES and t.count]

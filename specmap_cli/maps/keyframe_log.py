@@ -123,6 +123,7 @@ def read_keyframes(path: Path, most: int, limits: LimitsConfig | None = None) ->
         raise MapError(
             f"larger than {most_mb:g} MB;",
             "if it is meant, raise limits.keyframes_max_mb",
+            mark=";",
             where=path,
             code=TOO_LARGE,
         )

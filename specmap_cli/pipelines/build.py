@@ -25,7 +25,7 @@ from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.directory import OutputDirectory, refuse_inside
 from specmap_cli.maps.filenames import EDITS
 from specmap_cli.pipelines.session import Session
-from specmap_cli.pipelines.tracking import Tracking, TrajectoryRecorder, track
+from specmap_cli.pipelines.tracking import TrajectoryRecorder, track
 from specmap_cli.pipelines.worker import ahead
 from specmap_cli.recognition.features.sets import check_feature_sets
 
@@ -61,7 +61,12 @@ def build_map(
     given, target, progress = paths_of(logs, "logs"), path_of(out, "out"), progress or Silent()
     pictures = None if explain is None else path_of(explain, "explain")
     refuse_inside(pictures, target)
-    _refuse_edited(target)
+    if (target / EDITS).exists():
+        raise UsageError(
+            f"its {EDITS} holds a person's decisions, which a new map would lose",
+            f"keep them with --like {target}, or move the file away",
+            where=target,
+        )
     with (
         open_log(given, config.log) as log,
         OutputDirectory(target, overwrite, progress) as partial,
@@ -82,16 +87,6 @@ def build_map(
             lambda: RunRecord.of(session, finished, log.given, stream.selection).document(),
         )
     return BuildReport(out=target, run=run, quality=finished.quality)
-
-
-def _refuse_edited(target: Path) -> None:
-    """Refuse to replace a map by one that knows nothing of what a person decided about it."""
-    if (target / EDITS).exists():
-        raise UsageError(
-            f"its {EDITS} holds a person's decisions, which a new map would lose",
-            f"keep them with --like {target}, or move the file away",
-            where=target,
-        )
 
 
 @one_blas_thread()
@@ -123,10 +118,20 @@ def survey(
 ) -> tuple[LaidOut, Prior]:
     """A log explored and laid out by itself, and what is known before it is learned.
 
-    The arguments, and what it raises, are those of `map_log`.
+    Registration runs ahead where there is a second processor. The arguments, and what it raises,
+    are those of `map_log`.
     """
-    check_feature_sets(session.config)
-    explored, tracking = _explored(session, stream, accepts, observer)
+    config = session.config
+    check_feature_sets(config)
+    session.progress.note(stream.selection.note)
+    session.progress.start("mapping", stream.expected)
+    with ahead(lambda: track(stream, config.registration)) as scans:
+        from specmap_cli.pipelines.exploration import Exploration  # loaded meanwhile
+
+        accepts = accepts or KeyframeSelector(config.keyframes).accepts
+        explored = explore(scans, Exploration(session, observer), accepts)
+        tracking = scans.result
+    session.clock.seconds["registration"] = tracking.seconds
     if not len(session.store):
         found = "; ".join(tracking.warnings) or "too few returns in them"
         raise NoResultError(
@@ -138,26 +143,6 @@ def survey(
     from specmap_cli.pipelines.learning import Prior
 
     return lay_out(session, explored, tracking, stream.log.name), Prior(explored.features)
-
-
-def _explored(
-    session: Session, stream: SweepStream, accepts: Accepts | None, observer: Observer | None
-) -> tuple[Explored, Tracking]:
-    """Track and explore a log: registration runs ahead where there is a second processor.
-
-    What only the exploration knows is gone afterwards.
-    """
-    config = session.config
-    session.progress.note(stream.selection.note)
-    session.progress.start("mapping", stream.expected)
-    with ahead(lambda: track(stream, config.registration)) as scans:
-        from specmap_cli.pipelines.exploration import Exploration  # loaded meanwhile
-
-        accepts = accepts or KeyframeSelector(config.keyframes).accepts
-        explored = explore(scans, Exploration(session, observer), accepts)
-        tracking = scans.result
-    session.clock.seconds["registration"] = tracking.seconds
-    return explored, tracking
 
 
 def explore(scans: Iterable[PosedScan], exploration: Exploration, accepts: Accepts) -> Explored:
@@ -188,19 +173,6 @@ def _pictures(folder: Path, config: Config, *, overwrite: bool) -> Observer:
     from specmap_cli.drawing.split_tests import draw_test
     from specmap_cli.grids.map_server import write_png
 
-    _make_room(folder, overwrite)
-    numbers = count(1)
-
-    def draw(test: SplitTest, split: bool, occasion: Occasion) -> None:
-        if test.grid.cells.size:  # one outside the grid has nothing to show
-            picture = draw_test(test, config.segmentation.split_eigenvalue, split, occasion)
-            write_png(folder / f"test_{next(numbers):04d}.png", picture)
-
-    return draw
-
-
-def _make_room(folder: Path, overwrite: bool) -> None:
-    """Make the directory, without pictures of an earlier run."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         old = sorted(folder.glob("test_*.png"))
@@ -214,7 +186,16 @@ def _make_room(folder: Path, overwrite: bool) -> None:
             picture.unlink()
     except OSError as error:
         raise UsageError(
-            f"cannot write pictures there: {error.strerror};",
+            f"cannot write pictures there: {error.strerror}",
             "choose another directory",
+            mark=";",
             where=folder,
         ) from None
+    numbers = count(1)
+
+    def draw(test: SplitTest, split: bool, occasion: Occasion) -> None:
+        if test.grid.cells.size:  # one outside the grid has nothing to show
+            picture = draw_test(test, config.segmentation.split_eigenvalue, split, occasion)
+            write_png(folder / f"test_{next(numbers):04d}.png", picture)
+
+    return draw

@@ -97,10 +97,12 @@ class BuildingSeries:
         It is compared with the newest map that it fits to, and laid out in the oldest, so that
         small errors do not add up over a long series.
         """
-        found = self._compared(stored)
-        if found is None:
+        for before in {entry.number: entry for entry in (self.last, *self._plans[::-1])}.values():
+            comparison = _fits(before.stored, stored)
+            if comparison is not None:
+                break
+        else:
             return None
-        before, comparison = found
         steps = (comparison.old_from_new, *before.steps)
         first = self._plans[0]
         if before is not first:
@@ -113,23 +115,30 @@ class BuildingSeries:
         """The last name that a person gave to a room, or a number."""
         return self._names.get(room.number, room_name(room.number))
 
-    def _compared(self, stored: StoredMap) -> tuple[Entry, Comparison] | None:
-        candidates = {entry.number: entry for entry in (self.last, *reversed(self._plans))}
-        for entry in candidates.values():
-            comparison = _fits(entry.stored, stored)
-            if comparison is not None:
-                return entry, comparison
-        return None
-
     def _take(self, entry: Entry) -> Entry:
         """Find the rooms of a map and count its recordings."""
         labels, known = entry.stored.labels, len(self.rooms)
-        rooms = self._rooms_of(entry, labels)
-        self._add_rooms(entry, labels.submaps, rooms)
+        submaps, places = labels.submaps, entry.to_building(labels.poses[:, :2])
+        # the room of each keyframe by the maps before, the oldest first
+        rooms = np.full(len(places), NO_SUBMAP, dtype=np.int64)
+        for plan in self._plans:
+            owners = plan.stored.regions.owners(plan.from_building(places))
+            first_of = {room.node.id: room.number for room in plan.added}
+            rooms = np.where(rooms == NO_SUBMAP, _looked_up(owners, first_of), rooms)
+        # submaps become rooms where most of their keyframes are in no room yet
+        for node in entry.stored.record.nodes:
+            own = submaps == node.id
+            if own.any() and (rooms[own] == NO_SUBMAP).mean() > _MOST:
+                self.rooms.append(Room(len(self.rooms), entry.number, node))
         added = tuple(self.rooms[known:])
         new = {room.node.id: room.number for room in added}
-        rooms = np.where(rooms == NO_SUBMAP, _looked_up(labels.submaps, new), rooms)
-        entry = replace(entry, room_of=_by_majority(labels.submaps, rooms), added=added)
+        rooms = np.where(rooms == NO_SUBMAP, _looked_up(submaps, new), rooms)
+        room_of = {}
+        for id_ in np.unique(submaps[submaps != NO_SUBMAP]).tolist():
+            inside = rooms[(submaps == id_) & (rooms != NO_SUBMAP)]
+            if len(inside):
+                room_of[id_] = int(np.bincount(inside).argmax())
+        entry = replace(entry, room_of=room_of, added=added)
         if added:
             self._plans.append(entry)
         self._tours(entry.stored, labels, rooms)
@@ -137,23 +146,6 @@ class BuildingSeries:
             if id_ in entry.room_of:
                 self._names[entry.room_of[id_]] = name
         return entry
-
-    def _rooms_of(self, entry: Entry, labels: Labels) -> IntArray:
-        """(n,) the room of each keyframe by the maps before, the oldest first."""
-        places = entry.to_building(labels.poses[:, :2])
-        rooms = np.full(len(places), NO_SUBMAP, dtype=np.int64)
-        for plan in self._plans:
-            owners = plan.stored.regions.owners(plan.from_building(places))
-            first_of = {room.node.id: room.number for room in plan.added}
-            rooms = np.where(rooms == NO_SUBMAP, _looked_up(owners, first_of), rooms)
-        return rooms
-
-    def _add_rooms(self, entry: Entry, submaps: IntArray, rooms: IntArray) -> None:
-        """Submaps become rooms where most of their keyframes are in no room yet."""
-        for node in entry.stored.record.nodes:
-            own = submaps == node.id
-            if own.any() and (rooms[own] == NO_SUBMAP).mean() > _MOST:
-                self.rooms.append(Room(len(self.rooms), entry.number, node))
 
     def _tours(self, stored: StoredMap, labels: Labels, rooms: IntArray) -> None:
         """Count the recordings that no earlier map of the building was made of."""
@@ -178,16 +170,6 @@ def _fits(old: StoredMap, new: StoredMap) -> Comparison | None:
         return compare_maps(old, new)
     except NoResultError:
         return None
-
-
-def _by_majority(submaps: IntArray, rooms: IntArray) -> dict[int, int]:
-    """The room that most keyframes of each submap are in, of submaps that are in one."""
-    found = {}
-    for id_ in np.unique(submaps[submaps != NO_SUBMAP]).tolist():
-        inside = rooms[(submaps == id_) & (rooms != NO_SUBMAP)]
-        if len(inside):
-            found[id_] = int(np.bincount(inside).argmax())
-    return found
 
 
 def _recording(log: LogInfo) -> Recording:

@@ -62,25 +62,18 @@ def check_map(
     instance_of(rules, Rules, "rules")
     figures, details = figures_of(map_), dict(_told(map_))
     if golden is not None:
-        record, reason = _compared(golden, map_, progress)
+        record, reason = None, ""
+        try:
+            record = compare_maps(golden, map_, progress=progress).record
+        except NoResultError as error:
+            reason = str(error)
         against_it = figures_against(record)
         figures |= against_it
         details |= dict.fromkeys(against_it, reason) if record is None else _changes(record)
     quality = map_.record.graph.quality
     verdict = None if quality is None else quality.verdict
     named = None if golden is None else str(golden.path)
-    rounded = plain(figures)
-    return CheckReport(judged(str(map_.path), named, rounded, verdict, rules, details))
-
-
-def _compared(
-    golden: StoredMap, map_: StoredMap, progress: Progress | None
-) -> tuple[ComparisonRecord | None, str]:
-    """The comparison, or why there is none."""
-    try:
-        return compare_maps(golden, map_, progress=progress).record, ""
-    except NoResultError as error:
-        return None, str(error)
+    return CheckReport(judged(str(map_.path), named, plain(figures), verdict, rules, details))
 
 
 def _told(stored: StoredMap) -> Iterable[tuple[str, str]]:

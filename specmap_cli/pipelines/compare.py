@@ -58,8 +58,44 @@ class Comparison:
     @property
     def record(self) -> ComparisonRecord:
         """The same as it is written to compare.json."""
-        maps = self.old, self.new
-        return record_of(maps, self.alignment, self.differences, self.identical)
+        alignment, found = self.alignment, self.differences
+        identity, ground = found.identity, alignment.ground
+        assert alignment.old_from_new is not None
+        return ComparisonRecord(
+            schema_version=SCHEMA_VERSION,
+            old=_figures(self.old),
+            new=_figures(self.new),
+            identical=self.identical,
+            alignment=AlignmentRecord(
+                old_from_new=transform(alignment.old_from_new),
+                votes=alignment.votes,
+                submaps=alignment.party,
+                area_m2=alignment.area_m2,
+                walls_m=0.0 if ground is None else ground.confirmed_m,
+                residual_m=0.0 if ground is None else ground.residual_m,
+                rival=alignment.rival,
+            ),
+            submaps=SubmapsRecord(
+                same=identity.same,
+                split=[SplitRecord(old=old, new=list(new)) for old, new in identity.splits.items()],
+                merged=[
+                    MergeRecord(old=list(old), new=new) for new, old in identity.merges.items()
+                ],
+                new=list(identity.added),
+                unseen=list(identity.unseen),
+                gone=list(identity.gone),
+                redrawn_old=list(identity.redrawn[0]),
+                redrawn_new=list(identity.redrawn[1]),
+            ),
+            doors=DoorsRecord(
+                closed=[_door(way) for way in found.closed],
+                opened=[_door(way) for way in found.opened],
+            ),
+            things=ThingsRecord(
+                appeared=[_obstacle(one) for one in found.appeared],
+                vanished=[_obstacle(one) for one in found.vanished],
+            ),
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """The same for a machine."""
@@ -88,9 +124,21 @@ def compare_maps(
     if config is not None:
         instance_of(config, Config, "config")
     config = settings_for(one, {}) if config is None else config
-    identical = _are_identical(one, other)
+    grids = one.map_grid, other.map_grid
+    identical = (
+        one.record.text() == other.record.text()
+        and grids[0].origin == grids[1].origin
+        and grids[0].resolution == grids[1].resolution
+        and np.array_equal(grids[0].cells, grids[1].cells)
+    )
     progress.start("comparing", None)
-    alignment = _found(one, other, identical, config)
+    alignment = align_maps(one, other, config)
+    if alignment.old_from_new is None and not identical:
+        raise NoResultError(
+            f"not aligned with {one.path}: {alignment.reason}", where=other.path, code=NOT_ALIGNED
+        )
+    if alignment.old_from_new is None:  # it may fit in more than one way, but this one is right
+        alignment = Alignment(old_from_new=IDENTITY, reason="the maps are identical")
     motion = _motion(alignment)
     tracks = one.labels.poses, other.labels.poses
     found = differences(one.regions, other.regions, tracks, motion)
@@ -128,29 +176,6 @@ def write_comparison(
         write_png(partial / PICTURE, picture)
 
 
-def _are_identical(old: StoredMap, new: StoredMap) -> bool:
-    """Whether two maps hold the same submaps and the same grid."""
-    one, other = old.map_grid, new.map_grid
-    return (
-        old.record.text() == new.record.text()
-        and one.origin == other.origin
-        and one.resolution == other.resolution
-        and np.array_equal(one.cells, other.cells)
-    )
-
-
-def _found(old: StoredMap, new: StoredMap, identical: bool, config: Config) -> Alignment:
-    """Where the new map lies in the old one. Raises NoResultError when that is not sure."""
-    alignment = align_maps(old, new, config)
-    if alignment.old_from_new is None and not identical:
-        raise NoResultError(
-            f"not aligned with {old.path}: {alignment.reason}", where=new.path, code=NOT_ALIGNED
-        )
-    if alignment.old_from_new is None:  # it may fit in more than one way, but this one is right
-        return Alignment(old_from_new=IDENTITY, reason="the maps are identical")
-    return alignment
-
-
 def _motion(alignment: Alignment) -> BentMotion:
     """The motion from the new map to the old one, as its submaps lie in it."""
     assert alignment.old_from_new is not None
@@ -162,28 +187,6 @@ def _motion(alignment: Alignment) -> BentMotion:
         and fit.confirmed_m >= max(_LEAST_WALLS_M, _LEAST_SHARE * fit.walls_m)
     )
     return BentMotion(alignment.old_from_new, local)
-
-
-def record_of(
-    maps: tuple[StoredMap, StoredMap], alignment: Alignment, found: Differences, identical: bool
-) -> ComparisonRecord:
-    """The contents of compare.json for an old and a new map, which were aligned."""
-    old, new = map(_figures, maps)
-    return ComparisonRecord(
-        schema_version=SCHEMA_VERSION,
-        old=old,
-        new=new,
-        identical=identical,
-        alignment=_alignment(alignment),
-        submaps=found.identity,
-        doors=DoorsRecord(
-            closed=[_door(way) for way in found.closed], opened=[_door(way) for way in found.opened]
-        ),
-        things=ThingsRecord(
-            appeared=[_obstacle(one) for one in found.appeared],
-            vanished=[_obstacle(one) for one in found.vanished],
-        ),
-    )
 
 
 def _figures(stored: StoredMap) -> MapFigures:
@@ -206,41 +209,25 @@ def lines_of(record: ComparisonRecord, called: tuple[str, str] | None = None) ->
     old, new = called or (record.old.map, record.new.map)
     if record.identical:
         return [f"{new}: identical to {old}"]
-    at = record.alignment
+    at, doors, things = record.alignment, record.doors, record.things
+    changes = [*doors.closed, *doors.opened, *things.appeared, *things.vanished]
     return [
         f"{new} against {old}: "
         f"aligned by {counted(at.submaps, 'submap')} of either map, "
         f"{at.area_m2:.0f} m2 are in both, off by {at.residual_m:.2f} m",
         *_of_submaps(record),
-        *_of_doors(record),
-        *_of_things("appeared", record.things.appeared, record.old.names),
-        *_of_things("vanished", record.things.vanished, record.old.names),
-        *([] if _changes(record) else ["the building: no change found"]),
+        *(f"way closed: {_where(door, record.old.names)}" for door in doors.closed),
+        *(
+            f"way opened: {_where(door, record.new.names)}, by the ids of the new map"
+            for door in doors.opened
+        ),
+        *_of_things("appeared", things.appeared, record.old.names),
+        *_of_things("vanished", things.vanished, record.old.names),
+        *([] if changes or record.submaps.gone else ["the building: no change found"]),
         f"driven: {record.old.path_m:.0f} m, then {record.new.path_m:.0f} m; submaps: "
         f"{record.old.submaps}, then {record.new.submaps}; free cells: "
         f"{record.old.area_m2:.0f} m2, then {record.new.area_m2:.0f} m2",
     ]
-
-
-def _changes(record: ComparisonRecord) -> bool:
-    doors, things = record.doors, record.things
-    return bool(doors.closed or doors.opened or things.appeared or things.vanished) or bool(
-        record.submaps.gone
-    )
-
-
-def _alignment(alignment: Alignment) -> AlignmentRecord:
-    ground = alignment.ground
-    assert alignment.old_from_new is not None
-    return AlignmentRecord(
-        old_from_new=transform(alignment.old_from_new),
-        votes=alignment.votes,
-        submaps=alignment.party,
-        area_m2=alignment.area_m2,
-        walls_m=0.0 if ground is None else ground.confirmed_m,
-        residual_m=0.0 if ground is None else ground.residual_m,
-        rival=alignment.rival,
-    )
 
 
 def _door(way: Crossing) -> DoorRecord:
@@ -281,16 +268,6 @@ def _of_submaps(record: ComparisonRecord) -> list[str]:
         before, after = _listed(submaps.redrawn_old, old), _listed(submaps.redrawn_new, new)
         lines.append(f"submaps divided otherwise: {before or 'none'}, now {after or 'none'}")
     return lines
-
-
-def _of_doors(record: ComparisonRecord) -> list[str]:
-    return [
-        *(f"way closed: {_where(door, record.old.names)}" for door in record.doors.closed),
-        *(
-            f"way opened: {_where(door, record.new.names)}, by the ids of the new map"
-            for door in record.doors.opened
-        ),
-    ]
 
 
 def _where(door: DoorRecord, names: Mapping[int, str]) -> str:

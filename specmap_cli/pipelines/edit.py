@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -20,9 +20,8 @@ from specmap_cli.core.errors import MapError, UsageError
 from specmap_cli.core.json_values import Record
 from specmap_cli.core.process import one_blas_thread, versions
 from specmap_cli.core.progress import Progress, Silent
-from specmap_cli.core.records import NO_SUBMAP, IntArray
+from specmap_cli.core.records import NO_SUBMAP
 from specmap_cli.core.settings import Config
-from specmap_cli.drawing.canvas import Image
 from specmap_cli.drawing.overview import render_overview, render_segmentation
 from specmap_cli.grids.gridmap import UNKNOWN, GridMap
 from specmap_cli.grids.map_server import read_picture, write_png
@@ -46,7 +45,7 @@ from specmap_cli.pipelines.finishing import finish, write_finished
 from specmap_cli.pipelines.laying_out import with_grid
 from specmap_cli.pipelines.learning import Prior, training_data_of_stored, valid_training_data
 from specmap_cli.pipelines.localize import settings_for
-from specmap_cli.pipelines.map_in_making import FinishedMap, laid_out_of_stored, quality_of_stored
+from specmap_cli.pipelines.map_in_making import laid_out_of_stored, quality_of_stored
 from specmap_cli.pipelines.reports import EditReport
 from specmap_cli.pipelines.session import Session
 from specmap_cli.topology.regions import NOBODY, Regions
@@ -88,8 +87,15 @@ def edit_map(
     target = stored.path if out is None else path_of(out, "out")
     in_place = os.path.realpath(target) == os.path.realpath(stored.path)
     found = _drawn(stored, with_requested(edits_of_stored(stored), requested))
-    _refuse_absent(found.submaps, requested)
-    _refuse_unapplied(_skipped(found), found, requested)
+    known = sorted(set(found.submaps.tolist()) - {NO_SUBMAP})
+    for id_ in requested.submaps:
+        if id_ not in known:
+            there = ", ".join(str(each) for each in known)
+            raise UsageError(
+                f"there is no submap {id_} to name or to describe", f"choose from {there}"
+            )
+    skipped = [f"{number_of(place)}: {why}" for place, why in sorted(found.skipped.items())]
+    _refuse_unapplied(skipped, found, requested)
     anew = found.borders != stored.record.graph.edits.borders
     with OutputDirectory(target, overwrite or in_place, progress) as partial:
         if anew:
@@ -124,29 +130,13 @@ def _drawn(stored: StoredMap, edits: Edits) -> Drawn:
     return drawn(whole, labels, graph.edits.borders, edits, graph.next_id)
 
 
-def _refuse_absent(submaps: IntArray, requested: RequestedEdits) -> None:
-    """Refuse to say something of submaps that are none."""
-    known = sorted(set(submaps.tolist()) - {NO_SUBMAP})
-    for id_ in requested.submaps:
-        if id_ not in known:
-            there = ", ".join(str(each) for each in known)
-            raise UsageError(
-                f"there is no submap {id_} to name or to describe", f"choose from {there}"
-            )
-
-
-def _skipped(found: Drawn) -> list[str]:
-    """What could not be made of the borders."""
-    return [f"{number_of(place)}: {why}" for place, why in sorted(found.skipped.items())]
-
-
 def _refuse_unapplied(unapplied: Sequence[str], found: Drawn, requested: RequestedEdits) -> None:
     """Refuse a request that does not apply; what stands in edits.toml for longer may."""
     count = len(found.edits.changes)
     for place in range(count - len(requested.changes), count):
         for line in unapplied:
-            if line.startswith(f"{number_of(place)}: "):
-                why = line.removeprefix(f"{number_of(place)}: ")
+            number, _, why = line.partition(": ")
+            if number == number_of(place):
                 raise UsageError(f"cannot {in_words(found.edits.changes[place])}: {why}")
 
 
@@ -160,7 +150,14 @@ def _relabelled(stored: StoredMap, found: Drawn, directory: Path) -> Edited:
     _carry_over(stored.path, directory, _REWRITTEN)
     record = _record_with(stored.record, topology)
     (directory / filenames.TOPOLOGY).write_text(record.text(), encoding="utf-8")
-    write_png(directory / filenames.OVERVIEW, _overview(stored, topology))
+    logs = stored.record.graph.logs
+    if regions is None:
+        picture = render_segmentation(topology, _segmented(stored), logs[0])
+    else:
+        way = read_trajectory(stored.path / filenames.TRAJECTORY, stored.limits)
+        quality = quality_of_stored(stored)
+        picture = render_overview(topology, regions, way, stored.labels, logs, quality)
+    write_png(directory / filenames.OVERVIEW, picture)
     if edits:
         (directory / filenames.EDITS).write_text(edits, encoding="utf-8")
     return topology, unapplied
@@ -184,15 +181,12 @@ def _made_anew(
         laid = with_grid(session, replace(laid, edits=found.edits))
         prior = Prior.of(session, kept)
         finished = finish(session, laid, prior, quality_of_stored(stored))
-        write_finished(session, directory, finished, lambda: _run(stored, finished))
+        topology = finished.topology
+        made = {"submaps": len(topology.submaps), "edges": len(topology.edges)}
+        run = {**stored.run, "versions": versions(), "counts": {**stored.counts, **made}}
+        write_finished(session, directory, finished, lambda: run)
     _carry_over(stored.path, directory, filenames.OF_A_MAP - _OF_THE_LAYOUT)
-    return finished.topology, finished.unapplied
-
-
-def _run(stored: StoredMap, finished: FinishedMap) -> Mapping[str, Any]:
-    """run.json of a map that was divided anew, by this version."""
-    made = {"submaps": len(finished.topology.submaps), "edges": len(finished.topology.edges)}
-    return {**stored.run, "versions": versions(), "counts": {**stored.counts, **made}}
+    return topology, finished.unapplied
 
 
 def _record_with(record: TopologyRecord, topology: TopologicalMap) -> TopologyRecord:
@@ -239,17 +233,6 @@ def _carry_over(source: Path, target: Path, without: Collection[str]) -> None:
                 shutil.copyfile(path, target / path.name)
     except OSError as error:
         raise MapError.of_system(error, "cannot be copied", where=source) from None
-
-
-def _overview(stored: StoredMap, topology: TopologicalMap) -> Image:
-    """The picture of a map, of a recording or of a finished grid."""
-    graph = stored.record.graph
-    if not (stored.path / filenames.LABELS).exists():
-        return render_segmentation(topology, _segmented(stored), graph.logs[0])
-    trajectory = read_trajectory(stored.path / filenames.TRAJECTORY, stored.limits)
-    return render_overview(
-        topology, stored.regions, trajectory, stored.labels, graph.logs, quality_of_stored(stored)
-    )
 
 
 def _segmented(stored: StoredMap) -> Regions:

@@ -6,7 +6,7 @@ not apply is told and stays in edits.toml: the submap may come back.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -70,24 +70,16 @@ def with_requested(edits: Edits, requested: RequestedEdits) -> Edits:
         id_: edit.model_dump() for id_, edit in edits.submaps.items() if id_ not in requested.forget
     }
     for id_ in requested.submaps:
-        submaps[id_] = _said(submaps.get(id_, {}), id_, requested)
+        said = submaps[id_] = dict(submaps.get(id_, {}))
+        properties = {**said.get("properties", {}), **requested.properties.get(id_, {})}
+        said["properties"] = {key: value for key, value in properties.items() if value is not None}
+        if id_ in requested.names:
+            said["name"] = requested.names[id_] or None
+        if id_ in requested.kinds:
+            said["kind"] = requested.kinds[id_]
     stay = [change.model_dump() for change in _not_undone(edits, requested.undo)]
     changes = [*stay, *requested.changes]
     return _saying(_REQUESTED.value({"submaps": submaps, "changes": changes}, "edit: "))
-
-
-def _said(before: Mapping[str, Any], id_: int, requested: RequestedEdits) -> dict[str, Any]:
-    """What is said of one submap."""
-    properties = {**before.get("properties", {}), **requested.properties.get(id_, {})}
-    said = {
-        **before,
-        "properties": {key: value for key, value in properties.items() if value is not None},
-    }
-    if id_ in requested.names:
-        said["name"] = requested.names[id_] or None
-    if id_ in requested.kinds:
-        said["kind"] = requested.kinds[id_]
-    return said
 
 
 def _not_undone(edits: Edits, undo: Collection[int]) -> list[Change]:
@@ -101,22 +93,17 @@ def _not_undone(edits: Edits, undo: Collection[int]) -> list[Change]:
     kept: list[Change] = []
     was: dict[int, tuple[int, ...]] = {}
     for number, change in enumerate(edits.changes, start=1):
-        if number not in undo:
-            kept += _renamed(change, was)
+        if number not in undo and isinstance(change, ForbidEdit):
+            one, other = (was.get(end, (end,)) for end in change.forbid)
+            pairs = [(a, b) for a in one for b in other if a != b]
+            kept += [ForbidEdit(forbid=pair, at=change.at) for pair in pairs]
+        elif number not in undo:
+            kept.append(change)
         elif isinstance(change, SplitEdit) and change.new is not None:
             was[change.new] = (change.split,)
         elif isinstance(change, MergeEdit):
             was[change.merge[0]] = change.merge
     return kept
-
-
-def _renamed(change: Change, was: Mapping[int, tuple[int, ...]]) -> list[Change]:
-    """A change that stays when others before it are undone, where it forbids a door."""
-    if not isinstance(change, ForbidEdit):
-        return [change]
-    one, other = (was.get(end, (end,)) for end in change.forbid)
-    pairs = [(a, b) for a in one for b in other if a != b]
-    return [ForbidEdit(forbid=pair, at=change.at) for pair in pairs]
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,9 +162,13 @@ def drawn(
     places = [n for n, change in enumerate(edits.changes) if not isinstance(change, ForbidEdit)]
     found = redrawn(whole, labels, borders, borders_in(edits), next_id)
     skipped = {places[place]: why for place, why in found.skipped.items()}
-    made = dict(zip([n for n in places if n not in skipped], found.borders, strict=True))
-    changes = tuple(_with_id(change, made.get(n)) for n, change in enumerate(edits.changes))
-    numbered = Edits(submaps=edits.submaps, changes=changes)
+    changes = list(edits.changes)
+    made = [place for place in places if place not in skipped]
+    for place, border in zip(made, found.borders, strict=True):
+        change = changes[place]
+        if isinstance(change, SplitEdit) and isinstance(border, Split):
+            changes[place] = SplitEdit(split=change.split, line=change.line, new=border.new)
+    numbered = Edits(submaps=edits.submaps, changes=tuple(changes))
     return Drawn(found.submaps, found.borders, found.next_id, numbered, skipped)
 
 
@@ -197,12 +188,25 @@ def named(
         submaps[id_] = replace(
             submap, name=own.name or "", kind=own.kind, properties=own.properties
         )
-    allowed, unlinked = _forbidden(topology, regions, edits, skipped)
+    shut, made = Shut(), 0
+    refused = dict(skipped)  # why a change does not apply, by its place
+    for place, change in enumerate(edits.changes):
+        if isinstance(change, ForbidEdit):
+            later = tuple(topology.borders[made:])  # made after it was said
+            found = shut_by(topology, Forbidden(change.forbid, change.at, later))
+            if isinstance(found, str):
+                refused[place] = found
+            else:
+                shut |= found
+        elif place not in skipped:
+            made += 1
+    if regions is not None:
+        topology = with_detours(topology, regions, shut.doors)
     told = [
         f"submaps.{each.id}: there is no submap {each.id}" for each in said if each.id not in shown
     ]
-    why = sorted({**skipped, **unlinked}.items())
-    told += [f"{number_of(place)}: {reason}" for place, reason in why]
+    told += [f"{number_of(place)}: {reason}" for place, reason in sorted(refused.items())]
+    allowed = with_shut(topology, shut)
     return replace(allowed, submaps=submaps, said=tuple(shown.values())), tuple(told)
 
 
@@ -215,39 +219,3 @@ def tell_unapplied(unapplied: Sequence[str], progress: Progress) -> None:
     """Note the edits that do not apply."""
     for line in unapplied:
         progress.note(f"{filenames.EDITS}: not applied: {line}")
-
-
-def _with_id(change: Change, made: BorderEdit | None) -> Change:
-    """A change; a split that was made has the id of the new submap."""
-    if isinstance(change, SplitEdit) and isinstance(made, Split):
-        return SplitEdit(split=change.split, line=change.line, new=made.new)
-    return change
-
-
-def _forbidden(
-    topology: TopologicalMap, regions: Regions | None, edits: Edits, skipped: Mapping[int, str]
-) -> tuple[TopologicalMap, dict[int, str]]:
-    """The map with its forbidden doors and links, and why a change forbids none, by its place."""
-    shut = Shut()
-    unlinked: dict[int, str] = {}
-    for place, forbidden in _forbidden_in(edits, topology.borders, skipped):
-        found = shut_by(topology, forbidden)
-        if isinstance(found, str):
-            unlinked[place] = found
-        else:
-            shut |= found
-    if regions is not None:
-        topology = with_detours(topology, regions, shut.doors)
-    return with_shut(topology, shut), unlinked
-
-
-def _forbidden_in(
-    edits: Edits, borders: Sequence[BorderEdit], skipped: Mapping[int, str]
-) -> Iterator[tuple[int, Forbidden]]:
-    """What is forbidden, with the borders that were made after it was said."""
-    made = 0
-    for place, change in enumerate(edits.changes):
-        if isinstance(change, ForbidEdit):
-            yield place, Forbidden(change.forbid, change.at, tuple(borders[made:]))
-        elif place not in skipped:
-            made += 1

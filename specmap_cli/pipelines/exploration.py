@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from specmap_cli.core.arrays import Neighbours, evenly, neighbours
+from specmap_cli.core.arrays import evenly, neighbours
 from specmap_cli.core.geometry import FloatArray, compose, invert
 from specmap_cli.core.records import Closure, IntArray, PosedScan, Trajectory
 from specmap_cli.grids.gridmap import PackedGrid
@@ -48,12 +48,12 @@ class Exploration:
         if keyframe:
             step = store.pose(keyframe - 1).inverse() @ scan.map_from_base
             self._way_m.append(self._way_m[-1] + step.distance)
-        with self.session.stage("segmentation"):
+        with self.session.clock.stage("segmentation"):
             return self.segmenter.add(keyframe)
 
     def end_submap(self) -> list[Region]:
         """Close the current submap, where tracking was lost or the log has ended."""
-        with self.session.stage("segmentation"):
+        with self.session.clock.stage("segmentation"):
             return self.segmenter.flush()
 
     def break_off(self, bridge: tuple[float, float] | None) -> list[Region]:
@@ -75,7 +75,7 @@ class Exploration:
                 self._grown.add(region.continues)
                 continue
             self.regions[region.number] = list(region.keyframes)
-            with self.session.stage("recognition"):
+            with self.session.clock.stage("recognition"):
                 self._accept(self.closer.consider(self._stay(region.number)))
 
     def recognise_leftovers(self) -> None:
@@ -85,14 +85,16 @@ class Exploration:
         compared once more. Then pairs that are duplicates by the topology are.
         """
         grown, self._grown = sorted(self._grown), set()
-        with self.session.stage("recognition"):
+        with self.session.clock.stage("recognition"):
             for number in grown:
                 self.closer.grow(self._stay(number))
             for number in grown:
                 self._accept(self.closer.consider_again(number))
             merging = True
             while merging:
-                found = self.closer.consider_leftovers(self._neighbours())
+                count, closures = len(self.session.store), self._closures.values()
+                labels = online_labels(self.regions, closures, count).tolist()
+                found = self.closer.consider_leftovers(neighbours(labels, pairwise(labels)))
                 self._accept(found)
                 merging = any(closure.merged for closure in found)
 
@@ -118,17 +120,11 @@ class Exploration:
             if closure.merged:
                 self.closer.merge(closure.old, closure.new)
 
-    def _neighbours(self) -> Neighbours:
-        """Which submaps the robot drove between."""
-        count = len(self.session.store)
-        labels = online_labels(self.regions, self._closures.values(), count).tolist()
-        return neighbours(labels, pairwise(labels))
-
     def _stay(self, number: int) -> Stay:
         """What recognition sees of a region: features, grid and track in the region's own frame."""
         store, region = self.session.store, self.regions[number]
         track = in_own_frame(store, region)
-        with self.session.stage("grids"):
+        with self.session.clock.stage("grids"):
             grid = integrate_keyframes(store, region, track, self.session.config.grid)
         lost = self.breaks and region[0] >= min(self.breaks)
         return Stay(

@@ -13,7 +13,6 @@ from typing import Any
 
 from specmap_cli.core.findings import Quality, summary
 from specmap_cli.drawing.overview import render_overview
-from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.edits import written
 from specmap_cli.maps.writing import MapResult, write_map
 from specmap_cli.pipelines.edits import drawn, named, tell_unapplied
@@ -22,7 +21,7 @@ from specmap_cli.pipelines.map_in_making import FinishedMap, LaidOut
 from specmap_cli.pipelines.session import Session
 from specmap_cli.topology.graph import build_topology, stays_of
 from specmap_cli.topology.navigation import with_ways
-from specmap_cli.topology.topological_map import Break, TopologicalMap
+from specmap_cli.topology.topological_map import Break
 
 
 def finish(
@@ -34,10 +33,25 @@ def finish(
     known from before.
     """
     laid, skipped = with_borders(laid)
-    labels = laid.labels
-    learned = learn(session, labels.submaps, labels.poses, prior, laid.starts)
-    with session.stage("ways"):
-        linked = replace(_linked(laid, learned.grids), borders=laid.borders, next_id=laid.next_id)
+    labels, starts, stamps_ns = laid.labels, laid.starts, laid.labels.stamps_ns.tolist()
+    learned = learn(session, labels.submaps, labels.poses, prior, starts)
+    with session.clock.stage("ways"):
+        linked = build_topology(
+            labels=labels.submaps,
+            poses=labels.poses,
+            stamps_ns=stamps_ns,
+            breaks=[
+                Break(keyframe, *((bridge.position_m, bridge.heading_rad) if bridge else ()))
+                for keyframe, bridge in sorted(laid.breaks.items())
+                if keyframe < len(stamps_ns)  # none came after the last of them
+                and keyframe not in starts
+            ],
+            closures=laid.closures,
+            stays=stays_of(laid.stays, labels.submaps, stamps_ns),
+            grids=learned.grids,
+            starts=starts,
+        )
+        linked = replace(linked, borders=laid.borders, next_id=laid.next_id)
         linked = with_ways(linked, laid.regions, session.config.ways, labels.poses)
     topology, unapplied = named(linked, laid.regions, laid.edits, skipped)
     return FinishedMap(
@@ -64,27 +78,6 @@ def with_borders(laid: LaidOut) -> tuple[LaidOut, Mapping[int, str]]:
         next_id=found.next_id,
     )
     return bordered, found.skipped
-
-
-def _linked(laid: LaidOut, grids: Mapping[int, GridMap]) -> TopologicalMap:
-    """The submaps linked where the robot drove across and where closures show that they meet."""
-    labels, starts = laid.labels, laid.starts
-    stamps_ns = labels.stamps_ns.tolist()
-    return build_topology(
-        labels=labels.submaps,
-        poses=labels.poses,
-        stamps_ns=stamps_ns,
-        breaks=[
-            Break(keyframe, *((bridge.position_m, bridge.heading_rad) if bridge else ()))
-            for keyframe, bridge in sorted(laid.breaks.items())
-            if keyframe < len(stamps_ns)  # none came after the last of them
-            and keyframe not in starts
-        ],
-        closures=laid.closures,
-        stays=stays_of(laid.stays, labels.submaps, stamps_ns),
-        grids=grids,
-        starts=starts,
-    )
 
 
 def tell(session: Session, finished: FinishedMap) -> None:

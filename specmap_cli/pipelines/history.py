@@ -69,10 +69,15 @@ class _Building:
     changes: list[ChangeRecord] = field(default_factory=list)
 
     def record(self, number: int, zone: tzinfo) -> BuildingRecord:
-        """The building as history.json has it."""
+        """The building as history.json has it.
+
+        It is called as the directory of its first map, or that of the job which made it.
+        """
+        path = self.path.resolve()
+        job = path.parent.name if path.name == "map" else ""
         return BuildingRecord(
             number=number,
-            name=encodable(_called(self.path)),
+            name=encodable(job or path.name),
             rooms=[_room(self.series, room, zone) for room in self.series.rooms],
             maps=self.maps,
             days=days_of(self.series.tours, zone),
@@ -100,7 +105,16 @@ def history_of(
     buildings: list[_Building] = []
     progress.start("comparing maps", len(readable))
     for number, path in enumerate(readable):
-        _enter(buildings, number, read_map(path, limits), zone)
+        stored = read_map(path, limits)
+        for building in sorted(buildings, key=lambda one: -one.series.last.number):
+            step = building.series.add(number, stored)  # the newest that it fits to takes it in
+            if step is not None:
+                building.maps.append(map_record(step.after, step))
+                building.changes.extend(changes_of(step, zone))
+                break
+        else:
+            series = BuildingSeries(number, stored)
+            buildings.append(_Building(series, path, [map_record(series.last, None)]))
         progress.advance()
     record = HistoryRecord(
         schema_version=SCHEMA_VERSION,
@@ -139,15 +153,15 @@ def _found(paths: Sequence[Path | str]) -> Iterator[Path]:
     for given in paths:
         path = path_of(given, "maps")
         found = sorted(path.rglob(filenames.TOPOLOGY)) if path.is_dir() else []
-        inside = [file.parent for file in found if not _is_hidden(file.relative_to(path))]
+        inside = [
+            file.parent
+            for file in found
+            if not any(part.startswith(".") for part in file.relative_to(path).parts)
+        ]
         if (path / filenames.TOPOLOGY).exists() or not inside:
             yield path
         else:
             yield from inside
-
-
-def _is_hidden(path: Path) -> bool:
-    return any(part.startswith(".") for part in path.parts)
 
 
 def _dated(
@@ -160,40 +174,15 @@ def _dated(
     for path in dict.fromkeys(paths):
         try:
             stored = read_map(path, limits)
-            dated.append((_readable_until(stored), str(path), path))
+            if not (path / filenames.LABELS).exists() or not len(stored.labels.stamps_ns):
+                raise MapError("was not made of a recording: it knows no visits", where=path)
+            stored_to_align(stored, learned=False)  # all that a comparison needs
+            dated.append((span_ns(stored)[1], str(path), path))
         except MapError as error:
             progress.warn(f"left out: {error}")
             told = encodable(str(path)), encodable(str(error))
             left_out.append(LeftOutRecord(map=told[0], reason=told[1]))
     return [path for _, _, path in sorted(dated)], left_out
-
-
-def _readable_until(stored: StoredMap) -> int:
-    """The stamp of a map's last scan, once all that a comparison needs was read."""
-    if not (stored.path / filenames.LABELS).exists() or not len(stored.labels.stamps_ns):
-        raise MapError("was not made of a recording: it knows no visits", where=stored.path)
-    stored_to_align(stored, learned=False)  # raises MapError where it cannot be compared
-    return span_ns(stored)[1]
-
-
-def _enter(buildings: list[_Building], number: int, stored: StoredMap, zone: tzinfo) -> None:
-    """Take a map into the building that it fits to, the one with the newest map first."""
-    for building in sorted(buildings, key=lambda one: -one.series.last.number):
-        step = building.series.add(number, stored)
-        if step is not None:
-            building.maps.append(map_record(step.after, step))
-            building.changes.extend(changes_of(step, zone))
-            return
-    series = BuildingSeries(number, stored)
-    buildings.append(_Building(series, stored.path, [map_record(series.last, None)]))
-
-
-def _called(path: Path) -> str:
-    """What a building is called: the directory of its first map, or of the job that made it."""
-    resolved = path.resolve()
-    return (
-        resolved.parent.name if resolved.name == "map" and resolved.parent.name else resolved.name
-    )
 
 
 _NS = 1_000_000_000

@@ -37,7 +37,6 @@ from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.closure.common_ground import Joint
 from specmap_cli.topology.graph import Heritage, inherited
 from specmap_cli.topology.redrawing import undone
-from specmap_cli.topology.topological_map import LogInfo
 
 _JOINED = "the maps were joined here"
 _APART_M = 20.0  # between maps that have nothing in common: walls within it are never matched
@@ -116,16 +115,13 @@ def _renumbered(laid: LaidOut, old_from_new: Pose2, first: int, first_stay: int)
         ),
         breaks={number + first: bridge for number, bridge in laid.breaks.items() if number},
         findings=tuple(moved_finding(finding, old_from_new) for finding in laid.findings),
-        logs=tuple(_later(log, first) for log in laid.logs),
+        logs=tuple(
+            replace(log, keyframes=(log.keyframes[0] + first, log.keyframes[1] + first))
+            if log.keyframes is not None
+            else log
+            for log in laid.logs
+        ),
     )
-
-
-def _later(log: LogInfo, first: int) -> LogInfo:
-    """A recording whose keyframes are numbered from `first` on."""
-    if log.keyframes is None:
-        return log
-    start, end = log.keyframes
-    return replace(log, keyframes=(start + first, end + first))
 
 
 def moved_finding(finding: Finding, old_from_new: Pose2) -> Finding:
@@ -257,7 +253,11 @@ def with_edits_of(joint: LaidOut, new: LaidOut, old_from_new: Pose2) -> LaidOut:
             continue
         heir = retelling.became[id_][0]
         first = said.get(heir, SubmapEdit())
-        said[heir] = _said_twice(first, edit)
+        said[heir] = SubmapEdit(  # where the two differ the first counts
+            name=first.name or edit.name,
+            kind=first.kind or edit.kind,
+            properties={**edit.properties, **first.properties},
+        )
         if edit.name and said[heir].name != edit.name:
             lost.append(f"submaps.{id_}: {edit.name!r} is {first.name!r} in an earlier map")
     where = f"in the map of {new.logs[0].name}: "
@@ -266,15 +266,6 @@ def with_edits_of(joint: LaidOut, new: LaidOut, old_from_new: Pose2) -> LaidOut:
         edits=Edits(submaps=said, changes=tuple(changes)),
         next_id=retelling.next_id,
         lost=(*joint.lost, *(where + line for line in lost)),
-    )
-
-
-def _said_twice(first: SubmapEdit, second: SubmapEdit) -> SubmapEdit:
-    """What is said of one submap twice: where the two differ the first counts."""
-    return SubmapEdit(
-        name=first.name or second.name,
-        kind=first.kind or second.kind,
-        properties={**second.properties, **first.properties},
     )
 
 
@@ -294,7 +285,11 @@ class _Retelling:
 
     def told(self, change: Change) -> list[Change] | str:
         """A change said again, which may take several or none; or why it cannot be."""
-        ids = _named_in(change)
+        ids: tuple[int, ...]
+        if isinstance(change, SplitEdit):
+            ids = (change.split,)
+        else:
+            ids = change.merge if isinstance(change, MergeEdit) else change.forbid
         for id_ in ids:
             if id_ not in self.became:
                 return f"there is no submap {id_}"
@@ -302,7 +297,11 @@ class _Retelling:
             return self._merge(*ids)
         if isinstance(change, SplitEdit):
             return self._split(change)
-        return self._forbid(change)
+        # forbidden between all that the two became
+        at = None if change.at is None else self._moved(change.at)
+        ends = [self.became[end] for end in ids]
+        pairs = [(one, other) for one in ends[0] for other in ends[1] if one != other]
+        return [ForbidEdit(forbid=pair, at=at) for pair in pairs]
 
     def _merge(self, kept: int, gone: int) -> list[Change]:
         """Two submaps made one; nothing is to be done where they are one already."""
@@ -328,24 +327,10 @@ class _Retelling:
         one, other = map(self._moved, change.line)
         return [SplitEdit(split=cut, line=(one, other), new=new)]
 
-    def _forbid(self, change: ForbidEdit) -> list[Change]:
-        """The way forbidden between all that the two became."""
-        ends = [self.became[end] for end in change.forbid]
-        at = None if change.at is None else self._moved(change.at)
-        pairs = [(one, other) for one in ends[0] for other in ends[1] if one != other]
-        return [ForbidEdit(forbid=pair, at=at) for pair in pairs]
-
     def _moved(self, place: Place) -> Place:
         """A place of the new map in the old one's frame."""
         x, y = np.round(self._old_from_new.apply(np.array([place]))[0], _DECIMALS).tolist()
         return x, y
-
-
-def _named_in(change: Change) -> tuple[int, ...]:
-    """The submaps that a change is about."""
-    if isinstance(change, MergeEdit):
-        return change.merge
-    return (change.split,) if isinstance(change, SplitEdit) else change.forbid
 
 
 def _commonest(submaps: IntArray) -> list[int]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from specmap_cli.core.errors import NoResultError
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angles
 from specmap_cli.core.records import Closure, IntArray, Labels
 from specmap_cli.core.settings import Config
+from specmap_cli.core.text import legible
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.layout.audit import repaired
@@ -26,13 +28,14 @@ from specmap_cli.layout.relaxation import relax
 from specmap_cli.layout.result import Layout
 from specmap_cli.layout.trajectory import corrected, keyframe_rows
 from specmap_cli.pipelines.exploration import Regions, in_own_frame, online_labels
-from specmap_cli.pipelines.map_in_making import Explored, LaidOut, recording
+from specmap_cli.pipelines.map_in_making import Explored, LaidOut
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.tracking import Tracking
 from specmap_cli.quality.evidence import Evidence, holes_of
 from specmap_cli.quality.verdict import of_recording
 from specmap_cli.segmentation.division import regions_of
 from specmap_cli.topology.graph import settle_labels
+from specmap_cli.topology.topological_map import LogInfo
 
 _CLOSURE_SIGMA_M = 0.04  # spread of matched grids' transforms about the truth, x and y
 _CLOSURE_SIGMA_RAD = 0.0087  # spread of their heading
@@ -50,20 +53,20 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
     """
     store, config = session.store, session.config
     session.progress.start("layout", None)
-    with session.stage("layout"):
+    with session.clock.stage("layout"):
         constraints = constraints_of(explored.closures, explored.regions, store)
         layout = relax(store, tuple(constraints.values()), explored.breaks, config.relaxation)
         layout = along_walls(layout, store, config.relaxation)
-    with session.stage("audit"):
+    with session.clock.stage("audit"):
         audited = repaired(store, layout, explored.breaks)
         layout = audited.layout
         trajectory = corrected(explored.trajectory, store, layout.poses)
     closures = refute(explored.closures, constraints, layout)
-    with session.stage("grids"):
+    with session.clock.stage("grids"):
         whole, beyond = _whole_grid(store, layout, config)
-    with session.stage("segmentation"):
+    with session.clock.stage("segmentation"):
         submaps = _divided(whole, layout, explored.regions, closures, config)
-    with session.stage("audit"):
+    with session.clock.stage("audit"):
         rows, breaks = keyframe_rows(explored.trajectory, store), tuple(explored.breaks)
         evidence = Evidence(
             trajectory=trajectory,
@@ -77,6 +80,13 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
         )
         findings = tuple(of_recording(evidence))
     stamps = np.array(store.stamps_ns, dtype=np.int64)
+    log = LogInfo(
+        name=legible(Path(name).name),
+        start_ns=int(trajectory.stamps_ns.min()),
+        end_ns=int(trajectory.stamps_ns.max()),
+        scans=len(trajectory.stamps_ns),
+        keyframes=(0, len(submaps) - 1),
+    )
     return LaidOut(
         layout=layout,
         labels=Labels(stamps_ns=stamps, poses=layout.poses, submaps=submaps),
@@ -84,7 +94,7 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
         stays=explored.regions,
         closures=closures,
         breaks=explored.breaks,
-        logs=(recording(name, trajectory, len(submaps)),),
+        logs=(log,),
         findings=findings,
         next_id=1 + int(submaps.max()),
         drawn=whole,
@@ -96,7 +106,7 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
 
 def with_grid(session: Session, laid: LaidOut) -> LaidOut:
     """A map with the grid of all keyframes, which the session's store has. Raises as `lay_out`."""
-    with session.stage("grids"):
+    with session.clock.stage("grids"):
         whole, beyond = _whole_grid(session.store, laid.layout, session.config)
     return replace(laid, drawn=whole, beyond=beyond)
 
@@ -110,8 +120,9 @@ def _whole_grid(store: KeyframeStore, layout: Layout, config: Config) -> tuple[G
     whole = counts.snapshot()
     if not whole.cells.size:
         raise NoResultError(
-            "no scan fits into the largest grid allowed: nothing to map;",
+            "no scan fits into the largest grid allowed: nothing to map",
             "raise grid.max_extent_m or grid.max_area_m2, or lower grid.max_range_m",
+            mark=";",
         )
     return whole, counts.refused
 
@@ -144,22 +155,32 @@ def constraints_of(
 ) -> dict[Pair, Link]:
     """For each pair of merged regions, (old, new): where a keyframe lies, seen from another.
 
+    These two saw most alike: by the match of the grids they are the nearest to each other, turned
+    as little as may be. The walls around them tie them.
+
     Grids that match while the robot's tracks do not overlap are no evidence for the layout: that is
     what look-alike rooms do, too.
     """
     sigma = np.array([_CLOSURE_SIGMA_M, _CLOSURE_SIGMA_M, _CLOSURE_SIGMA_RAD])
     information = np.diag(1.0 / sigma**2)
-    return {
-        (closure.old, closure.new): _constraint(
-            regions[closure.old],
-            regions[closure.new],
-            closure.old_from_new,
-            store,
-            information,
+    found = {}
+    for closure in closures:
+        if not closure.merged or closure.old_from_new is None:
+            continue
+        old, new = regions[closure.old], regions[closure.new]
+        old_track = in_own_frame(store, old)
+        new_track = compose(np.array(closure.old_from_new), in_own_frame(store, new))
+        i, j = nearest_pair(old_track, new_track)
+        guess = Pose2(*compose(invert(old_track[i]), new_track[j]).tolist())
+        places = place_around(store, old, i), place_around(store, new, j)
+        found[closure.old, closure.new] = Link(
+            source=old[i],
+            target=new[j],
+            source_from_target=sharpened(*places, guess),
+            information=information,
+            kind="closure",
         )
-        for closure in closures
-        if closure.merged and closure.old_from_new is not None
-    }
+    return found
 
 
 def refute(
@@ -173,33 +194,10 @@ def refute(
         if (constraint.source, constraint.target) in dropped
     }
     return tuple(
-        _taken_back(closure) if (closure.old, closure.new) in refuted else closure
+        replace(closure, merged=False, verified=False, reason=REFUTED, old_from_new=None)
+        if (closure.old, closure.new) in refuted
+        else closure
         for closure in closures
-    )
-
-
-def _constraint(
-    old: Sequence[int],
-    new: Sequence[int],
-    old_from_new: Pose2,
-    store: KeyframeStore,
-    information: FloatArray,
-) -> Link:
-    """The keyframes of two regions that saw most alike, tied by the walls around them.
-
-    Under the transform they are the nearest to each other, turned as little as may be.
-    """
-    old_track = in_own_frame(store, old)
-    new_track = compose(np.array(old_from_new), in_own_frame(store, new))
-    i, j = nearest_pair(old_track, new_track)
-    guess = Pose2(*compose(invert(old_track[i]), new_track[j]).tolist())
-    places = place_around(store, old, i), place_around(store, new, j)
-    return Link(
-        source=old[i],
-        target=new[j],
-        source_from_target=sharpened(*places, guess),
-        information=information,
-        kind="closure",
     )
 
 
@@ -218,8 +216,3 @@ def nearest_pair(old: FloatArray, new: FloatArray) -> Pair:
     i, j = np.nonzero(away <= apart(*first))
     best = int(apart(i, j).argmin())
     return int(i[best]), int(j[best])
-
-
-def _taken_back(closure: Closure) -> Closure:
-    """A merge that is none any more."""
-    return replace(closure, merged=False, verified=False, reason=REFUTED, old_from_new=None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from specmap_cli.pipelines.map_in_making import submaps_of
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.worker import ahead
 from specmap_cli.recognition.features.sets import KeyframeFeatures, feature_names
-from specmap_cli.recognition.learning.calibration import Calibration, HeldOutMargins, calibrated
+from specmap_cli.recognition.learning.calibration import HeldOutMargins, calibrated
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
 from specmap_cli.recognition.learning.misfit import HeldOutMisfit, held_out_misfit
 from specmap_cli.recognition.learning.sampling import (
@@ -42,6 +42,9 @@ _MOST = float(np.finfo(np.float16).max)
 
 Submaps = Mapping[int, Sequence[int]]
 OfSubmaps = Mapping[int, Samples]
+# By raw scans: the classifiers, how they told held-out scans, their misfit; the scans that were
+# seen, and those that were made up.
+Taught = tuple[Recogniser, HeldOutMargins, HeldOutMisfit, OfSubmaps, OfSubmaps]
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,10 +101,10 @@ def learn(
         lambda: _without_grids(session, submaps, poses, prior, starts, raw_rng, revisits)
     ) as meanwhile:
         session.progress.start("grids", len(session.store))
-        with session.stage("grids"):
+        with session.clock.stage("grids"):
             grids = submap_grids(session, submaps, poses)
         session.progress.start("training", None)
-        with session.stage("training"):
+        with session.clock.stage("training"):
             if config.localization.virtual:
                 cast = cast_samples(
                     submaps,
@@ -115,15 +118,19 @@ def learn(
                 virtual, of_virtual = train_and_test(
                     along, cast, poses, config, virtual_rng, revisits, virtual=True
                 )
-            taught = meanwhile.result
+            raw, of_raw, misfit, samples, beside = meanwhile.result
+            before = prior.classifiers
+            # as before, where the last recording tells nothing of how sure they are
+            calibration = None if before is None or len(of_raw.column) else before.calibration
             classifiers = ClassifierSet(
                 sensor=sensor_of(session.store, submaps),
-                raw=taught.raw,
+                raw=raw,
                 virtual=virtual,
-                misfit=taught.misfit,
-                calibration=_calibrated(taught.held_out, of_virtual, prior.classifiers),
+                misfit=misfit,
+                calibration=calibration
+                or calibrated(of_raw, of_virtual, another_log=before is not None),
             )
-    return Learned(grids, classifiers, TrainingData.of(taught.samples, taught.beside, along, cast))
+    return Learned(grids, classifiers, TrainingData.of(samples, beside, along, cast))
 
 
 def submap_grids(
@@ -140,28 +147,6 @@ def submap_grids(
     return grids
 
 
-def _calibrated(
-    of_raw: HeldOutMargins, of_virtual: HeldOutMargins | None, before: ClassifierSet | None
-) -> Calibration:
-    """How sure the classifiers are; as those before, where the last recording tells nothing."""
-    if before is not None and before.calibration is not None and not len(of_raw.column):
-        return before.calibration
-    return calibrated(of_raw, of_virtual, another_log=before is not None)
-
-
-class _Taught(NamedTuple):
-    """What raw scans taught, which these were, how held-out ones are told, and the misfit.
-
-    `beside` are those that were made up.
-    """
-
-    raw: Recogniser
-    samples: OfSubmaps
-    beside: OfSubmaps
-    held_out: HeldOutMargins
-    misfit: HeldOutMisfit
-
-
 def _without_grids(
     session: Session,
     submaps: Submaps,
@@ -170,7 +155,7 @@ def _without_grids(
     starts: tuple[int, ...],
     rng: np.random.Generator,
     revisits: Revisits | None,
-) -> Generator[OfSubmaps, None, _Taught]:
+) -> Generator[OfSubmaps, None, Taught]:
     """The virtual scans along the track, if wanted; then what raw scans teach."""
     store, config, data = session.store, session.config, prior.training_data
     if config.localization.virtual:
@@ -179,7 +164,7 @@ def _without_grids(
     beside = augmented_samples(store, submaps, poses, config, rng, data.beside)
     raw, held_out = train_and_test(samples, beside, poses, config, rng, revisits, virtual=False)
     misfit = held_out_misfit(store, submaps, poses)
-    return _Taught(raw, _single(samples), _single(beside), held_out, misfit)
+    return raw, held_out, misfit, _single(samples), _single(beside)
 
 
 def _single(samples: OfSubmaps) -> OfSubmaps:
@@ -210,23 +195,27 @@ def training_data_of_stored(stored: StoredMap, config: Config) -> TrainingData:
     other grids are left out. Raises MapError for a damaged file.
     """
     arrays = stored.features
-    if arrays is None or _version(stored) != __version__ or stored.foreign_settings:
+    if arrays is None or not _of_this_version(stored) or stored.foreign_settings:
         return NO_TRAINING_DATA
     before = stored.config
     same = before.recognition.feature_set == config.recognition.feature_set
     if not same or before.localization != config.localization:
         return NO_TRAINING_DATA
-    found = TrainingData(*(_samples(arrays, kind) for kind in KINDS))
+    found = TrainingData(
+        *(
+            Samples(
+                np.ascontiguousarray(arrays[kind].T, dtype=np.float32),
+                arrays[kind + KEYFRAMES_OF].astype(np.intp),
+            )
+            for kind in KINDS
+        )
+    )
     sets = [config.recognition.feature_set] * 2 + [config.localization.feature_set] * 2
-    if not all(map(_are_of, found.kinds, sets)):
-        return NO_TRAINING_DATA
+    for samples, feature_set in zip(found.kinds, sets, strict=True):
+        fits = samples.features.shape[1] == len(feature_names(feature_set))
+        if len(samples.keyframes) and not fits:
+            return NO_TRAINING_DATA
     return found if before.grid == config.grid else replace(found, cast=NO_SAMPLES)
-
-
-def _are_of(samples: Samples, feature_set: str) -> bool:
-    """Whether samples, if there are any, have as many features as a set."""
-    columns = samples.features.shape[1]
-    return not len(samples.keyframes) or columns == len(feature_names(feature_set))
 
 
 def comparable(
@@ -236,7 +225,7 @@ def comparable(
 
     Those of another version are not: it may have found other features.
     """
-    if classifiers is None or _version(stored) != __version__:
+    if classifiers is None or not _of_this_version(stored):
         return None
     if stored.config.recognition != config.recognition:
         return None
@@ -264,28 +253,18 @@ def valid_training_data(
     for submap in np.unique(now.submaps[own]).tolist():
         rows = np.flatnonzero(now.submaps[own] == submap)
         was, is_ = before.poses[left[rows]], now.poses[own][rows]
+        together = np.array(nearest_motion(was[:, :2], is_[:, :2]))
+        away = compose(together, was)[:, :2] - is_[:, :2]
+        bent_m = float(np.hypot(away[:, 0], away[:, 1]).max())
         there = {np.count_nonzero(now.submaps == submap)}
         there |= {
             np.count_nonzero(before.submaps == id_) for id_ in set(before.submaps[left[rows]])
         }
-        unchanged[rows] = there == {len(rows)} and _bent_m(was, is_) <= apart_m
+        unchanged[rows] = there == {len(rows)} and bent_m <= apart_m
     return training_data.left(left).cast_near(unchanged).numbered_from(first)
 
 
-def _bent_m(was: FloatArray, is_: FloatArray) -> float:
-    """How far places (n, 3) moved besides a motion that they made together."""
-    motion = nearest_motion(was[:, :2], is_[:, :2])
-    away = compose(np.array(motion), was)[:, :2] - is_[:, :2]
-    return float(np.hypot(away[:, 0], away[:, 1]).max())
-
-
-def _samples(arrays: Mapping[str, NDArray[Any]], kind: str) -> Samples:
-    features = np.ascontiguousarray(arrays[kind].T, dtype=np.float32)
-    return Samples(features, arrays[kind + KEYFRAMES_OF].astype(np.intp))
-
-
-def _version(stored: StoredMap) -> str | None:
-    """The version of specmap that made the map, as far as it says so."""
+def _of_this_version(stored: StoredMap) -> bool:
+    """Whether this version of specmap made the map, as far as it says so."""
     versions = stored.run.get("versions")
-    version = versions.get("specmap") if isinstance(versions, dict) else None
-    return version if isinstance(version, str) else None
+    return isinstance(versions, dict) and versions.get("specmap") == __version__

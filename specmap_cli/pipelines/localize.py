@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -82,9 +82,9 @@ def localize_log(
         progress.start("localising", stream.expected)
         scans = tuple(_localized(stream, front_end, localizer, metric and not offline, progress))
         if not scans:
-            raise LogError("no usable scan in it;", "see `specmap info`", where=log.name)
+            raise LogError("no usable scan in it", "see `specmap info`", mark=";", where=log.name)
         if offline:
-            scans = _smoothed(scans, stream, config, localizer, metric, progress)
+            scans = tuple(_smoothed(scans, stream, config, localizer, metric, progress))
         notes = [localizer.note] if localizer.note else []
         if localizer.classifiers.calibration is None:
             notes.append(f"{stored.path}: {_NO_CALIBRATION}")
@@ -140,29 +140,19 @@ def _smoothed(
     localizer: Localizer,
     metric: bool,
     progress: Progress,
-) -> tuple[LocalizedScan, ...]:
-    """The scans with the labels that the whole log gives, matched in these when `metric`."""
+) -> Iterator[LocalizedScan]:
+    """The scans with the labels that the whole log gives, matched in these when `metric`.
+
+    For that the log is read and registered once more, with the same result: no scan was kept.
+    """
     labels = zip(localizer.smoothed(), scans, strict=True)
     relabelled = [replace(scan, label=label) for label, scan in labels]
     if not metric:
-        return tuple(relabelled)
+        yield from relabelled
+        return
     progress.start("matching", stream.expected)
-    return tuple(_matched(stream, config, localizer, relabelled, progress))
-
-
-def _matched(
-    stream: SweepStream,
-    config: Config,
-    localizer: Localizer,
-    scans: Iterable[LocalizedScan],
-    progress: Progress,
-) -> Iterator[LocalizedScan]:
-    """The scans matched within the submaps of their smoothed labels, which the end of the log gave.
-
-    The log is read and registered once more, with the same result: no scan was kept.
-    """
     front_end = FrontEnd(config.registration)
-    for sweep, scan, lead in zip(stream, scans, localizer.leads(), strict=True):
+    for sweep, scan, lead in zip(stream, relabelled, localizer.leads(), strict=True):
         yield _in_submap(scan, front_end.register(sweep), localizer, lead)
         progress.advance()
 
@@ -207,13 +197,13 @@ def localizer_of(stored: StoredMap, config: Config, *, metric: bool = False) -> 
 
 def classifiers_of(stored: StoredMap) -> ClassifierSet:
     """The classifiers of a stored map, one a submap; MapError naming the file otherwise."""
-    path = stored.path / CLASSIFIERS
+    path, text = stored.path / CLASSIFIERS, stored.classifiers
     try:
-        classifiers = ClassifierSet.from_json(stored.classifiers)
+        classifiers = ClassifierSet.from_json(text)
     except MapError as error:
-        if str(path) in str(error):
-            raise
-        raise MapError(str(error).removeprefix("classifiers: "), where=path) from None
+        raise MapError(
+            error.found, error.hint, mark=error.mark, where=path, code=error.code
+        ) from None
     if classifiers.ids != stored.ids:
         raise MapError(
             f"classifiers of the submaps {classifiers.ids}, but the map has {stored.ids}",
@@ -323,8 +313,17 @@ def table_of(report: LocalizationReport, metric: bool) -> str:
 
 
 def _cells(report: LocalizationReport, scan: LocalizedScan, metric: bool) -> list[Any]:
-    """The cells of one scan; None where nothing is known."""
-    label = scan.label
+    """The cells of one scan; None where nothing is known.
+
+    When `metric` its pose, the score of that and the upper triangle of its covariance come last.
+    """
+    label, fix = scan.label, scan.fix
+    where: list[str] = []
+    if metric and fix is None:
+        where = [""] * METRIC_HEADER.count(",")
+    elif metric and fix is not None:
+        where = [f"{value:.6f}" for value in (*fix.pose, fix.score)]
+        where += [f"{value:.4e}" for value in fix.covariance[np.triu_indices(3)].tolist()]
     return [
         stamp_text(label.stamp_ns),
         label.submap,
@@ -334,16 +333,8 @@ def _cells(report: LocalizationReport, scan: LocalizedScan, metric: bool) -> lis
         report.name_of(label.filtered_submap),
         f"{label.filtered_probability:.6f}",
         f"{label.probability:.6f}",
-        *(_metric_cells(scan.fix) if metric else ()),
+        *where,
     ]
-
-
-def _metric_cells(fix: Fix | None) -> list[str]:
-    """The pose, its score and the upper triangle of its covariance; empty cells for none."""
-    if fix is None:
-        return [""] * METRIC_HEADER.count(",")
-    pose = [f"{value:.6f}" for value in (*fix.pose, fix.score)]
-    return pose + [f"{value:.4e}" for value in fix.covariance[np.triu_indices(3)].tolist()]
 
 
 def picture_of(report: LocalizationReport, stored: StoredMap, metric: bool) -> NDArray[np.uint8]:

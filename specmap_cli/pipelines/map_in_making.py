@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from specmap_cli.core.errors import InputError, MapError
 from specmap_cli.core.findings import UNDOUBTED, Finding, Quality
 from specmap_cli.core.geometry import FloatArray, path_length
 from specmap_cli.core.records import Closure, IntArray, Labels, Trajectory
-from specmap_cli.core.text import counted, legible
+from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.layout.audit import Audit
 from specmap_cli.layout.joining import gaps_of
@@ -188,18 +187,6 @@ class FinishedMap:
         return self.laid.regions
 
 
-def recording(name: str, trajectory: Trajectory, keyframes: int) -> LogInfo:
-    """The recording of a file `name`, which gave a trajectory and some keyframes."""
-    stamps = trajectory.stamps_ns
-    return LogInfo(
-        name=legible(Path(name).name),
-        start_ns=int(stamps.min()),
-        end_ns=int(stamps.max()),
-        scans=len(stamps),
-        keyframes=(0, keyframes - 1),
-    )
-
-
 def submaps_of(labels: IntArray) -> dict[int, list[int]]:
     """The keyframes of each submap, ascending, from the submap (n,) of each keyframe."""
     return {int(id_): np.flatnonzero(labels == id_).tolist() for id_ in np.unique(labels)}
@@ -227,7 +214,15 @@ def laid_out_of_stored(stored: StoredMap) -> LaidOut:
         trajectory=_trajectory(stored),
         stays={stay.number: stay.from_origin for stay in topology.stays},
         closures=topology.closures,
-        breaks=_breaks(topology, stored.logs),
+        breaks={
+            **dict.fromkeys(starts_of(stored.logs)),
+            **{
+                each.keyframe: None
+                if each.position_m is None or each.heading_rad is None
+                else Bridge(each.position_m, each.heading_rad)
+                for each in topology.breaks
+            },
+        },
         logs=stored.logs,
         findings=tuple(
             one for one in quality_of_stored(stored).findings if one.code not in LAYOUT_CODES
@@ -287,16 +282,3 @@ def _trajectory(stored: StoredMap) -> Trajectory:
             where=path,
         )
     return trajectory
-
-
-def _breaks(topology: TopologicalMap, logs: Sequence[LogInfo]) -> dict[int, Bridge | None]:
-    """Where tracking started afresh, and where recordings begin."""
-    return {
-        **dict.fromkeys(starts_of(logs)),
-        **{
-            each.keyframe: None
-            if each.position_m is None or each.heading_rad is None
-            else Bridge(each.position_m, each.heading_rad)
-            for each in topology.breaks
-        },
-    }

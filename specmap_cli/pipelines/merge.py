@@ -16,7 +16,7 @@ import numpy as np
 
 from specmap_cli.core.arguments import instance_of, path_of
 from specmap_cli.core.errors import InputError, UsageError
-from specmap_cli.core.geometry import Pose2, nearest_motion
+from specmap_cli.core.geometry import nearest_motion
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import Closure, IntArray
@@ -76,12 +76,15 @@ def merge_maps(
         _refuse_twice(ordered)
         kept = [training_data_of_stored(stored, config) for stored in ordered]
         progress.start("aligning", None)
-        with session.stage("alignment"):
+        with session.clock.stage("alignment"):
             overlaps = overlaps_of(ordered, to_align, config, spread)
         progress.start("layout", None)
-        with session.stage("layout"):
+        with session.clock.stage("layout"):
             merging = _Merging(session, ordered, parts, overlaps)
-        laid = replace(merging.joint, counts=_counts(ordered))
+        counts: Counter[str] = Counter()  # of messages and scans, while the maps were built
+        for stored in ordered:
+            counts.update({n: count for n, count in stored.counts.items() if n not in OF_THE_MAP})
+        laid = replace(merging.joint, counts=dict(counts))
         prior = Prior.of(session, merging.training_data(kept))
         finished = finish(session, laid, prior)
         tell(session, finished)
@@ -139,14 +142,6 @@ def _refuse_twice(maps: Sequence[StoredMap]) -> None:
                 )
 
 
-def _counts(maps: Sequence[StoredMap]) -> dict[str, int]:
-    """What was counted of messages and scans while the maps were built."""
-    totals: Counter[str] = Counter()
-    for stored in maps:
-        totals.update({n: count for n, count in stored.counts.items() if n not in OF_THE_MAP})
-    return dict(totals)
-
-
 class _Merging:
     """Maps joined along their alignments, from the first map on; the `joint` one in the end.
 
@@ -198,9 +193,14 @@ class _Merging:
     def _joined(self, parent: int | None, child: int) -> LaidOut:
         """One map more, laid into `parent`, which is in already, or beside all."""
         joint, new = self.joint, self.parts[child]
-        where = place_apart(joint.whole, new.whole)
-        if parent is not None:
-            where = self._pose_of(parent) @ self._motion(parent, child)
+        if parent is None:
+            where = place_apart(joint.whole, new.whole)
+        else:
+            motion = self.overlaps[min(parent, child), max(parent, child)].old_from_new
+            assert motion is not None
+            first, own = self._firsts[parent][0], self.parts[parent].labels.poses[:, :2]
+            there = nearest_motion(own, joint.layout.poses[first : first + len(own), :2])
+            where = there @ (motion if parent < child else motion.inverse())
         found = [
             replace(closure, old=closure.old + stay)
             for number, (_, stay) in self._firsts.items()
@@ -208,18 +208,6 @@ class _Merging:
         ]
         self._firsts[child] = len(joint), 1 + max(joint.stays, default=-1)
         return join(self.session, joint, new, where, found)
-
-    def _pose_of(self, number: int) -> Pose2:
-        """The frame of one of the maps in the joint map, by the places of its keyframes."""
-        first, _ = self._firsts[number]
-        own = self.parts[number].labels.poses[:, :2]
-        return nearest_motion(own, self.joint.layout.poses[first : first + len(own), :2])
-
-    def _motion(self, parent: int, child: int) -> Pose2:
-        """Where one map lies in another that it overlaps."""
-        alignment = self.overlaps[min(parent, child), max(parent, child)]
-        assert alignment.old_from_new is not None
-        return alignment.old_from_new if parent < child else alignment.old_from_new.inverse()
 
     def _closures(self, number: int, child: int) -> tuple[Closure, ...]:
         """What the alignment of two maps says, `child` being the new one; nothing without one.
@@ -231,15 +219,14 @@ class _Merging:
             return ()
         joints = self.overlaps[one, other].joints
         found = closures_between(self.parts[one], self.parts[other], joints)
-        return found if number < child else tuple(_turned(closure) for closure in found)
-
-
-def _turned(closure: Closure) -> Closure:
-    """The same with old and new changed over."""
-    motion = closure.old_from_new
-    return replace(
-        closure,
-        old=closure.new,
-        new=closure.old,
-        old_from_new=None if motion is None else motion.inverse(),
-    )
+        if number < child:
+            return found
+        return tuple(
+            replace(
+                closure,
+                old=closure.new,
+                new=closure.old,
+                old_from_new=closure.old_from_new and closure.old_from_new.inverse(),
+            )
+            for closure in found
+        )

@@ -55,7 +55,7 @@ def stored_to_align(stored: StoredMap, *, learned: bool = True) -> MapToAlign:
 def laid_out_to_align(session: Session, laid: LaidOut) -> MapToAlign:
     """A recording that was laid out by itself as the alignment takes it: without classifiers."""
     submaps, poses = submaps_of(laid.labels.submaps), laid.labels.poses
-    with session.stage("grids"):
+    with session.clock.stage("grids"):
         grids = submap_grids(session, submaps, poses, silent=True)
     return MapToAlign(
         whole=laid.whole,

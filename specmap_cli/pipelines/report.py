@@ -15,7 +15,7 @@ from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps import filenames
 from specmap_cli.maps.store import StoredMap, opened_map
-from specmap_cli.pipelines.compare import Comparison, compare_maps, lines_of
+from specmap_cli.pipelines.compare import compare_maps, lines_of
 from specmap_cli.pipelines.localize import classifiers_of
 from specmap_cli.recognition.features.sets import KeyframeFeatures, feature_names
 from specmap_cli.recognition.learning.boosting import feature_shares
@@ -46,19 +46,15 @@ def report_map(
     changes = None
     if compare is not None:
         older = opened_map(compare, "compare", limits)
-        changes = _changes(compare_maps(older, stored, progress=progress))
+        found = compare_maps(older, stored, progress=progress)
+        called = found.old.path.resolve().name, found.new.path.resolve().name
+        changes = Changes(
+            old=found.old,
+            record=found.record,
+            lines=tuple(lines_of(found.record, called)),
+            new_from_old=found.old_from_new.inverse(),
+        )
     return render(stored, evidence_of(stored, progress), changes)
-
-
-def _changes(found: Comparison) -> Changes:
-    """A comparison as the report draws it: on the new map, both named without their folders."""
-    called = found.old.path.resolve().name, found.new.path.resolve().name
-    return Changes(
-        old=found.old,
-        record=found.record,
-        lines=tuple(lines_of(found.record, called)),
-        new_from_old=found.old_from_new.inverse(),
-    )
 
 
 _ASKED = 60  # scans of a submap whose likeness to others is looked at: a share good to some percent
@@ -72,11 +68,19 @@ def evidence_of(stored: StoredMap, progress: Progress) -> Evidence:
 
     Raises MapError for a file that is damaged.
     """
-    recogniser = _recogniser(stored)
+    recogniser, notes = None, []
+    if (stored.path / filenames.CLASSIFIERS).exists():
+        recogniser = classifiers_of(stored).raw
+    else:
+        notes.append("No classifiers: the map was not made of a recording.")
     if not (stored.path / filenames.KEYFRAMES).exists():
         features = {} if recogniser is None else _features_of(recogniser)
         learned = {id_: Learned(features=found) for id_, found in features.items()}
-        return Evidence(learned=learned, notes=_lacking(stored, recogniser))
+        notes.append(
+            "The map keeps no scans: what its submaps look like to each other, how well scans fit "
+            "its walls, and its split tests are not known."
+        )
+        return Evidence(learned=learned, notes=tuple(notes))
     with stored.keyframes() as store:
         progress.start("looking at scans", len(store))
         return Evidence(
@@ -84,28 +88,8 @@ def evidence_of(stored: StoredMap, progress: Progress) -> Evidence:
             fit=_fit(stored, store),
             tests=_tests(stored, store, progress),
             threshold=stored.config.segmentation.split_eigenvalue,
-            notes=_lacking(stored, recogniser),
+            notes=tuple(notes),
         )
-
-
-def _recogniser(stored: StoredMap) -> Recogniser | None:
-    """The classifiers of single scans, if the map has some."""
-    if not (stored.path / filenames.CLASSIFIERS).exists():
-        return None
-    return classifiers_of(stored).raw
-
-
-def _lacking(stored: StoredMap, recogniser: Recogniser | None) -> tuple[str, ...]:
-    """What cannot be told of a map, and why."""
-    found = []
-    if recogniser is None:
-        found.append("No classifiers: the map was not made of a recording.")
-    if not (stored.path / filenames.KEYFRAMES).exists():
-        found.append(
-            "The map keeps no scans: what its submaps look like to each other, how well scans fit "
-            "its walls, and its split tests are not known."
-        )
-    return tuple(found)
 
 
 def _features_of(recogniser: Recogniser) -> dict[int, tuple[FeatureShare, ...]]:
@@ -194,7 +178,21 @@ def _tests(stored: StoredMap, store: KeyframeStore, progress: Progress) -> tuple
     found: list[SplitTrial] = []
 
     def observe(test: SplitTest, split: bool, when: Occasion) -> None:
-        found.append(_look(test, split, stored, store, when.latest))
+        """Its places in the map: it was made where registration had put the scans."""
+        keyframe = when.latest
+        map_from_registered = Pose2(*stored.labels.poses[keyframe]) @ store.pose(keyframe).inverse()
+        strength = np.abs(test.eigenvector)
+        share = strength / max(float(strength.max(initial=0.0)), 1e-12)
+        found.append(
+            SplitTrial(
+                keyframe=keyframe,
+                eigenvalues=test.eigenvalues,
+                chosen=test.chosen,
+                split=split,
+                nodes=map_from_registered.apply(test.nodes),
+                sides=np.where(test.near, share, -share),
+            )
+        )
 
     breaks = {each.keyframe for each in stored.record.graph.breaks}
     breaks |= {log.keyframes[0] for log in stored.logs[1:] if log.keyframes is not None}
@@ -206,20 +204,3 @@ def _tests(stored: StoredMap, store: KeyframeStore, progress: Progress) -> tuple
         segmenter.add(now)
         progress.advance()
     return tuple(found)
-
-
-def _look(
-    test: SplitTest, split: bool, stored: StoredMap, store: KeyframeStore, keyframe: int
-) -> SplitTrial:
-    """A test with its places in the map: it was made where registration had put the scans."""
-    map_from_registered = Pose2(*stored.labels.poses[keyframe]) @ store.pose(keyframe).inverse()
-    strength = np.abs(test.eigenvector)
-    share = strength / max(float(strength.max(initial=0.0)), 1e-12)
-    return SplitTrial(
-        keyframe=keyframe,
-        eigenvalues=test.eigenvalues,
-        chosen=test.chosen,
-        split=split,
-        nodes=map_from_registered.apply(test.nodes),
-        sides=np.where(test.near, share, -share),
-    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -120,7 +121,7 @@ class RunRecord(Value):
             },
             limits={name: count for name, count in limits.items() if count},
             seconds={name: round(value, 3) for name, value in clock.seconds.items()},
-            wall_s=round(clock.elapsed_s, 3),
+            wall_s=round(time.perf_counter() - clock.began, 3),
             memory_mb=peak_memory_mb(),
             quality=finished.quality,
             warnings=tuple(summary(finished.quality.warnings)),

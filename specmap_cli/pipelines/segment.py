@@ -16,11 +16,10 @@ from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted, legible
 from specmap_cli.drawing.overview import render_segmentation
 from specmap_cli.drawing.split_tests import draw_segmentation
-from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.map_server import read_grid, write_png
 from specmap_cli.maps.directory import OutputDirectory, refuse_inside
 from specmap_cli.maps.writing import write_segmentation
-from specmap_cli.segmentation.division import Segmentation, region_grid, segment_floorplan
+from specmap_cli.segmentation.division import region_grid, segment_floorplan
 from specmap_cli.topology.navigation import with_ways
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import LogInfo, Submap, TopologicalMap
@@ -77,11 +76,22 @@ def segment_map(
     config = instance_of(Config() if config is None else config, Config, "config")
     picture = None if explain is None else path_of(explain, "explain")
     refuse_inside(picture, target)
-    whole = _fine_enough(path, read_grid(path, resolution, config.limits))
+    whole = read_grid(path, resolution, config.limits)
+    if whole.resolution > _COARSEST_M:
+        height, width = (side * whole.resolution for side in whole.cells.shape)
+        raise UsageError(
+            f"{whole.resolution:g} m a pixel make it {width:.0f} m x {height:.0f} m, "
+            "too coarse to see a door",
+            "check the resolution; 0.05 m is usual",
+            where=path,
+        )
     found = segment_floorplan(whole, config.segmentation)
     regions = Regions.of(whole, np.asarray(found.labels, dtype=np.int64))
     with OutputDirectory(target, overwrite) as partial:
-        topology = with_ways(_topology(whole, found), regions, config.ways, kind="doorway")
+        grids = {k: region_grid(whole, found.labels == k) for k in range(found.count)}
+        submaps = {k: Submap(id=k, map_from_submap=IDENTITY, grid=own) for k, own in grids.items()}
+        plain = TopologicalMap(submaps=submaps)
+        topology = with_ways(plain, regions, config.ways, kind="doorway")
         info = LogInfo(name=legible(path.name))
         overview = render_segmentation(topology, regions, info)
         write_segmentation(partial, topology, regions, info, overview)
@@ -91,25 +101,3 @@ def segment_map(
     counts = np.bincount(found.labels[found.labels >= 0]).tolist()
     area_m2 = sum(cells * whole.resolution**2 for cells in counts)
     return SegmentReport(out=target, topology=topology, area_m2=area_m2)
-
-
-def _fine_enough(path: Path, grid: GridMap) -> GridMap:
-    """The grid, unless its cells are so large that no door can be seen."""
-    if grid.resolution > _COARSEST_M:
-        height, width = (side * grid.resolution for side in grid.cells.shape)
-        raise UsageError(
-            f"{grid.resolution:g} m a pixel make it {width:.0f} m x {height:.0f} m, "
-            "too coarse to see a door",
-            "check the resolution; 0.05 m is usual",
-            where=path,
-        )
-    return grid
-
-
-def _topology(whole: GridMap, found: Segmentation) -> TopologicalMap:
-    """The regions as submaps, all in the frame of the map."""
-    submaps = {}
-    for id_ in range(found.count):
-        grid = region_grid(whole, found.labels == id_)
-        submaps[id_] = Submap(id=id_, map_from_submap=IDENTITY, grid=grid)
-    return TopologicalMap(submaps=submaps)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from specmap_cli.core.progress import Progress, Silent
@@ -18,12 +18,7 @@ class Stopwatch:
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
         self._running: list[str] = []
-        self._since = self._began = time.perf_counter()
-
-    @property
-    def elapsed_s(self) -> float:
-        """Seconds since it was made, in whatever stage."""
-        return time.perf_counter() - self._began
+        self._since = self.began = time.perf_counter()
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -51,8 +46,4 @@ class Session:
     config: Config
     store: KeyframeStore
     progress: Progress = field(default_factory=Silent)
-    clock: Stopwatch = field(default_factory=Stopwatch)
-
-    def stage(self, name: str) -> AbstractContextManager[None]:
-        """Count the block as a stage of this name, for `run.json`."""
-        return self.clock.stage(name)
+    clock: Stopwatch = field(default_factory=Stopwatch)  # its stages are told in run.json

@@ -20,7 +20,7 @@ from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.logs.writer import LogWriter
 from specmap_cli.maps.text_files import planar_trajectory_text
-from specmap_cli.simulation.lasers import Cloud, Laser
+from specmap_cli.simulation.lasers import Cloud
 from specmap_cli.simulation.simulator import (
     START_NS,
     SimulatedTour,
@@ -76,7 +76,7 @@ def simulate(
     truth = out.with_suffix(".tum") if truth is None else Path(truth)
     if truth == out:
         raise UsageError(
-            "the recording and the true poses would be one file;", "rename one", where=out
+            "the recording and the true poses would be one file", "rename one", mark=";", where=out
         )
     tour = simulated_tour(plan, options)
     progress.start("simulate", len(tour.scan_times_s))
@@ -97,60 +97,42 @@ def _write_tour(
     writer: LogWriter, tour: SimulatedTour, rate_hz: float, progress: Progress
 ) -> Trajectory:
     """Write every message of a tour; returns the true poses at its scans."""
+    laser, lidar = tour.laser, tour.lidar
+    x, y, theta = laser.base_from_laser
+    z = 0.0 if lidar is None else lidar.height_m
+    level = np.zeros(1)
+    quaternion = quaternions_from_rpy(level, level, np.array([theta]))[0].tolist()
+    writer.static_transform(
+        BASE_FRAME, LASER_FRAME, (x, y, z), quaternion_xyzw=quaternion, stamp_ns=START_NS
+    )
+    # what the laser sees, with the true pose; the odometry, which sees nothing, with its own
+    seen: Iterator[tuple[int, Pose2, Sweep | Cloud]] = (
+        tour.clouds()
+        if lidar is not None
+        else ((sweep.stamp_ns, pose, sweep) for sweep, pose in tour.scans())
+    )
+    odometry = ((stamp, pose, None) for stamp, pose in tour.odometry_messages())
     stamps: list[int] = []
     poses: list[Pose2] = []
-    _write_mounting(writer, tour)
-    for stamp, pose, reading in _messages(tour):
+    for stamp, pose, reading in heapq.merge(odometry, seen, key=itemgetter(0)):
         if reading is None:
             writer.odometry(ODOM_TOPIC, ODOM_FRAME, BASE_FRAME, stamp, pose)
             continue
         if isinstance(reading, Cloud):
             writer.cloud(CLOUD_TOPIC, LASER_FRAME, stamp, *reading)
         else:
-            _write_scan(writer, tour.laser, reading, rate_hz)
+            writer.scan(
+                SCAN_TOPIC,
+                LASER_FRAME,
+                stamp,
+                float(laser.bearings[0]),
+                laser.increment,
+                reading.planar.ranges,
+                range_max=laser.range_max_m,
+                time_increment=laser.sweep_s / (len(laser.bearings) - 1),
+                scan_time=1.0 / rate_hz,
+            )
         stamps.append(stamp)
         poses.append(pose)
         progress.advance()
     return Trajectory(np.array(stamps, dtype=np.int64), np.array(poses, dtype=np.float64))
-
-
-def _messages(tour: SimulatedTour) -> Iterator[tuple[int, Pose2, Sweep | Cloud | None]]:
-    """Stamp, pose and scan or cloud of every message, in the order of the stamps.
-
-    Messages of the odometry have no scan, and its pose; those of the laser have the true pose.
-    """
-    odometry = ((stamp, pose, None) for stamp, pose in tour.odometry_messages())
-    yield from heapq.merge(odometry, _readings(tour), key=itemgetter(0))
-
-
-def _readings(tour: SimulatedTour) -> Iterator[tuple[int, Pose2, Sweep | Cloud]]:
-    """What the laser sees: its stamp, the true pose, and the scan or cloud."""
-    if tour.lidar is None:
-        yield from ((sweep.stamp_ns, pose, sweep) for sweep, pose in tour.scans())
-    else:
-        yield from tour.clouds()
-
-
-def _write_mounting(writer: LogWriter, tour: SimulatedTour) -> None:
-    """Where the laser sits on the robot, on /tf_static."""
-    x, y, theta = tour.laser.base_from_laser
-    z = 0.0 if tour.lidar is None else tour.lidar.height_m
-    level = np.zeros(1)
-    quaternion = quaternions_from_rpy(level, level, np.array([theta]))[0].tolist()
-    writer.static_transform(
-        BASE_FRAME, LASER_FRAME, (x, y, z), quaternion_xyzw=quaternion, stamp_ns=START_NS
-    )
-
-
-def _write_scan(writer: LogWriter, laser: Laser, sweep: Sweep, rate_hz: float) -> None:
-    writer.scan(
-        SCAN_TOPIC,
-        LASER_FRAME,
-        sweep.stamp_ns,
-        float(laser.bearings[0]),
-        laser.increment,
-        sweep.planar.ranges,
-        range_max=laser.range_max_m,
-        time_increment=laser.sweep_s / (len(laser.bearings) - 1),
-        scan_time=1.0 / rate_hz,
-    )

@@ -17,7 +17,6 @@ from specmap_cli.core.arrays import runs
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.json_values import runs_of
 from specmap_cli.core.records import BoolArray, IntArray, Labels
-from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import UNKNOWN
 from specmap_cli.grids.keyframes import (
     KeyframeStore,
@@ -58,7 +57,14 @@ def thinned(session: Session, joint: LaidOut, old: LaidOut, new: LaidOut) -> Thi
     if config.update.keep_all:
         return Thinned(joint, np.arange(len(joint)), len(old))
     of = recordings_of(joint.logs, len(joint))
-    gone = repeated(_recorded(store, joint, of, config), _named(joint, of))
+    scans = [store.scan(first) for first in (0, *joint.starts)]  # each recording has one laser
+    recorded = Recorded(
+        poses=joint.layout.poses,
+        of=of,
+        enough=np.array([views_needed(scan, config.grid) for scan in scans]),
+        all_round=np.array([scan.full_circle for scan in scans]),
+    )
+    gone = repeated(recorded, _named(joint, of))
     kept_for_walls = sole_views(
         store,
         gone[: len(old)],
@@ -73,17 +79,6 @@ def thinned(session: Session, joint: LaidOut, old: LaidOut, new: LaidOut) -> Thi
     dropped = int(gone.sum())
     fewer = _without(store, joint, of, gone)
     return Thinned(fewer, np.flatnonzero(~gone), len(old) - dropped, dropped, len(kept_for_walls))
-
-
-def _recorded(store: KeyframeStore, laid: LaidOut, of: IntArray, config: Config) -> Recorded:
-    """Where the keyframes of all recordings look from; each has one laser."""
-    scans = [store.scan(first) for first in (0, *laid.starts)]
-    return Recorded(
-        poses=laid.layout.poses,
-        of=of,
-        enough=np.array([views_needed(scan, config.grid) for scan in scans]),
-        all_round=np.array([scan.full_circle for scan in scans]),
-    )
 
 
 def _named(laid: LaidOut, of: IntArray) -> BoolArray:

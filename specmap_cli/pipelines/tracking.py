@@ -91,17 +91,12 @@ def track(stream: SweepStream, config: RegistrationConfig) -> Generator[PosedSca
             scans = front_end.take(sweep)
         yield from scans
     yield from front_end.rest()
-    return Tracking(
-        counts={**stream.counts, **front_end.counts, "stale_scans": stale},
-        warnings=(*stream.warnings, *_told(stale), *front_end.warnings),
-        seconds=clock.seconds.get("registration", 0.0),
-    )
-
-
-def _told(stale: int) -> list[str]:
-    if not stale:
-        return []
-    return [
+    hung = [
         f"{counted(stale, 'scan')} repeat the one before although odometry says that the robot "
         "moved, and were left out: the driver of the laser hung"
     ]
+    return Tracking(
+        counts={**stream.counts, **front_end.counts, "stale_scans": stale},
+        warnings=(*stream.warnings, *(hung if stale else ()), *front_end.warnings),
+        seconds=clock.seconds.get("registration", 0.0),
+    )

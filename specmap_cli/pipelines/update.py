@@ -8,7 +8,6 @@ borders. Only new space is divided afresh.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,6 @@ from specmap_cli.core.errors import NOT_ALIGNED, InputError, NoResultError
 from specmap_cli.core.geometry import Pose2, compose
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
-from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.joining import placed
@@ -102,7 +100,7 @@ def update_map(
             finished,
             lambda: replace(
                 RunRecord.of(session, finished, log.given, stream.selection),
-                updates=(*_earlier(stored), _told(stored.path, alignment, fewer)),
+                updates=_updates(stored, alignment, fewer),
             ).document(),
         )
     before, visits = np.split(finished.labels.submaps, [fewer.old])
@@ -152,8 +150,9 @@ def _updated(
         data,
         comparable(old_to_align.classifiers, stored, config),
     )
-    counted = replace(laid, counts=_added(stored.counts, new.counts))
-    return replace(fewer, laid=counted), prior, alignment
+    before = stored.counts
+    counts = {name: count + before.get(name, 0) for name, count in new.counts.items()}
+    return replace(fewer, laid=replace(laid, counts=counts)), prior, alignment
 
 
 @one_blas_thread()
@@ -211,7 +210,7 @@ def build_like(
 def _aligned(session: Session, old: MapToAlign, new: MapToAlign) -> Alignment:
     """Where the recording lies in the map."""
     session.progress.start("aligning", None)
-    with session.stage("alignment"):
+    with session.clock.stage("alignment"):
         return align(old, new, session.config)
 
 
@@ -230,7 +229,7 @@ def _joined(
     for a recording that no wall ties to the map in the end.
     """
     session.progress.start("layout", None)
-    with session.stage("layout"):
+    with session.clock.stage("layout"):
         where = alignment.old_from_new or place_apart(old.whole, new.whole)
         found = closures_between(old, new, alignment.joints)
         joint = join(session, old, new, where, found)
@@ -241,10 +240,10 @@ def _joined(
             where=name,
             code=NOT_ALIGNED,
         )
-    with session.stage("thinning"):
+    with session.clock.stage("thinning"):
         fewer = thinned(session, joint, old, new)
     drawn = replace(fewer, laid=with_grid(session, fewer.laid))
-    with session.stage("segmentation"):
+    with session.clock.stage("segmentation"):
         return redivided(old, joint, drawn, session.config)
 
 
@@ -295,38 +294,23 @@ def _refuse_repeated(old: LaidOut, new: LaidOut, store: KeyframeStore, own: Keyf
         if known.keyframes is None or known.scans != log.scans:
             continue
         first = store.scan(known.keyframes[0])  # logs are known to the microsecond, scans exactly
-        if first.stamp_ns == scan.stamp_ns and _alike_scans(first, scan):
+        if first.stamp_ns != scan.stamp_ns or first.ranges.shape != scan.ranges.shape:
+            continue
+        same = np.isclose(first.ranges, scan.ranges, atol=_SAME_M, equal_nan=True)
+        if float(same.mean()) > _SAME_SHARE:  # a map keeps the readings at even bearings
             raise InputError(
                 f"is in the map already, as {known.name}: nothing to add", where=log.name
             )
 
 
-def _alike_scans(one: PlanarScan, other: PlanarScan) -> bool:
-    """Whether two scans are one, of which a map keeps the readings at even bearings."""
-    if one.ranges.shape != other.ranges.shape:
-        return False
-    same = np.isclose(one.ranges, other.ranges, atol=_SAME_M, equal_nan=True)
-    return float(same.mean()) > _SAME_SHARE
-
-
-def _added(before: Mapping[str, int], counts: Mapping[str, int]) -> dict[str, int]:
-    """What was counted for a map and for what is added to it, together."""
-    return {name: count + before.get(name, 0) for name, count in counts.items()}
-
-
-def _earlier(stored: StoredMap) -> list[Any]:
-    """What run.json keeps of the updates before."""
-    updates = stored.run.get("updates")
-    return updates if isinstance(updates, list) else []
-
-
-def _told(path: Path, alignment: Alignment, fewer: Thinned) -> UpdateRecord:
-    """What run.json keeps of an update."""
-    motion = alignment.old_from_new
-    return UpdateRecord(
-        map=path.resolve().name,
+def _updates(stored: StoredMap, alignment: Alignment, fewer: Thinned) -> tuple[Any, ...]:
+    """What run.json keeps of an update, behind those that it had before."""
+    motion, earlier = alignment.old_from_new, stored.run.get("updates")
+    last = UpdateRecord(
+        map=stored.path.resolve().name,
         old_from_new=None if motion is None else tuple(np.round(motion, 6).tolist()),
         reason=alignment.reason,
         keyframes_dropped=fewer.dropped,
         keyframes_kept_for_walls=fewer.kept_for_walls,
     )
+    return (*(earlier if isinstance(earlier, list) else []), last)

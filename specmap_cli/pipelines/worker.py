@@ -71,14 +71,21 @@ def ahead(produce: Callable[[], Generator[Item, None, Result]]) -> Iterator[Ahea
     returned. Its errors are raised here, where the items are taken. Leaving the block ends the
     child. Raises SpecmapError when the child dies.
     """
-    if not _possible():
+    # A fork is safe on Linux only: libraries of other systems hold threads and handles that it
+    # breaks. It copies locks as other threads hold them: only the main thread forks.
+    in_main = threading.current_thread() is threading.main_thread()
+    alone = not multiprocessing.current_process().daemon
+    if sys.platform != "linux" or not in_main or not alone or _processors() < 2:
         yield Ahead(produce())
         return
+    import fcntl  # not on every system
+
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)  # the child would wait for the threads of a pool that it does not have
     context = multiprocessing.get_context("fork")
     receiver, sender = context.Pipe(duplex=False)
-    _widen(sender)
+    with suppress(AttributeError, OSError):  # more items wait in it where the system allows that
+        fcntl.fcntl(sender.fileno(), fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
     child = context.Process(target=_child, args=(produce, receiver, sender), daemon=True)
     try:
         with _held_signals(), warnings.catch_warnings():
@@ -98,17 +105,6 @@ def ahead(produce: Callable[[], Generator[Item, None, Result]]) -> Iterator[Ahea
         cv2.setNumThreads(threads)
 
 
-def _possible() -> bool:
-    """Whether there can be a child, and a processor for it.
-
-    A fork is safe on Linux only: libraries of other systems hold threads and handles that it
-    breaks. It copies locks as other threads hold them: only the main thread forks.
-    """
-    in_main = threading.current_thread() is threading.main_thread()
-    alone = not multiprocessing.current_process().daemon
-    return sys.platform == "linux" and in_main and alone and _processors() > 1
-
-
 def _processors() -> int:
     """How many processors this process may use; SPECMAP_PROCESSES=1 leaves the others to others."""
     if os.environ.get("SPECMAP_PROCESSES") == "1":
@@ -116,14 +112,6 @@ def _processors() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-def _widen(sender: Connection) -> None:
-    """Let more items wait in the pipe, where the system allows it."""
-    import fcntl  # not on every system; a child is made on Linux only
-
-    with suppress(AttributeError, OSError):
-        fcntl.fcntl(sender.fileno(), fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
 
 
 @contextmanager
@@ -194,20 +182,16 @@ def _received(receiver: Connection, child: BaseProcess) -> Generator[Any, None, 
             kind, value = receiver.recv()
         except (EOFError, OSError):  # also in the middle of a message
             child.join()
-            raise _death(child.exitcode) from None
+            if child.exitcode == -signal.SIGKILL:
+                raise InputError(
+                    "the process that worked ahead was killed, as a system does for want of "
+                    "memory; a shorter log or a coarser grid (--set grid.resolution_m) needs less",
+                    code=MEMORY,
+                ) from None
+            told = f"the process that worked ahead ended with status {child.exitcode}"
+            raise SpecmapError(told) from None
         if kind == _ERROR:
             raise value
         if kind == _RESULT:
             return value
         yield from map(ForkingPickler.loads, value)
-
-
-def _death(status: int | None) -> SpecmapError:
-    """What to say of a child that is no more: a system short of memory kills with SIGKILL."""
-    if status == -signal.SIGKILL:
-        return InputError(
-            "the process that worked ahead was killed, as a system does for want of memory; a "
-            "shorter log or a coarser grid (--set grid.resolution_m) needs less",
-            code=MEMORY,
-        )
-    return SpecmapError(f"the process that worked ahead ended with status {status}")

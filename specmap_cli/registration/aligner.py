@@ -103,8 +103,9 @@ class KissIcpAligner:
             from kiss_icp.registration import Registration
         except ImportError as error:
             raise UsageError(
-                f"registration.method 'kiss-icp' needs the package kiss-icp: {error};",
+                f"registration.method 'kiss-icp' needs the package kiss-icp: {error}",
                 "install it or choose another method",
+                mark=";",
                 code=PACKAGE,
             ) from error
         # one thread: the sums of several would come in another order at every run

@@ -139,9 +139,9 @@ def _canvas(stored: StoredMap, pieces: Sequence[tuple[NodeRecord, GridMap]]) -> 
     width, height = (int(side) + 2 for side in np.ceil((high - low) / cell_m))
     if width * height > stored.limits.picture_max_mpixel * 1e6:
         raise MapError(
-            f"its submaps lie so far apart that a picture of them has {width:,} x "
-            f"{height:,} cells;",
+            f"its submaps lie so far apart that a picture of them has {width:,} x {height:,} cells",
             "if it is meant, raise limits.picture_max_mpixel",
+            mark=";",
             where=stored.path,
             code=TOO_LARGE,
         )

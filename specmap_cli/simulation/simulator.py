@@ -223,7 +223,10 @@ def simulate_sweeps(plan: GridMap, options: SimulationOptions) -> Iterator[tuple
     """
     if options.rings > 1:
         raise UsageError(
-            "a 3D lidar has clouds;", "write a log of them by specmap simulate", where="rings"
+            "a 3D lidar has clouds",
+            "write a log of them by specmap simulate",
+            mark=";",
+            where="rings",
         )
     yield from simulated_tour(plan, options).scans()
 

@@ -98,7 +98,9 @@ def read_rooms(
     """
     picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if picture is None:
-        raise MapError("cannot be read as a picture;", "give a PNG with white rooms", where=path)
+        raise MapError(
+            "cannot be read as a picture", "give a PNG with white rooms", mark=";", where=path
+        )
     white = (picture > _ROOM_GREY).astype(np.uint8)
     _, regions, stats, _ = cv2.connectedComponentsWithStats(white)
     kept = stats[:, cv2.CC_STAT_AREA] >= _ROOM_MIN_PIXELS

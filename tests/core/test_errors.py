@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from specmap_cli.core import errors
+from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import is_of_the_machine, is_of_the_place, reason
 
 ROOT = Path(__file__).parents[2]
@@ -75,9 +76,11 @@ def test_every_code_is_given_somewhere() -> None:
             "a: is a directory: name the file to write",
         ),
         (
-            errors.UsageError("exists already;", "use --overwrite", where="a"),
+            errors.UsageError("exists already", "use --overwrite", mark=";", where="a"),
             "a: exists already; use --overwrite",
         ),
+        (errors.UsageError(hint="expected KEY=VALUE", where="a"), "a: expected KEY=VALUE"),
+        (errors.LogError("no such file b,", "name one", where="a"), "a: no such file b,: name one"),
         (
             errors.NoResultError("no free space", "check the scale"),
             "no free space: check the scale",
@@ -88,6 +91,20 @@ def test_every_code_is_given_somewhere() -> None:
 def test_the_line_is_made_of_the_parts(error: errors.SpecmapError, line: str) -> None:
     assert str(error) == line
     assert error.where in (None, "a b.mcap", "a")
+
+
+def test_an_error_is_told_of_a_larger_place() -> None:
+    small = errors.UsageError("is 3", "see b", mark=";", where="a", code=errors.SETTING)
+    error = small.within("jobs.toml")
+    assert (str(error), error.where, error.code) == (
+        "jobs.toml: a: is 3; see b",
+        "jobs.toml",
+        "setting",
+    )
+    with pytest.raises(errors.UsageError) as caught:
+        load_config(overrides={"seed": -1})
+    assert caught.value.where == "seed"  # which stands in the line once
+    assert str(caught.value.within("jobs.toml")) == f"jobs.toml: {caught.value}"
 
 
 def test_an_error_of_the_system_says_what_helps() -> None:

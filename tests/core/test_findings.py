@@ -50,7 +50,7 @@ def test_a_finding_for_a_machine_says_where_it_is() -> None:
         advice="look",
         value=0.3,
         limit=0.1,
-        where=Where.of(1_500_000_000, (1.0, 2.0)),
+        where=Where(1_500_000_000, 1.0, 2.0),
     )
     assert full.as_dict() == {
         "code": "walls-disagree",

@@ -67,6 +67,14 @@ def test_threads_are_taken_and_given_back_also_of_what_is_loaded_meanwhile(tmp_p
     run(PROGRAM, tmp_path)
 
 
+def test_the_versions_are_told_though_one_of_the_packages_is_missing(tmp_path: Path) -> None:
+    run(
+        "import sys; sys.modules['threadpoolctl'] = None\n"
+        "from specmap_cli.cli import main; sys.exit(main(['--version']))",
+        tmp_path,
+    )
+
+
 def test_a_program_that_builds_a_map_has_one_thread_meanwhile(
     tmp_path: Path, flat: GridMap
 ) -> None:

@@ -84,6 +84,7 @@ def test_arrays_and_numpy_numbers_are_plain() -> None:
     assert found == {"a": [[1.5, None]], "2": 0.5, "t": True}
     assert type(plain(np.int64(7))) is int
     assert type(plain(np.bool_(False))) is bool
+    assert [plain(np.longdouble(1) / 3), plain(np.ones(1, np.longdouble))] == [0.333333, [1.0]]
 
 
 @given(st.floats())

@@ -238,9 +238,9 @@ def test_a_doubtful_place_is_marked_and_the_title_says_why() -> None:
     topology, regions = one_room((80, 120))
     place = (2.0, 3.0)
     said = Finding(
-        code="walls-disagree", severity="poor", message="bent", where=Where.of(None, place)
+        code="walls-disagree", severity="poor", message="bent", where=Where(None, *place)
     )
-    aside = Finding(code="input", severity="note", message="odd", where=Where.of(None, (4.0, 3.0)))
+    aside = Finding(code="input", severity="note", message="odd", where=Where(None, 4.0, 3.0))
     path = along(np.linspace((1.0, 1.0), (5.0, 1.0), 60))
     good, poor = (
         render_overview(topology, regions, *path, [LogInfo("log")], Quality.of(findings))

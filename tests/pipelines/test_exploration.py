@@ -10,6 +10,7 @@ import pytest
 from specmap_cli.core.config import load_config
 from specmap_cli.core.records import Closure, Trajectory
 from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.pipelines import exploration as module
 from specmap_cli.pipelines.exploration import Exploration
 from specmap_cli.pipelines.session import Session
 from specmap_cli.segmentation.online import Region
@@ -33,7 +34,7 @@ def closure(old: int, new: int, *, merged: bool) -> Closure:
 def test_a_region_that_grew_is_compared_again_whole_and_the_last_word_counts(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(Exploration, "_neighbours", Mock(return_value={}))
+    monkeypatch.setattr(module, "online_labels", Mock(return_value=np.zeros(0, dtype=np.int64)))
     monkeypatch.setattr(Exploration, "_stay", lambda self, number: list(self.regions[number]))
     with KeyframeStore() as store:
         exploration = Exploration(Session(load_config(), store))

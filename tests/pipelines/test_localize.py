@@ -27,6 +27,7 @@ from specmap_cli.pipelines.localize import (
     METRIC_HEADER,
     LocalizationReport,
     LocalizedScan,
+    classifiers_of,
     picture_of,
     settings_for,
     table_of,
@@ -135,6 +136,16 @@ def test_classifiers_of_other_submaps_are_refused(own_log: Path, flat_map: Store
     fewer = record.model_copy(update={"nodes": record.nodes[:-1]})
     with pytest.raises(MapError, match=r"classifiers\.json: classifiers of the submaps"):
         localize_log(own_log, StoredMap(flat_map.path, fewer))
+
+
+def test_damaged_classifiers_keep_what_to_do_about_them(
+    flat_map: StoredMap, tmp_path: Path
+) -> None:
+    (tmp_path / CLASSIFIERS).write_text("{}")
+    with pytest.raises(MapError, match=r"classifiers\.json: .*; build the map again") as caught:
+        classifiers_of(StoredMap(tmp_path, flat_map.record))
+    assert caught.value.where == str(tmp_path / CLASSIFIERS)
+    assert caught.value.hint == "build the map again"
 
 
 class Notes(Silent):

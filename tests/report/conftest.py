@@ -40,7 +40,7 @@ def house(tmp_path: Path, result: MapResult) -> StoredMap:
         replace(door, crossings=topology.edges[0, 1].traversals, driven=True),
         Door(id=1, x=3.0, y=1.5, width_m=0.8, theta=1.5, between=(0, 2), forbidden=True),
     )
-    place = Where.of(None, (1.0, 0.5))
+    place = Where(None, 1.0, 0.5)
     findings = (
         Finding(code="hole-in-log", severity="note", message=f"a gap {HOSTILE}"),
         Finding(code="walls-disagree", severity="doubtful", message="walls", where=place),

@@ -209,7 +209,7 @@ def time_text(time_ns: int) -> str:
 
 def refused(where: Path | str, found: str, hint: str = "", code: str | None = None) -> LogError:
     """The error of a recording that cannot be used: where, what was found there, what to do."""
-    return LogError(f"{found};" if hint else found, hint or None, where=where, code=code)
+    return LogError(found, hint or None, mark=";", where=where, code=code)
 
 
 def unreadable(path: Path, error: OSError) -> LogError:

@@ -178,5 +178,8 @@ def _groups_of(feature_set: str, setting: str = "feature_set") -> FeatureSet:
 
 def _unusable(name: str, why: str) -> UsageError:
     return UsageError(
-        f"feature set {name!r}: {why};", "mend or remove the package that offers it", code=PACKAGE
+        f"feature set {name!r}: {why}",
+        "mend or remove the package that offers it",
+        mark=";",
+        code=PACKAGE,
     )

@@ -36,8 +36,9 @@ class BeamSampler:
         narrower = seen.field_of_view < known.field_of_view - _VIEW_SLACK_RAD
         if narrower or seen.range_max < _RANGE_SHARE * known.range_max:
             raise InputError(
-                f"the log's laser ({seen}) sees less than the laser of the map ({known});",
+                f"the log's laser ({seen}) sees less than the laser of the map ({known})",
                 "build the map again with this laser",
+                mark=";",
             )
 
     def apply(self, scan: PlanarScan) -> PlanarScan:
