@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.arrays import first_in_cells
 from specmap_cli.core.geometry import FloatArray, Pose2, inverse3, product
-from specmap_cli.core.records import BoolArray, PlanarScan
+from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.messages import CloudRecord
 from specmap_cli.logs.readers.encoding import NS_PER_S
@@ -293,7 +293,14 @@ class CloudFlattener:
         inside = (distance > 0.0) & (distance <= CLOUD_RANGE_MAX_M)
         times = None
         if not self._planar:
-            inside &= self._is_in_band(cloud, distance, floor_m)
+            if floor_m is None:
+                if self._floor is None:
+                    heights = cloud[distance <= FLOOR_RADIUS_M, 2]
+                    some = len(heights) > 0
+                    self._floor = float(np.percentile(heights, _FLOOR_PERCENTILE)) if some else 0.0
+                floor_m = self._floor
+            height = cloud[:, 2] - floor_m
+            inside &= (height >= self.config.band_min_m) & (height <= self.config.band_max_m)
         elif times_s is not None and len(bins):  # of all beams by those of the points
             order = np.argsort(bins, kind="stable")
             times = np.interp(np.arange(beams), bins[order], times_s[order])
@@ -309,20 +316,6 @@ class CloudFlattener:
             full_circle=bool(self._seen.mean() >= _CLOUD_FILLED_SHARE),
             beam_times_s=times,
         )
-
-    def _is_in_band(
-        self, cloud: FloatArray, distance: FloatArray, floor_m: float | None
-    ) -> BoolArray:
-        """Which points (N, 3) are in the band; without a floor, above that of the first cloud."""
-        if floor_m is None:
-            if self._floor is None:
-                heights = cloud[distance <= FLOOR_RADIUS_M, 2]
-                self._floor = 0.0
-                if len(heights):
-                    self._floor = float(np.percentile(heights, _FLOOR_PERCENTILE))
-            floor_m = self._floor
-        height = cloud[:, 2] - floor_m
-        return (height >= self.config.band_min_m) & (height <= self.config.band_max_m)
 
     def _choose_bearings(self, turn: FloatArray) -> None:
         """Settle on the bearings from the first cloud's returns at any height.

@@ -69,15 +69,13 @@ class TransformTree:
         common = next((frame for frame in self.ancestors(source) if frame in above), None)
         if common is None:
             return None
-        up, down = self._from_ancestor(common, target), self._from_ancestor(common, source)
+        from_common = [np.eye(4), np.eye(4)]
+        for number, frame in enumerate((target, source)):
+            while frame != common:
+                from_common[number] = self._parent_from[frame] @ from_common[number]
+                frame = self._parent[frame]
+        up, down = from_common
         return np.asarray(np.linalg.inv(up) @ down)
-
-    def _from_ancestor(self, ancestor: str, frame: str) -> FloatArray:
-        matrix = np.eye(4)
-        while frame != ancestor:
-            matrix = self._parent_from[frame] @ matrix
-            frame = self._parent[frame]
-        return matrix
 
 
 _TILT_MAX_RAD = 0.175  # a laser tilted more is warned of: it is read as level

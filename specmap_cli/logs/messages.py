@@ -101,7 +101,7 @@ def decode_odometry(message: Message) -> TransformRecord:
     decoded = _decoded(message, ODOMETRY)
     pose = decoded.pose.pose
     matrix = _matrix(pose.position, pose.orientation)
-    if not _possible(matrix):
+    if matrix is None:
         raise BadMessageError("odometry is not finite or beyond all bounds")
     header = decoded.header
     return TransformRecord(
@@ -116,7 +116,7 @@ def decode_transforms(message: Message) -> Transforms:
     for stamped in _decoded(message, TF_MESSAGE).transforms:
         parent, child = frame_name(stamped.header.frame_id), frame_name(stamped.child_frame_id)
         matrix = _matrix(stamped.transform.translation, stamped.transform.rotation)
-        if _possible(matrix):
+        if matrix is not None:
             records.append(TransformRecord(_stamp(stamped.header), parent, child, matrix))
         else:
             absurd.append((parent, child))
@@ -139,20 +139,17 @@ def _decoded(message: Message, expected: str) -> Any:
         raise BadMessageError(f"not a {message.type}: {error}") from None
 
 
-def _possible(matrix: FloatArray) -> bool:
-    """Whether a transform is finite and its frames are no farther apart than places on earth."""
-    return bool(np.isfinite(matrix).all() and np.abs(matrix[:3, 3]).max() <= _FARTHEST_M)
-
-
 def _stamp(header: Any) -> int:
     return int(header.stamp.sec) * NS_PER_S + int(header.stamp.nanosec)
 
 
-def _matrix(translation: Any, rotation: Any) -> FloatArray:
+def _matrix(translation: Any, rotation: Any) -> FloatArray | None:
+    """A transform (4, 4), None where a number is not finite or beyond all places on earth."""
     matrix = np.eye(4)
     matrix[:3, :3] = rotation_from_quaternion(rotation.x, rotation.y, rotation.z, rotation.w)
     matrix[:3, 3] = translation.x, translation.y, translation.z
-    return matrix
+    possible = np.isfinite(matrix).all() and np.abs(matrix[:3, 3]).max() <= _FARTHEST_M
+    return matrix if possible else None
 
 
 def _scan(decoded: Any, ranges: NDArray[np.float32]) -> ScanRecord:

@@ -94,16 +94,28 @@ class OdometryListener:
 
     def take(self, message: Message) -> None:
         """Remember the odometry in a message; raises BadMessageError when it cannot be read."""
-        if self.selection.odometry == "tf":
-            self._take_transforms(message)
+        selection = self.selection
+        odom, base = selection.odom_frame or "", selection.base_frame
+        if selection.odometry == "topic":
+            record = decode_odometry(message)
+            odom_from_base: FloatArray | None = record.parent_from_child
+            if record.child and record.child != base:
+                child_from_base = self._tree.lookup(record.child, base)
+                if child_from_base is not None:
+                    odom_from_base = record.parent_from_child @ child_from_base
+            self._remember(record.stamp_ns, message.time_ns, odom_from_base)
             return
-        record = decode_odometry(message)
-        odom_from_base: FloatArray | None = record.parent_from_child
-        if record.child and record.child != self.selection.base_frame:
-            child_from_base = self._tree.lookup(record.child, self.selection.base_frame)
-            if child_from_base is not None:
-                odom_from_base = record.parent_from_child @ child_from_base
-        self._remember(record.stamp_ns, message.time_ns, odom_from_base)
+        transforms = decode_transforms(message)
+        for record in transforms.records:  # the chain to the base: its first link sets the time
+            if record.child not in self._chain:
+                continue
+            self._tree.add(record, dynamic=True)
+            if record.parent == odom:
+                pose = self._tree.lookup(odom, base)
+                self._remember(record.stamp_ns, message.time_ns, pose)
+        absurd = [child for _, child in transforms.absurd if child in self._chain]
+        if absurd:
+            raise BadMessageError(f"the transform of {absurd[0]!r} is not finite or absurd")
 
     def own(self, stamp_ns: int, time_ns: int) -> Pose2 | None:
         """odom_from_base of a scan with these header and recorder's times, by the order of the log.
@@ -117,21 +129,6 @@ class OdometryListener:
         same = (self.last.stamp_ns, self.last.time_ns) == (stamp_ns, time_ns)
         by_order = self.selection.clock.source == "order"
         return self.last.pose if same or by_order else None
-
-    def _take_transforms(self, message: Message) -> None:
-        """Follow the chain from the odometry frame to the base; its first link sets the time."""
-        odom, base = self.selection.odom_frame or "", self.selection.base_frame
-        transforms = decode_transforms(message)
-        for record in transforms.records:
-            if record.child not in self._chain:
-                continue
-            self._tree.add(record, dynamic=True)
-            if record.parent == odom:
-                pose = self._tree.lookup(odom, base)
-                self._remember(record.stamp_ns, message.time_ns, pose)
-        absurd = [child for _, child in transforms.absurd if child in self._chain]
-        if absurd:
-            raise BadMessageError(f"the transform of {absurd[0]!r} is not finite or absurd")
 
     def _remember(self, stamp_ns: int, time_ns: int, odom_from_base: FloatArray | None) -> None:
         if odom_from_base is None:

@@ -53,13 +53,6 @@ def known_readers() -> dict[str, type[Recording]]:
     return {**added, **BUILT_IN}
 
 
-def reader_for(
-    head: bytes, file: Path, readers: Mapping[str, type[Recording]]
-) -> type[Recording] | None:
-    """The first reader that knows the file, None when none does."""
-    return next((reader for reader in readers.values() if reader.sniff(head, file)), None)
-
-
 def format_names(readers: Iterable[type[Recording]]) -> str:
     """The formats in a phrase: `MCAP, ROS 1 bag or CARMEN log`."""
     *others, last = [reader.format for reader in readers]
@@ -90,24 +83,6 @@ _KINDS = (
     (stat.S_ISCHR, "a device"),
     (stat.S_ISBLK, "a device"),
 )
-
-
-def is_directory(path: Path) -> bool:
-    """Whether a path is a directory; raises LogError when it is neither that nor a regular file.
-
-    A pipe, a socket or a device would keep a reader waiting, perhaps for ever.
-    """
-    try:
-        mode = path.stat().st_mode
-    except OSError as error:
-        raise unreadable(path, error) from None
-    except ValueError:  # a zero byte, which no name has
-        raise refused(path, "no such file or directory", code=LOG_MISSING) from None
-    if not (stat.S_ISDIR(mode) or stat.S_ISREG(mode)):
-        kind = next((name for is_kind, name in _KINDS if is_kind(mode)), "no file")
-        found = f"is {kind}; a log must be a file or a directory"
-        raise LogError(found, "copy it to one", where=path)
-    return stat.S_ISDIR(mode)
 
 
 def head_of(path: Path) -> bytes:
@@ -157,10 +132,24 @@ def open_log(paths: Paths, config: LogConfig | None = None) -> Log:
 
 
 def _files_at(path: Path, readers: _Readers) -> Iterator[Path]:
-    """The file at a path, or the recordings in a directory by name."""
-    if not is_directory(path):
+    """The file at a path, or the recordings in a directory by name.
+
+    Raises LogError for other things: a pipe, a socket or a device would keep a reader waiting,
+    perhaps for ever.
+    """
+    try:
+        mode = path.stat().st_mode
+    except OSError as error:
+        raise unreadable(path, error) from None
+    except ValueError:  # a zero byte, which no name has
+        raise refused(path, "no such file or directory", code=LOG_MISSING) from None
+    if stat.S_ISREG(mode):
         yield path
         return
+    if not stat.S_ISDIR(mode):
+        kind = next((name for is_kind, name in _KINDS if is_kind(mode)), "no file")
+        other = f"is {kind}; a log must be a file or a directory"
+        raise LogError(other, "copy it to one", where=path)
     try:
         files = sorted(path.iterdir())
         visible = [file for file in files if file.is_file() and not file.name.startswith(".")]
@@ -176,7 +165,8 @@ def _files_at(path: Path, readers: _Readers) -> Iterator[Path]:
 def looks_like_a_log(file: Path, readers: _Readers) -> bool:
     """Whether a file begins as a recording, or as a compressed file. Raises LogError."""
     head = head_of(file)
-    return compression_of(head) is not None or reader_for(head, file, readers) is not None
+    packed = compression_of(head) is not None
+    return packed or any(reader.sniff(head, file) for reader in readers.values())
 
 
 def _opened(path: Path, readers: _Readers, config: LogConfig, held: ExitStack) -> Recording:
@@ -220,9 +210,9 @@ def _reader_of(file: Path, path: Path, readers: _Readers) -> type[Recording]:
     head = head_of(file)
     if not head:
         raise refused(path, "the file is empty", code=LOG_DAMAGED)
-    reader = reader_for(head, file, readers)
-    if reader is not None:
-        return reader
+    for reader in readers.values():
+        if reader.sniff(head, file):
+            return reader
     if any(known.magic.startswith(head) for known in readers.values()):
         cut = f"cut off after {len(head)} bytes; no message can be read"
         raise refused(path, cut, code=LOG_DAMAGED)

@@ -152,7 +152,19 @@ class Ceiling:
 
     def clear(self, ranges: FloatArray) -> None:
         """Set the readings (B,) that are one of these distances to +inf, in place."""
-        self._look(ranges)
+        longest = float(ranges[np.isfinite(ranges)].max(initial=0.0))
+        if longest > self._longest:
+            self._longest, self._places = longest, 0
+        if (
+            longest == self._longest
+            and longest not in self.values_m
+            and np.count_nonzero(ranges == longest) >= _BEAMS
+            and self._is_elsewhere(ranges)
+        ):
+            self._places += 1
+            self._there = ranges.copy()
+            if self._places >= _PLACES:
+                self.values_m = (*self.values_m, longest)
         for value in self.values_m:
             alike = ranges == value
             self.cleared += int(np.count_nonzero(alike))
@@ -168,19 +180,6 @@ class Ceiling:
             f"readings of exactly {values} m, the longest distance of all, are taken for no "
             f"return, as several beams of one scan have it again and again: {self.cleared:,}"
         ]
-
-    def _look(self, ranges: FloatArray) -> None:
-        """Count the places from which several beams read the longest distance of all."""
-        longest = float(ranges[np.isfinite(ranges)].max(initial=0.0))
-        if longest > self._longest:
-            self._longest, self._places = longest, 0
-        if longest < self._longest or longest in self.values_m:
-            return
-        if np.count_nonzero(ranges == longest) >= _BEAMS and self._is_elsewhere(ranges):
-            self._places += 1
-            self._there = ranges.copy()
-        if self._places >= _PLACES:
-            self.values_m = (*self.values_m, longest)
 
     def _is_elsewhere(self, ranges: FloatArray) -> bool:
         """Whether the robot has moved since the last place, by what the laser reads."""
@@ -215,12 +214,23 @@ class OwnBody:
 
     def clear(self, ranges: FloatArray) -> None:
         """Set the readings (B,) that are of the robot to NaN, in place."""
+        is_new = not self._is_ruled_out
         if len(ranges) != len(self._there):
             self._low, self._high = np.full((2, len(ranges)), np.nan)
             self._counts = np.zeros(len(ranges), dtype=np.int64)
-            self._learn(ranges)
-        elif not self._is_ruled_out and self._is_elsewhere(ranges):
-            self._learn(ranges)
+            is_new = True
+        elif is_new:  # where most beams that see no robot read other distances
+            others = ~self._near & ~(np.isnan(ranges) | np.isnan(self._there))
+            changed = changed_share(ranges[others], self._there[others], _MOVED_M)
+            is_new = changed >= _MOVED_SHARE
+        if is_new:
+            self._there = ranges.copy()
+            read = np.where(np.isfinite(ranges), ranges, np.nan)
+            self._low, self._high = np.fmin(self._low, read), np.fmax(self._high, read)
+            self._counts += np.isfinite(ranges)
+            self._near = (self._high < _NEAR_M) & (self._high - self._low <= _SAME_M)
+            self._seen = self._near & (self._counts >= _OWN_PLACES)
+            self._is_ruled_out = not (self._near | np.isnan(self._low)).any()
         if self._seen.any():  # and what is near it, on these beams and those beside: edges flicker
             low = _of_neighbours(np.where(self._seen, self._low, np.inf), np.minimum)
             high = _of_neighbours(np.where(self._seen, self._high, -np.inf), np.maximum)
@@ -236,22 +246,6 @@ class OwnBody:
             f"beams that read the same {low:.2f} to {high:.2f} m wherever the robot goes, which is "
             f"the robot itself: {np.count_nonzero(self._seen):,}; these readings are left out"
         ]
-
-    def _learn(self, ranges: FloatArray) -> None:
-        """Take in a scan at another place."""
-        self._there = ranges.copy()
-        read = np.where(np.isfinite(ranges), ranges, np.nan)
-        self._low, self._high = np.fmin(self._low, read), np.fmax(self._high, read)
-        self._counts += np.isfinite(ranges)
-        self._near = (self._high < _NEAR_M) & (self._high - self._low <= _SAME_M)
-        self._seen = self._near & (self._counts >= _OWN_PLACES)
-        self._is_ruled_out = not (self._near | np.isnan(self._low)).any()
-
-    def _is_elsewhere(self, ranges: FloatArray) -> bool:
-        """Whether most beams that see no robot read other distances than at the last place."""
-        others = ~self._near & ~(np.isnan(ranges) | np.isnan(self._there))
-        changed = changed_share(ranges[others], self._there[others], _MOVED_M)
-        return changed >= _MOVED_SHARE
 
 
 def _of_neighbours(values: FloatArray, least: np.ufunc) -> FloatArray:

@@ -102,10 +102,6 @@ class View(NamedTuple):
         off = max(abs(self.low - other.low), abs(self.high - other.high))
         return off <= _SENSOR_ANGLE_RAD
 
-    def overlaps(self, other: View) -> bool:
-        """Whether the two share more than `_SENSOR_ANGLE_RAD`."""
-        return min(self.high, other.high) - max(self.low, other.low) > _SENSOR_ANGLE_RAD
-
 
 class FirstScan(NamedTuple):
     """What is kept of a scan at the beginning of a log: times, frame, layout (None: a cloud)."""
@@ -182,7 +178,7 @@ def sensors_of(scans: Iterable[FirstScan]) -> list[ScanSensor]:
 
 
 def _kinds(layouts: Sequence[ScanLayout]) -> list[tuple[View, int]]:
-    """The fields of view that take turns in one frame, and how often each is met."""
+    """The fields of view that overlap and take turns in one frame, and how often each is met."""
     views: list[View] = []
     turns: list[int] = []  # the number of the view of each scan
     for layout in layouts:
@@ -196,21 +192,19 @@ def _kinds(layouts: Sequence[ScanLayout]) -> list[tuple[View, int]]:
     counts = Counter(turns)
     least = max(_BY_TURNS, _SENSOR_SHARE * len(layouts))
     often = [n for n in range(len(views)) if counts[n] >= least]
-    return [(views[n], counts[n]) for n in often if _has_rival(n, often, views, turns)]
-
-
-def _has_rival(
-    number: int, often: Sequence[int], views: Sequence[View], turns: Sequence[int]
-) -> bool:
-    """Whether another view overlaps with this one and takes turns with it."""
-    for other in often:
-        if other == number or not views[number].overlaps(views[other]):
-            continue
-        both = [turn for turn in turns if turn in (number, other)]
-        changes = sum(a != b for a, b in pairwise(both))
-        if 2 * changes >= min(both.count(number), both.count(other)):
-            return True
-    return False
+    found = []
+    for number in often:
+        view = views[number]
+        for other in often:
+            shared = min(view.high, views[other].high) - max(view.low, views[other].low)
+            if other == number or shared <= _SENSOR_ANGLE_RAD:
+                continue
+            both = [turn for turn in turns if turn in (number, other)]
+            changes = sum(a != b for a, b in pairwise(both))
+            if 2 * changes >= min(counts[number], counts[other]):
+                found.append((view, counts[number]))
+                break
+    return found
 
 
 def choose_sensor(

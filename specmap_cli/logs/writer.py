@@ -150,7 +150,17 @@ class LogWriter:
             raise ValueError(f"{self.path}: is closed: it takes no more messages")
         time_ns = max(int(log_time_ns), 0)  # the format has no times before 1970
         try:
-            self._writer.add_message(self._channel(topic, msgtype), time_ns, cdr, time_ns)
+            key = (topic, msgtype)
+            if key not in self._channels:
+                if msgtype not in self._schemas:
+                    text = message_definition(msgtype)
+                    number = self._writer.register_schema(msgtype, "ros2msg", text)
+                    self._schemas[msgtype] = number
+                schema = self._schemas[msgtype]
+                latched = {"offered_qos_profiles": _LATCHED} if topic == TF_STATIC else {}
+                number = self._writer.register_channel(topic, "cdr", schema, latched)
+                self._channels[key] = number
+            self._writer.add_message(self._channels[key], time_ns, cdr, time_ns)
         except OSError as error:
             raise self._unwritable(error) from None
 
@@ -193,20 +203,6 @@ class LogWriter:
     def _unwritable(self, error: OSError) -> UsageError:
         advice = "choose another place"
         return UsageError.of_system(error, "cannot write", advice, where=self.path, code=OUTPUT)
-
-    def _channel(self, topic: str, msgtype: str) -> int:
-        key = (topic, msgtype)
-        if key not in self._channels:
-            if msgtype not in self._schemas:
-                number = self._writer.register_schema(
-                    msgtype, "ros2msg", message_definition(msgtype)
-                )
-                self._schemas[msgtype] = number
-            metadata = {"offered_qos_profiles": _LATCHED} if topic == TF_STATIC else {}
-            self._channels[key] = self._writer.register_channel(
-                topic, "cdr", self._schemas[msgtype], metadata
-            )
-        return self._channels[key]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -81,11 +81,6 @@ class CarmenLine:
     odom_from_base: Pose2
     scan: LaserReading | None = None
 
-    @property
-    def frame(self) -> str:
-        """The frame of the laser: its topic without the slash."""
-        return self.topic.strip("/")
-
 
 def damaged_keyword(line: bytes) -> str | None:
     """The keyword that a line started with before a byte of it was damaged; None for another line.
@@ -125,13 +120,6 @@ def _count(words: list[bytes], place: int) -> int:
     """The count at a place, 0 when there is none."""
     word = words[place] if place < len(words) else b""
     return int(word) if word.isdigit() and len(word) < _COUNT_DIGITS else 0
-
-
-def swallowed_keywords(line: bytes) -> list[str]:
-    """The keywords inside a line: those of lines whose line break was damaged."""
-    if all(line.find(part, 1) < 0 for part in _PARTS):  # much quicker than the pattern
-        return []
-    return [word.decode("ascii") for word in _INSIDE.findall(line, 1)]
 
 
 def topic_of(keyword: str) -> str:
@@ -314,10 +302,10 @@ class CarmenFile(Recording):
         """The messages on `topics`, in the order of the lines."""
         mounts = dict(self._survey[1])  # of lasers whose mounting has not been told
         for line in self._lines():
-            scan, stamp_ns = line.scan, line.stamp_ns
+            scan, stamp_ns, frame = line.scan, line.stamp_ns, line.topic.strip("/")
             mount = mounts.pop(line.topic, None) if scan is not None else None
             if mount is not None and (topics is None or TF_STATIC in topics):
-                data = transform_cdr(BASE_FRAME, line.frame, stamp_ns, *in_space(mount))
+                data = transform_cdr(BASE_FRAME, frame, stamp_ns, *in_space(mount))
                 yield Message(TF_STATIC, TF_MESSAGE, stamp_ns, data)
             if topics is None or ODOM_TOPIC in topics:
                 data = odometry_cdr(ODOM_FRAME, BASE_FRAME, stamp_ns, line.odom_from_base)
@@ -325,7 +313,7 @@ class CarmenFile(Recording):
             if scan is not None and (topics is None or line.topic in topics):
                 ranges = np.where(scan.ranges >= scan.range_max, np.inf, scan.ranges)
                 angles, range_max = (scan.angle_min, scan.angle_increment), scan.range_max
-                data = scan_cdr(line.frame, stamp_ns, *angles, ranges, range_max=range_max)
+                data = scan_cdr(frame, stamp_ns, *angles, ranges, range_max=range_max)
                 yield Message(line.topic, LASER_SCAN, stamp_ns, data)
 
     def _lines(self) -> Iterator[CarmenLine]:
@@ -360,7 +348,9 @@ class CarmenFile(Recording):
 def _read(text: bytes) -> tuple[CarmenLine | None, list[str]]:
     """What a line holds, None for nothing, and what of it is lost."""
     keyword, words = keyword_of(text), text.split()
-    lost = swallowed_keywords(text)
+    lost: list[str] = []  # of lines whose line break was damaged
+    if any(text.find(part, 1) >= 0 for part in _PARTS):  # much quicker than the pattern
+        lost = [word.decode("ascii") for word in _INSIDE.findall(text, 1)]
     if (damaged := None if keyword else damaged_keyword(text)) is not None:
         return None, [*lost, damaged]
     if lost_laser(words):

@@ -61,16 +61,6 @@ def stream_of(body: bytes) -> ReadDataStream:
     return ReadDataStream(BytesIO(body))
 
 
-def records_in(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Opcode and body of one record after the other; struct.error where none is whole."""
-    position = 0
-    while position < len(data):
-        opcode, length = RECORD_HEAD.unpack_from(data, position)
-        position += RECORD_HEAD.size
-        yield opcode, data[position : position + length]
-        position += length
-
-
 _FOOTER_BODY = 20  # by the format: two offsets and a checksum
 _FOOTER_BYTES = RECORD_HEAD.size + _FOOTER_BODY + len(MAGIC)
 
@@ -98,7 +88,11 @@ class McapFile(ChunkedFile):
         chunks: list[ChunkIndex] = []
         statistics: Statistics | None = None
         try:
-            for opcode, body in records_in(summary):
+            position = 0
+            while position < len(summary):
+                opcode, length = RECORD_HEAD.unpack_from(summary, position)
+                position += RECORD_HEAD.size + length
+                body = summary[position - length : position]
                 if opcode == CHUNK_INDEX:
                     chunks.append(ChunkIndex.read(stream_of(body)))
                 elif opcode == STATISTICS:
@@ -288,24 +282,21 @@ class McapFile(ChunkedFile):
         if opcode < FIRST_PRIVATE and not ended and not self._is_of_data(following, then):
             return False
         body = self.read_at(ref.offset + RECORD_HEAD.size, CHUNK_HEAD.size)
-        if opcode < FIRST_PRIVATE or self._may_hold_messages(ref, body):
+        may_hold = opcode < FIRST_PRIVATE
+        if not may_hold and len(body) >= MESSAGE_HEAD.size:
+            # a private record: built like a message of a known channel, or like a chunk
+            name = CHUNK_HEAD.unpack(body)[-1] if len(body) == CHUNK_HEAD.size else self.size
+            start = RECORD_HEAD.size + CHUNK_HEAD.size + name + _U64.size
+            size = self.read_at(ref.offset + start - _U64.size, _U64.size)
+            is_chunk = ref.length == start + int.from_bytes(size, "little")
+            may_hold = MESSAGE_HEAD.unpack_from(body)[0] in self.channels or is_chunk
+        if may_hold:
             fault = "damaged" if opcode <= DATA_END else "of no known kind"
             self.report(
                 f"the record at byte {ref.offset} is {fault} (opcode {opcode}): what it "
                 f"holds in its {ref.length:,} bytes is lost"
             )
         return True
-
-    def _may_hold_messages(self, ref: ChunkRef, body: bytes) -> bool:
-        """Whether a private record is built like a chunk or like a message of a known channel."""
-        if len(body) < MESSAGE_HEAD.size:
-            return False
-        if MESSAGE_HEAD.unpack_from(body)[0] in self.channels:
-            return True
-        name = CHUNK_HEAD.unpack(body)[-1] if len(body) == CHUNK_HEAD.size else self.size
-        size = self.read_at(ref.offset + RECORD_HEAD.size + CHUNK_HEAD.size + name, 8)
-        held = int.from_bytes(size, "little")
-        return ref.length == RECORD_HEAD.size + CHUNK_HEAD.size + name + 8 + held
 
     def _held(self, opcode: int, ref: ChunkRef) -> Iterator[Entry]:
         """The messages of a record met on the walk: one, a chunk's, or none of a definition."""

@@ -161,11 +161,24 @@ class Rosbag2File(Recording):
 
     def _check_numbers(self, table: _Table) -> None:
         """Compare the messages in the table with what else tells of them; raises sqlite3.Error."""
-        there = table.counts.total()
+        there, listed = table.counts.total(), 0
         ends = "SELECT MIN(rowid), MAX(rowid) FROM messages NOT INDEXED"
         first, last = self._db.execute(ends).fetchone()
         numbered = last - first + 1 if there else 0
-        whole = max(numbered, self._checked_index(table), recorded_messages(self.path) or 0)
+        if self._time_index is not None:
+            name = self._time_index.replace('"', '""')
+            query = f'SELECT COUNT(*), {_FINGERPRINT} FROM messages INDEXED BY "{name}"'
+            try:
+                listed, fingerprint = self._db.execute(query).fetchone()
+            except sqlite3.Error:
+                fingerprint = -1.0
+            self._sorted = fingerprint == table.fingerprint  # the order of recording misses none
+            if not self._sorted and listed <= there:
+                self.report(
+                    "the index of time is damaged: read in the order of recording, "
+                    "nothing is lost by this"
+                )
+        whole = max(numbered, listed, recorded_messages(self.path) or 0)
         if whole > there:
             self.report(
                 f"{whole - there:,} of {counted(whole, 'message')} are not in its table: the "
@@ -174,24 +187,6 @@ class Rosbag2File(Recording):
         unknown = {n: count for n, count in table.counts.items() if n not in self._topics}
         if unknown:
             self.report(f"{counted(sum(unknown.values()), 'message')} on topics without a name")
-
-    def _checked_index(self, table: _Table) -> int:
-        """How many messages the time index lists; one that does not fit the table is not used."""
-        if self._time_index is None:
-            return 0
-        name = self._time_index.replace('"', '""')
-        query = f'SELECT COUNT(*), {_FINGERPRINT} FROM messages INDEXED BY "{name}"'
-        try:
-            listed, fingerprint = self._db.execute(query).fetchone()
-        except sqlite3.Error:
-            listed, fingerprint = 0, -1.0
-        self._sorted = fingerprint == table.fingerprint  # the order of recording misses none
-        if not self._sorted and listed <= table.counts.total():
-            self.report(
-                "the index of time is damaged: read in the order of recording, "
-                "nothing is lost by this"
-            )
-        return int(listed)
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """The messages on `topics` in time order, or as recorded when the file is damaged."""
