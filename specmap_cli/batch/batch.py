@@ -71,7 +71,7 @@ def run_batch(
             names = [job.name for job in jobs]
             write_files(terms.output, summaries_of(names, ledger.results))
 
-        note(ledger.began())
+        note(ledger.event("began"))
         with opened(cluster) as client:
             try:
                 written = time.monotonic()
@@ -84,7 +84,7 @@ def run_batch(
                             written = time.monotonic()
             finally:  # however it ends, once there are workers
                 summarise()
-        note(ledger.ended())
+        note(ledger.event("ended"))
     return ledger
 
 
