@@ -9,7 +9,7 @@ import io
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 from urllib.parse import quote
 
 from specmap_cli.batch.records import JobRecord
@@ -106,7 +106,7 @@ def rows_of(names: Iterable[str], records: Mapping[str, JobRecord]) -> list[Row]
 
     Of a job without a record it has the name and that it waits.
     """
-    rows = []
+    rows: list[Row] = []
     for name in sorted(names):
         row: dict[str, Value] = {"name": name, "state": WAITING}
         for column in COLUMNS:
@@ -221,13 +221,11 @@ def as_html(rows: Sequence[Row], records: Mapping[str, JobRecord]) -> bytes:
     for row in rows:
         record = records.get(str(row["name"]))
         base, files = quote(str(row["name"]), safe=""), {} if record is None else record.files
-        done = row["state"] == "done"
-        entry = {
+        has_map = any(name.startswith(f"{MAP}/") for name in files)
+        entry: dict[str, Any] = {
             "row": row,
-            "result": row["verdict"] or row["state"] if done else row["state"],
-            "folder": f"{base}/{MAP}/"
-            if any(name.startswith(f"{MAP}/") for name in files)
-            else None,
+            "result": (row["state"] == "done" and row["verdict"]) or row["state"],
+            "folder": f"{base}/{MAP}/" if has_map else None,
         }
         for part, name in (("picture", _OVERVIEW), ("report", REPORT), ("log", LOG_TEXT)):
             entry[part] = f"{base}/{quote(name)}" if name in files else None
