@@ -54,7 +54,7 @@ def tour_of(keyframes: Labels, rooms: IntArray, driven_m: float | None = None) -
     return Tour(stamps[0], stamps[-1], driven_m, visits)
 
 
-def minutes_of(span: Visit | Tour) -> float:
+def _minutes_of(span: Visit | Tour) -> float:
     """How long it lasted."""
     return (span.end_ns - span.start_ns) / _NS / _MINUTE_S
 
@@ -91,7 +91,7 @@ def days_of(tours: Sequence[Tour], zone: tzinfo) -> list[DayRecord]:
             day=day,
             recordings=len(by_day.get(day, ())),
             driven_m=sum(tour.driven_m for tour in by_day.get(day, ())),
-            minutes=sum(minutes_of(tour) for tour in by_day.get(day, ())),
+            minutes=sum(_minutes_of(tour) for tour in by_day.get(day, ())),
             rooms=[
                 StayRecord(room=room, visits=count, minutes=minutes)
                 for room, (count, minutes) in sorted(totals(visits.get(day, ())).items())
@@ -106,5 +106,5 @@ def totals(visits: Iterable[Visit]) -> Mapping[int, tuple[int, float]]:
     found: dict[int, tuple[int, float]] = {}
     for visit in visits:
         count, minutes = found.get(visit.room, (0, 0.0))
-        found[visit.room] = count + 1, minutes + minutes_of(visit)
+        found[visit.room] = count + 1, minutes + _minutes_of(visit)
     return found
