@@ -6,6 +6,7 @@ would lose, since each result lies in the output before it is told here.
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -15,7 +16,7 @@ from dataclasses import replace
 from specmap_cli.batch.ledger import EventRecord, Ledger
 from specmap_cli.batch.outputs import taken, write_files
 from specmap_cli.batch.places import path_at
-from specmap_cli.batch.records import Job, JobRecord, Terms, Turn
+from specmap_cli.batch.records import Job, Terms, Turn
 from specmap_cli.batch.running import may_retry
 from specmap_cli.batch.sources import bytes_of
 from specmap_cli.batch.summaries import summaries_of
@@ -50,7 +51,12 @@ def run_batch(
     if not jobs:
         raise UsageError("no logs", "name a recording, a directory, a pattern or a file of jobs")
     require_dask()
-    terms = _for_all_workers(terms, cluster)
+    path, limits = path_at(terms.output), terms.limits
+    if path is not None:  # workers may be in another directory
+        terms = replace(terms, output=str(path.absolute()))
+    if limits.memory_mb is None and cluster.scheduler is None:
+        share = share_of_memory_mb(cluster.workers or processors())
+        terms = replace(terms, limits=replace(limits, memory_mb=share))
     with ThreadPoolExecutor(_ASKERS) as askers:
         sizes = dict(zip((job.name for job in jobs), askers.map(bytes_of, jobs), strict=True))
     ledger = Ledger(jobs, sizes)
@@ -61,7 +67,11 @@ def run_batch(
                 write(event.line())
                 tell(event)
 
-        note(ledger.began())
+        def summarise() -> None:
+            names = [job.name for job in jobs]
+            write_files(terms.output, summaries_of(names, ledger.results))
+
+        note(ledger.event("began"))
         with opened(cluster) as client:
             try:
                 written = time.monotonic()
@@ -70,11 +80,11 @@ def run_batch(
                         note(event)
                         show(ledger)
                         if time.monotonic() - written > _SUMMARY_EVERY_S:
-                            _write_summaries(terms.output, ledger)
+                            summarise()
                             written = time.monotonic()
             finally:  # however it ends, once there are workers
-                _write_summaries(terms.output, ledger)
-        note(ledger.ended())
+                summarise()
+        note(ledger.event("ended"))
     return ledger
 
 
@@ -110,43 +120,18 @@ def work_off(
         if result is None:  # the scheduler began anew: the job is handed out again
             waiting.appendleft(turn)
             continue
-        again = _next_turn(turn, result.record, workers, retries)
-        if again is None:
+        record, again = result.record, replace(turn, attempt=turn.attempt + 1)
+        had = record.limits.memory_mb
+        if record.kind != "memory" and may_retry(record, retries + 1):
+            waiting.append(again)
+        elif (  # once more, if it can have more memory when it is alone
+            record.kind == "memory"
+            and not turn.alone
+            and had is not None
+            and (workers.alone_mb() or math.inf) > had
+        ):
+            alone.append(replace(again, alone=True))
+        else:
             yield ledger.finished(result)
             continue
-        (alone if again.alone and not turn.alone else waiting).append(again)
-        yield ledger.retried(result.record)
-
-
-def _next_turn(turn: Turn, record: JobRecord, workers: Workers, retries: int) -> Turn | None:
-    """The next attempt at a job; None where there is to be none.
-
-    A job that wanted memory has one more if it can have more memory when it is alone.
-    """
-    if record.kind != "memory":
-        more = may_retry(record, retries + 1)
-        return Turn(turn.job, turn.attempt + 1, turn.alone) if more else None
-    had = record.limits.memory_mb
-    if turn.alone or had is None:
-        return None
-    most = workers.alone_mb()
-    if most is not None and most <= had:
-        return None
-    return Turn(turn.job, turn.attempt + 1, alone=True)
-
-
-def _write_summaries(output: str, ledger: Ledger) -> None:
-    write_files(output, summaries_of([job.name for job in ledger.jobs], ledger.results))
-
-
-def _for_all_workers(terms: Terms, cluster: Cluster) -> Terms:
-    """The same for workers in another directory, with a limit of memory.
-
-    On this machine each worker has its share; a URL is the same everywhere.
-    """
-    path, limits = path_at(terms.output), terms.limits
-    if limits.memory_mb is None and cluster.scheduler is None:
-        share = share_of_memory_mb(cluster.workers or processors())
-        limits = replace(limits, memory_mb=share)
-    output = terms.output if path is None else str(path.absolute())
-    return replace(terms, output=output, limits=limits)
+        yield ledger.retried(record)

@@ -47,7 +47,7 @@ _LONGEST = 80  # characters of a name made of that of a log
 _TAG = 8  # hexadecimal digits
 
 
-def jobs_of(inputs: Sequence[str], defaults: Plan | None = None) -> tuple[Job, ...]:
+def jobs_of(inputs: Sequence[str], defaults: Plan = Plan()) -> tuple[Job, ...]:
     """The jobs of LOG, DIR, GLOB and jobs.toml, paths or fsspec URLs, in order of the inputs.
 
     A log, and each recording below a directory or behind a pattern, is a job with the steps of
@@ -55,17 +55,17 @@ def jobs_of(inputs: Sequence[str], defaults: Plan | None = None) -> tuple[Job, .
     hold where it is silent. Jobs are called as their logs, those of TOML files as these say. Raises
     UsageError for what makes no jobs, and for a TOML file that says what cannot be.
     """
-    plan = Plan() if defaults is None else defaults
+    places = dict.fromkeys(inputs)
     names = _Names()
-    files = [place for place in inputs if place.lower().endswith(".toml")]
-    named = {place: _in_file(_local(place), plan, names) for place in dict.fromkeys(files)}
+    files = [place for place in places if place.lower().endswith(".toml")]
+    named = {place: _in_file(place, defaults, names) for place in files}
     jobs: list[Job] = []
     known: set[str] = set()  # logs that have a job already
-    for place in dict.fromkeys(inputs):
+    for place in places:
         if place in named:
             jobs += named[place]
             continue
-        steps = steps_of(plan, Path())
+        steps = steps_of(defaults, Path())
         for found in logs_at(place):
             if found.log not in known:
                 known.add(found.log)
@@ -112,13 +112,6 @@ class _Names:
             unique, number = f"{safe}-{number}", number + 1
         self._taken.add(unique.lower())
         return unique
-
-
-def _local(place: str) -> Path:
-    path = path_at(place)
-    if path is None:
-        raise UsageError("a file of jobs must be on this machine", "copy it here", where=place)
-    return path
 
 
 def _are(kind: type, value: Any) -> bool:
@@ -172,57 +165,55 @@ _FILE: TomlFormat[_File] = TomlFormat(model=_File, error=UsageError, code=SETTIN
 _JOB: TomlFormat[_JobTable] = TomlFormat(model=_JobTable, error=UsageError)
 
 
-def _in_file(path: Path, defaults: Plan, names: _Names) -> list[Job]:
+def _in_file(place: str, defaults: Plan, names: _Names) -> list[Job]:
     """The jobs of a file; where it is silent, `defaults` hold."""
+    path = path_at(place)
+    if path is None:
+        raise UsageError("a file of jobs must be on this machine", "copy it here", where=place)
     file = _FILE.read(path)
     try:
-        return _jobs(file, path, defaults, names)
+        return _jobs(file, path.parent, defaults, names)
     except UsageError as error:
-        error.code = SETTING
-        raise
+        told = error.within(path)
+        told.code = SETTING
+        raise told from None
 
 
-def _jobs(file: _File, path: Path, defaults: Plan, names: _Names) -> list[Job]:
+def _jobs(file: _File, base: Path, defaults: Plan, names: _Names) -> list[Job]:
     """The jobs of the logs of the whole file, then those of its tables."""
-    base, plan = path.parent, _plan(file, defaults)
-    places = [f"{path}: {_title(table, number)}" for number, table in enumerate(file.job, 1)]
-    tables = [
-        _JOB.value(table, f"{place}: ") for table, place in zip(file.job, places, strict=True)
-    ]
-    chosen: list[str | None] = []  # names that a person gave are taken before any is made of a log
-    for table, place in zip(tables, places, strict=True):
-        with _told_of(place):
-            chosen.append(None if table.name is None else names.of_person(table.name))
+    plan = _plan(file, defaults)
+    tables: list[tuple[str, _JobTable, str | None]] = []
+    for number, given in enumerate(file.job, 1):
+        named = f" ({given['name']})" if isinstance(given.get("name"), str) else ""
+        title = f"job {number}{named}"
+        table = _JOB.value(given, f"{title}: ")
+        with _told_of(title):  # names that a person gave are taken before any is made of a log
+            chosen = None if table.name is None else names.of_person(table.name)
+        tables.append((title, table, chosen))
     jobs: list[Job] = []
     if file.logs:
-        with _told_of(path):
-            steps, logs = steps_of(plan, base), _logs(file.logs, base)
-        jobs += [Job(names.of_log(found), (found.log,), steps) for found in logs]
-    for table, name, place in zip(tables, chosen, places, strict=True):
-        with _told_of(place):
+        steps = steps_of(plan, base)
+        for found in _logs(file.logs, base):
+            jobs.append(Job(names.of_log(found), (found.log,), steps))
+    for title, table, chosen in tables:
+        with _told_of(title):
             if table.logs is None:
                 raise UsageError("logs: missing", 'say which, such as logs = ["lobby.mcap"]')
             logs = _logs(table.logs, base)  # all are one recording
             steps = steps_of(_plan(table, plan), base)
-        jobs.append(Job(name or names.of_log(logs[0]), tuple(each.log for each in logs), steps))
+        jobs.append(Job(chosen or names.of_log(logs[0]), tuple(each.log for each in logs), steps))
     if not jobs:
-        raise UsageError("no jobs", "give logs = [...], or tables [[job]] with logs", where=path)
+        raise UsageError("no jobs", "give logs = [...], or tables [[job]] with logs")
     return jobs
 
 
 @contextmanager
-def _told_of(place: object) -> Iterator[None]:
+def _told_of(place: str) -> Iterator[None]:
     """Errors are told of a place in the file."""
     try:
         yield
     except UsageError as error:
         raise error.within(place) from None
-
-
-def _title(table: Mapping[str, Any], number: int) -> str:
-    """Which [[job]] it is."""
-    name = table.get("name")
-    return f"job {number}{f' ({name})' if isinstance(name, str) else ''}"
 
 
 def _logs(places: tuple[str, ...], base: Path) -> list[Found]:

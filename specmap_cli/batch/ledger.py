@@ -85,18 +85,10 @@ class Ledger:
         """How many jobs failed and will not be tried again."""
         return self._states["failed"]
 
-    def began(self) -> EventRecord:
-        """The batch begins."""
-        return self._event("began")
-
-    def ended(self) -> EventRecord:
-        """The batch has ended."""
-        return self._event("ended")
-
     def started(self, turn: Turn) -> EventRecord:
         """A job was handed to a worker."""
         self._stranded = False
-        return self._event("started", turn.job.name, attempt=turn.attempt)
+        return self.event("started", turn.job.name, attempt=turn.attempt)
 
     def retried(self, record: JobRecord) -> EventRecord:
         """An attempt failed, and the job will be tried again."""
@@ -121,7 +113,7 @@ class Ledger:
         before, self._stranded = self._stranded, slots == 0
         if before or not self._stranded:
             return None
-        return self._event("stranded", reason="no worker is left: the batch waits for one")
+        return self.event("stranded", reason="no worker is left: the batch waits for one")
 
     def headline(self) -> str:
         """How far it is, for a person: jobs, failures, scans in a second, time left."""
@@ -139,7 +131,7 @@ class Ledger:
 
     def _told(self, event: Event, record: JobRecord) -> EventRecord:
         verdict = record.figures.get("verdict")
-        return self._event(
+        return self.event(
             event,
             record.name,
             attempt=record.attempts,
@@ -151,7 +143,8 @@ class Ledger:
             wall_s=round(record.wall_s, 3),
         )
 
-    def _event(self, event: Event, job: str | None = None, **more: Any) -> EventRecord:
+    def event(self, event: Event, job: str | None = None, **more: Any) -> EventRecord:
+        """An event that changes nothing here, such as the begin and the end of the batch."""
         return EventRecord(
             event=event,
             time_utc=datetime.now(tz=UTC).isoformat(timespec="milliseconds"),

@@ -26,7 +26,8 @@ from specmap_cli.maps.directory import OutputDirectory
 _JOURNAL, _LOCK = "events.jsonl", ".specmap-batch.lock"
 _EDITS = f"{MAP}/{filenames.EDITS}"
 _MOST_MB = 16.0  # of a job.json: some hundred thousand files
-_FLAT = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "oss", "memory"}  # without directories
+# Without directories: to make one could only make a whole bucket.
+_FLAT = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "oss", "memory"}
 _BEGUN = "job.begun"  # lies in a folder of a store while it is written
 
 
@@ -41,10 +42,9 @@ class Folder:
 
         Complete: all files are there as it says; those of a map that was edited since may differ.
         """
-        record, sizes = self._found()
+        record, sizes, edited = self._found()
         if record is None:
             return None
-        edited = _is_edited(record, sizes)
         complete = all(
             sizes.get(name) == size or (edited and name in sizes and name.startswith(f"{MAP}/"))
             for name, size in record.files.items()
@@ -53,8 +53,7 @@ class Folder:
 
     def edited(self) -> str | None:
         """Where a person's decisions about the map lie that are not of the job; None for none."""
-        record, sizes = self._found()
-        return None if record is None or not _is_edited(record, sizes) else f"{self.place}/{_EDITS}"
+        return f"{self.place}/{_EDITS}" if self._found()[2] else None
 
     def fresh(self, scratch: Path) -> AbstractContextManager[Path]:
         """A directory to write a new result into; it takes its place when the block ends well.
@@ -67,15 +66,20 @@ class Folder:
         """What job.json holds, and the files beside it in bytes; None where there is none."""
         raise NotImplementedError
 
-    def _found(self) -> tuple[JobRecord | None, Mapping[str, int]]:
-        """The record that lies there and the files beside it in bytes; None for what is none."""
+    def _found(self) -> tuple[JobRecord | None, Mapping[str, int], bool]:
+        """The record that lies there, the files beside it in bytes, and whether it was edited.
+
+        That is: whether a person decided about the map since the job made it, by `specmap edit`.
+        """
         found = self._read()
         if found is None:
-            return None, {}
+            return None, {}, False
+        text, sizes = found
         try:
-            return JobRecord.model_validate_json(found[0]), found[1]
+            record = JobRecord.model_validate_json(text)
         except ValidationError:
-            return None, {}
+            return None, {}, False
+        return record, sizes, _EDITS in sizes and sizes[_EDITS] != record.files.get(_EDITS)
 
 
 def folder_at(output: str, name: str) -> Folder:
@@ -98,11 +102,6 @@ def files_in(directory: Path) -> dict[str, int]:
 def write_record(directory: Path, record: JobRecord) -> None:
     """Write job.json."""
     (directory / JOB).write_text(to_json(record.model_dump()), encoding="utf-8")
-
-
-def _is_edited(record: JobRecord, sizes: Mapping[str, int]) -> bool:
-    """Whether a person decided about the map since the job made it: `specmap edit`."""
-    return _EDITS in sizes and sizes[_EDITS] != record.files.get(_EDITS)
 
 
 class _Here(Folder):
@@ -153,33 +152,23 @@ class _InStore(Folder):
         directory = scratch / "result"
         directory.mkdir()
         yield directory
+        # whenever this is cut off, there is no job.json or a complete result
         with reaching(self.place):
-            self._replace(directory)
-
-    def _replace(self, directory: Path) -> None:
-        """Old away, new in; whenever this is cut off, there is no job.json or a complete result."""
-        system: Any = self._system
-        present = self._sizes()
-        self._make(self._root)
-        system.pipe_file(self._at(_BEGUN), b"")
-        if JOB in present:
-            system.rm_file(self._at(JOB))
-        for name in sorted(set(present) - {JOB, _BEGUN}):
-            system.rm_file(self._at(name))
-        made = {self._root}
-        for name in [*files_in(directory), JOB]:
-            parent = self._at(name).rsplit("/", 1)[0]
-            if parent not in made:
-                self._make(parent)
-                made.add(parent)
-            system.put_file(str(directory / name), self._at(name))
-        system.rm_file(self._at(_BEGUN))
-
-    def _make(self, directory: str) -> None:
-        """Make a directory where files need one; elsewhere it could only make a whole bucket."""
-        spoken = self._system.protocol
-        if _FLAT.isdisjoint([spoken] if isinstance(spoken, str) else spoken):
-            self._system.makedirs(directory, exist_ok=True)
+            system: Any = self._system
+            present = self._sizes()
+            spoken = system.protocol
+            if _FLAT.isdisjoint([spoken] if isinstance(spoken, str) else spoken):
+                folders = {self._at(name).rsplit("/", 1)[0] for name in files_in(directory)}
+                for folder in sorted({self._root, *folders}):
+                    system.makedirs(folder, exist_ok=True)
+            system.pipe_file(self._at(_BEGUN), b"")
+            if JOB in present:
+                system.rm_file(self._at(JOB))
+            for name in sorted(set(present) - {JOB, _BEGUN}):
+                system.rm_file(self._at(name))
+            for name in [*files_in(directory), JOB]:
+                system.put_file(str(directory / name), self._at(name))
+            system.rm_file(self._at(_BEGUN))
 
     def _sizes(self) -> dict[str, int]:
         """The files in the folder and their bytes."""
@@ -221,13 +210,19 @@ def taken(output: str) -> Iterator[Callable[[str], object]]:
     ends. Raises UsageError for a directory that another batch holds or that cannot be made.
     """
     directory = path_at(output)
-    with _taken_in_store(output) if directory is None else _taken_here(directory) as write:
-        yield write
-
-
-@contextmanager
-def _taken_here(directory: Path) -> Iterator[Callable[[str], object]]:
-    """Each line is in the journal as soon as it is written."""
+    if directory is None:
+        lines: list[str] = []
+        system, root = store_at(output)
+        journal = f"{root}/{_JOURNAL}"
+        with reaching(output):
+            before = system.cat_file(journal) if system.exists(journal) else b""
+            system.pipe_file(journal, before)  # whether it lets us write is told before any job
+        try:
+            yield lines.append
+        finally:
+            with reaching(output):
+                system.pipe_file(journal, before + "".join(lines).encode())
+        return
     try:
         directory.mkdir(parents=True, exist_ok=True)
         holder = os.open(directory / _LOCK, os.O_RDWR | os.O_CREAT, 0o666)
@@ -245,22 +240,3 @@ def _taken_here(directory: Path) -> Iterator[Callable[[str], object]]:
             yield file.write
     finally:
         os.close(holder)
-
-
-@contextmanager
-def _taken_in_store(output: str) -> Iterator[Callable[[str], object]]:
-    """A journal that goes to a store at the end, after the lines that are there.
-
-    It is written once before: whether the store lets us write is told before any job is done.
-    """
-    lines: list[str] = []
-    system, root = store_at(output)
-    journal = f"{root}/{_JOURNAL}"
-    with reaching(output):
-        before = system.cat_file(journal) if system.exists(journal) else b""
-        system.pipe_file(journal, before)
-    try:
-        yield lines.append
-    finally:
-        with reaching(output):
-            system.pipe_file(journal, before + "".join(lines).encode())

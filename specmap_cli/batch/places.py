@@ -81,7 +81,15 @@ def scratch_directory(root: str | None) -> Iterator[Path]:
     parent = Path(root or tempfile.gettempdir())
     try:
         parent.mkdir(parents=True, exist_ok=True)
-        _sweep(parent)
+        for left in list(parent.iterdir()):
+            if _OURS.fullmatch(left.name) and not left.is_symlink():
+                with suppress(OSError):
+                    descriptor = os.open(left, os.O_RDONLY | os.O_DIRECTORY)
+                    try:
+                        if lock(descriptor):
+                            shutil.rmtree(left, ignore_errors=True)
+                    finally:
+                        os.close(descriptor)
         directory, descriptor = _locked(parent)
     except OSError as error:
         found, advice = "no temporary files can be made there", "choose another scratch directory"
@@ -110,17 +118,3 @@ def _locked(parent: Path) -> tuple[Path, int]:
         with suppress(OSError):
             directory.rmdir()
     raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN), str(parent))
-
-
-def _sweep(parent: Path) -> None:
-    """Remove what killed runs left."""
-    for path in list(parent.iterdir()):
-        if not _OURS.fullmatch(path.name) or path.is_symlink():
-            continue
-        with suppress(OSError):
-            descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
-            try:
-                if lock(descriptor):
-                    shutil.rmtree(path, ignore_errors=True)
-            finally:
-                os.close(descriptor)

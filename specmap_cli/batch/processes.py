@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import IO, Any, Literal
 
@@ -96,7 +95,12 @@ def run_process(
     It is killed with all its children when it breaks a bound, when this function is left by an
     exception, and when this process ends. Raises GivenUpError when it is not wanted any more.
     """
-    _need_psutil()
+    try:
+        import psutil  # noqa: F401  before there is a process
+    except ImportError:
+        raise UsageError(
+            "jobs need an extra", "pip install 'specmap-cli[batch]'", code=PACKAGE
+        ) from None
     began = time.monotonic()
     process = subprocess.Popen(
         [sys.executable, "-I", "-S", "-c", _TIED_TO_PARENT, str(os.getpid()), *command],
@@ -108,8 +112,20 @@ def run_process(
         start_new_session=True,
     )
     tree = _Tree(process.pid)
+    stopped: Literal["memory", "time"] | None = None
     try:
-        stopped = _watched(tree, bounds)
+        # WNOWAIT leaves a child that has ended as it is, so that its number stays its own
+        while not os.waitid(os.P_PID, tree.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT):
+            held = tree.measure()
+            if bounds.limits.memory_mb is not None and held > bounds.limits.memory_mb:
+                stopped = "memory"
+                break
+            if time.monotonic() > bounds.deadline:
+                stopped = "time"
+                break
+            if not bounds.wanted():
+                raise GivenUpError
+            time.sleep(_WATCH_S)
     finally:
         with suppress(OSError):  # nobody waited for it yet: the number is still its own
             os.killpg(process.pid, signal.SIGKILL)
@@ -122,34 +138,6 @@ def run_process(
         memory_mb=tree.most_mb or None,
         stopped=stopped,
     )
-
-
-def _need_psutil() -> None:
-    try:
-        import_module("psutil")
-    except ImportError:
-        raise UsageError(
-            "jobs need an extra", "pip install 'specmap-cli[batch]'", code=PACKAGE
-        ) from None
-
-
-def _watched(tree: _Tree, bounds: Bounds) -> Literal["memory", "time"] | None:
-    """Wait until the process ends or breaks a bound: which one."""
-    while not _has_ended(tree.pid):
-        held = tree.measure()
-        if bounds.limits.memory_mb is not None and held > bounds.limits.memory_mb:
-            return "memory"
-        if time.monotonic() > bounds.deadline:
-            return "time"
-        if not bounds.wanted():
-            raise GivenUpError
-        time.sleep(_WATCH_S)
-    return None
-
-
-def _has_ended(pid: int) -> bool:
-    """Whether a child has ended; it is left as it is, so that its number stays its own."""
-    return os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
 
 
 class _Tree:
@@ -191,50 +179,50 @@ def judged(
     `answer` is the file of what it printed, `log` what it told besides. `places` has where each log
     was fetched to: a person knows the log by its own name.
     """
-    told = _answer(answer)
-    reason = None if ended.exit_code == 0 else _reason(step, ended, told, log, limits)
+    try:
+        told = json.loads(answer.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        told = None
+    told = told if isinstance(told, dict) else {}
+
+    def with_logs_named(text: str) -> str:
+        for log_, path in places.items():
+            text = text.replace(path, log_)
+        return text
+
+    kind: Kind | None = None
+    reason = None
+    if ended.exit_code != 0:
+        reason = _reason(step, ended, told, log, limits)
+        code = _part(told, "error").get("code")
+        if ended.stopped is not None:
+            kind = ended.stopped
+        elif isinstance(code, str) and code in _BY_WORD:
+            kind = _BY_WORD[code]
+        elif any(words in reason for words in _NO_PLACE):
+            kind = "place"
+        else:
+            kind = _BY_CODE.get(ended.exit_code, "bug")
+    said = told.get("warnings")
+    warnings = [each for each in said if isinstance(each, str)] if isinstance(said, list) else []
     outcome = StepOutcome(
         command=step.command,
         exit_code=ended.exit_code,
         wall_s=ended.wall_s,
         cpu_s=ended.cpu_s,
         memory_mb=ended.memory_mb,
-        reason=None if reason is None else _with_logs_named(reason, places),
-        warnings=tuple(_with_logs_named(each, places) for each in _warnings(told)),
+        reason=None if reason is None else with_logs_named(reason),
+        warnings=tuple(
+            with_logs_named(legible(each)[:_MOST_CHARACTERS]) for each in warnings[:_MOST_WARNINGS]
+        ),
     )
-    return outcome, None if reason is None else _kind(ended, told, reason)
-
-
-def _answer(path: Path) -> dict[str, Any]:
-    """The object that a step printed; empty when it printed none."""
-    try:
-        told = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return {}
-    return told if isinstance(told, dict) else {}
+    return outcome, kind
 
 
 def _part(told: Mapping[str, Any], name: str) -> dict[str, Any]:
     """An object in what a step printed; empty when there is none."""
     found = told.get(name)
     return found if isinstance(found, dict) else {}
-
-
-def _with_logs_named(text: str, places: Mapping[str, str]) -> str:
-    for log, path in places.items():
-        text = text.replace(path, log)
-    return text
-
-
-def _kind(ended: Ended, told: Mapping[str, Any], reason: str) -> Kind:
-    if ended.stopped is not None:
-        return ended.stopped
-    code = _part(told, "error").get("code")
-    if isinstance(code, str) and code in _BY_WORD:
-        return _BY_WORD[code]
-    if any(words in reason for words in _NO_PLACE):
-        return "place"
-    return _BY_CODE.get(ended.exit_code, "bug")
 
 
 def _reason(step: Step, ended: Ended, told: Mapping[str, Any], log: bytes, limits: Limits) -> str:
@@ -244,39 +232,22 @@ def _reason(step: Step, ended: Ended, told: Mapping[str, Any], log: bytes, limit
     if ended.stopped == "time":
         return f"the job took more than {limits.time_s:g} s, the limit; it was in {step.command}"
     if ended.exit_code == BROKEN_RULE:
-        return _broken(step, told)
+        rules = told.get("rules")
+        if isinstance(rules, list):
+            broken = [str(rule.get("rule")) for rule in rules if not rule.get("passed")]
+            return legible(f"breaks {len(broken)} of {len(rules)} rules: {', '.join(broken)}")
+        verdict = _part(told, "quality").get("verdict", "doubtful or poor")
+        return f"{step.command}: the map is {verdict}"
     message = _part(told, "error").get("message")
     if isinstance(message, str) and message:
         return legible(message)[:_MOST_CHARACTERS]
     if ended.exit_code == -signal.SIGKILL:
         return f"{step.command} was killed, as a system does for want of memory"
     if ended.exit_code < 0:
-        return f"{step.command} was ended by {_signal(-ended.exit_code)}"
+        names = {one.value: one.name for one in signal.Signals}
+        number = -ended.exit_code
+        return f"{step.command} was ended by {names.get(number, f'signal {number}')}"
     lines = log.decode("utf-8", "backslashreplace").split("\n")
     last = next((line.strip() for line in reversed(lines) if line.strip()), "")
     said = legible(last.removeprefix("specmap: error: "))[:_MOST_CHARACTERS]
     return said or f"{step.command} ended with exit code {ended.exit_code}"
-
-
-def _broken(step: Step, told: Mapping[str, Any]) -> str:
-    """Which rules the map breaks."""
-    rules = told.get("rules")
-    if isinstance(rules, list):
-        broken = [str(rule.get("rule")) for rule in rules if not rule.get("passed")]
-        return legible(f"breaks {len(broken)} of {len(rules)} rules: {', '.join(broken)}")
-    verdict = _part(told, "quality").get("verdict", "doubtful or poor")
-    return f"{step.command}: the map is {verdict}"
-
-
-def _signal(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        return f"signal {number}"
-
-
-def _warnings(told: Mapping[str, Any]) -> list[str]:
-    """What the step warned of, as it printed it."""
-    said = told.get("warnings")
-    texts = [each for each in said if isinstance(each, str)] if isinstance(said, list) else []
-    return [legible(each)[:_MOST_CHARACTERS] for each in texts[:_MOST_WARNINGS]]

@@ -90,10 +90,9 @@ class Plan:
     known: Mapping[Command, Mapping[str, Option]] = field(default_factory=dict)
 
 
-# What a job may use: megabytes at any time, seconds for all its steps together.
 @dataclass(frozen=True, slots=True)
 class Limits(Value):
-    """The limits that held."""
+    """What a job may use: memory at any time, and time for all of its steps together."""
 
     memory_mb: Annotated[int | None, Field(description="megabytes; null: none")] = None
     time_s: Annotated[float | None, Field(description="seconds; null: none")] = None

@@ -12,7 +12,7 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -65,13 +65,18 @@ def run_job(turn: Turn, terms: Terms, wanted: Callable[[], bool] = lambda: True)
     job, this = turn.job, _Attempt(turn, terms.limits)
     try:
         folder = folder_at(terms.output, job.name)
-        known = _known(job)
+        inputs, digest, refused = tuple[InputRecord, ...](), "", None
+        try:
+            found = inputs_of(job)
+            inputs, digest = found, digest_of(job, __version__, found)
+        except SpecmapError as error:
+            refused = _refusal(error)
         stored = folder.stored()
         if stored is not None:
-            if not terms.redo and stands(stored, known.digest, terms.limits, turn.attempt):
+            if not terms.redo and stands(stored, digest, terms.limits, turn.attempt):
                 return JobResult(stored, resumed=True)
-            if known.refused is not None and stored.state == "done":
-                return JobResult(this.record(known.refused, known))
+            if refused is not None and stored.state == "done":
+                return JobResult(this.record(refused))
         if (edits := folder.edited()) is not None:
             raise UsageError(
                 "holds a person's decisions, which a new map would lose",
@@ -79,8 +84,8 @@ def run_job(turn: Turn, terms: Terms, wanted: Callable[[], bool] = lambda: True)
                 where=edits,
             )
         with scratch_directory(terms.scratch) as scratch, folder.fresh(scratch) as directory:
-            work = known.refused or work_on(job, directory, scratch, terms.limits, wanted)
-            record = this.record(work, known, files_in(directory))
+            work = refused or work_on(job, directory, scratch, terms.limits, wanted)
+            record = this.record(work, inputs, digest, files_in(directory))
             write_record(directory, record)
         return JobResult(record)
     except (SpecmapError, OSError) as error:
@@ -129,23 +134,6 @@ class _Work:
     figures: Mapping[str, float | str | None] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
-class _Known:
-    """What is known of a job before its steps are run; `refused` is why they cannot be."""
-
-    inputs: tuple[InputRecord, ...] = ()
-    digest: str = ""
-    refused: _Work | None = None
-
-
-def _known(job: Job) -> _Known:
-    try:
-        inputs = inputs_of(job)
-        return _Known(inputs, digest_of(job, __version__, inputs))
-    except SpecmapError as error:
-        return _Known(refused=_refusal(error))
-
-
 def _refusal(error: SpecmapError | OSError) -> _Work:
     """The work on a job that could not be begun."""
     kind: Kind = "settings"
@@ -166,14 +154,18 @@ class _Attempt:
         self._began = time.monotonic()
 
     def record(
-        self, work: _Work, known: _Known = _Known(), files: Mapping[str, int] | None = None
+        self,
+        work: _Work,
+        inputs: tuple[InputRecord, ...] = (),
+        digest: str = "",
+        files: Mapping[str, int] = {},
     ) -> JobRecord:
         """What came of it."""
         held = [step.memory_mb for step in work.steps if step.memory_mb is not None]
         return JobRecord(
             schema_version=1,
             name=self._turn.job.name,
-            digest=known.digest,
+            digest=digest,
             version=__version__,
             state="done" if work.kind is None else "failed",
             kind=work.kind,
@@ -186,8 +178,8 @@ class _Attempt:
             memory_mb=max(held, default=None),
             steps=work.steps,
             figures=dict(work.figures),
-            inputs=known.inputs,
-            files=dict(files or {}),
+            inputs=inputs,
+            files=dict(files),
         )
 
 
@@ -201,16 +193,18 @@ def work_on(
     """
     end_of_time = time.monotonic() + (math.inf if limits.time_s is None else limits.time_s)
     bounds = Bounds(limits, end_of_time, wanted)
-    environment = _environment(_made(scratch / "tmp"))
+    temporary, logs = scratch / "tmp", scratch / "logs"
+    temporary.mkdir()
+    logs.mkdir()
     (directory / LOG_TEXT).touch()
     try:
-        places = fetched(job.logs, _made(scratch / "logs"))
+        places = fetched(job.logs, logs)
     except (LogError, PlaceError) as error:
         return _refusal(error)
     outcomes: list[StepOutcome] = []
     kind: Kind | None = None
     for step in job.steps:
-        outcome, failed = _run_step(step, directory, places, environment, bounds)
+        outcome, failed = _run_step(step, directory, places, _environment(temporary), bounds)
         outcomes.append(outcome)
         kind = kind or failed
         if failed not in (None, "rule"):
@@ -219,7 +213,14 @@ def work_on(
     reasons = [each.reason for each in outcomes if each.reason is not None]
     # what ended the job counts more than a rule that was broken before
     reason = None if kind is None else reasons[0] if kind == "rule" else reasons[-1]
-    return _Work(tuple(outcomes), kind, reason, _figures(directory / MAP))
+    try:
+        stored = read_map(directory / MAP)
+        quality = stored.record.graph.quality
+        verdict = None if quality is None else quality.verdict
+        figures: dict[str, float | str | None] = {**figures_of(stored), "verdict": verdict}
+    except MapError:
+        figures = {}
+    return _Work(tuple(outcomes), kind, reason, figures)
 
 
 def _run_step(
@@ -238,7 +239,11 @@ def _run_step(
         begin = log.tell()
         command = [*PROGRAM, *arguments]
         ended = run_process(command, directory, stdout, log, environment, bounds)
-    _remove_unfinished(directory.glob(".*"))
+    for begun in directory.glob(".*"):  # left by a step that was killed
+        if begun.is_dir() and not begun.is_symlink():
+            shutil.rmtree(begun)
+        else:
+            begun.unlink()
     with log_text.open("rb") as log:
         log.seek(max(begin, log_text.stat().st_size - _TAIL_BYTES))
         said = log.read()
@@ -246,16 +251,6 @@ def _run_step(
     if kind not in (None, "rule"):
         answer.unlink()
     return outcome, kind
-
-
-def _figures(path: Path) -> dict[str, float | str | None]:
-    """The figures of the map that was built, with its verdict."""
-    try:
-        stored = read_map(path)
-        quality = stored.record.graph.quality
-        return {**figures_of(stored), "verdict": None if quality is None else quality.verdict}
-    except MapError:
-        return {}
 
 
 def _environment(temporary: Path) -> dict[str, str]:
@@ -271,17 +266,3 @@ def _environment(temporary: Path) -> dict[str, str]:
             [str(root), *filter(None, [os.environ.get("PYTHONPATH")])]
         )
     return found
-
-
-def _remove_unfinished(paths: Iterable[Path]) -> None:
-    """Remove what a step that was killed had begun to write: its names begin with a dot."""
-    for path in paths:
-        if path.is_dir() and not path.is_symlink():
-            shutil.rmtree(path)
-        else:
-            path.unlink()
-
-
-def _made(directory: Path) -> Path:
-    directory.mkdir(parents=True, exist_ok=True)
-    return directory

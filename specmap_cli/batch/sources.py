@@ -19,16 +19,14 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
 from specmap_cli.batch.places import PlaceError, path_at, reaching, store_at
-from specmap_cli.batch.records import InputRecord, Job, Step
+from specmap_cli.batch.records import InputRecord, Job
 from specmap_cli.batch.steps import JOB
 from specmap_cli.core.errors import LogError, SpecmapError, UsageError
-from specmap_cli.logs.opening import known_readers, looks_like_a_log
-from specmap_cli.logs.readers.recording import Recording
 from specmap_cli.maps.filenames import TOPOLOGY
 
 _SUFFIXES = {".mcap", ".bag", ".db3"}
@@ -70,7 +68,16 @@ def logs_at(place: str) -> list[Found]:
     Raises UsageError when there is none.
     """
     path = path_at(place)
-    found = list(_found_in_store(place) if path is None else _found_here(path))
+    if path is None:
+        found = list(_found_in_store(place))
+    else:
+        path = Path(os.path.abspath(path))
+        if path.exists() or not _WILDCARDS & set(str(path)):
+            found = list(_at_path(path, path.parent))
+        else:
+            root = next(part for part in path.parents if not _WILDCARDS & set(str(part)))
+            matches = sorted(glob.glob(str(path), recursive=True))
+            found = [each for match in matches for each in _at_path(Path(match), root)]
     if not found:
         raise UsageError("no recording there", where=place)
     return found
@@ -82,7 +89,19 @@ def sources_of(log: str) -> tuple[Source, ...]:
     Raises LogError for a log that is missing or cannot be read, PlaceError for a store.
     """
     path = path_at(log)
-    found = tuple(_files_in_store(log) if path is None else _files_here(path))
+    if path is None:
+        found = tuple(_files_in_store(log))
+    else:
+        try:
+            files = [path]
+            if path.is_dir():
+                inner = [file for file in path.iterdir() if not file.name.startswith(".")]
+                files = sorted(filter(Path.is_file, inner))
+            found = tuple(map(_file, files))
+        except FileNotFoundError:
+            raise LogError("no such file or directory", where=path) from None
+        except OSError as error:
+            raise LogError.of_system(error, "cannot read", where=path) from None
     if not found:
         raise LogError("no recording in this directory", where=log)
     return found
@@ -104,7 +123,14 @@ def inputs_of(job: Job) -> tuple[InputRecord, ...]:
 
     Raises LogError or PlaceError for a log that cannot be reached.
     """
-    return tuple(_input(log, sources_of(log)) for log in job.logs)
+    made = []
+    for log in job.logs:
+        sources = sources_of(log)
+        known = [source.bytes for source in sources if source.bytes is not None]
+        total = sum(known) if len(known) == len(sources) else None
+        identity = _hash([[source.name, source.identity] for source in sources])
+        made.append(InputRecord(log=log, bytes=total, identity=identity))
+    return tuple(made)
 
 
 def digest_of(job: Job, version: str, inputs: Iterable[InputRecord]) -> str:
@@ -112,7 +138,13 @@ def digest_of(job: Job, version: str, inputs: Iterable[InputRecord]) -> str:
 
     Raises UsageError for a file of an option that cannot be read.
     """
-    steps = [[step.command, *_options(step)] for step in job.steps]
+    steps: list[list[str]] = []
+    for step in job.steps:
+        steps.append([step.command])
+        for option in step.options:  # with the contents of files in the place of their paths
+            name, _, path = option.partition("=")
+            of_file = option in step.inputs
+            steps[-1].append(f"{name}={_contents(Path(path))}" if of_file else option)
     return _hash([_DIGEST_FORMAT, version, steps, [each.identity for each in inputs]])
 
 
@@ -140,16 +172,6 @@ def fetched(logs: Sequence[str], directory: Path) -> dict[str, str]:
     }
 
 
-def _found_here(path: Path) -> Iterator[Found]:
-    path = Path(os.path.abspath(path))
-    if path.exists() or not _WILDCARDS & set(str(path)):
-        yield from _at_path(path, path.parent)
-        return
-    fixed = next(part for part in path.parents if not _WILDCARDS & set(str(part)))
-    for match in sorted(glob.glob(str(path), recursive=True)):
-        yield from _at_path(Path(match), fixed)
-
-
 def _at_path(path: Path, root: Path) -> Iterator[Found]:
     """A file, or all recordings below a directory, by their names below `root`."""
     if not path.is_dir():
@@ -158,16 +180,27 @@ def _at_path(path: Path, root: Path) -> Iterator[Found]:
         yield Found(str(path), _plain_name(path.relative_to(root).as_posix()))
         return
     root = path if root == path.parent else root
-    for log in _below(path, known_readers()):
+    for log in _below(path):
         inside = log.relative_to(root).as_posix() if log != root else path.name
         yield Found(str(log), _plain_name(inside))
 
 
-def _below(directory: Path, readers: Mapping[str, type[Recording]]) -> Iterator[Path]:
+def _below(directory: Path) -> Iterator[Path]:
     """The recordings below a directory: files, and directories of rosbag2."""
+    from specmap_cli.logs.opening import known_readers, looks_like_a_log  # no worker needs them
+
+    readers = known_readers()
 
     def refuse(error: OSError) -> None:
         raise UsageError.of_system(error, "cannot read", where=error.filename)
+
+    def is_log(file: Path) -> bool:
+        if _uncompressed(file.name).suffix.lower() in _SUFFIXES:
+            return True
+        try:
+            return file.is_file() and looks_like_a_log(file, readers)
+        except LogError:  # it cannot be read, and nothing says that it is a recording
+            return False
 
     for where, inner, files in os.walk(directory, onerror=refuse):
         inner[:] = sorted(name for name in inner if not name.startswith("."))
@@ -178,16 +211,7 @@ def _below(directory: Path, readers: Mapping[str, type[Recording]]) -> Iterator[
             yield Path(where)
         else:
             visible = (Path(where) / name for name in sorted(files) if not name.startswith("."))
-            yield from (file for file in visible if _is_log(file, readers))
-
-
-def _is_log(file: Path, readers: Mapping[str, type[Recording]]) -> bool:
-    if _uncompressed(file.name).suffix.lower() in _SUFFIXES:
-        return True
-    try:
-        return file.is_file() and looks_like_a_log(file, readers)
-    except LogError:  # it cannot be read, and nothing says that it is a recording
-        return False
+            yield from filter(is_log, visible)
 
 
 def _plain_name(log: str) -> str:
@@ -208,22 +232,19 @@ def _found_in_store(url: str) -> Iterator[Found]:
         try:
             if _WILDCARDS & set(root):
                 fixed = root[: min(root.index(sign) for sign in _WILDCARDS if sign in root)]
+                fixed = fixed.rsplit("/", 1)[0]
                 for match in sorted(system.glob(root)):
-                    yield from _at_match(system, match, fixed.rsplit("/", 1)[0])
+                    if system.isdir(match):
+                        yield from _below_in_store(system, match, fixed)
+                    else:
+                        name = _plain_name(_inside(match, fixed))
+                        yield Found(system.unstrip_protocol(match), name)
             elif system.isdir(root):
                 yield from _below_in_store(system, root, root)
             elif system.exists(root):
                 yield Found(url, _plain_name(root.rsplit("/", 1)[-1]))
         except FileNotFoundError:
             raise UsageError("no such file or directory", where=url) from None
-
-
-def _at_match(system: Any, match: str, root: str) -> Iterator[Found]:
-    """A file that a pattern matches, or the recordings below a directory that it does."""
-    if system.isdir(match):
-        yield from _below_in_store(system, match, root)
-    else:
-        yield Found(system.unstrip_protocol(match), _plain_name(_inside(match, root)))
 
 
 def _below_in_store(system: Any, top: str, root: str) -> Iterator[Found]:
@@ -239,32 +260,18 @@ def _below_in_store(system: Any, top: str, root: str) -> Iterator[Found]:
         hidden = any(part.startswith(".") for part in _inside(folder, top).split("/"))
         if hidden or _RESULTS & files.keys() or folder.startswith(closed):
             continue
-        named = [file for name, file in files.items() if _is_named_as_log(name)]
+        named = [
+            file
+            for name, file in files.items()
+            if not name.startswith(".") and _uncompressed(name).suffix.lower() in _IN_STORES
+        ]
         for log in [folder] if _ROSBAG2 in files else named:
             name = _inside(log, root) or log.rsplit("/", 1)[-1]
             yield Found(system.unstrip_protocol(log), _plain_name(name))
 
 
-def _is_named_as_log(name: str) -> bool:
-    return not name.startswith(".") and _uncompressed(name).suffix.lower() in _IN_STORES
-
-
 def _inside(path: str, root: str) -> str:
     return path.removeprefix(root).strip("/")
-
-
-def _files_here(path: Path) -> Iterator[Source]:
-    try:
-        if not path.is_dir():
-            yield _file(path)
-            return
-        for file in sorted(path.iterdir()):
-            if file.is_file() and not file.name.startswith("."):
-                yield _file(file)
-    except FileNotFoundError:
-        raise LogError("no such file or directory", where=path) from None
-    except OSError as error:
-        raise LogError.of_system(error, "cannot read", where=path) from None
 
 
 def _file(path: Path) -> Source:
@@ -318,50 +325,32 @@ def _fetched(log: str, sources: Sequence[Source], directory: Path) -> str:
         got = copy.stat().st_size
         if source.bytes is not None and got != source.bytes:
             raise PlaceError(
-                f"{source.place}: {got:,} of {source.bytes:,} bytes arrived: it changed, or the "
-                "connection broke: run the job again"
+                f"{got:,} of {source.bytes:,} bytes arrived: it changed, or the connection broke",
+                "run the job again",
+                where=source.place,
             )
     return str(directory / name)
 
 
-def _input(log: str, sources: Sequence[Source]) -> InputRecord:
-    sizes = [source.bytes for source in sources]
-    known = [size for size in sizes if size is not None]
-    return InputRecord(
-        log=log,
-        bytes=sum(known) if len(known) == len(sizes) else None,
-        identity=_hash([[source.name, source.identity] for source in sources]),
-    )
-
-
-def _options(step: Step) -> Iterator[str]:
-    """The options of a step, with the contents of files in the place of their paths."""
-    for option in step.options:
-        name, _, path = option.partition("=")
-        yield f"{name}={_contents(Path(path))}" if option in step.inputs else option
-
-
 def _contents(path: Path) -> str:
     """A hash of a file, or of all files in a directory with their names."""
+
+    def of_file(file: Path) -> str:
+        status = file.stat()
+        return _hash_of_file(file, status.st_size, status.st_mtime_ns)
+
     try:
         if not path.is_dir():
-            return _hash_of_file(path, *_state(path))
+            return of_file(path)
         files = sorted(file for file in path.rglob("*") if file.is_file())
-        return _hash(
-            [[str(file.relative_to(path)), _hash_of_file(file, *_state(file))] for file in files]
-        )
+        return _hash([[str(file.relative_to(path)), of_file(file)] for file in files])
     except OSError as error:
         raise UsageError.of_system(error, "cannot read", where=path) from None
 
 
-def _state(path: Path) -> tuple[int, int]:
-    """By what it is seen that a file has changed: its bytes, and its time of change."""
-    status = path.stat()
-    return status.st_size, status.st_mtime_ns
-
-
 @functools.lru_cache(maxsize=4096)  # a golden map is of every job of a fleet
 def _hash_of_file(path: Path, _size: int, _mtime_ns: int) -> str:
+    """As long as it has this size and this time of change."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

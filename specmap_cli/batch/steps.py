@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
-from specmap_cli.batch.records import COMMANDS, Command, Meaning, Option, Plan, Step
+from specmap_cli.batch.records import COMMANDS, Command, Meaning, Plan, Step
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.toml import choice
 
@@ -25,7 +23,8 @@ SUFFIXES = {  # of exports, for the programs that go by them
     "foxglove": ".mcap",
     "rerun": ".rrd",
 }
-_OF_A_MAP = ("export", "report", "check")
+# Options that spare a step the map that the others need.
+_INSTEAD_OF_A_MAP = {"localize": {"map"}, "evaluate": {"protocol", "baseline"}}
 _FILE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}")
 _FORMAT = "--format="
 # What the batch says itself: where results go and how they are told is nobody else's.
@@ -38,7 +37,18 @@ def steps_of(plan: Plan, base: Path) -> tuple[Step, ...]:
     Raises UsageError for a step or an option that is none, one whose value is of the wrong kind,
     and a step that needs another one before it.
     """
-    _check_commands(plan)
+    choices = f"choose from {', '.join(COMMANDS)}"
+    for name in [*plan.steps, *plan.options]:
+        if name not in COMMANDS:
+            raise UsageError(f"{name!r:.60}: no such step", choices)
+    if not plan.steps:
+        raise UsageError("steps: empty", choices)
+    for place, command in enumerate(plan.steps):
+        if command in plan.steps[:place]:
+            raise UsageError(f"steps: {command} is given twice", "name each step once")
+        instead = _INSTEAD_OF_A_MAP.get(command, set()) & plan.options.get(command, {}).keys()
+        if "build" not in plan.steps[: place + 1] and not instead:
+            raise UsageError(f"steps: {command} needs a map", "put build before it")
     steps: list[Step] = []
     taken = {MAP, REPORT, LABELS, CONFUSION, JOB, LOG_TEXT, *(f"{each}.json" for each in COMMANDS)}
     for command in plan.steps:
@@ -53,104 +63,33 @@ def steps_of(plan: Plan, base: Path) -> tuple[Step, ...]:
 
 def arguments_of(step: Step, logs: Sequence[str]) -> list[str]:
     """The command line of a step that is run in the folder of its job."""
-    own = [*step.options, "--json"]
-    if step.command == "build":
-        return ["build", *own, f"--out={MAP}", "--", *logs]
-    if step.command == "localize":
-        map_ = [] if _has(step, "map") else [f"--map={MAP}"]
-        return ["localize", *own, *map_, f"--out={LABELS}", "--", *logs]
-    if step.command == "evaluate":
-        return ["evaluate", *own, *_evaluated(step, logs)]
-    out = {"export": _export_name(step), "report": REPORT}.get(step.command)
-    return [step.command, *own, *([] if out is None else [f"--out={out}"]), "--", MAP]
 
+    def has(option: str) -> bool:
+        return any(each.startswith(f"--{option}=") for each in step.options)
 
-def _evaluated(step: Step, logs: Sequence[str]) -> list[str]:
-    if _has(step, "protocol"):
-        return [f"--out={CONFUSION}", "--", *logs]
-    return ["--", *logs] if _has(step, "baseline") else [f"--trajectory={MAP}/trajectory.tum"]
-
-
-def _has(step: Step, option: str) -> bool:
-    return any(each.startswith(f"--{option}=") for each in step.options)
+    match step.command:
+        case "build":
+            own = [f"--out={MAP}", "--", *logs]
+        case "localize":
+            own = [*([] if has("map") else [f"--map={MAP}"]), f"--out={LABELS}", "--", *logs]
+        case "evaluate" if has("protocol"):
+            own = [f"--out={CONFUSION}", "--", *logs]
+        case "evaluate" if has("baseline"):
+            own = ["--", *logs]
+        case "evaluate":
+            own = [f"--trajectory={MAP}/trajectory.tum"]
+        case "export":
+            own = [f"--out={_export_name(step)}", "--", MAP]
+        case "report":
+            own = [f"--out={REPORT}", "--", MAP]
+        case "check":
+            own = ["--", MAP]
+    return [step.command, *step.options, "--json", *own]
 
 
 def _export_name(step: Step) -> str:
     chosen = [each.removeprefix(_FORMAT) for each in step.options if each.startswith(_FORMAT)]
     return "".join(f"{name}{SUFFIXES.get(name, '')}" for name in chosen)
-
-
-def _check_commands(plan: Plan) -> None:
-    """Refuse unknown steps, one given twice, and one that needs a map before there is one."""
-    choices = ", ".join(COMMANDS)
-    for name in [*plan.steps, *plan.options]:
-        if name not in COMMANDS:
-            raise UsageError(f"{name!r:.60}: no such step", f"choose from {choices}")
-    for place, command in enumerate(plan.steps):
-        before = plan.steps[:place]
-        if command in before:
-            raise UsageError(f"steps: {command} is given twice", "name each step once")
-        if "build" not in before and _needs_map(command, plan.options.get(command, {})):
-            raise UsageError(f"steps: {command} needs a map", "put build before it")
-
-
-def _needs_map(command: Command, options: Mapping[str, Any]) -> bool:
-    if command == "localize":
-        return "map" not in options
-    if command == "evaluate":
-        return "protocol" not in options and "baseline" not in options
-    return command in _OF_A_MAP
-
-
-def _given(command: Command, plan: Plan, base: Path) -> Iterator[tuple[str, Meaning]]:
-    """The options of one step as they stand on the command line, and what they take."""
-    for name, value in plan.options.get(command, {}).items():
-        place = f"options.{command}.{name}"
-        option = _known(plan.known.get(command, {}), name, place)
-        if command == "export" and name == "format":
-            option = replace(option, several=True)  # an export for each
-        values = value if option.several and isinstance(value, list) else [value]
-        for each in values:
-            for text in _option(name, option, each, base, place):
-                yield text, option.meaning
-
-
-def _known(options: Mapping[str, Option], name: str, place: str) -> Option:
-    free = {each: option for each, option in options.items() if _SAID.isdisjoint(option.names)}
-    if name in free:
-        return free[name]
-    if name in options:
-        raise UsageError("the batch says that itself", "leave it out", where=place)
-    hint = choice(name, free)
-    raise UsageError("no such option", hint, where=place)
-
-
-def _option(name: str, option: Option, value: Any, base: Path, place: str) -> Iterator[str]:
-    """One use of an option; a flag that is false is none."""
-    if option.meaning == "flag":
-        if not isinstance(value, bool):
-            raise UsageError(f"{place} is {value!r:.60}", "expected true or false")
-        yield from [f"--{name}"] if value else []
-        return
-    if isinstance(value, bool) or not isinstance(value, str | int | float):
-        many = " or a list of them" if option.several else ""
-        raise UsageError(f"{place} is {value!r:.60}", f"expected a text or a number{many}")
-    if option.meaning == "input":
-        yield f"--{name}={_input(str(value), base, place)}"
-        return
-    if option.meaning == "output" and not _FILE_NAME.fullmatch(str(value)):
-        raise UsageError(
-            f"{place} is {value!r:.60}",
-            "expected the bare name of a file: it goes into the job's folder",
-        )
-    yield f"--{name}={value}"
-
-
-def _input(value: str, base: Path, place: str) -> Path:
-    path = base / value
-    if not path.exists():
-        raise UsageError(f"{path}: no such file or directory", where=place)
-    return path.absolute()
 
 
 def _made(command: Command, plan: Plan, base: Path) -> tuple[list[Step], list[str]]:
@@ -173,3 +112,39 @@ def _made(command: Command, plan: Plan, base: Path) -> tuple[list[Step], list[st
             raise UsageError(f"no format has the name {each!r:.60}", where="options.export.format")
     steps = [Step(command, (*others, each), inputs) for each in formats]
     return steps, [*map(_export_name, steps), *outputs]
+
+
+def _given(command: Command, plan: Plan, base: Path) -> Iterator[tuple[str, Meaning]]:
+    """The options of one step as they stand on the command line, and what they take."""
+    known = plan.known.get(command, {})
+    free = {name: option for name, option in known.items() if _SAID.isdisjoint(option.names)}
+    for name, value in plan.options.get(command, {}).items():
+        place = f"options.{command}.{name}"
+        if name not in free:
+            if name in known:
+                raise UsageError("the batch says that itself", "leave it out", where=place)
+            raise UsageError("no such option", choice(name, free), where=place)
+        meaning = free[name].meaning
+        several = free[name].several or (command, name) == ("export", "format")  # one for each
+        for each in value if several and isinstance(value, list) else [value]:
+            if meaning == "flag":
+                if not isinstance(each, bool):
+                    raise UsageError(f"{place} is {each!r:.60}", "expected true or false")
+                if each:
+                    yield f"--{name}", meaning
+                continue
+            if isinstance(each, bool) or not isinstance(each, str | int | float):
+                many = " or a list of them" if several else ""
+                raise UsageError(f"{place} is {each!r:.60}", f"expected a text or a number{many}")
+            text = str(each)
+            if meaning == "input":
+                path = base / text
+                if not path.exists():
+                    raise UsageError(f"{path}: no such file or directory", where=place)
+                text = str(path.absolute())
+            elif meaning == "output" and not _FILE_NAME.fullmatch(text):
+                raise UsageError(
+                    f"{place} is {each!r:.60}",
+                    "expected the bare name of a file: it goes into the job's folder",
+                )
+            yield f"--{name}={text}", meaning

@@ -106,14 +106,13 @@ def rows_of(names: Iterable[str], records: Mapping[str, JobRecord]) -> list[Row]
 
     Of a job without a record it has the name and that it waits.
     """
-    return [_row(name, records.get(name)) for name in sorted(names)]
-
-
-def _row(name: str, record: JobRecord | None) -> Row:
-    if record is not None:
-        return {column.name: column.of(record) for column in COLUMNS}
-    row: dict[str, Value] = dict.fromkeys((column.name for column in COLUMNS), None)
-    return row | {"name": name, "state": WAITING}
+    rows: list[Row] = []
+    for name in sorted(names):
+        row: dict[str, Value] = {"name": name, "state": WAITING}
+        for column in COLUMNS:
+            row[column.name] = column.of(records[name]) if name in records else row.get(column.name)
+        rows.append(row)
+    return rows
 
 
 def as_csv(rows: Sequence[Row]) -> bytes:
@@ -141,10 +140,17 @@ def as_markdown(rows: Sequence[Row]) -> bytes:
     doubtful = [row for row in rows if row["verdict"] in ("doubtful", "poor")]
     worked = [row for row in rows if row["wall_s"] is not None]
     slowest = sorted(worked, key=lambda row: -float(row["wall_s"] or 0.0))[:5]
+    verdicts = Counter(row["verdict"] for row in rows if row["verdict"] is not None)
+    of_maps = ", ".join(f"{verdicts[one]:,} {one}" for one in sorted(verdicts))
+    of_failures = ", ".join(f"{count:,} {kind}" for kind, count in kinds_of(rows))
     lines = [
         f"### {headline(rows)}",
         "",
-        *_totals(rows),
+        f"- {total(rows, 'scans'):,.0f} scans over {total(rows, 'path_m'):,.0f} m in "
+        f"{lasting(total(rows, 'wall_s'))} of work",
+        *([f"- maps: {of_maps}"] if of_maps else []),
+        *([f"- failures: {of_failures}"] if of_failures else []),
+        "",
         *_section("Failed", failed, ("name", "kind", "reason", "attempts")),
         *_section("Doubtful or poor", doubtful, ("name", "verdict", "lost_share", "submaps")),
         *_section("Warnings", [row for row in rows if row["warnings"]], ("name", "warnings")),
@@ -155,18 +161,17 @@ def as_markdown(rows: Sequence[Row]) -> bytes:
 
 def as_junit(rows: Sequence[Row]) -> bytes:
     """A test suite with a test case a job; one that waits is skipped."""
-    return junit("specmap batch", "specmap batch", [_case(row) for row in rows])
-
-
-def _case(row: Row) -> Case:
-    failed = row["state"] == "failed"
-    return Case(
-        name=str(row["name"]),
-        seconds=float(row["wall_s"] or 0.0),
-        skipped=row["state"] == WAITING,
-        failure=str(row["reason"]) if failed else None,
-        kind=str(row["kind"]),
-    )
+    cases = [
+        Case(
+            name=str(row["name"]),
+            seconds=float(row["wall_s"] or 0.0),
+            skipped=row["state"] == WAITING,
+            failure=str(row["reason"]) if row["state"] == "failed" else None,
+            kind=str(row["kind"]),
+        )
+        for row in rows
+    ]
+    return junit("specmap batch", "specmap batch", cases)
 
 
 def headline(rows: Sequence[Row]) -> str:
@@ -191,41 +196,40 @@ def total(rows: Sequence[Row], column: str) -> float:
     return sum(float(row[column] or 0.0) for row in rows)
 
 
-def _totals(rows: Sequence[Row]) -> list[str]:
-    verdicts = Counter(row["verdict"] for row in rows if row["verdict"] is not None)
-    said = [
-        f"{total(rows, 'scans'):,.0f} scans over {total(rows, 'path_m'):,.0f} m in "
-        f"{lasting(total(rows, 'wall_s'))} of work"
-    ]
-    if verdicts:
-        said.append("maps: " + ", ".join(f"{verdicts[one]:,} {one}" for one in sorted(verdicts)))
-    if kinds := kinds_of(rows):
-        said.append("failures: " + ", ".join(f"{count:,} {kind}" for kind, count in kinds))
-    return [*(f"- {line}" for line in said), ""]
-
-
 def _section(title: str, rows: Sequence[Row], columns: Sequence[str]) -> list[str]:
     if not rows:
         return []
+
+    def shown(value: Value) -> str:
+        text = f"{value:,}" if isinstance(value, int | float) else value
+        return markdown_text(text or "")
+
     known = {column.name: column.type for column in COLUMNS}
     more = [f"... and {len(rows) - _MOST:,} more: see summary.csv", ""] if rows[_MOST:] else []
     heads = {column: column.replace("_", " ") for column in columns}
     table = markdown_table(
         list(heads.values()),
-        ([markdown_text(_shown(row, column)) for column in columns] for row in rows[:_MOST]),
+        ([shown(row[column]) for column in columns] for row in rows[:_MOST]),
         {head for column, head in heads.items() if known[column] != "text"},
     )
     return [f"#### {title}", "", *table, "", *more]
 
 
-def _shown(row: Row, column: str) -> str:
-    value = row[column]
-    return "" if value is None else f"{value:,}" if isinstance(value, int | float) else value
-
-
 def as_html(rows: Sequence[Row], records: Mapping[str, JobRecord]) -> bytes:
     """The page; links go to the folders beside it."""
-    entries = [_entry(row, records.get(str(row["name"]))) for row in rows]
+    entries = []
+    for row in rows:
+        record = records.get(str(row["name"]))
+        base, files = quote(str(row["name"]), safe=""), {} if record is None else record.files
+        has_map = any(name.startswith(f"{MAP}/") for name in files)
+        entry: dict[str, Any] = {
+            "row": row,
+            "result": (row["state"] == "done" and row["verdict"]) or row["state"],
+            "folder": f"{base}/{MAP}/" if has_map else None,
+        }
+        for part, name in (("picture", _OVERVIEW), ("report", REPORT), ("log", LOG_TEXT)):
+            entry[part] = f"{base}/{quote(name)}" if name in files else None
+        entries.append(entry)
     context = {
         "title": headline(rows),
         "entries": entries,
@@ -239,40 +243,18 @@ def as_html(rows: Sequence[Row], records: Mapping[str, JobRecord]) -> bytes:
     return html_page(_PACKAGE, "batch.html", context, _STYLES, _SCRIPTS).encode()
 
 
-def _entry(row: Row, record: JobRecord | None) -> dict[str, Any]:
-    """A row of the page: what is known of a job, and where its files are; None: there is none."""
-    files = {} if record is None else record.files
-    base = quote(str(row["name"]), safe="")
-
-    def link(name: str) -> str | None:
-        return f"{base}/{quote(name)}" if name in files else None
-
-    has_map = any(name.startswith(f"{MAP}/") for name in files)
-    return {
-        "row": row,
-        "result": row["verdict"] or row["state"] if row["state"] == "done" else row["state"],
-        "picture": link(_OVERVIEW),
-        "report": link(REPORT),
-        "log": link(LOG_TEXT),
-        "folder": f"{base}/{MAP}/" if has_map else None,
-    }
-
-
 def _facts(rows: Sequence[Row]) -> list[tuple[str, str]]:
     """The figures over the table: what, and how much."""
     done = sum(row["state"] == "done" for row in rows)
+    metres = total(rows, "path_m")
     return [
         ("done", f"{done:,}"),
         ("failed", f"{sum(count for _, count in kinds_of(rows)):,}"),
         ("doubtful or poor", f"{sum(row['verdict'] in ('doubtful', 'poor') for row in rows):,}"),
         ("scans", f"{total(rows, 'scans'):,.0f}"),
-        ("driven", _distance(total(rows, "path_m"))),
+        ("driven", f"{metres:,.0f} m" if metres < _KM else f"{metres / _KM:,.1f} km"),
         ("of work", lasting(total(rows, "wall_s"))),
     ]
-
-
-def _distance(metres: float) -> str:
-    return f"{metres:,.0f} m" if metres < _KM else f"{metres / _KM:,.1f} km"
 
 
 _MADE: Mapping[str, Callable[[Sequence[Row]], bytes]] = {

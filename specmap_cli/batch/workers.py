@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import logging
 import os
-import signal
-import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from importlib import import_module
 from queue import Empty, SimpleQueue
@@ -20,7 +18,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from uuid import uuid4
 
 from specmap_cli import __version__
-from specmap_cli.batch.records import JobResult, Limits, Terms, Turn
+from specmap_cli.batch.records import JobResult, Terms, Turn
 from specmap_cli.batch.running import failure, run_job
 from specmap_cli.core.errors import PACKAGE, NoResultError, UsageError
 
@@ -37,10 +35,10 @@ _POLL_S = 1.0  # how long to wait for a result before looking at the workers aga
 _SHARE = 0.9  # of the machine's memory: the rest is for the system and the client
 # One worker's death fails the one job it had: how often to try again is decided here, not there.
 # Workers do next to nothing themselves; profiling and spilling would only cost.
-_DASK = {
+_DASK: Mapping[str, Any] = {
     "distributed.scheduler.allowed-failures": 0,
     "distributed.scheduler.worker-ttl": "5 minutes",
-    "distributed.worker.preload": ["specmap_cli.batch.workers"],
+    "distributed.worker.preload": ["specmap_cli.batch.preload"],
     "distributed.worker.profile.enabled": False,
     "distributed.admin.system-monitor.gil.enabled": False,
 }
@@ -62,10 +60,37 @@ def opened(cluster: Cluster) -> Iterator[Client]:
 
     Raises UsageError where there is no scheduler, no worker, or another version of specmap.
     """
-    opening = _local(cluster) if cluster.scheduler is None else _remote(cluster.scheduler)
-    with _hushed(), opening as client:
-        _wait_for_worker(client, cluster)
-        _check_versions(client)
+    import dask
+    from distributed import Client
+    from distributed.versions import VersionMismatchWarning
+
+    with ExitStack() as stack:
+        for name in ("distributed", "tornado", "asyncio"):  # what they log, we tell in a line
+            logger = logging.getLogger(name)
+            stack.callback(logger.setLevel, logger.level)
+            logger.setLevel(logging.CRITICAL)
+        stack.enter_context(warnings.catch_warnings())
+        warnings.simplefilter("ignore", VersionMismatchWarning)
+        if cluster.scheduler is None:
+            stack.enter_context(dask.config.set(_DASK))
+            client = stack.enter_context(Client(stack.enter_context(_started(cluster))))
+        else:
+            client = stack.enter_context(_connected(cluster.scheduler))
+        try:
+            client.wait_for_workers(1, timeout=cluster.patience_s)
+        except TimeoutError:
+            found = f"no worker has come in {cluster.patience_s:.0f} s"
+            where = cluster.scheduler or "this machine"
+            raise UsageError(found, "start one with `dask worker`", where=where) from None
+        # another version makes other maps
+        for address, version in sorted(client.run(_version, on_error="return").items()):
+            if version != __version__:
+                what = version if isinstance(version, str) else f"none that works ({version})"
+                raise UsageError(
+                    f"the worker has specmap {what}, this is {__version__}",
+                    "install the same version on both sides",
+                    where=address,
+                )
         yield client
 
 
@@ -89,15 +114,6 @@ def require_dask() -> None:
         raise UsageError(
             f"workers need Dask ({error})", "pip install 'specmap-cli[batch]'", code=PACKAGE
         ) from None
-
-
-@contextmanager
-def _local(cluster: Cluster) -> Iterator[Client]:
-    import dask
-    from distributed import Client
-
-    with dask.config.set(_DASK), _started(cluster) as started, Client(started) as client:
-        yield client
 
 
 def _started(cluster: Cluster) -> LocalCluster:
@@ -124,12 +140,11 @@ def _started(cluster: Cluster) -> LocalCluster:
     )
 
 
-@contextmanager
-def _remote(address: str) -> Iterator[Client]:
+def _connected(address: str) -> Client:
     from distributed import Client
 
     try:
-        client = Client(address, timeout=_ANSWER_S, set_as_default=False)
+        return Client(address, timeout=_ANSWER_S, set_as_default=False)
     except (OSError, ValueError) as error:
         said = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise UsageError(
@@ -137,52 +152,10 @@ def _remote(address: str) -> Iterator[Client]:
             "start one with `dask scheduler`, and workers with `dask worker`",
             where=address,
         ) from None
-    with client:
-        yield client
-
-
-def _wait_for_worker(client: Client, cluster: Cluster) -> None:
-    try:
-        client.wait_for_workers(1, timeout=cluster.patience_s)
-    except TimeoutError:
-        where = cluster.scheduler or "this machine"
-        patience = f"{cluster.patience_s:.0f} s"
-        found = f"no worker has come in {patience}"
-        raise UsageError(found, "start one with `dask worker`", where=where) from None
-
-
-def _check_versions(client: Client) -> None:
-    """The same version everywhere: another one makes other maps. UsageError otherwise."""
-    for address, found in sorted(client.run(_version, on_error="return").items()):
-        if found != __version__:
-            what = found if isinstance(found, str) else f"none that works ({found})"
-            raise UsageError(
-                f"the worker has specmap {what}, this is {__version__}",
-                "install the same version on both sides",
-                where=address,
-            )
 
 
 def _version() -> str:
     return __version__
-
-
-@contextmanager
-def _hushed() -> Iterator[None]:
-    """Dask tells its own log what we tell in a line: nothing of it on stderr."""
-    from distributed.versions import VersionMismatchWarning
-
-    loggers = [logging.getLogger(name) for name in ("distributed", "tornado", "asyncio")]
-    levels = [logger.level for logger in loggers]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", VersionMismatchWarning)
-        try:
-            for logger in loggers:
-                logger.setLevel(logging.CRITICAL)
-            yield
-        finally:
-            for logger, level in zip(loggers, levels, strict=True):
-                logger.setLevel(level)
 
 
 class Workers:
@@ -267,21 +240,17 @@ class Workers:
         That is in megabytes; None: any.
         """
         told = self._client.scheduler_info(n_workers=-1)["workers"]
-        hosts: dict[str, list[str]] = {}
-        for address in sorted(told):  # tcp://host:port
-            hosts.setdefault(address.rpartition(":")[0], []).append(address)
-        found = [
-            (workers, sum(self._memory_mb(told[one]) for one in workers) or None)
-            for workers in hosts.values()
-        ]
-        return max(found, key=lambda host: host[1] or 0, default=([], None))
-
-    def _memory_mb(self, worker: Mapping[str, Any]) -> int:
-        """What the jobs of a worker may use together; 0 where it does not say."""
         limit = self._terms.limits.memory_mb
-        if limit is not None:
-            return limit * int(worker["nthreads"])
-        return int((worker["memory_limit"] or 0) / _MB)
+        hosts: dict[str, tuple[list[str], int]] = {}
+        for address in sorted(told):  # tcp://host:port
+            host, worker = address.rpartition(":")[0], told[address]
+            addresses, memory_mb = hosts.get(host, ([], 0))
+            more = int((worker["memory_limit"] or 0) / _MB)  # 0 where it does not say
+            if limit is not None:
+                more = limit * int(worker["nthreads"])
+            hosts[host] = [*addresses, address], memory_mb + more
+        addresses, memory_mb = max(hosts.values(), key=lambda host: host[1], default=([], 0))
+        return addresses, memory_mb or None
 
 
 def on_worker(turn: Turn, terms: Terms, version: str) -> JobResult:
@@ -289,32 +258,21 @@ def on_worker(turn: Turn, terms: Terms, version: str) -> JobResult:
     if version != __version__:
         told = f"the worker has specmap {__version__}, the client {version}: install the same"
         return failure(turn, "worker", told, terms.limits)
-    return run_job(turn, replace(terms, limits=_own_limits(terms.limits)), _wanted())
-
-
-def _wanted() -> Callable[[], bool]:
-    """Whether the scheduler still wants this task: not after its client has gone."""
-    from distributed import get_worker
-
-    worker = get_worker()
-    key = worker.get_current_task()
-
-    def wanted() -> bool:
-        task = worker.state.tasks.get(key)
-        return task is not None and task.state != "cancelled"
-
-    return wanted
-
-
-def _own_limits(limits: Limits) -> Limits:
-    """The limits of a job: without one of memory, the share that the worker was started with."""
     from distributed import get_worker
 
     worker = get_worker()
     most = worker.memory_manager.memory_limit
-    if limits.memory_mb is not None or not most:
-        return limits
-    return replace(limits, memory_mb=max(1, int(most / _MB / worker.state.nthreads)))
+    if terms.limits.memory_mb is None and most:  # the share that the worker was started with
+        share = max(1, int(most / _MB / worker.state.nthreads))
+        terms = replace(terms, limits=replace(terms.limits, memory_mb=share))
+    key = worker.get_current_task()
+
+    def wanted() -> bool:
+        """Whether the scheduler still wants this task: not after its client has gone."""
+        task = worker.state.tasks.get(key)
+        return task is not None and task.state != "cancelled"
+
+    return run_job(turn, terms, wanted)
 
 
 def spread(
@@ -338,13 +296,3 @@ def spread(
                 f"the workers were lost ({type(error).__name__})",
                 "start them and run the same command again, or leave out --workers and --scheduler",
             ) from None
-
-
-def dask_setup(_worker: object) -> None:
-    """Called by Dask in each new worker process of this machine, as `_DASK` says.
-
-    It turns the worker deaf to Ctrl-C. A terminal sends it to the workers, too; but it is the
-    client that is asked to end, and ends them.
-    """
-    if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGINT, signal.SIG_IGN)

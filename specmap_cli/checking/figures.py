@@ -59,17 +59,43 @@ def figures_of(stored: StoredMap) -> dict[str, float | None]:
     record = stored.record
     graph = nx.Graph([(edge.source, edge.target) for edge in record.edges])
     graph.add_nodes_from(stored.ids)
+    # what the command that made the map wrote down about its run, if it did
+    written = (stored.path / filenames.RUN).exists()
+    run: Mapping[str, Any] = stored.run if written else {}
+    counts = stored.counts if written else {}
+    scans, lost, wall_s = counts.get("scans"), counts.get("lost"), _number(run.get("wall_s"))
+    duration_s = path_m = None
+    if (stored.path / filenames.LABELS).exists():  # a divided grid knows of no way
+        labels, starts = stored.labels, starts_of(stored.logs)
+        duration_s, path_m = labels.duration_s(starts), driven_m(stored.logs, labels)
+    quality = record.graph.quality
+    grave = [] if quality is None else [one for one in quality.findings if one.severity != "note"]
     return {
-        **_of_run(stored),
-        **_of_way(stored),
+        "scans": scans,
+        "lost_share": lost / scans if scans and lost is not None else None,
+        "breaks": counts.get("breaks"),
+        "revisits": counts.get("merges"),
+        "wall_s": wall_s,
+        "scans_per_s": scans / wall_s if scans is not None and wall_s else None,
+        "memory_mb": _number(run.get("memory_mb")),
+        "duration_s": duration_s,
+        "path_m": path_m,
         "submaps": len(record.nodes),
         "edges": len(record.edges),
         "impassable": sum(edge.path is None for edge in record.edges),
         "parts": nx.number_connected_components(graph),
         "doors": len(record.graph.doors),
         "area_m2": sum(node.area_m2 for node in record.nodes),
-        **_of_findings(stored),
+        **{
+            f"{FINDINGS}{code}": sum(one.code == code for one in grave)
+            for code in sorted({one.code for one in grave})
+        },
     }
+
+
+def _number(value: Any) -> float | None:
+    """A number that a person may have spoiled: None for anything else."""
+    return float(value) if type(value) in (int, float) and abs(value) < 1e15 else None
 
 
 def figures_against(record: ComparisonRecord | None) -> dict[str, float | None]:
@@ -90,44 +116,4 @@ def figures_against(record: ComparisonRecord | None) -> dict[str, float | None]:
         "golden.off_m": record.alignment.residual_m,
         "golden.appeared_m2": sum(one.area_m2 for one in record.things.appeared),
         "golden.vanished_m2": sum(one.area_m2 for one in record.things.vanished),
-    }
-
-
-def _of_run(stored: StoredMap) -> dict[str, float | None]:
-    """What the command that made the map wrote down about its run, if it did."""
-    written = (stored.path / filenames.RUN).exists()
-    run: Mapping[str, Any] = stored.run if written else {}
-    counts = stored.counts if written else {}
-    scans, lost, wall_s = counts.get("scans"), counts.get("lost"), _number(run.get("wall_s"))
-    return {
-        "scans": scans,
-        "lost_share": lost / scans if scans and lost is not None else None,
-        "breaks": counts.get("breaks"),
-        "revisits": counts.get("merges"),
-        "wall_s": wall_s,
-        "scans_per_s": scans / wall_s if scans is not None and wall_s else None,
-        "memory_mb": _number(run.get("memory_mb")),
-    }
-
-
-def _number(value: Any) -> float | None:
-    """A number that a person may have spoiled: None for anything else."""
-    return float(value) if type(value) in (int, float) and abs(value) < 1e15 else None
-
-
-def _of_way(stored: StoredMap) -> dict[str, float | None]:
-    """What the robot drove; a divided grid knows of none."""
-    if not (stored.path / filenames.LABELS).exists():
-        return {"duration_s": None, "path_m": None}
-    labels, starts = stored.labels, starts_of(stored.logs)
-    return {"duration_s": labels.duration_s(starts), "path_m": driven_m(stored.logs, labels)}
-
-
-def _of_findings(stored: StoredMap) -> dict[str, float | None]:
-    """How many findings that cast doubt there are of each code."""
-    quality = stored.record.graph.quality
-    grave = [] if quality is None else [one for one in quality.findings if one.severity != "note"]
-    return {
-        f"{FINDINGS}{code}": sum(one.code == code for one in grave)
-        for code in sorted({one.code for one in grave})
     }

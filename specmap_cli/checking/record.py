@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Literal
 
 from pydantic import Field
@@ -73,16 +74,14 @@ def summary(record: CheckRecord) -> str:
 
 def junit(record: CheckRecord) -> bytes:
     """A test suite with a test case a rule, as CI servers read it."""
-    cases = [_case(outcome) for outcome in record.rules]
+    cases = []
+    for one in record.rules:
+        case = Case(name=f"{one.rule} {_bound(one)}")
+        if not one.passed:
+            told = f"{one.rule} is {_value(one.value)}, allowed is {_bound(one)}"
+            case = replace(case, failure=told, kind="BrokenRule", detail=one.detail)
+        cases.append(case)
     return tables.junit(f"specmap check {record.map}", record.map, cases)
-
-
-def _case(outcome: OutcomeRecord) -> Case:
-    name = f"{outcome.rule} {_bound(outcome)}"
-    if outcome.passed:
-        return Case(name=name)
-    told = f"{outcome.rule} is {_value(outcome.value)}, allowed is {_bound(outcome)}"
-    return Case(name=name, failure=told, kind="BrokenRule", detail=outcome.detail)
 
 
 def markdown(record: CheckRecord) -> str:

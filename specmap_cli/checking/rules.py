@@ -89,15 +89,14 @@ def _figure(name: str) -> str:
 
 def _flat(table: Any) -> Any:
     """The entries of nested tables by dotted key; what is no table as it is."""
-    return dict(_entries(table)) if isinstance(table, Mapping) else table
-
-
-def _entries(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    if not isinstance(table, Mapping):
+        return table
+    found: dict[str, Any] = {}
     for key, value in table.items():
-        if isinstance(value, Mapping):
-            yield from _entries(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value
+        inner = _flat(value)
+        below = isinstance(value, Mapping)
+        found |= {f"{key}.{name}": each for name, each in inner.items()} if below else {key: inner}
+    return found
 
 
 _Limit = Annotated[int | float, unless(_is_number, "expected a number")]
@@ -131,7 +130,9 @@ def read_rules(path: Path | None, *, against: bool) -> Rules:
     """
     written = _Written() if path is None else _FORMAT.read(path)
     bounds: dict[Bound, dict[str, float]] = {"most": written.most, "least": written.least}
-    golden = [f"{bound}.{name}" for bound in BOUNDS for name in bounds[bound] if _is_golden(name)]
+    golden = [
+        f"{bound}.{name}" for bound in BOUNDS for name in bounds[bound] if name.startswith(GOLDEN)
+    ]
     if golden and not against:
         raise UsageError(
             f"{golden[0]}: needs another map", "give --against", where=path, code=SETTING
@@ -141,15 +142,11 @@ def read_rules(path: Path | None, *, against: bool) -> Rules:
         {
             name: limit
             for name, limit in {**getattr(base, bound), **bounds[bound]}.items()
-            if math.isfinite(limit) and (against or not _is_golden(name))
+            if math.isfinite(limit) and (against or not name.startswith(GOLDEN))
         }
         for bound in BOUNDS
     )
     return Rules(written.verdict or base.verdict, most, least)
-
-
-def _is_golden(name: str) -> bool:
-    return name.startswith(GOLDEN)
 
 
 def judged(
@@ -161,9 +158,23 @@ def judged(
     details: Mapping[str, str],
 ) -> CheckRecord:
     """Every rule and whether the map keeps it; `details` are words on figures that break one."""
+    found: list[tuple[str, Bound, float | str, float | str | None, bool]] = []
+    kept = at_least_as_bad(rules.verdict, verdict or "poor")  # nobody judged it: as bad as can be
+    found.append((VERDICT, "most", rules.verdict, verdict, kept))
+    for name, bound, limit in rules.each():
+        value = figures.get(name, 0 if name.startswith(FINDINGS) else None)  # no finding of a code
+        kept = value is not None and (value <= limit if bound == "most" else value >= limit)
+        found.append((name, bound, limit, value, kept))
     outcomes = [
-        _of_verdict(verdict, rules.verdict, details),
-        *(_of_figure(name, bound, limit, figures, details) for name, bound, limit in rules.each()),
+        OutcomeRecord(
+            rule=name,
+            bound=bound,
+            limit=most,
+            value=held,
+            passed=passed,
+            detail="" if passed else details.get(name, _UNKNOWN if held is None else ""),
+        )
+        for name, bound, most, held, passed in found
     ]
     return CheckRecord(
         schema_version=1,
@@ -172,31 +183,4 @@ def judged(
         passed=all(outcome.passed for outcome in outcomes),
         rules=outcomes,
         figures={name: figures[name] for name in sorted(figures)},
-    )
-
-
-def _of_verdict(
-    verdict: Verdict | None, worst: Verdict, details: Mapping[str, str]
-) -> OutcomeRecord:
-    """A map that nobody judged is as bad as can be."""
-    passed = worst == "poor" or (verdict is not None and not _worse(verdict, worst))
-    detail = "" if passed else details.get(VERDICT, "") if verdict is not None else _UNKNOWN
-    return OutcomeRecord(
-        rule=VERDICT, bound="most", limit=worst, value=verdict, passed=passed, detail=detail
-    )
-
-
-def _worse(verdict: Verdict, worst: Verdict) -> bool:
-    return verdict != worst and at_least_as_bad(verdict, worst)
-
-
-def _of_figure(
-    name: str, bound: Bound, limit: float, figures: Figures, details: Mapping[str, str]
-) -> OutcomeRecord:
-    """A figure that is not known keeps no rule; no finding of a code is none of it."""
-    value = figures.get(name, 0 if name.startswith(FINDINGS) else None)
-    passed = value is not None and (value <= limit if bound == "most" else value >= limit)
-    detail = "" if passed else details.get(name, _UNKNOWN if value is None else "")
-    return OutcomeRecord(
-        rule=name, bound=bound, limit=limit, value=value, passed=passed, detail=detail
     )

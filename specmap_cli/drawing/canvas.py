@@ -53,12 +53,19 @@ class Canvas:
     def dashes(
         self, points: NDArray[Any], colour: Colour, width: int, dash: float, gap: float
     ) -> None:
-        """A polyline broken into dashes; a dash of no length is a dot."""
-        for start, end in _pieces(np.asarray(points, dtype=np.float64), dash, gap):
-            if dash > 0:
-                self.line(np.array([start, end]), colour, width)
-            else:
-                self.disc(start, width * 0.75, colour)
+        """A polyline broken into dashes, anew at each corner; a dash of no length is a dot."""
+        for start, end in itertools.pairwise(np.asarray(points, dtype=np.float64)):
+            length = float(np.linalg.norm(end - start))
+            if length == 0.0:
+                continue
+            for i in range(math.ceil(length / (dash + gap))):
+                first = i * (dash + gap) / length
+                last = min(1.0, first + dash / length)
+                begin = start + first * (end - start)
+                if dash > 0:
+                    self.line(np.array([begin, start + last * (end - start)]), colour, width)
+                else:
+                    self.disc(begin, width * 0.75, colour)
 
     def disc(
         self, centre: NDArray[Any], radius: float, colour: Colour, rim: Colour | None = None
@@ -90,21 +97,20 @@ class Canvas:
         shift = {"left": 0.0, "centre": 0.5, "right": 1.0}[align] * text_width(words, height, bold)
         left, base = _near(x - shift), _near(y + height / 2)
         scale, thickness = _text_scale(height), text_weight(height, bold)
-        for begun, piece in _around_zeros(words):
-            ahead = text_width(begun + piece, height, bold) - text_width(piece, height, bold)
+        begun = ""
+        for piece in filter(None, re.split("(0)", words) if _STRUCK_ZERO else [words]):
+            begun += piece
+            ahead = text_width(begun, height, bold) - text_width(piece, height, bold)
             place = left + ahead, base
-            if piece == "0":
-                self._blot(place, _zero(height, thickness), colour)
-            else:
+            if piece != "0":
                 cv2.putText(self.image, piece, place, _FONT, scale, colour, thickness, cv2.LINE_AA)
-
-    def _blot(self, place: tuple[int, int], cover: FloatArray, colour: Colour) -> None:
-        """A colour, as much of it as `cover` (H, W) says, with its lower left corner at a place."""
-        rows, own_rows = _overlap(place[1] - cover.shape[0], cover.shape[0], self.image.shape[0])
-        columns, own_columns = _overlap(place[0], cover.shape[1], self.image.shape[1])
-        share = cover[own_rows, own_columns, None]
-        window = self.image[rows, columns]
-        window[:] = np.round(window * (1.0 - share) + np.array(colour) * share).astype(np.uint8)
+                continue
+            cover = _zero(height, thickness)
+            rows, own_rows = _overlap(base - cover.shape[0], cover.shape[0], self.image.shape[0])
+            columns, own_columns = _overlap(place[0], cover.shape[1], self.image.shape[1])
+            share = cover[own_rows, own_columns, None]
+            window = self.image[rows, columns]
+            window[:] = np.round(window * (1.0 - share) + np.array(colour) * share).astype(np.uint8)
 
     def upright_text(self, x: float, y: float, words: str, height: float) -> None:
         """Words that read upwards, centred on `x`, their first letter at `y`."""
@@ -127,7 +133,11 @@ def _zero(height: float, thickness: int) -> FloatArray:
     """
     scale = _text_scale(height)
     (width, _), _ = cv2.getTextSize("0", _FONT, scale, thickness)
-    stem = _stem(scale, thickness)
+    # the width of an upright stroke of the font
+    (wide, tall), _ = cv2.getTextSize("I", _FONT, scale, thickness)
+    strip = np.zeros((3 * tall, wide + 2 * tall), dtype=np.uint8)
+    cv2.putText(strip, "I", (tall, 2 * tall), _FONT, scale, (255.0,), thickness, cv2.LINE_AA)
+    stem = float(strip[round(1.5 * tall)].sum() / 255.0)
     rows, inset = math.ceil(height), stem * 0.5
     cover = np.zeros((_FINE * rows, _FINE * (width + 1)), dtype=np.float32)
     centre = np.array([width / 2.0, rows - height / 2.0])
@@ -138,20 +148,6 @@ def _zero(height: float, thickness: int) -> FloatArray:
     cv2.fillPoly(cover, rings, 1.0)
     small = cv2.resize(cover, (width + 1, rows), interpolation=cv2.INTER_AREA)
     return np.asarray(small, dtype=np.float64)
-
-
-def _stem(scale: float, thickness: int) -> float:
-    """The width of an upright stroke of the font, in pixels."""
-    (width, height), _ = cv2.getTextSize("I", _FONT, scale, thickness)
-    strip = np.zeros((3 * height, width + 2 * height), dtype=np.uint8)
-    cv2.putText(strip, "I", (height, 2 * height), _FONT, scale, (255.0,), thickness, cv2.LINE_AA)
-    return float(strip[round(1.5 * height)].sum() / 255.0)
-
-
-def _around_zeros(words: str) -> list[tuple[str, str]]:
-    """The zeros in some words and what stands between them, each with the words before it."""
-    pieces = [piece for piece in re.split("(0)", words) if piece] if _STRUCK_ZERO else [words]
-    return [("".join(pieces[:k]), piece) for k, piece in enumerate(pieces)]
 
 
 def text_width(words: str, height: float, bold: bool = False) -> int:
@@ -192,17 +188,3 @@ def _near(place: float) -> int:
     """The pixel nearest to a place, inside what OpenCV can take."""
     farthest = _FARTHEST >> _BITS
     return round(min(max(float(place), -farthest), farthest))
-
-
-def _pieces(points: FloatArray, dash: float, gap: float) -> list[tuple[FloatArray, FloatArray]]:
-    """Start and end of each dash along a polyline; dashes do not turn corners."""
-    pieces = []
-    for start, end in itertools.pairwise(points):
-        length = float(np.linalg.norm(end - start))
-        if length == 0.0:
-            continue
-        for i in range(math.ceil(length / (dash + gap))):
-            first = i * (dash + gap) / length
-            last = min(1.0, first + dash / length)
-            pieces.append((start + first * (end - start), start + last * (end - start)))
-    return pieces

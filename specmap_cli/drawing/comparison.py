@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,7 +13,7 @@ from specmap_cli.drawing.sheet import Sheet, extent_of
 from specmap_cli.drawing.symbols import Legend, Symbol
 from specmap_cli.grids.bent import BentMotion
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.topology.differences import Crossing, Differences, Obstacle, walls_in_common
+from specmap_cli.topology.differences import Differences, Obstacle, walls_in_common
 from specmap_cli.topology.regions import NOBODY, Regions
 
 OLD: Colour = (196, 110, 30)
@@ -39,17 +37,37 @@ def render_comparison(
 ) -> Image:
     """What differs between two maps, in the frame of the old one; BGR (H, W, 3)."""
     both = _laid_over(old, new, old_from_new)
-    sheet = Sheet(*extent_of(both), _legend(found))
+    signs: dict[str, tuple[object, Symbol]] = {
+        "vanished": (found.vanished, _frame(OLD)),
+        "appeared": (found.appeared, _frame(NEW)),
+        "way closed": (found.closed, lambda canvas, at: _sign(canvas, at, WRONG)),
+        "way opened": (found.opened, lambda canvas, at: _sign(canvas, at, OPENED)),
+    }
+    legend: Legend = (
+        ("wall in both", _bar(INK)),
+        ("only in the old map", _bar(OLD)),
+        ("only in the new map", _bar(NEW)),
+        *((words, symbol) for words, (any_, symbol) in signs.items() if any_),
+    )
+    sheet = Sheet(*extent_of(both), legend)
     fills = {_BOTH: _FLOOR, _OLD_ONLY: paler(OLD, _PALE), _NEW_ONLY: paler(NEW, _PALE)}
     sheet.floor(both, fills)
     _draw_walls(sheet, both.grid, old.grid, new.grid, old_from_new)
-    _draw_ids(sheet, old, new, old_from_new, found)
-    for one in found.vanished:
-        _box(sheet.canvas, sheet.pixels(_widened(one)), OLD)
-    for one in found.appeared:
-        _box(sheet.canvas, sheet.pixels(_widened(one)), NEW)
-    _draw_ways(sheet, found.closed, WRONG)
-    _draw_ways(sheet, found.opened, OPENED)
+    ids = [(outline.centroid, id_, QUIET) for id_, outline in sorted(old.outlines.items())]
+    for id_ in found.identity.new:
+        centroid = new.outline(id_).centroid
+        moved = None if centroid is None else old_from_new.apply(centroid[None])[0]
+        ids.append((moved, id_, NEW))
+    for place, id_, colour in ids:
+        if place is not None:
+            x, y = sheet.pixels(place[None])[0]
+            sheet.canvas.text(x, y, str(id_), _ID_LETTERS, colour, "centre", bold=True)
+    for things, colour in ((found.vanished, OLD), (found.appeared, NEW)):
+        for one in things:
+            _box(sheet.canvas, sheet.pixels(_widened(one)), colour)
+    for ways, colour in ((found.closed, WRONG), (found.opened, OPENED)):
+        for way in ways:
+            _sign(sheet.canvas, sheet.pixels(way.place[None])[0], colour)
     sheet.title(f"{names[1]} against {names[0]}", _figures(found))
     return sheet.canvas.image
 
@@ -99,24 +117,6 @@ def _draw_walls(
     sheet.walls(canvas, picture, NEW)
 
 
-def _draw_ids(
-    sheet: Sheet, old: Regions, new: Regions, old_from_new: BentMotion, found: Differences
-) -> None:
-    """The ids of the old submaps, and those of new space in orange."""
-    for id_, outline in sorted(old.outlines.items()):
-        if outline.centroid is not None:
-            _id(sheet, outline.centroid, id_, QUIET)
-    for id_ in found.identity.new:
-        centroid = new.outline(id_).centroid
-        if centroid is not None:
-            _id(sheet, old_from_new.apply(centroid[None])[0], id_, NEW)
-
-
-def _id(sheet: Sheet, place: FloatArray, id_: int, colour: Colour) -> None:
-    x, y = sheet.pixels(place[None])[0]
-    sheet.canvas.text(x, y, str(id_), _ID_LETTERS, colour, "centre", bold=True)
-
-
 def _widened(obstacle: Obstacle) -> FloatArray:
     """The corners (4, 2) of a box round a thing that leaves its walls to be seen."""
     away = obstacle.corners - obstacle.centre
@@ -128,11 +128,6 @@ def _box(canvas: Canvas, corners: NDArray[np.float64], colour: Colour) -> None:
     ring = np.concatenate([corners, corners[:1]])
     canvas.line(ring, PAPER, _HALO)
     canvas.line(ring, colour, _BOX)
-
-
-def _draw_ways(sheet: Sheet, ways: Iterable[Crossing], colour: Colour) -> None:
-    for way in ways:
-        _sign(sheet.canvas, sheet.pixels(way.place[None])[0], colour)
 
 
 def _sign(canvas: Canvas, centre: FloatArray, colour: Colour) -> None:
@@ -155,22 +150,6 @@ def _figures(found: Differences) -> str:
         if things
     ]
     return ",  ".join([*ways, *things]) or "no change found"
-
-
-def _legend(found: Differences) -> Legend:
-    """What the picture shows."""
-    signs: dict[str, tuple[object, Symbol]] = {
-        "vanished": (found.vanished, _frame(OLD)),
-        "appeared": (found.appeared, _frame(NEW)),
-        "way closed": (found.closed, lambda canvas, at: _sign(canvas, at, WRONG)),
-        "way opened": (found.opened, lambda canvas, at: _sign(canvas, at, OPENED)),
-    }
-    return (
-        ("wall in both", _bar(INK)),
-        ("only in the old map", _bar(OLD)),
-        ("only in the new map", _bar(NEW)),
-        *((words, symbol) for words, (any_, symbol) in signs.items() if any_),
-    )
 
 
 def _bar(colour: Colour) -> Symbol:

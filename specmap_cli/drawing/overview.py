@@ -42,15 +42,22 @@ def render_overview(
     warnings = [finding.place for finding in quality.worst if finding.place is not None]
     shown = _shown(topology) | {"trajectory", "start", "end"}
     shown |= {symbols.DOOR_WORDS[door.driven] for door in topology.doors}
-    shown |= {"seen, not reached"} if _much_unreached(regions) else set()
+    free = regions.grid.free
+    unreached = np.count_nonzero(free & (regions.owner == NOBODY))
+    shown |= {"seen, not reached"} if unreached > _UNREACHED * free.sum() else set()
     shown |= {"the map may be wrong here"} if warnings else set()
     sheet = Sheet(low, high, symbols.legend_of(shown))
     sheet.ground(regions, fills)
-    _draw_path(sheet, places)
-    nodes = {
-        id_: _onto_the_way(node, labels.poses[labels.submaps == id_, :2])
-        for id_, node in _nodes(topology, regions).items()
-    }
+    for stroke in strokes(places):  # broken where the robot was lost and turned up elsewhere
+        way = sheet.pixels(places[stroke.first : stroke.drawn_to])
+        sheet.canvas.line(way, symbols.PATH, 1)
+    nodes = _nodes(topology, regions)
+    for id_, node in nodes.items():
+        # what a laser sees through a glass wall draws a centroid out of the building: onto the way
+        own = labels.poses[labels.submaps == id_, :2]
+        away = np.linalg.norm(own - node, axis=1)
+        if len(own) and away.min() > _STRAY_M:
+            nodes[id_] = np.asarray(own[np.argmin(away)])
     _draw_graph(sheet, topology, nodes, fills)
     if len(places):
         first, last = sheet.pixels(places[[0, -1]])
@@ -87,19 +94,6 @@ def _shown(topology: TopologicalMap) -> set[str]:
     return {"submap", "wall"} | links | ({"forbidden"} if forbidden else set())
 
 
-def _much_unreached(regions: Regions) -> bool:
-    """Whether the free cells that are nobody's are worth a word."""
-    free = regions.grid.free
-    return bool(np.count_nonzero(free & (regions.owner == NOBODY)) > _UNREACHED * free.sum())
-
-
-def _draw_path(sheet: Sheet, places: FloatArray) -> None:
-    """The trajectory, broken where the robot was lost and turned up elsewhere."""
-    for stroke in strokes(places):
-        way = sheet.pixels(places[stroke.first : stroke.drawn_to])
-        sheet.canvas.line(way, symbols.PATH, 1)
-
-
 def _nodes(topology: TopologicalMap, regions: Regions) -> dict[int, FloatArray]:
     """The places of the submaps' badges: their anchors, else their centroids or their frames."""
     nodes = {}
@@ -108,17 +102,6 @@ def _nodes(topology: TopologicalMap, regions: Regions) -> dict[int, FloatArray]:
         place = submap.map_from_submap[:2] if centroid is None else centroid
         nodes[id_] = np.array(place if submap.anchor is None else submap.anchor)
     return nodes
-
-
-def _onto_the_way(node: FloatArray, places: FloatArray) -> FloatArray:
-    """`node`, or the nearest of the places (N, 2) where the robot was if it is far from them all.
-
-    What a laser sees through a glass wall draws the centroid of a submap out of the building.
-    """
-    if not len(places):
-        return node
-    away = np.linalg.norm(places - node, axis=1)
-    return node if away.min() <= _STRAY_M else np.asarray(places[np.argmin(away)])
 
 
 def _draw_graph(
@@ -145,33 +128,24 @@ def _draw_graph(
         )
         points = np.array([at[edge.source], *between, at[edge.target]])
         symbols.edge(sheet.canvas, points, drawn_as(topology, edge))
+    forbidden: list[FloatArray] = []  # doors, and links without one
     for door, sides in doors:
         wide = door.width_m > _ONE_LEAF_M
         symbols.door(sheet.canvas, sides, door.driven or not driven, wide)
-    for place in _forbidden_places(topology, at, sheet):
+        if door.forbidden:
+            forbidden.append(sheet.pixels(np.array([[door.x, door.y]]))[0])
+    shut = {door.between for door in topology.doors if door.forbidden}
+    for pair, edge in sorted(topology.edges.items()):
+        if edge.forbidden and pair not in shut and edge.crossing is not None:
+            forbidden.append(sheet.pixels(np.array([edge.crossing]))[0])
+        elif edge.forbidden and pair not in shut:
+            forbidden.append((at[edge.source] + at[edge.target]) / 2.0)
+    for place in forbidden:
         symbols.no_entry(sheet.canvas, place)
     for id_ in ids:
         symbols.badge(sheet.canvas, at[id_], str(id_), fills[id_])
     for id_ in ids:
         symbols.name_under(sheet.canvas, at[id_], legible(topology.submaps[id_].given_name))
-
-
-def _forbidden_places(
-    topology: TopologicalMap, at: Mapping[int, FloatArray], sheet: Sheet
-) -> list[FloatArray]:
-    """Where forbidden doors are, and links that are forbidden without one, in pixels."""
-    doors = [door for door in topology.doors if door.forbidden]
-    places = [sheet.pixels(np.array([[door.x, door.y]]))[0] for door in doors]
-    shut = {door.between for door in doors}
-    links = [edge for pair, edge in sorted(topology.edges.items()) if pair not in shut]
-    return [*places, *(_middle(edge, at, sheet) for edge in links if edge.forbidden)]
-
-
-def _middle(edge: Edge, at: Mapping[int, FloatArray], sheet: Sheet) -> FloatArray:
-    """Where a link is crossed, in pixels; else half way between the badges `at` its ends."""
-    if edge.crossing is None:
-        return np.asarray((at[edge.source] + at[edge.target]) / 2.0)
-    return np.asarray(sheet.pixels(np.array([edge.crossing]))[0])
 
 
 def drawn_as(topology: TopologicalMap, edge: Edge) -> symbols.LinkKind:

@@ -88,7 +88,22 @@ def colour_graph(ids: Iterable[int], pairs: Iterable[tuple[int, int]]) -> dict[i
     worn: dict[int, int] = {}
     for id_ in order:
         free = _free(id_, near_to, worn)
-        worn |= {id_: free[0]} if free else _made_room(id_, near_to, worn)
+        if free:
+            worn[id_] = free[0]
+            continue
+        # all are worn by neighbours: those that wear one of them change, or else it is shared
+        wearers = {
+            fill: [other for other in sorted(near_to[id_]) if worn.get(other) == fill]
+            for fill in _preferred(id_)
+        }
+        by_number = sorted(wearers, key=lambda fill: len(wearers[fill]))
+        for fill in by_number:
+            others = {other: _free(other, near_to, worn, fill) for other in wearers[fill]}
+            if all(others.values()):
+                worn |= {id_: fill} | {other: free[0] for other, free in others.items()}
+                break
+        else:
+            worn[id_] = by_number[0]
     return {id_: FILLS[worn[id_]] for id_ in order}
 
 
@@ -103,23 +118,6 @@ def _free(
     """The fills that no neighbour of an id wears, but for `without`, the preferred ones first."""
     taken = {worn[other] for other in near_to[id_] if other in worn} | {without}
     return [fill for fill in _preferred(id_) if fill not in taken]
-
-
-def _made_room(id_: int, near_to: Neighbours, worn: Mapping[int, int]) -> dict[int, int]:
-    """A fill for an id whose neighbours wear them all, and others for those that wear this one.
-
-    When nobody can change, the id shares the fill that the fewest of its neighbours wear.
-    """
-    wearers = {
-        fill: [other for other in sorted(near_to[id_]) if worn.get(other) == fill]
-        for fill in _preferred(id_)
-    }
-    by_number = sorted(wearers, key=lambda fill: len(wearers[fill]))
-    for fill in by_number:
-        others = {other: _free(other, near_to, worn, fill) for other in wearers[fill]}
-        if all(others.values()):
-            return {id_: fill} | {other: free[0] for other, free in others.items()}
-    return {id_: by_number[0]}
 
 
 def touching(owner: OwnerArray, reach: int) -> set[tuple[int, int]]:

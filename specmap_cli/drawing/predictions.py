@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -29,7 +28,6 @@ from specmap_cli.drawing.palette import (
     vivid,
 )
 from specmap_cli.drawing.sheet import Sheet, extent_of, strokes
-from specmap_cli.grids.gridmap import BoolArray
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import TopologicalMap
 
@@ -67,8 +65,11 @@ def render_labels(
     """
     known = np.isfinite(places[:, :2]).all(axis=1)
     places, submaps = np.asarray(places)[known, :2], np.asarray(submaps)[known]
-    if fills is None:
-        fills = _fills(submaps, map_with_regions)
+    if fills is None and map_with_regions is not None:
+        fills = colours_of(*map_with_regions)
+    elif fills is None:  # such that differ along the trajectory
+        ids = [int(id_) for id_ in np.unique(submaps) if id_ != NO_SUBMAP]
+        fills = colour_graph(ids, set(itertools.pairwise(submaps.tolist())))
     shown = {"predicted submap, with its id", "start"}
     shown |= {"wall"} if map_with_regions is not None else set()
     shown |= {"unknown"} if (submaps == NO_SUBMAP).any() else set()
@@ -79,43 +80,22 @@ def render_labels(
         sheet.ground(map_with_regions[1], fills)
     if truth is not None:
         wrong = (submaps != np.asarray(truth)[known]) & (submaps != NO_SUBMAP)
-        _draw_wrong(sheet, places, wrong)
+        for stroke in strokes(places, wrong):
+            if wrong[stroke.first]:
+                way = sheet.pixels(places[stroke.first : stroke.drawn_to])
+                sheet.canvas.line(way, WRONG, symbols.MISTAKEN)
     badges = _draw_predicted(sheet, places, submaps, fills)
     if map_with_regions is not None:
-        _draw_names(sheet, *map_with_regions, badges)
+        topology, ground = map_with_regions
+        for id_, submap in sorted(topology.submaps.items()):
+            centroid = ground.outline(id_).centroid
+            if centroid is not None:
+                place = sheet.pixels(centroid[None])[0]
+                if (np.linalg.norm(badges - place, axis=1) > _CLEAR_OF_BADGES).all():
+                    symbols.ground_id(sheet.canvas, place, id_)
+                symbols.name_under(sheet.canvas, place, legible(submap.given_name))
     sheet.title(title, figures)
     return sheet.canvas.image
-
-
-def _fills(
-    submaps: IntArray, map_with_regions: tuple[TopologicalMap, Regions] | None
-) -> dict[int, Colour]:
-    """The colours of the map's own overview, or colours that differ along the trajectory."""
-    if map_with_regions is not None:
-        return colours_of(*map_with_regions)
-    ids = [int(id_) for id_ in np.unique(submaps) if id_ != NO_SUBMAP]
-    return colour_graph(ids, set(itertools.pairwise(submaps.tolist())))
-
-
-def _draw_names(
-    sheet: Sheet, topology: TopologicalMap, regions: Regions, badges: FloatArray
-) -> None:
-    """The ids on the ground, where no badge is near, and the names that a person gave."""
-    for id_, submap in sorted(topology.submaps.items()):
-        centroid = regions.outline(id_).centroid
-        if centroid is None:
-            continue
-        place = sheet.pixels(centroid[None])[0]
-        if (np.linalg.norm(badges - place, axis=1) > _CLEAR_OF_BADGES).all():
-            symbols.ground_id(sheet.canvas, place, id_)
-        symbols.name_under(sheet.canvas, place, legible(submap.given_name))
-
-
-def _draw_wrong(sheet: Sheet, places: FloatArray, wrong: BoolArray) -> None:
-    for stroke in strokes(places, wrong):
-        if wrong[stroke.first]:
-            way = sheet.pixels(places[stroke.first : stroke.drawn_to])
-            sheet.canvas.line(way, WRONG, symbols.MISTAKEN)
 
 
 def _draw_predicted(
@@ -138,21 +118,17 @@ def _draw_predicted(
     taken: list[tuple[int, FloatArray]] = []
     for stroke in sorted(drawn, key=lambda stroke: stroke.first - stroke.end):  # longest first
         id_, middle = int(submaps[stroke.first]), pixels[(stroke.first + stroke.end) // 2]
-        if id_ != NO_SUBMAP and _has_room(id_, middle, taken):
+        # clear of all others, and well away from one of the same id
+        if id_ != NO_SUBMAP and all(
+            np.linalg.norm(middle - other)
+            > symbols.BADGE_GAP * (_SAME_ID_GAP if id_ == other_id else 1.0)
+            for other_id, other in taken
+        ):
             symbols.badge(sheet.canvas, middle, str(id_), fills[id_])
             taken.append((id_, middle))
     if len(pixels):
         symbols.start(sheet.canvas, pixels[0])
     return np.array([middle for _, middle in taken]).reshape(-1, 2)
-
-
-def _has_room(id_: int, middle: FloatArray, taken: list[tuple[int, FloatArray]]) -> bool:
-    """Whether a badge fits: clear of all others, and well away from one of the same id."""
-    return all(
-        np.linalg.norm(middle - other)
-        > symbols.BADGE_GAP * (_SAME_ID_GAP if id_ == other_id else 1.0)
-        for other_id, other in taken
-    )
 
 
 def render_confusion(
@@ -167,77 +143,24 @@ def render_confusion(
     columns = list(names if predicted_names is None else predicted_names)
     if counts.shape != (len(names), len(columns)):
         raise ValueError(f"matrix {counts.shape} for {len(names)} rows, {len(columns)} columns")
-    table = _Table.of(list(names), columns)
-    width = max(table.right + _COUNTS + _MARGIN, _NARROWEST)
-    canvas = Canvas(width, table.top + table.cell * len(names) + _MARGIN)
+    # the largest cells that fit, to the right of and below the names
+    side = _SIDE / max(1, *counts.shape)
+    cell = int(np.clip(side, _SMALLEST_CELL, _LARGEST_CELL))
+    letters = float(np.clip(cell * 0.3, _SMALLEST_LETTERS, _LARGEST_LETTERS))
+    left = _MARGIN + 40 + max([text_width(name, letters) for name in names], default=0)
+    top = _TITLE + 40 + max([text_width(name, letters) for name in columns], default=0)
+    right = left + cell * len(columns)
+    width = max(right + _COUNTS + _MARGIN, _NARROWEST)
+    canvas = Canvas(width, top + cell * len(names) + _MARGIN)
     canvas.text(_MARGIN, 46, "Confusion", 20, bold=True)
     canvas.text(
         _MARGIN, 80, "row: where it was;  column: what was said;  percent of the row", 13, QUIET
     )
-    _draw_cells(canvas, counts, table)
-    _draw_classes(canvas, counts, table)
-    return canvas.image
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Table:
-    """Where the cells lie, in pixels: `left` and `top` of the first one, and the side of each."""
-
-    names: list[str]
-    columns: list[str]
-    left: int
-    top: int
-    cell: int
-    letters: float
-
-    @classmethod
-    def of(cls, names: list[str], columns: list[str]) -> _Table:
-        """The largest cells that fit, to the right of and below the names."""
-        side = _SIDE / max(1, len(names), len(columns))
-        cell = int(np.clip(side, _SMALLEST_CELL, _LARGEST_CELL))
-        letters = float(np.clip(cell * 0.3, _SMALLEST_LETTERS, _LARGEST_LETTERS))
-        return cls(
-            names=names,
-            columns=columns,
-            left=_MARGIN + 40 + max([text_width(name, letters) for name in names], default=0),
-            top=_TITLE + 40 + max([text_width(name, letters) for name in columns], default=0),
-            cell=cell,
-            letters=letters,
-        )
-
-    @property
-    def right(self) -> int:
-        """The end of the last column."""
-        return self.left + self.cell * len(self.columns)
-
-    def corner(self, row: int, column: int) -> NDArray[np.int64]:
-        """(2,) upper left corner of a cell."""
-        return np.array([self.left + column * self.cell, self.top + row * self.cell])
-
-
-def _draw_classes(canvas: Canvas, counts: NDArray[np.float64], table: _Table) -> None:
-    """The names of rows and columns, and the scans of each row."""
-    cell, letters = table.cell, table.letters
-    for i, name in enumerate(table.names):
-        y = table.top + (i + 0.5) * cell
-        canvas.text(table.left - _GAP, y, name, letters, INK, "right")
-        canvas.text(table.right + _GAP, y, f"{counts[i].sum():,.0f} scans", letters, QUIET)
-    for j, name in enumerate(table.columns):
-        x, y = table.left + (j + 0.5) * cell, table.top - _GAP
-        if text_width(name, letters) > cell - 4:
-            canvas.upright_text(x, y, name, letters)
-        else:
-            canvas.text(x, y - letters / 2, name, letters, align="centre")
-
-
-def _draw_cells(canvas: Canvas, counts: NDArray[np.float64], table: _Table) -> None:
-    """Every cell in its colour, with its percent where there is room."""
-    cell = table.cell
     shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1.0)
     for (i, j), share in np.ndenumerate(shares):
-        hue = RIGHT if table.names[i] == table.columns[j] else _MISTAKES
+        hue = RIGHT if names[i] == columns[j] else _MISTAKES
         weight = _PALEST + (1.0 - _PALEST) * float(share)
-        corner = table.corner(i, j)
+        corner = np.array([left + j * cell, top + i * cell])
         canvas.box(corner, corner + cell - 2, paler(hue, 1.0 - weight) if share else SHADE)
         if share and cell >= _FIGURES_FROM:
             percent = f"{100 * share:.0f}"
@@ -245,3 +168,14 @@ def _draw_cells(canvas: Canvas, counts: NDArray[np.float64], table: _Table) -> N
             x, y = corner + (cell - 2) / 2
             words = "<1" if percent == "0" else percent
             canvas.text(x, y, words, cell * 0.26, colour, "centre")
+    for i, name in enumerate(names):
+        y = top + (i + 0.5) * cell
+        canvas.text(left - _GAP, y, name, letters, INK, "right")
+        canvas.text(right + _GAP, y, f"{counts[i].sum():,.0f} scans", letters, QUIET)
+    for j, name in enumerate(columns):
+        x, y = left + (j + 0.5) * cell, top - _GAP
+        if text_width(name, letters) > cell - 4:
+            canvas.upright_text(x, y, name, letters)
+        else:
+            canvas.text(x, y - letters / 2, name, letters, align="centre")
+    return canvas.image

@@ -6,7 +6,7 @@ Also which pieces of a trajectory are drawn on it as one line.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import cv2
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.arrays import runs
 from specmap_cli.core.geometry import FloatArray, step_lengths
-from specmap_cli.core.records import IntArray
 from specmap_cli.drawing.canvas import Canvas, fitting_height, text_width
 from specmap_cli.drawing.palette import BORDER, INK, PAPER, QUIET, SHADE, Colour
 from specmap_cli.drawing.symbols import Legend, Symbol
@@ -60,12 +59,21 @@ class Sheet:
         width, self.map_height = (math.ceil(side) for side in extent * self.pixels_per_m)
         total = max(width, NARROWEST) + 2 * MARGIN
         self.left = (total - width) // 2
-        rows = _legend_rows(legend, total - 2 * MARGIN)
-        self.canvas = Canvas(
-            total, TITLE + self.map_height + _BAR + _ROW * (len(rows) + 1) + MARGIN // 2
-        )
+        placed: list[tuple[float, int, str, Symbol]] = []  # entries, in as many rows as they need
+        x, row = math.inf, -1
+        for words, symbol in legend:
+            needed = _WORDS_AT + text_width(words, _LETTERS) + _ENTRY_GAP
+            if x + needed > total - MARGIN:
+                x, row = float(MARGIN), row + 1
+            placed.append((x, row, words, symbol))
+            x += needed
+        below = TITLE + self.map_height + _BAR
+        self.canvas = Canvas(total, below + _ROW * (row + 2) + MARGIN // 2)
         self._draw_scale_bar()
-        self._draw_legend(rows)
+        for x, row, words, symbol in placed:
+            y = below + 14.0 + _ROW * (row + 1)
+            symbol(self.canvas, np.array([x + _SYMBOL_AT, y]))
+            self.canvas.text(x + _WORDS_AT, y, words, _LETTERS)
 
     def pixels(self, points: NDArray[Any]) -> FloatArray:
         """(N, 2) places on the canvas of points (N, 2) of the map."""
@@ -171,24 +179,13 @@ class Sheet:
             self.canvas.box(np.array([x, y]), np.array([x + step, y + 9]), INK)
             if i % 2:
                 self.canvas.box(np.array([x, y + 2]), np.array([x + step - 2, y + 7]), PAPER)
-        self._draw_figures(y + _FIGURES, step, length, parts)
-
-    def _draw_figures(self, y: float, step: float, length: float, parts: int) -> None:
-        """The lengths at the beginning of the scale bar, after its first part and at its end."""
+        y += _FIGURES
         self.canvas.text(MARGIN, y, "0", _LETTERS)
         first, end = f"{length / parts:g}", f"{length:g}"
         if text_width(first, _LETTERS) < step:
             self.canvas.text(MARGIN + step, y, first, _LETTERS, align="centre")
         x = MARGIN + parts * step - text_width(end, _LETTERS) / 2
         self.canvas.text(x, y, f"{end} m", _LETTERS)
-
-    def _draw_legend(self, rows: Sequence[Legend]) -> None:
-        for number, row in enumerate(rows):
-            x, y = float(MARGIN), TITLE + self.map_height + _BAR + 14.0 + _ROW * (number + 1)
-            for words, symbol in row:
-                symbol(self.canvas, np.array([x + _SYMBOL_AT, y]))
-                self.canvas.text(x + _WORDS_AT, y, words, _LETTERS)
-                x += _entry_width(words)
 
 
 def _at_most_a_pixel_each(regions: Regions, pixels_per_m: float) -> tuple[GridMap, OwnerArray]:
@@ -225,41 +222,21 @@ def extent_of(
     There is paper `beside_m` round the places. It is half a metre when nothing is known, and a
     metre when there is neither a map nor a place.
     """
-    corners = [] if regions is None else [*_known(regions.grid)]
+    corners: list[FloatArray] = []
+    if regions is not None:
+        grid = regions.grid
+        low = np.array(grid.origin, dtype=np.float64)
+        corners = [low, low + _LEAST_EXTENT_M]
+        window = window_of(np.asarray(grid.cells != UNKNOWN))
+        if window is not None:
+            rows, columns = window
+            ends = [[columns.start, rows.start], [columns.stop, rows.stop]]
+            corners = [np.array(end) * grid.resolution + low for end in ends]
     if places is not None and len(places):
         corners += [places.min(axis=0) - beside_m, places.max(axis=0) + beside_m]
     if not corners:
         return np.zeros(2), np.ones(2)
     return np.min(corners, axis=0), np.max(corners, axis=0)
-
-
-def _known(grid: GridMap) -> tuple[FloatArray, FloatArray]:
-    """The corners of the known cells of a grid."""
-    window = window_of(np.asarray(grid.cells != UNKNOWN))
-    if window is None:
-        low = np.array(grid.origin, dtype=np.float64)
-        return low, low + _LEAST_EXTENT_M
-    rows, columns = window
-    low = np.array([columns.start, rows.start]) * grid.resolution + grid.origin
-    return low, np.array([columns.stop, rows.stop]) * grid.resolution + grid.origin
-
-
-def _entry_width(words: str) -> float:
-    return _WORDS_AT + text_width(words, _LETTERS) + _ENTRY_GAP
-
-
-def _legend_rows(legend: Legend, width: int) -> list[Legend]:
-    """Break the entries into rows that fit."""
-    rows: list[list[tuple[str, Symbol]]] = []
-    used = math.inf
-    for entry in legend:
-        needed = _entry_width(entry[0])
-        if used + needed > width:
-            rows.append([])
-            used = 0.0
-        rows[-1].append(entry)
-        used += needed
-    return [tuple(row) for row in rows]
 
 
 def round_length(length: float) -> tuple[float, int]:
@@ -287,18 +264,12 @@ def strokes(places: FloatArray, labels: NDArray[Any] | None = None) -> list[Stro
     Without labels only jumps break the line.
     """
     values = np.zeros(len(places), dtype=np.int64) if labels is None else np.asarray(labels)
+    steps = step_lengths(places)
+    usual = float(np.percentile(steps, _USUAL_PERCENTILE)) if len(steps) else 0.0
+    jumps = steps > max(_JUMP_M, _USUAL_STEPS * usual)
+    passages = np.cumsum(np.concatenate([[False], jumps]))[: len(places)]  # (n,) between jumps
     return [
         Stroke(first + start, first + stop, min(first + stop + 1, end))
-        for first, end in runs(_passages(places))
+        for first, end in runs(passages)
         for start, stop in runs(values[first:end])
     ]
-
-
-def _passages(places: FloatArray) -> IntArray:
-    """(n,) the number 0, 1, ... of the way without a jump that each place lies on."""
-    steps = step_lengths(places)
-    if not len(steps):
-        return np.zeros(len(places), dtype=np.int64)
-    usual = float(np.percentile(steps, _USUAL_PERCENTILE))
-    jumps = steps > max(_JUMP_M, _USUAL_STEPS * usual)
-    return np.concatenate([[0], np.cumsum(jumps)]).astype(np.int64)

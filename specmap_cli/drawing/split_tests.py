@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from specmap_cli.core.geometry import step_lengths
 from specmap_cli.core.text import counted
 from specmap_cli.drawing.canvas import Canvas, Image, fitting_height, text_width
-from specmap_cli.drawing.palette import INK, PAPER, QUIET, Colour, paler
+from specmap_cli.drawing.palette import INK, PAPER, QUIET, paler
 from specmap_cli.drawing.sheet import round_length, strokes
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.segmentation.division import Segmentation
@@ -61,7 +61,11 @@ def draw_test(test: SplitTest, threshold: float, split: bool, occasion: Occasion
     cv2.circle(picture, tuple(way[-1].tolist()), 5, _BLACK, cv2.FILLED, cv2.LINE_AA)
     _draw_scale(picture, scale / grid.resolution)
     words = _words(_about(test, threshold, split, occasion))
-    _draw_sides(words)
+    canvas, right = Canvas.over(words), words.shape[1] - _EDGE
+    for line, (what, colour) in enumerate((("with the robot", _AHEAD), ("left behind", _LEFT)), 1):
+        y = _EDGE + _LINE * (line + 0.5)
+        canvas.text(right, y, what, _LETTERS, QUIET, "right")
+        canvas.disc(np.array([right - 10.0 - text_width(what, _LETTERS), y]), 4.0, colour)
     return _stacked(picture, words, _spectrum(test.eigenvalues, threshold, test.chosen))
 
 
@@ -89,28 +93,25 @@ def draw_segmentation(grid: GridMap, found: Segmentation, threshold: float) -> I
     grid = grid.cropped(grid.free, round(_FRAME_M / grid.resolution))
     picture, scale = _map_picture(grid, _LARGE_SIDE)
     spots = _pixels(grid, found.nodes, scale)
-    _draw_sight_lines(picture, spots, found)
+    if len(found.pairs):  # the shorter half of the sight lines: all would hide the map
+        first, second = found.pairs.T
+        lengths = np.hypot(*(found.nodes[first] - found.nodes[second]).T)
+        alike = found.node_labels[first] == found.node_labels[second]
+        for k in np.flatnonzero(lengths <= np.median(lengths)):
+            colour = _ALIKE if alike[k] else _APART
+            cv2.line(picture, spots[first[k]], spots[second[k]], colour, 1, cv2.LINE_AA)
     for spot, label in zip(spots, found.node_labels.tolist(), strict=True):
-        cv2.circle(picture, spot, 3, _hue(label), cv2.FILLED, cv2.LINE_AA)
+        # neighbours in number are far apart on the circle of hues, counted in two degrees
+        hue = round(label * _GOLDEN * 180) % 180
+        pixel = np.array([[[hue, 190, 205]]], dtype=np.uint8)
+        colour = cv2.cvtColor(pixel, cv2.COLOR_HSV2BGR)[0, 0].tolist()
+        cv2.circle(picture, spot, 3, colour, cv2.FILLED, cv2.LINE_AA)
     _draw_scale(picture, scale / grid.resolution)
     used = found.spectrum.used
     values = found.spectrum.eigenvalues[: used + _SHOWN]
     said = f"{counted(found.count, 'region')}: {counted(used, 'eigenvalue')} above {threshold:g}"
     sight = f"{counted(len(found.nodes), 'node')}; sight lines between regions are red"
     return _stacked(picture, _words((said, sight)), _spectrum(values, threshold, 0))
-
-
-def _draw_sight_lines(picture: Image, spots: list[tuple[int, int]], found: Segmentation) -> None:
-    """The shorter half of the pairs of nodes that see each other: all would hide the map."""
-    if not len(found.pairs):
-        return
-    ends = np.array(spots, dtype=np.int32)[found.pairs]
-    first, second = found.pairs.T
-    lengths = np.hypot(*(found.nodes[first] - found.nodes[second]).T)
-    alike = found.node_labels[first] == found.node_labels[second]
-    for k in np.flatnonzero(lengths <= np.median(lengths)):
-        start, end = ends[k].tolist()
-        cv2.line(picture, start, end, _ALIKE if alike[k] else _APART, 1, cv2.LINE_AA)
 
 
 def _map_picture(grid: GridMap, side: int) -> tuple[Image, float]:
@@ -154,15 +155,6 @@ def _words(lines: Sequence[str]) -> Image:
     return canvas.image
 
 
-def _draw_sides(words: Image) -> None:
-    """What the colours of the nodes mean, at the right end of the last lines."""
-    canvas, right = Canvas.over(words), words.shape[1] - _EDGE
-    for line, (what, colour) in enumerate((("with the robot", _AHEAD), ("left behind", _LEFT)), 1):
-        y = _EDGE + _LINE * (line + 0.5)
-        canvas.text(right, y, what, _LETTERS, QUIET, "right")
-        canvas.disc(np.array([right - 10.0 - text_width(what, _LETTERS), y]), 4.0, colour)
-
-
 def _spectrum(values: NDArray[np.float64], threshold: float, chosen: int) -> Image:
     """Bars of the eigenvalues, numbered, with the threshold across; bar `chosen` stands out."""
     width, height = _BARS
@@ -193,11 +185,3 @@ def _stacked(*parts: Image) -> Image:
         for part in parts
     ]
     return np.vstack(padded).astype(np.uint8)
-
-
-def _hue(label: int) -> Colour:
-    """A colour for a label: neighbours in number are far apart on the circle of hues."""
-    hue = round(label * _GOLDEN * 180) % 180  # OpenCV counts hues in two degrees
-    pixel = np.array([[[hue, 190, 205]]], dtype=np.uint8)
-    blue, green, red = cv2.cvtColor(pixel, cv2.COLOR_HSV2BGR)[0, 0].tolist()
-    return blue, green, red

@@ -18,7 +18,6 @@ from specmap_cli.history.record import (
     BuildingRecord,
     ChangeRecord,
     HistoryRecord,
-    RoomRecord,
     room_name,
 )
 from specmap_cli.maps.store import StoredMap
@@ -105,21 +104,16 @@ def _lines(building: BuildingRecord) -> Iterable[str]:
     )
     if last.verdict != first.verdict:
         yield f"  verdict: {first.verdict} at first, {last.verdict} now"
-    yield from _room_lines(building.rooms)
-    names = names_of(building)
-    yield from (f"  {change.day}: {words_of(change, names)}" for change in building.changes)
-    if len(building.maps) > 1 and not building.changes:
-        yield "  no change found"
-
-
-def _room_lines(rooms: Sequence[RoomRecord]) -> Iterable[str]:
-    """The rooms, those with the most time in them first."""
-    width = max((len(legible(room.name)) for room in rooms), default=0)
-    for room in sorted(rooms, key=lambda one: (-one.minutes, one.number)):
+    width = max((len(legible(room.name)) for room in building.rooms), default=0)
+    for room in sorted(building.rooms, key=lambda one: (-one.minutes, one.number)):
         yield (
             f"  {legible(room.name):<{width}}  {counted(room.visits, 'visit'):>10}"
             f"  {room.minutes:8.1f} min  on {counted(room.days, 'day')}"
         )
+    names = names_of(building)
+    yield from (f"  {change.day}: {words_of(change, names)}" for change in building.changes)
+    if len(building.maps) > 1 and not building.changes:
+        yield "  no change found"
 
 
 def names_of(building: BuildingRecord) -> dict[int, str]:

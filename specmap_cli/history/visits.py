@@ -25,11 +25,6 @@ class Visit:
     start_ns: int
     end_ns: int
 
-    @property
-    def minutes(self) -> float:
-        """How long it lasted."""
-        return (self.end_ns - self.start_ns) / _NS / _MINUTE_S
-
 
 @dataclass(frozen=True, slots=True)
 class Tour:
@@ -39,11 +34,6 @@ class Tour:
     end_ns: int
     driven_m: float
     visits: tuple[Visit, ...]
-
-    @property
-    def minutes(self) -> float:
-        """How long it lasted."""
-        return (self.end_ns - self.start_ns) / _NS / _MINUTE_S
 
 
 def tour_of(keyframes: Labels, rooms: IntArray, driven_m: float | None = None) -> Tour:
@@ -62,6 +52,11 @@ def tour_of(keyframes: Labels, rooms: IntArray, driven_m: float | None = None) -
     )
     driven_m = path_length(keyframes.poses) if driven_m is None else driven_m
     return Tour(stamps[0], stamps[-1], driven_m, visits)
+
+
+def _minutes_of(span: Visit | Tour) -> float:
+    """How long it lasted."""
+    return (span.end_ns - span.start_ns) / _NS / _MINUTE_S
 
 
 def zone_of(name: str) -> tzinfo:
@@ -96,7 +91,7 @@ def days_of(tours: Sequence[Tour], zone: tzinfo) -> list[DayRecord]:
             day=day,
             recordings=len(by_day.get(day, ())),
             driven_m=sum(tour.driven_m for tour in by_day.get(day, ())),
-            minutes=sum(tour.minutes for tour in by_day.get(day, ())),
+            minutes=sum(_minutes_of(tour) for tour in by_day.get(day, ())),
             rooms=[
                 StayRecord(room=room, visits=count, minutes=minutes)
                 for room, (count, minutes) in sorted(totals(visits.get(day, ())).items())
@@ -111,5 +106,5 @@ def totals(visits: Iterable[Visit]) -> Mapping[int, tuple[int, float]]:
     found: dict[int, tuple[int, float]] = {}
     for visit in visits:
         count, minutes = found.get(visit.room, (0, 0.0))
-        found[visit.room] = count + 1, minutes + visit.minutes
+        found[visit.room] = count + 1, minutes + _minutes_of(visit)
     return found

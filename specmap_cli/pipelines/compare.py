@@ -59,7 +59,7 @@ class Comparison:
     def record(self) -> ComparisonRecord:
         """The same as it is written to compare.json."""
         alignment, found = self.alignment, self.differences
-        identity, ground = found.identity, alignment.ground
+        ground = alignment.ground
         assert alignment.old_from_new is not None
         return ComparisonRecord(
             schema_version=SCHEMA_VERSION,
@@ -75,18 +75,7 @@ class Comparison:
                 residual_m=0.0 if ground is None else ground.residual_m,
                 rival=alignment.rival,
             ),
-            submaps=SubmapsRecord(
-                same=identity.same,
-                split=[SplitRecord(old=old, new=list(new)) for old, new in identity.splits.items()],
-                merged=[
-                    MergeRecord(old=list(old), new=new) for new, old in identity.merges.items()
-                ],
-                new=list(identity.added),
-                unseen=list(identity.unseen),
-                gone=list(identity.gone),
-                redrawn_old=list(identity.redrawn[0]),
-                redrawn_new=list(identity.redrawn[1]),
-            ),
+            submaps=found.identity,
             doors=DoorsRecord(
                 closed=[_door(way) for way in found.closed],
                 opened=[_door(way) for way in found.opened],

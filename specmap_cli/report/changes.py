@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from specmap_cli.core.records import BoolArray, IntArray
+from specmap_cli.core.records import BoolArray
 from specmap_cli.grids.bent import BentMotion
 from specmap_cli.maps.comparison import ComparisonRecord
 from specmap_cli.maps.store import StoredMap
@@ -31,16 +31,6 @@ class Changes:
     new_from_old: BentMotion
 
 
-@dataclass(frozen=True, slots=True)
-class Change:
-    """One difference, of a kind `appeared`, `vanished`, `closed` or `opened`, and its place."""
-
-    kind: str
-    words: str
-    line: str
-    place: tuple[int, int]
-
-
 def old_map(changes: Changes, map_: DrawnMap) -> dict[str, Any]:
     """The older map in the drawing of the new one, and what differs.
 
@@ -55,35 +45,33 @@ def old_map(changes: Changes, map_: DrawnMap) -> dict[str, Any]:
         places = [frame.places(changes.new_from_old.apply(ring)) for ring in rings]
         return path_data(places, closed=True)
 
-    lost = [*record.submaps.gone, *record.submaps.unseen]
-    return {
-        "name": changes.old.path.resolve().name,
-        "walls": carried(old.regions.grid.occupied),
-        "gone": carried(np.isin(old.regions.owner, lost)),
-        "was": _was(record),
-        "changes": list(_changes(changes, frame)),
-        "lines": changes.lines,
-    }
-
-
-def _was(record: ComparisonRecord) -> dict[int, str]:
-    """What became of the submaps, by the ids of the new map."""
     names, submaps = record.old.names, record.submaps
     same = {one.new: names[one.old] for one in submaps.same}
     split = {new: f"a part of {names[one.old]}" for one in submaps.split for new in one.new}
     merged = {one.new: " and ".join(names[old] for old in one.old) for one in submaps.merged}
     new = dict.fromkeys(submaps.new, "not there")
     redrawn = dict.fromkeys(submaps.redrawn_new, "divided otherwise")
-    return redrawn | new | merged | split | same
+    lost = [*record.submaps.gone, *record.submaps.unseen]
+    return {
+        "name": changes.old.path.resolve().name,
+        "walls": carried(old.regions.grid.occupied),
+        "gone": carried(np.isin(old.regions.owner, lost)),
+        "was": redrawn | new | merged | split | same,
+        "changes": list(_changes(changes, frame)),
+        "lines": changes.lines,
+    }
 
 
-def _changes(changes: Changes, frame: Frame) -> Iterator[Change]:
+def _changes(changes: Changes, frame: Frame) -> Iterator[dict[str, Any]]:
+    """Each difference: its kind, in words, as path data, and its place in the drawing."""
     things, doors = changes.record.things, changes.record.doors
     for kind, some in (("appeared", things.appeared), ("vanished", things.vanished)):
         for thing in some:
             corners = frame.places(changes.new_from_old.apply(np.array(thing.corners)))
             words = f"{kind}: {thing.length_m:.1f} m × {thing.width_m:.1f} m"
-            yield Change(kind, words, path_data([corners], closed=True), _middle(corners))
+            line = path_data([corners], closed=True)
+            place = corners.mean(axis=0).round().astype(int).tolist()
+            yield {"kind": kind, "words": words, "line": line, "place": place}
     for kind, ways in (("closed", doors.closed), ("opened", doors.opened)):
         for way in ways:
             place = frame.places(changes.new_from_old.apply(np.array([[way.x, way.y]])))
@@ -91,9 +79,5 @@ def _changes(changes: Changes, frame: Frame) -> Iterator[Change]:
             cross = np.array([[-half, -half], [half, half], [-half, half], [half, -half]])
             lines = np.rint(place + cross).astype(np.int64)
             words = f"way {kind}: {way.width_m:.1f} m wide"
-            yield Change(kind, words, path_data([lines[:2], lines[2:]]), _middle(place))
-
-
-def _middle(points: IntArray) -> tuple[int, int]:
-    x, y = points.mean(axis=0).tolist()
-    return round(x), round(y)
+            line = path_data([lines[:2], lines[2:]])
+            yield {"kind": kind, "words": words, "line": line, "place": place[0].tolist()}

@@ -100,7 +100,14 @@ class Spectra:
 
 def spectra_of(evidence: Evidence, seconds: Sequence[float], frame: Frame) -> Spectra:
     """The tests, of each at most so many nodes; `seconds` of recording of each keyframe."""
-    kept = _chosen(evidence.tests)
+    # all that split a submap, and others, evenly spread
+    splits, others = (
+        np.array([k for k, one in enumerate(evidence.tests) if one.split == split], dtype=np.int64)
+        for split in (True, False)
+    )
+    some = evenly(splits, MOST_TESTS)
+    more = evenly(others, MOST_TESTS - len(some)) if len(some) < MOST_TESTS else others[:0]
+    kept = [evidence.tests[k] for k in sorted([*some.tolist(), *more.tolist()])]
     most = MOST_NODES // max(len(kept), 1)
     return Spectra(
         dots=tuple((seconds[one.keyframe], one) for one in kept),
@@ -109,15 +116,6 @@ def spectra_of(evidence: Evidence, seconds: Sequence[float], frame: Frame) -> Sp
         total=len(evidence.tests),
         thinned=any(len(one.nodes) > most for one in kept),
     )
-
-
-def _chosen(tests: Sequence[SplitTrial]) -> list[SplitTrial]:
-    """All tests that split a submap, and others, evenly spread, up to so many."""
-    splits = [k for k, one in enumerate(tests) if one.split]
-    others = np.array([k for k, one in enumerate(tests) if not one.split], dtype=np.int64)
-    some = evenly(np.array(splits, dtype=np.int64), MOST_TESTS)
-    more = evenly(others, MOST_TESTS - len(some)) if len(some) < MOST_TESTS else others[:0]
-    return [tests[k] for k in sorted([*some.tolist(), *more.tolist()])]
 
 
 def _row(test: SplitTrial, seconds: float, most: int, frame: Frame) -> dict[str, Any]:

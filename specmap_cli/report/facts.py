@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import cv2
@@ -17,7 +17,6 @@ from specmap_cli.core.text import counted, seconds
 from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap
 from specmap_cli.grids.map_server import png_bytes
 from specmap_cli.maps import filenames
-from specmap_cli.maps.schema import NodeRecord
 from specmap_cli.report.evidence import Learned
 from specmap_cli.report.html import lasting
 from specmap_cli.report.layers import DrawnMap
@@ -92,18 +91,29 @@ def run_of(map_: DrawnMap) -> dict[str, Any]:
     known = (stored.path / filenames.RUN).exists()
     run = stored.run if known else {}
     warnings = run.get("warnings")
+    usual, own = _dotted(Config()), _dotted(stored.config) if known else {}
+    settings = [(key, str(own[key]), str(usual[key])) for key in own if own[key] != usual[key]]
     seconds = [
         (key, float(value)) for key, value in _dict(run, "seconds").items() if _is_number(value)
     ]
     counts = stored.counts if known else {}
     return {
         "selection": _pairs(_dict(run, "selection")),
-        "settings": list(_changed(stored.config)) if known else [],
+        "settings": settings,
         "counts": [(key, f"{count:,}") for key, count in counts.items() if count],
         "seconds": sorted(seconds, key=lambda one: -one[1]),
         "versions": _pairs(_dict(run, "versions")),
         "warnings": list(map(str, warnings)) if isinstance(warnings, list) else [],
     }
+
+
+def _dotted(config: Config) -> dict[str, Any]:
+    """All settings by their dotted keys."""
+    found = {}
+    for section, values in config.model_dump().items():
+        inner = values if isinstance(values, dict) else {"": values}
+        found |= {f"{section}.{key}".rstrip("."): value for key, value in inner.items()}
+    return found
 
 
 def _dict(run: Mapping[str, Any], key: str) -> Mapping[str, Any]:
@@ -127,59 +137,42 @@ def _pairs(values: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     )
 
 
-def _changed(config: Config) -> Iterator[tuple[str, str, str]]:
-    """Settings that are not the defaults: key, value, default."""
-    usual, own = Config().model_dump(), config.model_dump()
-    for section, values in own.items():
-        if not isinstance(values, dict):
-            if values != usual[section]:
-                yield section, str(values), str(usual[section])
-            continue
-        for key, value in values.items():
-            if value != usual[section][key]:
-                yield f"{section}.{key}", str(value), str(usual[section][key])
-
-
 def sheets_of(map_: DrawnMap, learned: Mapping[int, Learned]) -> list[dict[str, Any]]:
     """The sheets of all submaps, by id: all that is told of each.
 
     `doors` and open borders to `open_to` are its neighbours. `visits` are start and length in
     seconds. `thumbnail` is a PNG as a data URL.
     """
-    return [
-        _sheet(node, map_, learned.get(id_, Learned())) for id_, node in sorted(map_.nodes.items())
-    ]
-
-
-def _sheet(node: NodeRecord, map_: DrawnMap, learned: Learned) -> dict[str, Any]:
     record = map_.stored.record
-    thumbnail, size = _thumbnail(_close_up(map_.stored.grid(node.id), node))
-    spans = [(seconds(visit.start_ns), seconds(visit.end_ns)) for visit in node.visits]
-    visits = [(start, end - start) for start, end in spans]
     ends = [(edge.source, edge.target) for edge in record.edges if not edge.doors]
-    open_to = [b if a == node.id else a for a, b in ends if node.id in (a, b)]
-    sides_m = np.ptp(np.array(node.polygon), axis=0).tolist() if node.polygon else (0.0, 0.0)
-    return {
-        "node": node,
-        "named": node.name != default_name(node.id),
-        "doors": [door for door in record.graph.doors if node.id in door.between],
-        "open_to": sorted(open_to),
-        "visits": visits,
-        "stayed_s": sum(length for _, length in visits),
-        "sides_m": sides_m,  # of the smallest upright box round its outline
-        "thumbnail": thumbnail,
-        "thumbnail_size": size,
-        "learned": learned,
-    }
-
-
-def _close_up(grid: GridMap, node: NodeRecord) -> GridMap:
-    """The part of a submap's grid round its outline: it shows far more, seen through doors."""
-    if not node.polygon:
-        return grid
-    frame = Pose2(node.x, node.y, node.theta)
-    part = grid.near(frame.inverse().apply(np.array(node.polygon)), _AROUND_M)
-    return part if part.cells.size else grid
+    sheets = []
+    for id_, node in sorted(map_.nodes.items()):
+        grid = map_.stored.grid(id_)
+        sides_m = [0.0, 0.0]  # of the smallest upright box round its outline
+        if node.polygon:  # the grid shows far more than the part round it, seen through doors
+            corners = np.array(node.polygon)
+            sides_m = np.ptp(corners, axis=0).tolist()
+            frame = Pose2(node.x, node.y, node.theta)
+            part = grid.near(frame.inverse().apply(corners), _AROUND_M)
+            grid = part if part.cells.size else grid
+        thumbnail, size = _thumbnail(grid)
+        spans = [(seconds(visit.start_ns), seconds(visit.end_ns)) for visit in node.visits]
+        visits = [(start, end - start) for start, end in spans]
+        sheets.append(
+            {
+                "node": node,
+                "named": node.name != default_name(id_),
+                "doors": [door for door in record.graph.doors if id_ in door.between],
+                "open_to": sorted(b if a == id_ else a for a, b in ends if id_ in (a, b)),
+                "visits": visits,
+                "stayed_s": sum(length for _, length in visits),
+                "sides_m": sides_m,
+                "thumbnail": thumbnail,
+                "thumbnail_size": size,
+                "learned": learned.get(id_, Learned()),
+            }
+        )
+    return sheets
 
 
 def _thumbnail(grid: GridMap) -> tuple[str, tuple[int, int]]:

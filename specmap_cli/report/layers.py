@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.errors import TOO_LARGE, MapError
 from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.core.json_values import Span
 from specmap_cli.core.records import BoolArray, Closure, IntArray, Labels
 from specmap_cli.drawing.overview import drawn_as
 from specmap_cli.drawing.palette import Colour, colours_of
@@ -118,9 +117,30 @@ def middle_of(node: NodeRecord) -> tuple[float, float]:
 
 
 def _composed(stored: StoredMap) -> Regions:
-    """The grids of all submaps laid out in the map, each the owner of what is free in it."""
+    """The grids of all submaps laid out in the map, each the owner of what is free in it.
+
+    Raises MapError when the whole would be beyond all bounds.
+    """
     pieces = [(node, stored.grid(node.id)) for node in stored.record.nodes]
-    whole = _canvas(stored, pieces)
+    points = np.vstack(
+        [np.zeros((0, 2)), *(_placed(node, grid, grid.cells != UNKNOWN) for node, grid in pieces)]
+    )
+    if not len(points):
+        points = np.zeros((1, 2))
+    low, high = points.min(axis=0), points.max(axis=0)
+    cell_m = min((grid.resolution for _, grid in pieces), default=1.0)
+    width, height = (int(side) + 2 for side in np.ceil((high - low) / cell_m))
+    if width * height > stored.limits.picture_max_mpixel * 1e6:
+        raise MapError(
+            f"its submaps lie so far apart that a picture of them has {width:,} x {height:,} cells",
+            "if it is meant, raise limits.picture_max_mpixel",
+            mark=";",
+            where=stored.path,
+            code=TOO_LARGE,
+        )
+    left, bottom = (low - 0.5 * cell_m).tolist()
+    unknown = np.full((height, width), UNKNOWN, dtype=np.uint8)
+    whole = GridMap(unknown, cell_m, (left, bottom))
     owner = np.full(whole.cells.shape, NOBODY, dtype=np.int64)
     for value in (FREE, OCCUPIED):
         for node, grid in pieces:
@@ -132,34 +152,9 @@ def _composed(stored: StoredMap) -> Regions:
     )
 
 
-def _canvas(stored: StoredMap, pieces: Sequence[tuple[NodeRecord, GridMap]]) -> GridMap:
-    """An unknown grid that holds all that is known. MapError when it would be beyond all bounds."""
-    cell_m = min((grid.resolution for _, grid in pieces), default=1.0)
-    low, high = _corners(_placed(node, grid, grid.cells != UNKNOWN) for node, grid in pieces)
-    width, height = (int(side) + 2 for side in np.ceil((high - low) / cell_m))
-    if width * height > stored.limits.picture_max_mpixel * 1e6:
-        raise MapError(
-            f"its submaps lie so far apart that a picture of them has {width:,} x {height:,} cells",
-            "if it is meant, raise limits.picture_max_mpixel",
-            mark=";",
-            where=stored.path,
-            code=TOO_LARGE,
-        )
-    left, bottom = (low - 0.5 * cell_m).tolist()
-    return GridMap(np.full((height, width), UNKNOWN, dtype=np.uint8), cell_m, (left, bottom))
-
-
 def _placed(node: NodeRecord, grid: GridMap, cells: BoolArray) -> FloatArray:
     """(n, 2) centres in the map of some cells of a submap's grid."""
     return Pose2(node.x, node.y, node.theta).apply(grid.centres_of(np.argwhere(cells)))
-
-
-def _corners(parts: Iterable[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """Lower left and upper right of all points; the origin without any."""
-    points = np.vstack([np.zeros((0, 2)), *parts])
-    if not len(points):
-        return np.zeros(2), np.zeros(2)
-    return points.min(axis=0), points.max(axis=0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -177,82 +172,75 @@ class Region:
     box: tuple[int, int, int, int]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Link:
-    """A way between two submaps, a straight line where there is none; `kind` as it is drawn."""
-
-    kind: str
-    line: str
-    forbidden: bool
-
-
 @dataclass(frozen=True, slots=True)
 class Closures:
-    """The closures that were accepted, and of `refused_total` refused ones those that are drawn."""
+    """The closures that were accepted, and of `refused_total` refused ones those that are drawn.
 
-    accepted: list[ClosureMark]
-    refused: list[ClosureMark]
+    Each has a `line` between the two places that were compared, its `xi` and its `reason`.
+    """
+
+    accepted: list[dict[str, Any]]
+    refused: list[dict[str, Any]]
     refused_total: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ClosureMark:
-    """Two places that loop closure compared."""
-
-    line: str
-    xi: float | None
-    reason: str
 
 
 def regions_of(map_: DrawnMap) -> list[Region]:
     """The submaps on the map, by id."""
     names = fill_names(map_.fills.values())
-    return [_region(id_, map_, names[map_.fills[id_]]) for id_ in sorted(map_.nodes)]
+    found = []
+    for id_, node in sorted(map_.nodes.items()):
+        rings = map_.rings(map_.regions.owner == id_)
+        badge = map_.frame.place(middle_of(node))
+        points = np.vstack([np.array([badge]), *rings])
+        (left, top), (right, bottom) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+        found.append(
+            Region(
+                id=id_,
+                fill=names[map_.fills[id_]],
+                outline=path_data(rings, closed=True),
+                rim=map_.frame.line(node.polygon, closed=True),
+                badge=badge,
+                box=(left, top, right - left, bottom - top),
+            )
+        )
+    return found
 
 
-def _region(id_: int, map_: DrawnMap, fill: str) -> Region:
-    node, rings = map_.nodes[id_], map_.rings(map_.regions.owner == id_)
-    badge = map_.frame.place(middle_of(node))
-    points = np.vstack([np.array([badge]), *rings])
-    (left, top), (right, bottom) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
-    return Region(
-        id=id_,
-        fill=fill,
-        outline=path_data(rings, closed=True),
-        rim=map_.frame.line(node.polygon, closed=True),
-        badge=badge,
-        box=(left, top, right - left, bottom - top),
-    )
+def links_of(map_: DrawnMap) -> list[dict[str, Any]]:
+    """The ways of the map, or straight lines where the robot is too wide for every way.
 
-
-def links_of(map_: DrawnMap) -> list[Link]:
-    """The ways of the map, or straight lines where the robot is too wide for every way."""
+    Each has a `kind`, as it is drawn, and a `line`, and may be `forbidden`.
+    """
     edges = map_.stored.topology.edges
     found = []
     for record in map_.stored.record.edges:
         ends = [middle_of(map_.nodes[id_]) for id_ in (record.source, record.target)]
         crossing = [] if record.x is None or record.y is None else [(record.x, record.y)]
         line = record.corners or [ends[0], *crossing, ends[1]]
-        found.append(
-            Link(
-                kind=drawn_as(map_.stored.topology, edges[record.source, record.target]),
-                line=map_.frame.line(line),
-                forbidden=record.forbidden,
-            )
-        )
+        kind = drawn_as(map_.stored.topology, edges[record.source, record.target])
+        drawn = map_.frame.line(line)
+        found.append({"kind": kind, "line": drawn, "forbidden": record.forbidden})
     return found
 
 
 def closures_of(map_: DrawnMap) -> Closures:
     """The closures that were accepted, and those refused with the largest xi."""
-    places = _places_of_stays(map_)
+    poses = map_.labels.poses
+    places = {}  # where the robot was in the middle of each stay
+    for stay in map_.stored.record.graph.stays:
+        left = sum(last - first + 1 for first, last in stay.runs) // 2
+        for first, last in stay.runs:  # counted: a damaged map may have runs of any length
+            middle = min(first + left, last)
+            if first + left <= last:
+                break
+            left -= last - first + 1
+        if middle < len(poses):
+            places[stay.number] = poses[middle, :2]
 
-    def mark(closure: Closure) -> ClosureMark:
-        return ClosureMark(
-            line=map_.frame.line([places[closure.new], places[closure.old]]),
-            xi=None if math.isnan(closure.xi) else closure.xi,
-            reason=closure.reason,
-        )
+    def mark(closure: Closure) -> dict[str, Any]:
+        line = map_.frame.line([places[closure.new], places[closure.old]])
+        xi = None if math.isnan(closure.xi) else closure.xi
+        return {"line": line, "xi": xi, "reason": closure.reason}
 
     closures = map_.stored.record.graph.closures
     known = [each for each in closures if {each.new, each.old} <= places.keys()]
@@ -260,27 +248,6 @@ def closures_of(map_: DrawnMap) -> Closures:
     drawn = sorted(refused, key=lambda one: 0.0 if math.isnan(one.xi) else -one.xi)[:MOST_REFUSED]
     accepted = [mark(each) for each in known if each.merged]
     return Closures(accepted, [mark(each) for each in drawn], len(refused))
-
-
-def _places_of_stays(map_: DrawnMap) -> dict[int, FloatArray]:
-    """A place (2,) of each stay: where the robot was in the middle of it."""
-    poses = map_.labels.poses
-    found = {}
-    for stay in map_.stored.record.graph.stays:
-        middle = _middle_of(stay.runs)
-        if middle < len(poses):
-            found[stay.number] = poses[middle, :2]
-    return found
-
-
-def _middle_of(runs: Sequence[Span]) -> int:
-    """The keyframe in the middle of runs [first, last]."""
-    half = sum(last - first + 1 for first, last in runs) // 2
-    for first, last in runs:
-        if first + half <= last:
-            return first + half
-        half -= last - first + 1
-    return runs[-1][1]
 
 
 def lost_places(map_: DrawnMap) -> list[tuple[int, int]]:

@@ -54,22 +54,30 @@ def render(stored: StoredMap, evidence: Evidence, changes: Changes | None = None
     spectra = spectra_of(evidence, seconds, map_.frame)
     closures = layers.closures_of(map_)
     context = {
-        **_layers(map_),
-        **_way(map_, track),
+        **_drawn(map_, track),
         **_words(map_, track, evidence),
         "closures": closures,
         "spectra": spectra,
         "old": None if changes is None else old_map(changes, map_),
-        "data": _data(map_, track, spectra),
+        "data": {  # what the script needs to know
+            "width": map_.frame.width,
+            "height": map_.frame.height,
+            "track": track.table(map_.frame),
+            "names": {str(id_): name for id_, name in map_.names.items()},
+            "tests": list(spectra.table),
+            "threshold": spectra.threshold,
+            "logs": [log.name for log in stored.record.graph.logs],
+        },
         "thinned": _left_out(track, spectra, closures),
     }
     return html_page(PACKAGE, "page.html", context, _STYLES, _SCRIPTS)
 
 
-def _layers(map_: DrawnMap) -> dict[str, Any]:
-    """What is drawn of the map."""
+def _drawn(map_: DrawnMap, track: Track) -> dict[str, Any]:
+    """What is drawn of the map, and of the robot's way."""
     doors = map_.stored.record.graph.doors
     fills = fill_names(map_.fills.values())
+    visits = track.visits()
     return {
         "frame": map_.frame,
         "tones": tones(map_.fills.values()),
@@ -81,13 +89,6 @@ def _layers(map_: DrawnMap) -> dict[str, Any]:
         "doors": doors,
         "any_driven": any(door.driven for door in doors),  # no robot drove through a floor plan
         "cell_cm": round(map_.regions.grid.resolution * 100.0, 2),
-    }
-
-
-def _way(map_: DrawnMap, track: Track) -> dict[str, Any]:
-    """What is drawn of the robot's way."""
-    visits = track.visits()
-    return {
         "track": track,
         "by_time": track.by_time(map_.frame),
         "by_fit": track.by_fit(map_.frame),
@@ -103,6 +104,9 @@ def _way(map_: DrawnMap, track: Track) -> dict[str, Any]:
 def _words(map_: DrawnMap, track: Track, evidence: Evidence) -> dict[str, Any]:
     """What is written beside the map."""
     verdict, sentence = facts.verdict_of(map_)
+    # why closures were accepted or refused, and how often, the most frequent first
+    counts = Counter((each.reason, each.merged) for each in map_.stored.record.graph.closures)
+    ranked = sorted(counts.items(), key=lambda one: (not one[0][1], -one[1], one[0][0]))
     note = map_.stored.note
     return {
         "title": shown(facts.headline(map_)),
@@ -121,29 +125,8 @@ def _words(map_: DrawnMap, track: Track, evidence: Evidence) -> dict[str, Any]:
         "learned": evidence.learned,
         "names": map_.names,
         "logs": map_.stored.record.graph.logs,
-        "reasons": _reasons(map_),
+        "reasons": [(reason, accepted, count) for (reason, accepted), count in ranked],
         "notes": [*([note] if note else []), *evidence.notes],
-    }
-
-
-def _reasons(map_: DrawnMap) -> list[tuple[str, bool, int]]:
-    """Why closures were accepted or refused, and how often, the most frequent first."""
-    closures = map_.stored.record.graph.closures
-    counts = Counter((each.reason, each.merged) for each in closures)
-    ranked = sorted(counts.items(), key=lambda one: (not one[0][1], -one[1], one[0][0]))
-    return [(reason, accepted, count) for (reason, accepted), count in ranked]
-
-
-def _data(map_: DrawnMap, track: Track, spectra: Spectra) -> dict[str, Any]:
-    """What the script needs to know."""
-    return {
-        "width": map_.frame.width,
-        "height": map_.frame.height,
-        "track": track.table(map_.frame),
-        "names": {str(id_): name for id_, name in map_.names.items()},
-        "tests": list(spectra.table),
-        "threshold": spectra.threshold,
-        "logs": [log.name for log in map_.stored.record.graph.logs],
     }
 
 

@@ -5,13 +5,11 @@ Colours are those of the palette by day, and made of them by night.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import BoolArray, IntArray
@@ -93,15 +91,13 @@ def outlines(cells: BoolArray, grid: GridMap) -> list[FloatArray]:
         part.astype(np.uint8), None, fx=2.0, fy=2.0, interpolation=cv2.INTER_NEAREST
     )
     rings, _ = cv2.findContours(doubled, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
-    halves = [_simplified(np.asarray(ring)) + 0.5 for ring in rings]
-    return [(ring / 2.0 + (left, low)) * grid.resolution + grid.origin for ring in halves]
-
-
-def _simplified(ring: NDArray[Any]) -> FloatArray:
-    """A contour of OpenCV with fewer points (n, 2); one thinner than the tolerance as it is."""
-    simple = cv2.approxPolyDP(ring, _TOLERANCE, True) if len(ring) > 4 else ring
-    kept = simple if len(simple) > 2 else ring
-    return np.asarray(kept.reshape(-1, 2), dtype=np.float64)
+    found = []
+    for ring in rings:
+        simple = cv2.approxPolyDP(ring, _TOLERANCE, True) if len(ring) > 4 else ring
+        kept = simple if len(simple) > 2 else ring  # one thinner than the tolerance as it is
+        halves = kept.reshape(-1, 2).astype(np.float64) + 0.5
+        found.append((halves / 2.0 + (left, low)) * grid.resolution + grid.origin)
+    return found
 
 
 def simplified(line: IntArray, tolerance: float) -> IntArray:
@@ -123,11 +119,33 @@ class Tone:
 def tones(fills: Iterable[Colour]) -> dict[str, Tone]:
     """Every colour of the map by the name of its variable; `fills` are those of its regions."""
     _, a, b = _to_lab(palette.SHADE)
+    names = fill_names(fills)
+    lines: dict[str, Colour] = {
+        "ink": palette.INK,
+        "quiet": darker(palette.QUIET, 0.8),
+        "hair": paler(palette.QUIET, 0.7),
+        "way": palette.TRAVERSED,
+        "closure": palette.CLOSURE,
+        "wrong": palette.WRONG,
+        "loose": darker(palette.LOOSE, 0.85),
+        "door": palette.DOOR,
+    }
+    # from early to late: ever lighter, so that it reads without telling hues apart
+    for k, colour in enumerate(_blend((palette.INK, palette.CLOSURE, _LATE), STEPS)):
+        lines[f"time-{k}"] = colour
+    # from scans that do not fit the walls to those that do
+    for k, colour in enumerate(_blend((palette.WRONG, _LATE, darker(palette.QUIET, 0.8)), 5)):
+        lines[f"fit-{k}"] = colour
+    by_night = {}
+    for fill in names:
+        light, a_of, b_of = _to_lab(fill)
+        chroma = a_of * _FILL_CHROMA, b_of * _FILL_CHROMA
+        by_night[fill] = _from_lab(light - _FILL_DROP, *chroma)
     return {
         "paper": Tone(css(palette.PAPER), css(_inverted(palette.PAPER))),
         "shade": Tone(css(palette.SHADE), css(_from_lab(24.0, a, b))),
-        **{name: Tone(css(colour), css(_inverted(colour))) for name, colour in _lines().items()},
-        **{name: Tone(css(fill), css(_dimmed(fill))) for fill, name in fill_names(fills).items()},
+        **{name: Tone(css(colour), css(_inverted(colour))) for name, colour in lines.items()},
+        **{name: Tone(css(fill), css(by_night[fill])) for fill, name in names.items()},
     }
 
 
@@ -140,26 +158,6 @@ def css(colour: Colour) -> str:
     """A colour as CSS writes it."""
     blue, green, red = colour
     return f"#{red:02x}{green:02x}{blue:02x}"
-
-
-def _lines() -> Mapping[str, Colour]:
-    """What is drawn and written upon the paper."""
-    # from early to late: ever lighter, so that it reads without telling hues apart
-    time = _blend((palette.INK, palette.CLOSURE, _LATE), STEPS)
-    # from scans that do not fit the walls to those that do
-    fit = _blend((palette.WRONG, _LATE, darker(palette.QUIET, 0.8)), 5)
-    return {
-        "ink": palette.INK,
-        "quiet": darker(palette.QUIET, 0.8),
-        "hair": paler(palette.QUIET, 0.7),
-        "way": palette.TRAVERSED,
-        "closure": palette.CLOSURE,
-        "wrong": palette.WRONG,
-        "loose": darker(palette.LOOSE, 0.85),
-        "door": palette.DOOR,
-        **{f"time-{k}": colour for k, colour in enumerate(time)},
-        **{f"fit-{k}": colour for k, colour in enumerate(fit)},
-    }
 
 
 def _blend(stops: Sequence[Colour], steps: int) -> list[Colour]:
@@ -175,12 +173,6 @@ def _inverted(colour: Colour) -> Colour:
     light, a, b = _to_lab(colour)
     span = _LIGHTEST - _DARKEST
     return _from_lab(_DARKEST + span * min(1.0, (100.0 - light) / 85.0), a, b)
-
-
-def _dimmed(fill: Colour) -> Colour:
-    """A fill for a dark page."""
-    light, a, b = _to_lab(fill)
-    return _from_lab(light - _FILL_DROP, a * _FILL_CHROMA, b * _FILL_CHROMA)
 
 
 def _to_lab(colour: Colour) -> tuple[float, float, float]:

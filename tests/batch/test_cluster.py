@@ -225,6 +225,21 @@ def test_a_scheduler_in_another_process(
         assert record["limits"]["memory_mb"] > 0  # the worker's share
 
 
+def test_a_new_worker_is_deaf_to_ctrl_c_before_it_loads_anything_of_ours() -> None:
+    """And a worker that has a job loads no reader of logs: its steps do."""
+    program = """
+import signal, sys, threading
+{preload}
+dask_setup(None)
+assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+assert not {{"numpy", "pydantic", "specmap_cli.core"}} & sys.modules.keys()
+import specmap_cli.batch.workers
+assert not [name for name in sys.modules if name.startswith("specmap_cli.logs")]
+"""
+    preload = f"from {workers._DASK['distributed.worker.preload'][0]} import dask_setup"
+    subprocess.run([sys.executable, "-c", program.format(preload=preload)], check=True)
+
+
 def _tripled(number: int) -> int:
     if number < 0:
         raise MapError(f"{number}: not a map")

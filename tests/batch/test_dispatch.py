@@ -123,14 +123,14 @@ def test_what_the_scheduler_forgot_is_handed_out_again_as_the_same_attempt() -> 
 def test_events_say_what_happened_in_order_as_their_schema_says() -> None:
     ledger = ledger_of("abc")
     heard = [
-        ledger.began(),
+        ledger.event("began"),
         ledger.started(Turn(job("b"))),
         ledger.retried(failed("b", "worker", attempts=1)),
         ledger.finished(JobResult(result("a"))),
         ledger.finished(JobResult(result("c"), resumed=True)),
         *(ledger.waits(slots) for slots in (2, 0, 0, 1, 0)),
         ledger.finished(JobResult(failed("b", attempts=2))),
-        ledger.ended(),
+        ledger.event("ended"),
     ]
     told = [one for one in heard if one is not None]
     for one in told:

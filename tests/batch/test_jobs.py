@@ -103,6 +103,8 @@ def test_a_log_is_a_job_called_as_it_with_the_default_steps_or_those_asked_for(l
     (job,) = jobs_of([log], plan)
     asked = ("--set=seed=1", "--set=grid.resolution_m=0.1", "--seed=3")
     assert job.steps == (Step("build", asked),)
+    with pytest.raises(UsageError, match="steps: empty: choose from build"):
+        jobs_of([log], Plan(()))
 
 
 TOML = """
@@ -203,6 +205,7 @@ def test_what_a_file_of_jobs_says_wrong_is_told_with_its_place(
         jobs_of([str(where / "jobs.toml")])
     assert complaint in str(told.value)
     assert told.value.code == SETTING
+    assert told.value.where == str(where / "jobs.toml"), "whatever is wrong, and wherever in it"
     assert "\n" not in str(told.value).split("TOML")[0]
     assert str(told.value).startswith(str(where))
 

@@ -145,6 +145,18 @@ def test_logs_that_do_not_fit_into_the_scratch_are_refused(
     assert not run(Job("monday", (url,), ALL), OUT, tmp_path).resumed
 
 
+def test_a_log_that_did_not_arrive_whole_is_told_of_in_parts(
+    store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    url = put(store, "logs/monday.mcap", "fine")
+    monkeypatch.setattr(store, "get_file", lambda _, place: Path(place).write_bytes(b"fin"))
+    with pytest.raises(PlaceError) as told:
+        fetched([url], tmp_path)
+    assert told.value.where == "memory:///bucket/logs/monday.mcap"
+    assert told.value.found == "3 of 4 bytes arrived: it changed, or the connection broke"
+    assert told.value.hint == "run the job again"
+
+
 class _Cut(BaseException):
     """As when the process is killed: nothing is put right after it."""
 
