@@ -72,8 +72,8 @@ def _checked(name: str, reader: object) -> type[Recording]:
         if not missing:
             return reader
         fault = f"lacks {', '.join(missing)}"
-    found = f"the reader {name!r} of {GROUP} {fault};"
-    raise UsageError(found, "mend or remove its package", code=PACKAGE)
+    found = f"the reader {name!r} of {GROUP} {fault}"
+    raise UsageError(found, "mend or remove its package", mark=";", code=PACKAGE)
 
 
 HEAD_BYTES = 4096  # one page: longer than the magic of any format, short enough to read of any file

@@ -121,8 +121,9 @@ def read_keyframes(path: Path, most: int, limits: LimitsConfig | None = None) ->
         raise MapError("not a regular file", "build the map again", where=path)
     if size > most_mb * 1e6:
         raise MapError(
-            f"larger than {most_mb:g} MB;",
+            f"larger than {most_mb:g} MB",
             "if it is meant, raise limits.keyframes_max_mb",
+            mark=";",
             mark=";",
             where=path,
             code=TOO_LARGE,

@@ -262,7 +262,7 @@ def stamped_rows(
         reason = getattr(error, "strerror", None) or "not UTF-8 text"
         raise InputError(f"cannot be read: {reason}", where=path) from None
     if not rows:
-        raise InputError(f"holds no {what};", f"expected lines {expected}", where=path)
+        raise InputError(f"holds no {what}", f"expected lines {expected}", mark=";", where=path)
     return rows
 
 
@@ -285,4 +285,4 @@ def _finite(where: str, words: list[str]) -> list[float]:
 
 
 def _malformed(where: str, found: str) -> InputError:
-    return InputError(f"{found};", "mend or remove the line", where=where)
+    return InputError(f"{found}", "mend or remove the line", mark=";", where=where)

@@ -220,7 +220,7 @@ class ClassifierSet:
                 misfit=data.misfit,
                 calibration=data.calibration,
             )
-        raise MapError(f"{found};", "build the map again", where="classifiers")
+        raise MapError(f"{found}", "build the map again", mark=";", where="classifiers")
 
 
 class _ClassifiersPart(Part):
