@@ -124,7 +124,6 @@ def read_keyframes(path: Path, most: int, limits: LimitsConfig | None = None) ->
             f"larger than {most_mb:g} MB",
             "if it is meant, raise limits.keyframes_max_mb",
             mark=";",
-            mark=";",
             where=path,
             code=TOO_LARGE,
         )
