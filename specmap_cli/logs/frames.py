@@ -177,9 +177,9 @@ def place_laser(
         )
     if asked is not None:
         above = sorted({laser_frame, *tree.ancestors(laser_frame)})
-        none = f"no transform joins it to the laser's frame {laser_frame!r};"
+        none = f"no transform joins it to the laser's frame {laser_frame!r}"
         hint, where = f"choose from {', '.join(above)}", f"--base-frame {bases[0]}"
-        raise UsageError(none, legible(hint), where=legible(where))
+        raise UsageError(none, legible(hint), mark=";", where=legible(where))
     base = odometry_child or next((b for b in USUAL_BASES if b in tree.frames), laser_frame)
     unknown = (
         f"no transform from {base!r} to the laser's frame {laser_frame!r}: "
