@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import BoolArray, IntArray
 from specmap_cli.recognition.features.group import BatchGroup
-from specmap_cli.recognition.features.returns import ReturnsBatch, Segments, pair_windows
+from specmap_cli.recognition.features.returns import ReturnsBatch, Segments, pair_shares
 from specmap_cli.recognition.features.shape import breaks_of, pieces_between, travelled_along
 
 # These define features: classifiers on disk hold thresholds on what comes of them.
@@ -51,13 +51,8 @@ def point_pair_histogram(batch: ReturnsBatch) -> FloatArray:
     concave or convex corner (`corner_in`, `corner_out`), against each other (`opposed`).
     """
     segments, points, lengths = boundary(batch)
-    firsts, seconds = pair_windows(segments.padded(points, np.nan))
-    # scan by scan: what is held of the pairs of one stays in the nearest cache of a processor
-    counts = np.array([_pair_counts(firsts[:, k], seconds[:, k]) for k in range(len(batch))])
-    n = segments.counts
-    pairs = n * (n - 1) // 2
-    counts[:, _OF_NONE] += pairs - counts.sum(axis=1)  # those with a point that is none
-    return np.column_stack([counts / np.maximum(1, pairs)[:, None], lengths, n])
+    shares = pair_shares(segments, points, _bins, len(PAIR_COLUMNS), _OF_NONE)
+    return np.column_stack([shares, lengths, segments.counts])
 
 
 def boundary(batch: ReturnsBatch) -> tuple[Segments, FloatArray, FloatArray]:
@@ -115,10 +110,10 @@ def _interpolated(
     return np.asarray((points + share * (batch.points[:, right] - points)).swapaxes(0, 1))
 
 
-def _pair_counts(first: FloatArray, second: FloatArray) -> NDArray[np.intp]:
-    """(64,) pairs of points by distance and orientation; x, y and normal (4, ...) of each.
+def _bins(first: FloatArray, second: FloatArray) -> NDArray[np.uint8]:
+    """The bins of pairs of points by distance and orientation; x, y and normal (4, ...) of each.
 
-    NaN stands for no point; its pairs are counted in the bin `_OF_NONE`.
+    NaN stands for no point; its pairs are in the bin `_OF_NONE`.
     """
     (x1, y1, u1, v1), (x2, y2, u2, v2) = first, second
     dx, dy = x2 - x1, y2 - y1
@@ -137,7 +132,7 @@ def _pair_counts(first: FloatArray, second: FloatArray) -> NDArray[np.intp]:
     kind *= ~(cosine > _ALIGNED)  # which leaves parallel ones, whose number is nought
     kind |= _OPPOSED * (cosine < -_ALIGNED).view(np.uint8)  # and this has all bits of a corner's
     bins += kind
-    return np.bincount(bins.ravel(), minlength=len(PAIR_COLUMNS))
+    return np.asarray(bins)
 
 
 GROUPS: tuple[BatchGroup, ...] = (

@@ -20,7 +20,11 @@ from specmap_cli.recognition.features.sets import BUILT_IN, feature_names, scans
 from tests.recognition.features.one_scan import Function, batch_of, boundary_of, of_one
 from tests.strategies import planar_scans, seeds
 
-GROUPS = [group.compute for group in BUILT_IN["full"]]
+every_group = pytest.mark.parametrize(
+    "group",
+    [group.compute for group in BUILT_IN["full"]],
+    ids=[group.columns[0] for group in BUILT_IN["full"]],
+)
 
 
 def scan_of(ranges: FloatArray, full: bool = True, turn: float = 0.0) -> PlanarScan:
@@ -49,7 +53,7 @@ def room(seed: int, beams: int = 180, holes: float = 0.1) -> FloatArray:
     return ranges
 
 
-@pytest.mark.parametrize("group", GROUPS, ids=lambda g: g.__name__)
+@every_group
 @given(seed=st.integers(0, 10_000), shift=st.integers(1, 179))
 def test_every_group_is_unchanged_when_the_robot_turns(
     group: Function, seed: int, shift: int
@@ -60,7 +64,7 @@ def test_every_group_is_unchanged_when_the_robot_turns(
     assert turned == pytest.approx(still, rel=2e-4, abs=2e-4)
 
 
-@pytest.mark.parametrize("group", GROUPS, ids=lambda g: g.__name__)
+@every_group
 @pytest.mark.parametrize("turn", [0.4, -1.3])
 def test_every_group_ignores_where_a_narrow_laser_points(group: Function, turn: float) -> None:
     ranges = room(7)

@@ -11,12 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.records import PlanarScan
+from specmap_cli.core.records import IntArray, PlanarScan
 from specmap_cli.recognition.features.returns import (
     PAIR_STEPS,
     ReturnsBatch,
     Segments,
-    pair_windows,
+    pair_shares,
     ratio,
 )
 from tests.recognition.features.one_scan import batch_of, returns_of
@@ -54,13 +54,21 @@ def test_a_ratio_to_nothing_is_nought() -> None:
     assert ratio(np.array([1.0, 3.0]), np.array([0.0, 2.0])).tolist() == [0.0, 1.5]
 
 
-@pytest.mark.parametrize("count", [0, 1, 2, 3, 5, 6, 110])
-def test_each_pair_comes_once_and_what_is_missing_is_no_number(count: int) -> None:
-    first, second = pair_windows(np.arange(float(count)))
-    first, second = np.broadcast_arrays(first, second)
-    ends = np.sort(np.stack([first.ravel(), second.ravel()]), axis=0)
-    ends = ends[:, np.isfinite(ends).all(axis=0)]
-    assert sorted(zip(*ends.tolist(), strict=True)) == list(combinations(range(count), 2))
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 5, 6, 30])
+def test_each_pair_is_counted_once_and_none_with_what_is_missing(count: int) -> None:
+    none = 30 * 30
+
+    def bins(first: FloatArray, second: FloatArray) -> IntArray:
+        pair = 30 * np.minimum(first, second) + np.maximum(first, second)
+        return np.asarray(np.where(np.isnan(pair), none, pair)[0], dtype=np.intp)
+
+    # beside a piece that is longer, and so has more places
+    segments = Segments.of_counts(np.array([count, 30]))
+    values = np.concatenate([np.arange(count), np.arange(30)])[None].astype(np.float64)
+    shares = pair_shares(segments, values, bins, none + 1, none)[0]
+    pairs = [30 * a + b for a, b in combinations(range(count), 2)]
+    assert np.flatnonzero(shares).tolist() == pairs
+    assert shares[pairs] == pytest.approx(1.0 / max(1, len(pairs)))
 
 
 readings = st.lists(
