@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.records import BoolArray, IntArray
+from specmap_cli.core.records import IntArray
 from specmap_cli.recognition.features.group import BatchGroup
 from specmap_cli.recognition.features.returns import ReturnsBatch, Segments, pair_shares
 from specmap_cli.recognition.features.shape import breaks_of, pieces_between, travelled_along
@@ -68,9 +68,26 @@ def boundary(batch: ReturnsBatch) -> tuple[Segments, FloatArray, FloatArray]:
     spacing = np.maximum(_SPACING_M, lengths / _MOST_POINTS)
     counts = np.minimum(_MOST_POINTS, np.ceil((lengths - 0.5 * spacing) / spacing))
     segments = Segments.of_counts(np.maximum(0, counts))
-    places = segments.spread(0.5 * spacing) + segments.place * segments.spread(spacing)
-    reach = np.array([[0.0], [-_NORMAL_REACH_M], [_NORMAL_REACH_M]])
-    at, before, after = _interpolated(batch, breaks, travelled, segments, places + reach)
+    along = segments.spread(0.5 * spacing) + segments.place * segments.spread(spacing)
+    # where each point lies along the arc, and the ends of its tangent, on the same smooth piece
+    places = along + np.array([[0.0], [-_NORMAL_REACH_M], [_NORMAL_REACH_M]])
+    left = np.zeros(places.shape, dtype=np.intp)
+    for scan in np.flatnonzero(segments.counts).tolist():
+        start, end = batch.segments.starts[scan : scan + 2].tolist()
+        own = slice(*segments.starts[scan : scan + 2].tolist())
+        left[:, own] = np.searchsorted(travelled[start:end], places[:, own], side="right")
+        left[:, own] += start - 1
+    starts, ends = pieces_between(batch.segments, breaks)
+    is_end = breaks | batch.segments.last
+    piece: IntArray = np.cumsum(is_end) - is_end
+    low, high = starts[piece[left[0]]], ends[piece[left[0]]]
+    left = np.clip(left, low, np.maximum(high - 1, low))
+    right = np.minimum(left + 1, high)
+    span = travelled[right] - travelled[left]
+    share = np.clip(places, travelled[low], travelled[high]) - travelled[left]
+    share = np.divide(share, span, out=np.zeros_like(share), where=span > 0.0)
+    from_ = batch.points[:, left]
+    at, before, after = (from_ + share * (batch.points[:, right] - from_)).swapaxes(0, 1)
     along_x, along_y = after - before
     size = np.sqrt(along_x * along_x + along_y * along_y)
     good = size > _NO_LENGTH_M
@@ -78,36 +95,6 @@ def boundary(batch: ReturnsBatch) -> tuple[Segments, FloatArray, FloatArray]:
     away = points[0] * normals[0] + points[1] * normals[1] > 0.0
     normals[:, away] *= -1.0
     return segments.kept(good), np.concatenate([points, normals]), lengths
-
-
-def _interpolated(
-    batch: ReturnsBatch,
-    breaks: BoolArray,
-    travelled: FloatArray,
-    segments: Segments,
-    places: FloatArray,
-) -> FloatArray:
-    """(r, 2, K) points at `places` (r, K) along the arc, those of row 0 on its pieces.
-
-    The others are kept on the piece of the one in row 0 above them.
-    """
-    starts, ends = pieces_between(batch.segments, breaks)
-    is_end = breaks | batch.segments.last
-    piece: IntArray = np.cumsum(is_end) - is_end
-    left = np.zeros(places.shape, dtype=np.intp)
-    for scan in np.flatnonzero(segments.counts).tolist():
-        start, end = batch.segments.starts[scan : scan + 2].tolist()
-        own = slice(*segments.starts[scan : scan + 2].tolist())
-        left[:, own] = np.searchsorted(travelled[start:end], places[:, own], side="right")
-        left[:, own] += start - 1
-    low, high = starts[piece[left[0]]], ends[piece[left[0]]]
-    left = np.clip(left, low, np.maximum(high - 1, low))
-    right = np.minimum(left + 1, high)
-    span = travelled[right] - travelled[left]
-    share = np.clip(places, travelled[low], travelled[high]) - travelled[left]
-    share = np.divide(share, span, out=np.zeros_like(share), where=span > 0.0)
-    points = batch.points[:, left]
-    return np.asarray((points + share * (batch.points[:, right] - points)).swapaxes(0, 1))
 
 
 def _bins(first: FloatArray, second: FloatArray) -> NDArray[np.uint8]:
