@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import IntArray, PlanarScan
 from specmap_cli.recognition.features.returns import (
-    PAIR_STEPS,
     ReturnsBatch,
     Segments,
     pair_shares,
@@ -128,18 +127,6 @@ def test_the_polygon_of_a_half_circle_holds_the_laser() -> None:
     areas, perimeters = batch.areas_and_perimeters
     assert areas == pytest.approx([math.pi * 2.0, math.pi * 4.0], rel=0.01)  # discs of 2 m
     assert perimeters[0] == pytest.approx(math.pi * 2.0 + 4.0, rel=0.01)
-
-
-@given(planar_scans())
-def test_pair_shares_are_those_of_every_kth_return(scan: PlanarScan) -> None:
-    batch = batch_of(scan)
-    shares = batch.pair_shares
-    assert shares.shape == (1, PAIR_STEPS + 1)
-    assert shares.sum() == pytest.approx(1.0)
-    distances = [math.dist(a, b) for a, b in combinations(batch.points.T.tolist(), 2)]
-    assert batch.counts[0] <= 90  # no return is left out of so few
-    far = sum(distance >= 12.0 for distance in distances)
-    assert shares[0, -1] == pytest.approx(far / len(distances))
 
 
 def test_a_dense_scan_is_thinned_for_its_pairs() -> None:
