@@ -5,14 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.recognition.features.returns import Returns, ReturnsBatch
-
-
-class WrongCountError(Exception):
-    """A group gives values too few or too many for its columns."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,14 +22,6 @@ class FeatureGroup:
     columns: tuple[str, ...]
     histogram: tuple[str, ...] = ()
 
-    def values(self, batch: ReturnsBatch) -> FloatArray:
-        """(n, columns) of n scans. WrongCountError when a scan has a value too few or too many."""
-        rows = [self.compute(batch[k]) for k in range(len(batch))]
-        wrong = next((len(row) for row in rows if len(row) != len(self.columns)), None)
-        if wrong is not None:
-            raise WrongCountError(f"gives {wrong} values for its {len(self.columns)} columns")
-        return np.array(rows, dtype=np.float64).reshape(len(rows), len(self.columns))
-
 
 @dataclass(frozen=True, slots=True)
 class BatchGroup:
@@ -47,11 +33,3 @@ class BatchGroup:
     compute: Callable[[ReturnsBatch], FloatArray]
     columns: tuple[str, ...]
     histogram: tuple[str, ...] = ()
-
-    def values(self, batch: ReturnsBatch) -> FloatArray:
-        """(n, columns) of n scans. WrongCountError when it is of another shape."""
-        values = self.compute(batch)
-        if values.shape != (len(batch), len(self.columns)):
-            found = " by ".join(map(str, values.shape[1:]))
-            raise WrongCountError(f"gives {found} values for its {len(self.columns)} columns")
-        return values

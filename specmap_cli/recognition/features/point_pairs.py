@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.records import BoolArray, IntArray
+from specmap_cli.core.records import IntArray
 from specmap_cli.recognition.features.group import BatchGroup
-from specmap_cli.recognition.features.returns import ReturnsBatch, Segments, pair_windows
+from specmap_cli.recognition.features.returns import ReturnsBatch, Segments, pair_shares
 from specmap_cli.recognition.features.shape import breaks_of, pieces_between, travelled_along
 
 # These define features: classifiers on disk hold thresholds on what comes of them.
@@ -51,13 +51,8 @@ def point_pair_histogram(batch: ReturnsBatch) -> FloatArray:
     concave or convex corner (`corner_in`, `corner_out`), against each other (`opposed`).
     """
     segments, points, lengths = boundary(batch)
-    firsts, seconds = pair_windows(segments.padded(points, np.nan))
-    # scan by scan: what is held of the pairs of one stays in the nearest cache of a processor
-    counts = np.array([_pair_counts(firsts[:, k], seconds[:, k]) for k in range(len(batch))])
-    n = segments.counts
-    pairs = n * (n - 1) // 2
-    counts[:, _OF_NONE] += pairs - counts.sum(axis=1)  # those with a point that is none
-    return np.column_stack([counts / np.maximum(1, pairs)[:, None], lengths, n])
+    shares = pair_shares(segments, points, _bins, len(PAIR_COLUMNS), _OF_NONE)
+    return np.column_stack([shares, lengths, segments.counts])
 
 
 def boundary(batch: ReturnsBatch) -> tuple[Segments, FloatArray, FloatArray]:
@@ -73,9 +68,26 @@ def boundary(batch: ReturnsBatch) -> tuple[Segments, FloatArray, FloatArray]:
     spacing = np.maximum(_SPACING_M, lengths / _MOST_POINTS)
     counts = np.minimum(_MOST_POINTS, np.ceil((lengths - 0.5 * spacing) / spacing))
     segments = Segments.of_counts(np.maximum(0, counts))
-    places = segments.spread(0.5 * spacing) + segments.place * segments.spread(spacing)
-    reach = np.array([[0.0], [-_NORMAL_REACH_M], [_NORMAL_REACH_M]])
-    at, before, after = _interpolated(batch, breaks, travelled, segments, places + reach)
+    along = segments.spread(0.5 * spacing) + segments.place * segments.spread(spacing)
+    # where each point lies along the arc, and the ends of its tangent, on the same smooth piece
+    places = along + np.array([[0.0], [-_NORMAL_REACH_M], [_NORMAL_REACH_M]])
+    left = np.zeros(places.shape, dtype=np.intp)
+    for scan in np.flatnonzero(segments.counts).tolist():
+        start, end = batch.segments.starts[scan : scan + 2].tolist()
+        own = slice(*segments.starts[scan : scan + 2].tolist())
+        left[:, own] = np.searchsorted(travelled[start:end], places[:, own], side="right")
+        left[:, own] += start - 1
+    starts, ends = pieces_between(batch.segments, breaks)
+    is_end = breaks | batch.segments.last
+    piece: IntArray = np.cumsum(is_end) - is_end
+    low, high = starts[piece[left[0]]], ends[piece[left[0]]]
+    left = np.clip(left, low, np.maximum(high - 1, low))
+    right = np.minimum(left + 1, high)
+    span = travelled[right] - travelled[left]
+    share = np.clip(places, travelled[low], travelled[high]) - travelled[left]
+    share = np.divide(share, span, out=np.zeros_like(share), where=span > 0.0)
+    from_ = batch.points[:, left]
+    at, before, after = (from_ + share * (batch.points[:, right] - from_)).swapaxes(0, 1)
     along_x, along_y = after - before
     size = np.sqrt(along_x * along_x + along_y * along_y)
     good = size > _NO_LENGTH_M
@@ -85,40 +97,10 @@ def boundary(batch: ReturnsBatch) -> tuple[Segments, FloatArray, FloatArray]:
     return segments.kept(good), np.concatenate([points, normals]), lengths
 
 
-def _interpolated(
-    batch: ReturnsBatch,
-    breaks: BoolArray,
-    travelled: FloatArray,
-    segments: Segments,
-    places: FloatArray,
-) -> FloatArray:
-    """(r, 2, K) points at `places` (r, K) along the arc, those of row 0 on its pieces.
+def _bins(first: FloatArray, second: FloatArray) -> NDArray[np.uint8]:
+    """The bins of pairs of points by distance and orientation; x, y and normal (4, ...) of each.
 
-    The others are kept on the piece of the one in row 0 above them.
-    """
-    starts, ends = pieces_between(batch.segments, breaks)
-    is_end = breaks | batch.segments.last
-    piece: IntArray = np.cumsum(is_end) - is_end
-    left = np.zeros(places.shape, dtype=np.intp)
-    for scan in np.flatnonzero(segments.counts).tolist():
-        start, end = batch.segments.starts[scan : scan + 2].tolist()
-        own = slice(*segments.starts[scan : scan + 2].tolist())
-        left[:, own] = np.searchsorted(travelled[start:end], places[:, own], side="right")
-        left[:, own] += start - 1
-    low, high = starts[piece[left[0]]], ends[piece[left[0]]]
-    left = np.clip(left, low, np.maximum(high - 1, low))
-    right = np.minimum(left + 1, high)
-    span = travelled[right] - travelled[left]
-    share = np.clip(places, travelled[low], travelled[high]) - travelled[left]
-    share = np.divide(share, span, out=np.zeros_like(share), where=span > 0.0)
-    points = batch.points[:, left]
-    return np.asarray((points + share * (batch.points[:, right] - points)).swapaxes(0, 1))
-
-
-def _pair_counts(first: FloatArray, second: FloatArray) -> NDArray[np.intp]:
-    """(64,) pairs of points by distance and orientation; x, y and normal (4, ...) of each.
-
-    NaN stands for no point; its pairs are counted in the bin `_OF_NONE`.
+    NaN stands for no point; its pairs are in the bin `_OF_NONE`.
     """
     (x1, y1, u1, v1), (x2, y2, u2, v2) = first, second
     dx, dy = x2 - x1, y2 - y1
@@ -137,7 +119,7 @@ def _pair_counts(first: FloatArray, second: FloatArray) -> NDArray[np.intp]:
     kind *= ~(cosine > _ALIGNED)  # which leaves parallel ones, whose number is nought
     kind |= _OPPOSED * (cosine < -_ALIGNED).view(np.uint8)  # and this has all bits of a corner's
     bins += kind
-    return np.bincount(bins.ravel(), minlength=len(PAIR_COLUMNS))
+    return np.asarray(bins)
 
 
 GROUPS: tuple[BatchGroup, ...] = (

@@ -7,7 +7,7 @@ one scan after another in flat arrays; `Segments` says whose they are, and sums 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -59,8 +59,8 @@ class Segments:
     @cached_property
     def following(self) -> Indices:
         """(N,) the item after each in its piece, the first one after the last."""
-        after = np.arange(1, int(self.starts[-1]) + 1)
-        after[self.starts[1:][self._filled] - 1] = self.starts[:-1][self._filled]
+        after, filled = np.arange(1, int(self.starts[-1]) + 1), np.flatnonzero(self.counts)
+        after[self.starts[filled + 1] - 1] = self.starts[filled]
         return after
 
     @cached_property
@@ -71,12 +71,6 @@ class Segments:
     def spread(self, values: NDArray[Any]) -> NDArray[Any]:
         """(..., N) for each item the value (..., n) of its piece."""
         return values.take(self.owner, axis=-1)
-
-    @cached_property
-    def _filled(self) -> BoolArray | slice:
-        """Which pieces are not empty."""
-        filled = self.counts > 0
-        return slice(None) if filled.all() else filled
 
     def sum(self, values: NDArray[Any]) -> NDArray[Any]:
         """(..., n) sums of values (..., N), nought where empty; truth values are counted."""
@@ -93,10 +87,10 @@ class Segments:
     def _reduced(self, function: np.ufunc, values: NDArray[Any], dtype: DTypeLike) -> NDArray[Any]:
         """(..., n) values (..., N) of each piece put together by a function, nought where empty."""
         together = np.zeros((*values.shape[:-1], len(self)), dtype=dtype)
-        heads = self.starts[:-1][self._filled]
-        if len(heads):
-            reduced = function.reduceat(values, heads, axis=-1, dtype=dtype)
-            together[..., self._filled] = reduced
+        filled = np.flatnonzero(self.counts)
+        if len(filled):
+            reduced = function.reduceat(values, self.starts[filled], axis=-1, dtype=dtype)
+            together[..., filled] = reduced
         return together
 
     def argmax(self, values: FloatArray) -> Indices:
@@ -130,18 +124,33 @@ def ratio(above: NDArray[Any], below: NDArray[Any]) -> FloatArray:
     return quotients
 
 
-def pair_windows(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """First (..., 1, w) and second (..., (w - 1) / 2, w) of all pairs in values (..., n).
+def pair_shares(
+    segments: Segments,
+    values: NDArray[Any],
+    bins: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]],
+    count: int,
+    of_none: int,
+) -> FloatArray:
+    """(n, count) shares of the pairs of items in each piece, by bins, from values (d, N) of items.
 
-    Around a circle of an odd number w of places each pair has one that comes at most (w - 1) / 2
-    places after the other. What `values` lack to that are NaN. Both are views.
+    `bins` gives those of pairs with values (d, 1, w) and (d, v, w), and `of_none` for NaN.
     """
-    width = max(_FEWEST, values.shape[-1] | 1)
-    half = width // 2
-    around = np.full((*values.shape[:-1], width + half), np.nan)
-    around[..., : values.shape[-1]] = values
-    around[..., width:] = around[..., :half]
-    return around[..., None, :width], sliding_window_view(around[..., 1:], width, axis=-1)
+    # Around a circle of an odd number of places each pair has one that comes at most half of them
+    # after the other. Places without an item are NaN.
+    width = max(_FEWEST, int(segments.counts.max(initial=0)) | 1)
+    rows = segments.padded(values, np.nan, width)
+    around = np.concatenate([rows, rows[..., : width // 2]], axis=-1)
+    firsts, seconds = rows[..., None, :], sliding_window_view(around[..., 1:], width, axis=-1)
+    # piece by piece: what is held of the pairs of one stays in the nearest cache of a processor
+    counts = np.array(
+        [
+            np.bincount(bins(firsts[:, k], seconds[:, k]).ravel(), minlength=count)
+            for k in range(len(segments))
+        ]
+    )
+    pairs = segments.counts * (segments.counts - 1) // 2
+    counts[:, of_none] += pairs - counts.sum(axis=1)
+    return np.asarray(counts / np.maximum(1, pairs)[:, None])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -290,12 +299,8 @@ class ReturnsBatch:
         every = np.maximum(1, -(-self.counts // _PAIR_POINTS))
         taken = self.segments.place % self.segments.spread(every) == 0
         segments = self.segments.kept(taken)
-        firsts, seconds = pair_windows(segments.padded(self.points[:, taken], np.nan))
-        counts = np.array([_pair_counts(firsts[:, k], seconds[:, k]) for k in range(len(self))])
-        n = segments.counts
-        pairs = n * (n - 1) // 2
-        counts[:, -1] += pairs - counts.sum(axis=1)  # those with a point that is none
-        return np.asarray(counts / np.maximum(1, pairs)[:, None])
+        points = self.points[:, taken]
+        return pair_shares(segments, points, _distance_steps, PAIR_STEPS + 1, PAIR_STEPS)
 
 
 def _onward(segments: Segments, points: FloatArray) -> FloatArray:
@@ -304,8 +309,8 @@ def _onward(segments: Segments, points: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(dx * dx + dy * dy))
 
 
-def _pair_counts(first: FloatArray, second: FloatArray) -> IntArray:
-    """(121,) pairs of points (2, ...) by distance; NaN is no point, and its pairs come last."""
+def _distance_steps(first: FloatArray, second: FloatArray) -> IntArray:
+    """How many steps of 0.1 m pairs of points (2, ...) are apart; the most where one is none."""
     dx, dy = first - second
     dx *= dx
     dy *= dy
@@ -313,4 +318,4 @@ def _pair_counts(first: FloatArray, second: FloatArray) -> IntArray:
     np.sqrt(dx, out=dx)
     dx *= 1.0 / PAIR_STEP_M
     np.fmin(dx, PAIR_STEPS, out=dx)
-    return np.bincount(dx.astype(np.intp).ravel(), minlength=PAIR_STEPS + 1)
+    return np.asarray(dx, dtype=np.intp)

@@ -30,7 +30,7 @@ from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.recognition.features import point_pairs, shape, table1
-from specmap_cli.recognition.features.group import BatchGroup, FeatureGroup, WrongCountError
+from specmap_cli.recognition.features.group import BatchGroup, FeatureGroup
 from specmap_cli.recognition.features.returns import ReturnsBatch
 
 FeatureSet = tuple[FeatureGroup | BatchGroup, ...]
@@ -106,18 +106,25 @@ def scans_features(scans: Iterable[PlanarScan], feature_set: str) -> FloatArray:
     while some := list(islice(left, _TOGETHER)):
         batch, parts = ReturnsBatch.of(some), []
         for group in groups:
-            try:
-                parts.append(group.values(batch))
-            except WrongCountError as error:
+            if isinstance(group, BatchGroup):
+                values: Sequence[Sequence[float]] | FloatArray = group.compute(batch)
+            else:
+                values = [group.compute(batch[k]) for k in range(len(batch))]
+            shapes, wanted = [np.shape(row) for row in values], (len(group.columns),)
+            if shapes != [wanted] * len(batch):
+                shape = next((one for one in shapes if one != wanted), np.shape(values))
+                found = " by ".join(map(str, shape))
                 raise _unusable(
-                    feature_set, f"the group of {group.columns[0]!r} {error}"
-                ) from error
+                    feature_set,
+                    f"the group of {group.columns[0]!r} gives {found} values for its "
+                    f"{len(group.columns)} columns",
+                )
+            parts.append(values)
         features = np.hstack(parts)
         finite = np.isfinite(features).all(axis=0)
         if not finite.all():
-            raise _unusable(
-                feature_set, f"{names[int(np.argmin(finite))]!r} is not finite for a scan"
-            )
+            first = names[int(np.argmin(finite))]
+            raise _unusable(feature_set, f"{first!r} is not finite for a scan")
         cut = np.clip(features, -_LARGEST, _LARGEST)
         rows.append(cut.astype(np.float32).astype(np.float64))
     return np.vstack(rows)
@@ -145,8 +152,8 @@ class KeyframeFeatures:
     def knowing(self, numbers: NDArray[np.intp], features: NDArray[Any]) -> KeyframeFeatures:
         """What is known, with the features (k, F) of other keyframes (k,) of the store besides."""
         more = KeyframeFeatures(self.store, self.feature_set, self.most)
-        more._rows = dict(zip(numbers.tolist(), features.astype(np.float32), strict=True))
-        more._rows.update(self._rows)
+        others = dict(zip(numbers.tolist(), features.astype(np.float32), strict=True))
+        more._rows = others | self._rows
         return more
 
     def known(self, numbers: Sequence[int]) -> list[int]:

@@ -8,13 +8,15 @@ in `table1`, all are finite, and unchanged when the robot turns on the spot.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import BoolArray, IntArray
 from specmap_cli.recognition.features.group import BatchGroup
 from specmap_cli.recognition.features.returns import ReturnsBatch, Segments
-from specmap_cli.recognition.features.table1 import pair_histogram
+from specmap_cli.recognition.features.table1 import distance_histogram
 
 # These define features: classifiers on disk hold thresholds on what comes of them.
 FINE_EDGES_M = tuple(round(0.2 * k, 1) for k in range(1, 30))
@@ -60,11 +62,6 @@ def pieces_between(segments: Segments, breaks: BoolArray) -> tuple[IntArray, Int
     return np.flatnonzero(starts), np.flatnonzero(ends)
 
 
-def fine_distance_histogram(batch: ReturnsBatch) -> FloatArray:
-    """Distribution of the distance between two returns in bins of 0.2 m, the last one open."""
-    return pair_histogram(batch, FINE_EDGES_M)
-
-
 def pieces(batch: ReturnsBatch) -> FloatArray:
     """Smooth pieces between leaps: how many there are, how many are longer than each of 0.5, 1 and
     2 m, the longest one's length and the mean length.
@@ -90,6 +87,7 @@ def clipped_ranges(batch: ReturnsBatch) -> FloatArray:
     return np.asarray(values.transpose(2, 1, 0).reshape(len(batch), -1))
 
 
+fine_distance_histogram = partial(distance_histogram, edges_m=FINE_EDGES_M)
 _FINE_COLUMNS = tuple(f"fine_distance_{low:g}m" for low in (0.0, *FINE_EDGES_M))
 
 GROUPS: tuple[BatchGroup, ...] = (

@@ -165,17 +165,14 @@ def second_derivative_flips(batch: ReturnsBatch) -> FloatArray:
     return segments.sum((positive[after] != positive) & told)[:, None].astype(np.float64)
 
 
-def distance_histogram(batch: ReturnsBatch) -> FloatArray:
+def distance_histogram(
+    batch: ReturnsBatch, edges_m: tuple[float, ...] = DISTANCE_EDGES_M
+) -> FloatArray:
     """Group 12: distribution of the distance between two points of the boundary.
 
     The paper draws pairs at random; here all pairs of every k-th return count, so that the same
-    scan always gives the same values. Bins of 0.5 m, the last one open.
+    scan always gives the same values. Bins between edges of tenths of a metre, the last one open.
     """
-    return pair_histogram(batch, DISTANCE_EDGES_M)
-
-
-def pair_histogram(batch: ReturnsBatch, edges_m: tuple[float, ...]) -> FloatArray:
-    """(n, len(edges) + 1) shares of pairs of returns by distance; edges are tenths of a metre."""
     starts = [0, *(round(edge / PAIR_STEP_M) for edge in edges_m)]
     return np.add.reduceat(batch.pair_shares, starts, axis=1)
 

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2, moved
-from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.records import PlanarScan
 from specmap_cli.grids.gridmap import GridMap, cast_ranges
 from specmap_cli.recognition.features.shape import leaps
 
@@ -49,11 +50,7 @@ def circle(beams: int) -> FloatArray:
 
 
 class RecentScans:
-    """The scans of a window of the path, thinned, from which a virtual scan is put together.
-
-    The window is the last `WINDOW_M`. `filled` is the path that the scans cover as a share
-    of it.
-    """
+    """The scans of the last `WINDOW_M` of the path, thinned: a virtual scan is made of them."""
 
     def __init__(self) -> None:
         self._kept: deque[tuple[float, Pose2, FloatArray]] = deque()
@@ -72,24 +69,17 @@ class RecentScans:
         self._started = self._travelled
         self._last = None
 
-    def add(self, scan: PosedScan) -> None:
-        """Take in one registered scan."""
-        if self.moves_on(scan.map_from_base):
-            points = scan.planar.hits(VIRTUAL_RANGE_M)
-            self.keep(points, scan.map_from_base, scan.base_from_laser)
-
-    def moves_on(self, map_from_base: Pose2) -> bool:
-        """Drive on to a pose; whether its scan, too, is to be kept: most are not."""
+    def add(
+        self, map_from_base: Pose2, base_from_laser: Pose2, scan: Callable[[], PlanarScan]
+    ) -> None:
+        """Drive on to a pose; the scan from there is asked for where it is kept: most are not."""
         if self._last is not None:
             self._travelled += (self._last.inverse() @ map_from_base).distance
         self._last = map_from_base
         before = self._kept[-1][1] if self._kept else None
-        spacing = _VIRTUAL_SPACING_M, _VIRTUAL_SPACING_RAD
-        return moved(before, map_from_base, *spacing)
-
-    def keep(self, points: FloatArray, map_from_base: Pose2, base_from_laser: Pose2) -> None:
-        """Keep the returns (N, 2) of the scan at the pose that was driven to, in its own frame."""
-        placed = (map_from_base @ base_from_laser).apply(points)
+        if not moved(before, map_from_base, _VIRTUAL_SPACING_M, _VIRTUAL_SPACING_RAD):
+            return
+        placed = (map_from_base @ base_from_laser).apply(scan().hits(VIRTUAL_RANGE_M))
         self._kept.append((self._travelled, map_from_base, placed))
         while self._kept[0][0] < self._travelled - WINDOW_M:
             self._kept.popleft()
@@ -103,8 +93,7 @@ class RecentScans:
         placed = [points for travelled, _, points in self._kept if travelled >= since]
         points = np.vstack(placed) if placed else np.zeros((0, 2))
         seen = map_from_laser.inverse().apply(points)
-        beams, reach = VIRTUAL_BEAMS, VIRTUAL_RANGE_M
-        return nearest_returns(seen, beams, reach, stamp_ns)
+        return nearest_returns(seen, VIRTUAL_BEAMS, VIRTUAL_RANGE_M, stamp_ns)
 
 
 def nearest_returns(

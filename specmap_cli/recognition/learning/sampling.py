@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,8 +149,8 @@ def cast_samples(
         map_from_submap = Pose2(*poses[submaps[i][0]].tolist())
         distance, nearest = tree.query(map_from_submap.apply(drawn))
         near = (distance < _AUGMENTATION_REACH_M) & (owner[tracked][nearest] == i)
-        beams, reach = VIRTUAL_BEAMS, VIRTUAL_RANGE_M
-        scans = cast_circles(grids[i], drawn[near][:count], beams, reach)
+        origins = drawn[near][:count]
+        scans = cast_circles(grids[i], origins, VIRTUAL_BEAMS, VIRTUAL_RANGE_M)
         features = scans_features(scans, localization.feature_set)
         samples[i] = Samples(features, tracked[nearest[near][:count]])
     return samples
@@ -178,8 +178,7 @@ def _in_windows(
     turn = 0
     for number in numbers.tolist():
         pose, mounting = Pose2(*poses[number].tolist()), store.base_from_laser(number)
-        if window.moves_on(pose):
-            window.keep(store.scan(number).hits(VIRTUAL_RANGE_M), pose, mounting)
+        window.add(pose, mounting, partial(store.scan, number))
         if number in sampled:
             share = _WINDOW_SHARES[turn % len(_WINDOW_SHARES)]
             yield window.scan(0, pose @ mounting, share)
@@ -244,7 +243,8 @@ def _seen_from(
         return outline(scan, pose @ store.base_from_laser(keyframe), scan.range_max)
 
     near = min(_NEAR, len(numbers))
-    _, rows = cKDTree(_views(poses[numbers])).query(_views(placed), near)
+    tree = cKDTree(views(poses[numbers], _PLACE_M, _CHORD))
+    _, rows = tree.query(views(placed, _PLACE_M, _CHORD), near)
     around = numbers[rows.reshape(len(placed), near)]
     for source, pose, keyframes in zip(sources.tolist(), placed, around.tolist(), strict=True):
         lines = np.vstack([outline_of(keyframe) for keyframe in keyframes])
@@ -253,8 +253,11 @@ def _seen_from(
         yield replace(scan, ranges=seen_from(lines, laser, scan.bearings, scan.range_max))
 
 
-def _views(poses: FloatArray) -> FloatArray:
-    """(n, 4) where poses (n, 3) look from, and where to."""
+def views(poses: FloatArray, place_m: float, chord: float) -> FloatArray:
+    """(n, 4) where poses (n, 3) look from, and where to.
+
+    Those that are `place_m` apart, or turned by a `chord` of the unit circle, are one apart.
+    """
     x, y, heading = poses.T
-    facing = np.column_stack([np.cos(heading), np.sin(heading)]) / _CHORD
-    return np.hstack([np.column_stack([x, y]) / _PLACE_M, facing])
+    facing = np.column_stack([np.cos(heading), np.sin(heading)]) / chord
+    return np.hstack([np.column_stack([x, y]) / place_m, facing])

@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.arrays import evenly
@@ -25,6 +24,7 @@ from specmap_cli.recognition.learning.calibration import MOST_VIEWS, HeldOutMarg
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser, Sensor
 from specmap_cli.recognition.learning.familiarity import Familiarity
 from specmap_cli.recognition.learning.misfit import HELD_OUT_REACH_M
+from specmap_cli.recognition.learning.sampling import views
 from specmap_cli.recognition.learning.training_data import Samples
 
 _PIECE_M, _EVERY = 5.0, 4  # of the way a piece in four is held out; the first one never is
@@ -136,11 +136,16 @@ class Revisits:
     def told(self, samples: Mapping[int, Samples], by: Recogniser) -> HeldOutMargins:
         """The margins of samples of the recording; `by` is one of the classifiers before it."""
         column = {id_: k for k, id_ in enumerate(by.ids)}
+        told_apart = 2 if self.classifiers.sensor.full_circle else 4  # it does not matter where to
         features, true = [], []
         for i in sorted(column.keys() & samples.keys()):
-            before = self._views(np.flatnonzero(self.submaps[: self.first] == i))
+            before = np.flatnonzero(self.submaps[: self.first] == i)
             own = samples[i].rows(samples[i].keyframes >= self.first)
-            known = cKDTree(before).query(self._views(own.keyframes))[0] < 1.0
+            then, now = (
+                views(self.poses[keyframes], HELD_OUT_REACH_M, _CHORD)[:, :told_apart]
+                for keyframes in (before, own.keyframes)
+            )
+            known = cKDTree(then).query(now)[0] < 1.0
             features.append(own.features[known])
             true += [column[i]] * len(features[-1])
         if not true:
@@ -148,12 +153,3 @@ class Revisits:
         rows = evenly(np.arange(len(true)), MOST_VIEWS)
         margins = by.margins(np.vstack(features)[rows])
         return HeldOutMargins(margins, np.array(true, dtype=np.intp)[rows])
-
-    def _views(self, keyframes: NDArray[np.intp]) -> FloatArray:
-        """Where keyframes (k,) look from, and where to: farther apart than one is another view."""
-        x, y, heading = self.poses[keyframes].T
-        places = np.column_stack([x, y]) / HELD_OUT_REACH_M
-        if self.classifiers.sensor.full_circle:
-            return places
-        facing = np.column_stack([np.cos(heading), np.sin(heading)]) / _CHORD
-        return np.hstack([places, facing])

@@ -120,7 +120,7 @@ class ScanClassifier:
                 if posed.restarted:  # this pose has nothing to do with the last one
                     self._recent.clear()
                 if not posed.lost:
-                    self._recent.add(posed)
+                    self._recent.add(posed.map_from_base, posed.base_from_laser, lambda: posed.planar)
                 windows.append(self._recent.scan(posed.stamp_ns, posed.map_from_laser))
                 filled.append(self._recent.filled)
             features = scans_features(windows, virtual.feature_set)

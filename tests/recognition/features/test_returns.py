@@ -11,12 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.records import PlanarScan
+from specmap_cli.core.records import IntArray, PlanarScan
 from specmap_cli.recognition.features.returns import (
-    PAIR_STEPS,
     ReturnsBatch,
     Segments,
-    pair_windows,
+    pair_shares,
     ratio,
 )
 from tests.recognition.features.one_scan import batch_of, returns_of
@@ -54,13 +53,21 @@ def test_a_ratio_to_nothing_is_nought() -> None:
     assert ratio(np.array([1.0, 3.0]), np.array([0.0, 2.0])).tolist() == [0.0, 1.5]
 
 
-@pytest.mark.parametrize("count", [0, 1, 2, 3, 5, 6, 110])
-def test_each_pair_comes_once_and_what_is_missing_is_no_number(count: int) -> None:
-    first, second = pair_windows(np.arange(float(count)))
-    first, second = np.broadcast_arrays(first, second)
-    ends = np.sort(np.stack([first.ravel(), second.ravel()]), axis=0)
-    ends = ends[:, np.isfinite(ends).all(axis=0)]
-    assert sorted(zip(*ends.tolist(), strict=True)) == list(combinations(range(count), 2))
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 5, 6, 30])
+def test_each_pair_is_counted_once_and_none_with_what_is_missing(count: int) -> None:
+    none = 30 * 30
+
+    def bins(first: FloatArray, second: FloatArray) -> IntArray:
+        pair = 30 * np.minimum(first, second) + np.maximum(first, second)
+        return np.asarray(np.where(np.isnan(pair), none, pair)[0], dtype=np.intp)
+
+    # beside a piece that is longer, and so has more places
+    segments = Segments.of_counts(np.array([count, 30]))
+    values = np.concatenate([np.arange(count), np.arange(30)])[None].astype(np.float64)
+    shares = pair_shares(segments, values, bins, none + 1, none)[0]
+    pairs = [30 * a + b for a, b in combinations(range(count), 2)]
+    assert np.flatnonzero(shares).tolist() == pairs
+    assert shares[pairs] == pytest.approx(1.0 / max(1, len(pairs)))
 
 
 readings = st.lists(
@@ -120,18 +127,6 @@ def test_the_polygon_of_a_half_circle_holds_the_laser() -> None:
     areas, perimeters = batch.areas_and_perimeters
     assert areas == pytest.approx([math.pi * 2.0, math.pi * 4.0], rel=0.01)  # discs of 2 m
     assert perimeters[0] == pytest.approx(math.pi * 2.0 + 4.0, rel=0.01)
-
-
-@given(planar_scans())
-def test_pair_shares_are_those_of_every_kth_return(scan: PlanarScan) -> None:
-    batch = batch_of(scan)
-    shares = batch.pair_shares
-    assert shares.shape == (1, PAIR_STEPS + 1)
-    assert shares.sum() == pytest.approx(1.0)
-    distances = [math.dist(a, b) for a, b in combinations(batch.points.T.tolist(), 2)]
-    assert batch.counts[0] <= 90  # no return is left out of so few
-    far = sum(distance >= 12.0 for distance in distances)
-    assert shares[0, -1] == pytest.approx(far / len(distances))
 
 
 def test_a_dense_scan_is_thinned_for_its_pairs() -> None:

@@ -13,7 +13,7 @@ from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.recognition.features.group import BatchGroup, WrongCountError
+from specmap_cli.recognition.features.group import BatchGroup
 from specmap_cli.recognition.features.returns import ReturnsBatch
 from specmap_cli.recognition.features.sets import (
     BUILT_IN,
@@ -41,7 +41,8 @@ def test_a_set_names_every_column_once_and_it_holds_what_its_group_gives(name: s
     assert scans_features([], name).shape == (0, len(columns))
     values = dict(zip(columns, features.tolist(), strict=True))
     for group in BUILT_IN[name]:
-        given = group.values(ReturnsBatch.of([scan()]))[0].astype(np.float32).tolist()
+        assert isinstance(group, BatchGroup)
+        given = group.compute(ReturnsBatch.of([scan()]))[0].astype(np.float32).tolist()
         assert [values[column] for column in group.columns] == given
 
 
@@ -165,9 +166,19 @@ def test_a_package_may_compute_many_scans_at_once(install: Callable[..., None]) 
     code = "GROUPS = (BatchGroup(lambda batch: batch.counts[:, None] * 1.0, ('returns',)),)"
     install("mine", head + code)
     assert scans_features([scan(beams=90), scan(beams=180)], "mine").tolist() == [[90.0], [180.0]]
-    wrong = BatchGroup(lambda batch: np.zeros((len(batch), 2)), ("one",))
-    with pytest.raises(WrongCountError, match="gives 2 values for its 1 columns"):
-        wrong.values(ReturnsBatch.of([scan()]))
+
+
+@pytest.mark.parametrize(
+    ("given", "found"),
+    [("(len(batch), 2)", "2"), ("(len(batch), 1, 3)", "1 by 3"), ("(len(batch) + 1, 1)", "2 by 1")],
+)
+def test_a_function_of_many_scans_that_breaks_its_word_is_told(
+    given: str, found: str, install: Callable[..., None]
+) -> None:
+    head = HEAD.replace("FeatureGroup", "BatchGroup") + "import numpy as np\n"
+    install("mine", f"{head}GROUPS = (BatchGroup(lambda batch: np.zeros({given}), ('one',)),)")
+    with pytest.raises(UsageError, match=f"'one' gives {found} values for its 1 columns"):
+        scans_features([scan()], "mine")
 
 
 @pytest.mark.parametrize(("most", "again"), [(16, []), (3, []), (2, [3.8]), (0, [1.8, 2.8, 3.8])])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,6 @@ import pytest
 
 from specmap_cli.core.config import load_config
 from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.recognition.features.virtual import seen_from
@@ -19,7 +18,7 @@ from specmap_cli.recognition.learning.sampling import augmented_samples
 from specmap_cli.recognition.learning.training_data import together
 from tests.recognition.posed import stored
 
-Seen = list[tuple[FloatArray, Pose2, FloatArray]]
+Seen = list[tuple[FloatArray, float, Pose2, FloatArray]]
 SUBMAPS = {1: list(range(0, 30)), 4: list(range(32, 38))}  # keyframes 30 and 31 are in none
 
 
@@ -38,12 +37,12 @@ def store(building: Any) -> Iterator[KeyframeStore]:
 
 @pytest.fixture
 def seen(monkeypatch: pytest.MonkeyPatch) -> Seen:
-    """From where what was seen: lines, pose and ranges of every scan that is made."""
+    """How far, from where what was seen: bearings, reach, pose and ranges of every scan."""
     calls: Seen = []
 
     def watched(lines: FloatArray, pose: Pose2, bearings: FloatArray, reach_m: float) -> FloatArray:
         ranges = seen_from(lines, pose, bearings, reach_m)
-        calls.append((lines, pose, ranges))
+        calls.append((bearings, reach_m, pose, ranges))
         return ranges
 
     monkeypatch.setattr(sampling, "seen_from", watched)
@@ -82,11 +81,13 @@ def test_they_lie_a_step_aside_and_look_as_scans_taken_there(
     found = augmented_samples(store, SUBMAPS, store.poses, settings(60), rng)
     assert len(seen) == sum(len(own.keyframes) for own in found.values())
     keyframes = np.concatenate([found[i].keyframes for i in sorted(found)])
-    poses = np.array([pose for _, pose, _ in seen])
+    poses = np.array([pose for *_, pose, _ in seen])
+    laser = store.scan(3)
+    assert all(b.tolist() == laser.bearings.tolist() and r == laser.range_max for b, r, *_ in seen)
     away = np.hypot(*(poses - store.poses[keyframes])[:, :2].T)
     assert 0.02 < np.median(away) < 0.2
     off = []
-    for scan, (_, _, ranges) in zip(building.scans(poses), seen, strict=True):
+    for scan, (*_, ranges) in zip(building.scans(poses), seen, strict=True):
         both = np.isfinite(scan.ranges) & np.isfinite(ranges)
         assert both.sum() > 0.8 * np.isfinite(scan.ranges).sum()
         off.append(np.median(np.abs(scan.ranges - ranges)[both]))
@@ -105,20 +106,3 @@ def test_they_are_the_same_for_a_seed_and_differ_for_another(store: KeyframeStor
 def test_a_map_of_one_keyframe_is_seen_from_beside_it(store: KeyframeStore) -> None:
     found = augmented_samples(store, {0: [7]}, store.poses, settings(6), np.random.default_rng(0))
     assert found[0].keyframes.tolist() == [7] * 5
-
-
-def test_the_readings_have_the_bearings_of_the_keyframe_s_laser(
-    store: KeyframeStore, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made: list[PlanarScan] = []
-
-    def keep(scans: Iterable[PlanarScan], _: str) -> FloatArray:
-        made.extend(scans)
-        return np.zeros((len(made), 1))
-
-    monkeypatch.setattr(sampling, "scans_features", keep)
-    augmented_samples(store, {0: [3, 4]}, store.poses, settings(6), np.random.default_rng(0))
-    assert len(made) == 4
-    for scan in made:
-        assert scan.bearings.tolist() == store.scan(3).bearings.tolist()
-        assert scan.range_max == store.scan(3).range_max

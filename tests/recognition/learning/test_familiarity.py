@@ -23,15 +23,6 @@ def places(seed: int, counts: tuple[int, ...]) -> dict[int, FloatArray]:
     return {3 * k + 3: rng.uniform(0.0, 1.0, (count, WIDTH)) for k, count in enumerate(counts)}
 
 
-def test_the_constructor_stores_and_fit_learns() -> None:
-    known = Familiarity("pairs", false_unknown=0.1, per_submap=7)
-    assert (known.feature_set, known.false_unknown, known.per_submap) == ("pairs", 0.1, 7)
-    assert np.isnan(known.limit_)
-    assert known.fit(samples_of(SMALL)) is known
-    assert known.exemplars_.shape == (3 * 7, len(histogram_columns("pairs")))
-    assert known.limit_ > 0.0
-
-
 @given(st.integers(0, 999))
 def test_distances_are_those_of_scipy_to_the_nearest_exemplar(seed: int) -> None:
     made = places(seed, (30, 41))

@@ -77,16 +77,6 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     return watched(monkeypatch, KeyframeFeatures, "of")
 
 
-def test_a_submap_seen_very_often_is_learned_from_some_of_its_scans(
-    store: KeyframeStore, asked: list[Any]
-) -> None:
-    raw_samples(store, SUBMAPS, Config(recognition=RecognitionConfig(positives=10)))
-    assert [len(numbers) for _, numbers in asked] == [min(10, len(n)) for n in SUBMAPS.values()]
-    assert all(
-        numbers[-1] == n[-1] for (_, numbers), n in zip(asked, SUBMAPS.values(), strict=True)
-    )
-
-
 def test_of_a_submap_seen_often_the_scans_with_known_features_are_learned_from(
     store: KeyframeStore, asked: list[Any]
 ) -> None:
@@ -272,14 +262,3 @@ def test_a_feature_set_of_another_package_is_trained_and_used(
         "classifiers: file: its feature set 'mine' is not installed: install the package that "
         "offers it, or build the map again"
     )
-
-
-def test_a_file_of_an_older_edition_of_the_package_is_refused(
-    store: KeyframeStore, install: Callable[..., None]
-) -> None:
-    install("mine")
-    config = load_config(overrides={"recognition": {"rounds": 20, "feature_set": "mine"}})
-    learned = ClassifierSet(sensor=sensor_of(store, SUBMAPS), raw=raw_of(store, config))
-    text = learned.to_json().replace('"rings_far"', '"rings_farthest"')
-    with pytest.raises(MapError, match="'rings_farthest' is no feature of the set; build"):
-        ClassifierSet.from_json(text)

@@ -140,14 +140,6 @@ def test_a_smaller_share_of_the_features_is_drawn_anew_each_round() -> None:
     assert len(np.unique(third)) == 3
 
 
-def test_shrinkage_scales_the_first_votes() -> None:
-    votes = []
-    for shrinkage in (1.0, 0.5):
-        turn("recognition", shrinkage=shrinkage)
-        votes.append(trees_of(*data(6), 1).forest_.votes)
-    assert votes[1] == pytest.approx(0.5 * votes[0], abs=1e-6)
-
-
 def test_samples_of_one_class_alone_are_all_of_it() -> None:
     X, _ = data(8)
     for sign in (1.0, -1.0):
