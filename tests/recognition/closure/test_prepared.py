@@ -89,15 +89,12 @@ def test_distances_and_depth_are_those_of_scipy() -> None:
     for ours, inside in ((area.wall_distance, ~grid.occupied), (area.depth, grid.free)):
         expected = distance_transform_edt(inside) * 0.05
         assert np.abs(ours - expected).max() < 0.03 * expected.max() + 0.005  # OpenCV's mask of 5
-
-
-def test_without_unknown_cells_depth_is_far() -> None:
     cells = np.full((40, 40), FREE, dtype=np.uint8)
     cells[20, 5:35] = OCCUPIED
-    made = prepared(GridMap(cells, 0.05))
-    assert made is not None
-    assert made.area.known.all()
-    assert made.area.depth.max() < 2.0
+    whole = prepared(GridMap(cells, 0.05))
+    assert whole is not None
+    assert whole.area.known.all()
+    assert whole.area.depth.max() < 2.0
 
 
 @pytest.mark.parametrize(("inlier_m", "margin"), [(0.15, 3), (0.25, 5), (0.01, 1)])

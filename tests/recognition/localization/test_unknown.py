@@ -21,8 +21,8 @@ CONFIG = LocalizationConfig()
 
 @pytest.fixture(autouse=True)
 def _clues() -> None:
-    turn("recognition", independent_m=1.0, independent_rad=2.0)
-    turn("recognition", strange_from=1.0, strange_gain=2.0, strange_most=1.0)
+    strange = {"strange_from": 1.0, "strange_gain": 2.0, "strange_most": 1.0}
+    turn("recognition", independent_m=1.0, independent_rad=2.0, **strange)
 
 
 class Saying(WallCheck):
@@ -69,10 +69,16 @@ def test_scans_of_one_view_are_averaged_and_a_place_found_late_takes_the_place_o
 @pytest.mark.parametrize(
     ("scan", "share"), [(at(0.25), 0.25), (at(0.0, 0.5), 0.25), (at(0.3, 0.4), 0.5), (at(9.0), 1.0)]
 )
-def test_a_view_counts_by_the_motion_to_it(scan: PosedScan, share: float) -> None:
-    guide = unknown_odds([4.0, 4.0])
+def test_a_view_counts_by_the_motion_to_it_and_whole_after_a_restart(
+    scan: PosedScan, share: float
+) -> None:
+    guide = unknown_odds([4.0, 4.0, -3.0])
     assert guide.worth(at(0.0), looks(), [1], again=False) == 4.0
     assert guide.worth(scan, looks(), [1], again=False) == pytest.approx(4.0 * share)
+    assert guide.of_walls == 4.0
+    guide.restart()
+    assert guide.of_walls is None
+    assert guide.worth(at(0.0), looks(), [1], again=False) == -3.0
 
 
 def test_motion_that_nothing_was_said_of_counts_when_something_is_but_a_lost_scan_is_none() -> None:
@@ -99,12 +105,3 @@ def test_strange_looks_count_within_bounds(strange: float, shown: float, worth: 
     """And only as far as enough was seen; that a view looks familiar counts from the start."""
     guide = unknown_odds([None])
     assert guide.worth(at(0.0), looks(strange, shown), [], again=False) == pytest.approx(worth)
-
-
-def test_after_a_restart_the_first_view_counts_whole() -> None:
-    guide = unknown_odds([4.0, -3.0])
-    guide.worth(at(0.0), looks(), [1], again=False)
-    assert guide.of_walls == 4.0
-    guide.restart()
-    assert guide.of_walls is None
-    assert guide.worth(at(0.0), looks(), [1], again=False) == -3.0
