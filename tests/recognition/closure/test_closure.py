@@ -112,6 +112,22 @@ def test_a_submap_without_a_wall_is_considered_and_refused_once(building: Any) -
     assert loop.consider_leftovers({0: [1], 1: [0]}) == []
 
 
+def test_leftover_duplicates_are_found_through_the_topology(building: Any) -> None:
+    loop = closer(
+        altered(RecognitionConfig(closure_rounds=5), "recognition", {"candidates": 1, "members": 1})
+    )
+    # advice is not followed: the second visit of room 0 stays a submap of its own
+    for number, room in enumerate([0, 1, 2]):
+        loop.consider(building.visit(number, room, seed=number))
+    loop.consider(building.visit(3, 0, seed=3))
+    loop._compared.clear()
+    adjacency = {0: [1], 1: [0, 3], 2: [], 3: [1]}
+    found = loop.consider_leftovers(adjacency)
+    assert [(c.old, c.new) for c in found if c.merged] == [(0, 3)]
+    loop.merge(0, 3)
+    assert not any(c.merged for c in loop.consider_leftovers({0: [1], 1: [0], 2: []}))
+
+
 def test_a_stay_that_went_on_is_compared_whole(building: Any) -> None:
     """Of what the robot drove at first nothing was near the older stay; what followed was."""
     loop = closer()
