@@ -27,9 +27,7 @@ guesses = st.lists(st.tuples(st.integers(0, 4), st.integers(-1, 6)), min_size=1,
 
 
 @given(guesses, st.integers(0, 1000))
-def test_scores_equal_scikit_learn_s_whatever_the_names(
-    pairs: list[tuple[int, int]], seed: int
-) -> None:
+def test_scores_equal_scikit_learn_s(pairs: list[tuple[int, int]], seed: int) -> None:
     """Of all and of every class; the confusion has a column for unknown."""
     names = np.append(np.sort(np.random.default_rng(seed).permutation(100)[:7]), -1)
     names, ids = names + 10, (names[:5] + 10).tolist()
