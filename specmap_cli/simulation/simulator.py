@@ -190,7 +190,18 @@ def tour_along(
     truth = drive(path, limits)
     duration = min(truth.duration_s, options.max_duration_s or math.inf)
     scan_times = np.arange(0.0, duration + _ROUNDING_S, 1.0 / options.rate_hz)
-    laser, lidar = _laser(options), None
+    laser = Laser(
+        bearings=laser_bearings(math.radians(options.field_of_view_deg), options.beams),
+        range_max_m=options.range_max_m,
+        base_from_laser=Pose2(
+            options.laser_x_m, options.laser_y_m, math.radians(options.laser_yaw_deg)
+        ),
+        noise_m=options.noise_m,
+        step_m=options.range_step_m,
+        dropouts=options.dropouts,
+        sweep_s=options.sweep_s,
+    )
+    lidar = None
     if options.rings > 1:
         half = 0.5 * math.radians(options.vertical_fov_deg)
         lidar = Lidar(
@@ -229,20 +240,6 @@ def simulate_sweeps(plan: GridMap, options: SimulationOptions) -> Iterator[tuple
             where="rings",
         )
     yield from simulated_tour(plan, options).scans()
-
-
-def _laser(options: SimulationOptions) -> Laser:
-    return Laser(
-        bearings=laser_bearings(math.radians(options.field_of_view_deg), options.beams),
-        range_max_m=options.range_max_m,
-        base_from_laser=Pose2(
-            options.laser_x_m, options.laser_y_m, math.radians(options.laser_yaw_deg)
-        ),
-        noise_m=options.noise_m,
-        step_m=options.range_step_m,
-        dropouts=options.dropouts,
-        sweep_s=options.sweep_s,
-    )
 
 
 def _pose(row: FloatArray) -> Pose2:

@@ -178,28 +178,20 @@ def shortest_order(distances: FloatArray) -> IndexArray:
         order.append(int(np.where(left, distances[order[-1]], np.inf).argmin()))
         left[order[-1]] = False
     tour = np.array(order, dtype=np.intp)
-    for _ in range(_REVERSALS_PER_TARGET * n):
-        first, last, gain = _best_reversal(distances, tour)
-        if gain <= _LEAST_GAIN_M:
+    for _ in range(_REVERSALS_PER_TARGET * n if n > 2 else 0):
+        # what the reversal of each stretch of the open tour shortens it by
+        before, inner = tour[:-1], tour[1:]
+        step = distances[before, inner]
+        after_step = np.append(step[1:], 0.0)  # the last stretch has nothing behind it
+        joined = np.zeros((n - 1, n - 1))
+        joined[:, :-1] = distances[np.ix_(inner, inner[1:])]
+        gain = step[:, None] + after_step[None, :] - distances[np.ix_(before, inner)] - joined
+        gain[np.tril_indices(n - 1)] = 0.0
+        first, last = np.unravel_index(int(gain.argmax()), gain.shape)
+        if gain[first, last] <= _LEAST_GAIN_M:
             break
-        tour[first : last + 1] = tour[first : last + 1][::-1]
+        inner[first : last + 1] = inner[first : last + 1][::-1].copy()
     return tour
-
-
-def _best_reversal(distances: FloatArray, tour: IndexArray) -> tuple[int, int, float]:
-    """The stretch first..last (first > 0) whose reversal shortens an open tour most."""
-    n = len(tour)
-    if n < 3:
-        return 0, 0, 0.0
-    before, inner = tour[:-1], tour[1:]
-    step = distances[before, inner]
-    after_step = np.append(step[1:], 0.0)  # the last stretch has nothing behind it
-    joined = np.zeros((n - 1, n - 1))
-    joined[:, :-1] = distances[np.ix_(inner, inner[1:])]
-    gain = step[:, None] + after_step[None, :] - distances[np.ix_(before, inner)] - joined
-    gain[np.tril_indices(n - 1)] = 0.0
-    first, last = np.unravel_index(int(gain.argmax()), gain.shape)
-    return int(first) + 1, int(last) + 1, float(gain[first, last])
 
 
 def _smooth(world: World, path: FloatArray, radius_m: float) -> FloatArray:

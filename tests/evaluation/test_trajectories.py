@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import tempfile
 from pathlib import Path
 
@@ -53,30 +52,29 @@ def test_reads_tum_with_comments_and_exact_stamps_and_relations(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("", "holds no"),
-        ("# nothing\n", "holds no"),
-        ("1 2 3\n", ":1: 3 columns"),
-        ("\n1 2 0 0 0 0 x 1\n", ":2: .* not all numbers"),
-        ("1 2 nan 0 0 0 0 1\n", "not all finite"),
-        ("x 2 0 0 0 0 0 1\n", "not all numbers"),
-        ("1e300 2 0 0 0 0 0 1\n", "no time in seconds"),
+        (b"\xff\xfe\x00\x80", "not UTF-8 text"),
+        (b"", "holds no"),
+        (b"# nothing\n", "holds no"),
+        (b"1 2 3\n", ":1: 3 columns"),
+        (b"\n1 2 0 0 0 0 x 1\n", ":2: .* not all numbers"),
+        (b"1 2 nan 0 0 0 0 1\n", "not all finite"),
+        (b"x 2 0 0 0 0 0 1\n", "not all numbers"),
+        (b"1e300 2 0 0 0 0 0 1\n", "no time in seconds"),
+        (b"99999999999999999999 2 0 0 0 0 0 1\n", "no time in seconds"),
+        (b"1e10 2 0 0 0 0 0 1\n", ":1: '1e10' is no time in seconds; mend or remove the line"),
+        (b"-1e10 2 0 0 0 0 0 1\n", "no time in seconds"),
+        (b"9200000000 2 0 0 0 0 0 1\n", "no time in seconds"),
     ],
 )
-def test_malformed_files_are_one_clear_line(tmp_path: Path, text: str, says: str) -> None:
+def test_malformed_files_are_one_clear_line(tmp_path: Path, text: bytes, says: str) -> None:
     file = tmp_path / "bad.txt"
-    file.write_text(text)
+    file.write_bytes(text)
     for read in (read_tum, read_relations):
         with pytest.raises(InputError, match=says) as caught:
             read(file)
         assert "\n" not in str(caught.value)
-
-
-def test_missing_and_binary_files_are_said(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="cannot be read"):
-        read_tum(tmp_path / "none.tum")
-    (tmp_path / "b.tum").write_bytes(b"\xff\xfe\x00\x80")
-    with pytest.raises(InputError, match="UTF-8"):
-        read_relations(tmp_path / "b.tum")
+        with pytest.raises(InputError, match=r"none\.tum: cannot be read: No such file"):
+            read(tmp_path / "none.tum")
 
 
 @given(st.lists(st.integers(0, 300), max_size=30), st.lists(st.integers(0, 300), max_size=30))
@@ -145,14 +143,6 @@ def test_trajectories_there_and_back(seed: int, count: int) -> None:
 def test_stamps_are_exact_in_any_notation(tmp_path: Path, word: str, stamp_ns: int) -> None:
     (tmp_path / "a.tum").write_text(f"{word} 1 2 0 0 0 0 1\n")
     assert read_tum(tmp_path / "a.tum").stamps_ns.tolist() == [stamp_ns]
-
-
-@pytest.mark.parametrize("word", ["99999999999999999999", "1e10", "-1e10", "9200000000"])
-def test_a_stamp_beyond_all_clocks_is_refused(tmp_path: Path, word: str) -> None:
-    (tmp_path / "a.tum").write_text(f"1 0 0 0 0 0 0 1\n{word} 0 0 0 0 0 0 1\n")
-    expected = rf"a\.tum:2: '{re.escape(word)}' is no time in seconds; mend or remove the line"
-    with pytest.raises(InputError, match=expected):
-        read_tum(tmp_path / "a.tum")
 
 
 def test_the_heading_of_a_tilted_body_is_its_yaw(tmp_path: Path) -> None:

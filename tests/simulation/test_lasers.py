@@ -82,9 +82,8 @@ def test_dropouts_and_far_walls_are_beams_without_a_return(hall: World) -> None:
     dropped = measure(laser_of(2 * np.pi, 360, dropouts=0.2), hall, 40)
     assert np.isinf(dropped).mean() == pytest.approx(0.2, abs=0.02)
     laser = laser_of(2 * np.pi, 360, range_max_m=2.1)
-    short = measure(laser, hall)[0]
-    expected = true_ranges(3.0, 2.0, laser.bearings + 0.7)
-    np.testing.assert_array_equal(np.isinf(short), expected > 2.1)
+    far = true_ranges(3.0, 2.0, laser.bearings + 0.7) > 2.1
+    np.testing.assert_array_equal(np.isinf(measure(laser, hall)[0]), far)
 
 
 def test_beams_of_a_sweep_are_cast_from_where_the_robot_then_is(hall: World) -> None:
@@ -105,15 +104,11 @@ def test_beams_of_a_sweep_are_cast_from_where_the_robot_then_is(hall: World) -> 
     assert off_walls(turning.at(np.array(0.4))).max() > 0.1
 
 
-def zigzag() -> FloatArray:
-    path = np.array([[0, 0], [4, 0], [4, 3], [1, 3], [1, 1], [3, 1]], dtype=np.float64)
-    driven = drive(path + 5.0, Limits(0.5, 1.0, 0.5))
-    return driven.at(np.arange(0.0, driven.duration_s, 0.1))
-
-
 @given(st.integers(0, 1000))
 def test_odometry_without_errors_is_the_truth_seen_from_the_start(seed: int) -> None:
-    poses = zigzag()
+    path = np.array([[0, 0], [4, 0], [4, 3], [1, 3], [1, 1], [3, 1]], dtype=np.float64)
+    driven = drive(path + 5.0, Limits(0.5, 1.0, 0.5))
+    poses = driven.at(np.arange(0.0, driven.duration_s, 0.1))
     found = drifting_odometry(poses, OdometryErrors().times(0.0), np.random.default_rng(seed))
     np.testing.assert_allclose(compose(found, invert(found)), np.zeros_like(found), atol=1e-9)
     expected = compose(invert(poses[0]), poses)
@@ -121,22 +116,20 @@ def test_odometry_without_errors_is_the_truth_seen_from_the_start(seed: int) -> 
     np.testing.assert_allclose(np.cos(found[:, 2] - expected[:, 2]), 1.0, atol=1e-12)
 
 
-def test_random_odometry_errors_spread_with_the_root_of_the_way_at_any_rate() -> None:
+@pytest.mark.parametrize(("turning", "step"), [(0.03, 0.01), (0.03, 0.1), (0.0, 0.05)])
+def test_random_odometry_errors_spread_with_the_root_of_the_way_at_any_rate(
+    turning: float, step: float
+) -> None:
     """And wheels slip less sideways than along."""
-    for errors, step in (
-        (errors_of(translation_per_m=0.05, rotation_per_m=0.03), 0.01),
-        (errors_of(translation_per_m=0.05, rotation_per_m=0.03), 0.1),
-        (errors_of(translation_per_m=0.05), 0.05),
-    ):
-        straight = np.zeros((round(4.0 / step) + 1, 3))
-        straight[:, 0] = np.arange(len(straight)) * step
-        ends = np.array(
-            [drifting_odometry(straight, errors, np.random.default_rng(s))[-1] for s in range(400)]
-        )
-        assert ends[:, 2].std() == pytest.approx(errors.rotation_per_m * 2.0, rel=0.15)
-        assert ends[:, 2].mean() == pytest.approx(0.0, abs=0.012)
-        assert ends[:, 0].std() == pytest.approx(0.05 * 2.0, rel=0.15)
-    assert ends[:, 1].std() == pytest.approx(0.5 * ends[:, 0].std(), rel=0.15)
+    errors = errors_of(translation_per_m=0.05, rotation_per_m=turning)
+    straight = np.arange(round(4.0 / step) + 1)[:, None] * np.array([step, 0.0, 0.0])
+    drawn = map(np.random.default_rng, range(400))
+    x, y, theta = np.array([drifting_odometry(straight, errors, rng)[-1] for rng in drawn]).T
+    assert theta.std() == pytest.approx(turning * 2.0, rel=0.15)
+    assert theta.mean() == pytest.approx(0.0, abs=0.012)
+    assert x.std() == pytest.approx(0.05 * 2.0, rel=0.15)
+    if not turning:
+        assert y.std() == pytest.approx(0.5 * x.std(), rel=0.15)
 
 
 def test_calibration_errors_scale_way_and_turns() -> None:
@@ -196,23 +189,15 @@ def cloud_of(lidar: Lidar, world: World) -> Cloud:
     return cloud
 
 
-def off_surfaces(points: FloatArray) -> FloatArray:
-    """How far points (N, 3) of the lidar's frame are from the room's nearest surface."""
-    x, y = AT.apply(points[:, :2]).T
-    z = points[:, 2] + HEIGHT
-    planes = [x - LEFT, x - RIGHT, y - BOTTOM, y - TOP, z, z - CEILING]
-    return np.asarray(np.abs(planes).min(axis=0))
-
-
 def test_every_beam_ends_on_the_first_surface_it_meets(hall: World) -> None:
     points = cloud_of(lidar_of(), hall).points
     assert len(points) == 9 * 60
-    assert off_surfaces(points).max() < 1e-5
-    places = AT.apply(points[:, :2])
-    assert (places > np.array([LEFT, BOTTOM]) - 1e-5).all()
-    assert (places < np.array([RIGHT, TOP]) + 1e-5).all()
-    z = points[:, 2] + HEIGHT
-    assert (z.min(), z.max()) == pytest.approx((0.0, CEILING), abs=1e-6)
+    places = np.column_stack([AT.apply(points[:, :2]), points[:, 2] + HEIGHT])
+    low, high = np.array([LEFT, BOTTOM, 0.0]), np.array([RIGHT, TOP, CEILING])
+    off = np.minimum(np.abs(places - low), np.abs(places - high))
+    assert off.min(axis=1).max() < 1e-5
+    assert ((places > low - 1e-5) & (places < high + 1e-5)).all()
+    assert (places[:, 2].min(), places[:, 2].max()) == pytest.approx((0.0, CEILING), abs=1e-6)
 
 
 def test_the_level_ring_is_the_planar_laser(hall: World) -> None:

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.errors import UsageError
-from specmap_cli.core.geometry import Pose2, compose, invert
+from specmap_cli.core.geometry import Pose2, compose, invert, path_length
 from specmap_cli.core.records import Sweep
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.simulation import simulator
@@ -70,18 +70,17 @@ def test_stamps_are_whole_microseconds_at_the_rate(flat: GridMap) -> None:
         assert abs(after - before - 10**9 / 3) <= 1000
 
 
-@pytest.mark.parametrize(("longest", "scans"), [(0.01, 1), (0.25, 2), (3.0, 13)])
-def test_a_longest_duration_ends_the_recording(flat: GridMap, longest: float, scans: int) -> None:
+@pytest.mark.parametrize(("longest", "scans"), [(0.01, 1), (0.25, 2), (3.0, 13), (None, 0)])
+def test_a_longest_duration_ends_the_recording_else_the_tour_does(
+    flat: GridMap, longest: float | None, scans: int
+) -> None:
     tour = simulated_tour(flat, brief(max_duration_s=longest))
-    assert len(list(tour.scans())) == len(tour.scan_times_s) == scans
-    assert tour.duration_s == (scans - 1) / 4
-
-
-def test_without_a_longest_duration_the_tour_is_recorded_to_its_end(flat: GridMap) -> None:
-    tour = simulated_tour(flat, brief(max_duration_s=None))
-    assert tour.truth.duration_s - 0.25 < tour.duration_s <= tour.truth.duration_s
-    length = np.hypot(*np.diff(tour.truth.poses[:, :2], axis=0).T).sum()
-    assert tour.distance_m == pytest.approx(length, rel=0.02)
+    if longest is not None:
+        assert len(list(tour.scans())) == len(tour.scan_times_s) == scans
+        assert tour.duration_s == (scans - 1) / 4
+    else:
+        assert tour.truth.duration_s - 0.25 < tour.duration_s <= tour.truth.duration_s
+        assert tour.distance_m == pytest.approx(path_length(tour.truth.poses), rel=0.02)
 
 
 @pytest.mark.parametrize("rate", [0.5, 7.0, 200.0])

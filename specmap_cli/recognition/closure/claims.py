@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -52,7 +52,7 @@ class Claims:
         return self.new_by_old * self.old_by_new  # eq. 5
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _Scans:
     """One stay's features (n, F), and their bins (F, n) once they are cut."""
 
@@ -118,7 +118,9 @@ class ClaimRanker:
             return {
                 i: Claims(new_by_old=1.0, old_by_new=1.0, rank=1.0, by_stay=ones[i]) for i in ids
             }
-        new = self._quantised(_Scans(features))
+        new = _Scans(features)
+        if self.config.booster != "stumps":
+            self._quantise(new)
         count = min(self.config.groups or len(ids), len(ids))
         groups = [ids[k::count] for k in range(count)]
         # beside it the old submaps are trained whose map, or own scans, have grown since;
@@ -169,13 +171,11 @@ class ClaimRanker:
             return boosted(names, scans.features, questions, rounds)
         return boosted_trees(names, scans.codes, self._quantiser, questions, rounds, self.rng)
 
-    def _quantised(self, new: _Scans) -> _Scans:
-        """The new scans cut into bins, after all old ones have theirs; stumps need none.
+    def _quantise(self, new: _Scans) -> None:
+        """Cut the new scans, and those old ones that have no bins yet, into bins.
 
         The bins are cut anew, for all scans, once the map has doubled.
         """
-        if self.config.booster == "stumps":
-            return new
         stays = [scans for i in sorted(self._submaps) for scans in self._submaps[i]]
         anew = self._quantiser is None or len(stays) >= _QUANTISED_GROWTH * self._quantised_at
         if self._quantiser is None or anew:
@@ -183,17 +183,9 @@ class ClaimRanker:
             sampled = [evenly(scans.features, most) for scans in (*stays, new)]
             self._quantiser = Quantiser.of(np.vstack(sampled))
             self._quantised_at = len(stays)
-        quantiser = self._quantiser
-        for i, own in self._submaps.items():
-            self._submaps[i] = [_cut(scans, quantiser, anew) for scans in own]
-        return _cut(new, quantiser, anew)
-
-
-def _cut(scans: _Scans, quantiser: Quantiser, anew: bool) -> _Scans:
-    """The scans with their bins; those that have some keep them unless cut anew."""
-    if scans.codes is not None and not anew:
-        return scans
-    return replace(scans, codes=quantiser.codes(scans.features))
+        for scans in (*stays, new):
+            if anew or scans.codes is None:
+                scans.codes = self._quantiser.codes(scans.features)
 
 
 def _claims(c_new: Booster, c_old: Booster, new: _Scans, old: Sequence[NDArray[Any]]) -> Claims:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
@@ -72,15 +72,12 @@ def test_distances_and_depth_are_those_of_scipy() -> None:
     for ours, inside in ((area.wall_distance, ~grid.occupied), (area.depth, grid.free)):
         expected = distance_transform_edt(inside) * 0.05
         assert np.abs(ours - expected).max() < 0.03 * expected.max() + 0.005  # OpenCV's mask of 5
-
-
-def test_without_unknown_cells_depth_is_far() -> None:
     cells = np.full((40, 40), FREE, dtype=np.uint8)
     cells[20, 5:35] = OCCUPIED
-    made = prepared(GridMap(cells, 0.05))
-    assert made is not None
-    assert made.area.known.all()
-    assert made.area.depth.max() < 2.0
+    whole = prepared(GridMap(cells, 0.05))
+    assert whole is not None
+    assert whole.area.known.all()
+    assert whole.area.depth.max() < 2.0
 
 
 @pytest.mark.parametrize(("inlier_m", "margin"), [(0.15, 3), (0.25, 5), (0.01, 1)])
@@ -130,27 +127,23 @@ def test_coarse_layers_reward_walls_on_walls_and_punish_them_in_free_space() -> 
 
 @given(st.lists(st.integers(0, 5), min_size=1, max_size=30))
 def test_the_last_used_grids_are_kept_and_others_prepared_again(numbers: list[int]) -> None:
-    grids = PreparedGrids(most=3)
-    grid = GridMap(box().cells[90:110, 30:60].copy(), 0.05)
-    held: list[tuple[int, Any]] = []  # the last used one last
-    for number in numbers:
-        found = grids.of(number, grid)
-        before = [kept for kept in held if kept[0] == number]
-        assert not before or before[0][1] is found
-        held = [kept for kept in held if kept[0] != number][-2:] + [(number, found)]
+    """Those, too, that cannot be prepared: those of even numbers."""
+    grids, asked = PreparedGrids(most=3), list[int]()
+    held: list[int] = []  # the last used one last
 
+    def answer(number: Any) -> Any:
+        asked.append(number)
+        return number if number % 2 else None
 
-def test_a_grid_that_cannot_be_prepared_is_remembered_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[GridMap] = []
-
-    def refuse(grid: GridMap) -> None:
-        asked.append(grid)
-
-    monkeypatch.setattr("specmap_cli.recognition.closure.prepared.prepared", refuse)
-    grids = PreparedGrids(most=2)
-    assert grids.of(1, box()) is None
-    assert grids.of(1, box()) is None
-    assert len(asked) == 1
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("specmap_cli.recognition.closure.prepared.prepared", answer)
+        for number in numbers:
+            asked.clear()
+            grid: Any = number
+            found: Any = grids.of(number, grid)
+            assert found == (number if number % 2 else None)
+            assert asked == ([] if number in held else [number])
+            held = [*(kept for kept in held if kept != number), number][-3:]
 
 
 def test_fields_are_made_of_the_older_grid_alone_and_once(monkeypatch: pytest.MonkeyPatch) -> None:

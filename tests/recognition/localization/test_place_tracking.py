@@ -90,6 +90,7 @@ def north(step: int) -> Pose2:
 
 
 def test_a_place_that_no_other_looks_like_leads_when_all_submaps_were_searched() -> None:
+    """What walls said of it is remembered no longer than a leap is unlikely."""
     home = Home()
     home.see(2, ASIDE)  # two of three
     belief = home.see(2, ASIDE)
@@ -98,6 +99,9 @@ def test_a_place_that_no_other_looks_like_leads_when_all_submaps_were_searched()
     assert (ASIDE.inverse() @ home.place.pose).distance < 0.1
     assert belief.argmax() == 2
     assert belief.sum() == pytest.approx(1.0)
+    for step in range(40):
+        home.see(2, ASIDE @ Pose2(0.0, 0.0, 0.2 * step))
+    assert home.tracker.hypotheses[0].weight == pytest.approx(-math.log(LEAP))
 
 
 def test_none_of_two_look_alikes_leads() -> None:
@@ -151,13 +155,6 @@ def test_a_lost_scan_has_no_place_but_the_next_one_has_and_a_restart_forgets_the
     assert home.tracker.lead is None
     assert not home.tracker.hypotheses
     assert home.tracker.update(home.scan(2, IDENTITY), None, EVEN).tolist() == EVEN.tolist()
-
-
-def test_what_walls_said_is_remembered_no_longer_than_a_leap_is_unlikely() -> None:
-    home = Home()
-    for step in range(40):
-        home.see(2, Pose2(0.3, 0.4, 0.2 * step))
-    assert home.tracker.hypotheses[0].weight == pytest.approx(-math.log(LEAP))
 
 
 def test_a_place_goes_over_into_the_submap_of_the_keyframes_around_it() -> None:

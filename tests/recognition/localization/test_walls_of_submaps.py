@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -18,7 +18,6 @@ from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import UNKNOWN, GridMap
 from specmap_cli.grids.matching import Match
-from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.learning.misfit import _USUAL_MISFIT, HeldOutMisfit, pooled
 from specmap_cli.recognition.localization import wall_fit
 from specmap_cli.recognition.localization.places import Place
@@ -45,41 +44,21 @@ def standing(building: Any, room: int = 0) -> PosedScan:
     return found[0]
 
 
-class Counted:
-    """The walls of one room for every submap; counts what is asked for."""
-
-    def __init__(self, building: Any) -> None:
-        self.grid = building.walk(0, 0, "pairs").grid
-        self.walls = ScoreField.from_grid(self.grid)
-        self.asked: list[int] = []
-
-    def __call__(self, submap: int) -> ScoreField:
-        self.asked.append(submap)
-        return self.walls
-
-
-def walls_of(building: Any, **settings: float) -> tuple[WallCheck, Counted]:
-    config = configured(LocalizationConfig, "recognition", settings)
-    field = Counted(building)
-    return check(dict.fromkeys((7, 8, 9), field.grid), field, config), field
+def walls_of(building: Any, **settings: float) -> WallCheck:
+    """The walls of one room for every submap."""
+    return check(dict.fromkeys((7, 8, 9), building.walk(0, 0, "pairs").grid), None, **settings)
 
 
 def rooms_of(building: Any, frames: dict[int, Pose2] | None = None, **settings: float) -> WallCheck:
     """The walls of all rooms of the building, each a submap."""
-    config = configured(LocalizationConfig, "recognition", settings)
-    grids = {room: building.walk(room, 0, "pairs").grid for room in range(4)}
-    fields = {room: ScoreField.from_grid(grid) for room, grid in grids.items()}
-    return check(grids, fields.__getitem__, config, frames)
+    return check({k: building.walk(k, 0, "pairs").grid for k in range(4)}, frames, **settings)
 
 
 def check(
-    grids: Mapping[int, GridMap],
-    field: Callable[[int], ScoreField],
-    config: LocalizationConfig,
-    frames: dict[int, Pose2] | None = None,
+    grids: Mapping[int, GridMap], frames: dict[int, Pose2] | None = None, **settings: float
 ) -> WallCheck:
+    config = configured(LocalizationConfig, "recognition", settings)
     around = Surroundings(grids, {}, {})
-    around.field = field  # type: ignore[method-assign, assignment]
     return WallCheck(WallFit(grids, around, Ratio(None, config), frames), config)
 
 
@@ -116,22 +95,18 @@ def test_the_ratio_is_that_of_scipy_s_distributions(typical: float) -> None:
         assert ratio.of(misfit) == pytest.approx(min(max(expected, -most), most))
 
 
-@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.integers(0, 60))
-def test_more_misfit_never_speaks_for_the_map(
-    one: float, other: float, typical: float, views: int
+shares = st.floats(0.0, 1.0)
+
+
+@given(shares, shares, shares, shares, st.integers(0, 60))
+def test_more_misfit_never_speaks_for_the_map_and_a_place_that_stands_out_does(
+    one: float, other: float, typical: float, gap: float, views: int
 ) -> None:
+    """Places that look alike say nothing."""
     ratio = Ratio(HeldOutMisfit(typical, views), CONFIG)
     low, high = sorted((one, other))
     assert ratio.of(low) <= ratio.of(high) + 1e-12
-
-
-@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0))
-def test_a_place_that_stands_out_speaks_for_the_map_and_look_alikes_say_nothing(
-    misfit: float, gap: float
-) -> None:
-    ratio = Ratio(None, CONFIG)
-    assert ratio.of(misfit, gap) <= ratio.of(misfit)
-    assert ratio.of(misfit, 0.05) == ratio.of(misfit)
+    assert ratio.of(one, gap) <= ratio.of(one) == ratio.of(one, 0.05)
 
 
 def test_few_views_widen_what_is_taken_for_known() -> None:
@@ -145,13 +120,13 @@ def test_few_views_widen_what_is_taken_for_known() -> None:
 def test_own_scans_fit_and_those_of_another_room_do_not(building: Any) -> None:
     for room, sign in ((0, -1.0), (2, 1.0)):
         for scan in building.posed(building.path(room, 3)[::6]):
-            assert sign * ratio_of(walls_of(building)[0], scan, [7]) > 0.5
+            assert sign * ratio_of(walls_of(building), scan, [7]) > 0.5
 
 
 def test_a_scan_that_fits_where_motion_leads_is_not_sought_again(
     building: Any, searches: list[Any]
 ) -> None:
-    walls, _ = walls_of(building)
+    walls = walls_of(building)
     for scan in building.posed(building.path(0, 3)):
         told(walls, scan, [7])
     assert len(searches) == 1
@@ -175,25 +150,23 @@ def test_a_place_is_kept_where_the_scan_alone_fits(building: Any, searches: list
     assert ratio_of(walls, replace(here, planar=cluttered), [0]) > 0.0
 
 
-def test_standing_elsewhere_is_searched_ever_more_rarely(building: Any) -> None:
-    walls, field = walls_of(building)
-    scan = posed(standing(building, 2).planar, IDENTITY)
-    # at the 1st scan, then 2, 4, 8 and 16 scans later
-    assert asked_at([told(walls, scan, [7]) for _ in range(32)]) == [0, 2, 6, 14, 30]
-    assert len(set(field.asked)) == 1
-
-
-def test_driving_elsewhere_is_searched_by_the_way(building: Any) -> None:
-    walls, _ = walls_of(building, fit_search_m=1.0)
+def test_elsewhere_is_searched_ever_more_rarely_standing_and_by_the_way_driving(
+    building: Any,
+) -> None:
     scan = standing(building, 2).planar
+    walls = walls_of(building)
+    # at the 1st scan, then 2, 4, 8 and 16 scans later
+    said = [told(walls, posed(scan, IDENTITY), [7]) for _ in range(32)]
+    assert asked_at(said) == [0, 2, 6, 14, 30]
+    walls = walls_of(building, fit_search_m=1.0)
     said = [told(walls, posed(scan, Pose2(0.1 * k, 0.0, 0.0)), [7]) for k in range(60)]
     assert len(asked_at(said)) in range(6, 12)
 
 
 def test_the_likeliest_submap_that_fits_ends_the_search(building: Any) -> None:
-    walls, field = walls_of(building)
+    walls = walls_of(building)
     told(walls, standing(building), [7, 8, 9])
-    assert set(field.asked) == {7}
+    assert walls.fit.around._fields.keys() == {7}
 
 
 def test_a_standing_robot_has_one_submap_after_the_other_searched(building: Any) -> None:
@@ -301,7 +274,7 @@ def test_of_the_places_found_the_one_counts_that_the_map_can_say_least_against(
     right = building.frame(0).inverse() @ here.map_from_base
     wrong = right @ Pose2(1.0, 0.8, 1.0)
     for order in ([wrong, right], [right, wrong]):
-        walls, _ = walls_of(building)
+        walls = walls_of(building)
         found = [Match(pose, 1.0) for pose in order]
         monkeypatch.setattr(wall_fit, "search_everywhere", lambda *_, found=found: found)
         assert ratio_of(walls, here, [7]) < -1.0
@@ -309,20 +282,17 @@ def test_of_the_places_found_the_one_counts_that_the_map_can_say_least_against(
 
 def test_returns_where_the_map_saw_nothing_count_less(building: Any) -> None:
     """The scan of a room against a map of its left half."""
-    ratios = []
-    for weight in (0.0, 1.0):
-        field = Counted(building)
-        cells = field.grid.cells.copy()
-        cells[:, cells.shape[1] // 2 :] = UNKNOWN
-        half = GridMap(cells, field.grid.resolution, field.grid.origin)
-        field.walls = ScoreField.from_grid(half)
-        config = configured(LocalizationConfig, "recognition", {"unseen_weight": weight})
-        ratios.append(ratio_of(check({7: half}, field, config), standing(building), [7]))
-    assert ratios[0] < ratios[1]
+    grid = building.walk(0, 0, "pairs").grid
+    cells = grid.cells.copy()
+    cells[:, cells.shape[1] // 2 :] = UNKNOWN
+    half = {7: GridMap(cells, grid.resolution, grid.origin)}
+    here = standing(building)
+    less, alike = (ratio_of(check(half, None, unseen_weight=w), here, [7]) for w in (0.0, 1.0))
+    assert less < alike
 
 
 def test_lost_and_empty_scans_say_nothing(building: Any) -> None:
-    walls, _ = walls_of(building)
+    walls = walls_of(building)
     scan = standing(building).planar
     assert told(walls, posed(scan, IDENTITY, lost=True), [7]) is None
     few = replace(scan, ranges=np.where(np.arange(len(scan.ranges)) < 9, scan.ranges, np.inf))
