@@ -73,10 +73,8 @@ def test_the_first_round_is_the_best_of_all_weak_classifiers(seed: int) -> None:
     assert (ours != y).mean() == pytest.approx((brute.predict(X) != y).mean())
 
 
-@given(st.integers(0, 1000))
-@few(5)
-def test_the_rounds_are_scikit_learn_s_discrete_adaboost(seed: int) -> None:
-    X, y = blobs(seed, n=60)
+def test_the_rounds_are_scikit_learn_s_discrete_adaboost() -> None:
+    X, y = blobs(1, n=60)
     ours = StumpBoost(NAMES, 8).fit(X, y)
     theirs = AdaBoostClassifier(BruteStump(), n_estimators=8).fit(X, y.astype(int))
     splits = [(s.feature, pytest.approx(s.threshold), s.polarity) for s in ours.rounds_]
@@ -94,6 +92,22 @@ def test_a_separable_set_ends_early_and_chance_ends_at_once() -> None:
     constant = StumpBoost(("f0",), 30).fit(np.ones((8, 1)), np.array([1.0, -1.0] * 4))
     assert constant.rounds_ == []
     assert (constant.margins(X) < 0.0).all()
+
+
+@given(st.integers(0, 1000), st.integers(1, 12))
+@few(10)
+def test_weights_sum_to_one_and_make_the_last_classifier_worthless(seed: int, rounds: int) -> None:
+    """Eq. 3 by a loop: after its round every weak classifier is as good as a coin."""
+    X, y = blobs(seed, n=50)
+    weights = np.full(len(y), 1.0 / len(y))
+    for stump in StumpBoost(NAMES, rounds).fit(X, y).rounds_:
+        h = np.where(stump.polarity * X[:, stump.feature] < stump.polarity * stump.threshold, 1, -1)
+        error = float(weights[h != y].sum())
+        assert stump.votes == pytest.approx(0.5 * np.log((1.0 - error) / error))
+        weights = weights * np.exp(-y * stump.votes * h)
+        weights = weights / weights.sum()
+        assert weights.sum() == pytest.approx(1.0)
+        assert weights[h != y].sum() == pytest.approx(0.5)
 
 
 @of_both_kinds
