@@ -15,7 +15,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice, pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -142,8 +142,10 @@ class SeveralSensorsError(UsageError):
 
     code = CHOICE
 
-    def __init__(self, found: str, hint: str, where: str, best: str) -> None:
-        super().__init__(found, hint, where=where)
+    def __init__(
+        self, found: object = "", hint: str | None = None, *, best: str = "", **rest: Any
+    ) -> None:
+        super().__init__(found, hint, **rest)
         self.best = best
 
 
@@ -197,11 +199,10 @@ def _kinds(layouts: Sequence[ScanLayout]) -> list[tuple[View, int]]:
         view = views[number]
         for other in often:
             shared = min(view.high, views[other].high) - max(view.low, views[other].low)
-            if other == number or shared <= _SENSOR_ANGLE_RAD:
-                continue
             both = [turn for turn in turns if turn in (number, other)]
             changes = sum(a != b for a, b in pairwise(both))
-            if 2 * changes >= min(counts[number], counts[other]):
+            by_turns = 2 * changes >= min(counts[number], counts[other])
+            if other != number and shared > _SENSOR_ANGLE_RAD and by_turns:
                 found.append((view, counts[number]))
                 break
     return found
@@ -230,7 +231,8 @@ def choose_sensor(
     best = max(candidates, key=lambda sensor: sensor.count)
     choices = " or ".join(f"`--scan-frame {_told(s, total, '`')}" for s in candidates)
     several = legible(f"{topic}: {len(candidates)} sensors on one topic")
-    raise SeveralSensorsError(several, legible(f"choose {choices}"), legible(log), best.name)
+    hint, where = legible(f"choose {choices}"), legible(log)
+    raise SeveralSensorsError(several, hint, where=where, best=best.name)
 
 
 def _told(sensor: ScanSensor, total: int, end: str = "") -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +88,9 @@ def test_a_rare_sensor_is_left_out_without_a_question(path: Path) -> None:
     with pytest.raises(SeveralSensorsError) as caught:
         sweeps_of(path)
     assert caught.value.best == "front"
+    sent = pickle.loads(pickle.dumps(caught.value))  # from a process that runs ahead
+    assert (sent.best, str(sent)) == ("front", str(caught.value))
+    assert caught.value.within("jobs.toml").hint == caught.value.hint
     write(path, [REAR] * 2 + [FRONT] * 28)
     sweeps, stream = sweeps_of(path)
     assert stream.selection.sensor.frame == "front"
