@@ -27,14 +27,15 @@ from specmap_cli.logs.frames import (
 )
 from specmap_cli.logs.messages import BadMessageError, decode_odometry
 from specmap_cli.logs.opening import Log
+from specmap_cli.logs.readers.encoding import ODOMETRY
 from specmap_cli.logs.readers.recording import TopicInfo
 from specmap_cli.logs.sensors import (
     TRIED_MESSAGES,
     ScanSensor,
     ceilings_m,
-    choose_odometry_topic,
     choose_scan_topic,
     choose_sensor,
+    choose_topic,
     first_scans,
     is_flat,
     sensors_of,
@@ -109,7 +110,10 @@ def select(log: Log, config: LogConfig) -> Selection:
     sensor = choose_sensor(log.name, topic.name, sensors, config)
     scans = [scan for scan in scans if sensor.made(scan)]
     in_space = sensor.is_cloud and not is_flat(log, topic, sensor)
-    odometry_topic = choose_odometry_topic(log, config.odom_topic) if config.use_odometry else None
+    odometry_topic = None
+    if config.use_odometry:
+        asked = config.odom_topic
+        odometry_topic = choose_topic(log, {ODOMETRY}, asked, "--odom-topic", "odometry")
     child = _odometry_child(log, odometry_topic)
     usual = [frame for frame in (child, *USUAL_BASES) if frame]
     bases = usual if config.base_frame is None else [config.base_frame.lstrip("/")]

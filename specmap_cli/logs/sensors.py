@@ -32,7 +32,7 @@ from specmap_cli.logs.messages import (
 )
 from specmap_cli.logs.opening import Log
 from specmap_cli.logs.planar import ScanLeveller, covers_circle, increment
-from specmap_cli.logs.readers.encoding import ODOMETRY, SCAN_TYPES, TF_MESSAGE
+from specmap_cli.logs.readers.encoding import SCAN_TYPES, TF_MESSAGE
 from specmap_cli.logs.readers.recording import TopicInfo, refused
 
 
@@ -44,7 +44,7 @@ def transform_topics(log: Log, *, static: bool) -> list[str]:
 
 def choose_scan_topic(log: Log, asked: str | None) -> TopicInfo:
     """The topic of scans: the asked one, or the only one."""
-    chosen = _chosen(log, SCAN_TYPES, asked, "--scan-topic", "scans")
+    chosen = choose_topic(log, SCAN_TYPES, asked, "--scan-topic", "scans")
     if chosen is None:
         there = ", ".join(f"{t.name} ({t.type})" for t in log.topics()) or "no messages at all"
         none = f"no LaserScan, MultiEchoLaserScan or PointCloud2 in it; it has {there}"
@@ -52,12 +52,7 @@ def choose_scan_topic(log: Log, asked: str | None) -> TopicInfo:
     return chosen
 
 
-def choose_odometry_topic(log: Log, asked: str | None) -> TopicInfo | None:
-    """The Odometry topic: the asked one, the only one, or None when there is none."""
-    return _chosen(log, {ODOMETRY}, asked, "--odom-topic", "odometry")
-
-
-def _chosen(
+def choose_topic(
     log: Log, types: Collection[str], asked: str | None, option: str, what: str
 ) -> TopicInfo | None:
     """The topic of such types that is asked for, or the only one; None when there is none."""

@@ -225,28 +225,24 @@ class Rosbag2File(Recording):
     def _message(self, number: int, time_ns: object, data: object) -> Message | None:
         """The message in a row of the table; None, and reported, when there is none."""
         name, kind = self._topics[number]
-        fault = None
-        if not isinstance(time_ns, int) or not isinstance(data, bytes):
-            fault = "the row of a message does not hold one"
-        elif compression_of(data[:4]) == "zstd":  # rosbag2's compression of single messages
-            data, complete, beyond = decompress(data, "zstd", self._message_max)
-            if beyond:
-                fault = f"a message at {time_text(time_ns)} is beyond log.chunk_max_mb"
-            elif not complete:
-                fault = f"a message at {time_text(time_ns)} is damaged in its compression"
-        if fault is not None:
-            self.report(f"{fault}: one on {name} is lost", {name: 1})
-            return None
-        assert isinstance(time_ns, int)
-        assert isinstance(data, bytes)
-        return Message(name, kind, time_ns, data)
+        fault = "the row of a message does not hold one"
+        if isinstance(time_ns, int) and isinstance(data, bytes):
+            complete, why = True, "damaged in its compression"
+            if compression_of(data[:4]) == "zstd":  # rosbag2's compression of single messages
+                data, complete, beyond = decompress(data, "zstd", self._message_max)
+                why = "beyond log.chunk_max_mb" if beyond else why
+            if complete:
+                return Message(name, kind, time_ns, data)
+            fault = f"a message at {time_text(time_ns)} is {why}"
+        self.report(f"{fault}: one on {name} is lost", {name: 1})
+        return None
 
     def close(self) -> None:
         """Release the file."""
         self._db.close()
 
 
-_ROWS_END = 1 << 63  # SQLite numbers its rows in 64 bits
+_LAST_ROW = (1 << 63) - 1  # SQLite numbers its rows in 64 bits, with a sign
 
 
 class Row(NamedTuple):
@@ -299,7 +295,7 @@ class Rows:
                 found, place = self._single(place, str(error))
             if found is not None:
                 yield found
-            if place is None:
+            if place is None or (not self._by_time and place.row == _LAST_ROW):
                 return
             if before is not None:  # in a damaged table rows may lead back, round and round
                 now, then = (
@@ -334,21 +330,21 @@ class Rows:
 
         Steps double until one leads out of the damage; halving finds where it ends.
         """
-        step = 1
-        while not self._can_go_on(last + step):
-            step *= 2
-            if last + step >= _ROWS_END:
-                return None
-        tried = range(last + step)
-        return _Place(None, bisect_left(tried, True, lo=last + step // 2 + 1, key=self._can_go_on))
 
-    def _can_go_on(self, row: int) -> bool:
-        """Whether what follows a row can be read."""
-        try:
-            self._first("topic_id", _Place(None, row))
-        except sqlite3.Error:
-            return False
-        return True
+        def can_go_on(row: int) -> bool:
+            try:
+                self._first("topic_id", _Place(None, row))
+            except sqlite3.Error:
+                return False
+            return True
+
+        step = 1
+        while last + step < _LAST_ROW and not can_go_on(last + step):
+            step *= 2
+        if last + step >= _LAST_ROW:
+            return None
+        tried = range(last + step // 2 + 1, last + step)
+        return _Place(None, tried.start + bisect_left(tried, True, key=can_go_on))
 
     def _first(self, columns: str, behind: _Place | None) -> tuple[Any, ...] | None:
         query, values = self._query(columns, behind)
