@@ -37,15 +37,41 @@ def write(path: Path, lasers: list[Laser], beams: int = 11) -> None:
 FRONT, REAR = ("front", -1.5, 1.5), ("rear", -1.5, 1.5)
 
 
-def test_two_frames_that_take_turns_must_be_chosen(path: Path) -> None:
-    write(path, [FRONT, REAR] * 15)
+WIDE, NARROW = ("laser", -2.0, 2.0), ("laser", -0.5, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("lasers", "options", "said"),
+    [
+        (
+            [FRONT, REAR] * 15,
+            {},
+            "2 sensors on one topic: choose `--scan-frame front` (15 of the first 30 scans) or "
+            "`--scan-frame rear` (15 of the first 30 scans)",
+        ),
+        (
+            [WIDE, NARROW] * 10,
+            {},
+            "2 sensors on one topic: choose `--scan-frame 'laser#1'` (-115 to 115 degrees, 10 of "
+            "the first 20 scans) or `--scan-frame 'laser#2'` (-29 to 29 degrees, 10 of the first "
+            "20 scans)",
+        ),
+        (
+            [FRONT, REAR, FRONT],
+            {"scan_frame": "top"},
+            "--scan-frame top: no scans of such a sensor; there are front (2 of the first 3 "
+            "scans), rear (1 of the first 3 scans)",
+        ),
+    ],
+    ids=["frames", "fields of view", "unknown"],
+)
+def test_one_of_several_sensors_must_be_chosen(
+    path: Path, lasers: list[Laser], options: dict[str, str], said: str
+) -> None:
+    write(path, lasers)
     with pytest.raises(UsageError) as caught:
-        sweeps_of(path)
-    assert str(caught.value) == (
-        f"{path}: /scan: 2 sensors on one topic: choose `--scan-frame front` (15 of the first 30 "
-        "scans) or `--scan-frame rear` (15 of the first 30 scans)"
-    )
-    assert caught.value.exit_code == 2
+        sweeps_of(path, **options)
+    assert str(caught.value) == f"{path}: /scan: {said}"
 
 
 @pytest.mark.parametrize(("name", "x"), [("front", 0.2), ("/rear", -0.2)])
@@ -61,16 +87,6 @@ def test_only_the_sweeps_of_the_chosen_sensor_are_read(path: Path, name: str, x:
     ]
     assert stream.selection.note.startswith(
         f"scans from /scan (LaserScan, 31) of sensor {name.lstrip('/')}, "
-    )
-
-
-def test_an_unknown_sensor_is_refused_with_those_there_are(path: Path) -> None:
-    write(path, [FRONT, REAR, FRONT])
-    with pytest.raises(UsageError) as caught:
-        sweeps_of(path, scan_frame="top")
-    assert str(caught.value) == (
-        f"{path}: /scan: --scan-frame top: no scans of such a sensor; there are "
-        "front (2 of the first 3 scans), rear (1 of the first 3 scans)"
     )
 
 
@@ -97,15 +113,8 @@ def test_a_rare_sensor_is_left_out_without_a_question(path: Path) -> None:
     assert (len(sweeps), stream.counts["other_sensor"]) == (28, 2)
 
 
-def test_one_frame_with_two_fields_of_view_by_turns_is_two_sensors(path: Path) -> None:
-    wide, narrow = ("laser", -2.0, 2.0), ("laser", -0.5, 0.5)
-    write(path, [wide, narrow] * 10)
-    with pytest.raises(UsageError) as caught:
-        sweeps_of(path)
-    assert str(caught.value).endswith(
-        "choose `--scan-frame 'laser#1'` (-115 to 115 degrees, 10 of the first 20 scans) or "
-        "`--scan-frame 'laser#2'` (-29 to 29 degrees, 10 of the first 20 scans)"
-    )
+def test_a_field_of_view_may_be_chosen(path: Path) -> None:
+    write(path, [WIDE, NARROW] * 10)
     sweeps, stream = sweeps_of(path, scan_frame="laser#2")
     assert len(sweeps) == stream.counts["other_sensor"] == 10
     assert {float(sweep.planar.bearings[0]) for sweep in sweeps} == {-0.5}
