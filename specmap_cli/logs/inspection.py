@@ -175,7 +175,7 @@ def _preview(stream: SweepStream, *, complete: bool) -> tuple[Preview | None, Sw
         invalid_share=None if is_cloud else invalid / max(readings, 1),
         spacing=Spacing(rate_hz, step_m, step_m is not None and step_m >= _SPARSE_STEP_M),
         gaps=tuple(
-            Gap(steps.length_s(n), steps.begins_s(n))
+            Gap(*steps.told(n))
             for n in steps.longer_than(max(_GAP_S, _PAUSE_INTERVALS * steps.usual_s))
         ),
         sensors=tuple((sensor.name, sensor.count) for sensor in stream.selection.sensors),
@@ -204,13 +204,10 @@ class _Steps:
         """The numbers of the steps that take longer."""
         return [int(n) for n in np.flatnonzero(self.steps_ns / NS_PER_S > seconds)]
 
-    def length_s(self, number: int) -> float:
-        """How long a step takes."""
-        return round(float(self.steps_ns[number] / NS_PER_S), 6)
-
-    def begins_s(self, number: int) -> float:
-        """The stamp at which a step begins."""
-        return round(float(self.stamps_ns[number]) / NS_PER_S, 6)
+    def told(self, number: int) -> tuple[float, float]:
+        """How long a step takes, and the stamp at which it begins, seconds."""
+        length, begin = self.steps_ns[number], self.stamps_ns[number]
+        return round(float(length / NS_PER_S), 6), round(float(begin) / NS_PER_S, 6)
 
 
 class _Reading:
@@ -268,14 +265,10 @@ def _checked(log: Log, reading: _Reading) -> tuple[TopicCheck, ...]:
     for key in sorted(expected.keys() | reading.stamps_ns.keys()):
         steps = _Steps(reading.stamps_ns[key])
         pauses = steps.longer_than(_PAUSE_INTERVALS * steps.usual_s)
-        longest = int(np.argmax(steps.steps_ns)) if pauses else 0
         told = Pauses()
         if pauses:
-            told = Pauses(
-                count=len(pauses),
-                longest_s=steps.length_s(longest),
-                longest_at_s=steps.begins_s(longest),
-            )
+            longest_s, at_s = steps.told(int(np.argmax(steps.steps_ns)))
+            told = Pauses(count=len(pauses), longest_s=longest_s, longest_at_s=at_s)
         checks.append(
             TopicCheck(
                 name=key[0],

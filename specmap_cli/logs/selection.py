@@ -145,33 +145,31 @@ def select(log: Log, config: LogConfig) -> Selection:
         band_m=(config.band_min_m, config.band_max_m) if in_space else None,
         ceilings_m=ceilings_m(log, topic, sensor),
         warnings=(
-            *_doubled(log, topic.name),
-            *placement.warnings,
-            *_frame_warnings(placement, frames, child, config),
+            *_assumptions(log, topic.name, placement, frames, child, config),
             *clock_warnings(clock, topic.name),
             *([_UNKNOWN_FLOOR] if in_space and placement.floor_m is None else []),
         ),
     )
 
 
-def _doubled(log: Log, topic: str) -> Iterator[str]:
-    """Files that look like recordings of their own, not like parts of one."""
-    if len(log.paths) == 1:
-        return
-    for earlier, later, shared_ns in log.side_by_side(topic):
+def _assumptions(
+    log: Log,
+    topic: str,
+    placement: Placement,
+    frames: Frames,
+    odometry_child: str | None,
+    config: LogConfig,
+) -> Iterator[str]:
+    """What is taken for granted of the files and the frames as the log does not say it."""
+    base = placement.base_frame
+    for earlier, later, shared_ns in log.side_by_side(topic) if len(log.paths) > 1 else ():
         if shared_ns > _PARTS_OVERLAP_NS:
             yield (
                 f"{earlier} and {later} both hold {topic} for the same {seconds(shared_ns):.0f} s: "
                 "if they are not parts of one recording, build a map of one of them and add the "
                 "other with `specmap update`"
             )
-
-
-def _frame_warnings(
-    placement: Placement, frames: Frames, odometry_child: str | None, config: LogConfig
-) -> Iterator[str]:
-    """What is taken for granted of the frames as the log does not say it."""
-    base = placement.base_frame
+    yield from placement.warnings
     for parent, child in frames.absurd[:_ABSURD_NAMED]:
         yield f"the transform {parent!r} -> {child!r} is not finite or absurd, and was left out"
     if frames.unreadable:
