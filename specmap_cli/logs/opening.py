@@ -105,10 +105,8 @@ def open_log(paths: Paths, config: LogConfig | None = None) -> Log:
         raise LogError("no log given;", "name a file or a directory")
     readers = known_readers()
     with ExitStack() as held:
-        recordings: list[Recording] = []
-        for path in given:
-            for file in _files_at(path, readers):
-                recordings.append(_opened(file, readers, settings, held))
+        files = (file for path in given for file in _files_at(path, readers))
+        recordings = [_opened(file, readers, settings, held) for file in files]
         seen: set[Path] = set()
         for recording in recordings:
             place = recording.path.resolve()

@@ -114,7 +114,12 @@ def select(log: Log, config: LogConfig) -> Selection:
     if config.use_odometry:
         asked = config.odom_topic
         odometry_topic = choose_topic(log, {ODOMETRY}, asked, "--odom-topic", "odometry")
-    child = _odometry_child(log, odometry_topic)
+    child = None  # the frame that moves, by the first message that can be read
+    if odometry_topic is not None:
+        for message in islice(log.messages([odometry_topic.name]), TRIED_MESSAGES):
+            with suppress(BadMessageError):
+                child = decode_odometry(message).child or None
+                break
     usual = [frame for frame in (child, *USUAL_BASES) if frame]
     bases = usual if config.base_frame is None else [config.base_frame.lstrip("/")]
     frames = read_frames(log, sensor.frame, bases, config)
@@ -184,15 +189,6 @@ def _assumptions(
             f"the odometry moves {odometry_child!r}, which no transform joins to {base!r}: "
             "the two are taken to be the same"
         )
-
-
-def _odometry_child(log: Log, topic: TopicInfo | None) -> str | None:
-    """The frame that moves in an Odometry topic, by the first message that can be read."""
-    if topic is not None:
-        for message in islice(log.messages([topic.name]), TRIED_MESSAGES):
-            with suppress(BadMessageError):
-                return decode_odometry(message).child or None
-    return None
 
 
 def odometry_ancestor(tree: TransformTree, base_frame: str) -> str | None:

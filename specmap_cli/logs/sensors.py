@@ -258,9 +258,8 @@ def first_scans(log: Log, topic: TopicInfo) -> list[FirstScan]:
             found.append(FirstScan(record.stamp_ns, message.time_ns, record.frame, layout))
         except BadMessageError as error:
             reason = f"{error}; tried {counted(tried, 'message')}"
-        if found and (tried >= LOOK_SCANS or size >= _LOOK_BYTES):
-            break
-        if not found and tried >= TRIED_MESSAGES:
+        most = LOOK_SCANS if found else TRIED_MESSAGES
+        if tried >= most or (found and size >= _LOOK_BYTES):
             break
     if not found:
         none = f"{topic.name}: no usable scan: {reason}"

@@ -15,10 +15,7 @@ from specmap_cli.logs.inspection import summarize
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.sensors import SeveralSensorsError
 from specmap_cli.logs.writer import LogWriter
-from tests.logs.recordings import sweeps_of
-
-SECOND = 1_000_000_000
-START = 100 * SECOND
+from tests.logs.recordings import SECOND, START, sweeps_of
 
 Laser = tuple[str, float, float]  # frame, bearings of the first and the last beam
 
