@@ -6,8 +6,8 @@ import bz2
 import gzip
 import random
 import sqlite3
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Collection, Iterable, Iterator
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +24,36 @@ from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers.encoding import typestore
-from specmap_cli.logs.readers.recording import Message
+from specmap_cli.logs.readers.recording import Contents, Message, Recording, survey
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import LogWriter
 from tests.turning import configured
+
+
+class Told(Recording):
+    """A recording whose messages are made while it is read; it counts those handed out."""
+
+    format = "list"
+
+    def __init__(self, name: str, make: Callable[[], Iterable[Message]]) -> None:
+        super().__init__(Path(name))
+        self.make = make
+        self.handed_out = self.closed = 0
+
+    @cached_property
+    def contents(self) -> Contents:
+        return survey((m.topic, m.type, m.time_ns) for m in self.make())
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
+        self.handed_out = 0
+        for message in self.make():
+            if topics is None or message.topic in topics:
+                self.handed_out += 1
+                yield message
+
+    def close(self) -> None:
+        self.closed += 1
+
 
 SECOND = 1_000_000_000
 START = 100 * SECOND

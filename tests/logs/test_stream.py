@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import tracemalloc
-from collections.abc import Callable, Collection, Iterator
-from functools import cached_property
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,36 +15,11 @@ from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.settings import Config, LogConfig
 from specmap_cli.logs.opening import Log, open_log
 from specmap_cli.logs.readers.encoding import LASER_SCAN, ODOMETRY, odometry_cdr, scan_cdr
-from specmap_cli.logs.readers.recording import Contents, Message, Recording, survey
+from specmap_cli.logs.readers.recording import Message
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import LogWriter
-from tests.logs.recordings import SECOND, START, sweeps_of
+from tests.logs.recordings import SECOND, START, Told, sweeps_of
 from tests.turning import configured
-
-
-class Spy(Recording):
-    """A recording that makes its messages while it is read, and counts those it handed out."""
-
-    format = "spy"
-
-    def __init__(self, make: Callable[[], Iterator[Message]]) -> None:
-        super().__init__(Path("spy"))
-        self.make = make
-        self.handed_out = 0
-
-    @cached_property
-    def contents(self) -> Contents:
-        return survey((m.topic, m.type, m.time_ns) for m in self.make())
-
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        self.handed_out = 0
-        for message in self.make():
-            if topics is None or message.topic in topics:
-                self.handed_out += 1
-                yield message
-
-    def close(self) -> None:
-        """Nothing to release."""
 
 
 def scan(stamp: int, beams: int = 10, time: int | None = None, topic: str = "/scan") -> Message:
@@ -59,7 +33,7 @@ def odometry(stamp: int, x: float, time: int | None = None) -> Message:
 
 
 def stream_of(messages: list[Message], **options: object) -> SweepStream:
-    log = Log([Spy(lambda: iter(messages))], [Path("spy")])
+    log = Log([Told("spy", lambda: messages)], [Path("spy")])
     return SweepStream(log, configured(LogConfig, "logs", options))
 
 
@@ -113,7 +87,7 @@ def test_memory_does_not_grow_with_the_log() -> None:
             yield scan(stamp + 1, beams=40_000)
 
     def peak(scans: int) -> int:
-        stream = SweepStream(Log([Spy(lambda: make(scans))], [Path("spy")]), LogConfig())
+        stream = SweepStream(Log([Told("spy", lambda: make(scans))], [Path("spy")]), LogConfig())
         tracemalloc.start()
         assert sum(1 for _ in stream) == scans
         used = tracemalloc.get_traced_memory()[1]
@@ -247,7 +221,7 @@ def test_wrong_types_are_refused_at_once(log: Any, config: Any, said: str) -> No
 @pytest.mark.parametrize("most", [0, 1, 7])
 def test_the_settings_say_how_many_scans_wait(most: int) -> None:
     late = [odometry(START, 0.0), *(scan(START + i * SECOND // 1000) for i in range(1, 40))]
-    spy = Spy(lambda: iter(late))
+    spy = Told("spy", lambda: late)
     config = configured(LogConfig, "logs", {"odometry_wait_scans": most})
     stream = SweepStream(Log([spy], [Path("spy")]), config)
     held = [spy.handed_out - 2 - sweep.index for sweep in stream]
