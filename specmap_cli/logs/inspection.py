@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 import shlex
 from array import array
+from collections import Counter, defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import islice
 from typing import NamedTuple
@@ -90,9 +91,7 @@ def summarize(
                 name=topic.name,
                 type=topic.type,
                 count=topic.count,
-                rate_hz=(topic.count - 1) / duration_s
-                if topic.count > 1 and duration_s > 0
-                else 0.0,
+                rate_hz=max(topic.count - 1, 0) / duration_s if duration_s > 0 else 0.0,
             )
             for topic in contents.topics
         ),
@@ -132,11 +131,10 @@ def _look(log: Log, config: LogConfig, *, complete: bool) -> _Look:
     if 2 * without > scans:  # although the log has some
         warnings.append(f"scans without odometry near their stamp: {without:,} of {scans:,}")
     warnings += [*stream.ceiling.notes, *stream.own_body.notes]
-    nothing = f"no usable scan on {chosen.topic.name}" if first is None else None
     return _Look(
         tree=chosen.tree,
-        problem=nothing,
-        next_command=_command(log, _given(config)) if nothing is None else None,
+        problem=f"no usable scan on {chosen.topic.name}" if first is None else None,
+        next_command=_command(log, _given(config)) if first is not None else None,
         warnings=tuple(warnings),
         scan=_describe(chosen, first) if first is not None else None,
         met=met,
@@ -177,7 +175,7 @@ def _preview(stream: SweepStream, *, complete: bool) -> tuple[Preview | None, Sw
         invalid_share=None if is_cloud else invalid / max(readings, 1),
         spacing=Spacing(rate_hz, step_m, step_m is not None and step_m >= _SPARSE_STEP_M),
         gaps=tuple(
-            Gap(steps.length_s(n), steps.begins_s(n))
+            Gap(*steps.told(n))
             for n in steps.longer_than(max(_GAP_S, _PAUSE_INTERVALS * steps.usual_s))
         ),
         sensors=tuple((sensor.name, sensor.count) for sensor in stream.selection.sensors),
@@ -206,49 +204,39 @@ class _Steps:
         """The numbers of the steps that take longer."""
         return [int(n) for n in np.flatnonzero(self.steps_ns / NS_PER_S > seconds)]
 
-    def length_s(self, number: int) -> float:
-        """How long a step takes."""
-        return round(float(self.steps_ns[number] / NS_PER_S), 6)
-
-    def begins_s(self, number: int) -> float:
-        """The stamp at which a step begins."""
-        return round(float(self.stamps_ns[number]) / NS_PER_S, 6)
+    def told(self, number: int) -> tuple[float, float]:
+        """How long a step takes, and the stamp at which it begins, seconds."""
+        length, begin = self.steps_ns[number], self.stamps_ns[number]
+        return round(float(length / NS_PER_S), 6), round(float(begin) / NS_PER_S, 6)
 
 
-@dataclass(slots=True)
-class _Heard:
-    """What was read of a topic: the stamp of each message, and how many cannot be decoded."""
-
-    stamps_ns: array[int] = field(default_factory=lambda: array("q"))
-    unusable: int = 0
-
-
-class _Reading(NamedTuple):
+class _Reading:
     """The stamps of messages: of all topics by name and type, and header stamps of those chosen.
 
     Stamps are those of the headers of scans and odometry, otherwise the recorder's times.
+    `unusable` counts the messages that cannot be decoded.
     """
 
-    heard: dict[tuple[str, str], _Heard]
-    headers_ns: dict[str, array[int]]
+    def __init__(self, chosen: Selection | None) -> None:
+        topics = (chosen.topic.name, *chosen.odom_topics) if chosen is not None else ()
+        self.headers_ns = {topic: array("q") for topic in topics}
+        self.stamps_ns: defaultdict[tuple[str, str], array[int]] = defaultdict(lambda: array("q"))
+        self.unusable: Counter[tuple[str, str]] = Counter()
 
 
 def _read(log: Log, look: _Look, progress: Progress | None, *, complete: bool) -> _Reading:
     """The stamps of all messages, or of the first ones on the topics that build would read."""
     chosen = look.chosen if look.met is not None else None
-    heard: dict[tuple[str, str], _Heard] = {}
-    headers_ns: dict[str, array[int]] = {}
+    reading = _Reading(chosen)
     messages: Iterator[Message] = iter(())
     told = Silent() if progress is None else progress
-    if chosen is not None:
-        headers_ns = {topic: array("q") for topic in (chosen.topic.name, *chosen.odom_topics)}
-        messages = islice(log.messages(list(headers_ns)), _MOST_MESSAGES)
     if complete:
         told.start("reading", log.contents.messages)
         messages = log.messages()
+    elif chosen is not None:
+        messages = islice(log.messages(list(reading.headers_ns)), _MOST_MESSAGES)
     for message in messages:
         name, kind = message.topic, message.type
-        topic = heard.setdefault((name, kind), _Heard())
         is_scan, stamp = kind in SCAN_TYPES, None
         try:
             if is_scan:
@@ -257,42 +245,38 @@ def _read(log: Log, look: _Look, progress: Progress | None, *, complete: bool) -
                 pose = odometry_of(message, chosen.odom_frame if chosen else None)
                 stamp = None if pose is None else pose.stamp_ns
         except BadMessageError:
-            topic.unusable += 1
-        is_of_scans = chosen is not None and name == chosen.topic.name
-        if stamp is not None and name in headers_ns and is_scan == is_of_scans:
-            headers_ns[name].append(stamp)
+            reading.unusable[name, kind] += 1
+        of_scans = chosen is not None and name == chosen.topic.name
+        if stamp is not None and name in reading.headers_ns and is_scan == of_scans:
+            reading.headers_ns[name].append(stamp)
         stamp = None if kind == TF_MESSAGE else stamp
-        topic.stamps_ns.append(_clipped(stamp or message.time_ns))
+        reading.stamps_ns[name, kind].append(_clipped(stamp or message.time_ns))
         if complete:
             told.advance()
-        elif chosen is not None and len(headers_ns[chosen.topic.name]) >= _most_scans(chosen):
+        elif chosen and len(reading.headers_ns[chosen.topic.name]) >= _most_scans(chosen):
             break
-    return _Reading(heard, headers_ns)
+    return reading
 
 
 def _checked(log: Log, reading: _Reading) -> tuple[TopicCheck, ...]:
     """What came of reading all messages, in the order of `log.contents`."""
     expected = {(topic.name, topic.type): topic.count for topic in log.contents.topics}
     checks = []
-    for key in sorted(expected.keys() | reading.heard.keys()):
-        heard = reading.heard.get(key, _Heard())
-        steps = _Steps(heard.stamps_ns)
+    for key in sorted(expected.keys() | reading.stamps_ns.keys()):
+        steps = _Steps(reading.stamps_ns[key])
         pauses = steps.longer_than(_PAUSE_INTERVALS * steps.usual_s)
-        longest = int(np.argmax(steps.steps_ns)) if pauses else 0
+        told = Pauses()
+        if pauses:
+            longest_s, at_s = steps.told(int(np.argmax(steps.steps_ns)))
+            told = Pauses(count=len(pauses), longest_s=longest_s, longest_at_s=at_s)
         checks.append(
             TopicCheck(
                 name=key[0],
                 type=key[1],
-                read=len(heard.stamps_ns),
+                read=len(steps.stamps_ns),
                 expected=expected.get(key, 0),
-                unusable=heard.unusable,
-                pauses=Pauses(
-                    count=len(pauses),
-                    longest_s=steps.length_s(longest),
-                    longest_at_s=steps.begins_s(longest),
-                )
-                if pauses
-                else Pauses(),
+                unusable=reading.unusable[key],
+                pauses=told,
                 steps_back=int((steps.steps_ns < 0).sum()),
                 repeats=int((steps.steps_ns == 0).sum()),
             )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import stat
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import cached_property, partial
 from pathlib import Path
@@ -51,12 +51,6 @@ def known_readers() -> dict[str, type[Recording]]:
     table = with_plugins(GROUP, BUILT_IN)
     added = {name: _checked(name, table[name]) for name in table if name not in BUILT_IN}
     return {**added, **BUILT_IN}
-
-
-def format_names(readers: Iterable[type[Recording]]) -> str:
-    """The formats in a phrase: `MCAP, ROS 1 bag or CARMEN log`."""
-    *others, last = [reader.format for reader in readers]
-    return f"{', '.join(others)} or {last}" if others else last
 
 
 def _checked(name: str, reader: object) -> type[Recording]:
@@ -111,10 +105,8 @@ def open_log(paths: Paths, config: LogConfig | None = None) -> Log:
         raise LogError("no log given", "name a file or a directory", mark=";")
     readers = known_readers()
     with ExitStack() as held:
-        recordings: list[Recording] = []
-        for path in given:
-            for file in _files_at(path, readers):
-                recordings.append(_opened(file, readers, settings, held))
+        files = (file for path in given for file in _files_at(path, readers))
+        recordings = [_opened(file, readers, settings, held) for file in files]
         seen: set[Path] = set()
         for recording in recordings:
             place = recording.path.resolve()
@@ -157,9 +149,14 @@ def _files_at(path: Path, readers: _Readers) -> Iterator[Path]:
         raise unreadable(path, error) from None
     found = [file for file in visible if looks_like_a_log(file, readers)]
     if not found:
-        expected = f"expected {format_names(readers.values())}"
-        raise refused(path, "no recording in this directory", expected)
+        raise refused(path, "no recording in this directory", _expected(readers))
     yield from found
+
+
+def _expected(readers: _Readers) -> str:
+    """The formats in a phrase: `expected MCAP, ROS 1 bag or CARMEN log`."""
+    *others, last = [reader.format for reader in readers.values()]
+    return f"expected {', '.join(others)} or {last}" if others else f"expected {last}"
 
 
 def looks_like_a_log(file: Path, readers: _Readers) -> bool:
@@ -217,8 +214,7 @@ def _reader_of(file: Path, path: Path, readers: _Readers) -> type[Recording]:
         cut = f"cut off after {len(head)} bytes; no message can be read"
         raise refused(path, cut, code=LOG_DAMAGED)
     kind = "a text file" if b"\x00" not in head and is_text(head) else "of an unknown format"
-    expected = f"expected {format_names(readers.values())}"
-    raise refused(path, f"{kind}, not a recording", expected)
+    raise refused(path, f"{kind}, not a recording", _expected(readers))
 
 
 class Log:

@@ -159,10 +159,11 @@ class Ceiling:
             longest == self._longest
             and longest not in self.values_m
             and np.count_nonzero(ranges == longest) >= _BEAMS
-            and self._is_elsewhere(ranges)
         ):
-            self._places += 1
-            self._there = ranges.copy()
+            is_new = not self._places or len(ranges) != len(self._there)
+            if is_new or changed_share(ranges, self._there, _ELSEWHERE_M) >= _ELSEWHERE_SHARE:
+                self._places += 1
+                self._there = ranges.copy()
             if self._places >= _PLACES:
                 self.values_m = (*self.values_m, longest)
         for value in self.values_m:
@@ -180,12 +181,6 @@ class Ceiling:
             f"readings of exactly {values} m, the longest distance of all, are taken for no "
             f"return, as several beams of one scan have it again and again: {self.cleared:,}"
         ]
-
-    def _is_elsewhere(self, ranges: FloatArray) -> bool:
-        """Whether the robot has moved since the last place, by what the laser reads."""
-        if not self._places or len(ranges) != len(self._there):
-            return True
-        return changed_share(ranges, self._there, _ELSEWHERE_M) >= _ELSEWHERE_SHARE
 
 
 _NEAR_M = 0.8  # as far as a robot reaches from its laser

@@ -27,14 +27,15 @@ from specmap_cli.logs.frames import (
 )
 from specmap_cli.logs.messages import BadMessageError, decode_odometry
 from specmap_cli.logs.opening import Log
+from specmap_cli.logs.readers.encoding import ODOMETRY
 from specmap_cli.logs.readers.recording import TopicInfo
 from specmap_cli.logs.sensors import (
     TRIED_MESSAGES,
     ScanSensor,
     ceilings_m,
-    choose_odometry_topic,
     choose_scan_topic,
     choose_sensor,
+    choose_topic,
     first_scans,
     is_flat,
     sensors_of,
@@ -109,8 +110,16 @@ def select(log: Log, config: LogConfig) -> Selection:
     sensor = choose_sensor(log.name, topic.name, sensors, config)
     scans = [scan for scan in scans if sensor.made(scan)]
     in_space = sensor.is_cloud and not is_flat(log, topic, sensor)
-    odometry_topic = choose_odometry_topic(log, config.odom_topic) if config.use_odometry else None
-    child = _odometry_child(log, odometry_topic)
+    odometry_topic = None
+    if config.use_odometry:
+        asked = config.odom_topic
+        odometry_topic = choose_topic(log, {ODOMETRY}, asked, "--odom-topic", "odometry")
+    child = None  # the frame that moves, by the first message that can be read
+    if odometry_topic is not None:
+        for message in islice(log.messages([odometry_topic.name]), TRIED_MESSAGES):
+            with suppress(BadMessageError):
+                child = decode_odometry(message).child or None
+                break
     usual = [frame for frame in (child, *USUAL_BASES) if frame]
     bases = usual if config.base_frame is None else [config.base_frame.lstrip("/")]
     frames = read_frames(log, sensor.frame, bases, config)
@@ -141,33 +150,31 @@ def select(log: Log, config: LogConfig) -> Selection:
         band_m=(config.band_min_m, config.band_max_m) if in_space else None,
         ceilings_m=ceilings_m(log, topic, sensor),
         warnings=(
-            *_doubled(log, topic.name),
-            *placement.warnings,
-            *_frame_warnings(placement, frames, child, config),
+            *_assumptions(log, topic.name, placement, frames, child, config),
             *clock_warnings(clock, topic.name),
             *([_UNKNOWN_FLOOR] if in_space and placement.floor_m is None else []),
         ),
     )
 
 
-def _doubled(log: Log, topic: str) -> Iterator[str]:
-    """Files that look like recordings of their own, not like parts of one."""
-    if len(log.paths) == 1:
-        return
-    for earlier, later, shared_ns in log.side_by_side(topic):
+def _assumptions(
+    log: Log,
+    topic: str,
+    placement: Placement,
+    frames: Frames,
+    odometry_child: str | None,
+    config: LogConfig,
+) -> Iterator[str]:
+    """What is taken for granted of the files and the frames as the log does not say it."""
+    base = placement.base_frame
+    for earlier, later, shared_ns in log.side_by_side(topic) if len(log.paths) > 1 else ():
         if shared_ns > _PARTS_OVERLAP_NS:
             yield (
                 f"{earlier} and {later} both hold {topic} for the same {seconds(shared_ns):.0f} s: "
                 "if they are not parts of one recording, build a map of one of them and add the "
                 "other with `specmap update`"
             )
-
-
-def _frame_warnings(
-    placement: Placement, frames: Frames, odometry_child: str | None, config: LogConfig
-) -> Iterator[str]:
-    """What is taken for granted of the frames as the log does not say it."""
-    base = placement.base_frame
+    yield from placement.warnings
     for parent, child in frames.absurd[:_ABSURD_NAMED]:
         yield f"the transform {parent!r} -> {child!r} is not finite or absurd, and was left out"
     if frames.unreadable:
@@ -182,15 +189,6 @@ def _frame_warnings(
             f"the odometry moves {odometry_child!r}, which no transform joins to {base!r}: "
             "the two are taken to be the same"
         )
-
-
-def _odometry_child(log: Log, topic: TopicInfo | None) -> str | None:
-    """The frame that moves in an Odometry topic, by the first message that can be read."""
-    if topic is not None:
-        for message in islice(log.messages([topic.name]), TRIED_MESSAGES):
-            with suppress(BadMessageError):
-                return decode_odometry(message).child or None
-    return None
 
 
 def odometry_ancestor(tree: TransformTree, base_frame: str) -> str | None:

@@ -15,7 +15,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice, pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,7 +32,7 @@ from specmap_cli.logs.messages import (
 )
 from specmap_cli.logs.opening import Log
 from specmap_cli.logs.planar import ScanLeveller, covers_circle, increment
-from specmap_cli.logs.readers.encoding import ODOMETRY, SCAN_TYPES, TF_MESSAGE
+from specmap_cli.logs.readers.encoding import SCAN_TYPES, TF_MESSAGE
 from specmap_cli.logs.readers.recording import TopicInfo, refused
 
 
@@ -44,7 +44,7 @@ def transform_topics(log: Log, *, static: bool) -> list[str]:
 
 def choose_scan_topic(log: Log, asked: str | None) -> TopicInfo:
     """The topic of scans: the asked one, or the only one."""
-    chosen = _chosen(log, SCAN_TYPES, asked, "--scan-topic", "scans")
+    chosen = choose_topic(log, SCAN_TYPES, asked, "--scan-topic", "scans")
     if chosen is None:
         there = ", ".join(f"{t.name} ({t.type})" for t in log.topics()) or "no messages at all"
         none = f"no LaserScan, MultiEchoLaserScan or PointCloud2 in it; it has {there}"
@@ -52,12 +52,7 @@ def choose_scan_topic(log: Log, asked: str | None) -> TopicInfo:
     return chosen
 
 
-def choose_odometry_topic(log: Log, asked: str | None) -> TopicInfo | None:
-    """The Odometry topic: the asked one, the only one, or None when there is none."""
-    return _chosen(log, {ODOMETRY}, asked, "--odom-topic", "odometry")
-
-
-def _chosen(
+def choose_topic(
     log: Log, types: Collection[str], asked: str | None, option: str, what: str
 ) -> TopicInfo | None:
     """The topic of such types that is asked for, or the only one; None when there is none."""
@@ -142,8 +137,10 @@ class SeveralSensorsError(UsageError):
 
     code = CHOICE
 
-    def __init__(self, found: str, hint: str, where: str, best: str) -> None:
-        super().__init__(found, hint, where=where)
+    def __init__(
+        self, found: object = "", hint: str | None = None, *, best: str = "", **rest: Any
+    ) -> None:
+        super().__init__(found, hint, **rest)
         self.best = best
 
 
@@ -197,11 +194,10 @@ def _kinds(layouts: Sequence[ScanLayout]) -> list[tuple[View, int]]:
         view = views[number]
         for other in often:
             shared = min(view.high, views[other].high) - max(view.low, views[other].low)
-            if other == number or shared <= _SENSOR_ANGLE_RAD:
-                continue
             both = [turn for turn in turns if turn in (number, other)]
             changes = sum(a != b for a, b in pairwise(both))
-            if 2 * changes >= min(counts[number], counts[other]):
+            by_turns = 2 * changes >= min(counts[number], counts[other])
+            if other != number and shared > _SENSOR_ANGLE_RAD and by_turns:
                 found.append((view, counts[number]))
                 break
     return found
@@ -230,7 +226,8 @@ def choose_sensor(
     best = max(candidates, key=lambda sensor: sensor.count)
     choices = " or ".join(f"`--scan-frame {_told(s, total, '`')}" for s in candidates)
     several = legible(f"{topic}: {len(candidates)} sensors on one topic")
-    raise SeveralSensorsError(several, legible(f"choose {choices}"), legible(log), best.name)
+    hint, where = legible(f"choose {choices}"), legible(log)
+    raise SeveralSensorsError(several, hint, where=where, best=best.name)
 
 
 def _told(sensor: ScanSensor, total: int, end: str = "") -> str:
@@ -261,9 +258,8 @@ def first_scans(log: Log, topic: TopicInfo) -> list[FirstScan]:
             found.append(FirstScan(record.stamp_ns, message.time_ns, record.frame, layout))
         except BadMessageError as error:
             reason = f"{error}; tried {counted(tried, 'message')}"
-        if found and (tried >= LOOK_SCANS or size >= _LOOK_BYTES):
-            break
-        if not found and tried >= TRIED_MESSAGES:
+        most = LOOK_SCANS if found else TRIED_MESSAGES
+        if tried >= most or (found and size >= _LOOK_BYTES):
             break
     if not found:
         none = f"{topic.name}: no usable scan: {reason}"

@@ -142,7 +142,6 @@ class _SweepMaker:
         leveller: ScanLeveller,
     ) -> None:
         self.selection = selection
-        self.config = config
         self.counts = counts
         self.leveller = leveller
         in_space = selection.band_m is not None
@@ -214,11 +213,12 @@ class _SweepMaker:
             self._level = floor_of(points) or self._level
         turn = product(self._level.rotation, base_from_laser[:3, :3])
         cloud = product(points, turn.T) + base_from_laser[:3, 3]
-        sweep = Sweep(
+        in_space = self.selection.band_m is not None
+        return Sweep(
             index=self.counts["scans"],
             stamp_ns=stamp_ns,
             planar=self.flattener.flatten(cloud, stamp_ns, self._level.floor_m, times_s),
             base_from_laser=self.flattener.mount,
+            cloud=cloud if in_space else None,
+            cloud_times_s=times_s if in_space else None,
         )
-        in_space = self.selection.band_m is not None
-        return replace(sweep, cloud=cloud, cloud_times_s=times_s) if in_space else sweep

@@ -6,14 +6,16 @@ import bz2
 import gzip
 import random
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable, Iterator
+from functools import cached_property, partial
 from pathlib import Path
+from typing import Any
 
 import lz4.frame
 import numpy as np
 import pytest
 import zstandard
-from mcap.writer import Writer
+from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.rosbag1 import Writer as Rosbag1Writer
 
 from specmap_cli.core.errors import LogError
@@ -22,10 +24,36 @@ from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers.encoding import typestore
-from specmap_cli.logs.readers.recording import Message
+from specmap_cli.logs.readers.recording import Contents, Message, Recording, survey
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import LogWriter
 from tests.turning import configured
+
+
+class Told(Recording):
+    """A recording whose messages are made while it is read; it counts those handed out."""
+
+    format = "list"
+
+    def __init__(self, name: str, make: Callable[[], Iterable[Message]]) -> None:
+        super().__init__(Path(name))
+        self.make = make
+        self.handed_out = self.closed = 0
+
+    @cached_property
+    def contents(self) -> Contents:
+        return survey((m.topic, m.type, m.time_ns) for m in self.make())
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
+        self.handed_out = 0
+        for message in self.make():
+            if topics is None or message.topic in topics:
+                self.handed_out += 1
+                yield message
+
+    def close(self) -> None:
+        self.closed += 1
+
 
 SECOND = 1_000_000_000
 START = 100 * SECOND
@@ -178,3 +206,33 @@ def overwrite(path: Path, place: int, by: bytes) -> None:
     data = bytearray(path.read_bytes())
     data[place : place + len(by)] = by
     path.write_bytes(data)
+
+
+_PLAIN, _WEAK = {"compression": CompressionType.NONE}, {"enable_crcs": False}
+_MCAP: dict[str, dict[str, Any]] = {
+    "zstd": {"compression": CompressionType.ZSTD},
+    "lz4": {"compression": CompressionType.LZ4},
+    "plain": _PLAIN,
+    "without index": {"index_types": IndexType.NONE},
+    "without chunks": {"use_chunking": False},
+    "without checksums": _WEAK,
+    "without checksums, lz4": {"compression": CompressionType.LZ4, **_WEAK},
+    "without checksums, plain": {**_PLAIN, **_WEAK},
+    "without a list of messages": {**_PLAIN, **_WEAK, "index_types": IndexType.CHUNK},
+    "without summary": {**_PLAIN, **_WEAK, "index_types": IndexType.NONE}
+    | {"use_statistics": False, "repeat_channels": False},
+    "without chunks and checksums": {"use_chunking": False, **_WEAK},
+}
+VARIETIES: dict[str, Callable[[Path, list[Message]], None]] = {
+    **{f"mcap {name}": partial(write_mcap, **style) for name, style in _MCAP.items()},
+    **{
+        f"bag {kind} {'with' if indexed else 'without'} index": partial(
+            write_bag, compression=kind, indexed=indexed
+        )
+        for kind in (None, *Rosbag1Writer.CompressionFormat)
+        for indexed in (True, False)
+    },
+    "bag of small chunks": partial(write_bag, chunk_bytes=1500),
+    "db3 by time": write_db3,
+    "db3 without index": partial(write_db3, time_index=False),
+}

@@ -9,6 +9,7 @@ import socket
 import struct
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -80,34 +81,40 @@ def bag_with_chunk(compression: bytes, data: bytes, size: int) -> bytes:
 GIGABYTE = 1 << 30
 
 
-@pytest.mark.parametrize("claimed", [GIGABYTE, 1000])
-def test_a_chunk_that_swells_costs_little_memory(path: Path, claimed: int) -> None:
-    path.write_bytes(mcap_with_chunk(b"zstd", zeros_in_zstd(GIGABYTE), claimed))
-    said, megabytes = read_in_a_process(path)
-    assert said == (
-        f"{path}: chunk at byte 8 is beyond log.chunk_max_mb: messages between 0.000 s and 0.000 s "
-        "are lost; no message can be read"
-    )
-    assert megabytes < MEMORY_MB
-
-
-def test_a_chunk_of_a_bag_that_swells_costs_little_memory(path: Path) -> None:
+def zeros_in_bz2(count: int) -> bytes:
     packer = bz2.BZ2Compressor()
-    packed = b"".join(packer.compress(bytes(1 << 20)) for _ in range(200)) + packer.flush()
-    path.write_bytes(bag_with_chunk(b"bz2", packed, 1 << 20))
-    said, megabytes = read_in_a_process(path)
-    assert said.startswith(f"{path}: chunk at byte 90 is beyond log.chunk_max_mb: some of its mess")
-    assert megabytes < MEMORY_MB
+    return b"".join(packer.compress(bytes(1 << 20)) for _ in range(count >> 20)) + packer.flush()
 
 
-def test_a_whole_file_that_swells_costs_little_memory(path: Path) -> None:
-    path.write_bytes(zstandard.compress(CARMEN) + zeros_in_zstd(GIGABYTE))
-    said, megabytes = read_in_a_process(path)
-    assert said == (
-        f"{path}: unpacks to more than 500 times its size, as no log does; if it is a log, "
-        "unpack it first"
-    )
-    assert megabytes < 300
+BEYOND = "is beyond log.chunk_max_mb"
+OF_MCAP = f"chunk at byte 8 {BEYOND}: messages between 0.000 s and 0.000 s are lost; no message can"
+
+
+@pytest.mark.parametrize(
+    ("content", "said", "most_mb"),
+    [
+        (lambda: mcap_with_chunk(b"zstd", zeros_in_zstd(GIGABYTE), GIGABYTE), OF_MCAP, MEMORY_MB),
+        (lambda: mcap_with_chunk(b"zstd", zeros_in_zstd(GIGABYTE), 1000), OF_MCAP, MEMORY_MB),
+        (
+            lambda: bag_with_chunk(b"bz2", zeros_in_bz2(200 << 20), 1 << 20),
+            f"chunk at byte 90 {BEYOND}: some of its messages are lost",
+            MEMORY_MB,
+        ),
+        (
+            lambda: zstandard.compress(CARMEN) + zeros_in_zstd(GIGABYTE),
+            "unpacks to more than 500 times its size, as no log does; if it is a log, unpack it",
+            300,
+        ),
+    ],
+    ids=["MCAP", "MCAP of a wrong size", "bag", "whole file"],
+)
+def test_what_swells_costs_little_memory(
+    path: Path, content: Callable[[], bytes], said: str, most_mb: int
+) -> None:
+    path.write_bytes(content())
+    told, megabytes = read_in_a_process(path)
+    assert told.startswith(f"{path}: {said}")
+    assert megabytes < most_mb
 
 
 @pytest.mark.parametrize("name", sorted(PACK))

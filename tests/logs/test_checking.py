@@ -15,10 +15,9 @@ from specmap_cli.logs.readers.encoding import LASER_SCAN, ODOMETRY, odometry_cdr
 from specmap_cli.logs.readers.recording import Message
 from specmap_cli.logs.summary import Gap, Pauses, Preview, TopicCheck
 from specmap_cli.logs.writer import LogWriter
-from tests.logs.recordings import change_db3, write_db3
+from tests.logs.recordings import SECOND, change_db3, write_db3
 from tests.turning import configured, turn
 
-SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND
 EVERY_200_MS = [0.2 * n for n in range(10)]
 

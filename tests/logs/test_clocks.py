@@ -13,10 +13,9 @@ from specmap_cli.core.records import Sweep
 from specmap_cli.logs.clocks import Clock, StampPair, choose_clock
 from specmap_cli.logs.readers.encoding import LASER_SCAN, ODOMETRY, odometry_cdr, scan_cdr
 from specmap_cli.logs.writer import LogWriter, convert
-from tests.logs.recordings import sweeps_of
+from tests.logs.recordings import SECOND, sweeps_of
 from tests.turning import turn
 
-SECOND = 1_000_000_000
 TODAY = 1_700_000_000 * SECOND
 
 

@@ -176,7 +176,9 @@ def test_a_cloud_without_a_floor_has_the_level_of_the_one_before(path: Path) -> 
     with LogWriter(path) as log:
         for number, cloud in enumerate(clouds):
             log.cloud("/points", "lidar", number * 100_000_000, tilt.apply(cloud))
-    found = [sweep.cloud for sweep in sweeps_of(path)[0]]
+    sweeps, stream = sweeps_of(path)
+    assert any("levelled by the floor that it shows" in line for line in stream.warnings)
+    found = [sweep.cloud for sweep in sweeps]
     for sweep, cloud in zip(found, [tilt.apply(clouds[0]), *clouds[1:]], strict=True):
         assert sweep is not None
         np.testing.assert_allclose(sweep, cloud, atol=0.05)

@@ -19,9 +19,8 @@ from specmap_cli.logs.messages import TransformRecord
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.selection import Selection, odometry_ancestor, select
 from specmap_cli.logs.writer import LogWriter
+from tests.logs.recordings import SECOND, START
 from tests.turning import configured
-
-START = 100_000_000_000
 
 
 def write(path: Path, scans: list[str], odometry: list[str]) -> None:
@@ -99,7 +98,7 @@ def test_two_recordings_given_as_one_are_said(
         with LogWriter(path) as log:
             log.static_transform("base_link", "laser", (0.1, 0.0, 0.0), stamp_ns=START)
             for number in range(11):
-                write_scan(log, START + (begins_s + number) * 1_000_000_000)
+                write_scan(log, START + (begins_s + number) * SECOND)
     with open_log(paths) as both:
         warnings = select(both, LogConfig()).warnings
     said = [line.partition(": ")[0] for line in warnings if "not parts of one" in line]

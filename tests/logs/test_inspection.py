@@ -19,10 +19,9 @@ from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.summary import LogSummary
 from specmap_cli.logs.writer import LogWriter
-from tests.logs.recordings import sweeps_of
+from tests.logs.recordings import SECOND, sweeps_of
 from tests.turning import configured
 
-SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND
 
 

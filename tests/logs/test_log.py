@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
 from pathlib import Path
 
 import pytest
@@ -10,32 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.logs import Log, Message, TopicInfo
-from specmap_cli.logs.readers import Contents, Recording, survey
+from specmap_cli.logs.readers import survey
+from tests.logs.recordings import Told
 
 
-class Listed(Recording):
-    """A recording of given messages, which remembers how often it was closed."""
-
-    format = "list"
-
-    def __init__(self, name: str, messages: list[Message]) -> None:
-        super().__init__(Path(name))
-        self.listed = messages
-        self.closed = 0
-
-    @property
-    def contents(self) -> Contents:
-        return survey((m.topic, m.type, m.time_ns) for m in self.listed)
-
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        return (m for m in self.listed if topics is None or m.topic in topics)
-
-    def close(self) -> None:
-        self.closed += 1
-
-
-class Other(Listed):
+class Other(Told):
     format = "another"
+
+
+def listed(name: str, messages: list[Message], kind: type[Told] = Told) -> Told:
+    return kind(name, lambda: messages)
 
 
 def at(*times: int, topic: str = "/a", kind: str = "T") -> list[Message]:
@@ -43,7 +26,7 @@ def at(*times: int, topic: str = "/a", kind: str = "T") -> list[Message]:
 
 
 def test_files_come_in_the_order_of_their_first_messages() -> None:
-    parts = [Listed("b", at(5, 9)), Other("c", at(1, 2)), Listed("a", at(5, 6))]
+    parts = [listed("b", at(5, 9)), listed("c", at(1, 2), Other), listed("a", at(5, 6))]
     log = Log(parts, [Path("folder"), Path("c"), Path("d")])
     assert [path.name for path in log.paths] == ["c", "a", "b"]
     assert [m.time_ns for m in log.messages()] == [1, 2, 5, 5, 6, 9]
@@ -55,19 +38,19 @@ def test_files_come_in_the_order_of_their_first_messages() -> None:
 
 @given(st.lists(st.lists(st.integers(1, 99)), min_size=1, max_size=4))
 def test_its_contents_are_those_of_its_messages(times: list[list[int]]) -> None:
-    parts = [Listed(str(n), at(*part, topic=f"/{n % 2}")) for n, part in enumerate(times)]
+    parts = [listed(str(n), at(*part, topic=f"/{n % 2}")) for n, part in enumerate(times)]
     log = Log(parts, [Path("log")])
     assert log.contents == survey((m.topic, m.type, m.time_ns) for m in log.messages())
 
 
 def test_files_that_hold_a_topic_at_the_same_time_are_found() -> None:
     parts = [
-        Listed("a", at(1, 9)),
-        Listed("b", at(2, 4)),
-        Listed("other", at(1, 9, topic="/b")),
-        Listed("c", at(7, 12)),
-        Listed("d", at(12, 20)),
-        Listed("empty", []),
+        listed("a", at(1, 9)),
+        listed("b", at(2, 4)),
+        listed("other", at(1, 9, topic="/b")),
+        listed("c", at(7, 12)),
+        listed("d", at(12, 20)),
+        listed("empty", []),
     ]
     found = list(Log(parts, [Path("folder")]).side_by_side("/a"))
     assert found == [(Path("a"), Path("b"), 2), (Path("a"), Path("c"), 2)]
@@ -75,16 +58,16 @@ def test_files_that_hold_a_topic_at_the_same_time_are_found() -> None:
 
 
 def test_a_topic_with_two_types_is_listed_for_each_and_only_those_wanted_are_read() -> None:
-    parts = [Listed("a", at(1)), Listed("b", at(2, 3, kind="U")), Listed("c", at(2, topic="/b"))]
+    parts = [listed("a", at(1)), listed("b", at(2, 3, kind="U")), listed("c", at(2, topic="/b"))]
     log = Log(parts, [Path("a")])
-    listed = [TopicInfo("/a", "T", 1), TopicInfo("/a", "U", 2), TopicInfo("/b", "T", 1)]
-    assert log.topics() == listed
+    expected = [TopicInfo("/a", "T", 1), TopicInfo("/a", "U", 2), TopicInfo("/b", "T", 1)]
+    assert log.topics() == expected
     assert [m.time_ns for m in log.messages(["/b"])] == [2]
     assert list(log.messages([])) == []
 
 
 def test_damage_is_told_file_by_file_as_it_is_met() -> None:
-    late, early = Listed("late", at(7)), Listed("early", at(1))
+    late, early = listed("late", at(7)), listed("early", at(1))
     log = Log([late, early], [Path("a")])
     assert log.damage == []
     late.report("cut off")
@@ -93,7 +76,7 @@ def test_damage_is_told_file_by_file_as_it_is_met() -> None:
 
 
 def test_a_block_releases_the_files_once() -> None:
-    parts = [Listed("a", at(1)), Listed("b", at(2))]
+    parts = [listed("a", at(1)), listed("b", at(2))]
     with pytest.raises(KeyError), Log(parts, [Path("a")]) as log:
         raise KeyError
     log.close()

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.errors import LogError
-from specmap_cli.logs.opening import HEAD_BYTES, head_of, open_log
+from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers.mcap import McapFile
 from specmap_cli.logs.readers.recording import Message, is_text
 from tests.logs.recordings import read_rest, refusal
@@ -149,18 +149,6 @@ def test_garbage_behind_a_compressed_log_is_told(
     drive.write_bytes(gzip.compress(drive.read_bytes()) + b"garbage")
     said = f"{drive}: what follows the gzip compression is no part of it and was left out"
     assert read_rest(drive) == (drive_messages, [said])
-
-
-@pytest.mark.parametrize("size", [0, 1, HEAD_BYTES, HEAD_BYTES + 1])
-def test_a_head_is_as_long_as_the_file_or_a_page(path: Path, size: int) -> None:
-    path.write_bytes(bytes(size))
-    assert head_of(path) == bytes(min(size, 4096))
-
-
-def test_a_file_that_is_not_there_has_no_head(tmp_path: Path) -> None:
-    for path, said in ((tmp_path / "log", "no such file or dir"), (tmp_path, "cannot read: Is a")):
-        with pytest.raises(LogError, match=f"^{path}: {said}"):
-            head_of(path)
 
 
 @given(st.text("aß€😀", min_size=1), st.integers(1, 40))

@@ -205,19 +205,19 @@ class ChunkedFile(Recording):
         chunks = list(index.chunks)
         if topics is not None:
             wanted = {n for n, channel in self.channels.items() if channel.topic in topics}
-            chunks = [ref for ref in chunks if self._may_hold(ref, wanted, checked=index.checked)]
+            chunks = [ref for ref in chunks if self._may_hold(ref, wanted, index)]
         sources = [(ref.start_ns, partial(self._chunk_messages, ref, topics)) for ref in chunks]
         if overlapping_bytes(chunks) <= _OVERLAPPING * self.chunk_max:
             return merge_in_time(sources)
         self.report("more chunks overlap in time than log.chunk_max_mb allows: read one by one")
         return (message for _, opened in sources for message in opened())
 
-    def _may_hold(self, ref: ChunkRef, wanted: set[int], *, checked: bool) -> bool:
+    def _may_hold(self, ref: ChunkRef, wanted: set[int], index: Index) -> bool:
         """Whether a chunk may have messages of channels: what no checksum proves is asked twice."""
         if ref.channels is None or wanted & ref.channels:
             return True
-        listed = {} if checked else self._listing(ref).counts
-        return not checked and (not listed or not wanted.isdisjoint(listed))
+        listed = {} if index.checked else self._listing(ref).counts
+        return not index.checked and (not listed or not wanted.isdisjoint(listed))
 
     def compare(self, listed: Counter[str], found: Counter[str]) -> None:
         """After a pass to the end: say what is listed by topic and what no chunk was short of."""

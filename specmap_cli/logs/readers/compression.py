@@ -122,19 +122,15 @@ class _ZstdBlock:
 
     def __init__(self) -> None:
         self._frame = zstandard.ZstdDecompressor().decompressobj()
-        self.unused_data = b""
-
-    @property
-    def eof(self) -> bool:
-        """Whether the end of the frame has been met."""
-        return bool(self._frame.eof)
+        self.eof, self.unused_data = False, b""  # whether the end of the frame has been met
 
     def feed(self, data: bytes) -> Iterator[bytes]:
         """What `data` adds, in pieces of bounded size."""
         for start in range(0, len(data), _ZSTD_SLICE_BYTES):
             end = start + _ZSTD_SLICE_BYTES
             yield self._frame.decompress(data[start:end])
-            if self._frame.eof:
+            self.eof = bool(self._frame.eof)
+            if self.eof:
                 self.unused_data = self._frame.unused_data + data[end:]
                 return
 

@@ -225,28 +225,24 @@ class Rosbag2File(Recording):
     def _message(self, number: int, time_ns: object, data: object) -> Message | None:
         """The message in a row of the table; None, and reported, when there is none."""
         name, kind = self._topics[number]
-        fault = None
-        if not isinstance(time_ns, int) or not isinstance(data, bytes):
-            fault = "the row of a message does not hold one"
-        elif compression_of(data[:4]) == "zstd":  # rosbag2's compression of single messages
-            data, complete, beyond = decompress(data, "zstd", self._message_max)
-            if beyond:
-                fault = f"a message at {time_text(time_ns)} is beyond log.chunk_max_mb"
-            elif not complete:
-                fault = f"a message at {time_text(time_ns)} is damaged in its compression"
-        if fault is not None:
-            self.report(f"{fault}: one on {name} is lost", {name: 1})
-            return None
-        assert isinstance(time_ns, int)
-        assert isinstance(data, bytes)
-        return Message(name, kind, time_ns, data)
+        fault = "the row of a message does not hold one"
+        if isinstance(time_ns, int) and isinstance(data, bytes):
+            complete, why = True, "damaged in its compression"
+            if compression_of(data[:4]) == "zstd":  # rosbag2's compression of single messages
+                data, complete, beyond = decompress(data, "zstd", self._message_max)
+                why = "beyond log.chunk_max_mb" if beyond else why
+            if complete:
+                return Message(name, kind, time_ns, data)
+            fault = f"a message at {time_text(time_ns)} is {why}"
+        self.report(f"{fault}: one on {name} is lost", {name: 1})
+        return None
 
     def close(self) -> None:
         """Release the file."""
         self._db.close()
 
 
-_ROWS_END = 1 << 63  # SQLite numbers its rows in 64 bits
+_LAST_ROW = (1 << 63) - 1  # SQLite numbers its rows in 64 bits, with a sign
 
 
 class Row(NamedTuple):
@@ -276,13 +272,13 @@ class _Place(NamedTuple):
     row: int
 
 
+@dataclass(frozen=True, slots=True)
 class Rows:
     """The messages of some topics, by time or in the order of recording."""
 
-    def __init__(self, db: sqlite3.Connection, topics: list[int], by_time: bool) -> None:
-        self._db = db
-        self._topics = topics
-        self._by_time = by_time
+    db: sqlite3.Connection
+    topics: list[int]
+    by_time: bool
 
     def __iter__(self) -> Iterator[Row | Fault]:
         """The rows, and a fault in the place of each that cannot be read."""
@@ -291,7 +287,7 @@ class Rows:
             before = place
             try:
                 columns = "timestamp, rowid, topic_id, data"
-                for row in self._db.execute(*self._query(columns, place)):
+                for row in self.db.execute(*self._query(columns, place)):
                     place = _Place(*row[:2])
                     yield Row(row[2], row[0], row[3])
                 return
@@ -299,11 +295,11 @@ class Rows:
                 found, place = self._single(place, str(error))
             if found is not None:
                 yield found
-            if place is None:
+            if place is None or (not self.by_time and place.row == _LAST_ROW):
                 return
             if before is not None:  # in a damaged table rows may lead back, round and round
                 now, then = (
-                    (time if self._by_time and isinstance(time, int) else 0, row)
+                    (time if self.by_time and isinstance(time, int) else 0, row)
                     for time, row in (place, before)
                 )
                 if now <= then:
@@ -315,14 +311,14 @@ class Rows:
             key = self._first("timestamp, rowid, topic_id", place)
         except sqlite3.Error:
             time = place.time_ns if place is not None else None
-            behind = None if self._by_time else self._readable(place.row if place else 0)
+            behind = None if self.by_time else self._readable(place.row if place else 0)
             return Fault(error, time, is_end=behind is None), behind
         if key is None:
             return None, None
         time, row, topic = key
         try:
             query = "SELECT data FROM messages NOT INDEXED WHERE rowid = ?"
-            found = self._db.execute(query, (row,)).fetchone()
+            found = self.db.execute(query, (row,)).fetchone()
         except sqlite3.Error as fault:
             found, error = None, str(fault)
         if found is None:  # a damaged table leads elsewhere by the number of the row
@@ -334,34 +330,34 @@ class Rows:
 
         Steps double until one leads out of the damage; halving finds where it ends.
         """
-        step = 1
-        while not self._can_go_on(last + step):
-            step *= 2
-            if last + step >= _ROWS_END:
-                return None
-        tried = range(last + step)
-        return _Place(None, bisect_left(tried, True, lo=last + step // 2 + 1, key=self._can_go_on))
 
-    def _can_go_on(self, row: int) -> bool:
-        """Whether what follows a row can be read."""
-        try:
-            self._first("topic_id", _Place(None, row))
-        except sqlite3.Error:
-            return False
-        return True
+        def can_go_on(row: int) -> bool:
+            try:
+                self._first("topic_id", _Place(None, row))
+            except sqlite3.Error:
+                return False
+            return True
+
+        step = 1
+        while last + step < _LAST_ROW and not can_go_on(last + step):
+            step *= 2
+        if last + step >= _LAST_ROW:
+            return None
+        tried = range(last + step // 2 + 1, last + step)
+        return _Place(None, tried.start + bisect_left(tried, True, key=can_go_on))
 
     def _first(self, columns: str, behind: _Place | None) -> tuple[Any, ...] | None:
         query, values = self._query(columns, behind)
-        row: tuple[Any, ...] | None = self._db.execute(f"{query} LIMIT 1", values).fetchone()
+        row: tuple[Any, ...] | None = self.db.execute(f"{query} LIMIT 1", values).fetchone()
         return row
 
     def _query(self, columns: str, behind: _Place | None) -> tuple[str, list[object]]:
         """The query for what comes behind a place, in order."""
-        topics = ", ".join("?" * len(self._topics))
+        topics = ", ".join("?" * len(self.topics))
         query = f"SELECT {columns} FROM messages WHERE topic_id IN ({topics})"
-        values: list[object] = [*self._topics]
-        if behind is not None and self._by_time:
+        values: list[object] = [*self.topics]
+        if behind is not None and self.by_time:
             query, values = f"{query} AND (timestamp, rowid) > (?, ?)", [*values, *behind]
         elif behind is not None:  # not by >, which would look into the page of `behind`
             query, values = f"{query} AND rowid >= ?", [*values, behind.row + 1]
-        return f"{query} ORDER BY {'timestamp, rowid' if self._by_time else 'rowid'}", values
+        return f"{query} ORDER BY {'timestamp, rowid' if self.by_time else 'rowid'}", values

@@ -2,47 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import pytest
-from mcap.writer import CompressionType, IndexType
-from rosbags.rosbag1 import Writer as Rosbag1Writer
 
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers.recording import Message
-from tests.logs.recordings import (
-    COUNTS,
-    cut_in_tenths,
-    read_rest,
-    spoil,
-    write_bag,
-    write_db3,
-    write_mcap,
-)
-
-Write = Callable[[Path, list[Message]], None]
+from tests.logs.recordings import COUNTS, VARIETIES, cut_in_tenths, read_rest, spoil
 
 FORMATS = {"mcap": "MCAP", "bag": "ROS 1 bag", "db3": "rosbag2 (SQLite)"}
-VARIETIES: dict[str, Write] = {
-    "mcap zstd": partial(write_mcap, compression=CompressionType.ZSTD),
-    "mcap lz4": partial(write_mcap, compression=CompressionType.LZ4),
-    "mcap plain": partial(write_mcap, compression=CompressionType.NONE),
-    "mcap without index": partial(write_mcap, index_types=IndexType.NONE),
-    "mcap without summary": partial(
-        write_mcap, index_types=IndexType.NONE, use_statistics=False, repeat_channels=False
-    ),
-    "mcap without chunks": partial(write_mcap, use_chunking=False),
-    "mcap without checksums": partial(write_mcap, enable_crcs=False),
-    "bag plain": write_bag,
-    "bag without index": partial(write_bag, indexed=False),
-    "bag of small chunks": partial(write_bag, chunk_bytes=1500),
-    "bag bz2": partial(write_bag, compression=Rosbag1Writer.CompressionFormat.BZ2),
-    "bag lz4": partial(write_bag, compression=Rosbag1Writer.CompressionFormat.LZ4),
-    "db3 by time": write_db3,
-    "db3 without index": partial(write_db3, time_index=False),
-}
 CHUNKED = [name for name in VARIETIES if not name.startswith("db3")]
 
 

@@ -3,48 +3,21 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import pytest
 from mcap.writer import CompressionType, IndexType
-from rosbags.rosbag1 import Writer as Rosbag1Writer
 
 from specmap_cli.core.errors import InputError, UsageError
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers.recording import Message, lost_text
 from specmap_cli.logs.stream import SweepStream
-from tests.logs.recordings import change_db3, overwrite, write_bag, write_db3, write_mcap
+from tests.logs.recordings import VARIETIES, change_db3, overwrite, write_bag, write_db3, write_mcap
 from tests.strategies import MANY
 
 PLACES = 300 if MANY else 30  # of a byte that is damaged, a file and kind of damage
 PLAIN = CompressionType.NONE
-
-MCAP_STYLES: dict[str, dict[str, Any]] = {
-    "whole": {"compression": PLAIN},
-    "no checksums": {"compression": PLAIN, "enable_crcs": False},
-    "no checksums, zstd": {"enable_crcs": False},
-    "no checksums, lz4": {"enable_crcs": False, "compression": CompressionType.LZ4},
-    "no list of messages": {"compression": PLAIN, "enable_crcs": False}
-    | {"index_types": IndexType.CHUNK},
-    "no index": {"compression": PLAIN, "enable_crcs": False, "index_types": IndexType.NONE}
-    | {"use_statistics": False, "repeat_channels": False},
-    "no chunks": {"use_chunking": False, "enable_crcs": False},
-}
-WRITERS: dict[str, Callable[[Path, list[Message]], None]] = {
-    **{f"mcap, {name}": partial(write_mcap, **style) for name, style in MCAP_STYLES.items()},
-    **{
-        f"bag, {compression}, {indexed}": partial(
-            write_bag, compression=compression, indexed=indexed
-        )
-        for compression in (None, *Rosbag1Writer.CompressionFormat)
-        for indexed in (True, False)
-    },
-    "db3": write_db3,
-}
 
 
 def scans_read(path: Path) -> tuple[int, int, list[str]]:
@@ -80,9 +53,9 @@ def few(drive_messages: list[Message]) -> list[Message]:
     return drive_messages[:31]
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("name", VARIETIES)
 def test_a_byte_of_a_recording(path: Path, few: list[Message], name: str) -> None:
-    WRITERS[name](path, few)
+    VARIETIES[name](path, few)
     damage_everywhere(path, 10)
 
 

@@ -138,6 +138,27 @@ def test_a_message_that_is_too_large_costs_only_itself(
     assert damage == [f"{path}: {said}: it is beyond log.chunk_max_mb"]
 
 
+@pytest.mark.parametrize("stored", [False], indirect=True)
+def test_rows_may_have_any_number_of_64_bits(stored: Path, drive_messages: list[Message]) -> None:
+    change_db3(stored, "UPDATE messages SET id = id - 100")
+    place = leaf(stored, "messages", 0.4)
+    overwrite(stored, place, b"\x00" * 8)
+    found, (said,) = read(stored)
+    assert len(found) > 0.5 * len(drive_messages)
+    assert said.endswith("some of what followed is lost")
+
+
+def test_a_message_in_the_last_row_costs_only_itself(
+    path: Path, drive_messages: list[Message]
+) -> None:
+    write_db3(path, drive_messages, time_index=False)
+    last = f"UPDATE messages SET id = {2**63 - 1}, data = zeroblob(200000) WHERE id = ?"
+    change_db3(path, last, (len(drive_messages),))
+    found, damage = read(path, LogConfig(chunk_max_mb=0.1))
+    assert found == drive_messages[:-1]
+    assert damage[-1].endswith(" is lost: it is beyond log.chunk_max_mb")
+
+
 def test_a_table_with_a_byte_cut_out_is_survived(path: Path, drive_messages: list[Message]) -> None:
     write_db3(path, drive_messages, time_index=False)
     whole = path.read_bytes()
