@@ -11,7 +11,7 @@ from specmap_cli.core.geometry import Pose2
 from specmap_cli.layout.audit import Audit, Disagreement
 from specmap_cli.layout.contradictions import Agreement
 from specmap_cli.layout.result import PartMove, Repair
-from specmap_cli.quality.evidence import Evidence, graded
+from specmap_cli.quality.evidence import Evidence
 from tests.layout.driving import link
 from tests.quality.evidence import evidence_of, judged
 
@@ -57,12 +57,18 @@ def test_nothing_wrong_and_few_contradictions_are_good() -> None:
 
 
 @pytest.mark.parametrize(
-    ("count", "severity"),
-    [(1, "note"), (2, "note"), (3, "doubtful"), (20, "doubtful"), (21, "poor")],
+    ("count", "severity", "limit"),
+    [
+        (1, "note", 0.02),
+        (2, "note", 0.02),
+        (3, "doubtful", 0.02),
+        (20, "doubtful", 0.02),
+        (21, "poor", 0.2),
+    ],
 )
-def test_lost_scans_weigh_by_their_share(count: int, severity: Severity) -> None:
+def test_lost_scans_weigh_by_their_share(count: int, severity: Severity, limit: float) -> None:
     finding = only(evidence(lost=tuple(range(30, 30 + count))))
-    assert (finding.code, finding.severity) == ("lost-scans", severity)
+    assert (finding.code, finding.severity, finding.limit) == ("lost-scans", severity, limit)
     assert finding.value == pytest.approx(count / SCANS)
     assert finding.where == Where(30 * 10**9, 30.0, 0.0)
 
@@ -131,12 +137,6 @@ def test_the_gravest_come_first_and_the_input_is_told() -> None:
     found = replace(evidence(lost=(1,)), beyond=1, warnings=("scans without any return: 2",))
     codes = [one.code for one in judged(found).findings]
     assert codes == ["beyond-grid", "lost-scans", "input"]
-
-
-def test_grades_at_their_limits() -> None:
-    assert graded(0.1, 0.1, 0.2) == ("note", 0.1)
-    assert graded(0.2, 0.1, 0.2) == ("doubtful", 0.1)
-    assert graded(0.21, 0.1, 0.2) == ("poor", 0.2)
 
 
 def test_a_stretch_that_nothing_measures_makes_a_map_doubtful() -> None:
