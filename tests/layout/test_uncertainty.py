@@ -17,7 +17,6 @@ from specmap_cli.layout.uncertainty import (
     CLOSURE_SLACK_M,
     Uncertainty,
     chain_lengths,
-    chi2_of,
     deviations,
 )
 from tests.layout.driving import SOFT, arc, as_tracked, graph_by_hand, link, true_link
@@ -67,12 +66,6 @@ def test_errors_that_go_on_grow_with_the_way() -> None:
     place = (0.02 * np.hypot(*np.diff(path[:31, :2], axis=0).T).sum()) ** 2
     assert gained(path, 30, 0.02, 0.0) == pytest.approx(np.diag([place, place, 0.0]))
     assert np.diag(gained(arc(21, 0.0), 20, 0.0, 0.002)) == pytest.approx([0.01, 0.01, 0.0004])
-
-
-@given(st.floats(0.1, 3.0), st.floats(-2.0, 2.0))
-def test_chi2_counts_sigmas(sigma: float, away: float) -> None:
-    found = chi2_of(np.array([[away * sigma, 0.0, 0.0]]), np.eye(3)[None] * sigma**2)
-    assert found[0] == pytest.approx(away**2, abs=1e-9)
 
 
 def wrong_by(graph: Graph, source: int, target: int, metres: float) -> Link:
