@@ -94,21 +94,21 @@ def test_each_break_is_told_with_what_bridged_it() -> None:
     assert blind.findings[0].message.endswith("where the motion before led")
 
 
-@pytest.mark.parametrize(("start", "severity"), [(95, "doubtful"), (60, "poor")])
-def test_what_a_guess_places_weighs_by_its_way(start: int, severity: Severity) -> None:
-    found = judged(laid(loose=(start,), base=evidence(breaks=(start,))))
+@pytest.mark.parametrize(
+    ("breaks", "way_m", "severity"),
+    [((95,), 4, "doubtful"), ((60,), 39, "poor"), ((20, 25), 4, "doubtful")],
+)
+def test_what_a_guess_places_weighs_by_its_way_up_to_the_next_break(
+    breaks: tuple[int, ...], way_m: int, severity: Severity
+) -> None:
+    found = judged(laid(loose=breaks[:1], base=evidence(breaks=breaks)))
     loose = found.findings[0]
     assert (loose.code, loose.severity, found.verdict) == ("loose-part", severity, severity)
+    assert loose.value == pytest.approx(way_m / (SCANS - 1))
     assert loose.message == (
-        f"a guess alone places the {SCANS - 1 - start} m that follow {start}.000 s: "
+        f"a guess alone places the {way_m} m that follow {breaks[0]}.000 s: "
         "nothing there was recognised"
     )
-
-
-def test_a_loose_part_ends_at_the_next_break() -> None:
-    found = judged(laid(loose=(20,), base=evidence(breaks=(20, 25))))
-    (loose,) = (one for one in found.findings if one.code == "loose-part")
-    assert loose.value == pytest.approx(4 / 99)
 
 
 @pytest.mark.parametrize(("count", "severity"), [(1, "doubtful"), (2, "doubtful"), (3, "poor")])
