@@ -20,7 +20,6 @@ from specmap_cli.layout.uncertainty import (
     deviations,
 )
 from tests.layout.driving import SOFT, arc, as_tracked, graph_by_hand, link, true_link
-from tests.strategies import poses
 from tests.turning import turned
 
 
@@ -157,17 +156,3 @@ def test_a_bridge_lets_its_own_error_be_mended() -> None:
     closures = [wrong_by(graph, 0, 20, metres) for metres in (1.9, 2.1, 3.1, 3.3)]
     assert kinds_of(graph, as_tracked(graph), closures) == ["far", *["refuted"] * 3]
     assert kinds_of(bridged, as_tracked(graph), closures) == [*["far"] * 3, "refuted"]
-
-
-# never at a limit, where rounding decides
-AWAY_M = st.integers(-40, 40).map(lambda tenths: tenths / 10 + 0.0123)
-
-
-@given(poses, st.lists(st.tuples(ENDS, AWAY_M), max_size=6))
-def test_the_frame_of_the_map_does_not_matter_to_drift(
-    motion: Pose2, ends: list[tuple[tuple[int, int], float]]
-) -> None:
-    plain, moved = (graph_by_hand(t) for t in (arc(15), compose(np.array(motion), arc(15))))
-    closures = [wrong_by(plain, a, b, metres) for (a, b), metres in ends if a != b]
-    kinds = [kinds_of(graph, as_tracked(graph), closures) for graph in (plain, moved)]
-    assert kinds[0] == kinds[1]
