@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -54,8 +54,7 @@ class Link:
     kind: LinkKind
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LinkArrays:
+class LinkArrays(NamedTuple):
     """Links as arrays: `i`, `j` (E,) rows of the poses, `z` (E, 3), `w` (E, 3, 3).
 
     `width` (E,) is the scale of Cauchy's kernel in sigmas, inf for a plain square.
@@ -82,13 +81,8 @@ class LinkArrays:
 
     def some(self, rows: BoolArray) -> LinkArrays:
         """Those of the links."""
-        return LinkArrays(
-            i=self.i[rows],
-            j=self.j[rows],
-            z=self.z[rows],
-            w=self.w[rows],
-            width=self.width[rows],
-        )
+        i, j, z, w, width = self
+        return LinkArrays(i[rows], j[rows], z[rows], w[rows], width[rows])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -135,9 +135,9 @@ class FrontEnd:
         sees_little = len(view.probe) < self.config.min_points
         if sees_little:
             self.counts["few_points"] += 1
-            ranges = view.planar.ranges
-            looked = 2 * int(np.count_nonzero(np.isnan(ranges))) < len(ranges)  # and saw none
-            carried = looked and track.is_carried(self.config)
+            ranges = view.planar.ranges  # if most are valid, it saw that there are no walls
+            valid = 2 * int(np.count_nonzero(np.isnan(ranges))) < len(ranges)
+            carried = valid and track.is_carried(self.config)
             judgement = Judgement(fit=Fit(pose=moved_on, score=0.0), lost=not carried)
         elif not len(local):  # a new map begins at the guess
             judgement = Judgement(fit=Fit(pose=moved_on, score=1.0))

@@ -59,25 +59,6 @@ class MotionGuess:
         """Whether odometry measured the motion, and is worth its name."""
         return self.expected.measured and self.reliance.trusted
 
-    @property
-    def backwards(self) -> FloatArray:
-        """The pose (4, 4) after the same motion driven backwards, turns kept.
-
-        There the sweep was taken if odometry reports backing up as driving forward.
-        """
-        x, y, theta = self.expected.motion
-        return product(self.before, Pose2(-x, -y, theta).matrix())
-
-    @property
-    def unturned(self) -> FloatArray | None:
-        """The pose (4, 4) after the motion before, carried on, where odometry's turn is unheard of.
-
-        None otherwise. The heading of some odometry jumps, when it is corrected or begins anew.
-        """
-        if not (self.expected.measured and self.expected.unheard_of):
-            return None
-        return product(self.before, self.expected.carried.matrix())
-
     def agrees(self, fit: Fit, slacks: float = 1.0) -> bool:
         """Whether a result is as near the guess as the robot's motion can have been.
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.geometry import Pose2, product
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.matching import weakest_direction
 from specmap_cli.registration.guess import (
@@ -154,9 +154,10 @@ def _searched(scene: Scene, guess: MotionGuess, fit: Fit, bounds: Bounds) -> Fit
     """The best one of a doubtful result and of places around the guess and behind it.
 
     Wheels that only count tell nothing of the direction in which they turn. A step of the log may
-    be driven backwards as a whole, or half of it. A result that is poor then gives way to the place
-    without odometry's turn if most walls there are known and fit: where odometry's turn is right,
-    walls come into sight that are new at the other place.
+    be driven backwards as a whole, or half of it. The heading of some odometry jumps, when it is
+    corrected or begins anew: where its turn is unheard of, a result that is still poor gives way to
+    the place after the motion before, if most walls there are known and fit. Where odometry's turn
+    is right, walls come into sight that are new at the other place.
     """
     expected = guess.expected
     window = near_window(measured=expected.measured)
@@ -164,17 +165,18 @@ def _searched(scene: Scene, guess: MotionGuess, fit: Fit, bounds: Bounds) -> Fit
     fit = _better(scene, guess, fit, found, guess.planar)
     beyond = expected.motion.distance > SEARCH_M  # the search around the guess reaches as far
     if expected.measured and beyond and fit.score < BEYOND_DOUBT:
+        x, y, theta = expected.motion
+        backwards = product(guess.before, Pose2(-x, -y, theta).matrix())
         for share in _BACKED_UP:
             place = guess.pose.copy()
-            place[:3, 3] += share * (guess.backwards[:3, 3] - guess.pose[:3, 3])
+            place[:3, 3] += share * (backwards[:3, 3] - guess.pose[:3, 3])
             around = Bounds.around(place, scene.config)
             found = scene.search(place, window, _KERNEL_VOXELS, around)
             if found.score >= BEYOND_DOUBT:
                 fit = _better(scene, guess, fit, found, Pose2.from_matrix(place))
-    unturned = guess.unturned
-    if unturned is None or fit.score >= POOR_SCORE:
+    if not (expected.measured and expected.unheard_of) or fit.score >= POOR_SCORE:
         return fit
-    found = scene.align(unturned, _KERNEL_VOXELS)
+    found = scene.align(product(guess.before, expected.carried.matrix()), _KERNEL_VOXELS)
     support = scene.support(found.planar)
     certain = support.share >= MOST and support.score > GOOD_SCORE
     return fit.or_better(found) if certain else replace(fit, refused=fit.refused + found.refused)

@@ -69,7 +69,7 @@ def view_of(sweep: Sweep, expected: ExpectedMotion, config: RegistrationConfig) 
         away = np.sqrt(x * x + y * y)
         kept = np.flatnonzero((away > config.min_range_m) & (away <= config.cloud_range_m))
         kept = kept[first_in_cells(points[kept], config.cloud_voxel_m / 2)]
-        usable = times_s is not None and usable_times(times_s, len(points))
+        usable = usable_times(times_s, len(points))
         times_s = times_s[kept] if times_s is not None and usable else None
         dense = moved_returns(points[kept], times_s, expected.during, expected.interval_s)
         cloud = _thinned_to(dense, config.cloud_voxel_m, _MAX_CLOUD_POINTS)

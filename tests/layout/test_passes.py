@@ -137,14 +137,7 @@ def test_where_more_passes_came_by_fewer_nodes_are_asked(graph: Graph, walls: Wa
     assert len(often.loops) > 1.5 * len(found.loops)
 
 
-def second_lap_aside(graph: Graph) -> Draft:
-    """The second lap was put a little aside."""
-    aside = graph.poses
-    aside[graph.parts == 1, 1] += 0.25
-    return replace(as_tracked(graph), poses=aside)
-
-
-def test_what_confirms_the_layout_does_not_renew_it(
+def test_the_layout_is_renewed_as_passes_come_in_that_do_not_confirm_it(
     graph: Graph, walls: Walls, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     solutions: list[int] = []
@@ -157,19 +150,13 @@ def test_what_confirms_the_layout_does_not_renew_it(
     monkeypatch.setattr("specmap_cli.layout.passes._SOLVE_EVERY", 2)
     assert len(find_passes(graph, as_tracked(graph), walls).loops) >= 15
     assert solutions == []
-    find_passes(graph, second_lap_aside(graph), walls)
+    aside = replace(as_tracked(graph), poses=graph.poses)
+    aside.poses[graph.parts == 1, 1] += 0.25
+    often = find_passes(graph, aside, walls)
     assert 0 < len(solutions) < 5, "the first bring the rest where it belongs"
-
-
-def test_the_layout_is_renewed_as_passes_come_in(graph: Graph, walls: Walls) -> None:
-    """The second lap was put a little aside: the first passes bring all of it back at once."""
-    start = second_lap_aside(graph)
-    with turned("layout.passes", _SOLVE_EVERY=2):
-        often = find_passes(graph, start, walls)
-    with turned("layout.passes", _SOLVE_EVERY=10_000):
-        never = find_passes(graph, start, walls)
-    assert np.array_equal(never.poses, start.poses)
     assert np.hypot(*(often.poses - graph.poses)[graph.parts == 1, :2].T).max() < 0.1
+    with turned("layout.passes", _SOLVE_EVERY=10_000):
+        assert np.array_equal(find_passes(graph, aside, walls).poses, aside.poses)
 
 
 def test_a_part_that_a_guess_placed_is_rejoined_on_the_way(graph: Graph, walls: Walls) -> None:

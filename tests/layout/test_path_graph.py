@@ -17,7 +17,6 @@ from specmap_cli.layout.path_graph import (
     _RANGE_NOISE_M,
     LOOP_PATH_M,
     NODE_M,
-    Draft,
     chosen_nodes,
     graph_of,
     guess_information,
@@ -75,15 +74,6 @@ def test_parts_begin_at_breaks_and_the_path_jumps_there(store: KeyframeStore) ->
     assert np.array_equal(graph.poses, store.poses[graph.nodes])
     with pytest.raises(dataclasses.FrozenInstanceError):
         graph.nodes = np.zeros(1, dtype=np.int64)  # type: ignore[misc]
-
-
-def test_limits_are_counted_in_another_draft() -> None:
-    draft = Draft(poses=np.zeros((1, 3)))
-    once = draft.counting("stray_cells", 1)
-    more = once.counting("stray_cells", 2).counting("stray_tries", 1)
-    assert more.limits == {"stray_cells": 3, "stray_tries": 1}
-    assert draft.counting("stray_cells", 0) is draft
-    assert draft.limits == {}
 
 
 @given(st.lists(st.floats(0.0, 3.0), min_size=1, max_size=30), st.floats(0.1, 5.0))

@@ -61,17 +61,6 @@ def test_the_best_score_is_that_of_trying_everything(seed: int) -> None:
     assert found[0].score >= tried_everywhere(field, source, ANGLES) - 1e-12
 
 
-@few(10)
-@given(seeds)
-def test_levels_are_maxima_of_the_cells_they_stand_for(seed: int) -> None:
-    pyramid = Pyramid.of(field_of(scatter(seed)), 2.0)
-    cells, rng = pyramid.levels[0], np.random.default_rng(seed)
-    for level, values in enumerate(pyramid.levels):
-        for row, column in rng.integers(0, np.array(cells.shape), (20, 2)):
-            block = cells[row : row + 2**level, column : column + 2**level]
-            assert values[row, column] == block.max()
-
-
 @pytest.mark.parametrize("angle", [0.0, 0.8, 2.4])
 def test_points_are_found_where_they_are_from(angle: float) -> None:
     walls, pose = scatter(3, 120, 15.0), Pose2(4.0, -2.0, angle)

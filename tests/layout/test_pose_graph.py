@@ -162,14 +162,6 @@ def test_what_no_edge_holds_and_the_first_pose_stay_where_they_are() -> None:
     assert np.array_equal(solve(start, arrays([], 9)).poses, start)
 
 
-def test_edges_need_the_rows_of_their_ends_and_kinds_without_a_width_are_plain() -> None:
-    edge = link(4, 7, (1.0, 2.0, 0.5), "loose")
-    edges = LinkArrays.of([edge], {4: 0, 7: 1}, {"nearby": 2.0})
-    assert (edges.i.tolist(), edges.j.tolist(), edges.width.tolist()) == ([0], [1], [np.inf])
-    with pytest.raises(KeyError):
-        LinkArrays.of([edge], {4: 0}, {})
-
-
 # three poses on a line, 1 m apart by odometry, and an edge that says 2.3 m from end to end
 BY_HAND = """\
 VERTEX_SE2 0 0 0 0

@@ -16,14 +16,13 @@ from specmap_cli.layout.solving import _KERNEL_SIGMAS, Condensed, settle, solved
 from tests.layout.driving import (
     arc,
     as_tracked,
-    chained,
     drifted,
     graph_by_hand,
     link,
     round_trip,
     true_link,
 )
-from tests.strategies import few, seeds
+from tests.strategies import few
 from tests.turning import turned
 
 LAP = 60
@@ -160,17 +159,6 @@ def test_the_solution_of_chains_is_that_of_the_whole_graph(
     assert np.abs(whole.poses - poses)[:, :2].max() > 0.3, "there was something to mend"
     assert np.hypot(*(found - whole.poses)[:, :2].T).max() < 0.005
     assert np.abs(found - whole.poses)[:, 2].max() < 0.002
-
-
-@given(seeds)
-def test_chains_that_fit_stay_where_they_are(seed: int) -> None:
-    steps = np.random.default_rng(seed).normal(0.0, 0.3, (60, 3))
-    path = chained(np.zeros(3), steps)
-    graph = graph_by_hand(path)
-    links = LinkArrays.of((*graph.odometry, true_link(path, 7, 33)), graph.row, WIDTHS)
-    small = Condensed.of(links, len(path) - 1)
-    assert {0, 7, 33, 60} <= set(small.kept.tolist())
-    assert np.allclose(small.expanded(path[small.kept]), path, atol=1e-9)
 
 
 @given(st.integers(1, 40), st.floats(0.01, 0.3))

@@ -39,9 +39,15 @@ def one(graph: Graph, walls: Walls) -> Pass:
     return pass_of(graph, walls, 190)
 
 
-def deviations(fit: WallFit | None) -> FloatArray:
-    """Standard deviations of x, y and heading in the frame of the source."""
+def matched(source: FloatArray, target: FloatArray, guess: Pose2, drift_m: float) -> WallFit:
+    """The match that is found."""
+    fit = match_walls(source, target, guess, drift_m)
     assert fit is not None
+    return fit
+
+
+def deviations(fit: WallFit) -> FloatArray:
+    """Standard deviations of x, y and heading in the frame of the source."""
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(fit.information))))
 
 
@@ -50,8 +56,7 @@ def test_a_pass_is_matched_to_centimetres(graph: Graph, walls: Walls, seed: int)
     rng = np.random.default_rng(seed)
     source, target, truth = pass_of(graph, walls, int(rng.integers(142, 205)))
     error = Pose2(*rng.uniform((-0.7, -0.7, -0.14), (0.7, 0.7, 0.14)).tolist())
-    fit = match_walls(source, target, truth @ error, 1.0)
-    assert fit is not None
+    fit = matched(source, target, truth @ error, 1.0)
     assert np.less(missed(truth, fit.target_from_source), (0.05, 0.02)).all()
     assert (np.linalg.eigvalsh(fit.information) > 0).all()
     assert np.allclose(fit.information, fit.information.T)
@@ -89,8 +94,7 @@ def test_what_fits_where_it_is_said_to_be_is_not_searched(
     one: Pass, windows: list[Window], off_m: float, drift_m: float, searches: int
 ) -> None:
     source, target, truth = one
-    fit = match_walls(source, target, truth @ Pose2(off_m, 0.0, 0.0), drift_m)
-    assert fit is not None
+    fit = matched(source, target, truth @ Pose2(off_m, 0.0, 0.0), drift_m)
     assert missed(truth, fit.target_from_source)[0] < 0.05
     assert len(windows) == searches
 
@@ -106,9 +110,8 @@ def test_what_shows_other_walls_is_given_up_after_the_rough_search(
 def test_what_lies_farther_off_than_the_drift_is_not_found(one: Pass) -> None:
     source, target, truth = one
     guess = truth @ Pose2(2.0, 0.0, 0.0)
-    near, far = (match_walls(source, target, guess, drift_m) for drift_m in (0.5, 2.2))
+    near, far = match_walls(source, target, guess, 0.5), matched(source, target, guess, 2.2)
     assert near is None or missed(truth, near.target_from_source)[0] > 0.5
-    assert far is not None
     assert missed(truth, far.target_from_source)[0] < 0.05
 
 
@@ -129,7 +132,7 @@ def test_along_a_corridor_a_match_is_loose_in_the_frame_of_the_source(
     points = corridor()
     target_from_source = Pose2(0.0, 0.0, turn)
     source = target_from_source.inverse().apply(points)
-    deviation = deviations(match_walls(source, points, target_from_source, 0.3))
+    deviation = deviations(matched(source, points, target_from_source, 0.3))
     assert deviation[open_axis] > 0.1
     assert deviation[1 - open_axis] < 0.05
 
@@ -158,8 +161,7 @@ def test_a_window_that_fits_all_over_says_nothing_of_the_way(heading: float) -> 
 def test_in_a_bare_corridor_the_nearest_of_equal_places_is_taken() -> None:
     short = corridor(500)
     short = short[np.abs(short[:, 0]) < 3.0]
-    fit = match_walls(short, corridor(), Pose2(0.5, 0.0, 0.0), 2.0)
-    assert fit is not None
+    fit = matched(short, corridor(), Pose2(0.5, 0.0, 0.0), 2.0)
     assert abs(fit.target_from_source.x - 0.5) < 0.35
     assert abs(fit.target_from_source.y) < 0.03
     assert deviations(fit)[0] > 0.5, "more than the window that was looked at"

@@ -11,7 +11,7 @@ from specmap_cli.core.geometry import Pose2
 from specmap_cli.layout.audit import Audit, Disagreement
 from specmap_cli.layout.contradictions import Agreement
 from specmap_cli.layout.result import PartMove, Repair
-from specmap_cli.quality.evidence import Evidence, graded
+from specmap_cli.quality.evidence import Evidence
 from tests.layout.driving import link
 from tests.quality.evidence import evidence_of, judged
 
@@ -57,12 +57,18 @@ def test_nothing_wrong_and_few_contradictions_are_good() -> None:
 
 
 @pytest.mark.parametrize(
-    ("count", "severity"),
-    [(1, "note"), (2, "note"), (3, "doubtful"), (20, "doubtful"), (21, "poor")],
+    ("count", "severity", "limit"),
+    [
+        (1, "note", 0.02),
+        (2, "note", 0.02),
+        (3, "doubtful", 0.02),
+        (20, "doubtful", 0.02),
+        (21, "poor", 0.2),
+    ],
 )
-def test_lost_scans_weigh_by_their_share(count: int, severity: Severity) -> None:
+def test_lost_scans_weigh_by_their_share(count: int, severity: Severity, limit: float) -> None:
     finding = only(evidence(lost=tuple(range(30, 30 + count))))
-    assert (finding.code, finding.severity) == ("lost-scans", severity)
+    assert (finding.code, finding.severity, finding.limit) == ("lost-scans", severity, limit)
     assert finding.value == pytest.approx(count / SCANS)
     assert finding.where == Where(30 * 10**9, 30.0, 0.0)
 
@@ -88,21 +94,21 @@ def test_each_break_is_told_with_what_bridged_it() -> None:
     assert blind.findings[0].message.endswith("where the motion before led")
 
 
-@pytest.mark.parametrize(("start", "severity"), [(95, "doubtful"), (60, "poor")])
-def test_what_a_guess_places_weighs_by_its_way(start: int, severity: Severity) -> None:
-    found = judged(laid(loose=(start,), base=evidence(breaks=(start,))))
+@pytest.mark.parametrize(
+    ("breaks", "way_m", "severity"),
+    [((95,), 4, "doubtful"), ((60,), 39, "poor"), ((20, 25), 4, "doubtful")],
+)
+def test_what_a_guess_places_weighs_by_its_way_up_to_the_next_break(
+    breaks: tuple[int, ...], way_m: int, severity: Severity
+) -> None:
+    found = judged(laid(loose=breaks[:1], base=evidence(breaks=breaks)))
     loose = found.findings[0]
     assert (loose.code, loose.severity, found.verdict) == ("loose-part", severity, severity)
+    assert loose.value == pytest.approx(way_m / (SCANS - 1))
     assert loose.message == (
-        f"a guess alone places the {SCANS - 1 - start} m that follow {start}.000 s: "
+        f"a guess alone places the {way_m} m that follow {breaks[0]}.000 s: "
         "nothing there was recognised"
     )
-
-
-def test_a_loose_part_ends_at_the_next_break() -> None:
-    found = judged(laid(loose=(20,), base=evidence(breaks=(20, 25))))
-    (loose,) = (one for one in found.findings if one.code == "loose-part")
-    assert loose.value == pytest.approx(4 / 99)
 
 
 @pytest.mark.parametrize(("count", "severity"), [(1, "doubtful"), (2, "doubtful"), (3, "poor")])
@@ -131,12 +137,6 @@ def test_the_gravest_come_first_and_the_input_is_told() -> None:
     found = replace(evidence(lost=(1,)), beyond=1, warnings=("scans without any return: 2",))
     codes = [one.code for one in judged(found).findings]
     assert codes == ["beyond-grid", "lost-scans", "input"]
-
-
-def test_grades_at_their_limits() -> None:
-    assert graded(0.1, 0.1, 0.2) == ("note", 0.1)
-    assert graded(0.2, 0.1, 0.2) == ("doubtful", 0.1)
-    assert graded(0.21, 0.1, 0.2) == ("poor", 0.2)
 
 
 def test_a_stretch_that_nothing_measures_makes_a_map_doubtful() -> None:

@@ -50,34 +50,29 @@ def sweeps(
     steps = compose(invert(truth[:-1]), truth[1:])
     for k, ranges in enumerate(seen):
         ranges += rng.normal(0, 0.01, beams)
-        stamp = (k + 1) * 10**8
-        scan = PlanarScan(
-            stamp_ns=stamp, bearings=bearings, ranges=ranges, range_max=reach, full_circle=full
-        )
         if k:
             odom = compose(odom, steps[k - 1] * (1.05, 1.0, 1.0) + rng.normal(0, 0.004, 3))
-        result.append(
-            Sweep(
-                index=k,
-                stamp_ns=stamp,
-                planar=scan,
-                base_from_laser=LASER,
-                odom_from_base=Pose2(*odom.tolist()) if odometry else None,
-            )
-        )
+        scan = PlanarScan((k + 1) * 10**8, bearings, ranges, reach, full_circle=full)
+        told = Pose2(*odom.tolist()) if odometry else None
+        result.append(sweep_of(k, scan, LASER, told))
     return result
+
+
+def sweep_of(k: int, scan: PlanarScan, laser: Pose2, odometry: Pose2 | None) -> Sweep:
+    return Sweep(
+        index=k,
+        stamp_ns=scan.stamp_ns,
+        planar=scan,
+        base_from_laser=laser,
+        odom_from_base=odometry,
+    )
 
 
 def circle(k: int, ranges: FloatArray, odometry: Pose2 | None = None) -> Sweep:
     """A full-circle sweep of these ranges, the k-th at 10 Hz, by a laser amid the base."""
-    stamp = k * 10**8
     bearings = np.linspace(-np.pi, np.pi, len(ranges), endpoint=False)
-    scan = PlanarScan(
-        stamp_ns=stamp, bearings=bearings, ranges=ranges, range_max=10.0, full_circle=True
-    )
-    return Sweep(
-        index=k, stamp_ns=stamp, planar=scan, base_from_laser=IDENTITY, odom_from_base=odometry
-    )
+    scan = PlanarScan(k * 10**8, bearings, ranges, 10.0, full_circle=True)
+    return sweep_of(k, scan, IDENTITY, odometry)
 
 
 def with_odometry(sweep: Sweep, changed: Callable[[Pose2], Pose2]) -> Sweep:

@@ -28,20 +28,14 @@ def judged(
     support: Support | None = None,
     away: Pose2 = IDENTITY,
     *,
-    agrees: bool = True,
-    searched: bool = False,
-    wide_searched: bool = False,
     measured: bool = True,
-    unaligned: bool = False,
+    **found: bool,
 ) -> Judgement:
     """What is thought of a result so far from its guess; by default all of it could be seen."""
     located = Located(
         fit=Fit(pose=(GUESS @ away).matrix(), score=score, refused=2),
-        searched=searched,
-        wide_searched=wide_searched,
-        agrees=agrees,
         support=support or Support(score=score, share=1.0, count=100),
-        unaligned=unaligned,
+        **{"searched": False, "wide_searched": False, "agrees": True, **found},
     )
     guess = guess_of(GUESS, expecting(measured=measured))
     return judge(located, guess, RegistrationConfig())

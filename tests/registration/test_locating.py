@@ -132,19 +132,19 @@ def test_a_step_driven_backwards_is_found_where_odometry_reports_it_forwards(
     assert located.fit.score > 0.85
 
 
-def test_a_motion_driven_backwards_or_not_turned_leads_elsewhere() -> None:
-    """The turn stays where the way is reversed; the one unheard of gives way to the one before."""
-    before, motion, carried = Pose2(1.0, 2.0, np.pi / 2), Pose2(0.5, 0.1, 0.3), Pose2(0.4, 0.0, 0.1)
-    guess = guess_of(before @ motion, expecting(motion, carried))
-    reverse = Pose2.from_matrix(guess.backwards)
-    assert reverse == pytest.approx(Pose2(1.1, 1.5, np.pi / 2 + 0.3))
-    assert guess.unturned is None
-    unheard_of = dataclasses.replace(guess.expected, unheard_of=True)
-    unturned = dataclasses.replace(guess, expected=unheard_of).unturned
-    assert unturned is not None
-    assert Pose2.from_matrix(unturned) == pytest.approx(before @ carried)
-    unmeasured = dataclasses.replace(unheard_of, measured=False)
-    assert dataclasses.replace(guess, expected=unmeasured).unturned is None
+@pytest.mark.parametrize(
+    ("measured", "unheard_of", "found"),
+    [(True, True, True), (True, False, False), (False, True, False)],
+)
+def test_a_turn_unheard_of_gives_way_to_the_motion_before(
+    world: GridMap, measured: bool, unheard_of: bool, found: bool
+) -> None:
+    """The truth is the identity; odometry turns by half a turn, farther than a search does."""
+    scene = scene_in(world, ToldAligner())
+    turn = Pose2(0.0, 0.0, 3.0)
+    expected = dataclasses.replace(expecting(turn, measured=measured), unheard_of=unheard_of)
+    located = locate(scene, turn.matrix(), expected, turn)
+    assert (located.fit.score > 0.9) == found
 
 
 def test_odometry_denies_by_what_it_is_worth_of_way_and_of_turn() -> None:

@@ -265,12 +265,3 @@ def test_a_part_of_a_circle_stays_about_its_bearings() -> None:
 def test_only_a_motion_that_a_sweep_can_show_moves_it(motion: Pose2, same: bool) -> None:
     scan = skewed_room(IDENTITY, IDENTITY)
     assert (deskewed(scan, IDENTITY, motion, PERIOD_S) is scan) == same
-
-
-def test_straight_and_hardly_turning_motions_agree() -> None:
-    """The limit of a small turn is taken without a division by zero."""
-    points, times = np.array([[1.0, 2.0], [3.0, -1.0]]), np.array([0.0, PERIOD_S])
-    straight = moved_returns(points, times, Pose2(0.3, 0.1, 0.0), PERIOD_S)
-    for turn in (1e-12, -1e-10, 1e-8):
-        bent = moved_returns(points, times, Pose2(0.3, 0.1, turn), PERIOD_S)
-        assert np.allclose(bent, straight, atol=1e-6)
