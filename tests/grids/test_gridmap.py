@@ -70,13 +70,6 @@ def test_a_window_is_the_same_map_seen_through_a_hole(grid: GridMap, data: st.Da
     assert not np.shares_memory(part.cells, grid.cells)
 
 
-def test_a_window_takes_numbers_of_numpy_and_gives_those_of_python() -> None:
-    grid = GridMap(np.zeros((6, 8), dtype=np.uint8), 0.5, (1.0, 2.0))
-    part = grid.window(slice(*np.array([1, 4])), slice(*np.array([2, 5])))
-    assert part.origin == (2.0, 2.5)
-    assert {type(value) for value in part.origin} == {float}
-
-
 def test_a_point_on_a_border_belongs_to_the_cell_above_and_right_of_it() -> None:
     grid = GridMap(np.zeros((4, 4), dtype=np.uint8), 0.25, (-0.5, 1.0))
     corners = np.array([[-0.5, 1.0], [0.0, 1.0], [-0.25, 1.25], [0.5, 2.0]])

@@ -326,20 +326,19 @@ def stay(xs: Sequence[float], marked: Sequence[int], unseen: list[int]) -> list[
     return [int(number) for number in found]
 
 
+APART = [k + 0.05 for k in range(10)]  # a metre apart; each sees the wall at its left alone
+
+
 @pytest.mark.parametrize(
-    ("marked", "unseen", "left"),
+    ("xs", "marked", "unseen", "left"),
     [
-        (range(10), [30, 70], [3, 7]),  # the only one that shows a wall
-        ([1, 2, 4], [30], []),  # one that is kept shows it
-        (range(10), [], []),  # newer recordings looked at it
+        (APART, range(10), [30, 70], [3, 7]),  # the only one that shows a wall
+        (APART, [1, 2, 4], [30], []),  # one that is kept shows it
+        (APART, range(10), [], []),  # newer recordings looked at it
+        ([3.05, 3.07, 3.09], range(3), [30], [2]),  # of several witnesses the last
     ],
 )
 def test_the_only_keyframe_that_shows_a_wall_stays(
-    marked: Sequence[int], unseen: list[int], left: list[int]
+    xs: Sequence[float], marked: Sequence[int], unseen: list[int], left: list[int]
 ) -> None:
-    """Ten keyframes a metre apart; each sees the wall at its left and nothing else."""
-    assert stay([k + 0.05 for k in range(10)], marked, unseen) == left
-
-
-def test_of_several_witnesses_the_last_stays() -> None:
-    assert stay([3.05, 3.07, 3.09], marked=range(3), unseen=[30]) == [2]
+    assert stay(xs, marked, unseen) == left

@@ -28,7 +28,7 @@ from specmap_cli.segmentation.cells import (
     nearest_labels,
     spread_labels,
 )
-from specmap_cli.segmentation.division import Segmentation, segment
+from specmap_cli.segmentation.division import segment
 from specmap_cli.segmentation.furniture import furniture, small_obstacles, without_slits
 from specmap_cli.segmentation.visibility import LabelArray, near_pairs, sample_nodes, visible
 from specmap_cli.segmentation.working_grid import working_grid
@@ -38,10 +38,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def clearance_of(free: BoolArray) -> FloatArray:
-    padded = np.pad(free.astype(np.uint8), 1)
-    return np.asarray(
-        cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1], np.float64
-    )
+    return working_grid(free, 1.0, 1.0).clearance
 
 
 def dumbbell() -> BoolArray:
@@ -480,17 +477,19 @@ def same_partition(one: LabelArray, other: LabelArray) -> bool:
     return len(pairs) == len({a for a, _ in pairs}) == len({b for _, b in pairs})
 
 
-def ragged(grid: GridMap, seed: int) -> GridMap:
-    """The map with a tenth of the free cells beside walls blocked."""
+def worn(grid: GridMap, seed: int) -> FloatArray:
+    """How many cells each region of a map shares with those it has when cells beside walls flip.
+
+    A tenth of them does, as they do from one recording to the next.
+    """
     cells = grid.cells.copy()
     near = np.argwhere(grid.free & (grid.clearance() < 1.5 * grid.resolution))
     flipped = near[np.random.default_rng(seed).random(len(near)) < 0.1]
     cells[tuple(flipped.T)] = OCCUPIED
-    return GridMap(cells, grid.resolution)
-
-
-def shared_cells(one: Segmentation, other: Segmentation) -> FloatArray:
-    """How many cells each region of one division has in common with each of the other."""
+    one, other = (
+        segment(GridMap(each, grid.resolution), SegmentationConfig())
+        for each in (grid.cells, cells)
+    )
     both = (one.labels >= 0) & (other.labels >= 0)
     shared = np.zeros((one.count, other.count))
     np.add.at(shared, (one.labels[both], other.labels[both]), 1.0)
@@ -540,12 +539,8 @@ def test_the_order_of_rare_and_common_names_changes_nothing(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_few_ragged_cells_move_no_border(office: GridMap, seed: int) -> None:
-    """Cells beside walls flip, as they do from one recording to the next."""
-    config = SegmentationConfig()
-    worn = ragged(office, seed)
-    before, after = segment(office, config), segment(worn, config)
-    shared = shared_cells(before, after)
-    assert before.count == after.count
+    shared = worn(office, seed)
+    assert shared.shape[0] == shared.shape[1]
     assert shared.max(axis=1).sum() > 0.97 * shared.sum()
 
 
@@ -561,9 +556,6 @@ def test_cells_that_tipped_a_pairwise_majority_tip_no_election() -> None:
     These are one case in which a majority for each pair of cells lost a room, and the vote for
     whole regions does not.
     """
-    grid = read_grid(ROOT / "sample_logs" / "office.yaml")
-    config = SegmentationConfig()
-    before, after = segment(grid, config), segment(ragged(grid, 5), config)
-    shared = shared_cells(before, after)
+    shared = worn(read_grid(ROOT / "sample_logs" / "office.yaml"), 5)
     either = shared.sum(axis=1)[:, None] + shared.sum(axis=0) - shared
-    assert (shared / either > 0.5).sum() >= 0.9 * max(before.count, after.count)
+    assert (shared / either > 0.5).sum() >= 0.9 * max(shared.shape)
