@@ -80,10 +80,7 @@ def test_the_convention_of_map_server(tmp_path: Path) -> None:
         "occupied_thresh: 0.65\nfree_thresh: 0.196\n"
     )
     assert (255 - 205) / 255 > 0.196  # unknown does not load as free
-
-
-def test_an_empty_grid_is_one_unknown_cell(tmp_path: Path) -> None:
-    write_grid(tmp_path / "m", GridMap(np.zeros((0, 0), dtype=np.uint8), 0.05))
+    write_grid(tmp_path / "m", GridMap(cells[:0], 0.05))  # no picture is empty
     assert read_grid(tmp_path / "m.yaml").cells.tolist() == [[UNKNOWN]]
 
 
@@ -98,9 +95,10 @@ def test_colours_transparency_and_percent_as_they_stand(tmp_path: Path) -> None:
     assert grid.cells.tolist() == [[FREE, OCCUPIED, UNKNOWN, UNKNOWN]]
 
 
-def test_a_given_resolution_wins(tmp_path: Path) -> None:
-    path = write_image(tmp_path, np.zeros((2, 2), dtype=np.uint8))
-    for each in (path, tmp_path / "m.png"):
+def test_a_given_resolution_wins_and_paths_may_be_text(tmp_path: Path) -> None:
+    write_grid(f"{tmp_path}/m", GridMap(np.zeros((2, 2), dtype=np.uint8), 0.05))
+    path = tmp_path / "m.yaml"
+    for each in (path, str(path), f"{tmp_path}/m.png"):
         assert read_grid(each, 0.25).resolution == 0.25
     with pytest.raises(MapError, match="above 0"):
         read_grid(path, -1.0)
@@ -122,14 +120,6 @@ def test_unreadable_files_are_one_line(tmp_path: Path) -> None:
     ):
         with pytest.raises(MapError, match=said):
             read_grid(tmp_path / name, resolution)
-
-
-def test_paths_may_be_text(tmp_path: Path) -> None:
-    grid = GridMap(np.array([[FREE, OCCUPIED]], dtype=np.uint8), 0.05)
-    write_grid(f"{tmp_path}/m", grid)
-    np.testing.assert_array_equal(read_grid(f"{tmp_path}/m.yaml").cells, grid.cells)
-    write_png(f"{tmp_path}/p.png", np.zeros((2, 3), dtype=np.uint8))
-    assert read_grid(str(tmp_path / "p.png"), 0.1).cells.tolist() == [[OCCUPIED] * 3] * 2
 
 
 @pytest.mark.parametrize(

@@ -225,7 +225,7 @@ def test_regions_hardly_driven_through_go_to_the_one_before(
     xs = np.concatenate([np.linspace(a, b, 15) for a, b in itertools.pairwise(stops)])
     poses = drive(xs)
     every, found = (
-        regions_of(two_rooms, poses, DEFAULT.model_copy(update={"region_min_m": least_m}))
+        regions_of(two_rooms, poses, SegmentationConfig(region_min_m=least_m))
         for least_m in (0.0, way_m)
     )
     assert found.tolist() == without_grazed(every.tolist(), poses, way_m)
@@ -234,7 +234,7 @@ def test_regions_hardly_driven_through_go_to_the_one_before(
 @pytest.mark.parametrize("x", [-3.0, 12.0])
 def test_keyframes_beyond_the_map_go_to_its_nearest_edge(two_rooms: GridMap, x: float) -> None:
     poses = drive(np.concatenate([np.linspace(1.0, 8.0, 31), [x]]))
-    labels = regions_of(two_rooms, poses, DEFAULT.model_copy(update={"region_min_m": 0.0}))
+    labels = regions_of(two_rooms, poses, SegmentationConfig(region_min_m=0.0))
     assert labels[-1] == (labels[0] if x < 0 else labels[30])
     assert labels.dtype == np.int64
 
@@ -269,13 +269,10 @@ def test_the_grids_of_all_regions_show_all_that_is_labelled_where_it_lies(office
     assert (seen == 1).all()
 
 
-def test_of_a_region_in_scraps_the_largest_stays() -> None:
-    cells = np.full((120, 200), OCCUPIED, dtype=np.uint8)
-    cells[10:110, 10:110] = FREE
-    cells[58:62, 110:150] = FREE  # a slit into a closet that is too small for a node
-    cells[55:65, 150:160] = FREE
-    wide = DEFAULT.model_copy(update={"labels": "nearest", "fill": False})
-    found = segment_floorplan(GridMap(cells, 0.05), wide)
+def test_of_a_region_in_scraps_the_largest_stays(plan: Callable[..., GridMap]) -> None:
+    # a slit into a closet that is too small for a node
+    grid = plan(10, 6, (0.5, 0.5, 5.5, 5.5), (5.5, 2.9, 7.5, 3.1), (7.5, 2.75, 8.0, 3.25))
+    found = segment_floorplan(grid, SegmentationConfig(labels="nearest", fill=False))
     assert found.count == 1
     assert ndimage.label(found.labels == 0, np.ones((3, 3)))[1] == 1
     assert (found.labels == 0).sum() >= 10_000
