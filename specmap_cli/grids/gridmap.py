@@ -84,8 +84,7 @@ class GridMap:
         Its cells are a copy, so that it does not keep the whole grid in memory.
         """
         x, y = self.origin
-        left, low = int(columns.start), int(rows.start)
-        corner = (x + left * self.resolution, y + low * self.resolution)
+        corner = (x + columns.start * self.resolution, y + rows.start * self.resolution)
         return GridMap(self.cells[rows, columns].copy(), self.resolution, corner)
 
     def cropped(self, shown: BoolArray | None = None, frame: int = 0) -> GridMap:

@@ -129,8 +129,7 @@ class OccupancyGrid:
         occupied = hits[hit] >= _OCCUPIED_SHARE * seen
         cells[hit] = np.where(occupied, _OCCUPIED, _FREE)
         x, y = self._origin
-        left, low = int(columns.start), int(rows.start)
-        corner = (x + left * self.resolution, y + low * self.resolution)
+        corner = (x + columns.start * self.resolution, y + rows.start * self.resolution)
         return GridMap(cells, self.resolution, corner)
 
     @property

@@ -80,10 +80,14 @@ class Segmentation:
 def segment(grid: GridMap, config: SegmentationConfig) -> Segmentation:
     """Divide the free space of `grid` into regions.
 
-    Where a region ends is decided in this order: which obstacles are furniture, and which openings
-    are as good as doors; the clusters of a graph of what is then free, their halves, the flood from
-    its nodes, and the borders too wide to be any (`_placement`); what most placements of the nodes
-    agree on. After that no border moves: cells without a label, and cupboards, take one.
+    Where a region ends is decided by these steps, in this order:
+
+    1. which obstacles are furniture, and which openings are as good as doors;
+    2. for each placement of the nodes (`_placement`): the clusters of their graph, the halves of
+       these, the flood that carries them to cells, and which borders are too wide to be any;
+    3. what most placements agree on.
+
+    After that no border moves: cells without a label, and cupboards, take one.
 
     The result does not depend on where the map lies on its grid nor on which of the four ways it is
     turned: the work is done on the map cropped and turned to one canonical orientation.
@@ -92,13 +96,13 @@ def segment(grid: GridMap, config: SegmentationConfig) -> Segmentation:
     block = max(1, round(config.node_step_m / (step * grid.resolution)))  # in coarse cells
     upright = canonical(grid.free, step * block)
     free = upright.apply(grid.free)
-    small = furniture(free, grid.resolution, config)
+    small = furniture(free, grid.resolution, config)  # step 1
     opened = narrowed = free | small
     if config.wide_door_m:
         opened, narrowed = with_narrow_doors(free, small, grid.resolution, config.wide_door_m)
     work = working_grid(narrowed, grid.resolution, config.cell_m)
-    placements = [_placement(work, config, block, k) for k in range(config.placements)]
-    cells = consensus([found for found, _, _ in placements])
+    placements = [_placement(work, config, block, k) for k in range(config.placements)]  # step 2
+    cells = consensus([found for found, _, _ in placements])  # step 3
     rings = max(RINGS, work.step + 1)  # across a coarse cell that is not wholly free
     fine = np.repeat(np.repeat(cells, work.step, axis=0), work.step, axis=1)
     fine = spread_labels(fine[: free.shape[0], : free.shape[1]], opened, rings)

@@ -68,10 +68,13 @@ class OnlineSegmenter:
     def add(self, keyframe: int) -> list[Region]:
         """Take one keyframe into the current submap; the regions left with it, oldest first.
 
-        What decides on a split, in this order: whether it is time for a test; which keyframes free
-        space does not join with the robot, for these go; whether the eigenvector that divides the
-        way has an eigenvalue above the threshold (`examine`); and whether both sides are long
-        enough. What was left then continues an earlier region, or is one (`_finish`).
+        What decides on a split, in this order:
+
+        1. whether it is time for a test;
+        2. which keyframes free space does not join with the robot: these go in any case;
+        3. whether the eigenvector that divides the way (`examine`) has an eigenvalue above the
+           threshold, and both sides of the way are long enough;
+        4. whether what was left continues an earlier region (`_finish`).
         """
         driven = self._current.add(keyframe)
         if self.config.test_every == "keyframes":

@@ -79,9 +79,12 @@ class SplitTest:
 def examine(grid: GridMap, poses: FloatArray, config: SegmentationConfig) -> SplitTest:
     """Look for a second region in `grid` along the way `poses` (p, 3), oldest first.
 
-    What decides, in this order: the free space near the way, without small obstacles; nodes in it,
-    and in whose region each pose lies; the eigenvectors of the graph of the nodes that sight lines
-    join with the latest one; and the first of these that divides the way (`_dividing`).
+    What decides, in this order:
+
+    1. what is free near the way, small obstacles taken out, and the nodes in it;
+    2. in whose region each pose lies: the flood from the nodes says it;
+    3. the eigenvectors of the nodes that sight lines join with that of the latest pose;
+    4. the first of these that divides the way (`_dividing`).
     """
     window = grid
     if config.path_band_m:

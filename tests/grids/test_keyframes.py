@@ -269,15 +269,12 @@ def gone(drive: keyframes.Recorded, needed: Sequence[int] = ()) -> list[IntArray
     return [np.flatnonzero(found[drive.of == k]) for k in range(len(drive.enough))]
 
 
-def test_what_was_driven_again_goes_and_the_rest_stays() -> None:
+def test_what_was_driven_again_goes_and_the_rest_and_what_is_needed_stays() -> None:
     old, new = gone(recorded([along(0.0, 10.0), along(4.0, 6.0, 0.3)]))
     assert len(new) == 0
     assert set(old.tolist()) <= set(range(36, 65))  # within half a metre of enough newer ones
     assert set(range(42, 58)) <= set(old.tolist())
-
-
-def test_keyframes_that_are_needed_stay() -> None:
-    (old, _) = gone(recorded([along(0.0, 10.0), along(4.0, 6.0)]), needed=[50])
+    old, _ = gone(recorded([along(0.0, 10.0), along(4.0, 6.0)]), needed=[50])
     assert {49, 51} == {49, 50, 51} & set(old.tolist())
 
 
@@ -326,20 +323,19 @@ def stay(xs: Sequence[float], marked: Sequence[int], unseen: list[int]) -> list[
     return [int(number) for number in found]
 
 
+APART = [k + 0.05 for k in range(10)]  # a metre apart; each sees the wall at its left alone
+
+
 @pytest.mark.parametrize(
-    ("marked", "unseen", "left"),
+    ("xs", "marked", "unseen", "left"),
     [
-        (range(10), [30, 70], [3, 7]),  # the only one that shows a wall
-        ([1, 2, 4], [30], []),  # one that is kept shows it
-        (range(10), [], []),  # newer recordings looked at it
+        (APART, range(10), [30, 70], [3, 7]),  # the only one that shows a wall
+        (APART, [1, 2, 4], [30], []),  # one that is kept shows it
+        (APART, range(10), [], []),  # newer recordings looked at it
+        ([3.05, 3.07, 3.09], range(3), [30], [2]),  # of several witnesses the last
     ],
 )
 def test_the_only_keyframe_that_shows_a_wall_stays(
-    marked: Sequence[int], unseen: list[int], left: list[int]
+    xs: Sequence[float], marked: Sequence[int], unseen: list[int], left: list[int]
 ) -> None:
-    """Ten keyframes a metre apart; each sees the wall at its left and nothing else."""
-    assert stay([k + 0.05 for k in range(10)], marked, unseen) == left
-
-
-def test_of_several_witnesses_the_last_stays() -> None:
-    assert stay([3.05, 3.07, 3.09], marked=range(3), unseen=[30]) == [2]
+    assert stay(xs, marked, unseen) == left

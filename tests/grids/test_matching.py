@@ -22,10 +22,6 @@ NARROW = Window(distance_m=0.3, angle_rad=0.1, step_m=0.1)
 BEARINGS = np.linspace(-math.pi, math.pi, 720, endpoint=False)
 
 
-def everywhere(field: ScoreField, points: FloatArray, count: int) -> list[matching.Match]:
-    return matching.search_everywhere(field, points, count, step=0.2, angle_step=0.05)
-
-
 def assert_near(found: Pose2, true: Pose2, metres: float, radians: float) -> None:
     away = true.inverse() @ found
     assert away.distance < metres
@@ -37,7 +33,7 @@ def test_without_points_on_the_field_every_answer_is_the_guess(field: ScoreField
     guess = Pose2(1.0, 2.0, 0.3)
     assert search(field, nothing, guess, WIDE).pose == guess
     assert refine(field, nothing, guess).pose == guess
-    assert everywhere(field, nothing, 1) == []
+    assert matching.search_everywhere(field, nothing, 1, 0.2, 0.05) == []
     assert ScoreField.from_points(nothing).score(np.ones((3, 2)), IDENTITY) == 0.0
     lone = np.array([[100.0, 100.0], [-200.0, 3.0], [50.0, -70.0]])
     assert search(field, lone, IDENTITY, WIDE).score == 0.0
@@ -58,21 +54,25 @@ def test_a_scan_is_found_from_a_guess(
 
 
 @pytest.mark.parametrize("heading", [-2.5, -0.4, 0.0, 1.3, 3.0])
-def test_a_scan_is_found_without_a_guess(
+def test_a_scan_is_found_without_a_guess_and_places_are_apart(
     field: ScoreField, room: FloatArray, heading: float
 ) -> None:
     true = Pose2(6.0, -9.0, heading)
     scan = true.inverse().apply(room[::2])
-    best, *others = everywhere(field, scan, 3)
+    found = matching.search_everywhere(field, scan, count=5, step=0.2, angle_step=0.05)
+    assert len(found) == 5
+    best, *others = found
     assert_near(refine(field, scan, best.pose).pose, true, 0.05, 0.02)
     assert all(other.score < best.score for other in others)
-
-
-def test_places_found_everywhere_are_apart(field: ScoreField, room: FloatArray) -> None:
-    centre = room[::2].mean(axis=0)[None, :]
-    for a, b in itertools.combinations(everywhere(field, room[::2], 4), 2):
+    centre = scan.mean(axis=0)[None, :]
+    for a, b in itertools.combinations(found, 2):
         gap = np.hypot(*(a.pose.apply(centre) - b.pose.apply(centre))[0])
         assert gap >= 0.99 or abs(wrap_angle(a.pose.theta - b.pose.theta)) >= 0.29
+    for match in found:  # scores are never below the true ones
+        assert match.score <= 1.0
+        assert 0.0 <= field.score(scan, match.pose) <= match.score + 1e-9
+        near = search(field, scan, match.pose, NARROW)
+        assert near.score >= field.score(scan, match.pose)
 
 
 def test_a_penalty_keeps_the_pose_near_the_guess(corridor: FloatArray) -> None:
@@ -158,17 +158,6 @@ def test_covariance_is_that_of_weights_summed_pose_by_pose(seed: int) -> None:
     turn("grids", spread_temperature=0.05, spread_m=reach, spread_rad=angle)
     found = matching.covariance(field, points, pose)
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-9)
-
-
-def test_scores_found_everywhere_are_never_below_the_true_ones(
-    field: ScoreField, room: FloatArray
-) -> None:
-    scan = Pose2(2.0, -1.0, 1.1).inverse().apply(room[::3])
-    for match in everywhere(field, scan, 5):
-        near = search(field, scan, match.pose, NARROW)
-        assert 0.0 <= match.score <= 1.0
-        assert field.score(scan, match.pose) <= match.score + 1e-9
-        assert near.score >= field.score(scan, match.pose)
 
 
 def box(length_m: float, width_m: float, range_m: float, noise_m: float) -> FloatArray:

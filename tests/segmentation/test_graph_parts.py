@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -107,10 +107,7 @@ def test_no_spectrum_has_more_nodes_than_the_setting(
     assert max(seen) <= 150
 
 
-def test_a_hall_of_many_nodes_stays_one_region() -> None:
-    cells = np.full((420, 620), OCCUPIED, dtype=np.uint8)
-    cells[10:410, 10:610] = FREE
-    hall = GridMap(cells, 0.05)
-    found = segment(hall, SegmentationConfig(part_nodes=300))
+def test_a_hall_of_many_nodes_stays_one_region(plan: Callable[..., GridMap]) -> None:
+    found = segment(plan(31, 21, (0.5, 0.5, 30.5, 20.5)), SegmentationConfig(part_nodes=300))
     assert len(found.nodes) > 900
     assert found.count == 1

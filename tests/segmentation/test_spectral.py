@@ -189,22 +189,15 @@ def test_a_long_hall_is_cut_by_the_sight_and_joined_again(plan: Callable[..., Gr
     assert segment(hall, DEFAULT.model_copy(update={"merge": False})).count >= 4
 
 
-def twin_rooms() -> GridMap:
-    """Two rooms of 4 m x 4 m side by side, joined by a door 0.9 m wide at y = 2 m."""
-    cells = np.full((80, 164), OCCUPIED, dtype=np.uint8)
-    cells[2:78, 2:80] = cells[2:78, 84:162] = cells[31:49, 80:84] = FREE
-    return GridMap(cells, 0.05)
+def drive(xs: np.ndarray) -> np.ndarray:
+    """Through the door of `two_rooms`, which is at x = 5.4 m."""
+    return np.column_stack([xs, np.full(len(xs), 1.95), np.zeros(len(xs))])
 
 
-def drive(xs: np.ndarray, y: float = 2.0) -> np.ndarray:
-    return np.column_stack([xs, np.full(len(xs), y), np.zeros(len(xs))])
-
-
-def test_keyframes_change_region_in_the_door() -> None:
-    poses = drive(np.linspace(1.0, 7.0, 61))
-    labels = regions_of(twin_rooms(), poses, DEFAULT)
-    (change,) = np.flatnonzero(np.diff(labels))
-    assert 3.8 < poses[change, 0] < 4.4
+def test_keyframes_change_region_in_the_door(two_rooms: GridMap) -> None:
+    poses = drive(np.linspace(1.0, 8.0, 71))
+    (change,) = np.flatnonzero(np.diff(regions_of(two_rooms, poses, DEFAULT)))
+    assert 5.1 < poses[change, 0] < 5.7
     nothing = GridMap(np.full((20, 20), UNKNOWN, dtype=np.uint8), 0.05)
     assert regions_of(nothing, poses[:5], DEFAULT).tolist() == [0] * 5
 
@@ -224,20 +217,24 @@ def without_grazed(labels: list[int], poses: np.ndarray, way_m: float) -> list[i
 
 @given(seed=st.integers(0, 10_000), way_m=st.sampled_from([0.5, 1.5, 4.0, 1e3]))
 @few(8)
-def test_regions_hardly_driven_through_go_to_the_one_before(seed: int, way_m: float) -> None:
+def test_regions_hardly_driven_through_go_to_the_one_before(
+    two_rooms: GridMap, seed: int, way_m: float
+) -> None:
     rng = np.random.default_rng(seed)
-    stops = np.concatenate([[rng.uniform(0.5, 7.5)], rng.uniform(3.0, 5.5, 4)])
+    stops = np.concatenate([[rng.uniform(0.6, 9.0)], rng.uniform(4.3, 6.8, 4)])
     xs = np.concatenate([np.linspace(a, b, 15) for a, b in itertools.pairwise(stops)])
     poses = drive(xs)
-    every = regions_of(twin_rooms(), poses, DEFAULT.model_copy(update={"region_min_m": 0.0}))
-    found = regions_of(twin_rooms(), poses, DEFAULT.model_copy(update={"region_min_m": way_m}))
+    every, found = (
+        regions_of(two_rooms, poses, SegmentationConfig(region_min_m=least_m))
+        for least_m in (0.0, way_m)
+    )
     assert found.tolist() == without_grazed(every.tolist(), poses, way_m)
 
 
 @pytest.mark.parametrize("x", [-3.0, 12.0])
-def test_keyframes_beyond_the_map_go_to_its_nearest_edge(x: float) -> None:
-    poses = drive(np.concatenate([np.linspace(1.0, 7.0, 31), [x]]))
-    labels = regions_of(twin_rooms(), poses, DEFAULT.model_copy(update={"region_min_m": 0.0}))
+def test_keyframes_beyond_the_map_go_to_its_nearest_edge(two_rooms: GridMap, x: float) -> None:
+    poses = drive(np.concatenate([np.linspace(1.0, 8.0, 31), [x]]))
+    labels = regions_of(two_rooms, poses, SegmentationConfig(region_min_m=0.0))
     assert labels[-1] == (labels[0] if x < 0 else labels[30])
     assert labels.dtype == np.int64
 
@@ -272,13 +269,10 @@ def test_the_grids_of_all_regions_show_all_that_is_labelled_where_it_lies(office
     assert (seen == 1).all()
 
 
-def test_of_a_region_in_scraps_the_largest_stays() -> None:
-    cells = np.full((120, 200), OCCUPIED, dtype=np.uint8)
-    cells[10:110, 10:110] = FREE
-    cells[58:62, 110:150] = FREE  # a slit into a closet that is too small for a node
-    cells[55:65, 150:160] = FREE
-    wide = DEFAULT.model_copy(update={"labels": "nearest", "fill": False})
-    found = segment_floorplan(GridMap(cells, 0.05), wide)
+def test_of_a_region_in_scraps_the_largest_stays(plan: Callable[..., GridMap]) -> None:
+    closet = (7.5, 2.75, 8.0, 3.25)  # too small for a node
+    grid, nearest = plan(8.5, 6, (0.5, 0.5, 5.5, 5.5), closet), SegmentationConfig(labels="nearest")
+    assert (segment(grid, nearest).labels[:, 120:] == 0).any()
+    found = segment_floorplan(grid, nearest)
     assert found.count == 1
-    assert ndimage.label(found.labels == 0, np.ones((3, 3)))[1] == 1
-    assert (found.labels == 0).sum() >= 10_000
+    np.testing.assert_array_equal(np.argwhere(found.labels == 0), np.argwhere(grid.free[:, :120]))

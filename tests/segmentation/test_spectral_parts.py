@@ -44,6 +44,10 @@ def test_scales_are_medians_of_the_nearest_visible_nodes(seed: int, neighbours: 
     for node in range(len(graph.nodes)):
         seen = np.sort(graph.lengths[(graph.pairs == node).any(axis=1)])
         assert scales[node] == np.median(seen[:neighbours] if neighbours else seen)
+    blind = spectral.local_scales(np.array([2.0, 6.0]), np.array([[1, 3], [3, 4]]), 6)
+    assert blind.tolist() == [1.0, 2.0, 1.0, 4.0, 6.0, 1.0]  # who sees no other has one
+    none = spectral.local_scales(np.zeros(0), np.zeros((0, 2), dtype=np.intp), 2)
+    assert none.tolist() == [1.0, 1.0]
 
 
 @given(seed=seeds)
@@ -202,13 +206,6 @@ def test_k_is_the_number_of_eigenvalues_above_the_level(used: int) -> None:
     none = spectral.clusters_of(L, degrees, 1.0 + 1e-6)
     assert none.used == 1
     assert not none.labels.any()
-
-
-def test_scales_of_nodes_that_see_no_other_are_one() -> None:
-    scales = spectral.local_scales(np.array([2.0, 6.0]), np.array([[1, 3], [3, 4]]), 6)
-    assert scales.tolist() == [1.0, 2.0, 1.0, 4.0, 6.0, 1.0]
-    none = spectral.local_scales(np.zeros(0), np.zeros((0, 2), dtype=np.intp), 2)
-    assert none.tolist() == [1.0, 1.0]
 
 
 def test_as_many_equal_eigenvalues_as_there_are_pieces_are_found() -> None:
