@@ -17,6 +17,7 @@ from specmap_cli.core.records import Closure
 from specmap_cli.grids.gridmap import FREE, GridMap
 from specmap_cli.topology.graph import build_topology, settle_labels, stays_of, submap_of_regions
 from specmap_cli.topology.topological_map import Break, Stay, TopologicalMap
+from tests.house import closure
 
 LABELS = st.lists(st.integers(0, 4), min_size=1, max_size=30)
 PAIRS = st.lists(st.tuples(st.integers(0, 12), st.integers(0, 12)), max_size=20)
@@ -48,20 +49,6 @@ def topology_of(
             for region, submap in (submap_of_region or {label: label for label in labels}).items()
         ],
         grids=grids,
-    )
-
-
-def closure(old: int, new: int, verified: bool = True, merged: bool = False) -> Closure:
-    return Closure(
-        new=new,
-        old=old,
-        xi=0.5,
-        claims_new_by_old=0.7,
-        claims_old_by_new=0.7,
-        verified=verified,
-        merged=merged,
-        score=0.9,
-        reason="because",
     )
 
 
