@@ -19,12 +19,10 @@ from hypothesis import strategies as st
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.grids.map_server import read_grid
 from specmap_cli.maps.store import read_map
 from specmap_cli.maps.writing import MapResult, write_map, write_segmentation
-from specmap_cli.topology.regions import NOBODY, Regions, divide
+from specmap_cli.topology.regions import NOBODY, Regions
 from specmap_cli.topology.topological_map import Edge, LogInfo, Submap, TopologicalMap
-from tests.house import whole_of
 from tests.strategies import seeds
 
 FILES = {
@@ -70,26 +68,6 @@ def test_numbers_in_topology(stored: Path) -> None:
     assert closure["x"] is None
 
 
-def test_the_grid_of_the_whole_map_is_that_of_the_regions(
-    tmp_path: Path, result: MapResult
-) -> None:
-    whole = GridMap(np.zeros((40, 50), dtype=np.uint8), 0.1, (-2.0, -2.0))
-    regions = divide(whole, result.labels)
-    write_map(tmp_path, dataclasses.replace(result, regions=regions))
-    assert read_grid(tmp_path / "map.yaml").cells.shape == (40, 50)
-
-
-def test_a_submap_that_owns_nothing_is_written(tmp_path: Path, result: MapResult) -> None:
-    empty = GridMap(np.full((3, 3), 2, dtype=np.uint8), 0.1)
-    submaps = {**result.topology.submaps}
-    submaps[2] = dataclasses.replace(submaps[2], grid=empty)
-    topology = TopologicalMap(submaps=submaps, edges=result.topology.edges)
-    regions = divide(whole_of(submaps.values()), result.labels)
-    write_map(tmp_path, dataclasses.replace(result, topology=topology, regions=regions))
-    node = read_map(tmp_path).record.nodes[2]
-    assert (node.centroid, node.polygon, node.area_m2) == (None, [], 0.0)
-
-
 def test_a_finished_map_cut_into_regions(tmp_path: Path) -> None:
     grid = GridMap(np.zeros((20, 40), dtype=np.uint8), 0.1, (1.0, 2.0))
     owner = np.zeros((20, 40), dtype=np.int64)
@@ -109,18 +87,6 @@ def test_a_finished_map_cut_into_regions(tmp_path: Path) -> None:
     assert (tmp_path / "overview.png").is_file()
     with pytest.raises(MapError, match="classifiers"):
         _ = read_map(tmp_path).classifiers
-
-
-def test_trajectory_tum(stored: Path, result: MapResult) -> None:
-    table = np.loadtxt(stored / "trajectory.tum")
-    assert table.shape == (30, 8)
-    assert table[:, 1:3] == pytest.approx(result.trajectory.poses[:, :2], abs=1e-6)
-    yaw = 2.0 * np.arctan2(table[:, 6], table[:, 7])
-    turn = yaw - result.trajectory.poses[:, 2]
-    assert np.cos(turn) == pytest.approx(np.ones(30))
-    first = (stored / "trajectory.tum").read_text().splitlines()[0].split()
-    assert first[0] == "1700000000.123456789"
-    assert [len(number.split(".")[1]) for number in first] == [9, 6, 6, 6, 9, 9, 9, 9]
 
 
 @pytest.mark.parametrize("kind", [str, Path])
