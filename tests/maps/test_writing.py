@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
 import math
 import os
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -94,7 +94,7 @@ def test_the_frame_the_directory_and_the_picture_may_be_given(
     tmp_path: Path, result: MapResult, kind: type
 ) -> None:
     picture = np.random.default_rng(0).integers(0, 256, (20, 30, 3), dtype=np.uint8)
-    changed = dataclasses.replace(result, frame="building_7", overview=picture)
+    changed = replace(result, frame="building_7", overview=picture)
     write_map(kind(tmp_path), changed)
     assert read_map(kind(tmp_path)).record.graph.frame == "building_7"
     np.testing.assert_array_equal(cv2.imread(str(tmp_path / "overview.png")), picture)
@@ -102,7 +102,7 @@ def test_the_frame_the_directory_and_the_picture_may_be_given(
 
 def test_run_json_is_plain_json(tmp_path: Path, result: MapResult) -> None:
     run = {"b": np.float64("nan"), "a": {"n": np.int64(3), "inf": float("inf")}, "t": (1.5, 2)}
-    write_map(tmp_path, dataclasses.replace(result, run=run))
+    write_map(tmp_path, replace(result, run=run))
     found = json.loads((tmp_path / "run.json").read_text())
     assert found == {"a": {"inf": None, "n": 3}, "b": None, "t": [1.5, 2]}
     assert list(found) == ["a", "b", "t"]
