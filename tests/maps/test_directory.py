@@ -29,6 +29,13 @@ def fill(directory: Path, words: str = "new") -> None:
     (directory / "submaps" / "000.png").write_text(words)
 
 
+def fill_and_raise(directory: Path, error: type[BaseException], *others: Path) -> None:
+    fill(directory)
+    for path in others:
+        path.write_text("mine")
+    raise error
+
+
 def write(out: Path) -> None:
     with OutputDirectory(out, overwrite=True) as partial:
         fill(partial)
@@ -72,10 +79,7 @@ def test_an_interruption_leaves_nothing_but_parents_that_somebody_uses_meanwhile
 ) -> None:
     for notes in ([], [tmp_path / "a" / "notes.txt"]):
         with pytest.raises(error), OutputDirectory(tmp_path / "a" / "b" / "out") as partial:
-            fill(partial)
-            for path in notes:
-                path.write_text("mine")
-            raise error
+            fill_and_raise(partial, error, *notes)
         assert os.listdir(tmp_path) == ["a"] * len(notes)
     assert os.listdir(tmp_path / "a") == ["notes.txt"]
 
