@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -50,6 +52,13 @@ def _submap(id_: int, frame: Pose2, size: tuple[float, float]) -> Submap:
     )
 
 
+def closure(old: int, new: int, **more: Any) -> Closure:
+    """Two stays that are one place, though nothing was merged."""
+    claims = {"xi": 0.2, "claims_new_by_old": 0.4, "claims_old_by_new": 0.5}
+    verdict = {"verified": True, "merged": False, "score": 0.81, "reason": "grids match"}
+    return Closure(new=new, old=old, **{**claims, **verdict, **more})
+
+
 def stay(number: int, submap: int, keyframes: Iterable[int]) -> Stay:
     """A stay, a keyframe a second."""
     of = tuple(keyframes)
@@ -91,30 +100,10 @@ def result() -> MapResult:
         ),
         (0, 2): Edge(source=0, target=2, kind="closure", source_from_target=Pose2(3.0, 3.5, -2.0)),
     }
+    low: dict[str, Any] = {"xi": 0.02, "claims_new_by_old": 0.1, "claims_old_by_new": 0.2}
     closures = (
-        Closure(
-            new=3,
-            old=0,
-            xi=0.2,
-            claims_new_by_old=0.4,
-            claims_old_by_new=0.5,
-            verified=True,
-            merged=True,
-            score=0.81,
-            reason="grids match",
-            old_from_new=Pose2(0.1, 0.2, 0.01),
-        ),
-        Closure(
-            new=3,
-            old=1,
-            xi=0.02,
-            claims_new_by_old=0.1,
-            claims_old_by_new=0.2,
-            verified=False,
-            merged=False,
-            score=float("nan"),
-            reason="claims too low",
-        ),
+        closure(0, 3, merged=True, old_from_new=Pose2(0.1, 0.2, 0.01)),
+        closure(1, 3, verified=False, score=math.nan, reason="claims too low", **low),
     )
     topology = TopologicalMap(
         submaps=submaps,

@@ -212,15 +212,15 @@ def _signals_held() -> Iterator[None]:
     def remember(number: int, _frame: FrameType | None) -> None:
         if holding:
             received.append(number)
-        else:  # its handler was not put back yet: the other signal may have raised before that
-            put_back(number)
+        else:
+            put_back()
             os.kill(os.getpid(), number)
 
-    def put_back(number: int) -> None:
-        signal.signal(number, before[number] or signal.SIG_DFL)
+    def put_back() -> None:
+        for number, handler in before.items():
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
-    numbers: tuple[int, ...] = (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.getsignal(number) for number in numbers}
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         for number in before:
             signal.signal(number, remember)
@@ -228,9 +228,11 @@ def _signals_held() -> Iterator[None]:
     finally:
         try:
             holding = False
-            for number in before:
-                put_back(number)
-        finally:  # whatever came between
+            put_back()
+        except BaseException:  # of a signal that came between
+            put_back()
+            raise
+        finally:
             for pending in received:
                 os.kill(os.getpid(), pending)
 

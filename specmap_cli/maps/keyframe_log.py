@@ -187,12 +187,12 @@ class _Reader:
             level = x_turn == y_turn == 0.0 and 0.5 < square < 2.0  # as it is written here
             if level and max(abs(x), abs(y)) <= _FAR_M:
                 theta = math.atan2(2.0 * w_turn * z_turn, w_turn * w_turn - z_turn * z_turn)
-                self._pose = found[0], _pose(Pose2(x, y, theta))
+                self._pose = found[0], Pose2(x, y, theta)
                 return
         records = decode_transforms(message).records
         for place, record in enumerate(records):
             if record.child == BASE_FRAME:
-                self._pose = record.stamp_ns, _pose(Pose2.from_matrix(record.parent_from_child))
+                self._pose = record.stamp_ns, Pose2.from_matrix(record.parent_from_child)
                 self._place = place
                 self._form = AlikeTransforms([(each.parent, each.child) for each in records])
 
@@ -205,10 +205,11 @@ class _Reader:
             raise BadMessageError(f"scan {self._count} is of no known laser: {record.frame!r}")
         self._count += 1
         beams, step = record.layout.beams, increment(record.layout)
+        pose = _cut(np.array(self._pose[1]))  # as it was before its quaternion was cut
         return PosedScan(
             index=self._count - 1,
             stamp_ns=record.stamp_ns,
-            map_from_base=self._pose[1],
+            map_from_base=Pose2(*pose.tolist()),
             planar=PlanarScan(  # the ranges mean what they do in the message
                 stamp_ns=record.stamp_ns,
                 bearings=record.layout.angle_min + step * np.arange(beams, dtype=np.float64),
@@ -218,8 +219,3 @@ class _Reader:
             ),
             base_from_laser=self._lasers[record.frame],
         )
-
-
-def _pose(pose: Pose2) -> Pose2:
-    """A pose as it was before its quaternion was cut."""
-    return Pose2(*_cut(np.array(pose)).tolist())

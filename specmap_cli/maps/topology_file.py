@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.json_values import Span
 from specmap_cli.core.settings import LimitsConfig
-from specmap_cli.maps.schema import SCHEMA_VERSION, EditsRecord, TopologyRecord
+from specmap_cli.maps.schema import SCHEMA_VERSION, GraphRecord, TopologyRecord
 from specmap_cli.maps.text_files import first_finding, map_json
 from specmap_cli.topology.topological_map import Split
 
@@ -72,13 +72,12 @@ def _faults(record: TopologyRecord) -> Iterator[str]:
         for door in edge.doors:
             if door not in doors:
                 yield f"edges.{number}: door {door} is not among graph.doors"
-    yield from _stay_faults(record)
-    yield from _edit_faults(graph.edits)
+    yield from _keyframe_faults(graph)
 
 
-def _stay_faults(record: TopologyRecord) -> Iterator[str]:
-    """Stays of one number, keyframes out of order, and closures of stays that are none."""
-    stays = record.graph.stays
+def _keyframe_faults(graph: GraphRecord) -> Iterator[str]:
+    """Stays and merges whose keyframes do not fit, closures of no stays, lines without length."""
+    stays = graph.stays
     numbers = {stay.number for stay in stays}
     if len(numbers) != len(stays):
         yield "graph.stays: a number occurs twice"
@@ -87,14 +86,10 @@ def _stay_faults(record: TopologyRecord) -> Iterator[str]:
             yield f"graph.stays.{place}: its keyframes are out of order"
         if not any(first <= stay.origin <= last for first, last in stay.runs):
             yield f"graph.stays.{place}: its origin is none of its keyframes"
-    for place, closure in enumerate(record.graph.closures if stays else ()):
+    for place, closure in enumerate(graph.closures if stays else ()):
         if not {closure.new, closure.old} <= numbers:
             yield f"graph.closures.{place}: its stays are not among graph.stays"
-
-
-def _edit_faults(record: EditsRecord) -> Iterator[str]:
-    """Merges of keyframes out of order or beyond those known, and lines without a length."""
-    for place, border in enumerate(record.borders):
+    for place, border in enumerate(graph.edits.borders):
         where = f"graph.edits.borders.{place}"
         if isinstance(border, Split):
             if any(line is not None and line[0] == line[1] for line in (border.line, border.fence)):

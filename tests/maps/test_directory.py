@@ -6,10 +6,7 @@ import contextlib
 import gc
 import os
 import signal
-import subprocess
 import sys
-import textwrap
-import time
 import weakref
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -22,6 +19,8 @@ from specmap_cli.core.errors import UsageError
 from specmap_cli.maps import directory as module
 from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.filenames import TOPOLOGY
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 def fill(directory: Path, words: str = "new") -> None:
@@ -83,19 +82,6 @@ def test_an_interruption_leaves_nothing_but_parents_that_somebody_uses_meanwhile
             fill_and_raise(partial, error, *notes)
         assert os.listdir(tmp_path) == ["a"] * len(notes)
     assert os.listdir(tmp_path / "a") == ["notes.txt"]
-
-
-def test_an_interruption_keeps_the_old_map(tmp_path: Path, out: Path) -> None:
-    with pytest.raises(KeyboardInterrupt), OutputDirectory(out, overwrite=True) as partial:
-        fill_and_raise(partial, KeyboardInterrupt)
-    assert (out / TOPOLOGY).read_text() == "old"
-    assert hidden(tmp_path) == []
-
-
-def test_an_existing_map_needs_overwrite(tmp_path: Path, out: Path) -> None:
-    with pytest.raises(UsageError, match="--overwrite"), OutputDirectory(out):
-        pytest.fail("entered")
-    assert hidden(tmp_path) == []
 
 
 def test_overwrite_replaces_the_whole_map_and_follows_no_link_in_it(
@@ -176,23 +162,6 @@ def test_a_failing_swap_restores_the_old_map(
     assert hidden(tmp_path) == []
 
 
-def test_a_signal_in_the_middle_of_the_swap_waits(
-    tmp_path: Path, out: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rename = os.rename
-
-    def interrupted(source: Path, target: Path) -> None:
-        rename(source, target)
-        os.kill(os.getpid(), signal.SIGINT)
-
-    monkeypatch.setattr(module, "exchanged", lambda *_: False)  # as on other systems
-    monkeypatch.setattr(os, "rename", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        write(out)
-    assert (out / TOPOLOGY).read_text() == "new"
-    assert hidden(tmp_path) == []
-
-
 def test_a_path_may_be_text_and_relative(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     with OutputDirectory("maps/out/") as partial:
@@ -210,20 +179,11 @@ def test_another_thread_writes_as_well(tmp_path: Path, out: Path) -> None:
     assert (out / TOPOLOGY).read_text() == "new"
 
 
-def test_handlers_of_signals_are_those_from_before(tmp_path: Path) -> None:
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    with OutputDirectory(tmp_path / "out") as partial:
-        fill(partial)
-    assert {number: signal.getsignal(number) for number in before} == before
-
-
-@pytest.mark.parametrize("first", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(("first", "other"), [SIGNALS, SIGNALS[::-1]])
 def test_a_signal_while_handlers_are_put_back_swallows_no_other(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, first: signal.Signals
+    out: Path, monkeypatch: pytest.MonkeyPatch, first: signal.Signals, other: signal.Signals
 ) -> None:
-    """One is held back, the other comes as soon as its own handler is there again."""
-    pair = (signal.SIGINT, signal.SIGTERM)
-    other = next(number for number in pair if number != first)
+    """One waits while the map is put in place, the other comes as soon as its handler is back."""
     told: list[int] = []
 
     def stop(number: int, _frame: FrameType | None) -> None:
@@ -244,23 +204,25 @@ def test_a_signal_while_handlers_are_put_back_swallows_no_other(
         os.kill(os.getpid(), first)
 
     rename = os.rename
+    monkeypatch.setattr(module, "exchanged", lambda *_: False)  # as on other systems
     monkeypatch.setattr(os, "rename", renamed)
-    before = {number: put(number, stop) for number in pair}
+    before = {number: put(number, stop) for number in (first, other)}
     try:
         with pytest.raises(SystemExit):
-            write(tmp_path / "out")
-        for number in pair:
+            write(out)
+        for number in before:
             with contextlib.suppress(SystemExit):
                 os.kill(os.getpid(), number)
     finally:
         for number, handler in before.items():
             put(number, handler)
-    assert told == [other, first, *pair]
-    assert os.listdir(tmp_path) == ["out"]
+    assert told == [other, first, first, other]
+    assert (out / TOPOLOGY).read_text() == "new"
+    assert hidden(out.parent) == []
 
 
 def interrupted_at(event: int, out: Path) -> bool:
-    """Overwrite `out`, with SIGINT at one event of tracing; False when the write has fewer.
+    """Overwrite `out`, with a signal at one event of tracing; False when the write has fewer.
 
     Events are the lines, calls and returns of the modules that an output directory is made with.
     """
@@ -273,7 +235,7 @@ def interrupted_at(event: int, out: Path) -> bool:
             return None
         counted += 1
         if counted == event:
-            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), SIGNALS[event % 2])
         return trace
 
     before = sys.gettrace()
@@ -291,47 +253,18 @@ def interrupted_at(event: int, out: Path) -> bool:
 
 
 def test_an_interruption_at_any_line_leaves_a_whole_map(tmp_path: Path, out: Path) -> None:
-    handler = signal.getsignal(signal.SIGINT)
+    before = {number: signal.signal(number, signal.default_int_handler) for number in SIGNALS}
     event = 1
-    while interrupted_at(event, out):
-        if len(os.listdir(tmp_path)) > 1:
-            gc.collect()  # the object goes at the latest with the process
-        assert os.listdir(tmp_path) == ["out"], event
-        assert (out / "submaps" / "000.png").is_file(), event
-        assert signal.getsignal(signal.SIGINT) is handler, event
-        event += 1
+    try:
+        while interrupted_at(event, out):
+            if len(os.listdir(tmp_path)) > 1:
+                gc.collect()  # the object goes at the latest with the process
+            assert os.listdir(tmp_path) == ["out"], event
+            assert (out / "submaps" / "000.png").is_file(), event
+            for number in SIGNALS:
+                assert signal.getsignal(number) is signal.default_int_handler, event
+            event += 1
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
     assert event > 100
-
-
-WRITER = """
-import signal, sys
-from pathlib import Path
-from specmap_cli.maps.directory import OutputDirectory
-from specmap_cli.maps.filenames import TOPOLOGY
-
-def stop(number, frame):
-    raise SystemExit(143)
-
-signal.signal(signal.SIGTERM, stop)
-print("ready", flush=True)
-while True:
-    with OutputDirectory(Path(sys.argv[1]), overwrite=True) as partial:
-        for name in (TOPOLOGY, "a", "b", "c"):
-            (partial / name).write_text("x")
-"""
-
-
-def test_sigterm_at_any_moment_leaves_a_whole_map_or_none(tmp_path: Path) -> None:
-    for i in range(6):
-        parent = tmp_path / str(i)
-        parent.mkdir()
-        command = [sys.executable, "-c", textwrap.dedent(WRITER), str(parent / "out")]
-        with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
-            assert process.stdout is not None
-            process.stdout.readline()
-            time.sleep(0.004 * i)
-            process.terminate()
-            assert process.wait(timeout=20) == 143
-        assert set(os.listdir(parent)) <= {"out"}
-        if (parent / "out").exists():
-            assert sorted(os.listdir(parent / "out")) == sorted([TOPOLOGY, "a", "b", "c"])

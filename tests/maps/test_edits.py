@@ -72,8 +72,7 @@ documents = st.fixed_dictionaries(
 
 def meant(edits: Edits) -> tuple[Any, ...]:
     """What edits say; a table that says nothing says nothing."""
-    said = {id_: edit for id_, edit in edits.submaps.items() if edit != SubmapEdit()}
-    return said, edits.changes
+    return said_in(edits), edits.changes
 
 
 @given(documents, documents)

@@ -87,7 +87,7 @@ def assert_same(read: KeyframeStore, scans: Sequence[PosedScan], range_m: float 
         assert found.ranges == pytest.approx(scan.planar.ranges, abs=range_m, nan_ok=True)
 
 
-@given(st.lists(st.tuples(planar_scans(), poses), min_size=1, max_size=4))
+@given(st.lists(st.tuples(planar_scans(), poses), max_size=4))
 def test_any_scans_there_and_back(
     tmp_path_factory: pytest.TempPathFactory, taken: list[tuple[PlanarScan, Pose2]]
 ) -> None:
@@ -140,13 +140,6 @@ def test_a_laser_that_does_not_look_all_around(tmp_path: Path) -> None:
     assert not found.full_circle
     assert found.bearings == pytest.approx(BEARINGS[np.abs(BEARINGS) <= 2.0], abs=1e-6)
     assert np.isfinite(found.ranges).all()
-
-
-@pytest.mark.parametrize("count", [0, 40])
-def test_there_and_back(tmp_path: Path, count: int) -> None:
-    scans = [posed(number) for number in range(count)]
-    with read_keyframes(written(tmp_path / "a.mcap", scans), MOST) as read:
-        assert_same(read, scans)
 
 
 def test_it_is_an_ordinary_recording(path: Path) -> None:

@@ -26,20 +26,9 @@ from specmap_cli.maps.writing import MapResult, write_map
 CALLS = ("rename", "replace", "mkdir", "rmdir", "unlink", "open")
 
 
-class Noting(Silent):
-    """A progress that remembers its notes."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.notes: list[str] = []
-
-    def note(self, message: str) -> None:
-        self.notes.append(message)
-
-
-def write(out: Path, result: MapResult, frame: str, progress: Silent | None = None) -> None:
+def write(out: Path, result: MapResult, frame: str) -> None:
     """Write the small house to `out`, told apart by the name of its frame."""
-    with OutputDirectory(out, True, progress) as partial:
+    with OutputDirectory(out, overwrite=True) as partial:
         write_map(partial, replace(result, frame=frame))
 
 
@@ -112,26 +101,26 @@ def test_a_run_killed_at_any_call_leaves_a_whole_map(
         if out.exists():  # not between the two renames
             assert read_map(out).record.graph.frame in ("old", "new")
             assert len(read_map(out).topology.submaps) == 3
-        write(out, result, "next", Noting())
+        write(out, result, "next")
         assert read_map(out).record.graph.frame == "next"
         assert [path.name for path in tmp_path.iterdir()] == ["map"], moments
     assert moments > least
 
 
-def test_a_map_that_was_moved_away_comes_back(tmp_path: Path, result: MapResult) -> None:
+def test_a_map_that_was_moved_away_comes_back(
+    tmp_path: Path, result: MapResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Killed between two renames: there is no map in its place, and the next run says so."""
     out = tmp_path / "map"
     write(out, result, "old")
     os.rename(out, tmp_path / ".map.replaced-0123abcd")
-    progress = Noting()
+    notes: list[str] = []
+    monkeypatch.setattr(Silent, "note", lambda _, line: notes.append(line))
     with pytest.raises(UsageError, match="already holds a map"):
-        OutputDirectory(out, False, progress).__enter__()
+        OutputDirectory(out).__enter__()
     assert read_map(out).record.graph.frame == "old"
-    (note,) = progress.notes
-    assert note == (
-        f"{out}: an earlier run was killed: restored the map that it had moved away as "
-        ".map.replaced-0123abcd"
-    )
+    killed = f"{out}: an earlier run was killed: "
+    assert notes == [f"{killed}restored the map that it had moved away as .map.replaced-0123abcd"]
 
 
 def test_what_a_living_run_writes_is_left_alone(tmp_path: Path) -> None:

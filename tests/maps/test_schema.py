@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import ntpath
 import os
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,17 +18,12 @@ from pydantic import TypeAdapter, ValidationError
 from specmap_cli.core import json_values
 from specmap_cli.core.schemas import read_schema
 from specmap_cli.maps import schema
+from tests.maps.conftest import place_in
 
 
 @pytest.fixture
 def document(stored: Path) -> Any:
     return json.loads((stored / "topology.json").read_text())
-
-
-def place_in(document: Any, keys: Sequence[str]) -> Any:
-    for key in keys:
-        document = document[int(key) if key.isdigit() else key]
-    return document
 
 
 def test_topology_follows_its_schema_and_networkx_reads_it_as_it_is(document: Any) -> None:

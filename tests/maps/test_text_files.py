@@ -157,7 +157,10 @@ def test_a_trajectory_comes_back_with_its_tilt_and_its_lost_scans(
     back = read_trajectory(file)
     assert back.stamps_ns.tolist() == way.stamps_ns.tolist()
     np.testing.assert_allclose(back.poses, way.poses, atol=1e-6)
-    assert len(np.loadtxt(file)) == 20
+    assert np.loadtxt(file).shape == (20, 8)
+    first = file.read_text(encoding="utf-8").splitlines()[0 if planar else 1].split()
+    assert first[0] == "1700000000.123456789"
+    assert [len(number.split(".")[1]) for number in first] == [9, 6, 6, 6, 9, 9, 9, 9]
     np.testing.assert_allclose(read_tum(file).poses[:, :2], way.poses[:, :2], atol=1e-6)
     if way.tilt is None or way.lost is None:
         np.testing.assert_allclose(read_tum(file).poses, way.poses, atol=1e-6)

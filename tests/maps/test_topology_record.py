@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import IDENTITY, Pose2
-from specmap_cli.core.records import Closure
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.schema import TopologyRecord, image_stem
 from specmap_cli.maps.writing import MapResult
@@ -27,23 +27,15 @@ from specmap_cli.topology.topological_map import (
     Traversal,
     Visit,
 )
+from tests.house import closure
 from tests.strategies import poses
 
 GRID = GridMap(np.zeros((2, 2), dtype=np.uint8), 0.1)
 STAMPS = st.integers(0, 2**61)
 # of floats only as much as seconds as a double can say exactly to the microsecond
 TIMES = st.integers(0, 2 * 10**15).map(lambda microseconds: microseconds * 1000)
-CLOSURE = Closure(
-    new=5,
-    old=2,
-    xi=math.nan,
-    claims_new_by_old=0.25,
-    claims_old_by_new=math.nan,
-    verified=False,
-    merged=False,
-    score=math.nan,
-    reason="claims too low",
-)
+NANS: dict[str, Any] = dict.fromkeys(("xi", "claims_old_by_new", "score"), math.nan)
+CLOSURE = closure(2, 5, verified=False, claims_new_by_old=0.25, **NANS)
 
 
 def regions_of(**centroids: tuple[float, float]) -> Regions:
@@ -165,7 +157,7 @@ def test_what_is_not_a_number_is_null_and_back() -> None:
     found, kept = back(record).closures
     assert math.isnan(found.xi)
     assert math.isnan(found.score)
-    assert (found.reason, found.old_from_new, found.merged) == ("claims too low", None, False)
+    assert (found.reason, found.old_from_new, found.merged) == ("grids match", None, False)
     assert kept.old_from_new == (1.0, -2.0, 0.5)
 
 

@@ -20,6 +20,7 @@ from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.store import read_map
 from specmap_cli.maps.topology_file import upgraded
 from specmap_cli.maps.writing import MapResult
+from tests.maps.conftest import edit
 
 OLD = Path(__file__).with_name("topology_1.json")
 JSON = st.recursive(
@@ -83,28 +84,15 @@ def test_a_line_says_what_it_lacks_and_the_first_maps_held_no_verdict(stored: Pa
 
 
 @pytest.mark.parametrize(
-    ("path", "value"),
+    ("key", "value"),
     [
-        (("graph", "log"), None),
-        (("graph", "log"), [1]),
-        (("graph", "log", "scans"), "many"),
-        (("graph", "closures"), {}),
-        (("graph", "closures"), [1]),
-        (("nodes",), None),
-        (("nodes",), {"id": 1}),
-        (("nodes", 0), 7),
-        (("nodes", 0, "id"), "x"),
+        *(("graph__log", None), ("graph__log", [1]), ("graph__log__scans", "many")),
+        *(("graph__closures", {}), ("graph__closures", [1])),
+        *(("nodes", None), ("nodes", {"id": 1}), ("nodes__0", 7), ("nodes__0__id", "x")),
     ],
 )
-def test_damage_is_told_as_in_a_map_of_this_version(
-    old: Path, path: tuple[str | int, ...], value: Any
-) -> None:
-    document = json.loads(OLD.read_text())
-    place = document
-    for key in path[:-1]:
-        place = place[key]
-    place[path[-1]] = value
-    (old / "topology.json").write_text(json.dumps(document))
+def test_damage_is_told_as_in_a_map_of_this_version(old: Path, key: str, value: Any) -> None:
+    edit(old / "topology.json", **{key: value})
     with pytest.raises(MapError, match=r"topology\.json: .*build the map again") as caught:
         read_map(old)
     assert "\n" not in str(caught.value)

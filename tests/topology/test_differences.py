@@ -10,22 +10,16 @@ from specmap_cli.grids.bent import BentMotion
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.topology.differences import Differences, Surveyed, differences, obstacles_in
 from specmap_cli.topology.regions import NOBODY, Regions
+from tests.topology.rooms import CELL_M, regions_of
 
-CELL_M = 0.05
-DOOR = (slice(58, 76), slice(98, 102))  # 0.9 m, between the two rooms
 RIGID = BentMotion(IDENTITY)
 TRACK = np.array([[x, 3.0] for x in np.arange(1.0, 9.5, 0.5)])
 
 
 def flat(door: bool = True) -> Regions:
-    """Two rooms of 4.7 m x 5.6 m side by side, with a door or a wall between them."""
-    cells = np.full((120, 200), OCCUPIED, dtype=np.uint8)
-    owner = np.full(cells.shape, NOBODY)
-    for id_, columns in enumerate((slice(4, 98), slice(102, 196))):
-        cells[4:116, columns], owner[4:116, columns] = FREE, id_
-    if door:
-        cells[DOOR], owner[DOOR] = FREE, 0
-    return Regions.of(GridMap(cells, CELL_M), owner)
+    """Two rooms of 4.7 m x 5.6 m side by side, with a door of 0.9 m or a wall between them."""
+    doors = [(4.9, 2.9, 5.1, 3.8)] if door else []
+    return regions_of((10.0, 6.0), {0: [(0.2, 0.2, 4.9, 5.8), *doors], 1: [(5.1, 0.2, 9.8, 5.8)]})
 
 
 def drawn(regions: Regions, *boxes: tuple[slice, slice], state: int = OCCUPIED) -> Regions:

@@ -119,30 +119,21 @@ def test_the_frame_of_the_new_map_does_not_matter(x: float, y: float, turn: floa
     assert all(pair.iou > 0.8 for pair in found.same if pair.old in whole)
 
 
-def divided(*rows: str, seen: int = 60) -> Regions:
-    """Cells of a metre, ten of them a letter: a and b are submaps 0 and 1, a dot is nobody's."""
-    owner = np.array([[NOBODY if c == "." else ord(c) - ord("a") for c in row] for row in rows])
-    owner = np.kron(owner, np.ones((10, 10), dtype=np.int64))
-    cells = np.where(np.arange(owner.shape[1]) < seen, FREE, UNKNOWN)
-    cells = np.broadcast_to(cells, owner.shape).astype(np.uint8)
-    return Regions.of(GridMap(np.ascontiguousarray(cells), 1.0), np.where(cells == FREE, owner, -1))
-
-
 def test_what_went_to_others_and_came_from_them_is_told() -> None:
-    first, second = border_changes(divided("aaab", "..bb"), divided("aacb", "aabb"))
+    first, second = border_changes(regions("0001 ..11"), regions("0021 0011"))
     assert first.iou == pytest.approx(2 / 5)
-    assert dict(first.given) == {2: 100.0}
-    assert dict(first.taken) == {NOBODY: 200.0}
+    assert dict(first.given) == {2: 1.0}
+    assert dict(first.taken) == {NOBODY: 2.0}
     assert (second.iou, dict(second.given), dict(second.taken)) == (1.0, {}, {})
-    first, _ = border_changes(divided("ab"), divided("bb"))
-    assert (first.submap, first.iou, dict(first.given)) == (0, 0.0, {1: 100.0}), "no cell left"
+    first, _ = border_changes(regions("01"), regions("11"))
+    assert (first.submap, first.iou, dict(first.given)) == (0, 0.0, {1: 1.0}), "no cell left"
 
 
 def test_the_same_map_has_the_same_borders_and_floor_that_only_one_saw_does_not_count() -> None:
-    whole = divided("aab", ".bb")
-    for change, m2 in zip(border_changes(whole, whole), (200.0, 300.0), strict=True):
-        assert (change.iou, change.was_m2) == (1.0, m2)
+    whole = regions("001 .11")
+    for change, m2 in zip(border_changes(whole, whole), (2.0, 3.0), strict=True):
+        assert (change.iou, change.was_m2) == pytest.approx((1.0, m2))
         assert not change.given
         assert not change.taken
-    (change,) = border_changes(divided("aa"), divided("aa", seen=10))
-    assert (change.iou, change.was_m2) == (1.0, 100.0)
+    (change,) = border_changes(regions("00"), regions("0?"))
+    assert (change.iou, change.was_m2) == pytest.approx((1.0, 1.0))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import replace
 from typing import Any
 
@@ -97,7 +96,7 @@ def test_submaps_without_cells_have_no_anchor_and_their_edges_no_way() -> None:
     regions = two_rooms()
     lone = Submap(id=5, map_from_submap=Pose2(0.0, 0.0, 0.0), grid=GRID)
     topology = map_of(regions, Edge(source=0, target=5, kind="loose"))
-    topology = dataclasses.replace(topology, submaps={**topology.submaps, 5: lone})
+    topology = replace(topology, submaps={**topology.submaps, 5: lone})
     found = with_ways(topology, regions, CONFIG)
     assert found.submaps[5].anchor is None
     edge = found.edges[0, 5]
@@ -117,6 +116,27 @@ def test_a_map_of_nothing_stays_one_and_the_robot_may_have_stood_off_the_grid() 
     assert (found.doors, dict(found.edges), dict(found.submaps)) == ((), {}, {})
     stood = np.array([[2.0, 2.0, 0.0], [-50.0, 3.0, 0.0]])
     assert found_in(two_rooms(NORTH), stood=stood).submaps[0].anchor is not None
+
+
+CROSSINGS = tuple(
+    Traversal(stamp, 0, 1, x, y, 0.0) for stamp, x, y in ((1, 0.0, 3.0), (2, 2.0, 4.0))
+)
+
+
+@pytest.mark.parametrize(
+    ("known", "crossing"),
+    [
+        ({}, None),
+        ({"x": 5.0, "y": 6.0}, (5.0, 6.0)),
+        ({"traversals": CROSSINGS}, (1.0, 3.5)),
+        ({"traversals": CROSSINGS, "x": 1.000001, "y": 3.5}, (1.0, 3.5)),  # as it was written
+        ({"traversals": CROSSINGS[:1], "doors": (0,), "x": 5.0, "y": 6.0}, (5.0, 6.0)),
+    ],
+)
+def test_an_edge_is_crossed_at_its_door_or_where_it_was_driven(
+    known: dict[str, Any], crossing: tuple[float, float] | None
+) -> None:
+    assert Edge(source=0, target=1, kind="traversed", **known).crossing == crossing
 
 
 NARROW = (5.3, 1.5, 5.5, 1.8)  # the robot does not fit through
