@@ -72,7 +72,13 @@ def localize_log(
     stored = _opened(map_, config, progress)
     config = settings_for(stored, {}) if config is None else config
     check_feature_sets(config)
-    _check_walls(config, metric)
+    if metric and not config.localization.fit_submaps:
+        raise UsageError(
+            "0 leaves out the walls, by which poses are found",
+            "raise it, or leave out --metric",
+            where="localization.fit_submaps",
+            code=SETTING,
+        )
     localizer = localizer_of(stored, config, metric=metric)
     if config.localization.unknown and localizer.classifiers.misfit is None:
         progress.note(f"{stored.path}: {_NO_MISFIT}")
@@ -93,17 +99,6 @@ def localize_log(
             progress.warn(warning)
         name = legible(Path(log.name).name)
         return LocalizationReport(log=name, scans=scans, warnings=warnings, names=stored.names)
-
-
-def _check_walls(config: Config, metric: bool) -> None:
-    """Raise UsageError when poses are wanted, but no walls to find them by."""
-    if metric and not config.localization.fit_submaps:
-        raise UsageError(
-            "0 leaves out the walls, by which poses are found",
-            "raise it, or leave out --metric",
-            where="localization.fit_submaps",
-            code=SETTING,
-        )
 
 
 def _opened(map_: StoredMap | Path | str, config: Config | None, progress: Progress) -> StoredMap:

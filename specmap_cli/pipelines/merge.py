@@ -25,7 +25,7 @@ from specmap_cli.core.text import counted
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.store import StoredMap, opened_map
-from specmap_cli.pipelines.finishing import finish, tell, with_borders, write_finished
+from specmap_cli.pipelines.finishing import finish, with_borders, write_made
 from specmap_cli.pipelines.joining import closures_between, join, place_apart
 from specmap_cli.pipelines.laying_out import with_grid
 from specmap_cli.pipelines.learning import Prior, training_data_of_stored, valid_training_data
@@ -39,7 +39,7 @@ from specmap_cli.pipelines.overlaps import (
     steps_of,
     stored_to_align,
 )
-from specmap_cli.pipelines.reports import OF_THE_MAP, MergeReport, RunRecord
+from specmap_cli.pipelines.reports import OF_THE_MAP, MergeReport
 from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.recognition.learning.training_data import TrainingData
@@ -87,11 +87,8 @@ def merge_maps(
         laid = replace(merging.joint, counts=dict(counts))
         prior = Prior.of(session, merging.training_data(kept))
         finished = finish(session, laid, prior)
-        tell(session, finished)
         paths = [stored.path.resolve() for stored in ordered]
-        run = write_finished(
-            session, partial, finished, lambda: RunRecord.of(session, finished, paths).document()
-        )
+        run = write_made(session, partial, finished, paths)
     names = _names(ordered)
     return MergeReport(
         out=target,
