@@ -176,14 +176,10 @@ class Settings:
             from specmap_cli.core.toml import value_of
 
             _put(nested, key, value_of(text))  # which is a string if it is no TOML
-        for key, value in {**self._flags(), **(flags or {})}.items():
+        for key, value in (flags or {}).items():
             if value is not None:
                 _put(nested, key, value)
         return nested
-
-    def _flags(self) -> dict[str, Any]:
-        """The settings that have options of their own."""
-        return {}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -202,15 +198,16 @@ class LogSettings(Settings):
     base_frame: Annotated[str | None, typer.Option(help="Frame of the robot's base.")] = None
     no_odometry: Annotated[bool, typer.Option("--no-odometry", help="Do not use odometry.")] = False
 
-    def _flags(self) -> dict[str, Any]:
-        """The settings of section `log` that have options of their own."""
-        return {
+    def overrides(self, flags: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """The same, with the settings of section `log` that have options of their own."""
+        own = {
             "log.scan_topic": self.scan_topic,
             "log.scan_frame": self.scan_frame,
             "log.odom_topic": self.odom_topic,
             "log.base_frame": self.base_frame,
             "log.use_odometry": False if self.no_odometry else None,
         }
+        return Settings.overrides(self, {**own, **(flags or {})})
 
 
 def cluster_of(workers: int | None, scheduler: str | None) -> Cluster:
