@@ -89,7 +89,11 @@ def merge_maps(
         finished = finish(session, laid, prior)
         paths = [stored.path.resolve() for stored in ordered]
         run = write_made(session, partial, finished, paths)
-    names = _names(ordered)
+    short = [path.name for path in paths]  # a path where two are called the same
+    names = [
+        name if short.count(name) == 1 else str(stored.path)
+        for name, stored in zip(short, ordered, strict=True)
+    ]
     return MergeReport(
         out=target,
         run=run,
@@ -115,15 +119,6 @@ def _age(stored: StoredMap) -> tuple[int, int, int, str]:
     start = min((log.start_ns for log in logs if log.start_ns is not None), default=0)
     end = max((log.end_ns for log in logs if log.end_ns is not None), default=0)
     return start, end, len(stored.labels.stamps_ns), stored.classifiers
-
-
-def _names(maps: Sequence[StoredMap]) -> list[str]:
-    """A name for each map: that of its directory, with its path where two are called the same."""
-    short = [stored.path.resolve().name for stored in maps]
-    return [
-        name if short.count(name) == 1 else str(stored.path)
-        for name, stored in zip(short, maps, strict=True)
-    ]
 
 
 def _refuse_twice(maps: Sequence[StoredMap]) -> None:

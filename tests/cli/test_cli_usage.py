@@ -122,20 +122,6 @@ def test_a_wrong_setting_is_not_blamed_on_the_file(tmp_path: Path, run: Run) -> 
         assert said.error.startswith(f"{setting.split('=')[0]}: ")
 
 
-def test_settings_over_file_over_preset_over_default(tmp_path: Path, run: Run) -> None:
-    path = tmp_path / "specmap.toml"
-    path.write_text("seed = 5\n[grid]\nresolution_m = 0.2\nmax_range_m = 9.0\n", encoding="utf-8")
-    line = ("config", "--preset", "paper", "--config", path, "--set", "grid.resolution_m=0.1")
-    effective = tomllib.loads(run(*line).out)
-    assert effective["preset"] == "paper"
-    assert effective["seed"] == 5
-    assert effective["grid"]["max_range_m"] == 9.0
-    assert effective["grid"]["resolution_m"] == 0.1
-    assert effective["segmentation"]["split_eigenvalue"] == 0.8
-    as_json = run(*line, "--json").result
-    assert as_json["grid"] == effective["grid"]
-
-
 def test_the_printed_settings_can_be_given_back(tmp_path: Path, run: Run) -> None:
     printed = run("config", "--preset", "paper", "--set", "seed=3").out
     path = tmp_path / "specmap.toml"
