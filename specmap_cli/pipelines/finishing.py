@@ -88,12 +88,13 @@ def write_made(
     finished: FinishedMap,
     inputs: Sequence[Path],
     selection: Selection | None = None,
-    **beside: Any,
+    updates: tuple[Any, ...] | None = None,
+    like: str | None = None,
 ) -> Mapping[str, Any]:
     """Write a map that was made of `inputs` into an empty directory; returns its run.json.
 
     Before it is told which edits do not apply, what is grave, and what is worth knowing of it.
-    `selection` is that of a log that was read, `beside` what else `RunRecord.of` takes.
+    What follows `inputs` is as in `RunRecord`.
     """
     tell_unapplied(finished.unapplied, session.progress)
     for warning in summary(finished.quality.warnings):
@@ -104,7 +105,7 @@ def write_made(
         session,
         directory,
         finished,
-        lambda: RunRecord.of(session, finished, inputs, selection, **beside).document(),
+        lambda: RunRecord.of(session, finished, inputs, selection, updates, like).document(),
     )
 
 
