@@ -115,11 +115,18 @@ def edit(
 
 def _requested(said: Said, changed: Changed) -> RequestedEdits:
     """What the options ask for. Raises UsageError for one that cannot be read."""
+    from specmap_cli.core.toml import value_of
     from specmap_cli.pipelines.edits import RequestedEdits
 
     properties: dict[int, dict[str, Any]] = {}
     for id_, assignment in _pairs("--set-property", said.set_property, "ID KEY=VALUE"):
-        key, value = _property(assignment)
+        key, separator, text = (part.strip() for part in assignment.partition("="))
+        if not separator or not key:
+            raise UsageError(
+                hint="expected KEY=VALUE, such as floor=2", where=f"--set-property {assignment}"
+            )
+        # a value that is no TOML is text, an empty one takes the property back
+        value = value_of(text) if text else None
         properties.setdefault(_id("--set-property", id_), {})[key] = value
     return RequestedEdits(
         names={_id("--rename", i): name for i, name in _pairs("--rename", said.rename, "ID NAME")},
@@ -167,15 +174,3 @@ def _numbers(option: str, text: str, names: str) -> list[float]:
         hint = f"expected {names} in metres, separated by commas"
         raise UsageError(hint=hint, where=f"{option} {text}")
     return numbers
-
-
-def _property(assignment: str) -> tuple[str, Any]:
-    """Key and value; a value that is no TOML is text, an empty one takes the property back."""
-    key, separator, text = (part.strip() for part in assignment.partition("="))
-    if not separator or not key:
-        raise UsageError(
-            hint="expected KEY=VALUE, such as floor=2", where=f"--set-property {assignment}"
-        )
-    from specmap_cli.core.toml import value_of
-
-    return key, value_of(text) if text else None

@@ -119,19 +119,15 @@ def _told(error: Exception) -> SpecmapError | None:
     """What to say of an error that is no bug."""
     if isinstance(error, SpecmapError):
         return error
-    if isinstance(error, OSError):
-        return _told_of_system(error)
     of_opencv = type(error).__module__ == "cv2"  # it has an error of its own for want of memory
     short = of_opencv and getattr(error, "code", None) == _OPENCV_NO_MEMORY
     if isinstance(error, MemoryError) or short:
         what = f": {error}" if str(error) else ""
         hint = "a shorter log or a coarser grid (--set grid.resolution_m) needs less"
         return InputError(f"not enough memory{what}", hint, mark=";", code=MEMORY)
-    return None
-
-
-def _told_of_system(error: OSError) -> UsageError | None:
-    """What to say of what a machine runs out of: no bug, and no trace of it would help."""
+    if not isinstance(error, OSError):
+        return None
+    # what a machine runs out of is no bug, and no trace of it would help
     if (error.strerror or "").startswith(_NO_TEMPORARY):
         hint = "free some space there, or set TMPDIR to another directory"
         return UsageError(error.strerror, hint, code=MACHINE)

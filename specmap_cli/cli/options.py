@@ -25,7 +25,7 @@ from __future__ import annotations
 import functools
 import inspect
 import warnings
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from inspect import Parameter
 from itertools import takewhile
@@ -165,15 +165,21 @@ class Settings:
         """
         nested: dict[str, Any] = {}
         for assignment in self.assignments or []:
-            _put(nested, *_parse(assignment))
-        for key, value in {**self._flags(), **(flags or {})}.items():
+            key, separator, text = (part.strip() for part in assignment.partition("="))
+            hint = None
+            if not separator or not all(key.split(".")):
+                hint = "expected KEY=VALUE, such as grid.resolution_m=0.1"
+            elif key == "preset":
+                hint = f"choose a preset with --preset {text}"
+            if hint is not None:
+                raise UsageError(hint=hint, where=f"--set {assignment}", code=SETTING)
+            from specmap_cli.core.toml import value_of
+
+            _put(nested, key, value_of(text))  # which is a string if it is no TOML
+        for key, value in (flags or {}).items():
             if value is not None:
                 _put(nested, key, value)
         return nested
-
-    def _flags(self) -> dict[str, Any]:
-        """The settings that have options of their own."""
-        return {}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -192,15 +198,16 @@ class LogSettings(Settings):
     base_frame: Annotated[str | None, typer.Option(help="Frame of the robot's base.")] = None
     no_odometry: Annotated[bool, typer.Option("--no-odometry", help="Do not use odometry.")] = False
 
-    def _flags(self) -> dict[str, Any]:
-        """The settings of section `log` that have options of their own."""
-        return {
+    def overrides(self, flags: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """The same, with the settings of section `log` that have options of their own."""
+        own = {
             "log.scan_topic": self.scan_topic,
             "log.scan_frame": self.scan_frame,
             "log.odom_topic": self.odom_topic,
             "log.base_frame": self.base_frame,
             "log.use_odometry": False if self.no_odometry else None,
         }
+        return Settings.overrides(self, {**own, **(flags or {})})
 
 
 def cluster_of(workers: int | None, scheduler: str | None) -> Cluster:
@@ -257,24 +264,6 @@ def telling(command: Callable[..., None]) -> Callable[..., None]:
     return run
 
 
-def _parse(assignment: str) -> tuple[str, Any]:
-    """Key and value of KEY=VALUE; a value that is no TOML is a string."""
-    key, separator, text = (part.strip() for part in assignment.partition("="))
-    if not separator or not all(key.split(".")):
-        raise UsageError(
-            hint="expected KEY=VALUE, such as grid.resolution_m=0.1",
-            where=f"--set {assignment}",
-            code=SETTING,
-        )
-    if key == "preset":
-        raise UsageError(
-            hint=f"choose a preset with --preset {text}", where=f"--set {assignment}", code=SETTING
-        )
-    from specmap_cli.core.toml import value_of
-
-    return key, value_of(text)
-
-
 def _put(tree: dict[str, Any], key: str, value: Any) -> None:
     """Set the entry of a dotted key; a value in the place of a section gives way to the section."""
     *sections, name = key.split(".")
@@ -292,7 +281,7 @@ _JOINT = "\x1f"  # no shell and no keyboard gives it
 def unfolded(command: Callable[..., None]) -> Callable[..., None]:
     """`command` as Typer must see it: the fields of each group in the place of the group.
 
-    Raises ValueError for two options of one name.
+    A field without a default is required. Raises ValueError for two options of one name.
     """
     hints = get_type_hints(command, include_extras=True)
     groups = {
@@ -300,8 +289,21 @@ def unfolded(command: Callable[..., None]) -> Callable[..., None]:
     }
     parameters: list[Parameter] = []
     for name, parameter in inspect.signature(command).parameters.items():
-        alone = parameter.replace(kind=Parameter.KEYWORD_ONLY, annotation=hints[name])
-        parameters += _fields(groups[name]) if name in groups else [alone]
+        if name not in groups:
+            alone = parameter.replace(kind=Parameter.KEYWORD_ONLY, annotation=hints[name])
+            parameters.append(alone)
+            continue
+        own_hints = get_type_hints(groups[name], include_extras=True)
+        for field in fields(groups[name]):
+            default = Parameter.empty if field.default is MISSING else field.default
+            parameters.append(
+                Parameter(
+                    field.name,
+                    Parameter.KEYWORD_ONLY,
+                    default=default,
+                    annotation=own_hints[field.name],
+                )
+            )
 
     @functools.wraps(command)
     def run(**values: Any) -> None:
@@ -312,16 +314,6 @@ def unfolded(command: Callable[..., None]) -> Callable[..., None]:
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return run
-
-
-def _fields(group: type[Any]) -> Iterator[Parameter]:
-    """The fields of a group as parameters; one without a default is required."""
-    hints = get_type_hints(group, include_extras=True)
-    for field in fields(group):
-        default = Parameter.empty if field.default is MISSING else field.default
-        yield Parameter(
-            field.name, Parameter.KEYWORD_ONLY, default=default, annotation=hints[field.name]
-        )
 
 
 class JoinedCommand(TyperCommand):

@@ -51,13 +51,9 @@ def check_files(
     if len({path.resolve() for path in wanted}) < len(wanted):
         raise UsageError("given for two outputs: each needs a file of its own", where=wanted[0])
     keep_inputs(wanted, inputs)
-    _clear(wanted, common)
-
-
-def _clear(outputs: Iterable[Path], common: Common) -> None:
     from specmap_cli.core.files import remove_leftovers
 
-    for output in outputs:
+    for output in wanted:
         with suppress(OSError):  # whoever writes the file is told of it
             for left in remove_leftovers(output):
                 common.progress().note(

@@ -111,11 +111,9 @@ MISSING = "not installed"
 def versions() -> dict[str, str]:
     """The version of specmap, of Python and of each library, by name; MISSING where it is so."""
     found = {"specmap": __version__, "python": platform.python_version()}
-    return found | {name: _version(name) for name in STANDS_ON}
-
-
-def _version(distribution: str) -> str:
-    try:
-        return metadata.version(distribution)
-    except metadata.PackageNotFoundError:
-        return MISSING
+    for name in STANDS_ON:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = MISSING
+    return found

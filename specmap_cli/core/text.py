@@ -22,7 +22,8 @@ def to_json(value: Any) -> str:
     Lists of numbers, such as points, stay on one line.
     """
     dumped = json.dumps(plain(value), indent=1, sort_keys=True, ensure_ascii=False) + "\n"
-    text = legible_json(dumped)
+    # JSON's own escapes for what `legible` escapes: it is read back as it was
+    text = _UNSHOWN.sub(lambda it: it[0] if it[0] == "\n" else f"\\u{ord(it[0]):04x}", dumped)
     return _NUMBERS.sub(lambda match: f"[{' '.join(match[1].split())}]", text)
 
 
@@ -118,11 +119,6 @@ def legible(text: str) -> str:
     turn the direction of writing, and what is no Unicode.
     """
     return encodable(_UNSHOWN.sub(lambda match: ascii(match[0])[1:-1], text))
-
-
-def legible_json(text: str) -> str:
-    """JSON with JSON's own escapes for what `legible` escapes; it is read back as it was."""
-    return _UNSHOWN.sub(lambda it: it[0] if it[0] == "\n" else f"\\u{ord(it[0]):04x}", text)
 
 
 def encodable(text: str) -> str:

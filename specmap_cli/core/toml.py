@@ -133,10 +133,10 @@ class TomlFormat(Generic[Model]):
         if kind == "extra_forbidden":
             # which key was meant, by its dotted name or its last part; which there are, if few
             near = _nearest(key, known) or _nearest(re.split(r"[.\s]", key)[-1], known)
-            told = near and f", did you mean {near}?"
+            hint = near and f", did you mean {near}?"
             if not near and len(known) <= _MOST_LISTED:
-                told = f", expected {', '.join(known)}"
-            return key, f": no such {self.noun}", told
+                hint = f", expected {', '.join(known)}"
+            return key, f": no such {self.noun}", hint
         if kind == "missing":
             return key, ": is missing", ""
         unfit = finding.get("ctx", {}).get("error")

@@ -102,14 +102,6 @@ def _mapping(dumper: _Dumper, value: dict[str, Any]) -> Any:
     return node
 
 
-def _words(dumper: _Dumper, value: str) -> Any:
-    return dumper.represent_scalar(_TEXT, encodable(value), style='"')
-
-
-def _number(dumper: _Dumper, value: float) -> Any:
-    return dumper.represent_scalar(_FLOAT, decimal(value))
-
-
 _Dumper.add_representer(dict, _mapping)
-_Dumper.add_representer(str, _words)
-_Dumper.add_representer(float, _number)
+_Dumper.add_representer(str, lambda to, text: to.represent_scalar(_TEXT, encodable(text), '"'))
+_Dumper.add_representer(float, lambda to, value: to.represent_scalar(_FLOAT, decimal(value)))

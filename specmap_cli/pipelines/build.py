@@ -76,16 +76,10 @@ def build_map(
         observer = None if pictures is None else _pictures(pictures, config, overwrite=overwrite)
         stream = SweepStream(log, config.log)
         finished = map_log(session, stream, observer=observer)
-        from specmap_cli.pipelines.finishing import tell, write_finished
-        from specmap_cli.pipelines.reports import BuildReport, RunRecord
+        from specmap_cli.pipelines.finishing import write_made
+        from specmap_cli.pipelines.reports import BuildReport
 
-        tell(session, finished)
-        run = write_finished(
-            session,
-            partial,
-            finished,
-            lambda: RunRecord.of(session, finished, log.given, stream.selection).document(),
-        )
+        run = write_made(session, partial, finished, log.given, stream.selection)
     return BuildReport(out=target, run=run, quality=finished.quality)
 
 

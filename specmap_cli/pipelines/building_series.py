@@ -21,7 +21,6 @@ from specmap_cli.maps.schema import NodeRecord
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.pipelines.compare import Comparison, compare_maps
 from specmap_cli.topology.graph import settle_labels
-from specmap_cli.topology.topological_map import LogInfo
 
 _MOST = 0.5  # of the keyframes of a submap
 
@@ -151,9 +150,10 @@ class BuildingSeries:
         """Count the recordings that no earlier map of the building was made of."""
         least_m = stored.config.segmentation.region_min_m
         for log in stored.logs:
-            if log.keyframes is None or _recording(log) in self._seen:
+            recording = log.name, log.start_ns, log.end_ns
+            if log.keyframes is None or recording in self._seen:
                 continue
-            self._seen.add(_recording(log))
+            self._seen.add(recording)
             own = slice(log.keyframes[0], log.keyframes[1] + 1)
             part = Labels(
                 stamps_ns=labels.stamps_ns[own],
@@ -170,10 +170,6 @@ def _fits(old: StoredMap, new: StoredMap) -> Comparison | None:
         return compare_maps(old, new)
     except NoResultError:
         return None
-
-
-def _recording(log: LogInfo) -> Recording:
-    return log.name, log.start_ns, log.end_ns
 
 
 def _looked_up(ids: IntArray, table: Mapping[int, int]) -> IntArray:

@@ -6,18 +6,20 @@ ways lead through their doors, and a person's names hold. Then all of it is writ
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from specmap_cli.core.findings import Quality, summary
 from specmap_cli.drawing.overview import render_overview
+from specmap_cli.logs.selection import Selection
 from specmap_cli.maps.edits import written
 from specmap_cli.maps.writing import MapResult, write_map
 from specmap_cli.pipelines.edits import drawn, named, tell_unapplied
 from specmap_cli.pipelines.learning import Prior, arrays_of, learn
 from specmap_cli.pipelines.map_in_making import FinishedMap, LaidOut
+from specmap_cli.pipelines.reports import RunRecord
 from specmap_cli.pipelines.session import Session
 from specmap_cli.topology.graph import build_topology, stays_of
 from specmap_cli.topology.navigation import with_ways
@@ -80,13 +82,31 @@ def with_borders(laid: LaidOut) -> tuple[LaidOut, Mapping[int, str]]:
     return bordered, found.skipped
 
 
-def tell(session: Session, finished: FinishedMap) -> None:
-    """Tell which edits do not apply to a map, what is grave, and what is worth knowing of it."""
+def write_made(
+    session: Session,
+    directory: Path,
+    finished: FinishedMap,
+    inputs: Sequence[Path],
+    selection: Selection | None = None,
+    updates: tuple[Any, ...] | None = None,
+    like: str | None = None,
+) -> Mapping[str, Any]:
+    """Write a map that was made of `inputs` into an empty directory; returns its run.json.
+
+    Before it is told which edits do not apply, what is grave, and what is worth knowing of it.
+    What follows `inputs` is as in `RunRecord`.
+    """
     tell_unapplied(finished.unapplied, session.progress)
     for warning in summary(finished.quality.warnings):
         session.progress.warn(warning)
     for note in summary(finished.quality.notes):
         session.progress.note(note)
+    return write_finished(
+        session,
+        directory,
+        finished,
+        lambda: RunRecord.of(session, finished, inputs, selection, updates, like).document(),
+    )
 
 
 def write_finished(

@@ -192,21 +192,18 @@ def heritage_of(old: LaidOut) -> Heritage:
 
 def _trajectory(old: LaidOut, new: LaidOut, poses: FloatArray) -> Trajectory:
     """All scans of both maps, moved with the keyframes, which lie at `poses` now."""
-    ways = old.trajectory, new.trajectory
+    ways, carried = (old.trajectory, new.trajectory), []
+    for laid, now in ((old, poses[: len(old)]), (new, poses[len(old) :])):
+        labels, way = laid.labels, laid.trajectory
+        rows = rows_of(way, labels.stamps_ns.tolist(), labels.poses)
+        carried.append(propagated(way.poses, rows, now[: len(rows)]))
     lengths = [len(way.poses) for way in ways]
     return Trajectory(
         stamps_ns=np.concatenate([way.stamps_ns for way in ways]),
-        poses=np.concatenate([_carried(old, poses[: len(old)]), _carried(new, poses[len(old) :])]),
+        poses=np.concatenate(carried),
         tilt=_both([way.tilt for way in ways], [(n, 3) for n in lengths], np.float64),
         lost=_both([way.lost for way in ways], [(n,) for n in lengths], np.bool_),
     )
-
-
-def _carried(laid: LaidOut, now: FloatArray) -> FloatArray:
-    """The trajectory of a map whose keyframes lie at poses `now` (n, 3)."""
-    labels = laid.labels
-    rows = rows_of(laid.trajectory, labels.stamps_ns.tolist(), labels.poses)
-    return propagated(laid.trajectory.poses, rows, now[: len(rows)])
 
 
 def _both(
@@ -272,13 +269,17 @@ def with_edits_of(joint: LaidOut, new: LaidOut, old_from_new: Pose2) -> LaidOut:
 class _Retelling:
     """Says the changes of one map, in order, of the submaps of another that its own became.
 
-    `became` are these by id, the one with the most keyframes first.
+    `became` are these by id, the one with the most keyframes first, without those of a few.
     """
 
     def __init__(self, new: LaidOut, submaps: IntArray, old_from_new: Pose2, next_id: int) -> None:
         own = new.labels.submaps
-        ids = np.unique(own[own >= 0]).tolist()
-        self.became = {id_: _commonest(submaps[own == id_]) for id_ in ids}
+        self.became: dict[int, list[int]] = {}
+        for id_ in np.unique(own[own >= 0]).tolist():
+            found, counts = np.unique(submaps[own == id_], return_counts=True)
+            first, *others = np.argsort(-counts, kind="stable")
+            kept = [first, *(k for k in others if counts[k] >= _FEW * counts.sum())]
+            self.became[id_] = [int(found[k]) for k in kept]
         self.next_id = next_id
         self._submaps, self._places = submaps.copy(), new.labels.poses[:, :2]
         self._old_from_new = old_from_new
@@ -331,11 +332,3 @@ class _Retelling:
         """A place of the new map in the old one's frame."""
         x, y = np.round(self._old_from_new.apply(np.array([place]))[0], _DECIMALS).tolist()
         return x, y
-
-
-def _commonest(submaps: IntArray) -> list[int]:
-    """The submaps that keyframes (n,) are in, the commonest first, the others if not of a few."""
-    found, counts = np.unique(submaps, return_counts=True)
-    first, *others = np.argsort(-counts, kind="stable")
-    kept = [first, *(k for k in others if counts[k] >= _FEW * len(submaps))]
-    return [int(found[k]) for k in kept]

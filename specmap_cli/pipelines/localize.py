@@ -72,7 +72,13 @@ def localize_log(
     stored = _opened(map_, config, progress)
     config = settings_for(stored, {}) if config is None else config
     check_feature_sets(config)
-    _check_walls(config, metric)
+    if metric and not config.localization.fit_submaps:
+        raise UsageError(
+            "0 leaves out the walls, by which poses are found",
+            "raise it, or leave out --metric",
+            where="localization.fit_submaps",
+            code=SETTING,
+        )
     localizer = localizer_of(stored, config, metric=metric)
     if config.localization.unknown and localizer.classifiers.misfit is None:
         progress.note(f"{stored.path}: {_NO_MISFIT}")
@@ -93,17 +99,6 @@ def localize_log(
             progress.warn(warning)
         name = legible(Path(log.name).name)
         return LocalizationReport(log=name, scans=scans, warnings=warnings, names=stored.names)
-
-
-def _check_walls(config: Config, metric: bool) -> None:
-    """Raise UsageError when poses are wanted, but no walls to find them by."""
-    if metric and not config.localization.fit_submaps:
-        raise UsageError(
-            "0 leaves out the walls, by which poses are found",
-            "raise it, or leave out --metric",
-            where="localization.fit_submaps",
-            code=SETTING,
-        )
 
 
 def _opened(map_: StoredMap | Path | str, config: Config | None, progress: Progress) -> StoredMap:
@@ -356,7 +351,12 @@ def picture_of(report: LocalizationReport, stored: StoredMap, metric: bool) -> N
         track = np.array([scan.track_from_base[:2] for scan in report.scans])
         fills = colours_of(stored.topology, stored.regions)
         return render_labels(track, submaps, title, fills=fills)
-    places = _steady(np.array([_place(scan, stored) for scan in report.scans]), report.scans)
+    places = np.full((len(report.scans), 2), math.nan)
+    for place, scan in zip(places, report.scans, strict=True):
+        if scan.fix is not None:
+            map_from_submap = stored.topology.submaps[scan.fix.submap].map_from_submap
+            place[:] = (map_from_submap @ scan.fix.pose)[:2]
+    places = _steady(places, report.scans)
     ground = (stored.topology, stored.regions)
     return render_labels(places, submaps, title, map_with_regions=ground)
 
@@ -375,14 +375,6 @@ def _steady(places: FloatArray, scans: Sequence[LocalizedScan]) -> FloatArray:
         if len(run) < _STEADY_SCANS:
             steady[run] = math.nan
     return steady
-
-
-def _place(scan: LocalizedScan, stored: StoredMap) -> FloatArray:
-    """(2,) place of a matched scan in the map, NaN when it is not known."""
-    if scan.fix is None:
-        return np.array([math.nan, math.nan])
-    pose = stored.topology.submaps[scan.fix.submap].map_from_submap @ scan.fix.pose
-    return np.array([pose.x, pose.y])
 
 
 def _name(submap: int | None) -> str:

@@ -25,7 +25,7 @@ from specmap_cli.core.text import counted
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.store import StoredMap, opened_map
-from specmap_cli.pipelines.finishing import finish, tell, with_borders, write_finished
+from specmap_cli.pipelines.finishing import finish, with_borders, write_made
 from specmap_cli.pipelines.joining import closures_between, join, place_apart
 from specmap_cli.pipelines.laying_out import with_grid
 from specmap_cli.pipelines.learning import Prior, training_data_of_stored, valid_training_data
@@ -39,7 +39,7 @@ from specmap_cli.pipelines.overlaps import (
     steps_of,
     stored_to_align,
 )
-from specmap_cli.pipelines.reports import OF_THE_MAP, MergeReport, RunRecord
+from specmap_cli.pipelines.reports import OF_THE_MAP, MergeReport
 from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.recognition.learning.training_data import TrainingData
@@ -87,12 +87,13 @@ def merge_maps(
         laid = replace(merging.joint, counts=dict(counts))
         prior = Prior.of(session, merging.training_data(kept))
         finished = finish(session, laid, prior)
-        tell(session, finished)
         paths = [stored.path.resolve() for stored in ordered]
-        run = write_finished(
-            session, partial, finished, lambda: RunRecord.of(session, finished, paths).document()
-        )
-    names = _names(ordered)
+        run = write_made(session, partial, finished, paths)
+    short = [path.name for path in paths]  # a path where two are called the same
+    names = [
+        name if short.count(name) == 1 else str(stored.path)
+        for name, stored in zip(short, ordered, strict=True)
+    ]
     return MergeReport(
         out=target,
         run=run,
@@ -118,15 +119,6 @@ def _age(stored: StoredMap) -> tuple[int, int, int, str]:
     start = min((log.start_ns for log in logs if log.start_ns is not None), default=0)
     end = max((log.end_ns for log in logs if log.end_ns is not None), default=0)
     return start, end, len(stored.labels.stamps_ns), stored.classifiers
-
-
-def _names(maps: Sequence[StoredMap]) -> list[str]:
-    """A name for each map: that of its directory, with its path where two are called the same."""
-    short = [stored.path.resolve().name for stored in maps]
-    return [
-        name if short.count(name) == 1 else str(stored.path)
-        for name, stored in zip(short, maps, strict=True)
-    ]
 
 
 def _refuse_twice(maps: Sequence[StoredMap]) -> None:

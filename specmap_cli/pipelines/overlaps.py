@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 
@@ -24,15 +23,8 @@ from specmap_cli.recognition.closure.prepared import MapToAlign
 Overlaps = Mapping[tuple[int, int], Alignment]  # of maps i < j: where j lies in i
 
 
-@dataclass(frozen=True, slots=True)
-class PairOfMaps:
-    """Two map directories, and the settings to align them with; it can be handed to a worker."""
-
-    old: Path
-    new: Path
-    config: Config
-
-
+# Two map directories, and the settings to align them with: it can be handed to a worker.
+PairOfMaps = tuple[Path, Path, Config]
 # What a function says of each of many pairs, in their order.
 Spread = Callable[[Callable[[PairOfMaps], Alignment], Sequence[PairOfMaps]], Iterable[Alignment]]
 
@@ -79,8 +71,8 @@ def align_maps(old: StoredMap, new: StoredMap, config: Config) -> Alignment:
 @one_blas_thread()
 def align_pair(pair: PairOfMaps) -> Alignment:
     """The same of two directories. Raises MapError for a damaged map."""
-    old, new = (read_map(path, pair.config.limits) for path in (pair.old, pair.new))
-    return align_maps(old, new, pair.config)
+    old, new, config = pair
+    return align_maps(read_map(old, config.limits), read_map(new, config.limits), config)
 
 
 def overlaps_of(
@@ -93,7 +85,7 @@ def overlaps_of(
         found = (align(to_align[i], to_align[j], config) for i, j in pairs)
     else:
         paths = [stored.path.resolve() for stored in maps]
-        found = spread(align_pair, [PairOfMaps(paths[i], paths[j], config) for i, j in pairs])
+        found = spread(align_pair, [(paths[i], paths[j], config) for i, j in pairs])
     return {
         pair: each for pair, each in zip(pairs, found, strict=True) if each.old_from_new is not None
     }

@@ -43,21 +43,6 @@ class SelectionRecord(Value):
     base_from_laser: tuple[float, ...]
     height_band_m: tuple[float, float] | None
 
-    @classmethod
-    def of(cls, selection: Selection) -> SelectionRecord:
-        """What was selected in a log."""
-        mounting = Pose2.from_matrix(selection.base_from_laser)
-        return cls(
-            scan_topic=selection.topic.name,
-            scan_type=selection.topic.type,
-            odometry=selection.odometry,
-            odom_topics=tuple(selection.odom_topics),
-            base_frame=selection.base_frame,
-            laser_frame=selection.sensor.frame,
-            base_from_laser=tuple(round(value, 6) for value in mounting),
-            height_band_m=selection.band_m,
-        )
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UpdateRecord(Value):
@@ -100,13 +85,28 @@ class RunRecord(Value):
         finished: FinishedMap,
         inputs: Sequence[Path],
         selection: Selection | None = None,
+        updates: tuple[Any, ...] | None = None,
+        like: str | None = None,
     ) -> RunRecord:
         """What is to be told of a map that was made in a session of `inputs`."""
         topology, laid, clock = finished.topology, finished.laid, session.clock
         limits = {**laid.layout.limits, "max_extent_m": laid.beyond}
         return cls(
             inputs=tuple(path.name for path in inputs),
-            selection=None if selection is None else SelectionRecord.of(selection),
+            selection=None
+            if selection is None
+            else SelectionRecord(
+                scan_topic=selection.topic.name,
+                scan_type=selection.topic.type,
+                odometry=selection.odometry,
+                odom_topics=tuple(selection.odom_topics),
+                base_frame=selection.base_frame,
+                laser_frame=selection.sensor.frame,
+                base_from_laser=tuple(
+                    round(value, 6) for value in Pose2.from_matrix(selection.base_from_laser)
+                ),
+                height_band_m=selection.band_m,
+            ),
             config=session.config,
             versions=versions(),
             counts={
@@ -125,6 +125,8 @@ class RunRecord(Value):
             memory_mb=peak_memory_mb(),
             quality=finished.quality,
             warnings=tuple(summary(finished.quality.warnings)),
+            updates=updates,
+            like=like,
         )
 
     def document(self) -> dict[str, Any]:

@@ -7,7 +7,6 @@ keyframes at which tracking started afresh, and those that a person's merges are
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import cv2
@@ -29,7 +28,7 @@ from specmap_cli.layout.joining import tracked_over_gaps, without_keyframes
 from specmap_cli.layout.trajectory import propagated_places
 from specmap_cli.pipelines.map_in_making import LaidOut, gaps_in, recordings_of
 from specmap_cli.pipelines.session import Session
-from specmap_cli.topology.topological_map import BorderEdit, LogInfo, Merge, heirs
+from specmap_cli.topology.topological_map import Merge, heirs
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,12 +116,22 @@ def _unseen(old: LaidOut, new: LaidOut, poses: FloatArray) -> BoolArray:
 
 
 def _without(store: KeyframeStore, laid: LaidOut, of: IntArray, gone: BoolArray) -> LaidOut:
-    """The map without some keyframes, and the store, too."""
+    """The map without some keyframes, and the store, too; those that are left have new numbers.
+
+    Of a recording that lost some it is kept how long its way was.
+    """
     numbers = np.flatnonzero(~gone)
     row = {number: k for k, number in enumerate(numbers.tolist())}
     breaks = {row[number]: bridge for number, bridge in laid.breaks.items()}
     labels, placed = laid.labels, laid.layout.poses
-    logs = tuple(_renumbered(*each, row) for each in zip(laid.logs, laid.ways_m, strict=True))
+    logs = []
+    for log, way_m in zip(laid.logs, laid.ways_m, strict=True):
+        if log.keyframes is not None:
+            first, last = (row[one] for one in log.keyframes)
+            whole = last - first == log.keyframes[1] - log.keyframes[0]
+            path_m = log.path_m if whole else log.path_m or way_m
+            log = replace(log, keyframes=(first, last), path_m=path_m)
+        logs.append(log)
     gaps = gaps_in(placed[numbers], logs)
     store.keep(numbers, tracked_over_gaps(store.poses, placed, numbers, gaps))
     layout = without_keyframes(store, laid.layout, numbers, of, {**gaps, **breaks})
@@ -139,27 +148,15 @@ def _without(store: KeyframeStore, laid: LaidOut, of: IntArray, gone: BoolArray)
             for number, own in laid.stays.items()
         },
         breaks=breaks,
-        logs=logs,
-        borders=tuple(_left(border, row, gone) for border in laid.borders),
-    )
-
-
-def _renumbered(log: LogInfo, way_m: float, row: Mapping[int, int]) -> LogInfo:
-    """A recording with the new numbers of its keyframes; if some are gone it was `way_m` long."""
-    if log.keyframes is None:
-        return log
-    first, last = log.keyframes
-    keyframes = row[first], row[last]
-    whole = keyframes[1] - keyframes[0] == last - first
-    return replace(log, keyframes=keyframes, path_m=log.path_m if whole else log.path_m or way_m)
-
-
-def _left(border: BorderEdit, row: Mapping[int, int], gone: BoolArray) -> BorderEdit:
-    """A border with the new numbers of the keyframes that came with it."""
-    if not isinstance(border, Merge):
-        return border
-    return replace(
-        border,
-        runs=runs_of([row[one] for one in border.keyframes]),
-        known=border.known - int(gone[: border.known].sum()),
+        logs=tuple(logs),
+        borders=tuple(
+            replace(
+                border,
+                runs=runs_of([row[one] for one in border.keyframes]),
+                known=border.known - int(gone[: border.known].sum()),
+            )
+            if isinstance(border, Merge)
+            else border
+            for border in laid.borders
+        ),
     )

@@ -27,7 +27,7 @@ from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.pipelines.build import survey
-from specmap_cli.pipelines.finishing import finish, tell, write_finished
+from specmap_cli.pipelines.finishing import finish, write_made
 from specmap_cli.pipelines.joining import (
     closures_between,
     heritage_of,
@@ -46,7 +46,7 @@ from specmap_cli.pipelines.learning import (
 from specmap_cli.pipelines.localize import settings_for
 from specmap_cli.pipelines.map_in_making import LaidOut, laid_out_of_stored
 from specmap_cli.pipelines.overlaps import laid_out_to_align, stored_to_align
-from specmap_cli.pipelines.reports import BuildReport, RunRecord, UpdateRecord, UpdateReport
+from specmap_cli.pipelines.reports import BuildReport, UpdateRecord, UpdateReport
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.thinning import Thinned, thinned
 from specmap_cli.recognition.closure.alignment import Alignment, align
@@ -93,16 +93,8 @@ def update_map(
         stream = SweepStream(log, config.log)
         fewer, prior, alignment = _updated(session, stored, old, stream, allow_apart=allow_apart)
         finished = finish(session, fewer.laid, prior)
-        tell(session, finished)
-        run = write_finished(
-            session,
-            partial,
-            finished,
-            lambda: replace(
-                RunRecord.of(session, finished, log.given, stream.selection),
-                updates=_updates(stored, alignment, fewer),
-            ).document(),
-        )
+        updates = _updates(stored, alignment, fewer)
+        run = write_made(session, partial, finished, log.given, stream.selection, updates=updates)
     before, visits = np.split(finished.labels.submaps, [fewer.old])
     ids = set(before.tolist())
     return UpdateReport(
@@ -194,16 +186,8 @@ def build_like(
             )
         laid = with_grid(session, _alike(old, new, alignment.old_from_new, config))
         finished = finish(session, laid, prior)
-        tell(session, finished)
-        run = write_finished(
-            session,
-            partial,
-            finished,
-            lambda: replace(
-                RunRecord.of(session, finished, log.given, stream.selection),
-                like=stored.path.resolve().name,
-            ).document(),
-        )
+        name = stored.path.resolve().name
+        run = write_made(session, partial, finished, log.given, stream.selection, like=name)
     return BuildReport(out=target, run=run, quality=finished.quality, unapplied=finished.unapplied)
 
 

@@ -107,11 +107,7 @@ def ahead(produce: Callable[[], Generator[Item, None, Result]]) -> Iterator[Ahea
 
 def _processors() -> int:
     """How many processors this process may use; SPECMAP_PROCESSES=1 leaves the others to others."""
-    if os.environ.get("SPECMAP_PROCESSES") == "1":
-        return 1
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    return 1 if os.environ.get("SPECMAP_PROCESSES") == "1" else len(os.sched_getaffinity(0))
 
 
 @contextmanager

@@ -76,11 +76,6 @@ def test_what_cannot_be_exported_is_one_line(
     assert sorted(house.parent.rglob("*")) == before
 
 
-def test_a_place_without_a_map(tmp_path: Path, run: Run) -> None:
-    line = ("export", tmp_path, "-f", "graphml", "-o", tmp_path / "x")
-    run(*line).fails(3, "no topology.json in it")
-
-
 def test_a_map_without_ways_is_no_graph_for_a_robot(house: Path, run: Run) -> None:
     target = house.parent / "house.geojson"
     said = run("export", house, "--format", "nav2", "-o", target)

@@ -34,9 +34,19 @@ def test_a_map_with_one_submap(tiny_log: Path, tiny_map: Path, run: Run) -> None
     ],
     ids=["missing", "empty", "file", "foreign"],
 )
-def test_what_is_no_map(make: Edit, told: str, tiny_log: Path, tmp_path: Path, run: Run) -> None:
-    make(tmp_path / "no_map")
-    run("localize", tiny_log, "--map", tmp_path / "no_map").fails(3, told)
+def test_what_is_no_map(
+    make: Edit, told: str, tiny_log: Path, tiny_map: Path, tmp_path: Path, run: Run
+) -> None:
+    place, out = tmp_path / "no_map", tmp_path / "out"
+    make(place)
+    for line in (
+        ("localize", tiny_log, "--map", place, "-o", out),
+        ("report", place, "-o", out),
+        ("compare", tiny_map, place, "-o", out),
+        ("export", place, "-f", "graphml", "-o", out),
+    ):
+        run(*line).fails(3, told)
+        assert not out.exists()
 
 
 def test_a_divided_floor_plan_is_no_map(

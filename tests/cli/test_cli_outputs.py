@@ -195,15 +195,6 @@ def test_stdout_that_is_full_is_one_line() -> None:
     assert said.err.count("\n") == 1
 
 
-def test_a_confusion_matrix_never_replaces_a_log(tiny_log: Path, tmp_path: Path, run: Run) -> None:
-    log = tmp_path / "log.mcap"
-    log.write_bytes(tiny_log.read_bytes())
-    line = ("evaluate", log, "--protocol", "holdout", "--confusion")
-    run(*line, log).fails(2, "log.mcap: exists already")
-    run(*line, tmp_path / "none" / "matrix.png").fails(2, "there is no directory")
-    assert log.read_bytes() == tiny_log.read_bytes()
-
-
 def test_a_picture_of_every_test(tiny_log: Path, tmp_path: Path, run: Run) -> None:
     line = ("build", tiny_log, "-o", tmp_path / "map", "--explain", tmp_path / "tests", *QUICK)
     assert run(*line).code == 0

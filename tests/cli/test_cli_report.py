@@ -24,9 +24,3 @@ def test_a_map_becomes_a_page(run: Run, tiny_map: Path, tmp_path: Path) -> None:
         "submaps": 1,
         "bytes": target.stat().st_size,
     }
-
-
-def test_what_is_no_map_is_refused_in_one_line(run: Run, tmp_path: Path) -> None:
-    page = tmp_path / "page.html"
-    run("report", tmp_path / "nothing", "-o", page).fails(3, "no such map directory")
-    assert not page.exists()
