@@ -109,7 +109,7 @@ def run_of(map_: DrawnMap) -> dict[str, Any]:
 
 def _dotted(config: Config) -> dict[str, Any]:
     """All settings by their dotted keys."""
-    found = {}
+    found: dict[str, Any] = {}
     for section, values in config.model_dump().items():
         inner = values if isinstance(values, dict) else {"": values}
         found |= {f"{section}.{key}".rstrip("."): value for key, value in inner.items()}
