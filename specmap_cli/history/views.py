@@ -7,7 +7,7 @@ more time the robots spent in them.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -89,31 +89,29 @@ TABLES: Mapping[str, Callable[[HistoryRecord], str]] = {
 
 def lines_of(record: HistoryRecord) -> list[str]:
     """A paragraph a building, then what was left out."""
-    lines = [line for building in record.buildings for line in _lines(building)]
-    return [*lines, *(f"left out: {one.map}: {one.reason}" for one in record.left_out)]
-
-
-def _lines(building: BuildingRecord) -> Iterable[str]:
-    first, last = building.maps[0], building.maps[-1]
-    days = [day.day for day in building.days]
-    when = f"{days[0]} to {days[-1]}" if len(days) > 1 else "".join(days)
-    yield (
-        f"{legible(building.name)}: {counted(len(building.maps), 'map')}, "
-        f"{counted(len(days), 'day')} ({when}), {counted(len(building.rooms), 'room')}, "
-        f"{sum(day.driven_m for day in building.days):,.0f} m driven"
-    )
-    if last.verdict != first.verdict:
-        yield f"  verdict: {first.verdict} at first, {last.verdict} now"
-    width = max((len(legible(room.name)) for room in building.rooms), default=0)
-    for room in sorted(building.rooms, key=lambda one: (-one.minutes, one.number)):
-        yield (
-            f"  {legible(room.name):<{width}}  {counted(room.visits, 'visit'):>10}"
-            f"  {room.minutes:8.1f} min  on {counted(room.days, 'day')}"
+    lines = []
+    for building in record.buildings:
+        first, last = building.maps[0], building.maps[-1]
+        days = [day.day for day in building.days]
+        when = f"{days[0]} to {days[-1]}" if len(days) > 1 else "".join(days)
+        lines.append(
+            f"{legible(building.name)}: {counted(len(building.maps), 'map')}, "
+            f"{counted(len(days), 'day')} ({when}), {counted(len(building.rooms), 'room')}, "
+            f"{sum(day.driven_m for day in building.days):,.0f} m driven"
         )
-    names = names_of(building)
-    yield from (f"  {change.day}: {words_of(change, names)}" for change in building.changes)
-    if len(building.maps) > 1 and not building.changes:
-        yield "  no change found"
+        if last.verdict != first.verdict:
+            lines.append(f"  verdict: {first.verdict} at first, {last.verdict} now")
+        width = max((len(legible(room.name)) for room in building.rooms), default=0)
+        for room in sorted(building.rooms, key=lambda one: (-one.minutes, one.number)):
+            lines.append(
+                f"  {legible(room.name):<{width}}  {counted(room.visits, 'visit'):>10}"
+                f"  {room.minutes:8.1f} min  on {counted(room.days, 'day')}"
+            )
+        names = names_of(building)
+        lines += [f"  {change.day}: {words_of(change, names)}" for change in building.changes]
+        if len(building.maps) > 1 and not building.changes:
+            lines.append("  no change found")
+    return [*lines, *(f"left out: {one.map}: {one.reason}" for one in record.left_out)]
 
 
 def names_of(building: BuildingRecord) -> dict[int, str]:
