@@ -134,10 +134,28 @@ def render_history(record: HistoryRecord, plans: Sequence[StoredMap], folder: Pa
 
     Raises MapError when a file of a map is missing or damaged.
     """
-    sections = [
-        _section(building, stored, folder)
-        for building, stored in zip(record.buildings, plans, strict=True)
-    ]
+    sections = []
+    for building, stored in zip(record.buildings, plans, strict=True):
+        names = {number: shown(name) for number, name in names_of(building).items()}
+        days = building.days[-MOST_DAYS:]
+        longest = max((stay.minutes for day in days for stay in day.rooms), default=0.0)
+        section = {
+            "building": building,
+            "title": shown(building.name),
+            "names": names,
+            "days": days,
+            "days_before": len(building.days) - len(days),
+            "stays": {
+                (stay.room, day.day): (stay, _shade(stay.minutes, longest))
+                for day in days
+                for stay in day.rooms
+            },
+            "plan": _plan(building, stored),
+            "unplanned": [room for room in building.rooms if room.map != building.maps[0].number],
+            "changes": [(change.day, words_of(change, names)) for change in building.changes],
+            "links": {one.number: _link(Path(one.map).resolve(), folder) for one in building.maps},
+        }
+        sections.append(section)
     context = {
         "title": counted(len(sections), "building"),
         "record": record,
@@ -145,28 +163,6 @@ def render_history(record: HistoryRecord, plans: Sequence[StoredMap], folder: Pa
         "tones": tones(()),
     }
     return html_page(_PACKAGE, "history.html", context, _STYLES)
-
-
-def _section(building: BuildingRecord, stored: StoredMap, folder: Path) -> dict[str, Any]:
-    names = {number: shown(name) for number, name in names_of(building).items()}
-    days = building.days[-MOST_DAYS:]
-    longest = max((stay.minutes for day in days for stay in day.rooms), default=0.0)
-    return {
-        "building": building,
-        "title": shown(building.name),
-        "names": names,
-        "days": days,
-        "days_before": len(building.days) - len(days),
-        "stays": {
-            (stay.room, day.day): (stay, _shade(stay.minutes, longest))
-            for day in days
-            for stay in day.rooms
-        },
-        "plan": _plan(building, stored),
-        "unplanned": [room for room in building.rooms if room.map != building.maps[0].number],
-        "changes": [(change.day, words_of(change, names)) for change in building.changes],
-        "links": {each.number: _link(Path(each.map).resolve(), folder) for each in building.maps},
-    }
 
 
 def _plan(building: BuildingRecord, stored: StoredMap) -> dict[str, Any]:
