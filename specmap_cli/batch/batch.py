@@ -20,14 +20,7 @@ from specmap_cli.batch.records import Job, Terms, Turn
 from specmap_cli.batch.running import may_retry
 from specmap_cli.batch.sources import bytes_of
 from specmap_cli.batch.summaries import summaries_of
-from specmap_cli.batch.workers import (
-    Cluster,
-    Workers,
-    opened,
-    processors,
-    require_dask,
-    share_of_memory_mb,
-)
+from specmap_cli.batch.workers import Cluster, Workers, opened, require_dask, share_of_memory_mb
 from specmap_cli.core.errors import UsageError
 
 _SUMMARY_EVERY_S = 60.0  # while the batch runs; each costs about a second for 10,000 jobs
@@ -55,8 +48,8 @@ def run_batch(
     if path is not None:  # workers may be in another directory
         terms = replace(terms, output=str(path.absolute()))
     if limits.memory_mb is None and cluster.scheduler is None:
-        share = share_of_memory_mb(cluster.workers or processors())
-        terms = replace(terms, limits=replace(limits, memory_mb=share))
+        limits = replace(limits, memory_mb=share_of_memory_mb(cluster))
+        terms = replace(terms, limits=limits)
     with ThreadPoolExecutor(_ASKERS) as askers:
         sizes = dict(zip((job.name for job in jobs), askers.map(bytes_of, jobs), strict=True))
     ledger = Ledger(jobs, sizes)

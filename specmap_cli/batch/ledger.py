@@ -87,17 +87,14 @@ class Ledger:
 
     def started(self, turn: Turn) -> EventRecord:
         """A job was handed to a worker."""
-        self._stranded = False
         return self.event("started", turn.job.name, attempt=turn.attempt)
 
     def retried(self, record: JobRecord) -> EventRecord:
         """An attempt failed, and the job will be tried again."""
-        self._stranded = False
         return self._told("retried", record)
 
     def finished(self, result: JobResult) -> EventRecord:
         """A job has come to its end."""
-        self._stranded = False
         record = result.record
         self.results[record.name] = record
         self._states[record.state] += 1
@@ -110,8 +107,8 @@ class Ledger:
 
     def waits(self, slots: int) -> EventRecord | None:
         """Nothing happened for a while: an event, once, when that is for want of workers."""
-        before, self._stranded = self._stranded, slots == 0
-        if before or not self._stranded:
+        if slots or self._stranded:
+            self._stranded = slots == 0
             return None
         return self.event("stranded", reason="no worker is left: the batch waits for one")
 
@@ -144,7 +141,8 @@ class Ledger:
         )
 
     def event(self, event: Event, job: str | None = None, **more: Any) -> EventRecord:
-        """An event that changes nothing here, such as the begin and the end of the batch."""
+        """An event that is no job's, such as the begin and the end of the batch."""
+        self._stranded = event == "stranded"
         return EventRecord(
             event=event,
             time_utc=datetime.now(tz=UTC).isoformat(timespec="milliseconds"),

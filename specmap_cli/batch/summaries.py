@@ -230,31 +230,26 @@ def as_html(rows: Sequence[Row], records: Mapping[str, JobRecord]) -> bytes:
         for part, name in (("picture", _OVERVIEW), ("report", REPORT), ("log", LOG_TEXT)):
             entry[part] = f"{base}/{quote(name)}" if name in files else None
         entries.append(entry)
+    states, verdicts = (Counter(row[column] for row in rows) for column in ("state", "verdict"))
+    metres = total(rows, "path_m")
     context = {
         "title": headline(rows),
         "entries": entries,
         "results": sorted({entry["result"] for entry in entries}),
         "heads": _HEADS,
         "kinds": kinds_of(rows),
-        "facts": _facts(rows),
+        "facts": [  # over the table: what, and how much
+            ("done", f"{states['done']:,}"),
+            ("failed", f"{states['failed']:,}"),
+            ("doubtful or poor", f"{verdicts['doubtful'] + verdicts['poor']:,}"),
+            ("scans", f"{total(rows, 'scans'):,.0f}"),
+            ("driven", f"{metres:,.0f} m" if metres < _KM else f"{metres / _KM:,.1f} km"),
+            ("of work", lasting(total(rows, "wall_s"))),
+        ],
         "tones": tones([]),
         "data": {},
     }
     return html_page(_PACKAGE, "batch.html", context, _STYLES, _SCRIPTS).encode()
-
-
-def _facts(rows: Sequence[Row]) -> list[tuple[str, str]]:
-    """The figures over the table: what, and how much."""
-    done = sum(row["state"] == "done" for row in rows)
-    metres = total(rows, "path_m")
-    return [
-        ("done", f"{done:,}"),
-        ("failed", f"{sum(count for _, count in kinds_of(rows)):,}"),
-        ("doubtful or poor", f"{sum(row['verdict'] in ('doubtful', 'poor') for row in rows):,}"),
-        ("scans", f"{total(rows, 'scans'):,.0f}"),
-        ("driven", f"{metres:,.0f} m" if metres < _KM else f"{metres / _KM:,.1f} km"),
-        ("of work", lasting(total(rows, "wall_s"))),
-    ]
 
 
 _MADE: Mapping[str, Callable[[Sequence[Row]], bytes]] = {

@@ -99,11 +99,11 @@ def processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def share_of_memory_mb(workers: int) -> int:
-    """The memory that each of some workers of this machine may use."""
+def share_of_memory_mb(cluster: Cluster) -> int:
+    """The memory that each worker of this machine may use."""
     from distributed.system import MEMORY_LIMIT
 
-    return max(1, int(_SHARE * MEMORY_LIMIT / _MB / workers))
+    return max(1, int(_SHARE * MEMORY_LIMIT / _MB / (cluster.workers or processors())))
 
 
 def require_dask() -> None:

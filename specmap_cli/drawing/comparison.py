@@ -13,7 +13,7 @@ from specmap_cli.drawing.sheet import Sheet, extent_of
 from specmap_cli.drawing.symbols import Legend, Symbol
 from specmap_cli.grids.bent import BentMotion
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.topology.differences import Differences, Obstacle, walls_in_common
+from specmap_cli.topology.differences import Differences, walls_in_common
 from specmap_cli.topology.regions import NOBODY, Regions
 
 OLD: Colour = (196, 110, 30)
@@ -63,8 +63,11 @@ def render_comparison(
             x, y = sheet.pixels(place[None])[0]
             sheet.canvas.text(x, y, str(id_), _ID_LETTERS, colour, "centre", bold=True)
     for things, colour in ((found.vanished, OLD), (found.appeared, NEW)):
-        for one in things:
-            _box(sheet.canvas, sheet.pixels(_widened(one)), colour)
+        for one in things:  # in a box that leaves their walls to be seen
+            away = one.corners - one.centre
+            length = np.maximum(np.hypot(*away.T), _BOX_MARGIN_M)[:, None]
+            corners = one.centre + away * (1.0 + 1.5 * _BOX_MARGIN_M / length)
+            _box(sheet.canvas, sheet.pixels(corners), colour)
     for ways, colour in ((found.closed, WRONG), (found.opened, OPENED)):
         for way in ways:
             _sign(sheet.canvas, sheet.pixels(way.place[None])[0], colour)
@@ -115,13 +118,6 @@ def _draw_walls(
     picture = np.zeros(canvas.cells.shape, dtype=np.bool_)
     picture[rows, columns] = True
     sheet.walls(canvas, picture, NEW)
-
-
-def _widened(obstacle: Obstacle) -> FloatArray:
-    """The corners (4, 2) of a box round a thing that leaves its walls to be seen."""
-    away = obstacle.corners - obstacle.centre
-    length = np.maximum(np.hypot(away[:, 0], away[:, 1]), _BOX_MARGIN_M)[:, None]
-    return np.asarray(obstacle.centre + away * (1.0 + 1.5 * _BOX_MARGIN_M / length))
 
 
 def _box(canvas: Canvas, corners: NDArray[np.float64], colour: Colour) -> None:

@@ -55,24 +55,12 @@ def draw_test(test: SplitTest, threshold: float, split: bool, occasion: Occasion
             pale = (1.0 - _PALEST) * (1.0 - float(weight))
             colour = paler(_AHEAD if near else _LEFT, pale)
             cv2.circle(picture, spot, 4, colour, cv2.FILLED, cv2.LINE_AA)
-    way = np.array(_pixels(grid, test.poses[:, :2], scale), dtype=np.int32)
-    for stroke in strokes(test.poses[:, :2]):
+    places = test.poses[:, :2]
+    way = np.array(_pixels(grid, places, scale), dtype=np.int32)
+    for stroke in strokes(places):
         cv2.polylines(picture, [way[stroke.first : stroke.end]], False, _BLACK, 1, cv2.LINE_AA)
     cv2.circle(picture, tuple(way[-1].tolist()), 5, _BLACK, cv2.FILLED, cv2.LINE_AA)
     _draw_scale(picture, scale / grid.resolution)
-    words = _words(_about(test, threshold, split, occasion))
-    canvas, right = Canvas.over(words), words.shape[1] - _EDGE
-    for line, (what, colour) in enumerate((("with the robot", _AHEAD), ("left behind", _LEFT)), 1):
-        y = _EDGE + _LINE * (line + 0.5)
-        canvas.text(right, y, what, _LETTERS, QUIET, "right")
-        canvas.disc(np.array([right - 10.0 - text_width(what, _LETTERS), y]), 4.0, colour)
-    return _stacked(picture, words, _spectrum(test.eigenvalues, threshold, test.chosen))
-
-
-def _about(
-    test: SplitTest, threshold: float, split: bool, occasion: Occasion
-) -> tuple[str, str, str]:
-    """What a test says, when it was made, and of what."""
     if not test.chosen:
         said = "one region: no eigenvector divides the way"
     else:
@@ -82,10 +70,15 @@ def _about(
         said += ", but a side is short" if above and not split else ""
     minutes, seconds = divmod(occasion.seconds, 60.0)
     when = f"keyframe {occasion.latest}, {minutes:.0f} min {seconds:04.1f} s after the log began"
-    places = test.poses[:, :2]
     ways = [step_lengths(places[stroke.first : stroke.end]).sum() for stroke in strokes(places)]
     of = f"submap of keyframes {occasion.first} to {occasion.latest}, {sum(ways):.1f} m driven"
-    return said, when, of
+    words = _words((said, when, of))
+    canvas, right = Canvas.over(words), words.shape[1] - _EDGE
+    for line, (what, colour) in enumerate((("with the robot", _AHEAD), ("left behind", _LEFT)), 1):
+        y = _EDGE + _LINE * (line + 0.5)
+        canvas.text(right, y, what, _LETTERS, QUIET, "right")
+        canvas.disc(np.array([right - 10.0 - text_width(what, _LETTERS), y]), 4.0, colour)
+    return _stacked(picture, words, _spectrum(test.eigenvalues, threshold, test.chosen))
 
 
 def draw_segmentation(grid: GridMap, found: Segmentation, threshold: float) -> Image:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
 from operator import attrgetter
 from typing import IO, Any
 
@@ -117,7 +116,7 @@ class CsvTables:
         """Write the tables of a map."""
         record = stored.record
         keys = sorted({key for node in record.nodes for key in node.properties})
-        noted = {f"property.{key}": partial(_property, key) for key in keys}
+        noted = {f"property.{key}": _noted(key) for key in keys}
         tables = {
             "nodes.csv": _table(record.nodes, {"id": attrgetter("id"), **SUBMAP, **noted}),
             "edges.csv": _table(record.edges, {**_ENDS, **LINK}),
@@ -130,8 +129,8 @@ class CsvTables:
                 archive.writestr(entry, text, zipfile.ZIP_DEFLATED)
 
 
-def _property(key: str, node: NodeRecord) -> PropertyValue | None:
-    return node.properties.get(key)
+def _noted(key: str) -> Callable[[NodeRecord], PropertyValue | None]:
+    return lambda node: node.properties.get(key)
 
 
 def _table(records: Iterable[Any], columns: Mapping[str, Callable[[Any], Any]]) -> str:
@@ -166,12 +165,26 @@ class GeoJson:
     def write(self, stored: StoredMap, target: IO[bytes], _: Progress) -> None:
         """Write the features of a map, submaps first."""
         nodes = {node.id: node for node in stored.record.nodes}
-        features = [
-            *(_submap(node) for node in nodes.values() if node.polygon),
-            *(_anchor(node) for node in nodes.values() if node.anchor),
-            *(_door(door) for door in stored.record.graph.doors),
-            *(_link(edge, nodes) for edge in stored.record.edges),
-        ]
+        features: list[Fields] = []
+        told: Fields
+        for node in nodes.values():
+            if node.polygon:
+                ring = [*node.polygon, node.polygon[0]]
+                kinds = {"kind": "submap", "submap_kind": node.kind}
+                own = {"id": node.id, "properties": node.properties}
+                features.append(feature("Polygon", [ring], fields_of(node, SUBMAP) | kinds | own))
+        for node in nodes.values():
+            if node.anchor:
+                told = {"kind": "anchor", "submap": node.id, "clearance_m": node.anchor_clearance_m}
+                features.append(feature("Point", list(node.anchor), told))
+        for door in stored.record.graph.doors:
+            sides = [[round(value, 6) for value in side] for side in door.sides]
+            told = {"kind": "door", "id": door.id, "between": list(door.between)}
+            features.append(feature("LineString", sides, fields_of(door, DOOR) | told))
+        for edge in stored.record.edges:
+            told = {"source": edge.source, "target": edge.target, "doors": edge.doors}
+            line = link_line(edge, nodes)
+            features.append(feature("LineString", line, fields_of(edge, LINK) | told))
         target.write(to_json(collection(features)).encode())
 
 
@@ -189,53 +202,3 @@ def feature(kind: str, coordinates: Sequence[Any], properties: Fields) -> Fields
         "geometry": {"type": kind, "coordinates": coordinates},
         "properties": properties,
     }
-
-
-def _submap(node: NodeRecord) -> Fields:
-    """The outline of a submap: a ring that ends where it starts."""
-    ring = [*node.polygon, node.polygon[0]]
-    properties = {
-        **fields_of(node, SUBMAP),
-        "kind": "submap",
-        "submap_kind": node.kind,
-        "id": node.id,
-        "properties": node.properties,
-    }
-    return feature("Polygon", [ring], properties)
-
-
-def _anchor(node: NodeRecord) -> Fields:
-    """The place where a robot can stand in a submap."""
-    return feature(
-        "Point",
-        list(node.anchor or ()),
-        {"kind": "anchor", "submap": node.id, "clearance_m": node.anchor_clearance_m},
-    )
-
-
-def _door(record: Door) -> Fields:
-    """The line of a door."""
-    return feature(
-        "LineString",
-        [[round(value, 6) for value in side] for side in record.sides],
-        {
-            **fields_of(record, DOOR),
-            "kind": "door",
-            "id": record.id,
-            "between": list(record.between),
-        },
-    )
-
-
-def _link(edge: Edge, nodes: Mapping[int, NodeRecord]) -> Fields:
-    """A link along its way."""
-    return feature(
-        "LineString",
-        link_line(edge, nodes),
-        {
-            **fields_of(edge, LINK),
-            "source": edge.source,
-            "target": edge.target,
-            "doors": edge.doors,
-        },
-    )

@@ -10,7 +10,7 @@ knows of it. Colours are those of overview.png.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import IO, Any
 
 import numpy as np
@@ -20,18 +20,8 @@ from specmap_cli import __version__
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.json_values import Point
 from specmap_cli.core.progress import Progress
-from specmap_cli.core.records import PlanarScan
 from specmap_cli.drawing.palette import darker
-from specmap_cli.exports.flat_formats import (
-    DOOR,
-    LINK,
-    Fields,
-    centre_of,
-    fields_of,
-    known,
-    link_line,
-    told_of,
-)
+from specmap_cli.exports.flat_formats import Fields, centre_of, known, told_of
 from specmap_cli.exports.foxglove_schemas import (
     LINE_LOOP,
     LINE_STRIP,
@@ -46,18 +36,16 @@ from specmap_cli.exports.layers import (
     Layer,
     Rgb,
     colours,
-    door_colour,
     driven,
+    graph_lines,
     layers,
-    link_colour,
     scans_of,
     start_of,
 )
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps.even_bearings import EvenSpacing
-from specmap_cli.maps.schema import NodeRecord, TopologyRecord
+from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.store import StoredMap
-from specmap_cli.topology.topological_map import Edge
 
 BASE_FRAME = "base_link"
 _CHUNK_BYTES = 512 * 1024
@@ -106,14 +94,6 @@ class _Log:
 
     def add(self, topic: str, schema: str, message: Mapping[str, Any]) -> None:
         """One message of a schema of Foxglove."""
-        data = encode(schema, message)
-        self._writer.add_message(self._channel(topic, schema), self._time_ns, data, self._time_ns)
-
-    def finish(self) -> None:
-        """Write the index."""
-        self._writer.finish()  # type: ignore[no-untyped-call]
-
-    def _channel(self, topic: str, schema: str) -> int:
         if schema not in self._schemas:
             self._schemas[schema] = self._writer.register_schema(
                 full_name(schema), "protobuf", description(schema)
@@ -122,7 +102,12 @@ class _Log:
             self._channels[topic] = self._writer.register_channel(
                 topic, "protobuf", self._schemas[schema]
             )
-        return self._channels[topic]
+        data, now = encode(schema, message), self._time_ns
+        self._writer.add_message(self._channels[topic], now, data, now)
+
+    def finish(self) -> None:
+        """Write the index."""
+        self._writer.finish()  # type: ignore[no-untyped-call]
 
 
 def _write_scans(
@@ -148,20 +133,20 @@ def _write_scans(
         )
         log.add("/pose", "PoseInFrame", {"timestamp": log.stamp, "frame_id": frame, "pose": there})
         spacing = spacings.setdefault(mounting, EvenSpacing())
-        log.add("/scan", "LaserScan", _scan(scan, mounting, spacing, log.stamp))
+        even = spacing.beams(scan)
+        log.add(
+            "/scan",
+            "LaserScan",
+            {
+                "timestamp": log.stamp,
+                "frame_id": BASE_FRAME,
+                "pose": _pose(mounting),
+                "start_angle": even.angle_min,
+                "end_angle": even.angle_min + even.increment * (len(even.ranges) - 1),
+                "ranges": np.round(even.ranges * _MM_PER_M) / _MM_PER_M,
+            },
+        )
         progress.advance()
-
-
-def _scan(scan: PlanarScan, mounting: Pose2, spacing: EvenSpacing, stamp: Fields) -> Fields:
-    even = spacing.beams(scan)
-    return {
-        "timestamp": stamp,
-        "frame_id": BASE_FRAME,
-        "pose": _pose(mounting),
-        "start_angle": even.angle_min,
-        "end_angle": even.angle_min + even.increment * (len(even.ranges) - 1),
-        "ranges": np.round(even.ranges * _MM_PER_M) / _MM_PER_M,
-    }
 
 
 def _grid(layer: Layer, frame: str, number: int, stamp: Fields) -> Fields:
@@ -205,80 +190,49 @@ _OUTLINE_Z, _WAY_Z, _ANCHOR_Z, _TEXT_Z = 0.02, 0.04, 0.06, 0.5
 
 def submap_scene(record: TopologyRecord, stamp: Fields, fills: Mapping[int, Rgb]) -> dict[str, Any]:
     """The outline and the name of each submap."""
-    frame = record.graph.frame
-    return {
-        "entities": [
-            {
-                **_entity(f"submap {node.id}", frame, stamp, told_of(node)),
-                "lines": [
-                    _line(node.polygon, darker(fills[node.id]), _OUTLINE_PX, _OUTLINE_Z, LINE_LOOP)
-                ]
-                if node.polygon
-                else [],
-                "texts": [_name(node, fills[node.id])],
-            }
-            for node in record.nodes
-        ]
-    }
+    entities = []
+    for node in record.nodes:
+        colour = darker(fills[node.id])
+        outline = [_line(node.polygon, colour, _OUTLINE_PX, _OUTLINE_Z, LINE_LOOP)]
+        name = {
+            "pose": _at(node.anchor or centre_of(node), _TEXT_Z),
+            "billboard": True,
+            "font_size": _TEXT_PX,
+            "scale_invariant": True,
+            "color": _colour(colour),
+            "text": node.name,
+        }
+        entity = _entity(f"submap {node.id}", record.graph.frame, stamp, told_of(node))
+        entities.append({**entity, "lines": outline if node.polygon else [], "texts": [name]})
+    return {"entities": entities}
 
 
 def graph_scene(record: TopologyRecord, stamp: Fields) -> dict[str, Any]:
-    """Anchors, ways and doors; a link without a way leads straight over its crossing, thin."""
+    """Anchors, ways and doors; a link without a way is thin."""
     frame = record.graph.frame
-    nodes = {node.id: node for node in record.nodes}
-    return {
-        "entities": [
-            *_anchors(record, frame, stamp),
-            *(
-                {
-                    **_entity(
-                        f"link {edge.source}-{edge.target}", frame, stamp, fields_of(edge, LINK)
-                    ),
-                    "lines": [_way(edge, nodes)],
-                }
-                for edge in record.edges
-            ),
-            *(
-                {
-                    **_entity(f"door {door.id}", frame, stamp, fields_of(door, DOOR)),
-                    "lines": [_line(door.sides, door_colour(door), 2.0 * _LINE_PX, _WAY_Z)],
-                }
-                for door in record.graph.doors
-            ),
-        ]
-    }
-
-
-def _anchors(record: TopologyRecord, frame: str, stamp: Fields) -> Iterator[dict[str, Any]]:
     size = {"x": _ANCHOR_M, "y": _ANCHOR_M, "z": 0.01}
+    entities = []
     for node in record.nodes:
         if node.anchor is not None:
             pose = _at(node.anchor, _ANCHOR_Z)
             sphere = {"pose": pose, "size": size, "color": _colour(WAY)}
             told = {"clearance_m": node.anchor_clearance_m}
-            yield {**_entity(f"anchor {node.id}", frame, stamp, told), "spheres": [sphere]}
+            entity = _entity(f"anchor {node.id}", frame, stamp, told)
+            entities.append({**entity, "spheres": [sphere]})
+    for one in graph_lines(record):
+        width_px = _LINE_PX if one.is_way else _NO_WAY_PX
+        if one.kind == "door":
+            width_px = 2.0 * _LINE_PX
+        entity = _entity(f"{one.kind} {one.ids}", frame, stamp, one.told)
+        line = _line(one.points, one.colour, width_px, _WAY_Z)
+        entities.append({**entity, "lines": [line]})
+    return {"entities": entities}
 
 
 def _entity(id_: str, frame: str, stamp: Fields, told: Fields) -> dict[str, Any]:
     """What all entities have; what they tell stands in their metadata."""
     pairs = [{"key": key, "value": str(value)} for key, value in known(told).items()]
     return {"timestamp": stamp, "frame_id": frame, "id": id_, "metadata": pairs}
-
-
-def _name(node: NodeRecord, fill: Rgb) -> dict[str, Any]:
-    return {
-        "pose": _at(node.anchor or centre_of(node), _TEXT_Z),
-        "billboard": True,
-        "font_size": _TEXT_PX,
-        "scale_invariant": True,
-        "color": _colour(darker(fill)),
-        "text": node.name,
-    }
-
-
-def _way(edge: Edge, nodes: Mapping[int, NodeRecord]) -> dict[str, Any]:
-    width_px = _LINE_PX if edge.corners else _NO_WAY_PX
-    return _line(link_line(edge, nodes), link_colour(edge), width_px, _WAY_Z)
 
 
 def _line(

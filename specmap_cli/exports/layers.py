@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.json_values import Point
 from specmap_cli.core.progress import Progress
 from specmap_cli.drawing.palette import (
     DOOR,
@@ -22,12 +24,14 @@ from specmap_cli.drawing.palette import (
     colour_graph,
     colours_of,
 )
+from specmap_cli.exports.flat_formats import DOOR as DOOR_FIELDS
+from specmap_cli.exports.flat_formats import LINK, Fields, fields_of, link_line
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps import filenames
+from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.maps.text_files import read_trajectory
-from specmap_cli.topology.topological_map import Door, Edge
 
 RgbaArray = NDArray[np.uint8]
 Rgb = tuple[int, int, int]
@@ -78,7 +82,10 @@ def layers(stored: StoredMap, fills: Mapping[int, Rgb]) -> Iterator[Layer]:
     if has_whole_map(stored):
         whole, owner = stored.map_grid, stored.regions.owner
         yield _layer("map", whole, _rgb(PAPER))
-        yield Layer("regions", _filled(owner, fills), whole.resolution, whole.origin)
+        rgba = np.zeros((*owner.shape, 4), dtype=np.uint8)
+        for id_, colour in fills.items():
+            rgba[owner == id_] = (*colour, _FILL_ALPHA)
+        yield Layer("regions", rgba, whole.resolution, whole.origin)
         return
     for node in stored.record.nodes:
         pose = Pose2(node.x, node.y, node.theta)
@@ -92,23 +99,36 @@ def _layer(name: str, grid: GridMap, free: Rgb, pose: Pose2 = IDENTITY) -> Layer
     return Layer(name, rgba, grid.resolution, grid.origin, pose)
 
 
-def _filled(owner: NDArray[np.integer], fills: Mapping[int, Rgb]) -> RgbaArray:
-    rgba = np.zeros((*owner.shape, 4), dtype=np.uint8)
-    for id_, colour in fills.items():
-        rgba[owner == id_] = (*colour, _FILL_ALPHA)
-    return rgba
+class GraphLine(NamedTuple):
+    """A link or a door, as its `kind` says: its ids, and its line, which tells of itself."""
+
+    kind: Literal["link", "door"]
+    ids: str
+    points: Sequence[Point]
+    colour: Rgb
+    told: Fields
+    is_way: bool = True
 
 
-def link_colour(edge: Edge) -> Rgb:
-    """Blue where the robot drove, grey where it did not, or cannot; red is forbidden."""
-    if edge.forbidden:
-        return _FORBIDDEN
-    return WAY if edge.corners and edge.traversals else _UNDRIVEN
+def graph_lines(record: TopologyRecord) -> Iterator[GraphLine]:
+    """The links, then the doors. A link without a way leads straight over its crossing.
 
-
-def door_colour(door: Door) -> Rgb:
-    """Brown, or red for a forbidden one."""
-    return _FORBIDDEN if door.forbidden else _DOOR
+    Blue where the robot drove, grey where it did not, or cannot; doors are brown; red is forbidden.
+    """
+    nodes = {node.id: node for node in record.nodes}
+    for edge in record.edges:
+        colour = WAY if edge.corners and edge.traversals else _UNDRIVEN
+        yield GraphLine(
+            "link",
+            f"{edge.source}-{edge.target}",
+            link_line(edge, nodes),
+            _FORBIDDEN if edge.forbidden else colour,
+            fields_of(edge, LINK),
+            is_way=bool(edge.corners),
+        )
+    for door in record.graph.doors:
+        colour = _FORBIDDEN if door.forbidden else _DOOR
+        yield GraphLine("door", str(door.id), door.sides, colour, fields_of(door, DOOR_FIELDS))
 
 
 def driven(stored: StoredMap) -> FloatArray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import IO
 
 import networkx as nx
@@ -28,7 +27,10 @@ class PoseGraph:
     def write(self, stored: StoredMap, target: IO[bytes], progress: Progress) -> None:
         """Write trajectory.g2o of a map. MapError for a map without a trajectory."""
         poses, links = _read(stored)
-        starts = _starts(poses, links)
+        graph = nx.Graph()
+        graph.add_nodes_from(poses)
+        graph.add_edges_from((link.source, link.target) for link in links)
+        starts = sorted(min(part) for part in nx.connected_components(graph))
         if len(starts) > 1:
             progress.warn(
                 f"the pose graph is in {len(starts)} parts that no edge joins: the first vertex of "
@@ -41,25 +43,17 @@ def _read(stored: StoredMap) -> tuple[dict[int, FloatArray], list[Link]]:
     path = stored.path / filenames.POSE_GRAPH
     if not path.exists():
         raise MapError(
-            f"has no {path.name}: `specmap segment` makes maps without; a pose graph "
-            "needs one that `specmap build` made of a recording",
+            f"has no {path.name}: `specmap segment` makes maps without;",
+            "a pose graph needs one that `specmap build` made of a recording",
             where=stored.path,
         )
     try:
         poses, links = read_g2o(map_text(path, stored.limits))
     except InputError as error:
-        raise MapError(error, "build the map again", where=path) from None
+        raise MapError(error.found, f"{error.hint}: build the map again", where=path) from None
     strangers = {end for link in links for end in (link.source, link.target)} - poses.keys()
     if strangers:
         raise MapError(f"there is no vertex {min(strangers)}", "build the map again", where=path)
     if not poses:
         raise MapError("has no vertices", "build the map again", where=path)
     return poses, links
-
-
-def _starts(poses: Iterable[int], links: Iterable[Link]) -> list[int]:
-    """The first vertex of each part."""
-    graph = nx.Graph()
-    graph.add_nodes_from(poses)
-    graph.add_edges_from((link.source, link.target) for link in links)
-    return sorted(min(part) for part in nx.connected_components(graph))

@@ -7,7 +7,7 @@ Its files hold random numbers: the same map gives the same data, not the same by
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from contextlib import closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -21,29 +21,17 @@ from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.text import encodable
 from specmap_cli.drawing.palette import darker
-from specmap_cli.exports.flat_formats import (
-    DOOR,
-    LINK,
-    Fields,
-    centre_of,
-    fields_of,
-    known,
-    link_line,
-    told_of,
-)
+from specmap_cli.exports.flat_formats import Fields, centre_of, known, told_of
 from specmap_cli.exports.layers import (
     LAYER_STEP_M,
     Layer,
     Rgb,
     colours,
-    door_colour,
     driven,
+    graph_lines,
     layers,
-    link_colour,
     scans_of,
 )
-from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.store import StoredMap
 
 _TRAJECTORY: Rgb = (150, 60, 150)
@@ -72,12 +60,26 @@ def _write(recording: _Recording, stored: StoredMap, progress: Progress) -> None
     fills = colours(stored)
     for number, layer in enumerate(layers(stored, fills)):
         recording.grid(layer, number * LAYER_STEP_M)
-    _write_submaps(recording, stored.record, fills)
-    _write_graph(recording, stored.record)
+    for node in stored.record.nodes:
+        colour, entity = darker(fills[node.id]), f"submaps/{node.id}"
+        if node.polygon:
+            ring = [*node.polygon, node.polygon[0]]
+            recording.line(f"{entity}/outline", ring, colour, _OUTLINE_Z, {})
+        place = node.anchor or centre_of(node)
+        recording.point(entity, place, colour, encodable(node.name), told_of(node))
+    for one in graph_lines(stored.record):
+        entity = f"graph/{one.kind}s/{one.ids}"
+        recording.line(entity, one.points, one.colour, _WAY_Z, one.told)
     with scans_of(stored, progress) as scans:
-        if scans is not None:
-            recording.line("trajectory", driven(stored)[:, :2], _TRAJECTORY, _WAY_Z, {})
-            _write_scans(recording, scans, stored.labels.poses, progress)
+        if scans is None:
+            return
+        recording.line("trajectory", driven(stored)[:, :2], _TRAJECTORY, _WAY_Z, {})
+        progress.start("writing scans", len(scans))
+        for number, pose in enumerate(stored.labels.poses.tolist()):  # in the finished map
+            scan = scans.scan(number)
+            points = scans.base_from_laser(number).apply(scan.hits())
+            recording.scan(scan.stamp_ns, Pose2(*pose), points)
+            progress.advance()
 
 
 def _sdk() -> Any:
@@ -147,38 +149,6 @@ class _Recording:
     def _facts(self, told: Fields) -> list[Any]:
         facts = {key: encodable(str(value)) for key, value in known(told).items()}
         return [self._sdk.AnyValues(**facts)] if facts else []
-
-
-def _write_submaps(recording: _Recording, record: TopologyRecord, fills: Mapping[int, Rgb]) -> None:
-    for node in record.nodes:
-        colour, entity = darker(fills[node.id]), f"submaps/{node.id}"
-        if node.polygon:
-            ring = [*node.polygon, node.polygon[0]]
-            recording.line(f"{entity}/outline", ring, colour, _OUTLINE_Z, {})
-        place = node.anchor or centre_of(node)
-        recording.point(entity, place, colour, encodable(node.name), told_of(node))
-
-
-def _write_graph(recording: _Recording, record: TopologyRecord) -> None:
-    nodes = {node.id: node for node in record.nodes}
-    for edge in record.edges:
-        entity, line = f"graph/links/{edge.source}-{edge.target}", link_line(edge, nodes)
-        recording.line(entity, line, link_colour(edge), _WAY_Z, fields_of(edge, LINK))
-    for door in record.graph.doors:
-        entity, line = f"graph/doors/{door.id}", list(door.sides)
-        recording.line(entity, line, door_colour(door), _WAY_Z, fields_of(door, DOOR))
-
-
-def _write_scans(
-    recording: _Recording, scans: KeyframeStore, poses: FloatArray, progress: Progress
-) -> None:
-    """Pose and points of each keyframe, with `poses` (n, 3) in the finished map."""
-    progress.start("writing scans", len(scans))
-    for number, pose in enumerate(poses.tolist()):
-        scan = scans.scan(number)
-        points = scans.base_from_laser(number).apply(scan.hits())
-        recording.scan(scan.stamp_ns, Pose2(*pose), points)
-        progress.advance()
 
 
 def _in_space(points: FloatArray, z: float) -> FloatArray:

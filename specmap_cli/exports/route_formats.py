@@ -14,17 +14,17 @@ room.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from itertools import count
-from typing import IO, Any
+from typing import IO
 
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.text import counted, seconds, to_json
 from specmap_cli.core.yaml import yaml_text
 from specmap_cli.exports.flat_formats import Fields, collection, feature, known
-from specmap_cli.exports.routes import Leg, Routes, Waypoint, check_routes, routes, without_bends
-from specmap_cli.maps.schema import NodeRecord, TopologyRecord
+from specmap_cli.exports.routes import Leg, Routes, check_routes, routes, without_bends
+from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.store import StoredMap
 
 
@@ -37,18 +37,32 @@ class Nav2:
         """Write the routes of a map; `frame` is the map's. MapError for a map without ways."""
         check_routes(stored, progress)
         found = routes(stored.record)
-        nodes, edges = list(_points(found, stored.record)), list(_lines(found))
+        nodes, edges = list(_nav2_nodes(found, stored.record)), list(_nav2_edges(found))
         progress.note(f"{counted(len(nodes), 'node')} and {counted(len(edges), 'directed edge')}")
         target.write(to_json(collection([*nodes, *edges])).encode())
 
 
-def _points(found: Routes, record: TopologyRecord) -> Iterator[Fields]:
+def _nav2_nodes(found: Routes, record: TopologyRecord) -> Iterator[Fields]:
+    """Points; the `class` of an anchor is the kind of its submap."""
     submaps = {node.id: node for node in record.nodes}
     doors = {door.id: door for door in record.graph.doors}
     for waypoint in found.waypoints:
         metadata: Fields = {"class": waypoint.kind}
         if waypoint.submap is not None:
-            metadata = _metadata(submaps[waypoint.submap])
+            node = submaps[waypoint.submap]
+            xs, ys = zip(*node.polygon, strict=True) if node.polygon else ((), ())
+            region = {"x_values": list(xs), "y_values": list(ys)}
+            metadata = known(
+                {
+                    "class": node.kind or "submap",
+                    "submap": node.id,
+                    "name": node.name,
+                    "area_m2": node.area_m2,
+                    "clearance_m": node.anchor_clearance_m,
+                    "region": region if node.polygon else None,
+                    "properties": node.properties or None,
+                }
+            )
         elif waypoint.door is not None:
             door = doors[waypoint.door]
             metadata |= {"door": door.id, "width_m": door.width_m, "driven": door.driven}
@@ -56,54 +70,34 @@ def _points(found: Routes, record: TopologyRecord) -> Iterator[Fields]:
         yield feature("Point", [waypoint.x, waypoint.y], properties)
 
 
-def _metadata(node: NodeRecord) -> Fields:
-    """What a node tells of its submap; `class` is its kind."""
-    xs, ys = zip(*node.polygon, strict=True) if node.polygon else ((), ())
-    region = {"x_values": list(xs), "y_values": list(ys)}
-    return known(
-        {
-            "class": node.kind or "submap",
-            "submap": node.id,
-            "name": node.name,
-            "area_m2": node.area_m2,
-            "clearance_m": node.anchor_clearance_m,
-            "region": region if node.polygon else None,
-            "properties": node.properties or None,
-        }
-    )
+def _nav2_edges(found: Routes) -> Iterator[Fields]:
+    """Two lines a leg; their ids begin beyond those of the nodes, as ids of both must differ.
 
-
-def _lines(found: Routes) -> Iterator[Fields]:
-    """Two edges a leg; their ids begin beyond those of the nodes, as ids of both must differ."""
+    The server's own scorers may replace the cost, which is the length.
+    """
     waypoints = {waypoint.id: waypoint for waypoint in found.waypoints}
     ids = count(max(waypoints) + 1)
     for leg in found.legs:
-        start, end = waypoints[leg.start], waypoints[leg.end]
-        yield _line(next(ids), start, end, leg)
-        yield _line(next(ids), end, start, leg)
-
-
-def _line(id_: int, start: Waypoint, end: Waypoint, leg: Leg) -> Fields:
-    """A directed edge; the server's own scorers may replace its cost, which is its length."""
-    link = leg.link
-    metadata = known(
-        {
-            "submaps": [link.source, link.target],
-            "link": link.kind,
-            "driven": bool(link.traversals),
-            "clearance_m": link.clearance_m,
-            "width_m": link.width_m,
-        }
-    )
-    properties = {
-        "id": id_,
-        "startid": start.id,
-        "endid": end.id,
-        "cost": leg.length_m,
-        "overridable": True,
-        "metadata": metadata,
-    }
-    return feature("LineString", [[start.x, start.y], [end.x, end.y]], properties)
+        link, ends = leg.link, (waypoints[leg.start], waypoints[leg.end])
+        metadata = known(
+            {
+                "submaps": [link.source, link.target],
+                "link": link.kind,
+                "driven": bool(link.traversals),
+                "clearance_m": link.clearance_m,
+                "width_m": link.width_m,
+            }
+        )
+        for start, end in (ends, ends[::-1]):
+            properties = {
+                "id": next(ids),
+                "startid": start.id,
+                "endid": end.id,
+                "cost": leg.length_m,
+                "overridable": True,
+                "metadata": metadata,
+            }
+            yield feature("LineString", [[start.x, start.y], [end.x, end.y]], properties)
 
 
 _XY_TOLERANCE_M, _YAW_TOLERANCE_RAD = 0.3, 2.0 * math.pi  # the format's own: any heading will do
@@ -119,85 +113,70 @@ class Tmap2:
     def write(self, stored: StoredMap, target: IO[bytes], progress: Progress) -> None:
         """Write the routes of a map. Raises MapError for a map without ways."""
         check_routes(stored, progress)
-        name = stored.path.resolve().name
-        target.write(yaml_text(_document(stored.record, name)).encode())
+        record, name = stored.record, stored.path.resolve().name
+        # when the last of the recordings ended (UTC): the same map gives the same text
+        end = max((seconds(log.end_ns or 0) for log in record.graph.logs), default=0.0)
+        updated = datetime.fromtimestamp(max(end, 0.0), UTC).strftime("%Y-%m-%d_%H-%M-%S")
+        document = {
+            "meta": {"last_updated": updated},
+            "metric_map": name,
+            "name": name,
+            "pointset": name,
+            "transformation": {
+                "parent": record.graph.frame,
+                "child": "topo_map",
+                "topo_frame_id": "topo_map",
+                "rotation": _IDENTITY,
+                "translation": {"x": 0.0, "y": 0.0, "z": 0.0},
+            },
+            "nodes": list(_tmap2_nodes(without_bends(routes(record)), record, name)),
+        }
+        target.write(yaml_text(document).encode())
 
 
-def _document(record: TopologyRecord, name: str) -> Fields:
-    found = without_bends(routes(record))
-    frame = record.graph.frame
-    return {
-        "meta": {"last_updated": _updated(record)},
-        "metric_map": name,
-        "name": name,
-        "pointset": name,
-        "transformation": {
-            "parent": frame,
-            "child": "topo_map",
-            "topo_frame_id": "topo_map",
-            "rotation": _IDENTITY,
-            "translation": {"x": 0.0, "y": 0.0, "z": 0.0},
-        },
-        "nodes": list(_nodes(found, record, name)),
+def _tmap2_nodes(found: Routes, record: TopologyRecord, name: str) -> Iterator[Fields]:
+    # names are ids, so that they stay different; what people call a submap is a property
+    names = {
+        one.id: f"Door{one.door}" if one.submap is None else f"Submap{one.submap}"
+        for one in found.waypoints
     }
-
-
-def _updated(record: TopologyRecord) -> str:
-    """When the last of the recordings ended (UTC): the same map gives the same text."""
-    end = max((seconds(log.end_ns or 0) for log in record.graph.logs), default=0.0)
-    return datetime.fromtimestamp(max(end, 0.0), UTC).strftime("%Y-%m-%d_%H-%M-%S")
-
-
-def _nodes(found: Routes, record: TopologyRecord, name: str) -> Iterator[Fields]:
-    names = {waypoint.id: _name(waypoint) for waypoint in found.waypoints}
     submaps = {node.id: node for node in record.nodes}
     widths = {door.id: door.width_m for door in record.graph.doors}
     edges: dict[int, list[Fields]] = {waypoint.id: [] for waypoint in found.waypoints}
     for leg in found.legs:
-        edges[leg.start].append(_edge(names[leg.start], names[leg.end], leg))
-        edges[leg.end].append(_edge(names[leg.end], names[leg.start], leg))
+        edges[leg.start].append(_tmap2_edge(names[leg.start], names[leg.end], leg))
+        edges[leg.end].append(_tmap2_edge(names[leg.end], names[leg.start], leg))
     for waypoint in found.waypoints:
-        submap = None if waypoint.submap is None else submaps[waypoint.submap]
-        width = 0.0 if waypoint.door is None else widths[waypoint.door]
-        node = _node(waypoint, submap, width, record.graph.frame)
+        if waypoint.submap is None:
+            width_m = 0.0 if waypoint.door is None else widths[waypoint.door]
+            told: Fields = {"width_m": width_m}
+            zone = _circle(width_m / 2.0)
+        else:  # the outline of the submap, seen from its node
+            submap = submaps[waypoint.submap]
+            told = known({"label": submap.name, "kind": submap.kind, "area_m2": submap.area_m2})
+            outline = [{"x": x - waypoint.x, "y": y - waypoint.y} for x, y in submap.polygon]
+            zone = outline or _circle(_XY_TOLERANCE_M)
         yield {
             "meta": {"map": name, "node": names[waypoint.id], "pointset": name},
-            "node": {**node, "name": names[waypoint.id], "edges": edges[waypoint.id]},
+            "node": {
+                "localise_by_topic": "",
+                "parent_frame": record.graph.frame,
+                "pose": {
+                    "position": {"x": waypoint.x, "y": waypoint.y, "z": 0.0},
+                    "orientation": _IDENTITY,
+                },
+                "properties": {
+                    "xy_goal_tolerance": _XY_TOLERANCE_M,
+                    "yaw_goal_tolerance": _YAW_TOLERANCE_RAD,
+                    **told,
+                },
+                "restrictions_planning": "True",
+                "restrictions_runtime": "True",
+                "verts": zone,
+                "name": names[waypoint.id],
+                "edges": edges[waypoint.id],
+            },
         }
-
-
-def _name(waypoint: Waypoint) -> str:
-    """Names are ids, so that they stay different; what people call a submap is a property."""
-    return f"Submap{waypoint.submap}" if waypoint.submap is not None else f"Door{waypoint.door}"
-
-
-def _node(waypoint: Waypoint, submap: NodeRecord | None, width_m: float, frame: str) -> Fields:
-    return {
-        "localise_by_topic": "",
-        "parent_frame": frame,
-        "pose": {
-            "position": {"x": waypoint.x, "y": waypoint.y, "z": 0.0},
-            "orientation": _IDENTITY,
-        },
-        "properties": {
-            "xy_goal_tolerance": _XY_TOLERANCE_M,
-            "yaw_goal_tolerance": _YAW_TOLERANCE_RAD,
-            **({"width_m": width_m} if submap is None else _of_submap(submap)),
-        },
-        "restrictions_planning": "True",
-        "restrictions_runtime": "True",
-        "verts": _circle(width_m / 2.0) if submap is None else _around(waypoint, submap),
-    }
-
-
-def _of_submap(node: NodeRecord) -> Mapping[str, Any]:
-    return known({"label": node.name, "kind": node.kind, "area_m2": node.area_m2})
-
-
-def _around(waypoint: Waypoint, node: NodeRecord) -> list[Fields]:
-    """The outline of a submap, seen from its node; a small circle where there is none."""
-    outline = [{"x": x - waypoint.x, "y": y - waypoint.y} for x, y in node.polygon]
-    return outline or _circle(_XY_TOLERANCE_M)
 
 
 def _circle(radius_m: float) -> list[Fields]:
@@ -205,7 +184,7 @@ def _circle(radius_m: float) -> list[Fields]:
     return [{"x": radius_m * math.cos(turn), "y": radius_m * math.sin(turn)} for turn in turns]
 
 
-def _edge(start: str, end: str, leg: Leg) -> Fields:
+def _tmap2_edge(start: str, end: str, leg: Leg) -> Fields:
     return {
         "action": "NavigateToPose",
         "action_type": "geometry_msgs/PoseStamped",

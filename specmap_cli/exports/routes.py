@@ -93,7 +93,9 @@ def routes(record: TopologyRecord) -> Routes:
         between = list(_between(edge, doors, ids))
         chain = [anchors[edge.source], *between, anchors[edge.target]]
         waypoints += between
-        legs += [_leg(start, end, edge) for start, end in pairwise(chain)]
+        for start, end in pairwise(chain):
+            length = float(np.hypot(end.x - start.x, end.y - start.y))
+            legs.append(Leg(start=start.id, end=end.id, length_m=length, link=edge))
     return Routes(tuple(waypoints), tuple(legs))
 
 
@@ -111,11 +113,6 @@ def without_bends(found: Routes) -> Routes:
     )
 
 
-def _leg(start: Waypoint, end: Waypoint, edge: Edge) -> Leg:
-    length = float(np.hypot(end.x - start.x, end.y - start.y))
-    return Leg(start=start.id, end=end.id, length_m=length, link=edge)
-
-
 def _between(edge: Edge, doors: Mapping[int, Door], ids: Iterator[int]) -> Iterator[Waypoint]:
     """The waypoints of a way between its two anchors, in their order."""
     path = np.array(edge.path, dtype=np.float64)
@@ -123,7 +120,9 @@ def _between(edge: Edge, doors: Mapping[int, Door], ids: Iterator[int]) -> Itera
     for door in edge.doors:
         crossing = crossing_of(path, doors[door])
         where = _nearest(path, doors[door]) if crossing is None else sum(crossing)
-        marks[_on_corner(path, where)] = door
+        corner = round(where)  # one that is there as well is taken
+        apart = float(np.hypot(*(_point(path, where) - path[corner])))
+        marks[float(corner) if apart <= _SAME_M else where] = door
     for place, passed in sorted(marks.items()):
         if 0.0 < place < len(path) - 1:  # at an end stands an anchor
             x, y = _point(path, place).tolist()
@@ -149,13 +148,6 @@ def _point(path: FloatArray, place: float) -> FloatArray:
     return np.asarray(np.round(path[number] + (place - number) * step, 6))
 
 
-def _on_corner(path: FloatArray, place: float) -> float:
-    """A place on a path, moved to a corner that is there as well."""
-    corner = round(place)
-    apart = float(np.hypot(*(_point(path, place) - path[corner])))
-    return float(corner) if apart <= _SAME_M else place
-
-
 _MOST = 5  # submaps, links or parts that a message names
 
 
@@ -165,30 +157,27 @@ def check_routes(stored: StoredMap, progress: Progress) -> None:
     Raises MapError for a map without any way: nothing could be planned with it.
     """
     record = stored.record
+    radius = record.graph.robot_radius_m
     if not any(map(is_way, record.edges)):
-        raise MapError(f"nothing to plan a route with: {_why_no_way(record)}", where=stored.path)
+        if radius is None:
+            why = "nobody looked for ways when it was made: build the map again"
+        elif len(record.nodes) < 2:
+            why = "it has one submap: record a drive through more rooms, or cut it with "
+            why += "`specmap edit --split`"
+        elif any(edge.forbidden and edge.corners for edge in record.edges):
+            why = "those that there are were forbidden: allow one with `specmap edit`"
+        else:
+            why = f"all are too narrow for a robot of {radius:g} m radius: build the map again "
+            why += "with a smaller ways.robot_radius_m, if the robot is smaller"
+        raise MapError(f"nothing to plan a route with: {why}", where=stored.path)
     for warning in _warnings(record):
         progress.warn(warning)
-    for note in _left_out(record):
-        progress.note(note)
-
-
-def _why_no_way(record: TopologyRecord) -> str:
-    """Why there is nothing to drive along, and what to do."""
-    if record.graph.robot_radius_m is None:
-        return "nobody looked for ways when it was made: build the map again"
-    if len(record.nodes) < 2:
-        return (
-            "it has one submap: record a drive through more rooms, or cut it with "
-            "`specmap edit --split`"
-        )
-    if any(edge.forbidden and edge.corners for edge in record.edges):
-        return "those that there are were forbidden: allow one with `specmap edit`"
-    radius = record.graph.robot_radius_m
-    return (
-        f"all are too narrow for a robot of {radius:g} m radius: build the map again with a "
-        "smaller ways.robot_radius_m, if the robot is smaller"
-    )
+    forbidden = [edge for edge in record.edges if edge.forbidden]
+    narrow = [edge for edge in record.edges if not edge.corners and not edge.forbidden]
+    if forbidden:
+        progress.note(f"left out: {_links(forbidden)} forbidden")
+    if narrow:
+        progress.note(f"left out: {_links(narrow)} without a way wide enough")
 
 
 def _warnings(record: TopologyRecord) -> list[str]:
@@ -201,10 +190,11 @@ def _warnings(record: TopologyRecord) -> list[str]:
         )
     unanchored = [node.id for node in record.nodes if node.anchor is None]
     if unanchored:
-        found.append(f"no place to stand in {_submaps(unanchored)}: left out")
+        noun = "submap" if len(unanchored) == 1 else "submaps"
+        found.append(f"no place to stand in {noun} {_few(unanchored)}: left out")
     apart = parts(record)
     if len(apart) > 1:
-        groups = "; ".join(_few([str(id_) for id_ in part]) for part in apart[:_MOST])
+        groups = "; ".join(map(_few, apart[:_MOST]))
         more = f"; and {len(apart) - _MOST} more" if len(apart) > _MOST else ""
         found.append(
             f"{len(apart)} parts that no way joins, no route leads from one to another: submaps "
@@ -219,28 +209,13 @@ def _warnings(record: TopologyRecord) -> list[str]:
     return found
 
 
-def _left_out(record: TopologyRecord) -> list[str]:
-    """What the file has not, for good reasons."""
-    forbidden = [edge for edge in record.edges if edge.forbidden]
-    narrow = [edge for edge in record.edges if not edge.corners and not edge.forbidden]
-    return [
-        *([f"left out: {_links(forbidden)} forbidden"] if forbidden else []),
-        *([f"left out: {_links(narrow)} without a way wide enough"] if narrow else []),
-    ]
-
-
-def _submaps(ids: Sequence[int]) -> str:
-    """`submap 7`, `submaps 7, 9`, or the first few and how many more."""
-    noun = "submap" if len(ids) == 1 else "submaps"
-    return f"{noun} {_few([str(id_) for id_ in ids])}"
-
-
 def _links(edges: Sequence[Edge]) -> str:
     """`1 link (3-4)`."""
     names = [f"{edge.source}-{edge.target}" for edge in edges]
     return f"{counted(len(edges), 'link')} ({_few(names)})"
 
 
-def _few(names: Sequence[str]) -> str:
+def _few(names: Sequence[object]) -> str:
+    """The first few and how many more."""
     more = f" and {len(names) - _MOST} more" if len(names) > _MOST else ""
-    return ", ".join(names[:_MOST]) + more
+    return ", ".join(map(str, names[:_MOST])) + more

@@ -7,7 +7,7 @@ more time the robots spent in them.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -89,31 +89,29 @@ TABLES: Mapping[str, Callable[[HistoryRecord], str]] = {
 
 def lines_of(record: HistoryRecord) -> list[str]:
     """A paragraph a building, then what was left out."""
-    lines = [line for building in record.buildings for line in _lines(building)]
-    return [*lines, *(f"left out: {one.map}: {one.reason}" for one in record.left_out)]
-
-
-def _lines(building: BuildingRecord) -> Iterable[str]:
-    first, last = building.maps[0], building.maps[-1]
-    days = [day.day for day in building.days]
-    when = f"{days[0]} to {days[-1]}" if len(days) > 1 else "".join(days)
-    yield (
-        f"{legible(building.name)}: {counted(len(building.maps), 'map')}, "
-        f"{counted(len(days), 'day')} ({when}), {counted(len(building.rooms), 'room')}, "
-        f"{sum(day.driven_m for day in building.days):,.0f} m driven"
-    )
-    if last.verdict != first.verdict:
-        yield f"  verdict: {first.verdict} at first, {last.verdict} now"
-    width = max((len(legible(room.name)) for room in building.rooms), default=0)
-    for room in sorted(building.rooms, key=lambda one: (-one.minutes, one.number)):
-        yield (
-            f"  {legible(room.name):<{width}}  {counted(room.visits, 'visit'):>10}"
-            f"  {room.minutes:8.1f} min  on {counted(room.days, 'day')}"
+    lines = []
+    for building in record.buildings:
+        first, last = building.maps[0], building.maps[-1]
+        days = [day.day for day in building.days]
+        when = f"{days[0]} to {days[-1]}" if len(days) > 1 else "".join(days)
+        lines.append(
+            f"{legible(building.name)}: {counted(len(building.maps), 'map')}, "
+            f"{counted(len(days), 'day')} ({when}), {counted(len(building.rooms), 'room')}, "
+            f"{sum(day.driven_m for day in building.days):,.0f} m driven"
         )
-    names = names_of(building)
-    yield from (f"  {change.day}: {words_of(change, names)}" for change in building.changes)
-    if len(building.maps) > 1 and not building.changes:
-        yield "  no change found"
+        if last.verdict != first.verdict:
+            lines.append(f"  verdict: {first.verdict} at first, {last.verdict} now")
+        width = max((len(legible(room.name)) for room in building.rooms), default=0)
+        for room in sorted(building.rooms, key=lambda one: (-one.minutes, one.number)):
+            lines.append(
+                f"  {legible(room.name):<{width}}  {counted(room.visits, 'visit'):>10}"
+                f"  {room.minutes:8.1f} min  on {counted(room.days, 'day')}"
+            )
+        names = names_of(building)
+        lines += [f"  {change.day}: {words_of(change, names)}" for change in building.changes]
+        if len(building.maps) > 1 and not building.changes:
+            lines.append("  no change found")
+    return [*lines, *(f"left out: {one.map}: {one.reason}" for one in record.left_out)]
 
 
 def names_of(building: BuildingRecord) -> dict[int, str]:
@@ -136,10 +134,28 @@ def render_history(record: HistoryRecord, plans: Sequence[StoredMap], folder: Pa
 
     Raises MapError when a file of a map is missing or damaged.
     """
-    sections = [
-        _section(building, stored, folder)
-        for building, stored in zip(record.buildings, plans, strict=True)
-    ]
+    sections = []
+    for building, stored in zip(record.buildings, plans, strict=True):
+        names = {number: shown(name) for number, name in names_of(building).items()}
+        days = building.days[-MOST_DAYS:]
+        longest = max((stay.minutes for day in days for stay in day.rooms), default=0.0)
+        section = {
+            "building": building,
+            "title": shown(building.name),
+            "names": names,
+            "days": days,
+            "days_before": len(building.days) - len(days),
+            "stays": {
+                (stay.room, day.day): (stay, _shade(stay.minutes, longest))
+                for day in days
+                for stay in day.rooms
+            },
+            "plan": _plan(building, stored),
+            "unplanned": [room for room in building.rooms if room.map != building.maps[0].number],
+            "changes": [(change.day, words_of(change, names)) for change in building.changes],
+            "links": {one.number: _link(Path(one.map).resolve(), folder) for one in building.maps},
+        }
+        sections.append(section)
     context = {
         "title": counted(len(sections), "building"),
         "record": record,
@@ -147,28 +163,6 @@ def render_history(record: HistoryRecord, plans: Sequence[StoredMap], folder: Pa
         "tones": tones(()),
     }
     return html_page(_PACKAGE, "history.html", context, _STYLES)
-
-
-def _section(building: BuildingRecord, stored: StoredMap, folder: Path) -> dict[str, Any]:
-    names = {number: shown(name) for number, name in names_of(building).items()}
-    days = building.days[-MOST_DAYS:]
-    longest = max((stay.minutes for day in days for stay in day.rooms), default=0.0)
-    return {
-        "building": building,
-        "title": shown(building.name),
-        "names": names,
-        "days": days,
-        "days_before": len(building.days) - len(days),
-        "stays": {
-            (stay.room, day.day): (stay, _shade(stay.minutes, longest))
-            for day in days
-            for stay in day.rooms
-        },
-        "plan": _plan(building, stored),
-        "unplanned": [room for room in building.rooms if room.map != building.maps[0].number],
-        "changes": [(change.day, words_of(change, names)) for change in building.changes],
-        "links": {each.number: _link(Path(each.map).resolve(), folder) for each in building.maps},
-    }
 
 
 def _plan(building: BuildingRecord, stored: StoredMap) -> dict[str, Any]:

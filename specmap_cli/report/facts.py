@@ -34,19 +34,14 @@ _VERDICTS: Mapping[Verdict, str] = {
 }
 
 
-def verdict_of(map_: DrawnMap) -> tuple[str, str]:
-    """The verdict in a word and in a sentence."""
+def judgement_of(map_: DrawnMap) -> tuple[str, str, list[Finding]]:
+    """The verdict in a word and in a sentence, and all findings, the gravest first."""
     quality = map_.stored.record.graph.quality
     if quality is None:
-        return "not judged", "nobody checked this map against itself"
-    return quality.verdict, _VERDICTS[quality.verdict]
-
-
-def findings_of(map_: DrawnMap) -> list[Finding]:
-    """All findings, the gravest first."""
-    quality = map_.stored.record.graph.quality
-    found = () if quality is None else quality.findings
-    return sorted(found, key=lambda one: ("poor", "doubtful", "note").index(one.severity))
+        return "not judged", "nobody checked this map against itself", []
+    gravity = ("poor", "doubtful", "note")
+    found = sorted(quality.findings, key=lambda one: gravity.index(one.severity))
+    return quality.verdict, _VERDICTS[quality.verdict], found
 
 
 def headline(map_: DrawnMap) -> str:

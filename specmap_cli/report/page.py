@@ -103,7 +103,7 @@ def _drawn(map_: DrawnMap, track: Track) -> dict[str, Any]:
 
 def _words(map_: DrawnMap, track: Track, evidence: Evidence) -> dict[str, Any]:
     """What is written beside the map."""
-    verdict, sentence = facts.verdict_of(map_)
+    verdict, sentence, findings = facts.judgement_of(map_)
     # why closures were accepted or refused, and how often, the most frequent first
     counts = Counter((each.reason, each.merged) for each in map_.stored.record.graph.closures)
     ranked = sorted(counts.items(), key=lambda one: (not one[0][1], -one[1], one[0][0]))
@@ -114,7 +114,7 @@ def _words(map_: DrawnMap, track: Track, evidence: Evidence) -> dict[str, Any]:
         "verdict": verdict,
         "sentence": sentence,
         "facts": facts.facts_of(map_, track),
-        "findings": facts.findings_of(map_),
+        "findings": findings,
         "run": facts.run_of(map_),
         "sheets": facts.sheets_of(map_, evidence.learned),
         "columns": (

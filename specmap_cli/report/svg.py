@@ -136,11 +136,11 @@ def tones(fills: Iterable[Colour]) -> dict[str, Tone]:
     # from scans that do not fit the walls to those that do
     for k, colour in enumerate(_blend((palette.WRONG, _LATE, darker(palette.QUIET, 0.8)), 5)):
         lines[f"fit-{k}"] = colour
-    by_night = {}
-    for fill in names:
-        light, a_of, b_of = _to_lab(fill)
-        chroma = a_of * _FILL_CHROMA, b_of * _FILL_CHROMA
-        by_night[fill] = _from_lab(light - _FILL_DROP, *chroma)
+    by_night = {
+        fill: _from_lab(light - _FILL_DROP, green_red * _FILL_CHROMA, blue_yellow * _FILL_CHROMA)
+        for fill in names
+        for light, green_red, blue_yellow in [_to_lab(fill)]
+    }
     return {
         "paper": Tone(css(palette.PAPER), css(_inverted(palette.PAPER))),
         "shade": Tone(css(palette.SHADE), css(_from_lab(24.0, a, b))),

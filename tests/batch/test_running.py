@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import multiprocessing
 import random
 import shutil
@@ -15,6 +16,7 @@ from pathlib import Path
 
 import jsonschema
 import pytest
+from pydantic import ValidationError
 
 from specmap_cli.batch import processes
 from specmap_cli.batch.jobs import jobs_of
@@ -26,7 +28,7 @@ from specmap_cli.cli.batch import known_options
 from specmap_cli.core.schemas import read_schema
 from specmap_cli.core.text import to_json
 from tests.batch import fake_specmap
-from tests.batch.results import ALL, faked
+from tests.batch.results import ALL, faked, result
 from tests.cli.conftest import QUICK
 
 pytest.importorskip("psutil")
@@ -365,6 +367,22 @@ def test_a_real_log_without_its_end_becomes_a_map_with_figures_and_a_warning(
     assert any(f"{log}: cut off" in each for each in build.warnings), build.warnings
     stored = json.loads((tmp_path / "out" / "short" / "job.json").read_text())
     assert stored["steps"][0]["warnings"] == list(build.warnings)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"odd": 1},
+        {"wall_s": math.inf},
+        {"figures": {"scans": math.nan}},
+        {"limits": {"memory_mb": 1, "time_s": math.inf}},
+        {"limits": {"memory_mb": 1, "time_s": None, "odd": 1}},
+        {"inputs": ({"log": "a", "bytes": 1, "identity": "", "odd": 1},)},
+    ],
+)
+def test_a_record_has_no_other_keys_and_no_other_numbers(changed: dict[str, object]) -> None:
+    with pytest.raises(ValidationError):
+        result("a", **changed)
 
 
 def test_the_digest_knows_the_contents_of_option_files(tmp_path: Path) -> None:

@@ -30,11 +30,21 @@ _XYZ_FROM_RGB = np.array([
 _WHITE = np.array([0.95047, 1.0, 1.08883])
 
 
+def linear_rgb(colours: Sequence[Colour]) -> FloatArray:
+    """(n, 3) red, green and blue light of colours (blue, green, red)."""
+    rgb = np.array(colours, dtype=np.float64)[:, ::-1] / 255.0
+    return np.asarray(np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4))
+
+
+def contrast(one: Colour, other: Colour) -> float:
+    """Contrast ratio by WCAG 2: 4.5 is asked of text, 3 of lines and symbols."""
+    low, high = sorted((linear_rgb([one, other]) @ _XYZ_FROM_RGB[1]).tolist())
+    return float((high + 0.05) / (low + 0.05))
+
+
 def seen_lab(colours: Sequence[Colour], eyes: str) -> FloatArray:
     """(n, 3) CIELAB of colours (blue, green, red) as those eyes see them."""
-    rgb = np.array(colours, dtype=np.float64)[:, ::-1] / 255.0
-    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
-    seen = np.clip(linear @ EYES[eyes].T, 0.0, 1.0) @ _XYZ_FROM_RGB.T / _WHITE
+    seen = np.clip(linear_rgb(colours) @ EYES[eyes].T, 0.0, 1.0) @ _XYZ_FROM_RGB.T / _WHITE
     f = np.where(seen > 216 / 24389, np.cbrt(seen), (24389 / 27 * seen + 16) / 116)
     x, y, z = f.T
     return np.column_stack([116 * y - 16, 500 * (x - y), 200 * (y - z)])

@@ -16,24 +16,8 @@ from specmap_cli.drawing.palette import Colour
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.topology.regions import NOBODY, Regions
 from specmap_cli.topology.topological_map import Submap, TopologicalMap
-from tests.drawing.seeing import ciede2000, least_difference
+from tests.drawing.seeing import ciede2000, contrast, least_difference
 from tests.strategies import few, seeds
-
-
-def luminance(colour: Colour) -> float:
-    """Relative luminance by WCAG 2.1."""
-    blue, green, red = (
-        part / 12.92 if part <= 0.03928 else ((part + 0.055) / 1.055) ** 2.4
-        for part in (channel / 255.0 for channel in colour)
-    )
-    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
-
-
-def contrast(one: Colour, other: Colour) -> float:
-    """Contrast ratio by WCAG 2.1: 4.5 is asked of text, 3 of lines and symbols."""
-    low, high = sorted([luminance(one), luminance(other)])
-    return (high + 0.05) / (low + 0.05)
-
 
 APART = 15.0  # CIEDE2000: told apart at a glance
 

@@ -87,16 +87,6 @@ def test_geojson_has_doors_from_wall_to_wall_anchors_and_ways(
     assert by_kind["seen"]["properties"]["passable"] is False
 
 
-def test_networkx_reads_doors_anchors_and_ways(home: StoredMap, tmp_path: Path) -> None:
-    graph = graphml(home, tmp_path)
-    assert (graph.nodes[0]["anchor_x"], graph.nodes[0]["anchor_y"]) == (0.0, 0.5)
-    assert graph.edges[0, 1]["doors"] == "0"
-    document = json.loads((home.path / "topology.json").read_text())
-    graph = nx.node_link_graph(document, edges="edges")
-    assert nx.path_weight(graph, [0, 1], "length_m") == home.record.edges[0].length_m
-    assert graph.graph["doors"][0]["width_m"] == 0.9
-
-
 def test_the_same_map_gives_the_same_bytes(home: StoredMap, tmp_path: Path) -> None:
     for name in exporters().keys() - {"rerun"}:  # whose files hold random numbers
         for out in ("a", "b"):
@@ -171,18 +161,27 @@ def test_gis_tools_measure_shapes_in_metres(
             assert shape.length == pytest.approx(facts["length_m"], abs=1e-5)
 
 
-def test_networkx_reads_the_figures_of_the_map_from_graphml(
+def test_networkx_reads_the_figures_of_the_map_from_graphml_and_from_topology_json(
     home: StoredMap, rooms: StoredMap, tmp_path: Path
 ) -> None:
     for stored in (home, rooms):
         record, graph = stored.record, graphml(stored, tmp_path)
         assert len(graph) == len(record.nodes)
         assert graph.number_of_edges() == len(record.edges)
+        document = json.loads((stored.path / "topology.json").read_text())
+        own = nx.node_link_graph(document, edges="edges")
+        for node in record.nodes:
+            place = graph.nodes[node.id].get("anchor_x"), graph.nodes[node.id].get("anchor_y")
+            assert place == (node.anchor or (None, None))
         for edge in record.edges:
             found = graph.edges[edge.source, edge.target]
             assert found.get("length_m") == edge.length_m
             assert found.get("clearance_m") == edge.clearance_m
             assert found["passable"] is (edge.path is not None)
+            assert found["doors"] == " ".join(map(str, edge.doors))
+            assert own.edges[edge.source, edge.target]["length_m"] == edge.length_m
+        widths = [door["width_m"] for door in own.graph["doors"]]
+        assert widths == [door.width_m for door in record.graph.doors]
 
 
 def test_evo_reads_the_trajectory(home: StoredMap) -> None:

@@ -154,7 +154,9 @@ def test_headings_and_names_for_those_who_hear_the_page(read: Read) -> None:
     assert all(each.get("alt") for each in read.of("img"))
 
 
-def changes_of(house: StoredMap) -> Changes:
+def test_what_differs_from_an_older_map_is_drawn_where_it_is(
+    house: StoredMap, evidence: Evidence
+) -> None:
     """The house against one that lies a metre beside it, with a thing gone and a way closed."""
     record = comparison(
         names=("a", HOSTILE, "c"),
@@ -166,13 +168,9 @@ def changes_of(house: StoredMap) -> Changes:
         vanished=[thing(1.0, 0.0, 0.5)],
     )
     moved = BentMotion(Pose2(-1.0, 0.0, 0.0))
-    return Changes(old=house, record=record, lines=(f"gone: {HOSTILE}",), new_from_old=moved)
-
-
-def test_what_differs_from_an_older_map_is_drawn_where_it_is(
-    house: StoredMap, evidence: Evidence
-) -> None:
-    page = render(house, evidence, changes_of(house))
+    lines = (f"gone: {HOSTILE}",)
+    changes = Changes(old=house, record=record, lines=lines, new_from_old=moved)
+    page = render(house, evidence, changes)
     read = Read(page)
     (vanished,), (closed,), (old,), (new,) = (
         classed(read, name) for name in ("change-vanished", "change-closed", "old-walls", "walls")

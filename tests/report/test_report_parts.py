@@ -10,12 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.records import Labels
-from specmap_cli.drawing.palette import FILLS
+from specmap_cli.drawing.palette import FILLS, Colour
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.report import html
 from specmap_cli.report.svg import Frame, outlines, path_data, tones
 from specmap_cli.report.track import MOST_POINTS, Track
+from tests.drawing.seeing import contrast, seen_lab
 
 FRAME = Frame(-2.0, 8.0, 1000, 1000)
 TEXT = ("ink", "quiet", "way", "loose", "wrong")  # what words are written in
@@ -114,25 +115,15 @@ def test_a_long_way_is_thinned() -> None:
     assert max(ends)[0] == FRAME.place((0.1 * (count - 1), 0.0))[0]
 
 
-def xyz(colour: str) -> np.ndarray:
-    """A colour of sRGB in CIE XYZ; Y is its relative luminance by WCAG 2."""
-    values = np.array([int(colour[k : k + 2], 16) / 255.0 for k in (1, 3, 5)])
-    linear = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
-    to_xyz = np.array(
-        [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
-    )
-    return np.asarray((to_xyz * linear).sum(axis=1))
-
-
-def contrast(one: str, other: str) -> float:
-    """Contrast of two colours by WCAG 2, 1 to 21."""
-    low, high = sorted((xyz(one)[1], xyz(other)[1]))
-    return float((high + 0.05) / (low + 0.05))
+def bgr(css: str) -> Colour:
+    """A colour of CSS."""
+    blue, green, red = (int(css[k : k + 2], 16) for k in (5, 3, 1))
+    return blue, green, red
 
 
 @pytest.mark.parametrize("which", BOTH)
 def test_words_and_lines_are_legible(which: str) -> None:
-    colours = {name: getattr(tone, which) for name, tone in tones(FILLS).items()}
+    colours = {name: bgr(getattr(tone, which)) for name, tone in tones(FILLS).items()}
     for name, colour in colours.items():
         if name.startswith("fill") or name in ("paper", "shade", "hair"):
             continue
@@ -144,19 +135,14 @@ def test_words_and_lines_are_legible(which: str) -> None:
             assert contrast(colours["ink"], fill) >= 3.0, f"walls on {name}"
 
 
-def lab(colour: str) -> np.ndarray:
-    """CIELAB of a colour, by its definition."""
-    share = xyz(colour) / (0.9505, 1.0, 1.089)
-    f = np.where(share > 0.008856, np.cbrt(share), 7.787 * share + 16.0 / 116.0)
-    return np.array([116.0 * f[1] - 16.0, 500.0 * (f[0] - f[1]), 200.0 * (f[1] - f[2])])
-
-
 def test_regions_that_differ_by_day_differ_by_night() -> None:
     fills = [tone for name, tone in tones(FILLS).items() if name.startswith("fill")]
     for k, one in enumerate(fills):
         for other in fills[:k]:
-            day = np.linalg.norm(lab(one.day) - lab(other.day))
-            night = np.linalg.norm(lab(one.night) - lab(other.night))
+            day, night = (
+                np.linalg.norm(np.subtract(*seen_lab([bgr(first), bgr(second)], "usual")))
+                for first, second in ((one.day, other.day), (one.night, other.night))
+            )
             assert night >= 0.5 * day
 
 
