@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -120,7 +121,8 @@ class ScanClassifier:
                 if posed.restarted:  # this pose has nothing to do with the last one
                     self._recent.clear()
                 if not posed.lost:
-                    self._recent.add(posed.map_from_base, posed.base_from_laser, lambda: posed.planar)
+                    scan = partial(getattr, posed, "planar")
+                    self._recent.add(posed.map_from_base, posed.base_from_laser, scan)
                 windows.append(self._recent.scan(posed.stamp_ns, posed.map_from_laser))
                 filled.append(self._recent.filled)
             features = scans_features(windows, virtual.feature_set)
