@@ -119,7 +119,7 @@ def scans_features(scans: Iterable[PlanarScan], feature_set: str) -> FloatArray:
                     f"the group of {group.columns[0]!r} gives {found} values for its "
                     f"{len(group.columns)} columns",
                 )
-            parts.append(values)
+            parts.append(np.asarray(values, dtype=np.float64))
         features = np.hstack(parts)
         finite = np.isfinite(features).all(axis=0)
         if not finite.all():
