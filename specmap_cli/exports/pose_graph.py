@@ -43,8 +43,9 @@ def _read(stored: StoredMap) -> tuple[dict[int, FloatArray], list[Link]]:
     path = stored.path / filenames.POSE_GRAPH
     if not path.exists():
         raise MapError(
-            f"has no {path.name}: `specmap segment` makes maps without;",
+            f"has no {path.name}: `specmap segment` makes maps without",
             "a pose graph needs one that `specmap build` made of a recording",
+            mark=";",
             where=stored.path,
         )
     try:
