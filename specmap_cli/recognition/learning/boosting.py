@@ -17,7 +17,6 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator, with_config
-from pydantic_core import PydanticCustomError
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray
@@ -50,7 +49,7 @@ class Part(BaseModel):
     @classmethod
     def _is_no_null(cls, value: Any) -> Any:
         if value is None:  # only what is not there at all is None
-            raise PydanticCustomError("null", "null is not what belongs here")
+            raise ValueError("null is not what belongs here")
         return value
 
 

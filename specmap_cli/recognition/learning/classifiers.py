@@ -211,7 +211,8 @@ class ClassifierSet:
         except ValidationError as error:
             first = error.errors(include_input=False)[0]
             where = ".".join(f"{part!s:.60}" for part in first["loc"]) or "file"
-            found = f"{where}: {first['msg']:.100}"
+            said = first["msg"].removeprefix("Value error, ")  # pydantic's word, not ours
+            found = f"{where}: {said:.100}"
         else:
             return cls(
                 sensor=data.sensor,
@@ -220,7 +221,7 @@ class ClassifierSet:
                 misfit=data.misfit,
                 calibration=data.calibration,
             )
-        raise MapError(f"{found}", "build the map again", mark=";", where="classifiers")
+        raise MapError(found, "build the map again", mark=";", where="classifiers")
 
 
 class _ClassifiersPart(Part):
