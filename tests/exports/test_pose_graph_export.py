@@ -73,7 +73,7 @@ def test_a_map_without_one_is_refused_in_a_line(
     line = "g2o, line 1: 'VERTEX_SE2 0 0' is no VERTEX_SE2;"
     cases = [
         (stored, "has no vertices", again),
-        (rooms, "has no trajectory.g2o: `specmap segment` makes maps without;", built),
+        (rooms, "has no trajectory.g2o: `specmap segment` makes maps without", built),
         (with_graph(tmp_path / "1", lived_in, POSE_GRAPH + lone), "there is no vertex 9", again),
         (bad, line, f"mend the line: {again}"),
     ]
