@@ -21,7 +21,7 @@ from scipy.sparse.linalg import splu
 
 from specmap_cli.core.errors import InputError
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, product, wrap_angles
-from specmap_cli.core.records import BoolArray, IntArray
+from specmap_cli.core.records import IntArray
 
 # odometry: the front end's motion; bridge: a motion over a break of the tracking that something
 # else measured; loose: one that nothing did, a guess; closure: two submaps recognised as one;
@@ -80,11 +80,6 @@ class LinkArrays(NamedTuple):
             w=np.array([link.information for link in links]).reshape(-1, 3, 3),
             width=np.array([width.get(link.kind, np.inf) for link in links]),
         )
-
-    def some(self, rows: BoolArray) -> LinkArrays:
-        """Those of the links."""
-        i, j, z, w, width = self
-        return LinkArrays(i[rows], j[rows], z[rows], w[rows], width[rows])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

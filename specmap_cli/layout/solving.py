@@ -99,7 +99,8 @@ def _solution(
     pulls = np.abs(missed).max(axis=1, initial=0.0) > _EXACT
     pulls[len(motions) :] = True
     count = 1 + int(np.maximum(links.i, links.j)[pulls].max(initial=0))
-    path, some = draft.poses[:count], links.some((links.i < count) & (links.j < count))
+    path, inner = draft.poses[:count], (links.i < count) & (links.j < count)
+    some = LinkArrays._make(each[inner] for each in links)
     if settled <= SETTLED:
         found = solve(path, some, steps, settled)
     else:
