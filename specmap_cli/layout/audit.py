@@ -282,10 +282,11 @@ def _mended(store: KeyframeStore, found: Audited) -> Layout | None:
     if all(one.offset is None for one in disagreements):
         return None
     graph = Graph.of(store.poses, layout.nodes, layout.odometry)
+    guessed = {int(graph.parts[graph.row[start]]) for start in layout.loose}
     draft = Draft(
         poses=layout.poses[graph.nodes],
         loops=layout.kept,
-        tied=graph.known_parts(layout.loose),
+        tied=frozenset(graph.part_numbers) - guessed,
         limits=layout.limits,
     )
     walls = Walls(store, graph)

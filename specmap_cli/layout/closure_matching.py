@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -243,15 +244,12 @@ class _Cloud:
         weighted = rows * weights
         back = first - placed
         back[:, 2] = wrap_angles(back[:, 2])
+        summed = partial(np.bincount, self.scan, minlength=len(placed))  # over each scan's points
         held = np.zeros((len(placed), 3)) + trust
-        held[:, :2] += _SCATTER * self._sums(weights, len(placed))[:, None]
+        held[:, :2] += _SCATTER * summed(weights)[:, None]
         side, hessian = held * back, held[..., None] * np.eye(3)
         for i in range(3):
-            side[:, i] += self._sums(weighted[i] * lines.off, len(placed))
+            side[:, i] += summed(weighted[i] * lines.off)
             for j in range(3):
-                hessian[:, i, j] += self._sums(weighted[i] * rows[j], len(placed))
+                hessian[:, i, j] += summed(weighted[i] * rows[j])
         return product(inverse3(hessian), side[..., None])[..., 0]
-
-    def _sums(self, values: FloatArray, scans: int) -> FloatArray:
-        """(n,) the sum of values (N,) over the points of each scan."""
-        return np.asarray(np.bincount(self.scan, values, scans), dtype=np.float64)

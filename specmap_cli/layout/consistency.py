@@ -21,7 +21,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from specmap_cli.core.geometry import FloatArray, compose, invert
+from specmap_cli.core.geometry import FloatArray, compose, inverse3, invert
 from specmap_cli.core.records import BoolArray, IntArray
 from specmap_cli.layout.path_graph import Draft, Ends, Graph
 from specmap_cli.layout.pose_graph import Link, errors
@@ -29,7 +29,6 @@ from specmap_cli.layout.uncertainty import (
     CLOSURE_SLACK_M,
     Uncertainty,
     adjoint,
-    chi2_of,
     deviations,
     moved_covariance,
     path_error,
@@ -149,14 +148,10 @@ class Pairs:
         back = adjoint(invert(compose(ends.z[a], later)))  # jb from ia
         covariance = covariance + moved_covariance(back, spread.between(ends.i[b], ends.i[a]))
         agree, sigma = np.zeros(same.shape, dtype=bool), np.full(same.shape, np.inf)
-        agree[a, b] = chi2_of(error, covariance) <= _AGREE_CHI2
-        sigma[a, b] = _place_sigma(covariance)
+        chi2 = np.einsum("la,lab,lb->l", error, inverse3(covariance), error)
+        agree[a, b] = chi2 <= _AGREE_CHI2
+        sigma[a, b] = np.sqrt((covariance[:, 0, 0] + covariance[:, 1, 1]) / 2)  # of all directions
         return cls(same, agree | agree.T, np.minimum(sigma, sigma.T))
-
-
-def _place_sigma(covariance: FloatArray) -> FloatArray:
-    """(L,) standard deviations of the place, in the mean of all directions, of (L, 3, 3)."""
-    return np.asarray(np.sqrt((covariance[:, 0, 0] + covariance[:, 1, 1]) / 2))
 
 
 def _votes(graph: Graph, ends: Ends, pairs: Pairs, spread: Uncertainty) -> tuple[IntArray, int]:
@@ -166,10 +161,12 @@ def _votes(graph: Graph, ends: Ends, pairs: Pairs, spread: Uncertainty) -> tuple
     Within a set those count that hang together by pairs of which one knows the place of the other
     much better than the path does: far along the path anything agrees.
     """
-    sure_m = _place_sigma(spread.between(ends.i, ends.j)) / _SURE
+    own = spread.between(ends.i, ends.j)
+    sure_m = np.sqrt((own[:, 0, 0] + own[:, 1, 1]) / 2) / _SURE
     # how far each is from the path as tracked, in sigmas of its error
     error = path_error(graph, graph.poses).between(ends.i, ends.j) + _CLOSURE_ERROR
-    sigmas = np.sqrt(chi2_of(errors(graph.poses, ends.i, ends.j, ends.z), error))
+    missed = errors(graph.poses, ends.i, ends.j, ends.z)
+    sigmas = np.sqrt(np.einsum("la,lab,lb->l", missed, inverse3(error), missed))
     older, newer = ends.parts(graph)
     left = np.flatnonzero((older != newer) | (sigmas <= _MEND_SIGMAS))
     votes, cut_short = np.ones(len(ends.i), dtype=np.int64), 0
@@ -234,23 +231,19 @@ class _CliqueSearch:
         """Look for larger cliques of `clique` and some of its common neighbours `candidates`."""
         if not candidates and len(clique) > len(self.best):
             self.best = list(clique)
-        for vertex, colour in reversed(self._coloured(candidates)):
+        order: list[tuple[int, int]] = []  # with colours, ascending: a bound on cliques up to there
+        colour, rest = 0, candidates
+        while rest:
+            colour += 1
+            free = rest
+            while free:
+                vertex = (free & -free).bit_length() - 1
+                rest &= ~(1 << vertex)
+                free &= ~(1 << vertex) & ~self.neighbours[vertex]
+                order.append((vertex, colour))
+        for vertex, colour in reversed(order):
             if self.left <= 0 or len(clique) + colour <= len(self.best):
                 return
             self.left -= 1
             self.expand([*clique, vertex], candidates & self.neighbours[vertex])
             candidates &= ~(1 << vertex)
-
-    def _coloured(self, candidates: int) -> list[tuple[int, int]]:
-        """Vertices with their colours, ascending: a bound on the cliques up to there."""
-        order: list[tuple[int, int]] = []
-        colour = 0
-        while candidates:
-            colour += 1
-            free = candidates
-            while free:
-                vertex = (free & -free).bit_length() - 1
-                candidates &= ~(1 << vertex)
-                free &= ~(1 << vertex) & ~self.neighbours[vertex]
-                order.append((vertex, colour))
-        return order

@@ -9,7 +9,6 @@ that a layout of a whole log is weighed in a fraction of a second.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,7 +91,9 @@ class Views:
         ranges = np.full((len(numbers), _BEARINGS), np.inf, dtype=np.float32)
         for nearest, number in zip(ranges, numbers, strict=True):
             x, y = store.scan(number).hits(MATCH_RANGE_M).T
-            np.minimum.at(nearest, _bins(np.arctan2(y, x)), np.hypot(x, y))
+            share = (np.arctan2(y, x) + np.pi) / (2 * np.pi)
+            bins = np.floor(share * _BEARINGS).astype(np.int64) % _BEARINGS
+            np.minimum.at(nearest, bins, np.hypot(x, y))
         return cls(
             rows=rows,
             ranges=ranges,
@@ -137,7 +138,8 @@ class Views:
         angle = there[:, 2:] + bearing
         x = there[:, :1] + reach * np.cos(angle)
         y = there[:, 1:2] + reach * np.sin(angle)
-        column = _bins(np.arctan2(y, x))
+        share = (np.arctan2(y, x) + np.pi) / (2 * np.pi)
+        column = np.floor(share * _BEARINGS).astype(np.int64) % _BEARINGS
         distance = np.hypot(x, y)
         around = [self.ranges[a[:, None], (column + k) % _BEARINGS] for k in (-1, 0, 1)]
         gaps = np.stack(around).astype(np.float64) - distance
@@ -145,9 +147,3 @@ class Views:
         clear = known & np.isfinite(gaps).all(axis=0)
         clear &= gaps.min(axis=0) > _CLEAR_M + _CLEAR_SHARE * distance
         return int(same.sum()), int((clear & ~same).sum())
-
-
-def _bins(angles: NDArray[Any]) -> IntArray:
-    """Which bearing each angle belongs to."""
-    share = (angles + np.pi) / (2 * np.pi)
-    return np.floor(share * _BEARINGS).astype(np.int64) % _BEARINGS

@@ -75,10 +75,11 @@ def join_layouts(
     """
     ends = {end for tie in ties for end in (tie.source, tie.target)}
     graph = graph_of(store, {*old.nodes.tolist(), *new.nodes.tolist(), *ends}, breaks)
+    guessed = {int(graph.parts[graph.row[start]]) for start in (*old.loose, *new.loose)}
     begun = Draft(
         poses=np.concatenate([old.poses, new.poses])[graph.nodes],
         loops=(*old.kept, *new.kept, *ties),
-        tied=graph.known_parts((*old.loose, *new.loose)),
+        tied=frozenset(graph.part_numbers) - guessed,
     )
     walls, views = Walls(store, graph), Views.of(store, graph)
     first = graph.row[len(old.poses)]

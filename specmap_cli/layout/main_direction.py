@@ -64,18 +64,14 @@ def wall_direction(directions: FloatArray, lengths: FloatArray) -> float:
     peak = int((metres[rows] * curve).sum(axis=1).argmax())
     direction = (peak + 0.5) * (_QUARTER / _BINS)
     for near in _NEAR_RAD:
-        off = _between(directions, direction)
+        # seen from it, in [-pi/4, pi/4), whatever quarter they are in
+        off = np.mod(directions - direction + 0.5 * _QUARTER, _QUARTER) - 0.5 * _QUARTER
         taken = np.abs(off) < near
         if lengths[taken].sum() < _CLEAR * (near / _NEAR_RAD[0]) * lengths.sum():
             return 0.0
         direction += float((lengths * off)[taken].sum() / lengths[taken].sum())
-    nearest = float(_between(np.array([direction]), 0.0)[0])
+    nearest = float(np.mod(direction + 0.5 * _QUARTER, _QUARTER)) - 0.5 * _QUARTER
     return round(nearest / _STEP_RAD) * _STEP_RAD
-
-
-def _between(directions: FloatArray, direction: float) -> FloatArray:
-    """(n,) directions seen from another one, in [-pi/4, pi/4), whatever quarter they are in."""
-    return np.asarray(np.mod(directions - direction + 0.5 * _QUARTER, _QUARTER) - 0.5 * _QUARTER)
 
 
 def _pieces(store: KeyframeStore, poses: FloatArray) -> tuple[FloatArray, FloatArray]:

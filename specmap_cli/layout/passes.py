@@ -26,13 +26,12 @@ from specmap_cli.layout.path_graph import (
     Draft,
     Graph,
     RowPair,
-    is_moved,
     rows_every,
 )
 from specmap_cli.layout.place_search import Guess, WallMap
 from specmap_cli.layout.pose_graph import Link, LinkArrays, errors
 from specmap_cli.layout.solving import solved
-from specmap_cli.layout.uncertainty import DRIFT_SHARE, Uncertainty, path_error, within_ellipse
+from specmap_cli.layout.uncertainty import DRIFT_SHARE, path_error, within_ellipse
 from specmap_cli.layout.wall_matching import link_to_nearest, match_passes
 from specmap_cli.layout.walls import PLACE_NODES, Walls
 
@@ -44,6 +43,7 @@ _SOLVE_EVERY = 12  # edges found before the layout is renewed
 _NEWER_NODES = 3  # as PLACE_NODES, for the newer pass: its own drift must not blur it
 METRES_A_RADIAN = 0.7  # of distance that are as bad as a turn, for the overlap of two scans
 _NODES_A_LINK = 150  # a solution of more nodes costs more, and waits for more links
+_MOVED_M = 1.0  # a guess that moved this far is worth another search
 _NEWS = 1 / 3  # share of the least search by which a link must miss the draft to be news to it
 
 _WIDE_EVERY_M = 10.0  # path between searches as far as its error reaches
@@ -140,7 +140,8 @@ def passes_at(
     for old in near[:LOOPS_PER_NODE]:
         pair = old, node
         guesses[pair] = guess = Pose2(*compose(invert(poses[old]), poses[node]).tolist())
-        if is_moved(guess, matched.get(pair)):
+        before = matched.get(pair)
+        if before is None or (before.inverse() @ guess).distance > _MOVED_M:
             tries += 1
             found = match_passes(graph, walls, poses, pair, guess, reach_m, _NEWER_NODES)
             links += [] if found is None else [found]
@@ -185,12 +186,24 @@ def far_passes(graph: Graph, draft: Draft, walls: Walls) -> tuple[tuple[Link, ..
     searched: dict[int, Pose2] = {}
     for row in rows_every(graph.path, _WIDE_EVERY_M):
         pose = Pose2(*draft.poses[row].tolist())
-        if int(graph.parts[row]) not in draft.tied or not is_moved(pose, draft.searched.get(row)):
+        before = draft.searched.get(row)
+        stayed = before is not None and (before.inverse() @ pose).distance <= _MOVED_M
+        if int(graph.parts[row]) not in draft.tied or stayed:
             continue
         last = int(ties[np.searchsorted(ties, row, side="right") - 1])
-        error = _error_since(last, row, graph, spread)
-        if error is None:
+        if graph.parts[last] != graph.parts[row]:
             continue
+        # of the row seen from the last one tied, in the map
+        error = spread.between(np.array([last]), np.array([row]))[0]
+        turn = Pose2(*spread.poses[row].tolist()).rotation()
+        place = np.einsum("ab,bc,dc->ad", turn, error[:2, :2], turn)
+        half = 0.5 * (place[0, 0] - place[1, 1])
+        larger = 0.5 * (place[0, 0] + place[1, 1]) + np.sqrt(half**2 + place[0, 1] ** 2)
+        longest = float(np.sqrt(larger))  # the axis of the ellipse
+        if _REACH_SIGMAS * longest <= LOOP_SEARCH_MAX_M:
+            continue
+        scale = min(1.0, _WIDE_SEARCH_MAX_M / (_REACH_SIGMAS * longest))
+        error[:2, :2] = place * scale**2
         old = np.flatnonzero(graph.path < graph.path[row] - LOOP_PATH_M)
         reach = _REACH_SIGMAS**2 * error[:2, :2] + _NEAR_M**2 * np.eye(2)
         old = old[within_ellipse(draft.poses[old, :2] - draft.poses[row, :2], reach)]
@@ -203,20 +216,3 @@ def far_passes(graph: Graph, draft: Draft, walls: Walls) -> tuple[tuple[Link, ..
         if fit is not None:
             links.append(link_to_nearest(graph, draft.poses, old, row, fit))
     return tuple(links), replace(draft, searched={**draft.searched, **searched})
-
-
-def _error_since(last: int, row: int, graph: Graph, spread: Uncertainty) -> FloatArray | None:
-    """Covariance (3, 3) of a row seen from the last one tied, in the map; None if small."""
-    if graph.parts[last] != graph.parts[row]:
-        return None
-    error = spread.between(np.array([last]), np.array([row]))[0]
-    turn = Pose2(*spread.poses[row].tolist()).rotation()
-    place = np.einsum("ab,bc,dc->ad", turn, error[:2, :2], turn)
-    half = 0.5 * (place[0, 0] - place[1, 1])
-    larger = 0.5 * (place[0, 0] + place[1, 1]) + np.sqrt(half**2 + place[0, 1] ** 2)
-    longest = float(np.sqrt(larger))  # the axis of the ellipse
-    if _REACH_SIGMAS * longest <= LOOP_SEARCH_MAX_M:
-        return None
-    scale = min(1.0, _WIDE_SEARCH_MAX_M / (_REACH_SIGMAS * longest))
-    error[:2, :2] = place * scale**2
-    return np.asarray(error, dtype=np.float64)

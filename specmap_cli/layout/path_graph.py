@@ -39,9 +39,8 @@ _TURN_SHARE = 0.02  # error of a motion's turn, radians per radian
 _LEAST_M, _LEAST_RAD = 0.01, 0.003
 GUESS_M = 0.3  # error of a motion without a wall in sight, or over a break
 _GUESS_RAD = 0.2  # error of the turn of such a motion
+GUESS_INFORMATION = np.diag([GUESS_M**-2, GUESS_M**-2, _GUESS_RAD**-2])
 _RANGE_NOISE_M = 0.1  # error of a reading; more than the laser's: neighbours err alike
-
-_MOVED_M = 1.0  # a guess that moved this far is worth another search
 
 RowPair = tuple[int, int]
 
@@ -105,11 +104,6 @@ class Graph:
         """The numbers of all parts."""
         return range(int(self.parts[-1]) + 1)
 
-    def known_parts(self, loose: Collection[int]) -> frozenset[int]:
-        """The parts whose place is known: all but those that begin with a keyframe in `loose`."""
-        guessed = {int(self.parts[self.row[start]]) for start in loose}
-        return frozenset(self.part_numbers) - guessed
-
 
 def graph_of(
     store: KeyframeStore, ends: Collection[int], breaks: Mapping[int, Bridge | None]
@@ -159,7 +153,7 @@ def motion_links(
         if end in breaks:
             bridge = breaks[end]
             kind = "loose" if bridge is None else "bridge"
-            informations[k] = guess_information() if bridge is None else bridge.information
+            informations[k] = GUESS_INFORMATION if bridge is None else bridge.information
         links.append(
             Link(
                 source=source,
@@ -172,11 +166,6 @@ def motion_links(
     return tuple(links)
 
 
-def guess_information() -> FloatArray:
-    """Information (3, 3) of a motion that no wall in sight confirms."""
-    return np.diag([GUESS_M**-2, GUESS_M**-2, _GUESS_RAD**-2])
-
-
 def step_information(steps: Sequence[Pose2], fisher: FloatArray) -> FloatArray:
     """Information (L, 3, 3) of motions `steps` (L,), each weighed in the frame it ends in.
 
@@ -186,7 +175,7 @@ def step_information(steps: Sequence[Pose2], fisher: FloatArray) -> FloatArray:
     angle = [_LEAST_RAD + _TURN_SHARE * abs(step.theta) for step in steps]
     sigmas = np.column_stack([position, position, angle])
     noise = sigmas[:, :, None] ** 2 * np.eye(3)
-    unseen = inverse3(fisher + guess_information())
+    unseen = inverse3(fisher + GUESS_INFORMATION)
     return inverse3(noise + unseen)
 
 
@@ -255,8 +244,3 @@ def rows_every(path: FloatArray, every_m: float) -> list[int]:
             chosen.append(row)
             visited_m = way_m
     return chosen
-
-
-def is_moved(guess: Pose2, before: Pose2 | None) -> bool:
-    """Whether a guess is worth another search: there was none before, or a metre from here."""
-    return before is None or (before.inverse() @ guess).distance > _MOVED_M

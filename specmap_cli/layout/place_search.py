@@ -31,7 +31,6 @@ from specmap_cli.layout.wall_matching import (
     WallFit,
     confirmed,
     field_of,
-    sure_score,
 )
 
 _MAP_CELLS = 512  # cells a side in such a search: a larger map is searched coarser
@@ -43,6 +42,7 @@ _RIVALS, _LEAD = 4, 0.05  # places compared, and the score by which the best mus
 _NEAR_STEPS, _NEAR_RAD, _NEAR_M = 0.75, 0.06, 0.1  # the search about each: its width and its step
 _PINNED_M = 0.1  # largest mean deviation of a place found: more is a corridor's open direction
 _BLOCK_M = 2.4  # side of the blocks that search begins with
+_SURE = 0.5 + 0.5 * LOOP_SCORE  # halfway from what is asked to a perfect fit
 _GUESS_SIGMAS = 3.0  # of a guess that are searched
 _SPARSE_M = 0.4  # between the points of that search: some 100 of them tell a place
 _REACH_RANGES = 1.5  # from a node to the farthest wall seen from the nodes around it
@@ -138,7 +138,7 @@ class WallMap:
         away = self.points - (best.pose.x, best.pose.y)
         near = np.hypot(away[:, 0], away[:, 1]) < _NEAR_RANGES * MATCH_RANGE_M
         field = field_of(self.points[near])
-        found = confirmed(field, source, best.pose, sure_score())
+        found = confirmed(field, source, best.pose, _SURE)
         if found is None:
             return None
         variance = float(inverse3(found.information)[:2, :2].trace())

@@ -21,7 +21,7 @@ from scipy.sparse.linalg import splu
 
 from specmap_cli.core.errors import InputError
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, product, wrap_angles
-from specmap_cli.core.records import BoolArray, IntArray
+from specmap_cli.core.records import IntArray
 
 # odometry: the front end's motion; bridge: a motion over a break of the tracking that something
 # else measured; loose: one that nothing did, a guess; closure: two submaps recognised as one;
@@ -37,6 +37,8 @@ SETTLED = 1e-6  # share of the cost that a last step gained
 _RIDGE = 1e-9  # keeps a direction that no edge holds from making the matrix singular
 
 _UPPER = np.triu_indices(3)
+_COUNTS = {"VERTEX_SE2": (1, 3), "EDGE_SE2": (2, 9)}  # of a line: its vertices and its values
+_NUMBER = "{:.9g}".format
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -78,11 +80,6 @@ class LinkArrays(NamedTuple):
             w=np.array([link.information for link in links]).reshape(-1, 3, 3),
             width=np.array([width.get(link.kind, np.inf) for link in links]),
         )
-
-    def some(self, rows: BoolArray) -> LinkArrays:
-        """Those of the links."""
-        i, j, z, w, width = self
-        return LinkArrays(i[rows], j[rows], z[rows], w[rows], width[rows])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -205,10 +202,12 @@ def graph_text(poses: Mapping[int, FloatArray], links: Iterable[Link], fixed: It
     The fixed ones stand last. GTSAM reads two numbers behind every tag while it looks for edges,
     and stops where there is only one.
     """
-    lines = [f"VERTEX_SE2 {number} {_numbers(pose)}" for number, pose in poses.items()]
+    lines = [
+        f"VERTEX_SE2 {number} {' '.join(map(_NUMBER, pose))}" for number, pose in poses.items()
+    ]
     lines += [
         f"EDGE_SE2 {link.source} {link.target} "
-        f"{_numbers([*link.source_from_target, *link.information[_UPPER]])}"
+        f"{' '.join(map(_NUMBER, [*link.source_from_target, *link.information[_UPPER]]))}"
         for link in links
     ]
     lines += [f"FIX {number}" for number in fixed]
@@ -225,35 +224,28 @@ def read_g2o(text: str) -> tuple[dict[int, FloatArray], list[Link]]:
     links: list[Link] = []
     for number, line in enumerate(text.splitlines(), start=1):
         tag, *words = line.split() or [""]
+        if tag not in _COUNTS:
+            continue
+        ends, count = _COUNTS[tag]
         try:
-            if tag == "VERTEX_SE2":
-                poses[int(words[0])] = np.array(_floats(words[1:], 3))
-            elif tag == "EDGE_SE2":
-                x, y, theta, *upper = _floats(words[2:], 9)
-                information = np.zeros((3, 3))
-                information[_UPPER] = upper
-                source, target = int(words[0]), int(words[1])
-                link = Link(
-                    source=source,
-                    target=target,
-                    source_from_target=Pose2(x, y, theta),
-                    information=information + np.triu(information, 1).T,
-                    kind="odometry" if target == source + 1 else "closure",
-                )
-                links.append(link)
-        except (ValueError, IndexError):
-            raise InputError(
-                f"g2o, line {number}: {line!r} is no {tag}", "mend the line", mark=";"
-            ) from None
+            vertices = [int(word) for word in words[:ends]]
+            values = [float(word) for word in words[ends:]]
+        except ValueError:
+            values = []
+        if len(values) != count or not all(map(math.isfinite, values)):
+            raise InputError(f"g2o, line {number}: {line!r} is no {tag}", "mend the line", mark=";")
+        if tag == "VERTEX_SE2":
+            poses[vertices[0]] = np.array(values)
+            continue
+        information = np.zeros((3, 3))
+        information[_UPPER] = values[3:]
+        source, target = vertices
+        link = Link(
+            source=source,
+            target=target,
+            source_from_target=Pose2(*values[:3]),
+            information=information + np.triu(information, 1).T,
+            kind="odometry" if target == source + 1 else "closure",
+        )
+        links.append(link)
     return poses, links
-
-
-def _floats(words: Sequence[str], count: int) -> list[float]:
-    values = [float(word) for word in words]
-    if len(values) != count or not all(math.isfinite(value) for value in values):
-        raise ValueError(words)
-    return values
-
-
-def _numbers(values: Iterable[float]) -> str:
-    return " ".join(f"{value:.9g}" for value in values)

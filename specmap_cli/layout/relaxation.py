@@ -15,7 +15,7 @@ from itertools import compress
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.consistency import Judgement, judge
-from specmap_cli.layout.contradictions import Agreement, Views
+from specmap_cli.layout.contradictions import Views
 from specmap_cli.layout.parts import place_parts
 from specmap_cli.layout.passes import far_passes, find_passes
 from specmap_cli.layout.path_graph import Bridge, Draft, Ends, Graph, graph_of
@@ -95,17 +95,14 @@ def _tried(
     kept = [k for k, one in enumerate(judged) if one.believed]
     if not kept:
         return draft, tuple(judged)
-
-    def with_those(rows: Sequence[int]) -> tuple[Draft, Agreement]:
-        trial = tighten(graph, draft.adding([judged[k].link for k in rows]))
-        return trial, views.agreement(trial.poses)
-
     before = views.agreement(draft.poses)
-    trial, after = with_those(kept)
+    trial = tighten(graph, draft.adding([judged[k].link for k in kept]))
+    after = views.agreement(trial.poses)
     if after.is_doubtful or after.is_worse_than(before):
         for group in suspects(graph, judged):
             rest = [k for k in kept if k not in group]
-            without, agreement = with_those(rest)
+            without = tighten(graph, draft.adding([judged[k].link for k in rest]))
+            agreement = views.agreement(without.poses)
             if after.is_worse_than(agreement):
                 trial, kept, after = without, rest, agreement
     return trial, tuple(

@@ -40,7 +40,9 @@ _LONGEST = 16  # motions in a chain: some 5 m, which bend too little for the sec
 
 def solved(graph: Graph, draft: Draft, *, roughly: bool = False) -> Draft:
     """The draft with the poses that fit its links best; roughly to look for more from there."""
-    return _with(draft, _solution(graph, draft, _KERNEL_SIGMAS, _ROUGHLY if roughly else SETTLED))
+    solution = _solution(graph, draft, _KERNEL_SIGMAS, _ROUGHLY if roughly else SETTLED)
+    draft = replace(draft, poses=solution.poses)
+    return draft.counting("solve_iterations", not solution.converged)
 
 
 def tighten(graph: Graph, draft: Draft) -> Draft:
@@ -69,7 +71,8 @@ def settle(graph: Graph, draft: Draft) -> tuple[Draft, tuple[Link, ...]]:
         fits = solution.chi2[len(graph.odometry) :] <= _OUTLIER_CHI2
         dropped += [link for link, fit in zip(draft.loops, fits, strict=True) if not fit]
         loops = tuple(link for link, fit in zip(draft.loops, fits, strict=True) if fit)
-        draft = replace(_with(draft, solution), loops=loops)
+        draft = replace(draft, poses=solution.poses, loops=loops)
+        draft = draft.counting("solve_iterations", not solution.converged)
         if fits.all():
             return draft, tuple(dropped)
 
@@ -96,7 +99,8 @@ def _solution(
     pulls = np.abs(missed).max(axis=1, initial=0.0) > _EXACT
     pulls[len(motions) :] = True
     count = 1 + int(np.maximum(links.i, links.j)[pulls].max(initial=0))
-    path, some = draft.poses[:count], links.some((links.i < count) & (links.j < count))
+    path, inner = draft.poses[:count], (links.i < count) & (links.j < count)
+    some = LinkArrays._make(each[inner] for each in links)
     if settled <= SETTLED:
         found = solve(path, some, steps, settled)
     else:
@@ -106,12 +110,6 @@ def _solution(
     tail = compose(invert(draft.poses[count - 1]), draft.poses[count:])
     poses = np.concatenate([found.poses, compose(found.poses[-1], tail)])
     return replace(found, poses=poses, chi2=squared(poses, links))
-
-
-def _with(draft: Draft, solution: Solution) -> Draft:
-    """The draft at the poses of a solution; one that was cut short is counted."""
-    moved = replace(draft, poses=solution.poses)
-    return moved.counting("solve_iterations", 0 if solution.converged else 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +141,17 @@ class Condensed:
         rows, ends = np.arange(motions + 1), np.flatnonzero(tied)
         since = (rows - ends[np.searchsorted(ends, rows, side="right") - 1]) % _LONGEST
         kept = np.flatnonzero(since == 0)
-        there, sums, after, total = _along(links.z[:motions], links.w[:motions], since)
+        # each row seen from the start of its chain, and its covariance there; and the same after
+        # the motion that follows each row
+        z, w = links.z[:motions], links.w[:motions]
+        there, sums = np.zeros((motions + 1, 3)), np.zeros((motions + 1, 3, 3))
+        after, total, noise = np.array(z), np.zeros(w.shape), inverse3(w)
+        for number in range(_LONGEST):  # of a motion in its chain
+            here = np.flatnonzero(since[:-1] == number)
+            after[here] = compose(there[here], z[here])
+            total[here] = sums[here] + moved_covariance(adjoint(after[here]), noise[here])
+            on = here[since[here + 1] > 0]
+            there[on + 1], sums[on + 1] = after[on], total[on]
         start = np.searchsorted(kept, rows, side="right") - 1
         last = kept[1:] - 1  # motion of each chain
         share = np.zeros((motions + 1, 3, 3))
@@ -166,22 +174,3 @@ class Condensed:
         motion = np.concatenate([motion, np.zeros((1, 3))])  # nothing follows the last row
         moved = np.einsum("mab,mb->ma", self.share, motion[self.start])
         return compose(poses[self.start], compose(moved, self.there))
-
-
-def _along(
-    z: FloatArray, w: FloatArray, since: IntArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Each row (M, 3) seen from the start of its chain, and its covariance there (M, 3, 3).
-
-    And the same after the motion that follows each row, (M - 1, 3) and (M - 1, 3, 3). `z` and `w`
-    are the motions, `since` (M,) their numbers in their chains.
-    """
-    there, sums = np.zeros((len(since), 3)), np.zeros((len(since), 3, 3))
-    after, total, noise = np.array(z), np.zeros(w.shape), inverse3(w)
-    for number in range(_LONGEST):
-        rows = np.flatnonzero(since[:-1] == number)
-        after[rows] = compose(there[rows], z[rows])
-        total[rows] = sums[rows] + moved_covariance(adjoint(after[rows]), noise[rows])
-        on = rows[since[rows + 1] > 0]
-        there[on + 1], sums[on + 1] = after[on], total[on]
-    return there, sums, after, total

@@ -25,7 +25,8 @@ _SAME = 2e-6  # metres and radians: text files have six decimals
 
 def corrected(trajectory: Trajectory, store: KeyframeStore, poses: FloatArray) -> Trajectory:
     """The trajectory of every registered scan, moved with the keyframes to their poses (n, 3)."""
-    moved = propagated(trajectory.poses, keyframe_rows(trajectory, store), poses)
+    rows = rows_of(trajectory, store.stamps_ns, store.poses)
+    moved = propagated(trajectory.poses, rows, poses)
     if trajectory.lost is not None:
         moved = bridged(moved, trajectory.poses, trajectory.lost)
     return replace(trajectory, poses=moved)
@@ -73,11 +74,6 @@ def bridged(poses: FloatArray, tracked: FloatArray, lost: BoolArray) -> FloatArr
         guesses[:, 2] = wrap_angles(guesses[:, 2])
         result[start:end] = guesses[:-1]
     return result
-
-
-def keyframe_rows(trajectory: Trajectory, store: KeyframeStore) -> IntArray:
-    """Rows of the trajectory, as tracked, that are the store's keyframes, in order."""
-    return rows_of(trajectory, store.stamps_ns, store.poses)
 
 
 def rows_of(trajectory: Trajectory, stamps_ns: Sequence[int], poses: FloatArray) -> IntArray:

@@ -95,12 +95,6 @@ def moved_covariance(matrix: FloatArray, covariance: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("lac,ldc->lad", half, matrix), dtype=np.float64)
 
 
-def chi2_of(error: FloatArray, covariance: FloatArray) -> FloatArray:
-    """(L,) chi2 of errors (L, 3) of these covariances (L, 3, 3)."""
-    weights = inverse3(covariance)
-    return np.asarray(np.einsum("la,lab,lb->l", error, weights, error), dtype=np.float64)
-
-
 def within_ellipse(away: FloatArray, covariance: FloatArray) -> BoolArray:
     """(N,) whether vectors (N, 2) end inside the ellipse of a covariance (2, 2)."""
     (a, b), (_, c) = covariance.tolist()

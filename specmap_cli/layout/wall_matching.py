@@ -64,7 +64,7 @@ def match_walls(
         return None
     if drift_m <= _APART_M and field.score(few, guess) >= least_score:  # perhaps no search is due
         near = refine(field, thinned(source, _REFINED_POINTS_M), guess, _REFINED_STEPS, _BLUR_M)
-        if near.score >= sure_score(least_score):
+        if near.score >= 0.5 + 0.5 * least_score:  # halfway from what is asked to a perfect fit
             return _fit(field, source, few, near.pose)
     window = Window(
         distance_m=drift_m,
@@ -78,14 +78,6 @@ def match_walls(
     if rough.score < _HOPELESS * least_score:
         return None
     return confirmed(field, source, rough.pose, least_score)
-
-
-def sure_score(least_score: float = LOOP_SCORE) -> float:
-    """Score of points of which nothing more is asked: halfway from what is asked to a perfect fit.
-
-    `least_score` is what is asked.
-    """
-    return 0.5 + 0.5 * least_score
 
 
 def field_of(target: FloatArray) -> ScoreField:
@@ -164,7 +156,15 @@ def match_passes(
     if share >= _FEW:
         asked = LOOP_SCORE / max(1.0 - share, LOOP_SCORE)
         fit = match_walls(source[~behind], target, guess, drift_m, asked)
-    return None if fit is None else _pass_link(graph, old, new, fit)
+        if fit is None:
+            return None
+    return Link(
+        source=int(graph.nodes[old]),
+        target=int(graph.nodes[new]),
+        source_from_target=fit.target_from_source,
+        information=fit.information,
+        kind="nearby",
+    )
 
 
 def link_to_nearest(
@@ -176,15 +176,11 @@ def link_to_nearest(
     """
     found = fit.target_from_source
     nearest = int(rows[np.argmin(np.hypot(poses[rows, 0] - found.x, poses[rows, 1] - found.y))])
-    relative = Pose2(*compose(invert(poses[nearest]), np.array(found)).tolist())
-    return _pass_link(graph, nearest, row, WallFit(relative, fit.information))
-
-
-def _pass_link(graph: Graph, old: int, new: int, fit: WallFit) -> Link:
+    relative = compose(invert(poses[nearest]), np.array(found))
     return Link(
-        source=int(graph.nodes[old]),
-        target=int(graph.nodes[new]),
-        source_from_target=fit.target_from_source,
+        source=int(graph.nodes[nearest]),
+        target=int(graph.nodes[row]),
+        source_from_target=Pose2(*relative.tolist()),
         information=fit.information,
         kind="nearby",
     )

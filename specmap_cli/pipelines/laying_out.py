@@ -26,7 +26,7 @@ from specmap_cli.layout.passes import METRES_A_RADIAN
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.relaxation import relax
 from specmap_cli.layout.result import Layout
-from specmap_cli.layout.trajectory import corrected, keyframe_rows
+from specmap_cli.layout.trajectory import corrected, rows_of
 from specmap_cli.pipelines.exploration import Regions, in_own_frame, online_labels
 from specmap_cli.pipelines.map_in_making import Explored, LaidOut
 from specmap_cli.pipelines.session import Session
@@ -67,7 +67,8 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
     with session.clock.stage("segmentation"):
         submaps = _divided(whole, layout, explored.regions, closures, config)
     with session.clock.stage("audit"):
-        rows, breaks = keyframe_rows(explored.trajectory, store), tuple(explored.breaks)
+        rows = rows_of(explored.trajectory, store.stamps_ns, store.poses)
+        breaks = tuple(explored.breaks)
         evidence = Evidence(
             trajectory=trajectory,
             keyframes_ns=store.stamps_ns,

@@ -27,7 +27,6 @@ import numpy as np
 from specmap_cli.core.errors import PACKAGE, SETTING, UsageError
 from specmap_cli.core.geometry import FloatArray, product
 from specmap_cli.core.plugins import with_plugins
-from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import RegistrationConfig
 
 WINDOW_KEYFRAMES = 80  # keyframes in the local map
@@ -54,13 +53,6 @@ class SensorKind:
     in_space: bool
     voxel_m: float
     range_m: float
-
-    @classmethod
-    def of(cls, sweep: Sweep, config: RegistrationConfig) -> SensorKind:
-        """The kind of sensor that took a sweep."""
-        if sweep.cloud is None:
-            return cls(in_space=False, voxel_m=config.voxel_m, range_m=config.max_range_m)
-        return cls(in_space=True, voxel_m=config.cloud_voxel_m, range_m=config.cloud_range_m)
 
 
 class Aligner(Protocol):

@@ -124,8 +124,13 @@ class FrontEnd:
         expected = self._motion.expect(sweep)
         view = view_of(sweep, expected, self.config)
         if self._map is None:  # made for the sensor of the first sweep
-            sensor = SensorKind.of(sweep, self.config)
-            self._map = LocalMap(self._make_aligner(self.config, sensor), sensor, self.config)
+            config, planar = self.config, sweep.cloud is None
+            sensor = SensorKind(
+                in_space=not planar,
+                voxel_m=config.voxel_m if planar else config.cloud_voxel_m,
+                range_m=config.max_range_m if planar else config.cloud_range_m,
+            )
+            self._map = LocalMap(self._make_aligner(config, sensor), sensor, config)
         local, by_motion = self._map, self._track.by_motion @ expected.motion
         measured = self._track.measured and expected.measured
         self._track = track = replace(self._track, by_motion=by_motion, measured=measured)
@@ -216,7 +221,7 @@ class FrontEnd:
         founded = track.founded or judgement.founds
         walls = walls and not judgement.lost
         if walls and not blind:
-            track = track.with_steady(step)
+            track = replace(track, steady=(*track.steady, step)[-_STEADY:])
         track = replace(track, pose=fit.pose, lost_in_a_row=lost_in_a_row, founded=founded)
         if lost_in_a_row == _LOST_LIMIT and len(local):
             local.clear()
@@ -274,10 +279,6 @@ class Track:
             return here
         x, y, _ = np.median(np.array(self.steady), axis=0).tolist()
         return here @ Pose2(x, y, 0.0)
-
-    def with_steady(self, motion: Pose2) -> Track:
-        """The state after one more motion that walls fixed."""
-        return replace(self, steady=(*self.steady, motion)[-_STEADY:])
 
     @property
     def bridge(self) -> tuple[float, float] | None:

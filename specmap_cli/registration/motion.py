@@ -99,7 +99,11 @@ class MotionModel:
         # swing, ever wider. The mean of the last two lets go of what alternates.
         a, b = self._before, self._last
         steady = Pose2((a.x + b.x) / 2, (a.y + b.y) / 2, (a.theta + b.theta) / 2)
-        carried, during = _shortened(self._last, limits), _shortened(steady, limits)
+        # within limits: what is carried on must not grow from scan to scan by an error
+        carried, during = (
+            Pose2(*(max(-m, min(m, v)) for v, m in zip(motion, limits, strict=True)))
+            for motion in (self._last, steady)
+        )
         measured = increment is not None and not jumped
         hole, known = False, sorted(self._intervals)
         if len(known) >= _INTERVALS // 2:
@@ -126,11 +130,6 @@ class MotionModel:
             sizes = zip(self._largest, motion, strict=True)
             ranked = [sorted((*pair, abs(value)), reverse=True) for pair, value in sizes]
             self._largest = [(first, second) for first, second, _ in ranked]
-
-
-def _shortened(motion: Pose2, limits: Pose2) -> Pose2:
-    """A motion within limits: what is carried on must not grow from scan to scan by an error."""
-    return Pose2(*(max(-m, min(m, v)) for v, m in zip(motion, limits, strict=True)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,11 +202,13 @@ class Reliance:
         that they do not fix says nothing about odometry.
         """
         unknown, (along, across) = _unknown(motion), _parts(motion, away)
-        return Reliance(
-            along=_with(self.along, along / unknown.along_m) if fixed[0] else self.along,
-            across=_with(self.across, across / unknown.across_m) if fixed[1] else self.across,
-            turn=_with(self.turn, wrap_angle(away.theta) / unknown.turn_rad),
-        )
+        known = [self.along, self.across, self.turn]
+        turn = wrap_angle(away.theta) / unknown.turn_rad
+        latest = along / unknown.along_m, across / unknown.across_m, turn
+        for k, (deviation, counts) in enumerate(zip(latest, (*fixed, True), strict=True)):
+            if counts:
+                known[k] = (*known[k], abs(deviation))[-_REMEMBERED:]
+        return Reliance(*known)
 
 
 def direction_of(motion: Pose2) -> tuple[float, float]:
@@ -230,10 +231,6 @@ def _unknown(motion: Pose2) -> Slack:
     metres = _LEAST_M + _SHARE_OF_DISTANCE * motion.distance
     turn = _LEAST_RAD + _SHARE_OF_TURN * abs(motion.theta) + _TURN_PER_M * motion.distance
     return Slack(along_m=metres, across_m=metres, turn_rad=turn)
-
-
-def _with(deviations: tuple[float, ...], latest: float) -> tuple[float, ...]:
-    return (*deviations, abs(latest))[-_REMEMBERED:]
 
 
 UNKNOWN = Reliance()  # nothing was compared yet

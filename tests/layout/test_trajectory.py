@@ -11,7 +11,7 @@ from specmap_cli.core.geometry import FloatArray, compose, invert, wrap_angles
 from specmap_cli.core.records import Trajectory
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.relaxation import relax
-from specmap_cli.layout.trajectory import bridged, corrected, keyframe_rows, propagated
+from specmap_cli.layout.trajectory import bridged, corrected, propagated, rows_of
 from tests.layout.driving import CONFIG
 from tests.strategies import pose_arrays
 
@@ -44,7 +44,7 @@ def test_every_scan_of_the_trajectory_moves_with_its_keyframe(store: KeyframeSto
     tracked[1::2] = compose(tracked[1::2], np.array([0.02, 0.0, 0.0]))
     stamps, tilt = np.repeat(np.array(store.stamps_ns), 2), np.full((len(tracked), 3), 0.1)
     trajectory = Trajectory(stamps_ns=stamps, poses=tracked, tilt=tilt)
-    rows = keyframe_rows(trajectory, store)
+    rows = rows_of(trajectory, store.stamps_ns, store.poses)
     assert np.array_equal(rows, np.arange(0, len(stamps), 2))
     result = corrected(trajectory, store, layout.poses)
     assert np.allclose(result.poses[::2], layout.poses)
@@ -58,9 +58,9 @@ def test_every_scan_of_the_trajectory_moves_with_its_keyframe(store: KeyframeSto
 def test_a_trajectory_may_end_before_the_keyframes_do(store: KeyframeStore) -> None:
     stamps = np.array(store.stamps_ns)
     few = Trajectory(stamps_ns=stamps[:5], poses=store.poses[:5])
-    assert keyframe_rows(few, store).tolist() == [0, 1, 2, 3, 4]
+    assert rows_of(few, store.stamps_ns, store.poses).tolist() == [0, 1, 2, 3, 4]
     others = Trajectory(stamps_ns=stamps + 1, poses=store.poses)
-    assert keyframe_rows(others, store).tolist() == []
+    assert rows_of(others, store.stamps_ns, store.poses).tolist() == []
 
 
 STRAIGHT = np.column_stack([np.arange(8.0), np.zeros((8, 2))])

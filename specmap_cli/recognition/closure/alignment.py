@@ -14,12 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from specmap_cli.core.arrays import evenly
-from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
+from specmap_cli.core.geometry import Pose2, wrap_angle
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import FREE
 from specmap_cli.grids.matching import refine
-from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.closure.common_ground import CommonGround, Joint, common_ground, joints
 from specmap_cli.recognition.closure.prepared import MapToAlign, PreparedGrid, PreparedMap, prepared
 from specmap_cli.recognition.closure.verification import (
@@ -103,12 +102,13 @@ class _Candidate:
     """A refined transform, the metres of wall that speak for it, and the party that found it.
 
     Walls count only as far as there are rooms between them: maps that touch back to back have
-    straight walls in common, and nothing else.
+    straight walls in common, and nothing else. `common_m2` square metres are free in both maps.
     """
 
     old_from_new: Pose2
     merit_m: float
     party: Party | None
+    common_m2: float
 
     @property
     def strength(self) -> int:
@@ -161,7 +161,7 @@ class _TwoMaps:
             votes=0 if best.party is None else len(best.party.votes),
             party=best.strength,
             ground=self._ground(best),
-            area_m2=self._common_m2(best.old_from_new),
+            area_m2=best.common_m2,
             rival=rivals[0].merit_m / best.merit_m if rivals else 0.0,
         )
         why_not = _why_not(told, best, rivals)
@@ -171,35 +171,24 @@ class _TwoMaps:
         old, new = zip(self.pieces, self.wholes, strict=True)
         return common_ground(old, new, candidate.old_from_new)
 
-    def _common_m2(self, old_from_new: Pose2) -> float:
-        """Square metres that are free in both maps."""
-        values = self.pieces[0].map.whole.values_at(old_from_new.apply(self._floor))
-        return float(np.count_nonzero(values == FREE)) * self._floor_m2
-
     def _refined(self, guess: Pose2, party: Party | None) -> _Candidate:
         """A guess that `party` made, if any, moved to where the walls of both maps fit best."""
-        field = self.wholes[0].field
-        few = evenly(self._near_walls(guess), _ROUGH_POINTS)
-        near = _about_their_middle(field, few, guess, _ROUGH_STEPS, _ROUGH_SHIFT_M)
-        walls = self._near_walls(near)
-        fine = _about_their_middle(field.sharper(), walls, near, _FINE_STEPS, _FINE_SHIFT_M)
-        around_m = _WALLS_PER_M2 * self._common_m2(fine)
-        return _Candidate(fine, min(judge(*self.wholes, fine).net_walls_m, around_m), party)
-
-    def _near_walls(self, old_from_new: Pose2) -> FloatArray:
-        """(N, 2) the points on the new map's walls that come near walls of the old one; or all."""
-        old, new = self.wholes
-        near = old.wide.at(old_from_new.apply(new.walls)) > _NEAR_SCORE
-        return new.walls[near] if np.count_nonzero(near) >= _FEWEST_NEAR else new.walls
-
-
-def _about_their_middle(
-    field: ScoreField, points: FloatArray, guess: Pose2, steps: int, shift_m: float
-) -> Pose2:
-    """`refine`, by no more than a shift where the points (N, 2) are: the frame may lie far off."""
-    x, y = points.mean(axis=0).tolist()
-    found = refine(field, points - (x, y), guess @ Pose2(x, y, 0.0), steps, shift_m)
-    return found.pose @ Pose2(-x, -y, 0.0)
+        (old, new), pose = self.wholes, guess
+        for field, most, steps, shift_m in (
+            (old.field, _ROUGH_POINTS, _ROUGH_STEPS, _ROUGH_SHIFT_M),
+            (old.field.sharper(), len(new.walls), _FINE_STEPS, _FINE_SHIFT_M),
+        ):
+            near = old.wide.at(pose.apply(new.walls)) > _NEAR_SCORE
+            walls = new.walls[near] if np.count_nonzero(near) >= _FEWEST_NEAR else new.walls
+            points = evenly(walls, most)
+            # by no more than a shift where the points are: the frame may lie far off
+            x, y = points.mean(axis=0).tolist()
+            found = refine(field, points - (x, y), pose @ Pose2(x, y, 0.0), steps, shift_m)
+            pose = found.pose @ Pose2(-x, -y, 0.0)
+        floor = self.pieces[0].map.whole.values_at(pose.apply(self._floor))
+        common_m2 = float(np.count_nonzero(floor == FREE)) * self._floor_m2
+        merit_m = min(judge(*self.wholes, pose).net_walls_m, _WALLS_PER_M2 * common_m2)
+        return _Candidate(pose, merit_m, party, common_m2)
 
 
 def _rivals(

@@ -193,15 +193,14 @@ def _claims(c_new: Booster, c_old: Booster, new: _Scans, old: Sequence[NDArray[A
     of_new = c_old.margins(new.features)
     of_old = c_new.margins(np.concatenate(old))
     of_stays = np.split(of_old, np.cumsum([len(scans) for scans in old])[:-1])
-    by_stay = np.array([_chance(margins) for margins in of_stays])
+    chances = [  # the means of the logistic function of the margins
+        float((1.0 / (1.0 + np.exp(-margins))).mean()) if len(margins) else 0.0
+        for margins in (of_new, *of_stays)
+    ]
+    by_stay = np.array(chances[1:])
     return Claims(
         new_by_old=float((of_new > 0.0).mean()),  # eq. 4
         old_by_new=float((of_old > 0.0).mean()),  # eq. 4
-        rank=_chance(of_new) * float(by_stay.max()),
+        rank=chances[0] * float(by_stay.max()),
         by_stay=by_stay,
     )
-
-
-def _chance(margins: FloatArray) -> float:
-    """Mean of the logistic function of the margins (n,); 0 without any."""
-    return float((1.0 / (1.0 + np.exp(-margins))).mean()) if len(margins) else 0.0

@@ -7,7 +7,6 @@ what a layout leaves open, and how far off it was is told.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -95,7 +94,14 @@ def common_ground(
         fit = _fit(piece, new[1], old_from_new.inverse())
         centre = fit.old_from_new.apply(fit.centre[None])[0]
         back.append(replace(fit, old_from_new=fit.old_from_new.inverse(), centre=centre))
-    sides = _shares(there), _shares(back)
+    sides = []  # of either map's walls: shares confirmed and contradicted, metres, share at odds
+    for own in (there, back):
+        known = sum(fit.known_m for fit in own)
+        good = sum(fit.confirmed_m for fit in own)
+        bad = sum(fit.contradicted_m for fit in own)
+        odd = sum(fit.known_m for fit in own if fit.score < _ODD)
+        some = known > 0.0
+        sides.append((good / known, bad / known, good, odd / known) if some else (0.0,) * 4)
     confirmed, contradicted, confirmed_m, at_odds = zip(*sides, strict=True)
     fits = (*there, *back)
     weights = np.array([fit.confirmed_m for fit in fits])
@@ -109,17 +115,6 @@ def common_ground(
         at_odds=max(at_odds),
         residual_m=math.sqrt(float(np.average(off**2, weights=weights))) if heavy else 0.0,
     )
-
-
-def _shares(fits: Sequence[PieceFit]) -> tuple[float, float, float, float]:
-    """The walls of one map that are confirmed and contradicted, metres confirmed, and at odds."""
-    known = sum(fit.known_m for fit in fits)
-    if known <= 0.0:
-        return 0.0, 0.0, 0.0, 0.0
-    confirmed = sum(fit.confirmed_m for fit in fits)
-    contradicted = sum(fit.contradicted_m for fit in fits)
-    odd = sum(fit.known_m for fit in fits if fit.score < _ODD)
-    return confirmed / known, contradicted / known, confirmed, odd / known
 
 
 def _fit(piece: PlacedGrid, whole: PreparedGrid, whole_from_map: Pose2) -> PieceFit:
@@ -199,10 +194,11 @@ def _shared(
     """
     found = []
     for other in new.all():
-        low, high = _box(other, old_from_new @ other.frame)
+        walls = (old_from_new @ other.frame).apply(other.grid.walls)
+        low, high = walls.min(axis=0), walls.max(axis=0)
         for one in old.all():
-            other_low, other_high = _box(one, one.frame)
-            if (low >= other_high).any() or (other_low >= high).any():
+            walls = one.frame.apply(one.grid.walls)
+            if (low >= walls.max(axis=0)).any() or (walls.min(axis=0) >= high).any():
                 continue
             guess = one.frame.inverse() @ old_from_new @ other.frame
             points = guess.apply(evenly(other.grid.walls, _JOINT_POINTS))
@@ -211,9 +207,3 @@ def _shared(
             if walls_m >= MIN_WALL_M:
                 found.append((walls_m, one.submap, other.submap))
     return sorted(found, key=lambda pair: (-pair[0], pair[2], pair[1]))
-
-
-def _box(placed: PlacedGrid, frame: Pose2) -> tuple[FloatArray, FloatArray]:
-    """The corners (2,) of the box round a submap's walls, placed at a frame."""
-    walls = frame.apply(placed.grid.walls)
-    return walls.min(axis=0), walls.max(axis=0)

@@ -106,17 +106,6 @@ def decide(
     return Decision(True, True, "the grids match and the tracks overlap")
 
 
-def expected_overlap(old: Stay, new: Stay, reach_m: float) -> float:
-    """The smaller share of either track that passes near the other one as both were tracked.
-
-    0 where that says nothing: poses are not known, or tracking was lost between them.
-    """
-    expected = old.tracked_from(new)
-    if expected is None or not math.isfinite(new.travelled_m - old.travelled_m):
-        return 0.0
-    return tracks_overlap(old.track, new.track, expected, reach_m)
-
-
 def mended_m(old: Stay, new: Stay, old_from_new: Pose2) -> float:
     """How far tracking was off where the new stay begins if a match is right; 0 if unknown."""
     expected = old.tracked_from(new) or old_from_new

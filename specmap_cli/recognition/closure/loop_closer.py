@@ -25,12 +25,17 @@ from specmap_cli.recognition.closure.decision import (
     DriftGraph,
     Stay,
     decide,
-    expected_overlap,
     mended_m,
     plausible,
 )
 from specmap_cli.recognition.closure.prepared import PreparedGrids
-from specmap_cli.recognition.closure.verification import CANDIDATES, MIN_LEAD, Check, verify
+from specmap_cli.recognition.closure.verification import (
+    CANDIDATES,
+    MIN_LEAD,
+    Check,
+    tracks_overlap,
+    verify,
+)
 
 _LEFTOVERS = 2  # pairs matched a submap in search of duplicates
 _MEMBERS = 2  # visits of an old submap whose grids are matched
@@ -194,12 +199,13 @@ class LoopCloser:
 
         What was seen the other way round looks like another place, but is where it was.
         """
-        found = [
-            (share, old, k)
-            for old, stays in self._submaps.items()
-            for k, stay in enumerate(stays)
-            if (share := expected_overlap(stay, new, _NEAR_M)) > 0.0
-        ]
+        found: list[tuple[float, int, int]] = []
+        for old, stays in self._submaps.items():
+            for k, stay in enumerate(stays):
+                expected = stay.tracked_from(new)
+                if expected is not None and math.isfinite(new.travelled_m - stay.travelled_m):
+                    share = tracks_overlap(stay.track, new.track, expected, _NEAR_M)
+                    found += [(share, old, k)] if share > 0.0 else []
         found.sort(key=lambda one: -one[0])
         return [(old, k) for _, old, k in found]
 

@@ -109,6 +109,13 @@ def prepared(grid: GridMap) -> PreparedGrid | None:
     margin = max(1, round(INLIER_M / grid.resolution))
     seen = (grid.cells != UNKNOWN).astype(np.uint8)
     known = cv2.dilate(seen, np.ones((2 * margin + 1, 2 * margin + 1), dtype=np.uint8))
+    distances = []  # metres from each cell inside to the nearest outside
+    for inside in (~grid.occupied, grid.free):
+        metres = np.full(inside.shape, NO_OBSTACLE_M, dtype=np.float32)
+        if not inside.all():
+            cells = cv2.distanceTransform(inside.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
+            metres = np.asarray(cells * np.float32(grid.resolution), dtype=np.float32)
+        distances.append(metres)
     return PreparedGrid(
         grid=grid,
         sigma_m=max(_MATCH_SIGMA_M, grid.resolution),
@@ -116,8 +123,8 @@ def prepared(grid: GridMap) -> PreparedGrid | None:
         metres_a_point=grid.resolution * len(occupied) / len(points),
         direction=wall_direction(grid),
         area=KnownArea(
-            wall_distance=_distance(~grid.occupied, grid.resolution),
-            depth=_distance(grid.free, grid.resolution),
+            wall_distance=distances[0],
+            depth=distances[1],
             known=np.asarray(known > 0),
             resolution=grid.resolution,
             origin=grid.origin,
@@ -163,14 +170,6 @@ def wall_direction(grid: GridMap) -> float:
     return (math.atan2(total.imag, total.real) / 4.0) % (math.pi / 2.0)
 
 
-def _distance(inside: BoolArray, resolution: float) -> ImageArray:
-    """(H, W) metres from each cell inside to the nearest outside; NO_OBSTACLE_M without one."""
-    if inside.all():
-        return np.full(inside.shape, NO_OBSTACLE_M, dtype=np.float32)
-    cells = cv2.distanceTransform(inside.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
-    return np.asarray(cells * np.float32(resolution), dtype=np.float32)
-
-
 def _coarse(grid: GridMap) -> CoarseGrid:
     """The grid on cells of about `_MATCH_CELL_M`."""
     factor = max(1, round(_MATCH_CELL_M / grid.resolution))
@@ -178,32 +177,28 @@ def _coarse(grid: GridMap) -> CoarseGrid:
     padded = np.pad(
         grid.cells, ((0, -height % factor), (0, -width % factor)), constant_values=UNKNOWN
     )
-    walls: BoolArray = _block_sums(padded == OCCUPIED, factor) > 0
-    free = (_block_sums(padded == FREE, factor) > _FREE_MAJORITY * factor * factor) & ~walls
+    sums = []  # how many of `factor` by `factor` cells are of a kind, in blocks side by side
+    for kind in (OCCUPIED, FREE):
+        rows = np.stack([padded[k::factor] == kind for k in range(factor)]).sum(0, np.int32)
+        sums.append(np.stack([rows[:, k::factor] for k in range(factor)]).sum(axis=0))
+    walls: BoolArray = sums[0] > 0
+    free = (sums[1] > _FREE_MAJORITY * factor * factor) & ~walls
     near = np.asarray(cv2.GaussianBlur(walls.astype(np.float32), (3, 3), _WALL_BLUR), np.float32)
     near /= max(float(near.max()), _TINY)
     of_walls = np.where(walls, np.maximum(near, _LEAST_WALL), near) - _FREE_PENALTY * free
     of_free = -_FREE_PENALTY * walls
     cells = np.where(walls, OCCUPIED, np.where(free, FREE, UNKNOWN)).astype(np.uint8)
     coarse = GridMap(cells, factor * grid.resolution, grid.origin)
+    of_both = (coarse.centres_of(np.argwhere(kind)) for kind in (coarse.occupied, coarse.free))
+    # each x beside its y: sums depend on that, in the end
+    wall_places, free_places = map(np.ascontiguousarray, of_both)
     return CoarseGrid(
         cell_m=coarse.resolution,
-        walls=_centres(coarse, coarse.occupied),
-        free=_centres(coarse, coarse.free),
+        walls=wall_places,
+        free=free_places,
         layers=np.stack([of_walls, of_free]).astype(np.float32),
         origin=grid.origin,
     )
-
-
-def _block_sums(cells: BoolArray, factor: int) -> NDArray[np.int32]:
-    """(H, W) how many of `factor` by `factor` cells are set, in blocks side by side."""
-    rows = np.stack([cells[k::factor] for k in range(factor)]).sum(axis=0, dtype=np.int32)
-    return np.asarray(np.stack([rows[:, k::factor] for k in range(factor)]).sum(axis=0))
-
-
-def _centres(grid: GridMap, cells: BoolArray) -> FloatArray:
-    """(N, 2) centres of some cells (H, W), each x beside its y: sums depend on that, in the end."""
-    return np.ascontiguousarray(grid.centres_of(np.argwhere(cells)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
