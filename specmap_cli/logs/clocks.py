@@ -61,11 +61,8 @@ class Clock:
         """The stamp of the scan of that number with these header and recorder's times."""
         if self.source == "order":
             return self.first_ns + number * self.interval_ns
-        return time_ns if self.source == "recorder" or self.unset(stamp_ns) else stamp_ns
-
-    def unset(self, stamp_ns: int) -> bool:
-        """Whether a header stamp was never set, unlike others of the log."""
-        return self.source == "header" and self.zero_is_unset and stamp_ns == 0
+        unset = self.zero_is_unset and stamp_ns == 0
+        return time_ns if self.source == "recorder" or unset else stamp_ns
 
     def odometry_ns(self, stamp_ns: int, time_ns: int) -> int:
         """The stamp of odometry; a header stamp of zero is none."""

@@ -116,9 +116,10 @@ def segment(grid: GridMap, config: SegmentationConfig) -> Segmentation:
     names[np.argsort(-sizes, kind="stable")] = np.arange(len(sizes))
     named = np.where(fine < 0, np.int32(-1), names[np.maximum(fine, 0)])
     _, graph, spectrum = placements[0]
+    middles = (graph.nodes + 0.5) * work.step - 0.5  # on the fine grid
     return Segmentation(
         labels=upright.undo(named, np.full(grid.cells.shape, -1, dtype=np.int32)),
-        nodes=grid.centres_of(upright.cells_in_grid(work.fine_cells(graph.nodes), free.shape)),
+        nodes=grid.centres_of(upright.cells_in_grid(middles, free.shape)),
         node_labels=names[cells[graph.nodes[:, 0], graph.nodes[:, 1]]],
         pairs=graph.pairs,
         spectrum=spectrum,

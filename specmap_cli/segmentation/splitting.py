@@ -95,7 +95,7 @@ def examine(grid: GridMap, poses: FloatArray, config: SegmentationConfig) -> Spl
     work = working_grid(opened, window.resolution, SPLIT_CELL_M)
     way = np.clip(window.cells_of(poses[:, :2]) // work.step, 0, np.array(work.clearance.shape) - 1)
     nodes = _nodes_along(work, way, config)
-    places = window.centres_of(work.fine_cells(nodes))
+    places = window.centres_of((nodes + 0.5) * work.step - 0.5)
     if len(nodes) < _FEWEST_NODES:
         return _undivided(window, poses, places)
     numbers = np.arange(len(nodes), dtype=np.int32)

@@ -104,10 +104,6 @@ class WorkingGrid:
         """Coarse cells of which every fine cell is free (h, w)."""
         return np.asarray(self.clearance > 0.0)
 
-    def fine_cells(self, cells: NDArray[Any]) -> FloatArray:
-        """Rows and columns (n, 2), fractional, of the middles of coarse cells on the fine grid."""
-        return np.asarray((cells + 0.5) * self.step - 0.5, dtype=np.float64)
-
 
 def working_grid(free: BoolArray, resolution: float, cell_m: float) -> WorkingGrid:
     """Reduce `free` (H, W) to cells of about `cell_m`: coarse cells are free when wholly free."""

@@ -134,6 +134,8 @@ class ChunkedFile(Recording):
         self, file: Path, path: Path | None = None, config: LogConfig | None = None
     ) -> None:
         super().__init__(file, path, config)
+        # the most bytes of a chunk or a message that are taken into memory
+        self.chunk_max = round(self.config.chunk_max_mb * _BYTES_PER_MB)
         try:
             self._fd = os.open(file, os.O_RDONLY)
         except OSError as error:
@@ -177,11 +179,6 @@ class ChunkedFile(Recording):
             return self._index.contents
         entries = self._salvaged()
         return survey((*self.channels[entry.channel][:2], entry.time_ns) for entry in entries)
-
-    @property
-    def chunk_max(self) -> int:
-        """The most bytes of a chunk or a message that are taken into memory."""
-        return round(self.config.chunk_max_mb * _BYTES_PER_MB)
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """The messages on `topics`, in time order with an index and as written without.
