@@ -84,8 +84,9 @@ def cell_counts(points: NDArray[Any], cell_m: float, shape: tuple[int, int]) -> 
 
     Cell [0, 0] is centred on the origin; what lies below or left of it comes in at the far ends.
     """
-    flat = _cell_numbers(points, cell_m, shape)
-    return np.bincount(flat, minlength=shape[0] * shape[1]).reshape(shape)
+    columns, rows = np.floor(points / cell_m + 0.5).astype(np.intp).T
+    cells = (rows % shape[0]) * shape[1] + columns % shape[1]
+    return np.bincount(cells, minlength=shape[0] * shape[1]).reshape(shape)
 
 
 def marked_cells(
@@ -96,14 +97,9 @@ def marked_cells(
     The cells are those of `cell_counts`.
     """
     picture = np.zeros(shape, dtype=np.float32)
-    picture.reshape(-1)[_cell_numbers(points, cell_m, shape)] = 1.0
-    return picture
-
-
-def _cell_numbers(points: NDArray[Any], cell_m: float, shape: tuple[int, int]) -> NDArray[np.intp]:
-    """(N,) the cell of each point, counted row by row."""
     columns, rows = np.floor(points / cell_m + 0.5).astype(np.intp).T
-    return np.asarray((rows % shape[0]) * shape[1] + columns % shape[1])
+    picture[rows % shape[0], columns % shape[1]] = 1.0
+    return picture
 
 
 def local_maxima(correlation: NDArray[Any]) -> NDArray[Any]:

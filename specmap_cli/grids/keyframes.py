@@ -297,13 +297,12 @@ def sole_views(
     claims, left = {}, np.asarray(unseen).copy()
     for number, cells in shown(np.flatnonzero(gone)[::-1], left):
         claims[number] = cells[left[cells[:, 0], cells[:, 1]]]
-        _clear(left, cells)
     claimed = np.zeros(unseen.shape, dtype=bool)
     for cells in claims.values():
         claimed[cells[:, 0], cells[:, 1]] = True
     others = np.flatnonzero(~gone)
-    for _, cells in shown(others[np.argsort(others % _STRIDE, kind="stable")], claimed):
-        _clear(claimed, cells)
+    for _ in shown(others[np.argsort(others % _STRIDE, kind="stable")], claimed):
+        pass  # what others show is claimed no more
     stay = [number for number, cells in claims.items() if claimed[cells[:, 0], cells[:, 1]].any()]
     return np.array(sorted(stay), dtype=np.int64)
 
@@ -318,7 +317,8 @@ def _shown(
 ) -> Iterator[tuple[int, IntArray]]:
     """Keyframes, in turn, that hit any of the cells `wanted` (H, W) by then, with all they hit.
 
-    It ends when nothing is wanted any more.
+    After its turn what it hit is not wanted any more, nor are the cells around, as far as a scan
+    errs. It ends when nothing is wanted.
     """
     from scipy.spatial import cKDTree  # slow to load, and only an update asks
 
@@ -333,13 +333,9 @@ def _shown(
         cells = cells[walls.inside(cells)]
         if wanted[cells[:, 0], cells[:, 1]].any():
             yield number, cells
+            rows, columns = wanted.shape
+            for down, right in product((-1, 0, 1), repeat=2):
+                down_to = np.clip(cells[:, 0] + down, 0, rows - 1)
+                wanted[down_to, np.clip(cells[:, 1] + right, 0, columns - 1)] = False
             if not wanted.any():
                 return
-
-
-def _clear(left: BoolArray, cells: IntArray) -> None:
-    """Take some cells (N, 2) and those around them, as far as a scan errs, out of a mask."""
-    rows, columns = left.shape
-    for down, right in product((-1, 0, 1), repeat=2):
-        down_to = np.clip(cells[:, 0] + down, 0, rows - 1)
-        left[down_to, np.clip(cells[:, 1] + right, 0, columns - 1)] = False

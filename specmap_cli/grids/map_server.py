@@ -114,7 +114,16 @@ def read_grid(
     path = Path(path)
     scale = {} if resolution is None else {"resolution": resolution}
     if path.suffix.lower() in (".yaml", ".yml"):
-        entries = _read_entries(path) | scale
+        try:
+            found = read_yaml(read_bytes(path, _LARGEST_YAML_MB))
+        except ValueError as error:
+            raise MapError(error, _EXPECTED, where=path) from None
+        except OSError as error:
+            if error.errno == errno.EFBIG:
+                size = f"larger than {_LARGEST_YAML_MB * 1000:g} kB"
+                raise MapError(size, _EXPECTED, where=path) from None
+            raise MapError.of_system(error, "cannot read the map", where=path) from None
+        entries = (found if isinstance(found, dict) else {}) | scale
     elif resolution is None:
         raise MapError(
             "a picture has no scale", "give metres a pixel with --resolution", where=path
@@ -127,19 +136,6 @@ def read_grid(
         raise MapError(*_complaint(error, entries), where=path) from None
     cells = about.cells(read_picture(path.parent / about.image, limits))
     return GridMap(cells, about.resolution, (about.origin[0], about.origin[1]))
-
-
-def _read_entries(path: Path) -> dict[str, Any]:
-    try:
-        entries = read_yaml(read_bytes(path, _LARGEST_YAML_MB))
-    except ValueError as error:
-        raise MapError(error, _EXPECTED, where=path) from None
-    except OSError as error:
-        if error.errno == errno.EFBIG:
-            size = f"larger than {_LARGEST_YAML_MB * 1000:g} kB"
-            raise MapError(size, _EXPECTED, where=path) from None
-        raise MapError.of_system(error, "cannot read the map", where=path) from None
-    return entries if isinstance(entries, dict) else {}
 
 
 def _complaint(error: ValidationError, entries: dict[str, Any]) -> tuple[str, ...]:

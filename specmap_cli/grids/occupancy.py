@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.records import BoolArray, PlanarScan
+from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import GridConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, slices_near, window_of
 
@@ -58,7 +58,16 @@ class OccupancyGrid:
         A cell counts once a scan at the most. What the robot covered counts as passed through,
         where the grid may grow to hold it. Some dozens of scans at once are quickest.
         """
-        low, high, inside = footprints_of(grid_from_base, self.config.footprint_m, self.resolution)
+        # what the robot covers: discs in boxes of cells, columns and rows, from `low` to `high`
+        # (n, 2); `inside` (n, s, s) says of rows and columns from `low` on whether the cell's
+        # centre is covered
+        reach = self.config.footprint_m / self.resolution
+        centre = grid_from_base[:, :2] / self.resolution
+        low = np.floor(centre - reach).astype(np.intp)
+        high = np.floor(centre + reach).astype(np.intp) + 1
+        off = low[:, None, :] + np.arange(int(2.0 * reach) + 2)[:, None] + 0.5 - centre[:, None, :]
+        squares = off * off
+        inside = squares[:, :, None, 1] + squares[:, None, :, 0] <= reach * reach
         stood = []
         fans = fans_of(scans, grid_from_laser, self.config)
         for fan, first, end in zip(fans, low.tolist(), high.tolist(), strict=True):
@@ -80,14 +89,24 @@ class OccupancyGrid:
         cells = rows * self._hits.shape[1] + columns - self._corner[0]
         np.add.at(self._misses.reshape(-1), cells, _ONCE)  # each as often as it is stood on
 
-    def snapshot(self) -> GridMap:
-        """The trinary grid as it stands."""
-        return self._picture(slice(0, self._hits.shape[0]), slice(0, self._hits.shape[1]))
+    def snapshot(self, window: tuple[slice, slice] | None = None) -> GridMap:
+        """The trinary grid as it stands, or a window of it: some of the rows and columns."""
+        rows, columns = window or (slice(0, self._hits.shape[0]), slice(0, self._hits.shape[1]))
+        hits, misses = self._hits[rows, columns], self._misses[rows, columns]
+        cells = np.where(misses > 0, _FREE, _UNKNOWN)
+        hit = np.nonzero(hits)
+        seen = hits[hit] + misses[hit].astype(np.float64)
+        occupied = hits[hit] >= _OCCUPIED_SHARE * seen
+        cells[hit] = np.where(occupied, _OCCUPIED, _FREE)
+        x, y = self._corner[0] * self.resolution, self._corner[1] * self.resolution
+        corner = (x + columns.start * self.resolution, y + rows.start * self.resolution)
+        return GridMap(cells, self.resolution, corner)
 
     def near(self, points: FloatArray, reach_m: float) -> GridMap:
         """The part of `snapshot` within `reach_m` of the box round points (n, 2 or more)."""
+        origin = self._corner[0] * self.resolution, self._corner[1] * self.resolution
         shape = self._hits.shape
-        return self._picture(*slices_near(points, reach_m, self._origin, self.resolution, shape))
+        return self.snapshot(slices_near(points, reach_m, origin, self.resolution, shape))
 
     def include(self, other: OccupancyGrid) -> None:
         """Add the counts of another grid of the same cells, if this one may grow to hold it."""
@@ -119,23 +138,6 @@ class OccupancyGrid:
         rest._misses = rest._misses[rows, columns].copy()
         rest._corner = self._corner[0] + columns.start, self._corner[1] + rows.start
         return rest
-
-    def _picture(self, rows: slice, columns: slice) -> GridMap:
-        """The trinary grid in some rows and columns."""
-        hits, misses = self._hits[rows, columns], self._misses[rows, columns]
-        cells = np.where(misses > 0, _FREE, _UNKNOWN)
-        hit = np.nonzero(hits)
-        seen = hits[hit] + misses[hit].astype(np.float64)
-        occupied = hits[hit] >= _OCCUPIED_SHARE * seen
-        cells[hit] = np.where(occupied, _OCCUPIED, _FREE)
-        x, y = self._origin
-        corner = (x + columns.start * self.resolution, y + rows.start * self.resolution)
-        return GridMap(cells, self.resolution, corner)
-
-    @property
-    def _origin(self) -> tuple[float, float]:
-        """Metres from the frame's origin to the corner of the first element."""
-        return self._corner[0] * self.resolution, self._corner[1] * self.resolution
 
     @property
     def _box(self) -> tuple[Cell, Cell]:
@@ -269,22 +271,3 @@ def _stars(
     # as OpenCV counts places, in cells from a corner: 1/16 from the middle of a cell
     corners = np.round((star - 0.5) * (1 << SUBPIXEL_BITS)).astype(np.int32)
     return corners, lasers[np.searchsorted(opens, first)]
-
-
-def footprints_of(
-    places: FloatArray, radius_m: float, resolution_m: float
-) -> tuple[_Indices, _Indices, BoolArray]:
-    """What a robot of that radius covers that stands at `places` (n, 2 or more columns), metres.
-
-    Each disc of cells lies in a box of cells from `low` (n, 2), columns and rows, to `high` (n, 2),
-    the latter not among them; `inside` (n, s, s) says of rows and columns from `low` on whether the
-    cell's centre is covered.
-    """
-    centre, reach = places[:, :2] / resolution_m, radius_m / resolution_m
-    low = np.floor(centre - reach)
-    high = np.floor(centre + reach).astype(np.intp) + 1
-    side = np.arange(int(2.0 * reach) + 2)
-    off = low[:, None, :] + side[:, None] + 0.5 - centre[:, None, :]
-    squares = off * off
-    inside = squares[:, :, None, 1] + squares[:, None, :, 0] <= reach * reach
-    return low.astype(np.intp), high, np.asarray(inside)

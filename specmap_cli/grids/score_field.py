@@ -232,13 +232,15 @@ def descend(
         return guess
     columns = np.ascontiguousarray(points.T)
     pose, here = guess, Sample.of(field, columns, guess)
-    cost = here.cost()
+    missing = 1.0 - here.values
+    cost = float((missing * missing).sum())
     for _ in range(iterations):
         step = _step(here, _DAMPING)
         for _ in range(_HALVINGS):
-            trial = _moved(pose, step)
+            trial = Pose2(pose.x + step[0], pose.y + step[1], pose.theta + step[2])
             there = Sample.of(field, columns, trial)
-            trial_cost = there.cost()
+            missing = 1.0 - there.values
+            trial_cost = float((missing * missing).sum())
             if trial_cost < cost:
                 break
             step = (step[0] / 2, step[1] / 2, step[2] / 2)
@@ -265,15 +267,11 @@ def approach(field: ScoreField, points: NDArray[Any], guess: Pose2, sigma_m: flo
     for _ in range(_WAY_STEPS):
         here = Sample.of(field, columns, pose)
         step = _step(here.sharper() if sharp else here, _WAY_DAMPING)
-        pose = _moved(pose, step)
+        pose = Pose2(pose.x + step[0], pose.y + step[1], pose.theta + step[2])
         if sharp and _size(step) < _NEAR_STEP:
             break
         sharp = sharp or _size(step) < sigma_m / 2
     return Pose2(pose.x, pose.y, wrap_angle(pose.theta))
-
-
-def _moved(pose: Pose2, step: Step) -> Pose2:
-    return Pose2(pose.x + step[0], pose.y + step[1], pose.theta + step[2])
 
 
 def _size(step: Step) -> float:
@@ -342,11 +340,6 @@ class Sample:
         return Sample(
             values=cube * self.values, slopes=4.0 * cube * self.slopes, turned=self.turned
         )
-
-    def cost(self) -> float:
-        """Sum over the points of (1 - value)^2."""
-        missing = 1.0 - self.values
-        return float((missing * missing).sum())
 
     def equations(self) -> FloatArray:
         """(4, N) derivatives of the values by x, y and turn, and what the values miss to one."""

@@ -7,7 +7,7 @@ value, leaves the recorder's times; where these say nothing either, the order of
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import islice, pairwise
 from statistics import median_low
@@ -22,8 +22,8 @@ from specmap_cli.logs.messages import (
     decode_transforms,
 )
 from specmap_cli.logs.opening import Log
-from specmap_cli.logs.readers.encoding import NS_PER_S, TF_MESSAGE
-from specmap_cli.logs.readers.recording import Message, time_text
+from specmap_cli.logs.readers.encoding import TF_MESSAGE
+from specmap_cli.logs.readers.recording import Message
 from specmap_cli.logs.sensors import ScanSensor
 
 _ASCENDING_SHARE = 0.25  # share of stamps that must follow the one ahead, or they are of no use
@@ -61,11 +61,8 @@ class Clock:
         """The stamp of the scan of that number with these header and recorder's times."""
         if self.source == "order":
             return self.first_ns + number * self.interval_ns
-        return time_ns if self.source == "recorder" or self.unset(stamp_ns) else stamp_ns
-
-    def unset(self, stamp_ns: int) -> bool:
-        """Whether a header stamp was never set, unlike others of the log."""
-        return self.source == "header" and self.zero_is_unset and stamp_ns == 0
+        unset = self.zero_is_unset and stamp_ns == 0
+        return time_ns if self.source == "recorder" or unset else stamp_ns
 
     def odometry_ns(self, stamp_ns: int, time_ns: int) -> int:
         """The stamp of odometry; a header stamp of zero is none."""
@@ -128,23 +125,6 @@ def _ascends(stamps: Sequence[int]) -> bool:
         return False
     ahead = sum(b > a for a, b in pairwise(stamps))
     return len(stamps) < _FEWEST or ahead >= _ASCENDING_SHARE * (len(stamps) - 1)
-
-
-def clock_warnings(clock: Clock, topic: str) -> Iterator[str]:
-    """What is said of a clock that is not that of the header stamps."""
-    if clock.source == "recorder":
-        yield f"{topic}: {clock.why}: the recorder's times are used"
-    elif clock.source == "order":
-        yield (
-            f"{topic}: {clock.why}, and the recorder's times do not ascend: scans are stamped by "
-            f"their order, {clock.interval_ns / NS_PER_S:g} s apart"
-        )
-    if clock.odometry_shift_ns:
-        side = "behind" if clock.odometry_shift_ns > 0 else "ahead of"
-        yield (
-            f"the stamps of the odometry are {time_text(abs(clock.odometry_shift_ns))} {side} "
-            "those of the scans recorded beside it: it has another clock, and is shifted to theirs"
-        )
 
 
 def stamp_pairs(

@@ -14,7 +14,7 @@ from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import legible
 from specmap_cli.logs.messages import BadMessageError, TransformRecord, decode_transforms
 from specmap_cli.logs.opening import Log
-from specmap_cli.logs.sensors import transform_topics
+from specmap_cli.logs.readers.encoding import TF_MESSAGE
 
 _MAX_DEPTH = 100  # a longer chain of frames is a loop
 
@@ -122,7 +122,8 @@ def read_frames(log: Log, laser_frame: str, bases: Iterable[str], config: LogCon
     given_up, unreadable = False, 0
     absurd: dict[tuple[str, str], None] = {}  # in the order they were met
     for dynamic in (False, True):
-        names = transform_topics(log, static=not dynamic)
+        of_tf = [topic.name for topic in log.topics() if topic.type == TF_MESSAGE]
+        names = [name for name in of_tf if name.endswith("tf_static") != dynamic]
         for number, message in enumerate(log.messages(names) if names else ()):
             if number >= config.transform_messages:
                 given_up = True

@@ -90,10 +90,26 @@ def decode_scan(message: Message) -> ScanRecord | CloudRecord:
     decoded = _decoded(message, message.type)
     if message.type == POINT_CLOUD:
         return _cloud(decoded)
+    ranges: NDArray[np.float32] = decoded.ranges
     if message.type == MULTI_ECHO:
         first = [beam.echoes[0] if len(beam.echoes) else np.inf for beam in decoded.ranges]
-        return _scan(decoded, np.array(first, dtype=np.float32))
-    return _scan(decoded, decoded.ranges)
+        ranges = np.array(first, dtype=np.float32)
+    if len(ranges) > _MOST_BEAMS:
+        raise BadMessageError(f"a scan of {len(ranges):,} beams")
+    return ScanRecord(
+        stamp_ns=_stamp(decoded.header),
+        frame=frame_name(decoded.header.frame_id),
+        layout=ScanLayout(
+            angle_min=float(decoded.angle_min),
+            angle_max=float(decoded.angle_max),
+            angle_increment=float(decoded.angle_increment),
+            time_increment=float(decoded.time_increment),
+            beams=len(ranges),
+        ),
+        range_min=float(decoded.range_min),
+        range_max=float(decoded.range_max),
+        ranges=ranges,
+    )
 
 
 def decode_odometry(message: Message) -> TransformRecord:
@@ -150,25 +166,6 @@ def _matrix(translation: Any, rotation: Any) -> FloatArray | None:
     matrix[:3, 3] = translation.x, translation.y, translation.z
     possible = np.isfinite(matrix).all() and np.abs(matrix[:3, 3]).max() <= _FARTHEST_M
     return matrix if possible else None
-
-
-def _scan(decoded: Any, ranges: NDArray[np.float32]) -> ScanRecord:
-    if len(ranges) > _MOST_BEAMS:
-        raise BadMessageError(f"a scan of {len(ranges):,} beams")
-    return ScanRecord(
-        stamp_ns=_stamp(decoded.header),
-        frame=frame_name(decoded.header.frame_id),
-        layout=ScanLayout(
-            angle_min=float(decoded.angle_min),
-            angle_max=float(decoded.angle_max),
-            angle_increment=float(decoded.angle_increment),
-            time_increment=float(decoded.time_increment),
-            beams=len(ranges),
-        ),
-        range_min=float(decoded.range_min),
-        range_max=float(decoded.range_max),
-        ranges=ranges,
-    )
 
 
 # sensor_msgs/msg/PointField.datatype -> numpy, without the byte order

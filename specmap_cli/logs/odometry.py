@@ -96,6 +96,8 @@ class OdometryListener:
         """Remember the odometry in a message; raises BadMessageError when it cannot be read."""
         selection = self.selection
         odom, base = selection.odom_frame or "", selection.base_frame
+        heard: list[tuple[int, FloatArray | None]] = []  # header stamps, odom_from_base
+        absurd: list[str] = []
         if selection.odometry == "topic":
             record = decode_odometry(message)
             odom_from_base: FloatArray | None = record.parent_from_child
@@ -103,17 +105,21 @@ class OdometryListener:
                 child_from_base = self._tree.lookup(record.child, base)
                 if child_from_base is not None:
                     odom_from_base = record.parent_from_child @ child_from_base
-            self._remember(record.stamp_ns, message.time_ns, odom_from_base)
-            return
-        transforms = decode_transforms(message)
-        for record in transforms.records:  # the chain to the base: its first link sets the time
-            if record.child not in self._chain:
-                continue
-            self._tree.add(record, dynamic=True)
-            if record.parent == odom:
-                pose = self._tree.lookup(odom, base)
-                self._remember(record.stamp_ns, message.time_ns, pose)
-        absurd = [child for _, child in transforms.absurd if child in self._chain]
+            heard.append((record.stamp_ns, odom_from_base))
+        else:
+            transforms = decode_transforms(message)
+            for record in transforms.records:  # the chain to the base: its first link sets the time
+                if record.child in self._chain:
+                    self._tree.add(record, dynamic=True)
+                    if record.parent == odom:
+                        heard.append((record.stamp_ns, self._tree.lookup(odom, base)))
+            absurd = [child for _, child in transforms.absurd if child in self._chain]
+        for stamp_ns, pose in heard:
+            if pose is not None:
+                self.heard += 1
+                self.last = Heard(stamp_ns, message.time_ns, Pose2.from_matrix(pose))
+                known_ns = selection.clock.odometry_ns(stamp_ns, message.time_ns)
+                self.poses.add(known_ns, self.last.pose)
         if absurd:
             raise BadMessageError(f"the transform of {absurd[0]!r} is not finite or absurd")
 
@@ -129,14 +135,6 @@ class OdometryListener:
         same = (self.last.stamp_ns, self.last.time_ns) == (stamp_ns, time_ns)
         by_order = self.selection.clock.source == "order"
         return self.last.pose if same or by_order else None
-
-    def _remember(self, stamp_ns: int, time_ns: int, odom_from_base: FloatArray | None) -> None:
-        if odom_from_base is None:
-            return
-        self.heard += 1
-        self.last = Heard(stamp_ns, time_ns, Pose2.from_matrix(odom_from_base))
-        clock = self.selection.clock
-        self.poses.add(clock.odometry_ns(stamp_ns, time_ns), self.last.pose)
 
 
 def interpolated(a: Pose2, b: Pose2, share: float) -> Pose2:

@@ -220,7 +220,8 @@ def _reader_of(file: Path, path: Path, readers: _Readers) -> type[Recording]:
 class Log:
     """Recordings joined in time: what `open_log` returns. Use it in a `with` block.
 
-    `given` are the paths the user named, files or directories. `held` is what must be released
+    `given` are the paths the user named, files or directories, `paths` the files, earliest first,
+    and `name` is what to call the log in messages. `held` is what must be released
     with the log, by default the recordings.
     """
 
@@ -232,21 +233,13 @@ class Log:
     ) -> None:
         self.given = tuple(given)
         self._recordings = sorted(recordings, key=lambda r: (r.contents.start_ns, str(r.path)))
+        self.paths = [recording.path for recording in self._recordings]
+        more = len(self.given) - 1
+        self.name = f"{self.given[0]}" + (f" and {more} more" if more else "")
         self._held = held if held is not None else ExitStack()
         if held is None:
             for recording in recordings:
                 self._held.callback(recording.close)
-
-    @property
-    def paths(self) -> list[Path]:
-        """The files, earliest first."""
-        return [recording.path for recording in self._recordings]
-
-    @property
-    def name(self) -> str:
-        """What to call the log in messages."""
-        more = len(self.given) - 1
-        return f"{self.given[0]}" + (f" and {more} more" if more else "")
 
     @property
     def format(self) -> str:

@@ -14,7 +14,6 @@ from specmap_cli.logs.clocks import (
     Clock,
     OdometryKind,
     choose_clock,
-    clock_warnings,
     stamp_pairs,
 )
 from specmap_cli.logs.frames import (
@@ -27,8 +26,8 @@ from specmap_cli.logs.frames import (
 )
 from specmap_cli.logs.messages import BadMessageError, decode_odometry
 from specmap_cli.logs.opening import Log
-from specmap_cli.logs.readers.encoding import ODOMETRY
-from specmap_cli.logs.readers.recording import TopicInfo
+from specmap_cli.logs.readers.encoding import NS_PER_S, ODOMETRY, TF_MESSAGE
+from specmap_cli.logs.readers.recording import TopicInfo, time_text
 from specmap_cli.logs.sensors import (
     TRIED_MESSAGES,
     ScanSensor,
@@ -39,7 +38,6 @@ from specmap_cli.logs.sensors import (
     first_scans,
     is_flat,
     sensors_of,
-    transform_topics,
 )
 
 _ABSURD_NAMED = 3  # transforms; with more of them the log is beyond help
@@ -132,7 +130,9 @@ def select(log: Log, config: LogConfig) -> Selection:
     elif config.use_odometry:
         odom_frame = odometry_ancestor(frames.tree, placement.base_frame)
         if odom_frame is not None:
-            odometry, topics = "tf", tuple(transform_topics(log, static=False))
+            odometry = "tf"
+            of_tf = [topic.name for topic in log.topics() if topic.type == TF_MESSAGE]
+            topics = tuple(name for name in of_tf if not name.endswith("tf_static"))
     pairs = stamp_pairs(log, topic.name, sensor, topics, odom_frame)
     clock = choose_clock([(scan.stamp_ns, scan.time_ns) for scan in scans], pairs)
     return Selection(
@@ -150,8 +150,7 @@ def select(log: Log, config: LogConfig) -> Selection:
         band_m=(config.band_min_m, config.band_max_m) if in_space else None,
         ceilings_m=ceilings_m(log, topic, sensor),
         warnings=(
-            *_assumptions(log, topic.name, placement, frames, child, config),
-            *clock_warnings(clock, topic.name),
+            *_assumptions(log, topic.name, placement, frames, child, clock, config),
             *([_UNKNOWN_FLOOR] if in_space and placement.floor_m is None else []),
         ),
     )
@@ -163,9 +162,10 @@ def _assumptions(
     placement: Placement,
     frames: Frames,
     odometry_child: str | None,
+    clock: Clock,
     config: LogConfig,
 ) -> Iterator[str]:
-    """What is taken for granted of the files and the frames as the log does not say it."""
+    """What is taken for granted of files, frames and stamps as the log does not say it."""
     base = placement.base_frame
     for earlier, later, shared_ns in log.side_by_side(topic) if len(log.paths) > 1 else ():
         if shared_ns > _PARTS_OVERLAP_NS:
@@ -188,6 +188,19 @@ def _assumptions(
         yield (
             f"the odometry moves {odometry_child!r}, which no transform joins to {base!r}: "
             "the two are taken to be the same"
+        )
+    if clock.source == "recorder":
+        yield f"{topic}: {clock.why}: the recorder's times are used"
+    elif clock.source == "order":
+        yield (
+            f"{topic}: {clock.why}, and the recorder's times do not ascend: scans are stamped by "
+            f"their order, {clock.interval_ns / NS_PER_S:g} s apart"
+        )
+    if clock.odometry_shift_ns:
+        side = "behind" if clock.odometry_shift_ns > 0 else "ahead of"
+        yield (
+            f"the stamps of the odometry are {time_text(abs(clock.odometry_shift_ns))} {side} "
+            "those of the scans recorded beside it: it has another clock, and is shifted to theirs"
         )
 
 

@@ -32,14 +32,8 @@ from specmap_cli.logs.messages import (
 )
 from specmap_cli.logs.opening import Log
 from specmap_cli.logs.planar import ScanLeveller, covers_circle, increment
-from specmap_cli.logs.readers.encoding import SCAN_TYPES, TF_MESSAGE
+from specmap_cli.logs.readers.encoding import SCAN_TYPES
 from specmap_cli.logs.readers.recording import TopicInfo, refused
-
-
-def transform_topics(log: Log, *, static: bool) -> list[str]:
-    """Topics of transforms that never change, or of those that may."""
-    of_tf = [topic.name for topic in log.topics() if topic.type == TF_MESSAGE]
-    return [name for name in of_tf if name.endswith("tf_static") == static]
 
 
 def choose_scan_topic(log: Log, asked: str | None) -> TopicInfo:

@@ -106,20 +106,16 @@ class SweepStream:
                 except BadMessageError:
                     counts["unusable_odometry"] += 1
                 counts["odometry"] = odometry.heard
-            while waiting and self._ready(waiting, odometry.poses, message.time_ns):
+            while waiting:
+                first, latest = waiting[0], odometry.poses.latest_ns
+                heard = first.own is not None or (latest is not None and latest >= first.stamp_ns)
+                late = message.time_ns - first.time_ns > nanoseconds(_ODOMETRY_WAIT_S)
+                late |= len(waiting) > _ODOMETRY_WAIT_SCANS
+                if not (chosen.odometry is None or heard or late):
+                    break
                 yield from sweeps.made(waiting.popleft(), odometry.poses)
         while waiting:
             yield from sweeps.made(waiting.popleft(), odometry.poses)
-
-    def _ready(self, waiting: deque[_Waiting], odometry: OdometryBuffer, now_ns: int) -> bool:
-        """Whether the first waiting scan has its odometry, or has waited long enough."""
-        if self.selection.odometry is None or len(waiting) > _ODOMETRY_WAIT_SCANS:
-            return True
-        first, latest = waiting[0], odometry.latest_ns
-        if first.own is not None:
-            return True
-        heard = latest is not None and latest >= first.stamp_ns
-        return heard or now_ns - first.time_ns > nanoseconds(_ODOMETRY_WAIT_S)
 
 
 class _Waiting(NamedTuple):
@@ -166,8 +162,10 @@ class _SweepMaker:
         if not chosen.sensor.made(record):
             self.counts["other_sensor"] += 1
             return
-        self.counts["unstamped_scans"] += chosen.clock.unset(record.stamp_ns)
-        stamp = chosen.clock.scan_ns(self._number, record.stamp_ns, message.time_ns)
+        clock = chosen.clock
+        unset = clock.source == "header" and clock.zero_is_unset and record.stamp_ns == 0
+        self.counts["unstamped_scans"] += unset
+        stamp = clock.scan_ns(self._number, record.stamp_ns, message.time_ns)
         self._number += 1
         own = odometry.own(record.stamp_ns, message.time_ns)
         yield _Waiting(record, stamp, message.time_ns, own)

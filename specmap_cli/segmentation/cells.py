@@ -188,7 +188,16 @@ def join_wide(
     touching: list[dict[int, float]] = [{} for _ in widths]
     for (one, other), border in borders.items():
         touching[one][other] = touching[other][one] = border
-    while (pair := _widest(touching, width, ratio)) is not None:
+    while True:
+        # the pair with the widest border in proportion, the first of equals
+        best, pair = ratio - _RATIO_SLACK, None
+        for one, around in enumerate(touching):
+            for other, border in around.items():
+                mean = (width[one] * width[other]) ** 0.5
+                if one < other and border > best * mean + _WIDTH_SLACK:
+                    best, pair = border / max(mean, _NARROWEST), (one, other)
+        if pair is None:
+            break
         keep, gone = pair
         part_of[part_of == gone] = keep
         nodes[keep] = np.concatenate([nodes[keep], nodes[gone]])
@@ -203,17 +212,6 @@ def join_wide(
     return labels
 
 
-def _widest(touching: list[dict[int, float]], width: list[float], ratio: float) -> Pair | None:
-    """The pair with the widest border in proportion, the first of equals, or None."""
-    best, pair = ratio - _RATIO_SLACK, None
-    for one, around in enumerate(touching):
-        for other, border in around.items():
-            mean = (width[one] * width[other]) ** 0.5
-            if one < other and border > best * mean + _WIDTH_SLACK:
-                best, pair = border / max(mean, _NARROWEST), (one, other)
-    return pair
-
-
 def consensus(divisions: Sequence[LabelArray]) -> LabelArray:
     """(h, w) labels 0, 1, ... of the regions that most of some divisions (h, w) have.
 
@@ -222,7 +220,23 @@ def consensus(divisions: Sequence[LabelArray]) -> LabelArray:
     """
     if len(divisions) == 1 or all((division < 0).all() for division in divisions):
         return divisions[0]
-    atoms, labels = _atoms(divisions)
+    # `atoms` (h, w): the number of the set of labels that each cell has, -1 without one; `labels`
+    # (m, k): these sets, in the order in which they appear, so that no number hangs on what labels
+    # are called
+    some = np.any([division >= 0 for division in divisions], axis=0)
+    columns = [division[some].astype(np.int64) for division in divisions]
+    code = np.zeros(len(columns[0]), dtype=np.int64)
+    for column in columns:
+        code = code * (int(column.max()) + 2) + column + 1
+        # without sorting: there is a code for every cell
+        seen = np.full(int(code.max()) + 1, -1, dtype=np.int64)
+        seen[code[::-1]] = np.arange(len(code))[::-1]  # the last one to be written is the first
+        first = np.sort(seen[seen >= 0])
+        seen[code[first]] = np.arange(len(first))
+        code = seen[code]
+    atoms = np.full(some.shape, -1, dtype=np.int32)
+    atoms[some] = code
+    labels = np.column_stack([column[first] for column in columns])
     area = np.bincount(atoms[atoms >= 0], minlength=len(labels)).astype(np.float64)
     # (r, m) 1 where a region of any division, in their order, holds an atom
     spans = np.cumsum([0, *(labels.max(axis=0) + 1)])
@@ -239,31 +253,10 @@ def consensus(divisions: Sequence[LabelArray]) -> LabelArray:
         owned = csr_array((area[taken], (taken, owner[taken])), (len(area), count))
         parts = (holds @ owned).multiply(1.0 / (holds @ area)[:, None]).tocsr()
         together = (holds.T.tocsr()[left] @ parts).toarray()
-        some = together.any(axis=1)
-        owner[left[some]] = together[some].argmax(axis=1)
+        shared = together.any(axis=1)
+        owner[left[shared]] = together[shared].argmax(axis=1)
     named = np.unique(owner, return_inverse=True)[1].astype(np.int32)
     return np.where(atoms < 0, np.int32(-1), named[np.maximum(atoms, 0)])
-
-
-def _atoms(divisions: Sequence[LabelArray]) -> tuple[LabelArray, IntArray]:
-    """Number (h, w) of the set of labels that each cell has, -1 without one; the sets (m, k).
-
-    Numbers follow the order in which sets appear, so that none hangs on what labels are called.
-    """
-    some = np.any([division >= 0 for division in divisions], axis=0)
-    columns = [division[some].astype(np.int64) for division in divisions]
-    code = np.zeros(len(columns[0]), dtype=np.int64)
-    for column in columns:
-        code = code * (int(column.max()) + 2) + column + 1
-        # without sorting: there is a code for every cell
-        seen = np.full(int(code.max()) + 1, -1, dtype=np.int64)
-        seen[code[::-1]] = np.arange(len(code))[::-1]  # the last one to be written is the first
-        first = np.sort(seen[seen >= 0])
-        seen[code[first]] = np.arange(len(first))
-        code = seen[code]
-    atoms = np.full(some.shape, -1, dtype=np.int32)
-    atoms[some] = code
-    return atoms, np.column_stack([column[first] for column in columns])
 
 
 def _elected(holds: Any, area: FloatArray, divisions: int) -> IntArray:

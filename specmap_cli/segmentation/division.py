@@ -50,7 +50,7 @@ from specmap_cli.segmentation.visibility import (
     visibility_graph,
 )
 from specmap_cli.segmentation.wide_doors import with_narrow_doors
-from specmap_cli.segmentation.working_grid import WorkingGrid, canonical, coarse_step, working_grid
+from specmap_cli.segmentation.working_grid import WorkingGrid, canonical, working_grid
 
 _WIDTH_PERCENTILE = 60.0  # of the local widths in a room is the room's width
 _WALL_CELLS = 2  # obstacles this near belong to the picture of a region: a wall drawn in cells
@@ -92,7 +92,7 @@ def segment(grid: GridMap, config: SegmentationConfig) -> Segmentation:
     The result does not depend on where the map lies on its grid nor on which of the four ways it is
     turned: the work is done on the map cropped and turned to one canonical orientation.
     """
-    step = coarse_step(grid.resolution, config.cell_m)
+    step = max(1, round(config.cell_m / grid.resolution))
     block = max(1, round(config.node_step_m / (step * grid.resolution)))  # in coarse cells
     upright = canonical(grid.free, step * block)
     free = upright.apply(grid.free)
@@ -116,9 +116,10 @@ def segment(grid: GridMap, config: SegmentationConfig) -> Segmentation:
     names[np.argsort(-sizes, kind="stable")] = np.arange(len(sizes))
     named = np.where(fine < 0, np.int32(-1), names[np.maximum(fine, 0)])
     _, graph, spectrum = placements[0]
+    middles = (graph.nodes + 0.5) * work.step - 0.5  # on the fine grid
     return Segmentation(
         labels=upright.undo(named, np.full(grid.cells.shape, -1, dtype=np.int32)),
-        nodes=grid.centres_of(upright.cells_in_grid(work.fine_cells(graph.nodes), free.shape)),
+        nodes=grid.centres_of(upright.cells_in_grid(middles, free.shape)),
         node_labels=names[cells[graph.nodes[:, 0], graph.nodes[:, 1]]],
         pairs=graph.pairs,
         spectrum=spectrum,

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import UNKNOWN, BoolArray, GridMap, cell_distances
@@ -38,7 +37,8 @@ def furniture(free: BoolArray, resolution: float, config: SegmentationConfig) ->
     found = small_obstacles(free, largest, bulky, thick)
     if not pieces.any():
         return found
-    square = _slit_square(resolution)
+    side = 2 * max(0, round(0.5 * (_SLIT_M / resolution - 1.0))) + 1  # odd: it has a middle
+    square = np.ones((side, side), dtype=np.uint8)
     linked = cv2.morphologyEx(pieces.astype(np.uint8), cv2.MORPH_CLOSE, square) > 0
     rows = linked & ~small_obstacles(~linked, max(largest, bulky))
     return np.asarray(found & ~(pieces & rows))
@@ -46,16 +46,10 @@ def furniture(free: BoolArray, resolution: float, config: SegmentationConfig) ->
 
 def without_slits(free: BoolArray, resolution: float) -> BoolArray:
     """The free cells (H, W) that a free square as wide as a slit covers."""
-    square = _slit_square(resolution)
-    side = len(square)
+    side = 2 * max(0, round(0.5 * (_SLIT_M / resolution - 1.0))) + 1  # odd: it has a middle
+    square = np.ones((side, side), dtype=np.uint8)
     opened = cv2.morphologyEx(np.pad(free, side).astype(np.uint8), cv2.MORPH_OPEN, square)
     return np.asarray(opened[side:-side, side:-side] > 0)
-
-
-def _slit_square(resolution: float) -> NDArray[np.uint8]:
-    """Ones (n, n), as wide as a slit; n is odd, so that it has a middle."""
-    side = 2 * max(0, round(0.5 * (_SLIT_M / resolution - 1.0))) + 1
-    return np.ones((side, side), dtype=np.uint8)
 
 
 def small_obstacles(

@@ -146,8 +146,18 @@ def split_again(
         pending.append((members, subgraph(whole, members)))
     while pending:
         members, part = pending.pop()
-        other = _second_half(part, neighbours, least)
-        if other is None:
+        nodes = len(part.nodes)
+        if nodes < _FEWEST_NODES:
+            continue
+        i, j = part.pairs[:, 0], part.pairs[:, 1]
+        scales = local_scales(part.lengths, part.pairs, nodes, neighbours)
+        S = dense_similarity(part.lengths, part.pairs, scales, nodes)  # Algorithm 2, line 1
+        values, vectors = two_largest(dense_normalised(S))  # Algorithm 2, lines 2 and 4
+        if values[1] <= least and S.any(axis=1).all():
+            continue  # of a graph in pieces the second eigenvalue is 1, or a node sees no other
+        pieces, piece = connected_components(coo_array((S[i, j], (i, j)), S.shape), directed=False)
+        other = piece > 0 if pieces > 1 else bisect(vectors[:, 0], vectors[:, 1]) == 1
+        if not other.any() or other.all():
             continue
         labels[members[other]] = count
         count += 1
@@ -164,21 +174,3 @@ def subgraph(graph: VisibilityGraph, members: IndexArray) -> VisibilityGraph:
     pairs = place[graph.pairs]
     inside = (pairs >= 0).all(axis=1)
     return VisibilityGraph(graph.nodes[members], pairs[inside], graph.lengths[inside])
-
-
-def _second_half(part: VisibilityGraph, neighbours: int, least: float) -> BoolArray | None:
-    """(n,) the nodes to split off, None when the cluster stays whole."""
-    nodes = len(part.nodes)
-    if nodes < _FEWEST_NODES:
-        return None
-    i, j = part.pairs[:, 0], part.pairs[:, 1]
-    scales = local_scales(part.lengths, part.pairs, nodes, neighbours)
-    S = dense_similarity(part.lengths, part.pairs, scales, nodes)  # Algorithm 2, line 1
-    values, vectors = two_largest(dense_normalised(S))  # Algorithm 2, lines 2 and 4
-    if values[1] <= least and S.any(axis=1).all():
-        return None  # of a graph in pieces the second eigenvalue is 1, or a node sees no other
-    pieces, piece = connected_components(coo_array((S[i, j], (i, j)), S.shape), directed=False)
-    if pieces > 1:
-        return np.asarray(piece > 0)
-    other = bisect(vectors[:, 0], vectors[:, 1]) == 1
-    return other if other.any() and not other.all() else None

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from specmap_cli.core.records import BoolArray
 from specmap_cli.core.settings import GridConfig, SegmentationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.segmentation.splitting import CoarseSubmap, SplitTest, examine, way_driven
@@ -92,7 +91,11 @@ class OnlineSegmenter:
         test = examine(self._current.grid(), self._current.poses, self.config)
         apart = self._current.apart(test.reached)
         # Left there, what lies apart would make the map of every test as large as the way from it.
-        lost = [self._numbered(self._leave(~apart), None)] if apart.any() else []
+        lost = []
+        if apart.any():
+            self._current, left = self._current.split(~apart)
+            lost = [Region(self._finished, left.keyframes, None)]
+            self._finished += 1
         keyframes, stays = np.array(self._current.keyframes), test.stays[~apart]
         split = test.eigenvalue > self.config.split_eigenvalue and all(
             len(side) and way_driven(self._store, side.tolist()) >= self.config.region_min_m
@@ -103,7 +106,12 @@ class OnlineSegmenter:
             stamps_ns = self._store.stamps_ns
             seconds = (stamps_ns[latest] - stamps_ns[0]) / 1e9
             self.observer(test, split, Occasion(first, latest, seconds))
-        return [*lost, self._finish(self._leave(stays))] if split else lost
+        if split:
+            self._current, left = self._current.split(stays)
+            lost.append(self._finish(left))
+        if lost:
+            self._way_m = way_driven(self._store, self._current.keyframes)
+        return lost
 
     def flush(self) -> list[Region]:
         """End the current submap, at the end of a log or after a loss of track."""
@@ -115,12 +123,6 @@ class OnlineSegmenter:
         self._recent = []
         self._since_test = self._way_m = 0.0
         return [region]
-
-    def _leave(self, stays: BoolArray) -> CoarseSubmap:
-        """Keep the keyframes (p,) that stay in the current submap; the others, which were left."""
-        self._current, left = self._current.split(stays)
-        self._way_m = way_driven(self._store, self._current.keyframes)
-        return left
 
     def _finish(self, left: CoarseSubmap) -> Region:
         """The next finished region, a piece of an earlier one where the robot came back to it.
@@ -136,10 +138,7 @@ class OnlineSegmenter:
                 test = examine(union.grid(), union.poses, self.config)
                 if test.reached.all() and test.eigenvalue <= self.config.split_eigenvalue:
                     continues = earlier.number if earlier.continues is None else earlier.continues
-        region = self._numbered(left, continues)
+        region = Region(self._finished, left.keyframes, continues)
+        self._finished += 1
         self._recent = [*self._recent[-1:], (region, left)]
         return region
-
-    def _numbered(self, left: CoarseSubmap, continues: int | None) -> Region:
-        self._finished += 1
-        return Region(self._finished - 1, left.keyframes, continues)

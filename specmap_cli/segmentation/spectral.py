@@ -8,6 +8,7 @@ Nothing here is random: equal input gives equal output.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -102,7 +103,9 @@ def similarity(lengths: FloatArray, pairs: IndexArray, scales: FloatArray, nodes
 def normalised(affinity: Any) -> tuple[Any, FloatArray]:
     """L = D^-1/2 S D^-1/2 (n, n) sparse, and the degrees D_ii (n,); rows of zeros stay zero."""
     degrees = np.asarray(affinity.sum(axis=1), dtype=np.float64).ravel()  # Algorithm 2, line 2
-    scaling = sparse.diags_array(_inverse_roots(degrees))
+    inverse = np.zeros(len(degrees))
+    inverse[degrees > 0] = degrees[degrees > 0] ** -0.5
+    scaling = sparse.diags_array(inverse)
     return (scaling @ affinity @ scaling).tocsr(), degrees  # Algorithm 2, line 2
 
 
@@ -118,15 +121,10 @@ def dense_similarity(
 
 def dense_normalised(S: FloatArray) -> FloatArray:
     """`normalised` of an array S (n, n): L = D^-1/2 S D^-1/2."""
-    inverse = _inverse_roots(S.sum(axis=1))
-    return np.asarray(S * inverse[:, None] * inverse)  # Algorithm 2, line 2
-
-
-def _inverse_roots(degrees: FloatArray) -> FloatArray:
-    """D^-1/2 (n,); of nodes that see no other, it is zero."""
+    degrees = S.sum(axis=1)
     inverse = np.zeros(len(degrees))
     inverse[degrees > 0] = degrees[degrees > 0] ** -0.5
-    return inverse
+    return np.asarray(S * inverse[:, None] * inverse)  # Algorithm 2, line 2
 
 
 def largest_eigenpairs(
@@ -140,24 +138,21 @@ def largest_eigenpairs(
     """
     size = matrix.shape[0]
     count = min(count, size)
-    if size <= _DENSE or count > size // 2:
-        values, vectors = _all_at_once(matrix, count)
-    else:
+    few, found = size > _DENSE and count <= size // 2, None
+    if few:
         start = np.random.default_rng(_START_SEED).uniform(*_START_RANGE, size)
-        try:
-            few = sparse.csr_array(matrix)
-            values, vectors = eigsh(few, k=count, which="LA", v0=start, tol=tolerance)
-        except ArpackNoConvergence:  # of a long corridor many eigenvalues are nearly the same
-            values, vectors = _all_at_once(matrix, count)
+        with suppress(ArpackNoConvergence):  # of a long corridor many are nearly the same
+            rows = sparse.csr_array(matrix)
+            found = eigsh(rows, k=count, which="LA", v0=start, tol=tolerance)
+    if found is None:  # by solving for all of them
+        values, vectors = np.linalg.eigh(matrix.toarray() if sparse.issparse(matrix) else matrix)
+        values, vectors = values[::-1][:count], vectors[:, ::-1][:, :count]
+    else:
+        values, vectors = found
+    if few:
         order = np.argsort(-values, kind="stable")
         values, vectors = values[order], vectors[:, order]
     return np.asarray(values), with_fixed_signs(vectors)
-
-
-def _all_at_once(matrix: Any, count: int) -> tuple[FloatArray, FloatArray]:
-    """The `count` largest eigenpairs of a matrix, falling, by solving for all of them."""
-    values, vectors = np.linalg.eigh(matrix.toarray() if sparse.issparse(matrix) else matrix)
-    return values[::-1][:count], vectors[:, ::-1][:, :count]
 
 
 def two_largest(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -95,7 +95,7 @@ def examine(grid: GridMap, poses: FloatArray, config: SegmentationConfig) -> Spl
     work = working_grid(opened, window.resolution, SPLIT_CELL_M)
     way = np.clip(window.cells_of(poses[:, :2]) // work.step, 0, np.array(work.clearance.shape) - 1)
     nodes = _nodes_along(work, way, config)
-    places = window.centres_of(work.fine_cells(nodes))
+    places = window.centres_of((nodes + 0.5) * work.step - 0.5)
     if len(nodes) < _FEWEST_NODES:
         return _undivided(window, poses, places)
     numbers = np.arange(len(nodes), dtype=np.int32)
@@ -271,7 +271,10 @@ class CoarseSubmap:
 
     def near(self, other: CoarseSubmap) -> bool:
         """Whether nodes of both can be the same: their bands overlap, if nodes lie only there."""
-        return bool(self._bands_meet(self.poses, other.poses).any())
+        reach = 2.0 * self.config.path_band_m or np.inf
+        tree = cKDTree(self.poses[:, :2])
+        away, _ = tree.query(other.poses[:, :2], distance_upper_bound=reach)
+        return bool((away <= reach).any())
 
     def apart(self, reached: BoolArray) -> BoolArray:
         """Those of the keyframes (p,) whose stretch of way lies apart from all that is `reached`.
@@ -280,15 +283,12 @@ class CoarseSubmap:
         stays alone wherever the robot goes on from there. A stretch is driven without a gap.
         """
         near, poses = reached.copy(), self.poses
-        near[~reached] = self._bands_meet(poses[reached], poses[~reached])
+        reach = 2.0 * self.config.path_band_m or np.inf
+        tree = cKDTree(poses[reached, :2])
+        away, _ = tree.query(poses[~reached, :2], distance_upper_bound=reach)
+        near[~reached] = away <= reach
         stretch = np.cumsum(np.diff(self._keyframes, prepend=self._keyframes[0]) > 1)
         return np.asarray((np.bincount(stretch, near) == 0)[stretch])
-
-    def _bands_meet(self, some: FloatArray, others: FloatArray) -> BoolArray:
-        """(m,) whether the band of each of the `others` (m, 3) overlaps that of `some` (n, 3)."""
-        reach = 2.0 * self.config.path_band_m or np.inf
-        away, _ = cKDTree(some[:, :2]).query(others[:, :2], distance_upper_bound=reach)
-        return np.asarray(away <= reach)
 
     def _count(self) -> None:
         """Add to the grid what was chosen for it since the last time."""

@@ -88,7 +88,16 @@ def _along_rows(
 ) -> tuple[BoolArray, BoolArray]:
     """What narrows the openings (H, W) of walls along the rows, and the posts (H, W) in them."""
     opened = free | small
-    posts, panels = _posts(small, lengths)
+    # parts of small pieces that are thin across the rows: posts; some are panels. The wall from
+    # which another one goes off has two such parts
+    across_rows = Runs.of(small.T)
+    thin = across_rows.painted(small.T.shape, across_rows.lengths <= lengths.post_thick).T
+    _, part, stats, _ = cv2.connectedComponentsWithStats(thin.astype(np.uint8), connectivity=8)
+    along, across = stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]
+    post = (along >= lengths.post) & (across <= lengths.post_thick)
+    post[0] = False
+    panel = post & (along >= lengths.panel) & (along >= _SLENDER * across)
+    posts, panels = post[part], panel[part]
     # lines: from wall to wall, past what small things stand there
     lines = Runs.of(opened)
     inside = (lines.first >= lengths.straight) & (lines.last < free.shape[1] - lengths.straight)
@@ -111,21 +120,6 @@ def _along_rows(
     standing = np.zeros(int(piece.max(initial=0)) + 1, dtype=np.bool_)
     standing[piece[lines.mask(free.shape) & posts]] = True
     return jambs, standing[piece]
-
-
-def _posts(small: BoolArray, lengths: _Lengths) -> tuple[BoolArray, BoolArray]:
-    """(H, W) the parts of small pieces that are thin across the rows; those that are panels.
-
-    The wall from which another one goes off has two such parts.
-    """
-    across_rows = Runs.of(small.T)
-    thin = across_rows.painted(small.T.shape, across_rows.lengths <= lengths.post_thick).T
-    _, part, stats, _ = cv2.connectedComponentsWithStats(thin.astype(np.uint8), connectivity=8)
-    along, across = stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]
-    post = (along >= lengths.post) & (across <= lengths.post_thick)
-    post[0] = False
-    panel = post & (along >= lengths.panel) & (along >= _SLENDER * across)
-    return np.asarray(post[part]), np.asarray(panel[part])
 
 
 def _between_ends(free: BoolArray, gaps: Runs, panels: BoolArray, lengths: _Lengths) -> BoolArray:
@@ -160,20 +154,13 @@ def _between_ends(free: BoolArray, gaps: Runs, panels: BoolArray, lengths: _Leng
         )
         jambs = (from_before & straight_before & after) | (from_after & straight_after & before)
         found |= jambs | (panel & before & after)
-    return found & _crossed(free, gaps, lengths)
-
-
-def _crossed(free: BoolArray, gaps: Runs, lengths: _Lengths) -> BoolArray:
-    """(n,) whether half of each gap or more has open space before and behind it.
-
-    Beside a cupboard that stands at a wall the wall itself goes on, and nobody comes through.
-    """
+    # beside a cupboard that stands at a wall the wall itself goes on, and nobody comes through
     columns, shape = Runs.of(free.T), free.T.shape
-    row = np.arange(free.shape[0])[:, None]
-    before = row - columns.painted(shape, columns.first).T
-    behind = columns.painted(shape, columns.last).T - row
-    crossed = gaps.counts(free & (np.minimum(before, behind) >= lengths.open_space // 2))
-    return np.asarray(2 * crossed >= gaps.lengths)
+    here = np.arange(free.shape[0])[:, None]
+    above = here - columns.painted(shape, columns.first).T
+    below = columns.painted(shape, columns.last).T - here
+    crossed = gaps.counts(free & (np.minimum(above, below) >= lengths.open_space // 2))
+    return np.asarray(found & (2 * crossed >= gaps.lengths))
 
 
 def _faces(free: BoolArray, lengths: _Lengths) -> tuple[BoolArray, tuple[_Face, _Face]]:

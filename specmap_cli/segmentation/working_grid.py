@@ -104,19 +104,10 @@ class WorkingGrid:
         """Coarse cells of which every fine cell is free (h, w)."""
         return np.asarray(self.clearance > 0.0)
 
-    def fine_cells(self, cells: NDArray[Any]) -> FloatArray:
-        """Rows and columns (n, 2), fractional, of the middles of coarse cells on the fine grid."""
-        return np.asarray((cells + 0.5) * self.step - 0.5, dtype=np.float64)
-
-
-def coarse_step(resolution: float, cell_m: float) -> int:
-    """How many cells of a grid a coarse cell of about `cell_m` is wide."""
-    return max(1, round(cell_m / resolution))
-
 
 def working_grid(free: BoolArray, resolution: float, cell_m: float) -> WorkingGrid:
     """Reduce `free` (H, W) to cells of about `cell_m`: coarse cells are free when wholly free."""
-    step = coarse_step(resolution, cell_m)
+    step = max(1, round(cell_m / resolution))
     height, width = (-(-side // step) for side in free.shape)
     framed = np.zeros((height + 2, width + 2), dtype=np.uint8)
     if step == 1:

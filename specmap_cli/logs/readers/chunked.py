@@ -134,6 +134,8 @@ class ChunkedFile(Recording):
         self, file: Path, path: Path | None = None, config: LogConfig | None = None
     ) -> None:
         super().__init__(file, path, config)
+        # the most bytes of a chunk or a message that are taken into memory
+        self.chunk_max = round(self.config.chunk_max_mb * _BYTES_PER_MB)
         try:
             self._fd = os.open(file, os.O_RDONLY)
         except OSError as error:
@@ -178,20 +180,28 @@ class ChunkedFile(Recording):
         entries = self._salvaged()
         return survey((*self.channels[entry.channel][:2], entry.time_ns) for entry in entries)
 
-    @property
-    def chunk_max(self) -> int:
-        """The most bytes of a chunk or a message that are taken into memory."""
-        return round(self.config.chunk_max_mb * _BYTES_PER_MB)
-
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """The messages on `topics`, in time order with an index and as written without."""
+        """The messages on `topics`, in time order with an index and as written without.
+
+        They come chunk by chunk when too many chunks overlap.
+        """
         if self._index is None:
             for entry in self._salvaged():
                 if topics is None or self.channels[entry.channel].topic in topics:
                     yield from self._message(*entry)
             return
+        chunks = list(self._index.chunks)
+        if topics is not None:
+            wanted = {n for n, channel in self.channels.items() if channel.topic in topics}
+            chunks = [ref for ref in chunks if self._may_hold(ref, wanted, self._index)]
+        sources = [(ref.start_ns, partial(self._chunk_messages, ref, topics)) for ref in chunks]
+        if overlapping_bytes(chunks) <= _OVERLAPPING * self.chunk_max:
+            merged = merge_in_time(sources)
+        else:
+            self.report("more chunks overlap in time than log.chunk_max_mb allows: read one by one")
+            merged = (message for _, opened in sources for message in opened())
         found: Counter[str] = Counter()
-        for message in self._merged(self._index, topics):
+        for message in merged:
             found[message.topic] += 1
             yield message
         listed: Counter[str] = Counter()
@@ -199,18 +209,6 @@ class ChunkedFile(Recording):
             if topics is None or topic.name in topics:
                 listed[topic.name] += topic.count
         self.compare(listed, found)
-
-    def _merged(self, index: Index, topics: Collection[str] | None) -> Iterator[Message]:
-        """The messages of all chunks in time order, or chunk by chunk when too many overlap."""
-        chunks = list(index.chunks)
-        if topics is not None:
-            wanted = {n for n, channel in self.channels.items() if channel.topic in topics}
-            chunks = [ref for ref in chunks if self._may_hold(ref, wanted, index)]
-        sources = [(ref.start_ns, partial(self._chunk_messages, ref, topics)) for ref in chunks]
-        if overlapping_bytes(chunks) <= _OVERLAPPING * self.chunk_max:
-            return merge_in_time(sources)
-        self.report("more chunks overlap in time than log.chunk_max_mb allows: read one by one")
-        return (message for _, opened in sources for message in opened())
 
     def _may_hold(self, ref: ChunkRef, wanted: set[int], index: Index) -> bool:
         """Whether a chunk may have messages of channels: what no checksum proves is asked twice."""

@@ -56,11 +56,6 @@ _DATA_END_BYTES = 4
 _BODY_MAX_SEEN = 1 << 16  # of an attachment or a metadata record, enough for its names
 
 
-def stream_of(body: bytes) -> ReadDataStream:
-    """A body as the parsers of the `mcap` package want it."""
-    return ReadDataStream(BytesIO(body))
-
-
 _FOOTER_BODY = 20  # by the format: two offsets and a checksum
 _FOOTER_BYTES = RECORD_HEAD.size + _FOOTER_BODY + len(MAGIC)
 
@@ -94,9 +89,9 @@ class McapFile(ChunkedFile):
                 position += RECORD_HEAD.size + length
                 body = summary[position - length : position]
                 if opcode == CHUNK_INDEX:
-                    chunks.append(ChunkIndex.read(stream_of(body)))
+                    chunks.append(ChunkIndex.read(ReadDataStream(BytesIO(body))))
                 elif opcode == STATISTICS:
-                    statistics = Statistics.read(stream_of(body))
+                    statistics = Statistics.read(ReadDataStream(BytesIO(body)))
                 else:
                     self._define(opcode, body)
         except BAD_BODY:
@@ -130,7 +125,7 @@ class McapFile(ChunkedFile):
         tail = self.read_at(max(self.size - _FOOTER_BYTES, 0), _FOOTER_BYTES)
         if len(tail) < _FOOTER_BYTES or not tail.endswith(MAGIC) or tail[0] != FOOTER:
             return None
-        footer: Footer = Footer.read(stream_of(tail[RECORD_HEAD.size :]))
+        footer: Footer = Footer.read(ReadDataStream(BytesIO(tail[RECORD_HEAD.size :])))
         length = self.size - _FOOTER_BYTES - footer.summary_start
         if footer.summary_start < len(MAGIC) or not 0 < length <= self.chunk_max:
             return None
@@ -219,7 +214,7 @@ class McapFile(ChunkedFile):
                 body = self.read_at(ref.offset + RECORD_HEAD.size, min(length, self.chunk_max))
                 self._told = {}
                 with suppress(*BAD_BODY):
-                    told = Statistics.read(stream_of(body))
+                    told = Statistics.read(ReadDataStream(BytesIO(body)))
                     counts: dict[int, int] = told.channel_message_counts
                     self._told = counts if sum(counts.values()) == told.message_count else {}
             elif opcode in (CHUNK, MESSAGE) and self._is_of_data(opcode, ref):
@@ -344,10 +339,10 @@ class McapFile(ChunkedFile):
         """Take in a schema or a channel; False when it cannot be parsed and defines nothing."""
         try:
             if opcode == SCHEMA:
-                schema = Schema.read(stream_of(body))
+                schema = Schema.read(ReadDataStream(BytesIO(body)))
                 self._schemas[schema.id] = normalized_type(schema.name)
             elif opcode == CHANNEL:
-                channel = ChannelRecord.read(stream_of(body))
+                channel = ChannelRecord.read(ReadDataStream(BytesIO(body)))
                 name = self._schemas.get(channel.schema_id, "unknown")
                 encoding = channel.message_encoding
                 if encoding not in ("cdr", "ros1"):
