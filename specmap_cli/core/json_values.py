@@ -173,8 +173,3 @@ def runs_of(numbers: Sequence[int]) -> tuple[Span, ...]:
     all_ = np.array(numbers, dtype=np.int64)
     runs = np.split(all_, np.flatnonzero(np.diff(all_) > 1) + 1)
     return tuple((int(run[0]), int(run[-1])) for run in runs if len(run))
-
-
-def numbers_of(runs: Iterable[Span]) -> tuple[int, ...]:
-    """The numbers in runs [first, last]."""
-    return tuple(number for first, last in runs for number in range(first, last + 1))

@@ -27,7 +27,6 @@ from specmap_cli.core.json_values import (
     StampNs,
     Value,
     Written,
-    numbers_of,
     titled,
 )
 from specmap_cli.core.records import Closure, Labels
@@ -260,7 +259,7 @@ class Stay(Value):
     @property
     def keyframes(self) -> tuple[int, ...]:
         """The keyframes, ascending."""
-        return numbers_of(self.runs)
+        return tuple(number for first, last in self.runs for number in range(first, last + 1))
 
     @property
     def from_origin(self) -> tuple[int, ...]:
@@ -398,7 +397,7 @@ class Merge(Value):
     @property
     def keyframes(self) -> tuple[int, ...]:
         """The keyframes that came with it, of the `known` first ones of the map."""
-        return numbers_of(self.runs)
+        return tuple(number for first, last in self.runs for number in range(first, last + 1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
