@@ -206,7 +206,10 @@ def laid_out_of_stored(stored: StoredMap) -> LaidOut:
         layout=_layout(stored),
         labels=stored.labels,
         trajectory=_trajectory(stored),
-        stays={stay.number: stay.from_origin for stay in topology.stays},
+        stays={  # that of its frame first, though the robot came back and earlier ones were added
+            stay.number: (stay.origin, *(k for k in stay.keyframes if k != stay.origin))
+            for stay in topology.stays
+        },
         closures=topology.closures,
         breaks={
             **dict.fromkeys(starts_of(stored.logs)),

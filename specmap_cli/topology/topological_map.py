@@ -261,14 +261,6 @@ class Stay(Value):
         """The keyframes, ascending."""
         return tuple(number for first, last in self.runs for number in range(first, last + 1))
 
-    @property
-    def from_origin(self) -> tuple[int, ...]:
-        """The keyframes, that of its frame before the others.
-
-        Its frame is that of the first, unless the robot came back and earlier ones were added.
-        """
-        return (self.origin, *(keyframe for keyframe in self.keyframes if keyframe != self.origin))
-
 
 @dataclass(frozen=True, slots=True)
 class Break(Value):
