@@ -154,18 +154,14 @@ MaybeNan = Annotated[
 
 def point(place: Iterable[float]) -> Point:
     """A place as it is written."""
-    x, y = _numbers(place)
+    x, y = (rounded(float(value)) or 0.0 for value in place)
     return x, y
 
 
 def transform(pose: Iterable[float]) -> Transform:
     """A pose as it is written."""
-    x, y, theta = _numbers(pose)
+    x, y, theta = (rounded(float(value)) or 0.0 for value in pose)
     return x, y, theta
-
-
-def _numbers(values: Iterable[float]) -> tuple[float, ...]:
-    return tuple(rounded(float(value)) or 0.0 for value in values)
 
 
 def runs_of(numbers: Sequence[int]) -> tuple[Span, ...]:

@@ -184,7 +184,7 @@ def read_trajectory(path: str | Path, limits: LimitsConfig | None = None) -> Tra
     path = Path(path)
     lines = _lines(path, limits, "trajectory")
     stamps: list[int] = []
-    rows: list[list[float]] = []
+    found: list[list[float]] = []
     lost: list[bool] = []
     is_lost = False
     for number, line in enumerate(lines, start=1):
@@ -194,7 +194,7 @@ def read_trajectory(path: str | Path, limits: LimitsConfig | None = None) -> Tra
         try:
             stamp, *words = line.split()
             stamps.append(int(np.int64(stamp_ns(stamp))))
-            rows.append(_numbers(words, 7))
+            found.append(_numbers(words, 7))
             lost.append(is_lost)
         except (ValueError, OverflowError):
             raise MapError(
@@ -202,10 +202,7 @@ def read_trajectory(path: str | Path, limits: LimitsConfig | None = None) -> Tra
                 "expected t x y z qx qy qz qw: build the map again",
                 where=path,
             ) from None
-    return _trajectory(stamps, np.array(rows, dtype=np.float64).reshape(-1, 7), lost)
-
-
-def _trajectory(stamps: list[int], rows: np.ndarray, lost: list[bool]) -> Trajectory:
+    rows = np.array(found, dtype=np.float64).reshape(-1, 7)
     roll, pitch, yaw = rpy_from_quaternions(rows[:, 3:]).T
     tilt = np.column_stack([rows[:, 2], roll, pitch])
     marks = np.array(lost, dtype=np.bool_)
