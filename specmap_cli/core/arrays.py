@@ -37,14 +37,6 @@ def neighbours(ids: Iterable[int], pairs: Iterable[tuple[int, int]]) -> Neighbou
     return {id_: frozenset(near) for id_, near in found.items()}
 
 
-def order_of_appearance(labels: Iterable[int]) -> dict[int, int]:
-    """New numbers 0, 1, ... for the labels, in the order in which they first appear."""
-    order: dict[int, int] = {}
-    for label in labels:
-        order.setdefault(int(label), len(order))
-    return order
-
-
 def evenly(items: NDArray[Any], most: int) -> NDArray[Any]:
     """At most `most` of the items (n, ...), evenly spread, in their order."""
     if len(items) <= most:

@@ -74,7 +74,7 @@ class Quality(Value):
         """The worst of the findings decides the verdict."""
         all_ = tuple(findings)
         verdicts = [_verdict(finding) for finding in all_]
-        return cls(verdict=max(verdicts, key=_rank, default=VERDICTS[0]), findings=all_)
+        return cls(verdict=max(verdicts, key=VERDICTS.index, default=VERDICTS[0]), findings=all_)
 
     @property
     def warnings(self) -> tuple[Finding, ...]:
@@ -94,7 +94,7 @@ class Quality(Value):
 
 def at_least_as_bad(verdict: Verdict, limit: Verdict) -> bool:
     """Whether a verdict is `limit` or worse."""
-    return _rank(verdict) >= _rank(limit)
+    return VERDICTS.index(verdict) >= VERDICTS.index(limit)
 
 
 def summary(findings: Sequence[Finding]) -> list[str]:
@@ -105,7 +105,7 @@ def summary(findings: Sequence[Finding]) -> list[str]:
     lines = []
     for code in dict.fromkeys(finding.code for finding in findings):
         alike = [finding for finding in findings if finding.code == code]
-        first = max(alike, key=lambda finding: _rank(_verdict(finding)))
+        first = max(alike, key=lambda finding: VERDICTS.index(_verdict(finding)))
         more = f" (and {len(alike) - 1:,} more like it)" if len(alike) > 1 else ""
         advice = f": {first.advice}" if first.advice else ""
         lines.append(f"{first.message}{more}{advice}")
@@ -114,10 +114,6 @@ def summary(findings: Sequence[Finding]) -> list[str]:
 
 def _verdict(finding: Finding) -> Verdict:
     return "good" if finding.severity == "note" else finding.severity
-
-
-def _rank(verdict: Verdict) -> int:
-    return VERDICTS.index(verdict)
 
 
 UNDOUBTED = Quality.of(())  # nothing was found

@@ -154,18 +154,14 @@ MaybeNan = Annotated[
 
 def point(place: Iterable[float]) -> Point:
     """A place as it is written."""
-    x, y = _numbers(place)
+    x, y = (rounded(float(value)) or 0.0 for value in place)
     return x, y
 
 
 def transform(pose: Iterable[float]) -> Transform:
     """A pose as it is written."""
-    x, y, theta = _numbers(pose)
+    x, y, theta = (rounded(float(value)) or 0.0 for value in pose)
     return x, y, theta
-
-
-def _numbers(values: Iterable[float]) -> tuple[float, ...]:
-    return tuple(rounded(float(value)) or 0.0 for value in values)
 
 
 def runs_of(numbers: Sequence[int]) -> tuple[Span, ...]:
@@ -173,8 +169,3 @@ def runs_of(numbers: Sequence[int]) -> tuple[Span, ...]:
     all_ = np.array(numbers, dtype=np.int64)
     runs = np.split(all_, np.flatnonzero(np.diff(all_) > 1) + 1)
     return tuple((int(run[0]), int(run[-1])) for run in runs if len(run))
-
-
-def numbers_of(runs: Iterable[Span]) -> tuple[int, ...]:
-    """The numbers in runs [first, last]."""
-    return tuple(number for first, last in runs for number in range(first, last + 1))

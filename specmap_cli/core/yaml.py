@@ -6,7 +6,6 @@ YAML 1.1 takes `1:30` for ninety, and no tag makes an object.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any
 
 import yaml
@@ -29,7 +28,18 @@ def read_yaml(data: bytes) -> Any:
     values: aliases, by which few bytes become many, a key that comes twice, deep nesting.
     """
     try:
-        _check(yaml.parse(data, Loader=_Loader))
+        depth = 0
+        for event in yaml.parse(data, Loader=_Loader):  # before anything is made of it
+            depth += isinstance(event, yaml.CollectionStartEvent)
+            depth -= isinstance(event, yaml.CollectionEndEvent)
+            if depth > _DEEPEST:
+                raise yaml.MarkedYAMLError(
+                    problem="nested too deeply", problem_mark=event.start_mark
+                )
+            if isinstance(event, yaml.AliasEvent):
+                raise yaml.MarkedYAMLError(
+                    problem="aliases (`*`) are not read", problem_mark=event.start_mark
+                )
         return yaml.load(data, Loader=_Loader)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
@@ -37,20 +47,6 @@ def read_yaml(data: bytes) -> Any:
         raise ValueError(f"{where}{error.problem or error.context}") from None
     except yaml.YAMLError:  # of the characters
         raise ValueError("not a text file") from None
-
-
-def _check(events: Iterable[Any]) -> None:
-    """Refuse aliases and deep nesting, before anything is made of them."""
-    depth = 0
-    for event in events:
-        depth += isinstance(event, yaml.CollectionStartEvent)
-        depth -= isinstance(event, yaml.CollectionEndEvent)
-        if depth > _DEEPEST:
-            raise yaml.MarkedYAMLError(problem="nested too deeply", problem_mark=event.start_mark)
-        if isinstance(event, yaml.AliasEvent):
-            raise yaml.MarkedYAMLError(
-                problem="aliases (`*`) are not read", problem_mark=event.start_mark
-            )
 
 
 class _Loader(_Words):  # type: ignore[misc]

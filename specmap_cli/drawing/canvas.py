@@ -96,7 +96,7 @@ class Canvas:
         """Words of capitals `height` pixels high, centred on `y`."""
         shift = {"left": 0.0, "centre": 0.5, "right": 1.0}[align] * text_width(words, height, bold)
         left, base = _near(x - shift), _near(y + height / 2)
-        scale, thickness = _text_scale(height), text_weight(height, bold)
+        scale, thickness = height / _CAPITALS, text_weight(height, bold)
         begun = ""
         for piece in filter(None, re.split("(0)", words) if _STRUCK_ZERO else [words]):
             begun += piece
@@ -131,7 +131,7 @@ def _zero(height: float, thickness: int) -> FloatArray:
 
     Those of the font of OpenCV 5 have a stroke in them, and read as another letter.
     """
-    scale = _text_scale(height)
+    scale = height / _CAPITALS
     (width, _), _ = cv2.getTextSize("0", _FONT, scale, thickness)
     # the width of an upright stroke of the font
     (wide, tall), _ = cv2.getTextSize("I", _FONT, scale, thickness)
@@ -152,7 +152,7 @@ def _zero(height: float, thickness: int) -> FloatArray:
 
 def text_width(words: str, height: float, bold: bool = False) -> int:
     """Pixels that `words` take across."""
-    size, _ = cv2.getTextSize(words, _FONT, _text_scale(height), text_weight(height, bold))
+    size, _ = cv2.getTextSize(words, _FONT, height / _CAPITALS, text_weight(height, bold))
     return int(size[0])
 
 
@@ -166,10 +166,6 @@ def fitting_height(words: str, height: float, width: float, bold: bool = False) 
 def text_weight(height: float, bold: bool) -> int:
     """Stroke width for letters of that height: a twelfth of it, or a seventh."""
     return max(2, round(height / 7.0)) if bold else max(1, round(height / 12.0))
-
-
-def _text_scale(height: float) -> float:
-    return height / _CAPITALS
 
 
 def _overlap(start: int, length: int, size: int) -> tuple[slice, slice]:

@@ -67,7 +67,9 @@ def render_overview(
         symbols.warning(sheet.canvas, place)
     scans = sum(log.scans for log in logs)
     way_m = driven_m(logs, labels)
-    figures = [counted(scans, "scan"), f"{way_m:,.0f} m driven", _size(low, high)]
+    width, height = high - low
+    size = f"{width:.1f} x {height:.1f} m"
+    figures = [counted(scans, "scan"), f"{way_m:,.0f} m driven", size]
     doubtful = [f"{quality.verdict}: {quality.worst[0].message}"] if quality.worst else []
     sheet.title(_headline(logs, topology), ",  ".join([*figures, *doubtful]))
     return sheet.canvas.image
@@ -82,7 +84,9 @@ def render_segmentation(topology: TopologicalMap, regions: Regions, log: LogInfo
     sheet.ground(regions, fills)
     _draw_graph(sheet, topology, _nodes(topology, regions), fills)
     area = np.count_nonzero(regions.grid.free) * regions.grid.resolution**2
-    sheet.title(_headline([log], topology), f"{area:,.0f} m2 free,  {_size(low, high)}")
+    width, height = high - low
+    size = f"{width:.1f} x {height:.1f} m"
+    sheet.title(_headline([log], topology), f"{area:,.0f} m2 free,  {size}")
     return sheet.canvas.image
 
 
@@ -185,8 +189,3 @@ def _headline(logs: Sequence[LogInfo], topology: TopologicalMap) -> str:
         counts.append(counted(merged, "revisit") + " recognised")
     more = f" and {counted(len(logs) - 1, 'more log')}" if len(logs) > 1 else ""
     return f"{logs[0].name}{more}:  {', '.join(counts)}"
-
-
-def _size(low: FloatArray, high: FloatArray) -> str:
-    width, height = high - low
-    return f"{width:.1f} x {height:.1f} m"

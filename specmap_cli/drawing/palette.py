@@ -94,7 +94,7 @@ def colour_graph(ids: Iterable[int], pairs: Iterable[tuple[int, int]]) -> dict[i
         # all are worn by neighbours: those that wear one of them change, or else it is shared
         wearers = {
             fill: [other for other in sorted(near_to[id_]) if worn.get(other) == fill]
-            for fill in _preferred(id_)
+            for fill in _free(id_, near_to, {})  # all of them
         }
         by_number = sorted(wearers, key=lambda fill: len(wearers[fill]))
         for fill in by_number:
@@ -107,17 +107,13 @@ def colour_graph(ids: Iterable[int], pairs: Iterable[tuple[int, int]]) -> dict[i
     return {id_: FILLS[worn[id_]] for id_ in order}
 
 
-def _preferred(id_: int) -> list[int]:
-    """The numbers of all fills, in the order in which an id prefers them."""
-    return [(id_ + _STEP * k) % len(FILLS) for k in range(len(FILLS))]
-
-
 def _free(
     id_: int, near_to: Neighbours, worn: Mapping[int, int], without: int | None = None
 ) -> list[int]:
     """The fills that no neighbour of an id wears, but for `without`, the preferred ones first."""
     taken = {worn[other] for other in near_to[id_] if other in worn} | {without}
-    return [fill for fill in _preferred(id_) if fill not in taken]
+    preferred = [(id_ + _STEP * k) % len(FILLS) for k in range(len(FILLS))]
+    return [fill for fill in preferred if fill not in taken]
 
 
 def touching(owner: OwnerArray, reach: int) -> set[tuple[int, int]]:

@@ -22,7 +22,6 @@ from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.logs.messages import (
     BadMessageError,
     CloudRecord,
-    ScanRecord,
     decode_scan,
     decode_transforms,
 )
@@ -168,35 +167,14 @@ class _Reader:
 
     def take(self, message: Message) -> PosedScan | None:
         """Take in a message; the keyframe that it completes, if any. Raises BadMessageError."""
-        if message.topic == SCAN_TOPIC:
-            return self._posed(decode_scan(message))
         if message.topic == TF:
             self._take_pose(message)
-        else:
-            for record in decode_transforms(message).records:
-                self._lasers[record.child] = _mounting(Pose2.from_matrix(record.parent_from_child))
-        return None
-
-    def _take_pose(self, message: Message) -> None:
-        """Take the pose of the base; most messages are of the same frames as the last one."""
-        form = self._form if message.type == TF_MESSAGE else None
-        found = None if form is None else form.decoded(message.data, self._place)
-        if found is not None:
-            x, y, _, x_turn, y_turn, z_turn, w_turn = found[1]
-            square = z_turn * z_turn + w_turn * w_turn
-            level = x_turn == y_turn == 0.0 and 0.5 < square < 2.0  # as it is written here
-            if level and max(abs(x), abs(y)) <= _FAR_M:
-                theta = math.atan2(2.0 * w_turn * z_turn, w_turn * w_turn - z_turn * z_turn)
-                self._pose = found[0], Pose2(x, y, theta)
-                return
-        records = decode_transforms(message).records
-        for place, record in enumerate(records):
-            if record.child == BASE_FRAME:
-                self._pose = record.stamp_ns, Pose2.from_matrix(record.parent_from_child)
-                self._place = place
-                self._form = AlikeTransforms([(each.parent, each.child) for each in records])
-
-    def _posed(self, record: ScanRecord | CloudRecord) -> PosedScan:
+            return None
+        if message.topic != SCAN_TOPIC:
+            for each in decode_transforms(message).records:
+                self._lasers[each.child] = _mounting(Pose2.from_matrix(each.parent_from_child))
+            return None
+        record = decode_scan(message)
         if isinstance(record, CloudRecord):
             raise BadMessageError(f"scan {self._count} is a cloud")
         if self._pose is None or self._pose[0] != record.stamp_ns:
@@ -219,3 +197,22 @@ class _Reader:
             ),
             base_from_laser=self._lasers[record.frame],
         )
+
+    def _take_pose(self, message: Message) -> None:
+        """Take the pose of the base; most messages are of the same frames as the last one."""
+        form = self._form if message.type == TF_MESSAGE else None
+        found = None if form is None else form.decoded(message.data, self._place)
+        if found is not None:
+            x, y, _, x_turn, y_turn, z_turn, w_turn = found[1]
+            square = z_turn * z_turn + w_turn * w_turn
+            level = x_turn == y_turn == 0.0 and 0.5 < square < 2.0  # as it is written here
+            if level and max(abs(x), abs(y)) <= _FAR_M:
+                theta = math.atan2(2.0 * w_turn * z_turn, w_turn * w_turn - z_turn * z_turn)
+                self._pose = found[0], Pose2(x, y, theta)
+                return
+        records = decode_transforms(message).records
+        for place, record in enumerate(records):
+            if record.child == BASE_FRAME:
+                self._pose = record.stamp_ns, Pose2.from_matrix(record.parent_from_child)
+                self._place = place
+                self._form = AlikeTransforms([(each.parent, each.child) for each in records])

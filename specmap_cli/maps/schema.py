@@ -137,7 +137,7 @@ class NodeRecord(Record):
             area_m2=shape.area_m2,
             scans=len(submap.keyframes),
             visits=submap.visits,
-            image=image_stem(submap.id) + ".png",
+            image=f"submaps/{submap.id:03d}.png",
         )
 
     @property
@@ -239,11 +239,6 @@ class TopologyRecord(Record):
     def text(self) -> str:
         """The file as it is written: the same text for the same map."""
         return to_json(self.model_dump(by_alias=True))
-
-
-def image_stem(submap: int) -> str:
-    """Where the grid of a submap is kept in the map directory, without the suffix."""
-    return f"submaps/{submap:03d}"
 
 
 def _placed(edge: Edge, topology: TopologicalMap, regions: Regions) -> Edge:

@@ -118,7 +118,9 @@ def read_labels(path: str | Path, limits: LimitsConfig | None = None) -> Labels:
             stamp, *pose, submap = line.split(",")
             stamps.append(np.int64(stamp_ns(stamp)))
             poses.append(_numbers(pose, 3))
-            submaps.append(_submap(submap))
+            if submap and not submap.isdecimal():
+                raise ValueError(submap)
+            submaps.append(np.int64(int(submap) if submap else NO_SUBMAP))
         except (ValueError, OverflowError):
             raise MapError(
                 f"line {number} is {line!r}", f"expected {LABELS_HEADER}", where=path
@@ -128,13 +130,6 @@ def read_labels(path: str | Path, limits: LimitsConfig | None = None) -> Labels:
         poses=np.array(poses, dtype=np.float64).reshape(-1, 3),
         submaps=np.array(submaps, dtype=np.int64),
     )
-
-
-def _submap(word: str) -> np.int64:
-    """An id of 0 or more; NO_SUBMAP for an empty word; ValueError or OverflowError otherwise."""
-    if word and not word.isdecimal():
-        raise ValueError(word)
-    return np.int64(int(word) if word else NO_SUBMAP)
 
 
 def trajectory_text(trajectory: Trajectory) -> str:
@@ -147,7 +142,15 @@ def trajectory_text(trajectory: Trajectory) -> str:
     tilt = np.zeros_like(poses) if trajectory.tilt is None else trajectory.tilt
     places = np.column_stack([poses[:, :2], tilt[:, 0]])
     quaternions = quaternions_from_rpy(tilt[:, 1], tilt[:, 2], poses[:, 2])
-    lines, remarks = [], _remarks(trajectory)
+    lost = np.zeros(0, dtype=np.bool_) if trajectory.lost is None else trajectory.lost
+    remarks: dict[int, str] = {}
+    for start, end in runs(lost) if lost.any() else ():
+        if lost[start]:
+            guesses = counted(end - start, "scan")
+            remarks[start] = f"{_LOST}: the poses of the next {guesses} are guesses\n"
+        elif start:
+            remarks[start] = f"{_FOUND}\n"
+    lines = []
     for row, (stamp, place, quaternion) in enumerate(
         zip(trajectory.stamps_ns.tolist(), places.tolist(), quaternions.tolist(), strict=True)
     ):
@@ -156,20 +159,6 @@ def trajectory_text(trajectory: Trajectory) -> str:
         rotation = " ".join(decimal(value, 9) for value in quaternion)
         lines.append(f"{stamp_text(stamp)} {position} {rotation}\n")
     return "".join(lines)
-
-
-def _remarks(trajectory: Trajectory) -> dict[int, str]:
-    """The lines before some rows of a trajectory that tell of lost scans."""
-    lost = trajectory.lost
-    if lost is None or not lost.any():
-        return {}
-    return {
-        start: f"{_LOST}: the poses of the next {counted(end - start, 'scan')} are guesses\n"
-        if lost[start]
-        else f"{_FOUND}\n"
-        for start, end in runs(lost)
-        if start or lost[start]
-    }
 
 
 def planar_trajectory_text(trajectory: Trajectory) -> str:
@@ -195,7 +184,7 @@ def read_trajectory(path: str | Path, limits: LimitsConfig | None = None) -> Tra
     path = Path(path)
     lines = _lines(path, limits, "trajectory")
     stamps: list[int] = []
-    rows: list[list[float]] = []
+    found: list[list[float]] = []
     lost: list[bool] = []
     is_lost = False
     for number, line in enumerate(lines, start=1):
@@ -205,7 +194,7 @@ def read_trajectory(path: str | Path, limits: LimitsConfig | None = None) -> Tra
         try:
             stamp, *words = line.split()
             stamps.append(int(np.int64(stamp_ns(stamp))))
-            rows.append(_numbers(words, 7))
+            found.append(_numbers(words, 7))
             lost.append(is_lost)
         except (ValueError, OverflowError):
             raise MapError(
@@ -213,10 +202,7 @@ def read_trajectory(path: str | Path, limits: LimitsConfig | None = None) -> Tra
                 "expected t x y z qx qy qz qw: build the map again",
                 where=path,
             ) from None
-    return _trajectory(stamps, np.array(rows, dtype=np.float64).reshape(-1, 7), lost)
-
-
-def _trajectory(stamps: list[int], rows: np.ndarray, lost: list[bool]) -> Trajectory:
+    rows = np.array(found, dtype=np.float64).reshape(-1, 7)
     roll, pitch, yaw = rpy_from_quaternions(rows[:, 3:]).T
     tilt = np.column_stack([rows[:, 2], roll, pitch])
     marks = np.array(lost, dtype=np.bool_)

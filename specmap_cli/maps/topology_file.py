@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.json_values import Span
 from specmap_cli.core.settings import LimitsConfig
-from specmap_cli.maps.schema import SCHEMA_VERSION, GraphRecord, TopologyRecord
+from specmap_cli.maps.schema import SCHEMA_VERSION, TopologyRecord
 from specmap_cli.maps.text_files import first_finding, map_json
 from specmap_cli.topology.topological_map import Split
 
@@ -72,11 +72,7 @@ def _faults(record: TopologyRecord) -> Iterator[str]:
         for door in edge.doors:
             if door not in doors:
                 yield f"edges.{number}: door {door} is not among graph.doors"
-    yield from _keyframe_faults(graph)
-
-
-def _keyframe_faults(graph: GraphRecord) -> Iterator[str]:
-    """Stays and merges whose keyframes do not fit, closures of no stays, lines without length."""
+    # stays and merges whose keyframes do not fit, closures of no stays, lines without a length
     stays = graph.stays
     numbers = {stay.number for stay in stays}
     if len(numbers) != len(stays):

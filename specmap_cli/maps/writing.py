@@ -22,7 +22,7 @@ from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.map_server import write_grid, write_png
 from specmap_cli.maps import filenames
 from specmap_cli.maps.features_file import Arrays, write_features
-from specmap_cli.maps.schema import TopologyRecord, image_stem
+from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.text_files import labels_text, trajectory_text
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import LogInfo, TopologicalMap
@@ -115,5 +115,6 @@ def _write_topology(directory: Path, topology: TopologicalMap, record: TopologyR
     """Write topology.json and the grid of each submap."""
     (directory / filenames.TOPOLOGY).write_text(record.text(), encoding="utf-8")
     (directory / filenames.SUBMAPS).mkdir()
-    for id_, submap in topology.submaps.items():
-        write_grid(directory / image_stem(id_), submap.grid)
+    for node in record.nodes:
+        image = directory / node.image
+        write_grid(image.with_suffix(""), topology.submaps[node.id].grid)

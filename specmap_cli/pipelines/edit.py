@@ -38,7 +38,6 @@ from specmap_cli.pipelines.edits import (
     edits_of_stored,
     named,
     number_of,
-    tell_unapplied,
     with_requested,
 )
 from specmap_cli.pipelines.finishing import finish, write_finished
@@ -103,7 +102,8 @@ def edit_map(
         else:
             topology, unapplied = _relabelled(stored, found, partial)
         _refuse_unapplied(unapplied, found, requested)
-    tell_unapplied(unapplied, progress)
+    for line in unapplied:
+        progress.note(f"{filenames.EDITS}: not applied: {line}")
     submaps, edges = topology.submaps, topology.edges
     return EditReport(
         out=target,

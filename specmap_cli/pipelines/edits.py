@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from specmap_cli.core.errors import MapError, UsageError
-from specmap_cli.core.progress import Progress
 from specmap_cli.core.records import IntArray, Labels
 from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import GridMap
@@ -213,9 +212,3 @@ def named(
 def number_of(place: int) -> str:
     """What a change is called by its place in the list."""
     return f"changes, number {place + 1}"
-
-
-def tell_unapplied(unapplied: Sequence[str], progress: Progress) -> None:
-    """Note the edits that do not apply."""
-    for line in unapplied:
-        progress.note(f"{filenames.EDITS}: not applied: {line}")

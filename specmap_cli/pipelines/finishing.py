@@ -14,9 +14,10 @@ from typing import Any
 from specmap_cli.core.findings import Quality, summary
 from specmap_cli.drawing.overview import render_overview
 from specmap_cli.logs.selection import Selection
+from specmap_cli.maps import filenames
 from specmap_cli.maps.edits import written
 from specmap_cli.maps.writing import MapResult, write_map
-from specmap_cli.pipelines.edits import drawn, named, tell_unapplied
+from specmap_cli.pipelines.edits import drawn, named
 from specmap_cli.pipelines.learning import Prior, arrays_of, learn
 from specmap_cli.pipelines.map_in_making import FinishedMap, LaidOut
 from specmap_cli.pipelines.reports import RunRecord
@@ -96,7 +97,8 @@ def write_made(
     Before it is told which edits do not apply, what is grave, and what is worth knowing of it.
     What follows `inputs` is as in `RunRecord`.
     """
-    tell_unapplied(finished.unapplied, session.progress)
+    for line in finished.unapplied:
+        session.progress.note(f"{filenames.EDITS}: not applied: {line}")
     for warning in summary(finished.quality.warnings):
         session.progress.warn(warning)
     for note in summary(finished.quality.notes):

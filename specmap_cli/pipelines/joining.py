@@ -71,7 +71,10 @@ def join(
     starts = {*old.starts, first, *later.starts}  # no guess of tracking joined the recordings
     parts = tuple(move for move in audited.layout.parts if move.first not in starts)
     layout = replace(audited.layout, parts=parts)
-    plain = without_borders(new)
+    plain = new
+    if new.borders:  # divided as it was before a person moved its borders
+        before = undone(new.labels.submaps, new.labels.poses, new.borders)
+        plain = replace(new, labels=replace(new.labels, submaps=before), borders=())
     submaps = inherit(old, plain, layout.poses, old_from_new, session.config)
     stamps = np.array(store.stamps_ns, dtype=np.int64)
     joint = LaidOut(
@@ -182,12 +185,8 @@ def inherit(
     """
     there = compose(np.array(old_from_new.inverse()), old.labels.poses)
     divided = np.concatenate([new.regions.owners(there), new.labels.submaps])
-    return inherited(heritage_of(old), poses, divided, config.segmentation.region_min_m)
-
-
-def heritage_of(old: LaidOut) -> Heritage:
-    """What a map hands down."""
-    return Heritage(old.labels.poses, old.labels.submaps, old.regions, old.next_id)
+    heritage = Heritage(old.labels.poses, old.labels.submaps, old.regions, old.next_id)
+    return inherited(heritage, poses, divided, config.segmentation.region_min_m)
 
 
 def _trajectory(old: LaidOut, new: LaidOut, poses: FloatArray) -> Trajectory:
@@ -217,14 +216,6 @@ def _both(
         for part, shape in zip(parts, shapes, strict=True)
     ]
     return np.concatenate(filled)
-
-
-def without_borders(laid: LaidOut) -> LaidOut:
-    """A map divided as it was before a person moved its borders."""
-    if not laid.borders:
-        return laid
-    submaps = undone(laid.labels.submaps, laid.labels.poses, laid.borders)
-    return replace(laid, labels=replace(laid.labels, submaps=submaps), borders=())
 
 
 def with_edits_of(joint: LaidOut, new: LaidOut, old_from_new: Pose2) -> LaidOut:

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from specmap_cli.core.arrays import order_of_appearance
 from specmap_cli.core.errors import NoResultError
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angles
 from specmap_cli.core.records import Closure, IntArray, Labels
@@ -147,8 +146,10 @@ def _divided(
     else:
         labels = online_labels(regions, closures, len(layout.poses))
     settled = settle_labels(labels, layout.poses, config.segmentation.region_min_m)
-    order = order_of_appearance(settled.tolist())
-    return np.array([order[int(label)] for label in settled], dtype=np.int64)
+    order: dict[int, int] = {}
+    for label in settled.tolist():
+        order.setdefault(label, len(order))
+    return np.array([order[label] for label in settled.tolist()], dtype=np.int64)
 
 
 def constraints_of(

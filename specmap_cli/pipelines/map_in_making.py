@@ -195,14 +195,8 @@ def submaps_of(labels: IntArray) -> dict[int, list[int]]:
 def gaps_in(poses: FloatArray, logs: Sequence[LogInfo]) -> dict[int, Bridge]:
     """Where keyframes of recordings at `poses` (n, 3) were let go, and what bridges each gap."""
     whole = [log.path_m is None for log in logs if log.keyframes is not None]
-    recordings = recordings_of(logs, len(poses))
+    recordings = np.searchsorted(starts_of(logs), np.arange(len(poses)), side="right")
     return gaps_of(poses, np.where(np.array(whole)[recordings], -1, recordings))
-
-
-def recordings_of(logs: Sequence[LogInfo], count: int) -> IntArray:
-    """(n,) the recording, 0, 1, ..., of each of `count` keyframes."""
-    starts = np.array(starts_of(logs), dtype=np.int64)
-    return np.searchsorted(starts, np.arange(count), side="right")
 
 
 def laid_out_of_stored(stored: StoredMap) -> LaidOut:
@@ -212,7 +206,10 @@ def laid_out_of_stored(stored: StoredMap) -> LaidOut:
         layout=_layout(stored),
         labels=stored.labels,
         trajectory=_trajectory(stored),
-        stays={stay.number: stay.from_origin for stay in topology.stays},
+        stays={  # that of its frame first, though the robot came back and earlier ones were added
+            stay.number: (stay.origin, *(k for k in stay.keyframes if k != stay.origin))
+            for stay in topology.stays
+        },
         closures=topology.closures,
         breaks={
             **dict.fromkeys(starts_of(stored.logs)),

@@ -26,7 +26,7 @@ from specmap_cli.grids.keyframes import (
 )
 from specmap_cli.layout.joining import tracked_over_gaps, without_keyframes
 from specmap_cli.layout.trajectory import propagated_places
-from specmap_cli.pipelines.map_in_making import LaidOut, gaps_in, recordings_of
+from specmap_cli.pipelines.map_in_making import LaidOut, gaps_in
 from specmap_cli.pipelines.session import Session
 from specmap_cli.topology.topological_map import Merge, heirs
 
@@ -55,7 +55,7 @@ def thinned(session: Session, joint: LaidOut, old: LaidOut, new: LaidOut) -> Thi
     store, config = session.store, session.config
     if config.update.keep_all:
         return Thinned(joint, np.arange(len(joint)), len(old))
-    of = recordings_of(joint.logs, len(joint))
+    of = np.searchsorted(joint.starts, np.arange(len(joint)), side="right")
     scans = [store.scan(first) for first in (0, *joint.starts)]  # each recording has one laser
     recorded = Recorded(
         poses=joint.layout.poses,

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -30,7 +29,6 @@ from specmap_cli.pipelines.build import survey
 from specmap_cli.pipelines.finishing import finish, write_made
 from specmap_cli.pipelines.joining import (
     closures_between,
-    heritage_of,
     inherit,
     join,
     moved_finding,
@@ -53,7 +51,7 @@ from specmap_cli.recognition.closure.alignment import Alignment, align
 from specmap_cli.recognition.closure.prepared import MapToAlign
 from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.segmentation.division import regions_of
-from specmap_cli.topology.graph import inherited
+from specmap_cli.topology.graph import Heritage, inherited
 from specmap_cli.topology.identity import border_changes
 from specmap_cli.topology.redrawing import carried
 
@@ -93,7 +91,15 @@ def update_map(
         stream = SweepStream(log, config.log)
         fewer, prior, alignment = _updated(session, stored, old, stream, allow_apart=allow_apart)
         finished = finish(session, fewer.laid, prior)
-        updates = _updates(stored, alignment, fewer)
+        motion, earlier = alignment.old_from_new, stored.run.get("updates")
+        last = UpdateRecord(
+            map=stored.path.resolve().name,
+            old_from_new=None if motion is None else tuple(np.round(motion, 6).tolist()),
+            reason=alignment.reason,
+            keyframes_dropped=fewer.dropped,
+            keyframes_kept_for_walls=fewer.kept_for_walls,
+        )
+        updates = (*(earlier if isinstance(earlier, list) else []), last)
         run = write_made(session, partial, finished, log.given, stream.selection, updates=updates)
     before, visits = np.split(finished.labels.submaps, [fewer.old])
     ids = set(before.tolist())
@@ -244,7 +250,8 @@ def redivided(old: LaidOut, joint: LaidOut, fewer: Thinned, config: Config) -> T
         return fewer
     poses, settings = joint.layout.poses, config.segmentation
     divided = regions_of(laid.whole, poses, settings)
-    submaps = inherited(heritage_of(old), poses, divided, settings.region_min_m)
+    heritage = Heritage(old.labels.poses, old.labels.submaps, old.regions, old.next_id)
+    submaps = inherited(heritage, poses, divided, settings.region_min_m)
     labels = replace(laid.labels, submaps=submaps[fewer.left])
     next_id = max(old.next_id, 1 + int(submaps.max()))
     return replace(fewer, laid=replace(laid, labels=labels, next_id=next_id))
@@ -285,16 +292,3 @@ def _refuse_repeated(old: LaidOut, new: LaidOut, store: KeyframeStore, own: Keyf
             raise InputError(
                 f"is in the map already, as {known.name}: nothing to add", where=log.name
             )
-
-
-def _updates(stored: StoredMap, alignment: Alignment, fewer: Thinned) -> tuple[Any, ...]:
-    """What run.json keeps of an update, behind those that it had before."""
-    motion, earlier = alignment.old_from_new, stored.run.get("updates")
-    last = UpdateRecord(
-        map=stored.path.resolve().name,
-        old_from_new=None if motion is None else tuple(np.round(motion, 6).tolist()),
-        reason=alignment.reason,
-        keyframes_dropped=fewer.dropped,
-        keyframes_kept_for_walls=fewer.kept_for_walls,
-    )
-    return (*(earlier if isinstance(earlier, list) else []), last)

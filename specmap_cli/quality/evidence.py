@@ -165,19 +165,10 @@ def _spans(
             measured = _measured(trajectory, before, after)
             if measured is not None and is_still(measured):
                 yield before, after, "lost"
-    for start, end in _rests(trajectory):
-        if not ((start <= missing) & (missing < end)).any():
-            yield start, end, "rest"
-
-
-def _rests(trajectory: Trajectory) -> Iterator[tuple[int, int]]:
-    """Rows between which the map has the robot at rest though odometry drives on.
-
-    That is what a laser that hangs looks like.
-    """
     odometry = trajectory.odometry
     if odometry is None:
         return
+    # the map has the robot at rest though odometry drives on: so a laser that hangs looks like
     places, start = [Pose2(*pose) for pose in trajectory.poses.tolist()], 0
     way_m = ODOMETRY_SLIP_SHARE * ODOMETRY_WINDOW_M  # less may be wheels that slip
     for row in range(1, len(places)):
@@ -186,8 +177,9 @@ def _rests(trajectory: Trajectory) -> Iterator[tuple[int, int]]:
         driven = _measured(trajectory, start, row - 1)
         if driven is not None and driven.distance > way_m:
             steps = step_lengths(odometry[start:row])
-            if np.nanmax(steps) < _JUMP * driven.distance:  # it does not just jump there
-                yield start, row
+            drives = np.nanmax(steps) < _JUMP * driven.distance  # it does not just jump there
+            if drives and not ((start <= missing) & (missing < row)).any():
+                yield start, row, "rest"
         start = row
 
 

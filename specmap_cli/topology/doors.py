@@ -196,9 +196,14 @@ def _within(
         pair = _joined(above, here, heights, is_low, _HILL * level)
         if pair is not None:
             hills = above == pair[0], above == pair[1]
-            cell = _between(*hills, here == here[hills[0]][0], heights == level)
-            if from_border[cell] <= 2.0 * level:
-                return _Saddle(cell, level, *hills)
+            part = here == here[hills[0]][0]
+            # half way on the shortest way between the two hills
+            cells = np.argwhere((heights == level) & part)
+            to_low, to_high = (_steps(hill, part)[tuple(cells.T)] for hill in hills)
+            best = np.lexsort([np.abs(to_low - to_high), to_low + to_high])[0]
+            row, column = cells[best].tolist()
+            if from_border[row, column] <= 2.0 * level:
+                return _Saddle((row, column), level, *hills)
     return None
 
 
@@ -223,16 +228,6 @@ def _joined(
             if i != j and min(tops[0, i], tops[1, j]) > best:
                 best, found = float(min(tops[0, i], tops[1, j])), (i, j)
     return found
-
-
-def _between(low: BoolArray, high: BoolArray, part: BoolArray, level: BoolArray) -> tuple[int, int]:
-    """The cell of the `level`, inside `part`, half way on the shortest way between two hills."""
-    steps = np.stack([_steps(low, part), _steps(high, part)])
-    cells = np.argwhere(level & part)
-    of_low, of_high = steps[:, cells[:, 0], cells[:, 1]]
-    best = np.lexsort([np.abs(of_low - of_high), of_low + of_high])[0]
-    row, column = cells[best].tolist()
-    return row, column
 
 
 def _steps(start: BoolArray, part: BoolArray) -> IntArray:

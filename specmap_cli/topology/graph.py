@@ -227,7 +227,17 @@ def inherited(old: Heritage, poses: FloatArray, divided: IntArray, region_min_m:
     for region in divided[strange].tolist():
         names.setdefault(region, heirs.get(region, old.next_id + len(names)))
     labels[strange] = [names[region] for region in divided[strange].tolist()]
-    own = _without_grazed(labels[count:], poses[count:], old.next_id, region_min_m)
+    # what was hardly driven on goes to where the robot was, unless the recording is nowhere else
+    own = labels[count:]
+    grazed = [
+        label
+        for label, way_m in _driven_m(own, poses[count:]).items()
+        if label >= old.next_id and way_m < region_min_m
+    ]
+    stays = ~np.isin(own, grazed)
+    if stays.any():
+        source = np.where(stays, np.arange(len(own)), int(np.argmax(stays)))
+        own = own[np.maximum.accumulate(source)]
     labels[count:] = settle_labels(own, poses[count:], region_min_m)
     order: dict[int, int] = {}  # new ids have no gaps
     for label in labels[labels >= old.next_id].tolist():
@@ -269,17 +279,3 @@ def _commonest(values: IntArray) -> tuple[int, float]:
     found, counts = np.unique(values, return_counts=True)
     most = int(counts.argmax())
     return int(found[most]), float(counts[most] / counts.sum())
-
-
-def _without_grazed(labels: IntArray, poses: FloatArray, next_id: int, way_m: float) -> IntArray:
-    """Labels (k,) without new submaps driven less than `way_m`: these go to where the robot was.
-
-    A recording that is nowhere else makes a submap, however little it drove.
-    """
-    driven_m = _driven_m(labels, poses)
-    grazed = [label for label, m in driven_m.items() if label >= next_id and m < way_m]
-    stays = ~np.isin(labels, grazed)
-    if not stays.any():
-        return labels
-    source = np.where(stays, np.arange(len(labels)), int(np.argmax(stays)))
-    return np.asarray(labels[np.maximum.accumulate(source)], dtype=np.int64)

@@ -132,16 +132,7 @@ def kind_of(polygon: FloatArray) -> SubmapKind | None:
     """
     if len(polygon) < 3:
         return None
-    area, width = _area_and_width(polygon)
-    if not width:
-        return None
-    if area >= _HALL_M2 and width >= _HALL_WIDTH_M:
-        return "hall"
-    return "corridor" if area >= _LONG * width**2 else "room"
-
-
-def _area_and_width(polygon: FloatArray) -> tuple[float, float]:
-    """Square metres, and the mean width in metres, of a region whose narrow gaps are filled."""
+    # drawn in cells, its narrow gaps filled
     low, sides = polygon.min(axis=0), np.ptp(polygon, axis=0)
     cell = max(_CELL_M, float(sides.max()) / _MOST_CELLS)
     reach = round(_GAP_M / 2.0 / cell)
@@ -155,4 +146,9 @@ def _area_and_width(polygon: FloatArray) -> tuple[float, float]:
     away = cv2.distanceTransform(shape, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[shape > 0]
     away = away.astype(np.float64) - 1.0  # the border runs through the outermost cells
     cells = len(away) - 0.5 * np.count_nonzero(away <= 0.0)  # which lie half outside
-    return cells * cell**2, 4.0 * cell * float(away.sum()) / cells
+    area, width = cells * cell**2, 4.0 * cell * float(away.sum()) / cells
+    if not width:
+        return None
+    if area >= _HALL_M2 and width >= _HALL_WIDTH_M:
+        return "hall"
+    return "corridor" if area >= _LONG * width**2 else "room"

@@ -27,7 +27,6 @@ from specmap_cli.core.json_values import (
     StampNs,
     Value,
     Written,
-    numbers_of,
     titled,
 )
 from specmap_cli.core.records import Closure, Labels
@@ -260,15 +259,7 @@ class Stay(Value):
     @property
     def keyframes(self) -> tuple[int, ...]:
         """The keyframes, ascending."""
-        return numbers_of(self.runs)
-
-    @property
-    def from_origin(self) -> tuple[int, ...]:
-        """The keyframes, that of its frame before the others.
-
-        Its frame is that of the first, unless the robot came back and earlier ones were added.
-        """
-        return (self.origin, *(keyframe for keyframe in self.keyframes if keyframe != self.origin))
+        return tuple(number for first, last in self.runs for number in range(first, last + 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -398,7 +389,7 @@ class Merge(Value):
     @property
     def keyframes(self) -> tuple[int, ...]:
         """The keyframes that came with it, of the `known` first ones of the map."""
-        return numbers_of(self.runs)
+        return tuple(number for first, last in self.runs for number in range(first, last + 1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -176,7 +176,12 @@ def anchors_of(
         often = np.bincount(parts.ravel(), weights=visits[window].ravel(), minlength=count)
         size[0] = often[0] = -1
         piece = np.asarray(parts == np.lexsort([size, often])[-1])
-        piece = _near_on_foot(piece, visits[window] > 0, _OFF_TRACK_M / space.grid.resolution)
+        near = piece & (visits[window] > 0)  # where the robot stood; all counts where it never did
+        if near.any():  # ways within the piece, as long as around an octagon: at most a tenth off
+            for step in range(int(_OFF_TRACK_M / space.grid.resolution)):
+                square = _SQUARE if step % 2 else _CROSS
+                near = piece & (cv2.dilate(near.astype(np.uint8), square) > 0)
+            piece = near
         kept = np.where(piece, room, -1.0)
         cells = np.argwhere(kept >= min(radius_m + margin_m, float(kept.max())))
         middle = np.argwhere(piece).mean(axis=0)
@@ -184,19 +189,6 @@ def anchors_of(
         row, column = (cell + [window[0].start, window[1].start]).tolist()
         anchors[submap] = Anchor((row, column), float(room[tuple(cell)]))
     return anchors
-
-
-def _near_on_foot(cells: BoolArray, stood: BoolArray, reach: float) -> BoolArray:
-    """Which of the cells are within reach of one where the robot stood; all where it never did.
-
-    A way goes through these cells only. It is as long as around an octagon: at most a tenth off.
-    """
-    if not (cells & stood).any():
-        return cells
-    near = cells & stood
-    for step in range(int(reach)):
-        near = cells & (cv2.dilate(near.astype(np.uint8), _SQUARE if step % 2 else _CROSS) > 0)
-    return near
 
 
 _STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))  # to half of the eight neighbours

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.core.arrays import evenly, first_in_cells, neighbours, order_of_appearance, runs
+from specmap_cli.core.arrays import evenly, first_in_cells, neighbours, runs
 from tests.strategies import seeds
 
 LABELS = st.lists(st.integers(-1, 4), max_size=30)
@@ -36,14 +36,6 @@ def test_neighbours_are_those_of_networkx(pairs: list[tuple[int, int]]) -> None:
 def test_a_pair_of_strangers_is_refused() -> None:
     with pytest.raises(KeyError):
         neighbours([0, 1], [(0, 7)])
-
-
-@given(LABELS)
-def test_labels_are_numbered_as_they_appear(labels: list[int]) -> None:
-    order = order_of_appearance(labels)
-    assert list(order.values()) == list(range(len(set(labels))))
-    firsts = [labels.index(label) for label in order]
-    assert firsts == sorted(firsts)
 
 
 @given(st.integers(0, 200), st.integers(1, 60))

@@ -32,7 +32,7 @@ from specmap_cli.pipelines.exploration import Exploration, online_labels
 from specmap_cli.pipelines.finishing import finish
 from specmap_cli.pipelines.laying_out import REFUTED, constraints_of, lay_out, refute
 from specmap_cli.pipelines.learning import Prior
-from specmap_cli.pipelines.map_in_making import Explored, FinishedMap
+from specmap_cli.pipelines.map_in_making import Explored, FinishedMap, laid_out_of_stored
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.tracking import Tracking
 from specmap_cli.registration.frontend import FrontEnd
@@ -130,7 +130,8 @@ def test_a_map_can_be_laid_out_again_from_its_directory_alone(flat_map: StoredMa
     topology, config = flat_map.topology, Config().relaxation
     assert any(closure.merged for closure in topology.closures)
     with flat_map.keyframes() as store:
-        regions = {stay.number: stay.from_origin for stay in topology.stays}
+        regions = laid_out_of_stored(flat_map).stays
+        assert all(regions[stay.number][0] == stay.origin for stay in topology.stays)
         assert sorted(k for ks in regions.values() for k in ks) == list(range(len(store)))
         constraints = constraints_of(topology.closures, regions, store)
         layout = relax(store, tuple(constraints.values()), {}, config)

@@ -224,7 +224,7 @@ def test_a_stay_has_its_keyframes_and_the_submap_of_most_of_them() -> None:
         Stay(number=5, submap=0, runs=((4, 5),), origin=4, start_ns=40, end_ns=50),
         Stay(number=7, submap=0, runs=((1, 3),), origin=2, start_ns=10, end_ns=30),
     )
-    assert [stay.from_origin for stay in found] == [(0,), (4, 5), (2, 1, 3)]
+    assert [stay.keyframes for stay in found] == [(0,), (4, 5), (1, 2, 3)]
 
 
 def test_the_map_keeps_its_stays_and_breaks_and_knows_the_next_id() -> None:
