@@ -51,7 +51,7 @@ def _read(stored: StoredMap) -> tuple[dict[int, FloatArray], list[Link]]:
     try:
         poses, links = read_g2o(map_text(path, stored.limits))
     except InputError as error:
-        raise MapError(error.found, f"{error.hint}: build the map again", where=path) from None
+        raise MapError(error.found, "build the map again", where=path) from None
     strangers = {end for link in links for end in (link.source, link.target)} - poses.keys()
     if strangers:
         raise MapError(f"there is no vertex {min(strangers)}", "build the map again", where=path)
