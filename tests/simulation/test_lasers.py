@@ -110,7 +110,6 @@ def test_odometry_without_errors_is_the_truth_seen_from_the_start(seed: int) -> 
     driven = drive(path + 5.0, Limits(0.5, 1.0, 0.5))
     poses = driven.at(np.arange(0.0, driven.duration_s, 0.1))
     found = drifting_odometry(poses, OdometryErrors().times(0.0), np.random.default_rng(seed))
-    np.testing.assert_allclose(compose(found, invert(found)), np.zeros_like(found), atol=1e-9)
     expected = compose(invert(poses[0]), poses)
     np.testing.assert_allclose(found[:, :2], expected[:, :2], atol=1e-9)
     np.testing.assert_allclose(np.cos(found[:, 2] - expected[:, 2]), 1.0, atol=1e-12)

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import Pose2, compose, invert, path_length
 from specmap_cli.core.records import Sweep
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.simulation import simulator
 from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps, simulated_tour
 
@@ -94,37 +94,25 @@ def test_odometry_begins_before_the_first_scan_and_ends_after_the_last(
     np.testing.assert_allclose(np.diff(stamps), 1e9 / rate, atol=1000)
 
 
-@pytest.mark.parametrize(("sweep_s", "timed"), [(0.0, False), (0.2, True)])
-def test_beams_have_times_of_their_own_when_a_sweep_takes_time(
-    flat: GridMap, sweep_s: float, timed: bool
+@pytest.mark.parametrize("sweep_s", [0.0, 0.2])
+def test_the_mounting_the_range_and_times_of_beams_reach_the_sweeps(
+    flat: GridMap, sweep_s: float
 ) -> None:
-    sweep, _ = next(simulate_sweeps(flat, brief(sweep_s=sweep_s)))
-    times = sweep.planar.beam_times_s
-    assert (times is not None) is timed
-    if times is not None:
-        assert (times[0], times[-1], len(times)) == (0.0, 0.2, 30)
-
-
-def test_the_mounting_and_the_range_reach_the_sweeps(flat: GridMap) -> None:
-    options = brief(laser_x_m=0.2, laser_y_m=-0.1, laser_yaw_deg=90.0, range_max_m=3.0)
-    for sweep, _ in simulate_sweeps(flat, options):
+    mounting = {"laser_x_m": 0.2, "laser_y_m": -0.1, "laser_yaw_deg": 90.0}
+    for sweep, _ in simulate_sweeps(flat, brief(**mounting, range_max_m=3.0, sweep_s=sweep_s)):
         assert sweep.base_from_laser == Pose2(0.2, -0.1, np.pi / 2)
         assert sweep.planar.range_max == 3.0
         finite = sweep.planar.ranges[np.isfinite(sweep.planar.ranges)]
         assert finite.max(initial=0.0) <= 3.0
+        times = sweep.planar.beam_times_s
+        assert (times is None) is (sweep_s == 0.0)
+        assert times is None or (times[0], times[-1], len(times)) == (0.0, sweep_s, 30)
 
 
 def test_options_of_the_drive_reach_the_robot(flat: GridMap) -> None:
     usual = simulated_tour(flat, brief(max_duration_s=None)).truth.duration_s
     for slower in ({"speed_mps": 0.3}, {"turn_rate_degps": 30.0}, {"acceleration_mps2": 0.1}):
         assert simulated_tour(flat, brief(max_duration_s=None, **slower)).truth.duration_s > usual
-
-
-def test_a_robot_that_just_fits_stands() -> None:
-    cells = np.full((30, 30), OCCUPIED, dtype=np.uint8)
-    cells[9:22, 9:22] = FREE
-    tour = simulated_tour(GridMap(cells, 0.05), SimulationOptions(beams=16))
-    assert (tour.distance_m, tour.duration_s, len(tour.scan_times_s)) == (0.0, 0.0, 1)
 
 
 @pytest.mark.parametrize(

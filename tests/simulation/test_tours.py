@@ -29,11 +29,22 @@ def tour(plan: GridMap, seed: int, laps: int = 1, spacing_m: float = 1.5) -> Flo
     return tours.plan_tour(world, space, spacing_m, laps, np.random.default_rng(seed))
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_every_reachable_place_is_near_the_path(flat: GridMap, seed: int) -> None:
-    places = reachable_space(World.of(flat), RADIUS, COMFORT).points
-    away, _ = cKDTree(tour(flat, seed)).query(places)
+@pytest.mark.parametrize(("plan", "seed"), [("flat", 0), ("flat", 1), ("flat", 2), ("office", 5)])
+def test_a_path_is_near_every_place_in_even_steps_where_the_robot_fits_wherever_the_plan_lies(
+    plan: str, seed: int, request: pytest.FixtureRequest
+) -> None:
+    here: GridMap = request.getfixturevalue(plan)
+    path = tour(here, seed)
+    away, _ = cKDTree(path).query(reachable_space(World.of(here), RADIUS, COMFORT).points)
     assert away.max() <= 1.5 + 0.3  # smoothing cuts the tips of the path
+    away, _ = cKDTree(here.centres_of(np.argwhere(~here.free))).query(path)
+    # distances to centres of cells; a point between two that fit may be half a cell nearer
+    assert away.min() >= RADIUS - 0.025
+    steps = step_lengths(path)
+    assert steps.max() <= 0.06
+    assert np.quantile(steps, 0.02) > 0.03  # smoothing and the corners take some of it
+    elsewhere = tour(GridMap(here.cells, here.resolution, (120.0, -7.5)), seed)
+    np.testing.assert_allclose(elsewhere - (120.0, -7.5), path - here.origin, atol=1e-6)
 
 
 def test_each_lap_enters_every_room_and_is_a_new_path(flat: GridMap, flat_rooms: RoomTruth) -> None:
@@ -45,14 +56,6 @@ def test_each_lap_enters_every_room_and_is_a_new_path(flat: GridMap, flat_rooms:
         assert set(flat_rooms.at(lap).tolist()) == {1, 2, 3, 4}
     away, _ = cKDTree(first).query(second)
     assert np.quantile(away, 0.75) > 0.15
-
-
-def test_the_robot_fits_along_the_whole_path(office: GridMap) -> None:
-    path = tour(office, 5)
-    walls = office.centres_of(np.argwhere(~office.free))
-    away, _ = cKDTree(walls).query(path)
-    # distances to centres of cells; a point between two that fit may be half a cell nearer
-    assert away.min() >= RADIUS - 0.025
 
 
 def test_space_the_robot_cannot_reach_is_left_out_and_a_plan_without_room_for_it_refused() -> None:
@@ -134,14 +137,6 @@ def test_a_larger_comfort_keeps_the_path_farther_from_walls() -> None:
         path = tours.plan_tour(hall, space, 2.0, 1, np.random.default_rng(1))
         clearance.append(hall.clearance_at(path).mean())
     assert clearance[1] > clearance[0] + 0.1
-
-
-def test_a_plan_elsewhere_is_toured_by_the_same_way_in_even_steps(flat: GridMap) -> None:
-    moved, here = GridMap(flat.cells, flat.resolution, (120.0, -7.5)), tour(flat, 2)
-    np.testing.assert_allclose(tour(moved, 2), here + (120.0, -7.5), atol=1e-6)
-    steps = step_lengths(here)
-    assert steps.max() <= 0.06
-    assert np.quantile(steps, 0.02) > 0.03  # smoothing and the corners take some of it
 
 
 def rates(driven: Drive) -> tuple[FloatArray, FloatArray]:

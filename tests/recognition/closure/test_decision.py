@@ -100,32 +100,6 @@ def test_without_both_frames_or_after_two_losses_of_tracking_no_twin_is_told(
     assert told(old, new, SURE, CONFIG).merged
 
 
-@given(
-    st.floats(-1.0, 1.0),
-    st.floats(0.0, 20.0),
-    st.floats(0.0, 1.0),
-    st.floats(0.0, 1.0),
-    st.floats(-1.0, 2.0),
-)
-def test_a_better_match_is_never_worth_less(
-    score: float, confirmed: float, overlap: float, least: float, lead: float
-) -> None:
-    check = Check(
-        old_from_new=IDENTITY,
-        score=score,
-        confirmed_m=confirmed,
-        overlap=max(overlap, least),
-        least_overlap=min(overlap, least),
-        lead=lead,
-    )
-    found = told(stay(), stay(1), check, CONFIG)
-    better = replace(
-        check, score=min(1.0, score + 0.1), confirmed_m=confirmed + 2.5, lead=lead + 0.1
-    )
-    assert told(stay(), stay(1), better, CONFIG).verified >= found.verified
-    assert found.merged <= found.verified
-
-
 def along(travelled_m: float, where: Pose2 | None = IDENTITY) -> Stay:
     """A stay that began so far along the way; nothing else of it matters here."""
     return stay(map_from_stay=where, travelled_m=travelled_m)
