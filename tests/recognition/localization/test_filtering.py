@@ -26,8 +26,9 @@ def hidden_markov(
     return HiddenMarkovFilter(adjacency, configured(LocalizationConfig, "recognition", settings))
 
 
-@given(st.integers(0, 10_000), st.integers(1, 4))
-def test_filter_and_smoother_are_sums_over_all_paths(seed: int, steps: int) -> None:
+@given(st.integers(0, 10_000), st.integers(1, 4), st.floats(-999.0, 999.0))
+def test_filter_and_smoother_are_sums_over_all_paths(seed: int, steps: int, shift: float) -> None:
+    """Only differences of log likelihoods count: all may be as low as many returns make them."""
     evidence = np.random.default_rng(seed).normal(0.0, 2.0, (steps, 5))
     model = hidden_markov(LINE, stay=0.8)
     weights = np.zeros((steps, 5))
@@ -41,22 +42,10 @@ def test_filter_and_smoother_are_sums_over_all_paths(seed: int, steps: int) -> N
             weights[t, s] += weight
     smoothed = weights / weights.sum(axis=1, keepdims=True)
     for row in evidence:
-        filtered = model.update(row)
-        assert model.smooth(evidence) == pytest.approx(smoothed), "the filter is left as it was"
+        filtered = model.update(row + shift)
+        found = model.smooth(evidence + shift)
+        assert found == pytest.approx(smoothed), "the filter is left as it was"
     assert filtered == pytest.approx(ends / ends.sum())
-
-
-def test_a_stray_scan_does_not_move_the_robot() -> None:
-    model = hidden_markov(LINE)
-    stay, stray = np.array([2.0, 0, 0, 0, -5.0]), np.array([0, 0, 2.0, 0, -5.0])
-    for _ in range(5):
-        model.update(stay)
-    assert int(model.update(stray).argmax()) == 0
-    for _ in range(12):
-        belief = model.update(stray)
-    assert int(belief.argmax()) == 2
-    model.reset()
-    assert int(model.update(stray).argmax()) == 2
 
 
 networks = st.dictionaries(
@@ -87,17 +76,6 @@ def test_rows_of_transitions_sum_to_one_and_say_what_the_settings_say(
     assert model.transition[m, :m] == pytest.approx(np.full(m, leave / m))
 
 
-@given(st.integers(0, 999), st.floats(-50.0, 50.0))
-def test_only_differences_of_log_likelihoods_count(seed: int, shift: float) -> None:
-    evidence = np.random.default_rng(seed).normal(0.0, 3.0, (6, 5))
-    one, other = hidden_markov(LINE), hidden_markov(LINE)
-    for row in evidence:
-        assert other.update(row + shift) == pytest.approx(one.update(row))
-    assert hidden_markov(LINE).smooth(evidence + shift) == pytest.approx(
-        hidden_markov(LINE).smooth(evidence)
-    )
-
-
 @pytest.mark.parametrize("unknown", [0.5, 0.2])
 def test_before_the_first_scan_every_submap_is_as_likely(unknown: float) -> None:
     assert hidden_markov({}).predicted().tolist() == [1.0], "without a submap all is unknown"
@@ -123,22 +101,6 @@ def test_what_is_said_again_takes_the_place_of_what_was_said_before(seed: int) -
         assert again.predicted(again=True) == pytest.approx(before)
         last = again.update(row, again=True)
     assert last == pytest.approx(once.update(evidence[-1], again=True))
-
-
-def test_a_kidnapped_robot_is_found_again_sooner_when_leaps_are_likely() -> None:
-    """From one end of a long corridor to a room without a way to it."""
-
-    def scans_needed(leap: float) -> int:
-        model = hidden_markov(LINE, leap=leap)
-        for _ in range(10):
-            model.update(np.array([3.0, 0.0, 0.0, 0.0, -20.0]))
-        for count in range(1, 100):
-            belief = model.update(np.array([0.0, 0.0, 0.0, 1.0, -20.0]))
-            if int(belief.argmax()) == 3:
-                return count
-        return 100
-
-    assert scans_needed(1e-6) > scans_needed(1e-4) > scans_needed(1e-2) >= 1
 
 
 def test_evidence_that_rules_out_every_likely_state_leaves_the_prior() -> None:

@@ -157,23 +157,11 @@ def test_a_finer_laser_is_resampled_and_said_and_a_narrower_one_refused(
         trained.localizer().update(narrow)
 
 
-def test_the_raw_label_is_that_of_the_most_votes_on_the_single_scan(
-    trained: Trained, again: list[PosedScan]
-) -> None:
-    raw = trained.classifiers.raw
-    labels = told(trained.localizer(unknown=False), again[:20])
-    votes = raw.margins(scans_features([scan.planar for scan in again[:20]], raw.feature_set))
-    for label, margins in zip(labels, votes.tolist(), strict=True):
-        ranked = sorted(zip(margins, raw.ids, strict=True), reverse=True)
-        assert (label.submap, label.runner_up) == (ranked[0][1], ranked[1][1])
-        assert label.margin == pytest.approx(ranked[0][0] - ranked[1][0])
-
-
-def test_without_virtual_scans_the_filter_hears_the_single_scans(
+def test_the_single_scan_votes_for_the_raw_label_and_without_virtual_ones_for_the_filtered(
     trained: Trained, again: list[PosedScan]
 ) -> None:
     turn("recognition", view_m=0.0, view_rad=0.0)
-    guide = trained.localizer(unknown=False, virtual=False)
+    guide, usual = (trained.localizer(unknown=False, virtual=some) for some in (False, True))
     alone = HiddenMarkovFilter(ADJACENCY, CONFIG.localization)
     raw = trained.classifiers.raw
     here: Pose2 | None = None
@@ -187,7 +175,10 @@ def test_without_virtual_scans_the_filter_hears_the_single_scans(
             away = before.inverse() @ here
             step = away.distance + abs(away.theta)
         belief = alone.update(np.append(min(1.0, step / steadiness(told)) * told, -np.inf))
-        label = guide.update(scan)
+        ranked = sorted(zip(margins.tolist(), raw.ids, strict=True), reverse=True)
+        for label in (usual.update(scan), guide.update(scan)):
+            assert (label.submap, label.runner_up) == (ranked[0][1], ranked[1][1])
+            assert label.margin == pytest.approx(ranked[0][0] - ranked[1][0])
         assert label.probability == pytest.approx(np.exp(told).max())
         assert label.filtered_submap == alone.ids[int(belief[:-1].argmax())]
         assert label.filtered_probability == pytest.approx(belief.max())
