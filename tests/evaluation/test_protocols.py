@@ -233,10 +233,7 @@ def test_the_lines_of_relations_and_of_a_reference(lengths: tuple[float, ...]) -
 
 
 def test_a_map_of_the_first_log_is_built_for_the_purpose_and_removed(
-    flat_map: StoredMap,
-    again: SimulationResult,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    flat_map: StoredMap, again: SimulationResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A log in place of a map, the paths as text; here the map is copied, not built."""
     built: list[tuple[list[Path], Path]] = []

@@ -188,23 +188,27 @@ def cloud_of(lidar: Lidar, world: World) -> Cloud:
     return cloud
 
 
-def test_every_beam_ends_on_the_first_surface_it_meets(hall: World) -> None:
-    points = cloud_of(lidar_of(), hall).points
-    assert len(points) == 9 * 60
+def test_every_beam_ends_on_the_first_surface_and_points_come_as_the_columns_turn(
+    hall: World,
+) -> None:
+    lidar = lidar_of(sweep_s=0.1)
+    points, times_s = cloud_of(lidar, hall)
     places = np.column_stack([AT.apply(points[:, :2]), points[:, 2] + HEIGHT])
     low, high = np.array([LEFT, BOTTOM, 0.0]), np.array([RIGHT, TOP, CEILING])
     off = np.minimum(np.abs(places - low), np.abs(places - high))
     assert off.min(axis=1).max() < 1e-5
     assert ((places > low - 1e-5) & (places < high + 1e-5)).all()
     assert (places[:, 2].min(), places[:, 2].max()) == pytest.approx((0.0, CEILING), abs=1e-6)
-
-
-def test_the_level_ring_is_the_planar_laser(hall: World) -> None:
-    lidar = lidar_of()
-    points = cloud_of(lidar, hall).points.reshape(60, 9, 3)[:, 4]
+    columns = points.reshape(60, 9, 3)
+    bearings = np.arctan2(columns[:, 0, 1], columns[:, 0, 0])
+    np.testing.assert_allclose(bearings, lasers.laser_bearings(2 * np.pi, 60), atol=1e-6)
+    level = columns[:, 4]  # is what the planar laser sees
     (ranges,) = lidar.level.scans(hall, STILL, np.zeros(1), np.random.default_rng(4))
-    np.testing.assert_allclose(np.hypot(points[:, 0], points[:, 1]), ranges, atol=1e-6)
-    np.testing.assert_array_equal(points[:, 2], 0.0)
+    np.testing.assert_allclose(np.hypot(level[:, 0], level[:, 1]), ranges, atol=1e-6)
+    np.testing.assert_array_equal(level[:, 2], 0.0)
+    assert times_s is not None
+    np.testing.assert_allclose(times_s, np.repeat(np.linspace(0, 0.1, 60), 9))
+    assert cloud_of(lidar_of(), hall).times_s is None
 
 
 def test_noise_is_along_the_beam_and_of_the_asked_spread(hall: World) -> None:
@@ -226,12 +230,3 @@ def test_beams_without_a_return_are_left_out_with_their_times(hall: World) -> No
     near = cloud_of(lidar_of(range_max_m=1.5), hall).points
     assert 0 < len(near) < 540
     assert np.sqrt((near**2).sum(axis=1)).max() <= 1.5
-
-
-def test_points_come_as_the_columns_turn(hall: World) -> None:
-    cloud = cloud_of(lidar_of(sweep_s=0.1), hall)
-    assert cloud.times_s is not None
-    np.testing.assert_allclose(cloud.times_s, np.repeat(np.linspace(0, 0.1, 60), 9))
-    bearings = np.arctan2(cloud.points[:, 1], cloud.points[:, 0]).reshape(60, 9)
-    np.testing.assert_allclose(bearings[:, 0], lasers.laser_bearings(2 * np.pi, 60), atol=1e-6)
-    assert cloud_of(lidar_of(), hall).times_s is None

@@ -252,31 +252,19 @@ def test_a_rotation_is_correlated_once_with_the_one_turned_by_half_a_turn(
 
 
 @pytest.mark.parametrize(
-    ("score", "lead", "overlap", "passes"),
+    ("said", "passes"),
     [
-        (0.9, 0.0, 0.1, 1),  # right
-        (0.2, 0.0, 0.1, 1),  # hopeless
-        (0.6, 0.5, 0.6, 1),  # clear: it is another place
-        (0.6, 0.05, 0.6, 2),
-        (0.6, 0.5, 0.3, 2),
+        ({"score": 0.9, "lead": 0.0, "overlap": 0.1}, 1),  # right
+        ({"score": 0.2, "lead": 0.0, "overlap": 0.1}, 1),  # hopeless
+        ({"score": 0.6, "lead": 0.5, "overlap": 0.6}, 1),  # clear: it is another place
+        ({"score": 0.6, "lead": 0.05, "overlap": 0.6}, 2),
+        ({"score": 0.6, "lead": 0.5, "overlap": 0.3}, 2),
     ],
 )
 def test_other_directions_are_tried_when_the_first_answer_is_neither_right_nor_clear(
-    score: float,
-    lead: float,
-    overlap: float,
-    passes: int,
-    building: Any,
-    monkeypatch: pytest.MonkeyPatch,
+    said: dict[str, float], passes: int, building: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    check = Check(
-        old_from_new=IDENTITY,
-        score=score,
-        confirmed_m=9.0,
-        overlap=overlap,
-        least_overlap=overlap,
-        lead=lead,
-    )
+    check = Check(old_from_new=IDENTITY, confirmed_m=9.0, least_overlap=said["overlap"], **said)
     monkeypatch.setattr(verification._Trials, "best", lambda *_: check)
     tried = watched(monkeypatch, verification._Trials, "best")
     assert verify(*two(building, 0, 1)) == check

@@ -45,11 +45,6 @@ def standing(building: Any, room: int = 0) -> PosedScan:
     return found[0]
 
 
-def walls_of(building: Any, **settings: float) -> WallCheck:
-    """The walls of one room for every submap."""
-    return check(dict.fromkeys((7, 8, 9), building.walk(0, 0, "pairs").grid), None, **settings)
-
-
 def rooms_of(building: Any, frames: dict[int, Pose2] | None = None, **settings: float) -> WallCheck:
     """The walls of all rooms of the building, each a submap."""
     return check({k: building.walk(k, 0, "pairs").grid for k in range(4)}, frames, **settings)
@@ -123,9 +118,9 @@ def test_own_scans_fit_in_the_likeliest_submap_and_those_of_another_room_do_not(
 ) -> None:
     for room, sign in ((0, -1.0), (2, 1.0)):
         for scan in building.posed(building.path(room, 3)[::6]):
-            walls = walls_of(building)
-            assert sign * ratio_of(walls, scan, [7, 8, 9] if sign < 0.0 else [7]) > 0.5
-            assert walls.fit.around._fields.keys() == {7}
+            walls = rooms_of(building)
+            assert sign * ratio_of(walls, scan, [0, 1, 3] if sign < 0.0 else [0]) > 0.5
+            assert walls.fit.around._fields.keys() == {0}
 
 
 def test_a_place_is_kept_where_the_scan_alone_fits(building: Any, searches: list[Any]) -> None:
@@ -262,10 +257,10 @@ def test_of_the_places_found_the_one_counts_that_the_map_can_say_least_against(
     right = building.frame(0).inverse() @ here.map_from_base
     wrong = right @ Pose2(1.0, 0.8, 1.0)
     for order in ([wrong, right], [right, wrong]):
-        walls = walls_of(building)
+        walls = rooms_of(building)
         found = [Match(pose, 1.0) for pose in order]
         monkeypatch.setattr(wall_fit, "search_everywhere", lambda *_, found=found: found)
-        assert ratio_of(walls, here, [7]) < -1.0
+        assert ratio_of(walls, here, [0]) < -1.0
 
 
 def test_returns_where_the_map_saw_nothing_count_less(building: Any) -> None:
@@ -280,11 +275,11 @@ def test_returns_where_the_map_saw_nothing_count_less(building: Any) -> None:
 
 
 def test_lost_and_empty_scans_say_nothing(building: Any) -> None:
-    walls = walls_of(building)
+    walls = rooms_of(building)
     scan = standing(building).planar
-    assert told(walls, posed(scan, IDENTITY, lost=True), [7]) is None
+    assert told(walls, posed(scan, IDENTITY, lost=True), [0]) is None
     few = replace(scan, ranges=np.where(np.arange(len(scan.ranges)) < 9, scan.ranges, np.inf))
-    assert told(walls, posed(few, IDENTITY), [7]) is None
+    assert told(walls, posed(few, IDENTITY), [0]) is None
 
 
 CELL_M = 0.05
