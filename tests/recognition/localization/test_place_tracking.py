@@ -232,20 +232,16 @@ def test_motion_leads_within_a_submap_and_the_layout_into_another() -> None:
         assert PLACE.led_to(4, TRACK, frames) is None, "without both frames nothing is known"
 
 
-def test_the_next_lead_is_carried_back_within_reach() -> None:
+@pytest.mark.parametrize(("restarted", "first"), [(0, 1), (1, 1), (2, 2), (3, 3), (4, 1)])
+def test_the_next_lead_is_carried_back_within_reach_but_not_past_a_loss_of_tracking(
+    restarted: int, first: int
+) -> None:
     late = LeadingPlace(Place(7, Pose2(5.0, 1.0, 0.0), Pose2(3.0, 0.0, 0.0)), 0.97)
-    scans = [(Pose2(x, 0.0, 0.0), False, late if x == 3 else None) for x in range(6)]
+    scans = [(Pose2(x, 0.0, 0.0), x == restarted, late if x == 3 else None) for x in range(6)]
     found = looking_back(scans, 2.0)
-    assert [lead is not None for lead in found] == [False, True, True, True, False, False]
-    assert [lead.place.pose.x for lead in found if lead is not None] == [3.0, 4.0, 5.0]
+    assert [lead is not None for lead in found] == [first <= x <= 3 for x in range(6)]
+    assert [lead.place.pose.x for lead in found if lead] == [2.0 + x for x in range(first, 4)]
     assert {lead.probability for lead in found if lead is not None} == {0.97}
-
-
-@pytest.mark.parametrize(("restarted", "known"), [(1, [False, True]), (0, [True, True])])
-def test_it_is_not_carried_past_a_loss_of_tracking(restarted: int, known: list[bool]) -> None:
-    lead = LeadingPlace(Place(7, Pose2(0.0, 0.0, 0.0), Pose2(0.1, 0.0, 0.0)), 0.97)
-    scans = [(Pose2(0.1 * k, 0.0, 0.0), k == restarted, (None, lead)[k]) for k in range(2)]
-    assert [each is not None for each in looking_back(scans, 10.0)] == known
 
 
 class Walk:
