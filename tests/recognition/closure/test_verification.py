@@ -282,28 +282,10 @@ def test_a_guess_is_refined_once(building: Any, monkeypatch: pytest.MonkeyPatch)
     assert np.isfinite([guess for guess, _ in guesses]).all()
 
 
-def box(degrees: float = 0.0) -> GridMap:
-    """A rectangular room of 6 m by 4 m with thick walls, turned."""
-    cells = np.full((200, 200), FREE, dtype=np.uint8)
-    rows, columns = np.mgrid[:200, :200] - 100
-    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    along, across = c * columns + s * rows, -s * columns + c * rows
-    outside = np.maximum(np.abs(along) - 60, np.abs(across) - 40)
-    cells[(outside > 0) & (outside < 4)] = OCCUPIED
-    cells[outside >= 4] = UNKNOWN
-    return GridMap(cells, 0.05, (-5.0, -5.0))
-
-
-def prepared_box(resolution: float = 0.05) -> PreparedGrid:
-    grid = box()
-    made = prepared(GridMap(grid.cells, resolution, grid.origin))
-    assert made is not None
-    return made
-
-
 @pytest.mark.parametrize("degrees", [0, 10, 37, 80])
 def test_the_direction_of_walls_turns_with_them(degrees: float) -> None:
-    off = wrap_angle(4.0 * (wall_direction(box(degrees)) - np.radians(degrees))) / 4.0
+    hall = walls_at(moved(HALL, Pose2(0.0, 0.0, -math.radians(degrees))))
+    off = wrap_angle(4.0 * (wall_direction(hall) - np.radians(degrees))) / 4.0
     assert abs(np.degrees(off)) < 1.0
 
 
@@ -315,8 +297,8 @@ def test_a_grid_with_hardly_a_wall_cannot_be_prepared(cells: int, enough: bool) 
 
 
 def test_walls_are_thinned_evenly() -> None:
-    grid = box()
-    walls = prepared_box().walls
+    grid = walls_at(moved(HALL, Pose2(0.0, 0.0, 1.1)), resolution=0.015)
+    walls = ready(grid).walls
     assert len(walls) == 1200 < np.count_nonzero(grid.occupied)
     assert (grid.values_at(walls) == OCCUPIED).all()
     everyone = grid.centres_of(np.argwhere(grid.occupied))
@@ -324,16 +306,16 @@ def test_walls_are_thinned_evenly() -> None:
 
 
 def test_distances_and_depth_are_those_of_scipy() -> None:
-    area = prepared_box().area
-    grid = box().cropped()
+    grid = walls_at(HALL, free=True)
+    grid.cells[:50] = UNKNOWN
+    area, grid = ready(grid).area, grid.cropped()
     assert area.origin == grid.origin
     for ours, inside in ((area.wall_distance, ~grid.occupied), (area.depth, grid.free)):
         expected = distance_transform_edt(inside) * 0.05
         assert np.abs(ours - expected).max() < 0.03 * expected.max() + 0.005  # OpenCV's mask of 5
     cells = np.full((40, 40), FREE, dtype=np.uint8)
     cells[20, 5:35] = OCCUPIED
-    whole = prepared(GridMap(cells, 0.05))
-    assert whole is not None
+    whole = ready(GridMap(cells, 0.05))
     assert whole.area.known.all()
     assert whole.area.depth.max() < 2.0
 
@@ -344,9 +326,7 @@ def test_the_known_area_grows_by_what_an_inlier_may_be_off(inlier_m: float, marg
     cells[19, 2:38] = OCCUPIED
     cells[2, 2] = cells[37, 37] = FREE  # the crop keeps the rows between
     turn("recognition", inlier_m=inlier_m)
-    made = prepared(GridMap(cells, 0.05))
-    assert made is not None
-    middle = made.area.known[:, 15]
+    middle = ready(GridMap(cells, 0.05)).area.known[:, 15]
     assert np.flatnonzero(middle).tolist() == list(range(17 - margin, 17 + margin + 1))
 
 
@@ -356,11 +336,10 @@ def test_the_known_area_grows_by_what_an_inlier_may_be_off(inlier_m: float, marg
 )
 def test_coarse_cells_are_whole_multiples_of_the_grid_s(resolution: float, cell_m: float) -> None:
     """And lie where the fine cells lie, so that transforms found on them are true."""
-    made = prepared_box(resolution=resolution)
-    coarse = made.coarse
+    grid = walls_at(HALL, free=True, resolution=resolution)
+    coarse = ready(grid).coarse
     assert coarse.cell_m == pytest.approx(cell_m)
-    scaled = GridMap(box().cells, resolution, box().origin)
-    walls = scaled.centres_of(np.argwhere(scaled.occupied))
+    walls = grid.centres_of(np.argwhere(grid.occupied))
     corner = np.floor((walls - coarse.origin) / coarse.cell_m + 1e-9).astype(int)
     expected = {tuple(cell) for cell in corner.tolist()}
     found = np.floor((coarse.walls - coarse.origin) / coarse.cell_m).astype(int)
@@ -368,7 +347,7 @@ def test_coarse_cells_are_whole_multiples_of_the_grid_s(resolution: float, cell_
 
 
 def test_coarse_layers_reward_walls_on_walls_and_punish_them_in_free_space() -> None:
-    coarse = prepared_box().coarse
+    coarse = ready(walls_at(HALL, free=True)).coarse
     of_walls, of_free = coarse.layers
 
     def values(layer: Any, points: Any) -> Any:
@@ -405,7 +384,7 @@ def test_the_last_used_grids_are_kept_and_others_prepared_again(numbers: list[in
 
 
 def test_fields_are_made_of_the_older_grid_alone_and_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    old, new = prepared_box(), prepared_box()
+    old, new = ready(walls_at(HALL)), ready(walls_at(HALL))
     asked = watched(monkeypatch, ScoreField, "from_grid")
     assert verify(old, new) == verify(old, new)
     assert [grid is old.grid for grid, *_ in asked] == [True]
