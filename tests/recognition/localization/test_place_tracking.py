@@ -24,10 +24,10 @@ from tests.casting import ranges_at
 from tests.recognition.posed import posed
 from tests.turning import turn
 
-CONFIG = LocalizationConfig()
 CELL_M = 0.05
-IDS = (0, 1, 2)
 FRAMES = {0: Pose2(0.0, 0.0, 0.0), 1: Pose2(6.0, 0.0, 0.0), 2: Pose2(12.0, 0.0, 0.0)}
+TRACKS = {k: np.array([[frame.x, frame.y]]) for k, frame in FRAMES.items()}
+NO_WAYS: dict[int, list[int]] = {}
 EVEN = np.full(3, 1.0 / 3.0)
 BOX = np.array([0.2, 0.2, 0.6])
 ASIDE = Pose2(0.3, 0.4, -1.2)
@@ -46,14 +46,23 @@ def room(niche: bool, box: bool) -> GridMap:
     return GridMap(cells, CELL_M, (-2.3, -2.8))
 
 
+ROOMS = {k: room(niche=k == 1, box=k == 2) for k in FRAMES}
+
+
 class Home:
     """Rooms 0 and 1 differ by a niche that only a way past it shows; room 2 has a box."""
 
-    def __init__(self, niches: tuple[bool, bool, bool] = (False, True, False)) -> None:
-        self.grids = {k: room(niche, k == 2) for k, niche in enumerate(niches)}
-        self.fit = fit_of(self.grids, {}, FRAMES)
-        tracks = {k: np.array([[frame.x, frame.y]]) for k, frame in FRAMES.items()}
-        self.tracker = PlaceTracker(IDS, self.fit, Owners(tracks, FRAMES, self.grids), CONFIG)
+    def __init__(
+        self,
+        grids: dict[int, GridMap] = ROOMS,
+        tracks: dict[int, FloatArray] = TRACKS,
+        frames: dict[int, Pose2] = FRAMES,
+        adjacency: dict[int, list[int]] = NO_WAYS,
+    ) -> None:
+        self.grids, config = grids, LocalizationConfig()
+        ratio = Ratio(HeldOutMisfit(0.02, 60), config)
+        fit = WallFit(grids, Surroundings(grids, adjacency, frames), ratio, frames)
+        self.tracker = PlaceTracker(list(grids), fit, Owners(tracks, frames, grids), config)
 
     @property
     def place(self) -> Place | None:
@@ -71,20 +80,10 @@ class Home:
         self, number: int, pose: Pose2, belief: FloatArray = EVEN, track: Pose2 | None = None
     ) -> FloatArray:
         """Show the tracker a scan."""
-        return shown(self.tracker, self.scan(number, pose, track), belief)
-
-
-def fit_of(
-    grids: dict[int, GridMap], adjacency: dict[int, list[int]], frames: dict[int, Pose2]
-) -> WallFit:
-    around = Surroundings(grids, adjacency, frames)
-    return WallFit(grids, around, Ratio(HeldOutMisfit(0.02, 60), CONFIG), frames)
-
-
-def shown(tracker: PlaceTracker, scan: PosedScan, belief: FloatArray) -> FloatArray:
-    view = View.of(scan, scan.planar, 8.0)
-    assert view is not None
-    return tracker.update(scan, view, belief)
+        scan = self.scan(number, pose, track)
+        view = View.of(scan, scan.planar, 8.0)
+        assert view is not None
+        return self.tracker.update(scan, view, belief)
 
 
 def north(step: int) -> Pose2:
@@ -108,7 +107,7 @@ def test_a_place_that_no_other_looks_like_leads_when_all_submaps_were_searched()
 
 
 def test_none_of_two_look_alikes_leads() -> None:
-    home = Home(niches=(False, False, False))
+    home = Home({k: room(niche=False, box=k == 2) for k in FRAMES})
     for step in range(12):
         belief = home.see(0, north(step))
         assert home.place is None
@@ -165,25 +164,19 @@ def test_a_place_goes_over_into_the_submap_of_the_keyframes_around_it() -> None:
     hall = room(niche=True, box=True)
     frames = {0: Pose2(0.0, 0.0, 0.0), 1: Pose2(0.0, 1.0, 0.0)}
     moved = GridMap(hall.cells, CELL_M, (hall.origin[0], hall.origin[1] - 1.0))
-    grids = {0: hall, 1: moved}
     tracks = {0: np.array([[0.0, -1.0]]), 1: np.array([[0.0, 1.0]])}
-    fit = fit_of(grids, {0: [1], 1: [0]}, frames)
-    tracker = PlaceTracker((0, 1), fit, Owners(tracks, frames, grids), CONFIG)
-    home, labels = Home(), list[int]()
-    home.grids[0] = hall
+    home, labels = Home({0: hall, 1: moved}, tracks, frames, {0: [1], 1: [0]}), list[int]()
     for step in range(12):
         pose = Pose2(0.0, -1.2 + 0.2 * step, 1.0)
-        belief = shown(tracker, home.scan(0, pose), np.array([0.6, 0.4]))
-        labels.append(int(belief.argmax()))
+        labels.append(int(home.see(0, pose, np.array([0.6, 0.4])).argmax()))
     assert labels == [0] * 6 + [1] * 6 or labels == [0] * 7 + [1] * 5
-    assert tracker.lead is not None
-    assert tracker.lead.place.submap == 1
-    assert (frames[1] @ tracker.lead.place.pose)[:2] == pytest.approx(pose[:2], abs=0.05)
+    assert home.place is not None
+    assert home.place.submap == 1
+    assert (frames[1] @ home.place.pose)[:2] == pytest.approx(pose[:2], abs=0.05)
 
 
 def test_where_submaps_end_is_not_known_without_tracks_and_labels_stay_the_filter_s() -> None:
-    home, belief = Home(), np.array([0.1, 0.6, 0.3])
-    home.tracker = PlaceTracker(IDS, home.fit, Owners({}, FRAMES, home.grids), CONFIG)
+    home, belief = Home(tracks={}), np.array([0.1, 0.6, 0.3])
     after = home.see(2, ASIDE, belief)
     assert home.place is not None
     np.testing.assert_array_equal(after, belief)
