@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import InputError
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap
@@ -279,22 +279,17 @@ def test_a_narrow_view_of_a_one_room_map_is_recognised_standing(building: Any) -
 HALF = Sensor(beams=181, field_of_view=math.pi, range_max=20.0, full_circle=False)
 
 
-def circle(ranges: FloatArray, range_max: float = 30.0) -> PlanarScan:
-    bearings = np.linspace(-np.pi, np.pi, len(ranges), endpoint=False)
-    return PlanarScan(4, bearings, np.asarray(ranges), range_max, full_circle=True)
-
-
 def test_the_same_laser_is_left_alone_and_another_one_is_said() -> None:
-    scan = circle(np.ones(360))
+    scan = PlanarScan(0, np.radians(np.arange(-180.0, 180.0)), np.ones(360), 30.0, full_circle=True)
     sampler = BeamSampler(Sensor.of(scan), Sensor.of(scan))
     assert sampler.note == ""
     assert sampler.apply(scan) is scan
-    sampler = BeamSampler(Sensor.of(circle(np.ones(720))), HALF)
+    sampler = BeamSampler(Sensor.of(scan), HALF)
     assert sampler.note == (
-        "the log's laser (720 beams over 360 degrees, 30 m) is resampled to the map's "
+        "the log's laser (360 beams over 360 degrees, 30 m) is resampled to the map's "
         "(181 beams over 180 degrees, 20 m)"
     )
-    empty = PlanarScan(0, np.zeros(0), np.zeros(0), 30.0, full_circle=True)
+    empty = replace(scan, bearings=np.zeros(0), ranges=np.zeros(0))
     assert sampler.apply(empty) is empty
 
 
@@ -303,9 +298,10 @@ def test_the_same_laser_is_left_alone_and_another_one_is_said() -> None:
     st.integers(190, 400),
     st.integers(2, 90),
     st.sampled_from([-math.pi, 0.0, -2.0 * math.pi, -3.0, 1.0]),
+    st.booleans(),
 )
 def test_every_reading_is_that_of_the_nearest_bearing_around_the_circle(
-    seed: int, beams: int, wanted: int, first: float
+    seed: int, beams: int, wanted: int, first: float, full: bool
 ) -> None:
     """Wherever the bearings begin: many lasers count theirs from 0 to 360 degrees.
 
@@ -316,9 +312,10 @@ def test_every_reading_is_that_of_the_nearest_bearing_around_the_circle(
     ranges[rng.random(beams) < 0.2] = rng.choice([np.nan, np.inf])
     bearings = first + 2.0 * math.pi / beams * np.arange(beams, dtype=np.float64)
     scan = PlanarScan(4, bearings, ranges, 30.0, full_circle=True)
-    known = Sensor(beams=wanted, field_of_view=math.pi, range_max=20.0, full_circle=False)
+    angle = 2.0 * math.pi if full else math.pi
+    known = Sensor(beams=wanted, field_of_view=angle, range_max=20.0, full_circle=full)
     made = BeamSampler(Sensor.of(scan), known).apply(scan)
-    assert (made.stamp_ns, made.range_max, made.full_circle) == (4, 20.0, False)
+    assert (made.stamp_ns, made.range_max, made.full_circle) == (4, 20.0, full)
     np.testing.assert_array_equal(made.bearings, known.bearings())
     gaps = np.abs(np.angle(np.exp(1j * (made.bearings[:, None] - bearings))))
     nearest = gaps <= gaps.min(axis=1, keepdims=True) + 1e-9  # two where it lies between them
