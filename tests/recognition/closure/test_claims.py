@@ -66,15 +66,6 @@ def test_claims_are_the_shares_of_classifiers_trained_as_the_paper_says() -> Non
         assert found[o].rank == pytest.approx(chances[0].mean() * chances[1].mean())
 
 
-@pytest.mark.parametrize("config", [PAPER, TREES])
-def test_the_place_that_was_seen_before_ranks_first(config: RecognitionConfig) -> None:
-    made = ranker(config, 6)
-    for place in range(6):
-        claims = made.claims(scans_of(place, seed=3))
-        assert max(claims, key=lambda i: claims[i].rank) == place
-        assert claims[place].xi > 0.5
-
-
 @pytest.mark.parametrize("groups", [0, 1, 2, 3, 50])
 def test_an_old_submap_is_never_among_the_negatives_that_judge_it(
     groups: int, monkeypatch: pytest.MonkeyPatch

@@ -14,10 +14,11 @@ from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import Closure
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.gridmap import UNKNOWN, GridMap, PackedGrid
+from specmap_cli.recognition.closure import prepared
 from specmap_cli.recognition.closure.claims import ClaimRanker, Claims
 from specmap_cli.recognition.closure.loop_closer import LoopCloser
-from specmap_cli.recognition.closure.prepared import PreparedGrid
 from specmap_cli.recognition.closure.verification import Check
+from tests.recognition.watching import watched
 from tests.turning import altered, configured
 
 QUICK = RecognitionConfig(closure_rounds=20)
@@ -160,7 +161,6 @@ class Oracle:
         self.scores: dict[tuple[int, int], float] = {}
         self.asked: list[tuple[int, int]] = []
         self.plausible: dict[tuple[int, int], bool] = {}
-        self.numbers: dict[int, int] = {}
         closing = "specmap_cli.recognition.closure.loop_closer"
         monkeypatch.setattr(f"{closing}.PreparedGrids.of", self.prepared)
         monkeypatch.setattr(f"{closing}.verify", self.verify)
@@ -175,14 +175,8 @@ class Oracle:
         self.plausible[old, new] = plausible(Pose2(0.0, 0.0, 0.0))
         self.asked.append((old, new))
         score = self.scores.get((old, new), 0.1)
-        return Check(
-            old_from_new=Pose2(0.1 * old, 0.0, 0.0),
-            score=score,
-            confirmed_m=50.0,
-            overlap=1.0,
-            least_overlap=1.0,
-            lead=1.0,
-        )
+        sure = {"confirmed_m": 50.0, "overlap": 1.0, "least_overlap": 1.0, "lead": 1.0}
+        return Check(old_from_new=Pose2(0.1 * old, 0.0, 0.0), score=score, **sure)
 
 
 @pytest.fixture
@@ -360,20 +354,14 @@ def test_a_duplicate_found_ends_the_search_until_it_is_merged(
 def test_grids_are_prepared_once_and_kept_cropped(
     building: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    prepared: list[tuple[int, ...]] = []
-
-    def watched(grid: GridMap) -> PreparedGrid | None:
-        prepared.append(grid.cells.shape)
-        return None
-
-    monkeypatch.setattr("specmap_cli.recognition.closure.prepared.prepared", watched)
+    asked = watched(monkeypatch, prepared, "prepared")
     loop = closer(small({"candidates": 9}))
     stay = building.visit(0, 0)
     wide = GridMap(np.pad(stay.grid.cells, 50, constant_values=UNKNOWN), 0.05)
     loop.consider(replace(stay, packed=PackedGrid.of(wide)))
     considered(loop, building, [1, 2, 3])
-    assert len(prepared) == 4
-    assert all(shape < wide.cells.shape for shape in prepared)
+    assert len(asked) == 4
+    assert all(grid.cells.shape < wide.cells.shape for (grid,) in asked)
 
 
 def test_considering_changes_nothing_of_the_stay(building: Any) -> None:

@@ -228,13 +228,10 @@ def two(building: Any, first: int, second: int) -> tuple[PreparedGrid, PreparedG
     return ready(building.visit(0, first).grid), ready(building.visit(1, second, seed=1).grid)
 
 
-def test_the_best_transforms_are_different_and_turn_as_the_walls_do(building: Any) -> None:
+def test_the_best_transforms_are_different(building: Any) -> None:
     search = TransformSearch(*two(building, 1, 1))
     found = search.best(search.few)
     assert 1 < len(found) <= 8
-    for pose in found:
-        off = (pose.theta - search._aligned) / (math.pi / 2)
-        assert abs(wrap_angle((off - round(off)) * math.pi / 2)) < 1e-9
     pairs = [(a, b) for k, a in enumerate(found) for b in found[:k]]
     assert all(differ(a, b, search.centre, 0.5, math.radians(2.0)) for a, b in pairs)
 
