@@ -102,18 +102,13 @@ def room(width_m: float, height_m: float, resolution: float = 0.05) -> GridMap:
     return GridMap(np.pad(cells, 1, constant_values=OCCUPIED), resolution)
 
 
-def test_ways_on_the_lattice_are_those_of_a_king_on_a_board() -> None:
-    space = reachable_space(World.of(room(3.0, 2.0)), RADIUS, COMFORT)
+def test_ways_on_the_lattice_are_those_of_a_king_on_a_board_and_cost_more_near_walls() -> None:
+    space = reachable_space(World.of(room(4.0, 4.0)), RADIUS, COMFORT)
     found = shortest_path(space.lengths, indices=0)
     across = np.abs(space.points - space.points[0]) / 0.1
     steps = 0.1 * (across.max(axis=1) + (np.sqrt(2.0) - 1.0) * across.min(axis=1))
     np.testing.assert_allclose(found, steps, atol=1e-9)
-
-
-def test_metres_near_walls_cost_more_and_none_less() -> None:
-    space = reachable_space(World.of(room(4.0, 4.0)), RADIUS, COMFORT)
     ratio = space.costs.data / space.lengths.data
-    assert (ratio >= 1.0).all()
     assert ratio.max() <= 1.0 + 4.0
     edges = space.costs.tocoo()
     roomy = np.minimum(space.comfort[edges.row], space.comfort[edges.col]) == 1.0

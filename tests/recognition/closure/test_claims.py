@@ -151,10 +151,10 @@ def test_stays_of_one_submap_are_claimed_one_by_one_and_judged_together() -> Non
     assert max(claims, key=lambda i: claims[i].rank) == 1
 
 
-def test_a_classifier_is_trained_again_when_its_submap_or_the_map_has_grown_enough() -> None:
+def test_a_classifier_is_trained_again_when_its_submap_or_the_map_grew_and_bins_are_cut() -> None:
     made = ranker(TREES.model_copy(update={"refresh_growth": 0.5}), 4)
     made.claims(scans_of(9))
-    before = dict(made._classifiers)
+    before, bins = dict(made._classifiers), made._quantiser
 
     def trained_again(number: int, scans: FloatArray, merged: int | None = None) -> set[int]:
         made.remember(number, scans)
@@ -167,23 +167,14 @@ def test_a_classifier_is_trained_again_when_its_submap_or_the_map_has_grown_enou
     assert trained_again(4, scans_of(1, seed=2), merged=1) == {1}
     assert trained_again(5, scans_of(4)) == {1}  # 5 of 4 is less than half more
     assert trained_again(6, scans_of(5)) == {0, 1, 2, 3}
+    assert made._quantiser is bins
+    trained_again(7, scans_of(6))  # the eighth stay: there were four
+    assert made._quantiser is not bins
     made = ranker(PAPER, 3)  # without growth allowed
     made.claims(scans_of(9))
     first = dict(made._classifiers)
     made.claims(scans_of(9))
     assert all(made._classifiers[i] is not first[i] for i in first)
-
-
-def test_the_bins_are_cut_anew_once_the_map_has_doubled() -> None:
-    made = ranker(TREES, 2)
-    made.claims(scans_of(9))
-    first = made._quantiser
-    made.remember(2, scans_of(2))
-    made.claims(scans_of(9))
-    assert made._quantiser is first
-    made.remember(3, scans_of(3))
-    made.claims(scans_of(9))
-    assert made._quantiser is not first
 
 
 def test_the_same_seed_gives_the_same_claims_stumps_need_none_and_nothing_is_changed() -> None:

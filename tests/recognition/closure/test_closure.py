@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.config import load_config
-from specmap_cli.core.geometry import IDENTITY, Pose2
+from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Closure
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.gridmap import UNKNOWN, GridMap, PackedGrid
@@ -351,26 +351,18 @@ def test_a_duplicate_found_ends_the_search_until_it_is_merged(
     assert len(loop._submaps) == 4 - merged
 
 
-def test_grids_are_prepared_once_and_kept_cropped(
+def test_a_stay_is_kept_cropped_and_sampled_prepared_once_and_is_left_as_it_was(
     building: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked = watched(monkeypatch, prepared, "prepared")
-    loop = closer(small({"candidates": 9}))
+    loop = closer(small({"candidates": 9, "samples_per_submap": 5}))
     stay = building.visit(0, 0)
     wide = GridMap(np.pad(stay.grid.cells, 50, constant_values=UNKNOWN), 0.05)
-    loop.consider(replace(stay, packed=PackedGrid.of(wide)))
+    handed, features = replace(stay, packed=PackedGrid.of(wide)), stay.features.copy()
+    loop.consider(handed)
+    np.testing.assert_array_equal(handed.features, features)
+    assert handed.grid.cells.shape == wide.cells.shape
+    assert len(loop._submaps[0][0].features) == 5
     considered(loop, building, [1, 2, 3])
     assert len(asked) == 4
     assert all(grid.cells.shape < wide.cells.shape for (grid,) in asked)
-
-
-def test_considering_changes_nothing_of_the_stay(building: Any) -> None:
-    stay = building.visit(0, 0)
-    copy = replace(stay, features=stay.features.copy())
-    loop = closer(small({"samples_per_submap": 5}))
-    loop.consider(stay)
-    assert (stay.features == copy.features).all()
-    assert stay.packed is copy.packed
-    assert len(loop._submaps[0][0].features) == 5
-    assert loop._submaps[0][0].map_from_stay is None
-    assert building.visit(1, 1, travelled_m=3.0).map_from_stay != IDENTITY

@@ -256,7 +256,9 @@ def test_of_the_places_found_the_one_counts_that_the_map_can_say_least_against(
         assert ratio_of(walls, here, [0]) < -1.0
 
 
-def test_returns_where_the_map_saw_nothing_count_less(building: Any) -> None:
+def test_returns_where_the_map_saw_nothing_count_less_and_lost_or_empty_scans_say_nothing(
+    building: Any,
+) -> None:
     """The scan of a room against a map of its left half."""
     grid = building.walk(0, 0, "pairs").grid
     cells = grid.cells.copy()
@@ -265,14 +267,10 @@ def test_returns_where_the_map_saw_nothing_count_less(building: Any) -> None:
     here = standing(building)
     less, alike = (ratio_of(check(half, None, unseen_weight=w), here, [7]) for w in (0.0, 1.0))
     assert less < alike
-
-
-def test_lost_and_empty_scans_say_nothing(building: Any) -> None:
-    walls = rooms_of(building)
-    scan = standing(building).planar
-    assert told(walls, posed(scan, IDENTITY, lost=True), [0]) is None
-    few = replace(scan, ranges=np.where(np.arange(len(scan.ranges)) < 9, scan.ranges, np.inf))
-    assert told(walls, posed(few, IDENTITY), [0]) is None
+    assert told(check(half), replace(here, lost=True), [7]) is None
+    ranges = here.planar.ranges
+    few = replace(here.planar, ranges=np.where(np.arange(len(ranges)) < 9, ranges, np.inf))
+    assert told(check(half), replace(here, planar=few), [7]) is None
 
 
 CELL_M = 0.05
