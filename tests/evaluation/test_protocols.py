@@ -1,4 +1,4 @@
-"""Table II's scores against scikit-learn, hold-outs and revisits from files, and their tables."""
+"""Table II's scores against scikit-learn, hold-outs and revisits, the baseline of Figure 5c."""
 
 from __future__ import annotations
 
@@ -13,20 +13,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.metrics import accuracy_score, confusion_matrix, precision_recall_fscore_support
 
-from specmap_cli.core.errors import LogError
+from specmap_cli.core.errors import InputError, LogError
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.progress import Silent
 from specmap_cli.core.records import Trajectory
 from specmap_cli.core.settings import Config
-from specmap_cli.evaluation import protocols, trajectories
+from specmap_cli.evaluation import protocols, semantic, trajectories
 from specmap_cli.evaluation.protocols import HoldOut, classification_scores, revisit_logs
-from specmap_cli.evaluation.semantic import SemanticResult, semantic_lines
+from specmap_cli.evaluation.semantic import HALLWAY, ROOM, Labelled, SemanticResult, room_hallway
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.pipelines.simulate import SimulationResult, simulate
 from specmap_cli.recognition.localization.localizer import Label
 from specmap_cli.simulation.simulator import SimulationOptions
-from tests.flats import TRAINED, record_tour
+from specmap_cli.simulation.worlds import RoomTruth
+from tests.flats import QUICK, TRAINED, Mapped, record_tour
 
 guesses = st.lists(st.tuples(st.integers(0, 4), st.integers(-1, 6)), min_size=1, max_size=60)
 
@@ -149,13 +150,13 @@ def counted_scores(*pairs: tuple[int, int, int]) -> protocols.ClassificationScor
     return protocols.classification_scores(rooms, guesses, [0, 1])
 
 
-def test_the_table_of_a_hold_out() -> None:
-    result = protocols.HoldOutResult(
+def test_the_tables_of_a_hold_out_and_of_a_revisit() -> None:
+    found = protocols.HoldOutResult(
         train=counted_scores((0, 0, 3000), (1, 1, 1000)),
         test=counted_scores((0, 0, 700), (0, 1, 300), (1, 1, 500)),
         filtered=counted_scores((0, 0, 1000), (1, 1, 500)),
     )
-    assert protocols.hold_out_lines(result) == [
+    assert protocols.hold_out_lines(found) == [
         "                         scans  recall  precision",
         "training scans           4,000  1.0000     1.0000",
         "held-out scans           1,500  0.8500     0.8125",
@@ -167,15 +168,10 @@ def test_the_table_of_a_hold_out() -> None:
         "       1     500   1.000      0.625",
         "    mean   1,500   0.850      0.812",
     ]
-
-
-def test_the_table_of_a_revisit() -> None:
-    result = protocols.RevisitResult(
-        raw=counted_scores((0, 0, 50), (0, -1, 30), (1, 0, 20)),
-        filtered=counted_scores((0, 0, 80), (1, 1, 20)),
-        truth=np.zeros(0, dtype=np.int64),
-    )
-    assert protocols.revisit_lines(result) == [
+    raw = counted_scores((0, 0, 50), (0, -1, 30), (1, 0, 20))
+    filtered = counted_scores((0, 0, 80), (1, 1, 20))
+    revisited = protocols.RevisitResult(raw, filtered, np.zeros(0, dtype=np.int64))
+    assert protocols.revisit_lines(revisited) == [
         "                         scans  recall  precision  accuracy",
         "raw, single scans          100  0.3125     0.3571    0.5000",
         "filtered                   100  1.0000     1.0000    1.0000",
@@ -192,7 +188,8 @@ def test_the_table_of_a_revisit() -> None:
 def test_the_lines_of_the_baseline(
     scores: protocols.ClassificationScores, rooms: str, hallways: str, accuracy: str
 ) -> None:
-    first, second = semantic_lines(SemanticResult(scores=scores, borders_seen=0.375, borders=8))
+    found = SemanticResult(scores=scores, borders_seen=0.375, borders=8)
+    first, second = semantic.semantic_lines(found)
     assert first == (
         f"{scores.scans} scans: rooms recognised {rooms}, hallways {hallways}, all {accuracy}"
     )
@@ -251,3 +248,35 @@ def test_a_map_of_the_first_log_is_built_for_the_purpose_and_removed(
     ((logs, out),) = built
     assert logs == [Path("first.mcap")]
     assert not out.parent.exists()
+
+
+def test_a_border_between_two_rooms_is_not_seen() -> None:
+    submaps = np.array([0, 0, 1, 1, 2, 2])
+    predicted = np.array([HALLWAY, HALLWAY, ROOM, ROOM, ROOM, ROOM])
+    truth = np.array([HALLWAY, -1, ROOM, ROOM, ROOM, HALLWAY])
+    result = semantic.semantic_scores(predicted, truth, submaps, [(0, 1), (1, 2), (2, 7)])
+    assert result.borders_seen == pytest.approx(0.5)
+    assert result.borders == 2
+    assert result.scores.scans == 5
+    assert result.as_dict()["room_hallway"]["accuracy"] == pytest.approx(0.8)
+
+
+def test_rooms_and_hallways_from_file_to_figures(
+    first_tour: Mapped, second_tour: Mapped, flat_rooms: RoomTruth
+) -> None:
+    assert semantic.hallways(flat_rooms) == {4}
+    logs = first_tour.log, second_tour.log
+    learned, asked = (Labelled(log.log, log.truth, flat_rooms) for log in logs)
+    found = room_hallway(learned, asked, QUICK, Silent())
+    assert found.scores.accuracy > 0.9
+    assert found.borders >= 3
+    assert any("hallways" in line for line in semantic.semantic_lines(found))
+
+
+def test_a_building_without_both_kinds_is_refused(
+    first_tour: Mapped, flat_rooms: RoomTruth
+) -> None:
+    rooms = RoomTruth(np.where(flat_rooms.labels == 4, 0, flat_rooms.labels), 0.05)
+    labelled = Labelled(first_tour.log.log, first_tour.log.truth, rooms)
+    with pytest.raises(InputError, match="not of both rooms and hallways"):
+        room_hallway(labelled, labelled, QUICK, Silent())
