@@ -101,20 +101,26 @@ def trained(tour: list[PosedScan], flat_rooms: Any) -> Trained:
     return train(tour, rooms_of(flat_rooms, tour), CONFIG)
 
 
-def test_another_tour_is_labelled_with_its_rooms(
+def test_another_tour_is_labelled_with_its_rooms_and_smoothing_changes_what_is_filtered_alone(
     trained: Trained, again: list[PosedScan], flat_rooms: Any
 ) -> None:
     truth = rooms_of(flat_rooms, again)
     guide = trained.localizer()
+    assert guide.smoothed() == []
     labels = told(guide, again)
+    smoothed = guide.smoothed()
+    assert smoothed == guide.smoothed()
+    assert guide.note == ""
     assert np.mean([a.submap == b for a, b in zip(labels, truth, strict=True)]) > 0.8
     assert right(labels, truth) > 0.85
-    assert right(guide.smoothed(), truth) > 0.85
-    assert guide.note == ""
-    for label, scan in zip(labels, again, strict=True):
+    assert right(smoothed, truth) > 0.85
+    for label, after, scan in zip(labels, smoothed, again, strict=True):
         assert label.stamp_ns == scan.stamp_ns
         assert label.runner_up != label.submap
         assert 0.0 < label.filtered_probability <= 1.0
+        same = {"filtered_submap": None, "filtered_probability": 0.0}
+        assert replace(label, **same) == replace(after, **same)  # type: ignore[arg-type]
+    assert smoothed[-1].filtered_probability == pytest.approx(labels[-1].filtered_probability)
 
 
 def test_scans_labelled_together_have_the_labels_that_they_have_one_by_one(
@@ -188,20 +194,6 @@ def test_the_single_scan_votes_for_the_raw_label_and_without_virtual_ones_for_th
         assert label.probability == pytest.approx(np.exp(told).max())
         assert label.filtered_submap == alone.ids[int(belief[:-1].argmax())]
         assert label.filtered_probability == pytest.approx(belief.max())
-
-
-def test_smoothing_changes_the_filtered_labels_alone(
-    trained: Trained, again: list[PosedScan]
-) -> None:
-    guide = trained.localizer()
-    assert guide.smoothed() == []
-    labels = told(guide, again[:30])
-    smoothed = guide.smoothed()
-    assert smoothed == guide.smoothed()
-    for before, after in zip(labels, smoothed, strict=True):
-        same = {"filtered_submap": None, "filtered_probability": 0.0}
-        assert replace(before, **same) == replace(after, **same)  # type: ignore[arg-type]
-    assert smoothed[-1].filtered_probability == pytest.approx(labels[-1].filtered_probability)
 
 
 def test_after_a_restart_nothing_of_before_counts_nor_is_it_smoothed_by_what_comes(

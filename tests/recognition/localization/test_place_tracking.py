@@ -264,7 +264,9 @@ def walk(building: Any) -> Walk:
     return Walk(building)
 
 
-def test_a_place_is_matched_and_then_followed(walk: Walk, building: Any) -> None:
+def test_a_place_is_matched_and_then_followed_into_another_submap_by_the_layout(
+    walk: Walk, building: Any
+) -> None:
     place = walk.place(walk.scans[0], Pose2(0.1, -0.1, 0.04))
     for scan in walk.scans:
         off = walk.off_by(scan, place)
@@ -272,10 +274,6 @@ def test_a_place_is_matched_and_then_followed(walk: Walk, building: Any) -> None
         assert abs(off.theta) < 0.01
     # a place of a later scan tells of an earlier one
     assert Walk(building).off_by(walk.scans[0], walk.place(walk.scans[-1])).distance < 0.05
-
-
-def test_the_layout_says_where_a_place_is_in_another_submap(walk: Walk) -> None:
-    scan = walk.scans[0]
     elsewhere = walk.place(scan, room=1)
     assert walk.off_by(scan, elsewhere).distance < 0.05
     walk.tracker.frames = {}
