@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import FloatArray, path_length, step_lengths
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.simulation import tours
 from specmap_cli.simulation.tours import Drive, Limits, drive, reachable_space
 from specmap_cli.simulation.worlds import RoomTruth, World, read_rooms
@@ -215,25 +215,16 @@ def test_a_path_of_one_place_is_a_robot_that_stands_as_before_the_start_and_afte
     np.testing.assert_allclose(ends[:, 2], np.pi / 4)
 
 
-@given(grid_maps())
-def test_everything_that_is_not_free_is_a_wall(plan: GridMap) -> None:
+@given(grid_maps(largest=12))
+def test_what_is_not_free_is_a_wall_and_clearance_is_that_to_the_nearest_less_half_a_cell(
+    plan: GridMap,
+) -> None:
+    """Against every wall, one by one; what is off the plan is a wall, too, though not to beams."""
     before = plan.cells.copy()
     world = World.of(plan)
-    np.testing.assert_array_equal(world.plan.cells == FREE, plan.cells == FREE)
-    np.testing.assert_array_equal(world.plan.cells == OCCUPIED, plan.cells != FREE)
+    np.testing.assert_array_equal(world.plan.cells, np.where(before == FREE, FREE, OCCUPIED))
+    np.testing.assert_array_equal(world.distance, world.plan.obstacle_distance())
     np.testing.assert_array_equal(plan.cells, before)
-    cells = np.full((20, 40), FREE, dtype=np.uint8)
-    cells[:, 30:] = UNKNOWN
-    world = World.of(GridMap(cells, 0.1, (5.0, 0.0)))
-    ahead, back = world.cast(np.array([[6.0, 1.05]] * 2), np.array([0.0, np.pi]), 10.0)
-    assert ahead == pytest.approx(2.0, abs=1e-5)
-    assert back == np.inf  # off the plan
-
-
-@given(grid_maps(largest=12))
-def test_clearance_is_that_to_the_nearest_wall_cell_less_half_a_cell(plan: GridMap) -> None:
-    """Against every wall, one by one; what is off the plan is a wall, too."""
-    world = World.of(plan)
     height, width = plan.cells.shape
     framed = np.pad(plan.free, 1)
     walls = np.argwhere(~framed) - 1
