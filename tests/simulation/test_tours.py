@@ -219,7 +219,7 @@ def test_a_path_of_one_place_is_a_robot_that_stands_as_before_the_start_and_afte
 def test_what_is_not_free_is_a_wall_and_clearance_is_that_to_the_nearest_less_half_a_cell(
     plan: GridMap,
 ) -> None:
-    """Against every wall, one by one; what is off the plan is a wall, too, though not to beams."""
+    """Against every wall, one by one; what is off the plan is a wall, too."""
     before = plan.cells.copy()
     world = World.of(plan)
     np.testing.assert_array_equal(world.plan.cells, np.where(before == FREE, FREE, OCCUPIED))
