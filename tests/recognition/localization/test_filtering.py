@@ -136,30 +136,23 @@ def views() -> ViewGrouping:
 
 
 @pytest.mark.parametrize(
-    ("scan", "begins"),
+    ("scans", "begins"),
     [
-        (at(0.0), False),
-        (at(0.09), False),
-        (at(0.11), True),
-        (at(0.0, 0.19), False),
-        (at(0.0, 0.21), True),
-        (at(5.0, lost=True), False),
+        ([at(0.0), at(0.0)], [True, False]),
+        ([at(0.0), at(0.09)], [True, False]),
+        ([at(0.0), at(0.11)], [True, True]),
+        ([at(0.0), at(0.0, 0.19)], [True, False]),
+        ([at(0.0), at(0.0, 0.21)], [True, True]),
+        ([at(0.0), at(5.0, lost=True)], [True, False]),
+        ([at(0.03 * k, lost=k == 0) for k in range(9)], [k % 4 == 0 for k in range(9)]),
     ],
 )
-def test_a_view_begins_where_the_robot_moved(
-    views: ViewGrouping, scan: PosedScan, begins: bool
+def test_a_view_begins_where_the_robot_moved_or_a_track_begins_though_lost_or_unmoved(
+    views: ViewGrouping, scans: list[PosedScan], begins: list[bool]
 ) -> None:
-    assert views.begins(at(0.0))
-    assert views.begins(scan) is begins
-
-
-def test_slow_motion_adds_up_and_the_first_scan_of_a_track_is_a_view_though_lost_or_unmoved(
-    views: ViewGrouping,
-) -> None:
-    begun = [views.begins(at(0.03 * k, lost=k == 0)) for k in range(9)]
-    assert begun == [True, False, False, False, True, False, False, False, True]
+    assert [views.begins(scan) for scan in scans] == begins
     views.restart()
-    assert views.begins(at(0.24))
+    assert views.begins(scans[-1])
 
 
 @given(st.lists(st.floats(-50.0, 50.0), min_size=1, max_size=20))
