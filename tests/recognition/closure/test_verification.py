@@ -280,20 +280,17 @@ def test_the_direction_of_walls_turns_with_them(degrees: float) -> None:
     assert abs(np.degrees(off)) < 1.0
 
 
-@pytest.mark.parametrize(("cells", "enough"), [(0, False), (9, False), (10, True)])
-def test_a_grid_with_hardly_a_wall_cannot_be_prepared(cells: int, enough: bool) -> None:
-    picture = np.full((30, 30), FREE, dtype=np.uint8)
-    picture[4, :cells] = OCCUPIED
-    assert (prepared(GridMap(picture, 0.05)) is not None) is enough
-
-
-def test_walls_are_thinned_evenly() -> None:
+def test_walls_are_thinned_evenly_and_hardly_a_wall_cannot_be_prepared() -> None:
     grid = walls_at(moved(HALL, Pose2(0.0, 0.0, 1.1)), resolution=0.015)
     walls = ready(grid).walls
     assert len(walls) == 1200 < np.count_nonzero(grid.occupied)
     assert (grid.values_at(walls) == OCCUPIED).all()
     everyone = grid.centres_of(np.argwhere(grid.occupied))
     assert walls.mean(axis=0) == pytest.approx(everyone.mean(axis=0), abs=0.05)
+    for cells, enough in ((0, False), (9, False), (10, True)):
+        picture = np.full((30, 30), FREE, dtype=np.uint8)
+        picture[4, :cells] = OCCUPIED
+        assert (prepared(GridMap(picture, 0.05)) is not None) is enough, cells
 
 
 def test_distances_and_depth_are_those_of_scipy() -> None:
