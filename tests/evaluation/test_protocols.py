@@ -23,9 +23,8 @@ from specmap_cli.evaluation.protocols import HoldOut, classification_scores, rev
 from specmap_cli.evaluation.semantic import HALLWAY, ROOM, Labelled, SemanticResult, room_hallway
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.store import StoredMap
-from specmap_cli.pipelines.simulate import SimulationResult, simulate
+from specmap_cli.pipelines.simulate import SimulationResult
 from specmap_cli.recognition.localization.localizer import Label
-from specmap_cli.simulation.simulator import SimulationOptions
 from specmap_cli.simulation.worlds import RoomTruth
 from tests.flats import QUICK, TRAINED, Mapped, record_tour
 
@@ -119,19 +118,10 @@ def test_nothing_scored_scores_nought_and_figures_have_six_decimals(ids: list[in
     assert figures == {"recall": 0.333333, "precision": 1.0, "accuracy": 0.333333, "scans": 3}
 
 
-@pytest.fixture(scope="module")
-def again(
-    flat: GridMap, flat_options: SimulationOptions, tmp_path_factory: pytest.TempPathFactory
-) -> SimulationResult:
-    """A part of another tour of the flat."""
-    options = flat_options.model_copy(update={"seed": 9, "max_duration_s": 45.0})
-    return simulate(flat, options, tmp_path_factory.mktemp("again") / "again.mcap")
-
-
 def test_another_tour_is_labelled_right_and_a_truth_that_is_not_its_own_doubted(
-    flat_map: StoredMap, flat_log: SimulationResult, again: SimulationResult
+    flat_map: StoredMap, flat_log: SimulationResult, second_tour: Mapped
 ) -> None:
-    progress = Silent()
+    again, progress = second_tour.log, Silent()
     truths = (flat_log.truth, again.truth)
     found = revisit_logs(flat_map.path, again.log, truths, TRAINED, progress)
     assert found.filtered.accuracy > 0.8
@@ -230,7 +220,7 @@ def test_the_lines_of_relations_and_of_a_reference(lengths: tuple[float, ...]) -
 
 
 def test_a_map_of_the_first_log_is_built_for_the_purpose_and_removed(
-    flat_map: StoredMap, again: SimulationResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    flat_map: StoredMap, second_tour: Mapped, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A log in place of a map, the paths as text; here the map is copied, not built."""
     built: list[tuple[list[Path], Path]] = []
@@ -241,10 +231,10 @@ def test_a_map_of_the_first_log_is_built_for_the_purpose_and_removed(
 
     monkeypatch.setattr(protocols, "build_map", build)
     (tmp_path / "late.tum").write_text("9000000000 0 0 0 0 0 0 1\n")
-    truths = (str(tmp_path / "late.tum"), str(again.truth))
+    truths = (str(tmp_path / "late.tum"), str(second_tour.log.truth))
     said = r"late\.tum: no pose at the stamps of the map's keyframes: another log\?"
     with pytest.raises(LogError, match=said):
-        revisit_logs("first.mcap", str(again.log), truths, TRAINED, Silent())
+        revisit_logs("first.mcap", str(second_tour.log.log), truths, TRAINED, Silent())
     ((logs, out),) = built
     assert logs == [Path("first.mcap")]
     assert not out.parent.exists()
