@@ -21,12 +21,11 @@ from specmap_cli.core.settings import Config
 from specmap_cli.evaluation import protocols, semantic, trajectories
 from specmap_cli.evaluation.protocols import HoldOut, classification_scores, revisit_logs
 from specmap_cli.evaluation.semantic import HALLWAY, ROOM, Labelled, SemanticResult, room_hallway
-from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.pipelines.simulate import SimulationResult
 from specmap_cli.recognition.localization.localizer import Label
 from specmap_cli.simulation.worlds import RoomTruth
-from tests.flats import QUICK, TRAINED, Mapped, record_tour
+from tests.flats import QUICK, TRAINED, Mapped
 
 guesses = st.lists(st.tuples(st.integers(0, 4), st.integers(-1, 6)), min_size=1, max_size=60)
 
@@ -95,10 +94,8 @@ def test_a_revisit_is_scored_by_given_poses_in_any_frame() -> None:
         protocols.revisit(labels, Trajectory(stamps + 10**15, reference.poses), keyframes)
 
 
-def test_a_whole_hold_out_run(flat: GridMap, tmp_path: Path) -> None:
-    options = {"field_of_view_deg": 360, "beams": 120, "rate_hz": 3, "seed": 3}
-    log = record_tour(flat, tmp_path / "flat.mcap", **options, max_duration_s=70)
-    result = protocols.hold_out([log], TRAINED, HoldOut(seed=1))
+def test_a_whole_hold_out_run(first_tour: Mapped) -> None:
+    result = protocols.hold_out([first_tour.log.log], TRAINED, HoldOut(seed=1))
     data = json.loads(json.dumps(result.as_dict()))
     assert {"train", "test", "submaps"} <= set(data)
     assert {"recall", "precision", "scans"} <= set(data["test"])
