@@ -80,9 +80,7 @@ def random_floor(seed: int, rooms: int = 6) -> Floor:
     return made.with_boxes(*boxes)
 
 
-def seen(
-    plan: Floor, rooms: Sequence[int] = ALL, plan_from_map: Pose2 = IDENTITY
-) -> MapToAlign:
+def seen(plan: Floor, rooms: Sequence[int] = ALL, plan_from_map: Pose2 = IDENTITY) -> MapToAlign:
     """The map of a robot that visited some rooms of a plan, drawn from another frame."""
     whole = _drawn(plan, [plan.rooms[k] for k in rooms], plan_from_map)
     frames, grids, tracks = {}, {}, {}
