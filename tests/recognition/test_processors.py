@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -24,8 +23,6 @@ FIXED = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 # With an older NumPy the last digits of poses depend on the kernel; nothing that is decided does.
 OLDER_NUMPY = np.lib.NumpyVersion(np.__version__) < "2.4.0"
 TRAJECTORIES = {"trajectory.g2o", "trajectory.tum"}
-
-NO_CHOICE = "NumPy is not on OpenBLAS here, or this processor does not let its kernel be chosen"
 
 KERNEL_IN_USE = """
 import threadpoolctl, numpy, scipy.linalg
@@ -71,15 +68,15 @@ def run_under(kernel: str, *arguments: str, **more: str) -> str:
     ).stdout
 
 
-@cache
-def kernels_in_use() -> tuple[str, ...]:
-    """The kernels that were loaded when each of `KERNELS` was asked for."""
-    return tuple(run_under(kernel, "-c", KERNEL_IN_USE) for kernel in KERNELS)
+@pytest.fixture(scope="module")
+def _chosen() -> None:
+    """Skips where not the kernels are loaded that are asked for."""
+    if len({run_under(kernel, "-c", KERNEL_IN_USE) for kernel in KERNELS}) < len(KERNELS):
+        pytest.skip("NumPy is not on OpenBLAS here, or the processor lets no kernel be chosen")
 
 
+@pytest.mark.usefixtures("_chosen")
 def test_features_and_matches_are_the_same_under_every_kernel() -> None:
-    if len(set(kernels_in_use())) < len(KERNELS):
-        pytest.skip(NO_CHOICE)
     made = {run_under(kernel, "-c", DIGESTS) for kernel in (*KERNELS, WIDEST)}
     assert [len(digests.split()) for digests in made] == [20]
 
@@ -96,9 +93,8 @@ def test_features_and_matches_are_the_same_without_avx_512() -> None:
     assert with_loops == without
 
 
+@pytest.mark.usefixtures("_chosen")
 def test_a_build_gives_the_same_bytes_under_every_kernel(flat: GridMap, tmp_path: Path) -> None:
-    if len(set(kernels_in_use())) < len(KERNELS):
-        pytest.skip(NO_CHOICE)
     log, written = tmp_path / "flat.mcap", []
     robot = {"field_of_view_deg": 360, "beams": 120, "rate_hz": 2, "speed_mps": 0.9}
     simulate(flat, SimulationOptions.model_validate({**robot, "max_duration_s": 45}), log)

@@ -1,28 +1,139 @@
-"""Where one map lies in another: found, or refused with the reason."""
+"""Where one map lies in another: found, or refused with the reason, on drawn floors of offices."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from scipy.ndimage import binary_dilation
 
 from specmap_cli.core.geometry import IDENTITY, Pose2, wrap_angle
 from specmap_cli.core.settings import Config
-from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, CellArray, GridMap
 from specmap_cli.recognition.closure import alignment, votes
 from specmap_cli.recognition.closure.alignment import Alignment, align
 from specmap_cli.recognition.closure.prepared import MapToAlign
-from tests.recognition.closure.floors import CELL_M, Floor, floor, random_floor, seen
 from tests.recognition.watching import watched
 
-CONFIG = Config()
 ALL = range(7)
+CELL_M = 0.05
+_WALL_M, _CORRIDOR_M, _DOOR_M, _BESIDE_M = 0.2, 2.0, 0.9, 1.0
+
+Box = tuple[float, float, float, float]  # left, bottom, right, top, metres
+
+
+@dataclass(frozen=True)
+class Floor:
+    """A plan in its own frame, and the boxes of its rooms, the corridor last."""
+
+    cells: CellArray
+    rooms: tuple[Box, ...]
+
+    @property
+    def grid(self) -> GridMap:
+        return GridMap(self.cells, CELL_M)
+
+    def with_boxes(self, *boxes: Box, state: int = OCCUPIED) -> Floor:
+        """The floor with things put into it, or with holes in its walls."""
+        cells = self.cells.copy()
+        for box in boxes:
+            _fill(cells, box, state)
+        return Floor(cells, self.rooms)
+
+    def mirrored(self) -> Floor:
+        width = self.cells.shape[1] * CELL_M
+        rooms = tuple((width - c, b, width - a, d) for a, b, c, d in self.rooms)
+        return Floor(np.ascontiguousarray(self.cells[:, ::-1]), rooms)
+
+
+def floor(sizes: Sequence[tuple[float, float]], doors: Sequence[float]) -> Floor:
+    """Rooms of some widths and depths above a corridor; `doors` are their places in [0, 1]."""
+    width = sum(w for w, _ in sizes) + _WALL_M * (len(sizes) + 1)
+    above = _CORRIDOR_M + 2 * _WALL_M
+    height = above + max(depth for _, depth in sizes) + _WALL_M
+    cells = np.full((round(height / CELL_M), round(width / CELL_M)), OCCUPIED, dtype=np.uint8)
+    corridor = (_WALL_M, _WALL_M, width - _WALL_M, _WALL_M + _CORRIDOR_M)
+    rooms, left = [], _WALL_M
+    for (wide, deep), place in zip(sizes, doors, strict=True):
+        rooms.append((left, above, left + wide, above + deep))
+        hinge = left + 0.3 + place * (wide - _DOOR_M - 0.6)
+        _fill(cells, (hinge, above - _WALL_M, hinge + _DOOR_M, above), FREE)
+        left += wide + _WALL_M
+    for room in (*rooms, corridor):
+        _fill(cells, room, FREE)
+    return Floor(cells, (*rooms, corridor))
+
+
+def random_floor(seed: int, rooms: int = 6) -> Floor:
+    """Rooms of different sizes with a cupboard or two each."""
+    rng = np.random.default_rng(seed)
+    sizes = [tuple(rng.uniform((2.5, 3.0), (6.0, 6.0)).tolist()) for _ in range(rooms)]
+    made = floor(sizes, rng.uniform(size=rooms).tolist())
+    boxes: list[Box] = []
+    for left, _, right, top in made.rooms[:-1]:
+        wide, deep = rng.uniform((0.4, 0.3), (1.5, 0.6)).tolist()
+        at = rng.uniform(left, right - wide)
+        boxes.append((at, top - deep, at + wide, top))
+    return made.with_boxes(*boxes)
+
+
+def seen(plan: Floor, rooms: Sequence[int] = ALL, plan_from_map: Pose2 = IDENTITY) -> MapToAlign:
+    """The map of a robot that visited some rooms of a plan, drawn from another frame."""
+    whole = _drawn(plan, [plan.rooms[k] for k in rooms], plan_from_map)
+    frames, grids, tracks = {}, {}, {}
+    for number, k in enumerate(rooms):
+        left, bottom, right, top = plan.rooms[k]
+        middle = Pose2((left + right) / 2, (bottom + top) / 2, 0.3 * number)
+        frames[number] = plan_from_map.inverse() @ middle
+        grids[number] = _drawn(plan, [plan.rooms[k]], middle)
+        tracks[number] = np.array([frames[number]])
+    return MapToAlign(whole=whole, grids=grids, frames=frames, tracks=tracks)
+
+
+def _drawn(plan: Floor, boxes: Sequence[Box], plan_from_map: Pose2) -> GridMap:
+    """What is within a metre of some boxes, on cells of another frame."""
+    corners = np.array([[box[k], box[m]] for box in boxes for k in (0, 2) for m in (1, 3)])
+    placed = plan_from_map.inverse().apply(corners)
+    low = np.floor(placed.min(axis=0) - 2.0)
+    size = np.ceil((placed.max(axis=0) + 2.0 - low) / CELL_M).astype(int)
+    grid = GridMap(
+        np.full((size[1], size[0]), UNKNOWN, dtype=np.uint8), CELL_M, (float(low[0]), float(low[1]))
+    )
+    places = plan_from_map.apply(grid.centres_of(np.argwhere(grid.cells == UNKNOWN)))
+    near = np.zeros(len(places), dtype=bool)
+    for box in boxes:
+        inside = (places > np.array(box[:2]) - _BESIDE_M) & (places < np.array(box[2:]) + _BESIDE_M)
+        near |= inside.all(axis=1)
+    values = plan.grid.values_at(places)
+    surface = values == OCCUPIED  # a robot sees the faces of walls, and nothing behind them
+    shape = grid.cells.shape
+    free = ((values == FREE) & near).reshape(shape)
+    grid.cells[free] = FREE
+    grid.cells[surface.reshape(shape) & binary_dilation(free)] = OCCUPIED
+    return grid
+
+
+def _fill(cells: CellArray, box: Box, state: int) -> None:
+    left, bottom, right, top = (round(side / CELL_M) for side in box)
+    cells[bottom:top, left:right] = state
+
+
 ALIKE = floor([(3.5, 4.5)] * 6, [0.5] * 6)
 
 
 def aligned(old: MapToAlign, new: MapToAlign) -> Alignment:
-    return align(old, new, CONFIG)
+    return align(old, new, Config())
+
+
+def refused(old: MapToAlign, new: MapToAlign) -> Alignment:
+    """What is told of maps that are not aligned."""
+    found = aligned(old, new)
+    assert found.old_from_new is None
+    assert found.reason
+    return found
 
 
 def assert_right(found: Alignment, truth: Pose2, metres: float = 0.02) -> None:
@@ -35,7 +146,7 @@ def assert_right(found: Alignment, truth: Pose2, metres: float = 0.02) -> None:
 @pytest.mark.parametrize(("seed", "turn"), [(0, 0.0), (1, 2.0), (2, -0.7), (3, math.pi)])
 def test_two_maps_of_one_floor(seed: int, turn: float) -> None:
     plan, frame = random_floor(seed), Pose2(3.0, 2.0, turn)
-    old, new = seen(plan, ALL, IDENTITY), seen(plan, ALL, frame)
+    old, new = seen(plan), seen(plan, ALL, frame)
     found = aligned(old, new)
     assert_right(found, frame)
     assert_right(aligned(new, old), frame.inverse())
@@ -50,7 +161,7 @@ def test_submaps_are_matched_with_less_likely_ones_when_the_likely_ones_say_noth
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     plan, frame = random_floor(0), Pose2(3.0, 2.0, 2.0)
-    old, new = seen(plan, ALL, IDENTITY), seen(plan, ALL, frame)
+    old, new = seen(plan), seen(plan, ALL, frame)
     matched = watched(monkeypatch, alignment, "votes_of")
     pairs = [(k, k) for k in ALL]
     for ranked, tried in ((pairs, pairs[:2]), [pairs]), (([], pairs), [[], pairs]):
@@ -65,62 +176,50 @@ def test_pairs_far_behind_the_best_of_their_new_submap_come_later(
 ) -> None:
     ranks = np.array([[0.9, 0.04], [0.2, 0.5]])  # of old submaps 0 and 1, and new ones in columns
     monkeypatch.setattr(votes, "_ranks", lambda *_: ranks)
-    two = seen(random_floor(0), [0, 1], IDENTITY)
+    two = seen(random_floor(0), [0, 1])
     first, later = votes.likely_pairs(two, two, 2)
     assert (first, later) == ([(0, 0), (1, 1), (1, 0)], [(0, 1)])
 
 
 def test_maps_that_share_some_rooms_but_two_may_be_of_two_buildings() -> None:
-    frame = Pose2(5.0, 1.0, 0.4)
-    plan = random_floor(1, rooms=9)
-    assert_right(aligned(seen(plan, range(6), IDENTITY), seen(plan, range(3, 9), frame)), frame)
+    plan, frame = random_floor(1, rooms=9), Pose2(5.0, 1.0, 0.4)
+    assert_right(aligned(seen(plan, range(6)), seen(plan, range(3, 9), frame)), frame)
     plan = random_floor(1, rooms=7)
-    found = aligned(seen(plan, range(4), IDENTITY), seen(plan, range(2, 6), frame))
-    assert found.old_from_new is None
-    assert "too few submaps" in found.reason
+    told = refused(seen(plan, range(4)), seen(plan, range(2, 6), frame)).reason
+    assert "too few submaps" in told
 
 
 def test_a_large_place_that_was_divided_otherwise_is_found_by_few_submaps() -> None:
     plan, frame = random_floor(6), Pose2(2.0, 0.0, 0.8)
-    old, new = seen(plan, ALL, IDENTITY), seen(plan, ALL, frame)
-    whole = MapToAlign(
-        whole=new.whole, grids={0: new.whole}, frames={0: IDENTITY}, tracks={0: np.zeros((1, 3))}
+    whole = seen(plan, ALL, frame).whole
+    undivided = MapToAlign(
+        whole=whole, grids={0: whole}, frames={0: IDENTITY}, tracks={0: np.zeros((1, 3))}
     )
-    found = aligned(old, whole)
+    found = aligned(seen(plan), undivided)
     assert found.party == 1
     assert_right(found, frame)
 
 
 def test_furniture_that_was_moved_does_not_matter() -> None:
-    plan = random_floor(4)
+    plan, frame = random_floor(4), Pose2(1.0, 1.0, -2.0)
     boxes = [(a + 0.5, b + 1.2, a + 1.3, b + 1.6) for a, b, _, _ in plan.rooms[:3]]
-    frame = Pose2(1.0, 1.0, -2.0)
-    found = aligned(seen(plan, ALL, IDENTITY), seen(plan.with_boxes(*boxes), ALL, frame))
-    assert_right(found, frame)
+    assert_right(aligned(seen(plan), seen(plan.with_boxes(*boxes), ALL, frame)), frame)
 
 
 @pytest.mark.parametrize(("one", "other"), [(0, 1), (2, 3), (4, 5), (6, 7)])
 def test_other_buildings_are_refused(one: int, other: int) -> None:
-    old = seen(random_floor(one), ALL, IDENTITY)
-    for rooms in (range(7), (0, 1), (2,)):
-        found = aligned(old, seen(random_floor(other), rooms, Pose2(1.0, 2.0, 0.5)))
-        assert found.old_from_new is None
-        assert found.reason
+    old = seen(random_floor(one))
+    for rooms in (ALL, (0, 1), (2,)):
+        refused(old, seen(random_floor(other), rooms, Pose2(1.0, 2.0, 0.5)))
 
 
-def test_a_mirrored_floor_and_one_empty_room_are_refused() -> None:
-    plan, frame = random_floor(3), Pose2(0.0, 0.0, 1.0)
-    found = aligned(seen(plan, ALL, IDENTITY), seen(plan.mirrored(), ALL, frame))
-    assert found.old_from_new is None
+def test_what_looks_alike_is_refused() -> None:
+    """A mirrored floor, one empty room, and some of a row of equal offices."""
+    plan = random_floor(3)
+    refused(seen(plan), seen(plan.mirrored(), ALL, Pose2(0.0, 0.0, 1.0)))
     plan = floor([(3.0, 4.0), (5.0, 4.5)], [0.5, 0.2])
-    found = aligned(seen(plan, [0, 1, 2], IDENTITY), seen(plan, [0], Pose2(0.0, 0.0, 0.3)))
-    assert found.old_from_new is None
-
-
-def test_some_of_a_row_of_equal_offices_are_ambiguous() -> None:
-    old, new = seen(ALIKE, [0, 1, 2, 3, 4, 5], IDENTITY), seen(ALIKE, [1, 2], Pose2(1.0, 0.0, 0.2))
-    found = aligned(old, new)
-    assert found.old_from_new is None
+    refused(seen(plan, range(3)), seen(plan, [0], Pose2(0.0, 0.0, 0.3)))
+    found = refused(seen(ALIKE, range(6)), seen(ALIKE, [1, 2], Pose2(1.0, 0.0, 0.2)))
     assert "ambiguous" in found.reason
     assert found.rival > 0.9
 
@@ -140,14 +239,15 @@ def test_a_building_that_is_nearly_the_same_when_turned(furnished: int, known: b
     boxes = [(a + 0.4, b + 0.9, a + 1.6, b + 1.9) for a, b, _, _ in plain.rooms[:furnished]]
     plan, frame = plain.with_boxes(*boxes), Pose2(1.0, -2.0, 0.4)
     rooms = range(len(plan.rooms))
-    found = aligned(seen(plan, rooms, IDENTITY), seen(plan, rooms, frame))
+    old, new = seen(plan, rooms), seen(plan, rooms, frame)
     if known:
+        found = aligned(old, new)
         assert_right(found, frame)
         assert found.rival < 0.6
     else:
-        assert found.old_from_new is None
-        assert "ambiguous: the maps fit in more than one way" in found.reason
-        assert "180 degrees apart" in found.reason
+        told = refused(old, new).reason
+        assert "ambiguous: the maps fit in more than one way" in told
+        assert "180 degrees apart" in told
 
 
 def test_a_floor_with_another_wing_is_refused() -> None:
@@ -158,20 +258,13 @@ def test_a_floor_with_another_wing_is_refused() -> None:
     cells[: first.cells.shape[0], :left] = first.cells[:, :left]
     wing = second.cells[:, left : first.cells.shape[1]]
     cells[: wing.shape[0], left : left + wing.shape[1]] = wing
-    other = Floor(cells, first.rooms)
-    found = aligned(seen(first, ALL, IDENTITY), seen(other, ALL, Pose2(2.0, 0.0, 0.1)))
-    assert found.old_from_new is None
-    assert "does not agree" in found.reason
+    other = seen(Floor(cells, first.rooms), ALL, Pose2(2.0, 0.0, 0.1))
+    assert "does not agree" in refused(seen(first), other).reason
 
 
 def test_maps_without_walls_say_so() -> None:
     empty = GridMap(np.full((40, 40), FREE, dtype=np.uint8), CELL_M)
     bare = MapToAlign(whole=empty, grids={0: empty}, frames={0: IDENTITY}, tracks={})
-    assert "too few walls" in aligned(bare, bare).reason
-    nothing = MapToAlign(
-        whole=GridMap(np.full((1, 1), UNKNOWN, dtype=np.uint8), CELL_M),
-        grids={},
-        frames={},
-        tracks={},
-    )
-    assert aligned(nothing, seen(ALIKE, [0], IDENTITY)).old_from_new is None
+    assert "too few walls" in refused(bare, bare).reason
+    unknown = GridMap(np.full((1, 1), UNKNOWN, dtype=np.uint8), CELL_M)
+    refused(MapToAlign(whole=unknown, grids={}, frames={}, tracks={}), seen(ALIKE, [0]))

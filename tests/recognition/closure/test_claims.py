@@ -1,14 +1,23 @@
-"""Claims of eq. 4 and 5: against classifiers trained by hand, what is held out, what is kept."""
+"""Claims of eq. 4 and 5 against classifiers trained by hand, and what a match of grids is worth."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.settings import RecognitionConfig
+from specmap_cli.grids.gridmap import FREE, GridMap, PackedGrid
 from specmap_cli.recognition.closure import claims
 from specmap_cli.recognition.closure.claims import ClaimRanker
+from specmap_cli.recognition.closure.decision import Decision, DriftGraph, Stay, decide
+from specmap_cli.recognition.closure.verification import Check
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.boosting import StumpBoost
 from tests.recognition.watching import watched
@@ -64,15 +73,6 @@ def test_claims_are_the_shares_of_classifiers_trained_as_the_paper_says() -> Non
         assert found[o].xi == found[o].new_by_old * found[o].old_by_new
         chances = [1.0 / (1.0 + np.exp(-c.margins(Z))) for c, Z in ((c_old, new), (c_new, X))]
         assert found[o].rank == pytest.approx(chances[0].mean() * chances[1].mean())
-
-
-@pytest.mark.parametrize("config", [PAPER, TREES])
-def test_the_place_that_was_seen_before_ranks_first(config: RecognitionConfig) -> None:
-    made = ranker(config, 6)
-    for place in range(6):
-        claims = made.claims(scans_of(place, seed=3))
-        assert max(claims, key=lambda i: claims[i].rank) == place
-        assert claims[place].xi > 0.5
 
 
 @pytest.mark.parametrize("groups", [0, 1, 2, 3, 50])
@@ -151,10 +151,10 @@ def test_stays_of_one_submap_are_claimed_one_by_one_and_judged_together() -> Non
     assert max(claims, key=lambda i: claims[i].rank) == 1
 
 
-def test_a_classifier_is_trained_again_when_its_submap_or_the_map_has_grown_enough() -> None:
+def test_a_classifier_is_trained_again_when_its_submap_or_the_map_grew_and_bins_are_cut() -> None:
     made = ranker(TREES.model_copy(update={"refresh_growth": 0.5}), 4)
     made.claims(scans_of(9))
-    before = dict(made._classifiers)
+    before, bins = dict(made._classifiers), made._quantiser
 
     def trained_again(number: int, scans: FloatArray, merged: int | None = None) -> set[int]:
         made.remember(number, scans)
@@ -167,23 +167,14 @@ def test_a_classifier_is_trained_again_when_its_submap_or_the_map_has_grown_enou
     assert trained_again(4, scans_of(1, seed=2), merged=1) == {1}
     assert trained_again(5, scans_of(4)) == {1}  # 5 of 4 is less than half more
     assert trained_again(6, scans_of(5)) == {0, 1, 2, 3}
+    assert made._quantiser is bins
+    trained_again(7, scans_of(6))  # the eighth stay: there were four
+    assert made._quantiser is not bins
     made = ranker(PAPER, 3)  # without growth allowed
     made.claims(scans_of(9))
     first = dict(made._classifiers)
     made.claims(scans_of(9))
     assert all(made._classifiers[i] is not first[i] for i in first)
-
-
-def test_the_bins_are_cut_anew_once_the_map_has_doubled() -> None:
-    made = ranker(TREES, 2)
-    made.claims(scans_of(9))
-    first = made._quantiser
-    made.remember(2, scans_of(2))
-    made.claims(scans_of(9))
-    assert made._quantiser is first
-    made.remember(3, scans_of(3))
-    made.claims(scans_of(9))
-    assert made._quantiser is not first
 
 
 def test_the_same_seed_gives_the_same_claims_stumps_need_none_and_nothing_is_changed() -> None:
@@ -195,7 +186,137 @@ def test_the_same_seed_gives_the_same_claims_stumps_need_none_and_nothing_is_cha
             for place, X in enumerate(handed):
                 made.remember(place, X)
             ranks.append([claims.rank for claims in made.claims(new).values()])
-            for place, X in enumerate(handed):
-                np.testing.assert_array_equal(X, scans_of(place))
-            np.testing.assert_array_equal(new, scans_of(1, 4))
+            left = [*handed, new]
+            np.testing.assert_array_equal(left, [*map(scans_of, range(3)), scans_of(1, 4)])
         assert ranks[0] == ranks[1]
+
+
+CONFIG = RecognitionConfig()
+SURE = Check(
+    old_from_new=IDENTITY, score=0.9, confirmed_m=25.0, overlap=0.9, least_overlap=0.8, lead=0.5
+)
+LINE = np.column_stack([np.arange(0.0, 8.0, 0.25), np.zeros(32), np.zeros(32)])
+MERGES = "the grids match and the tracks overlap"
+APART = "the grids match, the robot's tracks do not overlap"
+TWIN = "ambiguous: looks the same but is too far away, a twin"
+
+
+def stay(number: int = 0, **known: Any) -> Stay:
+    """A stay along a line of 8 m; only its track and what is known of its frame matter."""
+    grid = GridMap(np.full((2, 2), FREE, dtype=np.uint8), 0.05)
+    return Stay(
+        number=number, features=np.zeros((1, 1)), packed=PackedGrid.of(grid), track=LINE, **known
+    )
+
+
+def told(old: Stay, new: Stay, check: Check | None) -> Decision:
+    """The verdict where nothing confirmed the way between two stays."""
+    return decide(old, new, check, DriftGraph(CONFIG).between(old, new), CONFIG)
+
+
+@pytest.mark.parametrize(
+    ("change", "verified", "merged", "reason"),
+    [
+        (None, False, False, "the grids do not match"),
+        ({}, True, True, MERGES),
+        ({"score": 0.7499}, False, False, "the grids do not match"),
+        ({"score": 0.75}, True, True, MERGES),
+        ({"confirmed_m": 4.95}, False, False, "too little wall matches"),
+        ({"overlap": 0.39, "least_overlap": 0.39}, False, False, "the grids overlap too little"),
+        ({"least_overlap": 0.14}, False, False, "the grids overlap too little"),
+        ({"lead": 0.09}, False, False, "ambiguous: the grids match in more than one way"),
+        ({"old_from_new": Pose2(6.0, 0.0, 0.0)}, True, False, APART),
+        ({"old_from_new": Pose2(0.0, 1.01, 0.0)}, True, False, APART),
+    ],
+)
+def test_every_verdict_says_why(
+    change: dict[str, Any] | None, verified: bool, merged: bool, reason: str
+) -> None:
+    check = None if change is None else replace(SURE, **change)
+    found = told(stay(), stay(1), check)
+    assert (found.verified, found.merged, found.reason) == (verified, merged, reason)
+
+
+@pytest.mark.parametrize(
+    ("apart_m", "turned_deg", "driven_m", "reason"),
+    [
+        (0.4, 0.0, 0.0, MERGES),
+        (0.6, 0.0, 0.0, TWIN),
+        (0.6, 0.0, 2.0, MERGES),
+        (2.5, 0.0, 15.0, TWIN),  # the office next door
+        (9.0, 0.0, 80.0, TWIN),
+        (9.0, 0.0, 90.0, MERGES),
+        (9.0, 0.0, math.inf, MERGES),
+        (0.0, 30.0, 5.0, MERGES),  # tracking turns a little
+        (0.0, 90.0, 5.0, TWIN),
+        (0.0, -177.0, 350.0, TWIN),
+        (0.0, 90.0, 1000.0, MERGES),
+        (90.0, 0.0, math.nan, MERGES),  # between two losses of tracking no way is known
+        (None, 0.0, 0.0, MERGES),  # nor is a frame
+    ],
+)
+def test_twins_are_told_by_the_drift_that_one_place_would_need(
+    apart_m: float | None, turned_deg: float, driven_m: float, reason: str
+) -> None:
+    old = stay(0, map_from_stay=Pose2(3.0, 2.0, 0.4), travelled_m=10.0)
+    new = stay(1, travelled_m=10.0 + driven_m)
+    if apart_m is not None:
+        frame = Pose2(3.0, 2.0, 0.4) @ Pose2(apart_m, 0.0, math.radians(turned_deg))
+        new = replace(new, map_from_stay=frame)
+    assert told(old, new, SURE).reason == reason
+    assert told(new, old, SURE).reason == reason
+
+
+def along(travelled_m: float, where: Pose2 | None = IDENTITY) -> Stay:
+    """A stay that began so far along the way; nothing else of it matters here."""
+    return stay(map_from_stay=where, travelled_m=travelled_m)
+
+
+@pytest.mark.parametrize(
+    ("confirmed", "start", "end", "metres"),
+    [
+        ([], 20.0, 152.0, 132.0),  # the way that was driven
+        ([(25.0, 110.0, 0.0)], 20.0, 152.0, 5.0 + 42.0),  # a match cuts it short
+        ([(25.0, 110.0, 0.0)], 60.0, 70.0, 10.0),
+        ([(0.0, 80.0, 0.3)], 0.0, 80.0, 0.3 / CONFIG.max_drift),  # what it mends counts as way
+        ([(0.0, 80.0, 0.6)], 0.0, 80.0, 80.0),  # it mends too much to be believed
+        ([(0.0, math.inf, 0.0)], 0.0, 80.0, 80.0),  # it came after a loss of tracking
+        ([(10.0, 50.0, 0.0), (52.0, 90.0, 0.0)], 9.0, 91.0, 1.0 + 2.0 + 1.0),
+        ([(10.0, 50.0, 0.0)], 10.0, math.inf, math.inf),  # across a loss no way is known
+    ],
+)
+def test_a_way_is_as_short_as_the_matches_on_it_make_it(
+    confirmed: list[tuple[float, float, float]], start: float, end: float, metres: float
+) -> None:
+    way = DriftGraph(CONFIG)
+    for old, new, mended_m in confirmed:
+        way.confirm(along(old), along(new), mended_m)
+    assert way.between(along(start), along(end)) == pytest.approx(metres)
+    assert way.between(along(end), along(start)) == pytest.approx(metres)
+
+
+def test_a_match_that_cuts_no_way_short_or_of_an_unknown_frame_is_not_kept() -> None:
+    way = DriftGraph(CONFIG)
+    assert math.isnan(way.between(along(math.inf), along(math.inf))), "after two losses"
+    way.confirm(along(0.0, None), along(80.0), 0.0)
+    way.confirm(along(0.0), along(80.0, None), 0.0)
+    for mended_m in (0.2, 0.3, 0.2, 0.1):
+        way.confirm(along(0.0), along(80.0), mended_m)
+    way.confirm(along(80.0), along(81.0), 0.3)
+    assert [metres * CONFIG.max_drift for _, _, metres in way._ties] == pytest.approx([0.2, 0.1])
+
+
+places = st.floats(0.0, 500.0)
+
+
+@given(st.lists(st.tuples(places, places, st.floats(0.0, 0.5)), max_size=12), places, places)
+def test_no_match_makes_a_way_longer(
+    ties: list[tuple[float, float, float]], start: float, end: float
+) -> None:
+    way = DriftGraph(CONFIG)
+    last = abs(end - start)
+    for old, new, mended_m in ties:
+        way.confirm(along(old), along(new), mended_m)
+        now = way.between(along(start), along(end))
+        assert 0.0 <= now <= last + 1e-9
+        last = now

@@ -10,14 +10,15 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.config import load_config
-from specmap_cli.core.geometry import IDENTITY, Pose2
+from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Closure
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.gridmap import UNKNOWN, GridMap, PackedGrid
+from specmap_cli.recognition.closure import prepared
 from specmap_cli.recognition.closure.claims import ClaimRanker, Claims
 from specmap_cli.recognition.closure.loop_closer import LoopCloser
-from specmap_cli.recognition.closure.prepared import PreparedGrid
 from specmap_cli.recognition.closure.verification import Check
+from tests.recognition.watching import watched
 from tests.turning import altered, configured
 
 QUICK = RecognitionConfig(closure_rounds=20)
@@ -28,22 +29,26 @@ def closer(config: RecognitionConfig = QUICK) -> LoopCloser:
     return LoopCloser(config, np.random.default_rng(0))
 
 
-def tour(building: Any, loop: LoopCloser, rooms: list[int], **known: float) -> list[Closure]:
-    """Visit rooms in turn, merging as advised; returns the merges."""
-    merges = []
-    for number, room in enumerate(rooms):
-        for closure in loop.consider(building.visit(number, room, seed=number, **known)):
-            assert closure.reason
-            assert (closure.old_from_new is None) == (not closure.verified)
-            if closure.merged:
-                merges.append(closure)
-                loop.merge(closure.old, closure.new)
-    return merges
+def considered(
+    loop: LoopCloser, building: Any, numbers: list[int], **known: float | None
+) -> list[list[Closure]]:
+    """The closures of successive stays, each in the room of its number modulo four."""
+    return [loop.consider(building.visit(k, k % 4, seed=k // 4, **known)) for k in numbers]
 
 
 def test_rooms_visited_again_merge_and_nothing_else_does(building: Any) -> None:
-    merges = tour(building, closer(), ORDER)
-    assert merges == tour(building, closer(), ORDER), "the same seed gives the same closures"
+    tours = []
+    for _ in range(2):
+        loop, merges = closer(), list[Closure]()
+        for number, room in enumerate(ORDER):
+            for closure in loop.consider(building.visit(number, room, seed=number)):
+                assert closure.reason
+                assert (closure.old_from_new is None) == (not closure.verified)
+                if closure.merged:
+                    merges.append(closure)
+                    loop.merge(closure.old, closure.new)
+        tours.append(merges)
+    assert tours[0] == tours[1], "the same seed gives the same closures"
     assert [(c.old, c.new) for c in merges] == [(0, 4), (2, 5), (1, 6)]
     for closure in merges:
         assert closure.verified
@@ -55,25 +60,18 @@ def test_rooms_visited_again_merge_and_nothing_else_does(building: Any) -> None:
         assert abs(error.theta) < np.radians(0.7)
 
 
-@pytest.mark.parametrize(("travelled_m", "merged"), [(14.0, False), (400.0, True)])
-def test_twin_rooms_are_one_only_after_a_way_long_enough_to_drift_so_far(
-    twins: Any, travelled_m: float, merged: bool
-) -> None:
-    loop = closer()
-    loop.consider(twins.visit(0, 0, seed=0, travelled_m=0.0))
-    closure = loop.consider(twins.visit(1, 1, seed=1, travelled_m=travelled_m))[0]
-    assert closure.score > 0.7
-    assert closure.merged == merged
-    assert ("ambiguous" in closure.reason) == (not merged)
-
-
 @pytest.mark.parametrize("seed", [2, 3, 4, 5])
-def test_of_twin_rooms_that_both_match_the_one_that_tracking_expects_is_taken(
+def test_twin_rooms_are_one_only_after_a_way_long_enough_to_drift_so_far(
     twins: Any, seed: int
 ) -> None:
-    loop = closer()
-    for number in (0, 1):  # advice is not followed: the twins stay two
-        loop.consider(twins.visit(number, number, seed=number, travelled_m=400.0 * number))
+    for travelled_m, merged in ((14.0, False), (400.0, True)):
+        loop = closer()
+        loop.consider(twins.visit(0, 0, seed=0, travelled_m=0.0))
+        (closure,) = loop.consider(twins.visit(1, 1, seed=1, travelled_m=travelled_m))
+        assert closure.score > 0.7
+        assert closure.merged == merged
+        assert ("ambiguous" in closure.reason) == (not merged)
+    # advice is not followed: the twins stay two, and that is taken which tracking expects
     considered = loop.consider(twins.visit(2, 1, seed=seed, travelled_m=800.0))
     assert [(c.old, c.new) for c in considered if c.merged] == [(1, 2)]
     assert "another submap fits better" in {c.reason for c in considered}
@@ -94,11 +92,9 @@ def test_a_place_that_looks_new_is_compared_with_what_was_where_it_is(
 
     monkeypatch.setattr(ClaimRanker, "claims", misled)
     loop = closer(configured(RecognitionConfig, "recognition", {"candidates": 1}))
-    for number, room in enumerate([0, 1, 2]):
-        loop.consider(building.visit(number, room, seed=number, travelled_m=travelled_m))
-    considered = loop.consider(building.visit(3, 0, seed=3, travelled_m=travelled_m))
-    assert [c.old for c in considered if c.merged] == ([0] if merged else [])
-    assert [c.old for c in considered] == ([0, 2] if merged else [2])
+    found = considered(loop, building, [0, 1, 2, 4], travelled_m=travelled_m)[-1]
+    assert [c.old for c in found if c.merged] == ([0] if merged else [])
+    assert [c.old for c in found] == ([0, 2] if merged else [2])
 
 
 def test_a_submap_without_a_wall_is_considered_and_refused_once(building: Any) -> None:
@@ -117,22 +113,19 @@ def test_leftover_duplicates_are_found_through_the_topology(building: Any) -> No
         altered(RecognitionConfig(closure_rounds=5), "recognition", {"candidates": 1, "members": 1})
     )
     # advice is not followed: the second visit of room 0 stays a submap of its own
-    for number, room in enumerate([0, 1, 2]):
-        loop.consider(building.visit(number, room, seed=number))
-    loop.consider(building.visit(3, 0, seed=3))
+    considered(loop, building, [0, 1, 2, 4])
     loop._compared.clear()
-    adjacency = {0: [1], 1: [0, 3], 2: [], 3: [1]}
+    adjacency = {0: [1], 1: [0, 4], 2: [], 4: [1]}
     found = loop.consider_leftovers(adjacency)
-    assert [(c.old, c.new) for c in found if c.merged] == [(0, 3)]
-    loop.merge(0, 3)
+    assert [(c.old, c.new) for c in found if c.merged] == [(0, 4)]
+    loop.merge(0, 4)
     assert not any(c.merged for c in loop.consider_leftovers({0: [1], 1: [0], 2: []}))
 
 
 def test_a_stay_that_went_on_is_compared_whole(building: Any) -> None:
     """Of what the robot drove at first nothing was near the older stay; what followed was."""
     loop = closer()
-    for number, room in enumerate([0, 1, 2]):
-        loop.consider(building.visit(number, room, seed=number, travelled_m=0.0))
+    considered(loop, building, [0, 1, 2], travelled_m=0.0)
     whole = building.visit(3, 0, seed=3, travelled_m=0.0)
     elsewhere = whole.track + (30.0, 0.0, 0.0)
     assert not any(c.merged for c in loop.consider(replace(whole, track=elsewhere)))
@@ -142,16 +135,6 @@ def test_a_stay_that_went_on_is_compared_whole(building: Any) -> None:
     assert (found.old, found.new, found.merged) == (0, 3, True)
     loop.merge(0, 3)
     assert loop.consider_again(3) == [], "it is not compared with its own submap"
-
-
-def test_a_stay_that_was_forgotten_does_not_grow(building: Any) -> None:
-    loop = closer(RecognitionConfig(closure_rounds=5, stays_kept=1))
-    for number in (0, 1):
-        loop.consider(building.visit(number, 0, seed=number, travelled_m=0.0))
-    loop.merge(0, 1)
-    gone = next(n for n in (0, 1) if all(s.number != n for s in loop._submaps[0]))
-    loop.grow(building.visit(gone, 0, seed=gone, travelled_m=0.0))
-    assert loop.consider_again(gone) == []
 
 
 def test_the_paper_s_rule_waits_for_two_submaps_and_takes_the_best_xi(building: Any) -> None:
@@ -177,7 +160,6 @@ class Oracle:
         self.scores: dict[tuple[int, int], float] = {}
         self.asked: list[tuple[int, int]] = []
         self.plausible: dict[tuple[int, int], bool] = {}
-        self.numbers: dict[int, int] = {}
         closing = "specmap_cli.recognition.closure.loop_closer"
         monkeypatch.setattr(f"{closing}.PreparedGrids.of", self.prepared)
         monkeypatch.setattr(f"{closing}.verify", self.verify)
@@ -192,24 +174,13 @@ class Oracle:
         self.plausible[old, new] = plausible(Pose2(0.0, 0.0, 0.0))
         self.asked.append((old, new))
         score = self.scores.get((old, new), 0.1)
-        return Check(
-            old_from_new=Pose2(0.1 * old, 0.0, 0.0),
-            score=score,
-            confirmed_m=50.0,
-            overlap=1.0,
-            least_overlap=1.0,
-            lead=1.0,
-        )
+        sure = {"confirmed_m": 50.0, "overlap": 1.0, "least_overlap": 1.0, "lead": 1.0}
+        return Check(old_from_new=Pose2(0.1 * old, 0.0, 0.0), score=score, **sure)
 
 
 @pytest.fixture
 def oracle(monkeypatch: pytest.MonkeyPatch) -> Oracle:
     return Oracle(monkeypatch)
-
-
-def considered(loop: LoopCloser, building: Any, numbers: list[int]) -> list[list[Closure]]:
-    """The closures of successive stays, each in the room of its number modulo four."""
-    return [loop.consider(building.visit(k, k % 4, seed=k // 4)) for k in numbers]
 
 
 def small(settings: dict[str, Any]) -> RecognitionConfig:
@@ -248,29 +219,23 @@ def test_only_the_best_ranked_candidates_are_matched(
     assert all(oracle.plausible.values())
 
 
-def test_of_several_merges_the_best_match_is_left(building: Any, oracle: Oracle) -> None:
-    loop = closer(small({}))
-    oracle.scores = {(0, 3): 0.8, (1, 3): 0.95, (2, 3): 0.9}
-    closures = considered(loop, building, [0, 1, 2, 3])[-1]
-    assert (closures[0].old, closures[0].merged, closures[0].verified) == (1, True, True)
-    assert sorted(c.old for c in closures) == [0, 1, 2]
-    for closure in closures[1:]:
-        assert (closure.merged, closure.reason) == (False, "another submap fits better")
-        assert closure.verified
-        assert closure.old_from_new == Pose2(0.1 * closure.old, 0.0, 0.0)
-
-
-def test_closures_come_with_merges_first_then_what_matches_then_by_xi(
+def test_of_several_merges_the_best_match_is_left_and_the_rest_come_by_what_matches_and_xi(
     building: Any, oracle: Oracle
 ) -> None:
-    loop = closer(small({"candidates": 9, "merge_overlap": 1.1}))
-    oracle.scores = {(2, 4): 0.9}  # matches; no track can overlap enough to merge
+    loop = closer(small({"candidates": 9}))
+    oracle.scores = {(1, 4): 0.95, (2, 4): 0.9}
     closures = considered(loop, building, [0, 1, 2, 3, 4])[-1]
-    assert [c.verified for c in closures] == [True, False, False, False]
-    assert closures[0].old == 2
-    xis = [c.xi for c in closures[1:]]
-    assert xis == sorted(xis, reverse=True)
-    assert all(c.old_from_new is None for c in closures[1:])
+    assert [(c.old, c.merged, c.verified) for c in closures[:2]] == [
+        (1, True, True),
+        (2, False, True),
+    ]
+    assert closures[1].reason == "another submap fits better"
+    assert closures[1].old_from_new == Pose2(0.2, 0.0, 0.0)
+    assert [(c.old, c.verified, c.old_from_new) for c in closures[2:]] == [
+        (0, False, None),
+        (3, False, None),
+    ]
+    assert closures[2].xi > closures[3].xi
 
 
 @pytest.mark.parametrize(("members", "more"), [(1, 0.0), (2, 0.0), (5, 0.0), (9, 0.6)])
@@ -301,8 +266,10 @@ def test_of_many_stays_those_that_saw_most_are_remembered(building: Any, oracle:
     oracle.asked.clear()
     considered(loop, building, [20])
     assert {old for old, _ in oracle.asked} == {0, 8}
-    loop.merge(4, 20)  # what was forgotten is still known by its number
+    loop.merge(4, 20)  # what was forgotten is still known by its number, but does not grow
     assert loop._submap_of[20] == 0
+    loop.grow(whole)
+    assert loop.consider_again(4) == []
 
 
 def test_two_submaps_have_one_claim_on_each_other_however_many_stays_they_have(
@@ -341,15 +308,23 @@ def test_a_stay_merged_away_is_named_by_its_own_number(building: Any, oracle: Or
 LINE = {0: [1], 1: [0, 2], 2: [1, 3], 3: [2]}
 
 
-def test_leftovers_are_one_or_two_edges_apart(building: Any, oracle: Oracle) -> None:
-    loop = closer(small({"candidates": 1, "leftovers": 9}))
+@pytest.mark.parametrize("leftovers", [0, 1, 2])
+def test_leftovers_are_one_or_two_edges_apart_few_of_each_submap_and_none_is_matched_twice(
+    building: Any, oracle: Oracle, leftovers: int
+) -> None:
+    loop = closer(small({"candidates": 1, "leftovers": leftovers}))
     considered(loop, building, [0, 1, 2, 3])
     before = set(oracle.asked)
+    oracle.asked.clear()
     found = loop.consider_leftovers(LINE)
-    pairs = {(0, 1), (0, 2), (1, 2), (1, 3), (2, 3)}  # all but the two ends
-    assert {(c.old, c.new) for c in found} == pairs - before
+    pairs = {(0, 1), (0, 2), (1, 2), (1, 3), (2, 3)} - before  # all but the two ends
+    assert {(c.old, c.new) for c in found} == set(oracle.asked) <= pairs
     assert len(oracle.asked) == len(set(oracle.asked))
-    assert loop.consider_leftovers(LINE) == []  # no pair is matched twice
+    news = [new for _, new in oracle.asked]
+    assert all(news.count(new) <= leftovers for new in news)
+    if leftovers == 2:  # of each there are no more
+        assert set(oracle.asked) == pairs
+    assert loop.consider_leftovers(LINE) == []
 
 
 def test_a_duplicate_found_ends_the_search_until_it_is_merged(
@@ -370,45 +345,18 @@ def test_a_duplicate_found_ends_the_search_until_it_is_merged(
     assert len(loop._submaps) == 4 - merged
 
 
-@pytest.mark.parametrize(("leftovers", "most"), [(0, 0), (1, 3), (2, 5)])
-def test_few_leftovers_of_each_submap_are_matched(
-    building: Any, oracle: Oracle, leftovers: int, most: int
-) -> None:
-    loop = closer(small({"candidates": 1, "leftovers": leftovers}))
-    considered(loop, building, [0, 1, 2, 3])
-    oracle.asked.clear()
-    loop.consider_leftovers({a: [b for b in range(4) if b != a] for a in range(4)})
-    assert len(oracle.asked) <= most
-    news = [new for _, new in oracle.asked]
-    assert all(news.count(new) <= leftovers for new in news)
-
-
-def test_grids_are_prepared_once_and_kept_cropped(
+def test_a_stay_is_kept_cropped_and_sampled_prepared_once_and_is_left_as_it_was(
     building: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    prepared: list[tuple[int, ...]] = []
-
-    def watched(grid: GridMap) -> PreparedGrid | None:
-        prepared.append(grid.cells.shape)
-        return None
-
-    monkeypatch.setattr("specmap_cli.recognition.closure.prepared.prepared", watched)
-    loop = closer(small({"candidates": 9}))
+    asked = watched(monkeypatch, prepared, "prepared")
+    loop = closer(small({"candidates": 9, "samples_per_submap": 5}))
     stay = building.visit(0, 0)
     wide = GridMap(np.pad(stay.grid.cells, 50, constant_values=UNKNOWN), 0.05)
-    loop.consider(replace(stay, packed=PackedGrid.of(wide)))
-    considered(loop, building, [1, 2, 3])
-    assert len(prepared) == 4
-    assert all(shape < wide.cells.shape for shape in prepared)
-
-
-def test_considering_changes_nothing_of_the_stay(building: Any) -> None:
-    stay = building.visit(0, 0)
-    copy = replace(stay, features=stay.features.copy())
-    loop = closer(small({"samples_per_submap": 5}))
-    loop.consider(stay)
-    assert (stay.features == copy.features).all()
-    assert stay.packed is copy.packed
+    handed, features = replace(stay, packed=PackedGrid.of(wide)), stay.features.copy()
+    loop.consider(handed)
+    np.testing.assert_array_equal(handed.features, features)
+    assert handed.grid.cells.shape == wide.cells.shape
     assert len(loop._submaps[0][0].features) == 5
-    assert loop._submaps[0][0].map_from_stay is None
-    assert building.visit(1, 1, travelled_m=3.0).map_from_stay != IDENTITY
+    considered(loop, building, [1, 2, 3])
+    assert len(asked) == 4
+    assert all(grid.cells.shape < wide.cells.shape for (grid,) in asked)

@@ -1,4 +1,4 @@
-"""Do two grids show the same place? The search without a guess, and the judgement."""
+"""Do two grids show the same place? What is prepared of them, the search, and the judgement."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
+from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert, wrap_angle
@@ -16,8 +17,15 @@ from specmap_cli.core.settings import GridConfig, RecognitionConfig
 from specmap_cli.grids.correlation import Target
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.occupancy import OccupancyGrid
+from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.closure import verification
-from specmap_cli.recognition.closure.prepared import INLIER_M, PreparedGrid, prepared
+from specmap_cli.recognition.closure.prepared import (
+    INLIER_M,
+    PreparedGrid,
+    PreparedGrids,
+    prepared,
+    wall_direction,
+)
 from specmap_cli.recognition.closure.verification import (
     _CONTRADICTION_DEPTH_M,
     _CONTRADICTION_M,
@@ -31,7 +39,7 @@ from specmap_cli.recognition.closure.verification import (
     verify,
 )
 from tests.recognition.watching import watched
-from tests.strategies import few, pose_arrays, poses
+from tests.strategies import angles, few, pose_arrays, poses
 from tests.turning import turn
 
 CONFIG = RecognitionConfig()
@@ -73,7 +81,7 @@ def around(*corners: tuple[float, float]) -> list[tuple[float, float, float, flo
 ROOM = around((-3.0, -2.0), (3.0, -2.0), (3.0, 0.5), (0.5, 0.5), (0.5, 2.0), (-3.0, 2.0))
 ROOM += [(-1.5, -0.7, -0.5, -0.7)]
 HALL = around((-4.0, -2.0), (4.0, -2.0), (4.0, 2.0), (-4.0, 2.0))
-ROOMS_WITH_FLOOR = (ready(walls_at(ROOM, free=True)), ready(walls_at(ROOM[:4], free=True)))
+ROOM_WITH_FLOOR, HALF_WITH_FLOOR = (ready(walls_at(part, free=True)) for part in (ROOM, ROOM[:4]))
 
 
 def moved(segments: list[tuple[float, float, float, float]], by: Pose2) -> Any:
@@ -82,7 +90,7 @@ def moved(segments: list[tuple[float, float, float, float]], by: Pose2) -> Any:
     return [tuple(row) for row in ends.reshape(-1, 4).tolist()]
 
 
-@given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(-math.pi, math.pi, exclude_max=True))
+@given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), angles)
 @few(8)
 def test_a_room_is_found_however_it_lies(x: float, y: float, theta: float) -> None:
     """The frame of the second grid lies anywhere; its rows and columns cut the walls otherwise."""
@@ -167,24 +175,23 @@ def by_hand(old: GridMap, new: GridMap, old_from_new: Pose2) -> Any:
     return confirmed.mean(), contradicted.mean(), int(confirmed.sum())
 
 
-@pytest.mark.parametrize("shift", [0.05, 0.2, 0.4, 1.0])
-def test_the_judgement_counts_what_is_confirmed_and_what_is_contradicted(shift: float) -> None:
-    old, new = walls_at(ROOM, free=True), walls_at(ROOM, free=True)
-    there = Pose2(shift, 0.0, 0.0)
-    check = judge(ready(old), ready(new), there)
-    sides = by_hand(old, new, there), by_hand(new, old, there.inverse())
-    expected = min(s[0] for s in sides) - 2.0 * max(s[1] for s in sides)
-    assert check.score == pytest.approx(expected, abs=0.02)  # OpenCV's distances are rounded
-    assert check.confirmed_m == pytest.approx(0.05 * min(s[2] for s in sides), abs=0.25)
-
-
-@given(poses)
-def test_the_judgement_is_the_same_both_ways(there: Pose2) -> None:
-    first, second = ROOMS_WITH_FLOOR
-    one, other = judge(first, second, there), judge(second, first, there.inverse())
-    assert one.score == pytest.approx(other.score)
-    assert one.confirmed_m == pytest.approx(other.confirmed_m)
-    assert one.overlap == other.overlap
+@given(st.floats(-1.5, 1.5), st.floats(-1.5, 1.5), angles)
+@example(0.05, 0.0, 0.0)
+@example(0.2, 0.0, 0.0)
+@example(0.4, 0.0, 0.0)
+@example(1.0, 0.0, 0.0)
+def test_the_judgement_counts_what_is_confirmed_and_what_is_contradicted_the_same_both_ways(
+    x: float, y: float, theta: float
+) -> None:
+    there = Pose2(x, y, theta)
+    for old, new in ((ROOM_WITH_FLOOR, ROOM_WITH_FLOOR), (ROOM_WITH_FLOOR, HALF_WITH_FLOOR)):
+        check, other = judge(old, new, there), judge(new, old, there.inverse())
+        sides = by_hand(old.grid, new.grid, there), by_hand(new.grid, old.grid, there.inverse())
+        expected = min(s[0] for s in sides) - 2.0 * max(s[1] for s in sides)
+        assert check.score == pytest.approx(expected, abs=0.02)  # OpenCV's distances are rounded
+        assert check.confirmed_m == pytest.approx(0.05 * min(s[2] for s in sides), abs=0.25)
+        assert (check.score, check.confirmed_m) == pytest.approx((other.score, other.confirmed_m))
+        assert check.overlap == other.overlap
 
 
 @given(pose_arrays(), pose_arrays(), poses, st.floats(0.5, 60.0))
@@ -220,23 +227,15 @@ def two(building: Any, first: int, second: int) -> tuple[PreparedGrid, PreparedG
     return ready(building.visit(0, first).grid), ready(building.visit(1, second, seed=1).grid)
 
 
-def test_the_best_transforms_are_different_and_turn_as_the_walls_do(building: Any) -> None:
-    search = TransformSearch(*two(building, 1, 1))
-    found = search.best(search.few)
-    assert 1 < len(found) <= 8
-    for pose in found:
-        off = (pose.theta - search._aligned) / (math.pi / 2)
-        assert abs(wrap_angle((off - round(off)) * math.pi / 2)) < 1e-9
-    pairs = [(a, b) for k, a in enumerate(found) for b in found[:k]]
-    assert all(differ(a, b, search.centre, 0.5, math.radians(2.0)) for a, b in pairs)
-
-
-def test_a_rotation_is_correlated_once_with_the_one_turned_by_half_a_turn(
+def test_the_best_transforms_are_different_and_rotations_correlated_once_with_half_a_turn_more(
     building: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     correlated = watched(monkeypatch, Target, "correlate_turned")
     search = TransformSearch(*two(building, 0, 1))
     first = search.best(search.few)
+    assert 1 < len(first) <= 8
+    pairs = [(a, b) for k, a in enumerate(first) for b in first[:k]]
+    assert all(differ(a, b, search.centre, 0.5, math.radians(2.0)) for a, b in pairs)
     assert len(correlated) == 2 * len(search.few)
     assert search.best(search.few) == first
     search.best(search.many)
@@ -244,31 +243,19 @@ def test_a_rotation_is_correlated_once_with_the_one_turned_by_half_a_turn(
 
 
 @pytest.mark.parametrize(
-    ("score", "lead", "overlap", "passes"),
+    ("said", "passes"),
     [
-        (0.9, 0.0, 0.1, 1),  # right
-        (0.2, 0.0, 0.1, 1),  # hopeless
-        (0.6, 0.5, 0.6, 1),  # clear: it is another place
-        (0.6, 0.05, 0.6, 2),
-        (0.6, 0.5, 0.3, 2),
+        ({"score": 0.9, "lead": 0.0, "overlap": 0.1}, 1),  # right
+        ({"score": 0.2, "lead": 0.0, "overlap": 0.1}, 1),  # hopeless
+        ({"score": 0.6, "lead": 0.5, "overlap": 0.6}, 1),  # clear: it is another place
+        ({"score": 0.6, "lead": 0.05, "overlap": 0.6}, 2),
+        ({"score": 0.6, "lead": 0.5, "overlap": 0.3}, 2),
     ],
 )
 def test_other_directions_are_tried_when_the_first_answer_is_neither_right_nor_clear(
-    score: float,
-    lead: float,
-    overlap: float,
-    passes: int,
-    building: Any,
-    monkeypatch: pytest.MonkeyPatch,
+    said: dict[str, float], passes: int, building: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    check = Check(
-        old_from_new=IDENTITY,
-        score=score,
-        confirmed_m=9.0,
-        overlap=overlap,
-        least_overlap=overlap,
-        lead=lead,
-    )
+    check = Check(old_from_new=IDENTITY, confirmed_m=9.0, least_overlap=said["overlap"], **said)
     monkeypatch.setattr(verification._Trials, "best", lambda *_: check)
     tried = watched(monkeypatch, verification._Trials, "best")
     assert verify(*two(building, 0, 1)) == check
@@ -284,3 +271,108 @@ def test_a_guess_is_refined_once(building: Any, monkeypatch: pytest.MonkeyPatch)
     assert len(guesses) >= 4  # three, the last centimetres, and others of the second pass
     assert len(set(guesses)) == len(guesses)
     assert np.isfinite([guess for guess, _ in guesses]).all()
+
+
+@pytest.mark.parametrize("degrees", [0, 10, 37, 80])
+def test_the_direction_of_walls_turns_with_them(degrees: float) -> None:
+    hall = walls_at(moved(HALL, Pose2(0.0, 0.0, -math.radians(degrees))))
+    off = wrap_angle(4.0 * (wall_direction(hall) - np.radians(degrees))) / 4.0
+    assert abs(np.degrees(off)) < 1.0
+
+
+def test_walls_are_thinned_evenly_and_hardly_a_wall_cannot_be_prepared() -> None:
+    grid = walls_at(moved(HALL, Pose2(0.0, 0.0, 1.1)), resolution=0.015)
+    walls = ready(grid).walls
+    assert len(walls) == 1200 < np.count_nonzero(grid.occupied)
+    assert (grid.values_at(walls) == OCCUPIED).all()
+    everyone = grid.centres_of(np.argwhere(grid.occupied))
+    assert walls.mean(axis=0) == pytest.approx(everyone.mean(axis=0), abs=0.05)
+    for cells, enough in ((0, False), (9, False), (10, True)):
+        picture = np.full((30, 30), FREE, dtype=np.uint8)
+        picture[4, :cells] = OCCUPIED
+        assert (prepared(GridMap(picture, 0.05)) is not None) is enough, cells
+
+
+def test_distances_and_depth_are_those_of_scipy() -> None:
+    grid = walls_at(HALL, free=True)
+    grid.cells[:50] = UNKNOWN
+    area, grid = ready(grid).area, grid.cropped()
+    assert area.origin == grid.origin
+    for ours, inside in ((area.wall_distance, ~grid.occupied), (area.depth, grid.free)):
+        expected = distance_transform_edt(inside) * 0.05
+        assert np.abs(ours - expected).max() < 0.03 * expected.max() + 0.005  # OpenCV's mask of 5
+    cells = np.full((40, 40), FREE, dtype=np.uint8)
+    cells[20, 5:35] = OCCUPIED
+    whole = ready(GridMap(cells, 0.05))
+    assert whole.area.known.all()
+    assert whole.area.depth.max() < 2.0
+
+
+@pytest.mark.parametrize(("inlier_m", "margin"), [(0.15, 3), (0.25, 5), (0.01, 1)])
+def test_the_known_area_grows_by_what_an_inlier_may_be_off(inlier_m: float, margin: int) -> None:
+    cells = np.full((40, 40), UNKNOWN, dtype=np.uint8)
+    cells[19, 2:38] = OCCUPIED
+    cells[2, 2] = cells[37, 37] = FREE  # the crop keeps the rows between
+    turn("recognition", inlier_m=inlier_m)
+    middle = ready(GridMap(cells, 0.05)).area.known[:, 15]
+    assert np.flatnonzero(middle).tolist() == list(range(17 - margin, 17 + margin + 1))
+
+
+@pytest.mark.parametrize(
+    ("resolution", "cell_m"),
+    [(0.05, 0.3), (0.1, 0.3), (0.03, 0.3), (0.07, 0.28), (0.2, 0.2), (0.4, 0.4)],
+)
+def test_coarse_cells_are_whole_multiples_of_the_grid_s(resolution: float, cell_m: float) -> None:
+    """And lie where the fine cells lie, so that transforms found on them are true."""
+    grid = walls_at(HALL, free=True, resolution=resolution)
+    coarse = ready(grid).coarse
+    assert coarse.cell_m == pytest.approx(cell_m)
+    walls = grid.centres_of(np.argwhere(grid.occupied))
+    corner = np.floor((walls - coarse.origin) / coarse.cell_m + 1e-9).astype(int)
+    expected = {tuple(cell) for cell in corner.tolist()}
+    found = np.floor((coarse.walls - coarse.origin) / coarse.cell_m).astype(int)
+    assert {tuple(cell) for cell in found.tolist()} == expected
+
+
+def test_coarse_layers_reward_walls_on_walls_and_punish_them_in_free_space() -> None:
+    coarse = ready(walls_at(HALL, free=True)).coarse
+    of_walls, of_free = coarse.layers
+
+    def values(layer: Any, points: Any) -> Any:
+        columns, rows = np.floor((points - coarse.origin) / coarse.cell_m).astype(int).T
+        return layer[rows, columns]
+
+    assert values(of_walls, coarse.walls).min() >= 0.6
+    assert values(of_walls, coarse.walls).max() <= 1.0
+    assert values(of_walls, np.zeros((1, 2))) == pytest.approx(-0.5)  # the middle of the room
+    assert values(of_free, coarse.walls).tolist() == [-0.5] * len(coarse.walls)
+    assert not values(of_free, coarse.free).any()
+    assert not {*map(tuple, coarse.walls)} & {*map(tuple, coarse.free)}
+
+
+@given(st.lists(st.integers(0, 5), min_size=1, max_size=30))
+def test_the_last_used_grids_are_kept_and_others_prepared_again(numbers: list[int]) -> None:
+    """Those, too, that cannot be prepared: those of even numbers."""
+    grids, asked = PreparedGrids(most=3), list[int]()
+    held: list[int] = []  # the last used one last
+
+    def answer(number: Any) -> Any:
+        asked.append(number)
+        return number if number % 2 else None
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("specmap_cli.recognition.closure.prepared.prepared", answer)
+        for number in numbers:
+            asked.clear()
+            grid: Any = number
+            found: Any = grids.of(number, grid)
+            assert found == (number if number % 2 else None)
+            assert asked == ([] if number in held else [number])
+            held = [*(kept for kept in held if kept != number), number][-3:]
+
+
+def test_fields_are_made_of_the_older_grid_alone_and_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    old, new = ready(walls_at(HALL)), ready(walls_at(HALL))
+    asked = watched(monkeypatch, ScoreField, "from_grid")
+    assert verify(old, new) == verify(old, new)
+    assert [grid is old.grid for grid, *_ in asked] == [True]

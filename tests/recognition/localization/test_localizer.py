@@ -1,19 +1,24 @@
-"""Localisation: training from a map's keyframes, then another tour of the same rooms."""
+"""Localisation: training from keyframes, then another tour, by the same laser or another one."""
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Collection, Iterable, Mapping
+from contextlib import nullcontext
 from dataclasses import replace
 from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import InputError
 from specmap_cli.core.geometry import Pose2
-from specmap_cli.core.records import PosedScan
+from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
@@ -21,7 +26,8 @@ from specmap_cli.pipelines.learning import Prior, learn
 from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.learning.calibration import steadiness
-from specmap_cli.recognition.learning.classifiers import ClassifierSet
+from specmap_cli.recognition.learning.classifiers import ClassifierSet, Sensor
+from specmap_cli.recognition.localization.classification import BeamSampler
 from specmap_cli.recognition.localization.filtering import HiddenMarkovFilter
 from specmap_cli.recognition.localization.localizer import Label, Localizer
 from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
@@ -95,20 +101,26 @@ def trained(tour: list[PosedScan], flat_rooms: Any) -> Trained:
     return train(tour, rooms_of(flat_rooms, tour), CONFIG)
 
 
-def test_another_tour_is_labelled_with_its_rooms(
+def test_another_tour_is_labelled_with_its_rooms_and_smoothing_changes_what_is_filtered_alone(
     trained: Trained, again: list[PosedScan], flat_rooms: Any
 ) -> None:
     truth = rooms_of(flat_rooms, again)
     guide = trained.localizer()
+    assert guide.smoothed() == []
     labels = told(guide, again)
+    smoothed = guide.smoothed()
+    assert smoothed == guide.smoothed()
+    assert guide.note == ""
     assert np.mean([a.submap == b for a, b in zip(labels, truth, strict=True)]) > 0.8
     assert right(labels, truth) > 0.85
-    assert right(guide.smoothed(), truth) > 0.85
-    assert guide.note == ""
-    for label, scan in zip(labels, again, strict=True):
+    assert right(smoothed, truth) > 0.85
+    for label, after, scan in zip(labels, smoothed, again, strict=True):
         assert label.stamp_ns == scan.stamp_ns
         assert label.runner_up != label.submap
         assert 0.0 < label.filtered_probability <= 1.0
+        same = {"filtered_submap": None, "filtered_probability": 0.0}
+        assert replace(label, **same) == replace(after, **same)  # type: ignore[arg-type]
+    assert smoothed[-1].filtered_probability == pytest.approx(labels[-1].filtered_probability)
 
 
 def test_scans_labelled_together_have_the_labels_that_they_have_one_by_one(
@@ -157,23 +169,11 @@ def test_a_finer_laser_is_resampled_and_said_and_a_narrower_one_refused(
         trained.localizer().update(narrow)
 
 
-def test_the_raw_label_is_that_of_the_most_votes_on_the_single_scan(
-    trained: Trained, again: list[PosedScan]
-) -> None:
-    raw = trained.classifiers.raw
-    labels = told(trained.localizer(unknown=False), again[:20])
-    votes = raw.margins(scans_features([scan.planar for scan in again[:20]], raw.feature_set))
-    for label, margins in zip(labels, votes.tolist(), strict=True):
-        ranked = sorted(zip(margins, raw.ids, strict=True), reverse=True)
-        assert (label.submap, label.runner_up) == (ranked[0][1], ranked[1][1])
-        assert label.margin == pytest.approx(ranked[0][0] - ranked[1][0])
-
-
-def test_without_virtual_scans_the_filter_hears_the_single_scans(
+def test_the_single_scan_votes_for_the_raw_label_and_without_virtual_ones_for_the_filtered(
     trained: Trained, again: list[PosedScan]
 ) -> None:
     turn("recognition", view_m=0.0, view_rad=0.0)
-    guide = trained.localizer(unknown=False, virtual=False)
+    guide, usual = (trained.localizer(unknown=False, virtual=some) for some in (False, True))
     alone = HiddenMarkovFilter(ADJACENCY, CONFIG.localization)
     raw = trained.classifiers.raw
     here: Pose2 | None = None
@@ -187,24 +187,13 @@ def test_without_virtual_scans_the_filter_hears_the_single_scans(
             away = before.inverse() @ here
             step = away.distance + abs(away.theta)
         belief = alone.update(np.append(min(1.0, step / steadiness(told)) * told, -np.inf))
-        label = guide.update(scan)
+        ranked = sorted(zip(margins.tolist(), raw.ids, strict=True), reverse=True)
+        for label in (usual.update(scan), guide.update(scan)):
+            assert (label.submap, label.runner_up) == (ranked[0][1], ranked[1][1])
+            assert label.margin == pytest.approx(ranked[0][0] - ranked[1][0])
         assert label.probability == pytest.approx(np.exp(told).max())
         assert label.filtered_submap == alone.ids[int(belief[:-1].argmax())]
         assert label.filtered_probability == pytest.approx(belief.max())
-
-
-def test_smoothing_changes_the_filtered_labels_alone(
-    trained: Trained, again: list[PosedScan]
-) -> None:
-    guide = trained.localizer()
-    assert guide.smoothed() == []
-    labels = told(guide, again[:30])
-    smoothed = guide.smoothed()
-    assert smoothed == guide.smoothed()
-    for before, after in zip(labels, smoothed, strict=True):
-        same = {"filtered_submap": None, "filtered_probability": 0.0}
-        assert replace(before, **same) == replace(after, **same)  # type: ignore[arg-type]
-    assert smoothed[-1].filtered_probability == pytest.approx(labels[-1].filtered_probability)
 
 
 def test_after_a_restart_nothing_of_before_counts_nor_is_it_smoothed_by_what_comes(
@@ -277,3 +266,72 @@ def test_a_narrow_view_of_a_one_room_map_is_recognised_standing(building: Any) -
         for scan in tour_of(room, 4)[::8]:
             labels += told(one_room.localizer({3: []}), [scan] * 6)
         assert right(labels, np.full(len(labels), 3)) == pytest.approx(known, abs=0.25)
+
+
+HALF = Sensor(beams=181, field_of_view=math.pi, range_max=20.0, full_circle=False)
+
+
+def test_the_same_laser_is_left_alone_and_another_one_is_said() -> None:
+    scan = PlanarScan(0, np.radians(np.arange(-180.0, 180.0)), np.ones(360), 30.0, full_circle=True)
+    sampler = BeamSampler(Sensor.of(scan), Sensor.of(scan))
+    assert sampler.note == ""
+    assert sampler.apply(scan) is scan
+    sampler = BeamSampler(Sensor.of(scan), HALF)
+    assert sampler.note == (
+        "the log's laser (360 beams over 360 degrees, 30 m) is resampled to the map's "
+        "(181 beams over 180 degrees, 20 m)"
+    )
+    empty = replace(scan, bearings=np.zeros(0), ranges=np.zeros(0))
+    assert sampler.apply(empty) is empty
+
+
+@given(
+    st.integers(0, 999),
+    st.integers(190, 400),
+    st.integers(2, 90),
+    st.sampled_from([-math.pi, 0.0, -2.0 * math.pi, -3.0, 1.0]),
+    st.booleans(),
+)
+def test_every_reading_is_that_of_the_nearest_bearing_around_the_circle(
+    seed: int, beams: int, wanted: int, first: float, full: bool
+) -> None:
+    """Wherever the bearings begin: many lasers count theirs from 0 to 360 degrees.
+
+    What is as far as the known laser does not reach is no return there, and what is invalid stays.
+    """
+    rng = np.random.default_rng(seed)
+    ranges = rng.uniform(0.5, 25.0, beams)
+    ranges[rng.random(beams) < 0.2] = rng.choice([np.nan, np.inf])
+    bearings = first + 2.0 * math.pi / beams * np.arange(beams, dtype=np.float64)
+    scan = PlanarScan(4, bearings, ranges, 30.0, full_circle=True)
+    angle = 2.0 * math.pi if full else math.pi
+    known = Sensor(beams=wanted, field_of_view=angle, range_max=20.0, full_circle=full)
+    made = BeamSampler(Sensor.of(scan), known).apply(scan)
+    assert (made.stamp_ns, made.range_max, made.full_circle) == (4, 20.0, full)
+    np.testing.assert_array_equal(made.bearings, known.bearings())
+    gaps = np.abs(np.angle(np.exp(1j * (made.bearings[:, None] - bearings))))
+    nearest = gaps <= gaps.min(axis=1, keepdims=True) + 1e-9  # two where it lies between them
+    left = np.where(ranges >= 20.0, np.inf, ranges)
+    for reading, near in zip(made.ranges, nearest, strict=True):
+        assert any(np.array_equal(reading, one, equal_nan=True) for one in left[near])
+
+
+@pytest.mark.parametrize(
+    ("seen", "refused"),
+    [
+        (HALF, False),
+        (replace(HALF, field_of_view=math.radians(176.0)), False),
+        (replace(HALF, field_of_view=math.radians(174.0)), True),
+        (replace(HALF, field_of_view=math.radians(270.0)), False),
+        (replace(HALF, range_max=10.0), False),
+        (replace(HALF, range_max=9.9), True),
+        (replace(HALF, beams=40), False),
+    ],
+)
+def test_a_laser_that_sees_less_is_refused_in_one_line(seen: Sensor, refused: bool) -> None:
+    told = (
+        f"the log's laser ({seen}) sees less than the laser of the map ({HALF}); "
+        "build the map again with this laser"
+    )
+    with pytest.raises(InputError, match=re.escape(told)) if refused else nullcontext():
+        BeamSampler(seen, HALF)

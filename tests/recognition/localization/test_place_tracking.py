@@ -1,4 +1,4 @@
-"""Several places at once: look-alikes are told apart by the way, and a carried robot is found."""
+"""Places: where motion leads, which of several leads, and how a carried robot is found."""
 
 from __future__ import annotations
 
@@ -13,20 +13,22 @@ from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.learning.misfit import HeldOutMisfit
 from specmap_cli.recognition.localization.filtering import LEAP
-from specmap_cli.recognition.localization.places import Owners, Place
+from specmap_cli.recognition.localization.metric import Fix, MetricTracker
+from specmap_cli.recognition.localization.places import LeadingPlace, Owners, Place, looking_back
 from specmap_cli.recognition.localization.tracking import PlaceTracker
 from specmap_cli.recognition.localization.wall_fit import Ratio, Surroundings, View, WallFit
 from tests.casting import ranges_at
 from tests.recognition.posed import posed
+from tests.turning import turn
 
-CONFIG = LocalizationConfig()
 CELL_M = 0.05
-IDS = (0, 1, 2)
 FRAMES = {0: Pose2(0.0, 0.0, 0.0), 1: Pose2(6.0, 0.0, 0.0), 2: Pose2(12.0, 0.0, 0.0)}
+TRACKS = {k: np.array([[frame.x, frame.y]]) for k, frame in FRAMES.items()}
+NO_WAYS: dict[int, list[int]] = {}
 EVEN = np.full(3, 1.0 / 3.0)
-BOX = np.array([0.2, 0.2, 0.6])
 ASIDE = Pose2(0.3, 0.4, -1.2)
 
 
@@ -43,14 +45,23 @@ def room(niche: bool, box: bool) -> GridMap:
     return GridMap(cells, CELL_M, (-2.3, -2.8))
 
 
+ROOMS = {k: room(niche=k == 1, box=k == 2) for k in FRAMES}
+
+
 class Home:
     """Rooms 0 and 1 differ by a niche that only a way past it shows; room 2 has a box."""
 
-    def __init__(self, niches: tuple[bool, bool, bool] = (False, True, False)) -> None:
-        self.grids = {k: room(niche, k == 2) for k, niche in enumerate(niches)}
-        self.fit = fit_of(self.grids, {}, FRAMES)
-        tracks = {k: np.array([[frame.x, frame.y]]) for k, frame in FRAMES.items()}
-        self.tracker = PlaceTracker(IDS, self.fit, Owners(tracks, FRAMES, self.grids), CONFIG)
+    def __init__(
+        self,
+        grids: dict[int, GridMap] = ROOMS,
+        tracks: dict[int, FloatArray] = TRACKS,
+        frames: dict[int, Pose2] = FRAMES,
+        adjacency: dict[int, list[int]] = NO_WAYS,
+    ) -> None:
+        self.grids, config = grids, LocalizationConfig()
+        ratio = Ratio(HeldOutMisfit(0.02, 60), config)
+        fit = WallFit(grids, Surroundings(grids, adjacency, frames), ratio, frames)
+        self.tracker = PlaceTracker(list(grids), fit, Owners(tracks, frames, grids), config)
 
     @property
     def place(self) -> Place | None:
@@ -68,20 +79,10 @@ class Home:
         self, number: int, pose: Pose2, belief: FloatArray = EVEN, track: Pose2 | None = None
     ) -> FloatArray:
         """Show the tracker a scan."""
-        return shown(self.tracker, self.scan(number, pose, track), belief)
-
-
-def fit_of(
-    grids: dict[int, GridMap], adjacency: dict[int, list[int]], frames: dict[int, Pose2]
-) -> WallFit:
-    around = Surroundings(grids, adjacency, frames)
-    return WallFit(grids, around, Ratio(HeldOutMisfit(0.02, 60), CONFIG), frames)
-
-
-def shown(tracker: PlaceTracker, scan: PosedScan, belief: FloatArray) -> FloatArray:
-    view = View.of(scan, scan.planar, 8.0)
-    assert view is not None
-    return tracker.update(scan, view, belief)
+        scan = self.scan(number, pose, track)
+        view = View.of(scan, scan.planar, 8.0)
+        assert view is not None
+        return self.tracker.update(scan, view, belief)
 
 
 def north(step: int) -> Pose2:
@@ -89,10 +90,10 @@ def north(step: int) -> Pose2:
     return Pose2(0.5, -1.8 + 0.25 * step, 0.3)
 
 
-def test_a_place_that_no_other_looks_like_leads_when_all_submaps_were_searched() -> None:
+def test_a_place_that_no_other_looks_like_leads_till_a_scan_is_lost_or_tracking_restarts() -> None:
     """What walls said of it is remembered no longer than a leap is unlikely."""
     home = Home()
-    home.see(2, ASIDE)  # two of three
+    home.see(2, ASIDE)  # two of three submaps are searched
     belief = home.see(2, ASIDE)
     assert home.place is not None
     assert home.place.submap == 2
@@ -102,10 +103,19 @@ def test_a_place_that_no_other_looks_like_leads_when_all_submaps_were_searched()
     for step in range(40):
         home.see(2, ASIDE @ Pose2(0.0, 0.0, 0.2 * step))
     assert home.tracker.hypotheses[0].weight == pytest.approx(-math.log(LEAP))
+    lost = replace(home.scan(2, ASIDE, Pose2(50.0, 0.0, 0.0)), lost=True)
+    home.tracker.update(lost, None, EVEN)
+    assert home.tracker.lead is None
+    home.see(2, ASIDE)
+    assert home.tracker.lead is not None, "the next one has a place again"
+    home.tracker.restart()
+    assert home.tracker.lead is None
+    assert not home.tracker.hypotheses
+    assert home.tracker.update(home.scan(2, IDENTITY), None, EVEN).tolist() == EVEN.tolist()
 
 
 def test_none_of_two_look_alikes_leads() -> None:
-    home = Home(niches=(False, False, False))
+    home = Home({k: room(niche=False, box=k == 2) for k in FRAMES})
     for step in range(12):
         belief = home.see(0, north(step))
         assert home.place is None
@@ -142,45 +152,24 @@ def test_a_robot_that_is_carried_away_has_no_pose_and_then_the_right_one() -> No
     assert belief.argmax() == 2
 
 
-def test_a_lost_scan_has_no_place_but_the_next_one_has_and_a_restart_forgets_them_all() -> None:
-    home = Home()
-    home.see(2, ASIDE, BOX)
-    assert home.place is not None
-    lost = replace(home.scan(2, ASIDE, Pose2(50.0, 0.0, 0.0)), lost=True)
-    home.tracker.update(lost, None, EVEN)
-    assert home.tracker.lead is None
-    home.see(2, ASIDE, BOX)
-    assert home.tracker.lead is not None
-    home.tracker.restart()
-    assert home.tracker.lead is None
-    assert not home.tracker.hypotheses
-    assert home.tracker.update(home.scan(2, IDENTITY), None, EVEN).tolist() == EVEN.tolist()
-
-
 def test_a_place_goes_over_into_the_submap_of_the_keyframes_around_it() -> None:
     """Two submaps of one hall that both saw all of it."""
     hall = room(niche=True, box=True)
     frames = {0: Pose2(0.0, 0.0, 0.0), 1: Pose2(0.0, 1.0, 0.0)}
     moved = GridMap(hall.cells, CELL_M, (hall.origin[0], hall.origin[1] - 1.0))
-    grids = {0: hall, 1: moved}
     tracks = {0: np.array([[0.0, -1.0]]), 1: np.array([[0.0, 1.0]])}
-    fit = fit_of(grids, {0: [1], 1: [0]}, frames)
-    tracker = PlaceTracker((0, 1), fit, Owners(tracks, frames, grids), CONFIG)
-    home, labels = Home(), list[int]()
-    home.grids[0] = hall
+    home, labels = Home({0: hall, 1: moved}, tracks, frames, {0: [1], 1: [0]}), list[int]()
     for step in range(12):
         pose = Pose2(0.0, -1.2 + 0.2 * step, 1.0)
-        belief = shown(tracker, home.scan(0, pose), np.array([0.6, 0.4]))
-        labels.append(int(belief.argmax()))
+        labels.append(int(home.see(0, pose, np.array([0.6, 0.4])).argmax()))
     assert labels == [0] * 6 + [1] * 6 or labels == [0] * 7 + [1] * 5
-    assert tracker.lead is not None
-    assert tracker.lead.place.submap == 1
-    assert (frames[1] @ tracker.lead.place.pose)[:2] == pytest.approx(pose[:2], abs=0.05)
+    assert home.place is not None
+    assert home.place.submap == 1
+    assert (frames[1] @ home.place.pose)[:2] == pytest.approx(pose[:2], abs=0.05)
 
 
 def test_where_submaps_end_is_not_known_without_tracks_and_labels_stay_the_filter_s() -> None:
-    home, belief = Home(), np.array([0.1, 0.6, 0.3])
-    home.tracker = PlaceTracker(IDS, home.fit, Owners({}, FRAMES, home.grids), CONFIG)
+    home, belief = Home(tracks={}), np.array([0.1, 0.6, 0.3])
     after = home.see(2, ASIDE, belief)
     assert home.place is not None
     np.testing.assert_array_equal(after, belief)
@@ -212,3 +201,134 @@ def test_a_submap_is_surrounded_by_the_walls_of_its_neighbours() -> None:
     for adjacency, known in (({}, frames), ({0: [1]}, {})):
         alone: Any = Surroundings(grids, adjacency, known).field(0)
         assert alone.at(points).max() < 1e-3
+
+
+TRACK = Pose2(40.0, -3.0, 2.0)  # registration has a frame of its own
+PLACE = Place(1, Pose2(1.0, 2.0, 0.5), TRACK)
+STEP = Pose2(0.4, 0.1, -0.2)
+LAYOUT = {1: Pose2(10.0, 5.0, 1.0), 4: Pose2(-2.0, 7.0, -2.5)}
+
+
+def test_motion_leads_within_a_submap_and_the_layout_into_another() -> None:
+    assert PLACE.led_to(1, TRACK @ STEP, {}) == pytest.approx(PLACE.pose @ STEP)
+    found = PLACE.led_to(4, TRACK @ STEP, LAYOUT)
+    assert found is not None
+    assert LAYOUT[4] @ found == pytest.approx(LAYOUT[1] @ PLACE.pose @ STEP)
+    for frames in ({}, {1: LAYOUT[1]}, {4: LAYOUT[4]}):
+        assert PLACE.led_to(4, TRACK, frames) is None, "without both frames nothing is known"
+
+
+@pytest.mark.parametrize(("restarted", "first"), [(0, 1), (1, 1), (2, 2), (3, 3), (4, 1)])
+def test_the_next_lead_is_carried_back_within_reach_but_not_past_a_loss_of_tracking(
+    restarted: int, first: int
+) -> None:
+    late = LeadingPlace(Place(7, Pose2(5.0, 1.0, 0.0), Pose2(3.0, 0.0, 0.0)), 0.97)
+    scans = [(Pose2(x, 0.0, 0.0), x == restarted, late if x == 3 else None) for x in range(6)]
+    found = looking_back(scans, 2.0)
+    assert [lead is not None for lead in found] == [first <= x <= 3 for x in range(6)]
+    assert [lead.place.pose.x for lead in found if lead] == [2.0 + x for x in range(first, 4)]
+    assert {lead.probability for lead in found if lead is not None} == {0.97}
+
+
+class Walk:
+    """The first scans of a walk through a room, ten centimetres or so apart, and a tracker."""
+
+    def __init__(self, building: Any) -> None:
+        start, end = (Pose2(*pose) for pose in building.path(2, 3)[:2].tolist())
+        way, shares = start.inverse() @ end, np.linspace(0.0, 1.0, 6).tolist()
+        along = [start @ Pose2(way.x * t, way.y * t, 0.1 * t) for t in shares]
+        self.scans: list[PosedScan] = building.posed(np.array(along))
+        self.frames: dict[int, Pose2] = {room: building.frame(room) for room in (1, 2)}
+        fields = {i: ScoreField.from_grid(building.visit(0, i).grid) for i in self.frames}
+        self.tracker = MetricTracker(fields.__getitem__, self.frames)
+
+    def place(self, scan: PosedScan, off: Pose2 = IDENTITY, room: int = 2) -> Place:
+        """Where a scan is in a room's submap, and off by something."""
+        pose = self.frames[room].inverse() @ scan.map_from_base @ off
+        return Place(room, pose, scan.map_from_base)
+
+    def locate(self, scan: PosedScan, place: Place) -> Fix | None:
+        """The pose in the submap of the room."""
+        return self.tracker.locate(scan, place, 2)
+
+    def off_by(self, scan: PosedScan, place: Place, seen: PosedScan | None = None) -> Pose2:
+        """What the pose of a scan, or of what is `seen` in its place, is off by."""
+        fix = self.locate(scan if seen is None else seen, place)
+        assert fix is not None
+        assert fix.score > 0.8
+        return self.place(scan, room=fix.submap).pose.inverse() @ fix.pose
+
+
+@pytest.fixture
+def walk(building: Any) -> Walk:
+    return Walk(building)
+
+
+def test_a_place_is_matched_and_then_followed_into_another_submap_by_the_layout(
+    walk: Walk, building: Any
+) -> None:
+    place = walk.place(walk.scans[0], Pose2(0.1, -0.1, 0.04))
+    for scan in walk.scans:
+        off = walk.off_by(scan, place)
+        assert off.distance < 0.05
+        assert abs(off.theta) < 0.01
+    # a place of a later scan tells of an earlier one
+    assert Walk(building).off_by(walk.scans[0], walk.place(walk.scans[-1])).distance < 0.05
+    elsewhere = walk.place(scan, room=1)
+    assert walk.off_by(scan, elsewhere).distance < 0.05
+    walk.tracker.frames = {}
+    assert walk.locate(scan, elsewhere) is None
+
+
+def test_the_covariance_is_large_along_what_the_walls_do_not_tell(walk: Walk) -> None:
+    """One straight wall ahead: across it the pose is known, along it only by the motion."""
+    scan = walk.scans[0]
+    ahead = np.abs(scan.planar.bearings) < 0.3
+    ranges = np.where(ahead, 1.0 / np.cos(scan.planar.bearings), np.inf)
+    wall = np.column_stack([np.ones(400), np.linspace(-4.0, 4.0, 400)])
+    tracker = MetricTracker(lambda _: ScoreField.from_points(wall), {})
+    seen = replace(scan, planar=replace(scan.planar, ranges=ranges), map_from_base=IDENTITY)
+    fix = tracker.locate(seen, Place(0, IDENTITY, IDENTITY), 0)
+    assert fix is not None
+    assert fix.covariance[1, 1] > 4.0 * fix.covariance[0, 0]
+    assert np.allclose(fix.covariance, fix.covariance.T)
+    assert (np.linalg.eigvalsh(fix.covariance) > 0.0).all()
+
+
+def test_a_slip_of_the_registration_is_followed(walk: Walk) -> None:
+    place, right = walk.place(walk.scans[0]), walk.scans[3]
+    for scan in walk.scans[:3]:
+        walk.locate(scan, place)
+    slipped = replace(right, map_from_base=right.map_from_base @ Pose2(0.15, 0.0, 0.05))
+    assert walk.off_by(right, place, slipped).distance < 0.05
+
+
+def test_another_place_is_not_drawn_to_the_one_that_was_followed(walk: Walk) -> None:
+    first, second = walk.scans[:2]
+    walk.locate(first, walk.place(first, Pose2(1.5, 0.5, 1.5)))
+    assert walk.off_by(second, walk.place(second)).distance < 0.05
+
+
+def test_after_a_restart_nothing_is_followed(walk: Walk, building: Any) -> None:
+    first, second = walk.scans[:2]
+    walk.locate(first, walk.place(first))
+    found = walk.locate(replace(second, restarted=True), walk.place(second))
+    alone = Walk(building).locate(second, walk.place(second))
+    assert found is not None
+    assert alone is not None
+    assert found.pose == alone.pose
+    np.testing.assert_array_equal(found.covariance, alone.covariance)
+
+
+def test_without_a_place_a_label_a_return_or_a_fit_there_is_no_pose(
+    walk: Walk, building: Any
+) -> None:
+    scan, place = walk.scans[0], walk.place(walk.scans[0])
+    blind = replace(scan, planar=building.scans(np.array([[1e6, 1e6, 0.0]]))[0])
+    assert walk.tracker.locate(scan, None, 2) is None
+    assert walk.tracker.locate(scan, place, None) is None
+    assert walk.locate(replace(scan, lost=True), place) is None
+    assert walk.locate(blind, place) is None
+    assert walk.locate(scan, place) is not None
+    turn("recognition", lost_score=1.0)
+    assert walk.locate(scan, place) is None, "it fits no walls"
