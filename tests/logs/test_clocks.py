@@ -114,68 +114,46 @@ def tick(start: int) -> Stamp:
     return lambda n: start + n * SECOND // 20
 
 
-def read(path: Path) -> tuple[list[Sweep], list[str]]:
-    sweeps, stream = sweeps_of(path)
-    return sweeps, stream.warnings
-
-
 def places(sweeps: list[Sweep]) -> list[float | None]:
     return [None if s.odom_from_base is None else s.odom_from_base.x for s in sweeps]
 
 
-HALVES = pytest.approx([n + 0.5 for n in range(19)])
-
-
-@pytest.mark.parametrize(
-    ("scan", "odometry", "said"), [(TODAY, 0, "behind"), (5, TODAY, "ahead of")]
+NOW, UNSET, SAME = tick(TODAY), lambda _: 0, lambda _: TODAY
+SHIFTED = (
+    "the stamps of the odometry are 1700000000.000 s {} those of the scans recorded beside it: "
+    "it has another clock, and is shifted to theirs"
 )
-def test_odometry_of_another_clock_is_shifted_to_the_scans(
-    path: Path, scan: int, odometry: int, said: str
-) -> None:
-    write(path, tick(scan), tick(odometry), tick(TODAY))
-    sweeps, warnings = read(path)
-    assert [s.stamp_ns for s in sweeps] == [tick(scan)(2 * n + 1) for n in range(20)]
-    assert places(sweeps)[:-1] == HALVES
-    assert warnings == [
-        f"the stamps of the odometry are 1700000000.000 s {said} those of the scans recorded "
-        "beside it: it has another clock, and is shifted to theirs"
-    ]
+RECORDERS = "/scan: header stamps {}: the recorder's times are used"
+BY_ORDER = (
+    "/scan: header stamps are zero, and the recorder's times do not ascend: scans are stamped "
+    "by their order, 2 s apart"
+)
 
 
 @pytest.mark.parametrize(
-    ("scan", "odometry", "said"),
+    ("scan", "odometry", "time", "stamps", "said"),
     [
-        (lambda _: 0, tick(77), "are zero"),
-        (lambda _: TODAY, tick(77), "do not ascend"),
-        (tick(77), lambda _: TODAY, "of the odometry are all the same"),
+        (NOW, tick(0), NOW, NOW, SHIFTED.format("behind")),
+        (tick(5), NOW, NOW, tick(5), SHIFTED.format("ahead of")),
+        (UNSET, tick(77), NOW, NOW, RECORDERS.format("are zero")),
+        (SAME, tick(77), NOW, NOW, RECORDERS.format("do not ascend")),
+        (tick(77), SAME, NOW, NOW, RECORDERS.format("of the odometry are all the same")),
+        (
+            *(lambda n: NOW(n) if n > 3 else 0, NOW, NOW, NOW),
+            "scans stamped zero, for which the recorder's times are used: 2",
+        ),
+        (UNSET, UNSET, UNSET, lambda n: (n - 1) * SECOND, BY_ORDER),
     ],
 )
-def test_stamps_that_never_change_leave_the_recorders_times(
-    path: Path, scan: Stamp, odometry: Stamp, said: str
+def test_scans_and_odometry_get_one_clock(
+    path: Path, scan: Stamp, odometry: Stamp, time: Stamp, stamps: Stamp, said: str
 ) -> None:
-    write(path, scan, odometry, tick(TODAY))
-    sweeps, warnings = read(path)
-    assert [s.stamp_ns for s in sweeps] == [tick(TODAY)(2 * n + 1) for n in range(20)]
-    assert places(sweeps)[:-1] == HALVES
-    assert warnings == [f"/scan: header stamps {said}: the recorder's times are used"]
-
-
-def test_without_any_times_the_order_remains(path: Path) -> None:
-    write(path, lambda _: 0, lambda _: 0, lambda _: 0)
-    sweeps, warnings = read(path)
-    assert [s.stamp_ns for s in sweeps] == [n * 2 * SECOND for n in range(20)]
-    assert places(sweeps) == [float(n) for n in range(20)]
-    assert warnings == [
-        "/scan: header stamps are zero, and the recorder's times do not ascend: scans are stamped "
-        "by their order, 2 s apart"
-    ]
-
-
-def test_a_few_scans_that_were_never_stamped_have_the_recorders_times(path: Path) -> None:
-    write(path, lambda n: 0 if n < 4 else tick(TODAY)(n), tick(TODAY), tick(TODAY))
-    sweeps, warnings = read(path)
-    assert [s.stamp_ns for s in sweeps] == [tick(TODAY)(2 * n + 1) for n in range(20)]
-    assert warnings == ["scans stamped zero, for which the recorder's times are used: 2"]
+    write(path, scan, odometry, time)
+    sweeps, stream = sweeps_of(path)
+    assert [s.stamp_ns for s in sweeps] == [stamps(2 * n + 1) for n in range(20)]
+    beside = 0.0 if said == BY_ORDER else 0.5  # a line's own odometry, or between two
+    assert places(sweeps)[:-1] == pytest.approx([n + beside for n in range(19)])
+    assert stream.warnings == [said]
 
 
 TO_AND_FRO = [5.0, 6.0, 5.5, 7.0, 7.0, 3.0, 60.0, 8.0]
@@ -211,6 +189,6 @@ def test_the_odometry_of_a_line_stays_with_it(
     if converted:
         convert(path, tmp_path / "log.mcap")
         path = tmp_path / "log.mcap"
-    sweeps, _ = read(path)
+    sweeps, _ = sweeps_of(path)
     assert places(sweeps) == [float(n) for n in range(len(stamps))]
     assert [s.stamp_ns for s in sweeps] == expected

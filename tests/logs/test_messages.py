@@ -19,7 +19,6 @@ from specmap_cli.logs.messages import (
     CloudRecord,
     ScanLayout,
     ScanRecord,
-    Transforms,
     decode_odometry,
     decode_scan,
     decode_transforms,
@@ -30,11 +29,13 @@ from specmap_cli.logs.readers.encoding import (
     ODOMETRY,
     POINT_CLOUD,
     TF_MESSAGE,
+    Transform,
     cloud_cdr,
     message_class,
     odometry_cdr,
     scan_cdr,
     transform_cdr,
+    transforms_cdr,
     typestore,
 )
 from specmap_cli.logs.readers.recording import Message
@@ -44,6 +45,7 @@ from tests.turning import turn
 DATATYPES = {"u1": 2, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 STAMP = 1_700_000_000_250_000_000
 XYZ = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
+FIELD = message_class("sensor_msgs/msg/PointField")
 
 
 def header(stamp_ns: int = STAMP, frame: str = "/lidar") -> Any:
@@ -56,9 +58,8 @@ def cloud_message(table: np.ndarray[Any, Any], row_padding: int = 0, **changes: 
     layout = table.dtype
     assert layout.names is not None
     assert layout.fields is not None
-    field = message_class("sensor_msgs/msg/PointField")
     fields = [
-        field(n, layout.fields[n][1], DATATYPES[layout[n].str[1:]], 1)
+        FIELD(n, layout.fields[n][1], DATATYPES[layout[n].str[1:]], 1)
         for n in layout.names
         if layout[n].str[1:] in DATATYPES
     ]
@@ -104,7 +105,7 @@ def points_of(table: np.ndarray[Any, Any], row_padding: int = 0) -> CloudPoints:
     gaps=st.lists(st.integers(0, 9), min_size=6, max_size=6),
     coordinate=st.sampled_from(["f4", "f8"]),
     endian=st.sampled_from("<>"),
-    shape=st.tuples(st.integers(1, 4), st.integers(1, 7)),
+    shape=st.tuples(st.integers(0, 4), st.integers(1, 7)),
     padding=st.integers(0, 13),
     holes=st.integers(0, 3),
 )
@@ -141,14 +142,6 @@ def test_any_layout_gives_the_points_and_their_times(
         assert times is None
 
 
-@pytest.mark.parametrize("values", [[0.1, 0.1, 0.1], [0.0, math.nan, 0.1], [0.0, 1e12, 2e12]])
-def test_times_that_cannot_be_relied_on_are_none(values: list[float]) -> None:
-    points, times, far = points_of(timed(values))
-    assert len(points) == 3
-    assert times is None
-    assert far is (max(values) > 1.0)
-
-
 def test_points_at_the_origin_and_beyond_range_are_left_out_with_their_times() -> None:
     table = np.ones((2, 3), dtype=[*XYZ, ("t", "<u4")])
     table["t"] = [[0, 10, 20], [30, 40, 50]]
@@ -177,19 +170,12 @@ def test_impossible_clouds_are_refused(changes: dict[str, Any], said: str) -> No
 @pytest.mark.parametrize("name", ["z", "intensity"])
 @pytest.mark.parametrize("offset", [9, 12, 2**31 - 5, 2**31 - 2, 2**31, 2**32 - 4, 2**32 - 1])
 def test_a_field_beyond_its_point_is_refused(name: str, offset: int) -> None:
-    field = message_class("sensor_msgs/msg/PointField")
     places = {"x": 0, "y": 4, "z": 8, name: offset}
-    fields = [field(n, at, 7, 1) for n, at in places.items()]
+    fields = [FIELD(n, at, 7, 1) for n, at in places.items()]
     message = cloud_message(np.ones((1, 3), dtype=XYZ), fields=fields)
     with pytest.raises(BadMessageError) as caught:
         decode_scan(message)
     assert str(caught.value) == f"impossible point layout: {name} is beyond the 12 bytes of a point"
-
-
-def test_an_empty_cloud_has_no_points() -> None:
-    points, times, _ = points_of(np.ones((0, 3), dtype=XYZ))
-    assert points.shape == (0, 3)
-    assert times is None
 
 
 def test_a_scan_is_decoded() -> None:
@@ -237,15 +223,24 @@ def test_rubbish_and_every_cut_of_a_message_are_refused(kind: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("longest", "kept", "far"), [(10.0, True, False), (0.2, True, False), (0.1, False, True)]
+    ("values", "longest", "kept", "far"),
+    [
+        ([-0.15, -0.05, 0.0], 10.0, True, False),
+        ([-0.15, -0.05, 0.0], 0.2, True, False),
+        ([-0.15, -0.05, 0.0], 0.1, False, True),
+        ([0.1, 0.1, 0.1], 10.0, False, False),
+        ([0.0, math.nan, 0.1], 10.0, False, False),
+        ([0.0, 1e12, 2e12], 10.0, False, True),
+    ],
 )
-def test_times_are_used_as_far_from_the_stamp_as_the_settings_allow(
-    longest: float, kept: bool, far: bool
+def test_times_are_used_where_they_can_be_relied_on_as_far_from_the_stamp_as_the_settings_allow(
+    values: list[float], longest: float, kept: bool, far: bool
 ) -> None:
     turn("logs", cloud_time_max_s=longest)
-    found = points_of(timed([-0.15, -0.05, 0.0]))
-    assert (found.times_s is not None) is kept
-    assert found.far_times is far
+    points, times, are_far = points_of(timed(values))
+    assert len(points) == 3
+    assert (times is not None) is kept
+    assert are_far is far
 
 
 def test_a_time_that_is_not_finite_counts_only_with_its_point() -> None:
@@ -257,30 +252,11 @@ def test_a_time_that_is_not_finite_counts_only_with_its_point() -> None:
 
 def test_fields_of_unknown_datatypes_are_passed_over() -> None:
     table = np.ones((2, 2), dtype=[*XYZ, ("odd", "<f4")])
-    field = message_class("sensor_msgs/msg/PointField")
-    fields = [field(name, 4 * i, 7, 1) for i, name in enumerate("xyz")]
-    fields += [field("odd", 12, 99, 1), field("", 12, 7, 1)]
+    fields = [FIELD(name, 4 * i, 7, 1) for i, name in enumerate("xyz")]
+    fields += [FIELD("odd", 12, 99, 1), FIELD("", 12, 7, 1)]
     record = decoded_cloud(cloud_message(table, fields=fields))
     assert record.points.dtype.names == ("x", "y", "z")
     assert len(cloud_points(record, STAMP).points) == 4
-
-
-def test_all_transforms_of_a_message_are_read_and_those_not_finite_left_out() -> None:
-    stamped = message_class("geometry_msgs/msg/TransformStamped")
-    vector = message_class("geometry_msgs/msg/Vector3")
-    turn = message_class("geometry_msgs/msg/Quaternion")(0.0, 0.0, 0.0, 0.0)
-    transform = message_class("geometry_msgs/msg/Transform")
-    sent = [
-        stamped(header(frame="/a"), f"/{name}", transform(vector(x, 0.0, 0.0), turn))
-        for name, x in (("b", 1.0), ("c", math.nan), ("d", 2.0))
-    ]
-    data = bytes(typestore().serialize_cdr(message_class(TF_MESSAGE)(sent), TF_MESSAGE))
-    found = decode_transforms(Message("/tf", TF_MESSAGE, 1, data)).records
-    assert [(r.parent, r.child, r.parent_from_child[0, 3]) for r in found] == [
-        ("a", "b", 1.0),
-        ("a", "d", 2.0),
-    ]
-    np.testing.assert_array_equal(found[0].parent_from_child[:3, :3], np.eye(3))
 
 
 @pytest.mark.parametrize("decode", [decode_odometry, decode_transforms, decode_scan])
@@ -294,16 +270,20 @@ def test_messages_of_another_type_on_a_topic_are_refused(
 
 
 @pytest.mark.parametrize("far", [1.1e8, 1e20, 1e308, -1e9, math.nan, math.inf])
-def test_places_that_are_not_on_earth_are_refused(far: float) -> None:
+def test_places_that_are_not_on_earth_are_refused_and_other_transforms_read(far: float) -> None:
     near = odometry_cdr("odom", "base", STAMP, Pose2(4e7, -4e7, 0.5))
     assert decode_odometry(Message("/odom", ODOMETRY, 1, near)).parent_from_child[0, 3] == 4e7
     data = odometry_cdr("odom", "base", STAMP, Pose2(0.0, far, 0.5))
     with pytest.raises(BadMessageError, match="beyond all bounds"):
         decode_odometry(Message("/odom", ODOMETRY, 1, data))
-    data = transform_cdr("base", "laser", STAMP, (0.0, 0.0, far), (0.0, 0.0, 0.0, 1.0))
-    assert decode_transforms(Message("/tf", TF_MESSAGE, 1, data)) == Transforms(
-        records=(), absurd=(("base", "laser"),)
-    )
+    places = {"/b": (1.0, 0.0, 0.0), "/c": (0.0, 0.0, far), "/d": (2.0, 0.0, 0.0)}
+    sent = [Transform("/a", child, xyz, (0.0, 0.0, 0.0, 0.0)) for child, xyz in places.items()]
+    data = transforms_cdr(STAMP, sent)
+    found = decode_transforms(Message("/tf", TF_MESSAGE, 1, data))
+    assert found.absurd == (("a", "c"),)
+    kept = [(r.parent, r.child, r.parent_from_child[0, 3]) for r in found.records]
+    assert kept == [("a", "b", 1.0), ("a", "d", 2.0)]
+    np.testing.assert_array_equal(found.records[0].parent_from_child[:3, :3], np.eye(3))
 
 
 def test_scans_and_clouds_of_absurd_size_are_refused() -> None:

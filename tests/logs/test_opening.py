@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import gzip
 import tempfile
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import lz4.frame
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -17,7 +16,9 @@ from specmap_cli.core.errors import LogError
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers.mcap import McapFile
 from specmap_cli.logs.readers.recording import Message, is_text
-from tests.logs.recordings import read_rest, refusal
+from tests.logs.recordings import PACK, read_rest, refusal
+
+ZIPPED = partial(gzip.compress, mtime=0)
 
 
 def test_missing_paths_are_refused(tmp_path: Path) -> None:
@@ -39,6 +40,12 @@ def test_missing_paths_are_refused(tmp_path: Path) -> None:
         (b"#ROSBAG V2.0\n", "no message can be read"),
         (b"SQLite format 3\x00" + bytes(100), "no readable rosbag2 file"),
         (b"\x1f\x8b" + bytes(40), "the file is empty (inside gzip compression)"),
+        (ZIPPED(ZIPPED(b"MCAP")), "compressed twice; unpack it first"),
+        (
+            ZIPPED(b"#ROSBAG V1.2\n"),
+            "bag format 1.2 is not supported; bring it to 2.0 with `rosbag fix` ",
+        ),
+        (ZIPPED(b"hello"), "a text file, not a recording; expected MCAP, rosbag2 (SQLite)"),
     ],
 )
 def test_other_files_are_refused(path: Path, content: bytes, said: str) -> None:
@@ -47,6 +54,7 @@ def test_other_files_are_refused(path: Path, content: bytes, said: str) -> None:
     assert said in line
     assert line.startswith(f"{path}: ")
     assert "\n" not in line
+    assert "specmap-" not in line, "under its own name also where it was compressed"
 
 
 def test_a_directory_is_searched_for_recordings(tmp_path: Path, drive: Path) -> None:
@@ -64,11 +72,20 @@ def test_a_directory_is_searched_for_recordings(tmp_path: Path, drive: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("paths", "found"), [(None, "None"), (7, "7"), ([Path("a"), None], "None"), (b"log", "")]
+    ("paths", "config", "said"),
+    [
+        (None, None, "paths: expected a path.*, found .*None"),
+        (7, None, "paths: expected a path.*, found .*7"),
+        ([Path("a"), None], None, "paths: expected a path.*, found .*None"),
+        (b"log", None, "paths: expected a path.*, found "),
+        ("log", {"chunk_max_mb": 5}, "config: expected LogConfig, found"),
+    ],
 )
-def test_what_is_no_path_is_refused_at_once(paths: Any, found: str) -> None:
-    with pytest.raises(TypeError, match=rf"^paths: expected a path.*, found .*{found}"):
-        open_log(paths)
+def test_what_is_no_path_and_no_settings_is_refused_at_once(
+    paths: Any, config: Any, said: str
+) -> None:
+    with pytest.raises(TypeError, match=f"^{said}"):
+        open_log(paths, config)
 
 
 def test_paths_may_be_strings(drive: Path, drive_messages: list[Message]) -> None:
@@ -87,30 +104,16 @@ def test_a_file_counts_once_however_it_is_named(tmp_path: Path, drive: Path) -> 
             open_log(paths)
 
 
-@pytest.mark.parametrize("pack", [gzip.compress, lz4.frame.compress])
-def test_a_compressed_log_is_read_in_all_its_blocks(
-    drive: Path, drive_messages: list[Message], pack: Callable[[bytes], bytes]
+@pytest.mark.parametrize("name", ["gzip", "lz4"])
+def test_a_compressed_log_is_read_in_all_its_blocks_and_what_follows_them_is_told(
+    drive: Path, drive_messages: list[Message], name: str
 ) -> None:
     whole = drive.read_bytes()
-    drive.write_bytes(pack(whole[:3000]) + pack(whole[3000:]))
+    drive.write_bytes(PACK[name](whole[:3000]) + PACK[name](whole[3000:]))
     assert read_rest(drive) == (drive_messages, [])
-
-
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        (gzip.compress(b"MCAP", mtime=0), "compressed twice; unpack it first"),
-        (b"#ROSBAG V1.2\n", "bag format 1.2 is not supported; bring it to 2.0 with `rosbag fix` "),
-        (b"hello", "a text file, not a recording; expected MCAP, rosbag2 (SQLite), ROS 1 bag or"),
-    ],
-)
-def test_what_is_inside_a_compressed_file_is_told_under_its_name(
-    path: Path, content: bytes, said: str
-) -> None:
-    path.write_bytes(gzip.compress(content))
-    line = refusal(path)
-    assert line.startswith(f"{path}: {said}")
-    assert "specmap-" not in line
+    drive.write_bytes(drive.read_bytes() + b"garbage")
+    said = f"{drive}: what follows the {name} compression is no part of it and was left out"
+    assert read_rest(drive) == (drive_messages, [said])
 
 
 def test_no_room_to_unpack_is_told(drive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -141,14 +144,6 @@ def test_a_damaged_file_beside_a_sound_one_is_no_error(
     lost = f"{rubble}: cut off at byte 40: everything is lost"
     assert read_rest([rubble, drive]) == (drive_messages, [lost])
     assert f"{lost}; no message can be" in refusal(rubble)
-
-
-def test_garbage_behind_a_compressed_log_is_told(
-    drive: Path, drive_messages: list[Message]
-) -> None:
-    drive.write_bytes(gzip.compress(drive.read_bytes()) + b"garbage")
-    said = f"{drive}: what follows the gzip compression is no part of it and was left out"
-    assert read_rest(drive) == (drive_messages, [said])
 
 
 @given(st.text("aß€😀", min_size=1), st.integers(1, 40))

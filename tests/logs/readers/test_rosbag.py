@@ -105,11 +105,6 @@ def test_a_bag_with_wrong_index_records_is_read_by_its_list_of_chunks(
     assert f"the record at byte {start} is damaged and was passed over" in said
 
 
-def test_an_old_bag_format_is_refused(path: Path) -> None:
-    path.write_bytes(b"#ROSBAG V1.2\n" + bytes(100))
-    assert "bag format 1.2 is not supported; bring it to 2.0" in refusal(path)
-
-
 def test_a_database_of_a_recorder_that_was_killed_is_read(
     tmp_path: Path, drive_messages: list[Message]
 ) -> None:
