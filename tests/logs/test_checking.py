@@ -11,9 +11,9 @@ from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.inspection import summarize
 from specmap_cli.logs.opening import open_log
-from specmap_cli.logs.readers.encoding import LASER_SCAN, ODOMETRY, odometry_cdr, scan_cdr
+from specmap_cli.logs.readers.encoding import LASER_SCAN, scan_cdr
 from specmap_cli.logs.readers.recording import Message
-from specmap_cli.logs.summary import Gap, Pauses, Preview, TopicCheck
+from specmap_cli.logs.summary import Gap, Preview, TopicCheck
 from specmap_cli.logs.writer import LogWriter
 from tests.logs.recordings import SECOND, change_db3, write_db3
 from tests.turning import configured, turn
@@ -37,44 +37,30 @@ def check_of(path: Path, **options: object) -> tuple[TopicCheck, ...]:
     return checked
 
 
-def test_an_intact_log(drive: Path) -> None:
-    odometry, scans, mounting = check_of(drive)
-    assert (scans.name, scans.type, scans.read, scans.expected) == ("/scan", LASER_SCAN, 30, 30)
-    assert (odometry.read, mounting.read) == (60, 1)
-    assert scans.text() == "30 of 30 messages read"
-    assert {t.steps_back + t.repeats + t.unusable for t in (odometry, scans, mounting)} == {0}
+GAPS_S = [0.0, 0.1, 0.2, 0.9, 1.0, 1.1, 1.59, 1.69, 3.5, 3.6]
+LONGEST = "pauses, the longest 1.81 s from 1700000001.690 s on"
 
 
-def test_pauses_are_counted_and_the_longest_is_placed(path: Path) -> None:
-    seconds = [0.0, 0.1, 0.2, 0.9, 1.0, 1.1, 1.59, 1.69, 3.5, 3.6]
-    stamps = [START + round(second * SECOND) for second in seconds]
-    write_scans(path, stamps, stamps)
-    (scans,) = check_of(path)
-    assert scans.pauses == Pauses(count=2, longest_s=1.81, longest_at_s=1_700_000_001.69)
-    assert scans.text() == (
-        "10 of 10 messages read; 2 pauses, the longest 1.81 s from 1700000001.690 s on"
-    )
-    (scans,) = check_of(path, pause_intervals=4.5)
-    assert scans.pauses.count == 3
-
-
-def test_stamps_that_step_back_or_repeat(path: Path) -> None:
-    with LogWriter(path) as log:
-        for number, stamp in enumerate([0, 1, 2, 1, 2, 2, 3]):
-            time = START + number * SECOND
-            data = odometry_cdr("odom", "base", START + stamp * SECOND, Pose2(0.0, 0.0, 0.0))
-            log.raw("/odom", ODOMETRY, data, time)
-    (odometry,) = check_of(path)
-    assert odometry.text() == (
-        "7 of 7 messages read; stamps earlier than the stamp before: 1; "
-        "stamps equal to the stamp before: 1"
-    )
-
-
-def test_messages_without_a_stamp_have_the_recorders_times(path: Path) -> None:
-    write_scans(path, [0] * 4, [START + number * SECOND for number in range(4)])
-    (scans,) = check_of(path)
-    assert (scans.steps_back, scans.repeats, scans.pauses.count) == (0, 0, 0)
+@pytest.mark.parametrize(
+    ("stamps_s", "times_s", "intervals", "said"),
+    [
+        (GAPS_S, GAPS_S, 5.0, f"; 2 {LONGEST}"),
+        (GAPS_S, GAPS_S, 4.5, f"; 3 {LONGEST}"),
+        (
+            *([0, 1, 2, 1, 2, 2, 3], [0, 1, 2, 3, 4, 5, 6], 5.0),
+            "; stamps earlier than the stamp before: 1; stamps equal to the stamp before: 1",
+        ),
+        ([-START // SECOND] * 4, [0, 1, 2, 3], 5.0, ""),  # no stamp: the recorder's times
+    ],
+    ids=["pauses", "more pauses", "steps back", "no stamp"],
+)
+def test_pauses_and_stamps_out_of_order_are_counted(
+    path: Path, stamps_s: list[float], times_s: list[float], intervals: float, said: str
+) -> None:
+    stamps, times = ([START + round(s * SECOND) for s in each] for each in (stamps_s, times_s))
+    write_scans(path, stamps, times)
+    (scans,) = check_of(path, pause_intervals=intervals)
+    assert scans.text() == f"{len(times)} of {len(times)} messages read{said}"
 
 
 def test_messages_that_cannot_be_decoded_are_unusable(path: Path) -> None:
