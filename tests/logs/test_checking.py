@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from specmap_cli.logs.inspection import summarize
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers.encoding import LASER_SCAN, scan_cdr
 from specmap_cli.logs.readers.recording import Message
-from specmap_cli.logs.summary import Gap, Preview, TopicCheck
+from specmap_cli.logs.summary import TopicCheck
 from specmap_cli.logs.writer import LogWriter
 from tests.logs.recordings import SECOND, change_db3, write_db3
 from tests.turning import configured, turn
@@ -142,21 +143,36 @@ def lines_of(path: Path, complete: bool = False, **options: object) -> list[str]
     return lines[place:end]
 
 
-def preview_of(path: Path, **options: object) -> Preview:
-    with open_log(path) as log:
-        found = summarize(log, configured(LogConfig, "logs", options)).preview
-    assert found is not None
-    return found
+MOVES = "from one to the next while the robot moves"
+STALE = "  scans that repeat the one before while the robot moves: 3\n"
 
 
-def test_it_tells_the_spacing_and_what_is_blank(path: Path) -> None:
+@pytest.mark.parametrize(
+    ("step_m", "hangs", "options", "spacing", "stale"),
+    [
+        (0.1, range(0), {}, f", 0.10 m {MOVES}", ""),
+        (0.1, range(5, 9), {}, f", 0.10 m {MOVES}", STALE),
+        (0.0, range(5, 9), {}, "", ""),
+        (0.0, range(5, 9), {"use_odometry": False}, "", ""),
+        (0.4, range(0), {"sparse_step_m": 0.5}, f", 0.40 m {MOVES}", ""),
+        (
+            *(0.4, range(0), {"sparse_step_m": 0.25}),
+            *(f", 0.40 m {MOVES}: sparse, so that much depends on the odometry", ""),
+        ),
+    ],
+)
+def test_spacing_and_what_is_blank_or_repeated_is_told(
+    path: Path, step_m: float, hangs: range, options: dict[str, Any], spacing: str, stale: str
+) -> None:
+    write(path, EVERY_200_MS, step_m, hangs)
+    assert "\n".join(lines_of(path, **options)) == (
+        f"build would meet, in 10 scans:\n  5.0 scans a second{spacing}\n"
+        f"  blank scans, without any return: 2\n{stale}  readings that are invalid: 20.0 %"
+    )
+
+
+def test_the_preview_in_json(path: Path) -> None:
     write(path, EVERY_200_MS)
-    assert lines_of(path) == [
-        "build would meet, in 10 scans:",
-        "  5.0 scans a second, 0.10 m from one to the next while the robot moves",
-        "  blank scans, without any return: 2",
-        "  readings that are invalid: 20.0 %",
-    ]
     with open_log(path) as log:
         plain = summarize(log).to_dict()["preview"]
     assert plain["spacing"] == {"rate_hz": 5.0, "step_m": 0.1, "is_sparse": False}
@@ -164,45 +180,17 @@ def test_it_tells_the_spacing_and_what_is_blank(path: Path) -> None:
     assert [faults["topic"] for faults in plain["stamps"]] == ["/scan", "/odom"]
 
 
-def test_scans_that_a_driver_repeats_while_the_robot_moves_are_told(path: Path) -> None:
-    write(path, EVERY_200_MS, hangs=range(5, 9))
-    assert preview_of(path).stale_scans == 3
-    assert "  scans that repeat the one before while the robot moves: 3" in lines_of(path)
-    write(path, EVERY_200_MS, step_m=0.0, hangs=range(5, 9))
-    assert preview_of(path).stale_scans == 0
-
-
-@pytest.mark.parametrize(("limit", "sparse"), [(0.25, True), (0.5, False)])
-def test_scans_far_apart_are_called_sparse(path: Path, limit: float, sparse: bool) -> None:
-    write(path, EVERY_200_MS, step_m=0.4)
-    (_, spacing, *_) = lines_of(path, sparse_step_m=limit)
-    assert spacing.endswith(": sparse, so that much depends on the odometry") is sparse
-
-
-def test_a_robot_that_stands_has_no_step(path: Path) -> None:
-    write(path, EVERY_200_MS, step_m=0.0)
-    assert preview_of(path).spacing.step_m is None
-    assert preview_of(path, use_odometry=False).spacing.step_m is None
-    assert lines_of(path)[1] == "  5.0 scans a second"
-
-
 def test_gaps_are_told_with_their_places(path: Path) -> None:
-    times = [0.0, 0.1, 0.2, 1.7, 1.8, 2.5, 2.6, 6.6, 6.7, 8.7, 8.8, 9.9]
-    write(path, times)
-    assert preview_of(path).gaps == (
-        Gap(1.5, 1_700_000_000.2),
-        Gap(4.0, 1_700_000_002.6),
-        Gap(2.0, 1_700_000_006.7),
-        Gap(1.1, 1_700_000_008.8),
+    write(path, [0.0, 0.1, 0.2, 1.7, 1.8, 2.5, 2.6, 6.6, 6.7, 8.7, 8.8, 9.9])
+    places = (
+        "the longest 4.00 s from 1700000002.600 s on, 2.00 s from 1700000006.700 s on, "
+        "1.50 s from 1700000000.200 s on"
     )
-    assert (
-        "  4 gaps between scans: the longest 4.00 s from 1700000002.600 s on, 2.00 s from "
-        "1700000006.700 s on, 1.50 s from 1700000000.200 s on"
-    ) in lines_of(path)
-    assert len(preview_of(path, gap_s=0.6).gaps) == 5
-    assert len(preview_of(path, pause_intervals=18.0).gaps) == 2
+    assert f"  4 gaps between scans: {places}" in lines_of(path)
+    assert f"  5 gaps between scans: {places}" in lines_of(path, gap_s=0.6)
+    assert "  2 gaps between scans" in "\n".join(lines_of(path, pause_intervals=18.0))
     write(path, [1.5 * n for n in range(9)])
-    assert preview_of(path).gaps == (), "all are as far apart"
+    assert not any("gap" in line for line in lines_of(path)), "all are as far apart"
 
 
 def test_only_the_first_scans_are_read_unless_all_are_asked_for(path: Path) -> None:
