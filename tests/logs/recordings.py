@@ -35,8 +35,10 @@ class Told(Recording):
 
     format = "list"
 
-    def __init__(self, name: str, make: Callable[[], Iterable[Message]]) -> None:
-        super().__init__(Path(name))
+    def __init__(
+        self, name: str, make: Callable[[], Iterable[Message]], shown: Path | None = None
+    ) -> None:
+        super().__init__(Path(name), shown)
         self.make = make
         self.handed_out = self.closed = 0
 

@@ -193,32 +193,26 @@ def sweep(ranges: np.ndarray, pose: Pose2 | None) -> Sweep:
     return Sweep(index=0, stamp_ns=0, planar=planar, base_from_laser=IDENTITY, odom_from_base=pose)
 
 
+AT, BLANK = IDENTITY, np.full(5, np.inf)
+STEPS = [Pose2(0.008 * number, 0.0, 0.0) for number in range(5)]
+
+
 @pytest.mark.parametrize(
-    ("ranges", "pose", "stale"),
+    ("scans", "poses", "stale"),
     [
-        (SEEN, Pose2(0.1, 0.0, 0.0), True),
-        (SEEN, Pose2(0.0, 0.0, 0.1), True),
-        (SEEN, Pose2(0.005, 0.0, 0.001), False),  # it stands still
-        (SEEN, None, False),
-        (SEEN + 0.001, Pose2(0.1, 0.0, 0.0), False),
-        (SEEN[:-1], Pose2(0.1, 0.0, 0.0), False),
+        ([SEEN, SEEN], [AT, Pose2(0.1, 0.0, 0.0)], [False, True]),
+        ([SEEN, SEEN], [AT, Pose2(0.0, 0.0, 0.1)], [False, True]),
+        ([SEEN, SEEN], [AT, Pose2(0.005, 0.0, 0.001)], [False, False]),  # it stands still
+        ([SEEN, SEEN], [AT, None], [False, False]),
+        ([SEEN, SEEN + 0.001], [AT, Pose2(0.1, 0.0, 0.0)], [False, False]),
+        ([SEEN, SEEN[:-1]], [AT, Pose2(0.1, 0.0, 0.0)], [False, False]),
+        ([BLANK, BLANK], [AT, Pose2(1.0, 0.0, 0.0)], [False, False]),
+        ([SEEN] * 5, STEPS, [False] * 3 + [True] * 2),  # motion counts from the first of them
     ],
 )
 def test_only_a_scan_that_repeats_another_while_the_robot_moves_is_stale(
-    ranges: np.ndarray, pose: Pose2 | None, stale: bool
+    scans: list[np.ndarray], poses: list[Pose2 | None], stale: list[bool]
 ) -> None:
     repeats = Repeats()
-    assert not repeats.stale(sweep(SEEN, IDENTITY))
-    assert repeats.stale(sweep(ranges.copy(), pose)) is stale
-
-
-def test_motion_counts_from_the_first_of_the_scans_alike() -> None:
-    repeats = Repeats()
-    poses = [Pose2(0.008 * number, 0.0, 0.0) for number in range(5)]
-    assert [repeats.stale(sweep(SEEN, pose)) for pose in poses] == [False] * 3 + [True] * 2
-
-
-def test_blank_scans_are_no_repeats() -> None:
-    repeats, blank = Repeats(), np.full(5, np.inf)
-    assert not repeats.stale(sweep(blank, IDENTITY))
-    assert not repeats.stale(sweep(blank, Pose2(1.0, 0.0, 0.0)))
+    found = [repeats.stale(sweep(each.copy(), at)) for each, at in zip(scans, poses, strict=True)]
+    assert found == stale
