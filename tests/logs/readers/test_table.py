@@ -95,13 +95,25 @@ def test_its_logs_are_found_in_a_directory(
         assert log.contents.messages == len(drive_messages) + 5
 
 
+@pytest.mark.parametrize(
+    ("body", "content"),
+    [
+        ('magic = b"\\x89MCAP"', b"\x89MCAP0\r\n"),
+        (
+            "@classmethod\n    def sniff(cls, head, file): return file.read_bytes().endswith(b'END')",
+            bytes(10_000) + b"END",
+        ),
+    ],
+    ids=["first bytes", "more than them"],
+)
 def test_an_installed_reader_is_asked_before_the_built_in_ones(
-    drive: Path, install: Install
+    path: Path, install: Install, body: str, content: bytes
 ) -> None:
-    body = f'format = "dialect"; magic = b"\\x89MCAP"\n    {WHOLE}'
-    install("dialect", BARE.format(name="Dialect", body=body), entry="dialect:Dialect")
+    code = BARE.format(name="Dialect", body=f'format = "dialect"\n    {body}\n    {WHOLE}')
+    install("dialect", code, entry="dialect:Dialect")
     assert list(known_readers()) == ["dialect", *BUILT_IN]
-    with open_log(drive) as log:
+    path.write_bytes(content)
+    with open_log(path) as log:
         assert log.format == "dialect"
 
 
@@ -119,19 +131,6 @@ def test_what_no_reader_knows_is_refused_with_the_formats_known(
     assert "cut off after 3 bytes; no message can be read" in refusal(path)
 
 
-def test_a_reader_may_know_its_files_by_more_than_their_first_bytes(
-    path: Path, install: Install
-) -> None:
-    body = f"""format = "ended"
-    @classmethod
-    def sniff(cls, head, file): return file.read_bytes().endswith(b"END")
-    {WHOLE}"""
-    install("ended", BARE.format(name="Ended", body=body), entry="ended:Ended")
-    path.write_bytes(bytes(10_000) + b"END")
-    with open_log(path) as log:
-        assert log.format == "ended"
-
-
 @pytest.mark.parametrize(
     ("code", "said"),
     [
@@ -139,10 +138,7 @@ def test_a_reader_may_know_its_files_by_more_than_their_first_bytes(
             "def Reader(file, path): ...",
             "is no class derived from specmap_cli.logs.readers.Recording",
         ),
-        (
-            BARE.format(name="Reader", body='format = "x"; magic = b"x"'),
-            "lacks contents, messages",
-        ),
+        (BARE.format(name="Reader", body='format = "x"; magic = b"x"'), "lacks contents, messages"),
         (BARE.format(name="Reader", body=WHOLE), "lacks format, magic or sniff"),
     ],
 )
