@@ -49,12 +49,7 @@ def test_a_rosbag2_directory_is_read(
         assert log.contents.messages == len(drive_messages)
 
 
-def test_messages_compressed_one_by_one_are_read(path: Path, drive_messages: list[Message]) -> None:
-    write_db3(path, [m._replace(data=zstandard.compress(m.data)) for m in drive_messages])
-    assert read_rest(path) == (drive_messages, [])
-
-
-def test_a_compressed_file_is_read_and_its_name_may_hold_what_a_link_may_not(
+def test_what_is_compressed_is_read_and_its_name_may_hold_what_a_link_may_not(
     tmp_path: Path, drive_messages: list[Message]
 ) -> None:
     path = tmp_path / "my log?#100%.db3"
@@ -64,6 +59,9 @@ def test_a_compressed_file_is_read_and_its_name_may_hold_what_a_link_may_not(
     with open_log(path) as log:
         assert list(log.messages()) == drive_messages
         assert log.paths == [path]
+    path.unlink()
+    write_db3(path, [m._replace(data=zstandard.compress(m.data)) for m in drive_messages])
+    assert read_rest(path) == (drive_messages, [])
 
 
 def test_split_recordings_are_one_log_in_time_order(
@@ -187,10 +185,19 @@ def test_a_damaged_record_in_a_chunk_is_told(
     chunk = data.index(b"compression=none", data.index(b"compression=none") + 1)
     header = data.index(b"op=\x02", chunk) - 60  # of the first message in the second chunk
     overwrite(path, data.index(old, header), new)
-    found, (said,) = read_rest(path)
+    with open_log(path) as log:
+        found, (said,), missing = list(log.messages()), log.damage, log.missing
     assert len(found) < len(drive_messages)
     assert all(m in drive_messages for m in found)
     assert "chunk at byte" in said
+    if new == b"op=\x42":  # all others of its chunk are read: number, topic and place are told
+        (lost,) = (m for m in drive_messages if m not in found)
+        assert missing == {lost.topic: 1}
+        head, what = said.split(" is damaged: ")
+        start = data.index(b"op=\x05", data.index(b"op=\x05") + 1)
+        assert 0 < start - int(head.rsplit(" ", 1)[1]) < 200
+        assert what.startswith("1 of ")
+        assert f" on {lost.topic}, between 100." in what
 
 
 PAGE = 512  # bytes: small ones, so that a drive takes many of them and messages flow over
