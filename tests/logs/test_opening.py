@@ -180,6 +180,7 @@ def test_what_the_system_refuses_is_one_line(
 
 
 MEMORY_MB = 600
+GIGABYTE = 1 << 30
 CARMEN = b"# a log\nODOM 1.0 2.0 0.1 0 0 0 5.0 host 5.0\n"
 
 READ = """
@@ -207,8 +208,8 @@ def read_in_a_process(path: Path) -> tuple[str, int]:
     return said, int(megabytes)
 
 
-def zeros_in_zstd(count: int) -> bytes:
-    packer = zstandard.ZstdCompressor().compressobj()
+def zeros(packer: Any, count: int = GIGABYTE) -> bytes:
+    """Many zeros packed, a megabyte after another."""
     piece = bytes(1 << 20)
     return b"".join(packer.compress(piece) for _ in range(count >> 20)) + packer.flush()
 
@@ -235,33 +236,20 @@ def bag_with_chunk(compression: bytes, data: bytes, size: int) -> bytes:
     return b"#ROSBAG V2.0\n" + head + chunk
 
 
-GIGABYTE = 1 << 30
-
-
-def zeros_in_bz2(count: int) -> bytes:
-    packer = bz2.BZ2Compressor()
-    return b"".join(packer.compress(bytes(1 << 20)) for _ in range(count >> 20)) + packer.flush()
-
-
+ZSTD, BZ2 = zstandard.ZstdCompressor().compressobj, bz2.BZ2Compressor
 BEYOND = "is beyond log.chunk_max_mb"
 OF_MCAP = f"chunk at byte 8 {BEYOND}: messages between 0.000 s and 0.000 s are lost; no message can"
+OF_BAG = f"chunk at byte 90 {BEYOND}: some of its messages are lost"
+OF_FILE = "unpacks to more than 500 times its size, as no log does; if it is a log, unpack it"
 
 
 @pytest.mark.parametrize(
     ("content", "said", "most_mb"),
     [
-        (lambda: mcap_with_chunk(b"zstd", zeros_in_zstd(GIGABYTE), GIGABYTE), OF_MCAP, MEMORY_MB),
-        (lambda: mcap_with_chunk(b"zstd", zeros_in_zstd(GIGABYTE), 1000), OF_MCAP, MEMORY_MB),
-        (
-            lambda: bag_with_chunk(b"bz2", zeros_in_bz2(200 << 20), 1 << 20),
-            f"chunk at byte 90 {BEYOND}: some of its messages are lost",
-            MEMORY_MB,
-        ),
-        (
-            lambda: zstandard.compress(CARMEN) + zeros_in_zstd(GIGABYTE),
-            "unpacks to more than 500 times its size, as no log does; if it is a log, unpack it",
-            300,
-        ),
+        (lambda: mcap_with_chunk(b"zstd", zeros(ZSTD()), GIGABYTE), OF_MCAP, MEMORY_MB),
+        (lambda: mcap_with_chunk(b"zstd", zeros(ZSTD()), 1000), OF_MCAP, MEMORY_MB),
+        (lambda: bag_with_chunk(b"bz2", zeros(BZ2(), 200 << 20), 1 << 20), OF_BAG, MEMORY_MB),
+        (lambda: zstandard.compress(CARMEN) + zeros(ZSTD()), OF_FILE, 300),
     ],
     ids=["MCAP", "MCAP of a wrong size", "bag", "whole file"],
 )
