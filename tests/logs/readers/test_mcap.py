@@ -266,7 +266,6 @@ def test_what_stands_behind_the_end_of_the_data_is_read_and_told(
         found, told = read_rest(path)
         assert len(found) == len(drive_messages) - 1
         assert f"{path}: damaged in the index at byte {behind}: " in told[-1]
-    assert f"{path}: damaged in the index at byte {behind}: " in said[-1]
 
 
 @pytest.mark.parametrize("checked", [True, False])
@@ -289,6 +288,8 @@ def test_a_second_file_behind_the_end_is_told(path: Path, drive_messages: list[M
     assert read_rest(path) == (drive_messages, [f"{path}: {said}"])
 
 
+@pytest.mark.parametrize(
+    ("schema", "encoding", "kind"),
     [
         ("foxglove.LaserScan", "protobuf", "foxglove.LaserScan (protobuf)"),
         (None, "", "unknown (no encoding)"),
