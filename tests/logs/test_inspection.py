@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,23 +23,32 @@ from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.summary import LogSummary, TopicCheck
 from specmap_cli.logs.writer import LogWriter
 from tests.logs.recordings import SECOND, change_db3, sweeps_of, write_db3
-from tests.turning import configured, turn
+from tests.turning import configured
 
 START = 1_700_000_000 * SECOND
 EVERY_200_MS = [0.2 * n for n in range(10)]
 
 
-def summary_of(path: Path | list[Path], **options: object) -> LogSummary:
+def summary_of(
+    path: Path | list[Path], complete: bool = False, **options: object
+) -> LogSummary:
     with open_log(path) as log:
-        return summarize(log, configured(LogConfig, "logs", options))
+        return summarize(log, configured(LogConfig, "logs", options), complete=complete)
 
 
-def write_scans(path: Path, count: int = 3, beams: int = 5, **scan: Any) -> None:
+def write_scans(
+    path: Path,
+    stamps: Sequence[int] = (START, START + SECOND // 2, START + SECOND),
+    times: Sequence[int] | None = None,
+    beams: int = 5,
+    **more: Any,
+) -> None:
+    """Scans with these header stamps, recorded at these times or at their stamps."""
     with LogWriter(path) as log:
-        for number in range(count):
-            stamp = START + number * SECOND // 2
-            values = {"range_max": 8.0, **scan}
-            log.scan("/scan", "laser", stamp, -1.0, 0.5, np.full(beams, 2.0), **values)
+        for stamp, time in zip(stamps, times or stamps, strict=True):
+            options = {"range_max": 8.0, **more}
+            data = scan_cdr("laser", stamp, -1.0, 0.5, np.full(beams, 2.0), **options)
+            log.raw("/scan", LASER_SCAN, data, time)
 
 
 def test_a_drive_is_summed_up_and_its_json_is_on_one_level(drive: Path) -> None:
@@ -73,9 +83,7 @@ def test_real_times_are_dates_and_those_that_have_not_come_yet_are_said(path: Pa
     write_scans(path)
     line = summary_of(path).lines()[1]
     assert line == "3 messages in 1.0 s, 2023-11-14 22:13:20 UTC to 2023-11-14 22:13:21 UTC"
-    with LogWriter(path) as log:
-        for stamp in (START, 4_294_967_295 * SECOND):
-            log.scan("/scan", "laser", stamp, -1.0, 0.5, np.full(5, 2.0), range_max=8.0)
+    write_scans(path, [START, 4_294_967_295 * SECOND])
     line = summary_of(path).lines()[1]
     assert line.endswith(" s, 2023-11-14 22:13:20 UTC to 2106-02-07 06:28:15 UTC (in the future)")
 
@@ -100,7 +108,7 @@ def test_a_scan_with_times_and_without_a_maximum_and_a_single_beam(path: Path) -
     assert summary.to_dict()["scan"]["range_max_m"] is None
     said = "scan: 5 beams over 114.59 degrees in frame laser, of any range, with times"
     assert said in summary.lines()
-    write_scans(path, count=1, beams=1)
+    write_scans(path, [START], beams=1)
     summary = summary_of(path)
     assert summary.scan is not None
     assert (summary.scan.beams, summary.scan.field_of_view_deg) == (1, 0.0)
@@ -245,17 +253,8 @@ def test_every_line_has_its_place(drive: Path) -> None:
     ]
 
 
-def write_stamps(path: Path, stamps: list[int], times: list[int]) -> None:
-    with LogWriter(path) as log:
-        for stamp, time in zip(stamps, times, strict=True):
-            data = scan_cdr("laser", stamp, -1.0, 0.5, [2.0] * 5, range_max=8.0)
-            log.raw("/scan", LASER_SCAN, data, time)
-
-
 def check_of(path: Path, **options: object) -> tuple[TopicCheck, ...]:
-    with open_log(path) as log:
-        turn("logs", **options)
-        checked = summarize(log, complete=True).checked
+    checked = summary_of(path, complete=True, **options).checked
     assert checked is not None
     return checked
 
@@ -281,7 +280,7 @@ def test_pauses_and_stamps_out_of_order_are_counted(
     path: Path, stamps_s: list[float], times_s: list[float], intervals: float, said: str
 ) -> None:
     stamps, times = ([START + round(s * SECOND) for s in each] for each in (stamps_s, times_s))
-    write_stamps(path, stamps, times)
+    write_scans(path, stamps, times)
     (scans,) = check_of(path, pause_intervals=intervals)
     assert scans.text() == f"{len(times)} of {len(times)} messages read{said}"
 
@@ -312,13 +311,11 @@ def test_info_counts_what_is_lost_only_when_all_is_read(
     write_db3(path, drive_messages)
     last = "(SELECT MAX(id) FROM messages WHERE topic_id = 3)"
     change_db3(path, f"UPDATE messages SET data = 'no bytes' WHERE id = {last}")
-    with open_log(path) as log:
-        quick = summarize(log, configured(LogConfig, "logs", {"look_scans": 3}))
-        assert quick.checked is None
-        assert quick.damage == ()
-        said = "checked: only the beginning; --check reads all messages and compares the counts"
-        assert said in quick.lines()
-        whole = summarize(log, complete=True)
+    quick, whole = summary_of(path, look_scans=3), summary_of(path, complete=True)
+    assert quick.checked is None
+    assert quick.damage == ()
+    said = "checked: only the beginning; --check reads all messages and compares the counts"
+    assert said in quick.lines()
     assert whole.checked is not None
     assert [(t.read, t.expected) for t in whole.checked] == [(60, 60), (29, 30), (1, 1)]
     assert len(whole.damage) == 1
@@ -358,8 +355,7 @@ def write(path: Path, times_s: list[float], step_m: float = 0.1, hangs: range = 
 
 
 def lines_of(path: Path, complete: bool = False, **options: object) -> list[str]:
-    with open_log(path) as log:
-        lines = summarize(log, configured(LogConfig, "logs", options), complete=complete).lines()
+    lines = summary_of(path, complete, **options).lines()
     place = next(n for n, line in enumerate(lines) if line.startswith("build would meet"))
     end = next(n for n, line in enumerate(lines) if line.startswith("checked"))
     return lines[place:end]
@@ -395,8 +391,7 @@ def test_spacing_and_what_is_blank_or_repeated_is_told(
 
 def test_the_preview_in_json(path: Path) -> None:
     write(path, EVERY_200_MS)
-    with open_log(path) as log:
-        plain = summarize(log).to_dict()["preview"]
+    plain = summary_of(path).to_dict()["preview"]
     assert plain["spacing"] == {"rate_hz": 5.0, "step_m": 0.1, "is_sparse": False}
     assert plain["sensors"] == (("laser", 10),)
     assert [faults["topic"] for faults in plain["stamps"]] == ["/scan", "/odom"]
@@ -445,7 +440,7 @@ TODAY = START / SECOND
 )
 def test_faulty_stamps_are_counted(path: Path, stamps_s: list[float], said: str) -> None:
     times = [START + n * SECOND // 10 for n in range(len(stamps_s))]
-    write_stamps(path, [round(stamp_s * SECOND) for stamp_s in stamps_s], times)
+    write_scans(path, [round(stamp_s * SECOND) for stamp_s in stamps_s], times)
     found = [line for line in lines_of(path) if "stamps on" in line]
     expected = f"  stamps on /scan, of {len(stamps_s)} messages: {said}"
     assert found == ([expected] if said else [])
