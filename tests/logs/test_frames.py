@@ -66,7 +66,12 @@ def test_several_topics_are_listed_ready_to_paste(path: Path) -> None:
         f"{path}: 2 topics carry scans: choose `--scan-topic /front` (LaserScan, 1 message) "
         "or `--scan-topic /points` (PointCloud2, 1 message)"
     )
-    assert choose(path, scan_topic="/points").topic.name == "/points"
+    points = choose(path, scan_topic="/points", band_min_m=0.5, band_max_m=2.0)
+    assert (points.topic.name, points.band_m) == ("/points", (0.5, 2.0))
+    assert points.note == (
+        "scans from /points (PointCloud2, 1), height band 0.5 to 2 m above the floor, "
+        "no odometry, base frame base_link"
+    )
     assert choose(path, scan_topic="front").topic.name == "/front"
     write(path, ["/scan"], ["/odom", "/visual"])
     with pytest.raises(UsageError, match=r"`--odom-topic /odom` .* or `--odom-topic /visual`"):
@@ -107,20 +112,6 @@ def test_two_recordings_given_as_one_are_said(
     said = [line.partition(": ")[0] for line in warnings if "not parts of one" in line]
     both_hold = f"{paths[0]} and {paths[1]} both hold /scan for the same {shared_s} s"
     assert said == ([] if shared_s is None else [both_hold])
-
-
-AT_THE_ORIGIN = "the laser is taken to sit at the origin of 'base_link'"
-MOVES_ANOTHER = "the odometry moves 'body', which no transform joins to 'base_link'"
-
-
-def test_a_cloud_is_noted_with_its_band(path: Path) -> None:
-    write(path, ["/points"], [])
-    chosen = choose(path, band_min_m=0.5, band_max_m=2.0)
-    assert chosen.band_m == (0.5, 2.0)
-    assert chosen.note == (
-        "scans from /points (PointCloud2, 1), height band 0.5 to 2 m above the floor, "
-        "no odometry, base frame base_link"
-    )
 
 
 def test_the_settings_say_how_long_readable_scans_and_odometry_are_looked_for(path: Path) -> None:
@@ -173,6 +164,10 @@ def test_a_base_that_is_asked_for_is_searched_on_its_own(path: Path) -> None:
     assert choose(path, base_frame="trailer").base_frame == "trailer"
 
 
+AT_THE_ORIGIN = "the laser is taken to sit at the origin of 'base_link'"
+MOVES_ANOTHER = "the odometry moves 'body', which no transform joins to 'base_link'"
+
+
 @pytest.mark.parametrize(
     ("transforms", "moves", "base", "floor", "said"),
     [
@@ -201,6 +196,9 @@ def test_the_base_is_the_first_usual_frame_that_is_joined_to_the_laser(
     assert chosen.floor_m == pytest.approx(floor)
     assert said in "".join(chosen.warnings[:1])
     assert said != AT_THE_ORIGIN or len(chosen.warnings) == 1
+
+
+@pytest.mark.parametrize(
     ("degrees", "limit", "said"),
     [(8, {}, False), (12, {}, True), (12, {"tilt_max_rad": 0.3}, False), (172, {}, False)],
 )
@@ -312,8 +310,6 @@ def write_lasers(path: Path, lasers: list[Laser]) -> None:
 
 
 FRONT, REAR = ("front", -1.5, 1.5), ("rear", -1.5, 1.5)
-
-
 WIDE, NARROW = ("laser", -2.0, 2.0), ("laser", -0.5, 0.5)
 
 
@@ -351,28 +347,34 @@ def test_one_of_several_sensors_must_be_chosen(
     assert str(caught.value) == f"{path}: /scan: {said}"
 
 
-@pytest.mark.parametrize(("name", "x"), [("front", 0.2), ("/rear", -0.2)])
-def test_only_the_sweeps_of_the_chosen_sensor_are_read(path: Path, name: str, x: float) -> None:
-    write_lasers(path, [FRONT, REAR] * 15 + [FRONT])
-    sweeps, stream = sweeps_of(path, scan_frame=name)
-    count = 16 if x > 0 else 15
-    assert [sweep.index for sweep in sweeps] == list(range(count))
-    assert {sweep.base_from_laser.x for sweep in sweeps} == {x}
-    assert len({sweep.stamp_ns // (SECOND // 10) % 2 for sweep in sweeps}) == 1
-    assert stream.warnings == [
-        f"scans of another sensor on the topic that were left out: {31 - count}"
-    ]
-    assert stream.selection.note.startswith(
-        f"scans from /scan (LaserScan, 31) of sensor {name.lstrip('/')}, "
-    )
-
-
-def test_a_sensor_that_shows_up_late_is_left_out_and_said(path: Path) -> None:
-    write_lasers(path, [FRONT] * 12 + [REAR] * 4)
-    sweeps, stream = sweeps_of(path, look_scans=10)
-    assert len(sweeps) == stream.counts["scans"] == 12
-    assert stream.counts["other_sensor"] == 4
-    assert "scans of another sensor on the topic that were left out: 4" in stream.warnings
+@pytest.mark.parametrize(
+    ("lasers", "options", "kept"),
+    [
+        ([FRONT, REAR] * 15 + [FRONT], {"scan_frame": "front"}, range(0, 31, 2)),
+        ([FRONT, REAR] * 15 + [FRONT], {"scan_frame": "/rear"}, range(1, 31, 2)),
+        ([WIDE, NARROW] * 10, {"scan_frame": "laser#2"}, range(1, 20, 2)),
+        ([FRONT] * 12 + [REAR] * 4, {"look_scans": 10}, range(12)),
+        ([REAR] * 2 + [FRONT] * 28, {}, range(2, 30)),
+    ],
+    ids=["front", "rear", "field of view", "late", "rare"],
+)
+def test_only_the_sweeps_of_one_sensor_are_read(
+    path: Path, lasers: list[Laser], options: dict[str, Any], kept: range
+) -> None:
+    write_lasers(path, lasers)
+    sweeps, stream = sweeps_of(path, **options)
+    assert [sweep.index for sweep in sweeps] == list(range(len(kept)))
+    assert [(sweep.stamp_ns - START) * 10 // SECOND for sweep in sweeps] == list(kept)
+    mount = {"front": 0.2, "rear": -0.2, "laser": 0.0}[stream.selection.sensor.frame]
+    assert {sweep.base_from_laser.x for sweep in sweeps} == {mount}
+    left_out = len(lasers) - len(kept)
+    assert stream.counts["other_sensor"] == left_out
+    said = f"scans of another sensor on the topic that were left out: {left_out}"
+    assert [line for line in stream.warnings if "no transform" not in line] == [said]
+    if "scan_frame" in options:
+        sensor = options["scan_frame"].lstrip("/")
+        note = f"scans from /scan (LaserScan, {len(lasers)}) of sensor {sensor}, "
+        assert stream.selection.note.startswith(note)
 
 
 def test_a_rare_sensor_is_left_out_without_a_question(path: Path) -> None:
@@ -384,17 +386,7 @@ def test_a_rare_sensor_is_left_out_without_a_question(path: Path) -> None:
     sent = pickle.loads(pickle.dumps(caught.value))  # from a process that runs ahead
     assert (sent.best, str(sent)) == ("front", str(caught.value))
     assert caught.value.within("jobs.toml").hint == caught.value.hint
-    write_lasers(path, [REAR] * 2 + [FRONT] * 28)
-    sweeps, stream = sweeps_of(path)
-    assert stream.selection.sensor.frame == "front"
-    assert (len(sweeps), stream.counts["other_sensor"]) == (28, 2)
 
-
-def test_a_field_of_view_may_be_chosen(path: Path) -> None:
-    write_lasers(path, [WIDE, NARROW] * 10)
-    sweeps, stream = sweeps_of(path, scan_frame="laser#2")
-    assert len(sweeps) == stream.counts["other_sensor"] == 10
-    assert {float(sweep.planar.bearings[0]) for sweep in sweeps} == {-0.5}
 
 
 @pytest.mark.parametrize(
