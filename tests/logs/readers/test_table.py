@@ -7,6 +7,7 @@ import gzip
 import tempfile
 import textwrap
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +22,9 @@ from specmap_cli.logs.readers import Recording
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import convert
 from tests.logs.recordings import refusal
+from tests.plugins import install
 
-Install = Callable[..., None]
+Offer = Callable[[dict[str, str], str], None]
 
 LINES = b"RANGES 1\n" + b"".join(
     b"%d 1.0 2.0 3.0 %d.5\n" % (1_700_000_000_000_000_000 + n * 100_000_000, n) for n in range(1, 6)
@@ -36,17 +38,17 @@ class {name}(Recording):
 WHOLE = "contents = Contents((), 0, 0)\n    def messages(self, topics=None): return iter(())"
 
 
-def documented_reader() -> str:
-    """The code that the docstring of `Recording` shows."""
-    text = textwrap.dedent(f"    {Recording.__doc__}")
-    code = text.partition("A whole reader")[2].partition("::\n")[2]
-    return textwrap.dedent(code)
+@pytest.fixture
+def offer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Offer:
+    """Install a package that offers readers, by their names, for one test."""
+    return partial(install, tmp_path, monkeypatch, "specmap.readers")
 
 
 @pytest.fixture
-def range_lines(install: Install) -> None:
-    """The documented reader as an installed package."""
-    install("range_lines", documented_reader(), entry="range_lines:RangeLines")
+def range_lines(offer: Offer) -> None:
+    """The reader that the docstring of `Recording` shows as an installed package."""
+    text = textwrap.dedent(f"    {Recording.__doc__}")
+    offer({"range_lines": "RangeLines"}, text.partition("A whole reader")[2].partition("::\n")[2])
 
 
 @pytest.mark.usefixtures("range_lines")
@@ -107,10 +109,10 @@ def test_its_logs_are_found_in_a_directory(
     ids=["first bytes", "more than them"],
 )
 def test_an_installed_reader_is_asked_before_the_built_in_ones(
-    path: Path, install: Install, body: str, content: bytes
+    path: Path, offer: Offer, body: str, content: bytes
 ) -> None:
     code = BARE.format(name="Dialect", body=f'format = "dialect"\n    {body}\n    {WHOLE}')
-    install("dialect", code, entry="dialect:Dialect")
+    offer({"dialect": "Dialect"}, code)
     assert list(known_readers()) == ["dialect", *BUILT_IN]
     path.write_bytes(content)
     with open_log(path) as log:
@@ -118,14 +120,14 @@ def test_an_installed_reader_is_asked_before_the_built_in_ones(
 
 
 def test_what_no_reader_knows_is_refused_with_the_formats_known(
-    path: Path, install: Install
+    path: Path, offer: Offer
 ) -> None:
     path.write_text("hello\n")
     known = "MCAP, rosbag2 (SQLite), ROS 1 bag or CARMEN log"
     said = f"{path}: a text file, not a recording; expected"
     assert refusal(path) == f"{said} {known}"
     body = f'format = "made-up"; magic = b"MADE"\n    {WHOLE}'
-    install("made_up", BARE.format(name="MadeUp", body=body), entry="made_up:MadeUp")
+    offer({"made_up": "MadeUp"}, BARE.format(name="MadeUp", body=body))
     assert refusal(path) == f"{said} made-up, {known}"
     path.write_bytes(b"MAD")
     assert "cut off after 3 bytes; no message can be read" in refusal(path)
@@ -143,9 +145,9 @@ def test_what_no_reader_knows_is_refused_with_the_formats_known(
     ],
 )
 def test_a_broken_entry_point_is_one_clear_line(
-    drive: Path, install: Install, code: str, said: str
+    drive: Path, offer: Offer, code: str, said: str
 ) -> None:
-    install("broken", code, entry="broken:Reader")
+    offer({"broken": "Reader"}, code)
     with pytest.raises(UsageError) as caught:
         open_log(drive)
     assert str(caught.value) == (
