@@ -114,9 +114,12 @@ def test_beam_times_follow_the_beams() -> None:
         assert scan.ranges.tolist() == sorted([1.0, 2.0, 3.0], reverse=step < 0)
 
 
-def test_a_missing_increment_is_found_from_the_angles() -> None:
+def test_a_missing_increment_is_found_from_the_angles_and_one_beam_takes_no_time() -> None:
     scan = levelled(record([1.0, 1.0, 1.0], -1.0, 0.0, angle_max=1.0))
     np.testing.assert_allclose(scan.bearings, [-1.0, 0.0, 1.0])
+    single = levelled(record([1.5], 0.3, 0.0, time_increment=0.5))
+    assert single.bearings.tolist() == [0.3]
+    assert single.beam_times_s is None
 
 
 @pytest.mark.parametrize(
@@ -190,12 +193,6 @@ def test_the_settings_say_how_long_a_sweep_may_take(
     leveller = ScanLeveller(LEVEL)
     scan = record(np.ones(10), time_increment=increment)
     assert (leveller.level(scan, 5).beam_times_s is not None) is timed
-
-
-def test_a_scan_of_one_beam_takes_no_time() -> None:
-    scan = levelled(record([1.5], 0.3, 0.0, time_increment=0.5))
-    assert scan.bearings.tolist() == [0.3]
-    assert scan.beam_times_s is None
 
 
 @pytest.mark.parametrize(
