@@ -306,19 +306,13 @@ def only(*keep: str) -> FloatArray:
         (only("floor")[np.abs(only("floor")[:, 1]) < 0.1], {}),  # a strip says nothing across it
         (only("floor"), {"floor_radius_m": 1.0}),
         (room(), {"floor_share": 0.9}),
+        (Rotation.from_euler("X", 0.5).apply(only("floor")), {"floor_tilt_max_rad": 0.3}),
     ],
-    ids=["nothing", "few", "no floor", "strip", "too far", "small share"],
+    ids=["nothing", "few", "no floor", "strip", "too far", "small share", "tilted"],
 )
 def test_a_cloud_without_a_floor_says_so(cloud: FloatArray, settings_: dict[str, float]) -> None:
     turn("logs", **settings_)
     assert floor_of(cloud) is None
-
-
-def test_a_floor_tilted_beyond_the_limit_is_none() -> None:
-    tilted = Rotation.from_euler("X", 0.5).apply(only("floor"))
-    assert floor_of(tilted) is not None
-    turn("logs", floor_tilt_max_rad=0.3)
-    assert floor_of(tilted) is None
 
 
 def test_a_cloud_without_a_floor_has_the_level_of_the_one_before(path: Path) -> None:
@@ -337,9 +331,7 @@ def test_a_cloud_without_a_floor_has_the_level_of_the_one_before(path: Path) -> 
 LASTS_S = 0.08
 
 
-def write(
-    path: Path, tour: Tour, *, mounted: bool = True, timed: bool = False, height_m: float = 0.0
-) -> Path:
+def write(path: Path, tour: Tour, mounted: bool, height_m: float) -> None:
     """The returns of a tour as clouds, in a laser frame on the floor or in that of the base."""
     with LogWriter(path) as log:
         if mounted:
@@ -349,27 +341,22 @@ def write(
             hit = np.isfinite(scan.ranges)
             r, b = scan.ranges[hit], scan.bearings[hit]
             points = np.column_stack([r * np.cos(b), r * np.sin(b), np.full(len(r), height_m)])
-            times = np.linspace(0.0, LASTS_S, len(hit))[hit] if timed else None
+            times = np.linspace(0.0, LASTS_S, len(hit))[hit]
             log.cloud("/points", "laser" if mounted else "base_link", sweep.stamp_ns, points, times)
-    return path
 
 
 @pytest.mark.parametrize(("mounted", "height_m"), [(True, 0.0), (False, 0.1), (False, 2.0)])
-def test_their_points_count_at_any_height_and_become_a_planar_scan(
+def test_their_points_and_times_count_at_any_height_and_become_a_planar_scan(
     flat_tour: Tour, path: Path, mounted: bool, height_m: float
 ) -> None:
     tour = flat_tour[:20]
-    sweeps, stream = sweeps_of(write(path, tour, mounted=mounted, height_m=height_m))
+    write(path, tour, mounted, height_m)
+    sweeps, stream = sweeps_of(path)
     assert len(sweeps) == len(tour)
     assert "height band" not in stream.selection.note
     for found, (true, _) in zip(sweeps, tour, strict=True):
         assert found.cloud is None
         assert len(found.planar.hits()) == pytest.approx(len(true.planar.hits()), rel=0.02)
-
-
-def test_the_times_of_their_points_become_those_of_the_beams(flat_tour: Tour, path: Path) -> None:
-    sweeps, _ = sweeps_of(write(path, flat_tour[:5], timed=True))
-    for found, (true, _) in zip(sweeps, flat_tour[:5], strict=True):
         times = found.planar.beam_times_s
         assert times is not None
         hit = np.isfinite(found.planar.ranges)

@@ -294,30 +294,21 @@ def write(path: Path, tour: Tour, scans: list[np.ndarray], range_max: float) -> 
             log.scan("/scan", "laser", sweep.stamp_ns, first, step, ranges, range_max=range_max)
 
 
-@pytest.fixture(scope="module")
-def coded_log(flat_tour: Tour, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def test_no_scan_of_a_log_has_a_return_there_and_a_warning_tells_the_distance(
+    flat_tour: Tour, path: Path
+) -> None:
     """The flat seen by a laser of 2.5 m that says 2.8 m for no return and claims 30 m."""
-    path = tmp_path_factory.mktemp("coded") / "log.mcap"
     seen = [sweep.planar.ranges for sweep, _ in flat_tour[:300]]
     coded = [np.where(ranges < REACH_M, ranges, CODE_M) for ranges in seen]
     write(path, flat_tour[:300], coded, CLAIMED_M)
-    return path
-
-
-def test_no_scan_of_a_log_has_a_return_there_and_a_warning_tells_the_distance(
-    coded_log: Path,
-) -> None:
-    sweeps, stream = sweeps_of(coded_log)
+    sweeps, stream = sweeps_of(path)
     assert not any(has_code(sweep) for sweep in sweeps)
     assert any("readings of exactly 2.8 m" in warning for warning in stream.warnings)
-    with open_log(coded_log) as log:
+    with open_log(path) as log:
         assert any("2.8 m" in warning for warning in summarize(log).warnings)
-
-
-def test_it_is_found_after_the_first_look_too(coded_log: Path) -> None:
-    shown = [has_code(sweep) for sweep in sweeps_of(coded_log, look_scans=3)[0]]
+    shown = [has_code(sweep) for sweep in sweeps_of(path, look_scans=3)[0]]
     assert any(shown[:3])
-    assert not any(shown[len(shown) // 2 :])
+    assert not any(shown[len(shown) // 2 :]), "it is found after the first look too"
 
 
 POST = slice(13, 19)  # beams that see a post of the robot

@@ -179,7 +179,7 @@ def test_what_was_converted_is_told(
 
 def test_wrong_types_are_refused_before_the_log_is_opened() -> None:
     wrong: Any
-    for wrong, found in ((None, "None"), (3, "3"), (["out.mcap", 3], r"\['out.mcap', 3\]")):
+    for wrong, found in ((None, "None"), (3, "3"), (["out.mcap", 3], ".*3")):
         with pytest.raises(TypeError, match=f"^paths: expected a path.*, found .*{found}"):
             convert(wrong, "out.mcap")
         with pytest.raises(TypeError, match=f"^out: expected a path.*, found {found}"):
