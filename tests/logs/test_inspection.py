@@ -69,16 +69,6 @@ def test_a_drive_is_summed_up_and_its_json_is_on_one_level(drive: Path) -> None:
     assert (plain["next_command"], plain["problem"]) == (f"specmap build {drive}", None)
 
 
-def test_wrong_types_are_refused_at_once(drive: Path) -> None:
-    with pytest.raises(TypeError, match=r"^log: expected .*Log, found"):
-        summarize(str(drive))  # type: ignore[arg-type]
-    with (
-        open_log(drive) as log,
-        pytest.raises(TypeError, match=r"^config: .*LogConfig, found"),
-    ):
-        summarize(log, {"use_odometry": False})  # type: ignore[arg-type]
-
-
 def test_real_times_are_dates_and_those_that_have_not_come_yet_are_said(path: Path) -> None:
     write_scans(path)
     line = summary_of(path).lines()[1]

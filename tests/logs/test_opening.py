@@ -22,11 +22,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.errors import LogError
-from specmap_cli.core.settings import LogConfig
-from specmap_cli.logs.opening import open_log
+from specmap_cli.core.settings import Config, LogConfig
+from specmap_cli.logs.inspection import summarize
+from specmap_cli.logs.opening import Log, open_log
 from specmap_cli.logs.readers import compression
 from specmap_cli.logs.readers.mcap import McapFile
 from specmap_cli.logs.readers.recording import Message, is_text
+from specmap_cli.logs.stream import SweepStream
+from specmap_cli.logs.writer import LogWriter, convert
 from tests.logs.recordings import PACK, read_rest, refusal, write_db3
 
 
@@ -37,6 +40,7 @@ from hypothesis import strategies as st
 from specmap_cli.logs.readers.compression import compression_of, decompress, stream
 from tests.logs.recordings import PACK
 
+NO_LOG = Log([], [Path("spy")])
 ZIPPED = partial(gzip.compress, mtime=0)
 
 
@@ -92,20 +96,28 @@ def test_a_directory_is_searched_for_recordings(tmp_path: Path, drive: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("paths", "config", "said"),
+    ("called", "given_", "said"),
     [
-        (None, None, "paths: expected a path.*, found .*None"),
-        (7, None, "paths: expected a path.*, found .*7"),
-        ([Path("a"), None], None, "paths: expected a path.*, found .*None"),
-        (b"log", None, "paths: expected a path.*, found "),
-        ("log", {"chunk_max_mb": 5}, "config: expected LogConfig, found"),
+        (open_log, (None,), "paths: expected a path.*, found .*None"),
+        (open_log, (7,), "paths: expected a path.*, found .*7"),
+        (open_log, ([Path("a"), None],), "paths: expected a path.*, found .*None"),
+        (open_log, (b"log",), "paths: expected a path.*, found "),
+        (open_log, ("log", {"chunk_max_mb": 5}), "config: expected LogConfig, found"),
+        (SweepStream, ("log.mcap", LogConfig()), "log: expected .*Log, found 'log.mcap'$"),
+        (SweepStream, (NO_LOG, Config()), "config: expected .*LogConfig, found Config"),
+        (summarize, ("log.mcap",), "log: expected .*Log, found"),
+        (summarize, (NO_LOG, {"use_odometry": False}), "config: .*LogConfig, found"),
+        (convert, (None, "out.mcap"), "paths: expected a path.*, found None"),
+        (convert, ("log.bag", 3), "out: expected a path.*, found 3"),
+        (convert, ("log.bag", ["out.mcap"]), r"out: expected a path.*, found \['out.mcap'\]"),
+        *((LogWriter, (wrong,), "path: expected a path") for wrong in (None, 7, b"log.mcap")),
     ],
 )
-def test_what_is_no_path_and_no_settings_is_refused_at_once(
-    paths: Any, config: Any, said: str
+def test_wrong_types_are_refused_at_once(
+    called: Callable[..., object], given_: tuple[object, ...], said: str
 ) -> None:
     with pytest.raises(TypeError, match=f"^{said}"):
-        open_log(paths, config)
+        called(*given_)
 
 
 def test_paths_may_be_strings(drive: Path, drive_messages: list[Message]) -> None:

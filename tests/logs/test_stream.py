@@ -203,18 +203,6 @@ def test_a_cloud_becomes_points_in_the_base_frame_and_a_planar_scan(path: Path) 
     assert stream.warnings == ["scans that could not be read and were left out: 1"]
 
 
-@pytest.mark.parametrize(
-    ("log", "config", "said"),
-    [
-        ("log.mcap", LogConfig(), r"^log: expected .*Log, found 'log.mcap'$"),
-        (Log([], [Path("spy")]), Config(), r"^config: expected .*LogConfig, found Config"),
-    ],
-)
-def test_wrong_types_are_refused_at_once(log: Any, config: Any, said: str) -> None:
-    with pytest.raises(TypeError, match=said):
-        SweepStream(log, config)
-
-
 @pytest.mark.parametrize("most", [0, 1, 7])
 def test_the_settings_say_how_many_scans_wait(most: int) -> None:
     late = [odometry(START, 0.0), *(scan(START + i * SECOND // 1000) for i in range(1, 40))]

@@ -177,17 +177,6 @@ def test_what_was_converted_is_told(
     ]
 
 
-def test_wrong_types_are_refused_before_the_log_is_opened() -> None:
-    wrong: Any
-    for wrong, found in ((None, "None"), (3, "3"), (["out.mcap", 3], ".*3")):
-        with pytest.raises(TypeError, match=f"^paths: expected a path.*, found .*{found}"):
-            convert(wrong, "out.mcap")
-        with pytest.raises(TypeError, match=f"^out: expected a path.*, found {found}"):
-            convert("log.bag", wrong)
-    for wrong in (None, 7, b"log.mcap"):
-        with pytest.raises(TypeError, match=r"^path: expected a path"):
-            LogWriter(wrong)
-
 
 def test_an_unwritable_place_is_told_before_the_log_is_read(tmp_path: Path, drive: Path) -> None:
     begins: list[Callable[[Path | str], object]] = [

@@ -20,14 +20,7 @@ from specmap_cli.core.errors import LogError
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers.recording import Message
-from tests.logs.recordings import (
-    change_db3,
-    overwrite,
-    read_rest,
-    refusal,
-    write_bag,
-    write_db3,
-)
+from tests.logs.recordings import change_db3, overwrite, read_rest, refusal, write_bag, write_db3
 
 
 @pytest.mark.parametrize("storage", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
