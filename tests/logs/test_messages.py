@@ -129,13 +129,8 @@ def test_a_scan_says_what_was_given(stamp: int, ranges: list[float]) -> None:
         np.testing.assert_array_equal(found, np.array(ranges, dtype=np.float32))
     end = -1.0 + 0.25 * max(len(ranges) - 1, 0)
     assert (scan.angle_max, scan.angle_increment, scan.time_increment) == (end, 0.25, 0.5)
-    assert record.layout == ScanLayout(
-        angle_min=-1.0,
-        angle_max=end,
-        angle_increment=0.25,
-        time_increment=0.5,
-        beams=len(ranges),
-    )
+    steps = {"angle_increment": 0.25, "time_increment": 0.5}
+    assert record.layout == ScanLayout(angle_min=-1.0, angle_max=end, beams=len(ranges), **steps)
     assert (scan.range_min, scan.range_max, scan.scan_time) == (0.5, 9.0, 0.125)
     assert (record.range_min, record.range_max) == (0.5, 9.0)
     assert (scan.header.frame_id, record.frame) == ("/laser", "laser")

@@ -41,12 +41,7 @@ def summary_of(name: str) -> LogSummary:
     ],
 )
 def test_recordings_are_read_whole(
-    name: str,
-    scans: int,
-    odometry: str,
-    view: float,
-    beams: int,
-    mount: tuple[float, float, float],
+    name: str, scans: int, odometry: str, view: float, beams: int, mount: tuple[float, float, float]
 ) -> None:
     summary = summary_of(name)
     assert summary.chosen is not None
