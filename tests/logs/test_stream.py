@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import tracemalloc
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +80,16 @@ def test_a_scan_outside_the_odometry_is_counted_and_no_warning() -> None:
     assert not any("without odometry" in warning for warning in stream.warnings)
 
 
+def peak(log: Log, scans: int) -> int:
+    """The most memory that is taken while all scans of a log are read."""
+    stream = SweepStream(log, LogConfig())
+    tracemalloc.start()
+    assert sum(1 for _ in stream) == scans
+    used = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return used
+
+
 def test_memory_does_not_grow_with_the_log() -> None:
     def make(scans: int) -> Iterator[Message]:
         for number in range(scans):
@@ -86,16 +97,9 @@ def test_memory_does_not_grow_with_the_log() -> None:
             yield odometry(stamp, 0.1 * number)
             yield scan(stamp + 1, beams=40_000)
 
-    def peak(scans: int) -> int:
-        stream = SweepStream(Log([Told("spy", lambda: make(scans))], [Path("spy")]), LogConfig())
-        tracemalloc.start()
-        assert sum(1 for _ in stream) == scans
-        used = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        return used
-
-    peak(3)
-    short, long = peak(10), peak(100)
+    _, short, long = (
+        peak(Log([Told("spy", partial(make, scans))], [Path("spy")]), scans) for scans in (3, 10, 100)
+    )
     assert long < 1.1 * short
 
 
@@ -107,12 +111,8 @@ def test_files_are_read_with_one_chunk_in_memory(path: Path) -> None:
             stamp = START + number * SECOND // 10
             log.scan("/scan", "laser", stamp, -1.0, 1e-4, ranges, range_max=8.0)
     sweeps_of(path)
-    tracemalloc.start()
-    with open_log(path) as log_:
-        assert sum(1 for _ in SweepStream(log_, LogConfig())) == 400
-    used = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert used < 0.3 * 400 * 20_000 * 4
+    with open_log(path) as whole:
+        assert peak(whole, 400) < 0.3 * 400 * 20_000 * 4
 
 
 def test_odometry_comes_from_transforms_too(path: Path) -> None:
