@@ -1,4 +1,4 @@
-"""Opening files and directories, packed ones too: a clear line for what is none, and little memory."""
+"""Opening files and directories, packed ones too: a clear line for what is none, little memory."""
 
 from __future__ import annotations
 

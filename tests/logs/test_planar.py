@@ -164,7 +164,7 @@ def flattener(floor_m: float | None, **options: object) -> CloudFlattener:
 
 @pytest.mark.parametrize(("view", "full"), [(2 * math.pi, True), (math.pi, False)])
 def test_a_cloud_is_flattened_to_the_nearest_return_in_the_band(view: float, full: bool) -> None:
-    """A bearing is empty where the lidar looks, or looked before, and unknown where it never did."""
+    """A bearing is empty where the lidar looks or looked before, unknown where it never did."""
     rng = np.random.default_rng(3)
     angles, metres, heights = rng.uniform((0.0, 0.5, 0.0), (view, 7.0, 3.0), (4000, 3)).T
     cloud = np.column_stack([metres * np.cos(angles), metres * np.sin(angles), heights])

@@ -98,7 +98,8 @@ def test_memory_does_not_grow_with_the_log() -> None:
             yield scan(stamp + 1, beams=40_000)
 
     _, short, long = (
-        peak(Log([Told("spy", partial(make, scans))], [Path("spy")]), scans) for scans in (3, 10, 100)
+        peak(Log([Told("spy", partial(make, scans))], [Path("spy")]), scans)
+        for scans in (3, 10, 100)
     )
     assert long < 1.1 * short
 

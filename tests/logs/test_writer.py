@@ -66,7 +66,7 @@ def test_same_calls_give_the_same_bytes(path: Path) -> None:
 
 @pytest.mark.parametrize("end", [LogWriter.close, LogWriter.discard])
 def test_a_file_appears_when_it_is_complete(path: Path, end: Callable[[LogWriter], None]) -> None:
-    """An old one stays until then. Neither an unknown type is taken nor a message behind the end."""
+    """An old one stays until then. No unknown type is taken, and no message behind the end."""
     path.write_text("old")
     log = LogWriter(str(path))
     log.odometry("/odom", "odom", "base_link", 10, Pose2(0.0, 0.0, 0.0))
