@@ -220,7 +220,8 @@ def test_poses_are_those_of_linear_interpolation_as_far_as_the_settings_say(
 ) -> None:
     """Whatever the order of arrival; the last of a repeated stamp counts. They turn across pi."""
     turn("logs", odometry_gap_s=gap_ms / 1000, odometry_hold_s=hold_ms / 1000)
-    buffer, known = OdometryBuffer(), {}
+    buffer = OdometryBuffer()
+    known: dict[int, tuple[float, float]] = {}
     for stamp, x, theta in found:
         buffer.add(stamp * MS, Pose2(x, -x, math.pi + theta))
         known[stamp] = x, theta

@@ -154,7 +154,8 @@ def test_every_variety_gives_the_same_messages(
 def test_what_precedes_a_cut_is_read(path: Path, drive_messages: list[Message], name: str) -> None:
     """And one line says what was lost."""
     VARIETIES[name](path, drive_messages)
-    whole, counts = path.read_bytes(), []
+    whole = path.read_bytes()
+    counts: list[int] = []
     for tenth in range(10):
         path.write_bytes(whole[: len(whole) * tenth // 10 + 3])
         found, (said,) = read_rest(path)
