@@ -12,7 +12,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.logs import Log, Message, TopicInfo
-from specmap_cli.logs.readers import survey
 from specmap_cli.logs.readers.recording import merge_in_time
 from tests.logs.recordings import Told
 
@@ -38,13 +37,6 @@ def test_files_come_in_the_order_of_their_first_messages() -> None:
     assert log.name == "folder and 2 more"
     assert Log(parts[:1], [Path("b")]).name == "b"
     assert Log(parts[:1], [Path("b")]).format == "list"
-
-
-@given(st.lists(st.lists(st.integers(1, 99)), min_size=1, max_size=4))
-def test_its_contents_are_those_of_its_messages(times: list[list[int]]) -> None:
-    parts = [listed(str(n), at(*part, topic=f"/{n % 2}")) for n, part in enumerate(times)]
-    log = Log(parts, [Path("log")])
-    assert log.contents == survey((m.topic, m.type, m.time_ns) for m in log.messages())
 
 
 def test_files_that_hold_a_topic_at_the_same_time_are_found() -> None:
@@ -105,11 +97,14 @@ def test_damage_is_noted_once_under_the_name_the_user_gave_and_not_line_by_line(
     assert recording.damage[20] == "log: damaged at 30 more places"
 
 
-@given(entries)
-def test_a_survey_counts_every_message(found: list[tuple[str, str, int]]) -> None:
-    contents = survey(iter(found))
+@given(st.lists(entries, min_size=1, max_size=4))
+def test_contents_count_the_messages_of_all_parts(parts: list[list[tuple[str, str, int]]]) -> None:
+    messages = [[Message(*entry, b"") for entry in part] for part in parts]
+    log = Log([listed(str(n), part) for n, part in enumerate(messages)], [Path("log")])
+    found = [entry for part in parts for entry in part]
     times = [time for _, _, time in found]
     counted = Counter((topic, kind) for topic, kind, _ in found)
+    contents = log.contents
     assert {(t.name, t.type): t.count for t in contents.topics} == counted
     assert [(t.name, t.type) for t in contents.topics] == sorted(counted)
     assert contents.messages == len(found)
