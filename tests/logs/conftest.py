@@ -11,7 +11,6 @@ from specmap_cli.logs.readers.recording import Message
 from tests.logs.recordings import write_drive
 
 
-
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     """Where a recording is to be: its suffix says nothing."""

@@ -135,7 +135,6 @@ def test_impossible_clouds_are_refused(changes: dict[str, Any], said: str) -> No
         decode_scan(cloud_message(np.ones((1, 3), dtype=XYZ), **changes))
 
 
-
 def test_fields_of_unknown_datatypes_are_passed_over() -> None:
     table = np.ones((2, 2), dtype=[*XYZ, ("odd", "<f4")])
     fields = [FIELD(name, 4 * i, 7, 1) for i, name in enumerate("xyz")]

@@ -388,7 +388,6 @@ def test_a_rare_sensor_is_left_out_without_a_question(path: Path) -> None:
     assert caught.value.within("jobs.toml").hint == caught.value.hint
 
 
-
 @pytest.mark.parametrize(
     "lasers",
     [

@@ -29,9 +29,7 @@ START = 1_700_000_000 * SECOND
 EVERY_200_MS = [0.2 * n for n in range(10)]
 
 
-def summary_of(
-    path: Path | list[Path], complete: bool = False, **options: object
-) -> LogSummary:
+def summary_of(path: Path | list[Path], complete: bool = False, **options: object) -> LogSummary:
     with open_log(path) as log:
         return summarize(log, configured(LogConfig, "logs", options), complete=complete)
 

@@ -26,19 +26,12 @@ from specmap_cli.core.settings import Config, LogConfig
 from specmap_cli.logs.inspection import summarize
 from specmap_cli.logs.opening import Log, open_log
 from specmap_cli.logs.readers import compression
+from specmap_cli.logs.readers.compression import compression_of, decompress, stream
 from specmap_cli.logs.readers.mcap import McapFile
 from specmap_cli.logs.readers.recording import Message, is_text
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import LogWriter, convert
 from tests.logs.recordings import PACK, read_rest, refusal, write_db3
-
-
-import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-
-from specmap_cli.logs.readers.compression import compression_of, decompress, stream
-from tests.logs.recordings import PACK
 
 NO_LOG = Log([], [Path("spy")])
 ZIPPED = partial(gzip.compress, mtime=0)

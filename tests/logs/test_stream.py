@@ -7,13 +7,12 @@ import tracemalloc
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from specmap_cli.core.geometry import Pose2
-from specmap_cli.core.settings import Config, LogConfig
+from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.opening import Log, open_log
 from specmap_cli.logs.readers.encoding import LASER_SCAN, ODOMETRY, odometry_cdr, scan_cdr
 from specmap_cli.logs.readers.recording import Message
@@ -279,7 +278,6 @@ def test_transforms_of_other_frames_and_rubbish_are_no_odometry(path: Path) -> N
         "the transform 'odom' -> 'base_link' is not finite or absurd, and was left out",
         "messages of transforms that could not be read: 1",
     ]
-
 
 
 def test_a_topic_of_transforms_may_carry_another_type(path: Path) -> None:

@@ -81,7 +81,6 @@ def test_a_file_appears_when_it_is_complete(path: Path, end: Callable[[LogWriter
     assert list(path.parent.iterdir()) == [path]
 
 
-
 @pytest.mark.parametrize("step", ["add_message", "finish"])
 def test_a_full_disk_is_one_line_and_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
@@ -170,7 +169,6 @@ def test_what_was_converted_is_told(
         *(f"  {t.name}  {t.count}  {t.type}" for t in result.written),
         f"damage: {damage[0]}",
     ]
-
 
 
 def test_an_unwritable_place_is_told_before_the_log_is_read(tmp_path: Path, drive: Path) -> None:

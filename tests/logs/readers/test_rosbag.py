@@ -296,7 +296,6 @@ def test_a_message_that_is_too_large_costs_only_itself(
     assert len(damage) == 1 or not time_index
 
 
-
 @pytest.mark.parametrize("stored", [False], indirect=True)
 def test_rows_may_have_any_number_of_64_bits(stored: Path, drive_messages: list[Message]) -> None:
     change_db3(stored, "UPDATE messages SET id = id - 100")

@@ -119,9 +119,7 @@ def test_an_installed_reader_is_asked_before_the_built_in_ones(
         assert log.format == "dialect"
 
 
-def test_what_no_reader_knows_is_refused_with_the_formats_known(
-    path: Path, offer: Offer
-) -> None:
+def test_what_no_reader_knows_is_refused_with_the_formats_known(path: Path, offer: Offer) -> None:
     path.write_text("hello\n")
     known = "MCAP, rosbag2 (SQLite), ROS 1 bag or CARMEN log"
     said = f"{path}: a text file, not a recording; expected"
