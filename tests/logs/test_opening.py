@@ -222,7 +222,7 @@ def read_in_a_process(path: Path) -> tuple[str, int]:
 def zeros(packer: Any, count: int = GIGABYTE) -> bytes:
     """Many zeros packed, a megabyte after another."""
     piece = bytes(1 << 20)
-    return b"".join(packer.compress(piece) for _ in range(count >> 20)) + packer.flush()
+    return b"".join([*(packer.compress(piece) for _ in range(count >> 20)), packer.flush()])
 
 
 def mcap_with_chunk(compression: bytes, data: bytes, size: int) -> bytes:
