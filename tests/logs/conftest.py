@@ -1,9 +1,7 @@
-"""A recording made on the spot, its messages, and readers of other packages."""
+"""A recording made on the spot and its messages."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -11,23 +9,6 @@ import pytest
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.readers.recording import Message
 from tests.logs.recordings import write_drive
-
-
-@pytest.fixture
-def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """Install a package of one module that offers a reader, as pip would, for one test."""
-
-    def add(module: str, code: str, *, entry: str, name: str = "") -> None:
-        site = tmp_path / f"site-{module}"
-        info = site / f"{module}-1.0.dist-info"
-        info.mkdir(parents=True)
-        (site / f"{module}.py").write_text(code)
-        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {module}\nVersion: 1.0\n")
-        (info / "entry_points.txt").write_text(f"[specmap.readers]\n{name or module} = {entry}\n")
-        monkeypatch.syspath_prepend(site)
-        monkeypatch.delitem(sys.modules, module, raising=False)
-
-    return add
 
 
 @pytest.fixture

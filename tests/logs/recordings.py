@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import bz2
 import gzip
-import random
 import sqlite3
 from collections.abc import Callable, Collection, Iterable, Iterator
 from functools import cached_property, partial
@@ -35,8 +34,10 @@ class Told(Recording):
 
     format = "list"
 
-    def __init__(self, name: str, make: Callable[[], Iterable[Message]]) -> None:
-        super().__init__(Path(name))
+    def __init__(
+        self, name: str, make: Callable[[], Iterable[Message]], shown: Path | None = None
+    ) -> None:
+        super().__init__(Path(name), shown)
         self.make = make
         self.handed_out = self.closed = 0
 
@@ -95,30 +96,6 @@ def refusal(path: Path | str, config: LogConfig | None = None) -> str:
     with pytest.raises(LogError) as caught:
         open_log(path, config)
     return str(caught.value)
-
-
-def cut_in_tenths(path: Path, messages: list[Message]) -> None:
-    """Cut a file at ten places: what precedes the cut is read, and one line says what was lost."""
-    whole = path.read_bytes()
-    counts = []
-    for tenth in range(10):
-        path.write_bytes(whole[: len(whole) * tenth // 10 + 3])
-        found, said = read_rest(path)
-        assert len(said) == 1
-        assert str(path) in said[0]
-        assert found == messages[: len(found)]
-        counts.append(len(found))
-    assert counts == sorted(counts)
-    assert counts[-1] > 0.5 * len(messages)
-
-
-def spoil(path: Path, seed: int, kept: int) -> None:
-    """Overwrite some bytes of a file, behind its first `kept`, with random ones."""
-    data = bytearray(path.read_bytes())
-    rng = random.Random(seed)
-    for _ in range(rng.randrange(1, 40)):
-        data[rng.randrange(kept, len(data))] = rng.randrange(256)
-    path.write_bytes(data)
 
 
 def write_db3(path: Path, messages: list[Message], *, time_index: bool = True) -> None:

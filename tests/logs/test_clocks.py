@@ -1,16 +1,20 @@
-"""Stamps that say nothing, and odometry by another clock."""
+"""Stamps that say nothing, odometry by another clock, and odometry between stamps."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Sweep
 from specmap_cli.logs.clocks import Clock, StampPair, choose_clock
+from specmap_cli.logs.odometry import MAX_POSES, OdometryBuffer
 from specmap_cli.logs.readers.encoding import LASER_SCAN, ODOMETRY, odometry_cdr, scan_cdr
 from specmap_cli.logs.writer import LogWriter, convert
 from tests.logs.recordings import SECOND, sweeps_of
@@ -114,68 +118,46 @@ def tick(start: int) -> Stamp:
     return lambda n: start + n * SECOND // 20
 
 
-def read(path: Path) -> tuple[list[Sweep], list[str]]:
-    sweeps, stream = sweeps_of(path)
-    return sweeps, stream.warnings
-
-
 def places(sweeps: list[Sweep]) -> list[float | None]:
     return [None if s.odom_from_base is None else s.odom_from_base.x for s in sweeps]
 
 
-HALVES = pytest.approx([n + 0.5 for n in range(19)])
-
-
-@pytest.mark.parametrize(
-    ("scan", "odometry", "said"), [(TODAY, 0, "behind"), (5, TODAY, "ahead of")]
+NOW, UNSET, SAME = tick(TODAY), lambda _: 0, lambda _: TODAY
+SHIFTED = (
+    "the stamps of the odometry are 1700000000.000 s {} those of the scans recorded beside it: "
+    "it has another clock, and is shifted to theirs"
 )
-def test_odometry_of_another_clock_is_shifted_to_the_scans(
-    path: Path, scan: int, odometry: int, said: str
-) -> None:
-    write(path, tick(scan), tick(odometry), tick(TODAY))
-    sweeps, warnings = read(path)
-    assert [s.stamp_ns for s in sweeps] == [tick(scan)(2 * n + 1) for n in range(20)]
-    assert places(sweeps)[:-1] == HALVES
-    assert warnings == [
-        f"the stamps of the odometry are 1700000000.000 s {said} those of the scans recorded "
-        "beside it: it has another clock, and is shifted to theirs"
-    ]
+RECORDERS = "/scan: header stamps {}: the recorder's times are used"
+BY_ORDER = (
+    "/scan: header stamps are zero, and the recorder's times do not ascend: scans are stamped "
+    "by their order, 2 s apart"
+)
 
 
 @pytest.mark.parametrize(
-    ("scan", "odometry", "said"),
+    ("scan", "odometry", "time", "stamps", "said"),
     [
-        (lambda _: 0, tick(77), "are zero"),
-        (lambda _: TODAY, tick(77), "do not ascend"),
-        (tick(77), lambda _: TODAY, "of the odometry are all the same"),
+        (NOW, tick(0), NOW, NOW, SHIFTED.format("behind")),
+        (tick(5), NOW, NOW, tick(5), SHIFTED.format("ahead of")),
+        (UNSET, tick(77), NOW, NOW, RECORDERS.format("are zero")),
+        (SAME, tick(77), NOW, NOW, RECORDERS.format("do not ascend")),
+        (tick(77), SAME, NOW, NOW, RECORDERS.format("of the odometry are all the same")),
+        (
+            *(lambda n: NOW(n) if n > 3 else 0, NOW, NOW, NOW),
+            "scans stamped zero, for which the recorder's times are used: 2",
+        ),
+        (UNSET, UNSET, UNSET, lambda n: (n - 1) * SECOND, BY_ORDER),
     ],
 )
-def test_stamps_that_never_change_leave_the_recorders_times(
-    path: Path, scan: Stamp, odometry: Stamp, said: str
+def test_scans_and_odometry_get_one_clock(
+    path: Path, scan: Stamp, odometry: Stamp, time: Stamp, stamps: Stamp, said: str
 ) -> None:
-    write(path, scan, odometry, tick(TODAY))
-    sweeps, warnings = read(path)
-    assert [s.stamp_ns for s in sweeps] == [tick(TODAY)(2 * n + 1) for n in range(20)]
-    assert places(sweeps)[:-1] == HALVES
-    assert warnings == [f"/scan: header stamps {said}: the recorder's times are used"]
-
-
-def test_without_any_times_the_order_remains(path: Path) -> None:
-    write(path, lambda _: 0, lambda _: 0, lambda _: 0)
-    sweeps, warnings = read(path)
-    assert [s.stamp_ns for s in sweeps] == [n * 2 * SECOND for n in range(20)]
-    assert places(sweeps) == [float(n) for n in range(20)]
-    assert warnings == [
-        "/scan: header stamps are zero, and the recorder's times do not ascend: scans are stamped "
-        "by their order, 2 s apart"
-    ]
-
-
-def test_a_few_scans_that_were_never_stamped_have_the_recorders_times(path: Path) -> None:
-    write(path, lambda n: 0 if n < 4 else tick(TODAY)(n), tick(TODAY), tick(TODAY))
-    sweeps, warnings = read(path)
-    assert [s.stamp_ns for s in sweeps] == [tick(TODAY)(2 * n + 1) for n in range(20)]
-    assert warnings == ["scans stamped zero, for which the recorder's times are used: 2"]
+    write(path, scan, odometry, time)
+    sweeps, stream = sweeps_of(path)
+    assert [s.stamp_ns for s in sweeps] == [stamps(2 * n + 1) for n in range(20)]
+    beside = 0.0 if said == BY_ORDER else 0.5  # a line's own odometry, or between two
+    assert places(sweeps)[:-1] == pytest.approx([n + beside for n in range(19)])
+    assert stream.warnings == [said]
 
 
 TO_AND_FRO = [5.0, 6.0, 5.5, 7.0, 7.0, 3.0, 60.0, 8.0]
@@ -211,6 +193,59 @@ def test_the_odometry_of_a_line_stays_with_it(
     if converted:
         convert(path, tmp_path / "log.mcap")
         path = tmp_path / "log.mcap"
-    sweeps, _ = read(path)
+    sweeps, _ = sweeps_of(path)
     assert places(sweeps) == [float(n) for n in range(len(stamps))]
     assert [s.stamp_ns for s in sweeps] == expected
+
+
+MS = 1_000_000
+
+
+def test_memory_is_bounded() -> None:
+    buffer = OdometryBuffer()
+    for number in range(20_000):
+        buffer.add(number * MS, Pose2(float(number), 0.0, 0.0))
+    assert len(buffer) <= MAX_POSES
+    assert buffer.at(19_990 * MS) == (19_990.0, 0.0, 0.0)
+    assert buffer.at(0) is None
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 400), st.floats(-9, 9), st.floats(-1.5, 1.5)), min_size=1),
+    st.integers(0, 300),
+    st.integers(0, 90),
+)
+def test_poses_are_those_of_linear_interpolation_as_far_as_the_settings_say(
+    found: list[tuple[int, float, float]], gap_ms: int, hold_ms: int
+) -> None:
+    """Whatever the order of arrival; the last of a repeated stamp counts. They turn across pi."""
+    turn("logs", odometry_gap_s=gap_ms / 1000, odometry_hold_s=hold_ms / 1000)
+    buffer = OdometryBuffer()
+    known: dict[int, tuple[float, float]] = {}
+    for stamp, x, theta in found:
+        buffer.add(stamp * MS, Pose2(x, -x, math.pi + theta))
+        known[stamp] = x, theta
+    stamps = sorted(known)
+    assert len(buffer) == len(stamps)
+    for asked in [*range(stamps[0] - 95, stamps[-1] + 96, 19), *stamps]:
+        before, after = ([s for s in stamps if (s - asked) * side >= 0] for side in (-1, 1))
+        if before and after:
+            reached = after[0] - before[-1] <= gap_ms
+        else:
+            reached = min(abs(s - asked) for s in stamps) <= hold_ms
+        pose = buffer.at(asked * MS)
+        assert (pose is not None) is reached
+        if pose is not None:
+            x, theta = (np.interp(asked, stamps, [known[s][i] for s in stamps]) for i in (0, 1))
+            assert (pose.x, pose.y) == pytest.approx((x, -x), abs=1e-5)
+            turned = math.remainder(pose.theta - math.pi - theta, 2 * math.pi)
+            assert turned == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(("reset_s", "kept"), [(5.0, 1), (6.0, 2)])
+def test_the_settings_say_what_is_late_and_what_a_clock_set_back(reset_s: float, kept: int) -> None:
+    turn("logs", clock_reset_s=reset_s)
+    buffer = OdometryBuffer()
+    buffer.add(10_000 * MS, Pose2(0.0, 0.0, 0.0))
+    buffer.add(4_500 * MS, Pose2(1.0, 0.0, 0.0))
+    assert len(buffer) == kept

@@ -1,37 +1,186 @@
-"""Clouds: the times of their points, the floor they show, and those of planar lasers."""
+"""Clouds: of every layout, the times of their points, the floor they show, planar lasers."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import Sweep
 from specmap_cli.logs.clouds import CloudPoints, PointClock, cloud_points, floor_of
-from specmap_cli.logs.messages import CloudRecord
+from specmap_cli.logs.messages import BadMessageError, CloudRecord, decode_scan
+from specmap_cli.logs.readers.encoding import POINT_CLOUD, message_class, typestore
+from specmap_cli.logs.readers.recording import Message
 from specmap_cli.logs.writer import LogWriter
 from tests.logs.recordings import sweeps_of
+from tests.strategies import few
 from tests.turning import turn
 
 Tour = list[tuple[Sweep, Pose2]]
 
+DATATYPES = {"u1": 2, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 STAMP = 1_700_000_000_250_000_000
 XYZ = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
+FIELD = message_class("sensor_msgs/msg/PointField")
 SWEEP_S = np.linspace(0.0, 0.1, 400)
 
 
-def cloud(name: str, kind: str, values: NDArray[np.float64]) -> CloudRecord:
-    table = np.ones((1, len(values)), dtype=[*XYZ, ("intensity", "<f4"), (name, kind)])
+def cloud_message(table: np.ndarray[Any, Any], row_padding: int = 0, **changes: Any) -> Message:
+    """A PointCloud2 of a structured array (height, width) in its own layout and byte order."""
+    layout = table.dtype
+    assert layout.names is not None
+    assert layout.fields is not None
+    fields = [
+        FIELD(n, layout.fields[n][1], DATATYPES[layout[n].str[1:]], 1)
+        for n in layout.names
+        if layout[n].str[1:] in DATATYPES
+    ]
+    rows = [row.tobytes() + bytes(row_padding) for row in table]
+    time = message_class("builtin_interfaces/msg/Time")(*divmod(STAMP, 10**9))
+    values = {
+        "header": message_class("std_msgs/msg/Header")(time, "lidar"),
+        "height": table.shape[0],
+        "width": table.shape[1],
+        "fields": fields,
+        "is_bigendian": layout["x"].byteorder == ">",
+        "point_step": layout.itemsize,
+        "row_step": table.shape[1] * layout.itemsize + row_padding,
+        "data": np.frombuffer(b"".join(rows), dtype=np.uint8),
+        "is_dense": False,
+        **changes,
+    }
+    message = message_class(POINT_CLOUD)(**values)
+    return Message(
+        "/points", POINT_CLOUD, 1, bytes(typestore().serialize_cdr(message, POINT_CLOUD))
+    )
+
+
+def decoded_cloud(message: Message) -> CloudRecord:
+    record = decode_scan(message)
+    assert isinstance(record, CloudRecord)
+    return record
+
+
+@few(40)
+@given(
+    order=st.permutations(["x", "y", "z", "intensity", "ring", "time"]),
+    gaps=st.lists(st.integers(0, 9), min_size=6, max_size=6),
+    coordinate=st.sampled_from(["f4", "f8"]),
+    endian=st.sampled_from("<>"),
+    shape=st.tuples(st.integers(0, 4), st.integers(1, 7)),
+    padding=st.integers(0, 13),
+    holes=st.lists(st.sampled_from([0.0, 300.0, math.inf, math.nan]), max_size=3),
+)
+def test_any_layout_gives_the_points_and_their_times(
+    order: list[str],
+    gaps: list[int],
+    coordinate: str,
+    endian: str,
+    shape: tuple[int, int],
+    padding: int,
+    holes: list[float],
+) -> None:
+    kinds = {"x": coordinate, "y": coordinate, "z": coordinate}
+    kinds |= {"intensity": "f4", "ring": "u2", "time": "f4"}
+    offsets, end = [], 0
+    for name, gap in zip(order, gaps, strict=True):
+        offsets.append(end + gap)
+        end += gap + int(kinds[name][1])
+    formats, size = [endian + kinds[name] for name in order], end + gaps[0]
+    layout = np.dtype({"names": order, "formats": formats, "offsets": offsets, "itemsize": size})
+    rng = np.random.default_rng(1)
+    table = np.zeros(shape, dtype=layout)
+    for axis in "xyz":
+        table[axis] = rng.uniform(1.0, 5.0, shape)
+    table["time"] = np.linspace(0.0, 0.1, table.size).reshape(shape)
+    flat = table.reshape(-1)
+    for place, wrong in enumerate(holes[: len(flat)]):  # at the origin, beyond range, or nowhere
+        for axis in "xyz" if wrong == 0.0 else "y":
+            flat[axis][place] = wrong
+    points, times, _ = points_of(decoded_cloud(cloud_message(table, padding)))
+    kept = flat[len(holes) :]
+    np.testing.assert_array_equal(points, np.column_stack([kept[axis] for axis in "xyz"]))
+    if len(kept) > 1:
+        np.testing.assert_array_equal(times, kept["time"])
+    else:
+        assert times is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"width": 1000}, "too few for 1 x 1000 points"),
+        ({"point_step": 4}, "impossible point layout"),
+        ({"fields": []}, "no fields x, y and z"),
+        *(
+            ({name: offset}, f"^impossible point layout: {name} is beyond the 12 bytes of a point$")
+            for name in ("z", "intensity")
+            for offset in (9, 12, 2**31 - 5, 2**31 - 2, 2**31, 2**32 - 4, 2**32 - 1)
+        ),
+    ],
+)
+def test_impossible_clouds_are_refused(changes: dict[str, Any], said: str) -> None:
+    if changes.keys() <= {"z", "intensity"}:  # of a field that is beyond its point
+        places = {"x": 0, "y": 4, "z": 8, **changes}
+        changes = {"fields": [FIELD(name, at, 7, 1) for name, at in places.items()]}
+    with pytest.raises(BadMessageError, match=said):
+        decode_scan(cloud_message(np.ones((1, 3), dtype=XYZ), **changes))
+
+
+def test_fields_of_unknown_datatypes_are_passed_over() -> None:
+    table = np.ones((2, 2), dtype=[*XYZ, ("odd", "<f4")])
+    fields = [FIELD(name, 4 * i, 7, 1) for i, name in enumerate("xyz")]
+    fields += [FIELD("odd", 12, 99, 1), FIELD("", 12, 7, 1)]
+    record = decoded_cloud(cloud_message(table, fields=fields))
+    assert record.points.dtype.names == ("x", "y", "z")
+    assert len(cloud_points(record, STAMP).points) == 4
+
+
+def cloud(name: str, kind: str, values: ArrayLike) -> CloudRecord:
+    """Points alike, each with its time."""
+    table = np.ones((1, len(np.asarray(values))), dtype=[*XYZ, ("intensity", "<f4"), (name, kind)])
     table[name] = values
     return CloudRecord(STAMP, "lidar", table)
 
 
 def points_of(record: CloudRecord, clock: PointClock | None = None) -> CloudPoints:
     return cloud_points(record, STAMP, clock)
+
+
+@pytest.mark.parametrize(
+    ("values", "longest", "kept", "far"),
+    [
+        ([-0.15, -0.05, 0.0], 10.0, True, False),
+        ([-0.15, -0.05, 0.0], 0.2, True, False),
+        ([-0.15, -0.05, 0.0], 0.1, False, True),
+        ([0.1, 0.1, 0.1], 10.0, False, False),
+        ([0.0, math.nan, 0.1], 10.0, False, False),
+        ([0.0, 1e12, 2e12], 10.0, False, True),
+    ],
+)
+def test_times_are_used_where_they_can_be_relied_on_as_far_from_the_stamp_as_the_settings_allow(
+    values: list[float], longest: float, kept: bool, far: bool
+) -> None:
+    turn("logs", cloud_time_max_s=longest)
+    points, times, are_far = points_of(cloud("time", "<f8", values))
+    assert len(points) == 3
+    assert (times is not None) is kept
+    assert are_far is far
+
+
+def test_a_time_that_is_not_finite_counts_only_with_its_point() -> None:
+    record = cloud("time", "<f8", [0.0, math.nan, 0.1])
+    record.points["x"][0, 1] = math.nan
+    np.testing.assert_allclose(points_of(record).times_s, [0.0, 0.1], atol=1e-7)  # type: ignore[arg-type]
+    assert points_of(cloud("ring", "<f8", [0.0, 0.1, 0.2])).times_s is None, "of another name"
 
 
 @pytest.mark.parametrize(
@@ -55,7 +204,7 @@ def points_of(record: CloudRecord, clock: PointClock | None = None) -> CloudPoin
     ],
 )
 def test_the_times_of_the_usual_drivers(
-    name: str, kind: str, values: NDArray[np.float64], precision: float
+    name: str, kind: str, values: FloatArray, precision: float
 ) -> None:
     found = points_of(cloud(name, kind, values))
     assert found.times_s is not None
@@ -156,19 +305,13 @@ def only(*keep: str) -> FloatArray:
         (only("floor")[np.abs(only("floor")[:, 1]) < 0.1], {}),  # a strip says nothing across it
         (only("floor"), {"floor_radius_m": 1.0}),
         (room(), {"floor_share": 0.9}),
+        (Rotation.from_euler("X", 0.5).apply(only("floor")), {"floor_tilt_max_rad": 0.3}),
     ],
-    ids=["nothing", "few", "no floor", "strip", "too far", "small share"],
+    ids=["nothing", "few", "no floor", "strip", "too far", "small share", "tilted"],
 )
 def test_a_cloud_without_a_floor_says_so(cloud: FloatArray, settings_: dict[str, float]) -> None:
     turn("logs", **settings_)
     assert floor_of(cloud) is None
-
-
-def test_a_floor_tilted_beyond_the_limit_is_none() -> None:
-    tilted = Rotation.from_euler("X", 0.5).apply(only("floor"))
-    assert floor_of(tilted) is not None
-    turn("logs", floor_tilt_max_rad=0.3)
-    assert floor_of(tilted) is None
 
 
 def test_a_cloud_without_a_floor_has_the_level_of_the_one_before(path: Path) -> None:
@@ -187,9 +330,7 @@ def test_a_cloud_without_a_floor_has_the_level_of_the_one_before(path: Path) -> 
 LASTS_S = 0.08
 
 
-def write(
-    path: Path, tour: Tour, *, mounted: bool = True, timed: bool = False, height_m: float = 0.0
-) -> Path:
+def write(path: Path, tour: Tour, mounted: bool, height_m: float) -> None:
     """The returns of a tour as clouds, in a laser frame on the floor or in that of the base."""
     with LogWriter(path) as log:
         if mounted:
@@ -199,27 +340,22 @@ def write(
             hit = np.isfinite(scan.ranges)
             r, b = scan.ranges[hit], scan.bearings[hit]
             points = np.column_stack([r * np.cos(b), r * np.sin(b), np.full(len(r), height_m)])
-            times = np.linspace(0.0, LASTS_S, len(hit))[hit] if timed else None
+            times = np.linspace(0.0, LASTS_S, len(hit))[hit]
             log.cloud("/points", "laser" if mounted else "base_link", sweep.stamp_ns, points, times)
-    return path
 
 
 @pytest.mark.parametrize(("mounted", "height_m"), [(True, 0.0), (False, 0.1), (False, 2.0)])
-def test_their_points_count_at_any_height_and_become_a_planar_scan(
+def test_their_points_and_times_count_at_any_height_and_become_a_planar_scan(
     flat_tour: Tour, path: Path, mounted: bool, height_m: float
 ) -> None:
     tour = flat_tour[:20]
-    sweeps, stream = sweeps_of(write(path, tour, mounted=mounted, height_m=height_m))
+    write(path, tour, mounted, height_m)
+    sweeps, stream = sweeps_of(path)
     assert len(sweeps) == len(tour)
     assert "height band" not in stream.selection.note
     for found, (true, _) in zip(sweeps, tour, strict=True):
         assert found.cloud is None
         assert len(found.planar.hits()) == pytest.approx(len(true.planar.hits()), rel=0.02)
-
-
-def test_the_times_of_their_points_become_those_of_the_beams(flat_tour: Tour, path: Path) -> None:
-    sweeps, _ = sweeps_of(write(path, flat_tour[:5], timed=True))
-    for found, (true, _) in zip(sweeps, flat_tour[:5], strict=True):
         times = found.planar.beam_times_s
         assert times is not None
         hit = np.isfinite(found.planar.ranges)

@@ -1,8 +1,9 @@
-"""Choosing topics and frames, and saying what there is to choose from; the tree of frames."""
+"""Choosing topics, frames and one of several lasers, from what there is; the tree of frames."""
 
 from __future__ import annotations
 
 import math
+import pickle
 import re
 from pathlib import Path
 from typing import Any
@@ -15,11 +16,13 @@ from specmap_cli.core.errors import LogError, UsageError
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.frames import TransformTree
+from specmap_cli.logs.inspection import summarize
 from specmap_cli.logs.messages import TransformRecord
 from specmap_cli.logs.opening import open_log
 from specmap_cli.logs.selection import Selection, odometry_ancestor, select
+from specmap_cli.logs.sensors import SeveralSensorsError
 from specmap_cli.logs.writer import LogWriter
-from tests.logs.recordings import SECOND, START
+from tests.logs.recordings import SECOND, START, sweeps_of
 from tests.turning import configured
 
 
@@ -63,7 +66,12 @@ def test_several_topics_are_listed_ready_to_paste(path: Path) -> None:
         f"{path}: 2 topics carry scans: choose `--scan-topic /front` (LaserScan, 1 message) "
         "or `--scan-topic /points` (PointCloud2, 1 message)"
     )
-    assert choose(path, scan_topic="/points").topic.name == "/points"
+    points = choose(path, scan_topic="/points", band_min_m=0.5, band_max_m=2.0)
+    assert (points.topic.name, points.band_m) == ("/points", (0.5, 2.0))
+    assert points.note == (
+        "scans from /points (PointCloud2, 1), height band 0.5 to 2 m above the floor, "
+        "no odometry, base frame base_link"
+    )
     assert choose(path, scan_topic="front").topic.name == "/front"
     write(path, ["/scan"], ["/odom", "/visual"])
     with pytest.raises(UsageError, match=r"`--odom-topic /odom` .* or `--odom-topic /visual`"):
@@ -104,37 +112,6 @@ def test_two_recordings_given_as_one_are_said(
     said = [line.partition(": ")[0] for line in warnings if "not parts of one" in line]
     both_hold = f"{paths[0]} and {paths[1]} both hold /scan for the same {shared_s} s"
     assert said == ([] if shared_s is None else [both_hold])
-
-
-@pytest.mark.parametrize(
-    ("mounted", "moves", "said"),
-    [
-        (False, "base_link", "the laser is taken to sit at the origin of 'base_link'"),
-        (True, "body", "the odometry moves 'body', which no transform joins to 'base_link'"),
-    ],
-)
-def test_frames_that_no_transform_joins_are_said(
-    path: Path, mounted: bool, moves: str, said: str
-) -> None:
-    with LogWriter(path) as log:
-        if mounted:
-            log.static_transform("base_link", "laser", (0.1, 0.0, 0.0), stamp_ns=START)
-        log.odometry("/odom", "odom", moves, START, Pose2(0.0, 0.0, 0.0))
-        write_scan(log)
-    chosen = choose(path)
-    assert chosen.base_frame == "base_link"
-    assert said in chosen.warnings[0]
-    assert mounted or len(chosen.warnings) == 1
-
-
-def test_a_cloud_is_noted_with_its_band(path: Path) -> None:
-    write(path, ["/points"], [])
-    chosen = choose(path, band_min_m=0.5, band_max_m=2.0)
-    assert chosen.band_m == (0.5, 2.0)
-    assert chosen.note == (
-        "scans from /points (PointCloud2, 1), height band 0.5 to 2 m above the floor, "
-        "no odometry, base frame base_link"
-    )
 
 
 def test_the_settings_say_how_long_readable_scans_and_odometry_are_looked_for(path: Path) -> None:
@@ -187,28 +164,38 @@ def test_a_base_that_is_asked_for_is_searched_on_its_own(path: Path) -> None:
     assert choose(path, base_frame="trailer").base_frame == "trailer"
 
 
+AT_THE_ORIGIN = "the laser is taken to sit at the origin of 'base_link'"
+MOVES_ANOTHER = "the odometry moves 'body', which no transform joins to 'base_link'"
+
+
 @pytest.mark.parametrize(
-    ("transforms", "base", "floor"),
+    ("transforms", "moves", "base", "floor", "said"),
     [
-        ([("base_footprint", "base_link", 0.1), ("base_link", "laser", 0.3)], "base_link", -0.1),
-        ([("base_link", "laser", 0.3)], "base_link", 0.0),
-        ([("base", "laser", 0.3)], "base", 0.0),
-        ([("base_footprint", "laser", 0.3)], "base_footprint", 0.0),
-        ([("body", "laser", 0.3)], "laser", None),
-        ([("base_link", "camera", 0.3)], "base_link", None),
-        ([], "laser", None),
+        (["base_footprint base_link 0.1", "base_link laser 0.3"], "", "base_link", -0.1, ""),
+        (["base_link laser 0.3"], "", "base_link", 0.0, ""),
+        (["base_link laser 0.3"], "body", "base_link", 0.0, MOVES_ANOTHER),
+        (["base laser 0.3"], "", "base", 0.0, ""),
+        (["base_footprint laser 0.3"], "", "base_footprint", 0.0, ""),
+        (["body laser 0.3"], "", "laser", None, ""),
+        (["base_link camera 0.3"], "", "base_link", None, ""),
+        ([], "", "laser", None, ""),
+        ([], "base_link", "base_link", None, AT_THE_ORIGIN),
     ],
 )
 def test_the_base_is_the_first_usual_frame_that_is_joined_to_the_laser(
-    path: Path, transforms: list[tuple[str, str, float]], base: str, floor: float | None
+    path: Path, transforms: list[str], moves: str, base: str, floor: float | None, said: str
 ) -> None:
     with LogWriter(path) as log:
-        for parent, child, z in transforms:
-            log.static_transform(parent, child, (0.0, 0.0, z), stamp_ns=START)
+        for parent, child, z in map(str.split, transforms):
+            log.static_transform(parent, child, (0.0, 0.0, float(z)), stamp_ns=START)
+        if moves:
+            log.odometry("/odom", "odom", moves, START, Pose2(0.0, 0.0, 0.0))
         write_scan(log)
     chosen = choose(path)
     assert chosen.base_frame == base
     assert chosen.floor_m == pytest.approx(floor)
+    assert said in "".join(chosen.warnings[:1])
+    assert said != AT_THE_ORIGIN or len(chosen.warnings) == 1
 
 
 @pytest.mark.parametrize(
@@ -276,19 +263,6 @@ def test_any_two_frames_of_a_tree_are_joined() -> None:
     assert tree.frames == set(root_from)
 
 
-def test_later_transforms_replace_earlier_ones_and_loops_end() -> None:
-    tree = TransformTree()
-    tree.add(TransformRecord(0, "a", "b", np.eye(4)), dynamic=False)
-    tree.add(TransformRecord(1, "a", "b", ahead(2.0)), dynamic=True)
-    found = tree.lookup("a", "b")
-    assert found is not None
-    assert found[0, 3] == 2.0
-    assert tree.edges()[0][3]
-    tree.add(TransformRecord(0, "b", "a", np.eye(4)), dynamic=False)
-    tree.add(TransformRecord(0, "c", "c", np.eye(4)), dynamic=False)
-    assert tree.lookup("c", "a") is None
-
-
 def chain(length: int) -> TransformTree:
     """frame0 -> frame1 -> ..., each a metre ahead of its parent."""
     tree = TransformTree()
@@ -298,20 +272,159 @@ def chain(length: int) -> TransformTree:
     return tree
 
 
-def test_a_chain_of_frames_without_end_is_a_loop() -> None:
-    assert chain(90).lookup("frame0", "frame90") is not None
-    assert chain(200).lookup("frame0", "frame200") is None
-    tree = chain(3)
-    tree.add(TransformRecord(0, "frame3", "frame0", np.eye(4)), dynamic=False)
-    assert tree.lookup("frame0", "elsewhere") is None
-    assert len(list(tree.ancestors("frame0"))) == 100
-
-
-def test_a_copy_changes_on_its_own() -> None:
+def test_later_transforms_replace_earlier_ones_but_not_those_of_a_copy() -> None:
     tree = chain(2)
     copy = tree.copy()
     copy.add(TransformRecord(0, "frame2", "hand", np.eye(4)), dynamic=True)
-    copy.add(TransformRecord(0, "frame0", "frame1", np.eye(4)), dynamic=True)
-    assert "hand" not in tree.frames
-    assert tree.edges()[0][2][0, 3] == 1.0
-    assert not tree.edges()[0][3]
+    copy.add(TransformRecord(0, "frame0", "frame1", ahead(2.0)), dynamic=True)
+    for one, metres, moves in ((tree, 1.0, False), (copy, 2.0, True)):
+        found = one.lookup("frame0", "frame1")
+        assert found is not None
+        assert found[0, 3] == one.edges()[0][2][0, 3] == metres
+        assert one.edges()[0][3] is moves
+    assert copy.frames - tree.frames == {"hand"}
+
+
+def test_a_chain_of_frames_without_end_is_a_loop() -> None:
+    assert chain(90).lookup("frame0", "frame90") is not None
+    assert chain(200).lookup("frame0", "frame200") is None
+    for length in (0, 1, 3):
+        tree = chain(length)
+        tree.add(TransformRecord(0, f"frame{length}", "frame0", np.eye(4)), dynamic=False)
+        assert tree.lookup("frame0", "elsewhere") is None
+    assert len(list(tree.ancestors("frame0"))) == 100
+
+
+Laser = tuple[Any, ...]  # frame, bearings of the first and the last beam, beams if not 11
+
+
+def write_lasers(path: Path, lasers: list[Laser]) -> None:
+    """One scan of each on /scan, ten a second."""
+    with LogWriter(path) as log:
+        log.static_transform("base_link", "front", (0.2, 0.0, 0.0), stamp_ns=START)
+        log.static_transform("base_link", "rear", (-0.2, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), START)
+        for number, laser in enumerate(lasers):
+            frame, low, high, beams = (*laser, 11)[:4]
+            stamp, step = START + number * SECOND // 10, (high - low) / (beams - 1)
+            log.scan("/scan", frame, stamp, low, step, np.full(beams, 2.0), range_max=8.0)
+
+
+FRONT, REAR = ("front", -1.5, 1.5), ("rear", -1.5, 1.5)
+WIDE, NARROW = ("laser", -2.0, 2.0), ("laser", -0.5, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("lasers", "options", "said"),
+    [
+        (
+            [FRONT, REAR] * 15,
+            {},
+            "2 sensors on one topic: choose `--scan-frame front` (15 of the first 30 scans) or "
+            "`--scan-frame rear` (15 of the first 30 scans)",
+        ),
+        (
+            [WIDE, NARROW] * 10,
+            {},
+            "2 sensors on one topic: choose `--scan-frame 'laser#1'` (-115 to 115 degrees, 10 of "
+            "the first 20 scans) or `--scan-frame 'laser#2'` (-29 to 29 degrees, 10 of the first "
+            "20 scans)",
+        ),
+        (
+            [FRONT, REAR, FRONT],
+            {"scan_frame": "top"},
+            "--scan-frame top: no scans of such a sensor; there are front (2 of the first 3 "
+            "scans), rear (1 of the first 3 scans)",
+        ),
+    ],
+    ids=["frames", "fields of view", "unknown"],
+)
+def test_one_of_several_sensors_must_be_chosen(
+    path: Path, lasers: list[Laser], options: dict[str, str], said: str
+) -> None:
+    write_lasers(path, lasers)
+    with pytest.raises(UsageError) as caught:
+        sweeps_of(path, **options)
+    assert str(caught.value) == f"{path}: /scan: {said}"
+
+
+@pytest.mark.parametrize(
+    ("lasers", "options", "kept"),
+    [
+        ([FRONT, REAR] * 15 + [FRONT], {"scan_frame": "front"}, range(0, 31, 2)),
+        ([FRONT, REAR] * 15 + [FRONT], {"scan_frame": "/rear"}, range(1, 31, 2)),
+        ([WIDE, NARROW] * 10, {"scan_frame": "laser#2"}, range(1, 20, 2)),
+        ([FRONT] * 12 + [REAR] * 4, {"look_scans": 10}, range(12)),
+        ([REAR] * 2 + [FRONT] * 28, {}, range(2, 30)),
+    ],
+    ids=["front", "rear", "field of view", "late", "rare"],
+)
+def test_only_the_sweeps_of_one_sensor_are_read(
+    path: Path, lasers: list[Laser], options: dict[str, Any], kept: range
+) -> None:
+    write_lasers(path, lasers)
+    sweeps, stream = sweeps_of(path, **options)
+    assert [sweep.index for sweep in sweeps] == list(range(len(kept)))
+    assert [(sweep.stamp_ns - START) * 10 // SECOND for sweep in sweeps] == list(kept)
+    mount = {"front": 0.2, "rear": -0.2, "laser": 0.0}[stream.selection.sensor.frame]
+    assert {sweep.base_from_laser.x for sweep in sweeps} == {mount}
+    left_out = len(lasers) - len(kept)
+    assert stream.counts["other_sensor"] == left_out
+    said = f"scans of another sensor on the topic that were left out: {left_out}"
+    assert [line for line in stream.warnings if "no transform" not in line] == [said]
+    if "scan_frame" in options:
+        sensor = options["scan_frame"].lstrip("/")
+        note = f"scans from /scan (LaserScan, {len(lasers)}) of sensor {sensor}, "
+        assert stream.selection.note.startswith(note)
+
+
+def test_a_rare_sensor_is_left_out_without_a_question(path: Path) -> None:
+    """As a scan whose frame was damaged; a tenth of the scans is no accident."""
+    write_lasers(path, [REAR] * 3 + [FRONT] * 27)
+    with pytest.raises(SeveralSensorsError) as caught:
+        sweeps_of(path)
+    assert caught.value.best == "front"
+    sent = pickle.loads(pickle.dumps(caught.value))  # from a process that runs ahead
+    assert (sent.best, str(sent)) == ("front", str(caught.value))
+    assert caught.value.within("jobs.toml").hint == caught.value.hint
+
+
+@pytest.mark.parametrize(
+    "lasers",
+    [
+        pytest.param([("laser", -1.5, 1.5)] * 10 + [("laser", -0.5, 0.5)] * 10, id="set anew"),
+        pytest.param([("laser", -1.5, 0), ("laser", 0, 1.5)] * 10, id="halves"),
+        pytest.param([("laser", -1.5 + 0.004 * (n % 5), 1.5) for n in range(20)], id="jitter"),
+        pytest.param([("laser", -math.pi + n, math.pi + n) for n in range(20)], id="any start"),
+        pytest.param([("laser", -1.5, 1.5 + 0.1 * n) for n in range(20)], id="ever wider"),
+        pytest.param([*[("laser", -1.5, 1.5)] * 18, *[("laser", 0, 9)] * 2], id="two damaged"),
+        pytest.param([("laser", -1.5, 1.5), ("/laser", -1.5, 1.5)] * 10, id="slash"),
+        pytest.param([("laser", -math.pi, math.pi, 355 + n % 7) for n in range(20)], id="beams"),
+    ],
+)
+def test_one_laser_stays_one(path: Path, lasers: list[Laser]) -> None:
+    write_lasers(path, lasers)
+    sweeps, stream = sweeps_of(path)
+    assert len(sweeps) == 20
+    assert [sensor.name for sensor in stream.selection.sensors] == ["laser"]
+
+
+def test_clouds_of_two_frames_are_two_sensors(path: Path) -> None:
+    with LogWriter(path) as log:
+        for number in range(6):
+            stamp = START + number * SECOND // 10
+            log.cloud("/points", f"lidar_{number % 2}", stamp, np.eye(3))
+    with pytest.raises(UsageError, match=r"`--scan-frame lidar_0` .* or `--scan-frame lidar_1`"):
+        sweeps_of(path)
+    assert len(sweeps_of(path, scan_frame="lidar_1")[0]) == 3
+
+
+def test_info_lists_the_sensors_and_the_command_that_chooses(path: Path) -> None:
+    write_lasers(path, [FRONT, FRONT, REAR] * 10)
+    with open_log(path) as log:
+        summary = summarize(log)
+        chosen = summarize(log, LogConfig(scan_frame="rear"))
+    assert summary.problem is not None
+    assert "2 sensors on one topic" in summary.problem
+    assert summary.next_command == f"specmap build {path} --scan-frame front"
+    assert chosen.next_command == f"specmap build {path} --scan-frame rear"
+    assert "  several sensors on the topic: front (20 scans), rear (10 scans)" in chosen.lines()

@@ -1,9 +1,10 @@
-"""The look at a log as `build` would, and how `info` tells it."""
+"""The look at a log as `build` would, what it will meet, and how `info` tells it."""
 
 from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,26 +17,36 @@ from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.inspection import summarize
 from specmap_cli.logs.opening import open_log
+from specmap_cli.logs.readers.encoding import LASER_SCAN, scan_cdr
+from specmap_cli.logs.readers.recording import Message
 from specmap_cli.logs.stream import SweepStream
-from specmap_cli.logs.summary import LogSummary
+from specmap_cli.logs.summary import LogSummary, TopicCheck
 from specmap_cli.logs.writer import LogWriter
-from tests.logs.recordings import SECOND, sweeps_of
+from tests.logs.recordings import SECOND, change_db3, sweeps_of, write_db3
 from tests.turning import configured
 
 START = 1_700_000_000 * SECOND
+EVERY_200_MS = [0.2 * n for n in range(10)]
 
 
-def summary_of(path: Path | list[Path], **options: object) -> LogSummary:
+def summary_of(path: Path | list[Path], complete: bool = False, **options: object) -> LogSummary:
     with open_log(path) as log:
-        return summarize(log, configured(LogConfig, "logs", options))
+        return summarize(log, configured(LogConfig, "logs", options), complete=complete)
 
 
-def write_scans(path: Path, count: int = 3, beams: int = 5, **scan: Any) -> None:
+def write_scans(
+    path: Path,
+    stamps: Sequence[int] = (START, START + SECOND // 2, START + SECOND),
+    times: Sequence[int] | None = None,
+    beams: int = 5,
+    **more: Any,
+) -> None:
+    """Scans with these header stamps, recorded at these times or at their stamps."""
     with LogWriter(path) as log:
-        for number in range(count):
-            stamp = START + number * SECOND // 2
-            values = {"range_max": 8.0, **scan}
-            log.scan("/scan", "laser", stamp, -1.0, 0.5, np.full(beams, 2.0), **values)
+        for stamp, time in zip(stamps, times or stamps, strict=True):
+            options = {"range_max": 8.0, **more}
+            data = scan_cdr("laser", stamp, -1.0, 0.5, np.full(beams, 2.0), **options)
+            log.raw("/scan", LASER_SCAN, data, time)
 
 
 def test_a_drive_is_summed_up_and_its_json_is_on_one_level(drive: Path) -> None:
@@ -56,23 +67,11 @@ def test_a_drive_is_summed_up_and_its_json_is_on_one_level(drive: Path) -> None:
     assert (plain["next_command"], plain["problem"]) == (f"specmap build {drive}", None)
 
 
-def test_wrong_types_are_refused_at_once(drive: Path) -> None:
-    with pytest.raises(TypeError, match=r"^log: expected .*Log, found"):
-        summarize(str(drive))  # type: ignore[arg-type]
-    with (
-        open_log(drive) as log,
-        pytest.raises(TypeError, match=r"^config: .*LogConfig, found"),
-    ):
-        summarize(log, {"use_odometry": False})  # type: ignore[arg-type]
-
-
 def test_real_times_are_dates_and_those_that_have_not_come_yet_are_said(path: Path) -> None:
     write_scans(path)
     line = summary_of(path).lines()[1]
     assert line == "3 messages in 1.0 s, 2023-11-14 22:13:20 UTC to 2023-11-14 22:13:21 UTC"
-    with LogWriter(path) as log:
-        for stamp in (START, 4_294_967_295 * SECOND):
-            log.scan("/scan", "laser", stamp, -1.0, 0.5, np.full(5, 2.0), range_max=8.0)
+    write_scans(path, [START, 4_294_967_295 * SECOND])
     line = summary_of(path).lines()[1]
     assert line.endswith(" s, 2023-11-14 22:13:20 UTC to 2106-02-07 06:28:15 UTC (in the future)")
 
@@ -97,7 +96,7 @@ def test_a_scan_with_times_and_without_a_maximum_and_a_single_beam(path: Path) -
     assert summary.to_dict()["scan"]["range_max_m"] is None
     said = "scan: 5 beams over 114.59 degrees in frame laser, of any range, with times"
     assert said in summary.lines()
-    write_scans(path, count=1, beams=1)
+    write_scans(path, [START], beams=1)
     summary = summary_of(path)
     assert summary.scan is not None
     assert (summary.scan.beams, summary.scan.field_of_view_deg) == (1, 0.0)
@@ -240,3 +239,189 @@ def test_every_line_has_its_place(drive: Path) -> None:
         "problem: none",
         "next: go",
     ]
+
+
+def check_of(path: Path, **options: object) -> tuple[TopicCheck, ...]:
+    checked = summary_of(path, complete=True, **options).checked
+    assert checked is not None
+    return checked
+
+
+GAPS_S = [0.0, 0.1, 0.2, 0.9, 1.0, 1.1, 1.59, 1.69, 3.5, 3.6]
+LONGEST = "pauses, the longest 1.81 s from 1700000001.690 s on"
+
+
+@pytest.mark.parametrize(
+    ("stamps_s", "times_s", "intervals", "said"),
+    [
+        (GAPS_S, GAPS_S, 5.0, f"; 2 {LONGEST}"),
+        (GAPS_S, GAPS_S, 4.5, f"; 3 {LONGEST}"),
+        (
+            *([0, 1, 2, 1, 2, 2, 3], [0, 1, 2, 3, 4, 5, 6], 5.0),
+            "; stamps earlier than the stamp before: 1; stamps equal to the stamp before: 1",
+        ),
+        ([-START // SECOND] * 4, [0, 1, 2, 3], 5.0, ""),  # no stamp: the recorder's times
+    ],
+    ids=["pauses", "more pauses", "steps back", "no stamp"],
+)
+def test_pauses_and_stamps_out_of_order_are_counted(
+    path: Path, stamps_s: list[float], times_s: list[float], intervals: float, said: str
+) -> None:
+    stamps, times = ([START + round(s * SECOND) for s in each] for each in (stamps_s, times_s))
+    write_scans(path, stamps, times)
+    (scans,) = check_of(path, pause_intervals=intervals)
+    assert scans.text() == f"{len(times)} of {len(times)} messages read{said}"
+
+
+def test_messages_that_cannot_be_decoded_are_unusable(path: Path) -> None:
+    with LogWriter(path) as log:
+        log.raw("/scan", LASER_SCAN, b"\x00\x01\x00\x00rubbish", START)
+        log.scan("/scan", "laser", START + 1, -1.0, 0.5, [2.0] * 5, range_max=8.0)
+        log.raw("/map", "nav_msgs/msg/OccupancyGrid", b"\x00\x01\x00\x00whatever", START + 2)
+    grid, scans = check_of(path)
+    assert (scans.read, scans.unusable) == (2, 1)
+    assert scans.text() == "2 of 2 messages read; 1 unusable"
+    assert (grid.read, grid.unusable) == (1, 0)
+
+
+@pytest.mark.parametrize("time_ns", [(1 << 64) - 1, 1 << 63, 1])
+def test_times_beyond_all_bounds_are_no_fault(path: Path, time_ns: int) -> None:
+    with LogWriter(path) as log:
+        for time in (0, time_ns):
+            log.raw("/map", "nav_msgs/msg/OccupancyGrid", b"\x00\x01\x00\x00", time)
+    (grid,) = check_of(path)
+    assert (grid.read, grid.steps_back, grid.pauses.count) == (2, 0, 0)
+
+
+def test_info_counts_what_is_lost_even_all_of_a_topic_only_when_all_is_read(
+    path: Path, drive_messages: list[Message]
+) -> None:
+    write_db3(path, drive_messages)
+    last = "(SELECT MAX(id) FROM messages WHERE topic_id = 3)"
+    change_db3(path, f"UPDATE messages SET data = 'no bytes' WHERE id = {last}")
+    quick = summary_of(path, look_scans=3)
+    assert quick.checked is None
+    assert quick.damage == ()
+    said = "checked: only the beginning; --check reads all messages and compares the counts"
+    assert said in quick.lines()
+    change_db3(path, "UPDATE messages SET data = 'no bytes' WHERE topic_id = 1")
+    whole = summary_of(path, complete=True)
+    assert whole.checked is not None
+    assert [(t.read, t.expected) for t in whole.checked] == [(60, 60), (29, 30), (0, 1)]
+    assert len(whole.damage) == 2
+    lines = whole.lines()
+    place = lines.index("checked: all messages")
+    assert lines[place + 1 : place + 4] == [
+        "  /odom       60 of 60 messages read",
+        "  /scan       29 of 30 messages read",
+        "  /tf_static  0 of 1 message read",
+    ]
+    assert whole.to_dict()["checked"][1]["read"] == 29
+
+
+def write(path: Path, times_s: list[float], step_m: float = 0.1, hangs: range = range(0)) -> None:
+    """Scans at these times, odometry with them; a robot that drives a step each time.
+
+    Those numbered in `hangs` are the same.
+    """
+    with LogWriter(path) as log:
+        for n, time_s in enumerate(times_s):
+            stamp = START + round(time_s * SECOND)
+            log.odometry("/odom", "odom", "laser", stamp, Pose2(n * step_m, 0.0, 0.0))
+            seen = hangs[0] if n in hangs else n
+            ranges = np.array([2.0 + 0.01 * seen, np.nan, np.inf, 3.0])
+            if n % 5 == 4:
+                ranges[:] = np.inf
+            log.scan("/scan", "laser", stamp, -1.0, 0.5, ranges, range_max=8.0)
+
+
+def lines_of(path: Path, complete: bool = False, **options: object) -> list[str]:
+    lines = summary_of(path, complete, **options).lines()
+    place = next(n for n, line in enumerate(lines) if line.startswith("build would meet"))
+    end = next(n for n, line in enumerate(lines) if line.startswith("checked"))
+    return lines[place:end]
+
+
+MOVES = "from one to the next while the robot moves"
+STALE = "  scans that repeat the one before while the robot moves: 3\n"
+
+
+@pytest.mark.parametrize(
+    ("step_m", "hangs", "options", "spacing", "stale"),
+    [
+        (0.1, range(0), {}, f", 0.10 m {MOVES}", ""),
+        (0.1, range(5, 9), {}, f", 0.10 m {MOVES}", STALE),
+        (0.0, range(5, 9), {}, "", ""),
+        (0.0, range(5, 9), {"use_odometry": False}, "", ""),
+        (0.4, range(0), {"sparse_step_m": 0.5}, f", 0.40 m {MOVES}", ""),
+        (
+            *(0.4, range(0), {"sparse_step_m": 0.25}),
+            *(f", 0.40 m {MOVES}: sparse, so that much depends on the odometry", ""),
+        ),
+    ],
+)
+def test_spacing_and_what_is_blank_or_repeated_is_told(
+    path: Path, step_m: float, hangs: range, options: dict[str, Any], spacing: str, stale: str
+) -> None:
+    write(path, EVERY_200_MS, step_m, hangs)
+    assert "\n".join(lines_of(path, **options)) == (
+        f"build would meet, in 10 scans:\n  5.0 scans a second{spacing}\n"
+        f"  blank scans, without any return: 2\n{stale}  readings that are invalid: 20.0 %"
+    )
+
+
+def test_the_preview_in_json(path: Path) -> None:
+    write(path, EVERY_200_MS)
+    plain = summary_of(path).to_dict()["preview"]
+    assert plain["spacing"] == {"rate_hz": 5.0, "step_m": 0.1, "is_sparse": False}
+    assert plain["sensors"] == (("laser", 10),)
+    assert [faults["topic"] for faults in plain["stamps"]] == ["/scan", "/odom"]
+
+
+def test_gaps_are_told_with_their_places(path: Path) -> None:
+    write(path, [0.0, 0.1, 0.2, 1.7, 1.8, 2.5, 2.6, 6.6, 6.7, 8.7, 8.8, 9.9])
+    places = (
+        "the longest 4.00 s from 1700000002.600 s on, 2.00 s from 1700000006.700 s on, "
+        "1.50 s from 1700000000.200 s on"
+    )
+    assert f"  4 gaps between scans: {places}" in lines_of(path)
+    assert f"  5 gaps between scans: {places}" in lines_of(path, gap_s=0.6)
+    assert "  2 gaps between scans" in "\n".join(lines_of(path, pause_intervals=18.0))
+    write(path, [1.5 * n for n in range(9)])
+    assert not any("gap" in line for line in lines_of(path)), "all are as far apart"
+
+
+def test_only_the_first_scans_are_read_unless_all_are_asked_for(path: Path) -> None:
+    write(path, [0.1 * n for n in range(30)])
+    assert lines_of(path, look_scans=20)[0] == "build would meet, in the first 20 of 30 scans:"
+    assert lines_of(path, complete=True, look_scans=20)[0] == "build would meet, in 30 scans:"
+
+
+TODAY = START / SECOND
+
+
+@pytest.mark.parametrize(
+    ("stamps_s", "said"),
+    [
+        ([TODAY, TODAY + 1, TODAY + 2], ""),
+        ([0.0, TODAY, 0.0], "zero: 2"),
+        ([TODAY, TODAY, TODAY + 1], "equal to the stamp before: 1"),
+        ([TODAY + 2, TODAY, TODAY + 1], "earlier than the stamp before: 1"),
+        ([5.0, 6.0, 7.0], "before 1990 or in the future: 3, such as 5.000 s"),
+        (
+            [TODAY, 2_147_483_000.0, 2_147_483_001.0],
+            "before 1990 or in the future: 2, such as 2147483000.000 s (2038-01-19)",
+        ),
+        (
+            [9.0, 9.0, 0.0, 3.0],
+            "zero: 1; equal to the stamp before: 1; before 1990 or in the future: 3, "
+            "such as 9.000 s",
+        ),
+    ],
+)
+def test_faulty_stamps_are_counted(path: Path, stamps_s: list[float], said: str) -> None:
+    times = [START + n * SECOND // 10 for n in range(len(stamps_s))]
+    write_scans(path, [round(stamp_s * SECOND) for stamp_s in stamps_s], times)
+    found = [line for line in lines_of(path) if "stamps on" in line]
+    expected = f"  stamps on /scan, of {len(stamps_s)} messages: {said}"
+    assert found == ([expected] if said else [])

@@ -1,7 +1,10 @@
-"""Recordings joined to one log."""
+"""What all recordings share, and several joined to one log: surveys, damage, order in time."""
 
 from __future__ import annotations
 
+import heapq
+from collections import Counter
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -9,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.logs import Log, Message, TopicInfo
-from specmap_cli.logs.readers import survey
+from specmap_cli.logs.readers.recording import merge_in_time
 from tests.logs.recordings import Told
 
 
@@ -34,13 +37,6 @@ def test_files_come_in_the_order_of_their_first_messages() -> None:
     assert log.name == "folder and 2 more"
     assert Log(parts[:1], [Path("b")]).name == "b"
     assert Log(parts[:1], [Path("b")]).format == "list"
-
-
-@given(st.lists(st.lists(st.integers(1, 99)), min_size=1, max_size=4))
-def test_its_contents_are_those_of_its_messages(times: list[list[int]]) -> None:
-    parts = [listed(str(n), at(*part, topic=f"/{n % 2}")) for n, part in enumerate(times)]
-    log = Log(parts, [Path("log")])
-    assert log.contents == survey((m.topic, m.type, m.time_ns) for m in log.messages())
 
 
 def test_files_that_hold_a_topic_at_the_same_time_are_found() -> None:
@@ -81,3 +77,68 @@ def test_a_block_releases_the_files_once() -> None:
         raise KeyError
     log.close()
     assert [part.closed for part in parts] == [1, 1]
+
+
+entries = st.lists(
+    st.tuples(st.sampled_from("abc"), st.sampled_from("XY"), st.integers(-(10**18), 10**18))
+)
+
+
+def test_damage_is_noted_once_under_the_name_the_user_gave_and_not_line_by_line() -> None:
+    recording = Told("/tmp/unpacked", lambda: [], Path("log.gz"))
+    for what in ("the end is lost", "a chunk is lost", "the end is lost"):
+        recording.report(what)
+    assert recording.damage == ("log.gz: the end is lost", "log.gz: a chunk is lost")
+    recording = listed("log", [])
+    for number in range(50):
+        recording.report(f"message {number} is lost")
+    assert len(recording.damage) == 21
+    assert recording.damage[19] == "log: message 19 is lost"
+    assert recording.damage[20] == "log: damaged at 30 more places"
+
+
+@given(st.lists(entries, min_size=1, max_size=4))
+def test_contents_count_the_messages_of_all_parts(parts: list[list[tuple[str, str, int]]]) -> None:
+    messages = [[Message(*entry, b"") for entry in part] for part in parts]
+    log = Log([listed(str(n), part) for n, part in enumerate(messages)], [Path("log")])
+    found = [entry for part in parts for entry in part]
+    times = [time for _, _, time in found]
+    counted = Counter((topic, kind) for topic, kind, _ in found)
+    contents = log.contents
+    assert {(t.name, t.type): t.count for t in contents.topics} == counted
+    assert [(t.name, t.type) for t in contents.topics] == sorted(counted)
+    assert contents.messages == len(found)
+    assert (contents.start_ns, contents.end_ns) == (min(times, default=0), max(times, default=0))
+
+
+def opener(messages: list[Message]) -> Callable[[], Iterator[Message]]:
+    return lambda: iter(messages)
+
+
+@given(st.lists(st.lists(st.integers(0, 50), min_size=1), max_size=6))
+def test_sources_in_order_are_merged_in_order(times: list[list[int]]) -> None:
+    sources = [at(*sorted(part), topic=str(n)) for n, part in enumerate(times)]
+    merged = list(merge_in_time([(s[0].time_ns, opener(s)) for s in sources]))
+    expected = heapq.merge(*sources, key=lambda m: m.time_ns)
+    assert [m.time_ns for m in merged] == [m.time_ns for m in expected]
+    for source in sources:
+        assert [m for m in merged if m.topic == source[0].topic] == source
+
+
+def test_a_source_that_runs_backwards_keeps_its_own_order() -> None:
+    back, forth = at(10, 4, 12, topic="back"), at(3, 11, 13, topic="forth")
+    merged = list(merge_in_time([(10, opener(back)), (3, opener(forth))]))
+    assert [m.time_ns for m in merged] == [3, 10, 4, 11, 12, 13]
+
+
+def test_a_source_is_opened_only_when_its_start_has_come() -> None:
+    opened: list[int] = []
+
+    def source(start: int) -> Iterator[Message]:
+        opened.append(start)
+        yield from at(start, start + 5)
+
+    merged = merge_in_time([(s, lambda s=s: source(s)) for s in (20, 0, 3)])  # type: ignore[misc]
+    seen = [(found.time_ns, len(opened)) for found in merged]
+    assert seen == [(0, 1), (3, 2), (5, 2), (8, 2), (20, 3), (25, 3)]
+    assert opened == [0, 3, 20]

@@ -1,8 +1,10 @@
-"""Scans and clouds made planar, against direct geometry in space."""
+"""Scans and clouds made planar, against direct geometry in space; readings that are no walls."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,12 +13,16 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.records import PlanarScan
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.records import PlanarScan, Sweep
 from specmap_cli.core.settings import LogConfig
+from specmap_cli.logs import open_log
 from specmap_cli.logs.clouds import CloudFlattener
+from specmap_cli.logs.inspection import summarize
 from specmap_cli.logs.messages import BadMessageError, ScanLayout, ScanRecord
-from specmap_cli.logs.planar import ScanLeveller
+from specmap_cli.logs.planar import Ceiling, OwnBody, Repeats, ScanLeveller
+from specmap_cli.logs.writer import LogWriter
+from tests.logs.recordings import sweeps_of
 from tests.strategies import few
 from tests.turning import configured, turn
 
@@ -106,14 +112,14 @@ def test_beam_times_follow_the_beams() -> None:
         assert scan.beam_times_s is not None
         np.testing.assert_allclose(scan.beam_times_s, times)
         assert scan.ranges.tolist() == sorted([1.0, 2.0, 3.0], reverse=step < 0)
-    for impossible in (0.0, -0.1, math.nan, 5.0):
-        scan = levelled(record([1.0, 2.0], time_increment=impossible))
-        assert scan.beam_times_s is None, impossible
 
 
-def test_a_missing_increment_is_found_from_the_angles() -> None:
+def test_a_missing_increment_is_found_from_the_angles_and_one_beam_takes_no_time() -> None:
     scan = levelled(record([1.0, 1.0, 1.0], -1.0, 0.0, angle_max=1.0))
     np.testing.assert_allclose(scan.bearings, [-1.0, 0.0, 1.0])
+    single = levelled(record([1.5], 0.3, 0.0, time_increment=0.5))
+    assert single.bearings.tolist() == [0.3]
+    assert single.beam_times_s is None
 
 
 @pytest.mark.parametrize(
@@ -140,15 +146,15 @@ def test_bearings_are_shared_between_scans_and_renewed_when_the_laser_changes() 
     assert len(third.bearings) == 3
 
 
-def brute_force(cloud: FloatArray, beams: int, low: float, high: float) -> FloatArray:
-    """Nearest return per bearing, point by point; NaN where no point lies at any height."""
+def brute_force(clouds: list[FloatArray], beams: int, band: FloatArray, reach: float) -> FloatArray:
+    """Nearest return of the last cloud per bearing, point by point; NaN where none had a point."""
     ranges = np.full(beams, np.nan)
-    for x, y, z in cloud:
-        cell = int((math.atan2(y, x) / (2 * math.pi) + 0.5) * beams)
-        if not low <= z <= high:
-            ranges[cell] = np.nan_to_num(ranges[cell], nan=np.inf, posinf=np.inf)
-        elif not ranges[cell] <= math.hypot(x, y):
-            ranges[cell] = math.hypot(x, y)
+    for cloud in clouds:
+        ranges[~np.isnan(ranges)] = np.inf
+        for x, y, z in cloud:
+            cell, metres = int((math.atan2(y, x) / (2 * math.pi) + 0.5) * beams), math.hypot(x, y)
+            inside = band[0] <= z <= band[1] and metres <= reach
+            ranges[cell] = np.fmin(ranges[cell], metres if inside else np.inf)
     return ranges
 
 
@@ -156,37 +162,29 @@ def flattener(floor_m: float | None, **options: object) -> CloudFlattener:
     return CloudFlattener(np.eye(4), floor_m, configured(LogConfig, "logs", options))
 
 
-def test_a_cloud_is_flattened_to_the_nearest_return_in_the_band() -> None:
+@pytest.mark.parametrize(("view", "full"), [(2 * math.pi, True), (math.pi, False)])
+def test_a_cloud_is_flattened_to_the_nearest_return_in_the_band(view: float, full: bool) -> None:
+    """A bearing is empty where the lidar looks or looked before, unknown where it never did."""
     rng = np.random.default_rng(3)
-    cloud = rng.uniform((-5, -5, 0), (5, 5, 3), (4000, 3))
-    scan = flattener(0.25, cloud_beams=90, band_min_m=0.5, band_max_m=1.0).flatten(cloud, 9)
-    np.testing.assert_allclose(scan.ranges, brute_force(cloud, 90, 0.75, 1.25))
-    assert scan.full_circle
-    assert scan.stamp_ns == 9
-    found = scan.hits()
-    nearest = np.abs(found[:, None] - cloud[None, :, :2]).max(axis=2).min(axis=1)
-    assert nearest.max() < 5.0 * math.radians(2.0), "hits lie at returns, but for the bearing"
-
-
-def test_a_bearing_is_empty_where_the_lidar_looks_and_unknown_where_it_never_did() -> None:
-    half = np.linspace(0.01, 3.14, 400)
-    floor = np.column_stack([4 * np.cos(half), 4 * np.sin(half), np.zeros(400)])
-    wall = np.column_stack([2 * np.cos(half), 2 * np.sin(half), np.ones(400)])[:100]
-    one = flattener(0.0, cloud_beams=180)
-    scan = one.flatten(np.vstack([floor, wall]), 1)
-    left = scan.bearings > 0.0
-    assert np.isnan(scan.ranges[~left]).all()
-    assert not np.isnan(scan.ranges[left]).any()
-    np.testing.assert_allclose(scan.ranges[left][:20], 2.0)
-    assert np.isposinf(scan.ranges[left][-20:]).all()
-    assert not scan.full_circle
-    later = one.flatten(floor[:50], 2)
-    assert np.isposinf(later.ranges[left]).all(), "it looked there before"
+    angles, metres, heights = rng.uniform((0.0, 0.5, 0.0), (view, 7.0, 3.0), (4000, 3)).T
+    cloud = np.column_stack([metres * np.cos(angles), metres * np.sin(angles), heights])
+    clouds, band = [cloud, cloud[:50]], {"band_min_m": 0.5, "band_max_m": 1.0}
+    one = flattener(0.25, cloud_beams=90, cloud_range_max_m=6.0, **band)
+    for number, given_cloud in enumerate(clouds):
+        scan = one.flatten(given_cloud, 9)
+        expected = brute_force(clouds[: number + 1], 90, np.array([0.75, 1.25]), 6.0)
+        np.testing.assert_allclose(scan.ranges, expected)
+        assert scan.full_circle is full
+        assert (scan.stamp_ns, scan.range_max) == (9, 6.0)
+        found = scan.hits()
+        nearest = np.abs(found[:, None] - given_cloud[None, :, :2]).max(axis=2).min(axis=1)
+        assert nearest.max() < 6.0 * math.radians(2.0), "hits lie at returns, but for the bearing"
 
 
 @pytest.mark.parametrize(
     ("increment", "longest", "timed"),
-    [(0.1, 1.0, True), (0.1, 0.9, True), (0.1, 0.8, False), (0.2, 1.0, False), (0.2, 2.0, True)],
+    [(0.1, 1.0, True), (0.1, 0.9, True), (0.1, 0.8, False), (0.2, 1.0, False), (0.2, 2.0, True)]
+    + [(0.0, 1.0, False), (-0.1, 1.0, False), (math.nan, 1.0, False)],
 )
 def test_the_settings_say_how_long_a_sweep_may_take(
     increment: float, longest: float, timed: bool
@@ -195,12 +193,6 @@ def test_the_settings_say_how_long_a_sweep_may_take(
     leveller = ScanLeveller(LEVEL)
     scan = record(np.ones(10), time_increment=increment)
     assert (leveller.level(scan, 5).beam_times_s is not None) is timed
-
-
-def test_a_scan_of_one_beam_takes_no_time() -> None:
-    scan = levelled(record([1.5], 0.3, 0.0, time_increment=0.5))
-    assert scan.bearings.tolist() == [0.3]
-    assert scan.beam_times_s is None
 
 
 @pytest.mark.parametrize(
@@ -239,9 +231,194 @@ def test_the_settings_say_how_many_bearings_must_be_filled(
     assert np.isfinite(scan.ranges).sum() == 180
 
 
-def test_a_planar_scan_of_a_cloud_reaches_as_far_as_the_cloud() -> None:
-    cloud = np.array([[5.0, 0.1, 1.0], [0.1, 9.0, 1.0]])
-    scan = flattener(0.0, cloud_beams=16, cloud_range_max_m=6.0).flatten(cloud, 1)
-    assert np.isfinite(scan.ranges).sum() == 1
-    assert np.isposinf(scan.ranges).sum() == 1, "it has looked there"
-    assert scan.range_max == 6.0
+Tour = list[tuple[Sweep, Pose2]]
+REACH_M, CODE_M, CLAIMED_M = 2.5, 2.8, 30.0
+
+
+def room(number: int, noise: np.random.Generator) -> np.ndarray:
+    """Readings (60,) from one of the places along a wall, none of them alike."""
+    bearings = np.linspace(0.3, 2.8, 60)
+    distances = (1.0 + 0.2 * number) / np.sin(bearings)
+    return distances + noise.normal(0.0, 0.01, 60)
+
+
+def cleared(scans: Sequence[np.ndarray]) -> list[int]:
+    """How many readings of each scan become no return."""
+    ceiling = Ceiling()
+    counts = []
+    for ranges in scans:
+        ceiling.clear(ranges)
+        counts.append(int(np.isinf(ranges).sum()))
+    return counts
+
+
+def test_the_longest_distance_of_all_read_from_four_places_is_no_return() -> None:
+    noise = np.random.default_rng(0)
+    scans = [np.minimum(room(number, noise), 2.0) for number in range(6)]
+    alike = [int((ranges == 2.0).sum()) for ranges in scans]
+    assert min(alike) >= 3
+    assert cleared(scans) == [0, 0, 0, *alike[3:]]
+
+
+def test_walls_that_share_their_longest_distance_by_chance_stay() -> None:
+    """Nor does a robot that stands before one learn anything of it."""
+    noise = np.random.default_rng(1)
+    assert not any(cleared([np.round(room(number % 7, noise), 2) for number in range(200)]))
+    assert not any(cleared([np.minimum(room(0, noise), 2.0) for _ in range(50)]))
+
+
+def test_a_longer_distance_begins_the_count_anew_and_leaves_what_was_found() -> None:
+    noise = np.random.default_rng(3)
+    ceiling = Ceiling([2.0])
+    longer = [np.minimum(room(number, noise), 2.2) for number in range(4)]
+    for ranges in longer:
+        ceiling.clear(ranges)
+    assert ceiling.values_m == (2.0, 2.2)
+    again = np.array([1.0, 2.0, 2.1, 2.2, 2.3])
+    ceiling.clear(again)
+    assert np.isinf(again).tolist() == [False, True, False, True, False]
+
+
+def has_code(sweep: Sweep) -> bool:
+    """Whether a scan has returns from where the laser does not reach."""
+    ranges = sweep.planar.ranges
+    return bool((np.isfinite(ranges) & (ranges > REACH_M)).any())
+
+
+def write(path: Path, tour: Tour, scans: list[np.ndarray], range_max: float) -> None:
+    """A log of other readings from the places of a tour."""
+    with LogWriter(path) as log:
+        for (sweep, _), ranges in zip(tour, scans, strict=True):
+            first, second = map(float, sweep.planar.bearings[:2])
+            step = second - first
+            log.scan("/scan", "laser", sweep.stamp_ns, first, step, ranges, range_max=range_max)
+
+
+def test_no_scan_of_a_log_has_a_return_there_and_a_warning_tells_the_distance(
+    flat_tour: Tour, path: Path
+) -> None:
+    """The flat seen by a laser of 2.5 m that says 2.8 m for no return and claims 30 m."""
+    seen = [sweep.planar.ranges for sweep, _ in flat_tour[:300]]
+    coded = [np.where(ranges < REACH_M, ranges, CODE_M) for ranges in seen]
+    write(path, flat_tour[:300], coded, CLAIMED_M)
+    sweeps, stream = sweeps_of(path)
+    assert not any(has_code(sweep) for sweep in sweeps)
+    assert any("readings of exactly 2.8 m" in warning for warning in stream.warnings)
+    with open_log(path) as log:
+        assert any("2.8 m" in warning for warning in summarize(log).warnings)
+    shown = [has_code(sweep) for sweep in sweeps_of(path, look_scans=3)[0]]
+    assert any(shown[:3])
+    assert not any(shown[len(shown) // 2 :]), "it is found after the first look too"
+
+
+POST = slice(13, 19)  # beams that see a post of the robot
+POST_M = 0.4
+
+
+def scans(tour: Tour, seed: int, *, post: bool = True) -> list[np.ndarray]:
+    """The readings of a tour, with the post before some beams."""
+    noise = np.random.default_rng(seed)
+    found = []
+    for sweep, _ in tour:
+        ranges = sweep.planar.ranges.copy()
+        if post:
+            ranges[POST] = POST_M + noise.normal(0.0, 0.01, POST.stop - POST.start)
+        found.append(ranges)
+    return found
+
+
+def marked(given: list[np.ndarray]) -> np.ndarray:
+    """(n, B) which readings are taken for the robot."""
+    body = OwnBody()
+    marks = []
+    for ranges in given:
+        before = np.isnan(ranges)
+        body.clear(ranges)
+        marks.append(np.isnan(ranges) & ~before)
+    return np.array(marks)
+
+
+def test_a_post_that_goes_along_is_left_out_once_the_robot_has_moved(flat_tour: Tour) -> None:
+    marks = marked(scans(flat_tour, 0))
+    late = marks[len(marks) // 2 :]
+    assert late[:, POST].all()
+    others = np.delete(late, np.arange(POST.start - 1, POST.stop + 1), axis=1)
+    assert not others.any()
+    assert not marks[0].any()
+    assert not marked(scans(flat_tour, 1, post=False)).any(), "walls are not"
+
+
+def test_nothing_is_learned_of_walls_near_a_robot_that_stands(flat_tour: Tour) -> None:
+    noise = np.random.default_rng(2)
+    first = np.minimum(flat_tour[0][0].planar.ranges, 3.0)
+    first[POST] = POST_M
+    assert not marked([first + noise.normal(0.0, 0.01, len(first)) for _ in range(200)]).any()
+
+
+def test_lost_returns_and_beams_at_its_edge_that_flicker_change_nothing(flat_tour: Tour) -> None:
+    noise = np.random.default_rng(3)
+    given = scans(flat_tour, 3)
+    edge = POST.stop
+    for ranges in given:
+        ranges[noise.random(len(ranges)) < 0.1] = np.inf
+        if noise.random() < 0.5:
+            ranges[edge] = POST_M
+    expected = np.array(given)[:, POST] < 1.0
+    flickers = np.array(given)[:, edge] == POST_M
+    marks = marked(given)
+    half = len(marks) // 2
+    assert np.array_equal(marks[half:, POST], expected[half:])
+    assert np.array_equal(marks[half:, edge], flickers[half:])
+
+
+def test_a_beam_that_reads_farther_once_has_seen_a_wall(flat_tour: Tour) -> None:
+    given = scans(flat_tour, 4)
+    half = len(given) // 2
+    for ranges in given[half:]:
+        ranges[POST] = 1.5
+    given += scans(flat_tour[:20], 5)
+    marks = marked(given)
+    assert marks[half - 1, POST].all()
+    assert not marks[-20:].any()
+
+
+def test_the_scans_of_a_log_are_without_it_and_a_warning_tells(flat_tour: Tour, path: Path) -> None:
+    write(path, flat_tour, scans(flat_tour, 6), range_max=12.0)
+    sweeps, stream = sweeps_of(path)
+    (told,) = [warning for warning in stream.warnings if "the robot itself: 6" in warning]
+    assert np.isnan(sweeps[-1].planar.ranges[POST]).all()
+    assert float(told.split()[5]) == pytest.approx(POST_M, abs=0.05)
+
+
+SEEN = np.array([1.0, np.nan, 2.0, np.inf, 3.0])
+
+
+def sweep(ranges: np.ndarray, pose: Pose2 | None) -> Sweep:
+    bearings = np.linspace(-1.0, 1.0, len(ranges))
+    planar = PlanarScan(0, bearings, ranges, 8.0, False)
+    return Sweep(index=0, stamp_ns=0, planar=planar, base_from_laser=IDENTITY, odom_from_base=pose)
+
+
+AT, BLANK = IDENTITY, np.full(5, np.inf)
+STEPS = [Pose2(0.008 * number, 0.0, 0.0) for number in range(5)]
+
+
+@pytest.mark.parametrize(
+    ("scans", "poses", "stale"),
+    [
+        ([SEEN, SEEN], [AT, Pose2(0.1, 0.0, 0.0)], [False, True]),
+        ([SEEN, SEEN], [AT, Pose2(0.0, 0.0, 0.1)], [False, True]),
+        ([SEEN, SEEN], [AT, Pose2(0.005, 0.0, 0.001)], [False, False]),  # it stands still
+        ([SEEN, SEEN], [AT, None], [False, False]),
+        ([SEEN, SEEN + 0.001], [AT, Pose2(0.1, 0.0, 0.0)], [False, False]),
+        ([SEEN, SEEN[:-1]], [AT, Pose2(0.1, 0.0, 0.0)], [False, False]),
+        ([BLANK, BLANK], [AT, Pose2(1.0, 0.0, 0.0)], [False, False]),
+        ([SEEN] * 5, STEPS, [False] * 3 + [True] * 2),  # motion counts from the first of them
+    ],
+)
+def test_only_a_scan_that_repeats_another_while_the_robot_moves_is_stale(
+    scans: list[np.ndarray], poses: list[Pose2 | None], stale: list[bool]
+) -> None:
+    repeats = Repeats()
+    found = [repeats.stale(sweep(each.copy(), at)) for each, at in zip(scans, poses, strict=True)]
+    assert found == stale

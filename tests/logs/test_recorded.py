@@ -41,12 +41,7 @@ def summary_of(name: str) -> LogSummary:
     ],
 )
 def test_recordings_are_read_whole(
-    name: str,
-    scans: int,
-    odometry: str,
-    view: float,
-    beams: int,
-    mount: tuple[float, float, float],
+    name: str, scans: int, odometry: str, view: float, beams: int, mount: tuple[float, float, float]
 ) -> None:
     summary = summary_of(name)
     assert summary.chosen is not None
@@ -66,16 +61,13 @@ def test_recordings_are_read_whole(
     assert stamps == sorted(stamps)
 
 
-def test_the_damaged_bag_says_what_is_wrong_and_loses_no_scan() -> None:
+def test_the_damaged_bag_says_what_is_wrong_and_loses_no_scan(tmp_path: Path) -> None:
     summary = summary_of("damaged/laser_scan_matcher_demo.bag")
     assert len(summary.damage) == 1
     assert "the record at byte 792650 is damaged" in summary.damage[0]
     assert summary.messages == 360
     assert summary.duration_s == pytest.approx(35.811, abs=0.001)
-
-
-def test_a_damaged_bag_cut_off_keeps_its_first_chunk(tmp_path: Path) -> None:
-    path = tmp_path / "cut.bag"
+    path = tmp_path / "cut.bag"  # which keeps its first chunk
     path.write_bytes((DATA / "damaged/laser_scan_matcher_demo.bag").read_bytes()[:800_000])
     summary = summary_of(str(path))
     assert 278 <= summary.messages < 360

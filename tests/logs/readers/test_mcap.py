@@ -63,14 +63,6 @@ def rewrite(path: Path, found: list[bytes]) -> None:
     path.write_bytes(magic + b"".join(found) + magic)
 
 
-def test_topics_in_chunks_of_their_own_are_joined_in_time(
-    path: Path, drive_messages: list[Message]
-) -> None:
-    write_mcap(path, sorted(drive_messages, key=lambda m: (m.topic, m.time_ns)))
-    found, _ = read_rest(path)
-    assert [m.time_ns for m in found] == sorted(m.time_ns for m in drive_messages)
-
-
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, PLAIN])
 def test_a_damaged_chunk_costs_only_itself(
     path: Path, drive_messages: list[Message], compression: CompressionType
@@ -116,26 +108,41 @@ def test_what_is_wrong_beside_the_messages_costs_nothing(
     assert read_rest(path) == (drive_messages, [])
 
 
-def test_an_unknown_record_is_passed_over_and_said(
-    path: Path, drive_messages: list[Message]
+@pytest.mark.parametrize(
+    ("opcode", "length", "told"),
+    [
+        (0x7A, None, "is of no known kind (opcode 122)"),
+        (0x05, 0, "is damaged (opcode 5)"),  # a message shorter than its head
+        (0x05, 21, "is damaged (opcode 5)"),
+    ],
+)
+def test_a_record_that_is_no_message_any_more_is_passed_over_and_said(
+    path: Path, drive_messages: list[Message], opcode: int, length: int | None, told: str
 ) -> None:
     write_mcap(path, drive_messages, use_chunking=False, index_types=IndexType.NONE)
-    place = path.read_bytes().index(drive_messages[40].data) - 9 - 22
-    overwrite(path, place, b"\x7a")
-    topic = drive_messages[40].topic
-    total = sum(m.topic == topic for m in drive_messages)
-    assert read_rest(path) == (
-        drive_messages[:40] + drive_messages[41:],
-        [
-            f"{path}: the record at byte {place} is of no known kind (opcode 122): what it holds "
-            f"in its {31 + len(drive_messages[40].data)} bytes is lost",
-            f"{path}: 1 of {total} messages on {topic} of the index are not in the file",
-        ],
-    )
-    overwrite(path, place, b"\x7a\x01")  # of a length behind which no record follows
-    last, size = drive_messages[39].time_ns / 1e9, path.stat().st_size
-    said = f"damaged at byte {place} of {size}: what followed {last:.3f} s is lost"
-    assert read_rest(path) == (drive_messages[:40], [f"{path}: {said}"])
+    found, lost = records(path.read_bytes()), drive_messages[40]
+    place = places_of(found, 5)[40]
+    body = found[place][9:] if length is None else bytes(length)
+    found[place] = struct.pack("<BQ", opcode, len(body)) + body
+    rewrite(path, found)
+    start = 8 + sum(map(len, found[:place]))
+    with open_log(path) as log:
+        assert list(log.messages()) == drive_messages[:40] + drive_messages[41:]
+        assert log.damage[0] == (
+            f"{path}: the record at byte {start} {told}: what it holds in its {9 + len(body)} "
+            "bytes is lost"
+        )
+        assert log.missing == {lost.topic: 1}
+        said = log.damage[1:]
+    if length is None:
+        total = sum(m.topic == lost.topic for m in drive_messages)
+        assert said == [
+            f"{path}: 1 of {total} messages on {lost.topic} of the index are not in the file"
+        ]
+        overwrite(path, start, b"\x7a\x01")  # of a length behind which no record follows
+        last, size = drive_messages[39].time_ns / 1e9, path.stat().st_size
+        end = f"damaged at byte {start} of {size}: what followed {last:.3f} s is lost"
+        assert read_rest(path) == (drive_messages[:40], [f"{path}: {end}"])
 
 
 def test_an_unknown_compression_costs_its_chunks(path: Path, drive_messages: list[Message]) -> None:
@@ -168,10 +175,10 @@ def test_a_file_without_messages_is_a_log_without_messages(path: Path) -> None:
         assert (log.contents.start_ns, log.contents.end_ns) == (0, 0)
 
 
-def test_only_chunks_of_the_wanted_topics_are_read(
+def test_chunks_of_one_topic_each_are_joined_in_time_and_only_those_wanted_are_read(
     path: Path, drive_messages: list[Message], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write_mcap(path, sorted(drive_messages, key=lambda m: m.topic))
+    write_mcap(path, sorted(drive_messages, key=lambda m: (m.topic, m.time_ns)))
     read: list[int] = []
     opened = McapFile._open_chunk
 
@@ -183,7 +190,8 @@ def test_only_chunks_of_the_wanted_topics_are_read(
     with open_log(path) as log:
         assert len(list(log.messages(["/tf_static"]))) == 1
         assert len(read) == 1
-        list(log.messages())
+        found = [m.time_ns for m in log.messages()]
+        assert found == sorted(m.time_ns for m in drive_messages)
         assert len(read) > 3
 
 
@@ -253,17 +261,11 @@ def test_what_stands_behind_the_end_of_the_data_is_read_and_told(
     behind, end = end_of_data_moved_up(path)
     said = f"the record at byte {behind} stands behind the end of the data at byte {end}"
     assert read_rest(path) == (drive_messages, [f"{path}: {said}: it is read all the same"])
-
-
-def test_damage_behind_the_end_of_the_data_is_told(
-    path: Path, drive_messages: list[Message]
-) -> None:
-    write_mcap(path, drive_messages, use_chunking=False)
-    behind, _ = end_of_data_moved_up(path)
-    overwrite(path, behind, b"\x05" + b"\xff" * 8)  # a message longer than any file
-    found, said = read_rest(path)
-    assert len(found) == len(drive_messages) - 1
-    assert f"{path}: damaged in the index at byte {behind}: " in said[-1]
+    if "use_chunking" in style:
+        overwrite(path, behind, b"\x05" + b"\xff" * 8)  # a message longer than any file
+        found, told = read_rest(path)
+        assert len(found) == len(drive_messages) - 1
+        assert f"{path}: damaged in the index at byte {behind}: " in told[-1]
 
 
 @pytest.mark.parametrize("checked", [True, False])
@@ -284,25 +286,6 @@ def test_a_second_file_behind_the_end_is_told(path: Path, drive_messages: list[M
     path.write_bytes(path.read_bytes() * 2)
     said = f"{size:,} bytes follow the end of the file at byte {size}: what they hold is lost"
     assert read_rest(path) == (drive_messages, [f"{path}: {said}"])
-
-
-@pytest.mark.parametrize("length", [0, 21])
-def test_a_message_shorter_than_its_head_is_damage(
-    path: Path, drive_messages: list[Message], length: int
-) -> None:
-    write_mcap(path, drive_messages, use_chunking=False)
-    found = records(path.read_bytes())
-    place = places_of(found, 5)[40]
-    found[place] = struct.pack("<BQ", 5, length) + bytes(length)
-    rewrite(path, found)
-    start = 8 + sum(map(len, found[:place]))
-    with open_log(path) as log:
-        assert list(log.messages()) == drive_messages[:40] + drive_messages[41:]
-        assert log.damage[0] == (
-            f"{path}: the record at byte {start} is damaged (opcode 5): what it holds in its "
-            f"{9 + length} bytes is lost"
-        )
-        assert log.missing == {drive_messages[40].topic: 1}
 
 
 @pytest.mark.parametrize(

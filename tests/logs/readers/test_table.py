@@ -7,6 +7,7 @@ import gzip
 import tempfile
 import textwrap
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +22,9 @@ from specmap_cli.logs.readers import Recording
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import convert
 from tests.logs.recordings import refusal
+from tests.plugins import install
 
-Install = Callable[..., None]
+Offer = Callable[[dict[str, str], str], None]
 
 LINES = b"RANGES 1\n" + b"".join(
     b"%d 1.0 2.0 3.0 %d.5\n" % (1_700_000_000_000_000_000 + n * 100_000_000, n) for n in range(1, 6)
@@ -36,17 +38,17 @@ class {name}(Recording):
 WHOLE = "contents = Contents((), 0, 0)\n    def messages(self, topics=None): return iter(())"
 
 
-def documented_reader() -> str:
-    """The code that the docstring of `Recording` shows."""
-    text = textwrap.dedent(f"    {Recording.__doc__}")
-    code = text.partition("A whole reader")[2].partition("::\n")[2]
-    return textwrap.dedent(code)
+@pytest.fixture
+def offer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Offer:
+    """Install a package that offers readers, by their names, for one test."""
+    return partial(install, tmp_path, monkeypatch, "specmap.readers")
 
 
 @pytest.fixture
-def range_lines(install: Install) -> None:
-    """The documented reader as an installed package."""
-    install("range_lines", documented_reader(), entry="range_lines:RangeLines")
+def range_lines(offer: Offer) -> None:
+    """The reader that the docstring of `Recording` shows as an installed package."""
+    text = textwrap.dedent(f"    {Recording.__doc__}")
+    offer({"range_lines": "RangeLines"}, text.partition("A whole reader")[2].partition("::\n")[2])
 
 
 @pytest.mark.usefixtures("range_lines")
@@ -95,41 +97,38 @@ def test_its_logs_are_found_in_a_directory(
         assert log.contents.messages == len(drive_messages) + 5
 
 
+@pytest.mark.parametrize(
+    ("body", "content"),
+    [
+        ('magic = b"\\x89MCAP"', b"\x89MCAP0\r\n"),
+        (
+            "@classmethod\n    def sniff(cls, head, file): return file.read_bytes()[-3:] == b'END'",
+            bytes(10_000) + b"END",
+        ),
+    ],
+    ids=["first bytes", "more than them"],
+)
 def test_an_installed_reader_is_asked_before_the_built_in_ones(
-    drive: Path, install: Install
+    path: Path, offer: Offer, body: str, content: bytes
 ) -> None:
-    body = f'format = "dialect"; magic = b"\\x89MCAP"\n    {WHOLE}'
-    install("dialect", BARE.format(name="Dialect", body=body), entry="dialect:Dialect")
+    code = BARE.format(name="Dialect", body=f'format = "dialect"\n    {body}\n    {WHOLE}')
+    offer({"dialect": "Dialect"}, code)
     assert list(known_readers()) == ["dialect", *BUILT_IN]
-    with open_log(drive) as log:
+    path.write_bytes(content)
+    with open_log(path) as log:
         assert log.format == "dialect"
 
 
-def test_what_no_reader_knows_is_refused_with_the_formats_known(
-    path: Path, install: Install
-) -> None:
+def test_what_no_reader_knows_is_refused_with_the_formats_known(path: Path, offer: Offer) -> None:
     path.write_text("hello\n")
     known = "MCAP, rosbag2 (SQLite), ROS 1 bag or CARMEN log"
     said = f"{path}: a text file, not a recording; expected"
     assert refusal(path) == f"{said} {known}"
     body = f'format = "made-up"; magic = b"MADE"\n    {WHOLE}'
-    install("made_up", BARE.format(name="MadeUp", body=body), entry="made_up:MadeUp")
+    offer({"made_up": "MadeUp"}, BARE.format(name="MadeUp", body=body))
     assert refusal(path) == f"{said} made-up, {known}"
     path.write_bytes(b"MAD")
     assert "cut off after 3 bytes; no message can be read" in refusal(path)
-
-
-def test_a_reader_may_know_its_files_by_more_than_their_first_bytes(
-    path: Path, install: Install
-) -> None:
-    body = f"""format = "ended"
-    @classmethod
-    def sniff(cls, head, file): return file.read_bytes().endswith(b"END")
-    {WHOLE}"""
-    install("ended", BARE.format(name="Ended", body=body), entry="ended:Ended")
-    path.write_bytes(bytes(10_000) + b"END")
-    with open_log(path) as log:
-        assert log.format == "ended"
 
 
 @pytest.mark.parametrize(
@@ -139,17 +138,14 @@ def test_a_reader_may_know_its_files_by_more_than_their_first_bytes(
             "def Reader(file, path): ...",
             "is no class derived from specmap_cli.logs.readers.Recording",
         ),
-        (
-            BARE.format(name="Reader", body='format = "x"; magic = b"x"'),
-            "lacks contents, messages",
-        ),
+        (BARE.format(name="Reader", body='format = "x"; magic = b"x"'), "lacks contents, messages"),
         (BARE.format(name="Reader", body=WHOLE), "lacks format, magic or sniff"),
     ],
 )
 def test_a_broken_entry_point_is_one_clear_line(
-    drive: Path, install: Install, code: str, said: str
+    drive: Path, offer: Offer, code: str, said: str
 ) -> None:
-    install("broken", code, entry="broken:Reader")
+    offer({"broken": "Reader"}, code)
     with pytest.raises(UsageError) as caught:
         open_log(drive)
     assert str(caught.value) == (
