@@ -35,13 +35,6 @@ def same_parts(one: NDArray[np.int32], other: NDArray[np.int32]) -> bool:
     )
 
 
-def test_two_rooms_joined_by_a_door_become_two(two_rooms: GridMap) -> None:
-    found = segment(two_rooms, DEFAULT)
-    assert found.count == 2
-    for room, part in enumerate((slice(round(5.2 / 0.05)), slice(round(5.7 / 0.05), None))):
-        assert set(found.labels[:, part].ravel().tolist()) == {-1, room}
-
-
 def test_an_office_becomes_its_rooms_and_its_corridor(office: GridMap) -> None:
     found = segment(office, DEFAULT)
     assert found.count == 7
@@ -117,12 +110,6 @@ def test_every_free_cell_reachable_from_a_node_is_labelled(
     assert (found.labels[inside] >= 0).all()
 
 
-def test_nodes_lie_in_the_region_of_their_label(office: GridMap) -> None:
-    found = segment(office, DEFAULT)
-    cells = office.cells_of(found.nodes)
-    np.testing.assert_array_equal(found.labels[cells[:, 0], cells[:, 1]], found.node_labels)
-
-
 def test_chairs_do_not_split_a_room_and_are_filled(plan: Callable[..., GridMap]) -> None:
     grid = plan(6.6, 6.6, (0.3, 0.3, 6.3, 6.3))
     cells = grid.cells.copy()
@@ -157,13 +144,16 @@ def test_unknown_cells_are_as_closed_as_walls(office: GridMap) -> None:
 
 
 @pytest.mark.parametrize("turn", [0, 1, 2, 3])
-def test_nodes_keep_clear_of_walls_and_see_each_other(office: GridMap, turn: int) -> None:
+def test_nodes_keep_clear_of_walls_see_each_other_and_lie_in_their_region(
+    office: GridMap, turn: int
+) -> None:
     turned = GridMap(np.ascontiguousarray(np.rot90(office.cells, turn)), office.resolution)
     found = segment(turned, DEFAULT)
     clearance = turned.clearance()
     cells = turned.cells_of(found.nodes)
     least = DEFAULT.clearance_m - 0.5 * DEFAULT.cell_m  # a node is the middle of a coarse cell
     assert (clearance[cells[:, 0], cells[:, 1]] > least).all()
+    np.testing.assert_array_equal(found.labels[cells[:, 0], cells[:, 1]], found.node_labels)
     one, other = found.nodes[found.pairs[:, 0]], found.nodes[found.pairs[:, 1]]
     assert np.hypot(*(one - other).T).max() <= DEFAULT.sight_m + 1e-6
     for share in np.linspace(0.0, 1.0, 40):
@@ -194,10 +184,15 @@ def drive(xs: np.ndarray) -> np.ndarray:
     return np.column_stack([xs, np.full(len(xs), 1.95), np.zeros(len(xs))])
 
 
-def test_keyframes_change_region_in_the_door(two_rooms: GridMap) -> None:
-    poses = drive(np.linspace(1.0, 8.0, 71))
-    (change,) = np.flatnonzero(np.diff(regions_of(two_rooms, poses, DEFAULT)))
+def test_keyframes_change_region_in_the_door_and_beyond_the_map_are_in_that_of_its_edge(
+    two_rooms: GridMap,
+) -> None:
+    poses = drive(np.concatenate([np.linspace(1.0, 8.0, 71), [-3.0, 12.0]]))
+    labels = regions_of(two_rooms, poses, DEFAULT.model_copy(update={"region_min_m": 0.0}))
+    (change,) = np.flatnonzero(np.diff(labels[:71]))
     assert 5.1 < poses[change, 0] < 5.7
+    assert labels[71:].tolist() == [labels[0], labels[70]]
+    assert labels.dtype == np.int64
     nothing = GridMap(np.full((20, 20), UNKNOWN, dtype=np.uint8), 0.05)
     assert regions_of(nothing, poses[:5], DEFAULT).tolist() == [0] * 5
 
@@ -229,14 +224,6 @@ def test_regions_hardly_driven_through_go_to_the_one_before(
         for least_m in (0.0, way_m)
     )
     assert found.tolist() == without_grazed(every.tolist(), poses, way_m)
-
-
-@pytest.mark.parametrize("x", [-3.0, 12.0])
-def test_keyframes_beyond_the_map_go_to_its_nearest_edge(two_rooms: GridMap, x: float) -> None:
-    poses = drive(np.concatenate([np.linspace(1.0, 8.0, 31), [x]]))
-    labels = regions_of(two_rooms, poses, SegmentationConfig(region_min_m=0.0))
-    assert labels[-1] == (labels[0] if x < 0 else labels[30])
-    assert labels.dtype == np.int64
 
 
 def test_a_map_without_room_for_a_node_says_so() -> None:

@@ -1,8 +1,12 @@
-"""The pieces of eq. 1 and Algorithm 2 against dense and slow versions of themselves."""
+"""The pieces of eq. 1 and Algorithm 2 against dense and slow versions of themselves.
+
+Large graphs are cut into parts before they are clustered.
+"""
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,8 +21,15 @@ from sklearn.metrics import adjusted_rand_score
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import SegmentationConfig
-from specmap_cli.segmentation import spectral
-from specmap_cli.segmentation.graph_division import spectral_clusters, split_again, subgraph
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.segmentation import graph_division, spectral
+from specmap_cli.segmentation.division import segment
+from specmap_cli.segmentation.graph_division import (
+    parts_of,
+    spectral_clusters,
+    split_again,
+    subgraph,
+)
 from specmap_cli.segmentation.visibility import LabelArray, VisibilityGraph, near_pairs
 from tests.strategies import few, seeds
 
@@ -216,15 +227,6 @@ def test_as_many_equal_eigenvalues_as_there_are_pieces_are_found() -> None:
     np.testing.assert_allclose(many @ vectors, vectors * values, atol=1e-4)
 
 
-@given(seed=seeds)
-def test_the_sign_of_an_eigenvector_is_its_cubes(seed: int) -> None:
-    vectors = np.random.default_rng(seed).normal(size=(6, 4))
-    fixed = spectral.with_fixed_signs(vectors)
-    np.testing.assert_array_equal(np.abs(fixed), np.abs(vectors))
-    assert ((fixed**3).sum(axis=0) >= 0.0).all()
-    np.testing.assert_array_equal(spectral.with_fixed_signs(-vectors), fixed)
-
-
 @given(seed=seeds, level=st.sampled_from([0.5, 0.7, 0.95]))
 @few(20)
 def test_halving_only_divides_and_every_piece_hangs_together(seed: int, level: float) -> None:
@@ -344,3 +346,77 @@ def test_two_clusters_are_the_best_of_all_cuts_when_they_stand_apart(seed: int) 
     assert labels.tolist() in (best.tolist(), (1 - best).tolist())
     turned = spectral.bisect(first, -other)  # the sign of an eigenvector means nothing
     assert turned.tolist() in (labels.tolist(), (1 - labels).tolist())
+
+
+def cliques(sizes: Sequence[int], bridge: float = 0.05) -> sparse.csr_array:
+    """A chain of cliques, each joined to the next by one weak edge."""
+    count = sum(sizes)
+    S = np.zeros((count, count))
+    start = 0
+    for size in sizes:
+        S[start : start + size, start : start + size] = 1.0
+        if start:
+            S[start - 1, start] = S[start, start - 1] = bridge
+        start += size
+    np.fill_diagonal(S, 0.0)
+    return sparse.csr_array(S)
+
+
+def test_a_small_graph_is_one_part_a_component() -> None:
+    two = cliques([5, 4, 6], bridge=0.0)
+    assert [part.tolist() for part in parts_of(two, 6)] == [
+        list(range(5)),
+        list(range(5, 9)),
+        list(range(9, 15)),
+    ]
+    assert [part.tolist() for part in parts_of(cliques([5, 4]), 9)] == [list(range(9))]
+    assert parts_of(sparse.csr_array((0, 0)), 10) == []
+
+
+@given(sizes=st.lists(st.integers(4, 20), min_size=2, max_size=12), seed=st.integers(0, 1000))
+def test_cuts_go_through_the_weak_edges_and_through_no_room(sizes: list[int], seed: int) -> None:
+    place = np.random.default_rng(seed).permutation(sum(sizes))
+    S, room = cliques(sizes)[place][:, place], np.repeat(np.arange(len(sizes)), sizes)[place]
+    parts = parts_of(S, max(sizes))
+    assert sorted(np.concatenate(parts).tolist()) == list(range(sum(sizes)))
+    for part in parts:
+        assert len(part) <= max(sizes)
+        assert (np.diff(part) > 0).all()
+        assert connected_components(S[part][:, part])[0] == 1
+    if len(set(sizes)) == 1:  # else a share of the degrees may ask for a cut through a room
+        assert all(len(np.unique(room[part])) == 1 for part in parts)
+    assert [part[0] for part in parts] == sorted(part[0] for part in parts)
+
+
+def test_the_cut_goes_where_least_is_lost() -> None:
+    sizes = [30, 30, 30, 30]
+    S = cliques(sizes).tolil()
+    for i, j in ((29, 30), (89, 90)):  # wide openings; between them a narrow one
+        S[i, j] = S[j, i] = 5.0
+    parts = parts_of(sparse.csr_array(S), 60)
+    assert [part.tolist() for part in parts] == [list(range(60)), list(range(60, 120))]
+
+
+def test_rooms_are_the_same_whether_the_graph_is_cut_or_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Twelve rooms on either side of a corridor."""
+    cells = np.full((220, 24 * 80 // 2 + 20), OCCUPIED, dtype=np.uint8)
+    cells[94:126, 10:-10] = FREE
+    for left in range(10, 10 + 12 * 78, 78):
+        for rows, door in ((slice(10, 90), slice(90, 94)), (slice(130, 210), slice(126, 130))):
+            cells[rows, left : left + 74] = FREE
+            cells[door, left + 28 : left + 46] = FREE
+    hotel, seen = GridMap(cells, 0.05), []
+
+    def counted(L: Any, *rest: Any) -> spectral.Spectrum:
+        seen.append(L.shape[0])
+        return spectral.clusters_of(L, *rest)
+
+    monkeypatch.setattr(graph_division, "clusters_of", counted)
+    whole, before = segment(hotel, SegmentationConfig()), len(seen)
+    cut = segment(hotel, SegmentationConfig(part_nodes=300))
+    assert max(seen[before:]) <= 300 < 600 < len(whole.nodes)
+    assert whole.count == cut.count == 25
+    both = whole.labels >= 0
+    assert adjusted_rand_score(whole.labels[both], cut.labels[both]) > 0.99

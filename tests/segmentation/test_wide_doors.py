@@ -1,4 +1,4 @@
-"""Wide openings in the line of a wall."""
+"""Wide openings in the line of a wall, and furniture that stands at one."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.settings import SegmentationConfig
-from specmap_cli.grids.gridmap import BoolArray, GridMap
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, CellArray, GridMap
 from specmap_cli.segmentation.division import segment
-from specmap_cli.segmentation.furniture import small_obstacles
+from specmap_cli.segmentation.furniture import fill_cupboards, pieces_at_walls, small_obstacles
+from specmap_cli.segmentation.visibility import LabelArray
 from specmap_cli.segmentation.wide_doors import Runs, with_narrow_doors
 
 PlanBuilder = Callable[..., GridMap]
@@ -133,3 +134,47 @@ def test_runs_painted_are_the_mask_again(seed: int) -> None:
     painted = runs.painted(mask.shape, np.arange(1, len(runs.row) + 1))
     np.testing.assert_array_equal(painted > 0, mask)
     assert (np.bincount(painted[mask], minlength=1)[1:] == runs.lengths).all()
+
+
+def walled() -> CellArray:
+    """Rooms of 4 x 3 m beside each other, walls of 0.15 m, unknown all around."""
+    cells = np.full((100, 200), UNKNOWN, dtype=np.uint8)
+    cells[17:83, 17:183] = OCCUPIED
+    cells[20:80, 20:98] = FREE
+    cells[20:80, 101:180] = FREE
+    return cells
+
+
+def labelled(cells: CellArray) -> LabelArray:
+    labels = np.where(cells == FREE, 0, -1).astype(np.int32)
+    labels[:, 100:][cells[:, 100:] == FREE] = 1
+    return labels
+
+
+def filled(cells: CellArray) -> LabelArray:
+    pieces = pieces_at_walls(GridMap(cells, CELL_M), 0.4)
+    return fill_cupboards(labelled(cells), pieces, CELL_M)
+
+
+@pytest.mark.parametrize("inside", [OCCUPIED, UNKNOWN])
+def test_a_cupboard_at_a_wall_belongs_to_its_room(inside: int) -> None:
+    cells = walled()
+    cells[30:60, 86:98] = OCCUPIED  # at the wall between the rooms: the other one is near
+    cells[31:59, 87:97] = inside
+    assert (filled(cells)[31:59, 87:97] == 0).all()
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns"),
+    [
+        ((50, 54), (20, 60)),  # a piece of wall into the room
+        ((70, 83), (17, 183)),  # 0.65 m thick, longer than a row of cupboards
+        ((20, 80), (95, 105)),  # between the rooms, 3 m long, 0.5 m thick
+    ],
+)
+def test_walls_and_what_is_outside_get_no_label(
+    rows: tuple[int, int], columns: tuple[int, int]
+) -> None:
+    cells = walled()
+    cells[slice(*rows), slice(*columns)] = OCCUPIED
+    np.testing.assert_array_equal(filled(cells), labelled(cells))
