@@ -80,14 +80,12 @@ def test_a_point_on_a_border_belongs_to_the_cell_above_and_right_of_it() -> None
 
 
 def test_a_packed_grid_is_the_grid_in_a_fraction_of_its_memory() -> None:
-    cells = np.full((300, 200), UNKNOWN, dtype=np.uint8)
-    cells[50:250, 40:160] = FREE
-    cells[50:250, 40] = OCCUPIED
-    grid = GridMap(cells, 0.05, (-3.0, 7.5))
+    grid = GridMap(np.full((300, 200), UNKNOWN, dtype=np.uint8), 0.05, (-3.0, 7.5))
+    grid.cells[50:250, 40:160], grid.cells[50:250, 40] = FREE, OCCUPIED
     packed = gridmap.PackedGrid.of(grid)
-    assert (packed.grid.cells == cells).all()
+    np.testing.assert_array_equal(packed.grid.cells, grid.cells)
     assert (packed.grid.resolution, packed.grid.origin) == (0.05, (-3.0, 7.5))
-    assert 20 * len(packed.packed) < cells.nbytes
+    assert 20 * len(packed.packed) < grid.cells.nbytes
 
 
 def empty_room() -> GridMap:
