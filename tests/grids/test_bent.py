@@ -17,11 +17,6 @@ def local(x: float, y: float, off_x: float) -> LocalMotion:
     return LocalMotion(np.array([x, y]), motion, 10.0)
 
 
-def test_without_local_motions_it_is_rigid() -> None:
-    assert BentMotion(RIGID).apply(POINTS) == pytest.approx(RIGID.apply(POINTS))
-    assert BentMotion(RIGID, (local(0.0, 0.0, 0.1),)).apply(np.zeros((0, 2))).shape == (0, 2)
-
-
 def test_each_local_motion_rules_where_it_is_and_between_them_it_blends() -> None:
     bent = BentMotion(RIGID, (local(0.0, 0.0, 0.0), local(20.0, 0.0, 0.2)))
     places = np.array([[0.0, 0.0], [10.0, 0.0], [20.0, 0.0]])
@@ -31,6 +26,8 @@ def test_each_local_motion_rules_where_it_is_and_between_them_it_blends() -> Non
     assert bent.near(places[2]).x - RIGID.x == pytest.approx(off[2, 0])
 
 
-def test_there_and_back() -> None:
+def test_without_local_motions_it_is_rigid_and_with_them_it_leads_there_and_back() -> None:
+    assert BentMotion(RIGID).apply(POINTS) == pytest.approx(RIGID.apply(POINTS))
     bent = BentMotion(RIGID, (local(0.0, 0.0, 0.0), local(8.0, 3.0, 0.15)))
+    assert bent.apply(POINTS[:0]).shape == (0, 2)
     assert bent.inverse().apply(bent.apply(POINTS)) == pytest.approx(POINTS, abs=0.01)

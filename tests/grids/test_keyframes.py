@@ -307,22 +307,6 @@ def test_looks_of_newer_recordings_add_up_until_they_are_enough() -> None:
     assert len(gone(recorded([WAY, FEW, FEW]))[0]) > 0
 
 
-def stay(xs: Sequence[float], marked: Sequence[int], unseen: list[int]) -> list[int]:
-    """Which of the marked keyframes at `xs` must stay; each sees a wall along y = 1 m."""
-    cells = np.full((20, 100), UNKNOWN, dtype=np.uint8)
-    cells[:10], cells[10] = FREE, OCCUPIED
-    old = np.zeros(cells.shape, dtype=bool)
-    old[10, unseen] = True
-    dropped = np.isin(np.arange(len(xs)), marked)
-    with KeyframeStore() as store:
-        for x in xs:
-            scan = PlanarScan(0, np.array([np.pi / 2]), np.array([1.04]), 10.0, False)
-            store.append(keyframe(scan, Pose2(x, 0.0, 0.0)))
-        grid = GridMap(cells, 0.1)
-        found = keyframes.sole_views(store, dropped, store.poses, grid, old, 20.0)
-    return [int(number) for number in found]
-
-
 APART = [k + 0.05 for k in range(10)]  # a metre apart; each sees the wall at its left alone
 
 
@@ -338,4 +322,16 @@ APART = [k + 0.05 for k in range(10)]  # a metre apart; each sees the wall at it
 def test_the_only_keyframe_that_shows_a_wall_stays(
     xs: Sequence[float], marked: Sequence[int], unseen: list[int], left: list[int]
 ) -> None:
-    assert stay(xs, marked, unseen) == left
+    """Each sees a wall along y = 1 m; of it cells are `unseen` by newer recordings."""
+    cells = np.full((20, 100), UNKNOWN, dtype=np.uint8)
+    cells[:10], cells[10] = FREE, OCCUPIED
+    old = np.zeros(cells.shape, dtype=bool)
+    old[10, unseen] = True
+    dropped = np.isin(np.arange(len(xs)), marked)
+    scan = PlanarScan(0, np.array([np.pi / 2]), np.array([1.04]), 10.0, False)
+    with KeyframeStore() as store:
+        for x in xs:
+            store.append(keyframe(scan, Pose2(x, 0.0, 0.0)))
+        grid = GridMap(cells, 0.1)
+        found = keyframes.sole_views(store, dropped, store.poses, grid, old, 20.0)
+    assert [int(number) for number in found] == left

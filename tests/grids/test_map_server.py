@@ -162,27 +162,22 @@ def test_a_picture_may_lie_elsewhere_and_be_called_anything(
     assert read_grid(tmp_path / "m.yaml").cells.tolist() == [[OCCUPIED]]
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "{image: m.png, resolution: 0.1, origin: [-1, 2.5, 0], negate: 0}",
-        "image:\n  m.png\nresolution: 1e-1\norigin:\n- -1.0\n- 2.5\n- 0.0\n",
-        "\ufeff" + YAML,
-        "%YAML 1.1\n---\n" + YAML + "...\n",
-        "# by hand\n---\n" + YAML.replace("0.1", "0.1\t# metres") + "mode: trinary # as usual\n",
-        YAML + "   \n  # indented\nfloor: 3\nnote: 'a: b'\nempty:\n",
-    ],
-)
-def test_any_style_of_yaml_is_read(tmp_path: Path, text: str) -> None:
-    grid = read_grid(write_image(tmp_path, np.zeros((1, 1), dtype=np.uint8), text))
+STYLES = [
+    "{image: m.png, resolution: 0.1, origin: [-1, 2.5, 0], negate: 0}",
+    "image:\n  m.png\nresolution: 1e-1\norigin:\n- -1.0\n- 2.5\n- 0.0\n",
+    "\ufeff" + YAML,
+    "%YAML 1.1\n---\n" + YAML + "...\n",
+    "# by hand\n---\n" + YAML.replace("0.1", "0.1\t# metres") + "mode: trinary # as usual\n",
+    YAML + "   \n  # indented\nfloor: 3\nnote: 'a: b'\nempty:\n",
+]
+NEGATED = [YAML.replace("e: 0", f"e: {yes}") for yes in ("true", "True", "1", "YES", "on", "'y'")]
+
+
+@pytest.mark.parametrize("text", [*STYLES, *NEGATED])
+def test_any_style_of_yaml_is_read_and_negate_may_be_a_word(tmp_path: Path, text: str) -> None:
+    grid = read_grid(write_image(tmp_path, np.full((1, 1), 255, dtype=np.uint8), text))
     assert (grid.resolution, grid.origin) == (0.1, (-1.0, 2.5))
-
-
-@pytest.mark.parametrize("word", ["true", "True", "1", "YES", "on", "'y'"])
-def test_negate_may_be_a_word(tmp_path: Path, word: str) -> None:
-    yaml = YAML.replace("negate: 0", f"negate: {word}")
-    path = write_image(tmp_path, np.full((1, 1), 255, dtype=np.uint8), yaml)
-    assert read_grid(path).cells.tolist() == [[OCCUPIED]]
+    assert grid.cells.tolist() == [[OCCUPIED if text in NEGATED else FREE]]
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])

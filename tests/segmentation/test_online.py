@@ -467,7 +467,7 @@ def apart(numbers: list[int], xs: list[float], reached: set[int], band: float = 
     with stored([Pose2(x, 0.0, 0.0) for x in xs]) as store:
         submap = submap_of(store, numbers, SegmentationConfig(path_band_m=band))
         found = submap.apart(np.array([number in reached for number in numbers]))
-        return np.array(numbers)[found].tolist()
+        return [numbers[k] for k in np.flatnonzero(found)]
 
 
 def test_a_stretch_apart_is_one_that_shares_no_node_with_what_is_reached() -> None:
