@@ -39,9 +39,9 @@ def anchored(
     return space, anchor, space.place(np.array(anchor.cell))
 
 
-def way_of(regions: Regions, radius_m: float = RADIUS_M) -> Way:
+def way_of(regions: Regions) -> Way:
     space = Space.of(regions)
-    return ways(space, anchors(space), [(0, 1)], radius_m)[0, 1]
+    return ways(space, anchors(space), [(0, 1)], RADIUS_M)[0, 1]
 
 
 def room_of(grid: GridMap) -> FloatArray:
@@ -197,13 +197,6 @@ def test_ways_keep_the_radius_off_all_things(seed: int) -> None:
     assert way.length_m >= math.dist(way.path[0], way.path[-1]) - 1e-9
 
 
-def test_a_robot_too_wide_for_a_door_is_told_how_wide_it_is() -> None:
-    way = way_of(two_rooms((5.3, 2.5, 5.5, 3.4)), radius_m=0.6)
-    assert (way.path, way.length_m) == (None, None)
-    assert way.clearance_m == pytest.approx(0.45, abs=0.03)
-    assert way_of(two_rooms()) == Way(None, None), "they do not touch"
-
-
 def test_ways_stay_in_their_two_submaps() -> None:
     """A corridor joins both rooms, too: that is the way of other edges."""
     rooms = {
@@ -223,8 +216,7 @@ def test_a_way_may_leave_and_enter_a_submap_in_two_pieces() -> None:
     columns = np.arange(regions.owner.shape[1])[None, :]
     strip = (columns >= 95) & (columns < 100)
     owner = np.where(strip & (regions.owner == 0), 1, regions.owner)
-    space = Space.of(Regions.of(regions.grid, owner))
-    found = ways(space, anchors(space), [(0, 1)], RADIUS_M)[0, 1]
+    found = way_of(Regions.of(regions.grid, owner))
     assert found.path is not None
     assert least_room(regions.grid, found.path) >= RADIUS_M
 
@@ -236,6 +228,7 @@ def test_a_submap_where_the_robot_does_not_fit_has_an_anchor_and_no_way() -> Non
     way = way_of(Regions.of(GridMap(cells, 0.05), owner))
     assert way.path is None
     assert way.clearance_m == pytest.approx(0.075)
+    assert way_of(two_rooms()) == Way(None, None), "they do not touch"
 
 
 CONFIG = WaysConfig()
