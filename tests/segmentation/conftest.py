@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 
-PlanBuilder = Callable[..., GridMap]
 
-
-def _plan(width_m: float, height_m: float, *open_boxes: tuple[float, ...]) -> GridMap:
+def plan(width_m: float, height_m: float, *open_boxes: tuple[float, ...]) -> GridMap:
     """A solid block with boxes (x0, y0, x1, y1) carved out of it; 0.05 m a cell."""
     cells = np.full((round(height_m / 0.05), round(width_m / 0.05)), OCCUPIED, dtype=np.uint8)
     for x0, y0, x1, y1 in open_boxes:
@@ -22,14 +18,9 @@ def _plan(width_m: float, height_m: float, *open_boxes: tuple[float, ...]) -> Gr
 
 
 @pytest.fixture(scope="session")
-def plan() -> PlanBuilder:
-    return _plan
-
-
-@pytest.fixture(scope="session")
 def two_rooms() -> GridMap:
     """Rooms of 5 x 4 and 4 x 4 m, a wall of 0.2 m, a door of 0.9 m."""
-    return _plan(9.8, 4.6, (0.3, 0.3, 5.3, 4.3), (5.5, 0.3, 9.5, 4.3), (5.3, 1.5, 5.5, 2.4))
+    return plan(9.8, 4.6, (0.3, 0.3, 5.3, 4.3), (5.5, 0.3, 9.5, 4.3), (5.3, 1.5, 5.5, 2.4))
 
 
 @pytest.fixture(scope="session")
@@ -39,4 +30,4 @@ def office() -> GridMap:
     rooms += [(0.3, 6.5, 5.3, 10.0), (5.5, 6.5, 9.0, 10.0), (9.2, 6.5, 14.6, 10.0)]
     doors = [(x, 4.5, x + 0.9, 4.7) for x in (1.5, 6.0, 12.0)]
     doors += [(x, 6.3, x + 0.9, 6.5) for x in (2.5, 7.0, 10.0)]
-    return _plan(15.0, 10.4, (0.3, 4.7, 14.6, 6.3), *rooms, *doors)
+    return plan(15.0, 10.4, (0.3, 4.7, 14.6, 6.3), *rooms, *doors)

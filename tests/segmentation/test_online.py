@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -27,6 +27,7 @@ from specmap_cli.segmentation.splitting import (
     way_driven,
 )
 from tests.casting import keyframe, ranges_at
+from tests.segmentation.conftest import plan
 from tests.turning import turn
 
 DEFAULT = SegmentationConfig()
@@ -115,7 +116,7 @@ def test_two_rooms_are_two_and_the_first_goes_on_when_the_robot_is_back(
 
 
 @pytest.fixture(scope="module")
-def three_rooms(plan: Callable[..., GridMap]) -> Iterator[KeyframeStore]:
+def three_rooms() -> Iterator[KeyframeStore]:
     """A way round a corner through three rooms; the first door is too narrow for a sight line."""
     rooms = [(0.3, 0.3, 4.3, 4.3), (4.5, 0.3, 9.5, 4.3), (4.5, 4.5, 9.5, 8.5)]
     doors = [(4.3, 1.7, 4.5, 2.2), (8.0, 4.3, 8.9, 4.5)]
@@ -153,7 +154,7 @@ def test_a_loss_of_track_ends_the_region_and_joins_nothing(two_room_tour: Keyfra
 
 
 @pytest.mark.parametrize("width", [3.0, 12.0])
-def test_a_hall_of_any_width_is_not_split(plan: Callable[..., GridMap], width: float) -> None:
+def test_a_hall_of_any_width_is_not_split(width: float) -> None:
     grid = plan(width + 0.6, 12.6, (0.3, 0.3, 0.3 + width, 12.3))
     poses = waypoints_to_poses(
         (1.0, 1.0), (1.0, 11.5), (width - 0.4, 11.5), (width - 0.4, 1.0), (1.5, 1.0)
@@ -177,9 +178,7 @@ def test_tests_come_by_the_way_travelled_or_by_keyframes(two_room_tour: Keyframe
     assert len(examined(two_room_tour, PAPER)) == len(two_room_tour) // PAPER.test_keyframes
 
 
-def test_the_longer_the_way_in_one_submap_the_rarer_the_tests(
-    plan: Callable[..., GridMap],
-) -> None:
+def test_the_longer_the_way_in_one_submap_the_rarer_the_tests() -> None:
     """With a share of 0.4, nothing shorter than 4 m is split off a way of 10 m."""
     grid = plan(30.6, 2.6, (0.3, 0.3, 30.3, 2.3))
     poses = waypoints_to_poses((1.0, 1.0), (29.0, 1.0), (1.0, 1.6))
@@ -325,7 +324,7 @@ def test_of_rooms_seen_and_not_entered_there_may_be_as_many_as_eigenpairs(
 
 
 def test_no_division_of_a_stand_a_way_off_the_map_or_a_map_too_small_for_a_graph(
-    two_rooms: GridMap, plan: Callable[..., GridMap]
+    two_rooms: GridMap,
 ) -> None:
     standing = examine(two_rooms, np.tile([2.0, 1.95, 0.0], (30, 1)), DEFAULT)
     grid, poses = driven(two_rooms, (1.0, 1.0), (3.0, 1.0))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -19,6 +18,7 @@ from specmap_cli.core.errors import NoResultError
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.segmentation.division import region_grid, regions_of, segment, segment_floorplan
+from tests.segmentation.conftest import plan
 from tests.strategies import few
 
 DEFAULT = SegmentationConfig()
@@ -45,9 +45,7 @@ def test_an_office_becomes_its_rooms_and_its_corridor(office: GridMap) -> None:
 
 
 @pytest.mark.parametrize("size", [(1.0, 1.0), (3.0, 4.0), (30.0, 2.0), (25.0, 18.0), (60.0, 45.0)])
-def test_a_convex_room_of_any_size_stays_one(
-    plan: Callable[..., GridMap], size: tuple[float, float]
-) -> None:
+def test_a_convex_room_of_any_size_stays_one(size: tuple[float, float]) -> None:
     width, height = size
     grid = plan(width + 0.6, height + 0.6, (0.3, 0.3, 0.3 + width, 0.3 + height))
     assert segment(grid, DEFAULT).count == 1
@@ -110,7 +108,7 @@ def test_every_free_cell_reachable_from_a_node_is_labelled(
     assert (found.labels[inside] >= 0).all()
 
 
-def test_chairs_do_not_split_a_room_and_are_filled(plan: Callable[..., GridMap]) -> None:
+def test_chairs_do_not_split_a_room_and_are_filled() -> None:
     grid = plan(6.6, 6.6, (0.3, 0.3, 6.3, 6.3))
     cells = grid.cells.copy()
     for row in range(20, 110, 18):
@@ -173,7 +171,7 @@ def test_a_wall_of_one_fine_cell_keeps_two_rooms_apart(offset: int) -> None:
     assert left[0, 0] != right[0, 0]
 
 
-def test_a_long_hall_is_cut_by_the_sight_and_joined_again(plan: Callable[..., GridMap]) -> None:
+def test_a_long_hall_is_cut_by_the_sight_and_joined_again() -> None:
     hall = plan(40.6, 3.6, (0.3, 0.3, 40.3, 3.3))
     assert segment(hall, DEFAULT).count == 1
     assert segment(hall, DEFAULT.model_copy(update={"merge": False})).count >= 4
@@ -256,7 +254,7 @@ def test_the_grids_of_all_regions_show_all_that_is_labelled_where_it_lies(office
     assert (seen == 1).all()
 
 
-def test_of_a_region_in_scraps_the_largest_stays(plan: Callable[..., GridMap]) -> None:
+def test_of_a_region_in_scraps_the_largest_stays() -> None:
     closet = (7.5, 2.75, 8.0, 3.25)  # too small for a node
     grid, nearest = plan(8.5, 6, (0.5, 0.5, 5.5, 5.5), closet), SegmentationConfig(labels="nearest")
     assert (segment(grid, nearest).labels[:, 120:] == 0).any()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -15,8 +13,8 @@ from specmap_cli.segmentation.division import segment
 from specmap_cli.segmentation.furniture import fill_cupboards, pieces_at_walls, small_obstacles
 from specmap_cli.segmentation.visibility import LabelArray
 from specmap_cli.segmentation.wide_doors import Runs, with_narrow_doors
+from tests.segmentation.conftest import plan
 
-PlanBuilder = Callable[..., GridMap]
 CELL_M = 0.05
 CORRIDOR = (0.3, 0.3, 11.7, 2.1)
 OFFICES = ((0.3, 2.3, 4.0, 6.3), (4.2, 2.3, 7.8, 6.3), (8.0, 2.3, 11.7, 6.3))
@@ -33,13 +31,13 @@ def widths_at(free: BoolArray, y_m: float) -> list[float]:
     return [round(length * CELL_M, 2) for length in Runs.of(row).lengths.tolist()]
 
 
-def test_offices_that_stand_open_are_told_from_their_corridor(plan: PlanBuilder) -> None:
+def test_offices_that_stand_open_are_told_from_their_corridor() -> None:
     building = plan(12.0, 6.6, CORRIDOR, *OFFICES, *OPENINGS)
     assert segment(building, SegmentationConfig()).count == 4
     assert segment(building, SegmentationConfig(wide_door_m=0.0)).count != 4  # corridor in pieces
 
 
-def test_an_opening_is_narrowed_to_a_door_and_a_door_stays(plan: PlanBuilder) -> None:
+def test_an_opening_is_narrowed_to_a_door_and_a_door_stays() -> None:
     building = plan(12.0, 6.6, CORRIDOR, *OFFICES, *OPENINGS[:2], (9.0, 2.1, 9.8, 2.3))
     assert widths_at(narrowed(building), 2.2) == [0.9, 0.9, 0.8]
     assert widths_at(narrowed(building, 1.9), 2.2) == [2.0, 2.0, 0.8]
@@ -48,7 +46,7 @@ def test_an_opening_is_narrowed_to_a_door_and_a_door_stays(plan: PlanBuilder) ->
     assert widths_at(narrowed(building), 2.2)[1] == 0.9
 
 
-def test_no_corridor_is_cut_where_partitions_on_both_sides_meet_it(plan: PlanBuilder) -> None:
+def test_no_corridor_is_cut_where_partitions_on_both_sides_meet_it() -> None:
     below = [(x0, -y1 + 4.4 + 2.2, x1, -y0 + 4.4 + 2.2) for x0, y0, x1, y1 in OFFICES]
     above = [(x0, y0 + 4.2, x1, y1 + 4.2) for x0, y0, x1, y1 in OFFICES]
     corridor = (0.3, 4.5, 11.7, 6.3)
@@ -65,7 +63,7 @@ def test_a_slanted_wall_points_at_nothing() -> None:
     np.testing.assert_array_equal(narrowed(GridMap((~free).astype(np.uint8), CELL_M)), free)
 
 
-def test_beside_a_cupboard_at_a_wall_nothing_is_narrowed(plan: PlanBuilder) -> None:
+def test_beside_a_cupboard_at_a_wall_nothing_is_narrowed() -> None:
     """It is as thin as a wall, with the wall; the space beside it lies along the wall."""
     free = plan(12.0, 6.6, CORRIDOR, (4.2, 2.2, 7.8, 6.3), (5.0, 2.1, 5.8, 2.2)).free.copy()
     free[44:50, 132:156] = False  # from 6.6 m to the wall, 0.3 m deep
@@ -73,7 +71,7 @@ def test_beside_a_cupboard_at_a_wall_nothing_is_narrowed(plan: PlanBuilder) -> N
     np.testing.assert_array_equal(narrowed(building), free)
 
 
-def test_noise_in_a_wall_does_not_tip_what_it_is(plan: PlanBuilder) -> None:
+def test_noise_in_a_wall_does_not_tip_what_it_is() -> None:
     building = plan(12.0, 6.6, CORRIDOR, *OFFICES, *OPENINGS)
     holes = np.zeros_like(building.free)
     holes[43:45, ::3] = True  # in the middle of the wall along the corridor
@@ -92,7 +90,7 @@ def test_a_door_leaf_behind_the_wall_of_a_corridor_cuts_no_corridor() -> None:
 
 @pytest.mark.parametrize(("kept", "post"), [(True, (2.2, 2.1)), (False, (2.2, 3.5))])
 def test_a_post_in_the_line_of_a_wall_is_no_furniture(
-    plan: PlanBuilder, kept: bool, post: tuple[float, float]
+    kept: bool, post: tuple[float, float]
 ) -> None:
     building = plan(12.0, 6.6, CORRIDOR, *OFFICES, (1.0, 2.1, 3.4, 2.3))
     small = np.zeros_like(building.free)
@@ -103,7 +101,7 @@ def test_a_post_in_the_line_of_a_wall_is_no_furniture(
     assert (opened & small).any() != kept
 
 
-def test_a_wall_between_three_doors_is_no_furniture(plan: PlanBuilder) -> None:
+def test_a_wall_between_three_doors_is_no_furniture() -> None:
     """Two doors to a corridor and one from room to room leave a T of thick walls by itself."""
     rooms = (0.3, 2.5, 4.0, 6.3), (4.4, 2.5, 6.8, 6.3)
     doors = (2.3, 2.1, 3.1, 2.5), (4.5, 2.1, 5.3, 2.5), (4.0, 3.3, 4.4, 4.1)
