@@ -202,9 +202,7 @@ def test_between_two_returns_of_one_surface_all_is_free(gap: float, state: int) 
 def test_a_scan_that_fits_is_taken_though_the_grid_has_no_cells_to_spare(
     limit: dict[str, float],
 ) -> None:
-    grid = OccupancyGrid(settings(**limit))
-    add(grid, one_beam(0.0, 2.0), IDENTITY)
-    add(grid, one_beam(0.0, 4.5), IDENTITY)
+    grid = counts_of([(one_beam(0.0, reach), IDENTITY) for reach in (2.0, 4.5)], settings(**limit))
     assert grid.refused == 0
     snapshot = grid.snapshot()
     assert snapshot.values_at(np.array([[2.0, 0.0], [4.5, 0.0]])).tolist() == [OCCUPIED, OCCUPIED]
