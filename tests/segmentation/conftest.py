@@ -1,4 +1,4 @@
-"""Floor plans drawn in code, shared by the tests of the segmentation."""
+"""Floor plans drawn in code, and whether two divisions are one."""
 
 from __future__ import annotations
 
@@ -6,6 +6,17 @@ import numpy as np
 import pytest
 
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.segmentation.visibility import LabelArray
+
+
+def same_parts(one: LabelArray, other: LabelArray) -> bool:
+    """Equal labels up to their names, unlabelled cells included."""
+    pairs = np.unique(np.stack([one.ravel(), other.ravel()]), axis=1)
+    return (
+        one.shape == other.shape
+        and len(np.unique(pairs[0])) == pairs.shape[1] == len(np.unique(pairs[1]))
+        and bool(((one < 0) == (other < 0)).all())
+    )
 
 
 def plan(width_m: float, height_m: float, *open_boxes: tuple[float, ...]) -> GridMap:

@@ -299,19 +299,6 @@ def test_all_cells_under_a_line_are_known(seed: int) -> None:
     assert told(corner) == {(0, 0), (0, 1), (1, 0), (1, 1)}, "through a corner it touches four"
 
 
-def test_a_way_round_a_wall_keeps_its_corner_and_loses_the_others() -> None:
-    price = np.ones((20, 20))
-    price[:15, 10] = np.inf
-    way = tree(np.isfinite(price), price, (slice(0, 20), slice(0, 20)), (2, 2)).way_to(
-        np.array([2, 18])
-    )
-    corners = straightened(way, price)
-    assert corners[[0, -1]].tolist() == [[2, 2], [2, 18]]
-    assert 3 <= len(corners) <= 5
-    for a, b in pairwise(corners):
-        assert np.isfinite(price[tuple(cells_on(a, b)[0].T)]).all()
-
-
 def test_a_way_leads_straight_through_a_door_in_line() -> None:
     regions = two_rooms((5.3, 2.85, 5.5, 3.75))
     way = way_of(regions)
