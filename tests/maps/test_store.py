@@ -69,27 +69,6 @@ def test_the_text_of_a_topology_and_what_is_measured_of_its_submaps(stored: Path
     assert room["centroid"] == pytest.approx([-3.0, 3.5], abs=0.1)
 
 
-def test_a_finished_map_cut_into_regions(tmp_path: Path) -> None:
-    grid = GridMap(np.zeros((20, 40), dtype=np.uint8), 0.1, (1.0, 2.0))
-    owner = np.zeros((20, 40), dtype=np.int64)
-    owner[:, 20:] = 1
-    owner[0, :] = NOBODY
-    submaps = {}
-    for id_ in (0, 1):
-        cells = np.where(owner == id_, 0, 2).astype(np.uint8)
-        part = GridMap(cells, grid.resolution, grid.origin)
-        submaps[id_] = Submap(id=id_, map_from_submap=Pose2(0.0, 0.0, 0.0), grid=part)
-    edge = Edge(source=0, target=1, kind="doorway", x=3.0, y=3.0, width_m=1.9)
-    topology = TopologicalMap(submaps=submaps, edges={(0, 1): edge})
-    picture = np.zeros((5, 5, 3), np.uint8)
-    write_segmentation(tmp_path, topology, Regions.of(grid, owner), LogInfo("plan.yaml"), picture)
-    edge = read_map(tmp_path).topology.edges[0, 1]
-    assert (edge.kind, edge.crossing, edge.width_m) == ("doorway", (3.0, 3.0), 1.9)
-    assert (tmp_path / "overview.png").is_file()
-    with pytest.raises(MapError, match="classifiers"):
-        _ = read_map(tmp_path).classifiers
-
-
 @pytest.mark.parametrize("kind", [str, Path])
 def test_the_frame_the_directory_and_the_picture_may_be_given(
     tmp_path: Path, result: MapResult, kind: type
