@@ -246,9 +246,6 @@ def test_the_map_keeps_its_stays_and_breaks_and_knows_the_next_id() -> None:
     assert (nothing.submaps, nothing.edges, nothing.closures) == ({}, {}, ())
 
 
-REGION_MIN_M = 1.0
-
-
 def rooms(count: int) -> GridMap:
     """Rooms of 4 m x 4 m in a row, with doors 1 m wide, in cells of 0.1 m."""
     cells = np.full((44, 41 * count + 1), OCCUPIED, dtype=np.uint8)
@@ -259,10 +256,10 @@ def rooms(count: int) -> GridMap:
     return GridMap(cells, 0.1)
 
 
-def way(start_m: float, end_m: float) -> FloatArray:
-    """Poses every 0.1 m along the middle of the rooms."""
+def way(start_m: float, end_m: float, y: float = 2.2) -> FloatArray:
+    """Poses every 0.1 m, along the middle of the rooms unless told otherwise."""
     x = np.arange(start_m, end_m, 0.1 if start_m < end_m else -0.1)
-    return np.column_stack([x, np.full_like(x, 2.2), np.zeros_like(x)])
+    return np.column_stack([x, np.full_like(x, y), np.zeros_like(x)])
 
 
 def room_of(poses: FloatArray) -> IntArray:
@@ -288,7 +285,7 @@ def labels_after(
     poses = np.concatenate([first, second])
     division = np.zeros_like(room_of(poses)) if joint is None else joint + room_of(poses)
     placed = poses if moved is None else compose(moved, poses)
-    labels = inherited(old, placed, division, REGION_MIN_M)
+    labels = inherited(old, placed, division, 1.0)
     return labels[: len(first)], labels[len(first) :]
 
 
@@ -350,10 +347,9 @@ def hall() -> GridMap:
 
 def driven() -> Labels:
     """Keyframes along the middle, from left to right: ten a metre, the hall is 0, the room 1."""
-    x = np.arange(0.3, 5.9, 0.1)
-    poses = np.column_stack([x, np.full(len(x), 1.0), np.zeros(len(x))])
-    stamps = np.arange(len(x), dtype=np.int64)
-    return Labels(stamps_ns=stamps, poses=poses, submaps=(x > 4.05).astype(np.int64))
+    poses = way(0.3, 5.9, 1.0)
+    submaps = (poses[:, 0] > 4.05).astype(np.int64)
+    return Labels(stamps_ns=np.arange(len(poses)), poses=poses, submaps=submaps)
 
 
 def after(*wished: BorderEdit) -> tuple[IntArray, tuple[BorderEdit, ...]]:
@@ -419,10 +415,8 @@ def test_a_line_through_one_leg_of_a_building_splits_on_foot() -> None:
     cells[13:21, 1:41] = FREE
     cells[1:21, 33:41] = FREE
     whole = GridMap(cells, 0.1)
-    x = np.arange(0.5, 3.6, 0.1)
-    there = np.column_stack([x, np.full(len(x), 0.5), x * 0])
-    back = np.column_stack([x[::-1], np.full(len(x), 1.7), x * 0])
-    poses = np.concatenate([there, back])
+    there = way(0.5, 3.6, 0.5)
+    poses = np.concatenate([there, way(3.5, 0.45, 1.7)])
     labels = Labels(
         stamps_ns=np.arange(len(poses)), poses=poses, submaps=np.zeros(len(poses), dtype=np.int64)
     )

@@ -394,17 +394,6 @@ def test_submaps_that_only_touch_are_joined(kind: str) -> None:
     assert found.joined == ([] if kind == "seen" else [(0, 1)])
 
 
-def test_of_two_doors_the_way_names_the_one_it_goes_through() -> None:
-    found = found_in(two_rooms(NORTH, SOUTH), driven(1.8))
-    assert [door.driven for door in found.doors] == [True, False]
-    edge = found.edges[0, 1]
-    assert edge.path is not None
-    (used,) = edge.doors
-    door = found.doors[used]
-    nearest = np.abs(edge.path[:, 0] - door.x).argmin()
-    assert abs(edge.path[nearest, 1] - door.y) < 0.4
-
-
 def test_an_edge_in_the_open_has_a_way_and_no_door() -> None:
     regions = regions_of((9.8, 2.6), {0: [(0.3, 0.3, 5.0, 2.3)], 1: [(5.0, 0.3, 9.5, 2.3)]})
     edge = found_in(regions).edges[0, 1]
