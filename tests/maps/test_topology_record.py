@@ -133,10 +133,7 @@ def test_doors_anchors_and_ways_there_and_back() -> None:
         doors=doors,
         robot_radius_m=0.2,
     )
-    record = record_of(written)
-    assert [door.driven for door in record.graph.doors] == [True, False]
-    assert (record.edges[1].path, record.edges[1].length_m) == (None, None)
-    read = back(record)
+    read = back(record_of(written))
     assert (read.doors, read.robot_radius_m) == (doors, 0.2)
     assert (read.submaps[3].anchor, read.submaps[3].anchor_clearance_m) == ((0.0, 0.5), 0.3)
     assert read.submaps[7].anchor is None

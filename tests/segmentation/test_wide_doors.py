@@ -21,8 +21,8 @@ OFFICES = ((0.3, 2.3, 4.0, 6.3), (4.2, 2.3, 7.8, 6.3), (8.0, 2.3, 11.7, 6.3))
 OPENINGS = tuple((x, 2.1, x + 2.0, 2.3) for x in (1.0, 5.0, 9.0))
 
 
-def narrowed(grid: GridMap, widest_m: float = 2.5) -> BoolArray:
-    return with_narrow_doors(grid.free, np.zeros_like(grid.free), CELL_M, widest_m)[1]
+def narrowed(free: BoolArray, widest_m: float = 2.5) -> BoolArray:
+    return with_narrow_doors(free, np.zeros_like(free), CELL_M, widest_m)[1]
 
 
 def widths_at(free: BoolArray, y_m: float) -> list[float]:
@@ -39,11 +39,11 @@ def test_offices_that_stand_open_are_told_from_their_corridor() -> None:
 
 def test_an_opening_is_narrowed_to_a_door_and_a_door_stays() -> None:
     building = plan(12.0, 6.6, CORRIDOR, *OFFICES, *OPENINGS[:2], (9.0, 2.1, 9.8, 2.3))
-    assert widths_at(narrowed(building), 2.2) == [0.9, 0.9, 0.8]
-    assert widths_at(narrowed(building, 1.9), 2.2) == [2.0, 2.0, 0.8]
+    assert widths_at(narrowed(building.free), 2.2) == [0.9, 0.9, 0.8]
+    assert widths_at(narrowed(building.free, 1.9), 2.2) == [2.0, 2.0, 0.8]
     # where the room behind begins at its side, the wall ends in a corner: the partition of rooms
     building = plan(12.0, 6.6, CORRIDOR, *OFFICES, (0.3, 2.1, 2.3, 2.3), (4.2, 2.1, 6.2, 2.3))
-    assert widths_at(narrowed(building), 2.2)[1] == 0.9
+    assert widths_at(narrowed(building.free), 2.2)[1] == 0.9
 
 
 def test_no_corridor_is_cut_where_partitions_on_both_sides_meet_it() -> None:
@@ -52,7 +52,7 @@ def test_no_corridor_is_cut_where_partitions_on_both_sides_meet_it() -> None:
     corridor = (0.3, 4.5, 11.7, 6.3)
     doors = [(x, y, x + 0.9, y + 0.2) for x in (2.8, 4.4, 6.6, 8.2) for y in (4.3, 6.3)]
     building = plan(12.0, 10.8, corridor, *below, *above, *doors)
-    np.testing.assert_array_equal(narrowed(building), building.free)
+    np.testing.assert_array_equal(narrowed(building.free), building.free)
 
 
 def test_a_slanted_wall_points_at_nothing() -> None:
@@ -60,23 +60,22 @@ def test_a_slanted_wall_points_at_nothing() -> None:
     free = np.abs(columns - 0.5 * rows - 20) > 4  # a wall at an angle, ends at both sides
     free[(rows > 60) & (rows < 100) & (np.abs(columns - 0.5 * rows - 20) <= 4)] = True
     free[:, 120:124] = False
-    np.testing.assert_array_equal(narrowed(GridMap((~free).astype(np.uint8), CELL_M)), free)
+    np.testing.assert_array_equal(narrowed(free), free)
 
 
 def test_beside_a_cupboard_at_a_wall_nothing_is_narrowed() -> None:
     """It is as thin as a wall, with the wall; the space beside it lies along the wall."""
     free = plan(12.0, 6.6, CORRIDOR, (4.2, 2.2, 7.8, 6.3), (5.0, 2.1, 5.8, 2.2)).free.copy()
     free[44:50, 132:156] = False  # from 6.6 m to the wall, 0.3 m deep
-    building = GridMap((~free).astype(np.uint8), CELL_M)
-    np.testing.assert_array_equal(narrowed(building), free)
+    np.testing.assert_array_equal(narrowed(free), free)
 
 
 def test_noise_in_a_wall_does_not_tip_what_it_is() -> None:
     building = plan(12.0, 6.6, CORRIDOR, *OFFICES, *OPENINGS)
     holes = np.zeros_like(building.free)
     holes[43:45, ::3] = True  # in the middle of the wall along the corridor
-    noisy = with_narrow_doors(building.free | holes, np.zeros_like(holes), CELL_M, 2.5)[1]
-    np.testing.assert_array_equal(noisy & building.free, narrowed(building))
+    noisy = narrowed(building.free | holes)
+    np.testing.assert_array_equal(noisy & building.free, narrowed(building.free))
 
 
 def test_a_door_leaf_behind_the_wall_of_a_corridor_cuts_no_corridor() -> None:
@@ -84,8 +83,7 @@ def test_a_door_leaf_behind_the_wall_of_a_corridor_cuts_no_corridor() -> None:
     free[10:50, 5:115] = free[52:92, 5:115] = free[94:140, 5:115] = True  # the middle: a corridor
     free[92:94, 30:60] = free[50:52, 30:60] = True  # doors of two rooms, one opposite the other
     free[94:110, 60:62] = free[91, 60:62] = False  # a leaf, and a frame that stands out
-    building = GridMap((~free).astype(np.uint8), CELL_M)
-    np.testing.assert_array_equal(narrowed(building)[55:88], free[55:88])
+    np.testing.assert_array_equal(narrowed(free)[55:88], free[55:88])
 
 
 @pytest.mark.parametrize(("kept", "post"), [(True, (2.2, 2.1)), (False, (2.2, 3.5))])
@@ -118,10 +116,8 @@ def test_rows_and_columns_are_treated_alike(seed: int) -> None:
     free = np.ones((60, 70), dtype=bool)
     for row, column, height, width in rng.integers(2, 30, (6, 4)):
         free[row : row + min(height, 4), column : column + width] = False
-    nothing = np.zeros_like(free)
-    upright = with_narrow_doors(free, nothing, CELL_M, 2.5)[1]
-    turned = with_narrow_doors(free.T, nothing.T, CELL_M, 2.5)[1]
-    np.testing.assert_array_equal(turned.T, upright)
+    upright = narrowed(free)
+    np.testing.assert_array_equal(narrowed(free.T).T, upright)
     assert not (upright & ~free).any()
 
 
