@@ -21,7 +21,6 @@ from sklearn.metrics import adjusted_rand_score
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import SegmentationConfig
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.segmentation import graph_division, spectral
 from specmap_cli.segmentation.division import segment
 from specmap_cli.segmentation.graph_division import (
@@ -31,6 +30,7 @@ from specmap_cli.segmentation.graph_division import (
     subgraph,
 )
 from specmap_cli.segmentation.visibility import LabelArray, VisibilityGraph, near_pairs
+from tests.segmentation.conftest import plan
 from tests.strategies import few, seeds
 
 
@@ -386,13 +386,10 @@ def test_rooms_are_the_same_whether_the_graph_is_cut_or_not(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Twelve rooms on either side of a corridor."""
-    cells = np.full((220, 24 * 80 // 2 + 20), OCCUPIED, dtype=np.uint8)
-    cells[94:126, 10:-10] = FREE
-    for left in range(10, 10 + 12 * 78, 78):
-        for rows, door in ((slice(10, 90), slice(90, 94)), (slice(130, 210), slice(126, 130))):
-            cells[rows, left : left + 74] = FREE
-            cells[door, left + 28 : left + 46] = FREE
-    hotel, seen = GridMap(cells, 0.05), []
+    lefts = [0.5 + 3.9 * k for k in range(12)]
+    rooms = [(x, y, x + 3.7, y + 4.0) for x in lefts for y in (0.5, 6.5)]
+    doors = [(x + 1.4, y, x + 2.3, y + 0.2) for x in lefts for y in (4.5, 6.3)]
+    hotel, seen = plan(49.0, 11.0, (0.5, 4.7, 48.5, 6.3), *rooms, *doors), []
 
     def counted(L: Any, *rest: Any) -> spectral.Spectrum:
         seen.append(L.shape[0])

@@ -121,15 +121,6 @@ def test_rows_and_columns_are_treated_alike(seed: int) -> None:
     assert not (upright & ~free).any()
 
 
-@given(seed=st.integers(0, 10_000))
-def test_runs_painted_are_the_mask_again(seed: int) -> None:
-    mask = np.random.default_rng(seed).random((9, 12)) < 0.6
-    runs = Runs.of(mask)
-    painted = runs.painted(mask.shape, np.arange(1, len(runs.row) + 1))
-    np.testing.assert_array_equal(painted > 0, mask)
-    assert (np.bincount(painted[mask], minlength=1)[1:] == runs.lengths).all()
-
-
 def walled() -> CellArray:
     """Rooms of 4 x 3 m beside each other, walls of 0.15 m, unknown all around."""
     cells = np.full((100, 200), UNKNOWN, dtype=np.uint8)
