@@ -198,25 +198,21 @@ def test_scans_that_lack_something(tmp_path: Path, lack: str) -> None:
         read_keyframes(tmp_path / "a.mcap", MOST)
 
 
-def keyframes_of(result: MapResult) -> KeyframeStore:
-    """A store for the labels of a map."""
-    stamps, pose = result.labels.stamps_ns.tolist(), Pose2(0.0, 0.0, 0.0)
-    return store_of(keyframe(replace(planar(0), stamp_ns=stamp), pose) for stamp in stamps)
-
-
 def test_the_keyframes_of_a_map_are_those_of_its_labels(
     stored: Path, tmp_path: Path, result: MapResult
 ) -> None:
     with pytest.raises(MapError, match=r"has no keyframes\.mcap: .*build the map again") as caught:
         read_map(stored).keyframes()
     assert caught.value.found == "has no keyframes.mcap"
+    stamps, pose = result.labels.stamps_ns.tolist(), Pose2(0.0, 0.0, 0.0)
+    scans = [keyframe(replace(planar(0), stamp_ns=stamp), pose) for stamp in stamps]
     shifted = replace(result.labels, stamps_ns=result.labels.stamps_ns + 1)
     for name, labels in (("own", result.labels), ("others", shifted)):
         (tmp_path / name).mkdir()
-        with keyframes_of(result) as store:
+        with store_of(scans) as store:
             write_map(tmp_path / name, replace(result, labels=labels), store)
     with read_map(tmp_path / "own").keyframes() as read:
-        assert read.stamps_ns == tuple(result.labels.stamps_ns.tolist())
+        assert read.stamps_ns == tuple(stamps)
     with pytest.raises(MapError, match=r"its 30 scans are not the 30 keyframes of labels\.csv"):
         read_map(tmp_path / "others").keyframes()
 

@@ -31,8 +31,10 @@ from tests.segmentation.conftest import plan
 from tests.turning import turn
 
 DEFAULT = SegmentationConfig()
+EVERYWHERE = DEFAULT.model_copy(update={"path_band_m": 0.0})
 PAPER = load_config(preset="paper").segmentation
 GRID = GridConfig(resolution_m=0.05, footprint_m=0.2)
+ONE_GRID = GRID.model_copy(update={"resolution_m": SPLIT_CELL_M})
 BEARINGS = np.linspace(-np.pi, np.pi, 360, endpoint=False)
 RANGE_M = 20.0
 
@@ -295,9 +297,7 @@ def test_what_lies_beyond_the_band_and_its_margin_changes_nothing(two_rooms: Gri
     np.testing.assert_array_equal(near.eigenvalues, same.eigenvalues)
     np.testing.assert_array_equal(near.grid.cells, same.grid.cells)
     assert near.grid.cells.size < two_rooms.cells.size
-    whole = examine(
-        *driven(two_rooms, (1.0, 1.0), (2.0, 1.0)), DEFAULT.model_copy(update={"path_band_m": 0.0})
-    )
+    whole = examine(*driven(two_rooms, (1.0, 1.0), (2.0, 1.0)), EVERYWHERE)
     np.testing.assert_array_equal(whole.grid.cells, two_rooms.cells)
 
 
@@ -316,11 +316,10 @@ def test_of_rooms_seen_and_not_entered_there_may_be_as_many_as_eigenpairs(
     office: GridMap,
 ) -> None:
     way = (1.0, 5.5), (14.0, 5.5), (12.4, 5.5), (12.4, 3.0)
-    everywhere = DEFAULT.model_copy(update={"path_band_m": 0.0})
-    found = examine(*driven(office, *way), everywhere)
+    found = examine(*driven(office, *way), EVERYWHERE)
     assert found.chosen > 1
     turn("segmentation", split_eigenpairs=found.chosen)
-    assert examine(*driven(office, *way), everywhere).eigenvalue == 0.0
+    assert examine(*driven(office, *way), EVERYWHERE).eigenvalue == 0.0
 
 
 def test_no_division_of_a_stand_a_way_off_the_map_or_a_map_too_small_for_a_graph(
@@ -373,8 +372,7 @@ def test_keyframes_enter_the_grid_when_the_robot_moved_or_turned(drive: Keyframe
     assert submap.keyframes == tuple(range(26))
     np.testing.assert_array_equal(submap.poses, drive.poses)
     mapped = [0, 2, 4, 6, 8, 10, 13, 16, 19, 22, 25]  # every 0.25 m, then every 0.6 rad
-    config = GRID.model_copy(update={"resolution_m": SPLIT_CELL_M})
-    whole = integrate_keyframes(drive, mapped, drive.poses_of(mapped), config).snapshot()
+    whole = integrate_keyframes(drive, mapped, drive.poses_of(mapped), ONE_GRID).snapshot()
     assert same(submap.grid(), whole.near(submap.poses, DEFAULT.path_band_m + PATH_MARGIN_M))
 
 
@@ -398,10 +396,6 @@ def test_cells_are_no_finer_than_the_working_grid_s(
     turn("segmentation", split_cell_m=cell)
     submap = submap_of(drive, [0], grid=GridConfig(resolution_m=fine))
     assert submap.grid().resolution == expected
-
-
-EVERYWHERE = DEFAULT.model_copy(update={"path_band_m": 0.0})
-ONE_GRID = GRID.model_copy(update={"resolution_m": SPLIT_CELL_M})
 
 
 def everywhere(drive: KeyframeStore, numbers: Iterable[int]) -> CoarseSubmap:
