@@ -30,7 +30,7 @@ from specmap_cli.segmentation.division import segment
 from specmap_cli.segmentation.furniture import furniture, small_obstacles, without_slits
 from specmap_cli.segmentation.visibility import LabelArray, near_pairs, sample_nodes, visible
 from specmap_cli.segmentation.working_grid import working_grid
-from tests.segmentation.conftest import same_parts
+from tests.segmentation.plans import OFFICE, same_parts
 from tests.strategies import few, seeds
 
 
@@ -458,15 +458,15 @@ def test_the_order_of_rare_and_common_names_changes_nothing(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_few_ragged_cells_move_no_border(office: GridMap, seed: int) -> None:
+def test_a_few_ragged_cells_move_no_border(seed: int) -> None:
     """A tenth of the cells beside walls flips, as they do from one recording to the next."""
-    cells = office.cells.copy()
-    near = np.argwhere(office.free & (office.clearance() < 1.5 * office.resolution))
+    cells = OFFICE.cells.copy()
+    near = np.argwhere(OFFICE.free & (OFFICE.clearance() < 1.5 * OFFICE.resolution))
     flipped = near[np.random.default_rng(seed).random(len(near)) < 0.1]
     cells[tuple(flipped.T)] = OCCUPIED
     one, other = (
-        segment(GridMap(each, office.resolution), SegmentationConfig())
-        for each in (office.cells, cells)
+        segment(GridMap(each, OFFICE.resolution), SegmentationConfig())
+        for each in (OFFICE.cells, cells)
     )
     both = (one.labels >= 0) & (other.labels >= 0)
     shared = np.zeros((one.count, other.count))

@@ -27,7 +27,7 @@ from specmap_cli.segmentation.splitting import (
     way_driven,
 )
 from tests.casting import keyframe, ranges_at
-from tests.segmentation.conftest import plan
+from tests.segmentation.plans import OFFICE, TWO_ROOMS, plan
 from tests.turning import turn
 
 DEFAULT = SegmentationConfig()
@@ -97,8 +97,8 @@ TWICE_OVER = waypoints_to_poses(
 
 
 @pytest.fixture(scope="module")
-def two_room_tour(two_rooms: GridMap) -> Iterator[KeyframeStore]:
-    with record(two_rooms, TWICE_OVER) as store:
+def two_room_tour() -> Iterator[KeyframeStore]:
+    with record(TWO_ROOMS, TWICE_OVER) as store:
         yield store
 
 
@@ -166,9 +166,9 @@ def test_a_hall_of_any_width_is_not_split(width: float) -> None:
     assert len(regions) == 1
 
 
-def test_looking_into_a_room_does_not_split_the_corridor(office: GridMap) -> None:
+def test_looking_into_a_room_does_not_split_the_corridor() -> None:
     poses = waypoints_to_poses((1.0, 5.5), (14.0, 5.5), (1.0, 5.4))
-    with record(office, poses) as store:
+    with record(OFFICE, poses) as store:
         assert len(run(store)) == 1
         assert len(run(store, PAPER)) > 1
 
@@ -221,9 +221,9 @@ def test_the_outcome_of_a_test_does_not_depend_on_where_the_map_lies(
     np.testing.assert_allclose(here.nodes + (512.0, -256.0), there.nodes)
 
 
-def test_the_number_of_nodes_is_bounded(office: GridMap) -> None:
+def test_the_number_of_nodes_is_bounded() -> None:
     poses = waypoints_to_poses((1.0, 5.5), (14.0, 5.5))
-    with record(office, poses) as store:
+    with record(OFFICE, poses) as store:
         submap = submap_of(store, range(len(store)))
         assert len(examine(submap.grid(), submap.poses, DEFAULT).nodes) > 20
         turn("segmentation", split_nodes=20)
@@ -276,29 +276,29 @@ def sides(test: SplitTest, x: float) -> tuple[set[bool], set[bool]]:
     return set(test.stays[left].tolist()), set(test.stays[~left].tolist())
 
 
-def test_a_door_divides_the_way_where_it_is(two_rooms: GridMap) -> None:
-    test = examine(*driven(two_rooms, (1.0, 1.95), (8.5, 1.95)), DEFAULT)
+def test_a_door_divides_the_way_where_it_is() -> None:
+    test = examine(*driven(TWO_ROOMS, (1.0, 1.95), (8.5, 1.95)), DEFAULT)
     assert test.eigenvalue > DEFAULT.split_eigenvalue
     assert sides(test, 5.1) == ({False}, {True, False}) or sides(test, 5.1) == ({False}, {True})
     assert sides(test, 5.7)[1] == {True}
     assert test.reached.all()
-    back = examine(*driven(two_rooms, (8.5, 1.95), (1.0, 1.95)), DEFAULT)
+    back = examine(*driven(TWO_ROOMS, (8.5, 1.95), (1.0, 1.95)), DEFAULT)
     assert back.eigenvalue == pytest.approx(test.eigenvalue)
     assert sides(back, 5.1)[0] == {True}
 
 
-def test_what_lies_beyond_the_band_and_its_margin_changes_nothing(two_rooms: GridMap) -> None:
-    near = examine(*driven(two_rooms, (1.0, 1.0), (2.0, 1.0)), DEFAULT)
-    cells = two_rooms.cells.copy()
+def test_what_lies_beyond_the_band_and_its_margin_changes_nothing() -> None:
+    near = examine(*driven(TWO_ROOMS, (1.0, 1.0), (2.0, 1.0)), DEFAULT)
+    cells = TWO_ROOMS.cells.copy()
     reach = DEFAULT.path_band_m + PATH_MARGIN_M
     cells[:, round((2.0 + reach) / 0.05) + 2 :] = OCCUPIED
-    other = GridMap(cells, two_rooms.resolution)
+    other = GridMap(cells, TWO_ROOMS.resolution)
     same = examine(*driven(other, (1.0, 1.0), (2.0, 1.0)), DEFAULT)
     np.testing.assert_array_equal(near.eigenvalues, same.eigenvalues)
     np.testing.assert_array_equal(near.grid.cells, same.grid.cells)
-    assert near.grid.cells.size < two_rooms.cells.size
-    whole = examine(*driven(two_rooms, (1.0, 1.0), (2.0, 1.0)), EVERYWHERE)
-    np.testing.assert_array_equal(whole.grid.cells, two_rooms.cells)
+    assert near.grid.cells.size < TWO_ROOMS.cells.size
+    whole = examine(*driven(TWO_ROOMS, (1.0, 1.0), (2.0, 1.0)), EVERYWHERE)
+    np.testing.assert_array_equal(whole.grid.cells, TWO_ROOMS.cells)
 
 
 @pytest.mark.parametrize("margin", [0.0, 1.0])
@@ -312,21 +312,17 @@ def test_the_margin_keeps_obstacles_at_the_band_s_edge_whole(margin: float) -> N
     assert on_it.any() == (margin > 0.0)
 
 
-def test_of_rooms_seen_and_not_entered_there_may_be_as_many_as_eigenpairs(
-    office: GridMap,
-) -> None:
+def test_of_rooms_seen_and_not_entered_there_may_be_as_many_as_eigenpairs() -> None:
     way = (1.0, 5.5), (14.0, 5.5), (12.4, 5.5), (12.4, 3.0)
-    found = examine(*driven(office, *way), EVERYWHERE)
+    found = examine(*driven(OFFICE, *way), EVERYWHERE)
     assert found.chosen > 1
     turn("segmentation", split_eigenpairs=found.chosen)
-    assert examine(*driven(office, *way), EVERYWHERE).eigenvalue == 0.0
+    assert examine(*driven(OFFICE, *way), EVERYWHERE).eigenvalue == 0.0
 
 
-def test_no_division_of_a_stand_a_way_off_the_map_or_a_map_too_small_for_a_graph(
-    two_rooms: GridMap,
-) -> None:
-    standing = examine(two_rooms, np.tile([2.0, 1.95, 0.0], (30, 1)), DEFAULT)
-    grid, poses = driven(two_rooms, (1.0, 1.0), (3.0, 1.0))
+def test_no_division_of_a_stand_a_way_off_the_map_or_a_map_too_small_for_a_graph() -> None:
+    standing = examine(TWO_ROOMS, np.tile([2.0, 1.95, 0.0], (30, 1)), DEFAULT)
+    grid, poses = driven(TWO_ROOMS, (1.0, 1.0), (3.0, 1.0))
     off = examine(grid, poses + (500.0, 0.0, 0.0), DEFAULT)
     assert (len(off.nodes), off.grid.cells.size) == (0, 0)
     small = examine(plan(1.0, 1.0, (0.3, 0.3, 0.7, 0.7)), np.array([[0.5, 0.5, 0.0]]), DEFAULT)
@@ -335,8 +331,8 @@ def test_no_division_of_a_stand_a_way_off_the_map_or_a_map_too_small_for_a_graph
         assert test.stays.all()
 
 
-def test_poses_behind_a_closed_door_stay_where_they_cannot_be_judged(two_rooms: GridMap) -> None:
-    cells = two_rooms.cells.copy()
+def test_poses_behind_a_closed_door_stay_where_they_cannot_be_judged() -> None:
+    cells = TWO_ROOMS.cells.copy()
     cells[:, round(5.35 / 0.05) : round(5.45 / 0.05)] = OCCUPIED
     test = examine(*driven(GridMap(cells, 0.05), (3.0, 1.95), (7.5, 1.95)), DEFAULT)
     left = test.poses[:, 0] < 5.2

@@ -18,17 +18,17 @@ from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, GridMap
 from specmap_cli.segmentation.division import region_grid, regions_of, segment, segment_floorplan
 from specmap_cli.segmentation.working_grid import canonical
-from tests.segmentation.conftest import plan, same_parts
+from tests.segmentation.plans import OFFICE, TWO_ROOMS, plan, same_parts
 from tests.strategies import few, seeds
 
 DEFAULT = SegmentationConfig()
 PAPER = load_config(preset="paper").segmentation
 
 
-def test_an_office_becomes_its_rooms_and_its_corridor(office: GridMap) -> None:
-    found = segment(office, DEFAULT)
+def test_an_office_becomes_its_rooms_and_its_corridor() -> None:
+    found = segment(OFFICE, DEFAULT)
     assert found.count == 7
-    core = cv2.erode(office.free.astype(np.uint8), np.ones((21, 21), dtype=np.uint8))
+    core = cv2.erode(OFFICE.free.astype(np.uint8), np.ones((21, 21), dtype=np.uint8))
     truth = cv2.connectedComponents(core)[1] - 1  # the doors are closed
     both = (truth >= 0) & (found.labels >= 0)
     assert adjusted_rand_score(truth[both], found.labels[both]) > 0.99
@@ -49,12 +49,10 @@ def test_a_round_hall_stays_one() -> None:
 
 @pytest.mark.parametrize("config", [DEFAULT, PAPER], ids=["default", "paper"])
 @pytest.mark.parametrize("turn", [1, 2, 3])
-def test_turning_the_map_turns_the_labels(
-    office: GridMap, turn: int, config: SegmentationConfig
-) -> None:
-    turned = GridMap(np.ascontiguousarray(np.rot90(office.cells, turn)), office.resolution)
+def test_turning_the_map_turns_the_labels(turn: int, config: SegmentationConfig) -> None:
+    turned = GridMap(np.ascontiguousarray(np.rot90(OFFICE.cells, turn)), OFFICE.resolution)
     labels = segment(turned, config).labels
-    assert same_parts(np.rot90(labels, -turn), segment(office, config).labels)
+    assert same_parts(np.rot90(labels, -turn), segment(OFFICE, config).labels)
 
 
 @given(up=st.integers(0, 17), right=st.integers(0, 17))
@@ -72,26 +70,22 @@ LENGTHS = ("cell_m", "obstacle_m", "node_step_m", "clearance_m", "sight_m")
 
 
 @pytest.mark.parametrize("factor", [2.0, 0.1, 3.0])
-def test_scaling_resolution_and_lengths_together_changes_nothing(
-    office: GridMap, factor: float
-) -> None:
+def test_scaling_resolution_and_lengths_together_changes_nothing(factor: float) -> None:
     usual = DEFAULT.model_copy(update={"wide_door_m": 0.0})  # a door is as wide as a person needs
     scaled = usual.model_copy(update={name: getattr(usual, name) * factor for name in LENGTHS})
-    larger = GridMap(office.cells, office.resolution * factor)
-    np.testing.assert_array_equal(segment(larger, scaled).labels, segment(office, usual).labels)
+    larger = GridMap(OFFICE.cells, OFFICE.resolution * factor)
+    np.testing.assert_array_equal(segment(larger, scaled).labels, segment(OFFICE, usual).labels)
 
 
 @pytest.mark.parametrize("config", [DEFAULT, PAPER], ids=["default", "paper"])
-def test_every_free_cell_reachable_from_a_node_is_labelled(
-    office: GridMap, config: SegmentationConfig
-) -> None:
-    cells = office.cells.copy()
+def test_every_free_cell_reachable_from_a_node_is_labelled(config: SegmentationConfig) -> None:
+    cells = OFFICE.cells.copy()
     rng = np.random.default_rng(3)
     cells[rng.random(cells.shape) < 0.002] = OCCUPIED
     cells[40:44, 100:104] = FREE  # a pocket in a wall, and a slit into it of one cell
-    found = segment(GridMap(cells, office.resolution), config)
+    found = segment(GridMap(cells, OFFICE.resolution), config)
     _, piece = cv2.connectedComponents((cells == FREE).astype(np.uint8), connectivity=4)
-    nodes = office.cells_of(found.nodes)
+    nodes = OFFICE.cells_of(found.nodes)
     reached = np.unique(piece[nodes[:, 0], nodes[:, 1]])
     inside = np.isin(piece, reached[reached > 0])
     assert inside.any()
@@ -112,13 +106,13 @@ def test_chairs_do_not_split_a_room_and_are_filled() -> None:
     np.testing.assert_array_equal(bare.labels >= 0, cluttered.free)
 
 
-def test_the_paper_preset_uses_only_the_paper(office: GridMap) -> None:
-    found = segment(office, PAPER)
+def test_the_paper_preset_uses_only_the_paper() -> None:
+    found = segment(OFFICE, PAPER)
     assert found.count >= 5
     used = found.spectrum.used
     assert (found.spectrum.eigenvalues[:used] > PAPER.eigenvalue_min).all()
     cells = np.argwhere(found.labels >= 0)[::97]
-    points = office.centres_of(cells)
+    points = OFFICE.centres_of(cells)
     distance = np.hypot(*(points[:, None] - found.nodes[None]).transpose(2, 0, 1))
     nearest = np.sort(distance, axis=1)
     clear = nearest[:, 1] - nearest[:, 0] > 2 * PAPER.cell_m  # ties within a working cell aside
@@ -126,16 +120,14 @@ def test_the_paper_preset_uses_only_the_paper(office: GridMap) -> None:
     np.testing.assert_array_equal(found.labels[cells[:, 0], cells[:, 1]][clear], expected[clear])
 
 
-def test_unknown_cells_are_as_closed_as_walls(office: GridMap) -> None:
-    unknown = GridMap(np.where(office.free, FREE, UNKNOWN).astype(np.uint8), office.resolution)
-    np.testing.assert_array_equal(segment(unknown, DEFAULT).labels, segment(office, DEFAULT).labels)
+def test_unknown_cells_are_as_closed_as_walls() -> None:
+    unknown = GridMap(np.where(OFFICE.free, FREE, UNKNOWN).astype(np.uint8), OFFICE.resolution)
+    np.testing.assert_array_equal(segment(unknown, DEFAULT).labels, segment(OFFICE, DEFAULT).labels)
 
 
 @pytest.mark.parametrize("turn", [0, 1, 2, 3])
-def test_nodes_keep_clear_of_walls_see_each_other_and_lie_in_their_region(
-    office: GridMap, turn: int
-) -> None:
-    turned = GridMap(np.ascontiguousarray(np.rot90(office.cells, turn)), office.resolution)
+def test_nodes_keep_clear_of_walls_see_each_other_and_lie_in_their_region(turn: int) -> None:
+    turned = GridMap(np.ascontiguousarray(np.rot90(OFFICE.cells, turn)), OFFICE.resolution)
     found = segment(turned, DEFAULT)
     clearance = turned.clearance()
     cells = turned.cells_of(found.nodes)
@@ -168,15 +160,13 @@ def test_a_long_hall_is_cut_by_the_sight_and_joined_again() -> None:
 
 
 def drive(xs: np.ndarray) -> np.ndarray:
-    """Through the door of `two_rooms`, which is at x = 5.4 m."""
+    """Through the door of `TWO_ROOMS`, which is at x = 5.4 m."""
     return np.column_stack([xs, np.full(len(xs), 1.95), np.zeros(len(xs))])
 
 
-def test_keyframes_change_region_in_the_door_and_beyond_the_map_are_in_that_of_its_edge(
-    two_rooms: GridMap,
-) -> None:
+def test_keyframes_change_region_in_the_door_and_beyond_the_map_are_in_that_of_its_edge() -> None:
     poses = drive(np.concatenate([np.linspace(1.0, 8.0, 71), [-3.0, 12.0]]))
-    labels = regions_of(two_rooms, poses, DEFAULT.model_copy(update={"region_min_m": 0.0}))
+    labels = regions_of(TWO_ROOMS, poses, DEFAULT.model_copy(update={"region_min_m": 0.0}))
     (change,) = np.flatnonzero(np.diff(labels[:71]))
     assert 5.1 < poses[change, 0] < 5.7
     assert labels[71:].tolist() == [labels[0], labels[70]]
@@ -200,15 +190,13 @@ def without_grazed(labels: list[int], poses: np.ndarray, way_m: float) -> list[i
 
 @given(seed=st.integers(0, 10_000), way_m=st.sampled_from([0.5, 1.5, 4.0, 1e3]))
 @few(8)
-def test_regions_hardly_driven_through_go_to_the_one_before(
-    two_rooms: GridMap, seed: int, way_m: float
-) -> None:
+def test_regions_hardly_driven_through_go_to_the_one_before(seed: int, way_m: float) -> None:
     rng = np.random.default_rng(seed)
     stops = np.concatenate([[rng.uniform(0.6, 9.0)], rng.uniform(4.3, 6.8, 4)])
     xs = np.concatenate([np.linspace(a, b, 15) for a, b in itertools.pairwise(stops)])
     poses = drive(xs)
     every, found = (
-        regions_of(two_rooms, poses, SegmentationConfig(region_min_m=least_m))
+        regions_of(TWO_ROOMS, poses, SegmentationConfig(region_min_m=least_m))
         for least_m in (0.0, way_m)
     )
     assert found.tolist() == without_grazed(every.tolist(), poses, way_m)
@@ -225,8 +213,8 @@ def test_a_map_without_room_for_a_node_says_so() -> None:
     )
 
 
-def test_the_grids_of_all_regions_show_all_that_is_labelled_where_it_lies(office: GridMap) -> None:
-    moved = GridMap(office.cells, office.resolution, (-3.0, 7.0))
+def test_the_grids_of_all_regions_show_all_that_is_labelled_where_it_lies() -> None:
+    moved = GridMap(OFFICE.cells, OFFICE.resolution, (-3.0, 7.0))
     found = segment_floorplan(moved, DEFAULT)
     assert found.count == 7
     labelled = moved.centres_of(np.argwhere((found.labels >= 0) & moved.free))

@@ -30,7 +30,7 @@ from specmap_cli.segmentation.graph_division import (
     subgraph,
 )
 from specmap_cli.segmentation.visibility import LabelArray, VisibilityGraph, near_pairs
-from tests.segmentation.conftest import plan
+from tests.segmentation.plans import plan
 from tests.strategies import few, seeds
 
 
@@ -345,11 +345,8 @@ def cliques(sizes: Sequence[int], bridge: float = 0.05) -> sparse.csr_array:
 
 def test_a_small_graph_is_one_part_a_component() -> None:
     two = cliques([5, 4, 6], bridge=0.0)
-    assert [part.tolist() for part in parts_of(two, 6)] == [
-        list(range(5)),
-        list(range(5, 9)),
-        list(range(9, 15)),
-    ]
+    parts = [part.tolist() for part in parts_of(two, 6)]
+    assert parts == [[*range(5)], [*range(5, 9)], [*range(9, 15)]]
     assert [part.tolist() for part in parts_of(cliques([5, 4]), 9)] == [list(range(9))]
     assert parts_of(sparse.csr_array((0, 0)), 10) == []
 

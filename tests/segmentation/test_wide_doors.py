@@ -13,7 +13,7 @@ from specmap_cli.segmentation.division import segment
 from specmap_cli.segmentation.furniture import fill_cupboards, pieces_at_walls, small_obstacles
 from specmap_cli.segmentation.visibility import LabelArray
 from specmap_cli.segmentation.wide_doors import Runs, with_narrow_doors
-from tests.segmentation.conftest import plan
+from tests.segmentation.plans import plan
 
 CELL_M = 0.05
 CORRIDOR = (0.3, 0.3, 11.7, 2.1)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.segmentation.visibility import LabelArray
@@ -28,17 +27,14 @@ def plan(width_m: float, height_m: float, *open_boxes: tuple[float, ...]) -> Gri
     return GridMap(cells, 0.05)
 
 
-@pytest.fixture(scope="session")
-def two_rooms() -> GridMap:
-    """Rooms of 5 x 4 and 4 x 4 m, a wall of 0.2 m, a door of 0.9 m."""
-    return plan(9.8, 4.6, (0.3, 0.3, 5.3, 4.3), (5.5, 0.3, 9.5, 4.3), (5.3, 1.5, 5.5, 2.4))
+# rooms of 5 x 4 and 4 x 4 m, a wall of 0.2 m, a door of 0.9 m
+TWO_ROOMS = plan(9.8, 4.6, (0.3, 0.3, 5.3, 4.3), (5.5, 0.3, 9.5, 4.3), (5.3, 1.5, 5.5, 2.4))
 
-
-@pytest.fixture(scope="session")
-def office() -> GridMap:
-    """Three rooms of different sizes on either side of a corridor."""
-    rooms = [(0.3, 0.3, 4.3, 4.5), (4.5, 0.3, 9.3, 4.5), (9.5, 0.3, 14.6, 4.5)]
-    rooms += [(0.3, 6.5, 5.3, 10.0), (5.5, 6.5, 9.0, 10.0), (9.2, 6.5, 14.6, 10.0)]
-    doors = [(x, 4.5, x + 0.9, 4.7) for x in (1.5, 6.0, 12.0)]
-    doors += [(x, 6.3, x + 0.9, 6.5) for x in (2.5, 7.0, 10.0)]
-    return plan(15.0, 10.4, (0.3, 4.7, 14.6, 6.3), *rooms, *doors)
+# three rooms of different sizes on either side of a corridor
+OFFICE = plan(
+    *(15.0, 10.4, (0.3, 4.7, 14.6, 6.3)),
+    *((0.3, 0.3, 4.3, 4.5), (4.5, 0.3, 9.3, 4.5), (9.5, 0.3, 14.6, 4.5)),
+    *((0.3, 6.5, 5.3, 10.0), (5.5, 6.5, 9.0, 10.0), (9.2, 6.5, 14.6, 10.0)),
+    *((x, 4.5, x + 0.9, 4.7) for x in (1.5, 6.0, 12.0)),
+    *((x, 6.3, x + 0.9, 6.5) for x in (2.5, 7.0, 10.0)),
+)
