@@ -34,29 +34,19 @@ def wall(x0: float, y0: float, x1: float, y1: float) -> FloatArray:
     return np.column_stack([np.linspace(x0, x1, n), np.linspace(y0, y1, n)])
 
 
-@pytest.fixture(scope="module")
-def room() -> FloatArray:
-    """An L-shaped room with a pillar: no symmetry."""
-    corners = [(-3, -2), (4, -2), (4, 1), (1, 1), (1, 3), (-3, 3), (-3, -2)]
-    sides = [wall(*a, *b) for a, b in itertools.pairwise(corners)]
-    return np.concatenate([*sides, wall(2, -1, 2.4, -1), wall(2.4, -1, 2.4, -0.6)])
+# an L-shaped room with a pillar: no symmetry
+LINES: list[list[tuple[float, float]]] = [
+    [(-3, -2), (4, -2), (4, 1), (1, 1), (1, 3), (-3, 3), (-3, -2)],
+    [(2, -1), (2.4, -1), (2.4, -0.6)],
+]
+ROOM = np.concatenate([wall(*a, *b) for line in LINES for a, b in itertools.pairwise(line)])
+FIELD = ScoreField.from_points(ROOM)
 
 
-@pytest.fixture(scope="module")
-def field(room: FloatArray) -> ScoreField:
-    return ScoreField.from_points(room)
-
-
-@pytest.fixture(scope="module")
-def corridor() -> FloatArray:
-    """Two walls of 18 m, 2 m apart."""
-    return np.vstack([wall(-9, 0, 9, 0), wall(-9, 2, 9, 2)])
-
-
-def test_values_are_those_of_the_distance_to_the_nearest_point(room: FloatArray) -> None:
-    field = ScoreField.from_points(room, 0.05, 0.1)
+def test_values_are_those_of_the_distance_to_the_nearest_point() -> None:
+    field = ScoreField.from_points(ROOM, 0.05, 0.1)
     places = np.random.default_rng(1).uniform(-3.2, 4.2, (500, 2))
-    distance, _ = cKDTree(room).query(places)
+    distance, _ = cKDTree(ROOM).query(places)
     expected = np.exp(-(distance**2) / (2 * 0.1**2))
     # both ends are rounded to cells of 5 cm
     nearest = np.exp(-(np.maximum(distance - 0.085, 0) ** 2) / (2 * 0.1**2))
@@ -68,8 +58,8 @@ def test_values_are_those_of_the_distance_to_the_nearest_point(room: FloatArray)
 
 
 @pytest.mark.parametrize("longest", [100.0, 5.0])
-def test_walls_in_parts_make_the_field_of_all(room: FloatArray, longest: float) -> None:
-    parts = [room[:40], np.zeros((0, 2)), room[40:] + (0.3, -2.0), np.array([[9.0, 2.0]])]
+def test_walls_in_parts_make_the_field_of_all(longest: float) -> None:
+    parts = [ROOM[:40], np.zeros((0, 2)), ROOM[40:] + (0.3, -2.0), np.array([[9.0, 2.0]])]
     together = PointCells.of(np.vstack(parts), 0.075)
     whole = ScoreField.from_cells([together], 0.1, longest, (0.5, 0.2))
     cells = [PointCells.of(part, 0.075) for part in parts]
@@ -110,8 +100,8 @@ def test_walls_near_the_edge_of_a_field_or_beyond_cannot_be_drawn_into_it(
     assert field.with_cells(PointCells.of(np.zeros((0, 2)), 0.075), 0.1) is field
 
 
-def test_the_sharper_field_has_half_the_sigma(room: FloatArray) -> None:
-    wide, sharp = ScoreField.from_points(room, sigma=0.2), ScoreField.from_points(room, sigma=0.1)
+def test_the_sharper_field_has_half_the_sigma() -> None:
+    wide, sharp = ScoreField.from_points(ROOM, sigma=0.2), ScoreField.from_points(ROOM, sigma=0.1)
     places = np.random.default_rng(4).uniform(-3, 3, (500, 2))
     assert np.allclose(wide.sharper().at(places), sharp.at(places), atol=1e-3)
 
@@ -145,12 +135,12 @@ def test_a_score_is_the_mean_of_the_values_under_the_points(pose: Pose2, seed: i
     assert field.score(points[:0], pose) == 0.0
 
 
-def test_outside_a_field_all_is_nought(field: ScoreField) -> None:
-    height, width = field.values.shape
-    right, top = field.resolution * width, field.resolution * height
-    places = field.origin + np.array([[-0.01, 1.0], [1.0, -0.01], [right, 1.0], [1.0, top]])
-    assert not field.at(places).any()
-    edge = np.concatenate([field.values[0], field.values[-1], field.values[:, 0]])
+def test_outside_a_field_all_is_nought() -> None:
+    height, width = FIELD.values.shape
+    right, top = FIELD.resolution * width, FIELD.resolution * height
+    places = FIELD.origin + np.array([[-0.01, 1.0], [1.0, -0.01], [right, 1.0], [1.0, top]])
+    assert not FIELD.at(places).any()
+    edge = np.concatenate([FIELD.values[0], FIELD.values[-1], FIELD.values[:, 0]])
     assert edge.max() < 0.003  # so that nothing jumps where the field ends
 
 
@@ -167,14 +157,14 @@ def test_a_coarser_cell_is_the_best_of_the_cells_in_it(seed: int, factor: int) -
         assert coarse.values[row, column] == block.max()
 
 
-def test_points_too_far_from_the_others_are_counted(room: FloatArray) -> None:
+def test_points_too_far_from_the_others_are_counted() -> None:
     for stray in (0, 1, 7):
         far = np.column_stack([np.full(stray, 500.0), 900.0 + np.arange(stray)])
-        field = ScoreField.from_points(np.vstack([room, far]), max_side=40.0)
+        field = ScoreField.from_points(np.vstack([ROOM, far]), max_side=40.0)
         assert field.left_out == field.sharper().left_out == stray
         assert not field.at(far).any()
-    assert ScoreField.from_points(room, max_side=1.0).left_out > 0
-    assert ScoreField.from_points(room[:0]).left_out == 0
+    assert ScoreField.from_points(ROOM, max_side=1.0).left_out > 0
+    assert ScoreField.from_points(ROOM[:0]).left_out == 0
 
 
 @given(seeds, st.floats(1.0, 30.0))
@@ -238,37 +228,35 @@ def test_the_derivative_is_that_of_finite_differences(seed: int) -> None:
 
 @given(small, small, small)
 @few(15)
-def test_the_descent_ends_where_scipy_s_does(
-    field: ScoreField, room: FloatArray, dx: float, dy: float, turn: float
-) -> None:
-    guess, points = Pose2(dx, dy, turn), room[::5]
-    found = descend(field, points, guess, 20, 0.3)
+def test_the_descent_ends_where_scipy_s_does(dx: float, dy: float, turn: float) -> None:
+    guess, points = Pose2(dx, dy, turn), ROOM[::5]
+    found = descend(FIELD, points, guess, 20, 0.3)
     best = minimize(
-        lambda pose: cost(field, points, Pose2(*pose)),
+        lambda pose: cost(FIELD, points, Pose2(*pose)),
         np.array(guess),
         method="Nelder-Mead",
         options={"initial_simplex": np.array(guess) + 0.02 * np.vstack([np.zeros(3), np.eye(3)])},
     )
-    assert cost(field, points, found) <= best.fun + 0.01
+    assert cost(FIELD, points, found) <= best.fun + 0.01
 
 
 @given(seeds, st.floats(0.0, 0.5), st.integers(0, 6))
 def test_the_descent_never_makes_it_worse_nor_leaves_its_reach(
-    field: ScoreField, room: FloatArray, seed: int, reach: float, iterations: int
+    seed: int, reach: float, iterations: int
 ) -> None:
     guess = Pose2(*np.random.default_rng(seed).uniform(-1.0, 1.0, 3).tolist())
-    found = descend(field, room[::5], guess, iterations, reach)
+    found = descend(FIELD, ROOM[::5], guess, iterations, reach)
     assert (guess.inverse() @ found).distance <= reach + 1e-9
-    assert cost(field, room[::5], found) <= cost(field, room[::5], guess) + 1e-9
+    assert cost(FIELD, ROOM[::5], found) <= cost(FIELD, ROOM[::5], guess) + 1e-9
     if not iterations:
         assert found == pytest.approx(guess)
 
 
-def test_too_few_points_or_cells_leave_the_guess_as_it_is(field: ScoreField) -> None:
+def test_too_few_points_or_cells_leave_the_guess_as_it_is() -> None:
     guess = Pose2(0.1, 0.2, 0.3)
     for points in range(3):
-        assert descend(field, np.zeros((points, 2)), guess, 20, 0.3) == guess
-        assert approach(field, np.zeros((points, 2)), guess, SIGMA_M) == guess
+        assert descend(FIELD, np.zeros((points, 2)), guess, 20, 0.3) == guess
+        assert approach(FIELD, np.zeros((points, 2)), guess, SIGMA_M) == guess
     speck = ScoreField(np.ones((1, 1), dtype=np.float32), 0.1, (0.0, 0.0))
     guess = Pose2(0.01, 0.02, 0.0)
     assert descend(speck, np.random.default_rng(0).random((9, 2)), guess, 20, 0.3) == guess
@@ -284,11 +272,9 @@ def test_a_single_wall_draws_the_pose_across_it_and_not_along() -> None:
 
 
 @given(small, small, small)
-def test_the_way_ends_some_millimetres_from_the_match(
-    field: ScoreField, room: FloatArray, dx: float, dy: float, turn: float
-) -> None:
-    found = approach(field, room[::5], Pose2(dx, dy, turn), SIGMA_M)
-    best = descend(field, room[::5], found, 30, 0.3)
+def test_the_way_ends_some_millimetres_from_the_match(dx: float, dy: float, turn: float) -> None:
+    found = approach(FIELD, ROOM[::5], Pose2(dx, dy, turn), SIGMA_M)
+    best = descend(FIELD, ROOM[::5], found, 30, 0.3)
     assert math.dist(found[:2], best[:2]) < 0.01
     assert found.theta == pytest.approx(best.theta, abs=0.005)
 
@@ -323,41 +309,37 @@ def assert_near(found: Pose2, true: Pose2, metres: float, radians: float) -> Non
     assert abs(away.theta) < radians
 
 
-def test_without_points_on_the_field_every_answer_is_the_guess(field: ScoreField) -> None:
+def test_without_points_on_the_field_every_answer_is_the_guess() -> None:
     nothing = np.zeros((0, 2))
     guess = Pose2(1.0, 2.0, 0.3)
-    assert search(field, nothing, guess, WIDE).pose == guess
-    assert refine(field, nothing, guess).pose == guess
-    assert matching.search_everywhere(field, nothing, 1, 0.2, 0.05) == []
+    assert search(FIELD, nothing, guess, WIDE).pose == guess
+    assert refine(FIELD, nothing, guess).pose == guess
+    assert matching.search_everywhere(FIELD, nothing, 1, 0.2, 0.05) == []
     assert ScoreField.from_points(nothing).score(np.ones((3, 2)), IDENTITY) == 0.0
     lone = np.array([[100.0, 100.0], [-200.0, 3.0], [50.0, -70.0]])
-    assert search(field, lone, IDENTITY, WIDE).score == 0.0
+    assert search(FIELD, lone, IDENTITY, WIDE).score == 0.0
 
 
 @few(15)
 @given(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(-3.1, 3.1))
-def test_a_scan_is_found_from_a_guess(
-    field: ScoreField, room: FloatArray, dx: float, dy: float, turn: float, heading: float
-) -> None:
+def test_a_scan_is_found_from_a_guess(dx: float, dy: float, turn: float, heading: float) -> None:
     true = Pose2(0.4, -0.3, heading)
-    scan = true.inverse().apply(room[::3])
+    scan = true.inverse().apply(ROOM[::3])
     guess = Pose2(true.x + dx, true.y + dy, heading + turn)
-    rough = search(field, scan, guess, Window(distance_m=0.4, angle_rad=0.35, step_m=0.05))
+    rough = search(FIELD, scan, guess, Window(distance_m=0.4, angle_rad=0.35, step_m=0.05))
     assert_near(rough.pose, true, 0.1, 0.05)
     # walls on the very edge of cells are drawn half a cell away
-    assert_near(refine(field, scan, rough.pose).pose, true, 0.04, 0.01)
+    assert_near(refine(FIELD, scan, rough.pose).pose, true, 0.04, 0.01)
 
 
 @pytest.mark.parametrize("heading", [-2.5, -0.4, 0.0, 1.3, 3.0])
-def test_a_scan_is_found_without_a_guess_and_places_are_apart(
-    field: ScoreField, room: FloatArray, heading: float
-) -> None:
+def test_a_scan_is_found_without_a_guess_and_places_are_apart(heading: float) -> None:
     true = Pose2(6.0, -9.0, heading)
-    scan = true.inverse().apply(room[::2])
-    found = matching.search_everywhere(field, scan, count=5, step=0.2, angle_step=0.05)
+    scan = true.inverse().apply(ROOM[::2])
+    found = matching.search_everywhere(FIELD, scan, count=5, step=0.2, angle_step=0.05)
     assert len(found) == 5
     best, *others = found
-    assert_near(refine(field, scan, best.pose).pose, true, 0.05, 0.02)
+    assert_near(refine(FIELD, scan, best.pose).pose, true, 0.05, 0.02)
     assert all(other.score < best.score for other in others)
     centre = scan.mean(axis=0)[None, :]
     for a, b in itertools.combinations(found, 2):
@@ -365,9 +347,9 @@ def test_a_scan_is_found_without_a_guess_and_places_are_apart(
         assert gap >= 0.99 or abs(wrap_angle(a.pose.theta - b.pose.theta)) >= 0.29
     for match in found:  # scores are never below the true ones
         assert match.score <= 1.0
-        assert 0.0 <= field.score(scan, match.pose) <= match.score + 1e-9
-        near = search(field, scan, match.pose, NARROW)
-        assert near.score >= field.score(scan, match.pose)
+        assert 0.0 <= FIELD.score(scan, match.pose) <= match.score + 1e-9
+        near = search(FIELD, scan, match.pose, NARROW)
+        assert near.score >= FIELD.score(scan, match.pose)
 
 
 def lattice(window: Window, resolution: float, turns: int) -> list[tuple[float, float, float]]:
@@ -406,7 +388,8 @@ def test_the_search_finds_what_trying_every_pose_finds(seed: int, penalty: float
     assert found.score - penalty * (moved**2).sum() == pytest.approx(max(values), abs=1e-6)
 
 
-def test_of_poses_that_fit_alike_the_search_takes_the_nearest(corridor: FloatArray) -> None:
+def test_of_poses_that_fit_alike_the_search_takes_the_nearest() -> None:
+    corridor = np.vstack([wall(-9, 0, 9, 0), wall(-9, 2, 9, 2)])
     field = ScoreField.from_points(corridor)
     middle = corridor[np.abs(corridor[:, 0]) < 2]
     empty = ScoreField(np.zeros((50, 50), dtype=np.float32), 0.1, (0.0, 0.0))
