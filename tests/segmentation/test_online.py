@@ -117,21 +117,16 @@ def test_two_rooms_are_two_and_the_first_goes_on_when_the_robot_is_back(
     assert [region.continues for region in apart] == [None] * 4
 
 
-@pytest.fixture(scope="module")
-def three_rooms() -> Iterator[KeyframeStore]:
+def test_what_no_sight_line_joins_any_more_is_a_region_once_the_robot_is_gone() -> None:
     """A way round a corner through three rooms; the first door is too narrow for a sight line."""
     rooms = [(0.3, 0.3, 4.3, 4.3), (4.5, 0.3, 9.5, 4.3), (4.5, 4.5, 9.5, 8.5)]
     doors = [(4.3, 1.7, 4.5, 2.2), (8.0, 4.3, 8.9, 4.5)]
     way = waypoints_to_poses((1, 3), (3, 3), (3, 1.95), (6, 1.95), (8.45, 1.95), (8.45, 6.0))
     way += waypoints_to_poses((8.45, 6.0), (6.0, 6.0), (6.0, 7.5), (8.5, 7.5), (8.5, 6.5), (6, 6))
-    with record(plan(9.8, 8.8, *rooms, *doors), way) as store:
-        yield store
-
-
-def test_what_no_sight_line_joins_any_more_is_a_region_once_the_robot_is_gone(
-    three_rooms: KeyframeStore,
-) -> None:
     tests: list[SplitTest] = []
+    with record(plan(9.8, 8.8, *rooms, *doors), way) as store:
+        regions = run(store, observer=lambda test, *_: tests.append(test))
+        x, y = store.poses[:, :2].T
     regions = run(three_rooms, observer=lambda test, *_: tests.append(test))
     x, y = three_rooms.poses[:, :2].T
     assert sorted(k for region in regions for k in region.keyframes) == list(range(len(x)))
