@@ -127,8 +127,6 @@ def test_what_no_sight_line_joins_any_more_is_a_region_once_the_robot_is_gone() 
     with record(plan(9.8, 8.8, *rooms, *doors), way) as store:
         regions = run(store, observer=lambda test, *_: tests.append(test))
         x, y = store.poses[:, :2].T
-    regions = run(three_rooms, observer=lambda test, *_: tests.append(test))
-    x, y = three_rooms.poses[:, :2].T
     assert sorted(k for region in regions for k in region.keyframes) == list(range(len(x)))
     assert [region.number for region in regions] == [0, 1, 2]
     assert {region.continues for region in regions} == {None}
