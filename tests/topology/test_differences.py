@@ -236,7 +236,7 @@ def test_the_frame_of_the_new_map_does_not_matter(x: float, y: float, turn: floa
     assert all(pair.iou > 0.8 for pair in found.same if pair.old in whole)
 
 
-def test_what_went_to_others_and_came_from_them_is_told() -> None:
+def test_what_went_to_others_and_came_from_them_is_told_of_floor_that_both_saw() -> None:
     first, second = border_changes(pictured("0001 ..11"), pictured("0021 0011"))
     assert first.iou == pytest.approx(2 / 5)
     assert dict(first.given) == {2: 1.0}
@@ -244,9 +244,6 @@ def test_what_went_to_others_and_came_from_them_is_told() -> None:
     assert (second.iou, dict(second.given), dict(second.taken)) == (1.0, {}, {})
     first, _ = border_changes(pictured("01"), pictured("11"))
     assert (first.submap, first.iou, dict(first.given)) == (0, 0.0, {1: 1.0}), "no cell left"
-
-
-def test_the_same_map_has_the_same_borders_and_floor_that_only_one_saw_does_not_count() -> None:
     whole = pictured("001 .11")
     for change, m2 in zip(border_changes(whole, whole), (2.0, 3.0), strict=True):
         assert (change.iou, change.was_m2) == pytest.approx((1.0, m2))
