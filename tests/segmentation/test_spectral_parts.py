@@ -278,19 +278,15 @@ def farthest_first(rows: FloatArray, clusters: int, first: int) -> list[int]:
 
 
 @given(seeds, st.integers(2, 5))
-@few(15)
-def test_labels_are_scikit_learn_s_from_the_same_start(seed: int, clusters: int) -> None:
+def test_labels_are_scikit_learn_s_from_the_same_start_and_of_several_the_best_wins(
+    seed: int, clusters: int
+) -> None:
     rows = directions(seed)
     start = rows[farthest_first(rows, clusters, 3)]
     oracle = KMeans(clusters, init=start, n_init=1, algorithm="lloyd", tol=0.0).fit(rows)
     found = spectral.kmeans_unit(rows, clusters, [3])
     if len(np.unique(found)) == clusters:  # it deals otherwise with a centre that lost its rows
         np.testing.assert_array_equal(found, oracle.labels_)
-
-
-@given(seeds)
-def test_of_several_starts_the_best_wins(seed: int) -> None:
-    rows = directions(seed)
     single = [cost(rows, spectral.kmeans_unit(rows, 4, [first])) for first in (0, 7, 19)]
     assert cost(rows, spectral.kmeans_unit(rows, 4, [0, 7, 19])) == pytest.approx(min(single))
 
