@@ -32,7 +32,7 @@ from specmap_cli.maps.keyframe_log import read_keyframes, write_keyframes
 from specmap_cli.maps.store import read_map
 from specmap_cli.maps.writing import MapResult, write_map
 from specmap_cli.registration.sweep_view import deskewed
-from tests.casting import keyframe
+from tests.casting import keyframe, store_of
 from tests.strategies import planar_scans, poses
 
 BEARINGS = np.linspace(-math.pi, math.pi, 180, endpoint=False)
@@ -52,13 +52,6 @@ def planar(number: int) -> PlanarScan:
 def posed(number: int, mount: Pose2 = MOUNT) -> PosedScan:
     pose = Pose2(0.05 * number, math.sin(number), 0.1 * number - 2.0)
     return keyframe(planar(number), pose, mount, number)
-
-
-def store_of(scans: Iterable[PosedScan]) -> KeyframeStore:
-    store = KeyframeStore()
-    for scan in scans:
-        store.append(scan)
-    return store
 
 
 def laid_out(store: KeyframeStore) -> FloatArray:
