@@ -26,7 +26,7 @@ from specmap_cli.segmentation.splitting import (
     examine,
     way_driven,
 )
-from tests.casting import keyframe, ranges_at
+from tests.casting import keyframe, ranges_at, store_of
 from tests.segmentation.plans import OFFICE, TWO_ROOMS, plan
 from tests.turning import turn
 
@@ -52,12 +52,9 @@ def waypoints_to_poses(*points: tuple[float, float]) -> list[Pose2]:
 
 def record(grid: GridMap, poses: list[Pose2]) -> KeyframeStore:
     """Perfect scans from perfect poses."""
-    store = KeyframeStore()
     seen = ranges_at(grid, np.array(poses), BEARINGS, RANGE_M)
-    for number, (pose, ranges) in enumerate(zip(poses, seen, strict=True)):
-        scan = PlanarScan(number, BEARINGS, ranges, RANGE_M, True)
-        store.append(keyframe(scan, pose, number=number))
-    return store
+    scans = (PlanarScan(k, BEARINGS, ranges, RANGE_M, True) for k, ranges in enumerate(seen))
+    return store_of(map(keyframe, scans, poses))
 
 
 def run(
