@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import ArrayLike
 
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import FloatArray, Pose2, compose
@@ -217,16 +216,12 @@ def seen_along(bearings: FloatArray, ranges: FloatArray) -> PlanarScan:
     return PlanarScan(0, bearings, ranges, 30.0, False)
 
 
-def floats(values: ArrayLike) -> FloatArray:
-    return np.asarray(values, dtype=np.float64)
-
-
 def bearings_of(beams: EvenBeams) -> FloatArray:
-    return floats(beams.angle_min + beams.increment * np.arange(len(beams.ranges)))
+    return np.asarray(beams.angle_min + beams.increment * np.arange(len(beams.ranges)))
 
 
 def test_a_lasers_own_scan_stays_as_it_is() -> None:
-    bearings, ranges = floats(np.linspace(-1.5, 1.5, 301)), np.arange(301.0)
+    bearings, ranges = np.linspace(-1.5, 1.5, 301), np.arange(301.0)
     beams = EvenSpacing().beams(seen_along(bearings, ranges))
     assert beams.ranges is ranges
     assert bearings_of(beams) == pytest.approx(bearings, abs=1e-6)
@@ -266,7 +261,7 @@ def test_the_first_scan_may_be_one_in_motion() -> None:
 
 
 def test_no_reading_is_made_up_where_there_is_none() -> None:
-    hole = floats([*np.linspace(-1.0, -0.5, 50), *np.linspace(0.5, 1.0, 50)])
+    hole = np.concatenate([np.linspace(-1.0, -0.5, 50), np.linspace(0.5, 1.0, 50)])
     beams = EvenSpacing().beams(seen_along(hole, np.ones(100)))
     assert np.isnan(beams.ranges[np.abs(bearings_of(beams)) < 0.45]).all()
     assert np.isnan(beams.ranges).mean() == pytest.approx(0.5, abs=0.03)
@@ -276,7 +271,7 @@ def test_no_reading_is_made_up_where_there_is_none() -> None:
 def test_a_circle_not_looked_at_all_around_goes_without_its_blind_part(
     blind: tuple[int, int],
 ) -> None:
-    bearings = floats(-math.pi + (np.arange(400) + 0.5) * (CIRCLE / 400))
+    bearings = -math.pi + (np.arange(400) + 0.5) * (CIRCLE / 400)
     ranges, (start, end) = np.arange(400.0), blind
     run = np.arange(start, end if end >= start else end + 400) % 400
     ranges[run] = np.nan
