@@ -188,7 +188,6 @@ def test_pictures_are_the_same_bytes_every_time_and_come_back(
         write_png(tmp_path / name, image)
     assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
     back = cv2.imread(str(tmp_path / "one.png"), cv2.IMREAD_UNCHANGED)
-    assert back is not None
     np.testing.assert_array_equal(back, image)
     assert [path.name for path in sorted(tmp_path.iterdir())] == ["one.png", "two.png"]
 
