@@ -107,8 +107,6 @@ def test_rays_end_at_their_range_and_at_the_edge_of_the_grid() -> None:
         open_.obstacle_distance(), open_, np.array([[0.5, 0.5], [9.0, 9.0]]), np.zeros(1), 50.0
     )
     assert (far == np.inf).all()
-    in_wall = cast_ranges(distance, room, np.array([[0.5, 2.0]]), np.array([0.0]), 5.0)
-    assert in_wall[0, 0] == 0.0
     nowhere = np.zeros((0, 2))
     assert cast_rays(distance, room, nowhere, np.zeros(0), 5.0).shape == (0,)
     assert cast_ranges(distance, room, nowhere, np.zeros(7), 5.0).shape == (0, 7)

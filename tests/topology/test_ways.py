@@ -357,8 +357,7 @@ def map_of(regions: Regions, *edges: Edge) -> TopologicalMap:
 
 
 def driven(y: float) -> Edge:
-    crossing = Traversal(7, 0, 1, 5.4, y, 0.0)
-    return Edge(source=0, target=1, kind="traversed", traversals=(crossing,))
+    return Edge(source=0, target=1, kind="traversed", traversals=(crossing(5.4, y, 7),))
 
 
 def found_in(regions: Regions, *edges: Edge, **more: Any) -> TopologicalMap:
