@@ -271,7 +271,7 @@ def test_no_reading_is_made_up_where_there_is_none() -> None:
 def test_a_circle_not_looked_at_all_around_goes_without_its_blind_part(
     blind: tuple[int, int],
 ) -> None:
-    bearings = -math.pi + (np.arange(400) + 0.5) * (CIRCLE / 400)
+    bearings = np.asarray(-math.pi + (np.arange(400) + 0.5) * (CIRCLE / 400), dtype=np.float64)
     ranges, (start, end) = np.arange(400.0), blind
     run = np.arange(start, end if end >= start else end + 400) % 400
     ranges[run] = np.nan

@@ -19,7 +19,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.errors import MapError
-from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import NO_SUBMAP
 from specmap_cli.core.settings import Config, LimitsConfig
 from specmap_cli.core.text import plain
@@ -30,7 +29,7 @@ from specmap_cli.maps.store import read_map
 from specmap_cli.maps.topology_file import upgraded
 from specmap_cli.maps.writing import MapResult, write_map, write_segmentation
 from specmap_cli.topology.regions import NOBODY, Regions
-from specmap_cli.topology.topological_map import Edge, LogInfo, Submap, TopologicalMap
+from specmap_cli.topology.topological_map import LogInfo, TopologicalMap
 from tests.maps.conftest import edit
 from tests.strategies import seeds
 from tests.turning import turn

@@ -128,7 +128,6 @@ def test_a_verified_closure_is_an_edge_where_the_tracks_meet_within_half_a_metre
         assert ((0, 2) in found.edges) is meets, metres
 
 
-
 def test_a_closure_names_regions_whose_submaps_may_have_changed() -> None:
     poses = line_of_poses(3, 10.0)
     poses[2] = poses[0]

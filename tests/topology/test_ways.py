@@ -27,6 +27,7 @@ from specmap_cli.topology.topological_map import Door, Edge, Submap, Topological
 from specmap_cli.topology.ways import Anchor, Way, anchors_of, cells_on, straightened, tree, ways
 from tests.topology.rooms import Box, regions_of, two_rooms
 
+
 def found_between(regions: Regions, *traversals: Traversal, least_m: float = 0.5) -> Passages:
     return passages(Space.of(regions), {(0, 1): traversals}, least_m)
 
