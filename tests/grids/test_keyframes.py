@@ -20,7 +20,7 @@ from specmap_cli.grids import keyframes
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore, integrate_keyframes
 from specmap_cli.grids.occupancy import OccupancyGrid
-from tests.casting import keyframe
+from tests.casting import keyframe, store_of
 from tests.strategies import planar_scans, poses
 from tests.turning import turn
 
@@ -29,9 +29,8 @@ NOTHING = PlanarScan(0, np.array([0.0]), np.array([np.inf]), 10.0, False)
 ENOUGH = 4
 
 
-def at(x: float, theta: float = 0.0, lost: bool = False, restarted: bool = False) -> PosedScan:
-    pose = Pose2(x, 0.0, theta)
-    return replace(keyframe(NOTHING, pose), lost=lost, restarted=restarted)
+def at(x: float, planar: PlanarScan = NOTHING) -> PosedScan:
+    return keyframe(planar, Pose2(x, 0.0, 0.0))
 
 
 def scan_of(number: int) -> PlanarScan:
@@ -74,7 +73,7 @@ def test_a_store_may_be_read_while_it_grows(
         for number in range(5):
             ranges = np.full(2 * number, float(number))
             scan = PlanarScan(number, np.linspace(-1, 1, 2 * number), ranges, 10.0, False)
-            store.append(replace(at(number), planar=scan))
+            store.append(at(number, scan))
             for earlier in range(number + 1):
                 assert store.scan(earlier).ranges.tolist() == [earlier] * 2 * earlier
         assert store.points(0).shape == (0, 2)
@@ -87,7 +86,7 @@ def test_scans_do_not_stay_in_memory() -> None:
     tracemalloc.start()
     with KeyframeStore() as store:
         for number in range(scans):
-            store.append(replace(at(number), planar=scan))
+            store.append(at(number, scan))
         for number in range(scans):
             store.scan(number)
         held, peak = tracemalloc.get_traced_memory()
@@ -102,9 +101,7 @@ def test_a_grid_of_keyframes_is_that_of_their_scans(
 ) -> None:
     config = GridConfig(resolution_m=0.1, footprint_m=0.3)
     direct = OccupancyGrid(config)
-    with KeyframeStore() as store:
-        for scan, pose, mounting in taken:
-            store.append(keyframe(scan, pose, mounting))
+    with store_of(keyframe(*each) for each in taken) as store:
         numbers = list(range(len(taken)))[::-1]
         for number in numbers:
             pose = store.pose(number)
@@ -141,8 +138,9 @@ def test_keyframes_are_chosen_by_the_rule_of_the_settings(seed: int) -> None:
     places = np.cumsum(rng.normal(0.0, (0.07, 0.07, 0.04), (60, 3)), axis=0)
     way = [
         replace(
-            at(0.0, lost=bool(rng.random() < 0.1), restarted=bool(rng.random() < 0.05)),
-            map_from_base=Pose2(x, y, wrap_angle(theta + math.pi)),
+            keyframe(NOTHING, Pose2(x, y, wrap_angle(theta + math.pi))),
+            lost=bool(rng.random() < 0.1),
+            restarted=bool(rng.random() < 0.05),
         )
         for x, y, theta in places.tolist()
     ]
@@ -153,23 +151,20 @@ def test_keyframes_are_chosen_by_the_rule_of_the_settings(seed: int) -> None:
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="only where processes are forked")
 @pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
 def test_a_forked_process_reads_without_moving_the_place_at_which_is_written() -> None:
-    with KeyframeStore() as store:
-        for number in range(4):
-            store.append(replace(at(number), planar=scan_of(number)))
+    with store_of(at(number, scan_of(number)) for number in range(4)) as store:
         child = os.fork()
         if not child:
             right = all(store.scan(k).ranges.tolist() == [float(k)] * 9 for k in (2, 0, 3))
             os._exit(0 if right else 1)
-        store.append(replace(at(4), planar=scan_of(4)))
+        store.append(at(4, scan_of(4)))
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
-        store.append(replace(at(5), planar=scan_of(5)))
+        store.append(at(5, scan_of(5)))
         for number in range(6):
             assert store.scan(number).ranges.tolist() == [float(number)] * 9
 
 
 def test_what_the_store_gives_away_is_not_its_own() -> None:
-    with KeyframeStore() as store:
-        store.append(at(1.0))
+    with store_of([at(1.0)]) as store:
         store.poses[0] = 7.0
         store.scan(0).ranges[0] = 7.0
         assert store.poses.tolist() == [[1.0, 0.0, 0.0]]
@@ -189,9 +184,8 @@ def test_the_store_is_closed_after_an_error_too() -> None:
 
 def test_a_grid_says_how_many_keyframes_it_had_to_refuse() -> None:
     config = GridConfig(resolution_m=0.1, max_extent_m=50.0)
-    with KeyframeStore() as store:
-        for number, x in enumerate((0.0, 5.0, 900.0, 10.0, 901.0)):
-            store.append(replace(at(x), planar=scan_of(number + 1)))
+    places = enumerate((0.0, 5.0, 900.0, 10.0, 901.0), start=1)
+    with store_of(at(x, scan_of(number)) for number, x in places) as store:
         for numbers, refused in (([0, 1, 2, 3, 4], 2), ([0, 1, 3], 0)):
             grid = integrate_keyframes(store, numbers, store.poses[numbers], config)
             assert grid.refused == refused
@@ -215,10 +209,7 @@ def test_a_patrol_of_any_length_tells_as_much_as_the_place_holds() -> None:
 
 def test_keyframes_that_tell_nothing_new_stay_out_of_the_grid() -> None:
     config = GridConfig(resolution_m=0.1)
-    with KeyframeStore() as store:
-        for _ in range(50):
-            store.append(replace(at(0.0), planar=scan_of(3)))
-        store.append(replace(at(3.0), planar=scan_of(3)))
+    with store_of(at(x, scan_of(3)) for x in [0.0] * 50 + [3.0]) as store:
         grid = integrate_keyframes(store, range(51), store.poses, config)
         few = integrate_keyframes(store, [0, 50], store.poses[[0, 50]], config)
         assert float(grid._misses.max()) <= 2.0 * (16 + 1)  # a pass of a beam and the footprint
@@ -307,22 +298,6 @@ def test_looks_of_newer_recordings_add_up_until_they_are_enough() -> None:
     assert len(gone(recorded([WAY, FEW, FEW]))[0]) > 0
 
 
-def stay(xs: Sequence[float], marked: Sequence[int], unseen: list[int]) -> list[int]:
-    """Which of the marked keyframes at `xs` must stay; each sees a wall along y = 1 m."""
-    cells = np.full((20, 100), UNKNOWN, dtype=np.uint8)
-    cells[:10], cells[10] = FREE, OCCUPIED
-    old = np.zeros(cells.shape, dtype=bool)
-    old[10, unseen] = True
-    dropped = np.isin(np.arange(len(xs)), marked)
-    with KeyframeStore() as store:
-        for x in xs:
-            scan = PlanarScan(0, np.array([np.pi / 2]), np.array([1.04]), 10.0, False)
-            store.append(keyframe(scan, Pose2(x, 0.0, 0.0)))
-        grid = GridMap(cells, 0.1)
-        found = keyframes.sole_views(store, dropped, store.poses, grid, old, 20.0)
-    return [int(number) for number in found]
-
-
 APART = [k + 0.05 for k in range(10)]  # a metre apart; each sees the wall at its left alone
 
 
@@ -338,4 +313,14 @@ APART = [k + 0.05 for k in range(10)]  # a metre apart; each sees the wall at it
 def test_the_only_keyframe_that_shows_a_wall_stays(
     xs: Sequence[float], marked: Sequence[int], unseen: list[int], left: list[int]
 ) -> None:
-    assert stay(xs, marked, unseen) == left
+    """Each sees a wall along y = 1 m; of it cells are `unseen` by newer recordings."""
+    cells = np.full((20, 100), UNKNOWN, dtype=np.uint8)
+    cells[:10], cells[10] = FREE, OCCUPIED
+    old = np.zeros(cells.shape, dtype=bool)
+    old[10, unseen] = True
+    dropped = np.isin(np.arange(len(xs)), marked)
+    scan = PlanarScan(0, np.array([np.pi / 2]), np.array([1.04]), 10.0, False)
+    with store_of(at(x, scan) for x in xs) as store:
+        grid = GridMap(cells, 0.1)
+        found = keyframes.sole_views(store, dropped, store.poses, grid, old, 20.0)
+    assert [int(number) for number in found] == left

@@ -101,11 +101,6 @@ def test_beams_without_a_return_prove_nothing_and_those_cut_short_no_wall() -> N
     for empty in (np.inf, np.nan):
         nothing = PlanarScan(0, bearings, np.full(90, empty), 20.0, True)
         assert not known(gridded([nothing], [Pose2(1.0, 2.0, 0.3)]))
-    ranges = np.full(90, np.inf)
-    ranges[45] = 2.0  # bearing 0
-    grid = gridded([PlanarScan(0, bearings, ranges, 20.0, True)], [Pose2(0.0, 0.0, 0.0)])
-    places = np.array([[1.0, 0.0], [2.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [2.2, 0.0]])
-    assert grid.values_at(places).tolist() == [FREE, OCCUPIED, UNKNOWN, UNKNOWN, UNKNOWN]
     cut = gridded([one_beam(0.0, 5.0)], [IDENTITY], settings(max_range_m=3.0))
     places = np.array([[2.5, 0.0], [3.5, 0.0], [5.0, 0.0]])
     assert cut.values_at(places).tolist() == [FREE, UNKNOWN, UNKNOWN]
@@ -202,9 +197,7 @@ def test_between_two_returns_of_one_surface_all_is_free(gap: float, state: int) 
 def test_a_scan_that_fits_is_taken_though_the_grid_has_no_cells_to_spare(
     limit: dict[str, float],
 ) -> None:
-    grid = OccupancyGrid(settings(**limit))
-    add(grid, one_beam(0.0, 2.0), IDENTITY)
-    add(grid, one_beam(0.0, 4.5), IDENTITY)
+    grid = counts_of([(one_beam(0.0, reach), IDENTITY) for reach in (2.0, 4.5)], settings(**limit))
     assert grid.refused == 0
     snapshot = grid.snapshot()
     assert snapshot.values_at(np.array([[2.0, 0.0], [4.5, 0.0]])).tolist() == [OCCUPIED, OCCUPIED]

@@ -1,7 +1,11 @@
-"""Score fields: the distance to the nearest obstacle as a score, and the way to a match."""
+"""Score fields: the distance to the nearest obstacle as a score, and the way to a match.
+
+The matcher finds the pose a scan was taken from, and says which directions walls fix.
+"""
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -13,19 +17,36 @@ from scipy.ndimage import distance_transform_edt
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.grids import score_field
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, wrap_angle
+from specmap_cli.grids import matching, score_field
 from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.matching import Window, refine, search
 from specmap_cli.grids.score_field import SIGMA_M, PointCells, Sample, ScoreField, approach, descend
 from tests.strategies import few, grid_maps, poses, seeds
+from tests.turning import turn
 
 small = st.floats(-0.06, 0.06)
 
 
-def test_values_are_those_of_the_distance_to_the_nearest_point(room: FloatArray) -> None:
-    field = ScoreField.from_points(room, 0.05, 0.1)
+def wall(x0: float, y0: float, x1: float, y1: float) -> FloatArray:
+    """Points every 4 cm along a wall."""
+    n = int(np.hypot(x1 - x0, y1 - y0) / 0.04) + 1
+    return np.column_stack([np.linspace(x0, x1, n), np.linspace(y0, y1, n)])
+
+
+# an L-shaped room with a pillar: no symmetry
+LINES: list[list[tuple[float, float]]] = [
+    [(-3, -2), (4, -2), (4, 1), (1, 1), (1, 3), (-3, 3), (-3, -2)],
+    [(2, -1), (2.4, -1), (2.4, -0.6)],
+]
+ROOM = np.concatenate([wall(*a, *b) for line in LINES for a, b in itertools.pairwise(line)])
+FIELD = ScoreField.from_points(ROOM)
+
+
+def test_values_are_those_of_the_distance_to_the_nearest_point() -> None:
+    field = ScoreField.from_points(ROOM, 0.05, 0.1)
     places = np.random.default_rng(1).uniform(-3.2, 4.2, (500, 2))
-    distance, _ = cKDTree(room).query(places)
+    distance, _ = cKDTree(ROOM).query(places)
     expected = np.exp(-(distance**2) / (2 * 0.1**2))
     # both ends are rounded to cells of 5 cm
     nearest = np.exp(-(np.maximum(distance - 0.085, 0) ** 2) / (2 * 0.1**2))
@@ -37,8 +58,8 @@ def test_values_are_those_of_the_distance_to_the_nearest_point(room: FloatArray)
 
 
 @pytest.mark.parametrize("longest", [100.0, 5.0])
-def test_walls_in_parts_make_the_field_of_all(room: FloatArray, longest: float) -> None:
-    parts = [room[:40], np.zeros((0, 2)), room[40:] + (0.3, -2.0), np.array([[9.0, 2.0]])]
+def test_walls_in_parts_make_the_field_of_all(longest: float) -> None:
+    parts = [ROOM[:40], np.zeros((0, 2)), ROOM[40:] + (0.3, -2.0), np.array([[9.0, 2.0]])]
     together = PointCells.of(np.vstack(parts), 0.075)
     whole = ScoreField.from_cells([together], 0.1, longest, (0.5, 0.2))
     cells = [PointCells.of(part, 0.075) for part in parts]
@@ -79,8 +100,8 @@ def test_walls_near_the_edge_of_a_field_or_beyond_cannot_be_drawn_into_it(
     assert field.with_cells(PointCells.of(np.zeros((0, 2)), 0.075), 0.1) is field
 
 
-def test_the_sharper_field_has_half_the_sigma(room: FloatArray) -> None:
-    wide, sharp = ScoreField.from_points(room, sigma=0.2), ScoreField.from_points(room, sigma=0.1)
+def test_the_sharper_field_has_half_the_sigma() -> None:
+    wide, sharp = ScoreField.from_points(ROOM, sigma=0.2), ScoreField.from_points(ROOM, sigma=0.1)
     places = np.random.default_rng(4).uniform(-3, 3, (500, 2))
     assert np.allclose(wide.sharper().at(places), sharp.at(places), atol=1e-3)
 
@@ -114,12 +135,12 @@ def test_a_score_is_the_mean_of_the_values_under_the_points(pose: Pose2, seed: i
     assert field.score(points[:0], pose) == 0.0
 
 
-def test_outside_a_field_all_is_nought(field: ScoreField) -> None:
-    height, width = field.values.shape
-    right, top = field.resolution * width, field.resolution * height
-    places = field.origin + np.array([[-0.01, 1.0], [1.0, -0.01], [right, 1.0], [1.0, top]])
-    assert not field.at(places).any()
-    edge = np.concatenate([field.values[0], field.values[-1], field.values[:, 0]])
+def test_outside_a_field_all_is_nought() -> None:
+    height, width = FIELD.values.shape
+    right, top = FIELD.resolution * width, FIELD.resolution * height
+    places = FIELD.origin + np.array([[-0.01, 1.0], [1.0, -0.01], [right, 1.0], [1.0, top]])
+    assert not FIELD.at(places).any()
+    edge = np.concatenate([FIELD.values[0], FIELD.values[-1], FIELD.values[:, 0]])
     assert edge.max() < 0.003  # so that nothing jumps where the field ends
 
 
@@ -136,15 +157,14 @@ def test_a_coarser_cell_is_the_best_of_the_cells_in_it(seed: int, factor: int) -
         assert coarse.values[row, column] == block.max()
 
 
-@pytest.mark.parametrize("stray", [0, 1, 7])
-def test_points_too_far_from_the_others_are_counted(room: FloatArray, stray: int) -> None:
-    far = np.column_stack([np.full(stray, 500.0), 900.0 + np.arange(stray)])
-    field = ScoreField.from_points(np.vstack([room, far.reshape(-1, 2)]), max_side=40.0)
-    assert field.left_out == stray
-    assert field.sharper().left_out == stray
-    assert not field.at(far).any()
-    assert ScoreField.from_points(room, max_side=1.0).left_out > 0
-    assert ScoreField.from_points(room[:0]).left_out == 0
+def test_points_too_far_from_the_others_are_counted() -> None:
+    for stray in (0, 1, 7):
+        far = np.column_stack([np.full(stray, 500.0), 900.0 + np.arange(stray)])
+        field = ScoreField.from_points(np.vstack([ROOM, far]), max_side=40.0)
+        assert field.left_out == field.sharper().left_out == stray
+        assert not field.at(far).any()
+    assert ScoreField.from_points(ROOM, max_side=1.0).left_out > 0
+    assert ScoreField.from_points(ROOM[:0]).left_out == 0
 
 
 @given(seeds, st.floats(1.0, 30.0))
@@ -172,73 +192,63 @@ def cost(field: ScoreField, points: FloatArray, pose: Pose2) -> float:
     return float(((1.0 - Sample.of(field, points.T, pose).values) ** 2).sum())
 
 
-def random_field(seed: int) -> ScoreField:
-    values = np.random.default_rng(seed).random((9, 13), dtype=np.float32)
-    return ScoreField(values, 0.5, (-1.0, 2.0))
-
-
 @given(seeds)
-def test_values_between_cell_centres_are_scipy_s(seed: int) -> None:
-    field = random_field(seed)
-    rng = np.random.default_rng(seed + 1)
+def test_values_are_scipy_s_and_their_derivatives_those_of_finite_differences(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    field = ScoreField(rng.random((9, 13), dtype=np.float32), 0.5, (-1.0, 2.0))
     pose, points = Pose2(*rng.uniform(-1, 1, 3).tolist()), rng.uniform(-3, 9, (50, 2))
     height, width = field.values.shape
     centres = 2.25 + 0.5 * np.arange(height), -0.75 + 0.5 * np.arange(width)
     oracle = RegularGridInterpolator(centres, field.values, bounds_error=False, fill_value=0.0)
     values = Sample.of(field, points.T, pose).values
     np.testing.assert_allclose(values, oracle(pose.apply(points)[:, ::-1]), atol=1e-6)
-
-
-@given(seeds)
-def test_the_derivative_is_that_of_finite_differences(seed: int) -> None:
-    field = random_field(seed)
-    rng = np.random.default_rng(seed + 1)
-    pose, points = Pose2(*rng.uniform(-1, 1, 3).tolist()), rng.uniform(0, 5, (50, 2))
+    points, step = rng.uniform(0, 5, (50, 2)), 1e-5
     jacobian = Sample.of(field, points.T, pose).equations()[:3]
-    step = 1e-5
-    for axis in range(3):
-        ahead, behind = (np.array(pose) + sign * step * np.eye(3)[axis] for sign in (1, -1))
-        numeric = (
-            Sample.of(field, points.T, Pose2(*ahead.tolist())).values
-            - Sample.of(field, points.T, Pose2(*behind.tolist())).values
-        ) / (2 * step)
-        smooth = np.abs(numeric - jacobian[axis]) < 0.02
+    for axis, derivative in zip(np.eye(3), jacobian, strict=True):
+        ahead, behind = (
+            Sample.of(field, points.T, Pose2(*(pose + way * axis).tolist())).values
+            for way in (step, -step)
+        )
+        smooth = np.abs((ahead - behind) / (2 * step) - derivative) < 0.02
         assert smooth.mean() >= 0.95  # all but those that pass from cell to cell in the step
 
 
 @given(small, small, small)
-@few(15)
-def test_the_descent_ends_where_scipy_s_does(
-    field: ScoreField, room: FloatArray, dx: float, dy: float, turn: float
+def test_the_descent_ends_where_scipy_s_does_and_the_way_some_millimetres_from_a_match(
+    dx: float, dy: float, turn: float
 ) -> None:
-    guess, points = Pose2(dx, dy, turn), room[::5]
-    found = descend(field, points, guess, 20, 0.3)
+    guess, points = Pose2(dx, dy, turn), ROOM[::5]
+    found = descend(FIELD, points, guess, 20, 0.3)
     best = minimize(
-        lambda pose: cost(field, points, Pose2(*pose)),
+        lambda pose: cost(FIELD, points, Pose2(*pose)),
         np.array(guess),
         method="Nelder-Mead",
         options={"initial_simplex": np.array(guess) + 0.02 * np.vstack([np.zeros(3), np.eye(3)])},
     )
-    assert cost(field, points, found) <= best.fun + 0.01
+    assert cost(FIELD, points, found) <= best.fun + 0.01
+    found = approach(FIELD, points, guess, SIGMA_M)
+    match = descend(FIELD, points, found, 30, 0.3)
+    assert math.dist(found[:2], match[:2]) < 0.01
+    assert found.theta == pytest.approx(match.theta, abs=0.005)
 
 
 @given(seeds, st.floats(0.0, 0.5), st.integers(0, 6))
 def test_the_descent_never_makes_it_worse_nor_leaves_its_reach(
-    field: ScoreField, room: FloatArray, seed: int, reach: float, iterations: int
+    seed: int, reach: float, iterations: int
 ) -> None:
     guess = Pose2(*np.random.default_rng(seed).uniform(-1.0, 1.0, 3).tolist())
-    found = descend(field, room[::5], guess, iterations, reach)
+    found = descend(FIELD, ROOM[::5], guess, iterations, reach)
     assert (guess.inverse() @ found).distance <= reach + 1e-9
-    assert cost(field, room[::5], found) <= cost(field, room[::5], guess) + 1e-9
+    assert cost(FIELD, ROOM[::5], found) <= cost(FIELD, ROOM[::5], guess) + 1e-9
     if not iterations:
         assert found == pytest.approx(guess)
 
 
-def test_too_few_points_or_cells_leave_the_guess_as_it_is(field: ScoreField) -> None:
+def test_too_few_points_or_cells_leave_the_guess_as_it_is() -> None:
     guess = Pose2(0.1, 0.2, 0.3)
     for points in range(3):
-        assert descend(field, np.zeros((points, 2)), guess, 20, 0.3) == guess
-        assert approach(field, np.zeros((points, 2)), guess, SIGMA_M) == guess
+        assert descend(FIELD, np.zeros((points, 2)), guess, 20, 0.3) == guess
+        assert approach(FIELD, np.zeros((points, 2)), guess, SIGMA_M) == guess
     speck = ScoreField(np.ones((1, 1), dtype=np.float32), 0.1, (0.0, 0.0))
     guess = Pose2(0.01, 0.02, 0.0)
     assert descend(speck, np.random.default_rng(0).random((9, 2)), guess, 20, 0.3) == guess
@@ -251,16 +261,6 @@ def test_a_single_wall_draws_the_pose_across_it_and_not_along() -> None:
     assert found.y == pytest.approx(0.0, abs=0.01)
     assert found.theta == pytest.approx(0.0, abs=0.005)
     assert found.x == pytest.approx(0.2, abs=0.05)
-
-
-@given(small, small, small)
-def test_the_way_ends_some_millimetres_from_the_match(
-    field: ScoreField, room: FloatArray, dx: float, dy: float, turn: float
-) -> None:
-    found = approach(field, room[::5], Pose2(dx, dy, turn), SIGMA_M)
-    best = descend(field, room[::5], found, 30, 0.3)
-    assert math.dist(found[:2], best[:2]) < 0.01
-    assert found.theta == pytest.approx(best.theta, abs=0.005)
 
 
 def test_the_way_follows_what_half_a_sigma_tells_apart() -> None:
@@ -280,3 +280,152 @@ def test_along_a_bare_corridor_the_way_stays_at_the_guess() -> None:
     found = approach(field, seen, Pose2(0.3, 0.05, 0.02), SIGMA_M)
     assert found.x == pytest.approx(0.3, abs=0.05)
     assert found.y == pytest.approx(0.0, abs=0.02)
+
+
+WIDE = Window(distance_m=1.0, angle_rad=0.3, step_m=0.1)
+NARROW = Window(distance_m=0.3, angle_rad=0.1, step_m=0.1)
+BEARINGS = np.linspace(-math.pi, math.pi, 720, endpoint=False)
+
+
+def assert_near(found: Pose2, true: Pose2, metres: float, radians: float) -> None:
+    away = true.inverse() @ found
+    assert away.distance < metres
+    assert abs(away.theta) < radians
+
+
+def test_without_points_on_the_field_every_answer_is_the_guess() -> None:
+    nothing = np.zeros((0, 2))
+    guess = Pose2(1.0, 2.0, 0.3)
+    assert search(FIELD, nothing, guess, WIDE).pose == guess
+    assert refine(FIELD, nothing, guess).pose == guess
+    assert matching.search_everywhere(FIELD, nothing, 1, 0.2, 0.05) == []
+    assert ScoreField.from_points(nothing).score(np.ones((3, 2)), IDENTITY) == 0.0
+    lone = np.array([[100.0, 100.0], [-200.0, 3.0], [50.0, -70.0]])
+    assert search(FIELD, lone, IDENTITY, WIDE).score == 0.0
+
+
+@few(15)
+@given(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(-0.3, 0.3), st.floats(-3.1, 3.1))
+def test_a_scan_is_found_from_a_guess(dx: float, dy: float, turn: float, heading: float) -> None:
+    true = Pose2(0.4, -0.3, heading)
+    scan = true.inverse().apply(ROOM[::3])
+    guess = Pose2(true.x + dx, true.y + dy, heading + turn)
+    rough = search(FIELD, scan, guess, Window(distance_m=0.4, angle_rad=0.35, step_m=0.05))
+    assert_near(rough.pose, true, 0.1, 0.05)
+    # walls on the very edge of cells are drawn half a cell away
+    assert_near(refine(FIELD, scan, rough.pose).pose, true, 0.04, 0.01)
+
+
+@pytest.mark.parametrize("heading", [-2.5, -0.4, 0.0, 1.3, 3.0])
+def test_a_scan_is_found_without_a_guess_and_places_are_apart(heading: float) -> None:
+    true = Pose2(6.0, -9.0, heading)
+    scan = true.inverse().apply(ROOM[::2])
+    found = matching.search_everywhere(FIELD, scan, count=5, step=0.2, angle_step=0.05)
+    assert len(found) == 5
+    best, *others = found
+    assert_near(refine(FIELD, scan, best.pose).pose, true, 0.05, 0.02)
+    assert all(other.score < best.score for other in others)
+    centre = scan.mean(axis=0)[None, :]
+    for a, b in itertools.combinations(found, 2):
+        gap = np.hypot(*(a.pose.apply(centre) - b.pose.apply(centre))[0])
+        assert gap >= 0.99 or abs(wrap_angle(a.pose.theta - b.pose.theta)) >= 0.29
+    for match in found:  # scores are never below the true ones
+        assert match.score <= 1.0
+        assert 0.0 <= FIELD.score(scan, match.pose) <= match.score + 1e-9
+        near = search(FIELD, scan, match.pose, NARROW)
+        assert near.score >= FIELD.score(scan, match.pose)
+
+
+def lattice(window: Window, resolution: float, turns: int) -> list[tuple[float, float, float]]:
+    """Every pose of a window: shifts in cells, angles either way."""
+    stride = round(window.step_m / resolution)
+    n = round(window.distance_m / resolution) // stride
+    shifts = stride * resolution * np.arange(-n, n + 1)
+    angles = window.angle_rad * np.arange(-turns, turns + 1) / max(turns, 1)
+    return [(x, y, a) for x in shifts for y in shifts for a in angles]
+
+
+@given(seeds, st.sampled_from([0.0, 0.4]))
+@few(12)
+def test_the_search_finds_what_trying_every_pose_finds(seed: int, penalty: float) -> None:
+    rng = np.random.default_rng(seed)
+    resolution = 0.0625  # a power of two, so that shifts by whole cells are exact
+    field = ScoreField.from_points(rng.uniform(-2.0, 2.0, (60, 2)), resolution)
+    points, guess = rng.uniform(-1.5, 1.5, (25, 2)), Pose2(*rng.uniform(-0.5, 0.5, 3).tolist())
+    window = Window(
+        distance_m=4 * resolution,
+        angle_rad=0.2,
+        step_m=2 * resolution,
+        angle_step_rad=0.1,
+        penalty_per_m2=penalty,
+        penalty_per_rad2=penalty,
+    )
+    values = [
+        field.score(points, Pose2(guess.x + x, guess.y + y, guess.theta + a))
+        - penalty * (x**2 + y**2 + a**2)
+        for x, y, a in lattice(window, resolution, 2)
+    ]
+    found = search(field, points, guess, window)
+    assert found.score == pytest.approx(field.score(points, found.pose), abs=1e-6)
+    moved = np.array(found.pose) - guess
+    assert found.score - penalty * (moved**2).sum() == pytest.approx(max(values), abs=1e-6)
+
+
+def test_of_poses_that_fit_alike_the_search_takes_the_nearest() -> None:
+    corridor = np.vstack([wall(-9, 0, 9, 0), wall(-9, 2, 9, 2)])
+    field = ScoreField.from_points(corridor)
+    middle = corridor[np.abs(corridor[:, 0]) < 2]
+    empty = ScoreField(np.zeros((50, 50), dtype=np.float32), 0.1, (0.0, 0.0))
+    for place in (field, empty):
+        guess = Pose2(0.013, 0.0, 0.0)
+        assert search(place, middle, guess, NARROW).pose == guess
+
+
+@given(seeds)
+@few(8)
+def test_covariance_is_that_of_weights_summed_pose_by_pose(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    resolution = 0.0625
+    field = ScoreField.from_points(rng.uniform(-2.0, 2.0, (60, 2)), resolution)
+    points, pose = rng.uniform(-1.5, 1.5, (25, 2)), Pose2(*rng.uniform(-0.5, 0.5, 3).tolist())
+    reach, angle = 6 * resolution, 0.06
+    window = Window(distance_m=reach, angle_rad=angle, step_m=resolution)
+    offsets = np.array(lattice(window, resolution, 6))
+    scores = np.array([field.score(points, Pose2(*(pose + o).tolist())) for o in offsets])
+    weights = np.exp((scores - scores.max()) / 0.05)
+    expected = np.cov(offsets.T, aweights=weights, ddof=0)
+    turn("grids", spread_temperature=0.05, spread_m=reach, spread_rad=angle)
+    found = matching.covariance(field, points, pose)
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-9)
+
+
+def box(length_m: float, width_m: float, range_m: float, noise_m: float) -> FloatArray:
+    """What a laser in the middle of a box sees, its long side along x."""
+    rng = np.random.default_rng(0)
+    to_end = 0.5 * length_m / np.maximum(np.abs(np.cos(BEARINGS)), 1e-9)
+    to_side = 0.5 * width_m / np.maximum(np.abs(np.sin(BEARINGS)), 1e-9)
+    ranges = np.minimum(to_end, to_side)
+    seen = ranges < range_m
+    ranges = ranges + rng.normal(0.0, noise_m, len(ranges))
+    return np.column_stack([ranges * np.cos(BEARINGS), ranges * np.sin(BEARINGS)])[seen]
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 0.01, 0.03])
+@pytest.mark.parametrize("width_m", [1.5, 2.5])
+@pytest.mark.parametrize("turn", [0.0, 0.7, -2.0])
+def test_a_bare_corridor_is_open_along_itself(noise_m: float, width_m: float, turn: float) -> None:
+    points = Pose2(0.0, 0.0, turn).apply(box(60.0, width_m, 8.0, noise_m))
+    weakest = matching.weakest_direction(points)
+    assert weakest.open
+    assert abs(math.sin(weakest.heading - turn)) < 0.05
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 0.01, 0.03])
+def test_an_end_in_sight_closes_it_and_a_square_room_fixes_all_directions_alike(
+    noise_m: float,
+) -> None:
+    assert not matching.weakest_direction(box(12.0, 2.5, 8.0, noise_m)).open
+    square = matching.weakest_direction(box(5.0, 5.0, 10.0, noise_m))
+    assert square.share == pytest.approx(0.5, abs=0.06)
+    for count in range(3):  # too few points fix nothing
+        assert matching.weakest_direction(np.ones((count, 2))).open

@@ -1,4 +1,7 @@
-"""keyframes.mcap: written, read back, opened as a recording, and damaged."""
+"""keyframes.mcap: written, read back, opened as a recording, and damaged.
+
+Its scans are on evenly spaced beams, as a LaserScan carries them.
+"""
 
 from __future__ import annotations
 
@@ -20,16 +23,21 @@ from specmap_cli.core.settings import LimitsConfig, LogConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.logs import open_log
 from specmap_cli.logs.messages import decode_transforms
+from specmap_cli.logs.planar import covers_circle
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import LogWriter
+from specmap_cli.maps.even_bearings import EvenBeams, EvenSpacing
 from specmap_cli.maps.keyframe_log import read_keyframes, write_keyframes
 from specmap_cli.maps.store import read_map
 from specmap_cli.maps.writing import MapResult, write_map
+from specmap_cli.registration.sweep_view import deskewed
+from tests.casting import keyframe, store_of
 from tests.strategies import planar_scans, poses
 
 BEARINGS = np.linspace(-math.pi, math.pi, 180, endpoint=False)
 MOUNT = Pose2(0.2, -0.1, 0.5)
 MOST, START_NS = 1_000, 1_700_000_000_000_000_000
+STAMPS = st.integers(-2, 2).map(lambda stamp: 1_000 * stamp - 7) | st.integers(0, 10**12)
 
 
 def planar(number: int) -> PlanarScan:
@@ -41,22 +49,8 @@ def planar(number: int) -> PlanarScan:
 
 
 def posed(number: int, mount: Pose2 = MOUNT) -> PosedScan:
-    scan = planar(number)
     pose = Pose2(0.05 * number, math.sin(number), 0.1 * number - 2.0)
-    return PosedScan(
-        index=number,
-        stamp_ns=scan.stamp_ns,
-        map_from_base=pose,
-        planar=scan,
-        base_from_laser=mount,
-    )
-
-
-def store_of(scans: Iterable[PosedScan]) -> KeyframeStore:
-    store = KeyframeStore()
-    for scan in scans:
-        store.append(scan)
-    return store
+    return keyframe(planar(number), pose, mount, number)
 
 
 def laid_out(store: KeyframeStore) -> FloatArray:
@@ -87,12 +81,12 @@ def assert_same(read: KeyframeStore, scans: Sequence[PosedScan], range_m: float 
         assert found.ranges == pytest.approx(scan.planar.ranges, abs=range_m, nan_ok=True)
 
 
-@given(st.lists(st.tuples(planar_scans(), poses), max_size=4))
+@given(st.lists(st.tuples(planar_scans(), STAMPS, poses), max_size=4))
 def test_any_scans_there_and_back(
-    tmp_path_factory: pytest.TempPathFactory, taken: list[tuple[PlanarScan, Pose2]]
+    tmp_path_factory: pytest.TempPathFactory, taken: list[tuple[PlanarScan, int, Pose2]]
 ) -> None:
-    """Whatever their stamps and poses: in their order, to a micrometre and a millimetre."""
-    scans = [replace(posed(0), stamp_ns=s.stamp_ns, planar=s, map_from_base=p) for s, p in taken]
+    """In their order though stamps repeat or go back, to a micrometre and a millimetre."""
+    scans = [keyframe(replace(scan, stamp_ns=at), pose, MOUNT) for scan, at, pose in taken]
     path = written(tmp_path_factory.mktemp("any") / "keyframes.mcap", scans)
     with read_keyframes(path, MOST) as read:
         assert_same(read, scans, range_m=0.000501)
@@ -106,18 +100,6 @@ def test_what_was_read_is_written_again_with_the_same_bytes(path: Path, tmp_path
     ):
         write_keyframes(again, back, laid_out(store))
     assert again.read_bytes() == path.read_bytes()
-
-
-def stamped(number: int, stamp_ns: int) -> PosedScan:
-    planar_scan = replace(planar(number), stamp_ns=stamp_ns)
-    return replace(posed(number), stamp_ns=stamp_ns, planar=planar_scan)
-
-
-def test_stamps_that_repeat_or_go_back_keep_the_order_of_the_keyframes(tmp_path: Path) -> None:
-    stamps = [5_000, 5_000, 1_000, 1_000, 9_000, -7]
-    scans = [stamped(number, stamp) for number, stamp in enumerate(stamps)]
-    with read_keyframes(written(tmp_path / "a.mcap", scans), MOST) as read:
-        assert_same(read, scans)
 
 
 def test_several_lasers_have_a_frame_each(tmp_path: Path) -> None:
@@ -208,23 +190,103 @@ def test_scans_that_lack_something(tmp_path: Path, lack: str) -> None:
         read_keyframes(tmp_path / "a.mcap", MOST)
 
 
-def keyframes_of(result: MapResult) -> KeyframeStore:
-    """A store for the labels of a map."""
-    return store_of(stamped(0, stamp) for stamp in result.labels.stamps_ns.tolist())
-
-
 def test_the_keyframes_of_a_map_are_those_of_its_labels(
     stored: Path, tmp_path: Path, result: MapResult
 ) -> None:
     with pytest.raises(MapError, match=r"has no keyframes\.mcap: .*build the map again") as caught:
         read_map(stored).keyframes()
     assert caught.value.found == "has no keyframes.mcap"
+    stamps, pose = result.labels.stamps_ns.tolist(), Pose2(0.0, 0.0, 0.0)
+    scans = [keyframe(replace(planar(0), stamp_ns=stamp), pose) for stamp in stamps]
     shifted = replace(result.labels, stamps_ns=result.labels.stamps_ns + 1)
     for name, labels in (("own", result.labels), ("others", shifted)):
         (tmp_path / name).mkdir()
-        with keyframes_of(result) as store:
+        with store_of(scans) as store:
             write_map(tmp_path / name, replace(result, labels=labels), store)
     with read_map(tmp_path / "own").keyframes() as read:
-        assert read.stamps_ns == tuple(result.labels.stamps_ns.tolist())
+        assert read.stamps_ns == tuple(stamps)
     with pytest.raises(MapError, match=r"its 30 scans are not the 30 keyframes of labels\.csv"):
         read_map(tmp_path / "others").keyframes()
+
+
+CIRCLE = 2 * math.pi
+
+
+def seen_along(bearings: FloatArray, ranges: FloatArray) -> PlanarScan:
+    return PlanarScan(0, bearings, ranges, 30.0, False)
+
+
+def bearings_of(beams: EvenBeams) -> FloatArray:
+    return np.asarray(beams.angle_min + beams.increment * np.arange(len(beams.ranges)))
+
+
+def test_a_lasers_own_scan_stays_as_it_is() -> None:
+    bearings, ranges = np.linspace(-1.5, 1.5, 301), np.arange(301.0)
+    beams = EvenSpacing().beams(seen_along(bearings, ranges))
+    assert beams.ranges is ranges
+    assert bearings_of(beams) == pytest.approx(bearings, abs=1e-6)
+
+
+def turned(full_circle: bool) -> tuple[PlanarScan, PlanarScan]:
+    """A scan at rest, and one in motion with its beams de-skewed."""
+    span = CIRCLE if full_circle else 4.0
+    bearings = np.linspace(-span / 2, span / 2, 360, endpoint=not full_circle)
+    rest = PlanarScan(
+        0, bearings, 3.0 + np.cos(bearings), 30.0, full_circle, np.linspace(0.0, 0.1, 360)
+    )
+    moving = deskewed(rest, Pose2(0.2, 0.0, 0.0), Pose2(0.1, 0.0, 0.3), 0.1)
+    return rest, moving
+
+
+@pytest.mark.parametrize("full_circle", [True, False])
+def test_what_was_measured_in_motion_keeps_the_bearings_of_the_laser(full_circle: bool) -> None:
+    rest, moving = turned(full_circle)
+    spacing = EvenSpacing()
+    spacing.beams(rest)
+    beams = spacing.beams(moving)
+    assert (beams.angle_min, len(beams.ranges)) == (float(np.float32(rest.bearings[0])), 360)
+    half = beams.increment / 2 * 1.2  # motion spreads the beams by a tenth
+    seen = np.isfinite(beams.ranges)
+    assert seen.mean() > (0.99 if full_circle else 0.9), "the view of a sector has turned away"
+    for bearing, found in zip(bearings_of(beams)[seen], beams.ranges[seen], strict=True):
+        away = np.abs((moving.bearings - bearing + math.pi) % CIRCLE - math.pi)
+        assert found in moving.ranges[away <= half], "the reading of a neighbour"
+
+
+def test_the_first_scan_may_be_one_in_motion() -> None:
+    _, moving = turned(full_circle=True)
+    beams = EvenSpacing().beams(moving)
+    assert covers_circle(len(beams.ranges), beams.increment)
+    assert np.isfinite(beams.ranges).all()
+
+
+def test_no_reading_is_made_up_where_there_is_none() -> None:
+    hole = np.concatenate([np.linspace(-1.0, -0.5, 50), np.linspace(0.5, 1.0, 50)])
+    beams = EvenSpacing().beams(seen_along(hole, np.ones(100)))
+    assert np.isnan(beams.ranges[np.abs(bearings_of(beams)) < 0.45]).all()
+    assert np.isnan(beams.ranges).mean() == pytest.approx(0.5, abs=0.03)
+
+
+@pytest.mark.parametrize("blind", [(150, 250), (0, 60), (340, 400), (380, 20), (7, 8), (7, 7)])
+def test_a_circle_not_looked_at_all_around_goes_without_its_blind_part(
+    blind: tuple[int, int],
+) -> None:
+    bearings = np.asarray(-math.pi + (np.arange(400) + 0.5) * (CIRCLE / 400), dtype=np.float64)
+    ranges, (start, end) = np.arange(400.0), blind
+    run = np.arange(start, end if end >= start else end + 400) % 400
+    ranges[run] = np.nan
+    beams = EvenSpacing().beams(seen_along(bearings, ranges))
+    assert not covers_circle(len(beams.ranges), beams.increment)
+    assert len(beams.ranges) == 400 - max(len(run), 2)
+    places = np.round((bearings_of(beams) + math.pi) / (CIRCLE / 400) - 0.5).astype(int) % 400
+    assert (beams.ranges == places).all(), "each reading at its bearing"
+
+
+def test_a_single_beam_and_a_circle_that_saw_nothing() -> None:
+    beams = EvenSpacing().beams(seen_along(np.array([0.3]), np.array([2.0])))
+    assert (beams.angle_min, beams.increment) == (float(np.float32(0.3)), 0.0)
+    assert beams.ranges.tolist() == [2.0]
+    bearings = np.linspace(-math.pi, math.pi, 90, endpoint=False)
+    blind = EvenSpacing().beams(seen_along(bearings, np.full(90, np.nan))).ranges
+    assert len(blind) == 1
+    assert np.isnan(blind).all()

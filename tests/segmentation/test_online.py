@@ -1,27 +1,40 @@
-"""Splitting while the robot moves, on tours with true poses."""
+"""Splitting while the robot moves: on tours with true poses, and the submap that is tested."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from specmap_cli.core.config import load_config
 from specmap_cli.core.geometry import Pose2, step_lengths
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import GridConfig, SegmentationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.segmentation import online, splitting
+from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
+from specmap_cli.segmentation import online
 from specmap_cli.segmentation.online import Occasion, OnlineSegmenter, Region
-from specmap_cli.segmentation.splitting import CoarseSubmap, SplitTest, examine, way_driven
-from tests.casting import keyframe, ranges_at
+from specmap_cli.segmentation.splitting import (
+    PATH_MARGIN_M,
+    SPLIT_CELL_M,
+    CoarseSubmap,
+    SplitTest,
+    examine,
+    way_driven,
+)
+from tests.casting import keyframe, ranges_at, store_of
+from tests.segmentation.plans import OFFICE, TWO_ROOMS, plan
 from tests.turning import turn
 
 DEFAULT = SegmentationConfig()
+EVERYWHERE = DEFAULT.model_copy(update={"path_band_m": 0.0})
 PAPER = load_config(preset="paper").segmentation
+GRID = GridConfig(resolution_m=0.05, footprint_m=0.2)
+ONE_GRID = GRID.model_copy(update={"resolution_m": SPLIT_CELL_M})
 BEARINGS = np.linspace(-np.pi, np.pi, 360, endpoint=False)
 RANGE_M = 20.0
 
@@ -39,12 +52,9 @@ def waypoints_to_poses(*points: tuple[float, float]) -> list[Pose2]:
 
 def record(grid: GridMap, poses: list[Pose2]) -> KeyframeStore:
     """Perfect scans from perfect poses."""
-    store = KeyframeStore()
     seen = ranges_at(grid, np.array(poses), BEARINGS, RANGE_M)
-    for number, (pose, ranges) in enumerate(zip(poses, seen, strict=True)):
-        scan = PlanarScan(number, BEARINGS, ranges, RANGE_M, True)
-        store.append(keyframe(scan, pose, number=number))
-    return store
+    scans = (PlanarScan(k, BEARINGS, ranges, RANGE_M, True) for k, ranges in enumerate(seen))
+    return store_of(map(keyframe, scans, poses))
 
 
 def run(
@@ -59,9 +69,14 @@ def run(
     return [r for number in range(count) for r in segmenter.add(number)] + segmenter.flush()
 
 
-def submap_of(store: KeyframeStore, keyframes: int) -> CoarseSubmap:
-    submap = CoarseSubmap(DEFAULT, GridConfig(), store)
-    for number in range(keyframes):
+def submap_of(
+    store: KeyframeStore,
+    keyframes: Iterable[int],
+    config: SegmentationConfig = DEFAULT,
+    grid: GridConfig = GRID,
+) -> CoarseSubmap:
+    submap = CoarseSubmap(config, grid, store)
+    for number in keyframes:
         submap.add(number)
     return submap
 
@@ -72,15 +87,15 @@ def examined(store: KeyframeStore, config: SegmentationConfig = DEFAULT) -> list
     return tests
 
 
-THERE_AND_BACK = waypoints_to_poses(
+TWICE_OVER = waypoints_to_poses(
     (1.0, 3.4), (4.0, 3.4), (3.0, 1.95), (6.2, 1.95), (8.8, 3.6), (8.8, 1.0), (6.5, 1.95),
-    (2.8, 1.95), (1.0, 1.0),
+    (2.8, 1.95), (1.0, 1.0), (4.0, 1.95), (6.2, 1.95), (8.8, 3.0),
 )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
-def two_room_tour(two_rooms: GridMap) -> Iterator[KeyframeStore]:
-    with record(two_rooms, THERE_AND_BACK) as store:
+def two_room_tour() -> Iterator[KeyframeStore]:
+    with record(TWO_ROOMS, TWICE_OVER) as store:
         yield store
 
 
@@ -88,34 +103,27 @@ def test_two_rooms_are_two_and_the_first_goes_on_when_the_robot_is_back(
     two_room_tour: KeyframeStore,
 ) -> None:
     regions = run(two_room_tour)
-    assert [region.continues for region in regions] == [None, None, 0]
-    assert [region.number for region in regions] == [0, 1, 2]
+    assert [region.continues for region in regions] == [None, None, 0, 1]
+    assert [region.number for region in regions] == [0, 1, 2, 3]
     every = sorted(number for region in regions for number in region.keyframes)
     assert every == list(range(len(two_room_tour)))
-    room = [pose.x > 5.4 for pose in THERE_AND_BACK]
-    wrong = sum(room[k] != (region.number == 1) for region in regions for k in region.keyframes)
+    room = [pose.x > 5.4 for pose in TWICE_OVER]
+    wrong = sum(room[k] != (region.number % 2) for region in regions for k in region.keyframes)
     assert wrong <= 0.03 * len(room)
     apart = run(two_room_tour, DEFAULT.model_copy(update={"regrow": False}))
-    assert [region.continues for region in apart] == [None, None, None]
+    assert [region.continues for region in apart] == [None] * 4
 
 
-@pytest.fixture(scope="module")
-def three_rooms(plan: Callable[..., GridMap]) -> Iterator[KeyframeStore]:
+def test_what_no_sight_line_joins_any_more_is_a_region_once_the_robot_is_gone() -> None:
     """A way round a corner through three rooms; the first door is too narrow for a sight line."""
     rooms = [(0.3, 0.3, 4.3, 4.3), (4.5, 0.3, 9.5, 4.3), (4.5, 4.5, 9.5, 8.5)]
     doors = [(4.3, 1.7, 4.5, 2.2), (8.0, 4.3, 8.9, 4.5)]
     way = waypoints_to_poses((1, 3), (3, 3), (3, 1.95), (6, 1.95), (8.45, 1.95), (8.45, 6.0))
     way += waypoints_to_poses((8.45, 6.0), (6.0, 6.0), (6.0, 7.5), (8.5, 7.5), (8.5, 6.5), (6, 6))
-    with record(plan(9.8, 8.8, *rooms, *doors), way) as store:
-        yield store
-
-
-def test_what_no_sight_line_joins_any_more_is_a_region_once_the_robot_is_gone(
-    three_rooms: KeyframeStore,
-) -> None:
     tests: list[SplitTest] = []
-    regions = run(three_rooms, observer=lambda test, *_: tests.append(test))
-    x, y = three_rooms.poses[:, :2].T
+    with record(plan(9.8, 8.8, *rooms, *doors), way) as store:
+        regions = run(store, observer=lambda test, *_: tests.append(test))
+        x, y = store.poses[:, :2].T
     assert sorted(k for region in regions for k in region.keyframes) == list(range(len(x)))
     assert [region.number for region in regions] == [0, 1, 2]
     assert {region.continues for region in regions} == {None}
@@ -138,7 +146,7 @@ def test_a_loss_of_track_ends_the_region_and_joins_nothing(two_room_tour: Keyfra
 
 
 @pytest.mark.parametrize("width", [3.0, 12.0])
-def test_a_hall_of_any_width_is_not_split(plan: Callable[..., GridMap], width: float) -> None:
+def test_a_hall_of_any_width_is_not_split(width: float) -> None:
     grid = plan(width + 0.6, 12.6, (0.3, 0.3, 0.3 + width, 12.3))
     poses = waypoints_to_poses(
         (1.0, 1.0), (1.0, 11.5), (width - 0.4, 11.5), (width - 0.4, 1.0), (1.5, 1.0)
@@ -148,9 +156,9 @@ def test_a_hall_of_any_width_is_not_split(plan: Callable[..., GridMap], width: f
     assert len(regions) == 1
 
 
-def test_looking_into_a_room_does_not_split_the_corridor(office: GridMap) -> None:
+def test_looking_into_a_room_does_not_split_the_corridor() -> None:
     poses = waypoints_to_poses((1.0, 5.5), (14.0, 5.5), (1.0, 5.4))
-    with record(office, poses) as store:
+    with record(OFFICE, poses) as store:
         assert len(run(store)) == 1
         assert len(run(store, PAPER)) > 1
 
@@ -162,9 +170,7 @@ def test_tests_come_by_the_way_travelled_or_by_keyframes(two_room_tour: Keyframe
     assert len(examined(two_room_tour, PAPER)) == len(two_room_tour) // PAPER.test_keyframes
 
 
-def test_the_longer_the_way_in_one_submap_the_rarer_the_tests(
-    plan: Callable[..., GridMap],
-) -> None:
+def test_the_longer_the_way_in_one_submap_the_rarer_the_tests() -> None:
     """With a share of 0.4, nothing shorter than 4 m is split off a way of 10 m."""
     grid = plan(30.6, 2.6, (0.3, 0.3, 30.3, 2.3))
     poses = waypoints_to_poses((1.0, 1.0), (29.0, 1.0), (1.0, 1.6))
@@ -195,7 +201,7 @@ def test_the_paper_compares_the_second_eigenvalue(two_room_tour: KeyframeStore) 
 def test_the_outcome_of_a_test_does_not_depend_on_where_the_map_lies(
     two_room_tour: KeyframeStore,
 ) -> None:
-    submap = submap_of(two_room_tour, 90)
+    submap = submap_of(two_room_tour, range(90))
     here = examine(submap.grid(), submap.poses, DEFAULT)
     grid = submap.grid()
     far = GridMap(grid.cells, grid.resolution, (grid.origin[0] + 512.0, grid.origin[1] - 256.0))
@@ -205,28 +211,13 @@ def test_the_outcome_of_a_test_does_not_depend_on_where_the_map_lies(
     np.testing.assert_allclose(here.nodes + (512.0, -256.0), there.nodes)
 
 
-def test_the_number_of_nodes_is_bounded(office: GridMap) -> None:
+def test_the_number_of_nodes_is_bounded() -> None:
     poses = waypoints_to_poses((1.0, 5.5), (14.0, 5.5))
-    with record(office, poses) as store:
-        submap = submap_of(store, len(store))
+    with record(OFFICE, poses) as store:
+        submap = submap_of(store, range(len(store)))
         assert len(examine(submap.grid(), submap.poses, DEFAULT).nodes) > 20
         turn("segmentation", split_nodes=20)
         assert 3 <= len(examine(submap.grid(), submap.poses, DEFAULT).nodes) <= 20
-
-
-TWICE_OVER = [
-    *THERE_AND_BACK,
-    *waypoints_to_poses((1.0, 1.0), (4.0, 1.95), (6.2, 1.95), (8.8, 3.0)),
-]
-
-
-def test_a_region_gone_on_with_twice_is_named_by_its_first_piece(two_rooms: GridMap) -> None:
-    with record(two_rooms, TWICE_OVER) as store:
-        regions = run(store)
-    assert [region.continues for region in regions] == [None, None, 0, 1]
-    for region in regions:
-        beyond = np.mean([TWICE_OVER[k].x > 5.4 for k in region.keyframes])
-        assert abs(beyond - region.number % 2) < 0.05
 
 
 def test_the_observer_sees_what_is_split(two_room_tour: KeyframeStore) -> None:
@@ -275,31 +266,29 @@ def sides(test: SplitTest, x: float) -> tuple[set[bool], set[bool]]:
     return set(test.stays[left].tolist()), set(test.stays[~left].tolist())
 
 
-def test_a_door_divides_the_way_where_it_is(two_rooms: GridMap) -> None:
-    test = examine(*driven(two_rooms, (1.0, 1.95), (8.5, 1.95)), DEFAULT)
+def test_a_door_divides_the_way_where_it_is() -> None:
+    test = examine(*driven(TWO_ROOMS, (1.0, 1.95), (8.5, 1.95)), DEFAULT)
     assert test.eigenvalue > DEFAULT.split_eigenvalue
     assert sides(test, 5.1) == ({False}, {True, False}) or sides(test, 5.1) == ({False}, {True})
     assert sides(test, 5.7)[1] == {True}
     assert test.reached.all()
-    back = examine(*driven(two_rooms, (8.5, 1.95), (1.0, 1.95)), DEFAULT)
+    back = examine(*driven(TWO_ROOMS, (8.5, 1.95), (1.0, 1.95)), DEFAULT)
     assert back.eigenvalue == pytest.approx(test.eigenvalue)
     assert sides(back, 5.1)[0] == {True}
 
 
-def test_what_lies_beyond_the_band_and_its_margin_changes_nothing(two_rooms: GridMap) -> None:
-    near = examine(*driven(two_rooms, (1.0, 1.0), (2.0, 1.0)), DEFAULT)
-    cells = two_rooms.cells.copy()
-    reach = DEFAULT.path_band_m + splitting.PATH_MARGIN_M
+def test_what_lies_beyond_the_band_and_its_margin_changes_nothing() -> None:
+    near = examine(*driven(TWO_ROOMS, (1.0, 1.0), (2.0, 1.0)), DEFAULT)
+    cells = TWO_ROOMS.cells.copy()
+    reach = DEFAULT.path_band_m + PATH_MARGIN_M
     cells[:, round((2.0 + reach) / 0.05) + 2 :] = OCCUPIED
-    other = GridMap(cells, two_rooms.resolution)
+    other = GridMap(cells, TWO_ROOMS.resolution)
     same = examine(*driven(other, (1.0, 1.0), (2.0, 1.0)), DEFAULT)
     np.testing.assert_array_equal(near.eigenvalues, same.eigenvalues)
     np.testing.assert_array_equal(near.grid.cells, same.grid.cells)
-    assert near.grid.cells.size < two_rooms.cells.size
-    whole = examine(
-        *driven(two_rooms, (1.0, 1.0), (2.0, 1.0)), DEFAULT.model_copy(update={"path_band_m": 0.0})
-    )
-    np.testing.assert_array_equal(whole.grid.cells, two_rooms.cells)
+    assert near.grid.cells.size < TWO_ROOMS.cells.size
+    whole = examine(*driven(TWO_ROOMS, (1.0, 1.0), (2.0, 1.0)), EVERYWHERE)
+    np.testing.assert_array_equal(whole.grid.cells, TWO_ROOMS.cells)
 
 
 @pytest.mark.parametrize("margin", [0.0, 1.0])
@@ -313,22 +302,17 @@ def test_the_margin_keeps_obstacles_at_the_band_s_edge_whole(margin: float) -> N
     assert on_it.any() == (margin > 0.0)
 
 
-def test_of_rooms_seen_and_not_entered_there_may_be_as_many_as_eigenpairs(
-    office: GridMap,
-) -> None:
+def test_of_rooms_seen_and_not_entered_there_may_be_as_many_as_eigenpairs() -> None:
     way = (1.0, 5.5), (14.0, 5.5), (12.4, 5.5), (12.4, 3.0)
-    everywhere = DEFAULT.model_copy(update={"path_band_m": 0.0})
-    found = examine(*driven(office, *way), everywhere)
+    found = examine(*driven(OFFICE, *way), EVERYWHERE)
     assert found.chosen > 1
     turn("segmentation", split_eigenpairs=found.chosen)
-    assert examine(*driven(office, *way), everywhere).eigenvalue == 0.0
+    assert examine(*driven(OFFICE, *way), EVERYWHERE).eigenvalue == 0.0
 
 
-def test_no_division_of_a_stand_a_way_off_the_map_or_a_map_too_small_for_a_graph(
-    two_rooms: GridMap, plan: Callable[..., GridMap]
-) -> None:
-    standing = examine(two_rooms, np.tile([2.0, 1.95, 0.0], (30, 1)), DEFAULT)
-    grid, poses = driven(two_rooms, (1.0, 1.0), (3.0, 1.0))
+def test_no_division_of_a_stand_a_way_off_the_map_or_a_map_too_small_for_a_graph() -> None:
+    standing = examine(TWO_ROOMS, np.tile([2.0, 1.95, 0.0], (30, 1)), DEFAULT)
+    grid, poses = driven(TWO_ROOMS, (1.0, 1.0), (3.0, 1.0))
     off = examine(grid, poses + (500.0, 0.0, 0.0), DEFAULT)
     assert (len(off.nodes), off.grid.cells.size) == (0, 0)
     small = examine(plan(1.0, 1.0, (0.3, 0.3, 0.7, 0.7)), np.array([[0.5, 0.5, 0.0]]), DEFAULT)
@@ -337,11 +321,151 @@ def test_no_division_of_a_stand_a_way_off_the_map_or_a_map_too_small_for_a_graph
         assert test.stays.all()
 
 
-def test_poses_behind_a_closed_door_stay_where_they_cannot_be_judged(two_rooms: GridMap) -> None:
-    cells = two_rooms.cells.copy()
+def test_poses_behind_a_closed_door_stay_where_they_cannot_be_judged() -> None:
+    cells = TWO_ROOMS.cells.copy()
     cells[:, round(5.35 / 0.05) : round(5.45 / 0.05)] = OCCUPIED
     test = examine(*driven(GridMap(cells, 0.05), (3.0, 1.95), (7.5, 1.95)), DEFAULT)
     left = test.poses[:, 0] < 5.2
     assert not test.reached[left].any()
     assert test.reached[test.poses[:, 0] > 5.6].all()
     assert test.stays[left].all()
+
+
+def stored(poses: list[Pose2]) -> KeyframeStore:
+    """Keyframes that see a wall all round, nearer from keyframe to keyframe."""
+    turn("segmentation", split_step_m=0.25, split_step_rad=0.5)
+    store, bearings = KeyframeStore(), np.linspace(-np.pi, np.pi, 90, endpoint=False)
+    for number, pose in enumerate(poses):
+        scan = PlanarScan(number, bearings, np.full(90, 3.0 - 0.05 * number), 20.0, True)
+        store.append(keyframe(scan, pose, number=number))
+    return store
+
+
+@pytest.fixture
+def drive() -> Iterator[KeyframeStore]:
+    """1.25 m in steps of 0.125 m, then half a turn on the spot in steps of 0.2 rad."""
+    way = [Pose2(0.125 * step, 0.0, 0.0) for step in range(11)]
+    with stored(way + [Pose2(1.25, 0.0, 0.2 * turn) for turn in range(1, 16)]) as store:
+        yield store
+
+
+def same(one: GridMap, other: GridMap) -> bool:
+    return one.origin == other.origin and np.array_equal(one.cells, other.cells)
+
+
+def test_keyframes_enter_the_grid_when_the_robot_moved_or_turned(drive: KeyframeStore) -> None:
+    submap = submap_of(drive, range(26))
+    assert submap.keyframes == tuple(range(26))
+    np.testing.assert_array_equal(submap.poses, drive.poses)
+    mapped = [0, 2, 4, 6, 8, 10, 13, 16, 19, 22, 25]  # every 0.25 m, then every 0.6 rad
+    whole = integrate_keyframes(drive, mapped, drive.poses_of(mapped), ONE_GRID).snapshot()
+    assert same(submap.grid(), whole.near(submap.poses, DEFAULT.path_band_m + PATH_MARGIN_M))
+
+
+def test_where_nodes_lie_anywhere_the_grid_is_whole(drive: KeyframeStore) -> None:
+    far = GRID.model_copy(update={"max_range_m": 2.0})
+    grids = []
+    for band in (0.0, 0.5):
+        turn("segmentation", path_margin_m=0.25)
+        config = DEFAULT.model_copy(update={"path_band_m": band})
+        grids.append(submap_of(drive, [0], config, far).grid())
+    whole, near = grids
+    assert set(near.cells.shape) <= {15, 16}  # 0.75 m to each side
+    assert same(near, whole.near(drive.poses[:1], 0.75))
+    assert min(whole.cells.shape) > 40
+
+
+@pytest.mark.parametrize(("cell", "fine", "expected"), [(0.1, 0.05, 0.1), (0.1, 0.2, 0.2)])
+def test_cells_are_no_finer_than_the_working_grid_s(
+    drive: KeyframeStore, cell: float, fine: float, expected: float
+) -> None:
+    turn("segmentation", split_cell_m=cell)
+    submap = submap_of(drive, [0], grid=GridConfig(resolution_m=fine))
+    assert submap.grid().resolution == expected
+
+
+def everywhere(drive: KeyframeStore, numbers: Iterable[int]) -> CoarseSubmap:
+    turn("segmentation", split_step_m=0.0)
+    return submap_of(drive, numbers, EVERYWHERE)
+
+
+def counted_once(submap: CoarseSubmap, drive: KeyframeStore) -> bool:
+    """Whether the grid is that of the keyframes, each counted once."""
+    whole = integrate_keyframes(drive, submap.keyframes, submap.poses, ONE_GRID).snapshot()
+    found, expected = submap.grid().cropped(), whole.cropped()
+    return np.allclose(found.origin, expected.origin) and np.array_equal(
+        found.cells, expected.cells
+    )
+
+
+@pytest.mark.parametrize("asked", [False, True])
+@pytest.mark.parametrize("last", [3, 20])
+def test_a_split_counts_each_keyframe_on_its_side(
+    drive: KeyframeStore, last: int, asked: bool
+) -> None:
+    submap = everywhere(drive, range(26))
+    if asked:
+        submap.grid()
+    stays = np.arange(26) >= last
+    stays[1] = True
+    rest, left = submap.split(stays)
+    assert rest.keyframes == (1, *range(last, 26))
+    assert left.keyframes == (0, *range(2, last))
+    np.testing.assert_array_equal(left.poses, drive.poses_of(left.keyframes))
+    assert counted_once(rest, drive)
+    assert counted_once(left, drive)
+    assert submap.keyframes == tuple(range(26))
+    assert counted_once(submap, drive)
+    rest, _ = everywhere(drive, range(12)).split(np.arange(12) >= 8)  # and goes on
+    assert rest.add(12) == 0.0  # turned on the spot
+    assert rest.keyframes == (8, 9, 10, 11, 12)
+    assert counted_once(rest, drive)
+
+
+def test_what_is_joined_is_counted_once(drive: KeyframeStore) -> None:
+    one, other = everywhere(drive, range(15, 26)), everywhere(drive, range(9))
+    one.grid()
+    both = one.joined(other)
+    assert both.keyframes == (*range(15, 26), *range(9))
+    np.testing.assert_array_equal(both.poses, drive.poses_of(both.keyframes))
+    assert counted_once(both, drive)
+    assert counted_once(one, drive)
+
+
+@pytest.mark.parametrize(("away", "near"), [(3.9, True), (4.1, False)])
+def test_submaps_are_near_when_their_bands_overlap(away: float, near: bool) -> None:
+    with stored([Pose2(-9.0, 0.0, 0.0), Pose2(0.0, 0.0, 0.0), Pose2(away, 0.0, 2.0)]) as store:
+        config = SegmentationConfig(path_band_m=2.0)
+        one, other = (submap_of(store, numbers, config) for numbers in ([0, 1], [2]))
+        assert one.near(other) == near
+        assert everywhere(store, [0]).near(everywhere(store, [2]))  # nodes lie anywhere
+
+
+def apart(numbers: list[int], xs: list[float], reached: set[int], band: float = 2.0) -> list[int]:
+    """Which keyframes of a submap lie apart from those reached; `xs` is where each one is."""
+    with stored([Pose2(x, 0.0, 0.0) for x in xs]) as store:
+        submap = submap_of(store, numbers, SegmentationConfig(path_band_m=band))
+        found = submap.apart(np.array([number in reached for number in numbers]))
+        return [numbers[k] for k in np.flatnonzero(found)]
+
+
+def test_a_stretch_apart_is_one_that_shares_no_node_with_what_is_reached() -> None:
+    xs = [0.0, 1.0, 2.0, 3.1, 6.1, 7.0]
+    assert apart([0, 1, 2, 5], xs, {5}) == [0, 1, 2]
+    assert apart([0, 1, 3, 5], xs, {5}) == [0, 1]  # 3 is less than four metres away
+    assert apart([0, 1, 2, 3, 5], xs, {5}) == []  # a stretch is apart as a whole
+    assert apart([0, 1, 2, 5], xs, {1, 5}) == []
+    assert apart([0, 1, 2, 5], xs, {0, 1, 2, 5}) == []
+    assert apart([0, 1, 2, 5], xs, {5}, band=0.0) == []  # nodes lie anywhere
+
+
+@given(st.sets(st.integers(0, 25)))
+def test_the_way_of_some_keyframes_leaves_out_what_lies_between(numbers: set[int]) -> None:
+    poses = [Pose2(0.1 * k**1.5, 0.3 * (k % 3), 0.0) for k in range(26)]
+    expected = sum(
+        float(np.hypot(poses[k + 1].x - poses[k].x, poses[k + 1].y - poses[k].y))
+        for k in numbers
+        if k + 1 in numbers
+    )
+    with stored(poses) as store:
+        assert way_driven(store, sorted(numbers)) == pytest.approx(expected)

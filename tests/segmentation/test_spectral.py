@@ -3,58 +3,39 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
 
 import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy import ndimage
 from sklearn.metrics import adjusted_rand_score
 
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import NoResultError
 from specmap_cli.core.settings import SegmentationConfig
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, GridMap
 from specmap_cli.segmentation.division import region_grid, regions_of, segment, segment_floorplan
-from tests.strategies import few
+from specmap_cli.segmentation.working_grid import canonical
+from tests.segmentation.plans import OFFICE, TWO_ROOMS, plan, same_parts
+from tests.strategies import few, seeds
 
 DEFAULT = SegmentationConfig()
 PAPER = load_config(preset="paper").segmentation
 
 
-def same_parts(one: NDArray[np.int32], other: NDArray[np.int32]) -> bool:
-    """Equal labels up to their names, unlabelled cells included."""
-    pairs = np.unique(np.stack([one.ravel(), other.ravel()]), axis=1)
-    return (
-        one.shape == other.shape
-        and len(np.unique(pairs[0])) == pairs.shape[1] == len(np.unique(pairs[1]))
-        and bool(((one < 0) == (other < 0)).all())
-    )
-
-
-def test_two_rooms_joined_by_a_door_become_two(two_rooms: GridMap) -> None:
-    found = segment(two_rooms, DEFAULT)
-    assert found.count == 2
-    for room, part in enumerate((slice(round(5.2 / 0.05)), slice(round(5.7 / 0.05), None))):
-        assert set(found.labels[:, part].ravel().tolist()) == {-1, room}
-
-
-def test_an_office_becomes_its_rooms_and_its_corridor(office: GridMap) -> None:
-    found = segment(office, DEFAULT)
+def test_an_office_becomes_its_rooms_and_its_corridor() -> None:
+    found = segment(OFFICE, DEFAULT)
     assert found.count == 7
-    core = cv2.erode(office.free.astype(np.uint8), np.ones((21, 21), dtype=np.uint8))
+    core = cv2.erode(OFFICE.free.astype(np.uint8), np.ones((21, 21), dtype=np.uint8))
     truth = cv2.connectedComponents(core)[1] - 1  # the doors are closed
     both = (truth >= 0) & (found.labels >= 0)
     assert adjusted_rand_score(truth[both], found.labels[both]) > 0.99
 
 
 @pytest.mark.parametrize("size", [(1.0, 1.0), (3.0, 4.0), (30.0, 2.0), (25.0, 18.0), (60.0, 45.0)])
-def test_a_convex_room_of_any_size_stays_one(
-    plan: Callable[..., GridMap], size: tuple[float, float]
-) -> None:
+def test_a_convex_room_of_any_size_stays_one(size: tuple[float, float]) -> None:
     width, height = size
     grid = plan(width + 0.6, height + 0.6, (0.3, 0.3, 0.3 + width, 0.3 + height))
     assert segment(grid, DEFAULT).count == 1
@@ -68,12 +49,10 @@ def test_a_round_hall_stays_one() -> None:
 
 @pytest.mark.parametrize("config", [DEFAULT, PAPER], ids=["default", "paper"])
 @pytest.mark.parametrize("turn", [1, 2, 3])
-def test_turning_the_map_turns_the_labels(
-    office: GridMap, turn: int, config: SegmentationConfig
-) -> None:
-    turned = GridMap(np.ascontiguousarray(np.rot90(office.cells, turn)), office.resolution)
+def test_turning_the_map_turns_the_labels(turn: int, config: SegmentationConfig) -> None:
+    turned = GridMap(np.ascontiguousarray(np.rot90(OFFICE.cells, turn)), OFFICE.resolution)
     labels = segment(turned, config).labels
-    assert same_parts(np.rot90(labels, -turn), segment(office, config).labels)
+    assert same_parts(np.rot90(labels, -turn), segment(OFFICE, config).labels)
 
 
 @given(up=st.integers(0, 17), right=st.integers(0, 17))
@@ -91,39 +70,29 @@ LENGTHS = ("cell_m", "obstacle_m", "node_step_m", "clearance_m", "sight_m")
 
 
 @pytest.mark.parametrize("factor", [2.0, 0.1, 3.0])
-def test_scaling_resolution_and_lengths_together_changes_nothing(
-    office: GridMap, factor: float
-) -> None:
+def test_scaling_resolution_and_lengths_together_changes_nothing(factor: float) -> None:
     usual = DEFAULT.model_copy(update={"wide_door_m": 0.0})  # a door is as wide as a person needs
     scaled = usual.model_copy(update={name: getattr(usual, name) * factor for name in LENGTHS})
-    larger = GridMap(office.cells, office.resolution * factor)
-    np.testing.assert_array_equal(segment(larger, scaled).labels, segment(office, usual).labels)
+    larger = GridMap(OFFICE.cells, OFFICE.resolution * factor)
+    np.testing.assert_array_equal(segment(larger, scaled).labels, segment(OFFICE, usual).labels)
 
 
 @pytest.mark.parametrize("config", [DEFAULT, PAPER], ids=["default", "paper"])
-def test_every_free_cell_reachable_from_a_node_is_labelled(
-    office: GridMap, config: SegmentationConfig
-) -> None:
-    cells = office.cells.copy()
+def test_every_free_cell_reachable_from_a_node_is_labelled(config: SegmentationConfig) -> None:
+    cells = OFFICE.cells.copy()
     rng = np.random.default_rng(3)
     cells[rng.random(cells.shape) < 0.002] = OCCUPIED
     cells[40:44, 100:104] = FREE  # a pocket in a wall, and a slit into it of one cell
-    found = segment(GridMap(cells, office.resolution), config)
+    found = segment(GridMap(cells, OFFICE.resolution), config)
     _, piece = cv2.connectedComponents((cells == FREE).astype(np.uint8), connectivity=4)
-    nodes = office.cells_of(found.nodes)
+    nodes = OFFICE.cells_of(found.nodes)
     reached = np.unique(piece[nodes[:, 0], nodes[:, 1]])
     inside = np.isin(piece, reached[reached > 0])
     assert inside.any()
     assert (found.labels[inside] >= 0).all()
 
 
-def test_nodes_lie_in_the_region_of_their_label(office: GridMap) -> None:
-    found = segment(office, DEFAULT)
-    cells = office.cells_of(found.nodes)
-    np.testing.assert_array_equal(found.labels[cells[:, 0], cells[:, 1]], found.node_labels)
-
-
-def test_chairs_do_not_split_a_room_and_are_filled(plan: Callable[..., GridMap]) -> None:
+def test_chairs_do_not_split_a_room_and_are_filled() -> None:
     grid = plan(6.6, 6.6, (0.3, 0.3, 6.3, 6.3))
     cells = grid.cells.copy()
     for row in range(20, 110, 18):
@@ -137,13 +106,13 @@ def test_chairs_do_not_split_a_room_and_are_filled(plan: Callable[..., GridMap])
     np.testing.assert_array_equal(bare.labels >= 0, cluttered.free)
 
 
-def test_the_paper_preset_uses_only_the_paper(office: GridMap) -> None:
-    found = segment(office, PAPER)
+def test_the_paper_preset_uses_only_the_paper() -> None:
+    found = segment(OFFICE, PAPER)
     assert found.count >= 5
     used = found.spectrum.used
     assert (found.spectrum.eigenvalues[:used] > PAPER.eigenvalue_min).all()
     cells = np.argwhere(found.labels >= 0)[::97]
-    points = office.centres_of(cells)
+    points = OFFICE.centres_of(cells)
     distance = np.hypot(*(points[:, None] - found.nodes[None]).transpose(2, 0, 1))
     nearest = np.sort(distance, axis=1)
     clear = nearest[:, 1] - nearest[:, 0] > 2 * PAPER.cell_m  # ties within a working cell aside
@@ -151,19 +120,20 @@ def test_the_paper_preset_uses_only_the_paper(office: GridMap) -> None:
     np.testing.assert_array_equal(found.labels[cells[:, 0], cells[:, 1]][clear], expected[clear])
 
 
-def test_unknown_cells_are_as_closed_as_walls(office: GridMap) -> None:
-    unknown = GridMap(np.where(office.free, FREE, UNKNOWN).astype(np.uint8), office.resolution)
-    np.testing.assert_array_equal(segment(unknown, DEFAULT).labels, segment(office, DEFAULT).labels)
+def test_unknown_cells_are_as_closed_as_walls() -> None:
+    unknown = GridMap(np.where(OFFICE.free, FREE, UNKNOWN).astype(np.uint8), OFFICE.resolution)
+    np.testing.assert_array_equal(segment(unknown, DEFAULT).labels, segment(OFFICE, DEFAULT).labels)
 
 
 @pytest.mark.parametrize("turn", [0, 1, 2, 3])
-def test_nodes_keep_clear_of_walls_and_see_each_other(office: GridMap, turn: int) -> None:
-    turned = GridMap(np.ascontiguousarray(np.rot90(office.cells, turn)), office.resolution)
+def test_nodes_keep_clear_of_walls_see_each_other_and_lie_in_their_region(turn: int) -> None:
+    turned = GridMap(np.ascontiguousarray(np.rot90(OFFICE.cells, turn)), OFFICE.resolution)
     found = segment(turned, DEFAULT)
     clearance = turned.clearance()
     cells = turned.cells_of(found.nodes)
     least = DEFAULT.clearance_m - 0.5 * DEFAULT.cell_m  # a node is the middle of a coarse cell
     assert (clearance[cells[:, 0], cells[:, 1]] > least).all()
+    np.testing.assert_array_equal(found.labels[cells[:, 0], cells[:, 1]], found.node_labels)
     one, other = found.nodes[found.pairs[:, 0]], found.nodes[found.pairs[:, 1]]
     assert np.hypot(*(one - other).T).max() <= DEFAULT.sight_m + 1e-6
     for share in np.linspace(0.0, 1.0, 40):
@@ -183,21 +153,24 @@ def test_a_wall_of_one_fine_cell_keeps_two_rooms_apart(offset: int) -> None:
     assert left[0, 0] != right[0, 0]
 
 
-def test_a_long_hall_is_cut_by_the_sight_and_joined_again(plan: Callable[..., GridMap]) -> None:
+def test_a_long_hall_is_cut_by_the_sight_and_joined_again() -> None:
     hall = plan(40.6, 3.6, (0.3, 0.3, 40.3, 3.3))
     assert segment(hall, DEFAULT).count == 1
     assert segment(hall, DEFAULT.model_copy(update={"merge": False})).count >= 4
 
 
 def drive(xs: np.ndarray) -> np.ndarray:
-    """Through the door of `two_rooms`, which is at x = 5.4 m."""
+    """Through the door of `TWO_ROOMS`, which is at x = 5.4 m."""
     return np.column_stack([xs, np.full(len(xs), 1.95), np.zeros(len(xs))])
 
 
-def test_keyframes_change_region_in_the_door(two_rooms: GridMap) -> None:
-    poses = drive(np.linspace(1.0, 8.0, 71))
-    (change,) = np.flatnonzero(np.diff(regions_of(two_rooms, poses, DEFAULT)))
+def test_keyframes_change_region_in_the_door_and_beyond_the_map_are_in_that_of_its_edge() -> None:
+    poses = drive(np.concatenate([np.linspace(1.0, 8.0, 71), [-3.0, 12.0]]))
+    labels = regions_of(TWO_ROOMS, poses, DEFAULT.model_copy(update={"region_min_m": 0.0}))
+    (change,) = np.flatnonzero(np.diff(labels[:71]))
     assert 5.1 < poses[change, 0] < 5.7
+    assert labels[71:].tolist() == [labels[0], labels[70]]
+    assert labels.dtype == np.int64
     nothing = GridMap(np.full((20, 20), UNKNOWN, dtype=np.uint8), 0.05)
     assert regions_of(nothing, poses[:5], DEFAULT).tolist() == [0] * 5
 
@@ -217,26 +190,16 @@ def without_grazed(labels: list[int], poses: np.ndarray, way_m: float) -> list[i
 
 @given(seed=st.integers(0, 10_000), way_m=st.sampled_from([0.5, 1.5, 4.0, 1e3]))
 @few(8)
-def test_regions_hardly_driven_through_go_to_the_one_before(
-    two_rooms: GridMap, seed: int, way_m: float
-) -> None:
+def test_regions_hardly_driven_through_go_to_the_one_before(seed: int, way_m: float) -> None:
     rng = np.random.default_rng(seed)
     stops = np.concatenate([[rng.uniform(0.6, 9.0)], rng.uniform(4.3, 6.8, 4)])
     xs = np.concatenate([np.linspace(a, b, 15) for a, b in itertools.pairwise(stops)])
     poses = drive(xs)
     every, found = (
-        regions_of(two_rooms, poses, SegmentationConfig(region_min_m=least_m))
+        regions_of(TWO_ROOMS, poses, SegmentationConfig(region_min_m=least_m))
         for least_m in (0.0, way_m)
     )
     assert found.tolist() == without_grazed(every.tolist(), poses, way_m)
-
-
-@pytest.mark.parametrize("x", [-3.0, 12.0])
-def test_keyframes_beyond_the_map_go_to_its_nearest_edge(two_rooms: GridMap, x: float) -> None:
-    poses = drive(np.concatenate([np.linspace(1.0, 8.0, 31), [x]]))
-    labels = regions_of(two_rooms, poses, SegmentationConfig(region_min_m=0.0))
-    assert labels[-1] == (labels[0] if x < 0 else labels[30])
-    assert labels.dtype == np.int64
 
 
 def test_a_map_without_room_for_a_node_says_so() -> None:
@@ -250,8 +213,8 @@ def test_a_map_without_room_for_a_node_says_so() -> None:
     )
 
 
-def test_the_grids_of_all_regions_show_all_that_is_labelled_where_it_lies(office: GridMap) -> None:
-    moved = GridMap(office.cells, office.resolution, (-3.0, 7.0))
+def test_the_grids_of_all_regions_show_all_that_is_labelled_where_it_lies() -> None:
+    moved = GridMap(OFFICE.cells, OFFICE.resolution, (-3.0, 7.0))
     found = segment_floorplan(moved, DEFAULT)
     assert found.count == 7
     labelled = moved.centres_of(np.argwhere((found.labels >= 0) & moved.free))
@@ -269,10 +232,76 @@ def test_the_grids_of_all_regions_show_all_that_is_labelled_where_it_lies(office
     assert (seen == 1).all()
 
 
-def test_of_a_region_in_scraps_the_largest_stays(plan: Callable[..., GridMap]) -> None:
+def test_of_a_region_in_scraps_the_largest_stays() -> None:
     closet = (7.5, 2.75, 8.0, 3.25)  # too small for a node
     grid, nearest = plan(8.5, 6, (0.5, 0.5, 5.5, 5.5), closet), SegmentationConfig(labels="nearest")
     assert (segment(grid, nearest).labels[:, 120:] == 0).any()
     found = segment_floorplan(grid, nearest)
     assert found.count == 1
     np.testing.assert_array_equal(np.argwhere(found.labels == 0), np.argwhere(grid.free[:, :120]))
+
+
+turns = st.integers(0, 3)
+
+
+def blotch(seed: int) -> BoolArray:
+    """A few free cells, one at the least."""
+    rng = np.random.default_rng(seed)
+    free = rng.random((rng.integers(1, 7), rng.integers(1, 7))) < 0.4
+    free[rng.integers(free.shape[0]), rng.integers(free.shape[1])] = True
+    return np.asarray(free)
+
+
+@given(seeds, turns, st.tuples(*[st.integers(0, 5)] * 4))
+def test_every_copy_of_a_map_looks_the_same(
+    seed: int, turned: int, frame: tuple[int, int, int, int]
+) -> None:
+    free = blotch(seed)
+    copy = np.pad(np.rot90(free, turned), (frame[:2], frame[2:]))
+    np.testing.assert_array_equal(canonical(copy).apply(copy), canonical(free).apply(free))
+
+
+@given(turns)
+def test_the_free_space_lies_and_leans_whatever_single_cells_say(turned: int) -> None:
+    free = np.zeros((40, 90), dtype=bool)
+    free[5:35, 5:35] = free[15:24, 35:81] = True  # a room, and a corridor to the right of it
+    ray = free.copy()
+    ray[20, 81:90] = ray[0:5, 10] = True  # glimpses through a door and a window
+    plain, seen = (canonical(np.rot90(picture, turned)).turns for picture in (free, ray))
+    assert plain == seen == -turned % 4
+
+
+@given(seeds, st.integers(1, 9))
+def test_the_middle_of_the_free_space_is_the_corner_of_a_block(seed: int, block: int) -> None:
+    free = np.kron(blotch(seed), np.ones((6, 6), dtype=bool))
+    upright = canonical(free, block)
+    rows, columns = upright.before
+    assert 0 <= rows < block
+    assert 0 <= columns < block
+    turned = upright.apply(free)
+    assert not turned[:rows].any()
+    assert not turned[:, :columns].any()
+    inner = ndimage.binary_erosion(turned, np.ones((5, 5)))
+    middle = np.argwhere(inner if inner.any() else turned).mean(axis=0)
+    assert (middle.astype(int) % block).tolist() == [0, 0]
+
+
+@given(seeds)
+def test_what_was_turned_is_put_back_where_it_was(seed: int) -> None:
+    free = blotch(seed)
+    upright = canonical(free)
+    picture = np.arange(free.size).reshape(free.shape)
+    turned, canvas = upright.apply(picture), np.full(free.shape, -1)
+    back = upright.undo(turned, canvas)
+    np.testing.assert_array_equal(back[upright.window], picture[upright.window])
+    outside = np.ones(free.shape, dtype=bool)
+    outside[upright.window] = False
+    assert (back[outside] == -1).all()
+    assert not free[outside].any()
+    assert (canvas == -1).all()  # it is not changed itself
+    cells = np.argwhere(np.ones(turned.shape, dtype=bool))
+    rows, columns = upright.cells_in_grid(cells, turned.shape).astype(int).T
+    np.testing.assert_array_equal(picture[rows, columns], turned.reshape(-1))
+    nothing = canonical(np.zeros_like(free))  # without a free cell the window is empty
+    assert nothing.apply(np.zeros_like(free)).shape == (0, 0)
+    assert nothing.cells_in_grid(np.zeros((0, 2)), (0, 0)).shape == (0, 2)

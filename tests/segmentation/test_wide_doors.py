@@ -1,8 +1,6 @@
-"""Wide openings in the line of a wall."""
+"""Wide openings in the line of a wall, and furniture that stands at one."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -10,20 +8,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.settings import SegmentationConfig
-from specmap_cli.grids.gridmap import BoolArray, GridMap
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, CellArray, GridMap
 from specmap_cli.segmentation.division import segment
-from specmap_cli.segmentation.furniture import small_obstacles
+from specmap_cli.segmentation.furniture import fill_cupboards, pieces_at_walls, small_obstacles
+from specmap_cli.segmentation.visibility import LabelArray
 from specmap_cli.segmentation.wide_doors import Runs, with_narrow_doors
+from tests.segmentation.plans import plan
 
-PlanBuilder = Callable[..., GridMap]
 CELL_M = 0.05
 CORRIDOR = (0.3, 0.3, 11.7, 2.1)
 OFFICES = ((0.3, 2.3, 4.0, 6.3), (4.2, 2.3, 7.8, 6.3), (8.0, 2.3, 11.7, 6.3))
 OPENINGS = tuple((x, 2.1, x + 2.0, 2.3) for x in (1.0, 5.0, 9.0))
 
 
-def narrowed(grid: GridMap, widest_m: float = 2.5) -> BoolArray:
-    return with_narrow_doors(grid.free, np.zeros_like(grid.free), CELL_M, widest_m)[1]
+def narrowed(free: BoolArray, widest_m: float = 2.5) -> BoolArray:
+    return with_narrow_doors(free, np.zeros_like(free), CELL_M, widest_m)[1]
 
 
 def widths_at(free: BoolArray, y_m: float) -> list[float]:
@@ -32,28 +31,28 @@ def widths_at(free: BoolArray, y_m: float) -> list[float]:
     return [round(length * CELL_M, 2) for length in Runs.of(row).lengths.tolist()]
 
 
-def test_offices_that_stand_open_are_told_from_their_corridor(plan: PlanBuilder) -> None:
+def test_offices_that_stand_open_are_told_from_their_corridor() -> None:
     building = plan(12.0, 6.6, CORRIDOR, *OFFICES, *OPENINGS)
     assert segment(building, SegmentationConfig()).count == 4
     assert segment(building, SegmentationConfig(wide_door_m=0.0)).count != 4  # corridor in pieces
 
 
-def test_an_opening_is_narrowed_to_a_door_and_a_door_stays(plan: PlanBuilder) -> None:
+def test_an_opening_is_narrowed_to_a_door_and_a_door_stays() -> None:
     building = plan(12.0, 6.6, CORRIDOR, *OFFICES, *OPENINGS[:2], (9.0, 2.1, 9.8, 2.3))
-    assert widths_at(narrowed(building), 2.2) == [0.9, 0.9, 0.8]
-    assert widths_at(narrowed(building, 1.9), 2.2) == [2.0, 2.0, 0.8]
+    assert widths_at(narrowed(building.free), 2.2) == [0.9, 0.9, 0.8]
+    assert widths_at(narrowed(building.free, 1.9), 2.2) == [2.0, 2.0, 0.8]
     # where the room behind begins at its side, the wall ends in a corner: the partition of rooms
     building = plan(12.0, 6.6, CORRIDOR, *OFFICES, (0.3, 2.1, 2.3, 2.3), (4.2, 2.1, 6.2, 2.3))
-    assert widths_at(narrowed(building), 2.2)[1] == 0.9
+    assert widths_at(narrowed(building.free), 2.2)[1] == 0.9
 
 
-def test_no_corridor_is_cut_where_partitions_on_both_sides_meet_it(plan: PlanBuilder) -> None:
+def test_no_corridor_is_cut_where_partitions_on_both_sides_meet_it() -> None:
     below = [(x0, -y1 + 4.4 + 2.2, x1, -y0 + 4.4 + 2.2) for x0, y0, x1, y1 in OFFICES]
     above = [(x0, y0 + 4.2, x1, y1 + 4.2) for x0, y0, x1, y1 in OFFICES]
     corridor = (0.3, 4.5, 11.7, 6.3)
     doors = [(x, y, x + 0.9, y + 0.2) for x in (2.8, 4.4, 6.6, 8.2) for y in (4.3, 6.3)]
     building = plan(12.0, 10.8, corridor, *below, *above, *doors)
-    np.testing.assert_array_equal(narrowed(building), building.free)
+    np.testing.assert_array_equal(narrowed(building.free), building.free)
 
 
 def test_a_slanted_wall_points_at_nothing() -> None:
@@ -61,23 +60,22 @@ def test_a_slanted_wall_points_at_nothing() -> None:
     free = np.abs(columns - 0.5 * rows - 20) > 4  # a wall at an angle, ends at both sides
     free[(rows > 60) & (rows < 100) & (np.abs(columns - 0.5 * rows - 20) <= 4)] = True
     free[:, 120:124] = False
-    np.testing.assert_array_equal(narrowed(GridMap((~free).astype(np.uint8), CELL_M)), free)
+    np.testing.assert_array_equal(narrowed(free), free)
 
 
-def test_beside_a_cupboard_at_a_wall_nothing_is_narrowed(plan: PlanBuilder) -> None:
+def test_beside_a_cupboard_at_a_wall_nothing_is_narrowed() -> None:
     """It is as thin as a wall, with the wall; the space beside it lies along the wall."""
     free = plan(12.0, 6.6, CORRIDOR, (4.2, 2.2, 7.8, 6.3), (5.0, 2.1, 5.8, 2.2)).free.copy()
     free[44:50, 132:156] = False  # from 6.6 m to the wall, 0.3 m deep
-    building = GridMap((~free).astype(np.uint8), CELL_M)
-    np.testing.assert_array_equal(narrowed(building), free)
+    np.testing.assert_array_equal(narrowed(free), free)
 
 
-def test_noise_in_a_wall_does_not_tip_what_it_is(plan: PlanBuilder) -> None:
+def test_noise_in_a_wall_does_not_tip_what_it_is() -> None:
     building = plan(12.0, 6.6, CORRIDOR, *OFFICES, *OPENINGS)
     holes = np.zeros_like(building.free)
     holes[43:45, ::3] = True  # in the middle of the wall along the corridor
-    noisy = with_narrow_doors(building.free | holes, np.zeros_like(holes), CELL_M, 2.5)[1]
-    np.testing.assert_array_equal(noisy & building.free, narrowed(building))
+    noisy = narrowed(building.free | holes)
+    np.testing.assert_array_equal(noisy & building.free, narrowed(building.free))
 
 
 def test_a_door_leaf_behind_the_wall_of_a_corridor_cuts_no_corridor() -> None:
@@ -85,13 +83,12 @@ def test_a_door_leaf_behind_the_wall_of_a_corridor_cuts_no_corridor() -> None:
     free[10:50, 5:115] = free[52:92, 5:115] = free[94:140, 5:115] = True  # the middle: a corridor
     free[92:94, 30:60] = free[50:52, 30:60] = True  # doors of two rooms, one opposite the other
     free[94:110, 60:62] = free[91, 60:62] = False  # a leaf, and a frame that stands out
-    building = GridMap((~free).astype(np.uint8), CELL_M)
-    np.testing.assert_array_equal(narrowed(building)[55:88], free[55:88])
+    np.testing.assert_array_equal(narrowed(free)[55:88], free[55:88])
 
 
 @pytest.mark.parametrize(("kept", "post"), [(True, (2.2, 2.1)), (False, (2.2, 3.5))])
 def test_a_post_in_the_line_of_a_wall_is_no_furniture(
-    plan: PlanBuilder, kept: bool, post: tuple[float, float]
+    kept: bool, post: tuple[float, float]
 ) -> None:
     building = plan(12.0, 6.6, CORRIDOR, *OFFICES, (1.0, 2.1, 3.4, 2.3))
     small = np.zeros_like(building.free)
@@ -102,7 +99,7 @@ def test_a_post_in_the_line_of_a_wall_is_no_furniture(
     assert (opened & small).any() != kept
 
 
-def test_a_wall_between_three_doors_is_no_furniture(plan: PlanBuilder) -> None:
+def test_a_wall_between_three_doors_is_no_furniture() -> None:
     """Two doors to a corridor and one from room to room leave a T of thick walls by itself."""
     rooms = (0.3, 2.5, 4.0, 6.3), (4.4, 2.5, 6.8, 6.3)
     doors = (2.3, 2.1, 3.1, 2.5), (4.5, 2.1, 5.3, 2.5), (4.0, 3.3, 4.4, 4.1)
@@ -119,17 +116,50 @@ def test_rows_and_columns_are_treated_alike(seed: int) -> None:
     free = np.ones((60, 70), dtype=bool)
     for row, column, height, width in rng.integers(2, 30, (6, 4)):
         free[row : row + min(height, 4), column : column + width] = False
-    nothing = np.zeros_like(free)
-    upright = with_narrow_doors(free, nothing, CELL_M, 2.5)[1]
-    turned = with_narrow_doors(free.T, nothing.T, CELL_M, 2.5)[1]
-    np.testing.assert_array_equal(turned.T, upright)
+    upright = narrowed(free)
+    np.testing.assert_array_equal(narrowed(free.T).T, upright)
     assert not (upright & ~free).any()
 
 
-@given(seed=st.integers(0, 10_000))
-def test_runs_painted_are_the_mask_again(seed: int) -> None:
-    mask = np.random.default_rng(seed).random((9, 12)) < 0.6
-    runs = Runs.of(mask)
-    painted = runs.painted(mask.shape, np.arange(1, len(runs.row) + 1))
-    np.testing.assert_array_equal(painted > 0, mask)
-    assert (np.bincount(painted[mask], minlength=1)[1:] == runs.lengths).all()
+def walled() -> CellArray:
+    """Rooms of 4 x 3 m beside each other, walls of 0.15 m, unknown all around."""
+    cells = np.full((100, 200), UNKNOWN, dtype=np.uint8)
+    cells[17:83, 17:183] = OCCUPIED
+    cells[20:80, 20:98] = FREE
+    cells[20:80, 101:180] = FREE
+    return cells
+
+
+def labelled(cells: CellArray) -> LabelArray:
+    labels = np.where(cells == FREE, 0, -1).astype(np.int32)
+    labels[:, 100:][cells[:, 100:] == FREE] = 1
+    return labels
+
+
+def filled(cells: CellArray) -> LabelArray:
+    pieces = pieces_at_walls(GridMap(cells, CELL_M), 0.4)
+    return fill_cupboards(labelled(cells), pieces, CELL_M)
+
+
+@pytest.mark.parametrize("inside", [OCCUPIED, UNKNOWN])
+def test_a_cupboard_at_a_wall_belongs_to_its_room(inside: int) -> None:
+    cells = walled()
+    cells[30:60, 86:98] = OCCUPIED  # at the wall between the rooms: the other one is near
+    cells[31:59, 87:97] = inside
+    assert (filled(cells)[31:59, 87:97] == 0).all()
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns"),
+    [
+        ((50, 54), (20, 60)),  # a piece of wall into the room
+        ((70, 83), (17, 183)),  # 0.65 m thick, longer than a row of cupboards
+        ((20, 80), (95, 105)),  # between the rooms, 3 m long, 0.5 m thick
+    ],
+)
+def test_walls_and_what_is_outside_get_no_label(
+    rows: tuple[int, int], columns: tuple[int, int]
+) -> None:
+    cells = walled()
+    cells[slice(*rows), slice(*columns)] = OCCUPIED
+    np.testing.assert_array_equal(filled(cells), labelled(cells))

@@ -1,9 +1,13 @@
-"""The topology as a pure function of the submap of each keyframe, and what a new log inherits."""
+"""The topology as a pure function of the submap of each keyframe, and what a new log inherits.
+
+Borders that a person moved are made, undone, and never crossed by a region.
+"""
 
 from __future__ import annotations
 
 import random
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from itertools import groupby, pairwise
 
 import networkx as nx
@@ -23,8 +27,18 @@ from specmap_cli.topology.graph import (
     stays_of,
     submap_of_regions,
 )
+from specmap_cli.topology.redrawing import carried, redrawn, undone
 from specmap_cli.topology.regions import divide
-from specmap_cli.topology.topological_map import Break, Stay, TopologicalMap
+from specmap_cli.topology.topological_map import (
+    BorderEdit,
+    Break,
+    Merge,
+    Split,
+    Stay,
+    TopologicalMap,
+    fences_of,
+    heirs,
+)
 from tests.house import closure
 
 LABELS = st.lists(st.integers(0, 4), min_size=1, max_size=30)
@@ -96,7 +110,7 @@ def test_a_loss_of_tracking_leaves_a_loose_edge_until_the_robot_drives_across() 
     assert not topology_of([0, 0], breaks=(1,)).edges, "within a submap it links nothing"
 
 
-def test_a_verified_closure_is_an_edge_where_the_tracks_meet() -> None:
+def test_a_verified_closure_is_an_edge_where_the_tracks_meet_within_half_a_metre() -> None:
     labels, poses = [0, 0, 1, 1, 2, 2], line_of_poses(6)
     poses[4] = poses[0]  # the robot comes back to where it was in submap 0
     verified = (closure(0, 2), closure(1, 2))
@@ -104,19 +118,14 @@ def test_a_verified_closure_is_an_edge_where_the_tracks_meet() -> None:
     assert topology.edges[0, 2].kind == "closure"
     assert topology.edges[0, 2].traversals == ()
     assert topology.edges[1, 2].kind == "traversed"
-    assert (0, 2) not in topology_of(labels, closures=verified).edges, "tracks apart"
     for refused in (closure(0, 2, verified=False), closure(0, 2, merged=True)):
         found = topology_of(labels, closures=[refused], poses=poses)
         assert (0, 2) not in found.edges
         assert found.closures == (refused,), "all that were considered are kept"
-
-
-@pytest.mark.parametrize(("metres", "meets"), [(0.49, True), (0.51, False)])
-def test_tracks_meet_within_half_a_metre(metres: float, meets: bool) -> None:
-    poses = line_of_poses(3, 10.0)
-    poses[2] = poses[0] + (0.0, metres, 2.0)
-    found = topology_of([0, 1, 2], closures=[closure(0, 2)], poses=poses)
-    assert ((0, 2) in found.edges) is meets
+    for metres, meets in ((0.49, True), (0.51, False)):
+        poses[4] = poses[0] + (0.0, metres, 2.0)
+        found = topology_of(labels, closures=verified, poses=poses)
+        assert ((0, 2) in found.edges) is meets, metres
 
 
 def test_a_closure_names_regions_whose_submaps_may_have_changed() -> None:
@@ -134,7 +143,7 @@ def test_a_closure_names_regions_whose_submaps_may_have_changed() -> None:
 
 
 @given(LABELS, st.sets(st.integers(0, 29)))
-def test_the_graph_of_a_driven_tour_is_connected_and_complete(
+def test_the_graph_of_a_driven_tour_is_connected_and_complete_and_visits_are_its_stays(
     labels: list[int], breaks: set[int]
 ) -> None:
     topology = topology_of(labels, breaks)
@@ -152,11 +161,7 @@ def test_the_graph_of_a_driven_tour_is_connected_and_complete(
         assert low < high
         assert (edge.kind == "traversed") == bool(edge.traversals)
         assert [t.stamp_ns for t in edge.traversals] == sorted(t.stamp_ns for t in edge.traversals)
-
-
-@given(LABELS)
-def test_visits_are_the_stays_in_order(labels: list[int]) -> None:
-    topology, start, expected = topology_of(labels), 0, dict[int, list[tuple[int, int]]]()
+    start, expected = 0, dict[int, list[tuple[int, int]]]()
     for label, stay in groupby(labels):
         end = start + len(list(stay)) - 1
         expected.setdefault(label, []).append((1000 * start, 1000 * end))
@@ -236,9 +241,6 @@ def test_the_map_keeps_its_stays_and_breaks_and_knows_the_next_id() -> None:
     assert (nothing.submaps, nothing.edges, nothing.closures) == ({}, {}, ())
 
 
-REGION_MIN_M = 1.0
-
-
 def rooms(count: int) -> GridMap:
     """Rooms of 4 m x 4 m in a row, with doors 1 m wide, in cells of 0.1 m."""
     cells = np.full((44, 41 * count + 1), OCCUPIED, dtype=np.uint8)
@@ -249,10 +251,10 @@ def rooms(count: int) -> GridMap:
     return GridMap(cells, 0.1)
 
 
-def way(start_m: float, end_m: float) -> FloatArray:
-    """Poses every 0.1 m along the middle of the rooms."""
+def way(start_m: float, end_m: float, y: float = 2.2) -> FloatArray:
+    """Poses every 0.1 m, along the middle of the rooms unless told otherwise."""
     x = np.arange(start_m, end_m, 0.1 if start_m < end_m else -0.1)
-    return np.column_stack([x, np.full_like(x, 2.2), np.zeros_like(x)])
+    return np.column_stack([x, np.full_like(x, y), np.zeros_like(x)])
 
 
 def room_of(poses: FloatArray) -> IntArray:
@@ -278,7 +280,7 @@ def labels_after(
     poses = np.concatenate([first, second])
     division = np.zeros_like(room_of(poses)) if joint is None else joint + room_of(poses)
     placed = poses if moved is None else compose(moved, poses)
-    labels = inherited(old, placed, division, REGION_MIN_M)
+    labels = inherited(old, placed, division, 1.0)
     return labels[: len(first)], labels[len(first) :]
 
 
@@ -324,3 +326,136 @@ def test_a_room_that_was_only_looked_into_is_new() -> None:
     assert (owner[:, 50:80] == 0).any(), "seen through the door, and nobody else's"
     _, found = labels_after(rooms(2), first, second, next_id=1, joint=10)
     assert (found != room_of(second)).sum() <= 3
+
+
+ACROSS = ((2.0, 1.9), (2.0, 0.1))  # seen along it, the left part of the hall is on its right
+
+
+def hall() -> GridMap:
+    """A hall of 4 m x 2 m and a room of 2 m x 2 m beside it, behind a wall with a door."""
+    cells = np.full((22, 64), OCCUPIED, dtype=np.uint8)
+    cells[1:21, 1:41] = FREE
+    cells[1:21, 42:62] = FREE
+    cells[8:14, 41] = FREE
+    return GridMap(cells, 0.1, (-0.1, -0.1))
+
+
+def driven() -> Labels:
+    """Keyframes along the middle, from left to right: ten a metre, the hall is 0, the room 1."""
+    poses = way(0.3, 5.9, 1.0)
+    submaps = (poses[:, 0] > 4.05).astype(np.int64)
+    return Labels(stamps_ns=np.arange(len(poses)), poses=poses, submaps=submaps)
+
+
+def after(*wished: BorderEdit) -> tuple[IntArray, tuple[BorderEdit, ...]]:
+    labels = driven()
+    found = redrawn(hall(), labels, (), wished, 2)
+    assert not found.skipped
+    return found.submaps, found.borders
+
+
+def test_a_merge_takes_all_keyframes_and_those_that_came_later_are_parted_by_the_nearest() -> None:
+    labels = driven()
+    submaps, borders = after(Merge((1, 0)))
+    (merge,) = borders
+    assert set(submaps.tolist()) == {1}
+    assert isinstance(merge, Merge)
+    assert merge.keyframes == tuple(np.flatnonzero(labels.submaps == 0).tolist())
+    assert merge.known == len(submaps)
+    poses = np.concatenate([labels.poses, [[1.0, 1.2, 0.0], [5.0, 0.8, 0.0]]])
+    before = undone(np.append(submaps, [1, 1]), poses, borders)
+    assert before[-2:].tolist() == [0, 1]
+    (moved,) = carried(borders, labels.poses, poses[-2:])
+    assert isinstance(moved, Merge)
+    assert (moved.keyframes, moved.known) == ((0,), 2)
+
+
+def test_a_split_gives_what_is_right_of_the_line_a_new_id() -> None:
+    submaps, (split,) = after(Split(submap=0, line=ACROSS))
+    x = driven().poses[:, 0]
+    assert (submaps == 2).tolist() == (x < 2.0).tolist()
+    assert isinstance(split, Split)
+    assert split.new == 2
+    assert split.fence is not None
+    (_, top), (_, bottom) = split.fence
+    assert top == pytest.approx(2.0, abs=0.11)
+    assert bottom == pytest.approx(0.0, abs=0.11)
+    turned, _ = after(Split(submap=0, line=ACROSS[::-1]))
+    assert (turned == 2).tolist() == ((x > 2.0) & (x < 4.05)).tolist()
+
+
+def test_no_region_crosses_the_fence() -> None:
+    """The robot stood near the line on one side only: its region still ends there."""
+    labels, whole = driven(), hall()
+    kept = np.flatnonzero((labels.poses[:, 0] < 0.8) | (labels.poses[:, 0] > 2.2))
+    seen = Labels(
+        stamps_ns=labels.stamps_ns[kept], poses=labels.poses[kept], submaps=labels.submaps[kept]
+    )
+    found = redrawn(whole, seen, (), [Split(submap=0, line=ACROSS, new=5)], 2)
+    divided = replace(seen, submaps=found.submaps)
+    regions = divide(whole, divided, fences_of(found.borders))
+    centres = whole.centres_of(np.argwhere(regions.owner == 5))
+    assert centres[:, 0].max() == pytest.approx(2.0, abs=0.16)
+    others = whole.centres_of(np.argwhere(regions.owner == 0))
+    assert others[:, 0].min() == pytest.approx(2.0, abs=0.16)
+    assert found.next_id == 6
+    free = divide(whole, divided)
+    assert whole.centres_of(np.argwhere(free.owner == 5))[:, 0].max() < 1.8
+
+
+def test_a_line_through_one_leg_of_a_building_splits_on_foot() -> None:
+    """Two corridors side by side, joined at one end: the line crosses one of them only."""
+    cells = np.full((22, 42), OCCUPIED, dtype=np.uint8)
+    cells[1:9, 1:41] = FREE
+    cells[13:21, 1:41] = FREE
+    cells[1:21, 33:41] = FREE
+    whole = GridMap(cells, 0.1)
+    there = way(0.5, 3.6, 0.5)
+    poses = np.concatenate([there, way(3.5, 0.45, 1.7)])
+    labels = Labels(
+        stamps_ns=np.arange(len(poses)), poses=poses, submaps=np.zeros(len(poses), dtype=np.int64)
+    )
+    found = redrawn(whole, labels, (), [Split(submap=0, line=((2.0, 0.8), (2.0, 0.2)))], 1)
+    assert np.flatnonzero(found.submaps == 1).tolist() == np.flatnonzero(there[:, 0] < 2).tolist()
+
+
+def test_changes_are_made_in_order_and_undone() -> None:
+    wished: list[BorderEdit] = [Split(submap=0, line=ACROSS, new=7), Merge((1, 0)), Merge((7, 1))]
+    submaps, borders = after(*wished)
+    assert set(submaps.tolist()) == {7}
+    labels = driven()
+    assert undone(submaps, labels.poses, borders).tolist() == labels.submaps.tolist()
+    changed = replace(labels, submaps=submaps)
+    fewer = redrawn(hall(), changed, borders, wished[:2], 8)
+    assert set(fewer.submaps.tolist()) == {1, 7}
+    same = redrawn(hall(), changed, borders, wished, 8)
+    assert same.submaps.tolist() == submaps.tolist()
+    assert same.borders == borders
+
+
+def test_what_cannot_be_made_is_told_and_the_rest_made() -> None:
+    wished: list[BorderEdit] = [
+        Merge((0, 9)),
+        Split(submap=9, line=ACROSS),
+        Split(submap=0, line=((9.0, 9.0), (8.0, 8.0))),
+        Split(submap=0, line=((0.05, 1.9), (0.05, 0.1))),
+        Split(submap=0, line=ACROSS, new=1),
+        Split(submap=0, line=ACROSS),
+    ]
+    found = redrawn(hall(), driven(), (), wished, 2)
+    assert found.skipped == {
+        0: "there is no submap 9",
+        1: "there is no submap 9",
+        2: "the line does not cross submap 0",
+        3: "the robot was on one side of the line only in submap 0",
+        4: "submap 1 exists already",
+    }
+    assert len(found.borders) == 1
+    assert (found.submaps == 2).any()
+
+
+def test_heirs_are_what_a_submap_became() -> None:
+    borders: list[BorderEdit] = [Split(submap=5, line=ACROSS, new=7), Merge((3, 5)), Merge((2, 9))]
+    assert heirs(5, borders) == {3, 7}
+    assert heirs(3, borders) == {3}
+    assert heirs(5, borders[1:]) == {3}
