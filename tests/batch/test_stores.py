@@ -34,15 +34,13 @@ OUT = "memory://bucket/maps"
 
 
 @pytest.fixture
-def store(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+def store(monkeypatch: pytest.MonkeyPatch) -> Any:
     """An empty store in memory, and the fake program in the place of specmap."""
     faked(monkeypatch)
     system = fsspec.filesystem("memory")
-    system.store.clear()
-    system.pseudo_dirs[:] = [""]
-    yield system
-    system.store.clear()
-    system.pseudo_dirs[:] = [""]
+    monkeypatch.setattr(type(system), "store", {})
+    monkeypatch.setattr(type(system), "pseudo_dirs", [""])
+    return system
 
 
 def put(system: Any, path: str, words: str = "fine") -> str:
@@ -95,27 +93,21 @@ def test_a_reason_names_the_log_as_the_user_does(store: Any, tmp_path: Path, dam
 
 
 def test_what_is_found_in_a_store_and_fetched_whole(store: Any, tmp_path: Path) -> None:
-    bag = ("metadata.yaml", "bag_0.db3", "bag_1.db3")
-    for path in ("a.mcap", "b/run.bag.zst", "b/notes.txt", ".x/c.mcap"):
-        put(store, f"logs/{path}")
-    for path in ("bag/" + name for name in bag):
+    bag = ("bag/metadata.yaml", "bag/bag_0.db3", "bag/bag_1.db3")
+    others = ("b/notes.txt", ".x/c.mcap", "map/topology.json", "map/keyframes.mcap")
+    for path in ("a.mcap", "b/run.bag.zst", *bag, *others):
         put(store, f"logs/{path}", path)
-    for path in ("map/topology.json", "map/keyframes.mcap"):
-        put(store, f"logs/{path}")
     found = {job.name: job.logs[0] for job in jobs_of(["memory://bucket/logs"])}
-    assert {name: log.rsplit("logs/")[1] for name, log in found.items()} == {
-        "a": "a.mcap",
-        "b-run": "b/run.bag.zst",
-        "bag": "bag",
-    }
+    under = {name: log.rsplit("logs/")[1] for name, log in found.items()}
+    assert under == {"a": "a.mcap", "b-run": "b/run.bag.zst", "bag": "bag"}
     for pattern in ("*.mcap", "a.mcap"):
         assert [job.name for job in jobs_of([f"memory://bucket/logs/{pattern}"])] == ["a"]
     with pytest.raises(UsageError, match="no recording there"):
         jobs_of(["memory://bucket/none"])
     ((log, place),) = fetched((found["bag"],), tmp_path).items()
     assert (log, Path(place).name) == (found["bag"], "bag")
-    texts = {path.name: path.read_text() for path in Path(place).iterdir()}
-    assert texts == {name: f"bag/{name}" for name in bag}
+    texts = {f"bag/{path.name}": path.read_text() for path in Path(place).iterdir()}
+    assert texts == {name: name for name in bag}
 
 
 @pytest.mark.parametrize("name", ["bag/../../../../escaped.db3", ".."])
@@ -142,7 +134,6 @@ def test_logs_that_do_not_fit_into_the_scratch_are_refused(
     assert str(result.reason).endswith(
         "the logs need 3 MB, 1 MB are free: choose another scratch directory"
     )
-    assert not run(Job("monday", (url,), ALL), OUT, tmp_path).resumed
 
 
 def test_a_log_that_did_not_arrive_whole_is_told_of_in_parts(
