@@ -40,20 +40,10 @@ def test_each_scan_has_the_colour_of_its_submap(result: MapResult) -> None:
     assert is_framed(image)
 
 
-def test_stretches_are_as_long_as_their_share_of_the_way() -> None:
-    image = render_labels(straight(), thirds(0, 1, 2, 0), "t")
-    first, second = (
-        of_colour(image, palette.vivid(palette.FILLS[k]), 25)[TITLE:-160] for k in (0, 1)
-    )
-    middle = int(np.flatnonzero(first.any(axis=1)).mean())
-    along = slice(middle - 3, middle + 4)
-    assert first[along].any(axis=0).sum() > 1.5 * second[along].any(axis=0).sum() > 300
-
-
 def test_without_a_map_neighbours_along_the_way_differ_or_the_colours_are_those_given() -> None:
     image = render_labels(straight(), thirds(7, 3, 7, 3), "t")
-    used = [fill for fill in palette.FILLS if near(image, palette.vivid(fill)) > 200]
-    assert len(used) == 2
+    lengths = [near(image, palette.vivid(fill)) for fill in palette.FILLS]
+    assert sorted(lengths)[-3] < 200 < 3500 < sorted(lengths)[-2]  # of 375 pixels, twice
     fills = palette.colour_graph([1, 2, 3, 8], [(1, 8), (2, 3)])  # not neighbours along the way
     image = render_labels(straight(), thirds(8, 2), "t", fills=fills)
     for id_ in (8, 2):
@@ -61,22 +51,12 @@ def test_without_a_map_neighbours_along_the_way_differ_or_the_colours_are_those_
     assert fills[8] != palette.colour_graph([8, 2], [(8, 2)])[8]
 
 
-def test_wrong_ones_are_marked_and_unknown_ones_are_not_wrong(result: MapResult) -> None:
-    said = result.labels.submaps.copy()
-    said[3:7], said[13:17] = 2, NO_SUBMAP
-    image = render_labels(result.labels.poses, said, "t", truth=result.labels.submaps)
-    once = near(image, palette.WRONG)
-    said[13:17] = 1
-    again = render_labels(result.labels.poses, said, "t", truth=result.labels.submaps)
-    assert once == near(again, palette.WRONG) > 50
-
-
-def test_the_mark_of_wrong_ones_is_as_long_as_they_are() -> None:
+def test_wrong_ones_are_marked_as_long_as_they_are_and_unknown_ones_are_not_wrong() -> None:
     places, truth = straight(), thirds(0, 1)
     marks = []
     for wrong in (0, 10, 40):
         said = truth.copy()
-        said[5 : 5 + wrong] = 1
+        said[5 : 5 + wrong], said[90:100] = 1, NO_SUBMAP
         picture = render_labels(places, said, "t", truth=truth)
         marks.append(of_colour(picture, palette.WRONG, 25)[TITLE:-160].any(axis=0).sum())
     assert marks[0] == 0
@@ -182,17 +162,9 @@ def test_right_is_blue_wrong_is_red_and_nothing_is_grey() -> None:
     assert pixel(image, at[0, 0]) == paler(RIGHT, 0.088)
     for row, column in ((0, 2), (1, 0), (1, 2)):
         assert pixel(image, at[row, column]) == SHADE
-    blue, green, red = pixel(image, at[0, 1])
+    wrong = blue, green, red = pixel(image, at[0, 1])
+    assert wrong == paler((40, 24, 200), 0.792)
     assert red > max(blue, green) + 20
-
-
-@pytest.mark.parametrize("wrong", [1, 30, 60, 99])
-def test_the_more_of_a_row_the_deeper_the_colour(wrong: int) -> None:
-    image = render_confusion(np.array([[100 - wrong, wrong], [0, 1]]), ["a", "b"])
-    at = centres(image, 2, 2)
-    more = render_confusion(np.array([[99 - wrong, wrong + 1], [0, 1]]), ["a", "b"])
-    assert sum(pixel(more, at[0, 1])) < sum(pixel(image, at[0, 1]))
-    assert sum(pixel(more, at[0, 0])) >= sum(pixel(image, at[0, 0]))
 
 
 def test_cells_show_shares_of_their_row_not_counts() -> None:
