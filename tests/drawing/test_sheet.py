@@ -199,22 +199,16 @@ def test_strokes_are_the_runs_between_jumps(seed: int, count: int) -> None:
     assert strokes(places, labels) == expected
 
 
-@pytest.mark.parametrize(
-    ("step_m", "leap_m", "pieces"),
-    [(0.1, 1.4, 1), (0.1, 1.6, 2), (0.1, 30.0, 2), (2.0, 5.5, 1), (2.0, 6.5, 2)],
-)
-def test_without_labels_only_jumps_break_the_line(
-    step_m: float, leap_m: float, pieces: int
-) -> None:
+def test_without_labels_only_jumps_break_the_line() -> None:
     """Of one scan every two metres the way is drawn, and a jump three times as long is none."""
-    found = strokes(way([step_m] * 30 + [leap_m] + [step_m] * 30))
-    assert len(found) == pieces
-    assert all(stroke.end == stroke.drawn_to for stroke in found)
-    assert (found[0].first, found[-1].end) == (0, 62)
-
-
-def test_a_stay_makes_no_way_a_jump_and_few_places_none() -> None:
-    assert len(strokes(way([0.0] * 500 + [1.0] * 20))) == 1
+    for step_m, leap_m, jumps in (
+        *((0.1, 1.4, False), (0.1, 1.6, True), (0.1, 30.0, True)),
+        *((2.0, 5.5, False), (2.0, 6.5, True)),
+    ):
+        found = strokes(way([step_m] * 30 + [leap_m] + [step_m] * 30))
+        pieces = [(0, 31), (31, 62)] if jumps else [(0, 62)]
+        assert found == [Stroke(first, end, end) for first, end in pieces], (step_m, leap_m)
+    assert len(strokes(way([0.0] * 500 + [1.0] * 20))) == 1  # a stay makes no way a jump
     for count in (0, 1):
         places = np.zeros((count, 2))
         assert strokes(places) == strokes(places, np.zeros(count)) == [Stroke(0, 1, 1)] * count

@@ -39,7 +39,7 @@ def written(out: Path, result: MapResult, scans: KeyframeStore | None = None) ->
 @pytest.fixture
 def stored(tmp_path: Path, result: MapResult) -> StoredMap:
     """The house: no doors, no ways, no scans."""
-    return written(tmp_path / "out", result)
+    return written(tmp_path / "house", result)
 
 
 @pytest.fixture
