@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from pathlib import Path
 
@@ -32,6 +31,10 @@ def exported(stored: StoredMap, out: Path) -> nx.DiGraph:
 def test_the_server_reads_anchors_doors_and_bends(home: StoredMap, tmp_path: Path) -> None:
     graph = exported(home, tmp_path / "home.geojson")
     kinds = nx.get_node_attributes(graph, "metadata")
+    for metadata in (*kinds.values(), *nx.get_edge_attributes(graph, "metadata").values()):
+        # a scorer that asks for a width of 1 as a float fails on a whole number
+        for key in ("width_m", "clearance_m", "area_m2"):
+            assert isinstance(metadata.get(key, 0.0), float)
     assert [kinds[node]["class"] for node in sorted(graph)] == [
         "corridor", "room", "room", "bend", "door", "door"
     ]  # fmt: skip
@@ -86,15 +89,17 @@ def test_doors_stand_where_ways_go_through_them(rooms: StoredMap) -> None:
 
 
 def test_narrow_and_forbidden_links_are_left_out_and_told(
-    lived_in: MapResult, tmp_path: Path
+    lived_in: MapResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     old = lived_in.topology
     edges = {**old.edges, (0, 2): dataclasses.replace(old.edges[0, 2], forbidden=True)}
     topology = dataclasses.replace(old, edges=edges)
     stored = written(tmp_path / "map", dataclasses.replace(lived_in, topology=topology))
-    notes = Notes()
-    warnings = export_map(stored, "nav2", tmp_path / "x.geojson", progress=notes)
-    assert notes.notes == [
+    notes: list[str] = []
+    progress = Silent()
+    monkeypatch.setattr(progress, "note", notes.append)
+    warnings = export_map(stored, "nav2", tmp_path / "x.geojson", progress=progress)
+    assert notes == [
         "left out: 1 link (0-2) forbidden",
         "left out: 1 link (1-2) without a way wide enough",
         "5 nodes and 6 directed edges",
@@ -108,29 +113,14 @@ def test_narrow_and_forbidden_links_are_left_out_and_told(
     assert parts(stored.record) == [[0, 1], [2]]
 
 
-class Notes(Silent):
-    """A progress that remembers its notes."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.notes: list[str] = []
-
-    def note(self, message: str) -> None:
-        self.notes.append(message)
-
-
 def test_what_would_mislead_is_a_warning(lived_in: MapResult, tmp_path: Path) -> None:
     old = lived_in.topology
     edges = {**old.edges, (0, 1): dataclasses.replace(old.edges[0, 1], kind="loose")}
-    submaps = {
-        **old.submaps,
-        2: dataclasses.replace(old.submaps[2], anchor=None, anchor_clearance_m=None),
-    }
+    nowhere = dataclasses.replace(old.submaps[2], anchor=None, anchor_clearance_m=None)
+    topology = dataclasses.replace(old, edges=edges, submaps={**old.submaps, 2: nowhere})
     poor = Quality.of([Finding(code="walls", severity="poor", message="walls stand twice")])
-    topology = dataclasses.replace(old, edges=edges, submaps=submaps)
-    stored = written(
-        tmp_path / "map", dataclasses.replace(lived_in, topology=topology, quality=poor)
-    )
+    judged = dataclasses.replace(lived_in, topology=topology, quality=poor)
+    stored = written(tmp_path / "map", judged)
     warnings = export_map(stored, "nav2", tmp_path / "x.geojson")
     assert warnings == [
         "the map is judged poor: a robot that follows its ways may meet walls",
@@ -159,12 +149,3 @@ def test_a_map_without_ways_is_refused(
         with pytest.raises(MapError, match=words):
             export_map(case, "nav2", tmp_path / "x.geojson")
     assert not (tmp_path / "x.geojson").exists()
-
-
-def test_numbers_stay_numbers_of_their_kind(home: StoredMap, tmp_path: Path) -> None:
-    """A scorer that asks for a width of 1 as a float fails on a whole number."""
-    export_map(home, "nav2", tmp_path / "home.geojson")
-    for feature in json.loads((tmp_path / "home.geojson").read_text())["features"]:
-        metadata = feature["properties"]["metadata"]
-        for key in ("width_m", "clearance_m", "area_m2"):
-            assert isinstance(metadata.get(key, 0.0), float)

@@ -70,7 +70,7 @@ def test_a_map_without_one_is_refused_in_a_line(
     built = "a pose graph needs one that `specmap build` made of a recording"
     again = "build the map again"
     bad = with_graph(tmp_path / "bad", lived_in, "VERTEX_SE2 0 0\n")
-    line = "g2o, line 1: 'VERTEX_SE2 0 0' is no VERTEX_SE2;"
+    line = "g2o, line 1: 'VERTEX_SE2 0 0' is no VERTEX_SE2"
     cases = [
         (stored, "has no vertices", again),
         (rooms, "has no trajectory.g2o: `specmap segment` makes maps without;", built),

@@ -93,26 +93,20 @@ def test_the_table_of_the_way_adds_up() -> None:
     assert track.visits() == [(0.0, 5.0, 3), (5.0, 9.0, 7)]
 
 
-def lines_of(track: Track) -> list[list[tuple[int, int]]]:
-    return [line for _, data in track.by_time(FRAME) for line in drawn(data)]
-
-
-def test_between_recordings_no_time_passes_and_no_line_is_drawn() -> None:
-    labels = labels_of(40)
+def test_no_line_is_drawn_between_recordings_and_a_long_way_is_thinned() -> None:
+    count = 3 * MOST_POINTS
+    labels, whole = labels_of(40), Track.of(labels_of(count), (), None)
     labels.stamps_ns[20:] += 86_400 * 10**9
     labels.poses[20:, 1] += 7.0
     track = Track.of(labels, (20,), None)
-    assert (track.duration_s, track.starts) == (38.0, (0.0, 19.0))
-    assert all(len({y for _, y in line}) == 1 for line in lines_of(track))
-
-
-def test_a_long_way_is_thinned() -> None:
-    count = 3 * MOST_POINTS
-    track = Track.of(labels_of(count), (), None)
-    assert (len(track.seconds), track.total) == (MOST_POINTS, count)
-    assert track.seconds[-1] == count - 1
-    ends = [line[-1] for line in lines_of(track)]
-    assert max(ends)[0] == FRAME.place((0.1 * (count - 1), 0.0))[0]
+    assert (track.duration_s, track.starts) == (38.0, (0.0, 19.0)), "no time passes between them"
+    broken, thinned = (
+        [line for _, data in each.by_time(FRAME) for line in drawn(data)] for each in (track, whole)
+    )
+    assert all(len({y for _, y in line}) == 1 for line in broken)
+    assert (len(whole.seconds), whole.total) == (MOST_POINTS, count)
+    assert whole.seconds[-1] == count - 1
+    assert max(line[-1] for line in thinned)[0] == FRAME.place((0.1 * (count - 1), 0.0))[0]
 
 
 def bgr(css: str) -> Colour:
