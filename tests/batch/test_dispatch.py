@@ -52,10 +52,8 @@ class Obedient(Workers):
         name, told = turn.job.name, self.ends[turn.job.name].pop(0)
         if told is None:
             return turn, None
-        limited = {"attempts": turn.attempt}
-        return turn, JobResult(
-            result(name, **limited) if told == "done" else failed(name, told, **limited)
-        )
+        record = result(name) if told == "done" else failed(name, told)
+        return turn, JobResult(record.model_copy(update={"attempts": turn.attempt}))
 
 
 def ledger_of(names: Iterable[str]) -> Ledger:

@@ -219,7 +219,7 @@ def test_badges_do_not_overlap(count: int, seed: int) -> None:
     gaps = [float(np.linalg.norm(a - b)) for a, b in itertools.combinations(moved, 2)]
     assert all(gap >= symbols.BADGE_GAP * 0.9 for gap in gaps)
     np.testing.assert_allclose(moved.mean(axis=0), centres.mean(axis=0), atol=1e-6)
-    roomy = np.arange(count)[:, None] * (symbols.BADGE_GAP, 5.0)
+    roomy = np.array([(symbols.BADGE_GAP * k, 5.0 * k) for k in range(count)])
     np.testing.assert_array_equal(spread(roomy, symbols.BADGE_GAP), roomy)
 
 
