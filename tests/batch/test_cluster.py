@@ -6,7 +6,7 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -46,98 +46,97 @@ def client() -> Iterator[Any]:
         yield client
 
 
+Ran = Callable[..., tuple[Ledger, list[EventRecord]]]
+
+
 @pytest.fixture
-def here(client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """`run_batch` uses these workers, and jobs do what their names say."""
+def ran(client: Any, monkeypatch: pytest.MonkeyPatch) -> Ran:
+    """Run jobs that do what their names say on these workers; also what was told."""
 
     @contextmanager
     def opened(_: Cluster) -> Iterator[Any]:
         yield client
 
+    def ran(
+        out: Path | str, *names: str, limits: Limits = Limits(), **options: Any
+    ) -> tuple[Ledger, list[EventRecord]]:
+        told: list[EventRecord] = []
+        jobs, terms = [job(name) for name in names], Terms(str(out), limits)
+        tell = options.pop("tell", told.append)
+        return run_batch(jobs, terms, Cluster(), 0, tell, **options), told
+
     monkeypatch.setattr(batch, "opened", opened)
     monkeypatch.setattr(workers, "opened", opened)
     monkeypatch.setattr(workers, "on_worker", at_once)
+    return ran
 
 
-def ran(out: Path, *names: str, retries: int = 0) -> tuple[Ledger, list[EventRecord]]:
+def test_it_does_what_can_be_done_and_writes_summaries_and_a_journal(
+    ran: Ran, tmp_path: Path
+) -> None:
+    ledger, told = ran(tmp_path, "hungry", "bad", "buggy", "a", limits=Limits(memory_mb=500))
+    assert (ledger.done, ledger.failed) == (2, 2)
+    buggy = ledger.results["buggy"]
+    assert buggy.kind == "worker"
+    assert buggy.reason == "the worker failed: ValueError: a bug of the worker"
+    # want of memory gets the memory of all workers, at the end
+    assert ledger.results["hungry"].limits.memory_mb == 1000
+    assert [one.job for one in told if one.event in ("retried", "done")][-1] == "hungry"
+    assert (told[0].event, told[-1].event) == ("began", "ended")
+    written = {path.name for path in tmp_path.iterdir() if path.name[0] != "."}
+    assert written == {*SUMMARIES, "events.jsonl"}
+    journal = (tmp_path / "events.jsonl").read_text(encoding="utf-8")
+    assert journal == "".join(one.line() for one in told)
+    ran(tmp_path, "a")
+    assert (tmp_path / "events.jsonl").read_text(encoding="utf-8").startswith(journal)
+
+
+def test_an_interruption_leaves_the_summaries(ran: Ran, tmp_path: Path) -> None:
+    def interrupt(ledger: Ledger) -> None:
+        if ledger.done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        ran(tmp_path, *"abcd", show=interrupt)
+    assert "2 of 4 jobs done, 2 waiting" in (tmp_path / "summary.md").read_text()
+
+
+def test_two_batches_do_not_share_a_directory_which_is_the_same_for_all_workers(
+    ran: Ran, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outputs = []
+
+    class Told(Workers):
+        def __init__(self, client: Any, terms: Terms) -> None:
+            outputs.append(terms.output)
+            super().__init__(client, terms)
+
+    def again(_: EventRecord) -> None:
+        with pytest.raises(UsageError, match="another batch is writing there"):
+            ran(tmp_path / "maps", "b")
+
+    monkeypatch.setattr(batch, "Workers", Told)
+    monkeypatch.chdir(tmp_path)
+    ran("maps", "a", tell=again)
+    ran("maps", "b")
+    assert outputs == [str(tmp_path / "maps")] * 2
+
+
+def test_a_store_gets_summaries_and_the_journal_at_the_end(
+    ran: Ran, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = pytest.importorskip("fsspec").filesystem("memory")
+    for _ in range(2):
+        ran("memory://fleet/maps", "a")
+    found = {path.rsplit("/", 1)[-1] for path in store.find("/fleet/maps")}
+    assert found == {*SUMMARIES, "events.jsonl"}
+    events = store.cat_file("/fleet/maps/events.jsonl").decode().splitlines()
+    assert [json.loads(line)["event"] for line in events].count("ended") == 2
     told: list[EventRecord] = []
-    terms = Terms(str(out), Limits(memory_mb=500))
-    jobs = [job(name) for name in names]
-    return run_batch(jobs, terms, Cluster(), retries, told.append), told
-
-
-@pytest.mark.usefixtures("here")
-class TestBatch:
-    def test_it_does_what_can_be_done_and_writes_summaries_and_a_journal(
-        self, tmp_path: Path
-    ) -> None:
-        ledger, told = ran(tmp_path, "hungry", "bad", "buggy", "a")
-        assert (ledger.done, ledger.failed) == (2, 2)
-        buggy = ledger.results["buggy"]
-        assert buggy.kind == "worker"
-        assert buggy.reason == "the worker failed: ValueError: a bug of the worker"
-        # want of memory gets the memory of all workers, at the end
-        assert ledger.results["hungry"].limits.memory_mb == 1000
-        assert [one.job for one in told if one.event in ("retried", "done")][-1] == "hungry"
-        assert (told[0].event, told[-1].event) == ("began", "ended")
-        assert {path.name for path in tmp_path.iterdir() if path.name[0] != "."} == {
-            *SUMMARIES,
-            "events.jsonl",
-        }
-        journal = (tmp_path / "events.jsonl").read_text(encoding="utf-8")
-        assert journal == "".join(one.line() for one in told)
-        ran(tmp_path, "a")
-        assert (tmp_path / "events.jsonl").read_text(encoding="utf-8").startswith(journal)
-
-    def test_an_interruption_leaves_the_summaries(self, tmp_path: Path) -> None:
-        def interrupt(ledger: Ledger) -> None:
-            if ledger.done == 2:
-                raise KeyboardInterrupt
-
-        jobs = [job(name) for name in "abcd"]
-        with pytest.raises(KeyboardInterrupt):
-            run_batch(jobs, Terms(str(tmp_path)), show=interrupt)
-        assert "2 of 4 jobs done, 2 waiting" in (tmp_path / "summary.md").read_text()
-
-    def test_two_batches_do_not_share_a_directory_which_is_the_same_for_all_workers(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        outputs = []
-
-        class Told(Workers):
-            def __init__(self, client: Any, terms: Terms) -> None:
-                outputs.append(terms.output)
-                super().__init__(client, terms)
-
-        def again(_: EventRecord) -> None:
-            with pytest.raises(UsageError, match="another batch is writing there"):
-                ran(tmp_path / "maps", "b")
-
-        monkeypatch.setattr(batch, "Workers", Told)
-        monkeypatch.chdir(tmp_path)
-        run_batch([job("a")], Terms("maps"), tell=again)
-        ran(Path("maps"), "b")
-        assert outputs == [str(tmp_path / "maps")] * 2
-
-    def test_a_store_gets_summaries_and_the_journal_at_the_end(
-        self, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        store = pytest.importorskip("fsspec").filesystem("memory")
-        for _ in range(2):
-            run_batch([job("a")], Terms("memory://fleet/maps"))
-        found = {path.rsplit("/", 1)[-1] for path in store.find("/fleet/maps")}
-        assert found == {*SUMMARIES, "events.jsonl"}
-        events = store.cat_file("/fleet/maps/events.jsonl").decode().splitlines()
-        assert [json.loads(line)["event"] for line in events].count("ended") == 2
-
-        def refuse(*_: object) -> None:
-            raise PermissionError("access denied")
-
-        monkeypatch.setattr(store, "pipe_file", refuse)
-        told: list[EventRecord] = []
-        with pytest.raises(PlaceError, match=r"memory://closed: .*access denied"):
-            run_batch([job("a")], Terms("memory://closed"), tell=told.append)
-        assert told == [], "before any job"
+    monkeypatch.setattr(store, "pipe_file", Mock(side_effect=PermissionError("access denied")))
+    with pytest.raises(PlaceError, match=r"memory://closed: .*access denied"):
+        ran("memory://closed", "a", tell=told.append)
+    assert told == [], "before any job"
 
 
 def test_no_jobs_are_refused_and_a_worker_of_another_version_makes_nothing(tmp_path: Path) -> None:
@@ -231,7 +230,7 @@ def _tripled(number: int) -> int:
     return 3 * number
 
 
-@pytest.mark.usefixtures("here")
+@pytest.mark.usefixtures("ran")
 def test_a_function_of_many_things_is_spread_over_the_workers() -> None:
     assert spread(Cluster(), _tripled, [1, 2, 3]) == [3, 6, 9]
     with pytest.raises(MapError, match="-1: not a map"):
