@@ -66,15 +66,22 @@ def test_places_are_drawn_to_scale_inside_the_frame(
 
 
 @pytest.mark.parametrize("origin", [(0.0, 0.0), (-3.2, 7.7), (1e5, -1e5)])
-def test_each_kind_of_cell_has_its_colour(origin: tuple[float, float]) -> None:
-    cells = np.kron([[FREE, FREE], [OCCUPIED, UNKNOWN]], np.ones((10, 10))).astype(np.uint8)
-    owner = np.where(np.arange(20)[None, :] < 10, 0, NOBODY) * np.ones((20, 1), dtype=np.int64)
+def test_each_kind_of_cell_has_its_colour_and_a_border_is_where_regions_touch(
+    origin: tuple[float, float],
+) -> None:
+    cells = np.full((40, 60), FREE, dtype=np.uint8)
+    cells[:, 30], cells[:20, 45:] = OCCUPIED, UNKNOWN
+    owner = np.where(np.arange(40)[:, None] < 20, 0, 1) * np.ones((1, 60), dtype=np.int64)
+    owner[:, 30:] = NOBODY
     regions = Regions(GridMap(cells, 0.1, origin), owner, {})
     sheet = Sheet(*extent_of(regions), ())
-    sheet.ground(regions, {0: palette.FILLS[5]})
-    corners = np.array([[0.5, 0.5], [1.5, 0.5], [0.5, 1.5], [1.5, 1.5]]) + origin
-    seen = [pixel(sheet.canvas.image, place) for place in sheet.pixels(corners)]
-    assert seen == [palette.FILLS[5], palette.SHADE, palette.INK, palette.PAPER]
+    sheet.ground(regions, {0: palette.FILLS[0], 1: palette.FILLS[1]})
+    places = np.array([[1.5, 2.0], [1.5, 1.5], [3.05, 2.0], [3.8, 2.0], [5.2, 1.0]]) + origin
+    border, *inside = sheet.pixels(places).astype(int)
+    (x, y), image = border, sheet.canvas.image
+    assert of_colour(image[y - 2 : y + 3, x - 1 : x + 2], palette.BORDER, 40).any()
+    seen = [pixel(image, place) for place in inside]
+    assert seen == [palette.FILLS[0], palette.INK, palette.SHADE, palette.PAPER]
 
 
 @given(grid_maps())
@@ -120,7 +127,9 @@ def test_headlines_shrink_to_fit_and_keep_their_size_otherwise() -> None:
 
 
 @pytest.mark.parametrize(("width_m", "height_m"), [(1.0, 9.0), (5.0, 5.0), (9.0, 1.0)])
-def test_the_whole_legend_lies_below_the_map(width_m: float, height_m: float) -> None:
+def test_the_whole_legend_lies_below_the_map_and_its_entries_do_not_touch(
+    width_m: float, height_m: float
+) -> None:
     bare, full = sheet_of(width_m, height_m), sheet_of(width_m, height_m, EVERYTHING)
     assert full.map_height == bare.map_height
     below = inked(full.canvas.image)
@@ -132,35 +141,10 @@ def test_the_whole_legend_lies_below_the_map(width_m: float, height_m: float) ->
     for colour in (palette.TRAVERSED, palette.CLOSURE, palette.LOOSE, palette.SHADE):
         assert near(full.canvas.image, colour) > 80
         assert near(bare.canvas.image, colour) < 40  # the rims of letters
-
-
-def test_entries_of_the_legend_do_not_touch() -> None:
-    """Between two entries of a row lie at least ten empty columns."""
-    sheet = sheet_of(9.0, 9.0, EVERYTHING)
-    rows = inked(sheet.canvas.image).any(axis=1)
-    starts = np.flatnonzero(np.diff(rows.astype(int)) == 1) + 1
-    entries = 0
-    for start in starts[1:]:  # the first is the scale bar
-        line = inked(sheet.canvas.image[start : start + 16]).any(axis=0)
-        gaps = np.diff(np.flatnonzero(line))
-        entries += 1 + int((gaps > 30).sum())
-    assert entries >= len(EVERYTHING)
-
-
-def test_a_border_is_drawn_where_regions_touch_and_nowhere_else() -> None:
-    cells = np.full((40, 60), FREE, dtype=np.uint8)
-    cells[:, 30] = OCCUPIED
-    owner = np.where(np.arange(40)[:, None] < 20, 0, 1) * np.ones((1, 60), dtype=np.int64)
-    owner[:, 30:] = NOBODY
-    regions = Regions(GridMap(cells, 0.1), owner, {})
-    sheet = Sheet(*extent_of(regions), ())
-    sheet.ground(regions, {0: palette.FILLS[0], 1: palette.FILLS[1]})
-    places = np.array([[1.5, 2.0], [1.5, 1.5], [3.05, 2.0], [4.5, 2.0]])
-    border, region, wall, beyond = sheet.pixels(places).astype(int)
-    (x, y), image = border, sheet.canvas.image
-    assert of_colour(image[y - 2 : y + 3, x - 1 : x + 2], palette.BORDER, 40).any()
-    seen = [pixel(image, place) for place in (region, wall, beyond)]
-    assert seen == [palette.FILLS[0], palette.INK, palette.SHADE]
+    starts = np.flatnonzero(np.diff(below.any(axis=1).astype(int)) == 1) + 1
+    lines = [below[start : start + 16].any(axis=0) for start in starts[1:]]  # below the scale bar
+    gaps = [np.diff(np.flatnonzero(line)) for line in lines]
+    assert sum(1 + int((each > 30).sum()) for each in gaps) >= len(EVERYTHING)
 
 
 def test_drawing_the_ground_takes_little_more_than_the_canvas() -> None:
