@@ -93,9 +93,9 @@ def test_the_way_is_drawn_over_its_whole_length_from_its_start_to_its_end() -> N
     image = driven(np.linspace((1.0, 1.0), (5.0, 3.0), 60))
     start, end = places_on(REGIONS, [(1.0, 1.0), (5.0, 3.0)])
     assert pixel(image, start) == pixel(image, end) == palette.INK
-    corner = np.array([5.0, 5.0])
-    assert pixel(image, start + corner) == palette.INK  # a square
-    assert pixel(image, end + corner * 1.3) != palette.INK  # a disc
+    corner = np.array([6.5, 6.5])
+    assert pixel(image, start + corner) == pixel(image, start - corner) == palette.INK  # a square
+    assert palette.INK not in (pixel(image, end + corner), pixel(image, end - corner))  # a disc
     out_of_the_grid = np.linspace((1.0, 1.0), (12.0, 9.0), 60)
     image = driven(out_of_the_grid)
     assert is_framed(image)

@@ -61,6 +61,7 @@ def test_wrong_ones_are_marked_as_long_as_they_are_and_unknown_ones_are_not_wron
         said[5 : 5 + wrong], said[90:100] = 1, NO_SUBMAP
         picture = render_labels(STRAIGHT, said, "t", truth=truth)
         marks.append(of_colour(picture, palette.WRONG, 25)[TITLE:-160].any(axis=0).sum())
+        assert near(picture[-160:], palette.WRONG) > 50  # the legend says what it means
     assert marks[0] == 0
     assert marks[2] - marks[1] == pytest.approx(30 / 119 * 1500, rel=0.05)
 

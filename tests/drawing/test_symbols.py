@@ -84,20 +84,6 @@ def test_a_badge_holds_its_id(name: str) -> None:
     assert np.hypot(max(40 - letters[0], letters[1] - 40), letters[3] - 40) < radius
 
 
-def test_start_is_square_and_end_is_round() -> None:
-    """The share of its box that a disc fills is pi / 4."""
-    shares = []
-    for draw in (symbols.start, symbols.end):
-        canvas = Canvas(60, 60, palette.SHADE)
-        draw(canvas, np.array([30.0, 30.0]))
-        dark = of_colour(canvas.image, palette.INK, 60)
-        left, right, top, bottom = bounds(dark)
-        assert (left + right) / 2 == (top + bottom) / 2 == 30
-        shares.append(dark.sum() / ((right - left + 1) * (bottom - top + 1)))
-    assert shares[0] == 1.0
-    assert shares[1] == pytest.approx(np.pi / 4, abs=0.08)
-
-
 def test_a_legend_explains_what_is_shown_and_nothing_else_in_one_order() -> None:
     assert symbols.legend_of([]) == ()
     shown = ["forbidden", "loop closure", "wall", "submap", "door, only seen", "door"]
@@ -116,12 +102,3 @@ def test_every_symbol_fits_its_place_in_the_legend(words: str) -> None:
     assert right - left >= 8
     assert abs(left + right - 120) <= 6
     assert abs(top + bottom - 80) <= 3
-
-
-def test_the_mark_of_a_wrong_prediction_shows_on_both_sides_of_it() -> None:
-    canvas = Canvas(120, 80)
-    symbols.SYMBOLS["wrong"](canvas, np.array([60.0, 40.0]))
-    across = of_colour(canvas.image, palette.WRONG, 20)[:, 60]
-    assert across[:38].any()
-    assert across[43:].any()
-    assert not across[40]
