@@ -10,7 +10,9 @@ import shutil
 import stat
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
+from tempfile import mkdtemp
 from types import SimpleNamespace
 from typing import Any
 
@@ -164,16 +166,21 @@ def test_cut_off_at_any_call_there_is_a_complete_result_or_none(
     part.write_text(part.read_text().upper())  # as long as the old one
     (new / "job.begun").unlink(missing_ok=True)
     write_record(new, result.model_copy(update={"files": files_in(new), "attempts": 2}))
-    seen = set()
+
+    def publish(source: Path) -> None:
+        """What a job makes becomes its result in the store."""
+        scratch = Path(mkdtemp(dir=tmp_path))
+        with folder_at(OUT, "monday").fresh(scratch) as directory:
+            shutil.copytree(source, directory, dirs_exist_ok=True)
+
+    seen: set[int | None] = set()
+    whole = False
     for calls in itertools.count(1):
-        _publish(old, tmp_path / f"old{calls}")
-        with monkeypatch.context() as context:
+        publish(old)
+        with monkeypatch.context() as context, suppress(_Cut):
             _cut_after(store, context, calls)
-            try:
-                _publish(new, tmp_path / f"new{calls}")
-                whole = True
-            except _Cut:
-                whole = False
+            publish(new)
+            whole = True
         stored = folder_at(OUT, "monday").stored()
         seen.add(None if stored is None else stored.attempts)
         if stored is not None:  # it is one of the two, whole
@@ -186,21 +193,13 @@ def test_cut_off_at_any_call_there_is_a_complete_result_or_none(
     assert names(store, "/bucket/maps/monday") == {*files_in(new), "job.json"}
 
 
-def _publish(source: Path, scratch: Path) -> None:
-    """What a job makes becomes its result in the store."""
-    scratch.mkdir()
-    with folder_at(OUT, "monday").fresh(scratch) as directory:
-        shutil.copytree(source, directory, dirs_exist_ok=True)
-
-
 def _cut_after(system: Any, monkeypatch: pytest.MonkeyPatch, calls: int) -> None:
     """The process ends before the call number `calls` that writes or removes."""
-    left = [calls]
+    left = iter(range(calls - 1))
 
     def counted(real: Any) -> Any:
         def call(*arguments: Any, **options: Any) -> Any:
-            left[0] -= 1
-            if left[0] == 0:
+            if next(left, None) is None:
                 raise _Cut
             return real(*arguments, **options)
 
