@@ -163,45 +163,42 @@ def test_a_job_whose_worker_dies_is_tried_again(monkeypatch: pytest.MonkeyPatch)
     assert ledger.results["deadly"].attempts == 2
 
 
-@pytest.fixture
-def scheduler(tmp_path: Path) -> Iterator[str]:
-    """The address of a scheduler in a process of its own, with no worker."""
-    said = tmp_path / "scheduler.json"
-    command = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1"]
-    command += ["--port", "0", "--no-dashboard", "--scheduler-file", str(said)]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+@contextmanager
+def running(program: str, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
+    """A program of Dask in a process of its own."""
+    command = [sys.executable, "-m", f"distributed.cli.dask_{program}", "--no-dashboard"]
+    process = subprocess.Popen(
+        [*command, *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
     try:
-        while process.poll() is None and not (said.exists() and said.stat().st_size):
-            time.sleep(0.05)
-        yield json.loads(said.read_text(encoding="utf-8"))["address"]
+        yield process
     finally:
         process.kill()
         process.wait()
 
 
-def test_a_scheduler_in_another_process(
-    scheduler: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_scheduler_in_another_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a worker it is refused; with one it does the jobs, which fail as their logs ask."""
     (out := tmp_path / "out").mkdir()
     (out / "summary.csv").write_text("of the batch before")
     terms, jobs = Terms(str(out), scratch=str(tmp_path)), [job("lost"), job("gone")]
-    for address, answer_s, told in (
-        ("tcp://127.0.0.1:9", 0.2, r"tcp://127\.0\.0\.1:9: no Dask scheduler answers"),
-        (scheduler, 10.0, "no worker has come in 0 s: start one with `dask worker`"),
-    ):
-        monkeypatch.setattr(workers, "_ANSWER_S", answer_s)
-        with pytest.raises(UsageError, match=told):
-            run_batch(jobs, terms, Cluster(scheduler=address, patience_s=0.1))
-        assert (out / "summary.csv").read_text() == "of the batch before"
-    command = [sys.executable, "-m", "distributed.cli.dask_worker", scheduler, "--nthreads", "1"]
-    command += ["--no-dashboard", "--no-nanny", "--local-directory", str(tmp_path)]
-    worker = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    try:
-        ledger = run_batch(jobs, terms, Cluster(scheduler=scheduler))
-    finally:
-        worker.kill()
-        worker.wait()
+    said = tmp_path / "scheduler.json"
+    listening = ("--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(said))
+    with running("scheduler", *listening) as process:
+        while process.poll() is None and not (said.exists() and said.stat().st_size):
+            time.sleep(0.05)
+        scheduler = json.loads(said.read_text(encoding="utf-8"))["address"]
+        for address, answer_s, told in (
+            ("tcp://127.0.0.1:9", 0.2, r"tcp://127\.0\.0\.1:9: no Dask scheduler answers"),
+            (scheduler, 10.0, "no worker has come in 0 s: start one with `dask worker`"),
+        ):
+            monkeypatch.setattr(workers, "_ANSWER_S", answer_s)
+            with pytest.raises(UsageError, match=told):
+                run_batch(jobs, terms, Cluster(scheduler=address, patience_s=0.1))
+            assert (out / "summary.csv").read_text() == "of the batch before"
+        alone = ("--nthreads", "1", "--no-nanny", "--local-directory", str(tmp_path))
+        with running("worker", scheduler, *alone):
+            ledger = run_batch(jobs, terms, Cluster(scheduler=scheduler))
     for name in ("lost", "gone"):
         record = json.loads((out / name / "job.json").read_text(encoding="utf-8"))
         assert record["reason"] == f"/logs/{name}.mcap: no such file or directory"
