@@ -91,7 +91,9 @@ def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Bench:
     return bench
 
 
-def test_a_finished_job_leaves_all_that_it_made_and_nothing_else(run: Bench) -> None:
+def test_a_finished_job_leaves_all_that_it_made_and_nothing_else_and_is_made_once(
+    run: Bench,
+) -> None:
     record, folder = run(), run.folder
     assert (record.state, record.kind, record.reason) == ("done", None, None)
     assert run.names == {
@@ -102,22 +104,18 @@ def test_a_finished_job_leaves_all_that_it_made_and_nothing_else(run: Bench) -> 
     assert record.files["map/part-3"] == (folder / "map" / "part-3").stat().st_size
     assert [step.command for step in record.steps] == ["build", "report", "check"]
     assert "$ specmap check --json -- map" in (folder / "log.txt").read_text()
+    before = (folder / "job.json").stat().st_mtime_ns
+    assert to_json(run(resumed=True).model_dump()) == to_json(record.model_dump())
+    assert (folder / "job.json").stat().st_mtime_ns == before
+    assert run.builds == 1
+    run(redo=True)
+    assert run.builds == 2
     damaged = run("damaged", Limits(time_s=60.0))
     written = json.loads((folder / "job.json").read_text())
     jsonschema.validate(written, read_schema("job"))
     stored = folder_at(str(run.out), "monday").stored()
     assert stored is not None
     assert to_json(stored.model_dump()) == to_json(damaged.model_dump()) == to_json(written)
-
-
-def test_a_complete_result_is_not_made_again(run: Bench) -> None:
-    first = run()
-    before = (run.folder / "job.json").stat().st_mtime_ns
-    assert to_json(run(resumed=True).model_dump()) == to_json(first.model_dump())
-    assert (run.folder / "job.json").stat().st_mtime_ns == before
-    assert run.builds == 1
-    run(redo=True)
-    assert run.builds == 2
 
 
 @pytest.mark.parametrize(
