@@ -104,18 +104,17 @@ def test_an_interruption_leaves_the_summaries(ran: Ran, tmp_path: Path) -> None:
 def test_two_batches_do_not_share_a_directory_which_is_the_same_for_all_workers(
     ran: Ran, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    outputs = []
+    outputs: list[str] = []
 
-    class Told(Workers):
-        def __init__(self, client: Any, terms: Terms) -> None:
-            outputs.append(terms.output)
-            super().__init__(client, terms)
+    def told(client: Any, terms: Terms) -> Workers:
+        outputs.append(terms.output)
+        return Workers(client, terms)
 
     def again(_: EventRecord) -> None:
         with pytest.raises(UsageError, match="another batch is writing there"):
             ran(tmp_path / "maps", "b")
 
-    monkeypatch.setattr(batch, "Workers", Told)
+    monkeypatch.setattr(batch, "Workers", told)
     monkeypatch.chdir(tmp_path)
     ran("maps", "a", tell=again)
     ran("maps", "b")
