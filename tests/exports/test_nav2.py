@@ -14,7 +14,7 @@ from scipy.ndimage import distance_transform_edt
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.findings import Finding, Quality
 from specmap_cli.core.progress import Silent
-from specmap_cli.exports.routes import parts, routes
+from specmap_cli.exports.routes import parts
 from specmap_cli.exports.table import export_map
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.store import StoredMap
@@ -63,29 +63,25 @@ def test_a_way_is_driven_both_ways_and_is_as_long_as_in_the_map(
             assert graph.has_edge(end, start)
 
 
-def test_every_edge_runs_through_free_cells(
+def test_edges_run_through_free_cells_and_doors_stand_in_their_openings(
     rooms: StoredMap, flat: GridMap, tmp_path: Path
 ) -> None:
     """Straight from node to node, as the server drives, at the clearance of the map's ways."""
-    graph = exported(rooms, tmp_path / "rooms.geojson")
+    graph, record = exported(rooms, tmp_path / "rooms.geojson"), rooms.record
     clearance = distance_transform_edt(np.pad(flat.free, 1))[1:-1, 1:-1] * flat.resolution
-    radius = rooms.record.graph.robot_radius_m
-    assert radius is not None
+    assert record.graph.robot_radius_m is not None
+    places = {node: np.array([at["x"], at["y"]]) for node, at in graph.nodes(data=True)}
     for start, end in graph.edges:
-        a, b = (np.array([graph.nodes[at]["x"], graph.nodes[at]["y"]]) for at in (start, end))
+        a, b = places[start], places[end]
         steps = np.linspace(0.0, 1.0, 2 + int(math.dist(a, b) / 0.01))[:, None]
         cells = flat.cells_of(a + steps * (b - a))
-        assert clearance[cells[:, 0], cells[:, 1]].min() >= radius
-
-
-def test_doors_stand_where_ways_go_through_them(rooms: StoredMap) -> None:
-    found = routes(rooms.record)
-    doors = {door.id: door for door in rooms.record.graph.doors}
-    passed = {waypoint.door: waypoint for waypoint in found.waypoints if waypoint.door is not None}
-    assert sorted(passed) == sorted(door for edge in rooms.record.edges for door in edge.doors)
-    for id_, waypoint in passed.items():
-        door = doors[id_]
-        assert math.dist((waypoint.x, waypoint.y), (door.x, door.y)) <= door.width_m / 2
+        assert clearance[cells[:, 0], cells[:, 1]].min() >= record.graph.robot_radius_m
+    doors = {door.id: door for door in record.graph.doors}
+    metadata = nx.get_node_attributes(graph, "metadata")
+    passed = {of["door"]: places[node] for node, of in metadata.items() if "door" in of}
+    assert sorted(passed) == sorted(door for edge in record.edges for door in edge.doors)
+    for id_, place in passed.items():
+        assert math.dist(place, (doors[id_].x, doors[id_].y)) <= doors[id_].width_m / 2
 
 
 def test_narrow_and_forbidden_links_are_left_out_and_told(
