@@ -152,11 +152,9 @@ def test_drawing_the_ground_takes_little_more_than_the_canvas() -> None:
     _, regions = one_room((300, 300))
     sheet = Sheet(*extent_of(regions), ())
     tracemalloc.start()
-    try:
-        sheet.ground(regions, {0: palette.FILLS[0]})
-        _, peak = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
+    sheet.ground(regions, {0: palette.FILLS[0]})
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
     pixels = sheet.canvas.image.size // 3
     assert peak < 32 * pixels  # all colours of all pixels as float64, twice, would be 48
 
