@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.drawing.canvas import Alignment, Canvas, text_weight, text_width
-from specmap_cli.drawing.palette import CLOSURE, INK, PAPER, TRAVERSED
+from specmap_cli.drawing.palette import CLOSURE, INK, TRAVERSED
 from tests.drawing.looking import bounds, inked, near, of_colour
 
 positions = st.floats(15.0, 45.0)
@@ -74,23 +74,6 @@ def test_a_disc_lies_at_its_centre_to_a_fraction_of_a_pixel(x: float, y: float, 
     assert (weight * rows).sum() / weight.sum() == pytest.approx(y, abs=0.15)
     area = weight.sum() / 255.0
     assert np.pi * (r - 0.5) ** 2 < area < np.pi * (r + 1.0) ** 2
-
-
-def test_a_rim_of_two_pixels_surrounds_a_disc() -> None:
-    canvas = Canvas(60, 60)
-    canvas.disc(np.array([30.0, 30.0]), 10.0, CLOSURE, TRAVERSED)
-    for away, colour in ((0, CLOSURE), (8, CLOSURE), (12, TRAVERSED), (14, PAPER)):
-        assert canvas.image[30, 30 + away].tolist() == pytest.approx(list(colour), abs=12)
-
-
-@pytest.mark.parametrize("corners", [((5, 8), (20, 30)), ((20, 30), (5, 8)), ((20, 8), (5, 30))])
-def test_a_box_fills_what_lies_between_two_corners(
-    corners: tuple[tuple[int, int], tuple[int, int]],
-) -> None:
-    canvas = Canvas(40, 40)
-    canvas.box(np.array(corners[0]), np.array(corners[1]), INK)
-    assert bounds(inked(canvas.image)) == (5, 20, 8, 30)
-    assert near(canvas.image, INK) == 16 * 23
 
 
 @pytest.mark.parametrize("height", [8.0, 12.0, 20.0, 40.0])
