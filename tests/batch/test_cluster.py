@@ -91,16 +91,6 @@ def test_it_does_what_can_be_done_and_writes_summaries_and_a_journal(
     assert (tmp_path / "events.jsonl").read_text(encoding="utf-8").startswith(journal)
 
 
-def test_an_interruption_leaves_the_summaries(ran: Ran, tmp_path: Path) -> None:
-    def interrupt(ledger: Ledger) -> None:
-        if ledger.done == 2:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        ran(tmp_path, *"abcd", show=interrupt)
-    assert "2 of 4 jobs done, 2 waiting" in (tmp_path / "summary.md").read_text()
-
-
 def test_two_batches_do_not_share_a_directory_which_is_the_same_for_all_workers(
     ran: Ran, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -101,19 +101,6 @@ def test_the_same_map_gives_the_same_bytes(home: StoredMap, tmp_path: Path) -> N
         assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
-def test_a_file_is_replaced_only_when_asked_to(stored: StoredMap, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"unknown format 'svg': choose from .*geojson, graphml"):
-        export_map(stored, "svg", tmp_path / "house.svg")
-    assert not (tmp_path / "house.svg").exists()
-    out = tmp_path / "house.graphml"
-    out.write_text("mine")
-    with pytest.raises(UsageError, match="exists already"):
-        export_map(stored, "graphml", out)
-    assert out.read_text() == "mine"
-    export_map(stored, "graphml", str(out), overwrite=True)
-    assert "graphml" in out.read_text()
-
-
 NAMES = """
 class Names:
     description = "the names of the submaps"

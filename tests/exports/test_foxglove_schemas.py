@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from specmap_cli.exports.foxglove_schemas import description, encode
+from specmap_cli.exports.foxglove_schemas import description
 from tests.exports.consumers import consumer
 
 TOPICS = ("Grid", "SceneUpdate", "PoseInFrame", "PosesInFrame", "FrameTransform", "LaserScan")
@@ -34,8 +34,3 @@ def test_the_schema_is_that_of_the_sdk(name: str) -> None:
     sdk = getattr(messages, name).get_schema()
     assert (sdk.name, sdk.encoding) == (f"foxglove.{name}", "protobuf")
     assert files(description(name)) == files(sdk.data)
-
-
-def test_a_field_that_is_none_of_a_message_is_refused() -> None:
-    with pytest.raises(ValueError, match="colour"):
-        encode("Color", {"colour": 1.0})
