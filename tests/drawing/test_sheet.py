@@ -114,18 +114,6 @@ def test_the_scale_bar_has_a_round_length(extent_m: float) -> None:
     assert not dark[:, :MARGIN].any()
 
 
-def test_headlines_shrink_to_fit_and_keep_their_size_otherwise() -> None:
-    heights = []
-    for words in ("short", "a name of a log that never ends " * 20):
-        sheet = sheet_of(9.0, 4.0)
-        sheet.title(words, words)
-        left, right, top, bottom = bounds(inked(sheet.canvas.image[:TITLE]))
-        assert left >= MARGIN - 2
-        assert right <= sheet.canvas.image.shape[1] - MARGIN + 2
-        heights.append(bottom - top)
-    assert heights[1] < heights[0]
-
-
 @pytest.mark.parametrize(("width_m", "height_m"), [(1.0, 9.0), (5.0, 5.0), (9.0, 1.0)])
 def test_the_whole_legend_lies_below_the_map_and_its_entries_do_not_touch(
     width_m: float, height_m: float

@@ -46,14 +46,6 @@ def test_a_line_comes_back_as_it_was_but_for_repeated_points(
         assert path_data([line]) == f"M{points[0][0]} {points[0][1]}h0"
 
 
-def test_up_in_the_map_is_up_in_a_drawing_of_all_points_with_a_margin() -> None:
-    assert FRAME.place((-2.0, 8.0)) == (0, 0)
-    assert FRAME.place((0.0, 7.5)) == (200, 50)
-    frame = Frame.around(np.array([[0.0, 0.0], [4.0, 2.0]]))
-    assert (frame.width, frame.height) == (500, 300)
-    assert frame.place((0.0, 0.0)) == (50, 250)
-
-
 def test_cells_keep_their_outline_and_their_holes_and_slanted_stairs_become_a_line() -> None:
     cells = np.zeros((40, 60), dtype=bool)
     cells[5:35, 10:50] = True
@@ -79,7 +71,7 @@ def labels_of(count: int) -> Labels:
     )
 
 
-def test_the_table_of_the_way_adds_up() -> None:
+def test_the_table_of_the_way_adds_up_with_up_in_the_map_up_in_the_drawing() -> None:
     track = Track.of(labels_of(10), (), np.linspace(0.1, 1.0, 10))
     table = track.table(FRAME)
     assert np.cumsum(table["t"]).tolist() == list(range(0, 100, 10))
@@ -88,6 +80,8 @@ def test_the_table_of_the_way_adds_up() -> None:
     assert table["s"] == [[3, 5], [7, 5]]
     assert table["fit"] == list(range(10, 110, 10))
     assert track.visits() == [(0.0, 5.0, 3), (5.0, 9.0, 7)]
+    frame = Frame.around(track.poses[:, :2])  # with a margin of half a metre
+    assert (frame.width, frame.height, frame.place((0.0, 0.0))) == (190, 100, (50, 50))
 
 
 def test_no_line_is_drawn_between_recordings_and_a_long_way_is_thinned() -> None:
