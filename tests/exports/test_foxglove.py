@@ -107,11 +107,11 @@ def test_every_keyframe_has_its_pose_and_its_scan(home: StoredMap, found: Found)
         assert stamps == list(labels.stamps_ns)
         times = [time_ns for time_ns, _ in found[topic]]
         assert times == sorted(set(times))
-    for row, (_, message) in enumerate(found["/pose"]):
-        assert message.frame_id == "map"
-        assert np.allclose(pose_of(message.pose)[:2], labels.poses[row, :2], atol=1e-6)
-        assert math.remainder(pose_of(message.pose).theta - labels.poses[row, 2], math.tau) < 1e-6
+    poses = np.array([pose_of(message.pose) for _, message in found["/pose"]])
+    assert np.allclose(poses[:, :2], labels.poses[:, :2], atol=1e-6)
+    assert np.allclose(np.exp(1j * poses[:, 2]), np.exp(1j * labels.poses[:, 2]), atol=1e-6)
     for (_, transform), (_, pose) in zip(found["/tf"], found["/pose"], strict=True):
+        assert pose.frame_id == "map"
         assert (transform.parent_frame_id, transform.child_frame_id) == ("map", "base_link")
         assert str(transform.rotation) == str(pose.pose.orientation)
     _, scan = found["/scan"][4]
