@@ -6,7 +6,7 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -46,115 +46,86 @@ def client() -> Iterator[Any]:
         yield client
 
 
+Ran = Callable[..., tuple[Ledger, list[EventRecord]]]
+
+
 @pytest.fixture
-def here(client: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """`run_batch` uses these workers, and jobs do what their names say."""
+def ran(client: Any, monkeypatch: pytest.MonkeyPatch) -> Ran:
+    """Run jobs that do what their names say on these workers; also what was told."""
 
     @contextmanager
     def opened(_: Cluster) -> Iterator[Any]:
         yield client
 
+    def ran(
+        out: Path | str, *names: str, limits: Limits = Limits(), **options: Any
+    ) -> tuple[Ledger, list[EventRecord]]:
+        told: list[EventRecord] = []
+        jobs, terms = [job(name) for name in names], Terms(str(out), limits)
+        tell = options.pop("tell", told.append)
+        return run_batch(jobs, terms, Cluster(), 0, tell, **options), told
+
     monkeypatch.setattr(batch, "opened", opened)
     monkeypatch.setattr(workers, "opened", opened)
     monkeypatch.setattr(workers, "on_worker", at_once)
+    return ran
 
 
-def ran(out: Path, *names: str, retries: int = 0) -> tuple[Ledger, list[EventRecord]]:
+def test_it_does_what_can_be_done_and_writes_summaries_and_a_journal(
+    ran: Ran, tmp_path: Path
+) -> None:
+    ledger, told = ran(tmp_path, "hungry", "bad", "buggy", "a", limits=Limits(memory_mb=500))
+    assert (ledger.done, ledger.failed) == (2, 2)
+    buggy = ledger.results["buggy"]
+    assert buggy.kind == "worker"
+    assert buggy.reason == "the worker failed: ValueError: a bug of the worker"
+    # want of memory gets the memory of all workers, at the end
+    assert ledger.results["hungry"].limits.memory_mb == 1000
+    assert [one.job for one in told if one.event in ("retried", "done")][-1] == "hungry"
+    assert (told[0].event, told[-1].event) == ("began", "ended")
+    written = {path.name for path in tmp_path.iterdir() if path.name[0] != "."}
+    assert written == {*SUMMARIES, "events.jsonl"}
+    journal = (tmp_path / "events.jsonl").read_text(encoding="utf-8")
+    assert journal == "".join(one.line() for one in told)
+    ran(tmp_path, "a")
+    assert (tmp_path / "events.jsonl").read_text(encoding="utf-8").startswith(journal)
+
+
+def test_two_batches_do_not_share_a_directory_which_is_the_same_for_all_workers(
+    ran: Ran, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outputs: list[str] = []
+
+    def told(client: Any, terms: Terms) -> Workers:
+        outputs.append(terms.output)
+        return Workers(client, terms)
+
+    def again(_: EventRecord) -> None:
+        with pytest.raises(UsageError, match="another batch is writing there"):
+            ran(tmp_path / "maps", "b")
+
+    monkeypatch.setattr(batch, "Workers", told)
+    monkeypatch.chdir(tmp_path)
+    ran("maps", "a", tell=again)
+    ran("maps", "b")
+    assert outputs == [str(tmp_path / "maps")] * 2
+
+
+def test_a_store_gets_summaries_and_the_journal_at_the_end(
+    ran: Ran, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = pytest.importorskip("fsspec").filesystem("memory")
+    for _ in range(2):
+        ran("memory://fleet/maps", "a")
+    found = {path.rsplit("/", 1)[-1] for path in store.find("/fleet/maps")}
+    assert found == {*SUMMARIES, "events.jsonl"}
+    events = store.cat_file("/fleet/maps/events.jsonl").decode().splitlines()
+    assert [json.loads(line)["event"] for line in events].count("ended") == 2
     told: list[EventRecord] = []
-    terms = Terms(str(out), Limits(memory_mb=500))
-    jobs = [job(name) for name in names]
-    return run_batch(jobs, terms, Cluster(), retries, told.append), told
-
-
-@pytest.mark.usefixtures("here")
-class TestBatch:
-    def test_it_does_what_can_be_done_and_writes_summaries_and_a_journal(
-        self, tmp_path: Path
-    ) -> None:
-        ledger, told = ran(tmp_path, "hungry", "bad", "buggy", "a")
-        assert (ledger.done, ledger.failed) == (2, 2)
-        assert ledger.results["buggy"].kind == "worker"
-        assert (
-            ledger.results["buggy"].reason == "the worker failed: ValueError: a bug of the worker"
-        )
-        # want of memory gets the memory of all workers, at the end
-        assert ledger.results["hungry"].limits.memory_mb == 1000
-        assert [one.job for one in told if one.event in ("retried", "done")][-1] == "hungry"
-        assert (told[0].event, told[-1].event) == ("began", "ended")
-        assert {path.name for path in tmp_path.iterdir() if path.name[0] != "."} == {
-            *SUMMARIES,
-            "events.jsonl",
-        }
-        journal = (tmp_path / "events.jsonl").read_text(encoding="utf-8")
-        assert journal == "".join(one.line() for one in told)
-        ran(tmp_path, "a")
-        assert (tmp_path / "events.jsonl").read_text(encoding="utf-8").startswith(journal)
-
-    def test_an_interruption_leaves_the_summaries(self, tmp_path: Path) -> None:
-        def interrupt(ledger: Ledger) -> None:
-            if ledger.done == 2:
-                raise KeyboardInterrupt
-
-        jobs = [job(name) for name in "abcd"]
-        with pytest.raises(KeyboardInterrupt):
-            run_batch(jobs, Terms(str(tmp_path)), show=interrupt)
-        assert "2 of 4 jobs done, 2 waiting" in (tmp_path / "summary.md").read_text()
-
-    def test_a_batch_without_workers_leaves_the_summaries_of_the_one_before(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        ran(tmp_path, "a", "b")
-        before = (tmp_path / "summary.csv").read_bytes()
-
-        @contextmanager
-        def nobody(_: Cluster) -> Iterator[Any]:
-            raise UsageError("no worker has come")
-            yield
-
-        monkeypatch.setattr(batch, "opened", nobody)
-        with pytest.raises(UsageError, match="no worker"):
-            ran(tmp_path, "a", "b")
-        assert (tmp_path / "summary.csv").read_bytes() == before
-
-    def test_two_batches_do_not_share_a_directory_which_is_the_same_for_all_workers(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        outputs = []
-
-        class Told(Workers):
-            def __init__(self, client: Any, terms: Terms) -> None:
-                outputs.append(terms.output)
-                super().__init__(client, terms)
-
-        def again(_: EventRecord) -> None:
-            with pytest.raises(UsageError, match="another batch is writing there"):
-                ran(tmp_path / "maps", "b")
-
-        monkeypatch.setattr(batch, "Workers", Told)
-        monkeypatch.chdir(tmp_path)
-        run_batch([job("a")], Terms("maps"), tell=again)
-        ran(Path("maps"), "b")
-        assert outputs == [str(tmp_path / "maps")] * 2
-
-    def test_a_store_gets_summaries_and_the_journal_at_the_end(
-        self, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        store = pytest.importorskip("fsspec").filesystem("memory")
-        for _ in range(2):
-            run_batch([job("a")], Terms("memory://fleet/maps"))
-        found = {path.rsplit("/", 1)[-1] for path in store.find("/fleet/maps")}
-        assert found == {*SUMMARIES, "events.jsonl"}
-        events = store.cat_file("/fleet/maps/events.jsonl").decode().splitlines()
-        assert [json.loads(line)["event"] for line in events].count("ended") == 2
-
-        def refuse(*_: object) -> None:
-            raise PermissionError("access denied")
-
-        monkeypatch.setattr(store, "pipe_file", refuse)
-        told: list[EventRecord] = []
-        with pytest.raises(PlaceError, match=r"memory://closed: .*access denied"):
-            run_batch([job("a")], Terms("memory://closed"), tell=told.append)
-        assert told == [], "before any job"
+    monkeypatch.setattr(store, "pipe_file", Mock(side_effect=PermissionError("access denied")))
+    with pytest.raises(PlaceError, match=r"memory://closed: .*access denied"):
+        ran("memory://closed", "a", tell=told.append)
+    assert told == [], "before any job"
 
 
 def test_no_jobs_are_refused_and_a_worker_of_another_version_makes_nothing(tmp_path: Path) -> None:
@@ -181,45 +152,44 @@ def test_a_job_whose_worker_dies_is_tried_again(monkeypatch: pytest.MonkeyPatch)
     assert ledger.results["deadly"].attempts == 2
 
 
-@pytest.fixture
-def scheduler(tmp_path: Path) -> Iterator[str]:
-    """The address of a scheduler in a process of its own, with no worker."""
-    said = tmp_path / "scheduler.json"
-    command = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1"]
-    command += ["--port", "0", "--no-dashboard", "--scheduler-file", str(said)]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+@contextmanager
+def running(program: str, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
+    """A program of Dask in a process of its own."""
+    command = [sys.executable, "-m", f"distributed.cli.dask_{program}", "--no-dashboard"]
+    process = subprocess.Popen(
+        [*command, *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
     try:
-        while process.poll() is None and not (said.exists() and said.stat().st_size):
-            time.sleep(0.05)
-        yield json.loads(said.read_text(encoding="utf-8"))["address"]
+        yield process
     finally:
         process.kill()
         process.wait()
 
 
-def test_a_scheduler_in_another_process(
-    scheduler: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_scheduler_in_another_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a worker it is refused; with one it does the jobs, which fail as their logs ask."""
-    for address, answer_s, told in (
-        ("tcp://127.0.0.1:9", 0.2, r"tcp://127\.0\.0\.1:9: no Dask scheduler answers"),
-        (scheduler, 10.0, "no worker has come in 0 s: start one with `dask worker`"),
-    ):
-        monkeypatch.setattr(workers, "_ANSWER_S", answer_s)
-        refused = workers.opened(Cluster(scheduler=address, patience_s=0.1))
-        with pytest.raises(UsageError, match=told), refused:
-            pass
-    command = [sys.executable, "-m", "distributed.cli.dask_worker", scheduler, "--nthreads", "1"]
-    command += ["--no-dashboard", "--no-nanny", "--local-directory", str(tmp_path)]
-    worker = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    try:
-        terms = Terms(str(tmp_path / "out"), scratch=str(tmp_path))
-        ledger = run_batch([job("lost"), job("gone")], terms, Cluster(scheduler=scheduler))
-    finally:
-        worker.kill()
-        worker.wait()
+    (out := tmp_path / "out").mkdir()
+    (out / "summary.csv").write_text("of the batch before")
+    terms, jobs = Terms(str(out), scratch=str(tmp_path)), [job("lost"), job("gone")]
+    said = tmp_path / "scheduler.json"
+    listening = ("--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(said))
+    with running("scheduler", *listening) as process:
+        while process.poll() is None and not (said.exists() and said.stat().st_size):
+            time.sleep(0.05)
+        scheduler = json.loads(said.read_text(encoding="utf-8"))["address"]
+        for address, answer_s, told in (
+            ("tcp://127.0.0.1:9", 0.2, r"tcp://127\.0\.0\.1:9: no Dask scheduler answers"),
+            (scheduler, 10.0, "no worker has come in 0 s: start one with `dask worker`"),
+        ):
+            monkeypatch.setattr(workers, "_ANSWER_S", answer_s)
+            with pytest.raises(UsageError, match=told):
+                run_batch(jobs, terms, Cluster(scheduler=address, patience_s=0.1))
+            assert (out / "summary.csv").read_text() == "of the batch before"
+        alone = ("--nthreads", "1", "--no-nanny", "--local-directory", str(tmp_path))
+        with running("worker", scheduler, *alone):
+            ledger = run_batch(jobs, terms, Cluster(scheduler=scheduler))
     for name in ("lost", "gone"):
-        record = json.loads((tmp_path / "out" / name / "job.json").read_text(encoding="utf-8"))
+        record = json.loads((out / name / "job.json").read_text(encoding="utf-8"))
         assert record["reason"] == f"/logs/{name}.mcap: no such file or directory"
         assert ledger.results[name].kind == "log"
         assert record["limits"]["memory_mb"] > 0  # the worker's share
@@ -246,7 +216,7 @@ def _tripled(number: int) -> int:
     return 3 * number
 
 
-@pytest.mark.usefixtures("here")
+@pytest.mark.usefixtures("ran")
 def test_a_function_of_many_things_is_spread_over_the_workers() -> None:
     assert spread(Cluster(), _tripled, [1, 2, 3]) == [3, 6, 9]
     with pytest.raises(MapError, match="-1: not a map"):

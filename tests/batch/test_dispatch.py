@@ -4,30 +4,32 @@ from __future__ import annotations
 
 import json
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Iterable
 
 import jsonschema
 import pytest
 
 from specmap_cli.batch.batch import longest_first, work_off
-from specmap_cli.batch.ledger import EventRecord, Ledger
-from specmap_cli.batch.records import JobRecord, JobResult, Turn
+from specmap_cli.batch.ledger import Ledger
+from specmap_cli.batch.records import JobResult, Turn
 from specmap_cli.batch.workers import Workers
 from specmap_cli.core.schemas import read_schema
 from tests.batch.results import failed, job, result
 
-Answer = Callable[[Turn], JobRecord | None]
-ENDS = ("done", "failed")
+Ends = dict[str, list[str | None]]
 
 
 class Obedient(Workers):
-    """Workers that finish jobs in the order in which they got them."""
+    """Workers that finish jobs in the order in which they got them, each attempt as told.
 
-    def __init__(self, answer: Answer, slots: int = 2) -> None:
-        self.answer = answer
-        self.most = self.free = slots
+    It is done, fails for a reason of some kind, or is forgotten (None).
+    """
+
+    def __init__(self, ends: Ends, slots: int) -> None:
+        self.ends = {name: list(told) for name, told in ends.items()}
+        self.most, self.free = slots, 0  # jobs wait while no worker is there
         self.running: deque[Turn] = deque()
-        self.got: list[tuple[str, int, bool]] = []
+        self.got: list[str] = []
         self.largest = 0
 
     def slots(self) -> int:
@@ -38,7 +40,7 @@ class Obedient(Workers):
 
     def submit(self, turn: Turn) -> None:
         self.running.append(turn)
-        self.got.append((turn.job.name, turn.attempt, turn.alone))
+        self.got.append(f"{turn.job.name}{turn.attempt}{' alone' * turn.alone}")
         self.largest = max(self.largest, len(self.running))
         assert not (turn.alone and len(self.running) > 1)
 
@@ -47,77 +49,57 @@ class Obedient(Workers):
             self.free = self.most
             return None
         turn = self.running.popleft()
-        record = self.answer(turn)
-        return turn, None if record is None else JobResult(record)
+        name, told = turn.job.name, self.ends[turn.job.name].pop(0)
+        if told is None:
+            return turn, None
+        record = result(name) if told == "done" else failed(name, told)
+        return turn, JobResult(record.model_copy(update={"attempts": turn.attempt}))
 
 
-def ledger_of(names: str) -> Ledger:
+def ledger_of(names: Iterable[str]) -> Ledger:
     return Ledger([job(name) for name in names], dict.fromkeys(names, 1))
 
 
-def happenings(names: str, workers: Obedient, retries: int = 1) -> list[EventRecord | None]:
-    """What happens; every job is done or failed in the end, and once."""
-    ledger = ledger_of(names)
-    happened = list(work_off(ledger.jobs, workers, retries, ledger))
-    ends = [one for one in happened if one is not None and one.event in ENDS]
-    assert sorted(str(one.job) for one in ends) == sorted(names)
-    assert workers.largest <= workers.most
-    return happened
-
-
-def states(happened: list[EventRecord | None]) -> dict[str | None, str]:
-    """How each job ended."""
-    return {one.job: one.event for one in happened if one is not None and one.event in ENDS}
-
-
-def test_a_bad_log_is_not_tried_again_and_stops_no_other() -> None:
-    workers = Obedient(lambda turn: (failed if turn.job.name == "b" else result)(turn.job.name))
-    assert states(happenings("abc", workers)) == {"a": "done", "b": "failed", "c": "done"}
-    assert [name for name, *_ in workers.got] == ["a", "b", "c"]
-    assert workers.largest == 2
-    ordered = longest_first([job(name) for name in "dbca"], {"a": 5, "b": 7, "c": 7, "d": 1})
-    assert "".join(one.name for one in ordered) == "bcad", "names decide among equals"
-
-
-@pytest.mark.parametrize(("retries", "attempts"), [(0, 1), (1, 2), (3, 4)])
-def test_a_lost_worker_is_forgiven_so_often(retries: int, attempts: int) -> None:
-    workers = Obedient(lambda turn: failed("a", "worker", attempts=turn.attempt))
-    happened = happenings("a", workers, retries)
-    assert workers.got == [("a", attempt, False) for attempt in range(1, attempts + 1)]
-    assert sum(one is not None and one.event == "retried" for one in happened) == retries
-    assert states(happened) == {"a": "failed"}
-
-
-def test_want_of_memory_is_tried_again_at_the_end_and_alone() -> None:
-    def answer(turn: Turn) -> JobRecord:
-        small = turn.job.name in "bc" and not turn.alone
-        return failed(turn.job.name, "memory") if small else result(turn.job.name)
-
-    workers = Obedient(answer)
-    assert states(happenings("abcd", workers, retries=0)) == dict.fromkeys("abcd", "done")
-    assert workers.got[-2:] == [("b", 2, True), ("c", 2, True)]
-
-
 @pytest.mark.parametrize(
-    ("slots", "got"),
-    [(2, [("a", 1, False), ("a", 2, True)]), (1, [("a", 1, False)])],  # one has no more alone
+    ("ends", "slots", "retries", "got"),
+    [
+        # a bad log is not tried again, and stops no other
+        ({"a": ["done"], "b": ["log"], "c": ["done"]}, 2, 1, ["a1", "b1", "c1"]),
+        # a lost worker is forgiven so often
+        ({"a": ["worker"]}, 2, 0, ["a1"]),
+        ({"a": ["worker", "worker"]}, 2, 1, ["a1", "a2"]),
+        ({"a": ["worker"] * 4}, 2, 3, ["a1", "a2", "a3", "a4"]),
+        # want of memory is tried again at the end and alone
+        (
+            {"a": ["done"], "b": ["memory", "done"], "c": ["memory", "done"], "d": ["done"]},
+            *(2, 0, ["a1", "b1", "c1", "d1", "b2 alone", "c2 alone"]),
+        ),
+        ({"a": ["memory", "memory"]}, 2, 5, ["a1", "a2 alone"]),  # more than all have
+        ({"a": ["memory"]}, 1, 5, ["a1"]),  # one worker has no more alone
+        # what the scheduler forgot is handed out again as the same attempt
+        ({"a": [None, "done"], "b": [None, "done"]}, 2, 0, ["a1", "b1", "a1", "b1"]),
+    ],
 )
-def test_a_job_that_wants_more_than_all_have_fails(
-    slots: int, got: list[tuple[str, int, bool]]
+def test_jobs_are_handed_out_and_tried_again_as_their_attempts_end(
+    ends: Ends, slots: int, retries: int, got: list[str]
 ) -> None:
-    workers = Obedient(lambda _: failed("a", "memory"), slots)
-    assert states(happenings("a", workers, retries=5)) == {"a": "failed"}
+    ledger, workers = ledger_of(ends), Obedient(ends, slots)
+    happened = list(work_off(ledger.jobs, workers, retries, ledger))
+    assert happened[0] is None, "nobody is there yet"
     assert workers.got == got
+    assert workers.largest == min(slots, len(ends))
+    events = [(one.job, one.event) for one in happened if one is not None]
+    ended = [each for each in events if each[1] in ("done", "failed")]
+    assert sorted(ended) == [
+        (name, "done" if told[-1] == "done" else "failed") for name, told in ends.items()
+    ]
+    again = [turn for turn in got if turn[1] != "1"]
+    assert len([event for _, event in events if event == "retried"]) == len(again)
 
 
-def test_what_the_scheduler_forgot_is_handed_out_again_as_the_same_attempt() -> None:
-    forgotten = iter([None, None])
-    workers = Obedient(lambda turn: next(forgotten, result(turn.job.name)))
-    workers.free = 0  # jobs wait while no worker is there
-    happened = happenings("ab", workers, retries=0)
-    assert happened[0] is None
-    assert states(happened) == {"a": "done", "b": "done"}
-    assert sorted(workers.got) == [("a", 1, False)] * 2 + [("b", 1, False)] * 2
+def test_long_jobs_are_first_and_names_decide_among_equals() -> None:
+    ordered = longest_first([job(name) for name in "dbca"], {"a": 5, "b": 7, "c": 7, "d": 1})
+    assert "".join(one.name for one in ordered) == "bcad"
 
 
 def test_events_say_what_happened_in_order_as_their_schema_says() -> None:

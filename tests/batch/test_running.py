@@ -10,7 +10,6 @@ import shutil
 import sys
 import time
 import warnings
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -21,7 +20,7 @@ from pydantic import ValidationError
 from specmap_cli.batch import processes
 from specmap_cli.batch.jobs import jobs_of
 from specmap_cli.batch.outputs import folder_at
-from specmap_cli.batch.records import Job, JobRecord, JobResult, Limits, Plan, Step, Terms, Turn
+from specmap_cli.batch.records import Job, JobRecord, Limits, Plan, Step, Terms, Turn
 from specmap_cli.batch.running import failure, may_retry, run_job
 from specmap_cli.batch.sources import digest_of, inputs_of
 from specmap_cli.cli.batch import known_options
@@ -33,214 +32,189 @@ from tests.cli.conftest import QUICK
 
 pytest.importorskip("psutil")
 
-Run = Callable[..., JobRecord]
 
+class Bench:
+    """Where the fake program does the job of a log of some words; a note has a line a build."""
 
-@pytest.fixture
-def fake(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
-    """The fake program in the place of specmap; the file has a line for each of its builds."""
-    faked(monkeypatch)
-    monkeypatch.setattr(processes, "_WATCH_S", 0.01)  # its steps are short
-    monkeypatch.setenv("FAKE_NOTE", str(tmp_path / "builds"))
-    monkeypatch.setenv("SPECMAP_PRESET", "paper")  # of a worker: no step may see it
-    return tmp_path / "builds"
+    def __init__(self, path: Path) -> None:
+        self.log, self.note = path / "monday.mcap", path / "builds"
+        self.out, self.scratch = path / "out", path / "scratch"
+        self.folder = self.out / "monday"
 
-
-@pytest.fixture
-def run(fake: Path, tmp_path: Path) -> Run:
-    """Run a job of a log of these words with the fake program; it was `resumed` or not."""
-    assert not fake.exists()
-
-    def run(
+    def __call__(
+        self,
         words: str = "fine",
         limits: Limits = Limits(),
         attempt: int = 1,
         *,
+        log: Path | str | None = None,  # another one, as it is
         steps: tuple[Step, ...] = ALL,
         redo: bool = False,
         resumed: bool = False,
     ) -> JobRecord:
-        log = tmp_path / "monday.mcap"
-        if not log.exists() or log.read_text() != words:
-            log.write_text(words)
-        turn = Turn(Job("monday", (str(log),), steps), attempt)
-        scratch = str(tmp_path / "scratch")
-        made = run_job(turn, Terms(str(tmp_path / "out"), limits, scratch, redo))
+        """Run the job; it was `resumed` or not."""
+        if log is None and (not self.log.exists() or self.log.read_text() != words):
+            self.log.write_text(words)
+        turn = Turn(Job("monday", (str(log or self.log),), steps), attempt)
+        made = run_job(turn, Terms(str(self.out), limits, str(self.scratch), redo))
         assert made.resumed == resumed
         return made.record
 
-    return run
+    @property
+    def builds(self) -> int:
+        """How many builds were begun."""
+        return len(self.note.read_text().splitlines()) if self.note.exists() else 0
+
+    @property
+    def names(self) -> set[str]:
+        """What lies in the folder of the job."""
+        return {path.name for path in self.folder.iterdir()}
+
+    @property
+    def files(self) -> dict[str, bytes]:
+        """All files of the result but those that hold times and paths."""
+        return {
+            str(path.relative_to(self.folder)): path.read_bytes()
+            for path in self.folder.rglob("*")
+            if path.is_file() and path.name not in ("job.json", "log.txt")
+        }
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """The folder of the job that `run` does."""
-    return tmp_path / "out" / "monday"
+def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Bench:
+    """The fake program in the place of specmap."""
+    faked(monkeypatch)
+    bench = Bench(tmp_path)
+    monkeypatch.setattr(processes, "_WATCH_S", 0.01)  # its steps are short
+    monkeypatch.setenv("FAKE_NOTE", str(bench.note))
+    monkeypatch.setenv("SPECMAP_PRESET", "paper")  # of a worker: no step may see it
+    return bench
 
 
-def run_of(log: Path | str, tmp_path: Path, *, redo: bool = False) -> JobResult:
-    """What comes of the job of a log that is not that of `run`."""
-    return run_job(Turn(Job("monday", (str(log),), ALL)), Terms(str(tmp_path / "out"), redo=redo))
-
-
-def builds(note: Path) -> int:
-    """How many builds were begun."""
-    return len(note.read_text().splitlines()) if note.exists() else 0
-
-
-def files(directory: Path) -> dict[str, bytes]:
-    """All files of a result but those that hold times and paths."""
-    return {
-        str(path.relative_to(directory)): path.read_bytes()
-        for path in directory.rglob("*")
-        if path.is_file() and path.name not in ("job.json", "log.txt")
-    }
-
-
-def test_a_finished_job_leaves_all_that_it_made_and_nothing_else(
-    run: Run, folder: Path, tmp_path: Path
+def test_a_finished_job_leaves_all_that_it_made_and_nothing_else_and_is_made_once(
+    run: Bench,
 ) -> None:
-    record = run()
+    record, folder = run(), run.folder
     assert (record.state, record.kind, record.reason) == ("done", None, None)
-    assert {path.name for path in folder.iterdir()} == {
+    assert run.names == {
         *("map", "report.html", "log.txt", "job.json"),
         *("build.json", "report.json", "check.json"),
     }
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["monday"]
-    assert list((tmp_path / "scratch").iterdir()) == []
+    assert [*run.out.iterdir(), *run.scratch.iterdir()] == [folder]
     assert record.files["map/part-3"] == (folder / "map" / "part-3").stat().st_size
     assert [step.command for step in record.steps] == ["build", "report", "check"]
     assert "$ specmap check --json -- map" in (folder / "log.txt").read_text()
+    before = (folder / "job.json").stat().st_mtime_ns
+    assert to_json(run(resumed=True).model_dump()) == to_json(record.model_dump())
+    assert (folder / "job.json").stat().st_mtime_ns == before
+    assert run.builds == 1
+    run(redo=True)
+    assert run.builds == 2
     damaged = run("damaged", Limits(time_s=60.0))
     written = json.loads((folder / "job.json").read_text())
     jsonschema.validate(written, read_schema("job"))
-    stored = folder_at(str(tmp_path / "out"), "monday").stored()
+    stored = folder_at(str(run.out), "monday").stored()
     assert stored is not None
     assert to_json(stored.model_dump()) == to_json(damaged.model_dump()) == to_json(written)
-
-
-def test_a_complete_result_is_not_made_again(fake: Path, run: Run, folder: Path) -> None:
-    first = run()
-    before = (folder / "job.json").stat().st_mtime_ns
-    assert to_json(run(resumed=True).model_dump()) == to_json(first.model_dump())
-    assert (folder / "job.json").stat().st_mtime_ns == before
-    assert builds(fake) == 1
-    run(redo=True)
-    assert builds(fake) == 2
-
-
-def damage(kind: str, folder: Path) -> None:
-    """What happens to a result, or nothing."""
-    if kind == "missing":
-        (folder / "map" / "part-3").unlink()
-    elif kind in ("job.json", "report.html"):  # damaged, or cut off
-        (folder / kind).write_text("{" if kind == "job.json" else "")
-    elif kind == "no record":
-        shutil.rmtree(folder)
-
-
-SEEDED = (Step("build", ("--seed=3",)), *ALL[1:])
 
 
 @pytest.mark.parametrize(
     ("spoil", "words", "steps"),
     [
-        ("log", "fine too", ALL),
-        ("option", "fine", SEEDED),
-        *((kind, "fine", ALL) for kind in ("missing", "job.json", "report.html", "no record")),
+        (None, "fine too", ALL),
+        (None, "fine", (Step("build", ("--seed=3",)), *ALL[1:])),
+        *((lost, "fine", ALL) for lost in ("map/part-3", "job.json", "report.html", "")),
     ],
 )
 def test_what_is_not_complete_or_of_other_inputs_is_made_again(
-    fake: Path, run: Run, folder: Path, spoil: str, words: str, steps: tuple[Step, ...]
+    run: Bench, spoil: str | None, words: str, steps: tuple[Step, ...]
 ) -> None:
     run()
-    damage(spoil, folder)
+    if spoil == "":  # the whole folder
+        shutil.rmtree(run.folder)
+    elif spoil == "map/part-3":
+        (run.folder / spoil).unlink()
+    elif spoil is not None:  # damaged, or cut off
+        (run.folder / spoil).write_text("{" if spoil == "job.json" else "")
     assert run(words, steps=steps).state == "done"
-    assert builds(fake) == 2
-    assert words in (folder / "map" / "part-0").read_text()
+    assert run.builds == 2
+    assert words in (run.folder / "map" / "part-0").read_text()
     run(words, steps=steps, resumed=True)
 
 
 def test_a_log_that_is_out_of_reach_does_not_cost_its_map_and_one_that_moved_is_the_same(
-    run: Run, folder: Path, tmp_path: Path
+    run: Bench, tmp_path: Path
 ) -> None:
     """As on a worker that lacks the shared folder."""
     run()
-    before = files(folder)
-    log, moved = tmp_path / "monday.mcap", tmp_path / "elsewhere" / "monday.mcap"
+    before = run.files
+    moved = tmp_path / "elsewhere" / "monday.mcap"
     moved.parent.mkdir()
-    log.rename(moved)
+    run.log.rename(moved)
     for redo in (False, True):
-        record = run_of(log, tmp_path, redo=redo).record
+        record = run(log=run.log, redo=redo)
         assert (record.state, record.kind) == ("failed", "log")
-        assert files(folder) == before
-    assert run_of(moved, tmp_path).resumed
-    moved.rename(log)
+        assert run.files == before
+    run(log=moved, resumed=True)
+    moved.rename(run.log)
     run(resumed=True)
 
 
-FAILURES = {
-    "damaged": ("log", "monday.mcap: cut off after 12 bytes; no message can be read"),
-    "large": ("memory", "not enough memory; a shorter log needs less"),
-    "full": ("place", "No space left on device"),
-    "bug": ("bug", "ValueError: no good"),
-    "killed": ("memory", "build was killed, as a system does for want of memory"),
-}
-
-
-@pytest.mark.parametrize("words", FAILURES)
-def test_a_failed_job_says_why_and_leaves_its_log(run: Run, folder: Path, words: str) -> None:
-    record, (kind, reason) = run(words), FAILURES[words]
+@pytest.mark.parametrize(
+    ("words", "kind", "reason"),
+    [
+        ("damaged", "log", "monday.mcap: cut off after 12 bytes; no message can be read"),
+        ("large", "memory", "not enough memory; a shorter log needs less"),
+        ("full", "place", "No space left on device"),
+        ("bug", "bug", "ValueError: no good"),
+        ("killed", "memory", "build was killed, as a system does for want of memory"),
+        ("slow", "time", "the job took more than 0.3 s, the limit; it was in build"),
+    ],
+)
+def test_a_failed_job_says_why_and_leaves_its_log(
+    run: Bench, words: str, kind: str, reason: str
+) -> None:
+    limits = Limits(time_s=0.3 if words == "slow" else None)
+    record = run(words, limits)
     assert (record.state, record.kind) == ("failed", kind)
     assert str(record.reason).endswith(reason)
     assert "\n" not in str(record.reason)
-    assert {path.name for path in folder.iterdir()} == {"job.json", "log.txt"}
+    assert run.names == {"job.json", "log.txt"}
     assert may_retry(record, 2) == (kind in ("place", "memory"))
+    run(words, limits, resumed=kind != "place")  # the same would happen again
 
 
 @pytest.mark.parametrize(
     ("words", "reason"),
     [("broken", "breaks 1 of 2 rules: lost_share"), ("doubtful", "build: the map is doubtful")],
 )
-def test_a_broken_rule_fails_the_job_and_loses_nothing(
-    fake: Path, run: Run, folder: Path, words: str, reason: str
-) -> None:
+def test_a_broken_rule_fails_the_job_and_loses_nothing(run: Bench, words: str, reason: str) -> None:
     record = run(words)
     assert (record.state, record.kind, record.reason) == ("failed", "rule", reason)
     assert len(record.steps) == 3
-    assert {"map", "report.html", "check.json"} <= {path.name for path in folder.iterdir()}
+    assert run.names >= {"map", "report.html", "check.json"}
     assert not may_retry(record, 2)
     run(words, resumed=True)
-    assert builds(fake) == 1
+    assert run.builds == 1
 
 
-def test_a_job_beyond_its_memory_is_stopped_and_tried_again_with_more(
-    run: Run, tmp_path: Path
-) -> None:
+def test_a_job_beyond_its_memory_is_stopped_and_tried_again_with_more(run: Bench) -> None:
     small = Limits(memory_mb=80)
     first = run("hungry", small)
-    assert first.kind == "memory"
     assert first.reason == "build needed more than 80 MB of memory, the limit"
     assert first.memory_mb is not None
     assert first.memory_mb > 80
-    assert may_retry(first, 2)
-    run("hungry", small, resumed=True)  # the same would happen again
+    assert (first.kind, may_retry(first, 2)) == ("memory", True)
+    run("hungry", small, resumed=True)
     second = run("hungry", small, attempt=2)
     assert (second.attempts, may_retry(second, 2)) == (2, False)
     run("hungry", small, resumed=True)
     assert run("hungry", Limits(memory_mb=2000)).state == "done"
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"monday"}
-
-
-def test_a_job_beyond_its_time_is_stopped(run: Run) -> None:
-    record = run("slow", Limits(time_s=0.3))
-    told = "the job took more than 0.3 s, the limit; it was in build"
-    assert (record.kind, record.reason, may_retry(record, 2)) == ("time", told, False)
-    run("slow", Limits(time_s=0.2), resumed=True)
+    assert list(run.out.iterdir()) == [run.folder]
 
 
 def test_without_the_extra_one_line_says_what_to_install(
-    run: Run, monkeypatch: pytest.MonkeyPatch
+    run: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "psutil", None)
     record = run()
@@ -256,29 +230,29 @@ def test_a_lost_worker_is_told_of_without_a_file() -> None:
         assert lost.reason == "the worker was lost\\udcff"
 
 
-def test_a_missing_log_fails_the_job_in_a_line_whatever_it_is_called(tmp_path: Path) -> None:
-    for _ in range(2):
-        made = run_of(f"{tmp_path}/gone\n\udcff\x1b.mcap", tmp_path)
-        assert (made.record.kind, made.record.digest, made.resumed) == ("log", "", False)
-        told = f"{tmp_path}/gone \\udcff\\x1b.mcap: no such file or directory"
-        assert made.record.reason == told
-
-
-def test_what_a_person_decided_about_a_map_is_never_lost(
-    fake: Path, run: Run, folder: Path
+def test_a_missing_log_fails_the_job_in_a_line_whatever_it_is_called(
+    run: Bench, tmp_path: Path
 ) -> None:
+    for _ in range(2):
+        record = run(log=f"{tmp_path}/gone\n\udcff\x1b.mcap")
+        assert (record.kind, record.digest) == ("log", "")
+        assert record.reason == f"{tmp_path}/gone \\udcff\\x1b.mcap: no such file or directory"
+
+
+def test_what_a_person_decided_about_a_map_is_never_lost(run: Bench) -> None:
     run()
-    (folder / "map" / "edits.toml").write_text("[names]\n", encoding="utf-8")
-    for name in (folder / "map").iterdir():  # an edit writes the map anew
+    edits = run.folder / "map" / "edits.toml"
+    edits.write_text("[names]\n", encoding="utf-8")
+    for name in edits.parent.iterdir():  # an edit writes the map anew
         name.write_bytes(name.read_bytes() + b" ")
     run(resumed=True)
     for redo in (False, True):
         refused = run("other words", redo=redo)
         assert (refused.state, refused.kind) == ("failed", "settings")
         assert "edits.toml: holds a person's decisions" in str(refused.reason)
-    assert builds(fake) == 1
-    assert (folder / "map" / "edits.toml").read_text() == "[names]\n "
-    (folder / "map" / "edits.toml").unlink()
+    assert run.builds == 1
+    assert edits.read_text() == "[names]\n "
+    edits.unlink()
     assert run("other words").state == "done"
 
 
@@ -290,7 +264,7 @@ def test_what_a_person_decided_about_a_map_is_never_lost(
     ],
 )
 def test_what_somebody_else_keeps_there_is_not_touched(
-    run: Run, tmp_path: Path, place: str, kind: str, reason: str
+    run: Bench, tmp_path: Path, place: str, kind: str, reason: str
 ) -> None:
     mine = tmp_path / place
     mine.parent.mkdir(parents=True, exist_ok=True)
@@ -301,16 +275,13 @@ def test_what_somebody_else_keeps_there_is_not_touched(
     assert mine.read_text() == "years of work"
 
 
-def test_killed_at_any_instant_it_leaves_a_complete_result_or_none(
-    fake: Path, run: Run, folder: Path, tmp_path: Path
-) -> None:
+def test_killed_at_any_instant_it_leaves_a_complete_result_or_none(run: Bench) -> None:
     """SIGKILL, as a system does: no `finally` runs. The steps die with their worker."""
     run()
-    expected = files(folder)
-    shutil.rmtree(tmp_path / "out")
+    expected = run.files
+    shutil.rmtree(run.out)
     chance = random.Random(5)
     context = multiprocessing.get_context("fork")
-    whole = 0
     for _ in range(10):
         child = context.Process(target=run)
         with warnings.catch_warnings():
@@ -319,17 +290,15 @@ def test_killed_at_any_instant_it_leaves_a_complete_result_or_none(
         time.sleep(chance.uniform(0.0, 0.25))
         child.kill()
         child.join()
-        stored = folder_at(str(tmp_path / "out"), "monday").stored()
-        assert (stored is not None) == folder.exists()
-        whole += stored is not None
+        stored = folder_at(str(run.out), "monday").stored()
+        assert (stored is not None) == run.folder.exists()
         if stored is not None:
-            assert files(folder) == expected
-            shutil.rmtree(tmp_path / "out")
+            assert run.files == expected
+            shutil.rmtree(run.out)
     assert run().state == "done"
-    assert files(folder) == expected
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["monday"]
-    assert list((tmp_path / "scratch").iterdir()) == []
-    for line in fake.read_text().splitlines():
+    assert run.files == expected
+    assert [*run.out.iterdir(), *run.scratch.iterdir()] == [run.folder]
+    for line in run.note.read_text().splitlines():
         assert not _lives(int(line.split()[0]))
 
 

@@ -14,7 +14,7 @@ import pytest
 from specmap_cli.checking.figures import figures_against, figures_of
 from specmap_cli.checking.record import CheckRecord, OutcomeRecord, junit, lines_of, markdown
 from specmap_cli.checking.rules import Rules, judged, read_rules
-from specmap_cli.core.findings import Verdict
+from specmap_cli.core.findings import VERDICTS, Verdict
 from specmap_cli.core.schemas import read_schema
 from specmap_cli.maps.store import read_map
 from specmap_cli.maps.writing import MapResult, write_map
@@ -92,21 +92,13 @@ def test_bounds_are_kept_up_to_their_value(house: House) -> None:
     assert list(broken(path, read_rules(None, against=False))) == ["parts"], "no link joins them"
 
 
-@pytest.mark.parametrize(
-    ("verdict", "worst", "passes"),
-    [
-        ("good", "good", True),
-        ("doubtful", "good", False),
-        ("doubtful", "doubtful", True),
-        ("poor", "doubtful", False),
-        ("poor", "poor", True),
-        (None, "doubtful", False),
-    ],
-)
-def test_the_verdict_has_a_worst(
-    house: House, verdict: str | None, worst: Verdict, passes: bool
-) -> None:
-    assert check_map(house(verdict=verdict), Rules(worst, {}, {})).passed == passes
+@pytest.mark.parametrize("verdict", ["good", "doubtful", "poor", None])
+def test_the_verdict_has_a_worst(house: House, verdict: Verdict | None) -> None:
+    """A map that nobody judged is as bad as can be."""
+    path = house(verdict=verdict)
+    for worst in VERDICTS:
+        passes = VERDICTS.index(verdict or "poor") <= VERDICTS.index(worst)
+        assert check_map(path, Rules(worst, {}, {})).passed == passes, worst
 
 
 def test_findings_are_counted_by_their_code_unless_they_are_notes(house: House) -> None:

@@ -45,12 +45,6 @@ def bounds(pixels: BoolArray) -> tuple[int, int, int, int]:
     return int(columns.min()), int(columns.max()), int(rows.min()), int(rows.max())
 
 
-def middle(pixels: BoolArray) -> tuple[float, float]:
-    """x and y of the centre of gravity of the pixels."""
-    rows, columns = np.nonzero(pixels)
-    return float(columns.mean()), float(rows.mean())
-
-
 def pixel(image: Image, place: NDArray[Any]) -> Colour:
     """The colour at x, y."""
     x, y = np.round(np.asarray(place)).astype(int).tolist()

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.drawing.canvas import Alignment, Canvas, text_weight, text_width
-from specmap_cli.drawing.palette import CLOSURE, INK, PAPER, TRAVERSED
-from tests.drawing.looking import bounds, inked, middle, near, of_colour
+from specmap_cli.drawing.palette import CLOSURE, INK, TRAVERSED
+from tests.drawing.looking import bounds, inked, near, of_colour
 
 positions = st.floats(15.0, 45.0)
 
@@ -76,23 +76,6 @@ def test_a_disc_lies_at_its_centre_to_a_fraction_of_a_pixel(x: float, y: float, 
     assert np.pi * (r - 0.5) ** 2 < area < np.pi * (r + 1.0) ** 2
 
 
-def test_a_rim_of_two_pixels_surrounds_a_disc() -> None:
-    canvas = Canvas(60, 60)
-    canvas.disc(np.array([30.0, 30.0]), 10.0, CLOSURE, TRAVERSED)
-    for away, colour in ((0, CLOSURE), (8, CLOSURE), (12, TRAVERSED), (14, PAPER)):
-        assert canvas.image[30, 30 + away].tolist() == pytest.approx(list(colour), abs=12)
-
-
-@pytest.mark.parametrize("corners", [((5, 8), (20, 30)), ((20, 30), (5, 8)), ((20, 8), (5, 30))])
-def test_a_box_fills_what_lies_between_two_corners(
-    corners: tuple[tuple[int, int], tuple[int, int]],
-) -> None:
-    canvas = Canvas(40, 40)
-    canvas.box(np.array(corners[0]), np.array(corners[1]), INK)
-    assert bounds(inked(canvas.image)) == (5, 20, 8, 30)
-    assert near(canvas.image, INK) == 16 * 23
-
-
 @pytest.mark.parametrize("height", [8.0, 12.0, 20.0, 40.0])
 @pytest.mark.parametrize("bold", [False, True])
 def test_capitals_are_as_high_as_asked_and_centred(height: float, bold: bool) -> None:
@@ -117,21 +100,12 @@ def test_words_are_anchored_where_asked_and_as_wide_as_measured(
     assert left == pytest.approx(300 - share * width, abs=6)
 
 
-def test_upright_words_read_upwards_from_their_first_letter() -> None:
-    canvas = Canvas(60, 120)
-    canvas.upright_text(30, 110, "TL", 14)
-    left, right, top, bottom = bounds(canvas.image[:, :, 0] < 128)
-    assert bottom <= 110
-    assert bottom == pytest.approx(110, abs=6)
-    assert (left + right) / 2 == pytest.approx(30, abs=2)
-    lying = Canvas(120, 60)
-    lying.text(10, 30, "TL", 14)
-    across = bounds(lying.image[:, :, 0] < 128)
-    assert (bottom - top, right - left) == (across[1] - across[0], across[3] - across[2])
-    x, y = middle(canvas.image[:, :, 0] < 128)
-    turned_x, turned_y = middle(np.rot90(lying.image)[:, :, 0] < 128)
-    assert x - left == pytest.approx(turned_x - 23, abs=12)
-    assert y - top == pytest.approx(turned_y - bounds(np.rot90(lying.image)[:, :, 0] < 128)[2])
+def test_upright_words_are_lying_ones_turned_about_their_first_letter() -> None:
+    """Two pixels are left free before it."""
+    upright, lying = Canvas(60, 120), Canvas(120, 60)
+    upright.upright_text(30, 110, "TL", 14)
+    lying.text(12, 30, "TL", 14)
+    np.testing.assert_array_equal(upright.image, np.rot90(lying.image))
 
 
 @given(st.floats(-60.0, 120.0), st.floats(-60.0, 160.0), st.sampled_from(["upright", "text"]))
@@ -143,9 +117,9 @@ def test_words_outside_are_cut_off_and_the_rest_stays_in_place(
     small, large = Canvas(60, 80), Canvas(460, 480)
     for canvas, shift in ((small, 0), (large, 200)):
         if kind == "upright":
-            canvas.upright_text(x + shift, y + shift, "room 7", 12)
+            canvas.upright_text(x + shift, y + shift, "room 70", 12)
         else:
-            canvas.text(x + shift, y + shift, "room 7", 12)
+            canvas.text(x + shift, y + shift, "room 70", 12)
     np.testing.assert_array_equal(small.image[3:-3, 3:-3], large.image[203:277, 203:257])
 
 
@@ -161,10 +135,6 @@ def test_what_lies_outside_is_cut_off() -> None:
     assert of_colour(canvas.image, INK)[5].all()
     assert of_colour(canvas.image, TRAVERSED)[20:23].all()
     assert near(canvas.image, CLOSURE) == 0
-    for x, y in ((-3.0, 10.0), (38.0, 10.0), (20.0, -2.0), (20.0, 21.0), (-90.0, 90.0)):
-        canvas = Canvas(40, 20)
-        canvas.text(x, y, "0", 14.0, INK, "centre")
-        assert inked(canvas.image).any() == (x > -90.0), (x, y)
 
 
 @pytest.mark.parametrize("height", [9.0, 14.0, 24.0])

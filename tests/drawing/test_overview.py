@@ -34,6 +34,7 @@ from tests.strategies import seeds
 
 NOWHERE = Trajectory(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
 UNLABELLED = Labels(stamps_ns=NOWHERE.stamps_ns, poses=NOWHERE.poses, submaps=NOWHERE.stamps_ns)
+ROOM, REGIONS = one_room((80, 120))
 
 
 def drawn(result: MapResult) -> Image:
@@ -42,12 +43,13 @@ def drawn(result: MapResult) -> Image:
     )
 
 
-def along(places: FloatArray) -> tuple[Trajectory, Labels]:
-    """A trajectory through places (n, 2), all its scans keyframes of one submap."""
-    stamps = np.arange(len(places))
-    poses = np.column_stack([places, np.zeros(len(places))])
+def driven(way: FloatArray, *findings: Finding) -> Image:
+    """The room after a way (n, 2), all its scans keyframes."""
+    stamps = np.arange(len(way))
+    poses = np.column_stack([way, np.zeros(len(way))])
     labels = Labels(stamps_ns=stamps, poses=poses, submaps=np.zeros_like(stamps))
-    return Trajectory(stamps, poses), labels
+    path, quality = Trajectory(stamps, poses), Quality.of(findings)
+    return render_overview(ROOM, REGIONS, path, labels, [LogInfo("log")], quality)
 
 
 def places_on(regions: Regions, points: list[tuple[float, float]]) -> FloatArray:
@@ -59,10 +61,6 @@ def around(image: Image, place: FloatArray, reach: int) -> Image:
     """The square about a place of a picture."""
     x, y = place.astype(int).tolist()
     return image[y - reach : y + reach + 1, x - reach : x + reach + 1]
-
-
-def path_at(image: Image, place: FloatArray) -> bool:
-    return bool(of_colour(around(image, place, 2), symbols.PATH, 90).any())
 
 
 def test_shows_what_it_should(result: MapResult) -> None:
@@ -92,48 +90,37 @@ def test_nothing_known(shape: tuple[int, int]) -> None:
 
 
 def test_the_way_is_drawn_over_its_whole_length_from_its_start_to_its_end() -> None:
-    topology, regions = one_room((80, 120))
-    way = np.linspace((1.0, 1.0), (5.0, 3.0), 60)
-    image = render_overview(topology, regions, *along(way), [LogInfo("log")])
-    start, end = places_on(regions, [(1.0, 1.0), (5.0, 3.0)])
+    image = driven(np.linspace((1.0, 1.0), (5.0, 3.0), 60))
+    start, end = places_on(REGIONS, [(1.0, 1.0), (5.0, 3.0)])
     assert pixel(image, start) == pixel(image, end) == palette.INK
-    corner = np.array([5.0, 5.0])
-    assert pixel(image, start + corner) == palette.INK  # a square
-    assert pixel(image, end + corner * 1.3) != palette.INK  # a disc
-    level = np.linspace((1.0, 0.5), (5.0, 0.5), 60)
-    image = render_overview(topology, regions, *along(level), [LogInfo("log")])
-    places = [(x, 0.5) for x in np.arange(1.3, 4.8, 0.25).tolist()]
-    assert all(path_at(image, place) for place in places_on(regions, places))
+    corner = np.array([6.5, 6.5])
+    assert pixel(image, start + corner) == pixel(image, start - corner) == palette.INK  # a square
+    assert palette.INK not in (pixel(image, end + corner), pixel(image, end - corner))  # a disc
+    out_of_the_grid = np.linspace((1.0, 1.0), (12.0, 9.0), 60)
+    image = driven(out_of_the_grid)
+    assert is_framed(image)
+    sheet = Sheet(np.minimum(0.0, extent_of(REGIONS)[0]), np.array([12.3, 9.3]), ())
+    for place in sheet.pixels(out_of_the_grid[5:-5:2]):
+        assert of_colour(around(image, place, 2), symbols.PATH, 90).any()
 
 
-def test_a_jump_is_not_drawn_as_a_way(result: MapResult) -> None:
+def test_a_jump_is_not_drawn_as_a_way() -> None:
     """The robot was lost and turned up elsewhere: no line leads there."""
-    poses = np.zeros((40, 3))
-    poses[:20, 0], poses[20:, 0] = np.linspace(-5, -4, 20), np.linspace(4, 5, 20)
-    stamps = np.arange(40)
-    lost = Trajectory(stamps, poses)
-    driven = Trajectory(stamps, np.linspace((-5.0, 0, 0), (5, 0, 0), 40))
-    only = dataclasses.replace(result.topology, submaps={0: result.topology.submaps[0]}, edges={})
-    none, broken, whole = (
-        render_overview(only, result.regions, path, result.labels, result.logs)[TITLE:]
-        for path in (NOWHERE, lost, driven)
-    )
-    assert 100 < (broken != none).sum() < (whole != none).sum() / 2
+    whole = np.linspace((1.0, 1.0), (5.0, 1.0), 40)
+    lost = np.concatenate([whole[:5], whole[-5:]])
+    nowhere, broken, through = (driven(way)[TITLE:] for way in (whole[:0], lost, whole))
+    assert 100 < (broken != nowhere).sum() < (through != nowhere).sum() / 2
 
 
-@pytest.mark.parametrize(("corner", "on_the_way"), [((2.5, 1.5), False), ((0.5, 0.5), True)])
-def test_a_badge_stays_near_the_way_of_the_robot(
-    corner: tuple[float, float], on_the_way: bool
-) -> None:
+def test_a_badge_stays_near_the_way_of_the_robot() -> None:
     """The middle of a room stands for it, unless the robot never came near: glass lies between."""
-    topology, regions = one_room((80, 120))
-    way = np.linspace(corner, np.array(corner) + 0.2, 20)
-    image = render_overview(topology, regions, *along(way), [LogInfo("log")])
-    centroid = regions.outline(0).centroid
+    centroid = REGIONS.outline(0).centroid
     assert centroid is not None
-    (middle,) = places_on(regions, [(float(centroid[0]), float(centroid[1]))])
+    (middle,) = places_on(REGIONS, [(float(centroid[0]), float(centroid[1]))])
     rim = middle + (symbols.BADGE_RADIUS - 3.0, 0.0)
-    assert (pixel(image, rim) == palette.FILLS[0]) is on_the_way
+    for corner, is_near in (((2.5, 1.5), True), ((0.5, 0.5), False)):
+        image = driven(np.linspace(corner, np.array(corner) + 0.2, 20))
+        assert (pixel(image, rim) == palette.FILLS[0]) is not is_near, corner
 
 
 @pytest.mark.parametrize(("share", "said"), [(0.0, False), (0.002, False), (0.02, True)])
@@ -148,52 +135,36 @@ def test_unreached_cells_are_explained_when_there_are_many(share: float, said: b
     assert (near(legend, palette.SHADE) > 500) is said
 
 
-def two_rooms() -> tuple[Regions, dict[int, Submap]]:
-    """Two rooms side by side, joined by a door."""
+def test_a_link_leads_through_its_crossing_or_along_its_way_and_its_door_is_drawn() -> None:
+    """Two rooms side by side; what links look like is a matter of symbols."""
     cells = np.full((40, 80), OCCUPIED, dtype=np.uint8)
     cells[2:38, 2:38], cells[2:38, 42:78], cells[15:25, 38:42] = FREE, FREE, FREE
     owner = np.where(cells == FREE, (np.arange(80) >= 40)[None, :] * 1, NOBODY)
     grid = GridMap(cells, 0.1)
-    submaps = {
-        id_: Submap(id=id_, map_from_submap=IDENTITY, grid=grid, keyframes=(), visits=())
-        for id_ in (0, 1)
+    rooms = {
+        k: Submap(id=k, map_from_submap=IDENTITY, grid=grid, anchor=(2.0 + 4.0 * k, 2.0))
+        for k in (0, 1)
     }
-    return Regions.of(grid, owner), submaps
-
-
-@pytest.mark.parametrize(
-    ("kind", "colour"),
-    [
-        ("doorway", palette.TRAVERSED),
-        ("traversed", palette.TRAVERSED),
-        ("closure", palette.CLOSURE),
-        ("loose", palette.LOOSE),
-    ],
-)
-def test_a_link_leads_through_its_crossing(kind: EdgeKind, colour: palette.Colour) -> None:
-    regions, submaps = two_rooms()
-    edge = Edge(source=0, target=1, kind=kind, x=4.0, y=3.5)
-    topology = TopologicalMap(submaps=submaps, edges={(0, 1): edge})
-    image = render_segmentation(topology, regions, LogInfo("plan"))
-    (crossing,) = places_on(regions, [(4.0, 3.5)])
-    assert near(around(image, crossing, 14), colour) > 4
-    bare = render_segmentation(dataclasses.replace(topology, edges={}), regions, LogInfo("plan"))
-    assert near(bare[TITLE:-120], colour) == 0
-
-
-def test_a_link_with_a_way_follows_it_and_its_door_is_drawn() -> None:
-    regions, submaps = two_rooms()
+    regions, bare = Regions.of(grid, owner), TopologicalMap(submaps=rooms, robot_radius_m=0.2)
+    crossed = Edge(source=0, target=1, kind="closure", x=4.0, y=3.5)
     path = np.array([[2.0, 2.0], [2.0, 3.5], [3.5, 2.0], [6.0, 2.0]])
-    edge = Edge(source=0, target=1, kind="traversed", path=path, length_m=6.1, clearance_m=0.4)
+    way = Edge(source=0, target=1, kind="traversed", path=path, length_m=6.1, clearance_m=0.4)
     door = Door(id=0, x=4.0, y=2.0, width_m=1.0, theta=0.0, between=(0, 1))
-    anchored = {i: dataclasses.replace(s, anchor=(2.0 + 4.0 * i, 2.0)) for i, s in submaps.items()}
-    bare = TopologicalMap(submaps=anchored, robot_radius_m=0.2)
-    topology = dataclasses.replace(bare, edges={(0, 1): edge}, doors=(door,))
-    image = render_segmentation(topology, regions, LogInfo("plan"))
-    for place, colour in (((2.0, 3.0), palette.TRAVERSED), ((4.0, 1.5), palette.DOOR)):
+    without, through, along_it = (
+        render_segmentation(each, regions, LogInfo("plan"))
+        for each in (
+            bare,
+            dataclasses.replace(bare, edges={(0, 1): crossed}),
+            dataclasses.replace(bare, edges={(0, 1): way}, doors=(door,)),
+        )
+    )
+    for image, place, colour in (
+        (through, (4.0, 3.5), palette.CLOSURE),
+        (along_it, (2.0, 3.0), palette.TRAVERSED),
+        (along_it, (4.0, 1.5), palette.DOOR),
+    ):
         assert near(around(image, places_on(regions, [place])[0], 9), colour) > 4
-    without = render_segmentation(bare, regions, LogInfo("plan"))
-    assert near(without[TITLE:-120], palette.DOOR) == 0
+        assert near(without[TITLE:-120], colour) == 0
 
 
 def test_a_link_without_a_way_is_no_line_that_one_could_take() -> None:
@@ -226,45 +197,26 @@ def test_badges_do_not_overlap(count: int, seed: int) -> None:
     gaps = [float(np.linalg.norm(a - b)) for a, b in itertools.combinations(moved, 2)]
     assert all(gap >= symbols.BADGE_GAP * 0.9 for gap in gaps)
     np.testing.assert_allclose(moved.mean(axis=0), centres.mean(axis=0), atol=1e-6)
-
-
-@pytest.mark.parametrize("centres", [[], [(5.0, 5.0)], [(0.0, 0.0), (90.0, 0.0)]])
-def test_badges_with_room_stay(centres: list[tuple[float, float]]) -> None:
-    places = np.array(centres).reshape(-1, 2)
-    np.testing.assert_array_equal(spread(places, symbols.BADGE_GAP), places)
+    roomy = np.array([(symbols.BADGE_GAP * k, 5.0 * k) for k in range(count)])
+    np.testing.assert_array_equal(spread(roomy, symbols.BADGE_GAP), roomy)
 
 
 def test_a_doubtful_place_is_marked_and_the_title_says_why() -> None:
-    topology, regions = one_room((80, 120))
     place = (2.0, 3.0)
     said = Finding(
         code="walls-disagree", severity="poor", message="bent", where=Where(None, *place)
     )
     aside = Finding(code="input", severity="note", message="odd", where=Where(None, 4.0, 3.0))
-    path = along(np.linspace((1.0, 1.0), (5.0, 1.0), 60))
-    good, poor = (
-        render_overview(topology, regions, *path, [LogInfo("log")], Quality.of(findings))
-        for findings in ((aside,), (aside, said))
-    )
-    assert near(around(poor, places_on(regions, [place])[0], 20), palette.WRONG) > 50
+    way = np.linspace((1.0, 1.0), (5.0, 1.0), 60)
+    good, poor = driven(way, aside), driven(way, aside, said)
+    assert near(around(poor, places_on(REGIONS, [place])[0], 20), palette.WRONG) > 50
     assert near(good[: TITLE + 1200], palette.WRONG) == 0
     assert (good[:TITLE] != poor[:TITLE]).any()
 
 
-def test_a_way_out_of_the_grid_stays_on_the_sheet() -> None:
-    topology, regions = one_room((80, 120))
-    way = np.linspace((1.0, 1.0), (12.0, 9.0), 60)
-    image = render_overview(topology, regions, *along(way), [LogInfo("log")])
-    assert is_framed(image)
-    sheet = Sheet(np.minimum(0.0, extent_of(regions)[0]), np.array([12.3, 9.3]), ())
-    assert all(path_at(image, place) for place in sheet.pixels(way[5:-5:10]))
-
-
 def test_a_way_to_the_end_of_the_world_takes_no_more_memory() -> None:
-    topology, regions = one_room((80, 120))
-    way = np.array([(1.0, 1.0), (2.0, 1.0), (1e7, 1.0)])
     tracemalloc.start()
-    image = render_overview(topology, regions, *along(way), [LogInfo("log")])
+    image = driven(np.array([(1.0, 1.0), (2.0, 1.0), (1e7, 1.0)]))
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert is_framed(image)

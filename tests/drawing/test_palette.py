@@ -93,16 +93,6 @@ def test_neighbours_of_any_floor_are_told_apart_by_all_eyes(seed: int, count: in
     assert all(len(pair) == 2 and least_difference(*pair) >= APART for pair in worn)
 
 
-def test_a_corridor_found_after_its_rooms_gets_a_colour() -> None:
-    """Its rooms wear all colours by then: one of them changes."""
-    rooms = list(range(20))
-    pairs = [(room, 20) for room in rooms]
-    fills = palette.colour_graph([*rooms, 20], pairs)
-    assert fills[20] not in {fills[room] for room in rooms}
-    alone = palette.colour_graph(rooms, [])
-    assert sum(fills[room] != alone[room] for room in rooms) <= 3
-
-
 @few(30)
 @given(seeds, st.integers(12, 60))
 def test_nearly_all_ids_keep_their_colours_when_a_map_grows(seed: int, count: int) -> None:

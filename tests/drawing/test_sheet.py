@@ -66,15 +66,22 @@ def test_places_are_drawn_to_scale_inside_the_frame(
 
 
 @pytest.mark.parametrize("origin", [(0.0, 0.0), (-3.2, 7.7), (1e5, -1e5)])
-def test_each_kind_of_cell_has_its_colour(origin: tuple[float, float]) -> None:
-    cells = np.kron([[FREE, FREE], [OCCUPIED, UNKNOWN]], np.ones((10, 10))).astype(np.uint8)
-    owner = np.where(np.arange(20)[None, :] < 10, 0, NOBODY) * np.ones((20, 1), dtype=np.int64)
+def test_each_kind_of_cell_has_its_colour_and_a_border_is_where_regions_touch(
+    origin: tuple[float, float],
+) -> None:
+    cells = np.full((40, 60), FREE, dtype=np.uint8)
+    cells[:, 30], cells[:20, 45:] = OCCUPIED, UNKNOWN
+    owner = np.where(np.arange(40)[:, None] < 20, 0, 1) * np.ones((1, 60), dtype=np.int64)
+    owner[:, 30:] = NOBODY
     regions = Regions(GridMap(cells, 0.1, origin), owner, {})
     sheet = Sheet(*extent_of(regions), ())
-    sheet.ground(regions, {0: palette.FILLS[5]})
-    corners = np.array([[0.5, 0.5], [1.5, 0.5], [0.5, 1.5], [1.5, 1.5]]) + origin
-    seen = [pixel(sheet.canvas.image, place) for place in sheet.pixels(corners)]
-    assert seen == [palette.FILLS[5], palette.SHADE, palette.INK, palette.PAPER]
+    sheet.ground(regions, {0: palette.FILLS[0], 1: palette.FILLS[1]})
+    places = np.array([[1.5, 2.0], [1.5, 1.5], [3.05, 2.0], [3.8, 2.0], [5.2, 1.0]]) + origin
+    border, *inside = sheet.pixels(places).astype(int)
+    (x, y), image = border, sheet.canvas.image
+    assert of_colour(image[y - 2 : y + 3, x - 1 : x + 2], palette.BORDER, 40).any()
+    seen = [pixel(image, place) for place in inside]
+    assert seen == [palette.FILLS[0], palette.INK, palette.SHADE, palette.PAPER]
 
 
 @given(grid_maps())
@@ -107,20 +114,10 @@ def test_the_scale_bar_has_a_round_length(extent_m: float) -> None:
     assert not dark[:, :MARGIN].any()
 
 
-def test_headlines_shrink_to_fit_and_keep_their_size_otherwise() -> None:
-    heights = []
-    for words in ("short", "a name of a log that never ends " * 20):
-        sheet = sheet_of(9.0, 4.0)
-        sheet.title(words, words)
-        left, right, top, bottom = bounds(inked(sheet.canvas.image[:TITLE]))
-        assert left >= MARGIN - 2
-        assert right <= sheet.canvas.image.shape[1] - MARGIN + 2
-        heights.append(bottom - top)
-    assert heights[1] < heights[0]
-
-
 @pytest.mark.parametrize(("width_m", "height_m"), [(1.0, 9.0), (5.0, 5.0), (9.0, 1.0)])
-def test_the_whole_legend_lies_below_the_map(width_m: float, height_m: float) -> None:
+def test_the_whole_legend_lies_below_the_map_and_its_entries_do_not_touch(
+    width_m: float, height_m: float
+) -> None:
     bare, full = sheet_of(width_m, height_m), sheet_of(width_m, height_m, EVERYTHING)
     assert full.map_height == bare.map_height
     below = inked(full.canvas.image)
@@ -132,35 +129,10 @@ def test_the_whole_legend_lies_below_the_map(width_m: float, height_m: float) ->
     for colour in (palette.TRAVERSED, palette.CLOSURE, palette.LOOSE, palette.SHADE):
         assert near(full.canvas.image, colour) > 80
         assert near(bare.canvas.image, colour) < 40  # the rims of letters
-
-
-def test_entries_of_the_legend_do_not_touch() -> None:
-    """Between two entries of a row lie at least ten empty columns."""
-    sheet = sheet_of(9.0, 9.0, EVERYTHING)
-    rows = inked(sheet.canvas.image).any(axis=1)
-    starts = np.flatnonzero(np.diff(rows.astype(int)) == 1) + 1
-    entries = 0
-    for start in starts[1:]:  # the first is the scale bar
-        line = inked(sheet.canvas.image[start : start + 16]).any(axis=0)
-        gaps = np.diff(np.flatnonzero(line))
-        entries += 1 + int((gaps > 30).sum())
-    assert entries >= len(EVERYTHING)
-
-
-def test_a_border_is_drawn_where_regions_touch_and_nowhere_else() -> None:
-    cells = np.full((40, 60), FREE, dtype=np.uint8)
-    cells[:, 30] = OCCUPIED
-    owner = np.where(np.arange(40)[:, None] < 20, 0, 1) * np.ones((1, 60), dtype=np.int64)
-    owner[:, 30:] = NOBODY
-    regions = Regions(GridMap(cells, 0.1), owner, {})
-    sheet = Sheet(*extent_of(regions), ())
-    sheet.ground(regions, {0: palette.FILLS[0], 1: palette.FILLS[1]})
-    places = np.array([[1.5, 2.0], [1.5, 1.5], [3.05, 2.0], [4.5, 2.0]])
-    border, region, wall, beyond = sheet.pixels(places).astype(int)
-    (x, y), image = border, sheet.canvas.image
-    assert of_colour(image[y - 2 : y + 3, x - 1 : x + 2], palette.BORDER, 40).any()
-    seen = [pixel(image, place) for place in (region, wall, beyond)]
-    assert seen == [palette.FILLS[0], palette.INK, palette.SHADE]
+    starts = np.flatnonzero(np.diff(below.any(axis=1).astype(int)) == 1) + 1
+    lines = [below[start : start + 16].any(axis=0) for start in starts[1:]]  # below the scale bar
+    gaps = [np.diff(np.flatnonzero(line)) for line in lines]
+    assert sum(1 + int((each > 30).sum()) for each in gaps) >= len(EVERYTHING)
 
 
 def test_drawing_the_ground_takes_little_more_than_the_canvas() -> None:
@@ -168,11 +140,9 @@ def test_drawing_the_ground_takes_little_more_than_the_canvas() -> None:
     _, regions = one_room((300, 300))
     sheet = Sheet(*extent_of(regions), ())
     tracemalloc.start()
-    try:
-        sheet.ground(regions, {0: palette.FILLS[0]})
-        _, peak = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
+    sheet.ground(regions, {0: palette.FILLS[0]})
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
     pixels = sheet.canvas.image.size // 3
     assert peak < 32 * pixels  # all colours of all pixels as float64, twice, would be 48
 
@@ -199,22 +169,16 @@ def test_strokes_are_the_runs_between_jumps(seed: int, count: int) -> None:
     assert strokes(places, labels) == expected
 
 
-@pytest.mark.parametrize(
-    ("step_m", "leap_m", "pieces"),
-    [(0.1, 1.4, 1), (0.1, 1.6, 2), (0.1, 30.0, 2), (2.0, 5.5, 1), (2.0, 6.5, 2)],
-)
-def test_without_labels_only_jumps_break_the_line(
-    step_m: float, leap_m: float, pieces: int
-) -> None:
+def test_without_labels_only_jumps_break_the_line() -> None:
     """Of one scan every two metres the way is drawn, and a jump three times as long is none."""
-    found = strokes(way([step_m] * 30 + [leap_m] + [step_m] * 30))
-    assert len(found) == pieces
-    assert all(stroke.end == stroke.drawn_to for stroke in found)
-    assert (found[0].first, found[-1].end) == (0, 62)
-
-
-def test_a_stay_makes_no_way_a_jump_and_few_places_none() -> None:
-    assert len(strokes(way([0.0] * 500 + [1.0] * 20))) == 1
+    for step_m, leap_m, jumps in (
+        *((0.1, 1.4, False), (0.1, 1.6, True), (0.1, 30.0, True)),
+        *((2.0, 5.5, False), (2.0, 6.5, True)),
+    ):
+        found = strokes(way([step_m] * 30 + [leap_m] + [step_m] * 30))
+        pieces = [(0, 31), (31, 62)] if jumps else [(0, 62)]
+        assert found == [Stroke(first, end, end) for first, end in pieces], (step_m, leap_m)
+    assert len(strokes(way([0.0] * 500 + [1.0] * 20))) == 1  # a stay makes no way a jump
     for count in (0, 1):
         places = np.zeros((count, 2))
         assert strokes(places) == strokes(places, np.zeros(count)) == [Stroke(0, 1, 1)] * count

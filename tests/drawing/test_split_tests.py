@@ -110,36 +110,33 @@ def test_the_map_is_white_grey_and_black_and_the_way_ends_in_a_dot_where_the_rob
     assert right - left == pytest.approx(60.0, abs=2)  # the scale: a metre
 
 
-@pytest.mark.parametrize("chosen", [0, 1, 3])
-def test_bars_are_as_high_as_the_eigenvalues_and_the_chosen_one_stands_out(chosen: int) -> None:
+@pytest.mark.parametrize(("chosen", "threshold"), [(0, 0.2), (1, 0.6), (3, 0.95)])
+def test_bars_are_as_high_as_the_eigenvalues_below_the_line_of_the_threshold(
+    chosen: int, threshold: float
+) -> None:
+    """The chosen one stands out."""
     values = [1.0, 0.75, 0.5, 0.25]
-    image = drawn(split_test(eigenvalues=values, chosen=chosen))
-    heights = bars(image)
+    image = drawn(split_test(eigenvalues=values, chosen=chosen), threshold)
+    heights, spectrum = bars(image), image[-SPECTRUM:]
     assert len(heights) == 4
     np.testing.assert_allclose(np.array(heights) / heights[0], values, atol=0.03)
-    orange = of_colour(image[-SPECTRUM:], ORANGE, 0)
+    orange = of_colour(spectrum, ORANGE, 0)
     assert orange.any() == bool(chosen)
     if chosen:
         assert bounds(orange)[0] == pytest.approx(8 + chosen * 430 / 12, abs=1)
-
-
-@pytest.mark.parametrize("threshold", [0.2, 0.6, 0.95])
-def test_the_threshold_is_a_line_across(threshold: float) -> None:
-    spectrum = drawn(split_test(), threshold)[-SPECTRUM:]
     left, right, *rows = bounds(of_colour(spectrum, RED, 0)[:, : RIGHT + 1])
     assert (left, right) == pytest.approx((8, RIGHT), abs=1)
     assert rows == pytest.approx([FLOOR - threshold * (FLOOR - TOP)] * 2, abs=1)
     assert of_colour(spectrum, RED, 60)[:, RIGHT + 2 :].any()  # its figure
 
 
-def lines_of(image: Image) -> list[Image]:
-    """The three lines of words."""
-    start = image.shape[0] - SPECTRUM - WORDS + 8
-    return [image[start + 22 * k : start + 22 * (k + 1)] for k in range(3)]
-
-
 def test_the_words_tell_the_decision_and_when_it_was_made_and_fit() -> None:
-    """What changes changes one line, and neither the map nor the spectrum."""
+    """What changes changes one of three lines, and neither the map nor the spectrum."""
+
+    def lines_of(image: Image) -> list[Image]:
+        start = HEIGHT + 8
+        return [image[start + 22 * k : start + 22 * (k + 1)] for k in range(3)]
+
     test = split_test()
     usual = drawn(test)
     changed = {

@@ -7,7 +7,6 @@ import pytest
 
 from specmap_cli.drawing import palette, symbols
 from specmap_cli.drawing.canvas import Canvas
-from specmap_cli.topology.topological_map import EdgeKind
 from tests.drawing.looking import bounds, inked, near, of_colour, pixel
 
 
@@ -32,16 +31,10 @@ def test_links_are_solid_dashed_or_dotted(
     assert near(canvas.image, colour) > 100
     others = {palette.TRAVERSED, palette.CLOSURE, palette.LOOSE} - {colour}
     assert not any(near(canvas.image, other) for other in others)
-
-
-@pytest.mark.parametrize("kind", ["traversed", "closure"])
-def test_links_are_set_off_from_the_ground_by_paper(kind: EdgeKind) -> None:
-    canvas = Canvas(240, 40, palette.FILLS[0])
-    symbols.edge(canvas, np.array([[20.0, 20.0], [220.0, 20.0]]), kind)
-    across = canvas.image[:, 24]
-    rows = np.flatnonzero((np.abs(across.astype(int) - palette.PAPER) < 30).all(axis=-1))
-    assert rows.min() < 19
-    assert rows.max() > 21
+    if strokes < 10:  # paper sets it off from the ground
+        rows = np.flatnonzero(of_colour(canvas.image, palette.PAPER, 8)[:, 24])
+        assert rows.min() < 19
+        assert rows.max() > 21
 
 
 @pytest.mark.parametrize("driven", [True, False])
@@ -91,20 +84,6 @@ def test_a_badge_holds_its_id(name: str) -> None:
     assert np.hypot(max(40 - letters[0], letters[1] - 40), letters[3] - 40) < radius
 
 
-def test_start_is_square_and_end_is_round() -> None:
-    """The share of its box that a disc fills is pi / 4."""
-    shares = []
-    for draw in (symbols.start, symbols.end):
-        canvas = Canvas(60, 60, palette.SHADE)
-        draw(canvas, np.array([30.0, 30.0]))
-        dark = of_colour(canvas.image, palette.INK, 60)
-        left, right, top, bottom = bounds(dark)
-        assert (left + right) / 2 == (top + bottom) / 2 == 30
-        shares.append(dark.sum() / ((right - left + 1) * (bottom - top + 1)))
-    assert shares[0] == 1.0
-    assert shares[1] == pytest.approx(np.pi / 4, abs=0.08)
-
-
 def test_a_legend_explains_what_is_shown_and_nothing_else_in_one_order() -> None:
     assert symbols.legend_of([]) == ()
     shown = ["forbidden", "loop closure", "wall", "submap", "door, only seen", "door"]
@@ -123,12 +102,3 @@ def test_every_symbol_fits_its_place_in_the_legend(words: str) -> None:
     assert right - left >= 8
     assert abs(left + right - 120) <= 6
     assert abs(top + bottom - 80) <= 3
-
-
-def test_the_mark_of_a_wrong_prediction_shows_on_both_sides_of_it() -> None:
-    canvas = Canvas(120, 80)
-    symbols.SYMBOLS["wrong"](canvas, np.array([60.0, 40.0]))
-    across = of_colour(canvas.image, palette.WRONG, 20)[:, 60]
-    assert across[:38].any()
-    assert across[43:].any()
-    assert not across[40]

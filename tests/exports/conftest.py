@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.geometry import Pose2
-from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.records import PlanarScan
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.map_server import write_grid
@@ -17,6 +17,7 @@ from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.maps.writing import MapResult, write_map
 from specmap_cli.pipelines.segment import segment_map
 from specmap_cli.topology.topological_map import Door, Edge
+from tests.casting import keyframe
 
 BEARINGS = np.linspace(-np.pi / 2, np.pi / 2, 19)
 POSE_GRAPH = """\
@@ -39,7 +40,7 @@ def written(out: Path, result: MapResult, scans: KeyframeStore | None = None) ->
 @pytest.fixture
 def stored(tmp_path: Path, result: MapResult) -> StoredMap:
     """The house: no doors, no ways, no scans."""
-    return written(tmp_path / "out", result)
+    return written(tmp_path / "house", result)
 
 
 @pytest.fixture
@@ -76,25 +77,18 @@ def lived_in(result: MapResult) -> MapResult:
 
 @pytest.fixture
 def home(tmp_path: Path, lived_in: MapResult) -> StoredMap:
-    """The house as it is lived in, and its scans."""
+    """The house as it is lived in, and its scans.
+
+    They are of half a circle and grow, with one beam that is lost and one without return.
+    """
+    labels, mounted = lived_in.labels, Pose2(0.2, 0.0, 0.0)
     with KeyframeStore() as scans:
-        for row, stamp_ns in enumerate(lived_in.labels.stamps_ns.tolist()):
-            scans.append(scan_of(row, stamp_ns, Pose2(*lived_in.labels.poses[row].tolist())))
+        for row, stamp_ns in enumerate(labels.stamps_ns.tolist()):
+            ranges = np.linspace(1.0, 2.0 + 0.01 * row, len(BEARINGS))
+            ranges[[0, 1]] = np.nan, np.inf
+            scan = PlanarScan(stamp_ns, BEARINGS, ranges, 8.0, full_circle=False)
+            scans.append(keyframe(scan, Pose2(*labels.poses[row].tolist()), mounted, row))
         return written(tmp_path / "home", lived_in, scans)
-
-
-def scan_of(row: int, stamp_ns: int, pose: Pose2) -> PosedScan:
-    """A scan of half a circle whose beams grow, with one that is lost and one without return."""
-    ranges = np.linspace(1.0, 2.0 + 0.01 * row, len(BEARINGS))
-    ranges[[0, 1]] = np.nan, np.inf
-    planar = PlanarScan(stamp_ns, BEARINGS, ranges, 8.0, full_circle=False)
-    return PosedScan(
-        index=row,
-        stamp_ns=stamp_ns,
-        map_from_base=pose,
-        planar=planar,
-        base_from_laser=Pose2(0.2, 0.0, 0.0),
-    )
 
 
 @pytest.fixture(scope="session")

@@ -9,7 +9,6 @@ lists make it fail. Scorers read numbers of single precision: a whole number is 
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ import networkx as nx
 
 
 def load(path: Path) -> nx.DiGraph:
-    """The graph in a file: nodes with `x`, `y`, `frame`, `metadata`; edges with `cost`, `id`."""
+    """The graph in a file: nodes with `at`, `frame`, `metadata`; edges with `cost`, `id`."""
     features = json.loads(path.read_text(encoding="utf-8"))["features"]
     shapes = [feature["geometry"]["type"] for feature in features]
     nodes = [each for each, shape in zip(features, shapes, strict=True) if shape == "Point"]
@@ -30,28 +29,20 @@ def load(path: Path) -> nx.DiGraph:
     assert len(set(ids)) == len(ids), "ids of nodes and edges differ"
     graph = nx.DiGraph()
     for feature in nodes:
-        graph.add_node(feature["properties"]["id"], **_node(feature))
+        properties, (x, y) = feature["properties"], feature["geometry"]["coordinates"]
+        assert isinstance(properties["frame"], str)
+        _check(properties["metadata"])
+        graph.add_node(properties["id"], at=(x, y), **properties)
     for feature in edges:
-        _add_edge(graph, feature["properties"])
+        properties = feature["properties"]
+        start, end = properties["startid"], properties["endid"]
+        assert start in graph, start
+        assert end in graph, end
+        assert isinstance(properties["cost"], float)
+        assert isinstance(properties["overridable"], bool)
+        _check(properties["metadata"])
+        graph.add_edge(start, end, **properties)
     return graph
-
-
-def _node(feature: dict[str, Any]) -> dict[str, Any]:
-    properties = feature["properties"]
-    x, y = feature["geometry"]["coordinates"]
-    assert isinstance(properties["frame"], str)
-    _check(properties["metadata"])
-    return {"x": x, "y": y, "frame": properties["frame"], "metadata": properties["metadata"]}
-
-
-def _add_edge(graph: nx.DiGraph, properties: dict[str, Any]) -> None:
-    start, end = properties["startid"], properties["endid"]
-    assert start in graph, start
-    assert end in graph, end
-    assert isinstance(properties["cost"], float)
-    assert isinstance(properties["overridable"], bool)
-    _check(properties["metadata"])
-    graph.add_edge(start, end, **properties)
 
 
 def _check(value: Any, *, in_list: bool = False) -> None:
@@ -64,9 +55,3 @@ def _check(value: Any, *, in_list: bool = False) -> None:
             _check(inner, in_list=True)
     else:
         assert isinstance(value, (bool, int, float, str)), f"{value!r} cannot be metadata"
-
-
-def driven_m(graph: nx.DiGraph, start: int, end: int) -> float:
-    """The length of an edge as the server's DistanceScorer has it: straight."""
-    (a, b) = graph.nodes[start], graph.nodes[end]
-    return math.hypot(b["x"] - a["x"], b["y"] - a["y"])

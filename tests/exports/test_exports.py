@@ -30,28 +30,43 @@ def geojson(stored: StoredMap, folder: Path) -> Any:
     return json.loads(out.read_text())
 
 
-def test_graphml_is_the_graph_that_networkx_reads(stored: StoredMap, tmp_path: Path) -> None:
-    graph, record = graphml(stored, tmp_path), stored.record
-    assert sorted(graph.nodes) == [node.id for node in record.nodes]
-    assert {tuple(sorted(edge)) for edge in graph.edges} == {(0, 1), (0, 2)}
-    for node in record.nodes:
-        assert node.centroid is not None
-        found = graph.nodes[node.id]
-        assert (found["x"], found["y"]) == pytest.approx(node.centroid)
-        assert (found["name"], found["scans"]) == (node.name, 10)
-        assert found["area_m2"] == pytest.approx(node.area_m2)
-    assert [graph.nodes[id_]["kind"] for id_ in (0, 1, 2)] == ["corridor", "room", "room"]
-    assert (graph.nodes[1]["property.floor"], graph.nodes[1]["property.heated"]) == (2, True)
-    assert "property.floor" not in graph.nodes[0]
-    assert graph.edges[0, 1]["kind"] == "traversed"
-    assert graph.edges[0, 1]["traversals"] == 1
-    assert graph.edges[0, 1]["distance_m"] == pytest.approx(record.edges[0].distance_m)
-    assert "x" not in graph.edges[0, 2]  # a closure was never crossed
-    assert "anchor_x" not in graph.nodes[0]
+def test_graphml_is_the_graph_that_networkx_reads_also_from_topology_json(
+    stored: StoredMap, home: StoredMap, rooms: StoredMap, tmp_path: Path
+) -> None:
+    for each in (home, rooms, stored):
+        record, graph = each.record, graphml(each, tmp_path)
+        document = json.loads((each.path / "topology.json").read_text())
+        own = nx.node_link_graph(document, edges="edges")
+        assert sorted(graph.nodes) == [node.id for node in record.nodes]
+        ends = {(edge.source, edge.target) for edge in record.edges}
+        assert {tuple(sorted(pair)) for pair in graph.edges} == ends
+        for node in record.nodes:
+            found = graph.nodes[node.id]
+            assert (found["x"], found["y"]) == pytest.approx(node.centroid)
+            assert (found["name"], found["kind"]) == (node.name, node.kind)
+            assert found["area_m2"] == pytest.approx(node.area_m2)
+            assert (found.get("anchor_x"), found.get("anchor_y")) == (node.anchor or (None, None))
+        for edge in record.edges:
+            found = graph.edges[edge.source, edge.target]
+            assert (found["kind"], found["passable"]) == (edge.kind, edge.path is not None)
+            assert found["distance_m"] == pytest.approx(edge.distance_m)
+            assert found["doors"] == " ".join(map(str, edge.doors))
+            assert own.edges[edge.source, edge.target]["length_m"] == edge.length_m
+            for name in ("length_m", "clearance_m"):
+                assert found.get(name) == getattr(edge, name)
+        widths = [door["width_m"] for door in own.graph["doors"]]
+        assert widths == [door.width_m for door in record.graph.doors]
+    nodes, driven, closure = graph.nodes, graph.edges[0, 1], graph.edges[0, 2]  # of the house
+    assert [nodes[id_]["kind"] for id_ in (0, 1, 2)] == ["corridor", "room", "room"]
+    assert [nodes[id_]["scans"] for id_ in (0, 1, 2)] == [10] * 3
+    assert (nodes[1]["property.floor"], nodes[1]["property.heated"]) == (2, True)
+    assert "property.floor" not in nodes[0]
+    assert (driven["kind"], driven["traversals"]) == ("traversed", 1)
+    assert "x" not in closure  # it was never crossed
 
 
-def test_geojson_has_closed_outlines_and_links_through_their_crossings(
-    stored: StoredMap, tmp_path: Path
+def test_geojson_has_outlines_links_doors_from_wall_to_wall_anchors_and_ways(
+    stored: StoredMap, home: StoredMap, tmp_path: Path
 ) -> None:
     document = geojson(stored, tmp_path)
     assert document["type"] == "FeatureCollection"
@@ -59,32 +74,24 @@ def test_geojson_has_closed_outlines_and_links_through_their_crossings(
     assert kinds == ["Polygon"] * 3 + ["LineString"] * 2
     for feature, node in zip(document["features"], stored.record.nodes, strict=False):
         (ring,) = feature["geometry"]["coordinates"]
-        assert ring[0] == ring[-1]
-        assert [tuple(point) for point in ring[:-1]] == node.polygon
-        assert feature["properties"]["id"] == node.id
-        assert feature["properties"]["submap_kind"] == node.kind
-        assert feature["properties"]["properties"] == node.properties
-    driven, closure = document["features"][3:]
-    assert len(driven["geometry"]["coordinates"]) == 3
-    assert len(closure["geometry"]["coordinates"]) == 2
+        assert [tuple(point) for point in ring] == [*node.polygon, node.polygon[0]]
+        facts = feature["properties"]
+        assert (facts["id"], facts["submap_kind"]) == (node.id, node.kind)
+        assert facts["properties"] == node.properties
+    driven, closure = document["features"][3:]  # without ways, through their crossings
+    assert [len(link["geometry"]["coordinates"]) for link in (driven, closure)] == [3, 2]
     assert driven["properties"]["traversals"] == 1
-
-
-def test_geojson_has_doors_from_wall_to_wall_anchors_and_ways(
-    home: StoredMap, tmp_path: Path
-) -> None:
     features = geojson(home, tmp_path)["features"]
     by_kind = {feature["properties"]["kind"]: feature for feature in features[::-1]}
-    assert by_kind["anchor"]["geometry"]["coordinates"] == [0.0, 0.5]
-    sides = by_kind["door"]["geometry"]["coordinates"]
-    assert math.dist(*sides) == pytest.approx(0.9, abs=1e-5)
-    assert np.mean(sides, axis=0) == pytest.approx((-3.0, 1.25))
+    shapes = {kind: feature["geometry"]["coordinates"] for kind, feature in by_kind.items()}
+    assert shapes["anchor"] == [0.0, 0.5]
+    assert math.dist(*shapes["door"]) == pytest.approx(0.9, abs=1e-5)
+    assert np.mean(shapes["door"], axis=0) == pytest.approx((-3.0, 1.25))
     assert by_kind["door"]["properties"]["driven"] is False
-    way = by_kind["traversed"]
-    assert way["geometry"]["coordinates"] == [[0.0, 0.5], [-3.0, 1.0], [-3.0, 3.5]]
-    assert way["properties"]["length_m"] == pytest.approx(home.record.edges[0].length_m)
-    assert way["properties"]["passable"] is True
-    assert by_kind["seen"]["properties"]["passable"] is False
+    assert shapes["traversed"] == [[0.0, 0.5], [-3.0, 1.0], [-3.0, 3.5]]
+    way = by_kind["traversed"]["properties"]
+    assert way["length_m"] == pytest.approx(home.record.edges[0].length_m)
+    assert (way["passable"], by_kind["seen"]["properties"]["passable"]) == (True, False)
 
 
 def test_the_same_map_gives_the_same_bytes(home: StoredMap, tmp_path: Path) -> None:
@@ -92,19 +99,6 @@ def test_the_same_map_gives_the_same_bytes(home: StoredMap, tmp_path: Path) -> N
         for out in ("a", "b"):
             export_map(home, name, tmp_path / out, overwrite=True)
         assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
-
-
-def test_a_file_is_replaced_only_when_asked_to(stored: StoredMap, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"unknown format 'svg': choose from .*geojson, graphml"):
-        export_map(stored, "svg", tmp_path / "house.svg")
-    assert not (tmp_path / "house.svg").exists()
-    out = tmp_path / "house.graphml"
-    out.write_text("mine")
-    with pytest.raises(UsageError, match="exists already"):
-        export_map(stored, "graphml", out)
-    assert out.read_text() == "mine"
-    export_map(stored, "graphml", str(out), overwrite=True)
-    assert "graphml" in out.read_text()
 
 
 NAMES = """
@@ -151,37 +145,10 @@ def test_gis_tools_measure_shapes_in_metres(
         assert [feature["id"] for feature in features] == list(range(len(features)))
         shapes = [(shapely.shape(one["geometry"]), one["properties"]) for one in features]
         assert all(shape.is_valid for shape, _ in shapes)
-        outlines = {facts["id"]: shape for shape, facts in shapes if facts["kind"] == "submap"}
-        for node in stored.record.nodes:
-            assert outlines[node.id].equals(shapely.Polygon(node.polygon))
-            assert outlines[node.id].buffer(0.05).contains(shapely.Point(node.centroid))
         ways = [(shape, facts) for shape, facts in shapes if facts.get("length_m") is not None]
         assert len(ways) == len([edge for edge in stored.record.edges if edge.corners])
         for shape, facts in ways:
             assert shape.length == pytest.approx(facts["length_m"], abs=1e-5)
-
-
-def test_networkx_reads_the_figures_of_the_map_from_graphml_and_from_topology_json(
-    home: StoredMap, rooms: StoredMap, tmp_path: Path
-) -> None:
-    for stored in (home, rooms):
-        record, graph = stored.record, graphml(stored, tmp_path)
-        assert len(graph) == len(record.nodes)
-        assert graph.number_of_edges() == len(record.edges)
-        document = json.loads((stored.path / "topology.json").read_text())
-        own = nx.node_link_graph(document, edges="edges")
-        for node in record.nodes:
-            place = graph.nodes[node.id].get("anchor_x"), graph.nodes[node.id].get("anchor_y")
-            assert place == (node.anchor or (None, None))
-        for edge in record.edges:
-            found = graph.edges[edge.source, edge.target]
-            assert found.get("length_m") == edge.length_m
-            assert found.get("clearance_m") == edge.clearance_m
-            assert found["passable"] is (edge.path is not None)
-            assert found["doors"] == " ".join(map(str, edge.doors))
-            assert own.edges[edge.source, edge.target]["length_m"] == edge.length_m
-        widths = [door["width_m"] for door in own.graph["doors"]]
-        assert widths == [door.width_m for door in record.graph.doors]
 
 
 def test_evo_reads_the_trajectory(home: StoredMap) -> None:

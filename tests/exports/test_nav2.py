@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from pathlib import Path
 
@@ -15,13 +14,13 @@ from scipy.ndimage import distance_transform_edt
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.findings import Finding, Quality
 from specmap_cli.core.progress import Silent
-from specmap_cli.exports.routes import parts, routes
+from specmap_cli.exports.routes import parts
 from specmap_cli.exports.table import export_map
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.store import StoredMap
 from specmap_cli.maps.writing import MapResult
 from tests.exports.conftest import written
-from tests.exports.route_server import driven_m, load
+from tests.exports.route_server import load
 
 
 def exported(stored: StoredMap, out: Path) -> nx.DiGraph:
@@ -32,6 +31,10 @@ def exported(stored: StoredMap, out: Path) -> nx.DiGraph:
 def test_the_server_reads_anchors_doors_and_bends(home: StoredMap, tmp_path: Path) -> None:
     graph = exported(home, tmp_path / "home.geojson")
     kinds = nx.get_node_attributes(graph, "metadata")
+    for metadata in (*kinds.values(), *nx.get_edge_attributes(graph, "metadata").values()):
+        # a scorer that asks for a width of 1 as a float fails on a whole number
+        for key in ("width_m", "clearance_m", "area_m2"):
+            assert isinstance(metadata.get(key, 0.0), float)
     assert [kinds[node]["class"] for node in sorted(graph)] == [
         "corridor", "room", "room", "bend", "door", "door"
     ]  # fmt: skip
@@ -56,45 +59,44 @@ def test_a_way_is_driven_both_ways_and_is_as_long_as_in_the_map(
                 found = nx.shortest_path_length(graph, start, end, weight="cost")
                 assert found == pytest.approx(way.length_m, abs=1e-5)
         for start, end, cost in graph.edges(data="cost"):
-            assert cost == pytest.approx(driven_m(graph, start, end), abs=1e-5)
+            straight = math.dist(graph.nodes[start]["at"], graph.nodes[end]["at"])
+            assert cost == pytest.approx(straight, abs=1e-5)  # as its DistanceScorer has it
             assert graph.has_edge(end, start)
 
 
-def test_every_edge_runs_through_free_cells(
+def test_edges_run_through_free_cells_and_doors_stand_in_their_openings(
     rooms: StoredMap, flat: GridMap, tmp_path: Path
 ) -> None:
     """Straight from node to node, as the server drives, at the clearance of the map's ways."""
-    graph = exported(rooms, tmp_path / "rooms.geojson")
+    graph, record = exported(rooms, tmp_path / "rooms.geojson"), rooms.record
     clearance = distance_transform_edt(np.pad(flat.free, 1))[1:-1, 1:-1] * flat.resolution
-    radius = rooms.record.graph.robot_radius_m
-    assert radius is not None
+    assert record.graph.robot_radius_m is not None
+    places = {node: np.array(at) for node, at in graph.nodes(data="at")}
     for start, end in graph.edges:
-        a, b = (np.array([graph.nodes[at]["x"], graph.nodes[at]["y"]]) for at in (start, end))
+        a, b = places[start], places[end]
         steps = np.linspace(0.0, 1.0, 2 + int(math.dist(a, b) / 0.01))[:, None]
         cells = flat.cells_of(a + steps * (b - a))
-        assert clearance[cells[:, 0], cells[:, 1]].min() >= radius
-
-
-def test_doors_stand_where_ways_go_through_them(rooms: StoredMap) -> None:
-    found = routes(rooms.record)
-    doors = {door.id: door for door in rooms.record.graph.doors}
-    passed = {waypoint.door: waypoint for waypoint in found.waypoints if waypoint.door is not None}
-    assert sorted(passed) == sorted(door for edge in rooms.record.edges for door in edge.doors)
-    for id_, waypoint in passed.items():
-        door = doors[id_]
-        assert math.dist((waypoint.x, waypoint.y), (door.x, door.y)) <= door.width_m / 2
+        assert clearance[cells[:, 0], cells[:, 1]].min() >= record.graph.robot_radius_m
+    doors = {door.id: door for door in record.graph.doors}
+    metadata = nx.get_node_attributes(graph, "metadata")
+    passed = {of["door"]: places[node] for node, of in metadata.items() if "door" in of}
+    assert sorted(passed) == sorted(door for edge in record.edges for door in edge.doors)
+    for id_, place in passed.items():
+        assert math.dist(place, (doors[id_].x, doors[id_].y)) <= doors[id_].width_m / 2
 
 
 def test_narrow_and_forbidden_links_are_left_out_and_told(
-    lived_in: MapResult, tmp_path: Path
+    lived_in: MapResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     old = lived_in.topology
     edges = {**old.edges, (0, 2): dataclasses.replace(old.edges[0, 2], forbidden=True)}
     topology = dataclasses.replace(old, edges=edges)
     stored = written(tmp_path / "map", dataclasses.replace(lived_in, topology=topology))
-    notes = Notes()
-    warnings = export_map(stored, "nav2", tmp_path / "x.geojson", progress=notes)
-    assert notes.notes == [
+    notes: list[str] = []
+    progress = Silent()
+    monkeypatch.setattr(progress, "note", notes.append)
+    warnings = export_map(stored, "nav2", tmp_path / "x.geojson", progress=progress)
+    assert notes == [
         "left out: 1 link (0-2) forbidden",
         "left out: 1 link (1-2) without a way wide enough",
         "5 nodes and 6 directed edges",
@@ -108,29 +110,14 @@ def test_narrow_and_forbidden_links_are_left_out_and_told(
     assert parts(stored.record) == [[0, 1], [2]]
 
 
-class Notes(Silent):
-    """A progress that remembers its notes."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.notes: list[str] = []
-
-    def note(self, message: str) -> None:
-        self.notes.append(message)
-
-
 def test_what_would_mislead_is_a_warning(lived_in: MapResult, tmp_path: Path) -> None:
     old = lived_in.topology
     edges = {**old.edges, (0, 1): dataclasses.replace(old.edges[0, 1], kind="loose")}
-    submaps = {
-        **old.submaps,
-        2: dataclasses.replace(old.submaps[2], anchor=None, anchor_clearance_m=None),
-    }
+    nowhere = dataclasses.replace(old.submaps[2], anchor=None, anchor_clearance_m=None)
+    topology = dataclasses.replace(old, edges=edges, submaps={**old.submaps, 2: nowhere})
     poor = Quality.of([Finding(code="walls", severity="poor", message="walls stand twice")])
-    topology = dataclasses.replace(old, edges=edges, submaps=submaps)
-    stored = written(
-        tmp_path / "map", dataclasses.replace(lived_in, topology=topology, quality=poor)
-    )
+    judged = dataclasses.replace(lived_in, topology=topology, quality=poor)
+    stored = written(tmp_path / "map", judged)
     warnings = export_map(stored, "nav2", tmp_path / "x.geojson")
     assert warnings == [
         "the map is judged poor: a robot that follows its ways may meet walls",
@@ -159,12 +146,3 @@ def test_a_map_without_ways_is_refused(
         with pytest.raises(MapError, match=words):
             export_map(case, "nav2", tmp_path / "x.geojson")
     assert not (tmp_path / "x.geojson").exists()
-
-
-def test_numbers_stay_numbers_of_their_kind(home: StoredMap, tmp_path: Path) -> None:
-    """A scorer that asks for a width of 1 as a float fails on a whole number."""
-    export_map(home, "nav2", tmp_path / "home.geojson")
-    for feature in json.loads((tmp_path / "home.geojson").read_text())["features"]:
-        metadata = feature["properties"]["metadata"]
-        for key in ("width_m", "clearance_m", "area_m2"):
-            assert isinstance(metadata.get(key, 0.0), float)

@@ -20,16 +20,12 @@ def with_graph(directory: Path, result: MapResult, text: str) -> StoredMap:
     return written(directory, dataclasses.replace(result, pose_graph=text))
 
 
-def earlier(text: str) -> str:
-    """As earlier versions wrote it: the fixed vertex before the edges."""
-    lines = text.splitlines()
-    return "\n".join([*lines[:3], lines[-1], *lines[3:-1]]) + "\n"
-
-
 def test_the_fixed_vertex_stands_last_whatever_the_map_has(
     lived_in: MapResult, tmp_path: Path
 ) -> None:
-    for number, text in enumerate((POSE_GRAPH, earlier(POSE_GRAPH))):
+    lines = POSE_GRAPH.splitlines(keepends=True)
+    earlier = "".join([*lines[:3], lines[-1], *lines[3:-1]])  # as earlier versions wrote it
+    for number, text in enumerate((POSE_GRAPH, earlier)):
         stored = with_graph(tmp_path / str(number), lived_in, text)
         assert export_map(stored, "pose-graph", tmp_path / f"{number}.g2o") == []
         assert (tmp_path / f"{number}.g2o").read_text() == POSE_GRAPH

@@ -99,15 +99,10 @@ def test_a_zone_is_the_outline_of_its_submap_seen_from_the_node(
 
 
 def test_words_and_numbers_stay_what_they_are() -> None:
-    value = {
-        "words": "yes",
+    value: dict[str, Any] = {
+        **{"words": "yes", "umlaut": "Küche #2 \U0001f600\x07\u2028 \\", "none": []},
+        **{"tiny": 1e-6, "great": 123456789.0, "whole": 3, "flag": False},
         "more": {"number": "1e5", "quote": 'a "b": c\n- d'},
-        "umlaut": "Küche #2 \U0001f600\x07\u2028 \\",
-        "tiny": 1e-6,
-        "great": 123456789.0,
-        "whole": 3,
-        "flag": False,
-        "none": [],
         "list": [{"a": 1.5, "b": {"c": True}}, {"a": 2.0, "b": {}}],
     }
     text = yaml_text(value)

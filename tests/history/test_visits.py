@@ -22,20 +22,12 @@ def labels(seconds: list[float]) -> Labels:
     return Labels(stamps_ns=stamps, poses=poses, submaps=np.zeros(len(seconds), dtype=np.int64))
 
 
-@pytest.mark.parametrize(
-    ("seconds", "rooms", "visits"),
-    [
-        ([0, 10, 20, 30, 50], [0, 0, 1, 1, 0], [(0, 20), (1, 30), (0, 0)]),
-        ([0, 10, 20, 30], [NO_SUBMAP, NO_SUBMAP, 1, 1], [(1, 10)]),  # no room is known at first
-    ],
-)
-def test_a_visit_lasts_until_the_next_begins(
-    seconds: list[float], rooms: list[int], visits: list[tuple[int, int]]
-) -> None:
-    tour = tour_of(labels(seconds), np.array(rooms))
+def test_a_visit_lasts_until_the_next_begins_and_no_room_is_known_at_first() -> None:
+    rooms = np.array([NO_SUBMAP, NO_SUBMAP, 0, 0, 1, 1, 0])
+    tour = tour_of(labels([0, 10, 20, 30, 40, 50, 70]), rooms)
     lasted = [(one.room, (one.end_ns - one.start_ns) / _NS) for one in tour.visits]
-    assert lasted == visits
-    assert tour.driven_m == seconds[-1]
+    assert lasted == [(0, 20), (1, 30), (0, 0)]
+    assert tour.driven_m == 70
     assert tour_of(labels([0, 50]), np.array([0, 0]), 120.0).driven_m == 120
 
 

@@ -11,7 +11,6 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
@@ -63,30 +62,19 @@ class Browser:
         os.close(theirs_in)
         os.close(theirs_out)
         try:
-            self._attach()
+            target = self._send("Target.createTarget", {"url": "about:blank"})["targetId"]
+            attached = self._send("Target.attachToTarget", {"targetId": target, "flatten": True})
+            self._session = attached["sessionId"]
+            for domain in ("Page", "Runtime", "Log", "Network"):
+                self._send(f"{domain}.enable")
         except (BrowserGoneError, BrokenPipeError) as error:
-            self.close()
+            self.__exit__()
             raise BrowserGoneError(f"{program} does not start here") from error
-
-    def _attach(self) -> None:
-        target = self._send("Target.createTarget", {"url": "about:blank"})["targetId"]
-        attached = self._send("Target.attachToTarget", {"targetId": target, "flatten": True})
-        self._session = attached["sessionId"]
-        for domain in ("Page", "Runtime", "Log", "Network"):
-            self._send(f"{domain}.enable")
 
     def __enter__(self) -> Browser:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
+    def __exit__(self, *_: object) -> None:
         """End the browser; nothing of it stays."""
         self._process.terminate()
         try:
@@ -140,9 +128,8 @@ class Browser:
 
     def click(self, x: float, y: float) -> None:
         """Click at a place of the window."""
-        self.mouse("mouseMoved", x, y)
-        self.mouse("mousePressed", x, y)
-        self.mouse("mouseReleased", x, y)
+        for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
+            self.mouse(kind, x, y)
 
     def mouse(self, kind: str, x: float, y: float, **more: Any) -> None:
         """One event of the mouse; a press is of the left button."""

@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.findings import Finding, Quality, Where
-from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.grids.map_server import write_grid
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.maps.writing import MapResult, write_map
 from specmap_cli.pipelines.report import report_map
@@ -23,9 +21,6 @@ from tests.sharing import made_once
 
 # A name that somebody typed, and that would be markup if nobody minded.
 HOSTILE = "\"'><script>alert(1)</script>&"
-
-
-SPLITS = ((12, 1), (20, 2))  # keyframe, and which eigenvector divided the way there
 
 
 @pytest.fixture
@@ -63,7 +58,8 @@ def evidence() -> Evidence:
     trial = SplitTrial(
         keyframe=5, eigenvalues=values, chosen=0, split=False, nodes=nodes, sides=sides
     )
-    tests = (trial, *(replace(trial, keyframe=k, chosen=n, split=True) for k, n in SPLITS))
+    split = replace(trial, split=True)
+    tests = (trial, replace(split, keyframe=12, chosen=1), replace(split, keyframe=20, chosen=2))
     return Evidence(
         learned={1: Learned(features=features, scans=10, right=0.9, alike=(Likeness(2, 0.7),))},
         fit=np.linspace(0.4, 1.0, 30),
@@ -77,13 +73,6 @@ def evidence() -> Evidence:
 def page(house: StoredMap, evidence: Evidence) -> str:
     """The page of the house."""
     return render(house, evidence)
-
-
-@pytest.fixture
-def plan_yaml(flat: GridMap, tmp_path: Path) -> Path:
-    """The plan of the flat as a map file."""
-    write_grid(tmp_path / "plan", flat)
-    return tmp_path / "plan.yaml"
 
 
 @pytest.fixture(scope="session")

@@ -37,7 +37,7 @@ def test_it_opens_and_every_layer_is_drawn_and_hides(browser: Browser) -> None:
         assert not browser.run(shown), name
 
 
-def test_a_click_on_the_map_opens_a_submap(browser: Browser) -> None:
+def test_map_table_and_address_choose_and_show_one_submap(browser: Browser) -> None:
     assert chosen(browser) == []
     browser.click(*middle(browser, ".badge[data-submap='1']"))
     assert chosen(browser) == ["1"]
@@ -46,14 +46,15 @@ def test_a_click_on_the_map_opens_a_submap(browser: Browser) -> None:
     assert browser.run("one('.region.chosen').getAttribute('aria-pressed')") == "true"
     browser.run("one('#sheet-1 [data-close]').click()")
     assert chosen(browser) == []
-
-
-def test_the_table_and_the_map_know_of_each_other(browser: Browser) -> None:
     browser.run("one('tbody tr[data-submap=\"2\"] td').click()")
     assert chosen(browser) == ["2"]
     over = "new PointerEvent('pointerover', {bubbles: true})"
     browser.run(f"one('tr[data-submap=\"0\"]').dispatchEvent({over})")
     assert browser.run("one('.region.near').dataset.submap") == "0"
+    for address in ("1", "999"):  # which there is not
+        hashed = f"location.hash = '#submap-{address}'"
+        browser.run(f"{hashed}; new Promise((done) => setTimeout(done, 50))")
+        assert chosen(browser) == ["1"]
 
 
 def test_the_table_sorts_both_ways(browser: Browser, flat_map: StoredMap) -> None:
@@ -67,27 +68,22 @@ def test_the_table_sorts_both_ways(browser: Browser, flat_map: StoredMap) -> Non
     assert browser.run("all('#submaps th')[3].getAttribute('aria-sort')") == "descending"
 
 
-def test_the_slider_moves_the_robot(browser: Browser, flat_map: StoredMap) -> None:
-    places = [middle(browser, "#robot path")]  # where it began
-    for share in (0.3, 0.8):
-        browser.run(
-            f"slider.value = slider.max * {share}; slider.dispatchEvent(new Event('input'))"
-        )
-        places.append(middle(browser, "#robot path"))
-    assert len(set(places)) == 3
-    names = [f"submap {id_}" for id_ in flat_map.ids]
-    assert any(name in browser.run("one('#readout').textContent") for name in names)
-    assert any(name in browser.run("slider.getAttribute('aria-valuetext')") for name in names)
-
-
-def test_the_robot_stands_where_it_was(browser: Browser, flat_map: StoredMap) -> None:
+def test_the_slider_moves_the_robot_to_where_it_was(browser: Browser, flat_map: StoredMap) -> None:
     stamps, poses = flat_map.labels.stamps_ns, flat_map.labels.poses
-    row = len(stamps) // 2
-    browser.run(f"seek({(stamps[row] - stamps[0]) / 1e9})")
-    x, y = (float(browser.run(f"parseFloat(robot.style.getPropertyValue('--{k}'))")) for k in "xy")
+    places = [middle(browser, "#robot path")]  # where it began
     left, top = browser.run("[placeAt(0).x, placeAt(0).y]")
-    moved = poses[row, :2] - poses[0, :2]
-    assert (x - left, top - y) == pytest.approx((100 * moved).tolist(), abs=8.0)
+    for row in (len(stamps) // 3, len(stamps) // 2):
+        browser.run(f"slider.value = {(stamps[row] - stamps[0]) / 1e9}")
+        browser.run("slider.dispatchEvent(new Event('input'))")
+        places.append(middle(browser, "#robot path"))
+        at = (browser.run(f"parseFloat(robot.style.getPropertyValue('--{k}'))") for k in "xy")
+        x, y = map(float, at)
+        moved = poses[row, :2] - poses[0, :2]
+        assert (x - left, top - y) == pytest.approx((100 * moved).tolist(), abs=8.0)
+        name = f"submap {flat_map.labels.submaps[row]}"
+        assert name in browser.run("one('#readout').textContent")
+        assert name in browser.run("slider.getAttribute('aria-valuetext')")
+    assert len(set(places)) == 3
 
 
 def test_it_plays_and_stops(browser: Browser) -> None:
@@ -125,16 +121,13 @@ def test_the_keyboard_does_all(browser: Browser) -> None:
     browser.run("slider.focus()")
     browser.press("End")
     assert browser.run("slider.value") == browser.run("slider.max")
-
-
-def test_arrows_reach_every_submap(browser: Browser) -> None:
     reached = browser.run(
         """(() => { const seen = new Set(), open = [regions.keys().next().value];
         while (open.length) { const id = open.pop(); if (id === null || seen.has(id)) continue;
         seen.add(id); for (const way of Object.values(WAYS)) open.push(nextTo(id, way)); }
         return seen.size === regions.size; })()"""
     )
-    assert reached
+    assert reached, "arrows lead to every submap"
 
 
 def test_dragging_moves_the_map_and_chooses_nothing(browser: Browser) -> None:
@@ -175,22 +168,17 @@ def test_split_tests_show_their_spectrum_and_their_nodes(browser: Browser) -> No
     assert browser.run("all('#test-nodes circle').length") == 0
 
 
-@pytest.mark.parametrize("width", [320, 390])
-def test_a_phone_need_not_scroll_sideways(browser: Browser, width: int) -> None:
-    browser.size(width, 800, phone=True)
-    assert browser.run("document.documentElement.scrollWidth") <= width
-    browser.run("choose('1')")
-    assert browser.run("document.documentElement.scrollWidth") <= width
-
-
-@pytest.mark.parametrize("size", [(1280, 900), (1920, 1080), (820, 1180), (390, 844)])
-def test_the_map_and_its_slider_fit_on_the_screen(browser: Browser, size: tuple[int, int]) -> None:
-    browser.size(*size)
-    high = browser.run(
-        "one('#time').getBoundingClientRect().bottom - stage.getBoundingClientRect().top"
-    )
-    assert high < size[1]
+@pytest.mark.parametrize("size", [(320, 800), (390, 844), (820, 1180), (1280, 900), (1920, 1080)])
+def test_map_and_slider_fit_on_any_screen_and_nobody_scrolls_sideways(
+    browser: Browser, size: tuple[int, int]
+) -> None:
+    browser.size(*size, phone=size[0] < 400)
+    low = "one('#time').getBoundingClientRect().bottom"
+    assert browser.run(f"{low} - stage.getBoundingClientRect().top") < size[1]
     assert browser.run("stage.clientHeight") > 200
+    for _ in range(2):
+        assert browser.run("document.documentElement.scrollWidth") <= size[0]
+        browser.run("choose('1')")
 
 
 def test_day_and_night(browser: Browser) -> None:
@@ -211,10 +199,3 @@ def test_on_paper_are_all_submaps_and_no_buttons(browser: Browser, flat_map: Sto
     assert browser.run("one('#playback').offsetHeight") == 0
     browser.prefers(color_scheme="light")
     assert browser.paper().startswith(b"%PDF")
-
-
-def test_the_address_names_the_submap(browser: Browser) -> None:
-    browser.run("location.hash = '#submap-2'; new Promise((done) => setTimeout(done, 50))")
-    assert chosen(browser) == ["2"]
-    browser.run("location.hash = '#submap-999'; new Promise((done) => setTimeout(done, 50))")
-    assert chosen(browser) == ["2"]

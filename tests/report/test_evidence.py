@@ -11,6 +11,8 @@ import pytest
 
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.progress import Silent
+from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.map_server import write_grid
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.pipelines.report import evidence_of, report_map
 from specmap_cli.pipelines.segment import segment_map
@@ -68,9 +70,10 @@ def test_a_map_without_scans_says_so(flat_map: StoredMap, tmp_path: Path) -> Non
     assert "keeps no scans" in note
 
 
-def test_a_divided_plan_has_a_page_unless_it_is_torn_apart(plan_yaml: Path, tmp_path: Path) -> None:
+def test_a_divided_plan_has_a_page_unless_it_is_torn_apart(flat: GridMap, tmp_path: Path) -> None:
     rooms = tmp_path / "rooms"
-    segment_map(plan_yaml, rooms)
+    write_grid(tmp_path / "plan", flat)
+    segment_map(tmp_path / "plan.yaml", rooms)
     page = report_map(rooms)
     assert page.count('class="region"') == len(read_map(rooms).ids) > 2
     assert 'id="time"' not in page

@@ -46,9 +46,6 @@ class Read(HTMLParser):
         if tag not in VOID:
             self.open.append(tag)
 
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.tags.append((tag, dict(attrs)))
-
     def handle_endtag(self, tag: str) -> None:
         if tag not in VOID:
             assert self.open.pop() == tag
@@ -56,14 +53,15 @@ class Read(HTMLParser):
     def handle_data(self, data: str) -> None:
         self.texts.append(data)
 
-    def of(self, tag: str) -> list[dict[str, str | None]]:
-        """The attributes of all tags of a kind."""
-        return [attributes for name, attributes in self.tags if name == tag]
+    def of(self, tag: str, **given: str) -> list[dict[str, str | None]]:
+        """The attributes of all tags of a kind that have those `given`."""
+        wanted = {name.rstrip("_"): value for name, value in given.items()}.items()
+        return [found for name, found in self.tags if name == tag and wanted <= found.items()]
 
     @property
-    def data(self) -> dict[str, object]:
-        """What the script gets."""
-        return dict(json.loads(next(text for text in self.texts if text.startswith('{"height"'))))
+    def words(self) -> str:
+        """All that is said."""
+        return " ".join(" ".join(self.texts).split())
 
 
 @pytest.fixture
@@ -72,19 +70,10 @@ def read(page: str) -> Read:
     return Read(page)
 
 
-def classed(read: Read, name: str) -> list[dict[str, str | None]]:
-    """The paths of a class."""
-    return [each for each in read.of("path") if each.get("class") == name]
-
-
-def words(page: str) -> str:
-    """All that is said on a page."""
-    return " ".join(" ".join(Read(page).texts).split())
-
-
 def test_whatever_somebody_wrote_stays_text(page: str, read: Read) -> None:
     assert read.open == []
-    assert read.data["names"] == {"0": "submap 0", "1": HOSTILE, "2": "submap 2"}
+    data = json.loads(next(text for text in read.texts if text.startswith('{"height"')))
+    assert data["names"] == {"0": "submap 0", "1": HOSTILE, "2": "submap 2"}
     assert Counter(tag for tag, _ in read.tags)["script"] == 2  # data, and ours
     assert "<script>alert" not in page
     names = [text for text in read.texts if HOSTILE in text]
@@ -133,7 +122,7 @@ def test_submaps_doors_and_findings_are_told_of_wherever_they_are(page: str, rea
     marked = [tag for tag, attributes in read.tags if attributes.get("data-submap") == "1"]
     assert {"article", "tr", "g", "rect", "a"} <= set(marked)
     for told in ("door 0", "0.90 m", "Of 10 of its own scans 90 % are told right"):
-        assert told in words(page)
+        assert told in read.words
     groups = {each.get("id"): each.get("class") or "" for each in read.of("g")}
     assert groups["door-0"].split() == ["door", "driven"]
     assert groups["door-1"].split() == ["door", "forbidden"]
@@ -173,7 +162,8 @@ def test_what_differs_from_an_older_map_is_drawn_where_it_is(
     page = render(house, evidence, changes)
     read = Read(page)
     (vanished,), (closed,), (old,), (new,) = (
-        classed(read, name) for name in ("change-vanished", "change-closed", "old-walls", "walls")
+        read.of("path", class_=name)
+        for name in ("change-vanished", "change-closed", "old-walls", "walls")
     )
     first = [re.match(r"M(-?\d+) (-?\d+)", each["d"] or "") for each in (old, new)]
     (x, y), (u, v) = ((int(found[1]), int(found[2])) for found in first if found)
@@ -194,54 +184,44 @@ def test_a_map_of_schema_1_without_evidence_has_a_page_without_these_parts(
         if schema_1:
             (house.path / "topology.json").write_bytes(old.read_bytes())
         read = Read(render(read_map(house.path), Evidence()))
-        assert not [each for each in read.of("div") if each.get("id") == "tests"]
-        assert not [each for each in read.of("select") if each.get("id") == "colours"]
-        assert "most like" not in " ".join(read.texts)
+        assert read.of("div", id="tests") == read.of("select", id="colours") == []
+        assert "most like" not in read.words
         assert any("schema 1" in text for text in read.texts) == schema_1
-        assert len([each for each in read.of("g") if each.get("class") == "region"]) == 3
+        assert len(read.of("g", class_="region")) == 3
     (house.path / "labels.csv").write_text("nonsense\n")
     with pytest.raises(MapError, match=r"labels\.csv: line 1"):
         render(read_map(house.path), Evidence())
 
 
-def test_a_run_that_somebody_changed_is_shown_as_far_as_it_is_one(
+def test_a_run_that_somebody_changed_is_shown_as_far_as_it_is_one_and_lost_scans_are_marked(
     house: StoredMap, evidence: Evidence
 ) -> None:
     run = {"counts": {"scans": 30, "odd": "x"}, "seconds": {"a": "b"}, "inputs": 4, "config": {}}
     (house.path / "run.json").write_text(json.dumps(run))
-    text = words(render(read_map(house.path), evidence))
-    assert "Counted" in text
-    assert "Seconds of each stage" not in text
-
-
-def test_what_is_left_out_is_said(house: StoredMap, evidence: Evidence) -> None:
-    many = replace(evidence, tests=evidence.tests * MOST_TESTS)
-    told = f"Of {3 * MOST_TESTS:,} split tests {MOST_TESTS:,} are shown"
-    assert told in words(render(house, many))
-    assert "split tests" not in words(render(house, evidence)).split('"use')[0]
-
-
-def test_lost_scans_are_marked_where_they_were_guessed(
-    house: StoredMap, evidence: Evidence
-) -> None:
     tum = house.path / "trajectory.tum"
     first, second, *rest = tum.read_text().splitlines(keepends=True)
     tum.write_text("".join([first, "# lost: a guess\n", second, "# found\n", *rest]))
     read = Read(render(read_map(house.path), evidence))
-    assert len(classed(read, "lost")) == 1
+    assert "Counted" in read.words
+    assert "Seconds of each stage" not in read.words
+    assert len(read.of("path", class_="lost")) == 1
     assert "of 30 scans lost" in read.texts
 
 
-def test_of_many_refused_closures_those_with_the_largest_xi_are_drawn(
-    house: StoredMap, evidence: Evidence
+def test_of_many_split_tests_and_refused_closures_some_are_drawn_and_how_many_is_said(
+    house: StoredMap, evidence: Evidence, read: Read
 ) -> None:
+    """Of closures those with the largest xi."""
+    many_tests = replace(evidence, tests=evidence.tests * MOST_TESTS)
     document = json.loads((house.path / "topology.json").read_text())
     (refused,) = (each for each in document["graph"]["closures"] if not each["accepted"])
     many = [{**refused, "xi": 0.001 * k} for k in range(2 * MOST_REFUSED)]
     document["graph"]["closures"] = many
     (house.path / "topology.json").write_text(json.dumps(document))
-    read = Read(render(read_map(house.path), evidence))
-    drawn = classed(read, "closure-refused")
+    assert "split tests" not in read.words.split('"use')[0]
+    read = Read(render(read_map(house.path), many_tests))
+    assert f"Of {3 * MOST_TESTS:,} split tests {MOST_TESTS:,} are shown" in read.words
+    drawn = read.of("path", class_="closure-refused")
     assert len(drawn) == MOST_REFUSED
     assert f"(xi {0.001 * (2 * MOST_REFUSED - 1):.2f})" in (drawn[0]["data-tip"] or "")
     said = f"Of {2 * MOST_REFUSED:,} refused closures the {MOST_REFUSED:,} with the largest"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 
 import numpy as np
@@ -20,19 +21,15 @@ from tests.drawing.seeing import contrast, seen_lab
 
 FRAME = Frame(-2.0, 8.0, 1000, 1000)
 TEXT = ("ink", "quiet", "way", "loose", "wrong")  # what words are written in
-BOTH = ("day", "night")
 
 
 def drawn(data: str) -> list[list[tuple[int, int]]]:
     """The points of path data, read the way a browser does."""
     lines: list[list[tuple[int, int]]] = []
     for start, steps in re.findall(r"M(-?\d+ -?\d+)l?([-\d ]*)", data):
-        numbers = [int(each) for each in re.findall(r"-?\d+", steps)]
-        points = [tuple(map(int, start.split()))]
-        for dx, dy in zip(numbers[::2], numbers[1::2], strict=True):
-            x, y = points[-1]
-            points.append((x + dx, y + dy))
-        lines.append([(x, y) for x, y in points])
+        moves = [int(each) for each in re.findall(r"-?\d+", f"{start} {steps}")]
+        points = np.cumsum(np.reshape(moves, (-1, 2)), axis=0)
+        lines.append([(x, y) for x, y in points.tolist()])
     return lines
 
 
@@ -47,14 +44,6 @@ def test_a_line_comes_back_as_it_was_but_for_repeated_points(
         assert drawn(path_data([line])) == [[tuple(point) for point in kept.tolist()]]
     else:
         assert path_data([line]) == f"M{points[0][0]} {points[0][1]}h0"
-
-
-def test_up_in_the_map_is_up_in_a_drawing_of_all_points_with_a_margin() -> None:
-    assert FRAME.place((-2.0, 8.0)) == (0, 0)
-    assert FRAME.place((0.0, 7.5)) == (200, 50)
-    frame = Frame.around(np.array([[0.0, 0.0], [4.0, 2.0]]))
-    assert (frame.width, frame.height) == (500, 300)
-    assert frame.place((0.0, 0.0)) == (50, 250)
 
 
 def test_cells_keep_their_outline_and_their_holes_and_slanted_stairs_become_a_line() -> None:
@@ -82,7 +71,7 @@ def labels_of(count: int) -> Labels:
     )
 
 
-def test_the_table_of_the_way_adds_up() -> None:
+def test_the_table_of_the_way_adds_up_with_up_in_the_map_up_in_the_drawing() -> None:
     track = Track.of(labels_of(10), (), np.linspace(0.1, 1.0, 10))
     table = track.table(FRAME)
     assert np.cumsum(table["t"]).tolist() == list(range(0, 100, 10))
@@ -91,28 +80,24 @@ def test_the_table_of_the_way_adds_up() -> None:
     assert table["s"] == [[3, 5], [7, 5]]
     assert table["fit"] == list(range(10, 110, 10))
     assert track.visits() == [(0.0, 5.0, 3), (5.0, 9.0, 7)]
+    frame = Frame.around(track.poses[:, :2])  # with a margin of half a metre
+    assert (frame.width, frame.height, frame.place((0.0, 0.0))) == (190, 100, (50, 50))
 
 
-def lines_of(track: Track) -> list[list[tuple[int, int]]]:
-    return [line for _, data in track.by_time(FRAME) for line in drawn(data)]
-
-
-def test_between_recordings_no_time_passes_and_no_line_is_drawn() -> None:
-    labels = labels_of(40)
+def test_no_line_is_drawn_between_recordings_and_a_long_way_is_thinned() -> None:
+    count = 3 * MOST_POINTS
+    labels, whole = labels_of(40), Track.of(labels_of(count), (), None)
     labels.stamps_ns[20:] += 86_400 * 10**9
     labels.poses[20:, 1] += 7.0
     track = Track.of(labels, (20,), None)
-    assert (track.duration_s, track.starts) == (38.0, (0.0, 19.0))
-    assert all(len({y for _, y in line}) == 1 for line in lines_of(track))
-
-
-def test_a_long_way_is_thinned() -> None:
-    count = 3 * MOST_POINTS
-    track = Track.of(labels_of(count), (), None)
-    assert (len(track.seconds), track.total) == (MOST_POINTS, count)
-    assert track.seconds[-1] == count - 1
-    ends = [line[-1] for line in lines_of(track)]
-    assert max(ends)[0] == FRAME.place((0.1 * (count - 1), 0.0))[0]
+    assert (track.duration_s, track.starts) == (38.0, (0.0, 19.0)), "no time passes between them"
+    broken, thinned = (
+        [line for _, data in each.by_time(FRAME) for line in drawn(data)] for each in (track, whole)
+    )
+    assert all(len({y for _, y in line}) == 1 for line in broken)
+    assert (len(whole.seconds), whole.total) == (MOST_POINTS, count)
+    assert whole.seconds[-1] == count - 1
+    assert max(line[-1] for line in thinned)[0] == FRAME.place((0.1 * (count - 1), 0.0))[0]
 
 
 def bgr(css: str) -> Colour:
@@ -121,29 +106,25 @@ def bgr(css: str) -> Colour:
     return blue, green, red
 
 
-@pytest.mark.parametrize("which", BOTH)
+@pytest.mark.parametrize("which", ["day", "night"])
 def test_words_and_lines_are_legible(which: str) -> None:
     colours = {name: bgr(getattr(tone, which)) for name, tone in tones(FILLS).items()}
     for name, colour in colours.items():
-        if name.startswith("fill") or name in ("paper", "shade", "hair"):
-            continue
-        # lines have a rim of paper wherever they run; words stand on paper
-        least = 4.5 if name in TEXT else 3.0
-        assert contrast(colour, colours["paper"]) >= least, name
-    for name, fill in colours.items():
         if name.startswith("fill"):
-            assert contrast(colours["ink"], fill) >= 3.0, f"walls on {name}"
+            assert contrast(colours["ink"], colour) >= 3.0, f"walls on {name}"
+        elif name not in ("paper", "shade", "hair"):
+            # lines have a rim of paper wherever they run; words stand on paper
+            assert contrast(colour, colours["paper"]) >= (4.5 if name in TEXT else 3.0), name
 
 
 def test_regions_that_differ_by_day_differ_by_night() -> None:
     fills = [tone for name, tone in tones(FILLS).items() if name.startswith("fill")]
-    for k, one in enumerate(fills):
-        for other in fills[:k]:
-            day, night = (
-                np.linalg.norm(np.subtract(*seen_lab([bgr(first), bgr(second)], "usual")))
-                for first, second in ((one.day, other.day), (one.night, other.night))
-            )
-            assert night >= 0.5 * day
+    for pair in itertools.combinations(fills, 2):
+        day, night = (
+            np.linalg.norm(np.subtract(*seen_lab([bgr(code) for code in codes], "usual")))
+            for codes in ([one.day for one in pair], [one.night for one in pair])
+        )
+        assert night >= 0.5 * day
 
 
 def test_figures_texts_and_features_read_as_people_write_them() -> None:
