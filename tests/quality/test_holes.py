@@ -60,9 +60,9 @@ def evidence(*holes: Hole, ties: Sequence[tuple[int, int]] = ()) -> Evidence:
     return evidence_of(poses, 5 * 10**8, layout={"kept": kept}, holes=holes)
 
 
-def hole(measured: Pose2 | None, apart: Pose2, alike: float = 0.9, keyframe: int = 100) -> Hole:
+def hole(measured: Pose2 | None, apart: Pose2, alike: float = 0.9) -> Hole:
     return Hole(
-        row=keyframe, keyframe=keyframe, seconds=30.0, measured=measured, apart=apart, alike=alike
+        row=100, keyframe=100, seconds=30.0, measured=measured, apart=apart, alike=alike
     )
 
 
@@ -259,10 +259,9 @@ def test_places_known_from_before_confirm_what_follows_a_hole(
 
 
 def test_each_piece_between_holes_needs_ties_of_its_own() -> None:
-    first = hole(STILL, Pose2(1.4, 0.0, 0.0), keyframe=50)
-    second = hole(STILL, Pose2(1.4, 0.0, 0.0), keyframe=100)
-    (found,) = unwatched(evidence(first, second, ties=TIES))
+    first = replace(CARRIED, row=50, keyframe=50)
+    (found,) = unwatched(evidence(first, CARRIED, ties=TIES))
     assert found.where is not None
     assert found.where.stamp_ns == 25 * 10**9  # what follows it is tied to what precedes both
     middle = [(10, 72), (20, 84), (30, 95)]
-    assert not list(unwatched(evidence(first, second, ties=[*TIES, *middle])))
+    assert not list(unwatched(evidence(first, CARRIED, ties=[*TIES, *middle])))
