@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from specmap_cli.core.geometry import FloatArray, Pose2, compose
+from specmap_cli.core.geometry import Pose2, compose
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.audit import (
@@ -37,8 +37,6 @@ from tests.layout.driving import (
 )
 
 Bent = tuple[KeyframeStore, Layout]
-
-
 
 
 @pytest.fixture(scope="module")

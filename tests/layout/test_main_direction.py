@@ -18,7 +18,6 @@ from specmap_cli.layout.result import Layout
 from tests.layout.driving import CONFIG, stored
 
 
-
 @pytest.fixture(scope="module")
 def toured(flat_tour: list[tuple[Sweep, Pose2]]) -> Iterator[tuple[KeyframeStore, FloatArray]]:
     """Some scans of the flat, and the true poses; the walls of the plan lie along its axes."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
+from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import BoolArray
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.score_field import ScoreField
@@ -64,8 +64,6 @@ def test_the_best_score_is_that_of_trying_everything(seed: int) -> None:
     assert scores[0] >= tried_everywhere(field, source, ANGLES) - 1e-12
     assert scores == sorted(scores, reverse=True)
     assert scores[-1] >= scores[0] - 0.02
-
-
 
 
 @few(4)

@@ -171,8 +171,6 @@ def test_the_layout_holds_what_it_was_made_of(store: KeyframeStore) -> None:
         layout.poses = before  # type: ignore[misc]
 
 
-
-
 @pytest.mark.usefixtures("alone")
 def test_one_closure_does_not_move_a_piece_that_odometry_bridged(drive: Drive) -> None:
     """The bridge is good to 2 cm; a wrong closure asks for four metres."""

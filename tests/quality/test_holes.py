@@ -61,9 +61,7 @@ def evidence(*holes: Hole, ties: Sequence[tuple[int, int]] = ()) -> Evidence:
 
 
 def hole(measured: Pose2 | None, apart: Pose2, alike: float = 0.9) -> Hole:
-    return Hole(
-        row=100, keyframe=100, seconds=30.0, measured=measured, apart=apart, alike=alike
-    )
+    return Hole(row=100, keyframe=100, seconds=30.0, measured=measured, apart=apart, alike=alike)
 
 
 TIES = [(10, 130), (20, 145), (30, 160)]  # 15, 22.5 and 30 m after the hole

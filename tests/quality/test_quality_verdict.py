@@ -148,8 +148,8 @@ def test_odometry_of_another_robot_makes_a_map_doubtful(share: float, count: int
     found = judged(travelled(base, odometry=base.trajectory.poses * (1.0 - share, 1.0, 1.0)))
     assert found.verdict == ("good", "doubtful")[count]
     message = "odometry and the map disagree by 35% of the way nearly everywhere"
-    told = [(one.message, one.value) for one in found.findings]
-    assert told == [(message, pytest.approx(0.35))] * count
+    assert [one.message for one in found.findings] == [message] * count
+    assert [one.value for one in found.findings] == pytest.approx([0.35] * count)
 
 
 def test_odometry_is_compared_where_there_is_some_and_a_slip_of_wheels_is_a_note() -> None:
@@ -219,7 +219,8 @@ UNKNOWN = tuple(replace(one, offset=None) for one in TWICE)
         ),
         (
             replace(evidence(), beyond=3),
-            "doubtful beyond-grid: 3 keyframes beyond the largest grid allowed, left out of the map",
+            "doubtful beyond-grid: 3 keyframes beyond the largest grid allowed, left out of the "
+            "map",
         ),
     ],
 )
