@@ -92,6 +92,11 @@ def drifted(truth: FloatArray, bias: float = 0.0003) -> FloatArray:
     return chained(truth[0], steps + (0.0, 0.0, bias))
 
 
+def moved_from(first: int, poses: FloatArray, motion: Sequence[float]) -> FloatArray:
+    """The poses, those from the `first` on moved by a motion of the map."""
+    return np.concatenate([poses[:first], compose(np.array(motion), poses[first:])])
+
+
 def stored(tracked: FloatArray, scans: Sequence[PlanarScan]) -> KeyframeStore:
     """A store of scans at their tracked poses."""
     store = KeyframeStore()

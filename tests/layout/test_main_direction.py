@@ -11,29 +11,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, wrap_angle
-from specmap_cli.core.records import PosedScan, Sweep
-from specmap_cli.core.settings import RelaxationConfig
+from specmap_cli.core.records import Sweep
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.main_direction import along_walls, wall_direction
 from specmap_cli.layout.result import Layout
-
-CONFIG = RelaxationConfig()
+from tests.layout.driving import CONFIG, stored
 
 
 @pytest.fixture(scope="module")
 def toured(flat_tour: list[tuple[Sweep, Pose2]]) -> Iterator[tuple[KeyframeStore, FloatArray]]:
     """Some scans of the flat, and the true poses; the walls of the plan lie along its axes."""
-    with KeyframeStore() as store:
-        for sweep, pose in flat_tour[::40]:
-            store.append(
-                PosedScan(
-                    index=sweep.index,
-                    stamp_ns=sweep.stamp_ns,
-                    map_from_base=pose,
-                    planar=sweep.planar,
-                    base_from_laser=sweep.base_from_laser,
-                )
-            )
+    scans, poses = zip(*flat_tour[::40], strict=True)
+    with stored(np.array(poses), [sweep.planar for sweep in scans]) as store:
         yield store, store.poses
 
 

@@ -28,6 +28,7 @@ from tests.layout.driving import (
     graph_by_hand,
     link,
     missed,
+    moved_from,
     round_trip,
     scans_of,
     stored,
@@ -37,15 +38,13 @@ from tests.layout.driving import (
 from tests.strategies import pose_arrays, seeds
 from tests.turning import turned
 
-AWAY = np.array([3.0, -2.0, 0.9])  # where the second part was put by a guess
+AWAY = (3.0, -2.0, 0.9)  # where the second part was put by a guess
 
 
 def kidnapped() -> tuple[FloatArray, Graph]:
     """True poses, and the graph of a robot that was lost at 20 and again at 40."""
     truth = arc(60)
-    tracked = np.array(truth)
-    tracked[20:] = compose(AWAY, truth[20:])
-    tracked[40:] = compose(AWAY, tracked[40:])
+    tracked = moved_from(40, moved_from(20, truth, AWAY), AWAY)
     return truth, graph_by_hand(tracked, breaks=(20, 40))
 
 
@@ -59,15 +58,6 @@ def test_a_part_goes_where_links_put_it(poses: FloatArray, seed: int) -> None:
     assert placed.tied == {0, 1}
     assert np.hypot(*gap[:2]) < 1e-6
     assert abs(wrap_angles(gap[2:])[0]) < 1e-9
-
-
-def test_only_links_from_a_part_to_older_ones_place_it() -> None:
-    truth, graph = kidnapped()
-    draft = Draft(poses=graph.poses)
-    links = [true_link(truth, *ends) for ends in ((21, 30), (25, 50), (5, 45))]
-    assert place_part(graph, draft, 1, links, votes=1) is draft
-    assert place_part(graph, draft, 2, links, votes=1).tied == {0, 2}
-    assert place_part(graph, draft, 2, links, votes=3) is draft
 
 
 MOTIONS = st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-0.4, 0.4))
@@ -97,10 +87,13 @@ def test_parts_go_where_most_closures_put_them() -> None:
     assert draft.loops == (), "the closures themselves are judged later"
 
 
-def test_a_part_takes_along_what_hangs_on_it_and_is_not_moved_without_votes() -> None:
+def test_links_that_agree_take_a_part_to_older_ones_and_along_what_hangs_on_it() -> None:
     truth, graph = kidnapped()
-    draft = place_parts(graph, [], 2)
-    assert draft.tied == {0}
+    draft = Draft(poses=graph.poses)
+    links = [true_link(truth, *ends) for ends in ((21, 30), (25, 50), (5, 45))]
+    assert place_part(graph, draft, 1, links, votes=1) is draft, "no link to an older part"
+    assert place_part(graph, draft, 2, links, votes=1).tied == {0, 2}
+    assert place_part(graph, draft, 2, links, votes=3) is draft
     finds = [true_link(truth, 0, 25), true_link(truth, 5, 35), link(1, 30, (9.0, 9.0, 1.0))]
     assert place_part(graph, draft, 1, finds, votes=3) is draft
     placed = place_part(graph, draft, 1, finds, votes=2)
@@ -150,8 +143,7 @@ def search_along(
 def test_a_part_is_moved_when_enough_finds_agree() -> None:
     """The second lap was put metres away and turned; three places along it say where it belongs."""
     truth = round_trip(1.25)[::2]
-    kidnapped = np.array(truth)
-    kidnapped[260:] = compose(np.array([3.0, -2.0, 0.9]), truth[260:])
+    kidnapped = moved_from(260, truth, AWAY)
     with stored(kidnapped, scans_of(building(), truth)) as store:
         graph = graph_of(store, [], {260: None})
         rows = np.flatnonzero(graph.parts == 1).tolist()[::4]

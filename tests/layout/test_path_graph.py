@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -20,7 +21,6 @@ from specmap_cli.layout.path_graph import (
     NODE_M,
     chosen_nodes,
     graph_of,
-    motion_links,
     rows_every,
     step_information,
 )
@@ -31,28 +31,21 @@ from tests.turning import turned
 NOTHING = np.zeros((0, 2))
 
 
-def test_nodes_are_a_step_or_a_turn_apart_and_hold_what_must_be() -> None:
-    poses = np.column_stack([np.arange(100) * 0.05, np.zeros(100), np.zeros(100)])
-    nodes = chosen_nodes(poses, {17, 50}).tolist()
-    assert {0, 17, 50, 99} <= set(nodes)
-    assert np.diff(nodes).max() * 0.05 <= NODE_M + 0.05 + 1e-9
-    assert len(nodes) < 25
-    on_the_spot = np.column_stack([np.zeros(60), np.zeros(60), np.arange(60) * 0.1])
-    assert chosen_nodes(on_the_spot, ()).tolist() == [*range(0, 60, 3), 59]
-
-
 @given(st.integers(0, 1000), st.integers(1, 60), st.sets(st.integers(0, 59), max_size=4))
-def test_every_keyframe_is_near_the_node_before_it(seed: int, count: int, always: set[int]) -> None:
+def test_nodes_are_a_step_or_a_turn_apart_and_hold_what_must_be(
+    seed: int, count: int, always: set[int]
+) -> None:
     rng = np.random.default_rng(seed)
-    steps = rng.uniform((0.0, 0.0, -0.2), (0.2, 0.0, 0.2), (count - 1, 3))
+    steps = rng.uniform((0.0, 0.0, -0.3), (0.2, 0.0, 0.3), (count - 1, 3))
     poses = chained(np.zeros(3), steps)
     nodes = chosen_nodes(poses, always).tolist()
+    due = {0, count - 1} | {k for k in always if k < count}
     assert nodes == sorted(set(nodes))
-    assert {0, count - 1} | {k for k in always if k < count} <= set(nodes)
-    for k in set(range(count)) - set(nodes):
+    assert due <= set(nodes)
+    for k in range(1, count):
         motion = between(poses, max(node for node in nodes if node < k), k)
-        assert motion.distance < NODE_M
-        assert abs(motion.theta) < _NODE_RAD
+        far = motion.distance >= NODE_M or abs(motion.theta) >= _NODE_RAD
+        assert (k in nodes) == (far or k in due)
 
 
 def test_parts_begin_at_breaks_and_the_path_jumps_there(store: KeyframeStore) -> None:
@@ -69,6 +62,12 @@ def test_parts_begin_at_breaks_and_the_path_jumps_there(store: KeyframeStore) ->
     assert graph.path[0] == 0.0
     loose = [edge.kind == "loose" for edge in graph.odometry]
     assert loose == [bool(k in over) for k in range(len(graph.nodes) - 1)]
+    for edge, ends in zip(graph.odometry, pairwise(graph.nodes.tolist()), strict=True):
+        assert (edge.source, edge.target) == ends
+        expected = between(store.poses, *ends)
+        assert edge.source_from_target == pytest.approx(expected, abs=1e-12)
+        assert np.array_equal(edge.information, GUESS_INFORMATION) == (edge.kind == "loose")
+    assert graph.odometry[0].information[0, 0] > 100 * GUESS_INFORMATION[0, 0]
     assert [graph.row[number] for number in graph.nodes.tolist()] == list(range(len(graph.nodes)))
     assert np.array_equal(graph.poses, store.poses[graph.nodes])
     with pytest.raises(dataclasses.FrozenInstanceError):
@@ -172,16 +171,3 @@ def test_the_noise_of_a_motion_is_set() -> None:
     with turned("layout.path_graph", **noise):
         spread = spread_of(Pose2(2.0, 0.0, 0.5), NOTHING)
     assert np.sqrt(np.diag(spread)) == pytest.approx([0.61, 0.61, 0.103], rel=1e-4)
-
-
-def test_each_node_is_linked_to_the_next_and_loosely_over_a_break(store: KeyframeStore) -> None:
-    nodes = np.array([0, 3, 7, 20])
-    links = motion_links(store, nodes, {7: None})
-    kinds = [(edge.source, edge.target, edge.kind) for edge in links]
-    assert kinds == [(0, 3, "odometry"), (3, 7, "loose"), (7, 20, "odometry")]
-    for edge in links:
-        expected = between(store.poses, edge.source, edge.target)
-        assert edge.source_from_target == pytest.approx(expected, abs=1e-12)
-    assert np.array_equal(links[1].information, GUESS_INFORMATION)
-    assert links[0].information[0, 0] > 100 * links[1].information[0, 0]
-    assert motion_links(store, nodes[:1], {}) == ()

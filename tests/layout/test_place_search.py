@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
+from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import BoolArray
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.score_field import ScoreField
@@ -57,24 +57,13 @@ def tried_everywhere(
 def test_the_best_score_is_that_of_trying_everything(seed: int) -> None:
     field, source = field_of(scatter(seed)), scatter(seed + 1, 12, 4.0)
     pyramid = Pyramid.of(field, 8.0)
-    found = best_places(pyramid, source, pyramid.blocks(), ANGLES, ALL, 1)
-    assert found[0].score >= tried_everywhere(field, source, ANGLES) - 1e-12
-
-
-@pytest.mark.parametrize("angle", [0.0, 0.8, 2.4])
-def test_points_are_found_where_they_are_from(angle: float) -> None:
-    walls, pose = scatter(3, 120, 15.0), Pose2(4.0, -2.0, angle)
-    source = walls[np.hypot(*(walls - (7.0, 7.0)).T) < 4.0]
-    pyramid = Pyramid.of(field_of(pose.apply(walls)), 8.0)
-    wanted = Wanted(least=0.5, lead=0.02, most=10**6)
-    found = best_places(pyramid, source, pyramid.blocks(), ANGLES, wanted, 3)
-    gap = pose.inverse() @ found[0].pose
-    middle = gap.apply(source.mean(axis=0)[None]) - source.mean(axis=0)
-    assert np.hypot(*middle[0]) < 2 * CELL_M
-    assert abs(wrap_angle(gap.theta)) < 0.01
-    scores = [match.score for match in found]
+    wanted = Wanted(least=0.0, lead=0.02, most=10**6)
+    scores = [
+        match.score for match in best_places(pyramid, source, pyramid.blocks(), ANGLES, wanted, 3)
+    ]
+    assert scores[0] >= tried_everywhere(field, source, ANGLES) - 1e-12
     assert scores == sorted(scores, reverse=True)
-    assert min(scores) >= scores[0] - 0.02
+    assert scores[-1] >= scores[0] - 0.02
 
 
 @few(4)
@@ -89,18 +78,6 @@ def test_the_robot_stands_in_free_cells_alone(seed: int) -> None:
     at = np.round((np.array(found[0].pose[:2]) - pyramid.corner) / CELL_M).astype(int)
     near = np.pad(free, pyramid.border)[at[1] - 1 : at[1] + 2, at[0] - 1 : at[0] + 2]
     assert near.any(), "to a cell: the robot's place is rounded, as points are"
-
-
-def test_of_two_rooms_alike_that_one_is_taken_where_the_robot_can_be() -> None:
-    room = scatter(4, 60, 5.0)
-    field = field_of(np.vstack([room, room + (8.0, 0.0)]))
-    free = np.zeros(field.values.shape, dtype=bool)
-    free[:, round((7.5 - field.origin[0]) / CELL_M) :] = True
-    wanted = Wanted(least=0.5, lead=0.1, most=10**6)
-    for allowed, places in ((free, {8}), (None, {0, 8}), (np.zeros_like(free), set())):
-        pyramid = Pyramid.of(field, 8.0, allowed)
-        found = best_places(pyramid, room, pyramid.blocks(), np.zeros(1), wanted, 5)
-        assert {round(match.pose.x) for match in found} == places
 
 
 def test_a_robot_beyond_the_border_may_stand_anywhere() -> None:
@@ -193,6 +170,8 @@ def test_no_place_is_taken_where_the_robot_would_stand_in_the_wall() -> None:
 
     middle = source - (2.5, 3.0)  # the robot stands amid them
     assert WallMap.of(walls).place_of(middle) is None
+    nowhere = WallMap.of(walls, lambda field: np.zeros(field.values.shape, dtype=bool))
+    assert nowhere.place_of(middle) is None
     found = WallMap.of(walls, first_room).place_of(middle)
     assert found is not None
     assert found.target_from_source[:2] == pytest.approx((2.5, 3.0), abs=0.1)

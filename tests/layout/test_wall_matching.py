@@ -124,17 +124,12 @@ def test_too_few_points_are_not_matched() -> None:
     assert match_walls(np.zeros((0, 2)), points, IDENTITY, 0.3, 0.1) is None
 
 
-@pytest.mark.parametrize(("turn", "open_axis"), [(0.0, 0), (np.pi / 2, 1)])
-def test_along_a_corridor_a_match_is_loose_in_the_frame_of_the_source(
-    turn: float, open_axis: int
-) -> None:
-    """One robot looks along the corridor and may be off ahead, one looks at a wall."""
-    points = corridor()
-    target_from_source = Pose2(0.0, 0.0, turn)
-    source = target_from_source.inverse().apply(points)
-    deviation = deviations(matched(source, points, target_from_source, 0.3))
-    assert deviation[open_axis] > 0.1
-    assert deviation[1 - open_axis] < 0.05
+def test_along_a_corridor_a_match_is_loose_in_the_frame_of_the_source() -> None:
+    """The target looks along the corridor, the source at a wall: it may be off aside."""
+    points, turn = corridor(), Pose2(0.0, 0.0, np.pi / 2)
+    deviation = deviations(matched(turn.inverse().apply(points), points, turn, 0.3))
+    assert deviation[1] > 0.1
+    assert deviation[0] < 0.05
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.7, np.pi / 2, 2.5])

@@ -27,24 +27,18 @@ def seen_from(perfect: Laps, row: int) -> FloatArray:
     return thinned(store.points(int(graph.nodes[row]), 12.0), 0.05)
 
 
-@pytest.mark.parametrize(("row", "reach"), [(10, 3), (1, 3), (50, 0)])
-def test_walls_are_those_of_the_neighbours_in_the_frame_of_the_node(
-    perfect: Laps, walls: Walls, row: int, reach: int
+def test_walls_are_those_of_the_neighbours_of_its_part_in_the_frame_of_the_node(
+    perfect: Laps, walls: Walls
 ) -> None:
-    poses = perfect[1].poses
-    expected = [
-        between(poses, row, k).apply(seen_from(perfect, k))
-        for k in range(max(0, row - reach), row + reach + 1)
-    ]
-    assert np.allclose(walls.around(row, reach, poses), np.concatenate(expected))
-
-
-def test_walls_are_not_gathered_over_a_break(perfect: Laps, walls: Walls) -> None:
     graph = perfect[1]
     first = int(np.argmax(graph.parts == 1))
-    for row, step in ((first, 1), (first - 1, -1)):
-        found = walls.around(row, 4, graph.poses)
-        assert len(found) == sum(len(seen_from(perfect, row + step * k)) for k in range(5))
+    for row, reach in ((10, 3), (1, 3), (50, 0), (first, 4), (first - 1, 4)):
+        expected = [
+            between(graph.poses, row, k).apply(seen_from(perfect, k))
+            for k in range(max(0, row - reach), row + reach + 1)
+            if graph.parts[k] == graph.parts[row]
+        ]
+        assert np.allclose(walls.around(row, reach, graph.poses), np.concatenate(expected)), row
 
 
 def test_farther_returns_are_no_walls(perfect: Laps, walls: Walls) -> None:
