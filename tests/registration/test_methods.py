@@ -140,8 +140,7 @@ def test_every_module_of_registration_can_be_imported_without_kiss_icp() -> None
         from specmap_cli import registration
         from specmap_cli.core.settings import RegistrationConfig
         from specmap_cli.core.errors import UsageError
-        from specmap_cli.core.geometry import IDENTITY
-        from specmap_cli.core.records import PlanarScan, Sweep
+        from tests.registration.drives import circle
 
         names = [m.name for m in pkgutil.iter_modules(registration.__path__)]
         for name in names:

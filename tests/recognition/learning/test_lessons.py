@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import Config, LocalizationConfig, RecognitionConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
@@ -122,8 +121,4 @@ def test_submaps_with_known_cast_scans_are_not_cast_again(
     found = cast_samples(SUBMAPS, poses, grids, VIRTUAL, rng, known)
     assert (found[3].features == 1.0).all()
     assert 0 < len(found[3].features) < 24
-    assert not _ones(found[0].features)
-
-
-def _ones(features: FloatArray) -> bool:
-    return bool((features == 1.0).all(axis=1).any())
+    assert not (found[0].features == 1.0).all(axis=1).any()
