@@ -146,12 +146,9 @@ def test_every_module_of_registration_can_be_imported_without_kiss_icp() -> None
         for name in names:
             importlib.import_module(f"specmap_cli.registration.{name}")
         assert "aligner" in names and "frontend" in names
-        scan = PlanarScan(stamp_ns=0, bearings=np.zeros(1), ranges=np.ones(1), range_max=5.0,
-                          full_circle=False)
-        sweep = Sweep(index=0, stamp_ns=0, planar=scan, base_from_laser=IDENTITY)
         front_end = registration.FrontEnd(RegistrationConfig())
         try:
-            front_end.register(sweep)
+            front_end.register(circle(0, np.ones(4)))
         except UsageError as error:
             print(error)
         """
