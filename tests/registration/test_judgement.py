@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -42,30 +43,23 @@ def judged(
 
 
 @pytest.mark.parametrize(
-    ("searched", "wide", "measured", "needed"),
+    ("least", "found"),
     [
-        (False, False, True, 0.5),
-        (False, False, False, 0.5),
-        (True, False, True, 0.7),
-        (True, False, False, 0.6),
-        (True, True, False, 0.7),
+        (0.5, {"agrees": False}),
+        (0.5, {"agrees": False, "measured": False}),
+        (0.7, {"agrees": False, "searched": True}),
+        (0.6, {"agrees": False, "searched": True, "measured": False}),
+        (0.7, {"agrees": False, "searched": True, "wide_searched": True, "measured": False}),
+        (0.15, {}),
+        (0.15, {"measured": False}),
     ],
 )
-def test_a_contradiction_must_score_well(
-    searched: bool, wide: bool, measured: bool, needed: float
+def test_a_contradiction_must_score_well_and_agreement_helps_all_but_the_hopeless(
+    least: float, found: dict[str, Any]
 ) -> None:
-    for score, lost in ((needed - 0.01, True), (needed, False)):
-        found = judged(
-            score, agrees=False, searched=searched, wide_searched=wide, measured=measured
-        )
-        assert (found.agrees, found.lost) == (False, lost)
-
-
-@pytest.mark.parametrize("measured", [True, False])
-def test_agreement_helps_all_but_the_hopeless(measured: bool) -> None:
-    assert not judged(0.15, measured=measured).lost
-    assert judged(0.149, measured=measured).lost
-    assert judged(0.149, measured=measured).agrees
+    for score, lost in ((least - 0.001, True), (least, False)):
+        judgement = judged(score, **found)
+        assert (judgement.agrees, judgement.lost) == (found.get("agrees", True), lost)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.registration import FrontEnd
+from specmap_cli.registration import FrontEnd, SensorKind
 from specmap_cli.registration.frontend import COUNTS
 from tests.registration.aligners import ToldAligner, offer
 from tests.registration.drives import (
@@ -146,10 +146,13 @@ def test_so_many_lost_sweeps_in_a_row_end_a_map_but_for_the_first() -> None:
     assert front_end.counts["breaks"] == 1
     assert [scan.restarted for scan in scans] == [False] * (len(scans) - 1) + [True]
     assert front_end.counts["lost"] == 2 * limit + 1
-    front_end, scans = run([circle(k, blank) for k in range(8)] + [circle(8, walls)])
+    # blank of readings: lost as well, and survived where the map begins
+    unread = np.full(90, np.nan)
+    front_end, scans = run([*(circle(k, unread) for k in range(8)), circle(8, walls)])
     assert front_end.counts["breaks"] == 0
+    assert [scan.lost for scan in scans] == [True] * 8 + [False]
+    assert all(scan.map_from_base == IDENTITY for scan in scans)
     assert not scans[-1].restarted
-    assert not scans[-1].lost
 
 
 def test_keyframes_are_inserted_where_their_scans_were_put(
@@ -160,7 +163,10 @@ def test_keyframes_are_inserted_where_their_scans_were_put(
     truth = path()[:30:2]
     items = with_clouds(world, truth)
     items[6:11] = [with_ranges(sweep, np.full(240, np.nan)) for sweep in items[6:11]]
-    front_end, scans = run(items, method=offer(monkeypatch, aligner))
+    method = offer(monkeypatch, aligner)
+    front_end, scans = run(items, method=method, cloud_voxel_m=0.15, cloud_range_m=12.0)
+    kind = SensorKind(in_space=True, voxel_m=0.15, range_m=12.0)
+    assert aligner.sensors == [kind]  # one aligner for all sweeps
     assert front_end.counts["breaks"] == aligner.cleared == 1
     assert [scan.index for scan in scans if scan.restarted] == [11]
     handed_on = [scan.map_from_base_3d for scan in scans]

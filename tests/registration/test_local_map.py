@@ -48,37 +48,40 @@ def moved(
 
 
 @pytest.mark.parametrize(
-    "answer",
-    [broken, moved(x=1.51), moved(yaw=0.81), moved(yaw=-0.81), moved(roll=0.31), moved(x=1e300)],
-)
-def test_an_alignment_that_runs_off_is_refused_and_ends_the_ladder(
-    world: GridMap, answer: Callable[[FloatArray], FloatArray]
-) -> None:
-    answers = [moved(x=0.2), answer]
-    aligner = ToldAligner(lambda guess: answers.pop(0)(guess))
-    fit = scene_in(world, aligner).align(np.eye(4), LADDER)
-    assert len(aligner.asked) == 2
-    assert fit.refused == 1
-    assert fit.planar == Pose2(0.2, 0.0, 0.0)  # the result before it stands
-
-
-@pytest.mark.parametrize(
-    ("answer", "settings"),
+    ("answer", "settings", "followed"),
     [
-        (moved(x=1.49), {}),
-        (moved(yaw=0.79), {}),
-        (moved(roll=0.29), {}),
-        (moved(x=2.5), {"max_shift_m": 3.0}),
-        (moved(yaw=1.5), {"max_shift_rad": 2.0}),
-        (moved(roll=0.5), {"max_tilt_rad": 0.6}),
+        (broken, {}, False),
+        (moved(x=1e300), {}, False),
+        (moved(x=1.51), {}, False),
+        (moved(x=1.49), {}, True),
+        (moved(x=2.5), {"max_shift_m": 3.0}, True),
+        (moved(yaw=0.81), {}, False),
+        (moved(yaw=-0.81), {}, False),
+        (moved(yaw=0.79), {}, True),
+        (moved(yaw=1.5), {"max_shift_rad": 2.0}, True),
+        (moved(roll=0.31), {}, False),
+        (moved(roll=0.29), {}, True),
+        (moved(roll=0.5), {"max_tilt_rad": 0.6}, True),
     ],
 )
-def test_an_alignment_within_the_limits_is_followed(
-    world: GridMap, answer: Callable[[FloatArray], FloatArray], settings: dict[str, float]
+def test_an_alignment_that_runs_off_is_refused_and_ends_the_ladder(
+    world: GridMap,
+    answer: Callable[[FloatArray], FloatArray],
+    settings: dict[str, float],
+    followed: bool,
 ) -> None:
-    fit = scene_in(world, ToldAligner(answer), **settings).align(np.eye(4), (1.0,))
-    assert fit.refused == 0
-    assert np.array_equal(fit.pose, answer(np.eye(4)))
+    """The result before it stands."""
+    before = turned(0.2, 0.0, 0.0)
+    answers: list[Callable[[FloatArray], FloatArray]] = [
+        lambda _: before,
+        lambda _: answer(np.eye(4)),
+        lambda guess: guess,
+    ]
+    aligner = ToldAligner(lambda guess: answers.pop(0)(guess))
+    fit = scene_in(world, aligner, **settings).align(np.eye(4), (2.0, 1.0, 0.5))
+    assert len(aligner.asked) == 2 + followed
+    assert fit.refused == 1 - followed
+    assert np.array_equal(fit.pose, answer(np.eye(4)) if followed else before)
 
 
 def test_the_limits_count_from_the_first_guess_of_all_kernels(world: GridMap) -> None:

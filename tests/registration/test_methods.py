@@ -16,11 +16,11 @@ from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.map_server import write_grid
-from specmap_cli.registration import FrontEnd, SensorKind
+from specmap_cli.registration import FrontEnd
 from specmap_cli.registration.aligner import GROUP, KissIcpAligner, aligner_factory
 from tests.conftest import SAMPLE_LOGS
 from tests.plugins import install
-from tests.registration.drives import path, run, with_clouds, worst
+from tests.registration.drives import run, worst
 
 # What another package could hold: point-to-point ICP on a k-d tree.
 POINT_TO_POINT = """
@@ -65,14 +65,6 @@ POINT_TO_POINT = """
                 if np.abs(step - np.eye(4)).max() < 1e-4:
                     break
             return pose
-
-
-    made = []
-
-
-    def remembered(config, sensor):
-        made.append((config.method, sensor))
-        return TreeIcp(config, sensor)
 """
 
 
@@ -92,19 +84,6 @@ def test_a_method_of_another_package_registers_a_simulated_tour(
     assert [scan.map_from_base for scan in scans] != [scan.map_from_base for scan in by_kiss_icp]
     found, other = (np.array([s.map_from_base for s in each]) for each in (scans, by_kiss_icp))
     assert np.abs(compose(invert(found), other)[:, :2]).max() < 0.1
-
-
-def test_a_method_of_another_package_registers_a_3d_lidar(
-    world: GridMap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    offered(tmp_path, monkeypatch, **{"tree-icp": "remembered"})
-    truth = path()[:30:3]
-    items = with_clouds(world, truth)
-    _, scans = run(items, method="tree-icp", cloud_voxel_m=0.15, cloud_range_m=12.0)
-    assert worst(scans, truth)[0] < 0.1
-    package = sys.modules[aligner_factory("tree-icp").__module__]
-    kind = SensorKind(in_space=True, voxel_m=0.15, range_m=12.0)
-    assert package.made == [("tree-icp", kind)]  # one aligner for all sweeps
 
 
 def test_kiss_icp_is_the_default_beside_others_and_an_unknown_method_is_refused(
@@ -161,19 +140,15 @@ def test_every_module_of_registration_can_be_imported_without_kiss_icp() -> None
         from specmap_cli import registration
         from specmap_cli.core.settings import RegistrationConfig
         from specmap_cli.core.errors import UsageError
-        from specmap_cli.core.geometry import IDENTITY
-        from specmap_cli.core.records import PlanarScan, Sweep
+        from tests.registration.drives import circle
 
         names = [m.name for m in pkgutil.iter_modules(registration.__path__)]
         for name in names:
             importlib.import_module(f"specmap_cli.registration.{name}")
         assert "aligner" in names and "frontend" in names
-        scan = PlanarScan(stamp_ns=0, bearings=np.zeros(1), ranges=np.ones(1), range_max=5.0,
-                          full_circle=False)
-        sweep = Sweep(index=0, stamp_ns=0, planar=scan, base_from_laser=IDENTITY)
         front_end = registration.FrontEnd(RegistrationConfig())
         try:
-            front_end.register(sweep)
+            front_end.register(circle(0, np.ones(4)))
         except UsageError as error:
             print(error)
         """

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+
+import numpy as np
+from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import PlanarScan
@@ -10,6 +14,19 @@ from specmap_cli.recognition.features.point_pairs import boundary
 from specmap_cli.recognition.features.returns import Returns, ReturnsBatch
 
 Function = Callable[[ReturnsBatch], FloatArray]
+RANGE_MAX_M = 30.0
+
+readings = st.lists(
+    st.one_of(st.floats(0.0, 40.0), st.sampled_from([math.inf, math.nan, RANGE_MAX_M, 0.0])),
+    max_size=40,
+)
+
+
+def scan_of(ranges: FloatArray, full: bool = True, turn: float = 0.0) -> PlanarScan:
+    """A scan all round, or of half a circle, by a laser that is turned."""
+    span = np.linspace(-np.pi, np.pi, len(ranges), endpoint=False)
+    bearings = (span if full else span / 2.0) + turn
+    return PlanarScan(0, bearings, np.asarray(ranges, dtype=np.float64), RANGE_MAX_M, full)
 
 
 def batch_of(scan: PlanarScan) -> ReturnsBatch:

@@ -17,7 +17,14 @@ from specmap_cli.core.records import PlanarScan
 from specmap_cli.recognition.features import point_pairs, shape, table1
 from specmap_cli.recognition.features.returns import ReturnsBatch
 from specmap_cli.recognition.features.sets import BUILT_IN, feature_names, scans_features
-from tests.recognition.features.one_scan import Function, batch_of, boundary_of, of_one
+from tests.recognition.features.one_scan import (
+    Function,
+    batch_of,
+    boundary_of,
+    of_one,
+    readings,
+    scan_of,
+)
 from tests.strategies import planar_scans, seeds
 
 every_group = pytest.mark.parametrize(
@@ -25,12 +32,6 @@ every_group = pytest.mark.parametrize(
     [group.compute for group in BUILT_IN["full"]],
     ids=[group.columns[0] for group in BUILT_IN["full"]],
 )
-
-
-def scan_of(ranges: FloatArray, full: bool = True, turn: float = 0.0) -> PlanarScan:
-    span = np.linspace(-np.pi, np.pi, len(ranges), endpoint=False)
-    bearings = span if full else span / 2.0
-    return PlanarScan(0, bearings + turn, np.asarray(ranges, dtype=np.float64), 30.0, full)
 
 
 def rectangle(width: float, height: float, x: float, y: float, *, beams: int = 720) -> FloatArray:
@@ -73,14 +74,7 @@ def test_every_group_ignores_where_a_narrow_laser_points(group: Function, turn: 
     assert aside == pytest.approx(ahead, rel=1e-3, abs=1e-3)
 
 
-@given(
-    st.lists(
-        st.one_of(st.floats(0.0, 40.0), st.sampled_from([math.inf, math.nan, 30.0, 0.0])),
-        min_size=0,
-        max_size=40,
-    ),
-    st.booleans(),
-)
+@given(readings, st.booleans())
 @example([math.inf] * 9, True)
 @example([math.inf, 2.0, math.inf], False)
 @example([2.0, 2.0, math.inf], True)
@@ -128,10 +122,7 @@ def test_range_moments_equal_scipy_s() -> None:
 
 def test_gaps_extents_and_flips_of_scans_made_by_hand() -> None:
     step = np.where(np.arange(100) < 50, 2.0, 3.0)
-    returns = batch_of(scan_of(step, full=False))
-    assert of_one(table1.consecutive_differences, returns)[0] == pytest.approx(1.0 / 99)
-    assert of_one(table1.gaps, returns) == [1.0, 1.0, 0.0]
-    assert of_one(table1.gaps, batch_of(scan_of(step))) == [2.0, 2.0, 0.0]
+    assert of_one(table1.gaps, batch_of(scan_of(step))) == [2.0, 2.0, 0.0]  # all round
     two = np.full(360, 2.0)
     two[0], two[90] = 1.0, 5.0
     extent = of_one(table1.range_extent, batch_of(scan_of(two)))
@@ -183,13 +174,6 @@ def test_normals_of_the_boundary_point_to_the_robot_and_it_does_not_cross_leaps(
 def half_circle(ranges: FloatArray) -> ReturnsBatch:
     bearings = np.linspace(-np.pi / 2, np.pi / 2, len(ranges))
     return batch_of(PlanarScan(0, bearings, np.asarray(ranges), 30.0, full_circle=False))
-
-
-def smooth(seed: int, beams: int = 180) -> ReturnsBatch:
-    """A half circle of ranges that change slowly: one piece of wall."""
-    rng = np.random.default_rng(seed)
-    phase, height = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.1, 0.5)
-    return half_circle(4.0 + height * np.sin(np.linspace(0.0, 3.0, beams) + phase))
 
 
 @given(planar_scans())
@@ -307,7 +291,9 @@ def test_pieces_by_a_loop(seed: int) -> None:
 
 @given(seeds)
 def test_the_boundary_is_even_along_a_smooth_wall(seed: int) -> None:
-    returns = smooth(seed)
+    rng = np.random.default_rng(seed)
+    phase, height = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.1, 0.5)
+    returns = half_circle(4.0 + height * np.sin(np.linspace(0.0, 3.0, 180) + phase))
     points, normals, length = boundary_of(returns)
     assert length == pytest.approx(returns.onward[:-1].sum())
     assert len(points) == 110  # the most: the wall is longer than 110 steps of 8 cm

@@ -109,27 +109,30 @@ def test_the_name_of_a_set_cannot_be_taken(install: Callable[..., None]) -> None
         feature_sets()
 
 
-HEAD = "from specmap_cli.recognition.features.group import FeatureGroup\n"
+HEAD = """
+import numpy as np
+from specmap_cli.recognition.features.group import BatchGroup, FeatureGroup
+"""
 
 
 @pytest.mark.parametrize(
-    ("text", "why"),
+    ("groups", "why"),
     [
-        ("GROUPS = 7", "it is no tuple of FeatureGroup"),
-        ("GROUPS = ()", "it is no tuple of FeatureGroup"),
-        ("GROUPS = (len,)", "it is no tuple of FeatureGroup"),
+        ("7", "it is no tuple of FeatureGroup"),
+        ("()", "it is no tuple of FeatureGroup"),
+        ("(len,)", "it is no tuple of FeatureGroup"),
         (
-            HEAD + "GROUPS = (FeatureGroup(len, ('a', 'b')), FeatureGroup(len, ('b',)))",
+            "(FeatureGroup(len, ('a', 'b')), FeatureGroup(len, ('b',)))",
             "two of its columns have one name",
         ),
-        (HEAD + "GROUPS = [FeatureGroup(len, ())]", "a group has no columns, or histograms"),
-        (HEAD + "GROUPS = [FeatureGroup(len, ('a',), ('b',))]", "a group has no columns, or"),
+        ("[FeatureGroup(len, ())]", "a group has no columns, or histograms"),
+        ("[FeatureGroup(len, ('a',), ('b',))]", "a group has no columns, or"),
     ],
 )
 def test_a_set_that_is_none_is_refused_in_one_line(
-    text: str, why: str, install: Callable[..., None]
+    groups: str, why: str, install: Callable[..., None]
 ) -> None:
-    install("mine", text)
+    install("mine", f"{HEAD}GROUPS = {groups}")
     with pytest.raises(UsageError) as error:
         feature_names("full")
     assert str(error.value).startswith(f"feature set 'mine': {why}")
@@ -137,41 +140,34 @@ def test_a_set_that_is_none_is_refused_in_one_line(
     assert "\n" not in str(error.value)
 
 
+ONE = "FeatureGroup(lambda returns: {}, ('a', 'b'))"
+MANY = "BatchGroup(lambda batch: np.zeros({}), ('a',))"
+
+
 @pytest.mark.parametrize(
-    ("given", "why"),
+    ("group", "given", "why"),
     [
-        ("[1.0]", "the group of 'a' gives 1 values for its 2 columns"),
-        ("[1.0, 2.0, 3.0]", "the group of 'a' gives 3 values for its 2 columns"),
-        ("[1.0, float('nan')]", "'b' is not finite for a scan"),
-        ("[float('-inf'), 1.0]", "'a' is not finite for a scan"),
+        (ONE, "[1.0]", "the group of 'a' gives 1 values for its 2 columns"),
+        (ONE, "[1.0, 2.0, 3.0]", "the group of 'a' gives 3 values for its 2 columns"),
+        (ONE, "[1.0, float('nan')]", "'b' is not finite for a scan"),
+        (ONE, "[float('-inf'), 1.0]", "'a' is not finite for a scan"),
+        (MANY, "(len(batch), 2)", "'a' gives 2 values for its 1 columns"),
+        (MANY, "(len(batch), 1, 3)", "'a' gives 1 by 3 values for its 1 columns"),
+        (MANY, "(len(batch) + 1, 1)", "'a' gives 2 by 1 values for its 1 columns"),
     ],
 )
 def test_a_function_that_breaks_its_word_is_told(
-    given: str, why: str, install: Callable[..., None]
+    group: str, given: str, why: str, install: Callable[..., None]
 ) -> None:
-    install("mine", f"{HEAD}GROUPS = (FeatureGroup(lambda returns: {given}, ('a', 'b')),)")
+    install("mine", f"{HEAD}GROUPS = ({group.format(given)},)")
     with pytest.raises(UsageError, match=why):
-        scans_features([scan()], "mine")[0]
+        scans_features([scan()], "mine")
 
 
 def test_a_package_may_compute_many_scans_at_once(install: Callable[..., None]) -> None:
-    head = HEAD.replace("FeatureGroup", "BatchGroup")
-    code = "GROUPS = (BatchGroup(lambda batch: batch.counts[:, None] * 1.0, ('returns',)),)"
-    install("mine", head + code)
+    group = "BatchGroup(lambda batch: batch.counts[:, None] * 1.0, ('returns',))"
+    install("mine", f"{HEAD}GROUPS = ({group},)")
     assert scans_features([scan(beams=90), scan(beams=180)], "mine").tolist() == [[90.0], [180.0]]
-
-
-@pytest.mark.parametrize(
-    ("given", "found"),
-    [("(len(batch), 2)", "2"), ("(len(batch), 1, 3)", "1 by 3"), ("(len(batch) + 1, 1)", "2 by 1")],
-)
-def test_a_function_of_many_scans_that_breaks_its_word_is_told(
-    given: str, found: str, install: Callable[..., None]
-) -> None:
-    head = HEAD.replace("FeatureGroup", "BatchGroup") + "import numpy as np\n"
-    install("mine", f"{head}GROUPS = (BatchGroup(lambda batch: np.zeros({given}), ('one',)),)")
-    with pytest.raises(UsageError, match=f"'one' gives {found} values for its 1 columns"):
-        scans_features([scan()], "mine")
 
 
 @pytest.mark.parametrize(("most", "again"), [(16, []), (3, []), (2, [3.8]), (0, [1.8, 2.8, 3.8])])

@@ -89,21 +89,14 @@ def test_a_virtual_scan_sees_the_same_points_from_wherever_it_is_taken(
     assert recent.scan(3, origin @ mounting).ranges == pytest.approx(ranges)
 
 
-def test_what_lies_a_window_back_is_forgotten() -> None:
-    recent = recent_scans()
-    here = drive(recent, 7.25)
-    assert recent.filled == 1.0
-    assert recent.scan(0, here).ranges.min() == pytest.approx(1.0)
-    assert np.isinf(recent.scan(0, Pose2(-20.0, 0.0, 0.0)).ranges).all()
-    from_the_start = recent.scan(0, IDENTITY).ranges
-    assert from_the_start.min() == pytest.approx(math.hypot(5.25, 1.0))
-
-
 @pytest.mark.parametrize(("share", "far_m"), [(1.0, 2.0), (0.5, 1.0), (0.1, 0.0)])
 def test_a_share_of_the_window_is_what_was_seen_last(share: float, far_m: float) -> None:
+    """What lies farther back is forgotten."""
     recent = recent_scans(virtual_beams=360)
     here = drive(recent, 7.25)
+    assert recent.filled == 1.0
     seen = recent.scan(0, here, share).ranges
+    assert seen.min() == pytest.approx(1.0)
     assert seen[np.isfinite(seen)].max() == pytest.approx(math.hypot(far_m, 1.0))
     assert np.isinf(recent_scans().scan(0, here, share).ranges).all()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,11 @@ of_both_kinds = pytest.mark.parametrize("fitted", [stumps_of, trees_of])
 Fitted = Callable[[FloatArray, FloatArray], Booster]
 
 
+def weak(X: Any, feature: int, threshold: float, polarity: int) -> Any:
+    """The labels (n,) that the paper's weak classifier gives samples X (n, F)."""
+    return np.where(polarity * X[:, feature] < polarity * threshold, 1, -1)
+
+
 class BruteStump(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
     """The weak classifier of the paper for scikit-learn: every threshold and sign is tried."""
 
@@ -50,17 +56,14 @@ class BruteStump(ClassifierMixin, BaseEstimator):  # type: ignore[misc]
         best = np.inf
         for feature in range(X.shape[1]):
             values = np.unique(X[:, feature])
-            for threshold in (values[1:] + values[:-1]) / 2.0:
-                for polarity in (1, -1):
-                    h = np.where(polarity * X[:, feature] < polarity * threshold, 1, -1)
-                    error = w[h != y].sum()
-                    if error < best - 1e-12:
-                        best, self.split_ = error, (feature, threshold, polarity)
+            for split in product([feature], (values[1:] + values[:-1]) / 2.0, (1, -1)):
+                error = w[weak(X, *split) != y].sum()
+                if error < best - 1e-12:
+                    best, self.split_ = error, split
         return self
 
     def predict(self, X: Any) -> Any:
-        feature, threshold, polarity = self.split_
-        return np.where(polarity * X[:, feature] < polarity * threshold, 1, -1)
+        return weak(X, *self.split_)
 
 
 @given(st.integers(0, 1000))
@@ -69,7 +72,7 @@ def test_the_first_round_is_the_best_of_all_weak_classifiers(seed: int) -> None:
     X, y = blobs(seed, n=40)
     stump = StumpBoost(NAMES, 1).fit(X, y).rounds_[0]
     brute = BruteStump().fit(X, y.astype(int))
-    ours = np.where(stump.polarity * X[:, stump.feature] < stump.polarity * stump.threshold, 1, -1)
+    ours = weak(X, stump.feature, stump.threshold, stump.polarity)
     assert (ours != y).mean() == pytest.approx((brute.predict(X) != y).mean())
 
 
@@ -101,7 +104,7 @@ def test_weights_sum_to_one_and_make_the_last_classifier_worthless(seed: int, ro
     X, y = blobs(seed, n=50)
     weights = np.full(len(y), 1.0 / len(y))
     for stump in StumpBoost(NAMES, rounds).fit(X, y).rounds_:
-        h = np.where(stump.polarity * X[:, stump.feature] < stump.polarity * stump.threshold, 1, -1)
+        h = weak(X, stump.feature, stump.threshold, stump.polarity)
         error = float(weights[h != y].sum())
         assert stump.votes == pytest.approx(0.5 * np.log((1.0 - error) / error))
         weights = weights * np.exp(-y * stump.votes * h)
