@@ -28,8 +28,6 @@ from specmap_cli.pipelines.update import build_like, update_map
 from tests.conftest import SAMPLE_LOGS
 from tests.flats import QUICK, Mapped
 
-LAYOUT = ("keyframes.mcap", "trajectory.tum", "trajectory.g2o")
-
 
 @dataclass(frozen=True)
 class Built:
@@ -153,87 +151,62 @@ class TestNames:
             edit(tmp_path / "seg", {"merge": pair})
 
 
-@dataclass(frozen=True)
-class Remade:
-    """The map before, with the corridor divided at a line, a room merged into it, and undone."""
-
-    before: StoredMap
-    divided: StoredMap
-    merged: StoredMap
-    undone: StoredMap
-    line: list[list[float]]
-
-
-@pytest.fixture(scope="module")
-def remade(built: Built, tmp_path_factory: pytest.TempPathFactory) -> Remade:
-    """Each change goes into a directory of its own."""
-    folder = tmp_path_factory.mktemp("remade")
-    old = Path(shutil.copytree(built.map, folder / "old"))
-    run = json.loads((old / "run.json").read_text(encoding="utf-8"))
-    run["versions"]["specmap"] = "0.0.1"
-    (old / "run.json").write_text(json.dumps(run), encoding="utf-8")
-    wish = split(read_map(old), built.corridor)
-    divided = edit(old, wish, names={built.rooms[0]: "Lab"}, out=folder / "divided")
-    joined = {"merge": [built.corridor, built.rooms[0]]}
-    merged = edit(divided.out, joined, out=folder / "merged")
-    undone = edit(merged.out, undo=(1, 2), out=folder / "undone")
-    assert all(report.remade for report in (divided, merged, undone))
-    return Remade(
-        before=read_map(built.map),
-        divided=read_map(divided.out),
-        merged=read_map(merged.out),
-        undone=read_map(undone.out),
-        line=wish["line"],
-    )
-
-
 class TestBorders:
     """Merges and splits: grids, classifiers, regions and links are new, the layout is not."""
 
-    def test_a_split_follows_its_line(self, built: Built, remade: Remade) -> None:
-        stored, new = remade.divided, remade.before.topology.next_id
-        assert set(stored.ids) == {*remade.before.ids, new}
-        assert f"new = {new}" in (stored.path / "edits.toml").read_text(encoding="utf-8")
-        (x, y), (x2, y2) = remade.line
+    def test_a_split_then_a_merge_then_neither(
+        self, built: Built, own: Path, tmp_path: Path
+    ) -> None:
+        """Each goes into a directory of its own."""
+        room, corridor, before = built.rooms[0], built.corridor, read_map(built.map)
+        new = before.topology.next_id
+        run = json.loads((own / "run.json").read_text(encoding="utf-8"))
+        run["versions"]["specmap"] = "0.0.1"
+        (own / "run.json").write_text(json.dumps(run), encoding="utf-8")
+        wish = split(before, corridor)
+        report = edit(own, wish, names={room: "Lab"}, out=tmp_path / "divided")
+        divided = read_map(report.out)
+        assert report.remade
+        assert set(divided.ids) == {*before.ids, new}
+        assert f"new = {new}" in (divided.path / "edits.toml").read_text(encoding="utf-8")
+        (x, y), (x2, y2) = wish["line"]
         length = float(np.hypot(x2 - x, y2 - y))
-        for id_, side in ((built.corridor, 1.0), (new, -1.0)):
-            cells = np.argwhere(stored.regions.owner == id_)
-            places = stored.map_grid.centres_of(cells)
+        for id_, side in ((corridor, 1.0), (new, -1.0)):
+            cells = np.argwhere(divided.regions.owner == id_)
+            places = divided.map_grid.centres_of(cells)
             left = (x2 - x) * (places[:, 1] - y) - (y2 - y) * (places[:, 0] - x)
             assert (side * left / length > -0.15).mean() > 0.98
-        pair = (min(new, built.corridor), max(new, built.corridor))
-        assert pair in stored.topology.edges
+        assert (min(new, corridor), max(new, corridor)) in divided.topology.edges
+        # or its features would be taken for those of the version before
+        assert divided.run["versions"] == before.run["versions"]
 
-    def test_a_merge(self, built: Built, remade: Remade) -> None:
-        room, before, stored = built.rooms[0], remade.divided, remade.merged
-        assert stored.ids == sorted({*before.ids} - {room})
-        assert stored.topology.next_id == before.topology.next_id
-        areas = {node.id: node.area_m2 for node in before.record.nodes}
-        merged = next(n for n in stored.record.nodes if n.id == built.corridor)
-        assert merged.area_m2 == pytest.approx(areas[built.corridor] + areas[room], abs=0.5)
-        assert json.loads(stored.classifiers)["schema_version"] >= 1
-        for name in LAYOUT:
-            assert bytes_of(stored.path, name) == bytes_of(built.map, name)
-        assert stored.run["counts"]["submaps"] == len(stored.ids)
+        report = edit(divided, {"merge": [corridor, room]}, out=tmp_path / "merged")
+        merged = read_map(report.out)
+        assert report.remade
+        assert merged.ids == sorted({*divided.ids} - {room})
+        assert merged.topology.next_id == divided.topology.next_id
+        areas = {node.id: node.area_m2 for node in divided.record.nodes}
+        found = next(node for node in merged.record.nodes if node.id == corridor)
+        assert found.area_m2 == pytest.approx(areas[corridor] + areas[room], abs=0.5)
+        assert json.loads(merged.classifiers)["schema_version"] >= 1
+        for name in ("keyframes.mcap", "trajectory.tum", "trajectory.g2o"):
+            assert bytes_of(merged.path, name) == bytes_of(built.map, name)
+        assert merged.run["counts"]["submaps"] == len(merged.ids)
 
-    def test_undone_the_map_is_as_before(self, remade: Remade) -> None:
-        stored, back = remade.before, remade.undone
-        assert back.labels.submaps.tolist() == stored.labels.submaps.tolist()
-        assert back.regions.owner.tolist() == stored.regions.owner.tolist()
-        assert back.topology.next_id == stored.topology.next_id + 1  # an id is given once
+        report = edit(merged, undo=(1, 2), out=tmp_path / "undone")
+        undone = read_map(report.out)
+        assert report.remade
+        assert undone.labels.submaps.tolist() == before.labels.submaps.tolist()
+        assert undone.regions.owner.tolist() == before.regions.owner.tolist()
+        assert undone.topology.next_id == new + 1  # an id is given once
 
-    def test_a_map_made_anew_is_of_the_version_that_made_it(self, remade: Remade) -> None:
-        """Or its features would be taken for those of the version before."""
-        assert remade.divided.run["versions"] == remade.before.run["versions"]
-
-    @pytest.mark.parametrize("merged", [False, True], ids=["at once", "after a merge"])
-    def test_the_map_stays_when_a_request_does_not_apply(self, built: Built, merged: bool) -> None:
+    def test_the_map_stays_when_the_second_request_does_not_apply(self, built: Built) -> None:
         """Every request that is refused alone is in tests/cli/test_cli_edit.py."""
         rooms, notes = list(built.rooms[:2]), Mock(spec=Silent())
-        changes = ({"merge": rooms}, {"forbid": rooms})[not merged :]
+        requests = RequestedEdits(changes=({"merge": rooms}, {"forbid": rooms}))
         before = {path.name: path.read_bytes() for path in built.map.iterdir() if path.is_file()}
         with pytest.raises(UsageError, match="there is no link between"):
-            edit_map(built.map, RequestedEdits(changes=changes), progress=notes)
+            edit_map(built.map, requests, progress=notes)
         notes.note.assert_not_called()
         after = {path.name: path.read_bytes() for path in built.map.iterdir() if path.is_file()}
         assert after == before
@@ -262,7 +235,9 @@ def shut(built: Built, tmp_path_factory: pytest.TempPathFactory) -> EditReport:
 class TestForbiddenDoors:
     """The link stays in the map, and nobody goes there."""
 
-    def test_the_link_and_its_doors_are_marked(self, built: Built, shut: EditReport) -> None:
+    def test_the_link_and_its_doors_are_marked_in_exports_too(
+        self, built: Built, shut: EditReport, tmp_path: Path
+    ) -> None:
         pair = tuple(sorted((built.rooms[0], built.corridor)))
         stored = read_map(shut.out)
         assert shut.forbidden == (pair,)
@@ -272,10 +247,8 @@ class TestForbiddenDoors:
         for door in stored.record.graph.doors:
             assert door.forbidden == (door.between == pair)
         assert pair not in stored.topology.joined
-
-    def test_exports_say_it(self, shut: EditReport, tmp_path: Path) -> None:
         for name, word in (("geojson", '"forbidden": true'), ("graphml", "forbidden")):
-            export_map(read_map(shut.out), name, tmp_path / name)
+            export_map(stored, name, tmp_path / name)
             assert word in (tmp_path / name).read_text(encoding="utf-8")
 
     def test_a_place_chooses_the_door(self, built: Built, own: Path) -> None:
