@@ -26,12 +26,12 @@ from specmap_cli.pipelines.simulate import SimulationResult, simulate
 from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
 from specmap_cli.simulation.worlds import RoomTruth, read_rooms
 from tests.flats import TRAINED, Explained, Mapped, mapped, record_tour
-from tests.house import result
+from tests.house import house, result
 from tests.sharing import made_once
 from tests.strategies import FEW_CASES, MANY, MANY_CASES
 from tests.turning import turning_back
 
-__all__ = ["result"]  # a fixture for all
+__all__ = ["house", "result"]  # fixtures for all
 
 settings.register_profile(
     "specmap",

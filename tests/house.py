@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from specmap_cli.core.json_values import PropertyValue, runs_of
 from specmap_cli.core.records import Closure, Labels, Trajectory
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.maps.writing import MapResult
+from specmap_cli.maps.writing import MapResult, write_map
 from specmap_cli.topology.regions import divide
 from specmap_cli.topology.topological_map import (
     Break,
@@ -139,3 +140,12 @@ def result() -> MapResult:
         pose_graph="",
         overview=np.full((30, 40, 3), 200, dtype=np.uint8),
     )
+
+
+@pytest.fixture
+def house(tmp_path: Path, result: MapResult) -> Path:
+    """Its map directory."""
+    out = tmp_path / "house"
+    out.mkdir()
+    write_map(out, result)
+    return out

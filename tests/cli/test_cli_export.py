@@ -1,4 +1,4 @@
-"""`specmap export` as a person runs it."""
+"""`specmap export` and `specmap report` as a person runs them."""
 
 from __future__ import annotations
 
@@ -8,17 +8,7 @@ from pathlib import Path
 import networkx as nx
 import pytest
 
-from specmap_cli.maps.writing import MapResult, write_map
 from tests.cli.conftest import Run
-
-
-@pytest.fixture
-def house(tmp_path: Path, result: MapResult) -> Path:
-    """The map directory of the small house."""
-    out = tmp_path / "house"
-    out.mkdir()
-    write_map(out, result)
-    return out
 
 
 def test_a_map_becomes_a_graph_and_what_a_killed_run_left_is_removed(house: Path, run: Run) -> None:
@@ -103,3 +93,21 @@ def test_warnings_are_told_and_stand_in_the_result(house: Path, run: Run) -> Non
     for warning in result["warnings"]:
         assert f"specmap: warning: {warning}" in shown.err.splitlines()
     assert "specmap: left out: 1 link (0-2) without a way wide enough" in shown.err.splitlines()
+
+
+def test_a_map_becomes_a_page(run: Run, tiny_map: Path, tmp_path: Path) -> None:
+    target = tmp_path / "tiny.html"
+    outcome = run("report", tiny_map, "-o", target)
+    assert outcome.code == 0
+    assert outcome.out.startswith(f"{target}: 0.")
+    assert target.read_text(encoding="utf-8").startswith("<!doctype html>")
+    run("report", tiny_map, "-o", target).fails(2, "--overwrite")
+    again = run("report", tiny_map, "-o", target, "--overwrite", "--compare", tiny_map, "--json")
+    assert json.loads(again.out) == {
+        "schema_version": 1,
+        "map": str(tiny_map),
+        "compare": str(tiny_map),
+        "out": str(target),
+        "submaps": 1,
+        "bytes": target.stat().st_size,
+    }

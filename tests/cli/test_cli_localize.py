@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -23,19 +22,11 @@ def stored(tiny_map: Path) -> StoredMap:
     return found
 
 
-@pytest.fixture
-def settings_file(tmp_path: Path) -> Callable[[str], Path]:
-    """Makes a file of settings."""
-
-    def write(text: str) -> Path:
-        path = tmp_path / "specmap.toml"
-        path.write_text(text, encoding="utf-8")
-        return path
-
-    return write
-
-
-SettingsFile = Callable[[str], Path]
+def settings_file(folder: Path, text: str) -> Path:
+    """A file of settings."""
+    path = folder / "specmap.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
 
 
 class TestWhoseSettings:
@@ -46,10 +37,9 @@ class TestWhoseSettings:
         assert found.log == LogConfig()
         assert found == stored.config.model_copy(update={"log": LogConfig()})
 
-    def test_a_file_changes_some_of_them(
-        self, stored: StoredMap, settings_file: SettingsFile
-    ) -> None:
-        path = settings_file("[localization]\nstay = 0.9\nunknown = false\n[log]\nbase_frame = 'b'")
+    def test_a_file_changes_some_of_them(self, stored: StoredMap, tmp_path: Path) -> None:
+        text = "[localization]\nstay = 0.9\nunknown = false\n[log]\nbase_frame = 'b'"
+        path = settings_file(tmp_path, text)
         found = settings_for(stored, {}, path)
         assert (found.localization.stay, found.log.base_frame) == (0.9, "b")
         assert found.recognition == stored.config.recognition
@@ -59,10 +49,10 @@ class TestWhoseSettings:
 
     @pytest.mark.parametrize("preset", ["default", "paper"])
     def test_a_preset_takes_the_place_of_all(
-        self, preset: str, stored: StoredMap, settings_file: SettingsFile
+        self, preset: str, stored: StoredMap, tmp_path: Path
     ) -> None:
         assert settings_for(stored, {}, preset=preset) == load_config(preset=preset)
-        path = settings_file(f"preset = '{preset}'\n[localization]\nstay = 0.9\n")
+        path = settings_file(tmp_path, f"preset = '{preset}'\n[localization]\nstay = 0.9\n")
         found = settings_for(stored, {"seed": 3}, path)
         assert found == load_config(path, None, {"seed": 3})
         assert found.recognition.rounds != stored.config.recognition.rounds
@@ -70,11 +60,7 @@ class TestWhoseSettings:
     @pytest.mark.parametrize(
         ("text", "options", "told"),
         [
-            (
-                "[localization]\nstya = 1",
-                (),
-                "specmap.toml: localization.stya: no such setting, did you mean",
-            ),
+            ("[grid]\nfoo = 1", (), "specmap.toml: grid.foo: no such setting"),
             ("preset = 'mine'", (), "specmap.toml: unknown preset 'mine'"),
             ("seed = -1", (), "specmap.toml: seed: Input should be"),
             ("", ("--preset", "papre"), "unknown preset 'papre': choose from default, paper"),
@@ -87,18 +73,18 @@ class TestWhoseSettings:
         options: tuple[str, ...],
         told: str,
         tiny_map: Path,
-        settings_file: SettingsFile,
+        tmp_path: Path,
         run: Run,
     ) -> None:
-        path = settings_file(text)
+        path = settings_file(tmp_path, text)
         said = run("localize", "x.mcap", "--map", tiny_map, "--config", path, *options)
         said.fails(2)
         assert said.error.removeprefix(f"{path.parent}/").startswith(told)
 
     def test_a_setting_changes_the_labels_however_it_is_given(
-        self, tiny_log: Path, tiny_map: Path, settings_file: SettingsFile, tmp_path: Path, run: Run
+        self, tiny_log: Path, tiny_map: Path, tmp_path: Path, run: Run
     ) -> None:
-        known = settings_file("[localization]\nunknown = false\n")
+        known = settings_file(tmp_path, "[localization]\nunknown = false\n")
         written: list[bytes] = []
         for options in ((), ("--set", "localization.unknown=false"), ("--config", known)):
             out = tmp_path / f"{len(written)}.csv"

@@ -11,7 +11,8 @@ import pytest
 from tests.cli.conftest import QUICK, Run, leftovers, ran, standing_log
 
 DATA = Path(os.environ.get("SPECMAP_DATA", Path(__file__).parents[2] / ".." / "shared" / "data"))
-DAMAGED_BAG = DATA / "damaged" / "laser_scan_matcher_demo.bag"
+DAMAGED_BAG = DATA / "damaged" / "laser_scan_matcher_demo.bag"  # its index is damaged
+HAS_BAG = pytest.mark.skipif(not DAMAGED_BAG.is_file(), reason=f"no {DAMAGED_BAG} (SPECMAP_DATA)")
 
 BAD = {
     "empty.mcap": (b"", "empty.mcap: the file is empty"),
@@ -65,20 +66,21 @@ def test_a_file_given_twice(tiny_log: Path, run: Run) -> None:
         run("info", tiny_log, again).fails(3, told)
 
 
-def test_a_log_cut_off_anywhere(tiny_log: Path, tmp_path: Path, run: Run) -> None:
-    whole = tiny_log.read_bytes()
-    codes = []
+@pytest.mark.parametrize("damaged", [False, pytest.param(True, marks=HAS_BAG)])
+def test_a_log_cut_off_anywhere(damaged: bool, tiny_log: Path, tmp_path: Path, run: Run) -> None:
+    log = DAMAGED_BAG if damaged else tiny_log
+    whole, codes = log.read_bytes(), []
     for tenth in range(10):
-        size = len(whole) * tenth // 10 + 9
-        path = tmp_path / f"cut{tenth}.mcap"
-        path.write_bytes(whole[:size])
+        path = tmp_path / f"cut{tenth}{log.suffix}"
+        path.write_bytes(whole[: len(whole) * tenth // 10 + (20 if damaged else 9)])
         said = run("info", path)
         codes.append(said.code)
         told = said.error if said.code else said.out
-        assert f"cut{tenth}.mcap: " in told
-        assert "cut off" in told or "no message is lost" in told
+        assert f"{path.name}: " in told
+        assert damaged or "cut off" in told or "no message is lost" in told
     assert set(codes) == {0, 3}
     assert codes == sorted(codes, reverse=True)  # the more there is, the more is read
+    assert codes[2] == 0 or not damaged
 
 
 def test_a_log_without_scans(tmp_path: Path, run: Run) -> None:
@@ -155,26 +157,11 @@ def test_a_name_that_the_terminal_cannot_show(encoding: str, tmp_path: Path) -> 
     assert said.err == ""
 
 
-@pytest.mark.skipif(not DAMAGED_BAG.is_file(), reason=f"no {DAMAGED_BAG} (set SPECMAP_DATA)")
-class TestTheDamagedBag:
-    """A ROS 1 bag whose index is damaged."""
-
-    def test_what_is_readable_is_read_and_the_damage_told(self, tmp_path: Path, run: Run) -> None:
-        said = run("convert", DAMAGED_BAG, tmp_path / "saved.mcap")
-        assert said.code == 0
-        assert "damage: " in said.out
-        assert "laser_scan_matcher_demo.bag: the record at byte" in said.out
-        said = run("info", tmp_path / "saved.mcap")
-        assert "scan: 681 beams over 239.06 degrees" in said.out
-
-    def test_cut_off_anywhere(self, tmp_path: Path, run: Run) -> None:
-        whole = DAMAGED_BAG.read_bytes()
-        codes = []
-        for tenth in range(10):
-            path = tmp_path / f"cut{tenth}.bag"
-            path.write_bytes(whole[: len(whole) * tenth // 10 + 20])
-            said = run("info", path)
-            codes.append(said.code)
-            assert f"cut{tenth}.bag: " in (said.error if said.code else said.out)
-        assert codes[0] == 3
-        assert set(codes[2:]) == {0}
+@HAS_BAG
+def test_what_is_readable_is_read_and_the_damage_told(tmp_path: Path, run: Run) -> None:
+    said = run("convert", DAMAGED_BAG, tmp_path / "saved.mcap")
+    assert said.code == 0
+    assert "damage: " in said.out
+    assert "laser_scan_matcher_demo.bag: the record at byte" in said.out
+    said = run("info", tmp_path / "saved.mcap")
+    assert "scan: 681 beams over 239.06 degrees" in said.out

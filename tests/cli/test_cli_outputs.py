@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import QUICK, Outcome, Run, leftovers, ran
+from tests.cli.conftest import QUICK, Run, leftovers, ran
 
 
 def test_two_builds_are_byte_identical(tiny_log: Path, tiny_map: Path, tmp_path: Path) -> None:
@@ -43,52 +43,36 @@ def test_localizing_twice_is_byte_identical(
     assert written[0][1].count(b"\n") == 62  # a header, and a line a scan
 
 
-@pytest.fixture
-def lines(
-    tiny_log: Path, tiny_map: Path, plan: Path, tmp_path: Path
-) -> dict[str, tuple[str | Path, ...]]:
-    """A line of every command that succeeds."""
-    return {
-        "info": ("info", tiny_log),
-        "build": ("build", tiny_log, "-o", tmp_path / "map", *QUICK),
-        "localize": ("localize", tiny_log, "--map", tiny_map),
-        "segment": ("segment", plan, "-o", tmp_path / "rooms"),
-        "simulate": ("simulate", plan, "-o", tmp_path / "tour.mcap", "--max-duration", "1"),
-        "convert": ("convert", tiny_log, "-o", tmp_path / "copy.mcap"),
-        "config": ("config",),
-    }
+# A line of some commands that succeeds.
+LINES: dict[str, tuple[str, ...]] = {
+    "info": ("{log}",),
+    "build": ("{log}", "-o", "{out}", *QUICK),
+    "localize": ("{log}", "--map", "{map}"),
+    "segment": ("{plan}", "-o", "{out}"),
+    "simulate": ("{plan}", "-o", "{out}", "--max-duration", "1"),
+    "convert": ("{log}", "-o", "{out}"),
+    "config": (),
+}
 
 
-def assert_json(said: Outcome) -> None:
-    """It is one object and all there is on stdout; stderr has notes alone."""
-    assert said.code == 0
-    assert isinstance(json.loads(said.out), dict)
-    assert all(line.startswith("specmap: ") for line in said.err.splitlines())
-
-
-def assert_quiet(said: Outcome) -> None:
-    """Nothing is said but the result."""
-    assert (said.code, said.err) == (0, "")
-    assert said.out
-
-
-@pytest.mark.parametrize("name", ["info", "localize", "config"])
-def test_what_is_printed_is_one_object_or_nothing_but_the_result(
-    name: str, lines: dict[str, tuple[str | Path, ...]], run: Run
-) -> None:
-    assert_json(run(*lines[name], "--json"))
-    assert_quiet(run(*lines[name], "--quiet"))
-
-
-@pytest.mark.parametrize("name", ["build", "segment", "simulate", "convert"])
+@pytest.mark.parametrize("name", LINES)
 def test_what_exists_is_replaced_only_when_told_and_what_is_printed_is_the_result(
-    name: str, lines: dict[str, tuple[str | Path, ...]], tmp_path: Path, run: Run
+    name: str, tiny_log: Path, tiny_map: Path, plan: Path, tmp_path: Path, run: Run
 ) -> None:
-    assert_quiet(run(*lines[name], "--quiet"))
-    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
-    run(*lines[name]).fails(2, "--overwrite")
-    assert before == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
-    assert_json(run(*lines[name], "--overwrite", "--json"))
+    """Quiet, nothing is said but that; else stderr has notes alone."""
+    place = {"log": tiny_log, "map": tiny_map, "plan": plan, "out": tmp_path / "out.mcap"}
+    line = [name, *(part.format(**place) for part in LINES[name])]
+    quiet = run(*line, "--quiet")
+    assert (quiet.code, quiet.err) == (0, "")
+    assert quiet.out
+    if "-o" in line:
+        before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
+        run(*line).fails(2, "--overwrite")
+        assert before == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
+        line.append("--overwrite")
+    said = run(*line, "--json")
+    assert isinstance(said.result, dict)
+    assert all(text.startswith("specmap: ") for text in said.err.splitlines())
     assert leftovers(tmp_path) == []
 
 
@@ -103,6 +87,7 @@ def test_labels_and_picture_are_replaced_only_when_told(
         run(*line, option, path).fails(2, told)
         assert path.read_text(encoding="utf-8") == "mine"
         assert run(*line, option, path, "--overwrite").code == 0
+    run(*line, "-o", path, "--plot", path, "--overwrite").fails(2, "given for two outputs")
 
 
 Place = Callable[[Path], Path]
@@ -158,14 +143,6 @@ def test_inputs_are_never_replaced(plan: Path, own_map: Path, tiny_log: Path, ru
     ):
         run(*line, "--overwrite").fails(2, "would replace the input")
     assert log.read_bytes() == tiny_log.read_bytes()
-
-
-def test_two_outputs_need_two_files(
-    tiny_log: Path, tiny_map: Path, tmp_path: Path, run: Run
-) -> None:
-    same = tmp_path / "same"
-    line = ("localize", tiny_log, "--map", tiny_map, "-o", same, "--plot", same)
-    run(*line).fails(2, "given for two outputs")
 
 
 def test_the_true_poses_are_not_replaced_either(plan: Path, tmp_path: Path, run: Run) -> None:

@@ -35,18 +35,10 @@ def test_every_error_is_drawn_and_has_an_honest_exit_code() -> None:
         assert tree()[name].exit_code == code
     for name, kind in tree().items():
         assert kind.exit_code in {1, 2, 3, 4}, name
-
-
-@pytest.mark.parametrize("kind", [errors.LogError, errors.MapError])
-def test_what_cannot_be_read_is_an_input_error(kind: type[errors.SpecmapError]) -> None:
-    assert issubclass(kind, errors.InputError)
-    assert kind("log.mcap: empty").exit_code == 3
-
-
-def test_the_code_of_a_kind_of_error_has_its_exit_code() -> None:
-    for kind in tree().values():
-        assert errors.CODES[kind.code][0] == kind.exit_code
-    assert kind("x", code=errors.MEMORY).code == "memory"
+        assert errors.CODES[kind.code][0] == kind.exit_code, name
+        assert kind("x", code=errors.MEMORY).code == "memory"
+    for kind in (errors.LogError, errors.MapError):
+        assert issubclass(kind, errors.InputError)
 
 
 def test_every_code_is_documented() -> None:
@@ -67,24 +59,15 @@ def test_every_code_is_given_somewhere() -> None:
 @pytest.mark.parametrize(
     ("error", "line"),
     [
+        (errors.LogError("is empty", where=Path("a b.mcap")), "a b.mcap: is empty"),
         (
-            errors.LogError("the file is empty", where=Path("a b.mcap")),
-            "a b.mcap: the file is empty",
+            errors.UsageError("is a directory", "name a file", where="a"),
+            "a: is a directory: name a file",
         ),
-        (
-            errors.UsageError("is a directory", "name the file to write", where="a"),
-            "a: is a directory: name the file to write",
-        ),
-        (
-            errors.UsageError("exists already", "use --overwrite", mark=";", where="a"),
-            "a: exists already; use --overwrite",
-        ),
+        (errors.UsageError("is there", "go on", mark=";", where="a"), "a: is there; go on"),
         (errors.UsageError(hint="expected KEY=VALUE", where="a"), "a: expected KEY=VALUE"),
         (errors.LogError("no such file b,", "name one", where="a"), "a: no such file b,: name one"),
-        (
-            errors.NoResultError("no free space", "check the scale"),
-            "no free space: check the scale",
-        ),
+        (errors.NoResultError("no space", "check the scale"), "no space: check the scale"),
         (errors.SpecmapError(), ""),
     ],
 )
@@ -139,13 +122,10 @@ def test_each_has_its_own_advice(number: int, hint: str) -> None:
     assert reason(OSError(number, os.strerror(number)), "go") == (os.strerror(number), hint)
 
 
-def test_without_advice_only_what_helps_anywhere_is_said() -> None:
+def test_without_advice_only_what_helps_anywhere_is_said_and_our_own_words_are_kept() -> None:
     assert reason(OSError(errno.EIO, os.strerror(errno.EIO))) == ("Input/output error", "")
     assert "ulimit -n" in reason(OSError(errno.EMFILE, os.strerror(errno.EMFILE)))[1]
     assert reason(OSError("no number")) == ("no number", "")
-
-
-def test_an_error_of_our_own_keeps_its_words() -> None:
     error = OSError(errno.EFBIG, "larger than 5 MB")
     assert not is_of_the_place(error)
     assert not is_of_the_machine(error)

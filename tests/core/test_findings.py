@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import pytest
 
@@ -43,29 +44,16 @@ def test_verdicts_are_ordered() -> None:
 
 
 def test_a_finding_for_a_machine_says_where_it_is() -> None:
-    full = Finding(
-        code="walls-disagree",
-        severity="poor",
-        message="walls",
-        advice="look",
-        value=0.3,
-        limit=0.1,
-        where=Where(1_500_000_000, 1.0, 2.0),
-    )
-    assert full.as_dict() == {
-        "code": "walls-disagree",
-        "severity": "poor",
-        "message": "walls",
-        "advice": "look",
-        "value": 0.3,
-        "limit": 0.1,
-        "where": {"stamp": 1.5, "x": 1.0, "y": 2.0},
-    }
+    said: dict[str, Any] = {"code": "walls-disagree", "severity": "poor", "message": "walls"}
+    said |= {"advice": "look", "value": 0.3, "limit": 0.1}
+    where = {"stamp": 1.5, "x": 1.0, "y": 2.0}
+    full = Finding(**said, where=Where(1_500_000_000, 1.0, 2.0))
+    assert full.as_dict() == said | {"where": where}
     assert finding("note").as_dict()["where"] is None
     assert UNDOUBTED.as_dict() == {"verdict": "good", "findings": []}
 
 
-def test_many_findings_of_a_kind_are_one_line() -> None:
+def test_many_findings_of_a_kind_are_one_line_and_advice_follows() -> None:
     lines = summary(
         [
             finding("note", "a", "a first"),
@@ -75,9 +63,6 @@ def test_many_findings_of_a_kind_are_one_line() -> None:
         ]
     )
     assert lines == ["a worst (and 2 more like it)", "b first"]
-
-
-def test_advice_follows_what_was_found() -> None:
     told = Finding(code="a", severity="poor", message="it is dark", advice="make light")
     assert summary([told]) == ["it is dark: make light"]
     assert summary([]) == []

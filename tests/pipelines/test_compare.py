@@ -14,7 +14,6 @@ from specmap_cli.cli import main
 from specmap_cli.core.errors import NoResultError, UsageError
 from specmap_cli.core.schemas import read_schema
 from specmap_cli.grids.gridmap import FREE
-from specmap_cli.maps.writing import MapResult, write_map
 from specmap_cli.pipelines.compare import (
     COMPARISON,
     PICTURE,
@@ -44,17 +43,18 @@ def told(week: Path) -> Comparison:
     return compare_maps(week / "monday", week / "wednesday")
 
 
-def test_what_changed_is_told(told: Comparison) -> None:
-    found = told.differences
+def test_what_changed_is_told_with_its_place_in_the_old_map(told: Comparison) -> None:
+    found, grid = told.differences, told.old.map_grid
     assert [round(way.width_m, 1) for way in found.closed] == [pytest.approx(0.9, abs=0.15)]
     assert len(found.opened) == 1
-    assert len(found.appeared) == 1
+    (cabinet,) = found.appeared
     assert not found.vanished
-    cabinet = found.appeared[0]
     assert cabinet.length_m == pytest.approx(0.8, abs=0.2)
     assert 0.05 < cabinet.length_m * cabinet.width_m < 0.5
-    assert found.appeared[0].old_submap is not None
+    assert cabinet.old_submap is not None
     assert len(told.record.submaps.same) >= 3
+    for place in (cabinet.centre, found.closed[0].place):
+        assert (grid.values_at(place[None]) == FREE).all()
 
 
 def test_names_that_a_person_gave_are_told(told: Comparison) -> None:
@@ -63,14 +63,6 @@ def test_names_that_a_person_gave_are_told(told: Comparison) -> None:
     lines = lines_of(told.record.model_copy(update={"old": old}))
     assert any(line.startswith("way closed: ") and "(Kitchen)" in line for line in lines)
     assert not any("(submap" in line for line in lines)
-
-
-def test_places_are_those_of_the_old_map(told: Comparison) -> None:
-    grid = told.old.map_grid
-    cabinet = told.differences.appeared[0]
-    assert (grid.values_at(cabinet.centre[None]) == FREE).all()
-    for way in told.differences.closed:
-        assert (grid.values_at(way.place[None]) == FREE).all()
 
 
 def test_the_other_way_round_things_vanish(before: Path, changed: Path) -> None:
@@ -88,18 +80,16 @@ def test_two_recordings_of_one_building_differ_in_nothing(
     assert "the building: no change found" in found.lines()
 
 
-def test_a_map_is_identical_to_itself(before: Path) -> None:
+def test_a_map_is_identical_to_itself_and_not_replaced_by_its_comparison(before: Path) -> None:
     found = compare_maps(before, before)
     assert found.identical
     assert found.lines() == [f"{before}: identical to {before}"]
+    assert main(["compare", str(before), str(before), "-o", str(before), "-q"]) == 2
 
 
 def test_a_map_of_another_building_is_refused_with_the_reason(
-    before: Path, result: MapResult, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    before: Path, house: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    house = tmp_path / "house"
-    house.mkdir()
-    write_map(house, result)
     (house / "classifiers.json").unlink()
     with pytest.raises(NoResultError, match="not aligned with"):
         compare_maps(before, house)
@@ -132,10 +122,6 @@ def test_the_same_maps_give_the_same_bytes_and_only_an_earlier_result_is_replace
     assert [file.read_bytes() for file in files] == written
     with pytest.raises(UsageError, match=f"no {COMPARISON} in it"):
         write_comparison(told, before, overwrite=True)
-
-
-def test_a_map_is_not_replaced_by_its_comparison(before: Path) -> None:
-    assert main(["compare", str(before), str(before), "-o", str(before), "-q"]) == 2
 
 
 def test_a_map_without_classifiers_is_compared_by_its_grids(

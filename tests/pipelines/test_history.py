@@ -15,8 +15,7 @@ from specmap_cli.cli import main
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.schemas import read_schema
 from specmap_cli.history.record import BuildingRecord
-from specmap_cli.maps.writing import MapResult, write_map
-from specmap_cli.pipelines.history import HistoryReport, history_of, write_history
+from specmap_cli.pipelines.history import history_of, write_history
 from tests.flats import Mapped
 
 
@@ -27,14 +26,9 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 
 @pytest.fixture(scope="module")
-def report(week: Path) -> HistoryReport:
-    return history_of([week])
-
-
-@pytest.fixture(scope="module")
-def building(report: HistoryReport) -> BuildingRecord:
+def building(week: Path) -> BuildingRecord:
     """The one building of the week."""
-    (found,) = report.record.buildings
+    (found,) = history_of([week]).record.buildings
     return found
 
 
@@ -104,29 +98,23 @@ def test_a_map_that_cannot_be_read_is_left_out_and_told(
     shutil.copytree(week / "monday", tmp_path / "good")
     shutil.copytree(week / "tuesday", tmp_path / "bad")
     (tmp_path / "bad" / "labels.csv").write_text("nonsense\n", encoding="utf-8")
-    out = tmp_path / "history"
     assert main(["history", str(tmp_path), "--json", "-q"]) == 3
     printed = json.loads(capsys.readouterr().out)
     assert [Path(one["map"]).name for one in printed["left_out"]] == ["bad"]
     assert len(printed["buildings"]) == 1
-    assert not out.exists()
 
 
-def test_without_a_map_there_is_no_history(tmp_path: Path) -> None:
-    with pytest.raises(MapError, match=re.escape(str(tmp_path))):
-        history_of([tmp_path])
-
-
-def test_a_divided_plan_knows_no_visits(tmp_path: Path, result: MapResult) -> None:
-    (tmp_path / "map").mkdir()
-    write_map(tmp_path / "map", result)
-    (tmp_path / "map" / "labels.csv").unlink()
+def test_without_a_map_or_its_visits_there_is_no_history(house: Path) -> None:
+    (house / "labels.csv").unlink()  # as in a divided plan
     with pytest.raises(MapError, match="visits"):
-        history_of([tmp_path / "map"])
+        history_of([house])
+    (house / "topology.json").unlink()
+    with pytest.raises(MapError, match=re.escape(str(house))):
+        history_of([house])
 
 
 def test_the_command_writes_all_of_it(
-    week: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    week: Path, building: BuildingRecord, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "week"
     assert main(["history", str(week), "-o", str(out), "--json", "-q"]) == 0
@@ -138,19 +126,13 @@ def test_the_command_writes_all_of_it(
     visits = sum(room["visits"] for room in printed["buildings"][0]["rooms"])
     assert sum(int(row["visits"]) for row in rows(out / "visits.csv")) == visits
     assert [row["since"] for row in rows(out / "changes.csv")] == ["2025-11-25"] * 3
-    assert main(["history", str(week), "-o", str(out), "-q"]) == 2  # only with --overwrite
-
-
-def test_the_page_shows_rooms_days_and_changes(
-    report: HistoryReport, building: BuildingRecord, tmp_path: Path
-) -> None:
-    write_history(report, tmp_path / "out")
-    page = (tmp_path / "out" / "history.html").read_text(encoding="utf-8")
+    page = (out / "history.html").read_text(encoding="utf-8")
     for room in building.rooms:
         assert f">{room.name}</th>" in page
     assert page.count('class="room"') == len(building.rooms)
     assert "door closed between" in page
     assert "<script" not in page
+    assert main(["history", str(week), "-o", str(out), "-q"]) == 2  # only with --overwrite
 
 
 def test_the_page_links_to_the_maps_and_to_reports_of_a_batch(week: Path, tmp_path: Path) -> None:

@@ -148,19 +148,12 @@ def test_damaged_classifiers_keep_what_to_do_about_them(
     assert caught.value.hint == "build the map again"
 
 
-class Notes(Silent):
-    """Keeps what is noted."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.notes: list[str] = []
-
-    def note(self, message: str) -> None:
-        self.notes.append(message)
-
-
 def test_an_older_map_is_used_offline_without_poses_and_what_it_lacks_is_told(
-    own_log: Path, flat_map: StoredMap, metric: LocalizationReport, tmp_path: Path
+    own_log: Path,
+    flat_map: StoredMap,
+    metric: LocalizationReport,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """One made before it was kept how well its scans fit, and how sure its classifiers are."""
     older = tmp_path / "older"
@@ -168,11 +161,12 @@ def test_an_older_map_is_used_offline_without_poses_and_what_it_lacks_is_told(
     data = json.loads((older / CLASSIFIERS).read_text())
     assert all(data.pop(part)["views"] > 20 for part in ("misfit", "calibration"))
     (older / CLASSIFIERS).write_text(json.dumps(data))
-    progress = Notes()
+    progress, notes = Silent(), list[str]()
+    monkeypatch.setattr(progress, "note", notes.append)
     old = StoredMap(older, flat_map.record, note="it lacks keyframes")
     report = localize_log(own_log, old, offline=True, progress=progress)
-    assert progress.notes[0] == "it lacks keyframes"
-    assert [note for note in progress.notes if "fit its walls" in note] == [
+    assert notes[0] == "it lacks keyframes"
+    assert [note for note in notes if "fit its walls" in note] == [
         f"{older}: an older map, which does not say how well its own scans fit its walls; known "
         "places are told from unknown by what is usual elsewhere: build it again"
     ]
@@ -202,18 +196,12 @@ class TestReport:
             "warnings": ["a warning"],
         }
 
-    def test_its_lines_are_a_table_with_unknown_last(self) -> None:
-        lines = labelled([3, None, 3], [None] * 3).lines()
-        assert lines[0] == "made.mcap: 3 scans, raw and filtered label agree on 100.0%"
-        assert [line.split() for line in lines[1:]] == [
-            ["submap", "raw", "filtered"],
-            ["3", "2", "2"],
-            ["unknown", "1", "1"],
-        ]
-
-    def test_it_calls_submaps_by_the_names_that_a_person_gave(self) -> None:
+    def test_its_lines_are_a_table_with_names_that_a_person_gave_and_unknown_last(self) -> None:
         report = replace(labelled([3, None, 4], [None] * 3), names={3: 'Ann\'s "lab", west'})
-        assert [line.split(maxsplit=3) for line in report.lines()[2:]] == [
+        first, head, *lines = report.lines()
+        assert first == "made.mcap: 3 scans, raw and filtered label agree on 100.0%"
+        assert head.split()[:3] == ["submap", "raw", "filtered"]
+        assert [line.split(maxsplit=3) for line in lines] == [
             ["3", "1", "1", 'Ann\'s "lab", west'],
             ["4", "1", "1"],
             ["unknown", "1", "1"],
@@ -241,9 +229,8 @@ class TestReport:
         self, flat_map: StoredMap
     ) -> None:
         """A few scans matched at the wrong end of a submap draw no line across the map."""
-        here, far = Pose2(0.0, 0.0, 0.0), Pose2(60.0, 60.0, 0.0)
-        poses = [here @ Pose2(0.1 * k, 0.0, 0.0) for k in range(40)]
-        leaping = [*poses[:20], far, far, *poses[22:]]
+        poses = [Pose2(0.1 * k, 0.0, 0.0) for k in range(40)]
+        leaping = [*poses[:20], *[Pose2(60.0, 60.0, 0.0)] * 2, *poses[22:]]
         straight, other = (
             picture_of(labelled([0] * 40, track), flat_map, True) for track in (poses, leaping)
         )

@@ -57,12 +57,17 @@ def learned_from(stored: StoredMap, config: Config) -> int:
     return len(training_data_of_stored(stored, config).raw.keyframes)
 
 
-def test_other_settings_learn_anew(flat_map: StoredMap) -> None:
+def test_other_settings_learn_anew_and_so_does_a_map_without_the_file(
+    flat_map: StoredMap, tmp_path: Path
+) -> None:
     config = flat_map.config
     assert learned_from(flat_map, changed(config, "recognition", feature_set="table1")) == 0
     assert learned_from(flat_map, changed(config, "localization", false_unknown=0.1)) == 0
     found = training_data_of_stored(flat_map, changed(config, "grid", footprint_m=0.3))
     assert len(found.cast.keyframes) == 0 < len(found.along.keyframes), "cast in other grids"
+    without = shutil.copytree(flat_map.path, tmp_path / "without")
+    (without / "features.npz").unlink()
+    assert learned_from(read_map(without), config) == 0
 
 
 @pytest.mark.parametrize("without", [{"virtual": False}, {"augmentation": 0}])
@@ -88,12 +93,6 @@ def test_a_map_of_another_version_learns_anew(
     other = read_map(tmp_path / "other")
     assert learned_from(other, flat_map.config) == 0
     assert comparable(classifiers_of(other), other, flat_map.config) is None
-
-
-def test_a_map_without_the_file_learns_anew(flat_map: StoredMap, tmp_path: Path) -> None:
-    shutil.copytree(flat_map.path, tmp_path / "other")
-    (tmp_path / "other" / "features.npz").unlink()
-    assert learned_from(read_map(tmp_path / "other"), flat_map.config) == 0
 
 
 def test_classifiers_of_other_settings_are_no_test(flat_map: StoredMap) -> None:
@@ -124,8 +123,9 @@ BEFORE = labels(ROW, [0, 0, 0, 1, 1, 1])
             [0, 2, 3, 5],
         ),
         ([*range(6)], labels([*ROW[:5], (5.0, 0.5, 0.0)], BEFORE.submaps.tolist()), [0, 2]),
+        ([*range(6)], labels(ROW, [0] * 6), []),
     ],
-    ids=["visited again", "a keyframe is gone", "moved as a whole", "bent"],
+    ids=["visited again", "a keyframe is gone", "moved as a whole", "bent", "two are one now"],
 )
 def test_scans_cast_in_a_grid_hold_while_the_submap_is_as_it_was(
     left: list[int], now: Labels, cast: list[int]
@@ -143,10 +143,3 @@ def test_training_data_of_a_map_behind_another_are_numbered_behind_it() -> None:
     assert found.along.keyframes.tolist() == [7]
     assert found.beside.keyframes.tolist() == [8]
     assert found.cast.keyframes.tolist() == [11]  # the first submap has keyframes of both maps
-
-
-def test_scans_cast_in_two_submaps_that_are_one_now_do_not_hold() -> None:
-    data = TrainingData(samples(), samples(), samples(), samples(0, 5))
-    now = labels(ROW, [0] * 6)
-    found = valid_training_data(data, BEFORE, now, np.arange(6), 0.05)
-    assert found.cast.keyframes.tolist() == []
