@@ -17,20 +17,15 @@ from specmap_cli.core.process import STANDS_ON
 
 ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-RUNTIME = [Requirement(line) for line in PROJECT["dependencies"]]
-DEVELOPMENT = [Requirement(line) for line in PROJECT["optional-dependencies"]["dev"]]
-BATCH = [Requirement(line) for line in PROJECT["optional-dependencies"]["batch"]]
-CONSUMERS = [Requirement(line) for line in PROJECT["optional-dependencies"]["consumers"]]
-RERUN = [Requirement(line) for line in PROJECT["optional-dependencies"]["rerun"]]
-BOTH_ENDS = [*RUNTIME, *DEVELOPMENT, *BATCH]  # tested with the lowest versions, too
-PINNED = [*BOTH_ENDS, *CONSUMERS]
-DECLARED = [*PINNED, *RERUN]
+RUNTIME = [*map(Requirement, PROJECT["dependencies"])]
+EXTRAS = {
+    name: [*map(Requirement, lines)] for name, lines in PROJECT["optional-dependencies"].items()
+}
+BOTH_ENDS = [*RUNTIME, *EXTRAS["dev"], *EXTRAS["batch"]]  # tested with the lowest versions, too
+PINNED = [*BOTH_ENDS, *EXTRAS["consumers"]]
+DECLARED = [*PINNED, *EXTRAS["rerun"]]
 # For the site and for archives: pinned as the others, and no part of what is tested at both ends.
-TOOLS = [
-    Requirement(line)
-    for extra in ("docs", "dist")
-    for line in PROJECT["optional-dependencies"][extra]
-]
+TOOLS = [*EXTRAS["docs"], *EXTRAS["dist"]]
 
 
 def pins(name: str) -> dict[str, Version]:
@@ -59,11 +54,6 @@ def test_the_usual_pins_are_allowed() -> None:
     assert [one for one in PINNED if usual[canonicalize_name(one.name)] < floor(one)] == []
 
 
-def test_nothing_is_declared_twice() -> None:
-    names = [canonicalize_name(requirement.name) for requirement in [*DECLARED, *TOOLS]]
-    assert len(names) == len(set(names))
-
-
 def test_the_version_names_all_that_is_needed_to_run() -> None:
     assert list(STANDS_ON) == sorted(requirement.name for requirement in RUNTIME)
 
@@ -79,7 +69,8 @@ def test_the_package_imports_what_is_declared_and_nothing_else() -> None:
     foreign = imported - sys.stdlib_module_names - {"specmap_cli"}
     distributions = dict(metadata.packages_distributions())
     declared = {canonicalize_name(requirement.name) for requirement in RUNTIME}
-    declared |= {canonicalize_name(requirement.name) for requirement in [*RERUN, *BATCH]}
+    extras = [*EXTRAS["rerun"], *EXTRAS["batch"]]
+    declared |= {canonicalize_name(requirement.name) for requirement in extras}
     distributions |= {"rerun": ["rerun-sdk"]}  # which need not be installed
     distributions |= {name: [name] for name in ("distributed", "fsspec", "psutil", "pyarrow")}
     distributions |= {"dask": ["distributed"]}  # it comes with it
@@ -89,11 +80,12 @@ def test_the_package_imports_what_is_declared_and_nothing_else() -> None:
     assert undeclared == set()
 
 
-def test_the_documents_say_what_each_is_for() -> None:
+def test_the_documents_say_what_each_is_for_and_nothing_is_declared_twice() -> None:
     text = (ROOT / "docs" / "dependencies.md").read_text(encoding="utf-8")
     names = [requirement.name for requirement in [*DECLARED, *TOOLS]]
     said = [name for name in names if re.search(rf"(?<![\w-]){re.escape(name)}(?![\w-])", text)]
     assert said == names
+    assert len({*map(canonicalize_name, names)}) == len(names)
 
 
 def test_every_python_promised_is_allowed() -> None:

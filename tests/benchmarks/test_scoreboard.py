@@ -167,19 +167,14 @@ class TestPage:
         assert "\n" not in page.state()
 
 
-class TestCommand:
-    def test_it_lists_what_can_be_asked_for(
-        self, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr(sys, "argv", ["scoreboard", "--list"])
-        assert main() == 0
-        listed = capsys.readouterr().out
-        assert "cold: Rooms of real maps" in listed
-        assert re.search(r"cold\.iou +IoU", listed)
-
-    def test_an_unknown_row_is_refused(
-        self, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr(sys, "argv", ["scoreboard", "--only", "cold.walls"])
-        assert main() == 2
-        assert capsys.readouterr().err == "no section or row cold.walls: see --list\n"
+def test_the_command_lists_what_can_be_asked_for_and_refuses_an_unknown_row(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["scoreboard", "--list"])
+    assert main() == 0
+    listed = capsys.readouterr().out
+    assert "cold: Rooms of real maps" in listed
+    assert re.search(r"cold\.iou +IoU", listed)
+    monkeypatch.setattr(sys, "argv", ["scoreboard", "--only", "cold.walls"])
+    assert main() == 2
+    assert capsys.readouterr().err == "no section or row cold.walls: see --list\n"

@@ -8,6 +8,7 @@ import tempfile
 import time
 from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -79,37 +80,13 @@ def plant(monkeypatch: pytest.MonkeyPatch, deed: str) -> None:
     monkeypatch.setattr(ChunkedFile, "messages", messages)
 
 
-def raise_a_bug() -> None:
-    raise ValueError("planted")
-
-
-def sleep_long() -> None:
-    time.sleep(60)
-
-
-def eat_memory() -> None:
-    bytearray(2 << 30)
-
-
-def crash() -> None:
-    os.kill(os.getpid(), signal.SIGSEGV)
-
-
-def write_raw() -> None:
-    os.write(2, b"a library speaks\n")
-
-
-def leave_a_file() -> None:
-    tempfile.mkstemp()
-
-
-_DEEDS: dict[str, Callable[[], None]] = {
-    "raise": raise_a_bug,
-    "sleep": sleep_long,
-    "eat": eat_memory,
-    "crash": crash,
-    "write": write_raw,
-    "leave": leave_a_file,
+_DEEDS: dict[str, Callable[[], object]] = {
+    "raise": lambda: int("planted"),
+    "sleep": lambda: time.sleep(60),
+    "eat": lambda: bytearray(2 << 30),
+    "crash": lambda: os.kill(os.getpid(), signal.SIGSEGV),
+    "write": lambda: os.write(2, b"a library speaks\n"),
+    "leave": tempfile.mkstemp,
 }
 
 
@@ -130,10 +107,9 @@ def test_a_planted_fault_is_noticed(
 ) -> None:
     number = first_chunked(seeds)
     limits = Limits(time_s=1.0) if deed == "sleep" else Limits()
-    before = outcomes(seeds, [number], limits)
+    assert kind not in kinds(outcomes(seeds, [number], limits))
     plant(monkeypatch, deed)
     after = outcomes(seeds, [number], limits)
-    assert kind not in kinds(before)
     assert kind in kinds(after)
     said = [failure.what for failure in after[0].failures if failure.kind == kind]
     assert any(what in text for text in said), said
@@ -152,19 +128,16 @@ def test_an_output_beside_an_error_is_noticed(
     seeds: Seeds, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A plot that fails after the table was written leaves half of a result."""
-    report = "specmap_cli.pipelines.localize.write_together"
-    monkeypatch.setattr(report, refuse_to_plot)
+
+    def refuse_to_plot(contents: dict[Path, bytes]) -> None:
+        first, *others = contents
+        first.write_bytes(contents[first])
+        if others:
+            raise UsageError(f"{others[0]}: planted")
+
+    monkeypatch.setattr("specmap_cli.pipelines.localize.write_together", refuse_to_plot)
     number = next(n for n in range(1, 4000, 20) if plots(case_of(seeds, SEED, n)))
-    found = outcomes(seeds, [number])
-    assert "half-written" in kinds(found)
-
-
-def refuse_to_plot(contents: dict[Path, bytes]) -> None:
-    """Write the table, and fail at the picture."""
-    first, *others = contents
-    first.write_bytes(contents[first])
-    if others:
-        raise UsageError(f"{others[0]}: planted")
+    assert "half-written" in kinds(outcomes(seeds, [number]))
 
 
 def plots(case: LogCase | MapCase) -> bool:
@@ -185,18 +158,11 @@ def test_a_case_is_the_same_every_time(seeds: Seeds) -> None:
 
 def test_intact_inputs_pass(seeds: Seeds, tmp_path: Path) -> None:
     """What fails is the damage, never the intact file: the fuzzer cries no wolf."""
+    whole: dict[str, Any] = {"number": 0, "notes": (), "excused": 0, "must_tell": False}
+    whole |= {"build": False, "convert": True}
     for (variant, drive), data in seeds.files.items():
-        case = LogCase(
-            number=0,
-            name=f"{variant} {drive}",
-            notes=(),
-            data=data,
-            stamps_ns=seeds.drives[drive].stamps_ns,
-            excused=0,
-            must_tell=False,
-            build=False,
-            convert=True,
-        )
+        stamps = seeds.drives[drive].stamps_ns
+        case = LogCase(name=f"{variant} {drive}", data=data, stamps_ns=stamps, **whole)
         folder = tmp_path / case.name
         folder.mkdir()
         assert judge(case, folder, (), tmp_path / "none") == [], case.name
