@@ -49,21 +49,10 @@ MAY_IMPORT: dict[str, set[str]] = {
 MOST_ROOMS, MOST_FLOORS = 24, 9
 MOST_LINES, MOST_LINES_OF_A_FUNCTION = 460, 60
 # what `specmap --help` must not load: tests/cli/test_cli_usage.py runs it
-HEAVY = set(
-    [
-        "cv2",
-        "jinja2",
-        "kiss_icp",
-        "mcap",
-        "networkx",
-        "numpy",
-        "pydantic",
-        "rosbags",
-        "scipy",
-        "sklearn",
-        "yaml",
-    ]
-)
+HEAVY = {
+    *("cv2", "jinja2", "kiss_icp", "mcap", "networkx", "numpy", "pydantic", "rosbags"),
+    *("scipy", "sklearn", "yaml"),
+}
 MODULES = sorted(ROOT.rglob("*.py"))
 
 

@@ -18,7 +18,7 @@ from tests.strategies import planar_scans, pose_arrays, poses
 def test_records_are_frozen_slotted_and_documented() -> None:
     of_here = (kind for kind in vars(records).values() if isinstance(kind, type))
     for kind in (kind for kind in of_here if kind.__module__ == records.__name__):
-        assert kind.__dataclass_params__.frozen, kind
+        assert kind.__dataclass_params__.frozen, kind  # type: ignore[attr-defined]
         assert "__slots__" in vars(kind), kind
         assert kind.__doc__, kind
 
