@@ -7,10 +7,12 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import specmap_cli
+from specmap_cli.core.arguments import instance_of, path_of, paths_of
 from specmap_cli.core.settings import Config
 from tests.conftest import SAMPLE_LOGS
 
@@ -80,3 +82,23 @@ def test_wrong_types_are_refused_before_the_work(
     with pytest.raises(TypeError, match=r"expected .*, found "):
         call()
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("value", ["a/b", Path("a/b")])
+def test_a_path_may_be_text(value: str | Path) -> None:
+    assert path_of(value, "out") == Path("a/b")
+    assert paths_of(value, "logs") == [Path("a/b")]
+    assert paths_of([value, "c"], "logs") == [Path("a/b"), Path("c")]
+    assert paths_of((), "logs") == []
+    assert instance_of(value, type(value), "path") is value
+
+
+@pytest.mark.parametrize("value", [None, 3, b"bytes", {"a": 1}, {"a"}, object(), [0] * 1000])
+def test_what_is_no_path_is_named_and_cut_in_the_message(value: Any) -> None:
+    with pytest.raises(TypeError, match=r"^out: expected a path \(str or Path\), found ") as told:
+        path_of(value, "out")
+    assert len(str(told.value)) < 120
+    with pytest.raises(TypeError, match=r"^logs: expected a path"):
+        paths_of(value, "logs")
+    with pytest.raises(TypeError, match=r"^count: expected str, found "):
+        instance_of(value, str, "count")

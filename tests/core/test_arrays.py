@@ -7,7 +7,7 @@ from itertools import groupby
 import networkx as nx
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from specmap_cli.core.arrays import evenly, first_in_cells, neighbours, order_of_appearance, runs
@@ -31,11 +31,8 @@ def test_neighbours_are_those_of_networkx(pairs: list[tuple[int, int]]) -> None:
     graph.add_edges_from(pair for pair in pairs if pair[0] != pair[1])
     expected = {node: frozenset(graph[node]) for node in graph}
     assert neighbours(range(6), pairs) == expected
-
-
-def test_a_pair_of_strangers_is_refused() -> None:
-    with pytest.raises(KeyError):
-        neighbours([0, 1], [(0, 7)])
+    with pytest.raises(KeyError):  # a pair of strangers
+        neighbours(range(6), [*pairs, (0, 7)])
 
 
 @given(LABELS)
@@ -55,27 +52,20 @@ def test_what_is_kept_is_spread_evenly(count: int, most: int) -> None:
         assert (kept[0], kept[-1]) == (0, count - 1)
         gaps = np.diff(kept)
         assert gaps.max() - gaps.min() <= 1
+    rows = np.arange(2 * count).reshape(count, 2)  # which are kept whole
+    assert evenly(rows, most).tolist() == rows[kept].tolist()
+    assert evenly(rows, count) is rows
 
 
-def test_rows_are_kept_whole() -> None:
-    rows = np.arange(20).reshape(10, 2)
-    kept = evenly(rows, 3)
-    assert kept.tolist() == [[0, 1], [8, 9], [18, 19]]
-    assert evenly(rows, 10) is rows
-
-
-@given(seeds)
-def test_the_first_point_of_each_cell_is_kept(seed: int) -> None:
-    points = np.random.default_rng(seed).uniform(-3.0, 3.0, (200, 3))
+@given(seeds, st.just(200))
+@example(0, 1)
+@example(0, 0)
+def test_the_first_point_of_each_cell_is_kept(seed: int, count: int) -> None:
+    points = np.random.default_rng(seed).uniform(-3.0, 3.0, (count, 3))
     first: dict[tuple[float, ...], int] = {}
     for number, point in enumerate(points):
         first.setdefault(tuple(np.floor(point / 0.7).tolist()), number)
     assert first_in_cells(points, 0.7).tolist() == sorted(first.values())
-
-
-@pytest.mark.parametrize("count", [0, 1])
-def test_nothing_is_left_of_nothing_and_one_of_one(count: int) -> None:
-    assert first_in_cells(np.zeros((count, 2)), 1.0).tolist() == list(range(count))
 
 
 @pytest.mark.parametrize("away", [1e3, 1e6, 1e12])
