@@ -48,13 +48,11 @@ def test_a_trajectory_against_relations(tmp_path: Path, run: Run) -> None:
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        ((), "one thing only"),
         (("a.mcap", "--protocol", "holdout", "--trajectory", "a.tum"), "one thing only"),
         (("--protocol", "holdout"), "needs one log"),
         (("a.mcap", "b.mcap", "--protocol", "revisit"), "--reference twice"),
         (("a.mcap", "b.mcap", "--baseline", "room-hallway"), "--rooms once"),
         (("--trajectory", "a.tum"), "one of --relations"),
-        (("--trajectory", "a.tum", "--reference", "b.tum", "--confusion", "c.png"), "--confusion"),
     ],
 )
 def test_what_is_not_clear_is_asked(arguments: tuple[str, ...], told: str, run: Run) -> None:
