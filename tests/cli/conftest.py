@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -22,6 +23,7 @@ from specmap_cli.core.schemas import read_schema
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.map_server import write_grid
 from specmap_cli.logs.writer import LogWriter
+from tests.flats import Mapped
 from tests.sharing import made_once
 
 ROOT = Path(__file__).parents[2]
@@ -175,3 +177,51 @@ def standing_log(
                 ranges = np.full(91, distance)
                 writer.scan(topic, "laser", stamp, -view / 2, view / 90, ranges, range_max=12.0)
     return path
+
+
+# Lines of commands that succeed, but for `batch`; see `words`.
+LINES = {
+    "info": ["{log}", "{log} --check"],
+    "build": ["{log} -o {out}/map {quick}", "{other_log} -o {out}/alike --like {one} {quick}"],
+    "localize": ["{log} --map {map} --metric"],
+    "update": ["{one} {other_log} -o {out}/map {quick}"],
+    "merge": ["{one} {other} -o {out}/map {quick}"],
+    "compare": ["{map} {map}", "{one} {other} -o {out}/comparison"],
+    "check": ["{map}", "{one} --against {other}"],
+    "history": ["{one} {other} {map}", "{one} -o {out}/history"],
+    "edit": ["{map} -o {out}/map --rename 0 Hall --kind 0 hall --set-property 0 floor=2"],
+    "report": ["{map} -o {out}/map.html"],
+    "segment": ["{plan} -o {out}/rooms"],
+    "evaluate": [
+        "{log} --protocol holdout --share 0.3 {quick}",
+        "{map} {log} --protocol revisit --reference {tum} --reference {tum}",
+        "--trajectory {tum} --reference {tum}",
+        "--trajectory {tum} --relations {relations}",
+    ],
+    "simulate": ["{plan} -o {out}/tour.mcap --max-duration 2"],
+    "convert": ["{log} {out}/log.mcap"],
+    "export": ["{map} --format geojson -o {out}/map.geojson"],
+    "config": [""],
+    "schema": ["", "build"],
+}
+
+
+@pytest.fixture
+def words(
+    first_tour: Mapped,
+    second_tour: Mapped,
+    tiny_log: Path,
+    tiny_map: Path,
+    plan: Path,
+    tmp_path: Path,
+) -> Callable[[str], list[str]]:
+    """The arguments in a line of `LINES`, with files in their places; `{out}` is `tmp_path`."""
+    tum, relations = tiny_map / "trajectory.tum", tmp_path / "relations.txt"
+    stamps = [line.split()[0] for line in tum.read_text(encoding="utf-8").splitlines()]
+    relations.write_text(f"{stamps[0]} {stamps[-1]} 1 0 0 0 0 0\n", encoding="utf-8")
+    places = {
+        **{"log": tiny_log, "map": tiny_map, "tum": tum, "relations": relations, "plan": plan},
+        **{"one": first_tour.map, "other": second_tour.map, "other_log": second_tour.log.log},
+        **{"out": tmp_path, "quick": " ".join(QUICK)},
+    }
+    return lambda line: shlex.split(line.format(**places))

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import QUICK, Run, leftovers, ran
+from tests.cli.conftest import LINES, QUICK, Run, leftovers, ran
 
 
 def test_two_builds_are_byte_identical(tiny_log: Path, tiny_map: Path, tmp_path: Path) -> None:
@@ -43,29 +43,18 @@ def test_localizing_twice_is_byte_identical(
     assert written[0][1].count(b"\n") == 62  # a header, and a line a scan
 
 
-# A line of some commands that succeeds.
-LINES: dict[str, tuple[str, ...]] = {
-    "info": ("{log}",),
-    "build": ("{log}", "-o", "{out}", *QUICK),
-    "localize": ("{log}", "--map", "{map}"),
-    "segment": ("{plan}", "-o", "{out}"),
-    "simulate": ("{plan}", "-o", "{out}", "--max-duration", "1"),
-    "convert": ("{log}", "-o", "{out}"),
-    "config": (),
-}
-
-
-@pytest.mark.parametrize("name", LINES)
+@pytest.mark.parametrize(
+    "name", ["info", "build", "localize", "segment", "simulate", "convert", "config"]
+)
 def test_what_exists_is_replaced_only_when_told_and_what_is_printed_is_the_result(
-    name: str, tiny_log: Path, tiny_map: Path, plan: Path, tmp_path: Path, run: Run
+    name: str, words: Callable[[str], list[str]], tmp_path: Path, run: Run
 ) -> None:
     """Quiet, nothing is said but that; else stderr has notes alone."""
-    place = {"log": tiny_log, "map": tiny_map, "plan": plan, "out": tmp_path / "out.mcap"}
-    line = [name, *(part.format(**place) for part in LINES[name])]
+    line = [name, *words(LINES[name][0])]
     quiet = run(*line, "--quiet")
     assert (quiet.code, quiet.err) == (0, "")
     assert quiet.out
-    if "-o" in line:
+    if "{out}" in LINES[name][0]:
         before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
         run(*line).fails(2, "--overwrite")
         assert before == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,91 +18,12 @@ import typer
 from specmap_cli.cli.app import app
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.schemas import SETTINGS, read_schema, schema_names
-from tests.cli.conftest import ERROR_SCHEMA, FILE_SCHEMAS, QUICK, Run, name_of_command, validate
-from tests.flats import Mapped
+from tests.cli.conftest import ERROR_SCHEMA, FILE_SCHEMAS, LINES, Run, name_of_command, validate
 
 COMMANDS: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
 
 
-@dataclass(frozen=True)
-class Things:
-    """What commands are tried on."""
-
-    one: Mapped
-    other: Mapped
-    log: Path
-    map: Path
-    plan: Path
-    place: Path
-
-    @property
-    def tum(self) -> Path:
-        """The trajectory of the map."""
-        return self.map / "trajectory.tum"
-
-    def out(self, name: str) -> Path:
-        """An output."""
-        return self.place / name
-
-
-EDITS = ("--rename", "0", "Hall", "--kind", "0", "hall", "--set-property", "0", "floor=2")
-Line = Callable[[Things], list[str | Path]]
-LINES: dict[str, list[Line]] = {
-    "info": [lambda of: [of.log], lambda of: [of.log, "--check"]],
-    "build": [
-        lambda of: [of.log, "-o", of.out("map"), *QUICK],
-        lambda of: [of.other.log.log, "-o", of.out("alike"), "--like", of.one.map, *QUICK],
-    ],
-    "localize": [lambda of: [of.log, "--map", of.map, "--metric"]],
-    "update": [lambda of: [of.one.map, of.other.log.log, "-o", of.out("map"), *QUICK]],
-    "merge": [lambda of: [of.one.map, of.other.map, "-o", of.out("map"), *QUICK]],
-    "compare": [
-        lambda of: [of.map, of.map],
-        lambda of: [of.one.map, of.other.map, "-o", of.out("comparison")],
-    ],
-    "check": [lambda of: [of.map], lambda of: [of.one.map, "--against", of.other.map]],
-    "history": [
-        lambda of: [of.one.map, of.other.map, of.map],
-        lambda of: [of.one.map, "-o", of.out("history")],
-    ],
-    "edit": [lambda of: [of.map, "-o", of.out("map"), *EDITS]],
-    "report": [lambda of: [of.map, "-o", of.out("map.html")]],
-    "segment": [lambda of: [of.plan, "-o", of.out("rooms")]],
-    "evaluate": [
-        lambda of: [of.log, "--protocol", "holdout", "--share", "0.3", *QUICK],
-        lambda of: [of.map, of.log, "--protocol", "revisit", *2 * ("--reference", of.tum)],
-        lambda of: ["--trajectory", of.tum, "--reference", of.tum],
-        lambda of: ["--trajectory", of.tum, "--relations", relations(of)],
-    ],
-    "simulate": [lambda of: [of.plan, "-o", of.out("tour.mcap"), "--max-duration", "2"]],
-    "convert": [lambda of: [of.log, of.out("log.mcap")]],
-    "export": [lambda of: [of.map, "--format", "geojson", "-o", of.out("map.geojson")]],
-    "config": [lambda _: []],
-    "schema": [lambda _: [], lambda _: ["build"]],
-}
-
-
-def relations(of: Things) -> Path:
-    """One relation between two poses of the map's trajectory."""
-    stamps = [line.split()[0] for line in of.tum.read_text().splitlines()]
-    path = of.out("relations.txt")
-    path.write_text(f"{stamps[0]} {stamps[-1]} 1 0 0 0 0 0\n", encoding="utf-8")
-    return path
-
-
 CASES = [(name, line) for name, lines in LINES.items() for line in lines]
-
-
-@pytest.fixture
-def things(
-    first_tour: Mapped,
-    second_tour: Mapped,
-    tiny_log: Path,
-    tiny_map: Path,
-    plan: Path,
-    tmp_path: Path,
-) -> Things:
-    return Things(first_tour, second_tour, tiny_log, tiny_map, plan, tmp_path)
 
 
 def test_every_command_is_tried() -> None:
@@ -117,13 +37,13 @@ def test_every_command_is_tried() -> None:
 
 @pytest.mark.parametrize(("name", "line"), CASES, ids=[name for name, _ in CASES])
 def test_what_a_command_prints_is_as_its_schema_says(
-    name: str, line: Line, things: Things, run: Run
+    name: str, line: str, words: Callable[[str], list[str]], tmp_path: Path, run: Run
 ) -> None:
-    said = run(name, *line(things), "--json", "-q")
+    said = run(name, *words(line), "--json", "-q")
     assert (said.code, said.err) == (0, "")
     found = json.loads(said.out)
     assert "$schema" in found or name == SETTINGS or found["schema_version"] == 1
-    for path in things.place.rglob("*.json"):
+    for path in tmp_path.rglob("*.json"):
         validate(json.loads(path.read_text(encoding="utf-8")), FILE_SCHEMAS[path.name])
 
 
