@@ -10,7 +10,7 @@ import pytest
 
 from specmap_cli import read_map, segment_map
 from specmap_cli.core.config import load_config
-from specmap_cli.core.errors import MapError, NoResultError, UsageError
+from specmap_cli.core.errors import NoResultError, UsageError
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.map_server import write_grid
 
@@ -60,14 +60,14 @@ def test_the_settings_are_used(plan: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("resolution", "error", "words"),
     [
-        (None, MapError, "a picture has no scale"),
         (0.6, UsageError, "too coarse to see a door"),
         (0.004, NoResultError, "no free space wider than"),
     ],
 )
 def test_what_cannot_be_divided_is_one_line_and_leaves_nothing(
-    resolution: float | None, error: type[Exception], words: str, plan: Path, tmp_path: Path
+    resolution: float, error: type[Exception], words: str, plan: Path, tmp_path: Path
 ) -> None:
+    """What is no plan: tests/cli/test_cli_maps.py."""
     with pytest.raises(error, match=words) as caught:
         segment_map(plan.with_suffix(".png"), tmp_path / "rooms", resolution=resolution)
     assert "\n" not in str(caught.value)

@@ -148,28 +148,17 @@ def test_damaged_features_are_refused_before_the_recording_is_read(
     assert not (tmp_path / "new").exists()
 
 
-@pytest.fixture(scope="module")
-def whole(kept: Kept, tmp_path_factory: pytest.TempPathFactory) -> UpdateReport:
-    """The same update with another number of rounds, and with the setting that keeps all."""
+def test_with_a_setting_every_keyframe_stays(kept: Kept, tmp_path: Path) -> None:
+    """And as the number of rounds is another, too, pieces are held out again."""
     recognition = QUICK.recognition.model_copy(update={"rounds": 5})
     changed = {"recognition": recognition, "update": UpdateConfig(keep_all=True)}
-    out = tmp_path_factory.mktemp("whole") / "map"
-    return update_map(kept.old, kept.second.log, out, QUICK.model_copy(update=changed))
-
-
-def test_the_new_recording_tells_how_sure_the_classifiers_are(
-    kept: Kept, whole: UpdateReport
-) -> None:
-    views, held_out = (
-        json.loads(stored.classifiers)["calibration"]["views"]
-        for stored in (kept.new, read_map(whole.out))
-    )
-    assert views > 0
-    assert held_out != views  # other settings: pieces are held out again
-
-
-def test_with_a_setting_every_keyframe_stays(kept: Kept, whole: UpdateReport) -> None:
+    settings = QUICK.model_copy(update=changed)
+    whole = update_map(kept.old, kept.second.log, tmp_path / "map", settings)
     stored, count = read_map(whole.out), len(kept.old.labels.submaps)
+    views, held_out = (
+        json.loads(each.classifiers)["calibration"]["views"] for each in (kept.new, stored)
+    )
+    assert 0 < views != held_out
     assert whole.as_dict()["keyframes_dropped"] == 0
     assert not any("dropped" in line for line in whole.lines())
     assert stored.labels.submaps[:count].tolist() == kept.old.labels.submaps.tolist()
@@ -188,7 +177,7 @@ def test_the_room_that_opened_gets_an_id_that_was_never_given(kept: Kept) -> Non
     assert any(7 in (edge.source, edge.target) for edge in kept.new.record.edges)
 
 
-def test_both_logs_are_in_the_map(kept: Kept) -> None:
+def test_both_logs_are_in_the_map_and_nobody_drove_from_one_to_the_next(kept: Kept) -> None:
     logs = kept.new.record.graph.logs
     count = kept.first_new
     assert [log.name for log in logs] == ["sunday.mcap", "second.mcap"]
@@ -199,10 +188,7 @@ def test_both_logs_are_in_the_map(kept: Kept) -> None:
     with kept.new.keyframes() as store:
         assert len(store) == len(kept.new.labels.submaps)
     assert kept.report.quality.verdict == "good"
-
-
-def test_nobody_drove_from_the_end_of_one_log_to_the_start_of_the_next(kept: Kept) -> None:
-    first_new_ns = int(kept.new.labels.stamps_ns[kept.first_new])
+    first_new_ns = int(kept.new.labels.stamps_ns[count])
     assert all(edge.kind == "traversed" for edge in kept.new.record.edges)
     starts = [visit.start_ns for node in kept.new.record.nodes for visit in node.visits]
     assert sum(abs(start - first_new_ns) < 1e4 for start in starts) >= 1
@@ -220,15 +206,11 @@ def test_the_joint_layout_is_as_good_as_either(kept: Kept, tmp_path: Path) -> No
         assert reference_errors(read_tum(piece), read_tum(log.truth)).ate_m < 0.06
 
 
-def test_an_updated_map_can_be_updated_and_a_log_is_taken_once(kept: Kept, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"second\.mcap: is in the map already, as second\.mcap"):
-        update_map(kept.new, kept.second.log, tmp_path / "out", QUICK)
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_log_of_another_building_is_refused_or_stands_apart(
+def test_a_log_is_taken_once_and_one_of_another_building_is_refused_or_stands_apart(
     kept: Kept, other: Mapped, tmp_path: Path
 ) -> None:
+    with pytest.raises(InputError, match=r"second\.mcap: is in the map already, as second\.mcap"):
+        update_map(kept.new, kept.second.log, tmp_path / "out", QUICK)
     with pytest.raises(NoResultError, match=r"other\.mcap: fits nowhere .* --allow-apart"):
         update_map(kept.old, other.log.log, tmp_path / "out", QUICK)
     assert not (tmp_path / "out").exists()
