@@ -109,5 +109,5 @@ def test_the_diagram_draws_what_is_right_beside_what_is_said() -> None:
 
 
 def label(submap: int | None, filtered: int | None) -> Label:
-    of = {"stamp_ns": 0, "margin": 1.0, "filtered_probability": 0.4, "probability": 0.8}
-    return Label(submap=submap, runner_up=None, filtered_submap=filtered, **of)  # type: ignore[arg-type]
+    sure = {"margin": 1.0, "filtered_probability": 0.4, "probability": 0.8}
+    return Label(stamp_ns=0, submap=submap, runner_up=None, filtered_submap=filtered, **sure)

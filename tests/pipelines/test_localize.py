@@ -63,23 +63,14 @@ def offline(own_log: Path, flat_map: StoredMap) -> LocalizationReport:
 
 def labelled(submaps: Sequence[int | None], poses: Sequence[Pose2 | None]) -> LocalizationReport:
     """A report of made-up labels along a straight way of 0.1 m a scan."""
-    scans = tuple(
-        LocalizedScan(
-            label=Label(
-                stamp_ns=k * 10**8,
-                submap=submap,
-                margin=1.0,
-                runner_up=None,
-                filtered_submap=submap,
-                filtered_probability=0.9,
-                probability=0.8,
-            ),
-            track_from_base=Pose2(0.1 * k, 0.0, 0.0),
-            fix=None if pose is None else Fix(submap or 0, pose, 1e-4 * np.eye(3), 0.9),
-        )
-        for k, (submap, pose) in enumerate(zip(submaps, poses, strict=True))
-    )
-    return LocalizationReport(log="made.mcap", scans=scans, warnings=("a warning",))
+    sure = {"margin": 1.0, "filtered_probability": 0.9, "probability": 0.8}
+    scans = []
+    for k, (id_, pose) in enumerate(zip(submaps, poses, strict=True)):
+        label = Label(stamp_ns=k * 10**8, submap=id_, runner_up=None, filtered_submap=id_, **sure)
+        fix = None if pose is None else Fix(id_ or 0, pose, 1e-4 * np.eye(3), 0.9)
+        way = Pose2(0.1 * k, 0.0, 0.0)
+        scans.append(LocalizedScan(label=label, track_from_base=way, fix=fix))
+    return LocalizationReport(log="made.mcap", scans=tuple(scans), warnings=("a warning",))
 
 
 def test_the_map_s_own_log_is_found_where_it_was_taken(
