@@ -166,7 +166,7 @@ class TestInfo:
         assert "build would read: scans from /the rear" in said.out
         assert said.out.endswith(f"next: specmap build {log} --scan-topic '/the rear'\n")
 
-    def test_the_next_command_has_the_topics_and_frames_given(
+    def test_the_topics_and_frames_given_or_settings_of_a_file(
         self, tmp_path: Path, run: Run
     ) -> None:
         log = standing_log(tmp_path / "one.mcap", 3.0)
@@ -174,14 +174,11 @@ class TestInfo:
         for flags in (options, ["--no-odometry"], []):
             found = run("info", log, *flags, "--json").result
             assert found["next_command"] == " ".join(["specmap", "build", str(log), *flags])
-
-    def test_settings_of_a_file(self, tmp_path: Path, run: Run) -> None:
-        log = standing_log(tmp_path / "one.mcap", 3.0)
+        assert "/odom" in found["chosen"]
         settings = tmp_path / "specmap.toml"
         settings.write_text("[log]\nuse_odometry = false\n", encoding="utf-8")
-        chosen = run("info", log, "--config", settings, "--json").result["chosen"]
-        assert "no odometry" in chosen
-        assert "/odom" in run("info", log, "--json").result["chosen"]
+        found = run("info", log, "--config", settings, "--json").result
+        assert "no odometry" in found["chosen"]
 
 
 class TestWhatTheFlagsStandFor:

@@ -99,6 +99,8 @@ def test_shell_completion(shell: str) -> None:
         ("=3", "--set =3: expected KEY=VALUE"),
         ("grid..x=3", "--set grid..x=3: expected KEY=VALUE"),
         ("preset=paper", "--set preset=paper: choose a preset with --preset paper"),
+        ("grid.resolution_m=9", "grid.resolution_m: Input should be less than"),
+        ("grid.resolutoin_m=1", "grid.resolutoin_m: no such setting, did you mean grid.reso"),
         ("grid=1", "grid: is a section: expected one of its keys, found 1"),
         ("seed=-1", "seed: Input should be greater than or equal to 0, found -1"),
         ("segmentation.labels=far", "segmentation.labels: Input should be 'flood' or 'nearest'"),
@@ -106,17 +108,14 @@ def test_shell_completion(shell: str) -> None:
         pytest.param("grid.resolution_m=" + "[" * 5000, "grid.resolution_m", id="a deep list"),
     ],
 )
-def test_a_wrong_setting_is_named(setting: str, told: str, run: Run) -> None:
-    run("config", "--set", setting).fails(2, told)
-
-
-def test_a_wrong_setting_is_not_blamed_on_the_file(tmp_path: Path, run: Run) -> None:
+def test_a_wrong_setting_is_named_and_not_blamed_on_the_file(
+    setting: str, told: str, tmp_path: Path, run: Run
+) -> None:
     path = tmp_path / "specmap.toml"
     path.write_text("seed = 3\n[grid]\nresolution_m = 0.2\n", encoding="utf-8")
-    for setting in ("seed=-1", "grid.resolution_m=9", "grid.resolutoin_m=1", "grid=1"):
-        said = run("config", "--config", path, "--set", setting)
-        assert said.code == 2
-        assert said.error.startswith(f"{setting.split('=')[0]}: ")
+    said = run("config", "--config", path, "--set", setting)
+    said.fails(2, told)
+    assert path.name not in said.error
 
 
 def test_the_printed_settings_can_be_given_back(tmp_path: Path, run: Run) -> None:

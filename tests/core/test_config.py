@@ -186,10 +186,7 @@ def test_a_retired_setting_is_told_with_its_last_default(tmp_path: Path) -> None
 
 def test_a_section_that_is_gone_may_be_empty_and_an_unknown_key_in_it_is_refused() -> None:
     assert load_config(overrides={"audit": {}}) == Config()
-    with (
-        pytest.warns(RetiredSetting),
-        pytest.raises(UsageError, match=r"audit.*no such setting"),
-    ):
+    with pytest.warns(RetiredSetting), pytest.raises(UsageError, match=r"audit.*no such setting"):
         load_config(overrides={"audit": {"wall_m": 1.2, "walls": 3}})
 
 

@@ -55,12 +55,6 @@ def metric(own_log: Path, flat_map: StoredMap) -> LocalizationReport:
     return localize_log(own_log, flat_map.path, metric=True)
 
 
-@pytest.fixture(scope="module")
-def offline(own_log: Path, flat_map: StoredMap) -> LocalizationReport:
-    """The same when the whole log is known."""
-    return localize_log(own_log, flat_map, offline=True, metric=True)
-
-
 def labelled(submaps: Sequence[int | None], poses: Sequence[Pose2 | None]) -> LocalizationReport:
     """A report of made-up labels along a straight way of 0.1 m a scan."""
     sure = {"margin": 1.0, "filtered_probability": 0.9, "probability": 0.8}
@@ -94,9 +88,10 @@ def test_the_map_s_own_log_is_found_where_it_was_taken(
 
 
 def test_offline_poses_are_in_the_frames_of_the_submaps_that_smoothing_gives(
-    flat_map: StoredMap, metric: LocalizationReport, offline: LocalizationReport
+    own_log: Path, flat_map: StoredMap, metric: LocalizationReport
 ) -> None:
     """A scan is matched in the submap that smoothing gives it, also before a place led."""
+    offline = localize_log(own_log, flat_map, offline=True, metric=True)
     pairs = list(zip(offline.scans, metric.scans, strict=True))
     for a, b in pairs:  # a single scan votes as it did
         assert (a.label.submap, a.label.margin) == (b.label.submap, b.label.margin)
