@@ -58,16 +58,12 @@ def own(built: Built, tmp_path: Path) -> Path:
     return Path(shutil.copytree(built.map, tmp_path / "own"))
 
 
-def line_across(stored: StoredMap, submap: int) -> list[list[float]]:
-    """A line across a submap, through the middle keyframe of the way in it."""
+def split(stored: StoredMap, submap: int) -> dict[str, Any]:
+    """At a line across a submap, through the middle keyframe of the way in it."""
     poses = stored.labels.poses[stored.labels.submaps == submap]
     place, theta = poses[len(poses) // 2, :2], float(poses[len(poses) // 2, 2])
     aside = 0.3 * np.array([-np.sin(theta), np.cos(theta)])
-    return [(place + aside).tolist(), (place - aside).tolist()]
-
-
-def split(stored: StoredMap, submap: int) -> dict[str, Any]:
-    return {"split": submap, "line": line_across(stored, submap)}
+    return {"split": submap, "line": [(place + aside).tolist(), (place - aside).tolist()]}
 
 
 def bytes_of(directory: Path, name: str) -> bytes:
@@ -84,10 +80,14 @@ def edit(
 class TestNames:
     """Names, kinds and properties: at once, and nothing else changes."""
 
-    def test_they_are_in_the_map_and_in_the_file(self, built: Built, own: Path) -> None:
+    def test_they_are_in_the_map_and_taken_back_it_is_as_before(
+        self, built: Built, own: Path
+    ) -> None:
         room = built.rooms[0]
         (own / "notes.txt").write_text("mine", encoding="utf-8")
         (own / "keyframes.mcap").unlink()  # nothing needs them
+        edit_map(own)
+        picture = bytes_of(own, "overview.png")
         floor = {"floor": 2, "to": None}
         report = edit(own, names={room: "Küche"}, kinds={room: "hall"}, properties={room: floor})
         assert not report.remade
@@ -99,14 +99,8 @@ class TestNames:
             if path.is_file() and name not in changed | {"notes.txt"}:
                 assert path.read_bytes() == bytes_of(built.map, name), name
         assert (own / "notes.txt").read_text(encoding="utf-8") == "mine"
-        assert bytes_of(own, "overview.png") != bytes_of(built.map, "overview.png")
+        assert bytes_of(own, "overview.png") != picture
         assert f"  submap {room}: Küche, hall, floor=2" in report.lines()
-
-    def test_taken_back_the_map_is_as_before(self, built: Built, own: Path) -> None:
-        room = built.rooms[0]
-        edit_map(own)
-        picture = bytes_of(own, "overview.png")
-        edit(own, names={room: "Küche"}, kinds={room: "hall"})
         edit(own, names={room: ""})
         assert read_map(own).record.nodes[room].name == f"submap {room}"
         edit(own, forget=(room,))
@@ -124,15 +118,13 @@ class TestNames:
         assert read_map(own).names == {}
 
     def test_a_name_written_into_topology_json_is_a_person_s(self, own: Path) -> None:
+        """And edits that the map shows must not be lost unsaid."""
         document = json.loads((own / "topology.json").read_text(encoding="utf-8"))
         document["nodes"][0] |= {"name": "Hall", "properties": {"floor": 2}}
         (own / "topology.json").write_text(json.dumps(document), encoding="utf-8")
         report = edit(own, names={1: "Lab"})
         assert read_map(own).names == {0: "Hall", 1: "Lab"}
         assert report.edits.submaps[0].properties == {"floor": 2}
-
-    def test_edits_that_the_map_shows_must_not_be_lost_unsaid(self, own: Path) -> None:
-        edit(own, names={0: "Hall"})
         (own / "edits.toml").unlink()
         with pytest.raises(MapError, match=r"edits\.toml: is missing, but the map shows edits"):
             edit(own, names={1: "Lab"})
@@ -226,19 +218,16 @@ class TestBorders:
         assert "  not applied: submaps.99: there is no submap 99" in report.lines()
 
 
-@pytest.fixture(scope="module")
-def shut(built: Built, tmp_path_factory: pytest.TempPathFactory) -> EditReport:
-    out = tmp_path_factory.mktemp("shut") / "map"
-    return edit(built.map, {"forbid": [built.rooms[0], built.corridor]}, out=out)
-
-
 class TestForbiddenDoors:
     """The link stays in the map, and nobody goes there."""
 
     def test_the_link_and_its_doors_are_marked_in_exports_too(
-        self, built: Built, shut: EditReport, tmp_path: Path
+        self, built: Built, tmp_path: Path
     ) -> None:
-        pair = tuple(sorted((built.rooms[0], built.corridor)))
+        """And it holds for what the submaps become."""
+        room, other = built.rooms[:2]
+        pair = tuple(sorted((room, built.corridor)))
+        shut = edit(built.map, {"forbid": [room, built.corridor]}, out=tmp_path / "shut")
         stored = read_map(shut.out)
         assert shut.forbidden == (pair,)
         assert not shut.remade
@@ -250,6 +239,8 @@ class TestForbiddenDoors:
         for name, word in (("geojson", '"forbidden": true'), ("graphml", "forbidden")):
             export_map(stored, name, tmp_path / name)
             assert word in (tmp_path / name).read_text(encoding="utf-8")
+        merged = edit(stored, {"merge": [other, room]}, out=tmp_path / "merged")
+        assert merged.forbidden == (tuple(sorted((other, built.corridor))),)
 
     def test_a_place_chooses_the_door(self, built: Built, own: Path) -> None:
         pair = [built.rooms[0], built.corridor]
@@ -261,25 +252,17 @@ class TestForbiddenDoors:
         near = edit(own, {"forbid": pair, "at": [x + 0.2, y]})
         assert near.forbidden == ((min(pair), max(pair)),)
 
-    def test_it_holds_for_what_the_submaps_become(
-        self, built: Built, shut: EditReport, tmp_path: Path
-    ) -> None:
-        room, other = built.rooms[:2]
-        report = edit(shut.out, {"merge": [other, room]}, out=tmp_path / "map")
-        assert report.forbidden == (tuple(sorted((other, built.corridor))),)
-
     def test_it_holds_when_the_split_that_made_its_submap_is_undone(
         self, built: Built, own: Path
     ) -> None:
         edit(own, split(read_map(own), built.corridor))
         stored = read_map(own)
         new = stored.topology.next_id - 1
-        ends = [
-            pair for pair in stored.topology.edges if new in pair and built.corridor not in pair
-        ]
-        edit(own, {"forbid": list(ends[0])})
+        pairs = (pair for pair in stored.topology.edges if built.corridor not in pair)
+        pair = next(pair for pair in pairs if new in pair)
+        edit(own, {"forbid": list(pair)})
         report = edit(own, undo=(1,))
-        (room,) = set(ends[0]) - {new}
+        (room,) = set(pair) - {new}
         assert report.unapplied == ()
         assert report.forbidden == ((min(room, built.corridor), max(room, built.corridor)),)
 
