@@ -19,7 +19,7 @@ from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.records import Sweep
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.grids.map_server import read_grid
+from specmap_cli.grids.map_server import read_grid, write_grid
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.pipelines.build import build_map
 from specmap_cli.pipelines.simulate import SimulationResult, simulate
@@ -85,6 +85,14 @@ def flat() -> GridMap:
         cells[38:42, left : left + 18] = FREE
     cells[90:100, 20:34] = OCCUPIED  # a desk, so that the first room is not symmetric
     return GridMap(cells, 0.05)
+
+
+@pytest.fixture(scope="session")
+def plan(flat: GridMap, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The YAML of `flat`, its picture beside it."""
+    stem = tmp_path_factory.mktemp("plan") / "flat"
+    write_grid(stem, flat)
+    return stem.with_suffix(".yaml")
 
 
 @pytest.fixture(scope="session")

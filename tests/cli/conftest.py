@@ -20,8 +20,6 @@ import pytest
 from specmap_cli.cli import main
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.schemas import read_schema
-from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.grids.map_server import write_grid
 from specmap_cli.logs.writer import LogWriter
 from tests.flats import Mapped
 from tests.sharing import made_once
@@ -136,14 +134,6 @@ def ran(*arguments: str | Path, **options: Any) -> Outcome:
 def leftovers(directory: Path) -> list[str]:
     """Names of files that no command may leave."""
     return [path.name for path in directory.rglob(".*")]
-
-
-@pytest.fixture(scope="session")
-def plan(flat: GridMap, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The YAML of a small flat."""
-    stem = tmp_path_factory.mktemp("plan") / "flat"
-    write_grid(stem, flat)
-    return stem.with_suffix(".yaml")
 
 
 @pytest.fixture(scope="session")

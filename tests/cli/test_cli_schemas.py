@@ -7,7 +7,10 @@ to its schema: see `run` in conftest.py.
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable, Iterator, Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +20,18 @@ import typer
 
 from specmap_cli.cli.app import app
 from specmap_cli.core.errors import UsageError
-from specmap_cli.core.schemas import SETTINGS, read_schema, schema_names
+from specmap_cli.core.schemas import (
+    PACKAGE,
+    SETTINGS,
+    ModelSchema,
+    read_schema,
+    schema_files,
+    schema_names,
+)
 from tests.cli.conftest import ERROR_SCHEMA, FILE_SCHEMAS, LINES, Run, name_of_command, validate
 
 COMMANDS: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+MODULES = "batch.ledger batch.records checking.record history.record maps.comparison maps.schema"
 
 
 CASES = [(name, line) for name, lines in LINES.items() for line in lines]
@@ -100,3 +111,18 @@ def test_a_schema_that_there_is_none_of(run: Run) -> None:
 def test_what_is_not_in_a_schema_is_found() -> None:
     with pytest.raises(jsonschema.ValidationError, match="'more' was unexpected"):
         validate({"schema_version": 1, "schemas": [], "more": 1}, "schema")
+
+
+@pytest.mark.parametrize("module", MODULES.split())
+def test_the_file_of_the_package_is_what_the_models_make(module: str) -> None:
+    schema: ModelSchema = import_module(f"specmap_cli.{module}").SCHEMA
+    file = schema_files()[schema.name].relative_to(PACKAGE.parent)
+    made = json.loads(schema.text())
+    assert read_schema(schema.name) == made, f"run `python -m specmap_cli.{module} > {file}`"
+
+
+def test_a_module_prints_the_file_to_ship() -> None:
+    command = [sys.executable, "-m", "specmap_cli.maps.schema"]
+    printed = subprocess.run(command, capture_output=True, check=True)
+    assert json.loads(printed.stdout) == read_schema("topology")
+    assert printed.stderr == b""

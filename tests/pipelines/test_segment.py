@@ -12,16 +12,6 @@ from specmap_cli import read_map, segment_map
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import NoResultError, UsageError
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.grids.map_server import write_grid
-
-
-@pytest.fixture
-def plan(flat: GridMap, tmp_path: Path) -> Path:
-    """The flat as a map_server file."""
-    folder = tmp_path / "plan"
-    folder.mkdir()
-    write_grid(folder / "flat", flat)
-    return folder / "flat.yaml"
 
 
 def test_the_rooms_of_the_flat_are_found(plan: Path, tmp_path: Path, flat: GridMap) -> None:
