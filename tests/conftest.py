@@ -123,11 +123,9 @@ def flat_log(
     flat: GridMap, flat_options: SimulationOptions, tmp_path_factory: pytest.TempPathFactory
 ) -> SimulationResult:
     """The recording of `flat_tour` as a file, its truth beside it."""
-
-    def make(folder: Path) -> SimulationResult:
-        return simulate(flat, flat_options, folder / "flat.mcap")
-
-    return made_once(tmp_path_factory, "flat", make)
+    return made_once(
+        tmp_path_factory, "flat", lambda folder: simulate(flat, flat_options, folder / "flat.mcap")
+    )
 
 
 @pytest.fixture(scope="session")

@@ -83,16 +83,15 @@ def parts(
     return Parts(made["third"].stored, made["first"].stored, other.stored, logs)
 
 
-Merge = Callable[..., MergeReport]
-
-
 @pytest.fixture(scope="module")
 def both(parts: Parts, tmp_path_factory: pytest.TempPathFactory) -> MergeReport:
     out = tmp_path_factory.mktemp("both") / "map"
     return merge_maps([parts.third_closed, parts.first_closed], out, QUICK)
 
 
-def test_maps_that_meet_become_one(parts: Parts, both: MergeReport) -> None:
+def test_maps_that_meet_become_one_and_names_and_ids_can_be_followed(
+    parts: Parts, both: MergeReport
+) -> None:
     merged = read_map(both.out)
     assert both.parts == (("first", "third"),) or both.parts == (("third", "first"),)
     scans = sum(parts.logs[name].scans for name in ("third", "first"))
@@ -110,10 +109,6 @@ def test_maps_that_meet_become_one(parts: Parts, both: MergeReport) -> None:
         piece.write_text("\n".join(lines[start : start + log.scans]) + "\n", encoding="utf-8")
         truth = read_tum(parts.logs[log.name.removesuffix(".mcap")].truth)
         assert reference_errors(read_tum(piece), truth).ate_m < 0.06
-
-
-def test_names_and_ids_can_be_followed(parts: Parts, both: MergeReport) -> None:
-    merged = read_map(both.out)
     named = both.ids["first"][max(parts.first_closed.ids)]
     assert merged.topology.submaps[named].name == "Named"
     for name, stored in (("third", parts.third_closed), ("first", parts.first_closed)):
