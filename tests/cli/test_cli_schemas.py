@@ -20,14 +20,8 @@ import typer
 
 from specmap_cli.cli.app import app
 from specmap_cli.core.errors import UsageError
-from specmap_cli.core.schemas import (
-    PACKAGE,
-    SETTINGS,
-    ModelSchema,
-    read_schema,
-    schema_files,
-    schema_names,
-)
+from specmap_cli.core import schemas
+from specmap_cli.core.schemas import SETTINGS, read_schema, schema_names
 from tests.cli.conftest import ERROR_SCHEMA, FILE_SCHEMAS, LINES, Run, name_of_command, validate
 
 COMMANDS: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
@@ -115,8 +109,8 @@ def test_what_is_not_in_a_schema_is_found() -> None:
 
 @pytest.mark.parametrize("module", MODULES.split())
 def test_the_file_of_the_package_is_what_the_models_make(module: str) -> None:
-    schema: ModelSchema = import_module(f"specmap_cli.{module}").SCHEMA
-    file = schema_files()[schema.name].relative_to(PACKAGE.parent)
+    schema: schemas.ModelSchema = import_module(f"specmap_cli.{module}").SCHEMA
+    file = schemas.schema_files()[schema.name].relative_to(schemas.PACKAGE.parent)
     made = json.loads(schema.text())
     assert read_schema(schema.name) == made, f"run `python -m specmap_cli.{module} > {file}`"
 

@@ -13,19 +13,10 @@ from typing import Any
 
 import pytest
 
-from specmap_cli.core import errors
+from specmap_cli.core import errors, findings
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import is_of_the_machine, is_of_the_place, reason
-from specmap_cli.core.findings import (
-    UNDOUBTED,
-    VERDICTS,
-    Finding,
-    Quality,
-    Severity,
-    Where,
-    at_least_as_bad,
-    summary,
-)
+from specmap_cli.core.findings import Finding, Quality, Severity, Where, summary
 
 ROOT = Path(__file__).parents[2]
 
@@ -166,8 +157,8 @@ def test_the_gravest_finding_decides(severities: tuple[Severity, ...], verdict: 
 
 
 def test_verdicts_are_ordered() -> None:
-    for (i, a), (j, b) in itertools.product(enumerate(VERDICTS), repeat=2):
-        assert at_least_as_bad(a, b) is (i >= j)
+    for (i, a), (j, b) in itertools.product(enumerate(findings.VERDICTS), repeat=2):
+        assert findings.at_least_as_bad(a, b) is (i >= j)
 
 
 def test_a_finding_for_a_machine_says_where_it_is() -> None:
@@ -177,7 +168,7 @@ def test_a_finding_for_a_machine_says_where_it_is() -> None:
     full = Finding(**said, where=Where(1_500_000_000, 1.0, 2.0))
     assert full.as_dict() == said | {"where": where}
     assert finding("note").as_dict()["where"] is None
-    assert UNDOUBTED.as_dict() == {"verdict": "good", "findings": []}
+    assert findings.UNDOUBTED.as_dict() == {"verdict": "good", "findings": []}
 
 
 def test_many_findings_of_a_kind_are_one_line_and_advice_follows() -> None:

@@ -12,19 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field, TypeAdapter, ValidationError
 
+from specmap_cli.core import json_values
 from specmap_cli.core.geometry import Pose2
-from specmap_cli.core.json_values import (
-    Corners,
-    Count,
-    MaybeNan,
-    Measured,
-    Motion,
-    Number,
-    StampNs,
-    Value,
-    numbers_of,
-    runs_of,
-)
+from specmap_cli.core.json_values import Count, Measured, Number, Value, numbers_of, runs_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,10 +23,10 @@ class Leg(Value):
 
     may_lack = frozenset({"note"})
 
-    start_ns: Annotated[StampNs, Field(alias="start", description="seconds")]
-    motion: Motion | None = None
-    path: Corners | None = None
-    doubt: MaybeNan = math.nan
+    start_ns: Annotated[json_values.StampNs, Field(alias="start", description="seconds")]
+    motion: json_values.Motion | None = None
+    path: json_values.Corners | None = None
+    doubt: json_values.MaybeNan = math.nan
     note: str | None = None
 
 

@@ -17,15 +17,8 @@ from specmap_cli.core.errors import MapError, NoResultError, UsageError
 from specmap_cli.core.schemas import read_schema
 from specmap_cli.grids.gridmap import FREE
 from specmap_cli.history.record import BuildingRecord
-from specmap_cli.pipelines.compare import (
-    COMPARISON,
-    PICTURE,
-    SUMMARY,
-    Comparison,
-    compare_maps,
-    lines_of,
-    write_comparison,
-)
+from specmap_cli.pipelines import compare
+from specmap_cli.pipelines.compare import COMPARISON, PICTURE, SUMMARY, Comparison, compare_maps
 from specmap_cli.pipelines.history import history_of, write_history
 from tests.flats import Mapped
 
@@ -212,7 +205,7 @@ def test_what_changed_is_told_with_its_place_in_the_old_map(told: Comparison) ->
 def test_names_that_a_person_gave_are_told(told: Comparison) -> None:
     names = {**told.record.old.names, told.differences.closed[0].between[0]: "Kitchen"}
     old = told.record.old.model_copy(update={"names": names})
-    lines = lines_of(told.record.model_copy(update={"old": old}))
+    lines = compare.lines_of(told.record.model_copy(update={"old": old}))
     assert any(line.startswith("way closed: ") and "(Kitchen)" in line for line in lines)
     assert not any("(submap" in line for line in lines)
 
@@ -265,15 +258,15 @@ def test_the_command_writes_all_of_a_comparison(
 def test_the_same_maps_give_the_same_bytes_and_only_an_earlier_result_is_replaced(
     told: Comparison, before: Path, tmp_path: Path
 ) -> None:
-    write_comparison(told, tmp_path / "out")
+    compare.write_comparison(told, tmp_path / "out")
     files = [tmp_path / "out" / file for file in (COMPARISON, PICTURE, SUMMARY)]
     written = [file.read_bytes() for file in files]
     with pytest.raises(UsageError, match="already holds a result"):
-        write_comparison(told, tmp_path / "out")
-    write_comparison(told, tmp_path / "out", overwrite=True)
+        compare.write_comparison(told, tmp_path / "out")
+    compare.write_comparison(told, tmp_path / "out", overwrite=True)
     assert [file.read_bytes() for file in files] == written
     with pytest.raises(UsageError, match=f"no {COMPARISON} in it"):
-        write_comparison(told, before, overwrite=True)
+        compare.write_comparison(told, before, overwrite=True)
 
 
 def test_a_map_without_classifiers_is_compared_by_its_grids(

@@ -22,17 +22,8 @@ from specmap_cli.drawing.palette import colours_of, vivid
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.filenames import CLASSIFIERS
 from specmap_cli.maps.store import StoredMap
-from specmap_cli.pipelines.localize import (
-    HEADER,
-    METRIC_HEADER,
-    LocalizationReport,
-    LocalizedScan,
-    classifiers_of,
-    picture_of,
-    settings_for,
-    table_of,
-    write_report,
-)
+from specmap_cli.pipelines import localize
+from specmap_cli.pipelines.localize import HEADER, METRIC_HEADER, LocalizationReport, LocalizedScan
 from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.recognition.localization.localizer import Label
 from specmap_cli.recognition.localization.metric import Fix
@@ -112,7 +103,7 @@ def test_offline_poses_are_in_the_frames_of_the_submaps_that_smoothing_gives(
 
 def test_poses_without_walls_are_refused(own_log: Path, flat_map: StoredMap) -> None:
     """Poses are found by the walls: none would be given, without a word why."""
-    config = settings_for(flat_map, {"localization": {"fit_submaps": 0}})
+    config = localize.settings_for(flat_map, {"localization": {"fit_submaps": 0}})
     with pytest.raises(UsageError, match=r"localization\.fit_submaps: 0 .*--metric"):
         localize_log(own_log, flat_map, config, metric=True)
 
@@ -129,7 +120,7 @@ def test_damaged_classifiers_keep_what_to_do_about_them(
 ) -> None:
     (tmp_path / CLASSIFIERS).write_text("{}")
     with pytest.raises(MapError, match=r"classifiers\.json: .*; build the map again") as caught:
-        classifiers_of(StoredMap(tmp_path, flat_map.record))
+        localize.classifiers_of(StoredMap(tmp_path, flat_map.record))
     assert caught.value.where == str(tmp_path / CLASSIFIERS)
     assert caught.value.hint == "build the map again"
 
@@ -192,14 +183,14 @@ class TestReport:
             ["4", "1", "1"],
             ["unknown", "1", "1"],
         ]
-        rows = list(csv.DictReader(table_of(report, True).splitlines()))
+        rows = list(csv.DictReader(localize.table_of(report, True).splitlines()))
         assert [row["name"] for row in rows] == ['Ann\'s "lab", west', "", "submap 4"]
         assert report.as_dict()["names"] == {"3": 'Ann\'s "lab", west'}
 
     @pytest.mark.parametrize("with_poses", [False, True])
     def test_its_csv_has_a_line_a_scan(self, with_poses: bool) -> None:
         report = labelled([4, None], [Pose2(1.0, 2.0, 0.5), None])
-        text = table_of(report, with_poses)
+        text = localize.table_of(report, with_poses)
         assert text.splitlines()[0] == HEADER + (METRIC_HEADER if with_poses else "")
         first, second = csv.DictReader(text.splitlines())
         assert (first["stamp"], first["submap"]) == ("0.000000000", "4")
@@ -218,7 +209,7 @@ class TestReport:
         poses = [Pose2(0.1 * k, 0.0, 0.0) for k in range(40)]
         leaping = [*poses[:20], *[Pose2(60.0, 60.0, 0.0)] * 2, *poses[22:]]
         straight, other = (
-            picture_of(labelled([0] * 40, track), flat_map, True) for track in (poses, leaping)
+            localize.picture_of(labelled([0] * 40, track), flat_map, True) for track in (poses, leaping)
         )
         assert straight.shape == other.shape
 
@@ -226,7 +217,7 @@ class TestReport:
         self, flat_map: StoredMap, tmp_path: Path
     ) -> None:
         report = labelled([0] * 20 + [1] * 20, [None] * 40)
-        write_report(report, flat_map, metric=False, plot=tmp_path / "track.png")
+        localize.write_report(report, flat_map, metric=False, plot=tmp_path / "track.png")
         picture = cv2.imread(str(tmp_path / "track.png"))
         assert picture is not None
         assert colours_in(picture) > 3
@@ -238,7 +229,7 @@ class TestReport:
         fills = colours_of(flat_map.topology, flat_map.regions)
         at = [Pose2(0.05 * k, 0.0, 0.0) for k in range(40)]
         for id_ in sorted(fills)[-2:]:
-            image = picture_of(labelled([id_] * 40, at), flat_map, with_poses)
+            image = localize.picture_of(labelled([id_] * 40, at), flat_map, with_poses)
             seen = {fill: (image == vivid(fill)).all(axis=-1).sum() for fill in fills.values()}
             assert max(seen, key=seen.__getitem__) == fills[id_]
 
@@ -250,5 +241,5 @@ class TestReport:
         (tmp_path / "pictures").mkdir()
         for plot in (tmp_path / "gone" / "plot.png", tmp_path / "pictures"):
             with pytest.raises(UsageError, match="choose another place"):
-                write_report(report, flat_map, metric=False, csv=tmp_path / "labels.csv", plot=plot)
+                localize.write_report(report, flat_map, metric=False, csv=tmp_path / "labels.csv", plot=plot)
             assert [path.name for path in tmp_path.iterdir()] == ["pictures"]
