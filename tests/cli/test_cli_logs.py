@@ -15,7 +15,7 @@ DATA = Path(os.environ.get("SPECMAP_DATA", Path(__file__).parents[2] / ".." / "s
 DAMAGED_BAG = DATA / "damaged" / "laser_scan_matcher_demo.bag"  # its index is damaged
 HAS_BAG = pytest.mark.skipif(not DAMAGED_BAG.is_file(), reason=f"no {DAMAGED_BAG} (SPECMAP_DATA)")
 
-BAD = {
+BAD: dict[str, tuple[bytes | None, str]] = {
     "empty.mcap": (b"", "empty.mcap: the file is empty"),
     "text.mcap": (b"hello\n", "text.mcap: a text file, not a recording; expected MCAP"),
     "noise.bag": (bytes(range(256)) * 9, "noise.bag: of an unknown format, not a recording"),

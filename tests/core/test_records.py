@@ -23,8 +23,8 @@ LABELS = st.lists(st.integers(-1, 4), max_size=30)
 @given(LABELS)
 def test_runs_are_those_of_groupby(labels: list[int]) -> None:
     found = runs(np.array(labels, dtype=np.int64))
-    assert [labels[start] for start, _ in found] == [label for label, _ in itertools.groupby(labels)]
-    assert [end - start for start, end in found] == [len(list(g)) for _, g in itertools.groupby(labels)]
+    groups = [(label, len(list(group))) for label, group in itertools.groupby(labels)]
+    assert [(labels[start], end - start) for start, end in found] == groups
     assert sum(end - start for start, end in found) == len(labels)
 
 
