@@ -41,13 +41,10 @@ def floor(requirement: Requirement) -> Version:
     return Version(lowest)
 
 
-def test_the_lowest_pins_are_the_floors() -> None:
+def test_the_lowest_pins_are_the_floors_and_the_usual_ones_are_allowed() -> None:
     lowest = pins("constraints-lowest.txt")
     apart = [one for one in BOTH_ENDS if lowest.get(canonicalize_name(one.name)) != floor(one)]
     assert apart == [], "run `make constraints-lowest`"
-
-
-def test_the_usual_pins_are_allowed() -> None:
     usual = pins("constraints.txt")
     pinned = [(one, usual[canonicalize_name(one.name)]) for one in [*PINNED, *TOOLS]]
     assert [one for one, version in pinned if version not in one.specifier] == []

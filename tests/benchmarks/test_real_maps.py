@@ -76,15 +76,12 @@ def test_poses_are_right_wrong_or_neither() -> None:
     assert scored(None, untold, np.full((2, 3), np.nan)).scans == 0  # type: ignore[arg-type]
 
 
-def test_labels_that_keep_their_word_have_no_error() -> None:
+def test_labels_that_keep_their_word_have_no_error_others_one_weighted_by_labels_of_a_bin() -> None:
     probability = np.repeat([0.65, 0.95], [20, 20])
     right = np.concatenate([np.arange(20) < 13, np.arange(20) < 19])
     found = reliability(probability, right)
     assert found.error == pytest.approx(0.0, abs=1e-12)
     assert found.labels.tolist() == [0, 0, 0, 0, 0, 0, 20, 0, 0, 20]
-
-
-def test_the_error_is_weighted_by_the_labels_of_a_bin() -> None:
     probability = np.array([1.0, 1.0, 1.0, 0.5])
     right = np.array([True, True, False, True])
     assert reliability(probability, right).error == pytest.approx((3 * (1 / 3) + 0.5) / 4)

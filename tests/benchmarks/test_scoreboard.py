@@ -55,8 +55,7 @@ class TestRows:
         assert SECONDS.text(4.06) == "4.1 s"
         assert Row("lines", "lines", 47_000, form=",.0f", better="less").reaches(46_999.6, 47_000)
         assert WALLS.text(None) == WALLS.text(float("nan")) == "-"
-
-    def test_the_median_of_repeats_keeps_the_least_and_the_largest(self) -> None:
+        # the median of repeats, with the least and the largest
         assert Figure.of([3.0, 1.0, 2.0]) == Figure(2.0, 1.0, 3.0)
         assert Figure.of([1.0, 2.0]).value == 1.5
 

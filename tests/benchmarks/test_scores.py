@@ -73,14 +73,11 @@ def test_scores_are_those_counted_by_hand(tour: list[tuple[int, int]], numbers: 
     assert 0.0 <= found.recognised <= 1.0
 
 
-def test_a_glance_into_a_room_makes_no_piece() -> None:
+def test_a_glance_into_a_room_makes_no_piece_and_a_submap_that_leaps_invents_a_door() -> None:
     rooms = [1] * 30 + [2] * 30
     assert scores(rooms, [0] * 28 + [1] * 32).pieces == {1: 1, 2: 1}
     assert scores(rooms, [0] * 27 + [1] * 33).pieces == {1: 2, 2: 1}
-
-
-def test_a_submap_that_leaps_invents_a_door() -> None:
-    """Room 2 lies between, but its keyframes went to the submaps of its neighbours."""
+    # room 2 lies between, but its keyframes went to the submaps of its neighbours
     found = scores([1, 1, 1, 2, 2, 3, 3, 3], [0, 0, 0, 0, 1, 1, 1, 1])
     assert (found.doors, found.found, found.invented) == (2, 0, 1)
 
@@ -202,13 +199,10 @@ def test_furniture_changes_no_room_and_shuts_nothing_off(kind: str) -> None:
         assert len({ndimage.label(free)[1] for free in inner}) == 1
 
 
-def test_rooms_that_share_a_region_are_counted() -> None:
+def test_rooms_that_share_a_region_are_counted_and_plans_and_robots_the_same_by_number() -> None:
     rooms = np.repeat(np.arange(4, dtype=np.int32), 5)[None]
     assert joined_rooms(rooms, rooms) == 0
     assert joined_rooms(rooms, np.repeat(np.array([0, 1, 1, 2], dtype=np.int32), 5)[None]) == 2
-
-
-def test_a_plan_and_its_robot_are_the_same_by_their_number() -> None:
     one, again, other = (random_plan("flat", number, furnished=True) for number in (2, 2, 3))
     assert np.array_equal(one.free, again.free)
     assert one.free.shape != other.free.shape or not np.array_equal(one.free, other.free)

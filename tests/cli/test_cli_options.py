@@ -191,7 +191,9 @@ class TestWhatTheFlagsStandFor:
         found = LogSettings(**said, no_odometry=True).overrides({"seed": 0})
         assert found == {"log": {**said, "use_odometry": False}, "seed": 0}
 
-    def test_a_flag_goes_over_an_assignment(self) -> None:
+    def test_a_flag_goes_over_an_assignment_and_the_last_of_two_assignments_holds(self) -> None:
+        twice = Settings(assignments=["grid.resolution_m=1", "grid.resolution_m=0.2"])
+        assert twice.load().grid.resolution_m == 0.2
         given = LogSettings(scan_topic="/flag", assignments=["log.scan_topic=/set", "seed=1"])
         assert given.overrides({"seed": 2}) == {"log": {"scan_topic": "/flag"}, "seed": 2}
 
@@ -212,6 +214,3 @@ class TestWhatTheFlagsStandFor:
     def test_a_value_is_toml_or_else_a_string(self, text: str, value: object) -> None:
         assert Settings(assignments=[f"x.y={text}"]).overrides() == {"x": {"y": value}}
 
-    def test_the_last_of_two_assignments_holds(self) -> None:
-        given = Settings(assignments=["grid.resolution_m=1", "grid.resolution_m=0.2"])
-        assert given.load().grid.resolution_m == 0.2

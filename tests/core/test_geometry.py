@@ -56,11 +56,7 @@ def test_wrapped_angles_are_the_same_angles_in_range(angle: float) -> None:
     assert -math.pi <= wrapped < math.pi
     assert math.cos(wrapped - angle) == pytest.approx(1.0)
     assert geometry.wrap_angles(np.array([angle]))[0] == wrapped
-
-
-def test_half_a_turn_wraps_to_minus_pi() -> None:
-    assert wrap_angle(math.pi) == -math.pi
-    assert wrap_angle(-math.pi) == -math.pi
+    assert wrap_angle(math.pi) == wrap_angle(-math.pi) == -math.pi
 
 
 @given(st.lists(st.tuples(any_angle, any_angle, any_angle), min_size=1, max_size=5))

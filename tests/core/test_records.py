@@ -17,15 +17,19 @@ from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Labels, PlanarScan, PosedScan
 from tests.strategies import planar_scans, pose_arrays, poses, seeds
 
-LABELS = st.lists(st.integers(-1, 4), max_size=30)
 
-
-@given(LABELS)
-def test_runs_are_those_of_groupby(labels: list[int]) -> None:
+@given(st.lists(st.integers(-1, 4), max_size=30))
+def test_runs_are_those_of_groupby_and_labels_are_numbered_as_they_appear(
+    labels: list[int],
+) -> None:
     found = runs(np.array(labels, dtype=np.int64))
     groups = [(label, len(list(group))) for label, group in itertools.groupby(labels)]
     assert [(labels[start], end - start) for start, end in found] == groups
     assert sum(end - start for start, end in found) == len(labels)
+    order = order_of_appearance(labels)
+    assert list(order.values()) == list(range(len(set(labels))))
+    firsts = [labels.index(label) for label in order]
+    assert firsts == sorted(firsts)
 
 
 @given(st.lists(st.tuples(st.integers(0, 5), st.integers(0, 5)), max_size=12))
@@ -37,14 +41,6 @@ def test_neighbours_are_those_of_networkx(pairs: list[tuple[int, int]]) -> None:
     assert neighbours(range(6), pairs) == expected
     with pytest.raises(KeyError):  # a pair of strangers
         neighbours(range(6), [*pairs, (0, 7)])
-
-
-@given(LABELS)
-def test_labels_are_numbered_as_they_appear(labels: list[int]) -> None:
-    order = order_of_appearance(labels)
-    assert list(order.values()) == list(range(len(set(labels))))
-    firsts = [labels.index(label) for label in order]
-    assert firsts == sorted(firsts)
 
 
 @given(st.integers(0, 200), st.integers(1, 60))

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import gc
 import math
-import subprocess
-import sys
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -285,15 +283,6 @@ class TestBuildMap:
         with pytest.raises(NoResultError, match=r"grid\.max_extent_m"):
             build_map(tiny_log, tmp_path / "map", config)
         assert list(tmp_path.iterdir()) == []
-
-
-def test_what_is_slow_to_load_waits_until_registration_runs() -> None:
-    program = (
-        "import sys, specmap_cli.pipelines.build; "
-        "print([name for name in ('scipy.sparse', 'specmap_cli.layout') if name in sys.modules])"
-    )
-    loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True)
-    assert loaded.stdout.strip() == b"[]"
 
 
 def test_a_map_that_a_person_edited_is_not_built_over(tiny_log: Path, tmp_path: Path) -> None:

@@ -188,7 +188,7 @@ def told(week: Path) -> Comparison:
     return compare_maps(week / "monday", week / "wednesday")
 
 
-def test_what_changed_is_told_with_its_place_in_the_old_map(told: Comparison) -> None:
+def test_what_changed_is_told_with_its_place_and_names_in_the_old_map(told: Comparison) -> None:
     found, grid = told.differences, told.old.map_grid
     assert [round(way.width_m, 1) for way in found.closed] == [pytest.approx(0.9, abs=0.15)]
     assert len(found.opened) == 1
@@ -200,10 +200,7 @@ def test_what_changed_is_told_with_its_place_in_the_old_map(told: Comparison) ->
     assert len(told.record.submaps.same) >= 3
     for place in (cabinet.centre, found.closed[0].place):
         assert (grid.values_at(place[None]) == FREE).all()
-
-
-def test_names_that_a_person_gave_are_told(told: Comparison) -> None:
-    names = {**told.record.old.names, told.differences.closed[0].between[0]: "Kitchen"}
+    names = {**told.record.old.names, found.closed[0].between[0]: "Kitchen"}
     old = told.record.old.model_copy(update={"names": names})
     lines = compare.lines_of(told.record.model_copy(update={"old": old}))
     assert any(line.startswith("way closed: ") and "(Kitchen)" in line for line in lines)

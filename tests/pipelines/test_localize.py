@@ -101,14 +101,13 @@ def test_offline_poses_are_in_the_frames_of_the_submaps_that_smoothing_gives(
     assert given >= sum(scan.submap_from_base is not None for scan in metric.scans)
 
 
-def test_poses_without_walls_are_refused(own_log: Path, flat_map: StoredMap) -> None:
+def test_poses_without_walls_and_classifiers_of_other_submaps_are_refused(
+    own_log: Path, flat_map: StoredMap
+) -> None:
     """Poses are found by the walls: none would be given, without a word why."""
     config = localize.settings_for(flat_map, {"localization": {"fit_submaps": 0}})
     with pytest.raises(UsageError, match=r"localization\.fit_submaps: 0 .*--metric"):
         localize_log(own_log, flat_map, config, metric=True)
-
-
-def test_classifiers_of_other_submaps_are_refused(own_log: Path, flat_map: StoredMap) -> None:
     record = flat_map.record
     fewer = record.model_copy(update={"nodes": record.nodes[:-1]})
     with pytest.raises(MapError, match=r"classifiers\.json: classifiers of the submaps"):

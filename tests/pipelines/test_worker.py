@@ -222,12 +222,6 @@ def test_small_items_travel_together_and_large_ones_alone() -> None:
     assert large in {5, 6}
 
 
-def test_the_module_needs_nothing_that_other_systems_lack() -> None:
-    code = "import sys; sys.modules['fcntl'] = None; import specmap_cli.pipelines.worker; print(1)"
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert found.stdout == "1\n", found.stderr
-
-
 def test_a_killed_parent_leaves_no_child() -> None:
     code = """
 import os
