@@ -14,12 +14,18 @@ from tests.cli.conftest import QUICK, Run
 from tests.turning import turn
 
 
-def test_a_good_map_keeps_the_rules(tiny_map: Path, run: Run) -> None:
-    told = run("check", tiny_map, "--json").result
+def test_a_good_map_keeps_the_rules(tiny_map: Path, tmp_path: Path, run: Run) -> None:
+    """And a golden one is another map's measure."""
+    told = run("check", tiny_map, "--against", tiny_map, "--json").result
+    figures = told["figures"]
     assert told["passed"]
-    assert told["figures"]["scans"] == 61
-    assert told["figures"]["memory_mb"] > 10
-    assert told["figures"]["scans_per_s"] > 0
+    assert figures["scans"] == 61
+    assert figures["memory_mb"] > 10
+    assert figures["scans_per_s"] > 0
+    assert (figures["golden.same_share"], figures["golden.gone"]) == (1, 0)
+    rules = {one["rule"] for one in told["rules"]}
+    assert {"golden.aligned", "golden.area_share", "golden.closed", "golden.off_m"} <= rules
+    assert run("check", tiny_map, "--against", tmp_path).code == 3
 
 
 def test_a_broken_rule_is_exit_code_5(tiny_map: Path, tmp_path: Path, run: Run) -> None:
@@ -34,14 +40,6 @@ def test_a_broken_rule_is_exit_code_5(tiny_map: Path, tmp_path: Path, run: Run) 
     assert "**broken** | submaps | 1 |" in markdown.read_text()
     assert run(*line).error == f"{junit}: exists already: choose another name or say --overwrite"
     assert run(*line, "--overwrite").code == 5
-
-
-def test_a_golden_map_is_another_map_s_measure(tiny_map: Path, tmp_path: Path, run: Run) -> None:
-    told = run("check", tiny_map, "--against", tiny_map, "--json").result
-    assert (told["figures"]["golden.same_share"], told["figures"]["golden.gone"]) == (1, 0)
-    rules = {one["rule"] for one in told["rules"]}
-    assert {"golden.aligned", "golden.area_share", "golden.closed", "golden.off_m"} <= rules
-    assert run("check", tiny_map, "--against", tmp_path).code == 3
 
 
 def test_memory_is_that_of_this_process() -> None:

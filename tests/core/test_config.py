@@ -138,14 +138,6 @@ def test_overrides_are_checked_like_a_file(overrides: dict[str, Any]) -> None:
         with_overrides(Config(), overrides)
 
 
-def test_later_overrides_leave_the_rest_alone() -> None:
-    paper = load_config(None, "paper")
-    changed = with_overrides(paper, {"grid": {"resolution_m": 0.1}})
-    assert changed.grid.resolution_m == 0.1
-    assert changed.segmentation == paper.segmentation
-    assert changed.preset == "paper"
-
-
 def descriptions(section: type[BaseModel], before: str = "") -> Iterator[tuple[str, str]]:
     """Every setting by its dotted key, and what is said of it."""
     for name, field in section.model_fields.items():

@@ -67,14 +67,6 @@ def test_what_is_read_is_whole_and_holds_nothing_else() -> None:
         LEGS.validate_python(FULL | {"path": [[0.0, 1e12]]})
 
 
-def test_its_schema_is_that_of_what_stands_in_json() -> None:
-    schema = LEGS.json_schema()
-    assert (schema["title"], schema["description"]) == ("LegRecord", "A piece of a way.")
-    assert schema["required"] == ["start", "motion", "path", "doubt"]
-    assert schema["properties"]["start"]["type"] == "number"
-    assert schema["additionalProperties"] is False
-
-
 def test_what_was_measured_has_six_decimals() -> None:
     class Found(Measured):
         """Two numbers."""

@@ -33,13 +33,6 @@ def test_features_survive_the_file_in_half_precision() -> None:
     assert arrays["raw"].dtype == np.float16
 
 
-def test_a_map_keeps_what_its_classifiers_learned_from(flat_map: StoredMap) -> None:
-    data = learning.training_data_of_stored(flat_map, flat_map.config)
-    for own in data.kinds:
-        assert len(own.features) == len(own.keyframes) > 0
-    assert len(np.unique(data.raw.keyframes)) == len(data.raw.keyframes)
-
-
 def changed(config: Config, section: str, **settings: Any) -> Config:
     """Settings of which some in a section are others."""
     values = config.model_dump()
@@ -52,10 +45,14 @@ def learned_from(stored: StoredMap, config: Config) -> int:
     return len(learning.training_data_of_stored(stored, config).raw.keyframes)
 
 
-def test_other_settings_learn_anew_and_so_does_a_map_without_the_file(
+def test_a_map_keeps_what_it_learned_from_and_other_settings_or_no_file_learn_anew(
     flat_map: StoredMap, tmp_path: Path
 ) -> None:
     config = flat_map.config
+    data = learning.training_data_of_stored(flat_map, config)
+    for own in data.kinds:
+        assert len(own.features) == len(own.keyframes) > 0
+    assert len(np.unique(data.raw.keyframes)) == len(data.raw.keyframes)
     assert learned_from(flat_map, changed(config, "recognition", feature_set="table1")) == 0
     assert learned_from(flat_map, changed(config, "localization", false_unknown=0.1)) == 0
     found = learning.training_data_of_stored(flat_map, changed(config, "grid", footprint_m=0.3))
