@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from specmap_cli.core import records
 from specmap_cli.core.arrays import evenly, first_in_cells, neighbours, order_of_appearance, runs
 from specmap_cli.core.geometry import Pose2
-from specmap_cli.core.records import Labels, PlanarScan, PosedScan
+from specmap_cli.core.records import Labels, PlanarScan
+from tests.casting import keyframe
 from tests.strategies import planar_scans, pose_arrays, poses, seeds
 
 
@@ -95,9 +96,7 @@ def test_hits_are_the_returns_in_order(scan: PlanarScan) -> None:
 @given(poses, poses)
 def test_the_laser_stands_where_its_mounting_says(base: Pose2, mounting: Pose2) -> None:
     scan = PlanarScan(0, np.zeros(0), np.zeros(0), 1.0, False)
-    posed = PosedScan(
-        index=0, stamp_ns=0, map_from_base=base, planar=scan, base_from_laser=mounting
-    )
+    posed = keyframe(scan, base, mounting)
     assert posed.map_from_laser == base @ mounting
     with pytest.raises(FrozenInstanceError):
         posed.lost = True  # type: ignore[misc]
