@@ -81,28 +81,22 @@ def versions_in(schema: Mapping[str, Any]) -> Iterator[int]:
             yield from versions_in(value)
 
 
-def test_every_schema_is_of_a_command_or_a_file() -> None:
+def test_every_schema_is_of_a_command_or_a_file_and_parts_are_the_same_in_all_of_them() -> None:
     assert set(schema_names()) == {
         *map(name_of_command, COMMANDS),
         *FILE_SCHEMAS.values(),
         ERROR_SCHEMA,
     }
-
-
-def test_a_part_that_several_schemas_have_is_the_same_everywhere() -> None:
     parts: dict[str, Any] = {}
     for name in ("build", "update", "merge", "run"):
         for title, part in read_schema(name)["$defs"].items():
             assert parts.setdefault(title, part) == part
 
 
-def test_a_schema_that_there_is_none_of(run: Run) -> None:
+def test_a_schema_that_there_is_none_of_and_what_is_not_in_one_are_told(run: Run) -> None:
     said = run("schema", "biuld")
     assert said.code == UsageError.exit_code
     assert said.error.startswith("no schema 'biuld': choose from batch, build, check, ")
-
-
-def test_what_is_not_in_a_schema_is_found() -> None:
     with pytest.raises(jsonschema.ValidationError, match="'more' was unexpected"):
         validate({"schema_version": 1, "schemas": [], "more": 1}, "schema")
 

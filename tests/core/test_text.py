@@ -78,12 +78,6 @@ def test_json_is_valid_and_stable(value: Any) -> None:
     assert plain(again) == again
 
 
-def test_points_stay_on_one_line() -> None:
-    assert to_json({"b": [[1.0, 2.0], [3.5, -4.0]], "a": []}) == (
-        '{\n "a": [],\n "b": [\n  [1.0, 2.0],\n  [3.5, -4.0]\n ]\n}\n'
-    )
-
-
 def test_arrays_and_numpy_numbers_are_plain() -> None:
     found = plain({"a": np.array([[1.5, np.nan]]), 2: np.float32(0.5), "t": np.bool_(True)})
     assert found == {"a": [[1.5, None]], "2": 0.5, "t": True}
@@ -152,6 +146,9 @@ def test_what_a_terminal_would_obey_is_escaped(text: str, shown: str) -> None:
 
 
 def test_json_keeps_names_and_shows_a_terminal_nothing_that_it_would_obey() -> None:
+    """And points stay on one line."""
+    points = {"b": [[1.0, 2.0], [3.5, -4.0]], "a": []}
+    assert to_json(points) == '{\n "a": [],\n "b": [\n  [1.0, 2.0],\n  [3.5, -4.0]\n ]\n}\n'
     name = "a\nb\x1b\x9b31m\x7f\u2028\u202ec\\ü"
     text = to_json({name: [name]})
     assert json.loads(text) == {name: [name]}

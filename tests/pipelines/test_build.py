@@ -276,20 +276,16 @@ class TestBuildMap:
         assert told is not None
         assert told.as_dict() == stored.run["quality"]
 
-    def test_a_grid_that_may_hold_nothing_gives_no_map(
+    def test_without_a_grid_there_is_none_and_an_edited_one_is_not_built_over(
         self, tiny_log: Path, tmp_path: Path
     ) -> None:
-        config = load_config(overrides={"grid": {"max_area_m2": 0.01}})
+        out, config = tmp_path / "map", load_config(overrides={"grid": {"max_area_m2": 0.01}})
         with pytest.raises(NoResultError, match=r"grid\.max_extent_m"):
-            build_map(tiny_log, tmp_path / "map", config)
+            build_map(tiny_log, out, config)
         assert list(tmp_path.iterdir()) == []
-
-
-def test_a_map_that_a_person_edited_is_not_built_over(tiny_log: Path, tmp_path: Path) -> None:
-    out = tmp_path / "map"
-    out.mkdir()
-    (out / "topology.json").write_text("{}", encoding="utf-8")
-    (out / "edits.toml").write_text('[submaps.0]\nname = "Kitchen"\n', encoding="utf-8")
-    with pytest.raises(UsageError, match=r"edits\.toml holds .* --like"):
-        build_map(tiny_log, out, overwrite=True)
-    assert (out / "edits.toml").exists()
+        out.mkdir()
+        (out / "topology.json").write_text("{}", encoding="utf-8")
+        (out / "edits.toml").write_text('[submaps.0]\nname = "Kitchen"\n', encoding="utf-8")
+        with pytest.raises(UsageError, match=r"edits\.toml holds .* --like"):
+            build_map(tiny_log, out, overwrite=True)
+        assert (out / "edits.toml").exists()
