@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import pty
 import re
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -23,14 +24,9 @@ def watched(*arguments: str | Path) -> tuple[str, str]:
     process = spawn(*arguments, stderr=stderr)
     os.close(stderr)
     said = b""
-    while True:
-        try:
-            piece = os.read(terminal, 4096)
-        except OSError:  # the other end has been closed
-            break
-        if not piece:
-            break
-        said += piece
+    with suppress(OSError):  # the other end has been closed
+        while piece := os.read(terminal, 4096):
+            said += piece
     os.close(terminal)
     out, _ = process.communicate(timeout=60)
     assert process.returncode == 0

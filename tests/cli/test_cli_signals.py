@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
-import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -91,16 +91,12 @@ class TestInThisProcess:
         assert (caught.value.name, caught.value.exit_code) == ("SIGINT", 130)
 
     def test_a_thread_runs_without_signals(self) -> None:
-        done = []
-
-        def work() -> None:
+        def work() -> bool:
             with interruptible():
-                done.append(True)
+                return True
 
-        thread = threading.Thread(target=work)
-        thread.start()
-        thread.join()
-        assert done == [True]
+        with ThreadPoolExecutor() as pool:
+            assert pool.submit(work).result()
 
 
 def raise_at(step: int, number: int, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -46,11 +46,8 @@ def kinds(found: list[Outcome]) -> set[str]:
 
 def first_chunked(seeds: Seeds) -> int:
     """The number of a case whose log is read as a sequence of chunks, with messages in it."""
-    for number in CHUNKED:
-        case = case_of(seeds, SEED, number)
-        if isinstance(case, LogCase) and case.name.startswith("mcap-zstd"):
-            return number
-    raise AssertionError("no such case")
+    cases = ((number, case_of(seeds, SEED, number)) for number in CHUNKED)
+    return next(number for number, case in cases if case.name.startswith("mcap-zstd"))
 
 
 def test_cases_pass(seeds: Seeds) -> None:

@@ -25,7 +25,8 @@ from specmap_cli.pipelines import exploration as module
 from specmap_cli.pipelines.exploration import Exploration
 from specmap_cli.pipelines.laying_out import nearest_pair
 from specmap_cli.pipelines.session import Session, Stopwatch
-from specmap_cli.pipelines.tracking import Tracking, TrajectoryRecorder, track
+from specmap_cli.pipelines.tracking import TrajectoryRecorder, track
+from specmap_cli.pipelines.worker import Ahead
 from specmap_cli.segmentation.online import Region
 from tests.casting import keyframe
 from tests.house import closure
@@ -60,15 +61,9 @@ def write_hanging(path: Path) -> None:
 def test_scans_that_a_hanging_driver_repeats_are_left_out_and_told(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     write_hanging(path)
-    scans, done = [], None
     with open_log([path]) as log:
-        tracking = track(SweepStream(log, Config().log), Config().registration)
-        while done is None:
-            try:
-                scans.append(next(tracking))
-            except StopIteration as end:
-                done = end.value
-    assert isinstance(done, Tracking)
+        tracking = Ahead(track(SweepStream(log, Config().log), Config().registration))
+        scans, done = list(tracking), tracking.result
     assert [scan.index for scan in scans] == [k for k in range(40) if k not in HUNG[1:]]
     errors = [abs(scan.map_from_base.x - 0.08 * scan.index) for scan in scans]
     assert max(errors) < 0.03

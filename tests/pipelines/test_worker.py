@@ -13,6 +13,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Generator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -83,16 +84,12 @@ def test_work_is_done_ahead_where_it_can_be(
 
 @pytest.mark.usefixtures("two_processors")
 def test_another_thread_works_in_one_process() -> None:
-    makers: list[int] = []
-
-    def work() -> None:
+    def work() -> list[int]:
         with ahead(lambda: pids(1)) as items:
-            makers.extend(items)
+            return list(items)
 
-    thread = threading.Thread(target=work)
-    thread.start()
-    thread.join()
-    assert makers == [os.getpid()]
+    with ThreadPoolExecutor() as pool:
+        assert pool.submit(work).result() == [os.getpid()]
 
 
 @pytest.mark.usefixtures("two_processors")
