@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 import time
@@ -101,13 +102,10 @@ class TestInThisProcess:
 
 def raise_at(step: int, number: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Have the process receive a signal at the given step of the progress."""
-    steps = 0
-    original = ConsoleProgress.advance
+    steps, original = itertools.count(1), ConsoleProgress.advance
 
     def advance(self: ConsoleProgress, done: int = 1) -> None:
-        nonlocal steps
-        steps += 1
-        if steps == step:
+        if next(steps) == step:
             os.kill(os.getpid(), number)
         original(self, done)
 
