@@ -169,33 +169,6 @@ def standing_log(
     return path
 
 
-# Lines of commands that succeed, but for `batch`; see `words`.
-LINES = {
-    "info": ["{log}", "{log} --check"],
-    "build": ["{log} -o {out}/map {quick}", "{other_log} -o {out}/alike --like {one} {quick}"],
-    "localize": ["{log} --map {map} --metric"],
-    "update": ["{one} {other_log} -o {out}/map {quick}"],
-    "merge": ["{one} {other} -o {out}/map {quick}"],
-    "compare": ["{map} {map}", "{one} {other} -o {out}/comparison"],
-    "check": ["{map}", "{one} --against {other}"],
-    "history": ["{one} {other} {map}", "{one} -o {out}/history"],
-    "edit": ["{map} -o {out}/map --rename 0 Hall --kind 0 hall --set-property 0 floor=2"],
-    "report": ["{map} -o {out}/map.html"],
-    "segment": ["{plan} -o {out}/rooms"],
-    "evaluate": [
-        "{log} --protocol holdout --share 0.3 {quick}",
-        "{map} {log} --protocol revisit --reference {tum} --reference {tum}",
-        "--trajectory {tum} --reference {tum}",
-        "--trajectory {tum} --relations {relations}",
-    ],
-    "simulate": ["{plan} -o {out}/tour.mcap --max-duration 2"],
-    "convert": ["{log} {out}/log.mcap"],
-    "export": ["{map} --format geojson -o {out}/map.geojson"],
-    "config": [""],
-    "schema": ["", "build"],
-}
-
-
 @pytest.fixture
 def words(
     first_tour: Mapped,
@@ -205,7 +178,7 @@ def words(
     plan: Path,
     tmp_path: Path,
 ) -> Callable[[str], list[str]]:
-    """The arguments in a line of `LINES`, with files in their places; `{out}` is `tmp_path`."""
+    """The arguments in a line of `LINES` of test_cli_schemas.py; `{out}` is `tmp_path`."""
     tum, relations = tiny_map / "trajectory.tum", tmp_path / "relations.txt"
     stamps = [line.split()[0] for line in tum.read_text(encoding="utf-8").splitlines()]
     relations.write_text(f"{stamps[0]} {stamps[-1]} 1 0 0 0 0 0\n", encoding="utf-8")

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import LINES, QUICK, Run, leftovers, ran
+from tests.cli.conftest import QUICK, Run, leftovers, ran
+from tests.cli.test_cli_schemas import LINES
 
 
 def test_two_builds_are_byte_identical(tiny_log: Path, tiny_map: Path, tmp_path: Path) -> None:

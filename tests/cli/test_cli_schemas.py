@@ -22,12 +22,35 @@ from specmap_cli.cli.app import app
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core import schemas
 from specmap_cli.core.schemas import SETTINGS, read_schema, schema_names
-from tests.cli.conftest import ERROR_SCHEMA, FILE_SCHEMAS, LINES, Run, name_of_command, validate
+from tests.cli.conftest import ERROR_SCHEMA, FILE_SCHEMAS, Run, name_of_command, validate
 
 COMMANDS: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
 MODULES = "batch.ledger batch.records checking.record history.record maps.comparison maps.schema"
-
-
+# Lines of commands that succeed, but for `batch`; see `words` in conftest.py.
+LINES = {
+    "info": ["{log}", "{log} --check"],
+    "build": ["{log} -o {out}/map {quick}", "{other_log} -o {out}/alike --like {one} {quick}"],
+    "localize": ["{log} --map {map} --metric"],
+    "update": ["{one} {other_log} -o {out}/map {quick}"],
+    "merge": ["{one} {other} -o {out}/map {quick}"],
+    "compare": ["{map} {map}", "{one} {other} -o {out}/comparison"],
+    "check": ["{map}", "{one} --against {other}"],
+    "history": ["{one} {other} {map}", "{one} -o {out}/history"],
+    "edit": ["{map} -o {out}/map --rename 0 Hall --kind 0 hall --set-property 0 floor=2"],
+    "report": ["{map} -o {out}/map.html"],
+    "segment": ["{plan} -o {out}/rooms"],
+    "evaluate": [
+        "{log} --protocol holdout --share 0.3 {quick}",
+        "{map} {log} --protocol revisit --reference {tum} --reference {tum}",
+        "--trajectory {tum} --reference {tum}",
+        "--trajectory {tum} --relations {relations}",
+    ],
+    "simulate": ["{plan} -o {out}/tour.mcap --max-duration 2"],
+    "convert": ["{log} {out}/log.mcap"],
+    "export": ["{map} --format geojson -o {out}/map.geojson"],
+    "config": [""],
+    "schema": ["", "build"],
+}
 CASES = [(name, line) for name, lines in LINES.items() for line in lines]
 
 

@@ -35,13 +35,12 @@ def building(week: Path) -> BuildingRecord:
     return found
 
 
-def test_days_of_one_building_are_one_series(building: BuildingRecord) -> None:
+def test_days_of_one_building_are_one_series_in_which_a_recording_in_two_maps_counts_once(
+    building: BuildingRecord,
+) -> None:
     assert [Path(one.map).name for one in building.maps] == ["monday", "tuesday", "wednesday"]
     assert [one.compared_with for one in building.maps] == [None, 0, 1]
     assert [day.day for day in building.days] == ["2025-11-24", "2025-11-25", "2025-11-26"]
-
-
-def test_a_recording_in_two_maps_counts_once_and_a_room_stays_it(building: BuildingRecord) -> None:
     assert [day.recordings for day in building.days] == [1, 1, 1]
     rooms = {room.number: room for room in building.rooms}
     for number, room in rooms.items():
