@@ -51,11 +51,6 @@ def test_memory_is_that_of_this_process() -> None:
     assert len(held) / 1e6 * 0.5 < after < 100_000
 
 
-def doubting() -> None:
-    """Odometry has to agree with the map to a tenth of a millimetre a metre."""
-    turn("quality", odometry_share=0.0001)
-
-
 @pytest.mark.parametrize(
     ("doubtful", "failing", "code"),
     [(False, "doubtful", 0), (True, "poor", 0), (True, "doubtful", 5)],
@@ -65,7 +60,7 @@ def test_a_build_can_fail_on_its_verdict(
 ) -> None:
     out = tmp_path / "map"
     if doubtful:
-        doubting()
+        turn("quality", odometry_share=0.0001)  # it has to agree to a tenth of a millimetre a metre
     outcome = run("build", tiny_log, "-o", out, *QUICK, "--fail-on", failing, "--json")
     assert outcome.code == code
     told = json.loads(outcome.out)["quality"]
@@ -77,7 +72,7 @@ def test_a_build_can_fail_on_its_verdict(
 
 def test_doubts_come_first_and_are_warned_of(run: Run, tiny_log: Path, tmp_path: Path) -> None:
     out = tmp_path / "map"
-    doubting()
+    turn("quality", odometry_share=0.0001)
     run("build", tiny_log, "--fail-on", "good", "-o", out).fails(2, "'doubtful', 'poor'")
     outcome = run("build", tiny_log, "-o", out, *QUICK)
     assert outcome.code == 0, "nobody asked it to fail"
