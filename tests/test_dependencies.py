@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import re
 import sys
 import tomllib
@@ -14,6 +13,7 @@ from packaging.utils import canonicalize_name
 from packaging.version import Version
 
 from specmap_cli.core.process import STANDS_ON
+from tests.test_architecture import MODULES, imports
 
 ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -56,13 +56,7 @@ def test_the_version_names_all_that_is_needed_to_run() -> None:
 
 
 def test_the_package_imports_what_is_declared_and_nothing_else() -> None:
-    imported: set[str] = set()
-    for path in (ROOT / "specmap_cli").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Import):
-                imported |= {alias.name.split(".")[0] for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and node.module is not None:
-                imported.add(node.module.split(".")[0])
+    imported = {name.split(".")[0] for path in MODULES for _, name in imports(path)}
     foreign = imported - sys.stdlib_module_names - {"specmap_cli"}
     distributions = dict(metadata.packages_distributions())
     declared = {canonicalize_name(requirement.name) for requirement in RUNTIME}
