@@ -28,30 +28,22 @@ from tests.flats import QUICK, Mapped, mapped
 
 # bottom, top, left and right cell of an L of corridor and rooms off it, none like another
 ROOMS = (
-    (4, 38, 4, 196),
-    (38, 180, 4, 38),
-    (42, 110, 42, 96),
-    (42, 90, 100, 140),
-    (42, 130, 144, 196),
-    (114, 180, 42, 120),
-)
-DOORS = {
-    "third": (slice(38, 42), slice(160, 178)),
-    "second": (slice(38, 42), slice(112, 130)),
-    "first": (slice(38, 42), slice(60, 78)),
-    "upper": (slice(140, 158), slice(38, 42)),
-}
+    (4, 38, 4, 196), (38, 180, 4, 38), (42, 110, 42, 96),
+    (42, 90, 100, 140), (42, 130, 144, 196), (114, 180, 42, 120),
+)  # fmt: skip
+DOORS = {"third": np.s_[38:42, 160:178], "second": np.s_[38:42, 112:130]}
+DOORS |= {"first": np.s_[38:42, 60:78], "upper": np.s_[140:158, 38:42]}
 
 
-def building(*closed: str) -> GridMap:
-    """The building, 10 m x 9 m, with some of its doors closed."""
+def building(closed: str) -> GridMap:
+    """The building, 10 m x 9 m, with one of its doors closed."""
     cells = np.full((184, 200), OCCUPIED, dtype=np.uint8)
     for bottom, top, left, right in ROOMS:
         cells[bottom:top, left:right] = FREE
     cells[60:76, 60:80] = OCCUPIED  # a table
     cells[120:132, 100:112] = OCCUPIED
     for name, door in DOORS.items():
-        cells[door] = OCCUPIED if name in closed else FREE
+        cells[door] = OCCUPIED if name == closed else FREE
     return GridMap(cells, 0.05)
 
 
