@@ -25,12 +25,7 @@ EXAMPLES = ROOT / "docs" / "examples"
 SETTINGS = "[recognition]\nrounds = 4\n[localization]\naugmentation = 20\n"
 
 
-@dataclass(frozen=True)
-class Step:
-    """Lines of a shell that a server runs, and whether it does so after a failure, too."""
-
-    script: str
-    always: bool = False
+Step = tuple[str, bool]  # lines of a shell that a server runs, and whether after a failure, too
 
 
 def read(name: str) -> Any:
@@ -42,12 +37,12 @@ def github_steps() -> Iterator[Step]:
     """The shell steps of the workflow, but for that which installs."""
     for step in read("github.yml")["jobs"]["map"]["steps"]:
         if "run" in step and not step["run"].startswith("pip install"):
-            yield Step(step["run"], always=step.get("if") == "always()")
+            yield step["run"], step.get("if") == "always()"
 
 
 def gitlab_steps() -> Iterator[Step]:
     """The lines of the job."""
-    yield from map(Step, read("gitlab.yml")["map"]["script"])
+    yield from ((line, False) for line in read("gitlab.yml")["map"]["script"])
 
 
 def cron_line() -> str:
@@ -79,9 +74,9 @@ class Server:
     def job(self, steps: Iterator[Step]) -> int:
         """Run a job: after a step that failed only those that always run; its exit code."""
         code = 0
-        for step in steps:
-            if not code or step.always:
-                code = self.sh(step.script).returncode or code
+        for script, always in steps:
+            if not code or always:
+                code = self.sh(script).returncode or code
         return code
 
 
@@ -172,6 +167,6 @@ def test_the_line_of_cron_tells_what_is_wrong_and_leaves_the_map(server: Server)
 
 
 def test_the_examples_use_the_command_line_alone() -> None:
-    text = "\n".join(step.script for step in (*github_steps(), *gitlab_steps()))
+    text = "\n".join(script for script, _ in (*github_steps(), *gitlab_steps()))
     words = {line.split()[0] for line in text.splitlines() if line.strip()}
     assert words == {"specmap", "if", "else", "fi"}

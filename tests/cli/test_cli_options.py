@@ -110,11 +110,8 @@ class TestEnvironment:
             if getattr(parameter, "envvar", None)
         }
         assert variables == {
-            "--quiet": "SPECMAP_QUIET",
-            "--log-level": "SPECMAP_LOG_LEVEL",
-            "--json": "SPECMAP_JSON",
-            "--preset": "SPECMAP_PRESET",
-            "--config": "SPECMAP_CONFIG",
+            **{f"--{name}": f"SPECMAP_{name.upper()}" for name in ("quiet", "json", "config")},
+            **{"--log-level": "SPECMAP_LOG_LEVEL", "--preset": "SPECMAP_PRESET"},
         }
 
     def test_settings(self, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -30,7 +30,6 @@ from specmap_cli.core.text import (
     to_json,
 )
 
-STAMPS = st.integers(-(2**62), 2**62)
 VALUES = st.recursive(
     st.none() | st.booleans() | st.integers(-(10**9), 10**9) | st.floats(-1e6, 1e6) | st.text(),
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4),
@@ -38,13 +37,11 @@ VALUES = st.recursive(
 )
 
 
-@given(STAMPS)
-def test_a_stamp_survives_as_text(stamp: int) -> None:
+@given(st.integers(-(2**62), 2**62), st.integers(-(2**50), 2**50))
+def test_a_stamp_survives_as_text_and_to_the_microsecond_as_seconds(
+    stamp: int, micros: int
+) -> None:
     assert stamp_ns(stamp_text(stamp)) == stamp
-
-
-@given(st.integers(-(2**50), 2**50))
-def test_a_stamp_survives_as_seconds_to_the_microsecond(micros: int) -> None:
     assert nanoseconds(seconds(micros * 1000)) == micros * 1000
 
 

@@ -13,6 +13,7 @@ from specmap_cli.core.text import to_json
 from specmap_cli.core.yaml import read_yaml, yaml_text
 from tests.strategies import few
 
+_NO_YAML = [b"a: [1", b"a: b: c", b"a\n---\nb", b"{a, b: ]", b"? [1]\n: 2"]
 _KEYS = st.from_regex("[a-z_]{3,9}x", fullmatch=True)
 _PLAIN = st.text(st.characters(codec="utf-8"), max_size=12)
 _LEAVES = st.one_of(_PLAIN, st.booleans(), st.integers(), st.floats(-1e6, 1e6))
@@ -41,16 +42,12 @@ def test_words_stay_words() -> None:
         (b"- " * 100_000, "line 1: nested too deeply"),
         (b"\xff\xfe\x00", "not a text file"),
         (b"a: \x00", "not a text file"),
+        *((data, None) for data in _NO_YAML),
     ],
 )
-def test_what_is_refused_is_told_in_one_line(data: bytes, said: str) -> None:
-    with pytest.raises(ValueError, match=f"^{re.escape(said)}$"):
-        read_yaml(data)
-
-
-@pytest.mark.parametrize("data", [b"a: [1", b"a: b: c", b"a\n---\nb", b"{a, b: ]", b"? [1]\n: 2"])
-def test_what_is_no_yaml_is_told_with_its_line(data: bytes) -> None:
-    with pytest.raises(ValueError, match=r"^line \d+: [^\n]+$"):
+def test_what_is_refused_or_no_yaml_is_told_in_one_line(data: bytes, said: str | None) -> None:
+    told = rf"^{re.escape(said)}$" if said else r"^line \d+: [^\n]+$"
+    with pytest.raises(ValueError, match=told):
         read_yaml(data)
 
 

@@ -132,13 +132,11 @@ def test_an_output_beside_an_error_is_noticed(
             raise UsageError(f"{others[0]}: planted")
 
     monkeypatch.setattr("specmap_cli.pipelines.localize.write_together", refuse_to_plot)
-    number = next(n for n in range(1, 4000, 20) if plots(case_of(seeds, SEED, n)))
+    cases = (case_of(seeds, SEED, number) for number in range(1, 4000, 20))
+    plotted = (case for case in cases if isinstance(case, MapCase) and case.plot)
+    # of a map that is damaged where `localize` does not look
+    number = next(case.number for case in plotted if case.notes[0].startswith("overview.png"))
     assert "half-written" in kinds(outcomes(seeds, [number]))
-
-
-def plots(case: LogCase | MapCase) -> bool:
-    """Whether a case draws a plot, of a map that is damaged where `localize` does not look."""
-    return isinstance(case, MapCase) and case.plot and case.notes[0].startswith("overview.png")
 
 
 def test_a_case_is_the_same_every_time(seeds: Seeds) -> None:

@@ -123,9 +123,7 @@ def test_what_says_nothing_of_the_joint_map_is_told() -> None:
 
 def test_a_submap_that_went_to_very_many_is_the_commonest_of_them() -> None:
     new = kept(ForbidEdit(forbid=(0, 1)))
-    own = new.labels.submaps.copy()
-    own[:] = np.repeat([0, 1], [19, 1])
-    new = replace(new, labels=replace(new.labels, submaps=own))
+    new = replace(new, labels=replace(new.labels, submaps=np.repeat([0, 1], [19, 1])))
     found = both(new, np.arange(30, 50))
     assert found.edits.changes == (ForbidEdit(forbid=(30, 49)),)
 

@@ -15,7 +15,6 @@ from collections import deque
 from collections.abc import Generator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 from unittest.mock import Mock
 
 import cv2
@@ -43,11 +42,6 @@ def pids(count: int) -> Work:
     for _ in range(count):
         yield os.getpid()
     return count
-
-
-def items_of(items: list[Any]) -> Generator[Any, None, None]:
-    """The items, and no result."""
-    yield from items
 
 
 class StubbornError(Exception):
@@ -96,7 +90,7 @@ def test_another_thread_works_in_one_process() -> None:
 class TestChild:
     def test_the_items_come_in_order_and_as_they_were(self) -> None:
         made = [(k, np.arange(k, dtype=np.float32)) for k in range(300)]
-        with ahead(lambda: items_of(made)) as items:
+        with ahead(lambda: (each for each in made)) as items:
             for (number, array), (expected, original) in zip(items, made, strict=True):
                 assert number == expected
                 np.testing.assert_array_equal(array, original)
