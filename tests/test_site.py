@@ -10,30 +10,20 @@ import subprocess
 import sys
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 import typer
 
 from specmap_cli.cli.app import app
 from specmap_cli.core.schemas import schema_names
+from tests.plugins import module_at
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 TROUBLE = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
 
 
-def load_hooks() -> ModuleType:
-    """docs/hooks.py, which belongs to no package."""
-    spec = importlib.util.spec_from_file_location("hooks_of_the_site", DOCS / "hooks.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-HOOKS = load_hooks()
+HOOKS = module_at(DOCS / "hooks.py")
 
 
 def nav() -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import cv2
@@ -14,6 +13,7 @@ from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.pipelines.localize import settings_for
 from tests.cli.conftest import QUICK, Run
 from tests.conftest import SAMPLE_LOGS
+from tests.flats import rows
 
 
 @pytest.fixture
@@ -93,12 +93,6 @@ class TestWhoseSettings:
             assert run("localize", tiny_log, "--map", tiny_map, "-q", "-o", out, *options).code == 0
             written.append(out.read_bytes())
         assert written[0] != written[1] == written[2]
-
-
-def rows(path: Path) -> list[dict[str, str]]:
-    """The lines of a CSV."""
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
 
 
 def test_offline_labels_know_the_whole_log(

@@ -2,31 +2,22 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import re
 import shutil
 from pathlib import Path
 
-import jsonschema
 import numpy as np
 import pytest
 
 from specmap_cli.cli import main
 from specmap_cli.core.errors import MapError, NoResultError, UsageError
-from specmap_cli.core.schemas import read_schema
 from specmap_cli.grids.gridmap import FREE
 from specmap_cli.history.record import BuildingRecord
 from specmap_cli.pipelines import compare
 from specmap_cli.pipelines.compare import COMPARISON, PICTURE, SUMMARY, Comparison, compare_maps
 from specmap_cli.pipelines.history import history_of, write_history
-from tests.flats import Mapped
-
-def rows(path: Path) -> list[dict[str, str]]:
-    """The lines of a CSV."""
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
-
+from tests.flats import Mapped, rows
 
 @pytest.fixture(scope="module")
 def building(week: Path) -> BuildingRecord:
@@ -118,7 +109,6 @@ def test_the_command_writes_all_of_a_history(
     out = tmp_path / "week"
     assert main(["history", str(week), "-o", str(out), "--json", "-q"]) == 0
     printed = json.loads(capsys.readouterr().out)
-    jsonschema.validate(printed, read_schema("history"))
     assert json.loads((out / "history.json").read_text(encoding="utf-8")) == printed
     names = ["changes.csv", "days.csv", "history.html", "history.json", "visits.csv"]
     assert sorted(path.name for path in out.iterdir()) == names
@@ -244,7 +234,6 @@ def test_the_command_writes_all_of_a_comparison(
     out = tmp_path / "changes"
     assert main(["compare", str(before), str(changed), "-o", str(out), "--json", "-q"]) == 0
     printed = json.loads(capsys.readouterr().out)
-    jsonschema.validate(printed, read_schema("comparison"))
     assert json.loads((out / COMPARISON).read_text(encoding="utf-8")) == printed
     assert "way closed: " in (out / SUMMARY).read_text(encoding="utf-8")
     assert (out / PICTURE).read_bytes().startswith(b"\x89PNG")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import shlex
 from collections import Counter
 from collections.abc import Iterator
@@ -28,6 +27,7 @@ from specmap_cli.pipelines.simulate import SimulationResult, simulate
 from specmap_cli.simulation.simulator import SimulationOptions
 from specmap_cli.simulation.worlds import RoomTruth
 from tests.conftest import SAMPLE_LOGS
+from tests.plugins import module_at
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 
@@ -141,11 +141,7 @@ def test_a_truth_that_has_no_place_leaves_no_recording(
 
 
 def test_the_plan_of_the_sample_logs_is_what_its_script_draws(office: GridMap) -> None:
-    spec = importlib.util.spec_from_file_location("draw_office", SAMPLE_LOGS / "draw_office.py")
-    assert spec is not None
-    assert spec.loader is not None
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
+    script = module_at(SAMPLE_LOGS / "draw_office.py")
     drawn = script.draw_plan(script.draw_rooms())
     np.testing.assert_array_equal(office.free, drawn[::-1] == script.FREE)
     np.testing.assert_array_equal(office.occupied, drawn[::-1] == script.OCCUPIED)

@@ -136,16 +136,20 @@ def test_scans_that_were_learned_from_are_learned_from_again(kept: Kept) -> None
         assert ((found[kind] == 1.0).all(axis=0) == old).all()
 
 
-def test_damaged_features_are_refused_before_the_recording_is_read(
+def test_damaged_features_and_lacking_keyframes_are_refused_before_the_recording_is_read(
     kept: Kept, tmp_path: Path
 ) -> None:
-    shutil.copytree(kept.old.path, tmp_path / "old")
-    (tmp_path / "old" / "features.npz").write_bytes(b"PK")
+    old, new = shutil.copytree(kept.old.path, tmp_path / "old"), tmp_path / "new"
+    (old / "features.npz").write_bytes(b"PK")
     stages = Mock(spec=Silent())
     with pytest.raises(MapError, match=r"features\.npz: is no zip file of arrays: delete it"):
-        update_map(tmp_path / "old", kept.second.log, tmp_path / "new", QUICK, progress=stages)
+        update_map(old, kept.second.log, new, QUICK, progress=stages)
+    for name in ("features.npz", "keyframes.mcap"):
+        (old / name).unlink()
+    with pytest.raises(MapError, match=r"has no keyframes\.mcap"):
+        update_map(old, kept.second.log, new, QUICK, progress=stages)
     stages.start.assert_not_called()
-    assert not (tmp_path / "new").exists()
+    assert not new.exists()
 
 
 def test_with_a_setting_every_keyframe_stays(kept: Kept, tmp_path: Path) -> None:
@@ -222,13 +226,6 @@ def test_a_log_is_taken_once_and_one_of_another_building_is_refused_or_stands_ap
     assert not any((e.source in known) != (e.target in known) for e in apart.record.edges)
     for id_ in report.new:
         assert apart.record.nodes[apart.ids.index(id_)].x > kept.old.map_grid.origin[0] + 20.0
-
-
-def test_a_map_without_keyframes_cannot_be_updated(kept: Kept, tmp_path: Path) -> None:
-    bare = shutil.copytree(kept.old.path, tmp_path / "bare")
-    (bare / "keyframes.mcap").unlink()
-    with pytest.raises(MapError, match=r"has no keyframes\.mcap"):
-        update_map(bare, kept.second.log, tmp_path / "out", QUICK)
 
 
 def test_borders_that_moved_are_said_with_the_reason(kept: Kept) -> None:
