@@ -136,7 +136,7 @@ def test_scans_that_were_learned_from_are_learned_from_again(kept: Kept) -> None
         assert ((found[kind] == 1.0).all(axis=0) == old).all()
 
 
-def test_damaged_features_and_lacking_keyframes_are_refused_before_the_recording_is_read(
+def test_lacking_keyframes_and_damaged_features_are_refused_these_before_the_recording_is_read(
     kept: Kept, tmp_path: Path
 ) -> None:
     old, new = shutil.copytree(kept.old.path, tmp_path / "old"), tmp_path / "new"
@@ -147,7 +147,7 @@ def test_damaged_features_and_lacking_keyframes_are_refused_before_the_recording
     for name in ("features.npz", "keyframes.mcap"):
         (old / name).unlink()
     with pytest.raises(MapError, match=r"has no keyframes\.mcap"):
-        update_map(old, kept.second.log, new, QUICK, progress=stages)
+        update_map(old, kept.second.log, new, QUICK)
     stages.start.assert_not_called()
     assert not new.exists()
 
