@@ -29,7 +29,11 @@ MODULES = "batch.ledger batch.records checking.record history.record maps.compar
 # Lines of commands that succeed, but for `batch`; see `words` in conftest.py.
 LINES = {
     "info": ["{log}", "{log} --check"],
-    "build": ["{log} -o {out}/map {quick}", "{other_log} -o {out}/alike --like {one} {quick}"],
+    "build": [
+        "{log} -o {out}/map {quick}",
+        "{log} -o {out}/map --preset paper",  # which learns by its own method
+        "{other_log} -o {out}/alike --like {one} {quick}",
+    ],
     "localize": ["{log} --map {map} --metric"],
     "update": ["{one} {other_log} -o {out}/map {quick}"],
     "merge": ["{one} {other} -o {out}/map {quick}"],
@@ -73,15 +77,6 @@ def test_what_a_command_prints_is_as_its_schema_says(
     assert "$schema" in found or name == SETTINGS or found["schema_version"] == 1
     for path in tmp_path.rglob("*.json"):
         validate(json.loads(path.read_text(encoding="utf-8")), FILE_SCHEMAS[path.name])
-
-
-def test_what_was_learned_by_the_paper_s_method_is_as_its_schema_says(
-    tiny_log: Path, tmp_path: Path, run: Run
-) -> None:
-    out = tmp_path / "map"
-    assert run("build", tiny_log, "-o", out, "--preset", "paper", "-q").code == 0
-    found = json.loads((out / "classifiers.json").read_text(encoding="utf-8"))
-    validate(found, FILE_SCHEMAS["classifiers.json"])
 
 
 @pytest.mark.parametrize("name", schema_names())
