@@ -40,18 +40,14 @@ def test_a_view_is_found_wherever_it_is_turned() -> None:
     assert found.share > 0.95
 
 
-def test_a_search_within_reach_finds_nothing_beyond_it() -> None:
+def test_a_search_finds_nothing_beyond_its_reach_and_a_view_of_another_room_does_not_fit() -> None:
     walls = Walls(room())
     near = search(room(), walls, Pose2(3.0, 0.0, 0.0), reach_m=1.0, turn_deg=10.0)
     assert abs(near.x - 3.0) <= 1.1
     here = search(room(), walls, Pose2(0.5, -0.5, 0.05), reach_m=1.0, turn_deg=10.0)
     assert math.hypot(here.x, here.y) < 0.2
-
-
-def test_a_view_of_another_room_does_not_fit() -> None:
     angles = np.linspace(0, 2 * np.pi, 400)
     circle = 2.2 * np.column_stack([np.cos(angles), np.sin(angles)])
-    walls = Walls(room())
     assert lay(circle, walls, search(circle, walls)).share < 0.5
     assert lay(circle + 100.0, walls, Pose2(0, 0, 0)).share == 0.0
 

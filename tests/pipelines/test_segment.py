@@ -14,7 +14,9 @@ from specmap_cli.core.errors import NoResultError, UsageError
 from specmap_cli.grids.gridmap import GridMap
 
 
-def test_the_rooms_of_the_flat_are_found(plan: Path, tmp_path: Path, flat: GridMap) -> None:
+def test_the_rooms_of_the_flat_are_found_with_the_settings_given(
+    plan: Path, tmp_path: Path, flat: GridMap
+) -> None:
     report = segment_map(str(plan), str(tmp_path / "rooms"))
     found = report.as_dict()
     assert found["out"] == str(tmp_path / "rooms")
@@ -40,9 +42,6 @@ def test_the_rooms_of_the_flat_are_found(plan: Path, tmp_path: Path, flat: GridM
     assert labels.shape == grid.shape
     assert set(np.unique(labels).tolist()) == {0, 1, 2, 3, 4}
     assert (labels[grid == 0] == 0).mean() > 0.9  # walls belong to nobody; the desk to its room
-
-
-def test_the_settings_are_used(plan: Path, tmp_path: Path) -> None:
     config = load_config(overrides={"segmentation": {"eigenvalue_min": 0.999, "halve": False}})
     assert segment_map(plan, tmp_path / "whole", config).as_dict()["submaps"] == 1
 
