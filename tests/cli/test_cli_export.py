@@ -91,5 +91,5 @@ def test_a_map_becomes_a_page(run: Run, tiny_map: Path, tmp_path: Path) -> None:
     run("report", tiny_map, "-o", target).fails(2, "--overwrite")
     again = run("report", tiny_map, "-o", target, "--overwrite", "--compare", tiny_map, "--json")
     paths = {"map": str(tiny_map), "compare": str(tiny_map), "out": str(target)}
-    size = target.stat().st_size
-    assert again.result == {"schema_version": 1, **paths, "submaps": 1, "bytes": size}
+    numbers = {"schema_version": 1, "submaps": 1, "bytes": target.stat().st_size}
+    assert again.result == paths | numbers
