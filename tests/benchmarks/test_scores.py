@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import groupby, pairwise
 
 import numpy as np
 import pytest
@@ -152,23 +152,15 @@ def test_regions_over_visits_and_one_submap_for_all_rooms_that_says_nothing() ->
 def test_visits_begin_where_the_robot_stays_long_enough_in_another_room(
     rooms: list[int], least_m: float
 ) -> None:
-    """Against a walk from keyframe to keyframe, 0.3 m apart."""
+    """Against a walk from room to room, with keyframes 0.3 m apart."""
     steps = np.full(len(rooms), 0.3)
-    expected: list[int] = []
-    here, first = rooms[0], 0
-    for k, room in enumerate(rooms):
-        if k == 0 or room != rooms[k - 1]:
-            first = k
-        if k in (0, first):
-            last = first
-            while last + 1 < len(rooms) and rooms[last + 1] == room:
-                last += 1
-            long_enough = np.cumsum(steps)[last] - np.cumsum(steps)[first] >= least_m
-            if k and room != here and long_enough:
-                here = room
-                expected.append(expected[-1] + 1)
-                continue
-        expected.append(expected[-1] if expected else 0)
+    way, here, expected = np.cumsum(steps), [rooms[0]], list[int]()  # `here` has a room a visit
+    for room, group in groupby(rooms):
+        first = len(expected)
+        last = first + len(list(group)) - 1
+        if room != here[-1] and way[last] - way[first] >= least_m:
+            here.append(room)
+        expected += [len(here) - 1] * (last + 1 - first)
     assert visits_of(np.array(rooms), steps, least_m).tolist() == expected
 
 
