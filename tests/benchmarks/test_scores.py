@@ -28,6 +28,7 @@ from specmap_cli.core.errors import InputError
 from specmap_cli.simulation.worlds import RoomTruth
 from tests.strategies import seeds
 
+
 def scores(rooms: list[int], labels: list[int]) -> MapScores:
     """Keyframes in the given rooms, one cell of 1 m a room, with the given submaps."""
     truth = RoomTruth(np.arange(1, 7, dtype=np.int32)[None, :], 1.0)

@@ -210,4 +210,3 @@ class TestWhatTheFlagsStandFor:
     )
     def test_a_value_is_toml_or_else_a_string(self, text: str, value: object) -> None:
         assert Settings(assignments=[f"x.y={text}"]).overrides() == {"x": {"y": value}}
-

@@ -19,8 +19,8 @@ import pytest
 import typer
 
 from specmap_cli.cli.app import app
-from specmap_cli.core.errors import UsageError
 from specmap_cli.core import schemas
+from specmap_cli.core.errors import UsageError
 from specmap_cli.core.schemas import SETTINGS, read_schema, schema_names
 from tests.cli.conftest import ERROR_SCHEMA, FILE_SCHEMAS, Run, name_of_command, validate
 

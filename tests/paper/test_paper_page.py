@@ -96,5 +96,3 @@ def test_every_part_of_the_paper_is_there_and_its_commands_exist(
             assert {word for word in words if word.startswith("-")} <= options, command
         else:
             assert importlib.util.find_spec(words[2]) is not None, command
-
-

@@ -19,6 +19,7 @@ from specmap_cli.pipelines.compare import COMPARISON, PICTURE, SUMMARY, Comparis
 from specmap_cli.pipelines.history import history_of, write_history
 from tests.flats import Mapped, rows
 
+
 @pytest.fixture(scope="module")
 def building(week: Path) -> BuildingRecord:
     """The one building of the week."""

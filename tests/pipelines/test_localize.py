@@ -208,7 +208,8 @@ class TestReport:
         poses = [Pose2(0.1 * k, 0.0, 0.0) for k in range(40)]
         leaping = [*poses[:20], *[Pose2(60.0, 60.0, 0.0)] * 2, *poses[22:]]
         straight, other = (
-            localize.picture_of(labelled([0] * 40, track), flat_map, True) for track in (poses, leaping)
+            localize.picture_of(labelled([0] * 40, track), flat_map, True)
+            for track in (poses, leaping)
         )
         assert straight.shape == other.shape
 
@@ -240,5 +241,7 @@ class TestReport:
         (tmp_path / "pictures").mkdir()
         for plot in (tmp_path / "gone" / "plot.png", tmp_path / "pictures"):
             with pytest.raises(UsageError, match="choose another place"):
-                localize.write_report(report, flat_map, metric=False, csv=tmp_path / "labels.csv", plot=plot)
+                localize.write_report(
+                    report, flat_map, metric=False, csv=tmp_path / "labels.csv", plot=plot
+                )
             assert [path.name for path in tmp_path.iterdir()] == ["pictures"]
