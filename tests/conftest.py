@@ -19,19 +19,19 @@ from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.records import Sweep
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.grids.map_server import read_grid
+from specmap_cli.grids.map_server import read_grid, write_grid
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.pipelines.build import build_map
 from specmap_cli.pipelines.simulate import SimulationResult, simulate
 from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
 from specmap_cli.simulation.worlds import RoomTruth, read_rooms
 from tests.flats import TRAINED, Explained, Mapped, mapped, record_tour
-from tests.house import result
+from tests.house import house, result
 from tests.sharing import made_once
 from tests.strategies import FEW_CASES, MANY, MANY_CASES
 from tests.turning import turning_back
 
-__all__ = ["result"]  # a fixture for all
+__all__ = ["house", "result"]  # fixtures for all
 
 settings.register_profile(
     "specmap",
@@ -88,6 +88,14 @@ def flat() -> GridMap:
 
 
 @pytest.fixture(scope="session")
+def plan(flat: GridMap, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The YAML of `flat`, its picture beside it."""
+    stem = tmp_path_factory.mktemp("plan") / "flat"
+    write_grid(stem, flat)
+    return stem.with_suffix(".yaml")
+
+
+@pytest.fixture(scope="session")
 def flat_rooms() -> RoomTruth:
     """The rooms of `flat`: 1 to 3 above, from the left, and 4 the corridor."""
     labels = np.zeros((120, 180), dtype=np.int32)
@@ -115,11 +123,9 @@ def flat_log(
     flat: GridMap, flat_options: SimulationOptions, tmp_path_factory: pytest.TempPathFactory
 ) -> SimulationResult:
     """The recording of `flat_tour` as a file, its truth beside it."""
-
-    def make(folder: Path) -> SimulationResult:
-        return simulate(flat, flat_options, folder / "flat.mcap")
-
-    return made_once(tmp_path_factory, "flat", make)
+    return made_once(
+        tmp_path_factory, "flat", lambda folder: simulate(flat, flat_options, folder / "flat.mcap")
+    )
 
 
 @pytest.fixture(scope="session")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,3 +54,9 @@ def record_tour(plan: GridMap, path: Path, **options: float) -> Path:
     """A short tour."""
     settings = {"field_of_view_deg": 270, "beams": 91, "range_max_m": 12, "rate_hz": 5}
     return simulate(plan, SimulationOptions.model_validate({**settings, **options}), path).log
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    """The lines of a CSV."""
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from specmap_cli.core.json_values import PropertyValue, runs_of
 from specmap_cli.core.records import Closure, Labels, Trajectory
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.maps.writing import MapResult
+from specmap_cli.maps.writing import MapResult, write_map
 from specmap_cli.topology.regions import divide
 from specmap_cli.topology.topological_map import (
     Break,
@@ -84,21 +85,18 @@ def whole_of(submaps: Iterable[Submap]) -> GridMap:
 def result() -> MapResult:
     """Corridor 0, room 1 driven into, room 2 joined by a closure; 10 keyframes each."""
     noted: dict[str, PropertyValue] = {"floor": 2, "heated": True, "owner": "Ann", "rent": 9.5}
+    left, right = Pose2(-3.0, 3.5, 0.3), Pose2(3.0, 3.5, -2.0)
     submaps = {
         0: _submap(0, Pose2(0.0, 0.0, 0.0), (12.0, 2.0)),
-        1: replace(_submap(1, Pose2(-3.0, 3.5, 0.3), (3.0, 4.0)), properties=noted),
-        2: _submap(2, Pose2(3.0, 3.5, -2.0), (4.0, 3.0)),
+        1: replace(_submap(1, left, (3.0, 4.0)), properties=noted),
+        2: _submap(2, right, (4.0, 3.0)),
     }
     crossing = Traversal(1_700_000_010_000_001_000, 0, 1, -3.0, 1.25, 1.5)
     edges = {
         (0, 1): Edge(
-            source=0,
-            target=1,
-            kind="traversed",
-            traversals=(crossing,),
-            source_from_target=Pose2(-3.0, 3.5, 0.3),
+            source=0, target=1, kind="traversed", traversals=(crossing,), source_from_target=left
         ),
-        (0, 2): Edge(source=0, target=2, kind="closure", source_from_target=Pose2(3.0, 3.5, -2.0)),
+        (0, 2): Edge(source=0, target=2, kind="closure", source_from_target=right),
     }
     low: dict[str, Any] = {"xi": 0.02, "claims_new_by_old": 0.1, "claims_old_by_new": 0.2}
     closures = (
@@ -139,3 +137,12 @@ def result() -> MapResult:
         pose_graph="",
         overview=np.full((30, 40, 3), 200, dtype=np.uint8),
     )
+
+
+@pytest.fixture
+def house(tmp_path: Path, result: MapResult) -> Path:
+    """Its map directory."""
+    out = tmp_path / "house"
+    out.mkdir()
+    write_map(out, result)
+    return out

@@ -1,11 +1,13 @@
-"""Packages that other people would install, made on the spot: a module and its entry points."""
+"""Packages that other people would install, made on the spot, and files that belong to none."""
 
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import sys
 from pathlib import Path
 from textwrap import dedent
+from types import ModuleType
 
 import pytest
 
@@ -26,3 +28,13 @@ def install(
     facts.joinpath("entry_points.txt").write_text("\n".join([f"[{group}]", *lines]) + "\n")
     monkeypatch.syspath_prepend(str(folder))
     importlib.invalidate_caches()
+
+
+def module_at(path: Path) -> ModuleType:
+    """The module of a file that belongs to no package."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

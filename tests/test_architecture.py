@@ -15,23 +15,11 @@ ROOT = Path(specmap_cli.__file__).parent
 # What each room may import beside itself: the rooms of a lower floor that it needs, no others.
 _STAGE = {"core", "grids"}
 _FEATURES, _LEARNING = "recognition/features", "recognition/learning"
-_STAGES = {
-    "logs",
-    "logs/readers",
-    "registration",
-    "segmentation",
-    _FEATURES,
-    _LEARNING,
-    "recognition/closure",
-    "recognition/localization",
-    "layout",
-    "topology",
-    "quality",
-    "maps",
-    "drawing",
-    "simulation",
+_ORDER = {
+    *("core", "grids", "logs", "logs/readers", "registration", "segmentation", "layout"),
+    *(_FEATURES, _LEARNING, "recognition/closure", "recognition/localization"),
+    *("topology", "quality", "maps", "drawing", "simulation"),
 }
-_ORDER = {"core", "grids", *_STAGES}
 MAY_IMPORT: dict[str, set[str]] = {
     "core": set(),
     "grids": {"core"},
@@ -62,17 +50,8 @@ MOST_ROOMS, MOST_FLOORS = 24, 9
 MOST_LINES, MOST_LINES_OF_A_FUNCTION = 460, 60
 # what `specmap --help` must not load: tests/cli/test_cli_usage.py runs it
 HEAVY = {
-    "cv2",
-    "jinja2",
-    "kiss_icp",
-    "mcap",
-    "networkx",
-    "numpy",
-    "pydantic",
-    "rosbags",
-    "scipy",
-    "sklearn",
-    "yaml",
+    *("cv2", "jinja2", "kiss_icp", "mcap", "networkx", "numpy", "pydantic", "rosbags"),
+    *("scipy", "sklearn", "yaml"),
 }
 MODULES = sorted(ROOT.rglob("*.py"))
 
@@ -136,12 +115,10 @@ def imports(path: Path, *, late: bool = True) -> list[tuple[int, str]]:
     return found
 
 
-def test_every_room_is_in_the_table() -> None:
+def test_every_room_is_in_the_table_the_house_is_small_and_no_arrow_runs_up() -> None:
     rooms = {room_of(path) for path in MODULES if path.name != "__init__.py"} - {""}
     assert rooms == set(MAY_IMPORT)
-
-
-def test_the_house_is_small_and_no_arrow_runs_up() -> None:
+    assert {path.name for path in ROOT.glob("*.py")} == {"__init__.py", "__main__.py"}
     assert len(MAY_IMPORT) <= MOST_ROOMS
     assert max(floor_of(room) for room in MAY_IMPORT) <= MOST_FLOORS  # ends: there is no circle
 
@@ -177,10 +154,6 @@ def test_no_two_files_of_tests_have_one_name() -> None:
     assert [name for name, next_ in pairwise(names) if name == next_] == []
 
 
-def test_nothing_stands_at_the_root() -> None:
-    assert {path.name for path in ROOT.glob("*.py")} == {"__init__.py", "__main__.py"}
-
-
 def test_imports_go_one_way() -> None:
     wrong = []
     for path in MODULES:
@@ -193,13 +166,7 @@ def test_imports_go_one_way() -> None:
 
 
 def test_commands_import_what_is_heavy_only_when_they_run() -> None:
-    light = (
-        "cli",
-        "core.errors",
-        "core.progress",
-        "core.text",
-        "__version__",
-    )
+    light = ("cli", "core.errors", "core.progress", "core.text", "__version__")
     wrong = []
     for path in sorted(ROOT.glob("cli/*.py")):
         for line, name in imports(path, late=False):
@@ -209,21 +176,15 @@ def test_commands_import_what_is_heavy_only_when_they_run() -> None:
     assert wrong == []
 
 
-def calls(tree: ast.AST) -> Iterator[tuple[int, str]]:
-    """Line and full name of everything called: `print`, `sys.exit`."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Call):
-            yield node.lineno, ast.unparse(node.func)
-
-
 def test_the_library_neither_prints_nor_exits_nor_runs_data() -> None:
     forbidden = {"print", "exit", "quit", "sys.exit", "os._exit", "eval", "exec", "breakpoint"}
     loads = {"pickle", "shelve", "marshal"}
     wrong = []
     for path in LIBRARY:
         where = relative(path)
-        called = [(line, name) for line, name in calls(tree_of(path)) if name in forbidden]
-        wrong += [f"{where}:{line} calls {name}" for line, name in called]
+        calls = [node for node in ast.walk(tree_of(path)) if isinstance(node, ast.Call)]
+        called = [(node.lineno, ast.unparse(node.func)) for node in calls]
+        wrong += [f"{where}:{line} calls {name}" for line, name in called if name in forbidden]
         loaded = [(line, name) for line, name in imports(path) if name.split(".")[0] in loads]
         wrong += [f"{where}:{line} imports {name}" for line, name in loaded]
     assert wrong == []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import re
 import sys
 import tomllib
@@ -14,23 +13,19 @@ from packaging.utils import canonicalize_name
 from packaging.version import Version
 
 from specmap_cli.core.process import STANDS_ON
+from tests.test_architecture import MODULES, imports
 
 ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-RUNTIME = [Requirement(line) for line in PROJECT["dependencies"]]
-DEVELOPMENT = [Requirement(line) for line in PROJECT["optional-dependencies"]["dev"]]
-BATCH = [Requirement(line) for line in PROJECT["optional-dependencies"]["batch"]]
-CONSUMERS = [Requirement(line) for line in PROJECT["optional-dependencies"]["consumers"]]
-RERUN = [Requirement(line) for line in PROJECT["optional-dependencies"]["rerun"]]
-BOTH_ENDS = [*RUNTIME, *DEVELOPMENT, *BATCH]  # tested with the lowest versions, too
-PINNED = [*BOTH_ENDS, *CONSUMERS]
-DECLARED = [*PINNED, *RERUN]
+RUNTIME = [*map(Requirement, PROJECT["dependencies"])]
+EXTRAS = {
+    name: [*map(Requirement, lines)] for name, lines in PROJECT["optional-dependencies"].items()
+}
+BOTH_ENDS = [*RUNTIME, *EXTRAS["dev"], *EXTRAS["batch"]]  # tested with the lowest versions, too
+PINNED = [*BOTH_ENDS, *EXTRAS["consumers"]]
+DECLARED = [*PINNED, *EXTRAS["rerun"]]
 # For the site and for archives: pinned as the others, and no part of what is tested at both ends.
-TOOLS = [
-    Requirement(line)
-    for extra in ("docs", "dist")
-    for line in PROJECT["optional-dependencies"][extra]
-]
+TOOLS = [*EXTRAS["docs"], *EXTRAS["dist"]]
 
 
 def pins(name: str) -> dict[str, Version]:
@@ -46,22 +41,14 @@ def floor(requirement: Requirement) -> Version:
     return Version(lowest)
 
 
-def test_the_lowest_pins_are_the_floors() -> None:
+def test_the_lowest_pins_are_the_floors_and_the_usual_ones_are_allowed() -> None:
     lowest = pins("constraints-lowest.txt")
     apart = [one for one in BOTH_ENDS if lowest.get(canonicalize_name(one.name)) != floor(one)]
     assert apart == [], "run `make constraints-lowest`"
-
-
-def test_the_usual_pins_are_allowed() -> None:
     usual = pins("constraints.txt")
     pinned = [(one, usual[canonicalize_name(one.name)]) for one in [*PINNED, *TOOLS]]
     assert [one for one, version in pinned if version not in one.specifier] == []
     assert [one for one in PINNED if usual[canonicalize_name(one.name)] < floor(one)] == []
-
-
-def test_nothing_is_declared_twice() -> None:
-    names = [canonicalize_name(requirement.name) for requirement in [*DECLARED, *TOOLS]]
-    assert len(names) == len(set(names))
 
 
 def test_the_version_names_all_that_is_needed_to_run() -> None:
@@ -69,17 +56,12 @@ def test_the_version_names_all_that_is_needed_to_run() -> None:
 
 
 def test_the_package_imports_what_is_declared_and_nothing_else() -> None:
-    imported: set[str] = set()
-    for path in (ROOT / "specmap_cli").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Import):
-                imported |= {alias.name.split(".")[0] for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and node.module is not None:
-                imported.add(node.module.split(".")[0])
+    imported = {name.split(".")[0] for path in MODULES for _, name in imports(path)}
     foreign = imported - sys.stdlib_module_names - {"specmap_cli"}
     distributions = dict(metadata.packages_distributions())
     declared = {canonicalize_name(requirement.name) for requirement in RUNTIME}
-    declared |= {canonicalize_name(requirement.name) for requirement in [*RERUN, *BATCH]}
+    extras = [*EXTRAS["rerun"], *EXTRAS["batch"]]
+    declared |= {canonicalize_name(requirement.name) for requirement in extras}
     distributions |= {"rerun": ["rerun-sdk"]}  # which need not be installed
     distributions |= {name: [name] for name in ("distributed", "fsspec", "psutil", "pyarrow")}
     distributions |= {"dask": ["distributed"]}  # it comes with it
@@ -89,11 +71,12 @@ def test_the_package_imports_what_is_declared_and_nothing_else() -> None:
     assert undeclared == set()
 
 
-def test_the_documents_say_what_each_is_for() -> None:
+def test_the_documents_say_what_each_is_for_and_nothing_is_declared_twice() -> None:
     text = (ROOT / "docs" / "dependencies.md").read_text(encoding="utf-8")
     names = [requirement.name for requirement in [*DECLARED, *TOOLS]]
     said = [name for name in names if re.search(rf"(?<![\w-]){re.escape(name)}(?![\w-])", text)]
     assert said == names
+    assert len({*map(canonicalize_name, names)}) == len(names)
 
 
 def test_every_python_promised_is_allowed() -> None:

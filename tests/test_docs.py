@@ -56,16 +56,12 @@ def exists(name: str) -> bool:
     return False
 
 
-def test_the_paper_s_map_names_what_exists() -> None:
+def test_the_paper_s_map_names_what_exists_and_tests_that_do() -> None:
     text = (ROOT / "docs" / "paper_map.md").read_text(encoding="utf-8")
     dotted = {name for name in quoted(text) if re.fullmatch(r"[a-z_0-9]+(\.[A-Za-z_0-9]+)+", name)}
     names = {name for name in dotted if not name.endswith((".py", ".md"))}
     assert len(names) > 40
     assert [name for name in sorted(names) if not exists(name)] == []
-
-
-def test_the_paper_s_map_names_tests_that_exist() -> None:
-    text = (ROOT / "docs" / "paper_map.md").read_text(encoding="utf-8")
     proofs = [name.split("::") for name in quoted(text) if "::" in name]
     assert len(proofs) > 20
     for path, test in proofs:

@@ -7,10 +7,12 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import specmap_cli
+from specmap_cli.core.arguments import instance_of, path_of, paths_of
 from specmap_cli.core.settings import Config
 from tests.conftest import SAMPLE_LOGS
 
@@ -30,10 +32,20 @@ def test_every_public_name_is_there_and_on_the_page() -> None:
         specmap_cli.no_such_name  # noqa: B018
 
 
-def test_importing_the_package_loads_nothing_heavy() -> None:
-    code = "import sys, specmap_cli; print('numpy' in sys.modules)"
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert found.stdout == "False\n"
+@pytest.mark.parametrize(
+    ("more", "shown", "said"),
+    [
+        ("", "'numpy' in sys.modules", "False"),
+        # what is slow to load waits until registration runs
+        (".pipelines.build", "{'scipy.sparse', 'specmap_cli.layout'} & {*sys.modules}", "set()"),
+        # what other systems lack
+        ("; sys.modules['fcntl'] = None; import specmap_cli.pipelines.worker", "1", "1"),
+    ],
+)
+def test_importing_needs_nothing_heavy_or_lacking(more: str, shown: str, said: str) -> None:
+    code = f"import sys, specmap_cli{more}; print({shown})"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert found.stdout == f"{said}\n", found.stderr
 
 
 def test_the_examples_of_the_page_run(
@@ -80,3 +92,23 @@ def test_wrong_types_are_refused_before_the_work(
     with pytest.raises(TypeError, match=r"expected .*, found "):
         call()
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("value", ["a/b", Path("a/b")])
+def test_a_path_may_be_text(value: str | Path) -> None:
+    assert path_of(value, "out") == Path("a/b")
+    assert paths_of(value, "logs") == [Path("a/b")]
+    assert paths_of([value, "c"], "logs") == [Path("a/b"), Path("c")]
+    assert paths_of((), "logs") == []
+    assert instance_of(value, type(value), "path") is value
+
+
+@pytest.mark.parametrize("value", [None, 3, b"bytes", {"a": 1}, {"a"}, object(), [0] * 1000])
+def test_what_is_no_path_is_named_and_cut_in_the_message(value: Any) -> None:
+    with pytest.raises(TypeError, match=r"^out: expected a path \(str or Path\), found ") as told:
+        path_of(value, "out")
+    assert len(str(told.value)) < 120
+    with pytest.raises(TypeError, match=r"^logs: expected a path"):
+        paths_of(value, "logs")
+    with pytest.raises(TypeError, match=r"^count: expected str, found "):
+        instance_of(value, str, "count")

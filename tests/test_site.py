@@ -10,30 +10,20 @@ import subprocess
 import sys
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 import typer
 
 from specmap_cli.cli.app import app
 from specmap_cli.core.schemas import schema_names
+from tests.plugins import module_at
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 TROUBLE = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
 
 
-def load_hooks() -> ModuleType:
-    """docs/hooks.py, which belongs to no package."""
-    spec = importlib.util.spec_from_file_location("hooks_of_the_site", DOCS / "hooks.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-HOOKS = load_hooks()
+HOOKS = module_at(DOCS / "hooks.py")
 
 
 def nav() -> list[str]:
@@ -66,24 +56,18 @@ def test_links_lead_to_the_place_on_the_site(path: str, uri: str, link: str, lea
     assert HOOKS.relinked(f"see [it]{link}.", path, uri) == f"see [it]{leads}."
 
 
-def test_a_link_to_what_the_site_does_not_have_is_text() -> None:
+def test_lists_and_tables_begin_after_an_empty_line_and_a_link_to_nothing_is_text() -> None:
     assert HOOKS.relinked("[the code](../pyproject.toml)", "docs/a.md", "a.md") == "the code"
-
-
-def test_lists_and_tables_begin_after_an_empty_line() -> None:
     given = "one:\n- a\n- b\n  more\n- c\n\ntwo:\n| x |\n|---|\n\n```\ntext\n- no list\n```\n"
     wanted = "one:\n\n- a\n- b\n  more\n- c\n\ntwo:\n\n| x |\n|---|\n\n```\ntext\n- no list\n```\n"
     assert HOOKS.roomy(given) == wanted
 
 
-def test_the_page_of_commands_has_them_all() -> None:
+def test_the_pages_of_commands_and_settings_have_them_all() -> None:
+    assert "[segmentation]\n" in HOOKS.settings_page()
     page = HOOKS.commands_page()
     for name in typer.main.get_command(app).commands:  # type: ignore[attr-defined]
         assert f"\n## {name}\n```\nUsage: specmap {name} " in page
-
-
-def test_the_page_of_settings_is_what_the_program_prints() -> None:
-    assert "[segmentation]\n" in HOOKS.settings_page()
 
 
 def test_the_page_of_schemas_has_every_object_and_its_links_hold() -> None:
@@ -116,6 +100,7 @@ def messages() -> list[str]:
         if "| it says |" in table
         for row in re.findall(r"^\| (`.*?`) \|", table, re.MULTILINE)
     ]
+    assert len(rows) > 15
     return [row.strip("` ") for row in rows]
 
 
@@ -124,10 +109,6 @@ def test_messages_are_quoted_as_the_program_prints_them(message: str) -> None:
     program = texts_of_the_program()
     for piece in re.split(r"\.\.\.|: |; ", message):  # an error is made of parts
         assert piece.strip(" ;:") in program, piece
-
-
-def test_there_are_messages() -> None:
-    assert len(messages()) > 15
 
 
 def test_the_site_is_built_and_every_link_holds(tmp_path: Path) -> None:

@@ -55,8 +55,7 @@ class TestRows:
         assert SECONDS.text(4.06) == "4.1 s"
         assert Row("lines", "lines", 47_000, form=",.0f", better="less").reaches(46_999.6, 47_000)
         assert WALLS.text(None) == WALLS.text(float("nan")) == "-"
-
-    def test_the_median_of_repeats_keeps_the_least_and_the_largest(self) -> None:
+        # the median of repeats, with the least and the largest
         assert Figure.of([3.0, 1.0, 2.0]) == Figure(2.0, 1.0, 3.0)
         assert Figure.of([1.0, 2.0]).value == 1.5
 
@@ -167,19 +166,14 @@ class TestPage:
         assert "\n" not in page.state()
 
 
-class TestCommand:
-    def test_it_lists_what_can_be_asked_for(
-        self, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr(sys, "argv", ["scoreboard", "--list"])
-        assert main() == 0
-        listed = capsys.readouterr().out
-        assert "cold: Rooms of real maps" in listed
-        assert re.search(r"cold\.iou +IoU", listed)
-
-    def test_an_unknown_row_is_refused(
-        self, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr(sys, "argv", ["scoreboard", "--only", "cold.walls"])
-        assert main() == 2
-        assert capsys.readouterr().err == "no section or row cold.walls: see --list\n"
+def test_the_command_lists_what_can_be_asked_for_and_refuses_an_unknown_row(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["scoreboard", "--list"])
+    assert main() == 0
+    listed = capsys.readouterr().out
+    assert "cold: Rooms of real maps" in listed
+    assert re.search(r"cold\.iou +IoU", listed)
+    monkeypatch.setattr(sys, "argv", ["scoreboard", "--only", "cold.walls"])
+    assert main() == 2
+    assert capsys.readouterr().err == "no section or row cold.walls: see --list\n"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -19,9 +20,8 @@ import pytest
 from specmap_cli.cli import main
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.schemas import read_schema
-from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.grids.map_server import write_grid
 from specmap_cli.logs.writer import LogWriter
+from tests.flats import Mapped
 from tests.sharing import made_once
 
 ROOT = Path(__file__).parents[2]
@@ -137,14 +137,6 @@ def leftovers(directory: Path) -> list[str]:
 
 
 @pytest.fixture(scope="session")
-def plan(flat: GridMap, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The YAML of a small flat."""
-    stem = tmp_path_factory.mktemp("plan") / "flat"
-    write_grid(stem, flat)
-    return stem.with_suffix(".yaml")
-
-
-@pytest.fixture(scope="session")
 def tiny_map(tiny_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The map of the tiny log: one submap. Not to be changed."""
 
@@ -175,3 +167,24 @@ def standing_log(
                 ranges = np.full(91, distance)
                 writer.scan(topic, "laser", stamp, -view / 2, view / 90, ranges, range_max=12.0)
     return path
+
+
+@pytest.fixture
+def words(
+    first_tour: Mapped,
+    second_tour: Mapped,
+    tiny_log: Path,
+    tiny_map: Path,
+    plan: Path,
+    tmp_path: Path,
+) -> Callable[[str], list[str]]:
+    """The arguments in a line of `LINES` of test_cli_schemas.py; `{out}` is `tmp_path`."""
+    tum, relations = tiny_map / "trajectory.tum", tmp_path / "relations.txt"
+    stamps = [line.split()[0] for line in tum.read_text(encoding="utf-8").splitlines()]
+    relations.write_text(f"{stamps[0]} {stamps[-1]} 1 0 0 0 0 0\n", encoding="utf-8")
+    places = {
+        **{"log": tiny_log, "map": tiny_map, "tum": tum, "relations": relations, "plan": plan},
+        **{"one": first_tour.map, "other": second_tour.map, "other_log": second_tour.log.log},
+        **{"out": tmp_path, "quick": " ".join(QUICK)},
+    }
+    return lambda line: shlex.split(line.format(**places))

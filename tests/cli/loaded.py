@@ -30,7 +30,6 @@ with socket.socket(socket.AF_UNIX) as server:
     code = server.recv(1)
 sys.exit(code[0] if code else 70)
 """
-LONGEST = 1 << 20  # bytes of a run
 
 
 def write_program(path: Path, place: Path) -> None:
@@ -39,16 +38,11 @@ def write_program(path: Path, place: Path) -> None:
     path.chmod(0o755)
 
 
-def load() -> None:
-    """All that a command loads when it runs."""
+def serve(place: Path) -> None:
+    """Load all, run what is sent, one after the other, until killed; says when it is ready."""
     for package in (pipelines, exports):
         for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
             importlib.import_module(module.name)
-
-
-def serve(place: Path) -> None:
-    """Run what is sent, one after the other, until killed; says on stdout when it is ready."""
-    load()
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(str(place))
         listening.listen()
@@ -65,7 +59,7 @@ def _answer(asked: socket.socket) -> NoReturn:
     """Run the command with the streams, the directory and the environment that came with it."""
     code = 1
     try:
-        sent, streams, _, _ = socket.recv_fds(asked, LONGEST, 3)
+        sent, streams, _, _ = socket.recv_fds(asked, 1 << 20, 3)  # the longest run, in bytes
         arguments, directory, environment = json.loads(sent)
         for number, stream in enumerate(streams):
             os.dup2(stream, number)

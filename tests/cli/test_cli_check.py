@@ -1,20 +1,31 @@
-"""`specmap check`: exit codes, files for a CI, and what it refuses."""
+"""The verdict on a map: `specmap check`, its exit codes and files for a CI, and that of a build."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from xml.etree import ElementTree
 
+import pytest
+
 from specmap_cli.core.process import peak_memory_mb
-from tests.cli.conftest import Run
+from specmap_cli.maps.store import read_map
+from tests.cli.conftest import QUICK, Run
+from tests.turning import turn
 
 
-def test_a_good_map_keeps_the_rules(tiny_map: Path, run: Run) -> None:
-    told = run("check", tiny_map, "--json").result
+def test_a_good_map_keeps_the_rules(tiny_map: Path, tmp_path: Path, run: Run) -> None:
+    """And a golden one is another map's measure."""
+    told = run("check", tiny_map, "--against", tiny_map, "--json").result
+    figures = told["figures"]
     assert told["passed"]
-    assert told["figures"]["scans"] == 61
-    assert told["figures"]["memory_mb"] > 10
-    assert told["figures"]["scans_per_s"] > 0
+    assert figures["scans"] == 61
+    assert figures["memory_mb"] > 10
+    assert figures["scans_per_s"] > 0
+    assert (figures["golden.same_share"], figures["golden.gone"]) == (1, 0)
+    rules = {one["rule"] for one in told["rules"]}
+    assert {"golden.aligned", "golden.area_share", "golden.closed", "golden.off_m"} <= rules
+    assert run("check", tiny_map, "--against", tmp_path).code == 3
 
 
 def test_a_broken_rule_is_exit_code_5(tiny_map: Path, tmp_path: Path, run: Run) -> None:
@@ -31,14 +42,6 @@ def test_a_broken_rule_is_exit_code_5(tiny_map: Path, tmp_path: Path, run: Run) 
     assert run(*line, "--overwrite").code == 5
 
 
-def test_a_golden_map_is_another_map_s_measure(tiny_map: Path, tmp_path: Path, run: Run) -> None:
-    told = run("check", tiny_map, "--against", tiny_map, "--json").result
-    assert (told["figures"]["golden.same_share"], told["figures"]["golden.gone"]) == (1, 0)
-    rules = {one["rule"] for one in told["rules"]}
-    assert {"golden.aligned", "golden.area_share", "golden.closed", "golden.off_m"} <= rules
-    assert run("check", tiny_map, "--against", tmp_path).code == 3
-
-
 def test_memory_is_that_of_this_process() -> None:
     before = peak_memory_mb()
     held = bytearray(150_000_000)
@@ -46,3 +49,38 @@ def test_memory_is_that_of_this_process() -> None:
     assert before is not None
     assert after is not None
     assert len(held) / 1e6 * 0.5 < after < 100_000
+
+
+@pytest.mark.parametrize(
+    ("doubtful", "failing", "code"),
+    [(False, "doubtful", 0), (True, "poor", 0), (True, "doubtful", 5)],
+)
+def test_a_build_can_fail_on_its_verdict(
+    run: Run, tiny_log: Path, tmp_path: Path, doubtful: bool, failing: str, code: int
+) -> None:
+    out = tmp_path / "map"
+    if doubtful:
+        turn("quality", odometry_share=0.0001)  # it has to agree to a tenth of a millimetre a metre
+    outcome = run("build", tiny_log, "-o", out, *QUICK, "--fail-on", failing, "--json")
+    assert outcome.code == code
+    told = json.loads(outcome.out)["quality"]
+    assert told["verdict"] == ("doubtful" if doubtful else "good")
+    stored = read_map(out).record.graph.quality
+    assert stored is not None
+    assert stored.as_dict() == told  # the map is there in any case
+
+
+def test_doubts_come_first_and_are_warned_of(run: Run, tiny_log: Path, tmp_path: Path) -> None:
+    out = tmp_path / "map"
+    turn("quality", odometry_share=0.0001)
+    run("build", tiny_log, "--fail-on", "good", "-o", out).fails(2, "'doubtful', 'poor'")
+    outcome = run("build", tiny_log, "-o", out, *QUICK)
+    assert outcome.code == 0, "nobody asked it to fail"
+    first = outcome.out.splitlines()[0]
+    assert first.startswith(f"{out}: this map is doubtful: odometry and the map disagree by ")
+    warned = first.removeprefix(f"{out}: this map is doubtful: ")
+    assert f"specmap: warning: {warned}" in outcome.err.splitlines()
+    assert warned in read_map(out).run["warnings"]
+    assert "quality: good" not in outcome.out
+    quiet = run("build", tiny_log, "-o", out, *QUICK, "--overwrite", "-q")
+    assert (quiet.out.splitlines()[0], quiet.err) == (first, "")

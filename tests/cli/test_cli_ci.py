@@ -17,24 +17,15 @@ from xml.etree import ElementTree
 import pytest
 import yaml
 
-from specmap_cli.grids.gridmap import OCCUPIED, GridMap
-from specmap_cli.pipelines.build import build_map
-from specmap_cli.pipelines.simulate import simulate
-from specmap_cli.simulation.simulator import SimulationOptions
 from tests.cli.conftest import ROOT, validate
 from tests.cli.loaded import write_program
-from tests.flats import QUICK
+from tests.flats import Mapped
 
 EXAMPLES = ROOT / "docs" / "examples"
 SETTINGS = "[recognition]\nrounds = 4\n[localization]\naugmentation = 20\n"
 
 
-@dataclass(frozen=True)
-class Step:
-    """Lines of a shell that a server runs, and whether it does so after a failure, too."""
-
-    script: str
-    always: bool = False
+Step = tuple[str, bool]  # lines of a shell that a server runs, and whether after a failure, too
 
 
 def read(name: str) -> Any:
@@ -46,12 +37,12 @@ def github_steps() -> Iterator[Step]:
     """The shell steps of the workflow, but for that which installs."""
     for step in read("github.yml")["jobs"]["map"]["steps"]:
         if "run" in step and not step["run"].startswith("pip install"):
-            yield Step(step["run"], always=step.get("if") == "always()")
+            yield step["run"], step.get("if") == "always()"
 
 
 def gitlab_steps() -> Iterator[Step]:
     """The lines of the job."""
-    yield from map(Step, read("gitlab.yml")["map"]["script"])
+    yield from ((line, False) for line in read("gitlab.yml")["map"]["script"])
 
 
 def cron_line() -> str:
@@ -83,28 +74,10 @@ class Server:
     def job(self, steps: Iterator[Step]) -> int:
         """Run a job: after a step that failed only those that always run; its exit code."""
         code = 0
-        for step in steps:
-            if not code or step.always:
-                code = self.sh(step.script).returncode or code
+        for script, always in steps:
+            if not code or always:
+                code = self.sh(script).returncode or code
         return code
-
-
-@pytest.fixture(scope="module")
-def logs(flat: GridMap, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Recordings of two rooms, yesterday and tonight, a map of yesterday's, and quick settings."""
-    folder = tmp_path_factory.mktemp("nights")
-    cells = flat.cells[:, :118].copy()
-    cells[:, 114:] = OCCUPIED  # the third room, and the end of the corridor
-    rooms = GridMap(cells, flat.resolution)
-    robot = SimulationOptions(
-        field_of_view_deg=360, beams=120, range_max_m=12, rate_hz=2, speed_mps=0.8, seed=3
-    )
-    yesterday = simulate(rooms, robot, folder / "yesterday.mcap")
-    again = robot.model_copy(update={"seed": 8, "spacing_m": 1.2})
-    simulate(rooms, again, folder / "tonight.mcap")
-    (folder / "quick.toml").write_text(SETTINGS, encoding="utf-8")
-    build_map(yesterday.log, folder / "golden", QUICK)
-    return folder
 
 
 @pytest.fixture(scope="module")
@@ -123,18 +96,20 @@ def programs() -> Iterator[Path]:
 
 
 @pytest.fixture
-def server(logs: Path, programs: Path, tmp_path: Path) -> Server:
-    place = tmp_path / "maps"
-    place.mkdir()
+def server(first_tour: Mapped, second_tour: Mapped, programs: Path, tmp_path: Path) -> Server:
+    """With the log of tonight, which is the second tour, and the map of the first, `golden`."""
+    place, settings = tmp_path / "maps", tmp_path / "quick.toml"
+    settings.write_text(SETTINGS, encoding="utf-8")
+    shutil.copytree(first_tour.map, place / "golden")
     return Server(
         place,
         {
             **os.environ,
             "PATH": f"{programs}:{os.environ['PATH']}",
             "HOME": str(tmp_path),
-            "LOG": str(logs / "tonight.mcap"),
+            "LOG": str(second_tour.log.log),
             "SPECMAP_LOG_LEVEL": "warning",
-            "SPECMAP_CONFIG": str(logs / "quick.toml"),
+            "SPECMAP_CONFIG": str(settings),
             "GITHUB_STEP_SUMMARY": str(place / "summary.md"),
         },
     )
@@ -145,8 +120,7 @@ def failures(junit: Path) -> int:
     return len(ElementTree.parse(junit).findall(".//failure"))
 
 
-def test_the_workflow_makes_a_map_and_checks_it(server: Server, logs: Path) -> None:
-    shutil.copytree(logs / "golden", server.place / "golden")
+def test_the_workflow_makes_a_map_and_checks_it(server: Server) -> None:
     assert server.job(github_steps()) == 0
     assert failures(server.place / "check.xml") == 0
     assert "keeps" in (server.place / "summary.md").read_text(encoding="utf-8")
@@ -156,9 +130,8 @@ def test_the_workflow_makes_a_map_and_checks_it(server: Server, logs: Path) -> N
 
 
 def test_the_workflow_fails_on_a_map_of_one_room_and_shows_why(
-    server: Server, logs: Path, tiny_log: Path
+    server: Server, tiny_log: Path
 ) -> None:
-    shutil.copytree(logs / "golden", server.place / "golden")
     shutil.copy(tiny_log, server.place)
     one_room = replace(server, environment={**server.environment, "LOG": tiny_log.name})
     assert one_room.job(github_steps()) == 3, "the last step finds no route to export"
@@ -167,8 +140,7 @@ def test_the_workflow_fails_on_a_map_of_one_room_and_shows_why(
     assert (server.place / "map.html").exists(), "a person wants to see what is wrong"
 
 
-def test_the_job_updates_the_map_and_says_what_changed(server: Server, logs: Path) -> None:
-    shutil.copytree(logs / "golden", server.place / "golden")
+def test_the_job_updates_the_map_and_says_what_changed(server: Server) -> None:
     assert server.job(gitlab_steps()) == 0
     artifacts = read("gitlab.yml")["map"]["artifacts"]
     for path in [*artifacts["paths"], artifacts["reports"]["junit"]]:
@@ -176,21 +148,18 @@ def test_the_job_updates_the_map_and_says_what_changed(server: Server, logs: Pat
     validate(json.loads((server.place / "update.json").read_text(encoding="utf-8")), "update")
 
 
-def test_the_line_of_cron_keeps_a_map_and_is_silent(server: Server, logs: Path) -> None:
-    shutil.copytree(logs / "golden", server.place / "map")
-    shutil.copy(logs / "tonight.mcap", server.place)
+def test_the_line_of_cron_keeps_a_map_and_is_silent(server: Server) -> None:
+    (server.place / "golden").rename(server.place / "map")
+    shutil.copy(server.environment["LOG"], server.place / "tonight.mcap")
     done = server.sh(cron_line())
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     before, after = (server.place / name / "run.json" for name in ("before", "map"))
-    assert json.loads(before.read_text("utf-8"))["inputs"] == ["yesterday.mcap"]
+    assert json.loads(before.read_text("utf-8"))["inputs"] == ["first.mcap"]
     assert json.loads(after.read_text("utf-8"))["inputs"] == ["tonight.mcap"]
 
 
-def test_the_line_of_cron_tells_what_is_wrong_and_leaves_the_map(
-    server: Server, logs: Path, tiny_log: Path
-) -> None:
-    shutil.copytree(logs / "golden", server.place / "map")
-    shutil.copy(tiny_log, server.place / "tonight.mcap")
+def test_the_line_of_cron_tells_what_is_wrong_and_leaves_the_map(server: Server) -> None:
+    (server.place / "golden").rename(server.place / "map")
     (server.place / "tonight.mcap").write_bytes(b"nothing")
     done = server.sh(cron_line())
     assert done.stderr.startswith("specmap: error: tonight.mcap: ")
@@ -198,6 +167,6 @@ def test_the_line_of_cron_tells_what_is_wrong_and_leaves_the_map(
 
 
 def test_the_examples_use_the_command_line_alone() -> None:
-    text = "\n".join(step.script for step in (*github_steps(), *gitlab_steps()))
+    text = "\n".join(script for script, _ in (*github_steps(), *gitlab_steps()))
     words = {line.split()[0] for line in text.splitlines() if line.strip()}
     assert words == {"specmap", "if", "else", "fi"}

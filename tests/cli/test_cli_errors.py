@@ -99,6 +99,7 @@ def test_an_error_is_json_too(
 def test_outputs_and_logs_have_codes_of_their_own(tmp_path: Path, plan: Path, run: Run) -> None:
     log = standing_log(tmp_path / "log.mcap", 3.0)
     two = standing_log(tmp_path / "two.mcap", 3.0, topics=("/front", "/rear"))
+    blind = standing_log(tmp_path / "blind.mcap", math.nan)
     (tmp_path / "empty.mcap").touch()
     for code, *line in (
         ("output-exists", "convert", log, two),
@@ -107,18 +108,12 @@ def test_outputs_and_logs_have_codes_of_their_own(tmp_path: Path, plan: Path, ru
         ("log-damaged", "info", tmp_path / "empty.mcap"),
         ("setting", "check", tmp_path, "--set", "registration.method='x'", "--rules", log),
         ("too-large", "segment", plan, "--set", "limits.picture_max_mpixel=0.001"),
+        ("no-result", "build", blind, "-o", tmp_path / "map"),
     ):
-        error = as_json(run(*line, "--json"))
-        assert error["code"] == code, line
-
-
-def test_no_result_is_json_too(tmp_path: Path, run: Run) -> None:
-    log = standing_log(tmp_path / "blind.mcap", math.nan)
-    said = run("build", log, "-o", tmp_path / "map", "--json", "-q")
-    assert said.code == 4
-    error = as_json(said)
-    assert (error["code"], error["exit_code"]) == ("no-result", 4)
-    assert (error["where"], error["hint"]) == (str(log), "look at them with `specmap info`")
+        said = run(*line, "--json")
+        error = as_json(said)
+        assert (error["code"], error["exit_code"]) == (code, said.code), line
+    assert (error["where"], error["hint"]) == (str(blind), "look at them with `specmap info`")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -154,6 +149,12 @@ def test_a_bug_is_json_and_a_traceback(
         "hint": None,
         "exit_code": 1,
     }
+
+
+def test_another_error_of_the_system_is_a_bug(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(build, "build_map", Mock(side_effect=system(errno.EBADF)))
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        main(["build", "log.mcap", "-o", "map"])
 
 
 def system(number: int, name: str | None = None) -> OSError:
@@ -212,15 +213,6 @@ def test_what_the_machine_lacks_is_no_bug(
     assert said.error.startswith(told)
     said = run("build", "log.mcap", "-o", tmp_path / "map", "--json")
     assert as_json(said)["code"] == {2: "machine", 3: "memory"}[code]
-
-
-def test_another_error_of_the_system_is_a_bug(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    error = OSError(errno.EBADF, "Bad file descriptor")
-    monkeypatch.setattr(build, "build_map", Mock(side_effect=error))
-    with pytest.raises(OSError, match="Bad file descriptor"):
-        main(["build", "log.mcap", "-o", str(tmp_path / "map")])
 
 
 def test_a_file_called_json_asks_for_none(run: Run) -> None:

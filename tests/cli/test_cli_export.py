@@ -1,4 +1,4 @@
-"""`specmap export` as a person runs it."""
+"""`specmap export` and `specmap report` as a person runs them."""
 
 from __future__ import annotations
 
@@ -8,17 +8,7 @@ from pathlib import Path
 import networkx as nx
 import pytest
 
-from specmap_cli.maps.writing import MapResult, write_map
 from tests.cli.conftest import Run
-
-
-@pytest.fixture
-def house(tmp_path: Path, result: MapResult) -> Path:
-    """The map directory of the small house."""
-    out = tmp_path / "house"
-    out.mkdir()
-    write_map(out, result)
-    return out
 
 
 def test_a_map_becomes_a_graph_and_what_a_killed_run_left_is_removed(house: Path, run: Run) -> None:
@@ -30,20 +20,9 @@ def test_a_map_becomes_a_graph_and_what_a_killed_run_left_is_removed(house: Path
     assert not left.exists()
     told = f"an earlier run was killed: removed {left.name}, which it had begun to write"
     assert said.err == f"specmap: {target}: {told}\n"
-
-
-def test_the_result_for_a_machine(house: Path, run: Run) -> None:
-    target = house.parent / "house.geojson"
-    said = run("export", house, "-f", "geojson", "-o", target, "--json")
-    assert json.loads(said.out) == {
-        "schema_version": 1,
-        "map": str(house),
-        "out": str(target),
-        "format": "geojson",
-        "submaps": 3,
-        "edges": 2,
-        "warnings": [],
-    }
+    found = run("export", house, "-f", "graphml", "-o", target, "--overwrite", "--json").result
+    paths, counts = {"map": str(house), "out": str(target)}, {"submaps": 3, "edges": 2}
+    assert found == {"schema_version": 1, "format": "graphml", "warnings": [], **paths, **counts}
 
 
 def test_a_map_of_schema_1_is_exported_with_a_word(house: Path, run: Run) -> None:
@@ -57,31 +36,29 @@ def test_a_map_of_schema_1_is_exported_with_a_word(house: Path, run: Run) -> Non
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "code", "words"),
     [
-        (["--format", "svg", "-o", "x.svg"], "unknown format 'svg': choose from "),
-        (["--format", "graphml"], "Missing option '--out'"),
-        (["--format", "graphml", "-o", "house/topology.json"], "exists already"),
-        (["--format", "graphml", "-o", "gone/x.graphml"], "there is no directory"),
+        (["--format", "svg", "-o", "x.svg"], 2, "unknown format 'svg': choose from "),
+        (["--format", "graphml"], 2, "Missing option '--out'"),
+        (["--format", "graphml", "-o", "house/topology.json"], 2, "exists already"),
+        (["--format", "graphml", "-o", "gone/x.graphml"], 2, "there is no directory"),
+        (["--format", "nav2", "-o", "x.geojson"], 3, "house: nothing to plan a route with: "),
     ],
 )
 def test_what_cannot_be_exported_is_one_line(
-    arguments: list[str], words: str, house: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+    arguments: list[str],
+    code: int,
+    words: str,
+    house: Path,
+    run: Run,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(house.parent)
     before = sorted(house.parent.rglob("*"))
     said = run("export", "house", *arguments)
-    said.fails(2, words)
+    said.fails(code, words)
     assert said.err.count("\n") == 1
     assert sorted(house.parent.rglob("*")) == before
-
-
-def test_a_map_without_ways_is_no_graph_for_a_robot(house: Path, run: Run) -> None:
-    target = house.parent / "house.geojson"
-    said = run("export", house, "--format", "nav2", "-o", target)
-    assert said.code == 3
-    assert said.error.startswith(f"{house}: nothing to plan a route with: ")
-    assert not target.exists()
 
 
 def test_warnings_are_told_and_stand_in_the_result(house: Path, run: Run) -> None:
@@ -103,3 +80,16 @@ def test_warnings_are_told_and_stand_in_the_result(house: Path, run: Run) -> Non
     for warning in result["warnings"]:
         assert f"specmap: warning: {warning}" in shown.err.splitlines()
     assert "specmap: left out: 1 link (0-2) without a way wide enough" in shown.err.splitlines()
+
+
+def test_a_map_becomes_a_page(run: Run, tiny_map: Path, tmp_path: Path) -> None:
+    target = tmp_path / "tiny.html"
+    outcome = run("report", tiny_map, "-o", target)
+    assert outcome.code == 0
+    assert outcome.out.startswith(f"{target}: 0.")
+    assert target.read_text(encoding="utf-8").startswith("<!doctype html>")
+    run("report", tiny_map, "-o", target).fails(2, "--overwrite")
+    again = run("report", tiny_map, "-o", target, "--overwrite", "--compare", tiny_map, "--json")
+    paths = {"map": str(tiny_map), "compare": str(tiny_map), "out": str(target)}
+    numbers = {"schema_version": 1, "submaps": 1, "bytes": target.stat().st_size}
+    assert again.result == paths | numbers

@@ -8,6 +8,7 @@ copied and looked at. At some of these moments another child is killed in earnes
 from __future__ import annotations
 
 import hashlib
+import itertools
 import os
 import shutil
 import signal
@@ -105,11 +106,10 @@ def in_child(command: Sequence[str], place: Path, stop: Stop) -> int:
 
 def snapshots(command: Sequence[str], place: Path, copies: Path) -> list[Path]:
     """Copies of `place` as it is before each change that the command makes, in order."""
-    taken = [0]
+    numbers = itertools.count(1)
 
     def stop() -> None:
-        taken[0] += 1
-        shutil.copytree(place, copies / f"{taken[0]:04}", symlinks=True)
+        shutil.copytree(place, copies / f"{next(numbers):04}", symlinks=True)
 
     copies.mkdir()
     assert in_child(command, place, stop) == 0
@@ -118,11 +118,10 @@ def snapshots(command: Sequence[str], place: Path, copies: Path) -> list[Path]:
 
 def kill_at(moment: int, command: Sequence[str], place: Path) -> None:
     """Run the command in a child that kills itself before its change number `moment`."""
-    counted = [0]
+    moments = itertools.count(1)
 
     def stop() -> None:
-        counted[0] += 1
-        if counted[0] == moment:
+        if next(moments) == moment:
             os.kill(os.getpid(), signal.SIGKILL)
 
     assert os.WIFSIGNALED(in_child(command, place, stop))

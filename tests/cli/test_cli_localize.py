@@ -1,18 +1,19 @@
-"""`specmap localize`: whose settings hold, and labels that know the whole log."""
+"""`specmap localize`: whose settings hold, and offline labels; and `specmap evaluate`."""
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import pytest
 
 from specmap_cli.core.config import load_config
 from specmap_cli.core.settings import Config, LogConfig
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.pipelines.localize import settings_for
-from tests.cli.conftest import Run
+from tests.cli.conftest import QUICK, Run
+from tests.conftest import SAMPLE_LOGS
+from tests.flats import rows
 
 
 @pytest.fixture
@@ -23,19 +24,11 @@ def stored(tiny_map: Path) -> StoredMap:
     return found
 
 
-@pytest.fixture
-def settings_file(tmp_path: Path) -> Callable[[str], Path]:
-    """Makes a file of settings."""
-
-    def write(text: str) -> Path:
-        path = tmp_path / "specmap.toml"
-        path.write_text(text, encoding="utf-8")
-        return path
-
-    return write
-
-
-SettingsFile = Callable[[str], Path]
+def settings_file(folder: Path, text: str) -> Path:
+    """A file of settings."""
+    path = folder / "specmap.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
 
 
 class TestWhoseSettings:
@@ -46,10 +39,9 @@ class TestWhoseSettings:
         assert found.log == LogConfig()
         assert found == stored.config.model_copy(update={"log": LogConfig()})
 
-    def test_a_file_changes_some_of_them(
-        self, stored: StoredMap, settings_file: SettingsFile
-    ) -> None:
-        path = settings_file("[localization]\nstay = 0.9\nunknown = false\n[log]\nbase_frame = 'b'")
+    def test_a_file_changes_some_of_them(self, stored: StoredMap, tmp_path: Path) -> None:
+        text = "[localization]\nstay = 0.9\nunknown = false\n[log]\nbase_frame = 'b'"
+        path = settings_file(tmp_path, text)
         found = settings_for(stored, {}, path)
         assert (found.localization.stay, found.log.base_frame) == (0.9, "b")
         assert found.recognition == stored.config.recognition
@@ -59,10 +51,10 @@ class TestWhoseSettings:
 
     @pytest.mark.parametrize("preset", ["default", "paper"])
     def test_a_preset_takes_the_place_of_all(
-        self, preset: str, stored: StoredMap, settings_file: SettingsFile
+        self, preset: str, stored: StoredMap, tmp_path: Path
     ) -> None:
         assert settings_for(stored, {}, preset=preset) == load_config(preset=preset)
-        path = settings_file(f"preset = '{preset}'\n[localization]\nstay = 0.9\n")
+        path = settings_file(tmp_path, f"preset = '{preset}'\n[localization]\nstay = 0.9\n")
         found = settings_for(stored, {"seed": 3}, path)
         assert found == load_config(path, None, {"seed": 3})
         assert found.recognition.rounds != stored.config.recognition.rounds
@@ -70,11 +62,7 @@ class TestWhoseSettings:
     @pytest.mark.parametrize(
         ("text", "options", "told"),
         [
-            (
-                "[localization]\nstya = 1",
-                (),
-                "specmap.toml: localization.stya: no such setting, did you mean",
-            ),
+            ("[grid]\nfoo = 1", (), "specmap.toml: grid.foo: no such setting"),
             ("preset = 'mine'", (), "specmap.toml: unknown preset 'mine'"),
             ("seed = -1", (), "specmap.toml: seed: Input should be"),
             ("", ("--preset", "papre"), "unknown preset 'papre': choose from default, paper"),
@@ -87,30 +75,24 @@ class TestWhoseSettings:
         options: tuple[str, ...],
         told: str,
         tiny_map: Path,
-        settings_file: SettingsFile,
+        tmp_path: Path,
         run: Run,
     ) -> None:
-        path = settings_file(text)
+        path = settings_file(tmp_path, text)
         said = run("localize", "x.mcap", "--map", tiny_map, "--config", path, *options)
         said.fails(2)
         assert said.error.removeprefix(f"{path.parent}/").startswith(told)
 
     def test_a_setting_changes_the_labels_however_it_is_given(
-        self, tiny_log: Path, tiny_map: Path, settings_file: SettingsFile, tmp_path: Path, run: Run
+        self, tiny_log: Path, tiny_map: Path, tmp_path: Path, run: Run
     ) -> None:
-        known = settings_file("[localization]\nunknown = false\n")
+        known = settings_file(tmp_path, "[localization]\nunknown = false\n")
         written: list[bytes] = []
         for options in ((), ("--set", "localization.unknown=false"), ("--config", known)):
             out = tmp_path / f"{len(written)}.csv"
             assert run("localize", tiny_log, "--map", tiny_map, "-q", "-o", out, *options).code == 0
             written.append(out.read_bytes())
         assert written[0] != written[1] == written[2]
-
-
-def rows(path: Path) -> list[dict[str, str]]:
-    """The lines of a CSV."""
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
 
 
 def test_offline_labels_know_the_whole_log(
@@ -120,15 +102,59 @@ def test_offline_labels_know_the_whole_log(
     assert run(*line, "-o", tmp_path / "online.csv").code == 0
     assert run(*line, "-o", tmp_path / "offline.csv", "--offline").code == 0
     online, offline = rows(tmp_path / "online.csv"), rows(tmp_path / "offline.csv")
-    filtered = {"filtered_submap", "name", "filtered_probability"}
-    for before, after in zip(online, offline, strict=True):  # what a single scan tells stays
-        assert all(before[key] == after[key] for key in before.keys() - filtered)
-    # the last scan has no future: its smoothed belief is its filtered one
-    assert {key: online[-1][key] for key in filtered} == {key: offline[-1][key] for key in filtered}
-    assert [row["filtered_probability"] for row in online] != [
-        row["filtered_probability"] for row in offline
-    ]
+    pairs = list(zip(online, offline, strict=True))
+    changed = {key for before, after in pairs for key in before if before[key] != after[key]}
+    assert changed <= {"filtered_submap", "name", "filtered_probability"}, "a single scan's stay"
+    assert "filtered_probability" in changed
+    assert online[-1] == offline[-1], "the last scan has no future"
     # in a map of one submap the robot never was elsewhere: hindsight makes the first scans surer
-    doubted = [row for row in online[:10] if row["filtered_submap"] != "0"]
-    hindsight = [row for row in offline[:10] if row["filtered_submap"] != "0"]
-    assert len(hindsight) <= len(doubted)
+    doubted, still = (
+        sum(row["filtered_submap"] != "0" for row in table[:10]) for table in (online, offline)
+    )
+    assert still <= doubted
+
+
+def test_a_hold_out_is_one_object_and_a_picture(tiny_log: Path, tmp_path: Path, run: Run) -> None:
+    picture = tmp_path / "confusion.png"
+    line = ("evaluate", tiny_log, "--protocol", "holdout", "--share", "0.3", *QUICK)
+    found = run(*line, "--json", "--confusion", picture, "-q").result
+    for part in ("train", "test"):
+        assert found[part].keys() >= {"recall", "precision", "scans"}
+        assert found[part]["scans"] > 0
+        assert 0.0 <= found[part]["recall"] <= 1.0
+    assert sum(row["scans"] for row in found["submaps"]) == found["test"]["scans"]
+    assert cv2.imread(str(picture)) is not None
+    lines = run(*line, "-q").out.splitlines()
+    assert [text.split()[0] for text in lines[:4]][1:] == ["training", "held-out", "held-out,"]
+    assert len(lines) > 6
+
+
+def test_a_trajectory_against_a_reference(run: Run) -> None:
+    truth = SAMPLE_LOGS / "office_again.tum"
+    found = run("evaluate", "--trajectory", truth, "--reference", truth, "--json").result
+    assert found["matched"] == found["total"] > 2000
+    assert found["ate_m"] == pytest.approx(0.0, abs=1e-6)
+    assert set(found["relative"]) == {"1", "5", "20"}
+
+
+def test_a_trajectory_against_relations(tmp_path: Path, run: Run) -> None:
+    tum, relations = tmp_path / "a.tum", tmp_path / "a.relations"
+    tum.write_text("1 0 0 0 0 0 0 1\n2 1 0 0 0 0 0 1\n")
+    relations.write_text("1 2 1.5 0 0 0 0 0\n")
+    line = ("evaluate", "--trajectory", tum, "--relations", relations)
+    assert run(*line, "--json").result["translation_m"]["mean"] == pytest.approx(0.5)
+    assert "1 of 1 relations" in run(*line).out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("a.mcap", "--protocol", "holdout", "--trajectory", "a.tum"), "one thing only"),
+        (("--protocol", "holdout"), "needs one log"),
+        (("a.mcap", "b.mcap", "--protocol", "revisit"), "--reference twice"),
+        (("a.mcap", "b.mcap", "--baseline", "room-hallway"), "--rooms once"),
+        (("--trajectory", "a.tum"), "one of --relations"),
+    ],
+)
+def test_what_is_not_clear_is_asked(arguments: tuple[str, ...], told: str, run: Run) -> None:
+    run("evaluate", *arguments).fails(2, told)

@@ -1,8 +1,12 @@
-"""Maps that are none, damaged, edited by hand, or of another laser: a clear outcome each."""
+"""Maps that are none, damaged, edited by hand, or of another laser: a clear outcome each.
+
+A map that was damaged is taken for a merge as far as it is whole, or refused in one line.
+"""
 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,10 +14,10 @@ from typing import Any
 import pytest
 
 from specmap_cli.grids.gridmap import GridMap
-from tests.cli.conftest import Outcome, Run
+from tests.cli.conftest import QUICK, Outcome, Run
 from tests.flats import record_tour
 
-Edit = Callable[[Path], Any]
+Damage = Callable[[Path], object]
 Change = Callable[[dict[str, Any]], Any]
 
 
@@ -35,7 +39,7 @@ def test_a_map_with_one_submap(tiny_log: Path, tiny_map: Path, run: Run) -> None
     ids=["missing", "empty", "file", "foreign"],
 )
 def test_what_is_no_map(
-    make: Edit, told: str, tiny_log: Path, tiny_map: Path, tmp_path: Path, run: Run
+    make: Damage, told: str, tiny_log: Path, tiny_map: Path, tmp_path: Path, run: Run
 ) -> None:
     place, out = tmp_path / "no_map", tmp_path / "out"
     make(place)
@@ -77,7 +81,7 @@ def replace_by_directory(file: Path) -> None:
     file.mkdir()
 
 
-DAMAGES: dict[str, Callable[[Path], Any]] = {
+DAMAGES: dict[str, Damage] = {
     "gone": lambda file: file.unlink(),
     "empty": lambda file: file.write_text(""),
     "cut": lambda file: file.write_text(file.read_text(encoding="utf-8")[:150]),
@@ -193,3 +197,71 @@ def test_finished_maps_that_are_none(plan: Path, tmp_path: Path, run: Run) -> No
     ):
         run("segment", *line, "-o", tmp_path / "rooms").fails(3, told)
     assert list(tmp_path.iterdir()) == []
+
+
+def replaced(pattern: str, new: str) -> Damage:
+    """The first match of a pattern."""
+
+    def damage(file: Path) -> None:
+        text = file.read_text(encoding="utf-8")
+        assert re.search(pattern, text)
+        file.write_text(re.sub(pattern, new, text, count=1), encoding="utf-8")
+
+    return damage
+
+
+GRAPH, WAY, RUN = "trajectory.g2o", "trajectory.tum", "run.json"
+
+
+@pytest.mark.parametrize(
+    ("name", "damage", "complaint"),
+    [
+        (GRAPH, DAMAGES["gone"], r"trajectory\.g2o: cannot be read: .*; build the map again"),
+        (GRAPH, DAMAGES["binary"], r"trajectory\.g2o: not UTF-8 text: build the map again"),
+        (
+            GRAPH,
+            replaced(r"(EDGE_SE2 \d+ \d+) \S+", r"\1 nan"),
+            r"trajectory\.g2o: g2o, line \d+: 'EDGE_SE2 .*' is no EDGE_SE2",
+        ),
+        (
+            GRAPH,
+            replaced(r"VERTEX_SE2 \d+", "VERTEX_SE2 99999"),
+            r"trajectory\.g2o: its vertices are not among the \d+ keyframes of labels\.csv",
+        ),
+        (GRAPH, DAMAGES["empty"], None),  # nothing but the way from keyframe to keyframe
+        (WAY, DAMAGES["gone"], r"trajectory\.tum: cannot read the trajectory: "),
+        (WAY, DAMAGES["binary"], r"trajectory\.tum: not a text file: build the map again"),
+        (WAY, DAMAGES["empty"], r"trajectory\.tum: .*: build the map again"),
+        (
+            WAY,
+            replaced(r"(?m)^(\d+\.\d+) \S+", r"\1 far"),
+            r"trajectory\.tum: line \d+ is '.* far .*': expected t x y z qx qy qz qw",
+        ),
+        (
+            WAY,
+            replaced(r"(?m)^\d+\.\d+ .*\n", ""),
+            r"trajectory\.tum: is not the way through the keyframes of labels\.csv",
+        ),
+        (RUN, replaced(r'"counts": \{', '"counts": {"a": null, "scans": "many", '), None),
+        (RUN, replaced(r'"counts": \{[^}]*\}', '"counts": [1, 2]'), None),
+        (
+            "edits.toml",
+            lambda file: file.write_text("changes = 3"),
+            r"edits\.toml: changes: must be tables such as",
+        ),
+    ],
+)
+def test_a_damaged_map_is_merged_as_far_as_it_is_whole_or_refused(
+    name: str,
+    damage: Damage,
+    complaint: str | None,
+    own_map: Path,
+    tiny_map: Path,
+    tmp_path: Path,
+    run: Run,
+) -> None:
+    damage(own_map / name)
+    found = run("merge", tiny_map, own_map, "-o", tmp_path / "out", "--quiet", *QUICK)
+    assert found.code == 3
+    assert re.search(complaint or r"holds tiny\.mcap, and so does", found.error)
+    assert not (tmp_path / "out").exists()

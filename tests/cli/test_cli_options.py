@@ -11,7 +11,6 @@ import typer
 
 from specmap_cli.cli.app import app
 from specmap_cli.cli.options import LogSettings, Settings
-from specmap_cli.core.errors import UsageError
 from tests.cli.conftest import QUICK, Run, standing_log
 
 READERS = {"info", "build", "localize", "evaluate", "update"}
@@ -30,24 +29,15 @@ COMMANDS: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[
 
 
 @pytest.mark.parametrize("option", HAVE)
-def test_who_has_a_common_option(option: str) -> None:
-    found = {
-        name
-        for name, command in COMMANDS.items()
-        if any(option in parameter.opts for parameter in command.params)
-    }
-    assert found == HAVE[option]
-
-
-@pytest.mark.parametrize("option", [name for name in HAVE if name not in {"--out", "-o"}])
-def test_a_common_option_says_the_same_everywhere(option: str) -> None:
+def test_who_has_a_common_option_that_says_the_same_everywhere(option: str) -> None:
     helps = {
-        parameter.help
-        for command in COMMANDS.values()
+        name: parameter.help
+        for name, command in COMMANDS.items()
         for parameter in command.params
         if option in parameter.opts
     }
-    assert len(helps) == 1
+    assert helps.keys() == HAVE[option]
+    assert len(set(helps.values())) == 1 or option in {"--out", "-o"}
 
 
 def test_one_name_is_one_option_of_a_command() -> None:
@@ -66,32 +56,24 @@ class TestOut:
         assert said.error == f"{tmp_path}: is a directory: name the file to write"
 
     def test_of_convert_is_an_option_or_the_last_argument(self, tmp_path: Path, run: Run) -> None:
-        log = standing_log(tmp_path / "log.mcap", 3.0)
+        """With the option all arguments are logs."""
+        log, other = (standing_log(tmp_path / f"{k}.mcap", 3.0 + k) for k in range(2))
         named, last = tmp_path / "named.mcap", tmp_path / "last.mcap"
         assert run("convert", log, "-o", named).code == 0
         assert run("convert", log, last, "--json").result["path"] == str(last)
         assert named.read_bytes() == last.read_bytes()
-
-    def test_with_the_option_all_arguments_of_convert_are_logs(
-        self, tmp_path: Path, run: Run
-    ) -> None:
-        parts = [standing_log(tmp_path / f"{k}.mcap", 3.0 + k) for k in range(2)]
-        said = run("convert", *parts, "-o", tmp_path / "both.mcap", "--json")
-        written = {topic["name"]: topic["count"] for topic in json.loads(said.out)["written"]}
+        said = run("convert", log, other, "-o", tmp_path / "both.mcap", "--json")
+        written = {topic["name"]: topic["count"] for topic in said.result["written"]}
         assert written["/scan"] == 2 * 5
+        told = "name the MCAP to write: specmap convert log.bag -o OUT.mcap"
+        assert run("convert", "log.bag").error == told
 
     def test_convert_takes_the_bounds_of_what_is_unpacked(self, tmp_path: Path, run: Run) -> None:
         log, target = standing_log(tmp_path / "log.mcap", 3.0), tmp_path / "out.mcap"
-        said = run("convert", log, "-o", target, "--set", "log.chunk_max_mb=0.00001")
-        said.fails(3, "beyond log.chunk_max_mb")
+        line = ("convert", log, "-o", target, "--set")
+        run(*line, "log.chunk_max_mb=0.00001").fails(3, "beyond log.chunk_max_mb")
         assert not target.exists()
-        said = run("convert", log, "-o", target, "--set", "log.chunk_max_mb=1")
-        assert said.code == 0
-
-    def test_convert_asks_for_it(self, run: Run) -> None:
-        said = run("convert", "log.bag")
-        said.fails(2)
-        assert said.error == "name the MCAP to write: specmap convert log.bag -o OUT.mcap"
+        assert run(*line, "log.chunk_max_mb=1").code == 0
 
 
 def damaged(path: Path) -> Path:
@@ -128,11 +110,8 @@ class TestEnvironment:
             if getattr(parameter, "envvar", None)
         }
         assert variables == {
-            "--quiet": "SPECMAP_QUIET",
-            "--log-level": "SPECMAP_LOG_LEVEL",
-            "--json": "SPECMAP_JSON",
-            "--preset": "SPECMAP_PRESET",
-            "--config": "SPECMAP_CONFIG",
+            **{f"--{name}": f"SPECMAP_{name.upper()}" for name in ("quiet", "json", "config")},
+            **{"--log-level": "SPECMAP_LOG_LEVEL", "--preset": "SPECMAP_PRESET"},
         }
 
     def test_settings(self, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -184,7 +163,7 @@ class TestInfo:
         assert "build would read: scans from /the rear" in said.out
         assert said.out.endswith(f"next: specmap build {log} --scan-topic '/the rear'\n")
 
-    def test_the_next_command_has_the_topics_and_frames_given(
+    def test_the_topics_and_frames_given_or_settings_of_a_file(
         self, tmp_path: Path, run: Run
     ) -> None:
         log = standing_log(tmp_path / "one.mcap", 3.0)
@@ -192,14 +171,11 @@ class TestInfo:
         for flags in (options, ["--no-odometry"], []):
             found = run("info", log, *flags, "--json").result
             assert found["next_command"] == " ".join(["specmap", "build", str(log), *flags])
-
-    def test_settings_of_a_file(self, tmp_path: Path, run: Run) -> None:
-        log = standing_log(tmp_path / "one.mcap", 3.0)
+        assert "/odom" in found["chosen"]
         settings = tmp_path / "specmap.toml"
         settings.write_text("[log]\nuse_odometry = false\n", encoding="utf-8")
-        chosen = run("info", log, "--config", settings, "--json").result["chosen"]
-        assert "no odometry" in chosen
-        assert "/odom" in run("info", log, "--json").result["chosen"]
+        found = run("info", log, "--config", settings, "--json").result
+        assert "no odometry" in found["chosen"]
 
 
 class TestWhatTheFlagsStandFor:
@@ -212,7 +188,9 @@ class TestWhatTheFlagsStandFor:
         found = LogSettings(**said, no_odometry=True).overrides({"seed": 0})
         assert found == {"log": {**said, "use_odometry": False}, "seed": 0}
 
-    def test_a_flag_goes_over_an_assignment(self) -> None:
+    def test_a_flag_goes_over_an_assignment_and_the_last_of_two_assignments_holds(self) -> None:
+        twice = Settings(assignments=["grid.resolution_m=1", "grid.resolution_m=0.2"])
+        assert twice.load().grid.resolution_m == 0.2
         given = LogSettings(scan_topic="/flag", assignments=["log.scan_topic=/set", "seed=1"])
         assert given.overrides({"seed": 2}) == {"log": {"scan_topic": "/flag"}, "seed": 2}
 
@@ -232,9 +210,3 @@ class TestWhatTheFlagsStandFor:
     )
     def test_a_value_is_toml_or_else_a_string(self, text: str, value: object) -> None:
         assert Settings(assignments=[f"x.y={text}"]).overrides() == {"x": {"y": value}}
-
-    def test_the_last_of_two_assignments_holds_and_what_is_none_is_refused(self) -> None:
-        given = Settings(assignments=["grid.resolution_m=1", "grid.resolution_m=0.2"])
-        assert given.load().grid.resolution_m == 0.2
-        with pytest.raises(UsageError, match=r"^--set seed: expected KEY=VALUE"):
-            Settings(assignments=["seed"]).load()

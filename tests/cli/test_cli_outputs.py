@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import QUICK, Outcome, Run, leftovers, ran
+from tests.cli.conftest import QUICK, Run, leftovers, ran
+from tests.cli.test_cli_schemas import LINES
 
 
 def test_two_builds_are_byte_identical(tiny_log: Path, tiny_map: Path, tmp_path: Path) -> None:
@@ -43,52 +44,25 @@ def test_localizing_twice_is_byte_identical(
     assert written[0][1].count(b"\n") == 62  # a header, and a line a scan
 
 
-@pytest.fixture
-def lines(
-    tiny_log: Path, tiny_map: Path, plan: Path, tmp_path: Path
-) -> dict[str, tuple[str | Path, ...]]:
-    """A line of every command that succeeds."""
-    return {
-        "info": ("info", tiny_log),
-        "build": ("build", tiny_log, "-o", tmp_path / "map", *QUICK),
-        "localize": ("localize", tiny_log, "--map", tiny_map),
-        "segment": ("segment", plan, "-o", tmp_path / "rooms"),
-        "simulate": ("simulate", plan, "-o", tmp_path / "tour.mcap", "--max-duration", "1"),
-        "convert": ("convert", tiny_log, "-o", tmp_path / "copy.mcap"),
-        "config": ("config",),
-    }
-
-
-def assert_json(said: Outcome) -> None:
-    """It is one object and all there is on stdout; stderr has notes alone."""
-    assert said.code == 0
-    assert isinstance(json.loads(said.out), dict)
-    assert all(line.startswith("specmap: ") for line in said.err.splitlines())
-
-
-def assert_quiet(said: Outcome) -> None:
-    """Nothing is said but the result."""
-    assert (said.code, said.err) == (0, "")
-    assert said.out
-
-
-@pytest.mark.parametrize("name", ["info", "localize", "config"])
-def test_what_is_printed_is_one_object_or_nothing_but_the_result(
-    name: str, lines: dict[str, tuple[str | Path, ...]], run: Run
-) -> None:
-    assert_json(run(*lines[name], "--json"))
-    assert_quiet(run(*lines[name], "--quiet"))
-
-
-@pytest.mark.parametrize("name", ["build", "segment", "simulate", "convert"])
+@pytest.mark.parametrize(
+    "name", ["info", "build", "localize", "segment", "simulate", "convert", "config"]
+)
 def test_what_exists_is_replaced_only_when_told_and_what_is_printed_is_the_result(
-    name: str, lines: dict[str, tuple[str | Path, ...]], tmp_path: Path, run: Run
+    name: str, words: Callable[[str], list[str]], tmp_path: Path, run: Run
 ) -> None:
-    assert_quiet(run(*lines[name], "--quiet"))
-    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
-    run(*lines[name]).fails(2, "--overwrite")
-    assert before == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
-    assert_json(run(*lines[name], "--overwrite", "--json"))
+    """Quiet, nothing is said but that; else stderr has notes alone."""
+    line = [name, *words(LINES[name][0])]
+    quiet = run(*line, "--quiet")
+    assert (quiet.code, quiet.err) == (0, "")
+    assert quiet.out
+    if "{out}" in LINES[name][0]:
+        before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
+        run(*line).fails(2, "--overwrite")
+        assert before == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
+        line.append("--overwrite")
+    said = run(*line, "--json")
+    assert isinstance(said.result, dict)
+    assert all(text.startswith("specmap: ") for text in said.err.splitlines())
     assert leftovers(tmp_path) == []
 
 
@@ -103,26 +77,23 @@ def test_labels_and_picture_are_replaced_only_when_told(
         run(*line, option, path).fails(2, told)
         assert path.read_text(encoding="utf-8") == "mine"
         assert run(*line, option, path, "--overwrite").code == 0
-
-
-Place = Callable[[Path], Path]
+    run(*line, "-o", path, "--plot", path, "--overwrite").fails(2, "given for two outputs")
 
 
 @pytest.mark.parametrize(
     ("place", "told"),
     [
-        (lambda at: at / "none" / "x.csv", "there is no directory"),
-        (lambda at: at / "file" / "x.csv", "there is no directory"),
-        (lambda at: at, "is a directory: name the file to write"),
+        ("none/x.csv", "there is no directory"),
+        ("file/x.csv", "there is no directory"),
+        (".", "is a directory: name the file to write"),
     ],
-    ids=["missing", "a file", "itself"],
 )
 @pytest.mark.parametrize("option", ["-o", "--plot"])
 def test_an_output_without_a_place_is_told_before_the_work(
-    option: str, place: Place, told: str, tiny_map: Path, tmp_path: Path, run: Run
+    option: str, place: str, told: str, tiny_map: Path, tmp_path: Path, run: Run
 ) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
-    said = run("localize", "never-opened.mcap", "--map", tiny_map, option, place(tmp_path))
+    said = run("localize", "never-opened.mcap", "--map", tiny_map, option, tmp_path / place)
     said.fails(2, told)
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
@@ -158,14 +129,6 @@ def test_inputs_are_never_replaced(plan: Path, own_map: Path, tiny_log: Path, ru
     ):
         run(*line, "--overwrite").fails(2, "would replace the input")
     assert log.read_bytes() == tiny_log.read_bytes()
-
-
-def test_two_outputs_need_two_files(
-    tiny_log: Path, tiny_map: Path, tmp_path: Path, run: Run
-) -> None:
-    same = tmp_path / "same"
-    line = ("localize", tiny_log, "--map", tiny_map, "-o", same, "--plot", same)
-    run(*line).fails(2, "given for two outputs")
 
 
 def test_the_true_poses_are_not_replaced_either(plan: Path, tmp_path: Path, run: Run) -> None:

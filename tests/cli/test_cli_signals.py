@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
-import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -91,27 +92,20 @@ class TestInThisProcess:
         assert (caught.value.name, caught.value.exit_code) == ("SIGINT", 130)
 
     def test_a_thread_runs_without_signals(self) -> None:
-        done = []
-
-        def work() -> None:
+        def work() -> bool:
             with interruptible():
-                done.append(True)
+                return True
 
-        thread = threading.Thread(target=work)
-        thread.start()
-        thread.join()
-        assert done == [True]
+        with ThreadPoolExecutor() as pool:
+            assert pool.submit(work).result()
 
 
 def raise_at(step: int, number: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Have the process receive a signal at the given step of the progress."""
-    steps = 0
-    original = ConsoleProgress.advance
+    steps, original = itertools.count(1), ConsoleProgress.advance
 
     def advance(self: ConsoleProgress, done: int = 1) -> None:
-        nonlocal steps
-        steps += 1
-        if steps == step:
+        if next(steps) == step:
             os.kill(os.getpid(), number)
         original(self, done)
 

@@ -1,19 +1,22 @@
-"""The error tree, as its docstring draws it."""
+"""The error tree, as its docstring draws it; and findings, from which a verdict follows."""
 
 from __future__ import annotations
 
 import errno
 import inspect
+import itertools
 import os
 import pickle
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from specmap_cli.core import errors
+from specmap_cli.core import errors, findings
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import is_of_the_machine, is_of_the_place, reason
+from specmap_cli.core.findings import Finding, Quality, Severity, Where, summary
 
 ROOT = Path(__file__).parents[2]
 
@@ -35,18 +38,10 @@ def test_every_error_is_drawn_and_has_an_honest_exit_code() -> None:
         assert tree()[name].exit_code == code
     for name, kind in tree().items():
         assert kind.exit_code in {1, 2, 3, 4}, name
-
-
-@pytest.mark.parametrize("kind", [errors.LogError, errors.MapError])
-def test_what_cannot_be_read_is_an_input_error(kind: type[errors.SpecmapError]) -> None:
-    assert issubclass(kind, errors.InputError)
-    assert kind("log.mcap: empty").exit_code == 3
-
-
-def test_the_code_of_a_kind_of_error_has_its_exit_code() -> None:
-    for kind in tree().values():
-        assert errors.CODES[kind.code][0] == kind.exit_code
-    assert kind("x", code=errors.MEMORY).code == "memory"
+        assert errors.CODES[kind.code][0] == kind.exit_code, name
+        assert kind("x", code=errors.MEMORY).code == "memory"
+    for kind in (errors.LogError, errors.MapError):
+        assert issubclass(kind, errors.InputError)
 
 
 def test_every_code_is_documented() -> None:
@@ -67,24 +62,15 @@ def test_every_code_is_given_somewhere() -> None:
 @pytest.mark.parametrize(
     ("error", "line"),
     [
+        (errors.LogError("is empty", where=Path("a b.mcap")), "a b.mcap: is empty"),
         (
-            errors.LogError("the file is empty", where=Path("a b.mcap")),
-            "a b.mcap: the file is empty",
+            errors.UsageError("is a directory", "name a file", where="a"),
+            "a: is a directory: name a file",
         ),
-        (
-            errors.UsageError("is a directory", "name the file to write", where="a"),
-            "a: is a directory: name the file to write",
-        ),
-        (
-            errors.UsageError("exists already", "use --overwrite", mark=";", where="a"),
-            "a: exists already; use --overwrite",
-        ),
+        (errors.UsageError("is there", "go on", mark=";", where="a"), "a: is there; go on"),
         (errors.UsageError(hint="expected KEY=VALUE", where="a"), "a: expected KEY=VALUE"),
         (errors.LogError("no such file b,", "name one", where="a"), "a: no such file b,: name one"),
-        (
-            errors.NoResultError("no free space", "check the scale"),
-            "no free space: check the scale",
-        ),
+        (errors.NoResultError("no space", "check the scale"), "no space: check the scale"),
         (errors.SpecmapError(), ""),
     ],
 )
@@ -139,14 +125,68 @@ def test_each_has_its_own_advice(number: int, hint: str) -> None:
     assert reason(OSError(number, os.strerror(number)), "go") == (os.strerror(number), hint)
 
 
-def test_without_advice_only_what_helps_anywhere_is_said() -> None:
+def test_without_advice_only_what_helps_anywhere_is_said_and_our_own_words_are_kept() -> None:
     assert reason(OSError(errno.EIO, os.strerror(errno.EIO))) == ("Input/output error", "")
     assert "ulimit -n" in reason(OSError(errno.EMFILE, os.strerror(errno.EMFILE)))[1]
     assert reason(OSError("no number")) == ("no number", "")
-
-
-def test_an_error_of_our_own_keeps_its_words() -> None:
     error = OSError(errno.EFBIG, "larger than 5 MB")
     assert not is_of_the_place(error)
     assert not is_of_the_machine(error)
     assert reason(error, "build the map again") == ("larger than 5 MB", "build the map again")
+
+
+def finding(severity: Severity, code: str = "code", message: str = "said") -> Finding:
+    return Finding(code=code, severity=severity, message=message)
+
+
+@pytest.mark.parametrize(
+    ("severities", "verdict"),
+    [
+        ((), "good"),
+        (("note",), "good"),
+        (("note", "doubtful"), "doubtful"),
+        (("poor", "doubtful", "note"), "poor"),
+    ],
+)
+def test_the_gravest_finding_decides(severities: tuple[Severity, ...], verdict: str) -> None:
+    for order in itertools.permutations(severities):
+        quality = Quality.of(finding(severity) for severity in order)
+        assert quality.verdict == verdict
+        assert all(one.severity == verdict for one in quality.worst)
+        assert bool(quality.worst) is (verdict != "good")
+
+
+def test_verdicts_are_ordered() -> None:
+    for (i, a), (j, b) in itertools.product(enumerate(findings.VERDICTS), repeat=2):
+        assert findings.at_least_as_bad(a, b) is (i >= j)
+
+
+def test_a_finding_for_a_machine_says_where_it_is() -> None:
+    said: dict[str, Any] = {"code": "walls-disagree", "severity": "poor", "message": "walls"}
+    said |= {"advice": "look", "value": 0.3, "limit": 0.1}
+    where = {"stamp": 1.5, "x": 1.0, "y": 2.0}
+    full = Finding(**said, where=Where(1_500_000_000, 1.0, 2.0))
+    assert full.as_dict() == said | {"where": where}
+    assert finding("note").as_dict()["where"] is None
+    assert findings.UNDOUBTED.as_dict() == {"verdict": "good", "findings": []}
+
+
+def test_many_findings_of_a_kind_are_one_line_and_advice_follows() -> None:
+    lines = summary(
+        [
+            finding("note", "a", "a first"),
+            finding("doubtful", "b", "b first"),
+            finding("poor", "a", "a worst"),
+            finding("poor", "a", "a later"),
+        ]
+    )
+    assert lines == ["a worst (and 2 more like it)", "b first"]
+    told = Finding(code="a", severity="poor", message="it is dark", advice="make light")
+    assert summary([told]) == ["it is dark: make light"]
+    assert summary([]) == []
+
+
+def test_notes_about_the_result_are_no_warnings() -> None:
+    quality = Quality.of((finding("doubtful", "a"), finding("note", "b"), finding("note", "input")))
+    assert [one.code for one in quality.warnings] == ["a", "input"]
+    assert [one.code for one in quality.notes] == ["b"]

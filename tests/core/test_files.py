@@ -46,6 +46,7 @@ def test_a_failing_replacement_leaves_the_old_file(
 
 
 def test_a_file_is_read_up_to_its_bound_and_not_beyond(tmp_path: Path) -> None:
+    """And no more memory is taken than it needs."""
     path = tmp_path / "labels.csv"
     path.write_bytes(b"12345")
     assert read_bytes(path, 5e-6) == b"12345"
@@ -53,11 +54,6 @@ def test_a_file_is_read_up_to_its_bound_and_not_beyond(tmp_path: Path) -> None:
         read_bytes(path, 4e-6)
     with pytest.raises(OSError, match=r"larger than 4e-06 MB; if it is meant, raise limits\.x"):
         read_bytes(path, 4e-6, "limits.x")
-
-
-def test_no_more_memory_is_taken_than_a_file_needs(tmp_path: Path) -> None:
-    path = tmp_path / "features.npz"
-    path.write_bytes(b"12345")
     tracemalloc.start()
     assert read_bytes(path, 1000.0) == b"12345"
     _, most = tracemalloc.get_traced_memory()
@@ -65,16 +61,13 @@ def test_no_more_memory_is_taken_than_a_file_needs(tmp_path: Path) -> None:
     assert most < 1_000_000
 
 
-def test_no_file_has_a_zero_byte_in_its_name(tmp_path: Path) -> None:
-    with pytest.raises(OSError, match="no name that a file can have"):
-        read_bytes(tmp_path / "map\0.png", 1.0)
-
-
-def test_what_may_never_end_is_not_read(tmp_path: Path) -> None:
+def test_what_may_never_end_or_has_no_name_is_not_read(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", Path("/dev/zero"), tmp_path):
         with pytest.raises(OSError, match=r"not a regular file|Is a directory"):
             read_bytes(path, 100)
+    with pytest.raises(OSError, match="no name that a file can have"):
+        read_bytes(tmp_path / "map\0.png", 1.0)
 
 
 def test_what_a_killed_run_had_begun_is_removed_and_nothing_else(tmp_path: Path) -> None:

@@ -13,32 +13,27 @@ from tests.plugins import install
 GROUP = "specmap.test"
 
 
-def test_without_plugins_the_table_is_the_built_in_one() -> None:
-    assert with_plugins(GROUP, {"a": 1}) == {"a": 1}
-
-
 def test_plugins_follow_the_built_in_ones_by_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    assert with_plugins(GROUP, {"m": 13}) == {"m": 13}, "there is none"
     install(tmp_path, monkeypatch, GROUP, {"z": "Z", "b": "B"}, "Z, B = 26, 2")
     assert list(with_plugins(GROUP, {"m": 13}).items()) == [("m", 13), ("b", 2), ("z", 26)]
 
 
-def test_a_name_taken_twice_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    install(tmp_path, monkeypatch, GROUP, {"a": "A"}, "A = 1")
-    with pytest.raises(UsageError, match=r"^package stranger_\d+: offers 'a' in specmap\.test"):
-        with_plugins(GROUP, {"a": 0})
-
-
 @pytest.mark.parametrize(
-    ("code", "words"),
-    [("1 / 0", "ZeroDivisionError"), ("", "AttributeError"), ("import no_such", "no_such")],
+    ("name", "code", "words"),
+    [
+        ("taken", "New = 1", r"^package stranger_\d+: offers 'taken' in specmap\.test"),
+        ("new", "1 / 0", "ZeroDivisionError.*mend or remove the package"),
+        ("new", "", "AttributeError.*mend or remove the package"),
+        ("new", "import no_such", "no_such.*mend or remove the package"),
+    ],
 )
-def test_a_plugin_that_cannot_be_loaded_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, words: str
+def test_a_plugin_that_cannot_be_taken_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, code: str, words: str
 ) -> None:
-    install(tmp_path, monkeypatch, GROUP, {"new": "New"}, code)
+    install(tmp_path, monkeypatch, GROUP, {name: "New"}, code)
     with pytest.raises(UsageError, match=words) as caught:
-        with_plugins(GROUP, {})
+        with_plugins(GROUP, {"taken": 0})
     assert "\n" not in str(caught.value)
-    assert "mend or remove the package" in str(caught.value)

@@ -7,9 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.pipelines.simulate import simulate
-from specmap_cli.simulation.simulator import SimulationOptions
+import pytest
 
 PROGRAM = """
 import numpy, threadpoolctl
@@ -49,36 +47,29 @@ looking = Looking()
 threadpoolctl.ThreadpoolController().limit(limits=3)
 little = {"recognition": {"rounds": 4}, "localization": {"augmentation": 20}}
 config = specmap_cli.load_config(overrides=little)
-specmap_cli.build_map("flat.mcap", "map", config, progress=looking)
+specmap_cli.build_map("tiny.mcap", "map", config, progress=looking)
 assert looking.seen == {1}, looking.seen
 """
 
 
-def run(program: str, folder: Path) -> None:
+MISSING = """
+import sys
+sys.modules["threadpoolctl"] = None
+from specmap_cli.cli import main
+sys.exit(main(["--version"]))
+"""
+
+
+@pytest.mark.parametrize(
+    "program",
+    [PROGRAM, UNDER_WAY, MISSING],
+    ids=["given back, also of what is loaded", "while a map is built", "a package is missing"],
+)
+def test_threads_in_a_program(program: str, tiny_log: Path, tmp_path: Path) -> None:
+    """The last one tells the versions all the same."""
+    (tmp_path / "tiny.mcap").symlink_to(tiny_log)
     names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
     unset = {name: value for name, value in os.environ.items() if name not in names}
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=folder, env=unset, capture_output=True, text=True
-    )
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, cwd=tmp_path, env=unset, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-
-
-def test_threads_are_taken_and_given_back_also_of_what_is_loaded_meanwhile(tmp_path: Path) -> None:
-    run(PROGRAM, tmp_path)
-
-
-def test_the_versions_are_told_though_one_of_the_packages_is_missing(tmp_path: Path) -> None:
-    run(
-        "import sys; sys.modules['threadpoolctl'] = None\n"
-        "from specmap_cli.cli import main; sys.exit(main(['--version']))",
-        tmp_path,
-    )
-
-
-def test_a_program_that_builds_a_map_has_one_thread_meanwhile(
-    tmp_path: Path, flat: GridMap
-) -> None:
-    simulate(
-        flat, SimulationOptions(beams=120, rate_hz=3, max_duration_s=8), tmp_path / "flat.mcap"
-    )
-    run(UNDER_WAY, tmp_path)

@@ -1,16 +1,21 @@
-"""Numbers and JSON as text: the same bytes for the same values, and back without loss."""
+"""Numbers, JSON and tables as text: the same bytes for the same values, and back without loss."""
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import math
+import re
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from specmap_cli.core.tables import Case, csv_text, junit, markdown_table, markdown_text
 from specmap_cli.core.text import (
     counted,
     decimal,
@@ -25,7 +30,6 @@ from specmap_cli.core.text import (
     to_json,
 )
 
-STAMPS = st.integers(-(2**62), 2**62)
 VALUES = st.recursive(
     st.none() | st.booleans() | st.integers(-(10**9), 10**9) | st.floats(-1e6, 1e6) | st.text(),
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4),
@@ -33,13 +37,11 @@ VALUES = st.recursive(
 )
 
 
-@given(STAMPS)
-def test_a_stamp_survives_as_text(stamp: int) -> None:
+@given(st.integers(-(2**62), 2**62), st.integers(-(2**50), 2**50))
+def test_a_stamp_survives_as_text_and_to_the_microsecond_as_seconds(
+    stamp: int, micros: int
+) -> None:
     assert stamp_ns(stamp_text(stamp)) == stamp
-
-
-@given(st.integers(-(2**50), 2**50))
-def test_a_stamp_survives_as_seconds_to_the_microsecond(micros: int) -> None:
     assert nanoseconds(seconds(micros * 1000)) == micros * 1000
 
 
@@ -73,12 +75,6 @@ def test_json_is_valid_and_stable(value: Any) -> None:
     assert plain(again) == again
 
 
-def test_points_stay_on_one_line() -> None:
-    assert to_json({"b": [[1.0, 2.0], [3.5, -4.0]], "a": []}) == (
-        '{\n "a": [],\n "b": [\n  [1.0, 2.0],\n  [3.5, -4.0]\n ]\n}\n'
-    )
-
-
 def test_arrays_and_numpy_numbers_are_plain() -> None:
     found = plain({"a": np.array([[1.5, np.nan]]), 2: np.float32(0.5), "t": np.bool_(True)})
     assert found == {"a": [[1.5, None]], "2": 0.5, "t": True}
@@ -105,16 +101,9 @@ def test_decimals_are_fixed_and_zero_has_no_sign(value: float, places: int) -> N
     assert not (text.startswith("-") and float(text) == 0.0)
 
 
-def test_a_name_of_any_bytes_is_legible() -> None:
-    assert legible("log\udcff.mcap") == "log\\udcff.mcap"
-    assert legible("küche") == "küche"
-
-
-@pytest.mark.parametrize(
-    ("count", "words"), [(0, "0 scans"), (1, "1 scan"), (2, "2 scans"), (12345, "12,345 scans")]
-)
-def test_things_are_counted_in_english(count: int, words: str) -> None:
-    assert counted(count, "scan") == words
+def test_things_are_counted_in_english() -> None:
+    words = [counted(count, "scan") for count in (0, 1, 2, 12345)]
+    assert words == ["0 scans", "1 scan", "2 scans", "12,345 scans"]
 
 
 @given(VALUES, st.integers(0, 6))
@@ -144,6 +133,7 @@ def test_exact_json_has_a_line_an_entry_in_the_outer_levels(levels: int, text: s
         ("\x7f\x9b", "\\x7f\\x9b"),
         ("\u202egnp.\u2066x\u200f\u061c", "\\u202egnp.\\u2066x\\u200f\\u061c"),
         ("\u2028\u2029", "\\u2028\\u2029"),
+        ("log\udcff.mcap", "log\\udcff.mcap"),
         ("Küche/\u5eca\u4e0b \\n", "Küche/\u5eca\u4e0b \\n"),
     ],
 )
@@ -152,14 +142,70 @@ def test_what_a_terminal_would_obey_is_escaped(text: str, shown: str) -> None:
     assert legible(shown) == shown
 
 
-def test_json_keeps_names_as_they_are() -> None:
-    name = "a\nb\x1b\u202ec"
-    assert json.loads(to_json({"name": name})) == {"name": name}
-
-
-def test_json_shows_a_terminal_nothing_that_it_would_obey() -> None:
-    name = "\x9b31m\x7f\u2028\u202ec\\ü"
+def test_json_keeps_names_and_shows_a_terminal_nothing_that_it_would_obey() -> None:
+    """And points stay on one line."""
+    points = {"b": [[1.0, 2.0], [3.5, -4.0]], "a": []}
+    assert to_json(points) == '{\n "a": [],\n "b": [\n  [1.0, 2.0],\n  [3.5, -4.0]\n ]\n}\n'
+    name = "a\nb\x1b\x9b31m\x7f\u2028\u202ec\\ü"
     text = to_json({name: [name]})
     assert json.loads(text) == {name: [name]}
     assert legible(text.replace("\n", "")) == text.replace("\n", "")
-    assert '"\\u009b31m\\u007f\\u2028\\u202ec\\\\ü"' in text
+    assert '"a\\nb\\u001b\\u009b31m\\u007f\\u2028\\u202ec\\\\ü"' in text
+
+
+FORMULAS = ["=cmd|' /C calc'!A0", "+1+1", "-2+3", "@SUM(A1)", "\t=1", "\r=1", "'=1", "''@x"]
+PLAIN = ["Kitchen", "'quoted'", "a=b", "3-4", "", "' =", "'"]
+NUMBERS = ["-5", "+3.25", "-1e-05", "-inf", "-0.000000"]
+
+
+def read(text: str) -> list[list[str]]:
+    return list(csv.reader(io.StringIO(text, newline="")))
+
+
+def meant(cell: str) -> str:
+    """The text of a cell, as docs/export.md says."""
+    return cell[1:] if re.match(r"'+[=+\-@\t\r]", cell) else cell
+
+
+@pytest.mark.parametrize("name", FORMULAS + PLAIN + NUMBERS)
+def test_a_spreadsheet_runs_no_name_and_other_texts_and_numbers_stand_as_they_are(
+    name: str,
+) -> None:
+    said = f"'{name}" if name in FORMULAS else name
+    assert read(csv_text(["name", name], [[1, name]])) == [["name", said], ["1", said]]
+
+
+@given(st.lists(st.text(st.sampled_from("'=+-@\t\r\n,\" ab1")), min_size=2, max_size=2))
+def test_every_text_is_read_back_and_values_are_as_python_has_them(texts: list[str]) -> None:
+    rows = read(csv_text(["a", "b"], [texts]))
+    assert [[meant(cell) for cell in row] for row in rows] == [["a", "b"], texts]
+    text = csv_text(["a", "b", "c", "d"], [[None, -1.5, True, 7]], "\r\n")
+    assert text == "a,b,c,d\r\n,-1.5,True,7\r\n"
+
+
+def test_markdown_keeps_its_columns() -> None:
+    rows = [(markdown_text("a|b"), "1"), (markdown_text("*c*\n"), "")]
+    assert markdown_table(("", "share of"), rows, {"share of"}) == [
+        "| | share of |",
+        "|---|---:|",
+        "| a\\|b | 1 |",
+        "| \\*c\\*\\\\n |  |",
+    ]
+
+
+def test_junit_counts_its_cases() -> None:
+    cases = [
+        Case(name="good", seconds=1.5),
+        Case(name="bad", seconds=0.25, failure="no\x00thing", kind="Sad", detail="because"),
+        Case(name="later", seconds=0.0, skipped=True),
+    ]
+    (suite,) = ElementTree.fromstring(junit("all", "group", cases))
+    counts = {"tests": "3", "failures": "1", "errors": "0", "skipped": "1"}
+    assert suite.attrib == {"name": "all", **counts, "time": "1.750"}
+    assert [case.get("classname") for case in suite] == ["group"] * 3
+    failure = suite.find("testcase[@name='bad']/failure")
+    assert failure is not None
+    assert failure.attrib == {"message": "no\\x00thing", "type": "Sad"}
+    assert failure.text == "because"
+    assert suite.find("testcase[@name='later']/skipped") is not None
+    assert "time" not in ElementTree.fromstring(junit("all", "x", [Case(name="a")]))[0].attrib

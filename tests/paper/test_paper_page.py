@@ -41,16 +41,13 @@ def page() -> str:
     return render(done, Cases((), missing=("plans", "fr079")), "python -m this")
 
 
-def test_every_kind_of_block_is_shown_and_escaped(page: str) -> None:
+def test_every_kind_of_block_is_shown_and_what_is_missing_and_how_it_was_made(page: str) -> None:
     assert "plain &lt;words&gt;" in page
     assert '<p class="warning">a warning</p>' in page
     assert '<tr class="published"><td>paper</td><td class="n">0.8</td></tr>' in page
     assert "a &amp; b" in page
     assert 'three of &lt;four&gt;. <span class="why">because of this</span>' in page
     assert page.count('class="filled"') == 1
-
-
-def test_the_page_says_what_is_missing_and_how_it_was_made(page: str) -> None:
     assert "SPECMAP_DATA names no folder with the plans" in page
     assert page.count("Missing here: the plans drawn by hand (rooms/).") == 2
     assert "<code>python -m this</code>" in page
@@ -67,32 +64,29 @@ def test_a_picture_is_in_the_page_itself_and_nothing_is_loaded_from_elsewhere(pa
     assert (decoded.min(), decoded.max()) == (7, 7)
 
 
-def test_a_chart_is_drawn_to_scale() -> None:
+def test_a_chart_is_drawn_to_scale_with_round_ticks_and_no_figure_is_a_dash() -> None:
     at = drawn(blocks.Chart([blocks.Series("one", [(0.0, 0.0), (5.0, 2.0)])], "x", "y"))
     (line,) = at.lines
     assert line.points.split() == [f"{at.left}.0,{at.bottom}.0", f"{at.right}.0,{at.top}.0"]
     assert line.level is None
     assert [tick.text for tick in at.up] == ["0", "0.5", "1", "1.5", "2"]
     assert at.across[-1].at == at.right
-
-
-def test_ticks_are_round_and_no_figure_is_a_dash() -> None:
     assert ticks(1.0) == [0.0, 0.2, 0.4, 0.6, 0.8, 1.0]
     assert ticks(160) == [0.0, 50.0, 100.0, 150.0]
     assert figure(float("nan")) == "–"
     assert figure(0.12345) == "0.123"
 
 
-def test_every_part_of_the_paper_has_its_name() -> None:
-    names = [part.name for part in PARTS]
-    assert names == [
-        *("figure1", "figure2", "figure3", "figure4", "figure5", "figure5c"),
-        *("table1", "table2", "figure6", "cost"),
-    ]
+def test_every_part_of_the_paper_is_there_and_its_commands_exist(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["paper", "--only", "figure9"])
+    with pytest.raises(SystemExit):
+        main()
+    assert "figure9" in capsys.readouterr().err
+    names = "figure1 figure2 figure3 figure4 figure5 figure5c table1 table2 figure6 cost"
+    assert [part.name for part in PARTS] == names.split()
     assert len({part.title for part in PARTS}) == len(PARTS)
-
-
-def test_the_commands_of_the_parts_exist() -> None:
     commands = [command for part in PARTS for command in part.commands]
     known = typer.main.get_command(app).commands  # type: ignore[attr-defined]
     for command in commands:
@@ -102,12 +96,3 @@ def test_the_commands_of_the_parts_exist() -> None:
             assert {word for word in words if word.startswith("-")} <= options, command
         else:
             assert importlib.util.find_spec(words[2]) is not None, command
-
-
-def test_an_unknown_part_is_refused(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("sys.argv", ["paper", "--only", "figure9"])
-    with pytest.raises(SystemExit):
-        main()
-    assert "figure9" in capsys.readouterr().err

@@ -62,14 +62,12 @@ def galleries(blocks: list[Block]) -> list[list[str]]:
     return [[picture.caption for picture in pictures] for pictures in shown]
 
 
-def test_a_recording_is_registered_once_and_a_map_built_once(workshop: Workshop) -> None:
+def test_figure_1_shows_the_steps_with_both_presets(workshop: Workshop) -> None:
+    """Each recording is registered once, and each map built once."""
     first = workshop.cases.found[0]
     assert workshop.recording(first) is workshop.recording(first)
     assert workshop.built(first, OURS) is workshop.built(first, OURS)
     assert workshop.built(first, OURS) is not workshop.built(first, PAPER)
-
-
-def test_figure_1_shows_the_steps_with_both_presets(workshop: Workshop) -> None:
     paper, ours = galleries(figure1.make(workshop))
     assert len(paper) == len(ours) == 2
     assert len({*paper, *ours}) == 4

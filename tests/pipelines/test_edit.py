@@ -28,8 +28,6 @@ from specmap_cli.pipelines.update import build_like, update_map
 from tests.conftest import SAMPLE_LOGS
 from tests.flats import QUICK, Mapped
 
-LAYOUT = ("keyframes.mcap", "trajectory.tum", "trajectory.g2o")
-
 
 @dataclass(frozen=True)
 class Built:
@@ -60,16 +58,12 @@ def own(built: Built, tmp_path: Path) -> Path:
     return Path(shutil.copytree(built.map, tmp_path / "own"))
 
 
-def line_across(stored: StoredMap, submap: int) -> list[list[float]]:
-    """A line across a submap, through the middle keyframe of the way in it."""
+def split(stored: StoredMap, submap: int) -> dict[str, Any]:
+    """At a line across a submap, through the middle keyframe of the way in it."""
     poses = stored.labels.poses[stored.labels.submaps == submap]
     place, theta = poses[len(poses) // 2, :2], float(poses[len(poses) // 2, 2])
     aside = 0.3 * np.array([-np.sin(theta), np.cos(theta)])
-    return [(place + aside).tolist(), (place - aside).tolist()]
-
-
-def split(stored: StoredMap, submap: int) -> dict[str, Any]:
-    return {"split": submap, "line": line_across(stored, submap)}
+    return {"split": submap, "line": [(place + aside).tolist(), (place - aside).tolist()]}
 
 
 def bytes_of(directory: Path, name: str) -> bytes:
@@ -86,10 +80,14 @@ def edit(
 class TestNames:
     """Names, kinds and properties: at once, and nothing else changes."""
 
-    def test_they_are_in_the_map_and_in_the_file(self, built: Built, own: Path) -> None:
+    def test_they_are_in_the_map_and_taken_back_it_is_as_before(
+        self, built: Built, own: Path
+    ) -> None:
         room = built.rooms[0]
         (own / "notes.txt").write_text("mine", encoding="utf-8")
         (own / "keyframes.mcap").unlink()  # nothing needs them
+        edit_map(own)
+        picture = bytes_of(own, "overview.png")
         floor = {"floor": 2, "to": None}
         report = edit(own, names={room: "Küche"}, kinds={room: "hall"}, properties={room: floor})
         assert not report.remade
@@ -101,14 +99,8 @@ class TestNames:
             if path.is_file() and name not in changed | {"notes.txt"}:
                 assert path.read_bytes() == bytes_of(built.map, name), name
         assert (own / "notes.txt").read_text(encoding="utf-8") == "mine"
-        assert bytes_of(own, "overview.png") != bytes_of(built.map, "overview.png")
+        assert bytes_of(own, "overview.png") != picture
         assert f"  submap {room}: Küche, hall, floor=2" in report.lines()
-
-    def test_taken_back_the_map_is_as_before(self, built: Built, own: Path) -> None:
-        room = built.rooms[0]
-        edit_map(own)
-        picture = bytes_of(own, "overview.png")
-        edit(own, names={room: "Küche"}, kinds={room: "hall"})
         edit(own, names={room: ""})
         assert read_map(own).record.nodes[room].name == f"submap {room}"
         edit(own, forget=(room,))
@@ -126,15 +118,13 @@ class TestNames:
         assert read_map(own).names == {}
 
     def test_a_name_written_into_topology_json_is_a_person_s(self, own: Path) -> None:
+        """And edits that the map shows must not be lost unsaid."""
         document = json.loads((own / "topology.json").read_text(encoding="utf-8"))
         document["nodes"][0] |= {"name": "Hall", "properties": {"floor": 2}}
         (own / "topology.json").write_text(json.dumps(document), encoding="utf-8")
         report = edit(own, names={1: "Lab"})
         assert read_map(own).names == {0: "Hall", 1: "Lab"}
         assert report.edits.submaps[0].properties == {"floor": 2}
-
-    def test_edits_that_the_map_shows_must_not_be_lost_unsaid(self, own: Path) -> None:
-        edit(own, names={0: "Hall"})
         (own / "edits.toml").unlink()
         with pytest.raises(MapError, match=r"edits\.toml: is missing, but the map shows edits"):
             edit(own, names={1: "Lab"})
@@ -153,87 +143,62 @@ class TestNames:
             edit(tmp_path / "seg", {"merge": pair})
 
 
-@dataclass(frozen=True)
-class Remade:
-    """The map before, with the corridor divided at a line, a room merged into it, and undone."""
-
-    before: StoredMap
-    divided: StoredMap
-    merged: StoredMap
-    undone: StoredMap
-    line: list[list[float]]
-
-
-@pytest.fixture(scope="module")
-def remade(built: Built, tmp_path_factory: pytest.TempPathFactory) -> Remade:
-    """Each change goes into a directory of its own."""
-    folder = tmp_path_factory.mktemp("remade")
-    old = Path(shutil.copytree(built.map, folder / "old"))
-    run = json.loads((old / "run.json").read_text(encoding="utf-8"))
-    run["versions"]["specmap"] = "0.0.1"
-    (old / "run.json").write_text(json.dumps(run), encoding="utf-8")
-    wish = split(read_map(old), built.corridor)
-    divided = edit(old, wish, names={built.rooms[0]: "Lab"}, out=folder / "divided")
-    joined = {"merge": [built.corridor, built.rooms[0]]}
-    merged = edit(divided.out, joined, out=folder / "merged")
-    undone = edit(merged.out, undo=(1, 2), out=folder / "undone")
-    assert all(report.remade for report in (divided, merged, undone))
-    return Remade(
-        before=read_map(built.map),
-        divided=read_map(divided.out),
-        merged=read_map(merged.out),
-        undone=read_map(undone.out),
-        line=wish["line"],
-    )
-
-
 class TestBorders:
     """Merges and splits: grids, classifiers, regions and links are new, the layout is not."""
 
-    def test_a_split_follows_its_line(self, built: Built, remade: Remade) -> None:
-        stored, new = remade.divided, remade.before.topology.next_id
-        assert set(stored.ids) == {*remade.before.ids, new}
-        assert f"new = {new}" in (stored.path / "edits.toml").read_text(encoding="utf-8")
-        (x, y), (x2, y2) = remade.line
+    def test_a_split_then_a_merge_then_neither(
+        self, built: Built, own: Path, tmp_path: Path
+    ) -> None:
+        """Each goes into a directory of its own."""
+        room, corridor, before = built.rooms[0], built.corridor, read_map(built.map)
+        new = before.topology.next_id
+        run = json.loads((own / "run.json").read_text(encoding="utf-8"))
+        run["versions"]["specmap"] = "0.0.1"
+        (own / "run.json").write_text(json.dumps(run), encoding="utf-8")
+        wish = split(before, corridor)
+        report = edit(own, wish, names={room: "Lab"}, out=tmp_path / "divided")
+        divided = read_map(report.out)
+        assert report.remade
+        assert set(divided.ids) == {*before.ids, new}
+        assert f"new = {new}" in (divided.path / "edits.toml").read_text(encoding="utf-8")
+        (x, y), (x2, y2) = wish["line"]
         length = float(np.hypot(x2 - x, y2 - y))
-        for id_, side in ((built.corridor, 1.0), (new, -1.0)):
-            cells = np.argwhere(stored.regions.owner == id_)
-            places = stored.map_grid.centres_of(cells)
+        for id_, side in ((corridor, 1.0), (new, -1.0)):
+            cells = np.argwhere(divided.regions.owner == id_)
+            places = divided.map_grid.centres_of(cells)
             left = (x2 - x) * (places[:, 1] - y) - (y2 - y) * (places[:, 0] - x)
             assert (side * left / length > -0.15).mean() > 0.98
-        pair = (min(new, built.corridor), max(new, built.corridor))
-        assert pair in stored.topology.edges
+        assert (min(new, corridor), max(new, corridor)) in divided.topology.edges
+        # or its features would be taken for those of the version before
+        assert divided.run["versions"] == before.run["versions"]
 
-    def test_a_merge(self, built: Built, remade: Remade) -> None:
-        room, before, stored = built.rooms[0], remade.divided, remade.merged
-        assert stored.ids == sorted({*before.ids} - {room})
-        assert stored.topology.next_id == before.topology.next_id
-        areas = {node.id: node.area_m2 for node in before.record.nodes}
-        merged = next(n for n in stored.record.nodes if n.id == built.corridor)
-        assert merged.area_m2 == pytest.approx(areas[built.corridor] + areas[room], abs=0.5)
-        assert json.loads(stored.classifiers)["schema_version"] >= 1
-        for name in LAYOUT:
-            assert bytes_of(stored.path, name) == bytes_of(built.map, name)
-        assert stored.run["counts"]["submaps"] == len(stored.ids)
+        report = edit(divided, {"merge": [corridor, room]}, out=tmp_path / "merged")
+        merged = read_map(report.out)
+        assert report.remade
+        assert merged.ids == sorted({*divided.ids} - {room})
+        assert merged.topology.next_id == divided.topology.next_id
+        areas = {node.id: node.area_m2 for node in divided.record.nodes}
+        found = next(node for node in merged.record.nodes if node.id == corridor)
+        assert found.area_m2 == pytest.approx(areas[corridor] + areas[room], abs=0.5)
+        assert json.loads(merged.classifiers)["schema_version"] >= 1
+        for name in ("keyframes.mcap", "trajectory.tum", "trajectory.g2o"):
+            assert bytes_of(merged.path, name) == bytes_of(built.map, name)
+        assert merged.run["counts"]["submaps"] == len(merged.ids)
 
-    def test_undone_the_map_is_as_before(self, remade: Remade) -> None:
-        stored, back = remade.before, remade.undone
-        assert back.labels.submaps.tolist() == stored.labels.submaps.tolist()
-        assert back.regions.owner.tolist() == stored.regions.owner.tolist()
-        assert back.topology.next_id == stored.topology.next_id + 1  # an id is given once
+        report = edit(merged, undo=(1, 2), out=tmp_path / "undone")
+        undone = read_map(report.out)
+        assert report.remade
+        assert undone.labels.submaps.tolist() == before.labels.submaps.tolist()
+        assert undone.regions.owner.tolist() == before.regions.owner.tolist()
+        assert undone.topology.next_id == new + 1  # an id is given once
 
-    def test_a_map_made_anew_is_of_the_version_that_made_it(self, remade: Remade) -> None:
-        """Or its features would be taken for those of the version before."""
-        assert remade.divided.run["versions"] == remade.before.run["versions"]
-
-    @pytest.mark.parametrize("merged", [False, True], ids=["at once", "after a merge"])
-    def test_the_map_stays_when_a_request_does_not_apply(self, built: Built, merged: bool) -> None:
+    def test_the_map_stays_when_the_second_request_does_not_apply(self, built: Built) -> None:
         """Every request that is refused alone is in tests/cli/test_cli_edit.py."""
         rooms, notes = list(built.rooms[:2]), Mock(spec=Silent())
-        changes = ({"merge": rooms}, {"forbid": rooms})[not merged :]
+        requests = RequestedEdits(changes=({"merge": rooms}, {"forbid": rooms}))
         before = {path.name: path.read_bytes() for path in built.map.iterdir() if path.is_file()}
         with pytest.raises(UsageError, match="there is no link between"):
-            edit_map(built.map, RequestedEdits(changes=changes), progress=notes)
+            edit_map(built.map, requests, progress=notes)
         notes.note.assert_not_called()
         after = {path.name: path.read_bytes() for path in built.map.iterdir() if path.is_file()}
         assert after == before
@@ -253,17 +218,16 @@ class TestBorders:
         assert "  not applied: submaps.99: there is no submap 99" in report.lines()
 
 
-@pytest.fixture(scope="module")
-def shut(built: Built, tmp_path_factory: pytest.TempPathFactory) -> EditReport:
-    out = tmp_path_factory.mktemp("shut") / "map"
-    return edit(built.map, {"forbid": [built.rooms[0], built.corridor]}, out=out)
-
-
 class TestForbiddenDoors:
     """The link stays in the map, and nobody goes there."""
 
-    def test_the_link_and_its_doors_are_marked(self, built: Built, shut: EditReport) -> None:
-        pair = tuple(sorted((built.rooms[0], built.corridor)))
+    def test_the_link_and_its_doors_are_marked_in_exports_too(
+        self, built: Built, tmp_path: Path
+    ) -> None:
+        """And it holds for what the submaps become."""
+        room, other = built.rooms[:2]
+        pair = tuple(sorted((room, built.corridor)))
+        shut = edit(built.map, {"forbid": [room, built.corridor]}, out=tmp_path / "shut")
         stored = read_map(shut.out)
         assert shut.forbidden == (pair,)
         assert not shut.remade
@@ -272,11 +236,11 @@ class TestForbiddenDoors:
         for door in stored.record.graph.doors:
             assert door.forbidden == (door.between == pair)
         assert pair not in stored.topology.joined
-
-    def test_exports_say_it(self, shut: EditReport, tmp_path: Path) -> None:
         for name, word in (("geojson", '"forbidden": true'), ("graphml", "forbidden")):
-            export_map(read_map(shut.out), name, tmp_path / name)
+            export_map(stored, name, tmp_path / name)
             assert word in (tmp_path / name).read_text(encoding="utf-8")
+        merged = edit(stored, {"merge": [other, room]}, out=tmp_path / "merged")
+        assert merged.forbidden == (tuple(sorted((other, built.corridor))),)
 
     def test_a_place_chooses_the_door(self, built: Built, own: Path) -> None:
         pair = [built.rooms[0], built.corridor]
@@ -288,25 +252,17 @@ class TestForbiddenDoors:
         near = edit(own, {"forbid": pair, "at": [x + 0.2, y]})
         assert near.forbidden == ((min(pair), max(pair)),)
 
-    def test_it_holds_for_what_the_submaps_become(
-        self, built: Built, shut: EditReport, tmp_path: Path
-    ) -> None:
-        room, other = built.rooms[:2]
-        report = edit(shut.out, {"merge": [other, room]}, out=tmp_path / "map")
-        assert report.forbidden == (tuple(sorted((other, built.corridor))),)
-
     def test_it_holds_when_the_split_that_made_its_submap_is_undone(
         self, built: Built, own: Path
     ) -> None:
         edit(own, split(read_map(own), built.corridor))
         stored = read_map(own)
         new = stored.topology.next_id - 1
-        ends = [
-            pair for pair in stored.topology.edges if new in pair and built.corridor not in pair
-        ]
-        edit(own, {"forbid": list(ends[0])})
+        pairs = (pair for pair in stored.topology.edges if built.corridor not in pair)
+        pair = next(pair for pair in pairs if new in pair)
+        edit(own, {"forbid": list(pair)})
         report = edit(own, undo=(1,))
-        (room,) = set(ends[0]) - {new}
+        (room,) = set(pair) - {new}
         assert report.unapplied == ()
         assert report.forbidden == ((min(room, built.corridor), max(room, built.corridor)),)
 

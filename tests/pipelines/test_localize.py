@@ -22,17 +22,8 @@ from specmap_cli.drawing.palette import colours_of, vivid
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.filenames import CLASSIFIERS
 from specmap_cli.maps.store import StoredMap
-from specmap_cli.pipelines.localize import (
-    HEADER,
-    METRIC_HEADER,
-    LocalizationReport,
-    LocalizedScan,
-    classifiers_of,
-    picture_of,
-    settings_for,
-    table_of,
-    write_report,
-)
+from specmap_cli.pipelines import localize
+from specmap_cli.pipelines.localize import HEADER, METRIC_HEADER, LocalizationReport, LocalizedScan
 from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.recognition.localization.localizer import Label
 from specmap_cli.recognition.localization.metric import Fix
@@ -55,31 +46,16 @@ def metric(own_log: Path, flat_map: StoredMap) -> LocalizationReport:
     return localize_log(own_log, flat_map.path, metric=True)
 
 
-@pytest.fixture(scope="module")
-def offline(own_log: Path, flat_map: StoredMap) -> LocalizationReport:
-    """The same when the whole log is known."""
-    return localize_log(own_log, flat_map, offline=True, metric=True)
-
-
 def labelled(submaps: Sequence[int | None], poses: Sequence[Pose2 | None]) -> LocalizationReport:
     """A report of made-up labels along a straight way of 0.1 m a scan."""
-    scans = tuple(
-        LocalizedScan(
-            label=Label(
-                stamp_ns=k * 10**8,
-                submap=submap,
-                margin=1.0,
-                runner_up=None,
-                filtered_submap=submap,
-                filtered_probability=0.9,
-                probability=0.8,
-            ),
-            track_from_base=Pose2(0.1 * k, 0.0, 0.0),
-            fix=None if pose is None else Fix(submap or 0, pose, 1e-4 * np.eye(3), 0.9),
-        )
-        for k, (submap, pose) in enumerate(zip(submaps, poses, strict=True))
-    )
-    return LocalizationReport(log="made.mcap", scans=scans, warnings=("a warning",))
+    sure = {"margin": 1.0, "filtered_probability": 0.9, "probability": 0.8}
+    scans = []
+    for k, (id_, pose) in enumerate(zip(submaps, poses, strict=True)):
+        label = Label(stamp_ns=k * 10**8, submap=id_, runner_up=None, filtered_submap=id_, **sure)
+        fix = None if pose is None else Fix(id_ or 0, pose, 1e-4 * np.eye(3), 0.9)
+        way = Pose2(0.1 * k, 0.0, 0.0)
+        scans.append(LocalizedScan(label=label, track_from_base=way, fix=fix))
+    return LocalizationReport(log="made.mcap", scans=tuple(scans), warnings=("a warning",))
 
 
 def test_the_map_s_own_log_is_found_where_it_was_taken(
@@ -103,9 +79,10 @@ def test_the_map_s_own_log_is_found_where_it_was_taken(
 
 
 def test_offline_poses_are_in_the_frames_of_the_submaps_that_smoothing_gives(
-    flat_map: StoredMap, metric: LocalizationReport, offline: LocalizationReport
+    own_log: Path, flat_map: StoredMap, metric: LocalizationReport
 ) -> None:
     """A scan is matched in the submap that smoothing gives it, also before a place led."""
+    offline = localize_log(own_log, flat_map, offline=True, metric=True)
     pairs = list(zip(offline.scans, metric.scans, strict=True))
     for a, b in pairs:  # a single scan votes as it did
         assert (a.label.submap, a.label.margin) == (b.label.submap, b.label.margin)
@@ -124,14 +101,13 @@ def test_offline_poses_are_in_the_frames_of_the_submaps_that_smoothing_gives(
     assert given >= sum(scan.submap_from_base is not None for scan in metric.scans)
 
 
-def test_poses_without_walls_are_refused(own_log: Path, flat_map: StoredMap) -> None:
+def test_poses_without_walls_and_classifiers_of_other_submaps_are_refused(
+    own_log: Path, flat_map: StoredMap
+) -> None:
     """Poses are found by the walls: none would be given, without a word why."""
-    config = settings_for(flat_map, {"localization": {"fit_submaps": 0}})
+    config = localize.settings_for(flat_map, {"localization": {"fit_submaps": 0}})
     with pytest.raises(UsageError, match=r"localization\.fit_submaps: 0 .*--metric"):
         localize_log(own_log, flat_map, config, metric=True)
-
-
-def test_classifiers_of_other_submaps_are_refused(own_log: Path, flat_map: StoredMap) -> None:
     record = flat_map.record
     fewer = record.model_copy(update={"nodes": record.nodes[:-1]})
     with pytest.raises(MapError, match=r"classifiers\.json: classifiers of the submaps"):
@@ -143,24 +119,17 @@ def test_damaged_classifiers_keep_what_to_do_about_them(
 ) -> None:
     (tmp_path / CLASSIFIERS).write_text("{}")
     with pytest.raises(MapError, match=r"classifiers\.json: .*; build the map again") as caught:
-        classifiers_of(StoredMap(tmp_path, flat_map.record))
+        localize.classifiers_of(StoredMap(tmp_path, flat_map.record))
     assert caught.value.where == str(tmp_path / CLASSIFIERS)
     assert caught.value.hint == "build the map again"
 
 
-class Notes(Silent):
-    """Keeps what is noted."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.notes: list[str] = []
-
-    def note(self, message: str) -> None:
-        self.notes.append(message)
-
-
 def test_an_older_map_is_used_offline_without_poses_and_what_it_lacks_is_told(
-    own_log: Path, flat_map: StoredMap, metric: LocalizationReport, tmp_path: Path
+    own_log: Path,
+    flat_map: StoredMap,
+    metric: LocalizationReport,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """One made before it was kept how well its scans fit, and how sure its classifiers are."""
     older = tmp_path / "older"
@@ -168,11 +137,12 @@ def test_an_older_map_is_used_offline_without_poses_and_what_it_lacks_is_told(
     data = json.loads((older / CLASSIFIERS).read_text())
     assert all(data.pop(part)["views"] > 20 for part in ("misfit", "calibration"))
     (older / CLASSIFIERS).write_text(json.dumps(data))
-    progress = Notes()
+    progress, notes = Silent(), list[str]()
+    monkeypatch.setattr(progress, "note", notes.append)
     old = StoredMap(older, flat_map.record, note="it lacks keyframes")
     report = localize_log(own_log, old, offline=True, progress=progress)
-    assert progress.notes[0] == "it lacks keyframes"
-    assert [note for note in progress.notes if "fit its walls" in note] == [
+    assert notes[0] == "it lacks keyframes"
+    assert [note for note in notes if "fit its walls" in note] == [
         f"{older}: an older map, which does not say how well its own scans fit its walls; known "
         "places are told from unknown by what is usual elsewhere: build it again"
     ]
@@ -202,30 +172,24 @@ class TestReport:
             "warnings": ["a warning"],
         }
 
-    def test_its_lines_are_a_table_with_unknown_last(self) -> None:
-        lines = labelled([3, None, 3], [None] * 3).lines()
-        assert lines[0] == "made.mcap: 3 scans, raw and filtered label agree on 100.0%"
-        assert [line.split() for line in lines[1:]] == [
-            ["submap", "raw", "filtered"],
-            ["3", "2", "2"],
-            ["unknown", "1", "1"],
-        ]
-
-    def test_it_calls_submaps_by_the_names_that_a_person_gave(self) -> None:
+    def test_its_lines_are_a_table_with_names_that_a_person_gave_and_unknown_last(self) -> None:
         report = replace(labelled([3, None, 4], [None] * 3), names={3: 'Ann\'s "lab", west'})
-        assert [line.split(maxsplit=3) for line in report.lines()[2:]] == [
+        first, head, *lines = report.lines()
+        assert first == "made.mcap: 3 scans, raw and filtered label agree on 100.0%"
+        assert head.split()[:3] == ["submap", "raw", "filtered"]
+        assert [line.split(maxsplit=3) for line in lines] == [
             ["3", "1", "1", 'Ann\'s "lab", west'],
             ["4", "1", "1"],
             ["unknown", "1", "1"],
         ]
-        rows = list(csv.DictReader(table_of(report, True).splitlines()))
+        rows = list(csv.DictReader(localize.table_of(report, True).splitlines()))
         assert [row["name"] for row in rows] == ['Ann\'s "lab", west', "", "submap 4"]
         assert report.as_dict()["names"] == {"3": 'Ann\'s "lab", west'}
 
     @pytest.mark.parametrize("with_poses", [False, True])
     def test_its_csv_has_a_line_a_scan(self, with_poses: bool) -> None:
         report = labelled([4, None], [Pose2(1.0, 2.0, 0.5), None])
-        text = table_of(report, with_poses)
+        text = localize.table_of(report, with_poses)
         assert text.splitlines()[0] == HEADER + (METRIC_HEADER if with_poses else "")
         first, second = csv.DictReader(text.splitlines())
         assert (first["stamp"], first["submap"]) == ("0.000000000", "4")
@@ -241,11 +205,11 @@ class TestReport:
         self, flat_map: StoredMap
     ) -> None:
         """A few scans matched at the wrong end of a submap draw no line across the map."""
-        here, far = Pose2(0.0, 0.0, 0.0), Pose2(60.0, 60.0, 0.0)
-        poses = [here @ Pose2(0.1 * k, 0.0, 0.0) for k in range(40)]
-        leaping = [*poses[:20], far, far, *poses[22:]]
+        poses = [Pose2(0.1 * k, 0.0, 0.0) for k in range(40)]
+        leaping = [*poses[:20], *[Pose2(60.0, 60.0, 0.0)] * 2, *poses[22:]]
         straight, other = (
-            picture_of(labelled([0] * 40, track), flat_map, True) for track in (poses, leaping)
+            localize.picture_of(labelled([0] * 40, track), flat_map, True)
+            for track in (poses, leaping)
         )
         assert straight.shape == other.shape
 
@@ -253,7 +217,7 @@ class TestReport:
         self, flat_map: StoredMap, tmp_path: Path
     ) -> None:
         report = labelled([0] * 20 + [1] * 20, [None] * 40)
-        write_report(report, flat_map, metric=False, plot=tmp_path / "track.png")
+        localize.write_report(report, flat_map, metric=False, plot=tmp_path / "track.png")
         picture = cv2.imread(str(tmp_path / "track.png"))
         assert picture is not None
         assert colours_in(picture) > 3
@@ -265,7 +229,7 @@ class TestReport:
         fills = colours_of(flat_map.topology, flat_map.regions)
         at = [Pose2(0.05 * k, 0.0, 0.0) for k in range(40)]
         for id_ in sorted(fills)[-2:]:
-            image = picture_of(labelled([id_] * 40, at), flat_map, with_poses)
+            image = localize.picture_of(labelled([id_] * 40, at), flat_map, with_poses)
             seen = {fill: (image == vivid(fill)).all(axis=-1).sum() for fill in fills.values()}
             assert max(seen, key=seen.__getitem__) == fills[id_]
 
@@ -277,5 +241,7 @@ class TestReport:
         (tmp_path / "pictures").mkdir()
         for plot in (tmp_path / "gone" / "plot.png", tmp_path / "pictures"):
             with pytest.raises(UsageError, match="choose another place"):
-                write_report(report, flat_map, metric=False, csv=tmp_path / "labels.csv", plot=plot)
+                localize.write_report(
+                    report, flat_map, metric=False, csv=tmp_path / "labels.csv", plot=plot
+                )
             assert [path.name for path in tmp_path.iterdir()] == ["pictures"]

@@ -10,21 +10,13 @@ import pytest
 
 from specmap_cli import read_map, segment_map
 from specmap_cli.core.config import load_config
-from specmap_cli.core.errors import MapError, NoResultError, UsageError
+from specmap_cli.core.errors import NoResultError, UsageError
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.grids.map_server import write_grid
 
 
-@pytest.fixture
-def plan(flat: GridMap, tmp_path: Path) -> Path:
-    """The flat as a map_server file."""
-    folder = tmp_path / "plan"
-    folder.mkdir()
-    write_grid(folder / "flat", flat)
-    return folder / "flat.yaml"
-
-
-def test_the_rooms_of_the_flat_are_found(plan: Path, tmp_path: Path, flat: GridMap) -> None:
+def test_the_rooms_of_the_flat_are_found_with_the_settings_given(
+    plan: Path, tmp_path: Path, flat: GridMap
+) -> None:
     report = segment_map(str(plan), str(tmp_path / "rooms"))
     found = report.as_dict()
     assert found["out"] == str(tmp_path / "rooms")
@@ -50,9 +42,6 @@ def test_the_rooms_of_the_flat_are_found(plan: Path, tmp_path: Path, flat: GridM
     assert labels.shape == grid.shape
     assert set(np.unique(labels).tolist()) == {0, 1, 2, 3, 4}
     assert (labels[grid == 0] == 0).mean() > 0.9  # walls belong to nobody; the desk to its room
-
-
-def test_the_settings_are_used(plan: Path, tmp_path: Path) -> None:
     config = load_config(overrides={"segmentation": {"eigenvalue_min": 0.999, "halve": False}})
     assert segment_map(plan, tmp_path / "whole", config).as_dict()["submaps"] == 1
 
@@ -60,14 +49,14 @@ def test_the_settings_are_used(plan: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("resolution", "error", "words"),
     [
-        (None, MapError, "a picture has no scale"),
         (0.6, UsageError, "too coarse to see a door"),
         (0.004, NoResultError, "no free space wider than"),
     ],
 )
 def test_what_cannot_be_divided_is_one_line_and_leaves_nothing(
-    resolution: float | None, error: type[Exception], words: str, plan: Path, tmp_path: Path
+    resolution: float, error: type[Exception], words: str, plan: Path, tmp_path: Path
 ) -> None:
+    """What is no plan: tests/cli/test_cli_maps.py."""
     with pytest.raises(error, match=words) as caught:
         segment_map(plan.with_suffix(".png"), tmp_path / "rooms", resolution=resolution)
     assert "\n" not in str(caught.value)

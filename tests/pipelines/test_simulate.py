@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import shlex
 from collections import Counter
 from collections.abc import Iterator
@@ -28,6 +27,7 @@ from specmap_cli.pipelines.simulate import SimulationResult, simulate
 from specmap_cli.simulation.simulator import SimulationOptions
 from specmap_cli.simulation.worlds import RoomTruth
 from tests.conftest import SAMPLE_LOGS
+from tests.plugins import module_at
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 
@@ -48,10 +48,15 @@ def tum(path: Path) -> np.ndarray[Any, np.dtype[np.float64]]:
     return np.loadtxt(path, ndmin=2)
 
 
-def test_the_file_holds_the_scans_of_the_tour(
+def test_the_file_holds_the_scans_of_the_tour_in_order_and_odometry_that_encloses_them(
     flat_log: SimulationResult, flat_tour: list[tuple[Sweep, Pose2]]
 ) -> None:
-    scans = [message for topic, _, message in messages(flat_log.log) if topic == "/scan"]
+    found = list(messages(flat_log.log))
+    topics, times, _ = zip(*found, strict=True)
+    assert topics[0] == "/tf_static"
+    assert list(times[1:]) == sorted(times[1:])
+    assert set(topics) == {"/tf_static", "/scan", "/odom"}
+    scans = [message for topic, _, message in found if topic == "/scan"]
     assert len(scans) == len(flat_tour) == flat_log.scans
     for scan, (sweep, _) in zip(scans[::17], flat_tour[::17], strict=True):
         assert scan.header.stamp.sec * 10**9 + scan.header.stamp.nanosec == sweep.stamp_ns
@@ -59,14 +64,7 @@ def test_the_file_holds_the_scans_of_the_tour(
         bearings = scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges))
         np.testing.assert_allclose(bearings, sweep.planar.bearings, atol=1e-6)
         assert sweep.planar.full_circle
-
-
-def test_odometry_encloses_the_scans_and_interpolates_to_the_sweeps(
-    flat_log: SimulationResult, flat_tour: list[tuple[Sweep, Pose2]]
-) -> None:
-    odometry = [
-        (t, m.pose.pose.position) for topic, t, m in messages(flat_log.log) if topic == "/odom"
-    ]
+    odometry = [(t, m.pose.pose.position) for topic, t, m in found if topic == "/odom"]
     stamps = np.array([stamp for stamp, _ in odometry])
     places = np.array([[p.x, p.y] for _, p in odometry])
     sweeps = [sweep for sweep, _ in flat_tour]
@@ -74,16 +72,9 @@ def test_odometry_encloses_the_scans_and_interpolates_to_the_sweeps(
     assert stamps[-1] > sweeps[-1].stamp_ns
     wanted = np.array([sweep.stamp_ns for sweep in sweeps])
     for axis in (0, 1):
-        found = [sweep.odom_from_base[axis] for sweep in sweeps if sweep.odom_from_base]
+        told = [sweep.odom_from_base[axis] for sweep in sweeps if sweep.odom_from_base]
         expected = np.interp(wanted - stamps[0], stamps - stamps[0], places[:, axis])
-        np.testing.assert_allclose(found, expected, atol=1e-6)
-
-
-def test_messages_come_in_the_order_of_their_stamps(flat_log: SimulationResult) -> None:
-    topics, times, _ = zip(*messages(flat_log.log), strict=True)
-    assert topics[0] == "/tf_static"
-    assert list(times[1:]) == sorted(times[1:])
-    assert set(Counter(topics)) == {"/tf_static", "/scan", "/odom"}
+        np.testing.assert_allclose(told, expected, atol=1e-6)
 
 
 def test_the_truth_has_a_line_a_scan_at_its_stamp(
@@ -108,19 +99,6 @@ def test_the_same_options_give_the_same_bytes(
     assert again.truth == tmp_path / "elsewhere.txt"
     assert again.truth.read_bytes() == flat_log.truth.read_bytes()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["again.mcap", "elsewhere.txt"]
-
-
-def test_the_mounting_reaches_the_static_transform(flat: GridMap, tmp_path: Path) -> None:
-    options = SimulationOptions(
-        max_duration_s=0.1, beams=8, laser_x_m=0.2, laser_y_m=-0.1, laser_yaw_deg=90
-    )
-    simulate(flat, options, tmp_path / "a.mcap")
-    _, _, message = next(messages(tmp_path / "a.mcap"))
-    (mounted,) = message.transforms
-    assert (mounted.header.frame_id, mounted.child_frame_id) == ("base_link", "laser")
-    assert mounted.transform.translation.x == 0.2
-    assert mounted.transform.translation.y == -0.1
-    assert mounted.transform.rotation.z == pytest.approx(np.sqrt(0.5))
 
 
 def test_a_robot_that_just_fits_records_where_it_stands(tmp_path: Path) -> None:
@@ -163,11 +141,7 @@ def test_a_truth_that_has_no_place_leaves_no_recording(
 
 
 def test_the_plan_of_the_sample_logs_is_what_its_script_draws(office: GridMap) -> None:
-    spec = importlib.util.spec_from_file_location("draw_office", SAMPLE_LOGS / "draw_office.py")
-    assert spec is not None
-    assert spec.loader is not None
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
+    script = module_at(SAMPLE_LOGS / "draw_office.py")
     drawn = script.draw_plan(script.draw_rooms())
     np.testing.assert_array_equal(office.free, drawn[::-1] == script.FREE)
     np.testing.assert_array_equal(office.occupied, drawn[::-1] == script.OCCUPIED)
@@ -216,14 +190,19 @@ def test_a_lidar_of_several_rings_is_recorded_as_clouds(flat: GridMap, tmp_path:
         range_max_m=30.0,
         sweep_s=0.08,
         laser_x_m=0.2,
+        laser_y_m=-0.1,
+        laser_yaw_deg=90,
         laser_height_m=0.8,
         max_duration_s=0.5,
     )
     made = simulate(flat, options, tmp_path / "a.mcap")
     found = list(messages(made.log))
     assert {topic for topic, _, _ in found} == {"/tf_static", "/points", "/odom"}
-    at = found[0][2].transforms[0].transform.translation
-    assert (at.x, at.y, at.z) == (0.2, 0.0, 0.8)
+    (mounted,) = found[0][2].transforms
+    assert (mounted.header.frame_id, mounted.child_frame_id) == ("base_link", "laser")
+    at = mounted.transform.translation
+    assert (at.x, at.y, at.z) == (0.2, -0.1, 0.8)
+    assert mounted.transform.rotation.z == pytest.approx(np.sqrt(0.5))
     clouds = [message for topic, _, message in found if topic == "/points"]
     assert len(clouds) == made.scans == len(tum(made.truth)) == 6
     assert [field.name for field in clouds[0].fields] == ["x", "y", "z", "time"]

@@ -14,12 +14,7 @@ from specmap_cli import build_map, read_map
 from specmap_cli.core.records import IntArray, Labels
 from specmap_cli.core.settings import Config
 from specmap_cli.maps.store import StoredMap
-from specmap_cli.pipelines.learning import (
-    arrays_of,
-    comparable,
-    training_data_of_stored,
-    valid_training_data,
-)
+from specmap_cli.pipelines import learning
 from specmap_cli.pipelines.localize import classifiers_of
 from specmap_cli.recognition.learning.training_data import Samples, TrainingData
 from tests.flats import QUICK
@@ -32,17 +27,10 @@ def samples(*keyframes: int) -> Samples:
 
 def test_features_survive_the_file_in_half_precision() -> None:
     large = Samples(np.array([[1.0 / 3.0, 1e9], [-1e9, 0.0]]), np.array([2, 5], dtype=np.intp))
-    arrays = arrays_of(TrainingData(large, samples(), samples(), samples()))
+    arrays = learning.arrays_of(TrainingData(large, samples(), samples(), samples()))
     assert arrays["raw"].T.tolist() == [[0.333251953125, 65504.0], [-65504.0, 0.0]]
     assert arrays["raw_keyframes"].tolist() == [2, 5]
     assert arrays["raw"].dtype == np.float16
-
-
-def test_a_map_keeps_what_its_classifiers_learned_from(flat_map: StoredMap) -> None:
-    data = training_data_of_stored(flat_map, flat_map.config)
-    for own in data.kinds:
-        assert len(own.features) == len(own.keyframes) > 0
-    assert len(np.unique(data.raw.keyframes)) == len(data.raw.keyframes)
 
 
 def changed(config: Config, section: str, **settings: Any) -> Config:
@@ -54,15 +42,24 @@ def changed(config: Config, section: str, **settings: Any) -> Config:
 
 def learned_from(stored: StoredMap, config: Config) -> int:
     """How many scans of a map are learned from with these settings without being made anew."""
-    return len(training_data_of_stored(stored, config).raw.keyframes)
+    return len(learning.training_data_of_stored(stored, config).raw.keyframes)
 
 
-def test_other_settings_learn_anew(flat_map: StoredMap) -> None:
+def test_a_map_keeps_what_it_learned_from_and_other_settings_or_no_file_learn_anew(
+    flat_map: StoredMap, tmp_path: Path
+) -> None:
     config = flat_map.config
+    data = learning.training_data_of_stored(flat_map, config)
+    for own in data.kinds:
+        assert len(own.features) == len(own.keyframes) > 0
+    assert len(np.unique(data.raw.keyframes)) == len(data.raw.keyframes)
     assert learned_from(flat_map, changed(config, "recognition", feature_set="table1")) == 0
     assert learned_from(flat_map, changed(config, "localization", false_unknown=0.1)) == 0
-    found = training_data_of_stored(flat_map, changed(config, "grid", footprint_m=0.3))
+    found = learning.training_data_of_stored(flat_map, changed(config, "grid", footprint_m=0.3))
     assert len(found.cast.keyframes) == 0 < len(found.along.keyframes), "cast in other grids"
+    without = shutil.copytree(flat_map.path, tmp_path / "without")
+    (without / "features.npz").unlink()
+    assert learned_from(read_map(without), config) == 0
 
 
 @pytest.mark.parametrize("without", [{"virtual": False}, {"augmentation": 0}])
@@ -71,7 +68,7 @@ def test_a_map_without_some_kind_of_scans_keeps_the_others(
 ) -> None:
     build_map(tiny_log, tmp_path / "map", changed(QUICK, "localization", **without))
     stored = read_map(tmp_path / "map")
-    found = training_data_of_stored(stored, stored.config)
+    found = learning.training_data_of_stored(stored, stored.config)
     assert len(found.raw.keyframes) > 0 == len(found.cast.keyframes)
 
 
@@ -87,21 +84,15 @@ def test_a_map_of_another_version_learns_anew(
     (tmp_path / "other" / "run.json").write_text(json.dumps(run), encoding="utf-8")
     other = read_map(tmp_path / "other")
     assert learned_from(other, flat_map.config) == 0
-    assert comparable(classifiers_of(other), other, flat_map.config) is None
-
-
-def test_a_map_without_the_file_learns_anew(flat_map: StoredMap, tmp_path: Path) -> None:
-    shutil.copytree(flat_map.path, tmp_path / "other")
-    (tmp_path / "other" / "features.npz").unlink()
-    assert learned_from(read_map(tmp_path / "other"), flat_map.config) == 0
+    assert learning.comparable(classifiers_of(other), other, flat_map.config) is None
 
 
 def test_classifiers_of_other_settings_are_no_test(flat_map: StoredMap) -> None:
     classifiers = classifiers_of(flat_map)
-    assert comparable(classifiers, flat_map, flat_map.config) is classifiers
+    assert learning.comparable(classifiers, flat_map, flat_map.config) is classifiers
     more = changed(flat_map.config, "recognition", rounds=1 + flat_map.config.recognition.rounds)
-    assert comparable(classifiers, flat_map, more) is None
-    assert comparable(None, flat_map, flat_map.config) is None
+    assert learning.comparable(classifiers, flat_map, more) is None
+    assert learning.comparable(None, flat_map, flat_map.config) is None
 
 
 def labels(poses: list[tuple[float, float, float]], submaps: list[int]) -> Labels:
@@ -124,29 +115,23 @@ BEFORE = labels(ROW, [0, 0, 0, 1, 1, 1])
             [0, 2, 3, 5],
         ),
         ([*range(6)], labels([*ROW[:5], (5.0, 0.5, 0.0)], BEFORE.submaps.tolist()), [0, 2]),
+        ([*range(6)], labels(ROW, [0] * 6), []),
     ],
-    ids=["visited again", "a keyframe is gone", "moved as a whole", "bent"],
+    ids=["visited again", "a keyframe is gone", "moved as a whole", "bent", "two are one now"],
 )
 def test_scans_cast_in_a_grid_hold_while_the_submap_is_as_it_was(
     left: list[int], now: Labels, cast: list[int]
 ) -> None:
     data = TrainingData(samples(0, 5), samples(), samples(1), samples(0, 2, 3, 5))
-    found = valid_training_data(data, BEFORE, now, np.array(left), 0.05)
+    found = learning.valid_training_data(data, BEFORE, now, np.array(left), 0.05)
     assert found.cast.keyframes.tolist() == cast
 
 
 def test_training_data_of_a_map_behind_another_are_numbered_behind_it() -> None:
     data = TrainingData(samples(0, 5), samples(2), samples(1), samples(0, 5))
     now = labels([*ROW, *ROW], [7, 7, 7, 0, 0, 0, 0, 0, 0, 1, 1, 1])
-    found = valid_training_data(data, BEFORE, now, np.arange(6), 0.05, first=6)
+    found = learning.valid_training_data(data, BEFORE, now, np.arange(6), 0.05, first=6)
     assert found.raw.keyframes.tolist() == [6, 11]
     assert found.along.keyframes.tolist() == [7]
     assert found.beside.keyframes.tolist() == [8]
     assert found.cast.keyframes.tolist() == [11]  # the first submap has keyframes of both maps
-
-
-def test_scans_cast_in_two_submaps_that_are_one_now_do_not_hold() -> None:
-    data = TrainingData(samples(), samples(), samples(), samples(0, 5))
-    now = labels(ROW, [0] * 6)
-    found = valid_training_data(data, BEFORE, now, np.arange(6), 0.05)
-    assert found.cast.keyframes.tolist() == []

@@ -81,14 +81,22 @@ def kept(
     return Kept(sunday.log, second, read_map(folder / "old"), read_map(folder / "new"), report)
 
 
-def test_old_submaps_keep_ids_names_and_keyframes(kept: Kept) -> None:
-    left = kept.left
+def test_old_submaps_keep_ids_names_keyframes_visits_borders_and_frames(kept: Kept) -> None:
+    left, labels = kept.left, kept.new.labels
     assert len(left) == kept.first_new
-    assert (kept.new.labels.submaps[: len(left)] == kept.old.labels.submaps[left]).all()
+    assert (labels.submaps[: len(left)] == kept.old.labels.submaps[left]).all()
     assert set(kept.old.ids) < set(kept.new.ids)
     submap = kept.new.topology.submaps[1]
     assert (submap.name, dict(submap.properties)) == ("Hallway", {"floor": 2})
     assert kept.new.topology.submaps[0].name == "submap 0"
+    grid, owner = kept.old.regions.grid, kept.old.regions.owner
+    for id_ in kept.old.ids:
+        before, after = (map_.topology.submaps[id_].visits for map_ in (kept.old, kept.new))
+        assert after[: len(before)] == before
+        found = kept.new.regions.owners(grid.centres_of(np.argwhere(owner == id_)))
+        assert (found == id_).mean() > 0.9
+    moved = labels.poses[: len(left), :2] - kept.old.labels.poses[left, :2]
+    assert np.hypot(*moved.T).max() < 0.05
 
 
 def test_what_the_second_recording_shows_again_is_let_go_and_said(kept: Kept) -> None:
@@ -103,16 +111,20 @@ def test_what_the_second_recording_shows_again_is_let_go_and_said(kept: Kept) ->
     assert when[0] == when[1]
 
 
-def test_visits_stays_and_closures_of_the_old_recording_are_as_they_were(kept: Kept) -> None:
-    for id_ in kept.old.ids:
-        before, after = (map_.topology.submaps[id_].visits for map_ in (kept.old, kept.new))
-        assert after[: len(before)] == before
+def test_old_stays_and_closures_stay_and_loops_close_between_the_logs(kept: Kept) -> None:
     stays = {stay.number: stay for stay in kept.new.topology.stays}
     for stay in kept.old.topology.stays:
         now = stays[stay.number]
         assert (now.submap, now.start_ns, now.end_ns) == (stay.submap, stay.start_ns, stay.end_ns)
-    count = len(kept.old.topology.closures)
+    count, first_new = len(kept.old.topology.closures), kept.first_new
     assert kept.new.topology.closures[:count] == kept.old.topology.closures
+    joined = [
+        closure
+        for closure in kept.new.topology.closures
+        if stays[closure.old].keyframes[0] < first_new <= stays[closure.new].keyframes[0]
+    ]
+    assert len(joined) >= 2
+    assert all(closure.merged and closure.old_from_new is not None for closure in joined)
 
 
 def test_scans_that_were_learned_from_are_learned_from_again(kept: Kept) -> None:
@@ -124,40 +136,33 @@ def test_scans_that_were_learned_from_are_learned_from_again(kept: Kept) -> None
         assert ((found[kind] == 1.0).all(axis=0) == old).all()
 
 
-def test_damaged_features_are_refused_before_the_recording_is_read(
+def test_lacking_keyframes_and_damaged_features_are_refused_these_before_the_recording_is_read(
     kept: Kept, tmp_path: Path
 ) -> None:
-    shutil.copytree(kept.old.path, tmp_path / "old")
-    (tmp_path / "old" / "features.npz").write_bytes(b"PK")
+    old, new = shutil.copytree(kept.old.path, tmp_path / "old"), tmp_path / "new"
+    (old / "features.npz").write_bytes(b"PK")
     stages = Mock(spec=Silent())
     with pytest.raises(MapError, match=r"features\.npz: is no zip file of arrays: delete it"):
-        update_map(tmp_path / "old", kept.second.log, tmp_path / "new", QUICK, progress=stages)
+        update_map(old, kept.second.log, new, QUICK, progress=stages)
+    for name in ("features.npz", "keyframes.mcap"):
+        (old / name).unlink()
+    with pytest.raises(MapError, match=r"has no keyframes\.mcap"):
+        update_map(old, kept.second.log, new, QUICK)
     stages.start.assert_not_called()
-    assert not (tmp_path / "new").exists()
+    assert not new.exists()
 
 
-@pytest.fixture(scope="module")
-def whole(kept: Kept, tmp_path_factory: pytest.TempPathFactory) -> UpdateReport:
-    """The same update with another number of rounds, and with the setting that keeps all."""
+def test_with_a_setting_every_keyframe_stays(kept: Kept, tmp_path: Path) -> None:
+    """And as the number of rounds is another, too, pieces are held out again."""
     recognition = QUICK.recognition.model_copy(update={"rounds": 5})
     changed = {"recognition": recognition, "update": UpdateConfig(keep_all=True)}
-    out = tmp_path_factory.mktemp("whole") / "map"
-    return update_map(kept.old, kept.second.log, out, QUICK.model_copy(update=changed))
-
-
-def test_the_new_recording_tells_how_sure_the_classifiers_are(
-    kept: Kept, whole: UpdateReport
-) -> None:
-    views, held_out = (
-        json.loads(stored.classifiers)["calibration"]["views"]
-        for stored in (kept.new, read_map(whole.out))
-    )
-    assert views > 0
-    assert held_out != views  # other settings: pieces are held out again
-
-
-def test_with_a_setting_every_keyframe_stays(kept: Kept, whole: UpdateReport) -> None:
+    settings = QUICK.model_copy(update=changed)
+    whole = update_map(kept.old, kept.second.log, tmp_path / "map", settings)
     stored, count = read_map(whole.out), len(kept.old.labels.submaps)
+    views, held_out = (
+        json.loads(each.classifiers)["calibration"]["views"] for each in (kept.new, stored)
+    )
+    assert 0 < views != held_out
     assert whole.as_dict()["keyframes_dropped"] == 0
     assert not any("dropped" in line for line in whole.lines())
     assert stored.labels.submaps[:count].tolist() == kept.old.labels.submaps.tolist()
@@ -168,17 +173,6 @@ def test_with_a_setting_every_keyframe_stays(kept: Kept, whole: UpdateReport) ->
     assert apart.max() < 1e-6  # fewer keyframes, the same layout
 
 
-def test_borders_and_frame_stay(kept: Kept) -> None:
-    grid, owner = kept.old.regions.grid, kept.old.regions.owner
-    for id_ in kept.old.ids:
-        cells = np.argwhere(owner == id_)
-        found = kept.new.regions.owners(grid.centres_of(cells))
-        assert (found == id_).mean() > 0.9
-    left = kept.left
-    moved = kept.new.labels.poses[: len(left), :2] - kept.old.labels.poses[left, :2]
-    assert np.hypot(*moved.T).max() < 0.05
-
-
 def test_the_room_that_opened_gets_an_id_that_was_never_given(kept: Kept) -> None:
     assert kept.report.new == (7,)
     assert set(kept.report.visited) == set(kept.old.ids)
@@ -187,7 +181,7 @@ def test_the_room_that_opened_gets_an_id_that_was_never_given(kept: Kept) -> Non
     assert any(7 in (edge.source, edge.target) for edge in kept.new.record.edges)
 
 
-def test_both_logs_are_in_the_map(kept: Kept) -> None:
+def test_both_logs_are_in_the_map_and_nobody_drove_from_one_to_the_next(kept: Kept) -> None:
     logs = kept.new.record.graph.logs
     count = kept.first_new
     assert [log.name for log in logs] == ["sunday.mcap", "second.mcap"]
@@ -198,10 +192,7 @@ def test_both_logs_are_in_the_map(kept: Kept) -> None:
     with kept.new.keyframes() as store:
         assert len(store) == len(kept.new.labels.submaps)
     assert kept.report.quality.verdict == "good"
-
-
-def test_nobody_drove_from_the_end_of_one_log_to_the_start_of_the_next(kept: Kept) -> None:
-    first_new_ns = int(kept.new.labels.stamps_ns[kept.first_new])
+    first_new_ns = int(kept.new.labels.stamps_ns[count])
     assert all(edge.kind == "traversed" for edge in kept.new.record.edges)
     starts = [visit.start_ns for node in kept.new.record.nodes for visit in node.visits]
     assert sum(abs(start - first_new_ns) < 1e4 for start in starts) >= 1
@@ -219,27 +210,11 @@ def test_the_joint_layout_is_as_good_as_either(kept: Kept, tmp_path: Path) -> No
         assert reference_errors(read_tum(piece), read_tum(log.truth)).ate_m < 0.06
 
 
-def test_what_was_found_closes_loops_between_the_logs(kept: Kept) -> None:
-    count = kept.first_new
-    stays = {stay.number: stay for stay in kept.new.topology.stays}
-    joined = [
-        closure
-        for closure in kept.new.topology.closures
-        if stays[closure.old].keyframes[0] < count <= stays[closure.new].keyframes[0]
-    ]
-    assert len(joined) >= 2
-    assert all(closure.merged and closure.old_from_new is not None for closure in joined)
-
-
-def test_an_updated_map_can_be_updated_and_a_log_is_taken_once(kept: Kept, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"second\.mcap: is in the map already, as second\.mcap"):
-        update_map(kept.new, kept.second.log, tmp_path / "out", QUICK)
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_log_of_another_building_is_refused_or_stands_apart(
+def test_a_log_is_taken_once_and_one_of_another_building_is_refused_or_stands_apart(
     kept: Kept, other: Mapped, tmp_path: Path
 ) -> None:
+    with pytest.raises(InputError, match=r"second\.mcap: is in the map already, as second\.mcap"):
+        update_map(kept.new, kept.second.log, tmp_path / "out", QUICK)
     with pytest.raises(NoResultError, match=r"other\.mcap: fits nowhere .* --allow-apart"):
         update_map(kept.old, other.log.log, tmp_path / "out", QUICK)
     assert not (tmp_path / "out").exists()
@@ -251,16 +226,6 @@ def test_a_log_of_another_building_is_refused_or_stands_apart(
     assert not any((e.source in known) != (e.target in known) for e in apart.record.edges)
     for id_ in report.new:
         assert apart.record.nodes[apart.ids.index(id_)].x > kept.old.map_grid.origin[0] + 20.0
-
-
-def test_a_map_without_keyframes_cannot_be_updated(kept: Kept, tmp_path: Path) -> None:
-    bare = tmp_path / "bare"
-    bare.mkdir()
-    for file in kept.old.path.iterdir():
-        if file.is_file() and file.suffix != ".mcap":
-            (bare / file.name).write_bytes(file.read_bytes())
-    with pytest.raises(MapError, match=r"has no keyframes\.mcap"):
-        update_map(bare, kept.second.log, tmp_path / "out", QUICK)
 
 
 def test_borders_that_moved_are_said_with_the_reason(kept: Kept) -> None:

@@ -2,49 +2,37 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import re
 import shutil
 from pathlib import Path
 
-import jsonschema
+import numpy as np
 import pytest
 
 from specmap_cli.cli import main
-from specmap_cli.core.errors import MapError
-from specmap_cli.core.schemas import read_schema
+from specmap_cli.core.errors import MapError, NoResultError, UsageError
+from specmap_cli.grids.gridmap import FREE
 from specmap_cli.history.record import BuildingRecord
-from specmap_cli.maps.writing import MapResult, write_map
-from specmap_cli.pipelines.history import HistoryReport, history_of, write_history
-from tests.flats import Mapped
-
-
-def rows(path: Path) -> list[dict[str, str]]:
-    """The lines of a CSV."""
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
+from specmap_cli.pipelines import compare
+from specmap_cli.pipelines.compare import COMPARISON, PICTURE, SUMMARY, Comparison, compare_maps
+from specmap_cli.pipelines.history import history_of, write_history
+from tests.flats import Mapped, rows
 
 
 @pytest.fixture(scope="module")
-def report(week: Path) -> HistoryReport:
-    return history_of([week])
-
-
-@pytest.fixture(scope="module")
-def building(report: HistoryReport) -> BuildingRecord:
+def building(week: Path) -> BuildingRecord:
     """The one building of the week."""
-    (found,) = report.record.buildings
+    (found,) = history_of([week]).record.buildings
     return found
 
 
-def test_days_of_one_building_are_one_series(building: BuildingRecord) -> None:
+def test_days_of_one_building_are_one_series_in_which_a_recording_in_two_maps_counts_once(
+    building: BuildingRecord,
+) -> None:
     assert [Path(one.map).name for one in building.maps] == ["monday", "tuesday", "wednesday"]
     assert [one.compared_with for one in building.maps] == [None, 0, 1]
     assert [day.day for day in building.days] == ["2025-11-24", "2025-11-25", "2025-11-26"]
-
-
-def test_a_recording_in_two_maps_counts_once(building: BuildingRecord) -> None:
     assert [day.recordings for day in building.days] == [1, 1, 1]
     rooms = {room.number: room for room in building.rooms}
     for number, room in rooms.items():
@@ -52,9 +40,6 @@ def test_a_recording_in_two_maps_counts_once(building: BuildingRecord) -> None:
         assert room.visits == sum(stay.visits for stay in by_day)
         assert room.minutes == pytest.approx(sum(stay.minutes for stay in by_day), abs=1e-5)
         assert room.days == len(by_day)
-
-
-def test_a_room_stays_the_same_room(building: BuildingRecord) -> None:
     assert {room.map for room in building.rooms} == {0}
     assert sum(room.days == 3 for room in building.rooms) >= 3
     for day in building.days:
@@ -104,53 +89,40 @@ def test_a_map_that_cannot_be_read_is_left_out_and_told(
     shutil.copytree(week / "monday", tmp_path / "good")
     shutil.copytree(week / "tuesday", tmp_path / "bad")
     (tmp_path / "bad" / "labels.csv").write_text("nonsense\n", encoding="utf-8")
-    out = tmp_path / "history"
     assert main(["history", str(tmp_path), "--json", "-q"]) == 3
     printed = json.loads(capsys.readouterr().out)
     assert [Path(one["map"]).name for one in printed["left_out"]] == ["bad"]
     assert len(printed["buildings"]) == 1
-    assert not out.exists()
 
 
-def test_without_a_map_there_is_no_history(tmp_path: Path) -> None:
-    with pytest.raises(MapError, match=re.escape(str(tmp_path))):
-        history_of([tmp_path])
-
-
-def test_a_divided_plan_knows_no_visits(tmp_path: Path, result: MapResult) -> None:
-    (tmp_path / "map").mkdir()
-    write_map(tmp_path / "map", result)
-    (tmp_path / "map" / "labels.csv").unlink()
+def test_without_a_map_or_its_visits_there_is_no_history(house: Path) -> None:
+    (house / "labels.csv").unlink()  # as in a divided plan
     with pytest.raises(MapError, match="visits"):
-        history_of([tmp_path / "map"])
+        history_of([house])
+    (house / "topology.json").unlink()
+    with pytest.raises(MapError, match=re.escape(str(house))):
+        history_of([house])
 
 
-def test_the_command_writes_all_of_it(
-    week: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_the_command_writes_all_of_a_history(
+    week: Path, building: BuildingRecord, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "week"
     assert main(["history", str(week), "-o", str(out), "--json", "-q"]) == 0
     printed = json.loads(capsys.readouterr().out)
-    jsonschema.validate(printed, read_schema("history"))
     assert json.loads((out / "history.json").read_text(encoding="utf-8")) == printed
     names = ["changes.csv", "days.csv", "history.html", "history.json", "visits.csv"]
     assert sorted(path.name for path in out.iterdir()) == names
     visits = sum(room["visits"] for room in printed["buildings"][0]["rooms"])
     assert sum(int(row["visits"]) for row in rows(out / "visits.csv")) == visits
     assert [row["since"] for row in rows(out / "changes.csv")] == ["2025-11-25"] * 3
-    assert main(["history", str(week), "-o", str(out), "-q"]) == 2  # only with --overwrite
-
-
-def test_the_page_shows_rooms_days_and_changes(
-    report: HistoryReport, building: BuildingRecord, tmp_path: Path
-) -> None:
-    write_history(report, tmp_path / "out")
-    page = (tmp_path / "out" / "history.html").read_text(encoding="utf-8")
+    page = (out / "history.html").read_text(encoding="utf-8")
     for room in building.rooms:
         assert f">{room.name}</th>" in page
     assert page.count('class="room"') == len(building.rooms)
     assert "door closed between" in page
     assert "<script" not in page
+    assert main(["history", str(week), "-o", str(out), "-q"]) == 2  # only with --overwrite
 
 
 def test_the_page_links_to_the_maps_and_to_reports_of_a_batch(week: Path, tmp_path: Path) -> None:
@@ -188,3 +160,105 @@ def test_a_hostile_name_is_neither_markup_nor_formula(week: Path, tmp_path: Path
     assert "<dt>map</dt><dd>1</dd>" in page
     assert "<dt>changes</dt><dd>0</dd>" in page
     assert "<title>1 building – specmap history</title>" in page
+
+
+@pytest.fixture
+def before(week: Path) -> Path:
+    return week / "monday"
+
+
+@pytest.fixture
+def changed(week: Path) -> Path:
+    """With a closed door, a cabinet more, and a hole in a wall."""
+    return week / "wednesday"
+
+
+@pytest.fixture(scope="module")
+def told(week: Path) -> Comparison:
+    return compare_maps(week / "monday", week / "wednesday")
+
+
+def test_what_changed_is_told_with_its_place_and_names_in_the_old_map(told: Comparison) -> None:
+    found, grid = told.differences, told.old.map_grid
+    assert [round(way.width_m, 1) for way in found.closed] == [pytest.approx(0.9, abs=0.15)]
+    assert len(found.opened) == 1
+    (cabinet,) = found.appeared
+    assert not found.vanished
+    assert cabinet.length_m == pytest.approx(0.8, abs=0.2)
+    assert 0.05 < cabinet.length_m * cabinet.width_m < 0.5
+    assert cabinet.old_submap is not None
+    assert len(told.record.submaps.same) >= 3
+    for place in (cabinet.centre, found.closed[0].place):
+        assert (grid.values_at(place[None]) == FREE).all()
+    names = {**told.record.old.names, found.closed[0].between[0]: "Kitchen"}
+    old = told.record.old.model_copy(update={"names": names})
+    lines = compare.lines_of(told.record.model_copy(update={"old": old}))
+    assert any(line.startswith("way closed: ") and "(Kitchen)" in line for line in lines)
+    assert not any("(submap" in line for line in lines)
+
+
+def test_the_other_way_round_things_vanish(before: Path, changed: Path) -> None:
+    back = compare_maps(changed, before).differences
+    assert len(back.vanished) == 1
+    assert not back.appeared
+    assert (len(back.closed), len(back.opened)) == (1, 1)
+
+
+def test_two_recordings_of_one_building_differ_in_nothing(
+    before: Path, second_tour: Mapped
+) -> None:
+    """Of two lasers: one sees three quarters of the circle, the other all of it."""
+    found = compare_maps(before, second_tour.map)
+    assert "the building: no change found" in found.lines()
+
+
+def test_a_map_is_identical_to_itself_and_not_replaced_by_its_comparison(before: Path) -> None:
+    found = compare_maps(before, before)
+    assert found.identical
+    assert found.lines() == [f"{before}: identical to {before}"]
+    assert main(["compare", str(before), str(before), "-o", str(before), "-q"]) == 2
+
+
+def test_a_map_of_another_building_is_refused_with_the_reason(
+    before: Path, house: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (house / "classifiers.json").unlink()
+    with pytest.raises(NoResultError, match="not aligned with"):
+        compare_maps(before, house)
+    assert main(["compare", str(before), str(house), "-q"]) == 4
+    assert f"{house}: not aligned with {before}: " in capsys.readouterr().err
+
+
+def test_the_command_writes_all_of_a_comparison(
+    before: Path, changed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "changes"
+    assert main(["compare", str(before), str(changed), "-o", str(out), "--json", "-q"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert json.loads((out / COMPARISON).read_text(encoding="utf-8")) == printed
+    assert "way closed: " in (out / SUMMARY).read_text(encoding="utf-8")
+    assert (out / PICTURE).read_bytes().startswith(b"\x89PNG")
+    assert sorted(path.name for path in out.iterdir()) == sorted([COMPARISON, PICTURE, SUMMARY])
+
+
+def test_the_same_maps_give_the_same_bytes_and_only_an_earlier_result_is_replaced(
+    told: Comparison, before: Path, tmp_path: Path
+) -> None:
+    compare.write_comparison(told, tmp_path / "out")
+    files = [tmp_path / "out" / file for file in (COMPARISON, PICTURE, SUMMARY)]
+    written = [file.read_bytes() for file in files]
+    with pytest.raises(UsageError, match="already holds a result"):
+        compare.write_comparison(told, tmp_path / "out")
+    compare.write_comparison(told, tmp_path / "out", overwrite=True)
+    assert [file.read_bytes() for file in files] == written
+    with pytest.raises(UsageError, match=f"no {COMPARISON} in it"):
+        compare.write_comparison(told, before, overwrite=True)
+
+
+def test_a_map_without_classifiers_is_compared_by_its_grids(
+    before: Path, changed: Path, tmp_path: Path
+) -> None:
+    bare = tmp_path / "bare"
+    shutil.copytree(changed, bare)
+    (bare / "classifiers.json").unlink()
+    assert np.isfinite(compare_maps(before, bare).alignment.rival)

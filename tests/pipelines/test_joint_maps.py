@@ -1,4 +1,4 @@
-"""The edits of two maps said of the one that they become."""
+"""What two maps become in one: the edits of both, and rooms that both only half understood."""
 
 from __future__ import annotations
 
@@ -9,32 +9,47 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from specmap_cli.core.geometry import IDENTITY, Pose2
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import IntArray, Labels, Trajectory
+from specmap_cli.core.settings import Config
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.layout.result import Layout
 from specmap_cli.maps.edits import Change, Edits, ForbidEdit, MergeEdit, SplitEdit, SubmapEdit
 from specmap_cli.pipelines.joining import with_edits_of
 from specmap_cli.pipelines.map_in_making import LaidOut
+from specmap_cli.pipelines.thinning import Thinned
+from specmap_cli.pipelines.update import redivided
 from specmap_cli.topology.topological_map import LogInfo
 
 OWN = np.repeat([0, 1, 2, 3], 5)  # the submaps of the newer map's keyframes, a metre apart
 POSES = np.column_stack([np.arange(20.0), np.zeros(20), np.zeros(20)])
 
 
-def kept(*changes: Change, submaps: dict[int, SubmapEdit] | None = None) -> LaidOut:
-    stamps = np.arange(20, dtype=np.int64)
+def laid_out(
+    poses: FloatArray, submaps: IntArray, loose: tuple[int, ...] = (), edits: Edits | None = None
+) -> LaidOut:
+    """A map of one recording as far as it is laid out."""
+    count = len(poses)
+    stamps = np.arange(count, dtype=np.int64)
+    log = LogInfo(
+        name="new.mcap", start_ns=0, end_ns=count - 1, scans=count, keyframes=(0, count - 1)
+    )
     return LaidOut(
-        layout=Layout(poses=POSES, nodes=np.arange(20)),
-        labels=Labels(stamps_ns=stamps, poses=POSES, submaps=OWN),
-        trajectory=Trajectory(stamps_ns=stamps, poses=POSES),
+        layout=Layout(poses=poses, nodes=np.arange(count), loose=loose),
+        labels=Labels(stamps_ns=stamps, poses=poses, submaps=submaps),
+        trajectory=Trajectory(stamps_ns=stamps, poses=poses),
         stays={},
         closures=(),
         breaks={},
-        logs=(LogInfo(name="new.mcap", start_ns=0, end_ns=19, scans=20, keyframes=(0, 19)),),
+        logs=(log,),
         findings=(),
         next_id=9,
-        edits=Edits(submaps=submaps or {}, changes=changes),
+        edits=edits or Edits(),
     )
+
+
+def kept(*changes: Change, submaps: dict[int, SubmapEdit] | None = None) -> LaidOut:
+    return laid_out(POSES, OWN, edits=Edits(submaps=submaps or {}, changes=changes))
 
 
 def both(
@@ -108,8 +123,54 @@ def test_what_says_nothing_of_the_joint_map_is_told() -> None:
 
 def test_a_submap_that_went_to_very_many_is_the_commonest_of_them() -> None:
     new = kept(ForbidEdit(forbid=(0, 1)))
-    own = new.labels.submaps.copy()
-    own[:] = np.repeat([0, 1], [19, 1])
-    new = replace(new, labels=replace(new.labels, submaps=own))
+    new = replace(new, labels=replace(new.labels, submaps=np.repeat([0, 1], [19, 1])))
     found = both(new, np.arange(30, 50))
     assert found.edits.changes == (ForbidEdit(forbid=(30, 49)),)
+
+
+SIDE_M = 4.1  # of a room and a wall
+
+
+@pytest.fixture(scope="module")
+def whole() -> GridMap:
+    """Three rooms of 4 m x 4 m in a row, with doors 1 m wide, in cells of 0.1 m."""
+    cells = np.full((44, 124), OCCUPIED, dtype=np.uint8)
+    for k in range(3):
+        cells[2:42, 41 * k + 1 : 41 * k + 41] = FREE
+        cells[17:27, 41 * k : 41 * k + (k > 0)] = FREE
+    return GridMap(cells, 0.1)
+
+
+def way(start_m: float, end_m: float) -> FloatArray:
+    """Poses every 0.1 m along the middle of the rooms."""
+    x = np.arange(start_m, end_m, 0.1)
+    return np.column_stack([x, np.full_like(x, 2.2), np.zeros_like(x)])
+
+
+def updated(whole: GridMap, loose: tuple[int, ...] = ()) -> tuple[LaidOut, IntArray]:
+    """The map, and the room of each keyframe: the old robot left out the middle room."""
+    first = np.concatenate([way(1.0, 3.5), way(9.5, 11.5)])
+    second = way(1.5, 11.0)
+    rooms = (np.concatenate([first, second])[:, 0] // SIDE_M).astype(np.int64)
+    old = replace(laid_out(first, np.minimum(rooms[: len(first)], 1)), drawn=whole)
+    provisional = np.concatenate([old.labels.submaps, np.zeros(len(second), dtype=np.int64)])
+    joint = laid_out(np.concatenate([first, second]), provisional, loose)
+    left = np.flatnonzero(np.arange(len(rooms)) % 7 != 3)  # some were let go
+    labels = Labels(
+        stamps_ns=left, poses=joint.layout.poses[left], submaps=joint.labels.submaps[left]
+    )
+    drawn = replace(joint, labels=labels, drawn=whole)
+    fewer = Thinned(drawn, left, int((left < len(first)).sum()))
+    return redivided(old, joint, fewer, Config()).laid, rooms[left]
+
+
+def test_a_room_that_was_entered_is_a_submap_whoever_looked_into_it(whole: GridMap) -> None:
+    map_, rooms = updated(whole)
+    assert (map_.labels.submaps != np.array([0, 9, 1])[rooms]).sum() <= 4, "doors, either way"
+    assert map_.next_id == 10
+
+
+def test_where_a_part_lies_by_a_guess_nothing_is_divided_anew(whole: GridMap) -> None:
+    map_, _ = updated(whole, loose=(40,))
+    assert set(map_.labels.submaps.tolist()) == {0, 1}
+    assert map_.next_id == 9
