@@ -14,11 +14,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from specmap_cli.core import json_values
 from specmap_cli.core.geometry import Pose2
-from specmap_cli.core.json_values import Count
-from specmap_cli.core.json_values import Measured
-from specmap_cli.core.json_values import Number
-from specmap_cli.core.json_values import Value
-from specmap_cli.core.json_values import runs_of
+from specmap_cli.core.json_values import Count, Measured, Number, Value, runs_of
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from specmap_cli.core import records
-from specmap_cli.core.arrays import evenly, first_in_cells, neighbours, order_of_appearance, runs
+from specmap_cli.core.arrays import evenly, first_in_cells, neighbours, runs
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Labels, PlanarScan
 from tests.casting import keyframe
@@ -20,17 +20,11 @@ from tests.strategies import planar_scans, pose_arrays, poses, seeds
 
 
 @given(st.lists(st.integers(-1, 4), max_size=30))
-def test_runs_are_those_of_groupby_and_labels_are_numbered_as_they_appear(
-    labels: list[int],
-) -> None:
+def test_runs_are_those_of_groupby(labels: list[int]) -> None:
     found = runs(np.array(labels, dtype=np.int64))
     groups = [(label, len(list(group))) for label, group in itertools.groupby(labels)]
     assert [(labels[start], end - start) for start, end in found] == groups
     assert sum(end - start for start, end in found) == len(labels)
-    order = order_of_appearance(labels)
-    assert list(order.values()) == list(range(len(set(labels))))
-    firsts = [labels.index(label) for label in order]
-    assert firsts == sorted(firsts)
 
 
 @given(st.lists(st.tuples(st.integers(0, 5), st.integers(0, 5)), max_size=12))
