@@ -39,7 +39,7 @@ format: $(VENV)/installed-dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-# Every figure of this tree on one page: some 40 minutes on two processors, nothing beside it. SPECMAP_DATA
+# Every figure of this tree on one page: some 45 minutes on two processors, nothing beside it. SPECMAP_DATA
 # names the folder with the real recordings. `python -m benchmarks.scoreboard --help` has more.
 scoreboard: $(VENV)/installed-dev
 	$(BIN)/python -m benchmarks.scoreboard
