@@ -9,8 +9,6 @@ from typing import Any
 
 import pytest
 
-from specmap_cli.maps.writing import MapResult, write_map
-
 
 def place_in(document: Any, keys: Sequence[str]) -> Any:
     """The part of a JSON document that keys and numbers lead to."""
@@ -29,8 +27,6 @@ def edit(path: Path, **changes: Any) -> None:
 
 
 @pytest.fixture
-def stored(tmp_path: Path, result: MapResult) -> Path:
-    out = tmp_path / "out"
-    out.mkdir()
-    write_map(out, result)
-    return out
+def stored(house: Path) -> Path:
+    """A map directory of this test's own."""
+    return house
