@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray
@@ -21,14 +22,13 @@ from specmap_cli.segmentation.visibility import IndexArray, LabelArray
 
 Pair = tuple[int, int]
 
-RINGS = 3  # cells by which labels creep: the fringe of free cells beside a wall of 0.1 m cells
+_RINGS = 3  # cells by which labels creep: the fringe of free cells beside a wall of 0.1 m cells
 _LEVELS = 126  # heights of the relief that is flooded: the sum of two of them, and one, fit a byte
 _AROUND = np.array([(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1)])
 _TINY = 1e-9  # cells; keeps a grid without free space from dividing by zero
 
 _RATIO_SLACK = 1e-9  # a border of just the ratio asked for joins, whatever the last digit
-_WIDTH_SLACK = 1e-12  # of two borders equal in proportion the first joins
-_NARROWEST = 1e-9  # cells; keeps a cluster without width from dividing by zero
+_NICHE = 0.85  # of the width of a cluster: a border so wide is no narrowing of it
 
 _SAME = 0.5  # intersection over union above which regions are the same: each has one such at most
 _HALF = 0.5  # of the cells of a region: more of them taken by others, and it is not taken itself
@@ -123,11 +123,13 @@ def nearest_labels(free: BoolArray, nodes: IndexArray, labels: LabelArray) -> La
     return result
 
 
-def spread_labels(labels: LabelArray, free: BoolArray, rings: int = RINGS) -> LabelArray:
+def spread_labels(
+    labels: LabelArray, free: BoolArray, rings: int = _RINGS, *, everywhere: bool = True
+) -> LabelArray:
     """Fill what is unlabelled (-1) of every piece of `free` (H, W) that holds a label.
 
     Labels creep `rings` cells through free space, so that none crosses a thin wall; what is left
-    takes the nearest label of all.
+    takes the nearest label of all, if they are to go `everywhere`.
     """
     missing = free & (labels < 0)
     if not missing.any():
@@ -138,7 +140,7 @@ def spread_labels(labels: LabelArray, free: BoolArray, rings: int = RINGS) -> La
         bigger = cv2.dilate(grown, around)
         open_cells = missing & (grown == 0)
         grown[open_cells] = bigger[open_cells]
-    missing &= grown == 0
+    missing &= (grown == 0) & everywhere
     if missing.any():
         piece, held = _pieces(free, grown > 0)
         missing &= held[piece]
@@ -173,43 +175,46 @@ def border_widths(labels: LabelArray, clearance: FloatArray) -> dict[Pair, float
     return {(a, b): w for (a, b), w in zip(pairs.tolist(), widest.tolist(), strict=True)}
 
 
-def join_wide(
-    borders: dict[Pair, float], widths: list[FloatArray], ratio: float, percentile: float
-) -> list[int]:
-    """New label of each cluster after joining pairs, the widest border in proportion first.
+def joined_wide(borders: dict[Pair, float], widths: list[float], ratio: float) -> LabelArray:
+    """(k,) the new label of each cluster, of some `widths` (k,), after joining those it goes on in.
 
-    `widths` holds the local widths of each cluster's nodes. A pair joins while its border is at
-    least `ratio` times the geometric mean of the two clusters' `percentile` widths: a corridor
-    goes on where its width goes on, and ends where it opens into a hall or a room.
+    A border joins two clusters when it is at least `ratio` times as wide as they are, by their
+    geometric mean: a corridor goes on where its width goes on, and ends where it opens into a hall.
+    So does a border nearly as wide as the narrower one of them: a niche has no door.
     """
-    nodes = list(widths)
-    width = [float(np.percentile(some, percentile)) for some in nodes]
-    part_of = np.arange(len(widths))
-    touching: list[dict[int, float]] = [{} for _ in widths]
-    for (one, other), border in borders.items():
-        touching[one][other] = touching[other][one] = border
-    while True:
-        # the pair with the widest border in proportion, the first of equals
-        best, pair = ratio - _RATIO_SLACK, None
-        for one, around in enumerate(touching):
-            for other, border in around.items():
-                mean = (width[one] * width[other]) ** 0.5
-                if one < other and border > best * mean + _WIDTH_SLACK:
-                    best, pair = border / max(mean, _NARROWEST), (one, other)
-        if pair is None:
-            break
-        keep, gone = pair
-        part_of[part_of == gone] = keep
-        nodes[keep] = np.concatenate([nodes[keep], nodes[gone]])
-        width[keep] = float(np.percentile(nodes[keep], percentile))
-        for other, border in touching[gone].items():
-            del touching[other][gone]
-            if other != keep:
-                wider = max(border, touching[keep].get(other, 0.0))
-                touching[keep][other] = touching[other][keep] = wider
-        touching[gone] = {}
-    labels: list[int] = np.unique(part_of, return_inverse=True)[1].tolist()
-    return labels
+    joins = [
+        (one, other)
+        for (one, other), border in borders.items()
+        if border >= ratio * (widths[one] * widths[other]) ** 0.5 - _RATIO_SLACK
+        or border >= _NICHE * min(widths[one], widths[other]) - _RATIO_SLACK
+    ]
+    return components(len(widths), joins)
+
+
+def without_dead_ends(
+    labels: LabelArray, clearance: FloatArray, least: float, smallest: float
+) -> LabelArray:
+    """Regions (h, w) of which none is a dead end of fewer than `smallest` cells.
+
+    A dead end has one neighbour that a robot of the radius `least` gets to, and is a part of it.
+    """
+    size = np.bincount(labels[labels >= 0])
+    around: dict[int, set[int]] = {}
+    for (one, other), border in border_widths(labels, clearance).items():
+        if border >= least:
+            around.setdefault(one, set()).add(other)
+            around.setdefault(other, set()).add(one)
+    ends = [(one, *near) for one, near in around.items() if len(near) == 1]
+    joins = [(one, other) for one, other in ends if size[one] < smallest]
+    names = components(len(size), joins)
+    return np.where(labels < 0, np.int32(-1), names[labels])
+
+
+def components(count: int, pairs: Sequence[Pair]) -> LabelArray:
+    """(count,) numbers 0, 1, ... that are the same for what the pairs join."""
+    ends = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
+    graph = csr_array((np.ones(ends.shape[1]), (ends[0], ends[1])), (count, count))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int32)
 
 
 def consensus(divisions: Sequence[LabelArray]) -> LabelArray:
