@@ -35,8 +35,7 @@ from specmap_cli.core.yaml import read_yaml
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, CellArray, GridMap
 
 # What map_server and Nav2 read the greys 0, 254 and 205 back with as they are; a free threshold
-# above 0.196 makes the unknown 205 free. Nav2 wrote 0.25 beside it until 2025, and so does
-# slam_toolbox, which saves by Nav2.
+# above 0.196 makes the unknown 205 free. Until 2025 Nav2 wrote 0.25, also for slam_toolbox.
 OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196
 _UNKNOWN_GREY, _FREE_GREYS = 205, (254, 255)  # 255 is what people paint over a map
 _SAVED_SHARE = 0.99  # of a saved map has its greys: the rest is what a brush left at its edges
