@@ -83,10 +83,9 @@ def render_segmentation(topology: TopologicalMap, regions: Regions, log: LogInfo
     sheet = Sheet(low, high, symbols.legend_of(shown))
     sheet.ground(regions, fills)
     _draw_graph(sheet, topology, _nodes(topology, regions), fills)
-    area = np.count_nonzero(regions.grid.free) * regions.grid.resolution**2
     width, height = high - low
     size = f"{width:.1f} x {height:.1f} m"
-    sheet.title(_headline([log], topology), f"{area:,.0f} m2 free,  {size}")
+    sheet.title(_headline([log], topology), f"{regions.area_m2:,.0f} m2 in submaps,  {size}")
     return sheet.canvas.image
 
 

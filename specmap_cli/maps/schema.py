@@ -155,6 +155,11 @@ class TopologyRecord(Record):
     nodes: tuple[NodeRecord, ...] = Field(description="the submaps, by id")
     edges: tuple[Edge, ...] = Field(description="the links, by source and target")
 
+    @property
+    def area_m2(self) -> float:
+        """Area of the map: that of its submaps."""
+        return sum(node.area_m2 for node in self.nodes)
+
     @classmethod
     def of(
         cls,

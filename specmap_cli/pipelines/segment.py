@@ -12,6 +12,7 @@ from specmap_cli.core.arguments import instance_of, path_of
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import IDENTITY
 from specmap_cli.core.process import one_blas_thread
+from specmap_cli.core.progress import Progress
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted, legible
 from specmap_cli.drawing.overview import render_segmentation
@@ -65,18 +66,20 @@ def segment_map(
     resolution: float | None = None,
     overwrite: bool = False,
     explain: Path | str | None = None,
+    progress: Progress | None = None,
 ) -> SegmentReport:
     """Divide the grid in a map file into submaps and write them to the directory `out`.
 
     `resolution` (metres a pixel) is needed for a bare picture. `explain` is a PNG to write of what
-    was looked at: nodes, sight lines, eigenvalues. Raises MapError for a file that is
-    no map, NoResultError when it has no room for a node, UsageError for an output in the way.
+    was looked at: nodes, sight lines, eigenvalues. `progress` has a note of what in the file
+    is read otherwise than its thresholds say. Raises MapError for a file that is no map,
+    NoResultError when it has no room for a node, UsageError for an output in the way.
     """
     path, target = path_of(grid, "grid"), path_of(out, "out")
     config = instance_of(Config() if config is None else config, Config, "config")
     picture = None if explain is None else path_of(explain, "explain")
     refuse_inside(picture, target)
-    whole = read_grid(path, resolution, config.limits)
+    whole = read_grid(path, resolution, config.limits, progress)
     if whole.resolution > _COARSEST_M:
         height, width = (side * whole.resolution for side in whole.cells.shape)
         raise UsageError(
@@ -98,6 +101,4 @@ def segment_map(
         if picture is not None:
             least = config.segmentation.eigenvalue_min
             write_png(picture, draw_segmentation(whole, found, least))
-    counts = np.bincount(found.labels[found.labels >= 0]).tolist()
-    area_m2 = sum(cells * whole.resolution**2 for cells in counts)
-    return SegmentReport(out=target, topology=topology, area_m2=area_m2)
+    return SegmentReport(out=target, topology=topology, area_m2=regions.area_m2)

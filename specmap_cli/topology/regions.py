@@ -38,10 +38,10 @@ _ROBOT_RADIUS_M, _REACH_M = 0.15, 0.3
 
 @dataclass(frozen=True, slots=True)
 class Regions:
-    """The map divided: `owner` (H, W) is the submap id of each free cell of `grid`, or NOBODY.
+    """The map divided: `owner` (H, W) is the submap id of each cell of `grid`, or NOBODY.
 
-    `outlines` are the shapes of the regions in the map frame, by id; a submap that owns no cell has
-    none.
+    A cell of a submap is free, or furniture in it where a finished map was divided. `outlines` are
+    the shapes of the regions in the map frame, by id; a submap that owns no cell has none.
     """
 
     grid: GridMap
@@ -61,6 +61,11 @@ class Regions:
     def outline(self, submap: int) -> Outline:
         """The outline of one region, that of nothing for a submap without a cell."""
         return self.outlines.get(submap, NOTHING)
+
+    @property
+    def area_m2(self) -> float:
+        """Area of all submaps: their free cells."""
+        return sum(outline.area_m2 for outline in self.outlines.values())
 
     def owners(self, points: FloatArray) -> IntArray:
         """(n,) the submap in whose region each point (n, 2 or more) lies, NOBODY outside of all.

@@ -25,8 +25,9 @@ _KEPT_AREA = 0.8  # share of its area that a simplified contour must keep
 class Outline:
     """A region's shape in metres: `polygon` (N, 2) counter-clockwise and `centroid` (2,).
 
-    Both are those of the largest connected part; `area_m2` is that of all cells. A region without a
-    cell has no points, None and zero.
+    Both are those of the largest connected part. `area_m2` is that of all free cells: what is told
+    anywhere as the area of a submap, or summed as that of a map. Furniture that counts as a part of
+    a region is none of it. A region without a cell has no points, None and zero.
     """
 
     polygon: FloatArray
@@ -60,7 +61,7 @@ def outline_of(region: BoolArray, grid: GridMap) -> Outline:
     return Outline(
         _contour(part) * grid.resolution + grid.origin,
         grid.centres_of(cell[None])[0],
-        float(np.count_nonzero(region)) * grid.resolution**2,
+        float(np.count_nonzero(region & grid.free)) * grid.resolution**2,
     )
 
 

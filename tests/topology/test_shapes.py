@@ -208,6 +208,17 @@ def test_where_the_robot_stood_is_reached_even_when_marked_occupied() -> None:
     assert regions.outline(0).area_m2 == 9 * 20 - 1
 
 
+def test_the_area_of_a_submap_is_that_of_its_free_cells_and_furniture_is_none() -> None:
+    cells = np.full((10, 20), FREE, dtype=np.uint8)
+    cells[4:6, 4:7], cells[0, 19] = OCCUPIED, UNKNOWN
+    owner = np.zeros(cells.shape, dtype=np.int64)
+    owner[:, 10:], owner[9, :] = 1, NOBODY
+    regions = Regions.of(GridMap(cells, 0.5), owner)
+    assert regions.outline(0).area_m2 == pytest.approx((9 * 10 - 6) * 0.25)
+    assert regions.outline(1).area_m2 == pytest.approx((9 * 10 - 1) * 0.25)
+    assert regions.area_m2 == pytest.approx((2 * 9 * 10 - 7) * 0.25)
+
+
 def test_no_keyframes_keyframes_off_the_grid_and_regions_without_a_cell() -> None:
     grid = GridMap(np.full((2, 2), FREE, dtype=np.uint8), 1.0)
     for labels in (labels_at({0: (100.0, 0.0)}), labels_at({NO_SUBMAP: (1.0, 1.0)})):
