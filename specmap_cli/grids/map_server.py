@@ -114,13 +114,15 @@ def read_grid(
     The modes, thresholds and `negate` of map_server count, so that maps of other tools read right;
     cells that are transparent are unknown. So is the grey 205 of a map that a map_saver wrote, also
     where the threshold beside it makes it free: `progress` has a note then. Of a bare picture,
-    white is free and dark is occupied, and its lower left corner is at (0, 0). Given with a YAML
+    white is free, what is dark or borders on white is occupied, and its lower left corner is at
+    (0, 0). Given with a YAML
     file, `resolution` overrides the file's. `limits` bound the size of the picture. Raises MapError
     naming the file and the key at fault.
     """
     path = Path(path)
+    bare = path.suffix.lower() not in (".yaml", ".yml")
     scale = {} if resolution is None else {"resolution": resolution}
-    if path.suffix.lower() in (".yaml", ".yml"):
+    if not bare:
         try:
             found = read_yaml(read_bytes(path, _LARGEST_YAML_MB))
         except ValueError as error:
@@ -151,7 +153,19 @@ def read_grid(
             )
         about = about.model_copy(update={"free_thresh": FREE_THRESHOLD})
     cells = about.cells(picture)
+    if bare:
+        cells = _with_outlines(cells, picture)
     return GridMap(cells, about.resolution, (about.origin[0], about.origin[1]))
+
+
+def _with_outlines(cells: CellArray, picture: NDArray[Any]) -> CellArray:
+    """The cells (H, W) of a drawing of which white ends at walls, however light they are drawn.
+
+    The grey that map_saver writes for unknown stays what it is.
+    """
+    beside = cv2.dilate((cells == FREE).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    drawn = beside & (cells == UNKNOWN) & (picture[..., 0] != _UNKNOWN_GREY)
+    return np.where(drawn, np.uint8(OCCUPIED), cells)
 
 
 def _complaint(error: ValidationError, entries: dict[str, Any]) -> tuple[str, ...]:
