@@ -122,10 +122,11 @@ class NodeRecord(Record):
     def of(cls, submap: Submap, shape: Outline) -> Self:
         """A submap of a map in which it owns the region of that shape."""
         x, y, theta = transform(submap.map_from_submap)
+        polygon = [point(corner) for corner in shape.polygon]
         return cls(
             id=submap.id,
             name=submap.name or default_name(submap.id),
-            kind=submap.kind or kind_of(shape.polygon),
+            kind=submap.kind or kind_of(np.array(polygon)),  # as it is read again
             properties=dict(submap.properties),
             x=x,
             y=y,
@@ -133,7 +134,7 @@ class NodeRecord(Record):
             centroid=None if shape.centroid is None else point(shape.centroid),
             anchor=None if submap.anchor is None else point(submap.anchor),
             anchor_clearance_m=submap.anchor_clearance_m,
-            polygon=[point(corner) for corner in shape.polygon],
+            polygon=polygon,
             area_m2=shape.area_m2,
             scans=len(submap.keyframes),
             visits=submap.visits,
