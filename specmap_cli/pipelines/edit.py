@@ -181,12 +181,10 @@ def _made_anew(
         laid = with_grid(session, replace(laid, edits=found.edits))
         prior = Prior.of(session, kept)
         finished = finish(session, laid, prior, quality_of_stored(stored))
-        topology = finished.topology
-        made = {"submaps": len(topology.submaps), "edges": len(topology.edges)}
-        run = {**stored.run, "versions": versions(), "counts": {**stored.counts, **made}}
+        run = {**stored.run, "versions": versions(), "counts": finished.counts}
         write_finished(session, directory, finished, lambda: run)
     _carry_over(stored.path, directory, filenames.OF_A_MAP - _OF_THE_LAYOUT)
-    return topology, finished.unapplied
+    return finished.topology, finished.unapplied
 
 
 def _record_with(record: TopologyRecord, topology: TopologicalMap) -> TopologyRecord:

@@ -171,6 +171,9 @@ class TestBorders:
         assert (min(new, corridor), max(new, corridor)) in divided.topology.edges
         # or its features would be taken for those of the version before
         assert divided.run["versions"] == before.run["versions"]
+        is_now = {"submaps": len(divided.ids), "edges": len(divided.topology.edges)}
+        is_now["doors"] = len(divided.topology.doors)
+        assert divided.run["counts"] == before.run["counts"] | is_now, "also the metres driven"
 
         report = edit(divided, {"merge": [corridor, room]}, out=tmp_path / "merged")
         merged = read_map(report.out)
@@ -183,7 +186,6 @@ class TestBorders:
         assert json.loads(merged.classifiers)["schema_version"] >= 1
         for name in ("keyframes.mcap", "trajectory.tum", "trajectory.g2o"):
             assert bytes_of(merged.path, name) == bytes_of(built.map, name)
-        assert merged.run["counts"]["submaps"] == len(merged.ids)
 
         report = edit(merged, undo=(1, 2), out=tmp_path / "undone")
         undone = read_map(report.out)
