@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -125,7 +126,7 @@ class RunRecord(Value):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MapReport:
+class MapReport(ABC):
     """A map that was made: its directory, its run.json, and what is thought of it.
 
     `unapplied` tells which of a person's edits do not apply.
@@ -162,9 +163,9 @@ class MapReport:
         """What only this command tells, for a machine."""
         return {}
 
+    @abstractmethod
     def made(self) -> list[str]:
         """What it made, a line each."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
