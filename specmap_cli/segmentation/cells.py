@@ -28,7 +28,6 @@ _AROUND = np.array([(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1)
 _TINY = 1e-9  # cells; keeps a grid without free space from dividing by zero
 
 _RATIO_SLACK = 1e-9  # a border of just the ratio asked for joins, whatever the last digit
-_NICHE = 0.85  # of the width of a cluster: a border so wide is no narrowing of it
 
 _SAME = 0.5  # intersection over union above which regions are the same: each has one such at most
 _HALF = 0.5  # of the cells of a region: more of them taken by others, and it is not taken itself
@@ -180,13 +179,11 @@ def joined_wide(borders: dict[Pair, float], widths: list[float], ratio: float) -
 
     A border joins two clusters when it is at least `ratio` times as wide as they are, by their
     geometric mean: a corridor goes on where its width goes on, and ends where it opens into a hall.
-    So does a border nearly as wide as the narrower one of them: a niche has no door.
     """
     joins = [
         (one, other)
         for (one, other), border in borders.items()
         if border >= ratio * (widths[one] * widths[other]) ** 0.5 - _RATIO_SLACK
-        or border >= _NICHE * min(widths[one], widths[other]) - _RATIO_SLACK
     ]
     return components(len(widths), joins)
 
