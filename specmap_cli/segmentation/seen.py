@@ -33,13 +33,14 @@ def entered(labels: LabelArray, grid: GridMap, least: float) -> LabelArray:
     away = cv2.distanceTransform((~roomy).astype(np.uint8), cv2.DIST_L2, 5) * grid.resolution
     found = np.where(joined(free & (away <= _REACH_M), roomy), labels, np.int32(-1))
     found[np.isin(found, np.flatnonzero(_open_to_the_unknown(found, grid)))] = -1
-    size = np.bincount(found[found >= 0], minlength=1)
+    count = int(labels.max(initial=0)) + 1
+    size = np.bincount(found[found >= 0], minlength=count)
     borders = border_widths(found, clearance)
-    part = components(len(size), [pair for pair, border in borders.items() if border >= least])
+    part = components(count, [pair for pair, border in borders.items() if border >= least])
     home = part == np.bincount(part, weights=size).argmax()
-    touches = np.zeros(len(size), dtype=np.bool_)
-    touches[list(np.array(list(borders), dtype=np.intp).reshape(-1))] = True
-    return np.where((found < 0) | (touches & ~home)[found], np.int32(-1), found)
+    glimpsed = [pair for pair in border_widths(labels, clearance) if not size[list(pair)].all()]
+    apart = np.isin(np.arange(count), [*borders, *glimpsed]) & ~home
+    return np.where((found < 0) | apart[found], np.int32(-1), found)
 
 
 def _open_to_the_unknown(labels: LabelArray, grid: GridMap) -> BoolArray:
