@@ -14,7 +14,7 @@ from specmap_cli.segmentation.cells import border_widths, components
 from specmap_cli.segmentation.visibility import LabelArray
 
 _ROBOT_RADIUS_M, _REACH_M = 0.15, 0.5  # of the smallest robot, and how far beside it a room goes
-_WALL = np.ones((5, 5), dtype=np.uint8)  # a border so near to an obstacle is a wall
+_BESIDE = np.ones((3, 3), dtype=np.uint8)  # a border beside an obstacle is a wall
 
 
 def entered(labels: LabelArray, grid: GridMap, least: float) -> LabelArray:
@@ -45,7 +45,7 @@ def entered(labels: LabelArray, grid: GridMap, least: float) -> LabelArray:
 
 def _open_to_the_unknown(labels: LabelArray, grid: GridMap) -> BoolArray:
     """(k,) which regions (h, w) have more sides of cells on the unknown than on walls."""
-    wall = cv2.dilate((grid.cells == OCCUPIED).astype(np.uint8), _WALL) > 0
+    wall = cv2.dilate((grid.cells == OCCUPIED).astype(np.uint8), _BESIDE) > 0
     unknown = (grid.cells == UNKNOWN) & ~wall
     count = int(labels.max(initial=0)) + 1
     more = np.zeros(count, dtype=np.int64)
