@@ -51,7 +51,7 @@ def test_the_rooms_of_the_flat_are_found_with_the_settings_given(
     ("resolution", "error", "words"),
     [
         (0.6, UsageError, "too coarse to see a door"),
-        (0.004, NoResultError, "no free space wider than"),
+        (0.004, NoResultError, r"wider than 0\.5 m in the map \(.* free\): check the resolution"),
     ],
 )
 def test_what_cannot_be_divided_is_one_line_and_leaves_nothing(
