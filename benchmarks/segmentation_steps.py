@@ -41,7 +41,7 @@ STEPS: tuple[tuple[str, dict[str, Any], dict[tuple[Any, str], float]], ...] = (
     ("wide borders stay", {"merge": False}, {}),
     ("one placement", {"placements": 1}, {}),
     ("alcoves stay", {}, {(division, "_ALCOVE_M2"): 0.0}),
-    ("what was only seen stays", {}, {(division, "entered"): 0.0}),
+    ("what was only seen stays", {"rooms_only": False}, {}),
     ("furniture gets no label", {"fill": False}, {}),
 )
 _TURN_DEGREES = 20.0
@@ -94,8 +94,7 @@ def measured(step: tuple[str, dict[str, Any], dict[tuple[Any, str], Any]]) -> st
     pieces = regions = 0
     with ExitStack() as stack:
         for (module, constant), value in constants.items():
-            without: Any = (lambda labels, *_: labels) if constant == "entered" else value
-            stack.enter_context(patch.object(module, constant, without))
+            stack.enter_context(patch.object(module, constant, value))
         for kind, grid, truth in maps():
             labels = divided(grid, config)
             scores = room_scores(truth, np.where(grid.free, labels, -1))

@@ -20,7 +20,7 @@ from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels
 from specmap_cli.grids.gridmap import (
     BoolArray,
     GridMap,
-    cell_distances,
+    clearance_of,
     contacts,
     joined,
     slices_near,
@@ -110,7 +110,7 @@ def _seen(grid: GridMap, owner: OwnerArray) -> tuple[Seen, ...]:
     for number in 1 + np.flatnonzero(areas[1:] >= LEAST_SEEN_M2):
         left, bottom, width, height, _ = figures[number].tolist()
         window = pieces[bottom : bottom + height, left : left + width]
-        inside = cell_distances(np.pad((window == number).astype(np.uint8), 1))[1:-1, 1:-1]
+        inside = clearance_of(window == number)
         cell = np.array(np.unravel_index(inside.argmax(), inside.shape)) + (bottom, left)
         x, y = grid.centres_of(cell[None])[0].tolist()
         found.append(Seen(area_m2=float(areas[number]), x=x, y=y))
@@ -210,7 +210,7 @@ class Space:
     def of(cls, regions: Regions, *, scanned: bool = False) -> Space:
         """The space of the regions of a map, which a laser `scanned`, or somebody drew."""
         free = regions.grid.free
-        away = cell_distances(np.pad(free.astype(np.uint8), 1))[1:-1, 1:-1]
+        away = clearance_of(free)
         owner = np.where(free, regions.owner, NOBODY)
         return cls(regions.grid, owner, away, 0.5 if scanned else 0.0)
 
