@@ -35,6 +35,7 @@ class SegmentReport:
     out: Path
     topology: TopologicalMap
     area_m2: float
+    seen_m2: float
 
     def as_dict(self) -> dict[str, Any]:
         """Counts and areas."""
@@ -44,15 +45,17 @@ class SegmentReport:
             "edges": len(self.topology.edges),
             "doors": len(self.topology.doors),
             "area_m2": round(self.area_m2, 3),
+            "seen_m2": round(self.seen_m2, 3),
         }
 
     def lines(self) -> list[str]:
         """A summary in two lines."""
         counts = self.as_dict()
+        seen = f", and {self.seen_m2:.0f} m2 only seen" if self.seen_m2 else ""
         return [
             f"{self.out}: {counted(counts['submaps'], 'submap')}, "
             f"{counted(counts['edges'], 'edge')}, {counted(counts['doors'], 'door')}, "
-            f"{counts['area_m2']:.0f} m2",
+            f"{self.area_m2:.0f} m2{seen}",
             f"look at {self.out / 'overview.png'}",
         ]
 
@@ -108,4 +111,6 @@ def segment_map(
         if picture is not None:
             least = config.segmentation.eigenvalue_min
             write_png(picture, draw_segmentation(whole, found, least))
-    return SegmentReport(out=target, topology=topology, area_m2=regions.area_m2)
+    return SegmentReport(
+        out=target, topology=topology, area_m2=regions.area_m2, seen_m2=regions.seen_m2
+    )

@@ -101,8 +101,8 @@ class DrawnMap:
         return path_data(self.rings(self.regions.grid.occupied), closed=True)
 
     @property
-    def unreached(self) -> str:
-        """What was seen and belongs to no submap, as path data."""
+    def seen(self) -> str:
+        """What was only seen and belongs to no submap, as path data."""
         unowned = self.regions.grid.free & (self.regions.owner == NOBODY)
         return path_data(self.rings(unowned), closed=True)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from specmap_cli.grids.gridmap import OCCUPIED, UNKNOWN, BoolArray, GridMap, cell_distances, joined
+from specmap_cli.grids.gridmap import OCCUPIED, UNKNOWN, BoolArray, GridMap, clearance_of, joined
 from specmap_cli.segmentation.cells import border_widths, components
 from specmap_cli.segmentation.visibility import LabelArray
 
@@ -28,7 +28,7 @@ def entered(labels: LabelArray, grid: GridMap, least: float) -> LabelArray:
        all that it hangs together with, what was seen only included.
     """
     free = labels >= 0
-    clearance = cell_distances(np.pad(free.astype(np.uint8), 1))[1:-1, 1:-1]
+    clearance = clearance_of(free)
     roomy = clearance * grid.resolution >= _ROBOT_RADIUS_M
     away = cv2.distanceTransform((~roomy).astype(np.uint8), cv2.DIST_L2, 5) * grid.resolution
     found = np.where(joined(free & (away <= _REACH_M), roomy), labels, np.int32(-1))

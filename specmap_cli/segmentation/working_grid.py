@@ -19,10 +19,8 @@ from specmap_cli.grids.gridmap import (
     FREE,
     OCCUPIED,
     UNKNOWN,
-    BoolArray,
     CellArray,
     GridMap,
-    cell_distances,
     window_of,
 )
 from specmap_cli.segmentation.visibility import LabelArray
@@ -198,36 +196,3 @@ def wall_angle(walls: NDArray[np.intp]) -> float:
             if held > most:
                 best, most = float(degrees), held
     return (best + 45.0) % 90.0 - 45.0
-
-
-@dataclass(frozen=True, slots=True)
-class WorkingGrid:
-    """Free space (h, w) in cells `cell_m` wide, each of `step` x `step` cells of a map.
-
-    `clearance` (h, w) is the distance, in coarse cells, from the centre of a free cell to that of
-    the nearest one that is not.
-    """
-
-    clearance: FloatArray
-    cell_m: float
-    step: int
-
-    @property
-    def free(self) -> BoolArray:
-        """Coarse cells of which every fine cell is free (h, w)."""
-        return np.asarray(self.clearance > 0.0)
-
-
-def working_grid(free: BoolArray, resolution: float, cell_m: float) -> WorkingGrid:
-    """Reduce `free` (H, W) to cells of about `cell_m`: coarse cells are free when wholly free."""
-    step = max(1, round(cell_m / resolution))
-    height, width = (-(-side // step) for side in free.shape)
-    framed = np.zeros((height + 2, width + 2), dtype=np.uint8)
-    if step == 1:
-        framed[1:-1, 1:-1] = free
-    else:
-        padded = np.zeros((height * step, width * step), dtype=bool)
-        padded[: free.shape[0], : free.shape[1]] = free
-        framed[1:-1, 1:-1] = padded.reshape(height, step, width, step).all(axis=(1, 3))
-    pixels = cell_distances(framed)[1:-1, 1:-1]
-    return WorkingGrid(pixels, step * resolution, step)

@@ -11,6 +11,8 @@ import pytest
 from specmap_cli import read_map, segment_map
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import NoResultError, UsageError
+from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap
+from specmap_cli.grids.map_server import write_grid
 
 
 def test_the_rooms_of_the_flat_are_found_with_the_settings_given(
@@ -30,7 +32,9 @@ def test_the_rooms_of_the_flat_are_found_with_the_settings_given(
         assert edge.path is not None
     assert found["doors"] == len(stored.record.graph.doors) == 3
     assert all((node.anchor_clearance_m or 0.0) >= 0.3 for node in stored.record.nodes)
-    assert report.lines()[0].startswith(f"{tmp_path / 'rooms'}: 4 submaps, 3 edges, 3 doors, ")
+    area = f"{found['area_m2']:.0f} m2"
+    assert report.lines()[0] == f"{tmp_path / 'rooms'}: 4 submaps, 3 edges, 3 doors, {area}"
+    assert found["seen_m2"] == 0.0
     labels = cv2.imread(str(tmp_path / "rooms" / "labels.png"), cv2.IMREAD_UNCHANGED)
     grid = cv2.imread(str(plan.with_suffix(".png")), cv2.IMREAD_UNCHANGED)
     assert labels is not None
@@ -45,6 +49,27 @@ def test_the_rooms_of_the_flat_are_found_with_the_settings_given(
     assert (labels[grid == 0] == 0).mean() > 0.9  # walls belong to nobody; the desk to its room
     config = load_config(overrides={"segmentation": {"eigenvalue_min": 0.999, "halve": False}})
     assert segment_map(plan, tmp_path / "whole", config).as_dict()["submaps"] == 1
+
+
+def test_a_fan_of_rays_through_a_window_is_no_room_and_is_told(
+    flat: GridMap, tmp_path: Path
+) -> None:
+    cells = np.pad(flat.cells, ((0, 0), (0, 80)), constant_values=UNKNOWN)
+    cells[69:73, 176:180] = FREE  # the window
+    for column in range(180, 250):
+        reach = 2 + (column - 180) // 3
+        cells[71 - reach : 71 + reach, column] = FREE
+    write_grid(tmp_path / "plan", GridMap(cells, 0.05))
+    report = segment_map(tmp_path / "plan.yaml", tmp_path / "rooms")
+    stored = read_map(tmp_path / "rooms")
+    assert len(stored.ids) == 4
+    (piece,) = stored.record.graph.seen
+    fan_m2 = np.count_nonzero(cells[:, 180:] == FREE) * 0.05**2
+    assert piece.area_m2 == pytest.approx(fan_m2, abs=0.3)
+    assert report.as_dict()["seen_m2"] == pytest.approx(piece.area_m2)
+    assert report.lines()[0].endswith(f" m2, and {piece.area_m2:.0f} m2 only seen")
+    assert 180 * 0.05 < piece.x < 250 * 0.05
+    assert piece.y == pytest.approx(71 * 0.05, abs=0.5)
 
 
 @pytest.mark.parametrize(
