@@ -76,7 +76,7 @@ def test_a_fan_of_rays_through_a_window_is_no_room_and_is_told(
     ("resolution", "error", "words"),
     [
         (0.6, UsageError, "too coarse to see a door"),
-        (0.004, NoResultError, "no free space wider than"),
+        (0.004, NoResultError, r"wider than 0\.5 m in the map \(.* free\): check the resolution"),
     ],
 )
 def test_what_cannot_be_divided_is_one_line_and_leaves_nothing(
