@@ -127,7 +127,8 @@ def upright_map(fine: GridMap, cell_m: float, node_step_m: float) -> UprightMap:
         (turns for turns in range(4) if ways[turns] == min(ways)),
         key=lambda turns: (np.rot90(framed, turns).shape, np.rot90(framed, turns).tobytes()),
     )
-    middle = frame + np.argwhere(np.rot90(mass, turns)).mean(axis=0).astype(int)
+    counts_along = (np.rot90(mass, turns).sum(axis=axis) for axis in (1, 0))
+    middle = frame + np.array([n @ np.arange(len(n)) // n.sum() for n in counts_along])
     low = (-middle % (step * block)).tolist()
     # what is solid up to the frame goes on beyond it, and is no furniture
     cells = np.pad(np.rot90(framed, turns), ((low[0], 0), (low[1], 0)), constant_values=OCCUPIED)

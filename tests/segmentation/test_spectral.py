@@ -40,6 +40,16 @@ def test_a_convex_room_of_any_size_stays_one(size: tuple[float, float]) -> None:
     assert segment(grid, DEFAULT).count == 1
 
 
+@pytest.mark.parametrize(("side", "count"), [(1.3, 1), (1.5, 2)])
+def test_an_alcove_is_a_part_of_its_room_and_a_closet_of_more_than_2_m2_is_not(
+    side: float, count: int
+) -> None:
+    rooms = (0.3, 0.3, 5.3, 4.3), (5.5, 0.3, 5.5 + side, 0.3 + side)
+    grid = plan(8.0, 4.6, *rooms, (5.3, 0.4, 5.5, 1.2))
+    assert segment(grid, DEFAULT).count == count
+    assert segment(grid, DEFAULT.model_copy(update={"merge": False})).count == 2
+
+
 def test_a_round_hall_stays_one() -> None:
     cells = np.full((420, 420), OCCUPIED, dtype=np.uint8)
     cv2.circle(cells, (210, 210), 200, FREE, cv2.FILLED)
@@ -302,25 +312,36 @@ def test_the_angle_of_walls_is_that_at_which_they_were_drawn(degrees: float) -> 
 def test_what_a_laser_only_saw_is_in_no_room() -> None:
     """Through a window, between two boards, and through a slit that no robot passes."""
     rooms = ((0.5, 4, 13.5, 5.6), (0.5, 0.5, 5, 3.8), (5.2, 0.5, 9.2, 3.8), (9.4, 0.5, 13.5, 3.8))
+    beyond = (0.4, 6.3, 2.3, 8.5)  # a room that one sees through the window alone
     cells = np.full((210, 290), UNKNOWN, dtype=np.uint8)
     corners = np.array([[4, 5.8], [5, 5.8], [8, 9.5], [1, 9.5]])
     cv2.fillPoly(cells, [(20 * corners).astype(np.int32)], color=(FREE,))
-    walls = [(OCCUPIED, (x - 0.2, y - 0.2, x1 + 0.2, y1 + 0.2)) for x, y, x1, y1 in rooms]
-    open_ = [*rooms, (2, 3.8, 2.9, 4), (6, 3.8, 6.9, 4), (4, 5.6, 5, 5.8), (11, 3.8, 11.3, 4)]
+    walls = [
+        (OCCUPIED, (x - 0.2, y - 0.2, x1 + 0.2, y1 + 0.2)) for x, y, x1, y1 in (*rooms, beyond)
+    ]
+    open_ = [
+        *rooms,
+        beyond,
+        (2.3, 7, 3.3, 7.9),
+        (2, 3.8, 2.9, 4),
+        (6, 3.8, 6.9, 4),
+        (4, 5.6, 5, 5.8),
+        (11, 3.8, 11.3, 4),
+    ]
     rays = [(x, 5.6, x + 0.05, 9) for x in (10, 10.2, 10.4)]
     half = (7.4, 0.3, 9.2, 3.8)  # of a room
     for value, (x, y, x1, y1) in (*walls, *((FREE, one) for one in open_ + rays), (UNKNOWN, half)):
         cells[round(20 * y) : round(20 * y1), round(20 * x) : round(20 * x1)] = value
     grid = GridMap(cells, 0.05)
     every, found = segment(grid, DEFAULT), segment(grid, DEFAULT, rooms=True)
-    assert (every.count, found.count) == (5, 3)
+    assert (every.count, found.count) == (6, 3)
     assert (every.labels[grid.free] >= 0).all()
-    corridor, first, second, behind, fan, ray = (
+    corridor, first, second, behind, fan, far, ray = (
         found.labels[20 * y + 10, 20 * x + 2]
-        for x, y in ((7, 4), (3, 2), (6, 2), (11, 2), (5, 8), (10, 7))
+        for x, y in ((7, 4), (3, 2), (6, 2), (11, 2), (5, 8), (1, 7), (10, 7))
     )
     assert len({corridor, first, second, -1}) == 4
-    assert (behind, fan, ray) == (-1, -1, -1)
+    assert (behind, fan, far, ray) == (-1, -1, -1, -1)
     assert set(np.unique(found.node_labels)) == {-1, corridor, first, second}
     for label, area_m2 in ((corridor, 13 * 1.6), (first, 4.5 * 3.3), (second, 2.2 * 3.3)):
         assert np.count_nonzero(found.labels == label) * 0.05**2 == pytest.approx(area_m2, abs=0.7)
