@@ -99,13 +99,14 @@ def write_segmentation(
     log: LogInfo,
     overview: PictureArray,
 ) -> None:
-    """Write a finished map cut into submaps: topology.json, their grids, labels.png, overview.png.
+    """Write a finished map cut into submaps: topology.json, all grids and the two pictures.
 
     labels.png has the size and the orientation of the input, 16 bit: 0 is unlabelled, otherwise
     submap id + 1.
     """
     directory = Path(directory)
     _write_topology(directory, topology, TopologyRecord.of(topology, regions, (log,)))
+    write_grid(directory / filenames.MAP_GRID, regions.grid)
     labels = (regions.owner + 1).astype(np.uint16)
     write_png(directory / filenames.LABELS_IMAGE, labels[::-1])
     write_png(directory / filenames.OVERVIEW, overview)

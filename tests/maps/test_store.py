@@ -97,7 +97,7 @@ def test_labels_png_holds_any_division(seed: int, height: int, width: int) -> No
         assert written is not None
         assert written.dtype == np.uint16
         np.testing.assert_array_equal(written[::-1].astype(np.int64) - 1, owner)
-        files = ["labels.png", "overview.png", "submaps", "topology.json"]
+        files = ["labels.png", "map.png", "map.yaml", "overview.png", "submaps", "topology.json"]
         assert sorted(os.listdir(folder)) == files
 
 
