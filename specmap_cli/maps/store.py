@@ -110,7 +110,7 @@ class StoredMap:
 
     @cached_property
     def regions(self) -> Regions:
-        """The whole map divided among the submaps, as in overview.png."""
+        """The free cells of the map divided among the submaps, as in overview.png."""
         of_grid = self.path / filenames.LABELS_IMAGE
         if not of_grid.exists():
             borders = self.record.graph.edits.borders
@@ -122,7 +122,7 @@ class StoredMap:
         if owner.shape != self.map_grid.cells.shape or not known:
             what = f"not the labels of {filenames.TOPOLOGY}"
             raise MapError(what, "make the map again", where=of_grid)
-        return Regions.of(self.map_grid, owner)
+        return Regions.of(self.map_grid, np.where(self.map_grid.free, owner, NOBODY))
 
     @cached_property
     def labels(self) -> Labels:
