@@ -98,7 +98,7 @@ def segment_map(
         full.cells_of(whole.centres_of(np.zeros((1, 2))))[0],
         whole.cells.shape,
     )
-    owner = np.full(full.cells.shape, NOBODY, dtype=np.int64)
+    owner = np.full(full.cells.shape, NOBODY, dtype=np.int32)
     owner[row : row + height, column : column + width] = regions.owner
     with OutputDirectory(target, overwrite) as partial:
         grids = {k: region_grid(whole, found.labels == k) for k in range(found.count)}
@@ -107,7 +107,7 @@ def segment_map(
         topology = with_ways(plain, regions, config.ways, kind="doorway")
         info = LogInfo(name=legible(path.name))
         overview = render_segmentation(topology, regions, info)
-        write_segmentation(partial, topology, regions, info, overview, owner)
+        write_segmentation(partial, topology, regions, info, overview, full, owner)
         if picture is not None:
             least = config.segmentation.eigenvalue_min
             write_png(picture, draw_segmentation(whole, found, least))
