@@ -110,14 +110,8 @@ def test_the_paper_preset_uses_only_the_paper() -> None:
     np.testing.assert_array_equal(found.labels[cells[:, 0], cells[:, 1]][clear], expected[clear])
 
 
-def test_unknown_cells_are_as_closed_as_walls() -> None:
-    unknown = GridMap(np.where(OFFICE.free, FREE, UNKNOWN).astype(np.uint8), OFFICE.resolution)
-    np.testing.assert_array_equal(segment(unknown, DEFAULT).labels, segment(OFFICE, DEFAULT).labels)
-
-
-@pytest.mark.parametrize("turn", [0, 1, 2, 3])
-def test_nodes_keep_clear_of_walls_see_each_other_and_lie_in_their_region(turn: int) -> None:
-    turned = GridMap(np.ascontiguousarray(np.rot90(OFFICE.cells, turn)), OFFICE.resolution)
+def test_nodes_keep_clear_of_walls_see_each_other_and_lie_in_their_region() -> None:
+    turned = GridMap(np.ascontiguousarray(np.rot90(OFFICE.cells)), OFFICE.resolution)
     found = segment(turned, DEFAULT)
     clearance = turned.clearance()
     cells = turned.cells_of(found.nodes)
@@ -340,4 +334,5 @@ def test_rooms_of_a_drawing_stay_without_a_door_and_without_a_wall() -> None:
     )
     assert segment_floorplan(flats, DEFAULT).count == 5
     bare = GridMap(np.where(OFFICE.free, FREE, UNKNOWN).astype(np.uint8), 0.05)
-    assert segment_floorplan(bare, DEFAULT).count == 7
+    found = segment(bare, DEFAULT, rooms=True)
+    np.testing.assert_array_equal(found.labels, segment(OFFICE, DEFAULT).labels)
