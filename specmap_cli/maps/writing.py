@@ -25,7 +25,7 @@ from specmap_cli.maps import filenames
 from specmap_cli.maps.features_file import Arrays, write_features
 from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.text_files import labels_text, trajectory_text
-from specmap_cli.topology.regions import OwnerArray, Regions
+from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import LogInfo, TopologicalMap
 
 PictureArray = NDArray[np.uint8]
@@ -100,17 +100,18 @@ def write_segmentation(
     log: LogInfo,
     overview: PictureArray,
     full: GridMap,
-    owner: OwnerArray,
 ) -> None:
     """Write a finished map cut into submaps: topology.json, all grids and the two pictures.
 
     `regions` are those of the part that is known of the `full` input. labels.png has the input's
-    size and orientation, as `owner` (H, W), 16 bit: 0 is unlabelled, otherwise submap id + 1.
+    size and orientation, 16 bit: 0 is unlabelled, otherwise submap id + 1.
     """
     directory = Path(directory)
     _write_topology(directory, topology, TopologyRecord.of(topology, regions, (log,)))
     write_grid(directory / filenames.MAP_GRID, full)
-    labels = (owner + 1).astype(np.uint16)
+    labels, (height, width) = np.zeros(full.cells.shape, dtype=np.uint16), regions.owner.shape
+    row, column = full.cells_of(regions.grid.centres_of(np.zeros((1, 2))))[0].tolist()
+    labels[row : row + height, column : column + width] = regions.owner + 1
     write_png(directory / filenames.LABELS_IMAGE, labels[::-1])
     write_png(directory / filenames.OVERVIEW, overview)
 
