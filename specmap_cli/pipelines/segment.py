@@ -22,7 +22,7 @@ from specmap_cli.maps.directory import OutputDirectory, refuse_inside
 from specmap_cli.maps.writing import write_segmentation
 from specmap_cli.segmentation.division import region_grid, segment_floorplan
 from specmap_cli.topology.navigation import with_ways
-from specmap_cli.topology.regions import NOBODY, Regions
+from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import LogInfo, Submap, TopologicalMap
 
 _COARSEST_M = 0.5  # a door of 0.8 m is then one cell or two: walls and doors look the same
@@ -94,12 +94,6 @@ def segment_map(
         )
     found = segment_floorplan(whole, config.segmentation)
     regions = Regions.of(whole, np.asarray(found.labels, dtype=np.int64))
-    (row, column), (height, width) = (
-        full.cells_of(whole.centres_of(np.zeros((1, 2))))[0],
-        whole.cells.shape,
-    )
-    owner = np.full(full.cells.shape, NOBODY, dtype=np.int64)
-    owner[row : row + height, column : column + width] = regions.owner
     with OutputDirectory(target, overwrite) as partial:
         grids = {k: region_grid(whole, found.labels == k) for k in range(found.count)}
         submaps = {k: Submap(id=k, map_from_submap=IDENTITY, grid=own) for k, own in grids.items()}
@@ -107,7 +101,7 @@ def segment_map(
         topology = with_ways(plain, regions, config.ways, kind="doorway")
         info = LogInfo(name=legible(path.name))
         overview = render_segmentation(topology, regions, info)
-        write_segmentation(partial, topology, regions, info, overview, owner)
+        write_segmentation(partial, topology, regions, info, overview, full)
         if picture is not None:
             least = config.segmentation.eigenvalue_min
             write_png(picture, draw_segmentation(whole, found, least))

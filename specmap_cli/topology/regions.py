@@ -24,6 +24,7 @@ from specmap_cli.grids.gridmap import (
     contacts,
     joined,
     slices_near,
+    window_of,
 )
 from specmap_cli.topology.shapes import NOTHING, Outline, outline_of
 from specmap_cli.topology.topological_map import Line, Seen
@@ -103,16 +104,21 @@ def _seen(grid: GridMap, owner: OwnerArray) -> tuple[Seen, ...]:
 
     Cells join over their corners, too: the rays of a fan are one piece.
     """
-    nobodys = (grid.free & (owner == NOBODY)).astype(np.uint8)
-    _, pieces, figures, _ = cv2.connectedComponentsWithStats(nobodys, connectivity=8)
+    nobodys = grid.free & (owner == NOBODY)
+    shown = window_of(nobodys)
+    if shown is None:
+        return ()
+    part = nobodys[shown].astype(np.uint8)
+    _, pieces, figures, _ = cv2.connectedComponentsWithStats(part, connectivity=8)
     areas = figures[:, cv2.CC_STAT_AREA] * grid.resolution**2
     found = []
     for number in 1 + np.flatnonzero(areas[1:] >= LEAST_SEEN_M2):
         left, bottom, width, height, _ = figures[number].tolist()
         window = pieces[bottom : bottom + height, left : left + width]
         inside = clearance_of(window == number)
-        cell = np.array(np.unravel_index(inside.argmax(), inside.shape)) + (bottom, left)
-        x, y = grid.centres_of(cell[None])[0].tolist()
+        row, column = np.unravel_index(inside.argmax(), inside.shape)
+        cell = (shown[0].start + bottom + row, shown[1].start + left + column)
+        x, y = grid.centres_of(np.array([cell]))[0].tolist()
         found.append(Seen(area_m2=float(areas[number]), x=x, y=y))
     return tuple(sorted(found, key=lambda piece: -piece.area_m2))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import cv2
@@ -13,6 +14,7 @@ from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import NoResultError, UsageError
 from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap
 from specmap_cli.grids.map_server import write_grid
+from specmap_cli.pipelines.edit import edit_map
 
 
 def test_the_rooms_of_the_flat_are_found_with_the_settings_given(
@@ -70,6 +72,15 @@ def test_a_fan_of_rays_through_a_window_is_no_room_and_is_told(
     assert report.lines()[0].endswith(f" m2, and {piece.area_m2:.0f} m2 only seen")
     assert 180 * 0.05 < piece.x < 250 * 0.05
     assert piece.y == pytest.approx(71 * 0.05, abs=0.5)
+    told = (tmp_path / "rooms" / "topology.json").read_text(encoding="utf-8")
+    untold = {**json.loads(told)["graph"], "seen": []}  # as a map of an earlier version
+    (tmp_path / "rooms" / "topology.json").write_text(
+        json.dumps({**json.loads(told), "graph": untold}), encoding="utf-8"
+    )
+    picture = (tmp_path / "rooms" / "overview.png").read_bytes()
+    edit_map(tmp_path / "rooms")
+    assert (tmp_path / "rooms" / "topology.json").read_text(encoding="utf-8") == told
+    assert (tmp_path / "rooms" / "overview.png").read_bytes() == picture
 
 
 @pytest.mark.parametrize(
