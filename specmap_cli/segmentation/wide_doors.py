@@ -4,8 +4,7 @@ An office that stands open to a corridor for two metres, or a cubicle, sees its 
 for the visibility graph to tell them apart. But a person sees the line of the wall go on across the
 opening. So an opening between walls that lie in one row or column of the grid, along which the
 walls of a finished map lie, is narrowed from both sides to the width of a door: to the graph, and
-to all that follows, it is one. Walls are told without the slits and holes that the noise of a laser
-leaves in them: these would tip where a wall ends.
+to all that follows, it is one. One row does: holes that noise leaves in others are no harm.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ import cv2
 import numpy as np
 
 from specmap_cli.grids.gridmap import BoolArray
-from specmap_cli.segmentation.furniture import without_slits
 
 _DOOR_M = 0.9  # what is left of a wide opening; and the least free space in front of a wall
 _DEEP_M = 0.3  # from this space into a wall
@@ -29,10 +27,10 @@ def with_narrow_doors(
     Openings up to `widest_m` are narrowed.
     """
     opened = free | small
-    even = np.pad(without_slits(opened, resolution), 1)
+    framed = np.pad(opened, 1)
     metres = widest_m, _DOOR_M, _DEEP_M, _JAMB_M
     lengths = [max(1, round(length / resolution)) for length in metres]
-    jambs = _along_rows(even, *lengths) | _along_rows(even.T, *lengths).T
+    jambs = _along_rows(framed, *lengths) | _along_rows(framed.T, *lengths).T
     return opened, opened & ~jambs[1:-1, 1:-1]
 
 

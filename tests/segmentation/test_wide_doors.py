@@ -55,6 +55,26 @@ def test_no_corridor_is_cut_where_partitions_on_both_sides_meet_it() -> None:
     np.testing.assert_array_equal(narrowed(building.free), building.free)
 
 
+@pytest.mark.parametrize(
+    ("left", "right", "is_opening"),
+    [
+        (np.s_[28:32, :40], np.s_[28:32, 80:], True),
+        (np.s_[28:32, :40], np.s_[28:, 80:], True),  # a wall opposite a corner
+        (np.s_[28:32, :40], np.s_[:, 80:], False),  # opposite the middle of another
+        (np.s_[22:38, :40], np.s_[22:38, 80:], False),  # 0.8 m thick
+        (np.s_[28:32, 32:40], np.s_[28:32, 80:88], False),  # pieces of 0.4 m
+    ],
+)
+def test_an_opening_lies_between_a_thin_wall_and_the_end_of_another(
+    left: tuple[slice, slice], right: tuple[slice, slice], is_opening: bool
+) -> None:
+    free = np.ones((60, 120), dtype=bool)
+    free[left] = free[right] = False
+    found = narrowed(free)
+    assert (widths_at(found[:, 40:80], 1.5) == [0.9]) == is_opening
+    assert (found == free).all() != is_opening
+
+
 def test_a_slanted_wall_points_at_nothing() -> None:
     rows, columns = np.mgrid[:160, :160]
     free = np.abs(columns - 0.5 * rows - 20) > 4  # a wall at an angle, ends at both sides
@@ -70,12 +90,10 @@ def test_beside_a_cupboard_at_a_wall_nothing_is_narrowed() -> None:
     np.testing.assert_array_equal(narrowed(free), free)
 
 
-def test_noise_in_a_wall_does_not_tip_what_it_is() -> None:
-    building = plan(12.0, 6.6, CORRIDOR, *OFFICES, *OPENINGS)
-    holes = np.zeros_like(building.free)
-    holes[43:45, ::3] = True  # in the middle of the wall along the corridor
-    noisy = narrowed(building.free | holes)
-    np.testing.assert_array_equal(noisy & building.free, narrowed(building.free))
+def test_holes_in_the_middle_of_a_wall_leave_it_in_line() -> None:
+    free = plan(12.0, 6.6, CORRIDOR, *OFFICES, *OPENINGS).free.copy()
+    free[43:45, ::3] = True  # the wall along the corridor is in rows 42 to 45
+    assert widths_at(narrowed(free), 2.1) == widths_at(narrowed(free), 2.25) == [0.9, 0.9, 0.9]
 
 
 def test_a_door_leaf_behind_the_wall_of_a_corridor_cuts_no_corridor() -> None:
