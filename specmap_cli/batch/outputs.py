@@ -7,6 +7,7 @@ index page and the journal of events.
 from __future__ import annotations
 
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -31,7 +32,7 @@ _FLAT = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "oss", "memory"}
 _BEGUN = "job.begun"  # lies in a folder of a store while it is written
 
 
-class Folder:
+class Folder(ABC):
     """Where the result of one job is kept: a directory here, or a folder of a store."""
 
     def __init__(self, place: str) -> None:
@@ -55,16 +56,16 @@ class Folder:
         """Where a person's decisions about the map lie that are not of the job; None for none."""
         return f"{self.place}/{_EDITS}" if self._found()[2] else None
 
+    @abstractmethod
     def fresh(self, scratch: Path) -> AbstractContextManager[Path]:
         """A directory to write a new result into; it takes its place when the block ends well.
 
         Raises UsageError when something else lies there, PlaceError for a store out of reach.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def _read(self) -> tuple[bytes, Mapping[str, int]] | None:
         """What job.json holds, and the files beside it in bytes; None where there is none."""
-        raise NotImplementedError
 
     def _found(self) -> tuple[JobRecord | None, Mapping[str, int], bool]:
         """The record that lies there, the files beside it in bytes, and whether it was edited.

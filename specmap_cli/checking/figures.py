@@ -31,7 +31,7 @@ MEANINGS = {
     "impassable": "links without a way that the robot can drive",
     "parts": "parts of the map that no link joins",
     "doors": "doors",
-    "area_m2": "square metres of floor in the submaps, without what is free beyond their borders",
+    "area_m2": "square metres of the submaps: their free cells",
     "wall_s": "seconds that the command took to make the map",
     "scans_per_s": "scans read in each of these seconds",
     "memory_mb": "most megabytes that its process held",
@@ -40,7 +40,7 @@ MEANINGS = {
     "golden.gone": "submaps whose floor is gone",
     "golden.unseen": "submaps of the other map that this one did not see",
     "golden.new": "submaps that the other map did not see",
-    "golden.area_share": "free cells of the whole grid, times those of the other map",
+    "golden.area_share": "area of the submaps, times that of those of the other map",
     "golden.closed": "ways that were open and are blocked",
     "golden.opened": "ways that were blocked and are open",
     "golden.off_m": "how far submaps lie off, root mean square, metres",
@@ -85,7 +85,7 @@ def figures_of(stored: StoredMap) -> dict[str, float | None]:
         "impassable": sum(edge.path is None for edge in record.edges),
         "parts": nx.number_connected_components(graph),
         "doors": len(record.graph.doors),
-        "area_m2": sum(node.area_m2 for node in record.nodes),
+        "area_m2": record.area_m2,
         **{
             f"{FINDINGS}{code}": sum(one.code == code for one in grave)
             for code in sorted({one.code for one in grave})

@@ -233,7 +233,14 @@ def segment(
     effective = settings.load()
     check_files([explain], [grid], common, overwrite=overwrite)
     keep_inputs([out], [grid])
-    report = segment_map(
-        grid, out, effective, resolution=resolution, overwrite=overwrite, explain=explain
-    )
+    with common.progress() as progress:
+        report = segment_map(
+            grid,
+            out,
+            effective,
+            resolution=resolution,
+            overwrite=overwrite,
+            explain=explain,
+            progress=progress,
+        )
     common.show(report.as_dict(), report.lines())

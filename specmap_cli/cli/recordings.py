@@ -180,5 +180,6 @@ def simulate(
     truth = out.parent / f"{out.stem}.tum"
     check_files([out, truth], [plan], common, overwrite=overwrite)
     with common.progress() as progress:
-        made = record(read_grid(plan, resolution, limits), options, out, truth, progress)
+        floor = read_grid(plan, resolution, limits, progress)
+        made = record(floor, options, out, truth, progress)
     common.show(made.as_dict(), made.lines())

@@ -222,7 +222,7 @@ class SegmentationConfig(_Section):
         True, description="Whether clusters are joined whose border is as wide as they are."
     )
     merge_ratio: float = Field(
-        0.78, gt=0, description="Width of a border, as a share of the room's, that joins clusters."
+        0.72, gt=0, description="Width of a border, as a share of the room's, that joins clusters."
     )
     placements: int = Field(
         5,

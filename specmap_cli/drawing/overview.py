@@ -20,7 +20,6 @@ from specmap_cli.topology.topological_map import Edge, LogInfo, TopologicalMap, 
 _STRAY_M = 2.0  # a centroid farther from the robot's way lies behind glass, not in the room
 _UNREACHED = 0.005  # share of the free cells that must be nobody's to be worth a word
 _BESIDE_M = 0.3  # of paper on the other side of a way that leads out of the grid
-_ONE_LEAF_M = 1.3  # wider doors are drawn with two
 _ROUNDS = 100  # of moving badges apart; a dense map settles within a dozen
 
 
@@ -83,10 +82,9 @@ def render_segmentation(topology: TopologicalMap, regions: Regions, log: LogInfo
     sheet = Sheet(low, high, symbols.legend_of(shown))
     sheet.ground(regions, fills)
     _draw_graph(sheet, topology, _nodes(topology, regions), fills)
-    area = np.count_nonzero(regions.grid.free) * regions.grid.resolution**2
     width, height = high - low
     size = f"{width:.1f} x {height:.1f} m"
-    sheet.title(_headline([log], topology), f"{area:,.0f} m2 free,  {size}")
+    sheet.title(_headline([log], topology), f"{regions.area_m2:,.0f} m2 in submaps,  {size}")
     return sheet.canvas.image
 
 
@@ -121,9 +119,8 @@ def _draw_graph(
     ids = sorted(nodes)
     centres = spread(sheet.pixels(np.array([nodes[id_] for id_ in ids])), symbols.BADGE_GAP)
     at = dict(zip(ids, centres, strict=True))
-    doors = [(door, sheet.pixels(np.array(door.sides))) for door in topology.doors]
-    for _, sides in doors:
-        symbols.gap(sheet.canvas, sides)
+    for door in topology.doors:  # below the links, which lead through them, and the ids
+        symbols.door(sheet.canvas, sheet.pixels(np.array(door.sides)), door.driven or not driven)
     for pair in sorted(topology.edges):
         edge = topology.edges[pair]
         crossing = [] if edge.crossing is None else [edge.crossing]
@@ -132,13 +129,9 @@ def _draw_graph(
         )
         points = np.array([at[edge.source], *between, at[edge.target]])
         symbols.edge(sheet.canvas, points, drawn_as(topology, edge))
-    forbidden: list[FloatArray] = []  # doors, and links without one
-    for door, sides in doors:
-        wide = door.width_m > _ONE_LEAF_M
-        symbols.door(sheet.canvas, sides, door.driven or not driven, wide)
-        if door.forbidden:
-            forbidden.append(sheet.pixels(np.array([[door.x, door.y]]))[0])
     shut = {door.between for door in topology.doors if door.forbidden}
+    places = np.array([(door.x, door.y) for door in topology.doors if door.forbidden])
+    forbidden = [*sheet.pixels(places.reshape(-1, 2))]  # doors, and links without one
     for pair, edge in sorted(topology.edges.items()):
         if edge.forbidden and pair not in shut and edge.crossing is not None:
             forbidden.append(sheet.pixels(np.array([edge.crossing]))[0])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable, Collection
 from typing import Any, Literal
 
@@ -46,10 +45,9 @@ _LINK, _LINK_HALO = 3, 7  # width of a link, and of the paper under it
 _DASH, _DASH_GAP = 16.0, 10.0  # of a closure
 _DOT, _DOT_GAP = 5, 12.0  # of a guess
 _SEEN_DASH, _SEEN_GAP = 6.0, 7.0  # of a way that was only seen
-_DOOR, _GAP = 5, 9  # width of the leaf of a door, and of the gap that it shuts
-_SWING, _JAMB = 1, 4.0  # width of the way that it swings, and radius of a jamb
-_SHORTEST_DOOR = 14.0  # on a sheet of a large building
-_REACH, _DOOR_REACH = 20, 12  # half the width of a line in the legend, and of a door
+_DOOR, _TICK = 6, 8.0  # width of the bar of a door, and half the length of a tick at its jamb
+_SHORTEST_DOOR = 16.0  # on a sheet of a large building
+_REACH, _DOOR_REACH = 20, 16  # half the width of a line in the legend, and of a door
 
 
 def edge(canvas: Canvas, points: NDArray[Any], kind: LinkKind) -> None:
@@ -71,47 +69,24 @@ def edge(canvas: Canvas, points: NDArray[Any], kind: LinkKind) -> None:
         canvas.line(points, TRAVERSED, _LINK)
 
 
-def door(canvas: Canvas, sides: NDArray[Any], driven: bool, wide: bool = False) -> None:
-    """A door between its jambs (2, 2), as in the plan of a house.
+def door(canvas: Canvas, sides: NDArray[Any], driven: bool) -> None:
+    """A passage as wide as it is: a tick at each of its jambs (2, 2), and a bar between them.
 
-    It stands open if the robot drove through it, with two leaves if it is wide; one that was only
-    seen is shut.
+    The bar is full if the robot drove through, hollow if the passage was only seen.
     """
-    jambs = _jambs(sides)
-    opening = jambs[1] - jambs[0]
-    if driven:
-        _leaf(canvas, jambs[0], opening / 2.0 if wide else opening)
-        if wide:
-            _leaf(canvas, jambs[1], -opening / 2.0)
-    else:
-        canvas.line(jambs, DOOR, _DOOR - 2)
-    for jamb in jambs:
-        canvas.disc(jamb, _JAMB, DOOR, PAPER)
-
-
-def gap(canvas: Canvas, sides: NDArray[Any]) -> None:
-    """The opening in the wall for a door (2, 2): what leads through it is drawn over it."""
-    canvas.line(_jambs(sides), PAPER, _GAP)
-
-
-def _jambs(sides: NDArray[Any]) -> FloatArray:
-    """The ends (2, 2) of a door, far enough apart to be seen."""
     middle, half = sides.mean(axis=0), (sides[1] - sides[0]) / 2.0
-    half *= max(1.0, _SHORTEST_DOOR / 2.0 / max(1.0, float(np.linalg.norm(half))))
-    return np.array([middle - half, middle + half])
-
-
-def _leaf(canvas: Canvas, hinge: FloatArray, shut: FloatArray) -> None:
-    """A leaf that stands open at a right angle to where it would be shut, and the way it swings."""
-    across = np.array([shut[1], -shut[0]])
-    if shut[0] + shut[1] < 0.0:  # two leaves open to one side
-        across = -across
-    turn = np.linspace(0.0, math.pi / 2.0, 16)[:, None]
-    swing = hinge + np.cos(turn) * shut + np.sin(turn) * across
-    canvas.line(swing, PAPER, _SWING + 3)
-    canvas.line(np.array([hinge, hinge + across]), PAPER, _DOOR + 2)
-    canvas.line(swing, DOOR, _SWING)
-    canvas.line(np.array([hinge, hinge + across]), DOOR, _DOOR - 1)
+    length = max(1.0, float(np.linalg.norm(half)))
+    tick = np.array([half[1], -half[0]]) * _TICK / length
+    half *= max(1.0, _SHORTEST_DOOR / 2.0 / length)
+    bar = np.array([middle - half, middle + half])
+    jambs = [np.array([end - tick, end + tick]) for end in bar]
+    for line in (*jambs, bar):
+        canvas.line(line, PAPER, _DOOR + 4)
+    canvas.line(bar, DOOR, _DOOR)
+    if not driven:
+        canvas.line(bar, PAPER, _DOOR - 4)
+    for jamb in jambs:
+        canvas.line(jamb, DOOR, _DOOR - 2)
 
 
 def badge(canvas: Canvas, centre: NDArray[Any], name: str, fill: Colour) -> None:
@@ -177,8 +152,7 @@ def _link(kind: LinkKind) -> Symbol:
 
 
 def _door(driven: bool) -> Symbol:
-    off = (0.0, _DOOR_REACH * driven)
-    return lambda canvas, at: door(canvas, _level(at, _DOOR_REACH) + off, driven)
+    return lambda canvas, at: door(canvas, _level(at, _DOOR_REACH), driven)
 
 
 def _level(centre: FloatArray, reach: float = _REACH) -> FloatArray:

@@ -177,6 +177,14 @@ def cell_distances(picture: CellArray) -> FloatArray:
     return np.asarray(np.sqrt(squares), dtype=np.float64)
 
 
+def joined(cells: BoolArray, seeds: BoolArray) -> BoolArray:
+    """(H, W) the parts of `cells` that hold one of the `seeds`; cells join over their sides."""
+    _, parts = cv2.connectedComponents(cells.astype(np.uint8), connectivity=4)
+    held = np.zeros(int(parts.max(initial=0)) + 1, dtype=np.bool_)
+    held[parts[seeds & cells]] = True
+    return np.asarray(held[parts])
+
+
 def nearest_values(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.float32]]:
     """Each cell's value (H, W), or that of the nearest non-zero cell where it is zero; how far.
 

@@ -29,13 +29,16 @@ from pydantic import (
 
 from specmap_cli.core.errors import TOO_LARGE, MapError
 from specmap_cli.core.files import read_bytes, write_bytes, write_text
+from specmap_cli.core.progress import Progress
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.core.yaml import read_yaml
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, CellArray, GridMap
 
 # What map_server and Nav2 read the greys 0, 254 and 205 back with as they are; a free threshold
-# above 0.196, such as the often seen 0.25, would make the unknown 205 free.
+# above 0.196 makes the unknown 205 free. Until 2025 Nav2 wrote 0.25, also for slam_toolbox.
 OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196
+_UNKNOWN_GREY, _FREE_GREYS = 205, (254, 255)  # 255 is what people paint over a map
+_SAVED_SHARE = 0.99  # of a saved map has its greys: the rest is what a brush left at its edges
 
 # In a bare picture only white (above 250) is free: light greys are edges of lines drawn smoothly,
 # or furniture and hatching in a floor plan. A YAML beside the picture can say otherwise.
@@ -101,19 +104,25 @@ def _number(value: float) -> str:
 
 
 def read_grid(
-    path: str | Path, resolution: float | None = None, limits: LimitsConfig | None = None
+    path: str | Path,
+    resolution: float | None = None,
+    limits: LimitsConfig | None = None,
+    progress: Progress | None = None,
 ) -> GridMap:
     """The grid of a map_server YAML file, or of a picture of `resolution` metres a pixel.
 
     The modes, thresholds and `negate` of map_server count, so that maps of other tools read right;
-    cells that are transparent are unknown. Of a bare picture, white is free and dark is occupied,
-    and its lower left corner is at (0, 0). Given with a YAML file, `resolution` overrides the
-    file's. `limits` bound the size of the picture. Raises MapError naming the file and the key at
-    fault.
+    cells that are transparent are unknown. So is the grey 205 of a map that a map_saver wrote, also
+    where the threshold beside it makes it free: `progress` has a note then. Of a bare picture,
+    white is free, what is dark or borders on white is occupied, and its lower left corner is at
+    (0, 0). Given with a YAML
+    file, `resolution` overrides the file's. `limits` bound the size of the picture. Raises MapError
+    naming the file and the key at fault.
     """
     path = Path(path)
+    bare = path.suffix.lower() not in (".yaml", ".yml")
     scale = {} if resolution is None else {"resolution": resolution}
-    if path.suffix.lower() in (".yaml", ".yml"):
+    if not bare:
         try:
             found = read_yaml(read_bytes(path, _LARGEST_YAML_MB))
         except ValueError as error:
@@ -134,8 +143,29 @@ def read_grid(
         about = _MapYaml.model_validate(entries)
     except ValidationError as error:
         raise MapError(*_complaint(error, entries), where=path) from None
-    cells = about.cells(read_picture(path.parent / about.image, limits))
+    picture = read_picture(path.parent / about.image, limits)
+    if about.frees_unknown(picture):
+        if progress is not None:
+            progress.note(
+                f"{path}: the grey {_UNKNOWN_GREY} is read as unknown, as map_saver writes it, "
+                f"though free_thresh {about.free_thresh:g} would make it free: "
+                "if it is free, write `mode: scale`"
+            )
+        about = about.model_copy(update={"free_thresh": FREE_THRESHOLD})
+    cells = about.cells(picture)
+    if bare:
+        cells = _with_outlines(cells, picture)
     return GridMap(cells, about.resolution, (about.origin[0], about.origin[1]))
+
+
+def _with_outlines(cells: CellArray, picture: NDArray[Any]) -> CellArray:
+    """The cells (H, W) of a drawing of which white ends at walls, however light they are drawn.
+
+    The grey that map_saver writes for unknown stays what it is.
+    """
+    beside = cv2.dilate((cells == FREE).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    drawn = beside & (cells == UNKNOWN) & (picture[..., 0] != _UNKNOWN_GREY)
+    return np.where(drawn, np.uint8(OCCUPIED), cells)
 
 
 def _complaint(error: ValidationError, entries: dict[str, Any]) -> tuple[str, ...]:
@@ -195,26 +225,44 @@ class _MapYaml(BaseModel):
             raise ValueError(f"free_thresh {free:g} is not below occupied_thresh {occupied:g}")
         return self
 
+    def frees_unknown(self, picture: NDArray[Any]) -> bool:
+        """Whether a picture (H, W, C) is a saved map whose grey for unknown would be read as free.
+
+        Such a picture has the greys of map_saver, nearly no others, and one for free among them: of
+        two greys that are both free, none would say anything.
+        """
+        if self.mode != "trinary" or self.negate:
+            return False
+        if self.free_thresh <= (255 - _UNKNOWN_GREY) / 255.0:
+            return False
+        greys, unit = picture[..., 0], 257 if picture.dtype == np.uint16 else 1
+        unknown, occupied, *free = (
+            int(np.count_nonzero(greys == grey * unit)) for grey in (_UNKNOWN_GREY, 0, *_FREE_GREYS)
+        )
+        saved = unknown + occupied + sum(free) >= _SAVED_SHARE * greys.size
+        return saved and unknown > 0 and sum(free) > 0
+
     def cells(self, picture: NDArray[Any]) -> CellArray:
         """(H, W) cells of a picture (H, W, C): the darker the pixel, the surer the obstacle.
 
-        With `negate` it is the lighter; in mode raw values are percent as they stand. Transparent
-        pixels are unknown, and those of more than a hundred percent.
+        With `negate` it is the lighter; in mode raw values are percent as they stand, and what is
+        more than a hundred is unknown. So is what lies between the thresholds in any mode, and what
+        is transparent.
         """
         channels = picture.shape[2]
         plain = channels == 1 and picture.dtype == np.uint8  # the usual one, and large at times
         values = np.arange(256.0)[:, None, None] if plain else picture.astype(np.float64)
         if picture.dtype == np.uint16:
             values /= 257.0
+        transparent = channels in (2, 4)
+        greys = values[..., : channels - transparent].mean(axis=2)
         if self.mode == "raw":
-            percent = values[..., 0]
+            percent = np.rint(greys)
             occupancy = np.where(percent <= 100.0, percent / 100.0, np.nan)
         else:
-            transparent = channels in (2, 4)
-            light = values[..., : channels - transparent].mean(axis=2) / 255.0
-            occupancy = light if self.negate else 1.0 - light
-            if transparent:
-                occupancy[values[..., -1] < 255.0] = np.nan
+            occupancy = (greys if self.negate else 255.0 - greys) / 255.0
+        if transparent:
+            occupancy[values[..., -1] < 255.0] = np.nan
         cells = np.full(occupancy.shape, UNKNOWN, dtype=np.uint8)
         cells[occupancy > self.occupied_thresh] = OCCUPIED
         cells[occupancy < self.free_thresh] = FREE

@@ -31,7 +31,7 @@ class MapFigures(Measured):
     keyframes: Count
     path_m: Amount = Field(description="driven from keyframe to keyframe")
     duration_s: Amount = Field(description="of its recordings, from first keyframe to last")
-    area_m2: Amount = Field(description="free cells of the whole grid, also those of no submap")
+    area_m2: Amount = Field(description="of its submaps: their free cells")
     verdict: str | None = Field(description="what the map thinks of itself")
 
 

@@ -122,10 +122,11 @@ class NodeRecord(Record):
     def of(cls, submap: Submap, shape: Outline) -> Self:
         """A submap of a map in which it owns the region of that shape."""
         x, y, theta = transform(submap.map_from_submap)
+        polygon = [point(corner) for corner in shape.polygon]
         return cls(
             id=submap.id,
             name=submap.name or default_name(submap.id),
-            kind=submap.kind or kind_of(shape.polygon),
+            kind=submap.kind or kind_of(np.array(polygon)),  # as it is read again
             properties=dict(submap.properties),
             x=x,
             y=y,
@@ -133,7 +134,7 @@ class NodeRecord(Record):
             centroid=None if shape.centroid is None else point(shape.centroid),
             anchor=None if submap.anchor is None else point(submap.anchor),
             anchor_clearance_m=submap.anchor_clearance_m,
-            polygon=[point(corner) for corner in shape.polygon],
+            polygon=polygon,
             area_m2=shape.area_m2,
             scans=len(submap.keyframes),
             visits=submap.visits,
@@ -155,6 +156,11 @@ class TopologyRecord(Record):
     nodes: tuple[NodeRecord, ...] = Field(description="the submaps, by id")
     edges: tuple[Edge, ...] = Field(description="the links, by source and target")
 
+    @property
+    def area_m2(self) -> float:
+        """Area of the map: that of its submaps."""
+        return sum(node.area_m2 for node in self.nodes)
+
     @classmethod
     def of(
         cls,
@@ -169,6 +175,10 @@ class TopologyRecord(Record):
         Closures name the submaps that their stays are in by now.
         """
         submap_of = {stay.number: stay.submap for stay in topology.stays}
+        nodes = tuple(
+            NodeRecord.of(submap, regions.outline(id_))
+            for id_, submap in sorted(topology.submaps.items())
+        )
         return cls(
             directed=False,
             multigraph=False,
@@ -192,13 +202,8 @@ class TopologyRecord(Record):
                 edits=EditsRecord(submaps=topology.said, borders=topology.borders),
                 quality=quality,
             ),
-            nodes=tuple(
-                NodeRecord.of(topology.submaps[id_], regions.outline(id_))
-                for id_ in sorted(topology.submaps)
-            ),
-            edges=tuple(
-                _placed(topology.edges[pair], topology, regions) for pair in sorted(topology.edges)
-            ),
+            nodes=nodes,
+            edges=placed(topology, nodes),
         )
 
     def topology(
@@ -241,17 +246,17 @@ class TopologyRecord(Record):
         return to_json(self.model_dump(by_alias=True))
 
 
-def _placed(edge: Edge, topology: TopologicalMap, regions: Regions) -> Edge:
-    """An edge with its crossing, and how far it is over that from centroid to centroid."""
-    crossing = edge.crossing
-    ends = []
-    for id_ in (edge.source, edge.target):
-        centroid = regions.outline(id_).centroid
-        ends.append(topology.submaps[id_].map_from_submap[:2] if centroid is None else centroid)
-    places = [ends[0], *([] if crossing is None else [crossing]), ends[1]]
-    x, y = crossing or (None, None)
-    distance_m = sum(math.dist(a, b) for a, b in itertools.pairwise(places))
-    return replace(edge, x=x, y=y, distance_m=distance_m)
+def placed(topology: TopologicalMap, nodes: Iterable[NodeRecord]) -> tuple[Edge, ...]:
+    """The edges, each with its crossing, and how far it is over that from centroid to centroid."""
+    middles = {node.id: node.centroid or (node.x, node.y) for node in nodes}
+    edges = []
+    for (source, target), edge in sorted(topology.edges.items()):
+        crossing = edge.crossing
+        places = [middles[source], *([] if crossing is None else [crossing]), middles[target]]
+        x, y = crossing or (None, None)
+        distance_m = sum(math.dist(a, b) for a, b in itertools.pairwise(places))
+        edges.append(replace(edge, x=x, y=y, distance_m=distance_m))
+    return tuple(edges)
 
 
 SCHEMA = ModelSchema(TopologyRecord, "topology", SCHEMA_VERSION, "specmap topology.json")

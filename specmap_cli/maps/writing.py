@@ -24,7 +24,7 @@ from specmap_cli.maps import filenames
 from specmap_cli.maps.features_file import Arrays, write_features
 from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.text_files import labels_text, trajectory_text
-from specmap_cli.topology.regions import Regions
+from specmap_cli.topology.regions import OwnerArray, Regions
 from specmap_cli.topology.topological_map import LogInfo, TopologicalMap
 
 PictureArray = NDArray[np.uint8]
@@ -98,15 +98,16 @@ def write_segmentation(
     regions: Regions,
     log: LogInfo,
     overview: PictureArray,
+    owner: OwnerArray,
 ) -> None:
     """Write a finished map cut into submaps: topology.json, their grids, labels.png, overview.png.
 
-    labels.png has the size and the orientation of the input, 16 bit: 0 is unlabelled, otherwise
-    submap id + 1.
+    labels.png has the size and the orientation of the input, as `owner` (H, W), 16 bit: 0 is
+    unlabelled, otherwise submap id + 1.
     """
     directory = Path(directory)
     _write_topology(directory, topology, TopologyRecord.of(topology, regions, (log,)))
-    labels = (regions.owner + 1).astype(np.uint16)
+    labels = (owner + 1).astype(np.uint16)
     write_png(directory / filenames.LABELS_IMAGE, labels[::-1])
     write_png(directory / filenames.OVERVIEW, overview)
 

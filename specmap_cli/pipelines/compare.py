@@ -188,7 +188,7 @@ def _figures(stored: StoredMap) -> MapFigures:
         keyframes=len(labels.stamps_ns),
         path_m=driven_m(stored.logs, labels),
         duration_s=labels.duration_s(starts_of(stored.logs)),
-        area_m2=stored.map_grid.free_area_m2,
+        area_m2=stored.record.area_m2,
         verdict=None if quality is None else quality.verdict,
     )
 
@@ -214,7 +214,7 @@ def lines_of(record: ComparisonRecord, called: tuple[str, str] | None = None) ->
         *_of_things("vanished", things.vanished, record.old.names),
         *([] if changes or record.submaps.gone else ["the building: no change found"]),
         f"driven: {record.old.path_m:.0f} m, then {record.new.path_m:.0f} m; submaps: "
-        f"{record.old.submaps}, then {record.new.submaps}; free cells: "
+        f"{record.old.submaps}, then {record.new.submaps}; area: "
         f"{record.old.area_m2:.0f} m2, then {record.new.area_m2:.0f} m2",
     ]
 

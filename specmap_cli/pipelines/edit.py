@@ -28,7 +28,7 @@ from specmap_cli.grids.map_server import read_picture, write_png
 from specmap_cli.maps import filenames
 from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.edits import Edits, borders_in, edits_text, in_words, written
-from specmap_cli.maps.schema import EditsRecord, TopologyRecord
+from specmap_cli.maps.schema import EditsRecord, TopologyRecord, placed
 from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.maps.text_files import read_trajectory
 from specmap_cli.pipelines.edits import (
@@ -181,12 +181,10 @@ def _made_anew(
         laid = with_grid(session, replace(laid, edits=found.edits))
         prior = Prior.of(session, kept)
         finished = finish(session, laid, prior, quality_of_stored(stored))
-        topology = finished.topology
-        made = {"submaps": len(topology.submaps), "edges": len(topology.edges)}
-        run = {**stored.run, "versions": versions(), "counts": {**stored.counts, **made}}
+        run = {**stored.run, "versions": versions(), "counts": finished.counts}
         write_finished(session, directory, finished, lambda: run)
     _carry_over(stored.path, directory, filenames.OF_A_MAP - _OF_THE_LAYOUT)
-    return topology, finished.unapplied
+    return finished.topology, finished.unapplied
 
 
 def _record_with(record: TopologyRecord, topology: TopologicalMap) -> TopologyRecord:
@@ -203,17 +201,13 @@ def _record_with(record: TopologyRecord, topology: TopologicalMap) -> TopologyRe
                 properties=dict(submap.properties),
             )
         )
-    edges = tuple(
-        replace(edge, forbidden=topology.edges[edge.source, edge.target].forbidden)
-        for edge in record.edges
-    )
     graph = _with(
         record.graph,
         edits=EditsRecord(submaps=topology.said, borders=topology.borders),
         next_id=topology.next_id,
         doors=topology.doors,
     )
-    return _with(record, graph=graph, nodes=tuple(nodes), edges=edges)
+    return _with(record, graph=graph, nodes=tuple(nodes), edges=placed(topology, nodes))
 
 
 def _with(record: AnyRecord, **values: Any) -> AnyRecord:

@@ -206,7 +206,7 @@ def map_record(entry: Entry, step: Step | None) -> MapRecord:
         end=end_ns / _NS,
         verdict=None if quality is None else quality.verdict,
         submaps=len(stored.record.nodes),
-        area_m2=sum(node.area_m2 for node in stored.record.nodes),
+        area_m2=stored.record.area_m2,
         compared_with=None if step is None else step.before.number,
         residual_m=None if step is None else step.comparison.record.alignment.residual_m,
     )

@@ -172,6 +172,21 @@ class FinishedMap:
     unapplied: tuple[str, ...] = ()
 
     @property
+    def counts(self) -> dict[str, int | float]:
+        """What was read for the map, and what it is: whatever was counted of it before is past."""
+        laid, topology = self.laid, self.topology
+        return {
+            **laid.counts,
+            "scans": len(laid.trajectory.stamps_ns),
+            "keyframes": len(laid),
+            "submaps": len(topology.submaps),
+            "edges": len(topology.edges),
+            "doors": len(topology.doors),
+            "merges": sum(closure.merged for closure in topology.closures),
+            "path_m": round(laid.path_m, 3),
+        }
+
+    @property
     def labels(self) -> Labels:
         """The pose and the submap of each keyframe."""
         return self.laid.labels

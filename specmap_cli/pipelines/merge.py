@@ -39,7 +39,7 @@ from specmap_cli.pipelines.overlaps import (
     steps_of,
     stored_to_align,
 )
-from specmap_cli.pipelines.reports import OF_THE_MAP, MergeReport
+from specmap_cli.pipelines.reports import MergeReport
 from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.recognition.learning.training_data import TrainingData
@@ -83,7 +83,7 @@ def merge_maps(
             merging = _Merging(session, ordered, parts, overlaps)
         counts: Counter[str] = Counter()  # of messages and scans, while the maps were built
         for stored in ordered:
-            counts.update({n: count for n, count in stored.counts.items() if n not in OF_THE_MAP})
+            counts.update(stored.counts)
         laid = replace(merging.joint, counts=dict(counts))
         prior = Prior.of(session, merging.training_data(kept))
         finished = finish(session, laid, prior)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,8 +26,6 @@ from specmap_cli.topology.regions import NOBODY
 
 SCHEMA_VERSION = 1  # of run.json: schemas/run.schema.json
 
-# The counts that say what the map is; the others say what was read for it.
-OF_THE_MAP = frozenset({"scans", "keyframes", "submaps", "edges", "doors", "merges", "path_m"})
 _MOVED_IOU = 0.9  # below it a border is not the one that people knew
 
 
@@ -89,7 +88,7 @@ class RunRecord(Value):
         like: str | None = None,
     ) -> RunRecord:
         """What is to be told of a map that was made in a session of `inputs`."""
-        topology, laid, clock = finished.topology, finished.laid, session.clock
+        laid, clock = finished.laid, session.clock
         limits = {**laid.layout.limits, "max_extent_m": laid.beyond}
         return cls(
             inputs=tuple(path.name for path in inputs),
@@ -109,16 +108,7 @@ class RunRecord(Value):
             ),
             config=session.config,
             versions=versions(),
-            counts={
-                "scans": len(laid.trajectory.stamps_ns),
-                "keyframes": len(laid),
-                "submaps": len(topology.submaps),
-                "edges": len(topology.edges),
-                "doors": len(topology.doors),
-                "merges": sum(closure.merged for closure in topology.closures),
-                "path_m": round(laid.path_m, 3),
-                **laid.counts,
-            },
+            counts=finished.counts,
             limits={name: count for name, count in limits.items() if count},
             seconds={name: round(value, 3) for name, value in clock.seconds.items()},
             wall_s=round(time.perf_counter() - clock.began, 3),
@@ -136,7 +126,7 @@ class RunRecord(Value):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MapReport:
+class MapReport(ABC):
     """A map that was made: its directory, its run.json, and what is thought of it.
 
     `unapplied` tells which of a person's edits do not apply.
@@ -173,9 +163,9 @@ class MapReport:
         """What only this command tells, for a machine."""
         return {}
 
+    @abstractmethod
     def made(self) -> list[str]:
         """What it made, a line each."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

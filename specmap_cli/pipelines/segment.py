@@ -12,6 +12,7 @@ from specmap_cli.core.arguments import instance_of, path_of
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import IDENTITY
 from specmap_cli.core.process import one_blas_thread
+from specmap_cli.core.progress import Progress
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted, legible
 from specmap_cli.drawing.overview import render_segmentation
@@ -21,7 +22,7 @@ from specmap_cli.maps.directory import OutputDirectory, refuse_inside
 from specmap_cli.maps.writing import write_segmentation
 from specmap_cli.segmentation.division import region_grid, segment_floorplan
 from specmap_cli.topology.navigation import with_ways
-from specmap_cli.topology.regions import Regions
+from specmap_cli.topology.regions import NOBODY, Regions
 from specmap_cli.topology.topological_map import LogInfo, Submap, TopologicalMap
 
 _COARSEST_M = 0.5  # a door of 0.8 m is then one cell or two: walls and doors look the same
@@ -65,20 +66,23 @@ def segment_map(
     resolution: float | None = None,
     overwrite: bool = False,
     explain: Path | str | None = None,
+    progress: Progress | None = None,
 ) -> SegmentReport:
     """Divide the grid in a map file into submaps and write them to the directory `out`.
 
     `resolution` (metres a pixel) is needed for a bare picture. `explain` is a PNG to write of what
-    was looked at: nodes, sight lines, eigenvalues. Raises MapError for a file that is
-    no map, NoResultError when it has no room for a node, UsageError for an output in the way.
+    was looked at: nodes, sight lines, eigenvalues. `progress` has a note of what in the file
+    is read otherwise than its thresholds say. Raises MapError for a file that is no map,
+    NoResultError when it has no room for a node, UsageError for an output in the way.
     """
     path, target = path_of(grid, "grid"), path_of(out, "out")
     config = instance_of(Config() if config is None else config, Config, "config")
     picture = None if explain is None else path_of(explain, "explain")
     refuse_inside(picture, target)
-    whole = read_grid(path, resolution, config.limits)
+    full = read_grid(path, resolution, config.limits, progress)
+    whole = full.cropped()
     if whole.resolution > _COARSEST_M:
-        height, width = (side * whole.resolution for side in whole.cells.shape)
+        height, width = (side * whole.resolution for side in full.cells.shape)
         raise UsageError(
             f"{whole.resolution:g} m a pixel make it {width:.0f} m x {height:.0f} m, "
             "too coarse to see a door",
@@ -87,6 +91,12 @@ def segment_map(
         )
     found = segment_floorplan(whole, config.segmentation)
     regions = Regions.of(whole, np.asarray(found.labels, dtype=np.int64))
+    (row, column), (height, width) = (
+        full.cells_of(whole.centres_of(np.zeros((1, 2))))[0],
+        whole.cells.shape,
+    )
+    owner = np.full(full.cells.shape, NOBODY, dtype=np.int64)
+    owner[row : row + height, column : column + width] = regions.owner
     with OutputDirectory(target, overwrite) as partial:
         grids = {k: region_grid(whole, found.labels == k) for k in range(found.count)}
         submaps = {k: Submap(id=k, map_from_submap=IDENTITY, grid=own) for k, own in grids.items()}
@@ -94,10 +104,8 @@ def segment_map(
         topology = with_ways(plain, regions, config.ways, kind="doorway")
         info = LogInfo(name=legible(path.name))
         overview = render_segmentation(topology, regions, info)
-        write_segmentation(partial, topology, regions, info, overview)
+        write_segmentation(partial, topology, regions, info, overview, owner)
         if picture is not None:
             least = config.segmentation.eigenvalue_min
             write_png(picture, draw_segmentation(whole, found, least))
-    counts = np.bincount(found.labels[found.labels >= 0]).tolist()
-    area_m2 = sum(cells * whole.resolution**2 for cells in counts)
-    return SegmentReport(out=target, topology=topology, area_m2=area_m2)
+    return SegmentReport(out=target, topology=topology, area_m2=regions.area_m2)

@@ -58,7 +58,7 @@ def facts_of(map_: DrawnMap, track: Track) -> list[tuple[str, str, str]]:
     how_many = "all" if driven == len(doors) else f"{driven:,}"
     found = [
         (f"{len(record.nodes):,}", "", _plural(len(record.nodes), "submap")),
-        (f"{sum(node.area_m2 for node in record.nodes):,.0f}", "m²", "free space"),
+        (f"{record.area_m2:,.0f}", "m²", "free space"),
         (
             f"{len(doors):,}",
             "",

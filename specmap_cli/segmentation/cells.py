@@ -6,12 +6,14 @@ narrowing separates are joined; and several divisions of the same cells become o
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import cv2
 import numpy as np
 from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray
@@ -21,17 +23,14 @@ from specmap_cli.segmentation.visibility import IndexArray, LabelArray
 
 Pair = tuple[int, int]
 
-RINGS = 3  # cells by which labels creep: the fringe of free cells beside a wall of 0.1 m cells
+_RINGS = 3  # cells by which labels creep: the fringe of free cells beside a wall of 0.1 m cells
 _LEVELS = 126  # heights of the relief that is flooded: the sum of two of them, and one, fit a byte
 _AROUND = np.array([(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1)])
 _TINY = 1e-9  # cells; keeps a grid without free space from dividing by zero
 
 _RATIO_SLACK = 1e-9  # a border of just the ratio asked for joins, whatever the last digit
-_WIDTH_SLACK = 1e-12  # of two borders equal in proportion the first joins
-_NARROWEST = 1e-9  # cells; keeps a cluster without width from dividing by zero
 
 _SAME = 0.5  # intersection over union above which regions are the same: each has one such at most
-_HALF = 0.5  # of the cells of a region: more of them taken by others, and it is not taken itself
 
 
 def flood_labels(clearance: FloatArray, nodes: IndexArray, labels: LabelArray) -> LabelArray:
@@ -123,11 +122,13 @@ def nearest_labels(free: BoolArray, nodes: IndexArray, labels: LabelArray) -> La
     return result
 
 
-def spread_labels(labels: LabelArray, free: BoolArray, rings: int = RINGS) -> LabelArray:
+def spread_labels(
+    labels: LabelArray, free: BoolArray, rings: int = _RINGS, *, everywhere: bool = True
+) -> LabelArray:
     """Fill what is unlabelled (-1) of every piece of `free` (H, W) that holds a label.
 
     Labels creep `rings` cells through free space, so that none crosses a thin wall; what is left
-    takes the nearest label of all.
+    takes the nearest label of all, if they are to go `everywhere`.
     """
     missing = free & (labels < 0)
     if not missing.any():
@@ -138,7 +139,7 @@ def spread_labels(labels: LabelArray, free: BoolArray, rings: int = RINGS) -> La
         bigger = cv2.dilate(grown, around)
         open_cells = missing & (grown == 0)
         grown[open_cells] = bigger[open_cells]
-    missing &= grown == 0
+    missing &= (grown == 0) & everywhere
     if missing.any():
         piece, held = _pieces(free, grown > 0)
         missing &= held[piece]
@@ -173,121 +174,85 @@ def border_widths(labels: LabelArray, clearance: FloatArray) -> dict[Pair, float
     return {(a, b): w for (a, b), w in zip(pairs.tolist(), widest.tolist(), strict=True)}
 
 
-def join_wide(
-    borders: dict[Pair, float], widths: list[FloatArray], ratio: float, percentile: float
-) -> list[int]:
-    """New label of each cluster after joining pairs, the widest border in proportion first.
+def joined_wide(borders: dict[Pair, float], widths: list[float], ratio: float) -> LabelArray:
+    """(k,) the new label of each cluster, of some `widths` (k,), after joining those it goes on in.
 
-    `widths` holds the local widths of each cluster's nodes. A pair joins while its border is at
-    least `ratio` times the geometric mean of the two clusters' `percentile` widths: a corridor
-    goes on where its width goes on, and ends where it opens into a hall or a room.
+    A border joins two clusters when it is at least `ratio` times as wide as they are, by their
+    geometric mean: a corridor goes on where its width goes on, and ends where it opens into a hall.
     """
-    nodes = list(widths)
-    width = [float(np.percentile(some, percentile)) for some in nodes]
-    part_of = np.arange(len(widths))
-    touching: list[dict[int, float]] = [{} for _ in widths]
-    for (one, other), border in borders.items():
-        touching[one][other] = touching[other][one] = border
-    while True:
-        # the pair with the widest border in proportion, the first of equals
-        best, pair = ratio - _RATIO_SLACK, None
-        for one, around in enumerate(touching):
-            for other, border in around.items():
-                mean = (width[one] * width[other]) ** 0.5
-                if one < other and border > best * mean + _WIDTH_SLACK:
-                    best, pair = border / max(mean, _NARROWEST), (one, other)
-        if pair is None:
-            break
-        keep, gone = pair
-        part_of[part_of == gone] = keep
-        nodes[keep] = np.concatenate([nodes[keep], nodes[gone]])
-        width[keep] = float(np.percentile(nodes[keep], percentile))
-        for other, border in touching[gone].items():
-            del touching[other][gone]
-            if other != keep:
-                wider = max(border, touching[keep].get(other, 0.0))
-                touching[keep][other] = touching[other][keep] = wider
-        touching[gone] = {}
-    labels: list[int] = np.unique(part_of, return_inverse=True)[1].tolist()
-    return labels
+    joins = [
+        (one, other)
+        for (one, other), border in borders.items()
+        if border >= ratio * (widths[one] * widths[other]) ** 0.5 - _RATIO_SLACK
+    ]
+    return components(len(widths), joins)
+
+
+def without_dead_ends(
+    labels: LabelArray, clearance: FloatArray, least: float, smallest: float
+) -> LabelArray:
+    """Regions (h, w) of which none is a dead end of fewer than `smallest` cells.
+
+    A dead end has one neighbour that a robot of the radius `least` gets to, and is a part of it.
+    """
+    size = np.bincount(labels[labels >= 0])
+    around: dict[int, set[int]] = {}
+    for (one, other), border in border_widths(labels, clearance).items():
+        if border >= least:
+            around.setdefault(one, set()).add(other)
+            around.setdefault(other, set()).add(one)
+    ends = [(one, *near) for one, near in around.items() if len(near) == 1]
+    joins = [(one, other) for one, other in ends if size[one] < smallest]
+    names = components(len(size), joins)
+    return np.where(labels < 0, np.int32(-1), names[labels])
+
+
+def components(count: int, pairs: Sequence[Pair]) -> LabelArray:
+    """(count,) numbers 0, 1, ... that are the same for what the pairs join."""
+    ends = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
+    graph = csr_array((np.ones(ends.shape[1]), (ends[0], ends[1])), (count, count))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int32)
 
 
 def consensus(divisions: Sequence[LabelArray]) -> LabelArray:
-    """(h, w) labels 0, 1, ... of the regions that most of some divisions (h, w) have.
+    """(h, w) labels 0, 1, ... of what some divisions (h, w) agree on; -1 where all have none.
 
-    Labels are -1 where all divisions have none. Cells of no such region go to the one that they are
-    together with most. Deterministic: of equals the first counts.
+    The division that is most like the others gives the regions; what it leaves without a label, the
+    first that has one. Each cell goes to the region in which most divisions have it; a region of
+    another division is the one with which it shares more than `_SAME`. Deterministic: of equals
+    that division counts, then the first.
     """
-    if len(divisions) == 1 or all((division < 0).all() for division in divisions):
-        return divisions[0]
-    # `atoms` (h, w): the number of the set of labels that each cell has, -1 without one; `labels`
-    # (m, k): these sets, in the order in which they appear, so that no number hangs on what labels
-    # are called
     some = np.any([division >= 0 for division in divisions], axis=0)
-    columns = [division[some].astype(np.int64) for division in divisions]
-    code = np.zeros(len(columns[0]), dtype=np.int64)
-    for column in columns:
-        code = code * (int(column.max()) + 2) + column + 1
-        # without sorting: there is a code for every cell
-        seen = np.full(int(code.max()) + 1, -1, dtype=np.int64)
-        seen[code[::-1]] = np.arange(len(code))[::-1]  # the last one to be written is the first
-        first = np.sort(seen[seen >= 0])
-        seen[code[first]] = np.arange(len(first))
-        code = seen[code]
-    atoms = np.full(some.shape, -1, dtype=np.int32)
-    atoms[some] = code
-    labels = np.column_stack([column[first] for column in columns])
-    area = np.bincount(atoms[atoms >= 0], minlength=len(labels)).astype(np.float64)
-    # (r, m) 1 where a region of any division, in their order, holds an atom
-    spans = np.cumsum([0, *(labels.max(axis=0) + 1)])
-    atom, division = np.nonzero(labels >= 0)
-    regions = (labels + spans[:-1])[atom, division]
-    holds = csr_array((np.ones(len(atom)), (regions, atom)), (int(spans[-1]), len(labels)))
-    owner = _elected(holds, area, len(divisions))
-    # atoms without an owner go to that of most of the regions that hold them, or stay what the
-    # first division that has them makes of them
-    left, taken = np.flatnonzero(owner < 0), np.flatnonzero(owner >= 0)
-    count = int(owner.max(initial=-1)) + 1
-    owner[left] = count + labels[left, (labels[left] >= 0).argmax(axis=1)]
-    if count and len(left):
-        owned = csr_array((area[taken], (taken, owner[taken])), (len(area), count))
-        parts = (holds @ owned).multiply(1.0 / (holds @ area)[:, None]).tocsr()
-        together = (holds.T.tocsr()[left] @ parts).toarray()
-        shared = together.any(axis=1)
-        owner[left[shared]] = together[shared].argmax(axis=1)
-    named = np.unique(owner, return_inverse=True)[1].astype(np.int32)
-    return np.where(atoms < 0, np.int32(-1), named[np.maximum(atoms, 0)])
+    others = [division[some].astype(np.int64) + 1 for division in divisions]  # 0: no label
+    likeness = [math.fsum(_alike(one, other)[1] for other in others) for one in others]
+    middle = others.pop(int(np.argmax(likeness)))
+    for other in others:
+        new = (middle == 0) & (other > 0)
+        middle = np.where(new, middle.max(initial=0) + other, middle)
+    votes = [middle]
+    for other in others:
+        iou = _alike(middle, other)[0]
+        votes.append(np.where(iou.max(axis=0) > _SAME, iou.argmax(axis=0), 0)[other])
+    cast = np.array(votes)
+    split = (cast != middle).any(axis=0)
+    cast = cast[:, split]
+    count = np.where(cast > 0, (cast[:, None] == cast).sum(axis=1), 0)
+    middle[split] = np.take_along_axis(cast, count.argmax(axis=0)[None], axis=0)[0]
+    labels = np.full(some.shape, -1, dtype=np.int32)
+    labels[some] = np.cumsum(np.bincount(middle, minlength=1)[1:] > 0)[middle - 1] - 1
+    return labels
 
 
-def _elected(holds: Any, area: FloatArray, divisions: int) -> IntArray:
-    """(m,) the number of the elected region that each atom goes to, -1 for none.
+def _alike(one: IntArray, other: IntArray) -> tuple[FloatArray, float]:
+    """Intersection over union (k, l) of the regions 1, 2, ... of two divisions (n,); 0: no region.
 
-    A region is found once by each division that has the same. Those that most divisions found are
-    elected in turn, if most of their cells are free by then. An atom goes to the region of whose
-    finds the largest share holds it.
+    Also the mean, over the regions of both that have cells, of the best of each.
     """
-    size = holds @ area
-    shared = (holds.multiply(area) @ holds.T).tocoo()  # numbers of cells: exact in any order
-    iou = shared.data / (size[shared.row] + size[shared.col] - shared.data)
-    alike = iou > _SAME
-    same = csr_array((iou[alike], (shared.row[alike], shared.col[alike])), shared.shape)
-    same.sort_indices()
-    finds, likeness = np.diff(same.indptr), same.sum(axis=1)
-    atoms_of, found_by = (np.split(each.indices, each.indptr[1:-1]) for each in (holds, same))
-    free, gone = np.ones(len(area), dtype=bool), np.zeros(len(size), dtype=bool)
-    owner, most = np.full(len(area), -1), np.zeros(len(area))
-    elected = 0
-    for region in np.lexsort((-size, -likeness, -finds)).tolist():
-        mine, found = atoms_of[region], found_by[region]
-        if 2 * len(found) <= divisions:
-            break
-        if gone[region] or area[mine[free[mine]]].sum() <= _HALF * size[region]:
-            continue
-        votes = np.asarray(holds[found].sum(axis=0))
-        free &= 2 * votes <= len(found)
-        gone[found] = True
-        share = votes / len(found)
-        more = share > most
-        owner[more], most[more] = elected, share[more]
-        elected += 1
-    return owner
+    shape = int(one.max(initial=0)) + 1, int(other.max(initial=0)) + 1
+    shared = np.bincount(one * shape[1] + other, minlength=shape[0] * shape[1]).reshape(shape)
+    mine, theirs = shared.sum(axis=1), shared.sum(axis=0)
+    iou = shared / np.maximum(mine[:, None] + theirs - shared, 1)
+    iou[0], iou[:, 0] = 0.0, 0.0
+    regions = int((mine[1:] > 0).sum() + (theirs[1:] > 0).sum())
+    # exact sums: what labels are called changes no digit
+    return iou, math.fsum([*iou.max(axis=0), *iou.max(axis=1)]) / max(regions, 1)

@@ -25,14 +25,14 @@ from specmap_cli.grids.gridmap import (
     GridMap,
 )
 from specmap_cli.segmentation.cells import (
-    RINGS,
     border_widths,
     consensus,
     flood_labels,
-    join_wide,
+    joined_wide,
     local_widths,
     nearest_labels,
     spread_labels,
+    without_dead_ends,
 )
 from specmap_cli.segmentation.furniture import (
     FURNITURE_THICK_M,
@@ -41,6 +41,7 @@ from specmap_cli.segmentation.furniture import (
     pieces_at_walls,
 )
 from specmap_cli.segmentation.graph_division import spectral_clusters, split_again
+from specmap_cli.segmentation.seen import entered
 from specmap_cli.segmentation.spectral import Spectrum
 from specmap_cli.segmentation.visibility import (
     IndexArray,
@@ -50,9 +51,10 @@ from specmap_cli.segmentation.visibility import (
     visibility_graph,
 )
 from specmap_cli.segmentation.wide_doors import with_narrow_doors
-from specmap_cli.segmentation.working_grid import WorkingGrid, canonical, working_grid
+from specmap_cli.segmentation.working_grid import WorkingGrid, upright_map, working_grid
 
 _WIDTH_PERCENTILE = 60.0  # of the local widths in a room is the room's width
+_ALCOVE_M2 = 2.0  # a dead end smaller than this is a part of the room it opens into
 _WALL_CELLS = 2  # obstacles this near belong to the picture of a region: a wall drawn in cells
 
 
@@ -77,7 +79,7 @@ class Segmentation:
         return int(self.labels.max(initial=-1)) + 1
 
 
-def segment(grid: GridMap, config: SegmentationConfig) -> Segmentation:
+def segment(grid: GridMap, config: SegmentationConfig, *, rooms: bool = False) -> Segmentation:
     """Divide the free space of `grid` into regions.
 
     Where a region ends is decided by these steps, in this order:
@@ -85,42 +87,48 @@ def segment(grid: GridMap, config: SegmentationConfig) -> Segmentation:
     1. which obstacles are furniture, and which openings are as good as doors;
     2. for each placement of the nodes (`_placement`): the clusters of their graph, the halves of
        these, the flood that carries them to cells, and which borders are too wide to be any;
-    3. what most placements agree on.
+    3. what most placements agree on;
+    4. which regions are alcoves of others;
+    5. with `rooms`, which regions were seen only, and are no rooms (`entered`).
 
     After that no border moves: cells without a label, and cupboards, take one.
 
-    The result does not depend on where the map lies on its grid nor on which of the four ways it is
-    turned: the work is done on the map cropped and turned to one canonical orientation.
+    The result does not depend on where the map lies on its grid nor on how it is turned: the work
+    is done on the map cropped, with its walls along the rows and columns.
     """
-    step = max(1, round(config.cell_m / grid.resolution))
-    block = max(1, round(config.node_step_m / (step * grid.resolution)))  # in coarse cells
-    upright = canonical(grid.free, step * block)
-    free = upright.apply(grid.free)
-    small = furniture(free, grid.resolution, config)  # step 1
-    opened = narrowed = free | small
+    upright = upright_map(grid, config.cell_m, config.node_step_m)
+    work, cell_m = upright.grid, upright.grid.resolution
+    small = furniture(work.free, cell_m, config)  # step 1
+    opened = narrowed = work.free | small
     if config.wide_door_m:
-        opened, narrowed = with_narrow_doors(free, small, grid.resolution, config.wide_door_m)
-    work = working_grid(narrowed, grid.resolution, config.cell_m)
-    placements = [_placement(work, config, block, k) for k in range(config.placements)]  # step 2
+        opened, narrowed = with_narrow_doors(work.free, small, cell_m, config.wide_door_m)
+    space = working_grid(narrowed, cell_m, cell_m)
+    placements = [  # step 2
+        _placement(space, config, upright.block, number) for number in range(config.placements)
+    ]
     cells = consensus([found for found, _, _ in placements])  # step 3
-    rings = max(RINGS, work.step + 1)  # across a coarse cell that is not wholly free
-    fine = np.repeat(np.repeat(cells, work.step, axis=0), work.step, axis=1)
-    fine = spread_labels(fine[: free.shape[0], : free.shape[1]], opened, rings)
+    least = config.clearance_m / cell_m
+    if config.merge:  # step 4
+        cells = without_dead_ends(cells, space.clearance, least, _ALCOVE_M2 / cell_m**2)
+    cells = spread_labels(cells, opened)
+    if rooms:  # step 5
+        cells = entered(cells, work, least)
     if config.fill:
-        pieces = upright.apply(pieces_at_walls(grid, FURNITURE_THICK_M))
-        fine = fill_cupboards(fine, pieces, grid.resolution)
+        cells = fill_cupboards(cells, pieces_at_walls(work, FURNITURE_THICK_M), cell_m)
     else:
-        fine = np.where(free, fine, np.int32(-1))
-    sizes = np.bincount(fine[fine >= 0], minlength=1)
+        cells = np.where(work.free, cells, np.int32(-1))
+    furnished = upright.labels_in(grid, np.where(work.free, np.int32(-1), cells))
+    fine = np.where(grid.free, upright.labels_in(grid, cells), furnished)
+    fine = spread_labels(fine, grid.free, upright.step + 1, everywhere=not rooms)
+    sizes = np.bincount(fine[fine >= 0], minlength=int(cells.max(initial=0)) + 1)
     names = np.zeros(len(sizes), dtype=np.int32)
     names[np.argsort(-sizes, kind="stable")] = np.arange(len(sizes))
-    named = np.where(fine < 0, np.int32(-1), names[np.maximum(fine, 0)])
     _, graph, spectrum = placements[0]
-    middles = (graph.nodes + 0.5) * work.step - 0.5  # on the fine grid
+    node_labels = cells[graph.nodes[:, 0], graph.nodes[:, 1]]
     return Segmentation(
-        labels=upright.undo(named, np.full(grid.cells.shape, -1, dtype=np.int32)),
-        nodes=grid.centres_of(upright.cells_in_grid(middles, free.shape)),
-        node_labels=names[cells[graph.nodes[:, 0], graph.nodes[:, 1]]],
+        labels=np.where(fine < 0, np.int32(-1), names[fine]),
+        nodes=upright.places(grid, graph.nodes),
+        node_labels=np.where(node_labels < 0, np.int32(-1), names[node_labels]),
         pairs=graph.pairs,
         spectrum=spectrum,
     )
@@ -150,12 +158,13 @@ def _placement(
     if config.merge and len(clusters):  # clusters that no narrowing separates
         own = work.clearance[nodes[:, 0], nodes[:, 1]]
         # no wider than the disc that the longest sight line spans
-        widths = local_widths(own, graph.lengths, graph.pairs, 0.5 * config.sight_m / work.cell_m)
-        groups = [widths[clusters == label] for label in range(int(clusters.max()) + 1)]
-        borders = border_widths(cells, work.clearance)
-        joined = join_wide(borders, groups, config.merge_ratio, _WIDTH_PERCENTILE)
-        names = np.array(joined, dtype=np.int32)
-        cells = np.where(cells < 0, np.int32(-1), names[np.maximum(cells, 0)])
+        local = local_widths(own, graph.lengths, graph.pairs, 0.5 * config.sight_m / work.cell_m)
+        widths = [
+            float(np.percentile(local[clusters == label], _WIDTH_PERCENTILE))
+            for label in range(int(clusters.max()) + 1)
+        ]
+        names = joined_wide(border_widths(cells, work.clearance), widths, config.merge_ratio)
+        cells = np.where(cells < 0, np.int32(-1), names[cells])
     return cells, graph, spectrum
 
 
@@ -188,7 +197,7 @@ def segment_floorplan(grid: GridMap, config: SegmentationConfig) -> Segmentation
 
     NoResultError when no free space holds a node.
     """
-    found = segment(grid, config)
+    found = segment(grid, config, rooms=True)
     if not found.count:
         raise NoResultError(
             f"no free space wider than {2 * config.clearance_m:g} m in the map "

@@ -1,10 +1,12 @@
-"""The grid that a map is divided on: cropped, in one orientation, in coarse cells.
+"""The grid that a map is divided on: cropped, upright, in coarse cells.
 
-One window and one orientation serve every copy of a map, wherever it lies and however it turns.
+One window and one orientation serve every copy of a map, wherever it lies and however it turns: the
+walls of the building run along its rows and columns.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,57 +15,93 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.grids.gridmap import BoolArray, cell_distances, window_of
+from specmap_cli.grids.gridmap import (
+    FREE,
+    OCCUPIED,
+    UNKNOWN,
+    BoolArray,
+    CellArray,
+    GridMap,
+    cell_distances,
+    window_of,
+)
+from specmap_cli.segmentation.visibility import LabelArray
 
 _AROUND = np.ones((5, 5), dtype=np.uint8)  # wider than the rays of a laser far away, in cells
 
+_FRAME = 3  # coarse cells round the free space: walls stand there
+_STEPS_DEGREES = (1.0, 0.1)  # between the directions that are looked at, first and last
+_SLIGHT_DEGREES = 1.5  # walls that lean no more are as good as upright: cells stay as they are
+_LARGEST = 30_000  # cells a side that OpenCV turns; a larger map stays as it lies
+
 
 @dataclass(frozen=True, slots=True)
-class Orientation:
-    """The `window` of a grid that is looked at, and how many quarter turns it is turned by.
+class UprightMap:
+    """A map as it is divided, and the way back.
 
-    So many empty rows and columns stand `before` what was turned.
+    `grid` has coarse cells of `step` x `step` fine ones, and nodes stand in blocks of `block` x
+    `block` of these. The `window` of the map was turned by so many quarter `turns`, so many rows
+    and columns put `before` it, and what came of it, of `shape` in coarse cells, was turned by
+    `tilt` (2, 3), an affine transform of OpenCV; None: not.
     """
 
+    grid: GridMap
+    block: int
     window: tuple[slice, slice]
     turns: int
-    before: tuple[int, int] = (0, 0)
+    before: tuple[int, int]
+    step: int
+    shape: tuple[int, int]
+    tilt: FloatArray | None
 
-    def apply(self, picture: NDArray[Any]) -> NDArray[Any]:
-        """The window (h, w) of a picture (H, W), turned, with zeros before it."""
+    def labels_in(self, fine: GridMap, labels: LabelArray) -> LabelArray:
+        """(H, W) the `labels` (h, w) of the coarse cells on those of the `fine` map; else -1."""
+        if self.tilt is not None:
+            back = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+            size = self.shape[::-1]
+            picture = cv2.warpAffine(
+                labels.astype(np.float32), self.tilt, size, flags=back, borderValue=(-1.0,)
+            )
+            labels = np.asarray(picture, dtype=np.float32).astype(np.int32)
         rows, columns = self.before
-        return np.pad(np.rot90(picture[self.window], self.turns), ((rows, 0), (columns, 0)))
-
-    def undo(self, turned: NDArray[Any], picture: NDArray[Any]) -> NDArray[Any]:
-        """A copy of `picture` (H, W) with `turned` (h, w) put back into the window."""
-        whole = picture.copy()
-        rows, columns = self.before
-        whole[self.window] = np.rot90(turned[rows:, columns:], -self.turns)
+        high, wide = fine.cells[self.window].shape[:: -1 if self.turns % 2 else 1]
+        spread = np.repeat(np.repeat(labels, self.step, axis=0), self.step, axis=1)
+        spread = spread[rows : rows + high, columns : columns + wide]
+        whole = np.full(fine.cells.shape, -1, dtype=np.int32)
+        whole[self.window] = np.rot90(spread, -self.turns)
         return whole
 
-    def cells_in_grid(self, cells: NDArray[Any], shape: tuple[int, ...]) -> FloatArray:
-        """Rows and columns (n, 2) in the grid of cells in the turned window of `shape` (h, w)."""
-        cells = cells - np.array(self.before)
-        shape = shape[0] - self.before[0], shape[1] - self.before[1]
+    def places(self, fine: GridMap, cells: NDArray[Any]) -> FloatArray:
+        """x and y (n, 2) in the map of rows and columns (n, 2) of coarse cells."""
+        upright = np.asarray(cells, dtype=np.float64)
+        if self.tilt is not None:
+            back = cv2.invertAffineTransform(self.tilt)
+            upright = (upright[:, ::-1] @ back[:, :2].T + back[:, 2])[:, ::-1]
+        found = (upright + 0.5) * self.step - 0.5 - np.array(self.before)
+        height, width = fine.cells[self.window].shape[:: -1 if self.turns % 2 else 1]
         for _ in range(self.turns):
-            height, width = shape
-            cells = np.column_stack([cells[:, 1], height - 1 - cells[:, 0]])
-            shape = (width, height)
-        return np.asarray(cells + [side.start for side in self.window], dtype=np.float64)
+            found = np.column_stack([found[:, 1], height - 1 - found[:, 0]])
+            height, width = width, height
+        return fine.centres_of(found + [side.start for side in self.window])
 
 
-def canonical(free: BoolArray, block: int = 1) -> Orientation:
-    """The window of the free cells (H, W), turned by a multiple of 90 degrees.
+def upright_map(fine: GridMap, cell_m: float, node_step_m: float) -> UprightMap:
+    """The window of the free cells of a map, upright, in cells of about `cell_m`.
 
-    After the turn the free space is wider than it is high. Of the two such turns the one is taken
-    by which its distribution is skewed to the upper right. Both are computed without rays that left
-    through doors and windows, so that no single cell decides. For a symmetric map, the turn counts
-    whose picture is smallest as bytes.
+    First it is turned by a multiple of 90 degrees. After that the free space is wider than it is
+    high. Of the two such turns the one is taken by which its distribution is skewed to the upper
+    right. Both are computed without rays that left through doors and windows, so that no single
+    cell decides. For a symmetric map, the turn counts whose picture is smallest as bytes. Then it
+    is turned by less than 45 degrees, so that most of its walls lie along rows and columns. The
+    middle of its free space is the corner of a block of about `node_step_m`.
     """
-    window = window_of(free)
+    step = max(1, round(cell_m / fine.resolution))
+    block = max(1, round(node_step_m / (step * fine.resolution)))
+    window = window_of(fine.free)
     if window is None:
-        return Orientation((slice(0, 0), slice(0, 0)), 0)
-    shown = free[window]
+        nothing = slice(0, 0), slice(0, 0)
+        return UprightMap(fine.window(*nothing), block, nothing, 0, (0, 0), 1, (0, 0), None)
+    shown = fine.free[window]
     inner = cv2.erode(shown.astype(np.uint8), _AROUND, borderValue=0) > 0
     mass = inner if inner.any() else shown
     # second and third central moments along the rows and the columns, exact, times n^3
@@ -83,13 +121,88 @@ def canonical(free: BoolArray, block: int = 1) -> Orientation:
         for turns, picture in enumerate(pictures)
     ]
     turns = keys.index(min(keys))
-    middle = np.argwhere(np.rot90(mass, turns)).mean(axis=0).astype(int).tolist()
-    return Orientation(window, turns, (-middle[0] % block, -middle[1] % block))
+    frame = _FRAME * step
+    middle = frame + np.argwhere(np.rot90(mass, turns)).mean(axis=0).astype(int)
+    low = (-middle % (step * block)).tolist()
+    framed = np.full([side + 2 * frame for side in shown.shape], UNKNOWN, dtype=np.uint8)
+    (top, bottom), (left, right_) = (
+        (max(side.start - frame, 0), min(side.stop + frame, size))
+        for side, size in zip(window, fine.cells.shape, strict=True)
+    )
+    ahead = np.array([top, left]) - [side.start - frame for side in window]
+    framed[ahead[0] : ahead[0] + bottom - top, ahead[1] : ahead[1] + right_ - left] = fine.cells[
+        top:bottom, left:right_
+    ]
+    cells = np.pad(np.rot90(framed, turns), ((low[0], 0), (low[1], 0)), constant_values=UNKNOWN)
+    coarse = reduced(cells, step)
+    corner = (middle + low) // step  # of a block, in coarse cells
+    before = low[0] + frame, low[1] + frame
+    tilted, tilt = _along_walls(coarse, corner, block)
+    grid = GridMap(tilted, step * fine.resolution)
+    shape = coarse.shape[0], coarse.shape[1]
+    return UprightMap(grid, block, window, turns, before, step, shape, tilt)
+
+
+def reduced(cells: CellArray, step: int) -> CellArray:
+    """Cells of `step` x `step` of some (H, W): occupied where one is, free where half of them are.
+
+    The rest is unknown. So no wall is lost, and no gap between two rays counts.
+    """
+    if step == 1:
+        return cells
+    height, width = cells.shape
+    whole = ((0, -height % step), (0, -width % step))
+    blocks = np.pad(cells, whole, constant_values=UNKNOWN)
+    blocks = blocks.reshape(-(-height // step), step, -(-width // step), step)
+    free = 2 * np.count_nonzero(blocks == FREE, axis=(1, 3)) >= step**2
+    occupied = (blocks == OCCUPIED).any(axis=(1, 3))
+    return np.where(occupied, OCCUPIED, np.where(free, FREE, UNKNOWN)).astype(np.uint8)
+
+
+def _along_walls(
+    cells: CellArray, corner: NDArray[np.intp], block: int
+) -> tuple[CellArray, FloatArray | None]:
+    """Some cells (h, w) turned about `corner`, so that most walls lie along rows and columns.
+
+    Also the transform, by which the corner stays the corner of a block. None when they do already.
+    """
+    angle = wall_angle(np.argwhere(cells == OCCUPIED))
+    if abs(angle) <= _SLIGHT_DEGREES or max(cells.shape) > _LARGEST:
+        return cells, None
+    rows, columns = corner.tolist()
+    tilt = np.asarray(cv2.getRotationMatrix2D((columns, rows), angle, 1.0), dtype=np.float64)
+    ends = np.argwhere(cells == FREE)[:, ::-1] @ tilt[:, :2].T + tilt[:, 2]
+    low, high = ends.min(axis=0) - 2, ends.max(axis=0) + 3
+    low = corner[::-1] - block * np.ceil((corner[::-1] - low) / block)
+    tilt[:, 2] -= low
+    size = np.ceil(high - low).astype(int).tolist()
+    turned = cv2.warpAffine(cells, tilt, size, flags=cv2.INTER_NEAREST, borderValue=(UNKNOWN,))
+    return np.asarray(turned, dtype=np.uint8), tilt
+
+
+def wall_angle(walls: NDArray[np.intp]) -> float:
+    """By how many degrees, in [-45, 45), a picture with `walls` (n, 2) has to be turned.
+
+    After that they lie in the fewest rows and columns: the sum of the squares of what each holds is
+    the largest. Deterministic; 0 without walls.
+    """
+    best, most = 0.0, -1
+    for step, reach in zip(_STEPS_DEGREES, (45.0, _STEPS_DEGREES[0]), strict=True):
+        middle = best
+        for degrees in middle + np.arange(-reach, reach, step):
+            cosine, sine = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+            held = 0
+            for way in ((cosine, -sine), (sine, cosine)):  # rows and columns after the turn
+                line = np.floor(walls @ np.array(way)).astype(np.intp)
+                held += int((np.bincount(line - line.min(initial=0)) ** 2).sum())
+            if held > most:
+                best, most = float(degrees), held
+    return (best + 45.0) % 90.0 - 45.0
 
 
 @dataclass(frozen=True, slots=True)
 class WorkingGrid:
-    """Coarse free space (h, w): cells of `step` x `step` fine ones, `cell_m` wide.
+    """Free space (h, w) in cells `cell_m` wide, each of `step` x `step` cells of a map.
 
     `clearance` (h, w) is the distance, in coarse cells, from the centre of a free cell to that of
     the nearest one that is not.

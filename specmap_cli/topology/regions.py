@@ -17,7 +17,14 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels
-from specmap_cli.grids.gridmap import BoolArray, GridMap, cell_distances, contacts, slices_near
+from specmap_cli.grids.gridmap import (
+    BoolArray,
+    GridMap,
+    cell_distances,
+    contacts,
+    joined,
+    slices_near,
+)
 from specmap_cli.topology.shapes import NOTHING, Outline, outline_of
 from specmap_cli.topology.topological_map import Line
 
@@ -31,10 +38,10 @@ _ROBOT_RADIUS_M, _REACH_M = 0.15, 0.3
 
 @dataclass(frozen=True, slots=True)
 class Regions:
-    """The map divided: `owner` (H, W) is the submap id of each free cell of `grid`, or NOBODY.
+    """The map divided: `owner` (H, W) is the submap id of each cell of `grid`, or NOBODY.
 
-    `outlines` are the shapes of the regions in the map frame, by id; a submap that owns no cell has
-    none.
+    A cell of a submap is free, or furniture in it where a finished map was divided. `outlines` are
+    the shapes of the regions in the map frame, by id; a submap that owns no cell has none.
     """
 
     grid: GridMap
@@ -54,6 +61,11 @@ class Regions:
     def outline(self, submap: int) -> Outline:
         """The outline of one region, that of nothing for a submap without a cell."""
         return self.outlines.get(submap, NOTHING)
+
+    @property
+    def area_m2(self) -> float:
+        """Area of all submaps: their free cells."""
+        return sum(outline.area_m2 for outline in self.outlines.values())
 
     def owners(self, points: FloatArray) -> IntArray:
         """(n,) the submap in whose region each point (n, 2 or more) lies, NOBODY outside of all.
@@ -93,21 +105,13 @@ def divide(whole: GridMap, labels: Labels, fences: Sequence[Line] = ()) -> Regio
     markers[rows, columns] = labels.submaps[inside] + 1
     fence = drawn(fences, whole) if fences else None
     roomy = (whole.clearance() >= _ROBOT_RADIUS_M) | (markers > 0)
-    entered = _connected(roomy, markers > 0)
+    entered = joined(roomy, markers > 0)
     nearest = np.where(entered, flood(entered, markers, fence), 0).astype(np.int32)
     owner = flood(passable, nearest, fence) - 1
     away = cv2.distanceTransform((~entered).astype(np.uint8), cv2.DIST_L2, 5)
-    within_reach = _connected((away * whole.resolution <= _REACH_M) & passable, entered)
+    within_reach = joined((away * whole.resolution <= _REACH_M) & passable, entered)
     owner[~whole.free | ~within_reach | (owner < 0)] = NOBODY
     return Regions.of(whole, owner)
-
-
-def _connected(cells: BoolArray, seeds: BoolArray) -> BoolArray:
-    """(H, W) the parts of `cells` that hold one of the `seeds`."""
-    _, parts = cv2.connectedComponents(cells.astype(np.uint8), connectivity=4)
-    held = np.zeros(int(parts.max(initial=0)) + 1, dtype=np.bool_)
-    held[parts[seeds & cells]] = True
-    return np.asarray(held[parts])
 
 
 _CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))

@@ -7,6 +7,7 @@ straight or bent, that is the width of the strip; for a square it is two thirds 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.grids.gridmap import BoolArray, GridMap
+from specmap_cli.grids.gridmap import BoolArray, GridMap, cell_distances
 from specmap_cli.topology.topological_map import SubmapKind
 
 _TOLERANCE = 2.0  # of the simplified contour, half cells
@@ -25,8 +26,9 @@ _KEPT_AREA = 0.8  # share of its area that a simplified contour must keep
 class Outline:
     """A region's shape in metres: `polygon` (N, 2) counter-clockwise and `centroid` (2,).
 
-    Both are those of the largest connected part; `area_m2` is that of all cells. A region without a
-    cell has no points, None and zero.
+    Both are those of the largest connected part. `area_m2` is that of all free cells: what is told
+    anywhere as the area of a submap, or summed as that of a map. Furniture that counts as a part of
+    a region is none of it. A region without a cell has no points, None and zero.
     """
 
     polygon: FloatArray
@@ -60,7 +62,7 @@ def outline_of(region: BoolArray, grid: GridMap) -> Outline:
     return Outline(
         _contour(part) * grid.resolution + grid.origin,
         grid.centres_of(cell[None])[0],
-        float(np.count_nonzero(region)) * grid.resolution**2,
+        float(np.count_nonzero(region & grid.free)) * grid.resolution**2,
     )
 
 
@@ -115,7 +117,9 @@ def _side(
     return np.asarray(np.sign(along[..., 0] * to[..., 1] - along[..., 1] * to[..., 0]))
 
 
-_CELL_M, _MOST_CELLS = 0.1, 1000  # along the longer side; larger shapes are drawn in larger cells
+# Of a shape, and along its longer side; larger shapes have larger cells. Borders run along cells of
+# a map, of which no multiple is half of one of these: none runs through a row of their centres.
+_CELL_M, _MOST_CELLS = 0.05 / math.sqrt(2.0), 1000.5
 # Gaps narrower than a door lie between pieces of furniture: they are filled, from both sides.
 _GAP_M = 0.8
 # A hall is wider than a corridor is made, and larger than a room for thirty people.
@@ -125,30 +129,49 @@ _LONG = 576.0 / 121.0
 
 
 def kind_of(polygon: FloatArray) -> SubmapKind | None:
-    """The kind of a region with this border (N, 2), metres; None for one without any width.
+    """The kind of a region with this border (N, 2), metres; None for one without any area.
 
     A hall has 60 square metres and a mean width of 4 m, or more. Of other shapes, those are
-    corridors that are long for their width, as a rectangle of 4 by 1 is.
+    corridors that are long for their width, as a rectangle of 4 by 1 is. They are measured along
+    their own walls: a shape that is turned, moved or mirrored has the same kind, unless half a
+    percent of its length would change it.
     """
-    if len(polygon) < 3:
+    if not len(polygon):
         return None
-    # drawn in cells, its narrow gaps filled
-    low, sides = polygon.min(axis=0), np.ptp(polygon, axis=0)
-    cell = max(_CELL_M, float(sides.max()) / _MOST_CELLS)
-    reach = round(_GAP_M / 2.0 / cell)
-    margin = reach + 1
-    width, height = (np.ceil(sides / cell).astype(int) + 2 * margin + 1).tolist()
-    shape = np.zeros((height, width), dtype=np.uint8)
-    corners = np.round((polygon - low) / cell).astype(np.int32) + margin
-    cv2.fillPoly(shape, [corners], (1,))
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
-    shape = np.asarray(cv2.morphologyEx(shape, cv2.MORPH_CLOSE, disc), dtype=np.uint8)
-    away = cv2.distanceTransform(shape, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[shape > 0]
-    away = away.astype(np.float64) - 1.0  # the border runs through the outermost cells
-    cells = len(away) - 0.5 * np.count_nonzero(away <= 0.0)  # which lie half outside
-    area, width = cells * cell**2, 4.0 * cell * float(away.sum()) / cells
-    if not width:
+    shape, cell = _along_walls(polygon)
+    if not shape.any():
         return None
+    # a gap is filled where no disc fits into it; its radius is half a cell less than the reach
+    reach = int(_GAP_M / 2.0 / cell) + 1
+    away = cell_distances(np.pad(~shape, reach + 1, constant_values=True).astype(np.uint8))
+    away = cell_distances((away < reach).astype(np.uint8))
+    depths = away[away >= reach] - (reach - 0.5)
+    area, width = len(depths) * cell**2, 4.0 * cell * float(depths.mean())
     if area >= _HALL_M2 and width >= _HALL_WIDTH_M:
         return "hall"
     return "corridor" if area >= _LONG * width**2 else "room"
+
+
+def _along_walls(polygon: FloatArray) -> tuple[BoolArray, float]:
+    """The cells (H, W) with their centres in a polygon (N, 2), and their side, metres.
+
+    Their rows run along the walls, the longest of which count most, and one of them has its centre
+    in the middle of the shape.
+    """
+    corners = polygon @ (1.0, 1.0j)
+    steps = np.roll(corners, -1) - corners
+    # a right angle, times four, is a whole turn: all sides of a rectangle point one way
+    corners = corners * np.exp(-0.25j * np.angle(np.sum(steps**4)))
+    x, y = (part - (part.max() + part.min()) / 2.0 for part in (corners.real, corners.imag))
+    cell = max(_CELL_M, 2.0 * max(x.max(), y.max()) / _MOST_CELLS)
+    width, height = (int(part.max() / cell) for part in (x, y))  # on each side of the middle
+    x, y = x / cell + width, y / cell + height
+    end_x, end_y = np.roll(x, -1), np.roll(y, -1)
+    low, high = (np.ceil(ends).astype(np.intp) for ends in (np.fmin(y, end_y), np.fmax(y, end_y)))
+    side = np.repeat(np.arange(len(x)), high - low)
+    row = low[side] + np.arange(len(side)) - (np.cumsum(high - low) - (high - low))[side]
+    share = (row - y[side]) / (end_y - y)[side]
+    first = np.ceil(x[side] + share * (end_x - x)[side]).astype(np.intp)  # beyond the side
+    crossed = np.zeros((2 * height + 1, 2 * width + 2), dtype=np.intp)
+    np.add.at(crossed, (row, first), 1)
+    return np.cumsum(crossed, axis=1)[:, :-1] % 2 == 1, cell

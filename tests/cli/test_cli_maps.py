@@ -11,9 +11,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.gridmap import UNKNOWN, GridMap
+from specmap_cli.grids.map_server import write_grid
 from tests.cli.conftest import QUICK, Outcome, Run
 from tests.flats import record_tour
 
@@ -197,6 +199,32 @@ def test_finished_maps_that_are_none(plan: Path, tmp_path: Path, run: Run) -> No
     ):
         run("segment", *line, "-o", tmp_path / "rooms").fails(3, told)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_map_of_nav2_is_divided_without_its_unknown_and_told_so(
+    flat: GridMap, tmp_path: Path, run: Run
+) -> None:
+    """Round the flat is as much unknown, that would be rooms if it were free."""
+    cells = np.pad(flat.cells, ((100, 20), (20, 100)), constant_values=UNKNOWN)
+    write_grid(tmp_path / "m", GridMap(cells, flat.resolution))
+    path, out = tmp_path / "m.yaml", tmp_path / "rooms"
+    line = ("segment", path, "-o", out, "--overwrite", "--json")
+    plain = run(*line)
+    assert plain.err == ""
+    path.write_text(path.read_text().replace("0.196", "0.25"))
+    told = run(*line)
+    assert told.err.startswith(f"specmap: {path}: the grey 205 is read as unknown")
+    assert told.err.endswith("write `mode: scale`\n")
+    assert told.result == plain.result
+    assert run(*line, "--quiet").err == ""
+    path.write_text(path.read_text().replace("trinary", "scale"))
+    free = run(*line)
+    assert free.err == ""
+    assert free.result["area_m2"] > 2.0 * plain.result["area_m2"]
+    tour = ("simulate", path, "-o", tmp_path / "tour.mcap", "--max-duration", "1", "--overwrite")
+    assert "205" not in run(*tour).err
+    path.write_text(path.read_text().replace("scale", "trinary"))
+    assert f"{path}: the grey 205" in run(*tour).err
 
 
 def replaced(pattern: str, new: str) -> Damage:

@@ -150,12 +150,13 @@ def test_a_link_leads_through_its_crossing_or_along_its_way_and_its_door_is_draw
     path = np.array([[2.0, 2.0], [2.0, 3.5], [3.5, 2.0], [6.0, 2.0]])
     way = Edge(source=0, target=1, kind="traversed", path=path, length_m=6.1, clearance_m=0.4)
     door = Door(id=0, x=4.0, y=2.0, width_m=1.0, theta=0.0, between=(0, 1))
-    without, through, along_it = (
+    without, through, along_it, under = (
         render_segmentation(each, regions, LogInfo("plan"))
         for each in (
             bare,
             dataclasses.replace(bare, edges={(0, 1): crossed}),
             dataclasses.replace(bare, edges={(0, 1): way}, doors=(door,)),
+            dataclasses.replace(bare, doors=(dataclasses.replace(door, x=2.0),)),
         )
     )
     for image, place, colour in (
@@ -165,6 +166,9 @@ def test_a_link_leads_through_its_crossing_or_along_its_way_and_its_door_is_draw
     ):
         assert near(around(image, places_on(regions, [place])[0], 9), colour) > 4
         assert near(without[TITLE:-120], colour) == 0
+    (badge,) = places_on(regions, [(2.0, 2.0)])
+    assert near(around(under, badge, 30), palette.DOOR) > 4
+    assert np.array_equal(around(under, badge, 10), around(without, badge, 10)), "the id is on top"
 
 
 def test_a_link_without_a_way_is_no_line_that_one_could_take() -> None:

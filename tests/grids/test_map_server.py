@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from specmap_cli.core.errors import MapError, UsageError
+from specmap_cli.core.progress import Silent
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.map_server import read_grid, read_picture, write_grid, write_png
@@ -93,6 +94,111 @@ def test_colours_transparency_and_percent_as_they_stand(tmp_path: Path) -> None:
     percent = np.array([[0, 100, 50, 255]], dtype=np.uint8)
     grid = read_grid(write_image(tmp_path, percent, YAML + "mode: raw\n"))
     assert grid.cells.tolist() == [[FREE, OCCUPIED, UNKNOWN, UNKNOWN]]
+
+
+NAV2 = YAML + "mode: trinary\noccupied_thresh: 0.65\nfree_thresh: 0.25\n"
+SAVED = np.repeat(np.repeat(np.array([[254, 205], [0, 254]], dtype=np.uint8), 20, 0), 20, 1)
+CELLS = [[OCCUPIED, FREE], [FREE, UNKNOWN]]  # the lowest row first
+
+
+def heard(path: Path) -> tuple[GridMap, list[str]]:
+    """A map as it is read, and the notes on the way."""
+
+    class Notes(Silent):
+        def note(self, message: str) -> None:
+            notes.append(message)
+
+    notes: list[str] = []
+    return read_grid(path, progress=Notes()), notes
+
+
+def brushed(greys: tuple[int, ...], strokes: int) -> NDArray[np.uint8]:
+    """A saved map of which somebody painted some pixels of an occupied corner."""
+    picture = SAVED.copy()
+    picture[39, :strokes] = np.resize(greys, strokes)
+    return picture
+
+
+@pytest.mark.parametrize(
+    "picture",
+    [
+        SAVED,
+        np.dstack([SAVED] * 3),
+        np.dstack([*[SAVED] * 3, np.full_like(SAVED, 255)]),  # where map_server reads 205 as free
+        SAVED.astype(np.uint16) * 257,
+        np.where(SAVED == 254, 255, SAVED),
+        brushed((0, 254, 255), 20),
+        brushed((40, 90, 230), 15),
+    ],
+    ids=["grey", "colour", "alpha", "16 bit", "white", "painted over", "by a soft brush"],
+)
+def test_the_grey_that_a_map_saver_writes_for_unknown_is_unknown_and_a_note_says_so(
+    tmp_path: Path, picture: NDArray[Any]
+) -> None:
+    """Nav2 and slam_toolbox give a threshold that makes it free."""
+    path = write_image(tmp_path, picture, NAV2)
+    if picture.ndim == 2:
+        assert cv2.imwrite(str(tmp_path / "m.pgm"), picture)
+        path.write_text(NAV2.replace(".png", ".pgm"))
+    grid, notes = heard(path)
+    assert grid.cells[10::20, 30::-20][:, ::-1].tolist() == CELLS
+    assert notes == [
+        f"{path}: the grey 205 is read as unknown, as map_saver writes it, though free_thresh 0.25 "
+        "would make it free: if it is free, write `mode: scale`"
+    ]
+    assert (read_grid(path).cells == grid.cells).all()  # whether or not anybody listens
+    path.write_text(path.read_text().replace("trinary", "scale"))
+    grid, notes = heard(path)
+    assert grid.cells[30, 30] == FREE
+    assert notes == []
+
+
+@pytest.mark.parametrize(
+    ("picture", "yaml", "corner"),
+    [
+        (SAVED, NAV2.replace("0.25", "0.196"), UNKNOWN),
+        (SAVED, NAV2.replace("negate: 0", "negate: 1"), OCCUPIED),
+        (brushed((40, 90, 230), 17), NAV2, FREE),  # a drawing in many greys
+        (np.where(SAVED == 254, 0, SAVED), NAV2, FREE),  # nothing else is free
+        (np.where(SAVED == 205, 204, SAVED), NAV2, FREE),
+    ],
+    ids=["ROS 1", "negated", "drawn", "the only light grey", "another grey"],
+)
+def test_greys_of_other_maps_are_what_their_thresholds_say(
+    tmp_path: Path, picture: NDArray[Any], yaml: str, corner: int
+) -> None:
+    grid, notes = heard(write_image(tmp_path, picture, yaml))
+    assert grid.cells[30, 30] == corner
+    assert notes == []
+
+
+@pytest.mark.parametrize("depth", [np.uint8, np.uint16])
+@pytest.mark.parametrize("mode", ["scale", "raw"])
+def test_maps_of_probabilities_are_read_as_nav2_writes_them(
+    tmp_path: Path, mode: str, depth: type[np.uint8 | np.uint16]
+) -> None:
+    """Every percentage, then unknown: transparent grey in the mode scale, white in raw."""
+    percent = np.arange(101)
+    greys = np.rint((100 - percent) * 2.55) if mode == "scale" else percent
+    picture = np.append(greys, 128 if mode == "scale" else 255)[None]
+    if mode == "scale":
+        opaque = np.where(np.arange(102) < 101, 255, 0)[None]
+        picture = np.dstack([*[picture] * 3, opaque])
+    unit = 1 if depth is np.uint8 else 257
+    yaml = NAV2.replace("trinary", mode)
+    cells = read_grid(write_image(tmp_path, (picture * unit).astype(depth), yaml)).cells[0]
+    expected = np.where(percent < 25, FREE, np.where(percent > 65, OCCUPIED, UNKNOWN))
+    told = percent != 65  # in 8 bits its grey is a little darker than the threshold
+    np.testing.assert_array_equal(cells[:101][told], expected[told])
+    assert cells[101] == UNKNOWN
+
+
+def test_percent_in_colours_are_averaged_and_do_not_turn_round(tmp_path: Path) -> None:
+    colours = np.array([[[0, 0, 3], [99, 100, 101], [0, 0, 255]]], dtype=np.uint8)
+    for negate in (0, 1):  # as Nav2 does
+        yaml = YAML.replace("negate: 0", f"negate: {negate}") + "mode: raw\n"
+        grid = read_grid(write_image(tmp_path, colours, yaml))
+        assert grid.cells.tolist() == [[FREE, OCCUPIED, OCCUPIED]]
 
 
 def test_a_given_resolution_wins_and_paths_may_be_text(tmp_path: Path) -> None:

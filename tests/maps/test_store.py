@@ -92,7 +92,9 @@ def test_labels_png_holds_any_division(seed: int, height: int, width: int) -> No
     regions = Regions(grid, owner, {})
     with tempfile.TemporaryDirectory() as folder:
         overview = np.zeros((2, 2, 3), dtype=np.uint8)
-        write_segmentation(folder, TopologicalMap(), regions, LogInfo("plan"), overview)
+        write_segmentation(
+            folder, TopologicalMap(), regions, LogInfo("plan"), overview, regions.owner
+        )
         written = cv2.imread(f"{folder}/labels.png", cv2.IMREAD_UNCHANGED)
         assert written is not None
         assert written.dtype == np.uint16

@@ -18,13 +18,13 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
 from specmap_cli.core import json_values
-from specmap_cli.core.geometry import IDENTITY, Pose2
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.schemas import read_schema
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.writing import MapResult
 from specmap_cli.topology.regions import Regions
-from specmap_cli.topology.shapes import Outline
+from specmap_cli.topology.shapes import Outline, kind_of
 from specmap_cli.topology.topological_map import (
     Door,
     Edge,
@@ -191,6 +191,23 @@ def test_a_submap_that_owns_nothing_is_where_its_frame_is() -> None:
     assert record.edges[0].distance_m == pytest.approx(8.0)
     assert record.nodes[1].centroid is None
     assert (record.nodes[0].polygon[2], record.nodes[0].area_m2) == ((0.0, 0.0), 2.5)
+
+
+def test_the_kind_is_that_of_the_border_as_it_is_written() -> None:
+    """Of a strip that is all but long enough for a corridor; its border is rounded."""
+
+    def strip(length: float) -> FloatArray:
+        return np.array([(0.0, 0.0), (length, 0.0), (length, 1.0), (0.0, 1.0)])
+
+    room, corridor = 3.0, 5.0
+    while corridor - room > 1e-12:
+        middle = (room + corridor) / 2.0
+        room, corridor = (middle, corridor) if kind_of(strip(middle)) == "room" else (room, middle)
+    for length in (room, corridor):
+        outline = Outline(strip(length), np.zeros(2), length)
+        regions = Regions(GRID, np.zeros((2, 2), dtype=np.int64), {0: outline})
+        node = record_of(TopologicalMap(submaps={0: submap(0)}), regions).nodes[0]
+        assert node.kind == kind_of(np.array(node.polygon))
 
 
 def test_a_submap_has_a_name_and_a_picture_and_keyframes_only_if_there_are_scans() -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from specmap_cli.checking.figures import figures_of
 from specmap_cli.cli import main
 from specmap_cli.core.errors import MapError, NoResultError, UsageError
 from specmap_cli.grids.gridmap import FREE
@@ -17,6 +18,7 @@ from specmap_cli.history.record import BuildingRecord
 from specmap_cli.pipelines import compare
 from specmap_cli.pipelines.compare import COMPARISON, PICTURE, SUMMARY, Comparison, compare_maps
 from specmap_cli.pipelines.history import history_of, write_history
+from specmap_cli.topology.regions import NOBODY
 from tests.flats import Mapped, rows
 
 
@@ -195,6 +197,16 @@ def test_what_changed_is_told_with_its_place_and_names_in_the_old_map(told: Comp
     lines = compare.lines_of(told.record.model_copy(update={"old": old}))
     assert any(line.startswith("way closed: ") and "(Kitchen)" in line for line in lines)
     assert not any("(submap" in line for line in lines)
+
+
+def test_the_area_of_a_map_is_that_of_the_free_cells_of_its_submaps(told: Comparison) -> None:
+    grid, owner = told.old.map_grid, told.old.regions.owner
+    area_m2 = np.count_nonzero((owner != NOBODY) & grid.free) * grid.resolution**2
+    assert area_m2 < grid.free_area_m2 - 0.1, "something was only looked into"
+    assert told.record.old.area_m2 == pytest.approx(area_m2)
+    assert figures_of(told.old)["area_m2"] == pytest.approx(area_m2)
+    words = f"area: {area_m2:.0f} m2, then {told.record.new.area_m2:.0f} m2"
+    assert told.lines()[-1].endswith(words)
 
 
 def test_the_other_way_round_things_vanish(before: Path, changed: Path) -> None:

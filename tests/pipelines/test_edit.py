@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock, call
@@ -17,16 +17,23 @@ from specmap_cli import read_map
 from specmap_cli.core.errors import MapError, UsageError
 from specmap_cli.core.geometry import nearest_motion
 from specmap_cli.core.progress import Silent
+from specmap_cli.core.records import Trajectory
+from specmap_cli.core.settings import Config
 from specmap_cli.exports.table import export_map
 from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.writing import MapResult, write_map
 from specmap_cli.pipelines.edit import edit_map
 from specmap_cli.pipelines.edits import RequestedEdits
 from specmap_cli.pipelines.merge import merge_maps
 from specmap_cli.pipelines.reports import EditReport
 from specmap_cli.pipelines.segment import segment_map
 from specmap_cli.pipelines.update import build_like, update_map
+from specmap_cli.topology.navigation import crossing_of, with_ways
+from specmap_cli.topology.regions import divide
+from specmap_cli.topology.topological_map import TopologicalMap
 from tests.conftest import SAMPLE_LOGS
 from tests.flats import QUICK, Mapped
+from tests.topology.rooms import two_rooms
 
 
 @dataclass(frozen=True)
@@ -171,6 +178,9 @@ class TestBorders:
         assert (min(new, corridor), max(new, corridor)) in divided.topology.edges
         # or its features would be taken for those of the version before
         assert divided.run["versions"] == before.run["versions"]
+        is_now = {"submaps": len(divided.ids), "edges": len(divided.topology.edges)}
+        is_now["doors"] = len(divided.topology.doors)
+        assert divided.run["counts"] == before.run["counts"] | is_now, "also the metres driven"
 
         report = edit(divided, {"merge": [corridor, room]}, out=tmp_path / "merged")
         merged = read_map(report.out)
@@ -183,7 +193,6 @@ class TestBorders:
         assert json.loads(merged.classifiers)["schema_version"] >= 1
         for name in ("keyframes.mcap", "trajectory.tum", "trajectory.g2o"):
             assert bytes_of(merged.path, name) == bytes_of(built.map, name)
-        assert merged.run["counts"]["submaps"] == len(merged.ids)
 
         report = edit(merged, undo=(1, 2), out=tmp_path / "undone")
         undone = read_map(report.out)
@@ -251,6 +260,36 @@ class TestForbiddenDoors:
             edit(own, {"forbid": pair, "at": [x + 5.0, y]})
         near = edit(own, {"forbid": pair, "at": [x + 0.2, y]})
         assert near.forbidden == ((min(pair), max(pair)),)
+
+    def test_the_way_leads_through_another_door_until_it_is_allowed_again(
+        self, result: MapResult, tmp_path: Path
+    ) -> None:
+        """Two rooms side by side, with two doors."""
+        whole = two_rooms((5.3, 4.4, 5.5, 5.3), (5.3, 1.5, 5.5, 2.2)).grid
+        poses = result.labels.poses.copy()
+        poses[:, 0], poses[:, 1] = np.where(np.arange(30) < 20, 3.0, 7.5), 3.3
+        labels = replace(result.labels, poses=poses, submaps=np.repeat([0, 0, 1], 10))
+        rooms = {
+            0: replace(result.topology.submaps[0], keyframes=tuple(range(20))),
+            1: replace(result.topology.submaps[2], id=1),
+        }
+        regions = divide(whole, labels)
+        topology = with_ways(TopologicalMap(submaps=rooms), regions, Config().ways, poses)
+        way = Trajectory(labels.stamps_ns, poses)
+        write_map(
+            tmp_path,
+            replace(result, topology=topology, regions=regions, labels=labels, trajectory=way),
+        )
+        text, (edge,) = bytes_of(tmp_path, "topology.json"), topology.edges.values()
+        used, spare = sorted(topology.doors, key=lambda door: door.id not in edge.doors)
+        edit(tmp_path, {"forbid": [0, 1], "at": [used.x, used.y]})
+        after = read_map(tmp_path).topology.edges[0, 1]
+        assert (after.doors, after.forbidden) == ((spare.id,), False)
+        assert after.crossing == pytest.approx((spare.x, spare.y))
+        assert after.path is not None
+        assert crossing_of(after.path, used) is None
+        edit(tmp_path, undo=(1,))
+        assert bytes_of(tmp_path, "topology.json") == text
 
     def test_it_holds_when_the_split_that_made_its_submap_is_undone(
         self, built: Built, own: Path

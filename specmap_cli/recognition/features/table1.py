@@ -75,7 +75,9 @@ def area_and_convexity(batch: ReturnsBatch) -> FloatArray:
     """
     areas, perimeters = batch.areas_and_perimeters
     segments, vertices = batch.polygons
-    corners = vertices.T.astype(np.float32, order="C")
+    # a corner that single precision cannot tell from -0 is 0: of points that differ in that sign
+    # alone, OpenCV makes no hull
+    corners = vertices.T.astype(np.float32, order="C") + np.float32(0.0)
     values = np.zeros((len(batch), 4))
     for k in np.flatnonzero(perimeters > 0.0).tolist():
         hull = cv2.convexHull(corners[segments.starts[k] : segments.starts[k + 1]])

@@ -195,6 +195,15 @@ def test_area_axes_and_centroid_are_those_of_scipy_numpy_and_a_loop(scan: Planar
     assert roundness <= 1.0  # the isoperimetric inequality
 
 
+@pytest.mark.parametrize("ranges", [[1e-59, 1e-160], [5e-60] * 7, [1e-30, 1e-59, math.inf, 1e-59]])
+@pytest.mark.parametrize("full", [True, False])
+def test_a_scan_within_the_smallest_number_of_single_precision_is_a_point(
+    ranges: list[float], full: bool
+) -> None:
+    values = of_one(table1.area_and_convexity, batch_of(scan_of(np.array(ranges), full)))
+    assert values == pytest.approx([0.0, 0.0, 0.0, 0.0], abs=1e-29)
+
+
 def test_the_aspect_of_a_line_is_large_and_finite() -> None:
     bearings = np.linspace(-1.0, 1.0, 50)
     wall = PlanarScan(0, bearings, 2.0 / np.cos(bearings), 30.0, full_circle=False)

@@ -1,0 +1,63 @@
+"""What was only seen: free space of a map that no robot enters, and that is no room.
+
+A laser looks through windows, glass, railings and the doors of rooms that nobody entered. What it
+sees there lies open to the unknown, where rooms have walls.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from specmap_cli.grids.gridmap import OCCUPIED, UNKNOWN, BoolArray, GridMap, cell_distances, joined
+from specmap_cli.segmentation.cells import border_widths, components
+from specmap_cli.segmentation.visibility import LabelArray
+
+_ROBOT_RADIUS_M, _REACH_M = 0.15, 0.5  # of the smallest robot, and how far beside it a room goes
+_BESIDE = np.ones((3, 3), dtype=np.uint8)  # a border beside an obstacle is a wall
+
+
+def entered(labels: LabelArray, grid: GridMap, least: float) -> LabelArray:
+    """The regions (h, w) of a map that are rooms; -1 what was only seen.
+
+    Seen only is, in this order:
+
+    1. what is not within reach of any place where the smallest robot finds room: single rays;
+    2. a region that borders on the unknown more than on walls;
+    3. a region that touches others, and which a robot of the radius `least`, in cells, cannot reach
+       from the largest part of the map.
+    """
+    free = labels >= 0
+    clearance = cell_distances(np.pad(free.astype(np.uint8), 1))[1:-1, 1:-1]
+    roomy = clearance * grid.resolution >= _ROBOT_RADIUS_M
+    away = cv2.distanceTransform((~roomy).astype(np.uint8), cv2.DIST_L2, 5) * grid.resolution
+    found = np.where(joined(free & (away <= _REACH_M), roomy), labels, np.int32(-1))
+    found[np.isin(found, np.flatnonzero(_open_to_the_unknown(found, grid)))] = -1
+    count = int(labels.max(initial=0)) + 1
+    size = np.bincount(found[found >= 0], minlength=count)
+    borders = border_widths(found, clearance)
+    part = components(count, [pair for pair, border in borders.items() if border >= least])
+    home = part == np.bincount(part, weights=size).argmax()
+    glimpsed = [pair for pair in border_widths(labels, clearance) if not size[list(pair)].all()]
+    apart = np.isin(np.arange(count), [*borders, *glimpsed]) & ~home
+    return np.where((found < 0) | apart[found], np.int32(-1), found)
+
+
+def _open_to_the_unknown(labels: LabelArray, grid: GridMap) -> BoolArray:
+    """(k,) which regions (h, w) have more sides of cells on the unknown than on walls."""
+    wall = cv2.dilate((grid.cells == OCCUPIED).astype(np.uint8), _BESIDE) > 0
+    unknown = (grid.cells == UNKNOWN) & ~wall
+    count = int(labels.max(initial=0)) + 1
+    more = np.zeros(count, dtype=np.int64)
+    for one, other in (
+        (np.s_[:-1], np.s_[1:]),
+        (np.s_[1:], np.s_[:-1]),
+        (np.s_[:, :-1], np.s_[:, 1:]),
+        (np.s_[:, 1:], np.s_[:, :-1]),
+    ):
+        inside, beyond = labels[one], labels[other] < 0
+        inside = np.where(beyond, inside, np.int32(-1))
+        for kind, sign in ((unknown[other], 1), (wall[other], -1)):
+            sides = inside[(inside >= 0) & kind]
+            more += sign * np.bincount(sides, minlength=count)
+    return np.asarray(more > 0)
