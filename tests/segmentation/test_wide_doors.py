@@ -32,25 +32,26 @@ def widths_at(free: BoolArray, y_m: float) -> list[float]:
 
 
 def test_offices_that_stand_open_are_told_from_their_corridor() -> None:
-    building = plan(12.0, 6.6, CORRIDOR, *OFFICES, *OPENINGS)
+    openings = ((x, 2.1, x + 2.2, 2.3) for x in (1.0, 5.0, 9.0))
+    building = plan(12.0, 6.6, CORRIDOR, *OFFICES, *openings)
     assert segment(building, SegmentationConfig()).count == 4
     assert segment(building, SegmentationConfig(wide_door_m=0.0)).count != 4  # corridor in pieces
 
 
 def test_an_opening_is_narrowed_to_a_door_and_a_door_stays() -> None:
     building = plan(12.0, 6.6, CORRIDOR, *OFFICES, *OPENINGS[:2], (9.0, 2.1, 9.8, 2.3))
-    assert widths_at(narrowed(building.free), 2.2) == [0.9, 0.9, 0.8]
+    assert widths_at(narrowed(building.free), 2.2) == [0.8, 0.8, 0.8]
     assert widths_at(narrowed(building.free, 1.9), 2.2) == [2.0, 2.0, 0.8]
     # where the room behind begins at its side, the wall ends in a corner: the partition of rooms
     building = plan(12.0, 6.6, CORRIDOR, *OFFICES, (0.3, 2.1, 2.3, 2.3), (4.2, 2.1, 6.2, 2.3))
-    assert widths_at(narrowed(building.free), 2.2)[1] == 0.9
+    assert widths_at(narrowed(building.free), 2.2)[1] == 0.8
 
 
 def test_no_corridor_is_cut_where_partitions_on_both_sides_meet_it() -> None:
     below = [(x0, -y1 + 4.4 + 2.2, x1, -y0 + 4.4 + 2.2) for x0, y0, x1, y1 in OFFICES]
     above = [(x0, y0 + 4.2, x1, y1 + 4.2) for x0, y0, x1, y1 in OFFICES]
     corridor = (0.3, 4.5, 11.7, 6.3)
-    doors = [(x, y, x + 0.9, y + 0.2) for x in (2.8, 4.4, 6.6, 8.2) for y in (4.3, 6.3)]
+    doors = [(x, y, x + 0.8, y + 0.2) for x in (2.8, 4.4, 6.6, 8.2) for y in (4.3, 6.3)]
     building = plan(12.0, 10.8, corridor, *below, *above, *doors)
     np.testing.assert_array_equal(narrowed(building.free), building.free)
 
@@ -61,7 +62,7 @@ def test_no_corridor_is_cut_where_partitions_on_both_sides_meet_it() -> None:
         (np.s_[28:32, :40], np.s_[28:32, 80:], True),
         (np.s_[28:32, :40], np.s_[28:, 80:], True),  # a wall opposite a corner
         (np.s_[28:32, :40], np.s_[:, 80:], False),  # opposite the middle of another
-        (np.s_[22:38, :40], np.s_[22:38, 80:], False),  # 0.8 m thick
+        (np.s_[19:41, :40], np.s_[19:41, 80:], False),  # 1.1 m thick
         (np.s_[28:32, 32:40], np.s_[28:32, 80:88], False),  # pieces of 0.4 m
     ],
 )
@@ -71,7 +72,7 @@ def test_an_opening_lies_between_a_thin_wall_and_the_end_of_another(
     free = np.ones((60, 120), dtype=bool)
     free[left] = free[right] = False
     found = narrowed(free)
-    assert (widths_at(found[:, 40:80], 1.5) == [0.9]) == is_opening
+    assert (widths_at(found[:, 40:80], 1.5) == [0.8]) == is_opening
     assert (found == free).all() != is_opening
 
 
@@ -81,6 +82,22 @@ def test_a_slanted_wall_points_at_nothing() -> None:
     free[(rows > 60) & (rows < 100) & (np.abs(columns - 0.5 * rows - 20) <= 4)] = True
     free[:, 120:124] = False
     np.testing.assert_array_equal(narrowed(free), free)
+
+
+def test_a_post_in_the_line_of_a_wall_is_no_furniture() -> None:
+    free = plan(12.0, 6.6, CORRIDOR, *OFFICES[:2], (8.0, 2.3, 11.7, 6.3), *OPENINGS).free.copy()
+    free[42:46, 100:136] = True  # from 5 m to 6.8 m: two doors with a post between
+    free[43:46, 116:120] = False
+    small = np.zeros_like(free)
+    small[43:46, 116:120] = True
+    small[80:84, 116:120] = True  # a chair in the office
+    opened, found = with_narrow_doors(free & ~small, small, CELL_M, 2.5)
+    assert widths_at(opened, 2.2) == [2.0, 0.8, 1.0, 2.0]
+    assert widths_at(found, 2.2) == [0.8, 0.8, 0.8, 0.8]
+    assert opened[80:84, 116:120].all()
+    # a table that is as wide is none
+    small[40:70, 116:120] = True
+    assert with_narrow_doors(free & ~small, small, CELL_M, 2.5)[0][small].all()
 
 
 def test_beside_a_cupboard_at_a_wall_nothing_is_narrowed() -> None:
@@ -93,7 +110,7 @@ def test_beside_a_cupboard_at_a_wall_nothing_is_narrowed() -> None:
 def test_holes_in_the_middle_of_a_wall_leave_it_in_line() -> None:
     free = plan(12.0, 6.6, CORRIDOR, *OFFICES, *OPENINGS).free.copy()
     free[43:45, ::3] = True  # the wall along the corridor is in rows 42 to 45
-    assert widths_at(narrowed(free), 2.1) == widths_at(narrowed(free), 2.25) == [0.9, 0.9, 0.9]
+    assert widths_at(narrowed(free), 2.1) == widths_at(narrowed(free), 2.25) == [0.8, 0.8, 0.8]
 
 
 def test_a_door_leaf_behind_the_wall_of_a_corridor_cuts_no_corridor() -> None:
