@@ -19,9 +19,7 @@ from specmap_cli.grids.gridmap import BoolArray
 
 _DOOR_M = 0.8  # what is left of a wide opening; beside a post, none is wider than two doors
 _SPACE_M = 0.9  # the least free space in front of a wall; posts are thinner
-_WALL_M = (
-    0.5  # the most that a wall is thick, and the least length of one that points at an opening
-)
+_WALL_M = 0.5  # the least length of a wall beside an opening; twice this is too thick for one
 _LINE_M = 6.0  # the longest row of openings and posts between two walls
 
 
