@@ -221,8 +221,8 @@ def segment(
 ) -> None:
     """Divide an existing occupancy grid into submaps.
 
-    Rooms, corridors and halls. Writes topology.json, labels.png (16 bit), overview.png and a grid
-    of each submap.
+    Rooms, corridors and halls. Writes topology.json, labels.png (16 bit), overview.png, and grids
+    of the map and of each submap.
 
     \b
     specmap segment map.yaml -o rooms

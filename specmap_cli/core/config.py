@@ -53,6 +53,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "labels": "nearest",
             "merge": False,
             "placements": 1,
+            "rooms_only": False,
             "test_every": "keyframes",
             "split_eigenvalue": 0.8,
             "split_share": 0.0,

@@ -230,6 +230,9 @@ class SegmentationConfig(_Section):
         le=16,
         description="Number of divisions with other nodes; what most of them say counts.",
     )
+    rooms_only: bool = Field(
+        True, description="Whether `segment` leaves out free space that no robot could enter."
+    )
     test_every: Literal["metres", "keyframes"] = Field(
         "metres", description="Whether tests for a new submap go by metres or by keyframes."
     )

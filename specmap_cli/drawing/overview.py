@@ -14,11 +14,10 @@ from specmap_cli.drawing import symbols
 from specmap_cli.drawing.canvas import Image
 from specmap_cli.drawing.palette import Colour, colours_of
 from specmap_cli.drawing.sheet import Sheet, extent_of, strokes
-from specmap_cli.topology.regions import NOBODY, Regions
+from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import Edge, LogInfo, TopologicalMap, driven_m
 
 _STRAY_M = 2.0  # a centroid farther from the robot's way lies behind glass, not in the room
-_UNREACHED = 0.005  # share of the free cells that must be nobody's to be worth a word
 _BESIDE_M = 0.3  # of paper on the other side of a way that leads out of the grid
 _ROUNDS = 100  # of moving badges apart; a dense map settles within a dozen
 
@@ -39,11 +38,8 @@ def render_overview(
     places = trajectory.poses[:, :2]
     low, high = extent_of(regions, places, _BESIDE_M)
     warnings = [finding.place for finding in quality.worst if finding.place is not None]
-    shown = _shown(topology) | {"trajectory", "start", "end"}
+    shown = _shown(topology, regions) | {"trajectory", "start", "end"}
     shown |= {symbols.DOOR_WORDS[door.driven] for door in topology.doors}
-    free = regions.grid.free
-    unreached = np.count_nonzero(free & (regions.owner == NOBODY))
-    shown |= {"seen, not reached"} if unreached > _UNREACHED * free.sum() else set()
     shown |= {"the map may be wrong here"} if warnings else set()
     sheet = Sheet(low, high, symbols.legend_of(shown))
     sheet.ground(regions, fills)
@@ -78,22 +74,25 @@ def render_segmentation(topology: TopologicalMap, regions: Regions, log: LogInfo
     """A finished map cut into regions, with their ids and the doorways between them."""
     fills = colours_of(topology, regions)
     low, high = extent_of(regions)
-    shown = _shown(topology) | ({symbols.DOOR_WORDS[True]} if topology.doors else set())
+    shown = _shown(topology, regions) | ({symbols.DOOR_WORDS[True]} if topology.doors else set())
     sheet = Sheet(low, high, symbols.legend_of(shown))
     sheet.ground(regions, fills)
     _draw_graph(sheet, topology, _nodes(topology, regions), fills)
     width, height = high - low
     size = f"{width:.1f} x {height:.1f} m"
-    sheet.title(_headline([log], topology), f"{regions.area_m2:,.0f} m2 in submaps,  {size}")
+    seen = f", {regions.seen_m2:,.0f} m2 only seen" if regions.seen else ""
+    area = f"{regions.area_m2:,.0f} m2 in submaps{seen}"
+    sheet.title(_headline([log], topology), f"{area},  {size}")
     return sheet.canvas.image
 
 
-def _shown(topology: TopologicalMap) -> set[str]:
+def _shown(topology: TopologicalMap, regions: Regions) -> set[str]:
     """What every picture of a map shows, in the words of its legend; doors aside."""
     links = {symbols.LINK_WORDS[drawn_as(topology, edge)] for edge in topology.edges.values()}
     forbidden = any(edge.forbidden for edge in topology.edges.values())
     forbidden |= any(door.forbidden for door in topology.doors)
-    return {"submap", "wall"} | links | ({"forbidden"} if forbidden else set())
+    shown = {"submap", "wall"} | links | ({"forbidden"} if forbidden else set())
+    return shown | ({"only seen"} if regions.seen else set())
 
 
 def _nodes(topology: TopologicalMap, regions: Regions) -> dict[int, FloatArray]:

@@ -15,6 +15,7 @@ Colour = tuple[int, int, int]  # blue, green, red
 INK: Colour = (46, 42, 38)
 PAPER: Colour = (255, 255, 255)
 SHADE: Colour = (236, 236, 236)
+SEEN: Colour = (216, 211, 206)  # what was only seen: of all light greys the farthest from all fills
 QUIET: Colour = (130, 124, 118)
 TRAVERSED: Colour = (190, 112, 40)
 RIGHT: Colour = (92, 52, 20)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from specmap_cli.core.arrays import runs
 from specmap_cli.core.geometry import FloatArray, step_lengths
 from specmap_cli.drawing.canvas import Canvas, fitting_height, text_width
-from specmap_cli.drawing.palette import BORDER, INK, PAPER, QUIET, SHADE, Colour
+from specmap_cli.drawing.palette import BORDER, INK, PAPER, QUIET, SEEN, Colour
 from specmap_cli.drawing.symbols import Legend, Symbol
 from specmap_cli.grids.gridmap import FREE, UNKNOWN, BoolArray, GridMap, window_of
 from specmap_cli.topology.regions import NOBODY, OwnerArray, Regions
@@ -91,15 +91,15 @@ class Sheet:
             self.canvas.text(MARGIN, y, text, fitting, colour, bold=bold)
 
     def ground(self, regions: Regions, fills: Mapping[int, Colour]) -> None:
-        """Paint regions in their colours with borders, unowned free cells grey, walls dark."""
+        """Paint regions in their colours with borders, what was only seen grey, walls dark."""
         self.floor(regions, fills)
         self.borders(regions)
         self.walls(regions.grid, regions.grid.occupied, INK)
 
     def floor(self, regions: Regions, fills: Mapping[int, Colour]) -> None:
-        """Paint regions in their colours, unowned free cells grey."""
+        """Paint regions in their colours, what was only seen grey."""
         grid, owner = _at_most_a_pixel_each(regions, self.pixels_per_m)
-        table = np.full((max([int(owner.max(initial=0)), *fills]) + 2, 3), SHADE, dtype=np.uint8)
+        table = np.full((max([int(owner.max(initial=0)), *fills]) + 2, 3), SEEN, dtype=np.uint8)
         for id_, fill in fills.items():
             table[id_ + 1] = fill
         colours = table[owner + 1]

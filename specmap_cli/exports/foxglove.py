@@ -152,12 +152,11 @@ def _write_scans(
 def _grid(layer: Layer, frame: str, number: int, stamp: Fields) -> Fields:
     """A grid of coloured cells; Foxglove takes such fields as they are."""
     width = layer.rgba.shape[1]
-    corner = layer.pose @ Pose2(*layer.origin, 0.0)
     channels = ("red", "green", "blue", "alpha")
     return {
         "timestamp": stamp,
         "frame_id": frame,
-        "pose": _pose(corner, number * LAYER_STEP_M),
+        "pose": _pose(Pose2(*layer.origin, 0.0), number * LAYER_STEP_M),
         "column_count": width,
         "cell_size": {"x": layer.resolution, "y": layer.resolution},
         "row_stride": 4 * width,

@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.json_values import Point
 from specmap_cli.core.progress import Progress
 from specmap_cli.drawing.palette import (
@@ -21,12 +21,11 @@ from specmap_cli.drawing.palette import (
     TRAVERSED,
     WRONG,
     Colour,
-    colour_graph,
     colours_of,
 )
 from specmap_cli.exports.flat_formats import DOOR as DOOR_FIELDS
 from specmap_cli.exports.flat_formats import LINK, Fields, fields_of, link_line
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.grids.gridmap import FREE, OCCUPIED
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps import filenames
 from specmap_cli.maps.schema import TopologyRecord
@@ -50,53 +49,30 @@ WAY, _UNDRIVEN, _FORBIDDEN, _DOOR = map(_rgb, (TRAVERSED, QUIET, WRONG, DOOR))
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """A grid in colours: `rgba` (H, W, 4), row 0 the lowest, its corner `origin` in `pose`.
-
-    `pose` is where the frame of the grid lies in the map.
-    """
+    """A grid in colours: `rgba` (H, W, 4), row 0 the lowest, its corner `origin` in the map."""
 
     name: str
     rgba: RgbaArray
     resolution: float
     origin: tuple[float, float]
-    pose: Pose2 = IDENTITY
-
-
-def has_whole_map(stored: StoredMap) -> bool:
-    """Whether a map has one grid of all; those of `specmap segment` have one a submap."""
-    return (stored.path / f"{filenames.MAP_GRID}.yaml").exists()
 
 
 def colours(stored: StoredMap) -> dict[int, Rgb]:
     """The colour of each submap: those of overview.png."""
-    if has_whole_map(stored):
-        found = colours_of(stored.topology, stored.regions)
-    else:
-        pairs = [(edge.source, edge.target) for edge in stored.record.edges]
-        found = colour_graph(stored.ids, pairs)
+    found = colours_of(stored.topology, stored.regions)
     return {id_: _rgb(colour) for id_, colour in found.items()}
 
 
 def layers(stored: StoredMap, fills: Mapping[int, Rgb]) -> Iterator[Layer]:
-    """The grid of the whole map and its regions; else the grid of each submap."""
-    if has_whole_map(stored):
-        whole, owner = stored.map_grid, stored.regions.owner
-        yield _layer("map", whole, _rgb(PAPER))
-        rgba = np.zeros((*owner.shape, 4), dtype=np.uint8)
-        for id_, colour in fills.items():
-            rgba[owner == id_] = (*colour, _FILL_ALPHA)
-        yield Layer("regions", rgba, whole.resolution, whole.origin)
-        return
-    for node in stored.record.nodes:
-        pose = Pose2(node.x, node.y, node.theta)
-        yield _layer(f"map/{node.id}", stored.grid(node.id), fills[node.id], pose)
-
-
-def _layer(name: str, grid: GridMap, free: Rgb, pose: Pose2 = IDENTITY) -> Layer:
-    rgba = np.zeros((*grid.cells.shape, 4), dtype=np.uint8)
-    rgba[grid.cells == FREE] = (*free, 255)
-    rgba[grid.cells == OCCUPIED] = (*_rgb(INK), 255)
-    return Layer(name, rgba, grid.resolution, grid.origin, pose)
+    """The grid of the whole map, and its regions."""
+    grid, owner = stored.regions.grid, stored.regions.owner
+    whole, regions = (np.zeros((*owner.shape, 4), dtype=np.uint8) for _ in range(2))
+    whole[grid.cells == FREE] = (*_rgb(PAPER), 255)
+    whole[grid.cells == OCCUPIED] = (*_rgb(INK), 255)
+    yield Layer("map", whole, grid.resolution, grid.origin)
+    for id_, colour in fills.items():
+        regions[owner == id_] = (*colour, _FILL_ALPHA)
+    yield Layer("regions", regions, grid.resolution, grid.origin)
 
 
 class GraphLine(NamedTuple):

@@ -113,7 +113,7 @@ class _Recording:
         """A grid as a picture on a rectangle."""
         rows, columns = layer.rgba.shape[:2]
         corners = np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]], dtype=np.float64)
-        places = layer.pose.apply(corners * layer.resolution + layer.origin)
+        places = corners * layer.resolution + layer.origin
         mesh = self._sdk.Mesh3D(
             vertex_positions=_in_space(places, z),
             triangle_indices=[[0, 1, 2], [0, 2, 3]],

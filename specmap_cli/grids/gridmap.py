@@ -116,8 +116,7 @@ class GridMap:
 
     def clearance(self) -> FloatArray:
         """(H, W) metres from each free cell's centre to the nearest cell that is not free."""
-        padded = np.pad(self.free.astype(np.uint8), 1)
-        return cell_distances(padded)[1:-1, 1:-1] * self.resolution
+        return clearance_of(self.free) * self.resolution
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,6 +174,14 @@ def cell_distances(picture: CellArray) -> FloatArray:
     pixels = cv2.distanceTransform(picture, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     squares = np.rint(np.square(pixels, dtype=np.float64))
     return np.asarray(np.sqrt(squares), dtype=np.float64)
+
+
+def clearance_of(free: BoolArray) -> FloatArray:
+    """(H, W) distance, in cells, from each free cell's centre to that of the nearest one not free.
+
+    What lies off the grid is not free.
+    """
+    return cell_distances(np.pad(free.astype(np.uint8), 1))[1:-1, 1:-1]
 
 
 def joined(cells: BoolArray, seeds: BoolArray) -> BoolArray:

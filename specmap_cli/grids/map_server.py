@@ -161,11 +161,18 @@ def read_grid(
 def _with_outlines(cells: CellArray, picture: NDArray[Any]) -> CellArray:
     """The cells (H, W) of a drawing of which white ends at walls, however light they are drawn.
 
-    The grey that map_saver writes for unknown stays what it is.
+    The grey that map_saver writes for unknown, and what is transparent, stay what they are.
     """
     beside = cv2.dilate((cells == FREE).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    drawn = beside & (cells == UNKNOWN) & (picture[..., 0] != _UNKNOWN_GREY)
-    return np.where(drawn, np.uint8(OCCUPIED), cells)
+    unsure = beside & (cells == UNKNOWN)
+    channels, unit = picture.shape[2], 257 if picture.dtype == np.uint16 else 1
+    transparent = channels in (2, 4)
+    shown = picture[unsure]
+    drawn = (shown[:, : channels - transparent] != _UNKNOWN_GREY * unit).any(axis=1)
+    drawn &= (shown[:, -1] == 255 * unit) | (not transparent)
+    outlined = cells.copy()
+    outlined[unsure] = np.where(drawn, np.uint8(OCCUPIED), np.uint8(UNKNOWN))
+    return outlined
 
 
 def _complaint(error: ValidationError, entries: dict[str, Any]) -> tuple[str, ...]:

@@ -177,7 +177,7 @@ def _plan(building: BuildingRecord, stored: StoredMap) -> dict[str, Any]:
     return {
         "frame": map_.frame,
         "walls": map_.walls,
-        "floor": map_.unreached,
+        "seen": map_.seen,
         "rooms": [
             {
                 "name": shown(room.name),

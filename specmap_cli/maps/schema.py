@@ -44,6 +44,7 @@ from specmap_cli.topology.topological_map import (
     Edge,
     LogInfo,
     Said,
+    Seen,
     Stay,
     Submap,
     SubmapKind,
@@ -79,6 +80,11 @@ class GraphRecord(Record):
         description="all pairs of stays that were compared, in the order of the comparisons"
     )
     doors: tuple[Door, ...] = Field(description="every door between two submaps, by id")
+    seen: tuple[Seen, ...] = Field(
+        default=(),
+        description="every piece of what was only seen, of a square metre or more, the largest "
+        "first; maps of earlier versions do not tell it",
+    )
     robot_radius_m: Amount | None = Field(
         description="what the paths of edges keep off walls and off what nobody saw, metres; null "
         "where nobody looked for paths"
@@ -161,6 +167,11 @@ class TopologyRecord(Record):
         """Area of the map: that of its submaps."""
         return sum(node.area_m2 for node in self.nodes)
 
+    @property
+    def seen_m2(self) -> float:
+        """Area of what was only seen."""
+        return sum(piece.area_m2 for piece in self.graph.seen)
+
     @classmethod
     def of(
         cls,
@@ -198,6 +209,7 @@ class TopologyRecord(Record):
                     for closure in topology.closures
                 ),
                 doors=topology.doors,
+                seen=regions.seen,
                 robot_radius_m=topology.robot_radius_m,
                 edits=EditsRecord(submaps=topology.said, borders=topology.borders),
                 quality=quality,

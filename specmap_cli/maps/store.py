@@ -15,19 +15,20 @@ from pydantic import ValidationError
 
 from specmap_cli.core.arguments import path_of
 from specmap_cli.core.config import known_settings
-from specmap_cli.core.errors import MAP_MISSING, MapError
+from specmap_cli.core.errors import MAP_MISSING, TOO_LARGE, MapError
+from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import NO_SUBMAP, Labels
 from specmap_cli.core.settings import Config, LimitsConfig
 from specmap_cli.core.text import counted
-from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.grids.map_server import read_grid
+from specmap_cli.grids.map_server import read_grid, read_picture
 from specmap_cli.maps import filenames
 from specmap_cli.maps.features_file import Arrays, read_features
-from specmap_cli.maps.schema import TopologyRecord
+from specmap_cli.maps.schema import NodeRecord, TopologyRecord
 from specmap_cli.maps.text_files import first_finding, map_json, map_text, read_labels
 from specmap_cli.maps.topology_file import read_topology
-from specmap_cli.topology.regions import Regions, divide
+from specmap_cli.topology.regions import NOBODY, Regions, divide
 from specmap_cli.topology.topological_map import (
     LogInfo,
     Merge,
@@ -109,13 +110,24 @@ class StoredMap:
 
     @cached_property
     def regions(self) -> Regions:
-        """The whole map divided among the submaps, as in overview.png."""
-        return divide(self.map_grid, self.labels, fences_of(self.record.graph.edits.borders))
+        """The free cells of the map divided among the submaps, as in overview.png."""
+        of_grid = self.path / filenames.LABELS_IMAGE
+        if not of_grid.exists():
+            borders = self.record.graph.edits.borders
+            return divide(self.map_grid, self.labels, fences_of(borders))
+        if not (self.path / f"{filenames.MAP_GRID}.yaml").exists():
+            return _composed(self)  # an earlier version divided it
+        owner = read_picture(of_grid, self.limits)[..., 0].astype(np.int64) - 1
+        known = set(np.unique(owner).tolist()) <= {NOBODY, *self.ids}
+        if owner.shape != self.map_grid.cells.shape or not known:
+            what = f"not the labels of {filenames.TOPOLOGY}"
+            raise MapError(what, "make the map again", where=of_grid)
+        return Regions.of(self.map_grid, np.where(self.map_grid.free, owner, NOBODY))
 
     @cached_property
     def labels(self) -> Labels:
         """The keyframes with their submaps."""
-        path = self.path / filenames.LABELS
+        path = self._of_recording(filenames.LABELS)
         labels = read_labels(path, self.limits)
         strangers = set(labels.submaps.tolist()) - {NO_SUBMAP, *self.ids}
         if strangers:
@@ -218,6 +230,46 @@ class StoredMap:
         """The settings, by dotted key, that another version built the map with."""
         written = self.run.get("config")
         return known_settings(written)[1] if isinstance(written, dict) else []
+
+
+def _composed(stored: StoredMap) -> Regions:
+    """The grids of all submaps laid out in the map, each the owner of what is free in it.
+
+    Earlier versions kept no more of a grid that they divided. Raises MapError when the whole would
+    be beyond all bounds.
+    """
+    pieces = [(node, stored.grid(node.id)) for node in stored.record.nodes]
+    points = np.vstack(
+        [np.zeros((0, 2)), *(_placed(node, grid, grid.cells != UNKNOWN) for node, grid in pieces)]
+    )
+    if not len(points):
+        points = np.zeros((1, 2))
+    low, high = points.min(axis=0), points.max(axis=0)
+    cell_m = min((grid.resolution for _, grid in pieces), default=1.0)
+    width, height = (int(side) + 2 for side in np.ceil((high - low) / cell_m))
+    if width * height > stored.limits.picture_max_mpixel * 1e6:
+        raise MapError(
+            f"its submaps lie so far apart that a picture of them has {width:,} x {height:,} cells",
+            "if it is meant, raise limits.picture_max_mpixel",
+            mark=";",
+            where=stored.path,
+            code=TOO_LARGE,
+        )
+    left, bottom = (low - 0.5 * cell_m).tolist()
+    unknown = np.full((height, width), UNKNOWN, dtype=np.uint8)
+    whole = GridMap(unknown, cell_m, (left, bottom))
+    owner = np.full(whole.cells.shape, NOBODY, dtype=np.int64)
+    for value in (FREE, OCCUPIED):
+        for node, grid in pieces:
+            rows, columns = whole.cells_of(_placed(node, grid, grid.cells == value)).T
+            whole.cells[rows, columns] = value
+            owner[rows, columns] = node.id if value == FREE else NOBODY
+    return Regions.of(whole, owner)
+
+
+def _placed(node: NodeRecord, grid: GridMap, cells: BoolArray) -> FloatArray:
+    """(n, 2) centres in the map of some cells of a submap's grid."""
+    return node.frame.apply(grid.centres_of(np.argwhere(cells)))
 
 
 class _Grids(Mapping[int, GridMap]):

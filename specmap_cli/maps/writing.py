@@ -18,13 +18,14 @@ from specmap_cli.core.errors import UsageError
 from specmap_cli.core.findings import UNDOUBTED, Quality
 from specmap_cli.core.records import Labels, Trajectory
 from specmap_cli.core.text import to_json
+from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.map_server import write_grid, write_png
 from specmap_cli.maps import filenames
 from specmap_cli.maps.features_file import Arrays, write_features
 from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.text_files import labels_text, trajectory_text
-from specmap_cli.topology.regions import OwnerArray, Regions
+from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import LogInfo, TopologicalMap
 
 PictureArray = NDArray[np.uint8]
@@ -98,16 +99,19 @@ def write_segmentation(
     regions: Regions,
     log: LogInfo,
     overview: PictureArray,
-    owner: OwnerArray,
+    full: GridMap,
 ) -> None:
-    """Write a finished map cut into submaps: topology.json, their grids, labels.png, overview.png.
+    """Write a finished map cut into submaps: topology.json, all grids and the two pictures.
 
-    labels.png has the size and the orientation of the input, as `owner` (H, W), 16 bit: 0 is
-    unlabelled, otherwise submap id + 1.
+    `regions` are those of the part that is known of the `full` input. labels.png has the input's
+    size and orientation, 16 bit: 0 is unlabelled, otherwise submap id + 1.
     """
     directory = Path(directory)
     _write_topology(directory, topology, TopologyRecord.of(topology, regions, (log,)))
-    labels = (owner + 1).astype(np.uint16)
+    write_grid(directory / filenames.MAP_GRID, full)
+    labels, (height, width) = np.zeros(full.cells.shape, dtype=np.uint16), regions.owner.shape
+    row, column = full.cells_of(regions.grid.centres_of(np.zeros((1, 2))))[0].tolist()
+    labels[row : row + height, column : column + width] = regions.owner + 1
     write_png(directory / filenames.LABELS_IMAGE, labels[::-1])
     write_png(directory / filenames.OVERVIEW, overview)
 

@@ -23,8 +23,7 @@ from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import NO_SUBMAP
 from specmap_cli.core.settings import Config
 from specmap_cli.drawing.overview import render_overview, render_segmentation
-from specmap_cli.grids.gridmap import UNKNOWN, GridMap
-from specmap_cli.grids.map_server import read_picture, write_png
+from specmap_cli.grids.map_server import write_png
 from specmap_cli.maps import filenames
 from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.edits import Edits, borders_in, edits_text, in_words, written
@@ -47,7 +46,7 @@ from specmap_cli.pipelines.localize import settings_for
 from specmap_cli.pipelines.map_in_making import laid_out_of_stored, quality_of_stored
 from specmap_cli.pipelines.reports import EditReport
 from specmap_cli.pipelines.session import Session
-from specmap_cli.topology.regions import NOBODY, Regions
+from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.shapes import kind_of
 from specmap_cli.topology.topological_map import TopologicalMap, default_name
 
@@ -144,15 +143,15 @@ def _relabelled(stored: StoredMap, found: Drawn, directory: Path) -> Edited:
     """The map with its borders as they are."""
     bordered = replace(stored.topology, borders=found.borders, next_id=found.next_id)
     of_recording = (stored.path / filenames.LABELS).exists()
-    regions = stored.regions if of_recording else None  # a finished grid keeps none of the whole
+    regions = stored.regions
     topology, unapplied = named(bordered, regions, found.edits, found.skipped)
     edits = written(found.edits, edits_text(stored.path, stored.limits))
     _carry_over(stored.path, directory, _REWRITTEN)
-    record = _record_with(stored.record, topology)
+    record = _record_with(stored.record, topology, regions)
     (directory / filenames.TOPOLOGY).write_text(record.text(), encoding="utf-8")
     logs = stored.record.graph.logs
-    if regions is None:
-        picture = render_segmentation(topology, _segmented(stored), logs[0])
+    if not of_recording:
+        picture = render_segmentation(topology, regions, logs[0])
     else:
         way = read_trajectory(stored.path / filenames.TRAJECTORY, stored.limits)
         quality = quality_of_stored(stored)
@@ -187,7 +186,9 @@ def _made_anew(
     return finished.topology, finished.unapplied
 
 
-def _record_with(record: TopologyRecord, topology: TopologicalMap) -> TopologyRecord:
+def _record_with(
+    record: TopologyRecord, topology: TopologicalMap, regions: Regions
+) -> TopologyRecord:
     """The contents of topology.json with the names and the like of an edited map."""
     nodes = []
     for node in record.nodes:
@@ -206,6 +207,7 @@ def _record_with(record: TopologyRecord, topology: TopologicalMap) -> TopologyRe
         edits=EditsRecord(submaps=topology.said, borders=topology.borders),
         next_id=topology.next_id,
         doors=topology.doors,
+        seen=regions.seen,
     )
     return _with(record, graph=graph, nodes=tuple(nodes), edges=placed(topology, nodes))
 
@@ -227,27 +229,3 @@ def _carry_over(source: Path, target: Path, without: Collection[str]) -> None:
                 shutil.copyfile(path, target / path.name)
     except OSError as error:
         raise MapError.of_system(error, "cannot be copied", where=source) from None
-
-
-def _segmented(stored: StoredMap) -> Regions:
-    """The regions of a finished grid, from labels.png and the grids of the submaps."""
-    path = stored.path / filenames.LABELS_IMAGE
-    owner = read_picture(path, stored.limits)[..., 0].astype(np.int64) - 1
-    if not set(np.unique(owner).tolist()) <= {NOBODY, *stored.ids}:
-        raise MapError(f"not the labels of {filenames.TOPOLOGY}", "make the map again", where=path)
-    cells, corner, resolution = np.full(owner.shape, UNKNOWN, dtype=np.uint8), (0.0, 0.0), 1.0
-    for id_, grid in stored.grids.items():
-        own = np.argwhere(owner == id_)
-        if not len(own) or not grid.free.any():
-            continue
-        row, column = (own.min(axis=0) - np.argwhere(grid.free).min(axis=0)).tolist()
-        window = cells[row : row + grid.cells.shape[0], column : column + grid.cells.shape[1]]
-        if window.shape != grid.cells.shape:
-            raise MapError(
-                f"does not fit to the grid of submap {id_}", "make the map again", where=path
-            )
-        np.copyto(window, grid.cells, where=grid.cells != UNKNOWN)
-        resolution = grid.resolution
-        x, y = grid.origin
-        corner = (x - column * resolution, y - row * resolution)
-    return Regions.of(GridMap(cells, resolution, corner), owner)

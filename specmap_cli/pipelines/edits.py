@@ -172,12 +172,12 @@ def drawn(
 
 
 def named(
-    topology: TopologicalMap, regions: Regions | None, edits: Edits, skipped: Mapping[int, str]
+    topology: TopologicalMap, regions: Regions, edits: Edits, skipped: Mapping[int, str]
 ) -> tuple[TopologicalMap, tuple[str, ...]]:
     """The map with names, kinds, properties and forbidden links, and what does not apply, in words.
 
     `topology` and its `regions` have the borders of the edits; `skipped` are the changes that could
-    not be made. Where the regions are known ways lead round forbidden doors.
+    not be made. Ways lead round forbidden doors.
     """
     said = said_in(edits)
     shown = {each.id: each for each in said if each.id in topology.submaps}
@@ -199,8 +199,7 @@ def named(
                 shut |= found
         elif place not in skipped:
             made += 1
-    if regions is not None:
-        topology = with_detours(topology, regions, shut.doors)
+    topology = with_detours(topology, regions, shut.doors)
     told = [
         f"submaps.{each.id}: there is no submap {each.id}" for each in said if each.id not in shown
     ]

@@ -22,7 +22,7 @@ from specmap_cli.maps.directory import OutputDirectory, refuse_inside
 from specmap_cli.maps.writing import write_segmentation
 from specmap_cli.segmentation.division import region_grid, segment_floorplan
 from specmap_cli.topology.navigation import with_ways
-from specmap_cli.topology.regions import NOBODY, Regions
+from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import LogInfo, Submap, TopologicalMap
 
 _COARSEST_M = 0.5  # a door of 0.8 m is then one cell or two: walls and doors look the same
@@ -35,6 +35,7 @@ class SegmentReport:
     out: Path
     topology: TopologicalMap
     area_m2: float
+    seen_m2: float
 
     def as_dict(self) -> dict[str, Any]:
         """Counts and areas."""
@@ -44,15 +45,17 @@ class SegmentReport:
             "edges": len(self.topology.edges),
             "doors": len(self.topology.doors),
             "area_m2": round(self.area_m2, 3),
+            "seen_m2": round(self.seen_m2, 3),
         }
 
     def lines(self) -> list[str]:
         """A summary in two lines."""
         counts = self.as_dict()
+        seen = f", and {self.seen_m2:.0f} m2 only seen" if self.seen_m2 else ""
         return [
             f"{self.out}: {counted(counts['submaps'], 'submap')}, "
             f"{counted(counts['edges'], 'edge')}, {counted(counts['doors'], 'door')}, "
-            f"{counts['area_m2']:.0f} m2",
+            f"{self.area_m2:.0f} m2{seen}",
             f"look at {self.out / 'overview.png'}",
         ]
 
@@ -91,12 +94,6 @@ def segment_map(
         )
     found = segment_floorplan(whole, config.segmentation)
     regions = Regions.of(whole, np.asarray(found.labels, dtype=np.int64))
-    (row, column), (height, width) = (
-        full.cells_of(whole.centres_of(np.zeros((1, 2))))[0],
-        whole.cells.shape,
-    )
-    owner = np.full(full.cells.shape, NOBODY, dtype=np.int64)
-    owner[row : row + height, column : column + width] = regions.owner
     with OutputDirectory(target, overwrite) as partial:
         grids = {k: region_grid(whole, found.labels == k) for k in range(found.count)}
         submaps = {k: Submap(id=k, map_from_submap=IDENTITY, grid=own) for k, own in grids.items()}
@@ -104,8 +101,10 @@ def segment_map(
         topology = with_ways(plain, regions, config.ways, kind="doorway")
         info = LogInfo(name=legible(path.name))
         overview = render_segmentation(topology, regions, info)
-        write_segmentation(partial, topology, regions, info, overview, owner)
+        write_segmentation(partial, topology, regions, info, overview, full)
         if picture is not None:
             least = config.segmentation.eigenvalue_min
             write_png(picture, draw_segmentation(whole, found, least))
-    return SegmentReport(out=target, topology=topology, area_m2=regions.area_m2)
+    return SegmentReport(
+        out=target, topology=topology, area_m2=regions.area_m2, seen_m2=regions.seen_m2
+    )

@@ -59,6 +59,7 @@ def facts_of(map_: DrawnMap, track: Track) -> list[tuple[str, str, str]]:
     found = [
         (f"{len(record.nodes):,}", "", _plural(len(record.nodes), "submap")),
         (f"{record.area_m2:,.0f}", "m²", "free space"),
+        *([(f"{record.seen_m2:,.0f}", "m²", "only seen")] if record.graph.seen else []),
         (
             f"{len(doors):,}",
             "",

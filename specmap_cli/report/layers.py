@@ -10,13 +10,11 @@ from typing import Any
 import numpy as np
 
 from specmap_cli.core.arrays import evenly
-from specmap_cli.core.errors import TOO_LARGE, MapError
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import BoolArray, Closure, IntArray, Labels
 from specmap_cli.drawing.overview import drawn_as
 from specmap_cli.drawing.palette import Colour, colours_of
 from specmap_cli.drawing.sheet import extent_of
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.maps import filenames
 from specmap_cli.maps.schema import NodeRecord
 from specmap_cli.maps.store import StoredMap
@@ -24,7 +22,6 @@ from specmap_cli.maps.text_files import read_trajectory
 from specmap_cli.report.html import shown
 from specmap_cli.report.svg import Frame, fill_names, outlines, path_data
 from specmap_cli.topology.regions import NOBODY, Regions
-from specmap_cli.topology.shapes import outline_of
 from specmap_cli.topology.topological_map import starts_of
 
 MOST_REFUSED = 400  # refused closures that are drawn: those with the largest xi
@@ -38,7 +35,7 @@ _NO_LABELS = Labels(
 
 
 class DrawnMap:
-    """A stored map as a drawing needs it. A divided floor plan has no keyframes and no whole grid.
+    """A stored map as a drawing needs it. A divided floor plan has no keyframes.
 
     Every property raises MapError when a file is damaged.
     """
@@ -55,9 +52,7 @@ class DrawnMap:
     @cached_property
     def regions(self) -> Regions:
         """The map divided among the submaps."""
-        if (self.stored.path / f"{filenames.MAP_GRID}.yaml").exists():
-            return self.stored.regions
-        return _composed(self.stored)
+        return self.stored.regions
 
     @cached_property
     def lost(self) -> FloatArray:
@@ -101,8 +96,8 @@ class DrawnMap:
         return path_data(self.rings(self.regions.grid.occupied), closed=True)
 
     @property
-    def unreached(self) -> str:
-        """What was seen and belongs to no submap, as path data."""
+    def seen(self) -> str:
+        """What was only seen and belongs to no submap, as path data."""
         unowned = self.regions.grid.free & (self.regions.owner == NOBODY)
         return path_data(self.rings(unowned), closed=True)
 
@@ -114,47 +109,6 @@ class DrawnMap:
 def middle_of(node: NodeRecord) -> tuple[float, float]:
     """Where the badge of a submap stands in the map."""
     return node.anchor or node.centroid or (node.x, node.y)
-
-
-def _composed(stored: StoredMap) -> Regions:
-    """The grids of all submaps laid out in the map, each the owner of what is free in it.
-
-    Raises MapError when the whole would be beyond all bounds.
-    """
-    pieces = [(node, stored.grid(node.id)) for node in stored.record.nodes]
-    points = np.vstack(
-        [np.zeros((0, 2)), *(_placed(node, grid, grid.cells != UNKNOWN) for node, grid in pieces)]
-    )
-    if not len(points):
-        points = np.zeros((1, 2))
-    low, high = points.min(axis=0), points.max(axis=0)
-    cell_m = min((grid.resolution for _, grid in pieces), default=1.0)
-    width, height = (int(side) + 2 for side in np.ceil((high - low) / cell_m))
-    if width * height > stored.limits.picture_max_mpixel * 1e6:
-        raise MapError(
-            f"its submaps lie so far apart that a picture of them has {width:,} x {height:,} cells",
-            "if it is meant, raise limits.picture_max_mpixel",
-            mark=";",
-            where=stored.path,
-            code=TOO_LARGE,
-        )
-    left, bottom = (low - 0.5 * cell_m).tolist()
-    unknown = np.full((height, width), UNKNOWN, dtype=np.uint8)
-    whole = GridMap(unknown, cell_m, (left, bottom))
-    owner = np.full(whole.cells.shape, NOBODY, dtype=np.int64)
-    for value in (FREE, OCCUPIED):
-        for node, grid in pieces:
-            rows, columns = whole.cells_of(_placed(node, grid, grid.cells == value)).T
-            whole.cells[rows, columns] = value
-            owner[rows, columns] = node.id if value == FREE else NOBODY
-    return Regions(
-        whole, owner, {node.id: outline_of(owner == node.id, whole) for node, _ in pieces}
-    )
-
-
-def _placed(node: NodeRecord, grid: GridMap, cells: BoolArray) -> FloatArray:
-    """(n, 2) centres in the map of some cells of a submap's grid."""
-    return Pose2(node.x, node.y, node.theta).apply(grid.centres_of(np.argwhere(cells)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

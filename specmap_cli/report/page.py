@@ -82,7 +82,7 @@ def _drawn(map_: DrawnMap, track: Track) -> dict[str, Any]:
         "frame": map_.frame,
         "tones": tones(map_.fills.values()),
         "fill_of": {id_: fills[fill] for id_, fill in map_.fills.items()},
-        "floor": map_.unreached,
+        "seen": map_.seen,
         "walls": map_.walls,
         "regions": layers.regions_of(map_),
         "links": layers.links_of(map_),

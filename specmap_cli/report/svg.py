@@ -118,7 +118,7 @@ class Tone:
 
 def tones(fills: Iterable[Colour]) -> dict[str, Tone]:
     """Every colour of the map by the name of its variable; `fills` are those of its regions."""
-    _, a, b = _to_lab(palette.SHADE)
+    greys = (("shade", palette.SHADE, 24.0), ("seen", palette.SEEN, 34.0))  # lightness by night
     names = fill_names(fills)
     lines: dict[str, Colour] = {
         "ink": palette.INK,
@@ -143,7 +143,7 @@ def tones(fills: Iterable[Colour]) -> dict[str, Tone]:
     }
     return {
         "paper": Tone(css(palette.PAPER), css(_inverted(palette.PAPER))),
-        "shade": Tone(css(palette.SHADE), css(_from_lab(24.0, a, b))),
+        **{name: Tone(css(c), css(_from_lab(night, *_to_lab(c)[1:]))) for name, c, night in greys},
         **{name: Tone(css(colour), css(_inverted(colour))) for name, colour in lines.items()},
         **{name: Tone(css(fill), css(by_night[fill])) for fill, name in names.items()},
     }

@@ -195,7 +195,7 @@ def without_dead_ends(
 
     A dead end has one neighbour that a robot of the radius `least` gets to, and is a part of it.
     """
-    size = np.bincount(labels[labels >= 0])
+    size = np.bincount(labels[labels >= 0], minlength=1)
     around: dict[int, set[int]] = {}
     for (one, other), border in border_widths(labels, clearance).items():
         if border >= least:

@@ -23,6 +23,7 @@ from specmap_cli.grids.gridmap import (
     BoolArray,
     CellArray,
     GridMap,
+    clearance_of,
 )
 from specmap_cli.segmentation.cells import (
     border_widths,
@@ -51,7 +52,7 @@ from specmap_cli.segmentation.visibility import (
     visibility_graph,
 )
 from specmap_cli.segmentation.wide_doors import with_narrow_doors
-from specmap_cli.segmentation.working_grid import WorkingGrid, upright_map, working_grid
+from specmap_cli.segmentation.working_grid import upright_map
 
 _WIDTH_PERCENTILE = 60.0  # of the local widths in a room is the room's width
 _ALCOVE_M2 = 2.0  # a dead end smaller than this is a part of the room it opens into
@@ -102,14 +103,15 @@ def segment(grid: GridMap, config: SegmentationConfig, *, rooms: bool = False) -
     opened = narrowed = work.free | small
     if config.wide_door_m:
         opened, narrowed = with_narrow_doors(work.free, small, cell_m, config.wide_door_m)
-    space = working_grid(narrowed, cell_m, cell_m)
+    clearance = clearance_of(narrowed)
     placements = [  # step 2
-        _placement(space, config, upright.block, number) for number in range(config.placements)
+        _placement(clearance, cell_m, config, upright.block, number)
+        for number in range(config.placements)
     ]
     cells = consensus([found for found, _, _ in placements])  # step 3
     least = config.clearance_m / cell_m
     if config.merge:  # step 4
-        cells = without_dead_ends(cells, space.clearance, least, _ALCOVE_M2 / cell_m**2)
+        cells = without_dead_ends(cells, clearance, least, _ALCOVE_M2 / cell_m**2)
     cells = spread_labels(cells, opened)
     if rooms:  # step 5
         cells = entered(cells, work, least)
@@ -135,35 +137,35 @@ def segment(grid: GridMap, config: SegmentationConfig, *, rooms: bool = False) -
 
 
 def _placement(
-    work: WorkingGrid, config: SegmentationConfig, block: int, number: int
+    clearance: FloatArray, cell_m: float, config: SegmentationConfig, block: int, number: int
 ) -> tuple[LabelArray, VisibilityGraph, Spectrum]:
     """The labels (h, w) of the working grid by one placement of the nodes, and what led to them.
 
     Placements differ in how far before the grid the blocks of the nodes begin. Lengths in the graph
     are coarse cells.
     """
-    least, sight = config.clearance_m / work.cell_m, config.sight_m / work.cell_m
+    least, sight = config.clearance_m / cell_m, config.sight_m / cell_m
     before = round(number / config.placements * block)
-    shifted = np.pad(work.clearance, ((before, 0), (before, 0)))
+    shifted = np.pad(clearance, ((before, 0), (before, 0)))
     nodes = sample_nodes(shifted, block, least, config.nodes) - before
-    graph = visibility_graph(work.clearance, nodes, sight, least)
+    graph = visibility_graph(clearance, nodes, sight, least)
     spectrum = spectral_clusters(graph, config)
     clusters = spectrum.labels
     if config.halve:
         clusters = split_again(graph, clusters, config.neighbours, config.halve_eigenvalue)
     if config.labels == "nearest":
-        cells = nearest_labels(work.free, nodes, clusters)
+        cells = nearest_labels(clearance > 0.0, nodes, clusters)
     else:
-        cells = flood_labels(work.clearance, nodes, clusters)
+        cells = flood_labels(clearance, nodes, clusters)
     if config.merge and len(clusters):  # clusters that no narrowing separates
-        own = work.clearance[nodes[:, 0], nodes[:, 1]]
+        own = clearance[nodes[:, 0], nodes[:, 1]]
         # no wider than the disc that the longest sight line spans
-        local = local_widths(own, graph.lengths, graph.pairs, 0.5 * config.sight_m / work.cell_m)
+        local = local_widths(own, graph.lengths, graph.pairs, 0.5 * sight)
         widths = [
             float(np.percentile(local[clusters == label], _WIDTH_PERCENTILE))
             for label in range(int(clusters.max()) + 1)
         ]
-        names = joined_wide(border_widths(cells, work.clearance), widths, config.merge_ratio)
+        names = joined_wide(border_widths(cells, clearance), widths, config.merge_ratio)
         cells = np.where(cells < 0, np.int32(-1), names[cells])
     return cells, graph, spectrum
 
@@ -197,7 +199,7 @@ def segment_floorplan(grid: GridMap, config: SegmentationConfig) -> Segmentation
 
     NoResultError when no free space holds a node.
     """
-    found = segment(grid, config, rooms=True)
+    found = segment(grid, config, rooms=config.rooms_only)
     if not found.count:
         raise NoResultError(
             f"no free space wider than {2 * config.clearance_m:g} m in the map "

@@ -9,7 +9,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from specmap_cli.grids.gridmap import OCCUPIED, UNKNOWN, BoolArray, GridMap, cell_distances, joined
+from specmap_cli.grids.gridmap import OCCUPIED, UNKNOWN, BoolArray, GridMap, clearance_of, joined
 from specmap_cli.segmentation.cells import border_widths, components
 from specmap_cli.segmentation.visibility import LabelArray
 
@@ -23,24 +23,27 @@ def entered(labels: LabelArray, grid: GridMap, least: float) -> LabelArray:
     Seen only is, in this order:
 
     1. what is not within reach of any place where the smallest robot finds room: single rays;
-    2. a region that borders on the unknown more than on walls;
-    3. a region that touches others, and which a robot of the radius `least`, in cells, cannot reach
-       from the largest part of the map.
+    2. a region that borders on the unknown more than on walls, unless all do;
+    3. a region that a robot of the radius `least`, in cells, cannot reach from the largest part of
+       all that it hangs together with, what was seen only included.
     """
     free = labels >= 0
-    clearance = cell_distances(np.pad(free.astype(np.uint8), 1))[1:-1, 1:-1]
+    clearance = clearance_of(free)
     roomy = clearance * grid.resolution >= _ROBOT_RADIUS_M
     away = cv2.distanceTransform((~roomy).astype(np.uint8), cv2.DIST_L2, 5) * grid.resolution
     found = np.where(joined(free & (away <= _REACH_M), roomy), labels, np.int32(-1))
-    found[np.isin(found, np.flatnonzero(_open_to_the_unknown(found, grid)))] = -1
+    walled = np.where(_open_to_the_unknown(found, grid)[found], np.int32(-1), found)
+    found = walled if (walled >= 0).any() else found
     count = int(labels.max(initial=0)) + 1
     size = np.bincount(found[found >= 0], minlength=count)
     borders = border_widths(found, clearance)
     part = components(count, [pair for pair, border in borders.items() if border >= least])
-    home = part == np.bincount(part, weights=size).argmax()
     glimpsed = [pair for pair in border_widths(labels, clearance) if not size[list(pair)].all()]
-    apart = np.isin(np.arange(count), [*borders, *glimpsed]) & ~home
-    return np.where((found < 0) | apart[found], np.int32(-1), found)
+    piece = components(count, [*borders, *glimpsed])
+    area = np.bincount(part, weights=size)[part]
+    largest = np.zeros(count)
+    np.maximum.at(largest, piece, area)
+    return np.where((area < largest[piece])[found], np.int32(-1), found)
 
 
 def _open_to_the_unknown(labels: LabelArray, grid: GridMap) -> BoolArray:

@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from specmap_cli.core.geometry import FloatArray, moved, step_lengths
 from specmap_cli.core.records import BoolArray
 from specmap_cli.core.settings import GridConfig, SegmentationConfig
-from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.gridmap import GridMap, clearance_of
 from specmap_cli.grids.keyframes import KeyframeStore, add_keyframes
 from specmap_cli.grids.occupancy import OccupancyGrid
 from specmap_cli.segmentation.cells import flooded_at
@@ -37,7 +37,6 @@ from specmap_cli.segmentation.visibility import (
     sample_nodes,
     visibility_graph,
 )
-from specmap_cli.segmentation.working_grid import WorkingGrid, working_grid
 
 _SPLIT_NODES = 250  # most nodes in a test: the blocks grow
 _SPLIT_EIGENPAIRS = 12  # looked at in a test: each room seen but not entered takes one
@@ -92,18 +91,18 @@ def examine(grid: GridMap, poses: FloatArray, config: SegmentationConfig) -> Spl
     if not window.cells.size:  # the way leaves a grid that may not grow any more
         return _undivided(window, poses, np.empty((0, 2)))
     opened = window.free | small_obstacles(window.free, config.split_obstacle_m / window.resolution)
-    work = working_grid(opened, window.resolution, SPLIT_CELL_M)
-    way = np.clip(window.cells_of(poses[:, :2]) // work.step, 0, np.array(work.clearance.shape) - 1)
-    nodes = _nodes_along(work, way, config)
-    places = window.centres_of((nodes + 0.5) * work.step - 0.5)
+    clearance, cell_m = clearance_of(opened), window.resolution
+    way = np.clip(window.cells_of(poses[:, :2]), 0, np.array(clearance.shape) - 1)
+    nodes = _nodes_along(clearance, cell_m, way, config)
+    places = window.centres_of(nodes)
     if len(nodes) < _FEWEST_NODES:
         return _undivided(window, poses, places)
     numbers = np.arange(len(nodes), dtype=np.int32)
-    home = flooded_at(work.clearance, nodes, numbers, way).astype(np.intp)
+    home = flooded_at(clearance, nodes, numbers, way).astype(np.intp)
     lost = home < 0
     if lost.any():
         home[lost] = cKDTree(nodes).query(way[lost])[1]
-    members, values, vectors = _spectrum(work, nodes, int(home[-1]), config)
+    members, values, vectors = _spectrum(clearance, cell_m, nodes, int(home[-1]), config)
     place = np.full(len(nodes), -1)  # of the members
     place[members] = np.arange(len(members))
     home = place[home]
@@ -144,16 +143,17 @@ def _undivided(window: GridMap, poses: FloatArray, nodes: FloatArray) -> SplitTe
     )
 
 
-def _nodes_along(work: WorkingGrid, way: IndexArray, config: SegmentationConfig) -> IndexArray:
+def _nodes_along(
+    clearance: FloatArray, cell_m: float, way: IndexArray, config: SegmentationConfig
+) -> IndexArray:
     """Nodes near the cells `way` (p, 2); the blocks grow until there are few enough."""
-    clearance = work.clearance
     if config.path_band_m:
         off = np.ones(clearance.shape, dtype=np.uint8)
         off[way[:, 0], way[:, 1]] = 0
         distance = cv2.distanceTransform(off, cv2.DIST_L2, cv2.DIST_MASK_5)
-        clearance = np.where(distance * work.cell_m <= config.path_band_m, clearance, 0.0)
-    block = max(1, round(config.node_step_m / work.cell_m))
-    least = config.split_clearance_m / work.cell_m
+        clearance = np.where(distance * cell_m <= config.path_band_m, clearance, 0.0)
+    block = max(1, round(config.node_step_m / cell_m))
+    least = config.split_clearance_m / cell_m
     while True:
         nodes = sample_nodes(clearance, block, least, config.nodes)
         if len(nodes) <= _SPLIT_NODES:
@@ -162,11 +162,15 @@ def _nodes_along(work: WorkingGrid, way: IndexArray, config: SegmentationConfig)
 
 
 def _spectrum(
-    work: WorkingGrid, nodes: IndexArray, here: int, config: SegmentationConfig
+    clearance: FloatArray,
+    cell_m: float,
+    nodes: IndexArray,
+    here: int,
+    config: SegmentationConfig,
 ) -> tuple[IndexArray, FloatArray, FloatArray]:
     """The nodes joined with node `here` (n,), their eigenvalues (k,) and vectors (n, k)."""
-    least = config.split_clearance_m / work.cell_m
-    graph = visibility_graph(work.clearance, nodes, config.split_sight_m / work.cell_m, least)
+    least = config.split_clearance_m / cell_m
+    graph = visibility_graph(clearance, nodes, config.split_sight_m / cell_m, least)
     scales = local_scales(graph.lengths, graph.pairs, len(nodes), config.neighbours)
     S = dense_similarity(graph.lengths, graph.pairs, config.split_scale * scales, len(nodes))
     joined, newest = np.zeros(len(nodes), dtype=np.bool_), np.array([here])

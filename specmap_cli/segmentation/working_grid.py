@@ -19,20 +19,17 @@ from specmap_cli.grids.gridmap import (
     FREE,
     OCCUPIED,
     UNKNOWN,
-    BoolArray,
     CellArray,
     GridMap,
-    cell_distances,
     window_of,
 )
 from specmap_cli.segmentation.visibility import LabelArray
 
 _AROUND = np.ones((5, 5), dtype=np.uint8)  # wider than the rays of a laser far away, in cells
-
 _FRAME = 3  # coarse cells round the free space: walls stand there
 _STEPS_DEGREES = (1.0, 0.1)  # between the directions that are looked at, first and last
 _SLIGHT_DEGREES = 1.5  # walls that lean no more are as good as upright: cells stay as they are
-_LARGEST = 30_000  # cells a side that OpenCV turns; a larger map stays as it lies
+_LARGEST = 20_000  # cells a side; a larger map stays as it lies: OpenCV counts to 32,767
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,17 +110,7 @@ def upright_map(fine: GridMap, cell_m: float, node_step_m: float) -> UprightMap:
         spread.append(total * sum(n * far**2 for far, n in zip(away, counts, strict=True)))
         skew.append(sum(n * far**3 for far, n in zip(away, counts, strict=True)))
     (high, wide), (up, right) = spread, skew
-    # a quarter turn counter-clockwise of the array: what was its columns, backwards, is its rows
-    tall, leans = (high > wide, wide > high), (up + right, up - right, -up - right, right - up)
-    pictures = [np.rot90(shown, turns) for turns in range(4)]
-    keys = [
-        (tall[turns % 2], -leans[turns], picture.shape, picture.tobytes())
-        for turns, picture in enumerate(pictures)
-    ]
-    turns = keys.index(min(keys))
     frame = _FRAME * step
-    middle = frame + np.argwhere(np.rot90(mass, turns)).mean(axis=0).astype(int)
-    low = (-middle % (step * block)).tolist()
     framed = np.full([side + 2 * frame for side in shown.shape], UNKNOWN, dtype=np.uint8)
     (top, bottom), (left, right_) = (
         (max(side.start - frame, 0), min(side.stop + frame, size))
@@ -133,7 +120,17 @@ def upright_map(fine: GridMap, cell_m: float, node_step_m: float) -> UprightMap:
     framed[ahead[0] : ahead[0] + bottom - top, ahead[1] : ahead[1] + right_ - left] = fine.cells[
         top:bottom, left:right_
     ]
-    cells = np.pad(np.rot90(framed, turns), ((low[0], 0), (low[1], 0)), constant_values=UNKNOWN)
+    # a quarter turn counter-clockwise of the array: what was its columns, backwards, is its rows
+    tall, leans = (high > wide, wide > high), (up + right, up - right, -up - right, right - up)
+    ways = [(tall[turns % 2], -leans[turns]) for turns in range(4)]
+    turns = min(
+        (turns for turns in range(4) if ways[turns] == min(ways)),
+        key=lambda turns: (np.rot90(framed, turns).shape, np.rot90(framed, turns).tobytes()),
+    )
+    middle = frame + np.argwhere(np.rot90(mass, turns)).mean(axis=0).astype(int)
+    low = (-middle % (step * block)).tolist()
+    # what is solid up to the frame goes on beyond it, and is no furniture
+    cells = np.pad(np.rot90(framed, turns), ((low[0], 0), (low[1], 0)), constant_values=OCCUPIED)
     coarse = reduced(cells, step)
     corner = (middle + low) // step  # of a block, in coarse cells
     before = low[0] + frame, low[1] + frame
@@ -166,17 +163,19 @@ def _along_walls(
 
     Also the transform, by which the corner stays the corner of a block. None when they do already.
     """
-    angle = wall_angle(np.argwhere(cells == OCCUPIED))
+    around = np.ones((2 * _FRAME + 1, 2 * _FRAME + 1), dtype=np.uint8)
+    beside = cv2.dilate((cells == FREE).astype(np.uint8), around) > 0  # no depths of solid blocks
+    angle = wall_angle(np.argwhere(beside & (cells == OCCUPIED)))
     if abs(angle) <= _SLIGHT_DEGREES or max(cells.shape) > _LARGEST:
         return cells, None
     rows, columns = corner.tolist()
     tilt = np.asarray(cv2.getRotationMatrix2D((columns, rows), angle, 1.0), dtype=np.float64)
     ends = np.argwhere(cells == FREE)[:, ::-1] @ tilt[:, :2].T + tilt[:, 2]
-    low, high = ends.min(axis=0) - 2, ends.max(axis=0) + 3
+    low, high = ends.min(axis=0) - _FRAME, ends.max(axis=0) + _FRAME + 1
     low = corner[::-1] - block * np.ceil((corner[::-1] - low) / block)
     tilt[:, 2] -= low
     size = np.ceil(high - low).astype(int).tolist()
-    turned = cv2.warpAffine(cells, tilt, size, flags=cv2.INTER_NEAREST, borderValue=(UNKNOWN,))
+    turned = cv2.warpAffine(cells, tilt, size, flags=cv2.INTER_NEAREST, borderValue=(OCCUPIED,))
     return np.asarray(turned, dtype=np.uint8), tilt
 
 
@@ -184,12 +183,11 @@ def wall_angle(walls: NDArray[np.intp]) -> float:
     """By how many degrees, in [-45, 45), a picture with `walls` (n, 2) has to be turned.
 
     After that they lie in the fewest rows and columns: the sum of the squares of what each holds is
-    the largest. Deterministic; 0 without walls.
+    the largest. Deterministic: of equals the least turn counts, so without walls 0.
     """
     best, most = 0.0, -1
     for step, reach in zip(_STEPS_DEGREES, (45.0, _STEPS_DEGREES[0]), strict=True):
-        middle = best
-        for degrees in middle + np.arange(-reach, reach, step):
+        for degrees in sorted(best + np.arange(-reach, reach, step), key=abs):
             cosine, sine = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
             held = 0
             for way in ((cosine, -sine), (sine, cosine)):  # rows and columns after the turn
@@ -198,36 +196,3 @@ def wall_angle(walls: NDArray[np.intp]) -> float:
             if held > most:
                 best, most = float(degrees), held
     return (best + 45.0) % 90.0 - 45.0
-
-
-@dataclass(frozen=True, slots=True)
-class WorkingGrid:
-    """Free space (h, w) in cells `cell_m` wide, each of `step` x `step` cells of a map.
-
-    `clearance` (h, w) is the distance, in coarse cells, from the centre of a free cell to that of
-    the nearest one that is not.
-    """
-
-    clearance: FloatArray
-    cell_m: float
-    step: int
-
-    @property
-    def free(self) -> BoolArray:
-        """Coarse cells of which every fine cell is free (h, w)."""
-        return np.asarray(self.clearance > 0.0)
-
-
-def working_grid(free: BoolArray, resolution: float, cell_m: float) -> WorkingGrid:
-    """Reduce `free` (H, W) to cells of about `cell_m`: coarse cells are free when wholly free."""
-    step = max(1, round(cell_m / resolution))
-    height, width = (-(-side // step) for side in free.shape)
-    framed = np.zeros((height + 2, width + 2), dtype=np.uint8)
-    if step == 1:
-        framed[1:-1, 1:-1] = free
-    else:
-        padded = np.zeros((height * step, width * step), dtype=bool)
-        padded[: free.shape[0], : free.shape[1]] = free
-        framed[1:-1, 1:-1] = padded.reshape(height, step, width, step).all(axis=(1, 3))
-    pixels = cell_distances(framed)[1:-1, 1:-1]
-    return WorkingGrid(pixels, step * resolution, step)

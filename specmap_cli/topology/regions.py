@@ -20,13 +20,14 @@ from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels
 from specmap_cli.grids.gridmap import (
     BoolArray,
     GridMap,
-    cell_distances,
+    clearance_of,
     contacts,
     joined,
     slices_near,
+    window_of,
 )
 from specmap_cli.topology.shapes import NOTHING, Outline, outline_of
-from specmap_cli.topology.topological_map import Line
+from specmap_cli.topology.topological_map import Line, Seen
 
 OwnerArray = NDArray[np.signedinteger[Any]]
 
@@ -34,6 +35,9 @@ NOBODY = -1
 # Half the width of the gaps that a region goes through, that of a small robot, and how far it goes
 # past the last of them: across a sill, not down the rays of a laser.
 _ROBOT_RADIUS_M, _REACH_M = 0.15, 0.3
+# Smaller pieces that were only seen are single rays, and slits beside walls and furniture, of which
+# a map has hundreds.
+LEAST_SEEN_M2 = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,22 +45,24 @@ class Regions:
     """The map divided: `owner` (H, W) is the submap id of each cell of `grid`, or NOBODY.
 
     A cell of a submap is free, or furniture in it where a finished map was divided. `outlines` are
-    the shapes of the regions in the map frame, by id; a submap that owns no cell has none.
+    the shapes of the regions in the map frame, by id; a submap that owns no cell has none. `seen`
+    is what was only seen, the largest piece first: free cells that are nobody's.
     """
 
     grid: GridMap
     owner: OwnerArray
     outlines: Mapping[int, Outline]
+    seen: tuple[Seen, ...] = ()
 
     @classmethod
     def of(cls, grid: GridMap, owner: OwnerArray) -> Regions:
-        """The regions with their outlines."""
+        """The regions with their outlines, and what was only seen."""
         outlines = {}
         for id_, (rows, columns) in windows_of(owner).items():
             x, y = np.array([columns.start, rows.start]) * grid.resolution + grid.origin
             part = GridMap(grid.cells[rows, columns], grid.resolution, (float(x), float(y)))
             outlines[id_] = outline_of(owner[rows, columns] == id_, part)
-        return cls(grid, owner, outlines)
+        return cls(grid, owner, outlines, _seen(grid, owner))
 
     def outline(self, submap: int) -> Outline:
         """The outline of one region, that of nothing for a submap without a cell."""
@@ -66,6 +72,11 @@ class Regions:
     def area_m2(self) -> float:
         """Area of all submaps: their free cells."""
         return sum(outline.area_m2 for outline in self.outlines.values())
+
+    @property
+    def seen_m2(self) -> float:
+        """Area of what was only seen."""
+        return sum(piece.area_m2 for piece in self.seen)
 
     def owners(self, points: FloatArray) -> IntArray:
         """(n,) the submap in whose region each point (n, 2 or more) lies, NOBODY outside of all.
@@ -86,6 +97,30 @@ class Regions:
         owners = np.full(len(points), NOBODY, dtype=np.int64)
         owners[inside] = np.where(near, owner_of[nearest[rows, columns]], NOBODY)
         return owners
+
+
+def _seen(grid: GridMap, owner: OwnerArray) -> tuple[Seen, ...]:
+    """The pieces of free cells that are nobody's, from LEAST_SEEN_M2 on, the largest first.
+
+    Cells join over their corners, too: the rays of a fan are one piece.
+    """
+    nobodys = grid.free & (owner == NOBODY)
+    shown = window_of(nobodys)
+    if shown is None:
+        return ()
+    part = nobodys[shown].astype(np.uint8)
+    _, pieces, figures, _ = cv2.connectedComponentsWithStats(part, connectivity=8)
+    areas = figures[:, cv2.CC_STAT_AREA] * grid.resolution**2
+    found = []
+    for number in 1 + np.flatnonzero(areas[1:] >= LEAST_SEEN_M2):
+        left, bottom, width, height, _ = figures[number].tolist()
+        window = pieces[bottom : bottom + height, left : left + width]
+        inside = clearance_of(window == number)
+        row, column = np.unravel_index(inside.argmax(), inside.shape)
+        cell = (shown[0].start + bottom + row, shown[1].start + left + column)
+        x, y = grid.centres_of(np.array([cell]))[0].tolist()
+        found.append(Seen(area_m2=float(areas[number]), x=x, y=y))
+    return tuple(sorted(found, key=lambda piece: -piece.area_m2))
 
 
 def divide(whole: GridMap, labels: Labels, fences: Sequence[Line] = ()) -> Regions:
@@ -181,7 +216,7 @@ class Space:
     def of(cls, regions: Regions, *, scanned: bool = False) -> Space:
         """The space of the regions of a map, which a laser `scanned`, or somebody drew."""
         free = regions.grid.free
-        away = cell_distances(np.pad(free.astype(np.uint8), 1))[1:-1, 1:-1]
+        away = clearance_of(free)
         owner = np.where(free, regions.owner, NOBODY)
         return cls(regions.grid, owner, away, 0.5 if scanned else 0.0)
 

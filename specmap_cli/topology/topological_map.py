@@ -359,6 +359,17 @@ def driven_m(logs: Sequence[LogInfo], labels: Labels) -> float:
     )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Seen(Value):
+    """A connected piece of what was only seen: free cells of no submap, which nobody entered."""
+
+    area_m2: Annotated[Amount, Field(description="of its cells, square metres")]
+    x: Annotated[
+        Number, Field(description="of the cell in it that is farthest from its border, metres")
+    ]
+    y: Annotated[Number, Field(description="of the same cell, metres")]
+
+
 Line = tuple[Point, Point]  # its two ends, metres
 
 

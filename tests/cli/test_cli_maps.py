@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from specmap_cli.grids.gridmap import UNKNOWN, GridMap
+from specmap_cli.grids.gridmap import OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.map_server import write_grid
 from tests.cli.conftest import QUICK, Outcome, Run
 from tests.flats import record_tour
@@ -63,7 +63,7 @@ def test_a_divided_floor_plan_is_no_map(
     for line, missing in (
         (("localize", tiny_log, "--map", tmp_path / "rooms"), "run.json"),
         (("update", tmp_path / "rooms", tiny_log, "-o", tmp_path / "new"), "run.json"),
-        (("build", tiny_log, "--like", tmp_path / "rooms", "-o", tmp_path / "new"), "map.yaml"),
+        (("build", tiny_log, "--like", tmp_path / "rooms", "-o", tmp_path / "new"), "labels.csv"),
     ):
         run(*line).fails(3, f"rooms: has no {missing}: {needs}")
 
@@ -204,8 +204,9 @@ def test_finished_maps_that_are_none(plan: Path, tmp_path: Path, run: Run) -> No
 def test_a_map_of_nav2_is_divided_without_its_unknown_and_told_so(
     flat: GridMap, tmp_path: Path, run: Run
 ) -> None:
-    """Round the flat is as much unknown, that would be rooms if it were free."""
+    """Round the flat, in a wall, is as much unknown, that would be rooms if it were free."""
     cells = np.pad(flat.cells, ((100, 20), (20, 100)), constant_values=UNKNOWN)
+    cells = np.pad(cells, 2, constant_values=OCCUPIED)
     write_grid(tmp_path / "m", GridMap(cells, flat.resolution))
     path, out = tmp_path / "m.yaml", tmp_path / "rooms"
     line = ("segment", path, "-o", out, "--overwrite", "--json")

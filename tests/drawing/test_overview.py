@@ -123,16 +123,20 @@ def test_a_badge_stays_near_the_way_of_the_robot() -> None:
         assert (pixel(image, rim) == palette.FILLS[0]) is not is_near, corner
 
 
-@pytest.mark.parametrize(("share", "said"), [(0.0, False), (0.002, False), (0.02, True)])
-def test_unreached_cells_are_explained_when_there_are_many(share: float, said: bool) -> None:
+@pytest.mark.parametrize(("cells", "said"), [(0, False), (300, False), (500, True)])
+def test_what_was_only_seen_is_explained_when_it_is_worth_a_word(cells: int, said: bool) -> None:
+    """From a square metre on; the picture of a finished map tells its area, too."""
     topology, regions = one_room((102, 102))
-    owner = regions.owner.copy()
-    owner.reshape(-1)[np.flatnonzero(regions.grid.free)[: int(share * 10_000)]] = NOBODY
-    image = render_overview(
-        topology, Regions.of(regions.grid, owner), NOWHERE, UNLABELLED, [LogInfo("log")]
-    )
-    legend = image[TITLE + 1800 + 30 :]
-    assert (near(legend, palette.SHADE) > 500) is said
+    owner, log = regions.owner.copy(), LogInfo("log")
+    owner.reshape(-1)[np.flatnonzero(regions.grid.free)[:cells]] = NOBODY
+    regions = Regions.of(regions.grid, owner)
+    overview = render_overview(topology, regions, NOWHERE, UNLABELLED, [log])
+    plan = render_segmentation(topology, regions, log)
+    for image in (overview, plan):
+        assert (near(image[TITLE + 1800 + 30 :], palette.SEEN) > 500) is said
+        assert (near(image[TITLE : TITLE + 1800], palette.SEEN) > 500) is (cells > 0)
+    untold = render_segmentation(topology, dataclasses.replace(regions, seen=()), log)
+    assert (untold[:TITLE] != plan[:TITLE]).any() is np.bool_(said)
 
 
 def test_a_link_leads_through_its_crossing_or_along_its_way_and_its_door_is_drawn() -> None:

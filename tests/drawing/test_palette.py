@@ -48,7 +48,9 @@ def test_any_two_colours_are_told_apart_by_all_eyes(colours: tuple[Colour, ...])
 @pytest.mark.parametrize("fill", palette.FILLS)
 def test_a_fill_its_shades_and_what_is_drawn_on_it(fill: Colour) -> None:
     assert least_difference(fill, palette.PAPER) > 7.0
-    assert least_difference(fill, palette.SHADE) > 7.0  # what nobody reached
+    for grey in (palette.SHADE, palette.SEEN):
+        assert least_difference(fill, grey) > 7.0
+    assert least_difference(palette.SEEN, palette.PAPER) > 9.0
     assert max(sum(palette.darker(fill)), sum(palette.vivid(fill))) < sum(fill)
     assert sum(fill) < sum(palette.paler(fill)) < 3 * 255
     assert palette.paler(fill, 0.0) == palette.darker(fill, 1.0) == fill

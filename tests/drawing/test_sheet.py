@@ -81,7 +81,7 @@ def test_each_kind_of_cell_has_its_colour_and_a_border_is_where_regions_touch(
     (x, y), image = border, sheet.canvas.image
     assert of_colour(image[y - 2 : y + 3, x - 1 : x + 2], palette.BORDER, 40).any()
     seen = [pixel(image, place) for place in inside]
-    assert seen == [palette.FILLS[0], palette.INK, palette.SHADE, palette.PAPER]
+    assert seen == [palette.FILLS[0], palette.INK, palette.SEEN, palette.PAPER]
 
 
 @given(grid_maps())
@@ -126,7 +126,7 @@ def test_the_whole_legend_lies_below_the_map_and_its_entries_do_not_touch(
     assert left >= MARGIN - 4
     assert right <= full.canvas.image.shape[1] - MARGIN
     assert bottom < full.canvas.image.shape[0] - 10
-    for colour in (palette.TRAVERSED, palette.CLOSURE, palette.LOOSE, palette.SHADE):
+    for colour in (palette.TRAVERSED, palette.CLOSURE, palette.LOOSE, palette.SEEN):
         assert near(full.canvas.image, colour) > 80
         assert near(bare.canvas.image, colour) < 40  # the rims of letters
     starts = np.flatnonzero(np.diff(below.any(axis=1).astype(int)) == 1) + 1

@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.exports.table import export_map
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps.store import StoredMap
 from tests.exports.conftest import BEARINGS
@@ -127,20 +127,15 @@ def test_every_keyframe_has_its_pose_and_its_scan(home: StoredMap, found: Found)
     assert np.allclose(way, labels.poses[:, :2], atol=1e-5)
 
 
-def test_a_divided_plan_has_a_grid_for_each_room_and_nothing_over_time(
-    rooms: StoredMap, tmp_path: Path
+def test_a_divided_plan_is_whole_and_has_nothing_over_time(
+    rooms: StoredMap, flat: GridMap, tmp_path: Path
 ) -> None:
     found = messages(rooms, tmp_path / "rooms.mcap")
-    grids = [topic for topic in found if topic.startswith("/map/")]
-    assert len(grids) == len(rooms.record.nodes)
     assert not {*OVER_TIME, "/trajectory"} & found.keys()
-    free = sum(
-        int((np.frombuffer(grid.data, dtype=np.uint8).reshape(-1, 4)[:, 3] == 255).sum())
-        for topic in grids
-        for _, grid in found[topic]
-    )
-    cells = sum(int((rooms.grid(node.id).cells != UNKNOWN).sum()) for node in rooms.record.nodes)
-    assert free == cells
+    for topic, cells in (("/map", flat.cells >= 0), ("/regions", flat.free)):
+        ((_, grid),) = found[topic]
+        shown = np.frombuffer(grid.data, dtype=np.uint8).reshape(*flat.cells.shape, 4)[..., 3] > 0
+        assert np.array_equal(shown, cells)
 
 
 def test_scans_are_read_one_by_one(

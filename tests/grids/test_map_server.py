@@ -173,6 +173,23 @@ def test_greys_of_other_maps_are_what_their_thresholds_say(
 
 
 @pytest.mark.parametrize("depth", [np.uint8, np.uint16])
+@pytest.mark.parametrize("channels", [1, 3, 4])
+def test_white_of_a_drawing_ends_at_walls_and_205_stays_unknown(
+    tmp_path: Path, depth: type[np.uint8 | np.uint16], channels: int
+) -> None:
+    """A light grey line, hatching, a saved map's unknown, and a place that may be transparent."""
+    greys = np.array([[255, 230, 255, 230, 230, 230, 255, 205, 255, 240, 255]], dtype=depth)
+    picture = np.dstack([greys] * channels)
+    if channels == 4:
+        picture[..., 3] = np.where(greys == 240, 0, 255)
+    write_image(tmp_path, picture * depth(257 if depth is np.uint16 else 1))
+    line, hatched = [OCCUPIED], [OCCUPIED, UNKNOWN, OCCUPIED]
+    clear = UNKNOWN if channels == 4 else OCCUPIED
+    expected = [FREE, *line, FREE, *hatched, FREE, UNKNOWN, FREE, clear, FREE]
+    assert read_grid(tmp_path / "m.png", 0.05).cells.tolist() == [expected]
+
+
+@pytest.mark.parametrize("depth", [np.uint8, np.uint16])
 @pytest.mark.parametrize("mode", ["scale", "raw"])
 def test_maps_of_probabilities_are_read_as_nav2_writes_them(
     tmp_path: Path, mode: str, depth: type[np.uint8 | np.uint16]
@@ -233,7 +250,7 @@ def test_thresholds_are_those_of_map_server(tmp_path: Path) -> None:
     dark, unsure = [OCCUPIED] * 2, [UNKNOWN] * 2
     assert read_grid(path).cells.tolist() == [[*dark, *unsure, *[FREE] * 3]]
     bare = read_grid(tmp_path / "m.png", 0.1)  # light greys are edges of lines there
-    assert bare.cells.tolist() == [[*dark, *unsure, *[UNKNOWN] * 2, FREE]]
+    assert bare.cells.tolist() == [[*dark, *unsure, UNKNOWN, OCCUPIED, FREE]]
 
 
 @given(st.integers(0, 255), st.integers(1, 99), st.integers(1, 99), st.booleans())

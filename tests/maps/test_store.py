@@ -92,14 +92,12 @@ def test_labels_png_holds_any_division(seed: int, height: int, width: int) -> No
     regions = Regions(grid, owner, {})
     with tempfile.TemporaryDirectory() as folder:
         overview = np.zeros((2, 2, 3), dtype=np.uint8)
-        write_segmentation(
-            folder, TopologicalMap(), regions, LogInfo("plan"), overview, regions.owner
-        )
+        write_segmentation(folder, TopologicalMap(), regions, LogInfo("plan"), overview, grid)
         written = cv2.imread(f"{folder}/labels.png", cv2.IMREAD_UNCHANGED)
         assert written is not None
         assert written.dtype == np.uint16
         np.testing.assert_array_equal(written[::-1].astype(np.int64) - 1, owner)
-        files = ["labels.png", "overview.png", "submaps", "topology.json"]
+        files = ["labels.png", "map.png", "map.yaml", "overview.png", "submaps", "topology.json"]
         assert sorted(os.listdir(folder)) == files
 
 

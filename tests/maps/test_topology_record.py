@@ -29,6 +29,7 @@ from specmap_cli.topology.topological_map import (
     Door,
     Edge,
     LogInfo,
+    Seen,
     Submap,
     TopologicalMap,
     Traversal,
@@ -140,6 +141,16 @@ def test_doors_anchors_and_ways_there_and_back() -> None:
     np.testing.assert_array_equal(read.edges[3, 7].path, path)
     assert undrawn(replace(read.edges[3, 7], path=None)) == undrawn(replace(way, path=None))
     assert undrawn(read.edges[3, 9]) == narrow
+
+
+def test_what_was_only_seen_is_written_and_a_map_that_does_not_tell_it_has_none() -> None:
+    pieces = (Seen(area_m2=12.5, x=1.0, y=-2.5), Seen(area_m2=1.5, x=0.0, y=0.25))
+    record = record_of(TopologicalMap(), replace(regions_of(), seen=pieces))
+    assert record.graph.seen == pieces
+    assert record.seen_m2 == 14.0
+    document = json.loads(record.text())
+    assert document["graph"].pop("seen")[1] == {"area_m2": 1.5, "x": 0.0, "y": 0.25}
+    assert TopologyRecord.model_validate(document).graph.seen == ()
 
 
 def test_nodes_and_edges_are_by_id_and_closures_as_considered() -> None:
@@ -262,6 +273,7 @@ def document(stored: Path) -> Any:
         ("nodes__0__id", -1),
         ("nodes__0__id", 0.5),
         ("nodes__0__area_m2", -0.1),
+        ("graph__seen", [{"area_m2": -1.0, "x": 0.0, "y": 0.0}]),
         ("nodes__0__visits", {}),
         ("nodes__0__polygon", [[1.0, 2.0, 3.0]]),
         ("nodes__0__colour", "red"),
@@ -291,7 +303,7 @@ def test_no_key_may_be_missing(document: Any) -> None:
         *("nodes__0", "edges__0", "edges__0__traversals__0"),
     ):
         place = place_in(document, record.split("__"))
-        for key in set(place) - {"path_m"}:  # of logs; maps of schema 2 are older than it
+        for key in set(place) - {"path_m", "seen"}:  # maps of schema 2 are older than these
             value = place.pop(key)
             with pytest.raises(ValidationError, match=key):
                 TopologyRecord.model_validate(document)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import cv2
@@ -11,6 +12,9 @@ import pytest
 from specmap_cli import read_map, segment_map
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import NoResultError, UsageError
+from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap
+from specmap_cli.grids.map_server import write_grid
+from specmap_cli.pipelines.edit import edit_map
 
 
 def test_the_rooms_of_the_flat_are_found_with_the_settings_given(
@@ -30,7 +34,9 @@ def test_the_rooms_of_the_flat_are_found_with_the_settings_given(
         assert edge.path is not None
     assert found["doors"] == len(stored.record.graph.doors) == 3
     assert all((node.anchor_clearance_m or 0.0) >= 0.3 for node in stored.record.nodes)
-    assert report.lines()[0].startswith(f"{tmp_path / 'rooms'}: 4 submaps, 3 edges, 3 doors, ")
+    area = f"{found['area_m2']:.0f} m2"
+    assert report.lines()[0] == f"{tmp_path / 'rooms'}: 4 submaps, 3 edges, 3 doors, {area}"
+    assert found["seen_m2"] == 0.0
     labels = cv2.imread(str(tmp_path / "rooms" / "labels.png"), cv2.IMREAD_UNCHANGED)
     grid = cv2.imread(str(plan.with_suffix(".png")), cv2.IMREAD_UNCHANGED)
     assert labels is not None
@@ -47,11 +53,41 @@ def test_the_rooms_of_the_flat_are_found_with_the_settings_given(
     assert segment_map(plan, tmp_path / "whole", config).as_dict()["submaps"] == 1
 
 
+def test_a_fan_of_rays_through_a_window_is_no_room_and_is_told(
+    flat: GridMap, tmp_path: Path
+) -> None:
+    cells = np.pad(flat.cells, ((0, 0), (0, 80)), constant_values=UNKNOWN)
+    cells[69:73, 176:180] = FREE  # the window
+    for column in range(180, 250):
+        reach = 2 + (column - 180) // 3
+        cells[71 - reach : 71 + reach, column] = FREE
+    write_grid(tmp_path / "plan", GridMap(cells, 0.05))
+    report = segment_map(tmp_path / "plan.yaml", tmp_path / "rooms")
+    stored = read_map(tmp_path / "rooms")
+    assert len(stored.ids) == 4
+    (piece,) = stored.record.graph.seen
+    fan_m2 = np.count_nonzero(cells[:, 180:] == FREE) * 0.05**2
+    assert piece.area_m2 == pytest.approx(fan_m2, abs=0.3)
+    assert report.as_dict()["seen_m2"] == pytest.approx(piece.area_m2)
+    assert report.lines()[0].endswith(f" m2, and {piece.area_m2:.0f} m2 only seen")
+    assert 180 * 0.05 < piece.x < 250 * 0.05
+    assert piece.y == pytest.approx(71 * 0.05, abs=0.5)
+    told = (tmp_path / "rooms" / "topology.json").read_text(encoding="utf-8")
+    untold = {**json.loads(told)["graph"], "seen": []}  # as a map of an earlier version
+    (tmp_path / "rooms" / "topology.json").write_text(
+        json.dumps({**json.loads(told), "graph": untold}), encoding="utf-8"
+    )
+    picture = (tmp_path / "rooms" / "overview.png").read_bytes()
+    edit_map(tmp_path / "rooms")
+    assert (tmp_path / "rooms" / "topology.json").read_text(encoding="utf-8") == told
+    assert (tmp_path / "rooms" / "overview.png").read_bytes() == picture
+
+
 @pytest.mark.parametrize(
     ("resolution", "error", "words"),
     [
         (0.6, UsageError, "too coarse to see a door"),
-        (0.004, NoResultError, "no free space wider than"),
+        (0.004, NoResultError, r"wider than 0\.5 m in the map \(.* free\): check the resolution"),
     ],
 )
 def test_what_cannot_be_divided_is_one_line_and_leaves_nothing(

@@ -78,6 +78,8 @@ def test_a_divided_plan_has_a_page_unless_it_is_torn_apart(flat: GridMap, tmp_pa
     assert page.count('class="region"') == len(read_map(rooms).ids) > 2
     assert 'id="time"' not in page
     assert "No classifiers" in page
+    (rooms / "map.yaml").unlink()  # which earlier versions did not write
+    assert report_map(rooms).count('class="region"') == page.count('class="region"')
     document = json.loads((rooms / "topology.json").read_text())
     document["nodes"][0]["x"] = 1e8
     (rooms / "topology.json").write_text(json.dumps(document))

@@ -17,7 +17,7 @@ from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.report import html
 from specmap_cli.report.svg import Frame, outlines, path_data, tones
 from specmap_cli.report.track import MOST_POINTS, Track
-from tests.drawing.seeing import contrast, seen_lab
+from tests.drawing.seeing import contrast, least_difference, seen_lab
 
 FRAME = Frame(-2.0, 8.0, 1000, 1000)
 TEXT = ("ink", "quiet", "way", "loose", "wrong")  # what words are written in
@@ -112,9 +112,16 @@ def test_words_and_lines_are_legible(which: str) -> None:
     for name, colour in colours.items():
         if name.startswith("fill"):
             assert contrast(colours["ink"], colour) >= 3.0, f"walls on {name}"
-        elif name not in ("paper", "shade", "hair"):
+        elif name not in ("paper", "shade", "seen", "hair"):
             # lines have a rim of paper wherever they run; words stand on paper
             assert contrast(colour, colours["paper"]) >= (4.5 if name in TEXT else 3.0), name
+
+
+@pytest.mark.parametrize("which", ["day", "night"])
+def test_what_was_only_seen_is_told_from_paper_and_from_regions(which: str) -> None:
+    colours = {name: bgr(getattr(tone, which)) for name, tone in tones(FILLS).items()}
+    for name in ("paper", *(name for name in colours if name.startswith("fill"))):
+        assert least_difference(colours["seen"], colours[name]) > 7.0, name
 
 
 def test_regions_that_differ_by_day_differ_by_night() -> None:

@@ -14,28 +14,35 @@ from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import SegmentationConfig
-from specmap_cli.grids.gridmap import OCCUPIED, BoolArray, GridMap, contacts, nearest_values
+from specmap_cli.grids.gridmap import (
+    FREE,
+    OCCUPIED,
+    UNKNOWN,
+    BoolArray,
+    GridMap,
+    clearance_of,
+    contacts,
+    joined,
+    nearest_values,
+)
 from specmap_cli.segmentation import visibility
 from specmap_cli.segmentation.cells import (
     border_widths,
     consensus,
     flood_labels,
     flooded_at,
-    join_wide,
+    joined_wide,
     local_widths,
     nearest_labels,
     spread_labels,
+    without_dead_ends,
 )
 from specmap_cli.segmentation.division import segment
 from specmap_cli.segmentation.furniture import furniture, small_obstacles
 from specmap_cli.segmentation.visibility import LabelArray, near_pairs, sample_nodes, visible
-from specmap_cli.segmentation.working_grid import working_grid
+from specmap_cli.segmentation.working_grid import reduced
 from tests.segmentation.plans import OFFICE, same_parts
-from tests.strategies import few, seeds
-
-
-def clearance_of(free: BoolArray) -> FloatArray:
-    return working_grid(free, 1.0, 1.0).clearance
+from tests.strategies import few, grid_maps, seeds
 
 
 def dumbbell() -> BoolArray:
@@ -206,6 +213,14 @@ def test_labels_spread_to_their_whole_piece_and_change_nothing_that_is_there(
     held = np.isin(piece, np.unique(piece[labels >= 0])) & free
     np.testing.assert_array_equal(spread >= 0, held)
     np.testing.assert_array_equal(spread[labels >= 0], labels[labels >= 0])
+    crept = spread_labels(labels.copy(), free, rings, everywhere=False)
+    near = ndimage.binary_dilation(labels >= 0, np.ones((3, 3)), rings, mask=free)
+    np.testing.assert_array_equal(crept >= 0, near | (labels >= 0))
+    np.testing.assert_array_equal(crept[near], spread[near])
+    piece, _ = ndimage.label(free)  # over sides alone
+    np.testing.assert_array_equal(
+        joined(free, labels == 2), free & np.isin(piece, np.unique(piece[labels == 2]))
+    )
 
 
 def test_labels_creep_round_a_wall_as_far_as_they_are_told() -> None:
@@ -294,15 +309,15 @@ def test_a_railing_of_dashes_is_a_wall_and_pieces_that_stand_apart_or_end_soon_a
     assert found[30].any() == is_furniture
 
 
-@given(seed=seeds, step=st.integers(1, 4))
-def test_coarse_cells_and_the_fine_ones_under_them_belong_together(seed: int, step: int) -> None:
-    free = cluttered(seed)
-    work = working_grid(free, 0.05, 0.05 * step)
-    for row, column in np.ndindex(work.clearance.shape):
-        block = free[row * step : (row + 1) * step, column * step : (column + 1) * step]
-        assert work.free[row, column] == (block.all() and block.size == step * step)
-    exact = ndimage.distance_transform_edt(np.pad(work.free, 1))[1:-1, 1:-1]
-    np.testing.assert_allclose(work.clearance, exact)
+@given(grid_maps(), st.integers(1, 4))
+def test_coarse_cells_are_those_of_the_fine_ones_under_them(grid: GridMap, step: int) -> None:
+    """No wall is lost, and half a cell has to be free."""
+    coarse = reduced(grid.cells, step)
+    for row, column in np.ndindex(coarse.shape):
+        block = grid.cells[row * step : (row + 1) * step, column * step : (column + 1) * step]
+        counts = np.bincount(block.flat, minlength=3)
+        free = FREE if 2 * counts[FREE] >= step**2 else UNKNOWN
+        assert coarse[row, column] == (OCCUPIED if counts[OCCUPIED] else free)
 
 
 def touching(labels: LabelArray) -> set[tuple[tuple[int, int], tuple[int, int]]]:
@@ -360,56 +375,56 @@ def test_a_local_width_is_the_largest_visible_disc_that_covers_the_node(seed: in
     np.testing.assert_allclose(local_widths(clearance, lengths, pairs, 6.0), expected)
 
 
-def joined_one_by_one(
-    borders: dict[tuple[int, int], float], widths: list[np.ndarray], ratio: float, percent: float
-) -> list[set[int]]:
-    """`join_wide` as sets: after each join all is computed anew."""
-    groups = [{number} for number in range(len(widths))]
-    while True:
-        best = None
-        for one, other in itertools.combinations(groups, 2):
-            shared = [w for (a, b), w in borders.items() if {a, b} & one and {a, b} & other]
-            sizes = [
-                np.percentile(np.concatenate([widths[k] for k in sorted(group)]), percent)
-                for group in (one, other)
-            ]
-            share = max(shared, default=0.0) / np.sqrt(sizes[0] * sizes[1])
-            if shared and share >= ratio and (best is None or share > best[0]):
-                best = share, one, other
-        if best is None:
-            return groups
-        groups = [group for group in groups if group not in best[1:]] + [best[1] | best[2]]
-
-
-@given(seeds, st.sampled_from([0.5, 0.8, 1.1]), st.sampled_from([50.0, 75.0]))
-def test_clusters_are_joined_as_one_by_one(seed: int, ratio: float, percent: float) -> None:
+@given(seeds, st.sampled_from([0.5, 0.8, 1.1]))
+def test_clusters_are_one_where_borders_as_wide_as_asked_for_lead_from_one_to_the_other(
+    seed: int, ratio: float
+) -> None:
     rng = np.random.default_rng(seed)
-    count = int(rng.integers(1, 7))
-    widths = [rng.uniform(1.0, 2.0, rng.integers(1, 6)) for _ in range(count)]
-    borders = {
-        pair: float(rng.uniform(0.3, 2.0))
-        for pair in itertools.combinations(range(count), 2)
-        if rng.random() < 0.5
-    }
-    names = join_wide(borders, widths, ratio, percent)
-    found = [{k for k, name in enumerate(names) if name == group} for group in set(names)]
-    expected = joined_one_by_one(borders, widths, ratio, percent)
-    assert sorted(map(sorted, found)) == sorted(map(sorted, expected))
-    assert names[0] == 0
-    assert sorted(set(names)) == list(range(len(found)))
+    widths = rng.uniform(0.0, 2.0, rng.integers(1, 9))
+    every = itertools.combinations(range(len(widths)), 2)
+    borders = {pair: float(rng.uniform(0.0, 2.0)) for pair in every if rng.random() < 0.5}
+    joined = np.eye(len(widths), dtype=bool)
+    for (one, other), border in borders.items():
+        wide = border >= ratio * np.sqrt(widths[one] * widths[other])
+        joined[one, other] = joined[other, one] = wide
+    names = joined_wide(borders, widths.tolist(), ratio)
+    ways = np.linalg.matrix_power(joined.astype(np.int64), len(widths)) > 0
+    np.testing.assert_array_equal(names[:, None] == names, ways)
+    assert set(names.tolist()) == set(range(names.max() + 1))
 
 
-def test_a_border_of_just_the_ratio_joins_and_a_cluster_without_width_none() -> None:
-    widths = [np.full(2, 0.5), np.full(2, 2.0)]
-    assert join_wide({(0, 1): 0.8}, widths, 0.8, 60.0) == [0, 0]
-    assert join_wide({(0, 1): 0.7999}, widths, 0.8, 60.0) == [0, 1]
-    assert join_wide({(0, 1): 0.1}, [np.zeros(3), np.ones(3)], 0.8, 60.0) == [0, 0]
-    assert join_wide({}, [], 0.8, 60.0) == []
+def test_a_border_of_just_the_ratio_joins_and_a_cluster_without_width_any() -> None:
+    for border, names in ((0.3 * 3 / 1.25, [0, 0]), (0.7199, [0, 1])):
+        assert joined_wide({(0, 1): border}, [0.5, 2.0], 0.72).tolist() == names
+    assert joined_wide({(0, 1): 0.1}, [0.0, 1.0], 0.8).tolist() == [0, 0]
+    assert joined_wide({}, [], 0.8).tolist() == []
 
 
 def labels(text: str) -> LabelArray:
     """Labels (1, w) from letters, '.' is no label."""
     return np.array([[-1 if c == "." else ord(c) - ord("a") for c in text]], dtype=np.int32)
+
+
+@pytest.mark.parametrize(
+    ("smallest", "opening", "expected"),
+    [
+        (21, 3.0, "aaaabbcccc.d"),  # a small room on the way from one to another
+        (41, 3.0, "aaaaaaaaaa.d"),
+        (21, 0.5, "aaaacccccc.d"),  # nobody comes through on its left: it is a dead end
+        (20, 0.5, "aaaabbcccc.d"),
+        (999, 0.5, "aaaacccccc.d"),
+    ],
+)
+def test_a_small_region_with_one_way_in_is_a_part_of_the_next(
+    smallest: int, opening: float, expected: str
+) -> None:
+    found = np.repeat(labels("aaaabbcccc.d"), 10, axis=0)
+    clearance = np.full(found.shape, 3.0)
+    clearance[:, 3] = opening
+    merged = without_dead_ends(found, clearance, 1.0, smallest)
+    assert same_parts(merged, np.repeat(labels(expected), 10, axis=0))
+    nothing = np.full_like(found, -1)
+    np.testing.assert_array_equal(without_dead_ends(nothing, clearance, 1.0, 9), nothing)
 
 
 @pytest.mark.parametrize(

@@ -26,6 +26,7 @@ from specmap_cli.segmentation.splitting import (
     examine,
     way_driven,
 )
+from specmap_cli.segmentation.working_grid import reduced
 from tests.casting import keyframe, ranges_at, store_of
 from tests.segmentation.plans import OFFICE, TWO_ROOMS, plan
 from tests.turning import turn
@@ -303,11 +304,12 @@ def test_the_margin_keeps_obstacles_at_the_band_s_edge_whole(margin: float) -> N
 
 
 def test_of_rooms_seen_and_not_entered_there_may_be_as_many_as_eigenpairs() -> None:
+    office = GridMap(reduced(OFFICE.cells, 2), 0.1)  # in the cells of such a test
     way = (1.0, 5.5), (14.0, 5.5), (12.4, 5.5), (12.4, 3.0)
-    found = examine(*driven(OFFICE, *way), EVERYWHERE)
+    found = examine(*driven(office, *way), EVERYWHERE)
     assert found.chosen > 1
     turn("segmentation", split_eigenpairs=found.chosen)
-    assert examine(*driven(OFFICE, *way), EVERYWHERE).eigenvalue == 0.0
+    assert examine(*driven(office, *way), EVERYWHERE).eigenvalue == 0.0
 
 
 def test_no_division_of_a_stand_a_way_off_the_map_or_a_map_too_small_for_a_graph() -> None:

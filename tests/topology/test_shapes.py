@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.json_values import point
@@ -238,6 +239,26 @@ def test_the_area_of_a_submap_is_that_of_its_free_cells_and_furniture_is_none() 
     assert regions.outline(0).area_m2 == pytest.approx((9 * 10 - 6) * 0.25)
     assert regions.outline(1).area_m2 == pytest.approx((9 * 10 - 1) * 0.25)
     assert regions.area_m2 == pytest.approx((2 * 9 * 10 - 7) * 0.25)
+
+
+def test_what_was_only_seen_is_told_by_piece_with_a_place_inside() -> None:
+    """The largest first. Pieces join over corners as rays do; neither specks nor walls count."""
+    cells = np.full((60, 60), UNKNOWN, dtype=np.uint8)
+    cells[0:10, 0:40] = FREE  # the room
+    cells[20:30, 0:13], cells[30:32, 13:30] = FREE, FREE  # a hall and a strip at its corner
+    cells[40:52, 5:45], cells[43, 25] = FREE, OCCUPIED
+    cells[55:58, 0:33] = FREE  # 0.99 m2
+    owner = np.full(cells.shape, NOBODY)
+    owner[0:10, 0:40] = 0
+    regions = Regions.of(GridMap(cells, 0.1, (-2.0, 3.0)), owner)
+    large, small = regions.seen
+    assert (large.area_m2, small.area_m2) == pytest.approx((12 * 40 * 0.01 - 0.01, 1.64))
+    assert regions.seen_m2 == pytest.approx(large.area_m2 + small.area_m2)
+    clear = distance_transform_edt(np.pad(cells[40:52, 5:45] == FREE, 1))[1:-1, 1:-1]
+    row, column = regions.grid.cells_of(np.array([[large.x, large.y]]))[0] - (40, 5)
+    assert clear[row, column] == clear.max()
+    assert -2.0 < small.x < -0.7, "in the hall, not in the strip"
+    assert 5.0 < small.y < 6.0
 
 
 def test_no_keyframes_keyframes_off_the_grid_and_regions_without_a_cell() -> None:
