@@ -17,7 +17,7 @@ from specmap_cli.segmentation.visibility import LabelArray
 # Solid furniture is thicker than this across: walls are thinner than tables.
 FURNITURE_THICK_M = 0.4
 _SLACK = 1e-9  # sizes that are equal on paper stay equal in floating point
-_SLIT_M = 0.15  # free space narrower than this, in a wall or between two pieces of one, is noise
+_SLIT_M = 0.15  # free space narrower than this between two pieces of a wall is noise
 _SOLID = 0.5  # share of its rectangle: furniture fills three quarters, corners of walls a third
 
 _LONGEST_M = 4.0  # a row of cupboards; larger is what was never seen, and thick walls
@@ -42,14 +42,6 @@ def furniture(free: BoolArray, resolution: float, config: SegmentationConfig) ->
     linked = cv2.morphologyEx(pieces.astype(np.uint8), cv2.MORPH_CLOSE, square) > 0
     rows = linked & ~small_obstacles(~linked, max(largest, bulky))
     return np.asarray(found & ~(pieces & rows))
-
-
-def without_slits(free: BoolArray, resolution: float) -> BoolArray:
-    """The free cells (H, W) that a free square as wide as a slit covers."""
-    side = 2 * max(0, round(0.5 * (_SLIT_M / resolution - 1.0))) + 1  # odd: it has a middle
-    square = np.ones((side, side), dtype=np.uint8)
-    opened = cv2.morphologyEx(np.pad(free, side).astype(np.uint8), cv2.MORPH_OPEN, square)
-    return np.asarray(opened[side:-side, side:-side] > 0)
 
 
 def small_obstacles(

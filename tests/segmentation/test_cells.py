@@ -38,7 +38,7 @@ from specmap_cli.segmentation.cells import (
     without_dead_ends,
 )
 from specmap_cli.segmentation.division import segment
-from specmap_cli.segmentation.furniture import furniture, small_obstacles, without_slits
+from specmap_cli.segmentation.furniture import furniture, small_obstacles
 from specmap_cli.segmentation.visibility import LabelArray, near_pairs, sample_nodes, visible
 from specmap_cli.segmentation.working_grid import reduced
 from tests.segmentation.plans import OFFICE, same_parts
@@ -307,16 +307,6 @@ def test_a_railing_of_dashes_is_a_wall_and_pieces_that_stand_apart_or_end_soon_a
     found = furniture(free, 0.05, SegmentationConfig())
     assert found[20:29, 40:76].all()
     assert found[30].any() == is_furniture
-
-
-def test_slits_are_narrower_than_the_square_that_has_to_fit() -> None:
-    free = np.zeros((20, 40), dtype=bool)
-    free[5:8, 2:20] = free[12:14, 2:20] = free[:, 30:33] = True
-    even = without_slits(free, 0.05)
-    assert even[5:8, 2:20].all()
-    assert even[:, 30:33].all()
-    assert not even[12:14].any(where=np.arange(40) < 20)
-    np.testing.assert_array_equal(without_slits(free, 0.15), free)  # no slit is below a cell
 
 
 @given(grid_maps(), st.integers(1, 4))
