@@ -50,8 +50,7 @@ def _along_rows(
     space on both faces. On the other side is a wall with open space on one face at least: a corner
     does, or a partition that ends where the line of the wall is. Half of the opening is open to
     both sides: beside a cupboard that stands at a wall the wall itself goes on, and nobody comes
-    through. Posts divide an opening into several, none of which is wider than two
-    doors.
+    through. Posts divide an opening into several, none of which is wider than two doors.
     """
     cells, pieces = (np.ascontiguousarray(mask, dtype=np.uint8) for mask in (free, small))
     across = np.ones((space // 2 * 2 + 1, 1), dtype=np.uint8)  # odd: it has a middle

@@ -101,8 +101,8 @@ def _doors(
     ]
 
 
-# Space wider than this is no narrowing any more: rooms whose border is 0.8 times as wide as they
-# are count as one room, about (segmentation.merge_ratio); what is no border of rooms is no door.
+# Space wider than this is no narrowing any more: rooms whose border is three quarters as wide as
+# they are count as one, about (segmentation.merge_ratio); what is no border of rooms is no door.
 _HILL = 1.25
 _REACH_M = 1.5  # from a border: the half of a corridor, a step into a room
 _STEP = 0.5  # cells, between the levels that are looked at first
