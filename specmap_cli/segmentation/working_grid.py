@@ -19,6 +19,7 @@ from specmap_cli.grids.gridmap import (
     FREE,
     OCCUPIED,
     UNKNOWN,
+    BoolArray,
     CellArray,
     GridMap,
     window_of,
@@ -101,7 +102,36 @@ def upright_map(fine: GridMap, cell_m: float, node_step_m: float) -> UprightMap:
     shown = fine.free[window]
     inner = cv2.erode(shown.astype(np.uint8), _AROUND, borderValue=0) > 0
     mass = inner if inner.any() else shown
-    # second and third central moments along the rows and the columns, exact, times n^3
+    frame = _FRAME * step
+    framed = np.full([side + 2 * frame for side in shown.shape], UNKNOWN, dtype=np.uint8)
+    around = [
+        slice(max(side.start - frame, 0), min(side.stop + frame, size))
+        for side, size in zip(window, fine.cells.shape, strict=True)
+    ]
+    row, column = (frame - side.start + one.start for side, one in zip(window, around, strict=True))
+    part = fine.cells[around[0], around[1]]
+    framed[row : row + part.shape[0], column : column + part.shape[1]] = part
+    ways = _turns(mass)
+    turns = min(
+        ways, key=lambda way: (np.rot90(framed, way).shape, np.rot90(framed, way).tobytes())
+    )
+    along = (np.rot90(mass, turns).sum(axis=axis) for axis in (1, 0))
+    middle = frame + np.array([n @ np.arange(len(n)) // n.sum() for n in along])
+    low = (-middle % (step * block)).tolist()
+    # what is solid up to the frame goes on beyond it, and is no furniture
+    cells = np.pad(pictures[turns], ((low[0], 0), (low[1], 0)), constant_values=OCCUPIED)
+    coarse = reduced(cells, step)
+    tilted, tilt = _along_walls(coarse, (middle + low) // step, block)
+    grid = GridMap(tilted, step * fine.resolution)
+    before, shape = (low[0] + frame, low[1] + frame), (coarse.shape[0], coarse.shape[1])
+    return UprightMap(grid, block, window, turns, before, step, shape, tilt)
+
+
+def _turns(mass: BoolArray) -> list[int]:
+    """The quarter turns that make a mass (H, W) wide, and lean to the upper right: one, if it can.
+
+    Its second and third central moments say it, along the rows and the columns, exact, times n^3.
+    """
     spread, skew = [], []
     for counts in (mass.sum(axis=1).tolist(), mass.sum(axis=0).tolist()):
         total = sum(counts)
@@ -110,35 +140,10 @@ def upright_map(fine: GridMap, cell_m: float, node_step_m: float) -> UprightMap:
         spread.append(total * sum(n * far**2 for far, n in zip(away, counts, strict=True)))
         skew.append(sum(n * far**3 for far, n in zip(away, counts, strict=True)))
     (high, wide), (up, right) = spread, skew
-    frame = _FRAME * step
-    framed = np.full([side + 2 * frame for side in shown.shape], UNKNOWN, dtype=np.uint8)
-    (top, bottom), (left, right_) = (
-        (max(side.start - frame, 0), min(side.stop + frame, size))
-        for side, size in zip(window, fine.cells.shape, strict=True)
-    )
-    ahead = np.array([top, left]) - [side.start - frame for side in window]
-    framed[ahead[0] : ahead[0] + bottom - top, ahead[1] : ahead[1] + right_ - left] = fine.cells[
-        top:bottom, left:right_
-    ]
     # a quarter turn counter-clockwise of the array: what was its columns, backwards, is its rows
     tall, leans = (high > wide, wide > high), (up + right, up - right, -up - right, right - up)
     ways = [(tall[turns % 2], -leans[turns]) for turns in range(4)]
-    turns = min(
-        (turns for turns in range(4) if ways[turns] == min(ways)),
-        key=lambda turns: (np.rot90(framed, turns).shape, np.rot90(framed, turns).tobytes()),
-    )
-    counts_along = (np.rot90(mass, turns).sum(axis=axis) for axis in (1, 0))
-    middle = frame + np.array([n @ np.arange(len(n)) // n.sum() for n in counts_along])
-    low = (-middle % (step * block)).tolist()
-    # what is solid up to the frame goes on beyond it, and is no furniture
-    cells = np.pad(np.rot90(framed, turns), ((low[0], 0), (low[1], 0)), constant_values=OCCUPIED)
-    coarse = reduced(cells, step)
-    corner = (middle + low) // step  # of a block, in coarse cells
-    before = low[0] + frame, low[1] + frame
-    tilted, tilt = _along_walls(coarse, corner, block)
-    grid = GridMap(tilted, step * fine.resolution)
-    shape = coarse.shape[0], coarse.shape[1]
-    return UprightMap(grid, block, window, turns, before, step, shape, tilt)
+    return [turns for turns in range(4) if ways[turns] == min(ways)]
 
 
 def reduced(cells: CellArray, step: int) -> CellArray:
