@@ -86,9 +86,9 @@ def found_again(grid: GridMap, labels: Labels, config: SegmentationConfig) -> fl
     return float((table > SAME * union).any(axis=1).mean())
 
 
-def measured(step: tuple[str, dict[str, Any], dict[tuple[Any, str], Any]]) -> str:
-    """The row of one step."""
-    name, settings, constants = step
+def measured(number: int) -> str:
+    """The row of one of the `STEPS`."""
+    name, settings, constants = STEPS[number]
     config = SegmentationConfig(**(Config().segmentation.model_dump() | settings))
     figures: dict[str, list[float]] = {}
     pieces = regions = 0
@@ -118,5 +118,5 @@ if __name__ == "__main__":
     print("| without | real floors | pieces | regions | plans | furnished | random | turned |")
     print("|---|---|---|---|---|---|---|---|")
     with ProcessPoolExecutor(2) as pool:
-        for row in pool.map(measured, STEPS):
+        for row in pool.map(measured, range(len(STEPS))):
             print(row, flush=True)

@@ -111,10 +111,8 @@ def upright_map(fine: GridMap, cell_m: float, node_step_m: float) -> UprightMap:
     row, column = (frame - side.start + one.start for side, one in zip(window, around, strict=True))
     part = fine.cells[around[0], around[1]]
     framed[row : row + part.shape[0], column : column + part.shape[1]] = part
-    ways = _turns(mass)
-    turns = min(
-        ways, key=lambda way: (np.rot90(framed, way).shape, np.rot90(framed, way).tobytes())
-    )
+    pictures = {turns: np.rot90(framed, turns) for turns in _turns(mass)}
+    turns = min(pictures, key=lambda one: (pictures[one].shape, pictures[one].tobytes()))
     along = (np.rot90(mass, turns).sum(axis=axis) for axis in (1, 0))
     middle = frame + np.array([n @ np.arange(len(n)) // n.sum() for n in along])
     low = (-middle % (step * block)).tolist()
