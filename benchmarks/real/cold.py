@@ -10,6 +10,7 @@ in one drawn room, and it is at no passage.
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,6 +37,7 @@ FLOORS = (
 OLD = (0.99, 0.84, 1.0, 0.63, 0.79, 0.73, 0.82)
 DOORWAY = "DW"
 _PIECE_M2, _NEAR_M, _ASIDE_M = 0.25, 0.6, 0.5
+_WORSE = 0.85  # IoU of rooms that are named in a picture
 
 ROWS = (
     Row("recall", "recall, 40 rooms of seven floors", 0.91, 0.95),
@@ -97,13 +99,9 @@ def measure(bench: Bench) -> Figures:
 
 def scored(source: Path, divided: Path) -> Floor:
     """Hold a divided floor against its labels."""
-    floor = read_grid(source / "map.yaml")
-    labels = json.loads((source / "labels.json").read_text(encoding="utf-8"))["rooms"]
-    polygons = {name: corners(room["outline"]) for name, room in labels.items()}
-    truth = painted(floor, polygons)
+    floor, truth, polygons = labelled(source)
     stored = read_map(divided)
-    regions = painted_regions(floor, [stored.grids[number] for number in stored.ids])
-    table = overlap_table(truth, np.where(floor.free, regions, -1)).astype(np.float64)
+    table = overlap_table(truth, stored.regions.owner).astype(np.float64)
     cell_m2 = floor.resolution**2
     rooms = np.bincount(truth[truth >= 0], minlength=len(table)).astype(np.float64)
     table, rooms = table[rooms > 0], rooms[rooms > 0]
@@ -131,6 +129,14 @@ def scored(source: Path, divided: Path) -> Floor:
     )
 
 
+def labelled(source: Path) -> tuple[GridMap, np.ndarray, dict[str, FloatArray]]:
+    """A floor, (H, W) the room of each of its cells, and the corners (n, 2) of what was drawn."""
+    floor = read_grid(source / "map.yaml")
+    labels = json.loads((source / "labels.json").read_text(encoding="utf-8"))["rooms"]
+    polygons = {name: corners(room["outline"]) for name, room in labels.items()}
+    return floor, painted(floor, polygons), polygons
+
+
 def corners(outline: list[list[list[float]]]) -> FloatArray:
     """(n, 2) corners of an outline of segments."""
     return np.array([start[:2] for start, _ in outline])
@@ -147,10 +153,43 @@ def painted(floor: GridMap, polygons: dict[str, FloatArray]) -> np.ndarray:
     return np.where(floor.free, label, -1)
 
 
-def painted_regions(floor: GridMap, grids: list[GridMap]) -> np.ndarray:
-    """(H, W) the region of each cell by the free cells of the submaps' own grids, -1 for none."""
-    owner = np.full(floor.cells.shape, -1, dtype=np.int32)
-    for number, grid in enumerate(grids):
-        places = grid.centres_of(np.argwhere(grid.free))
-        owner[tuple(floor.cells_of(places).T)] = number
-    return owner
+def draw(floor: GridMap, truth: np.ndarray, owner: np.ndarray, iou: FloatArray) -> np.ndarray:
+    """A picture of a floor: regions in colours, drawn rooms as lines, the IoU of the worse ones."""
+    rows, columns = np.nonzero(truth >= 0)
+    window = np.s_[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+    hues = (np.arange(max(1, 1 + int(owner.max()))) * 0.381966 * 180 % 180).astype(np.uint8)
+    fills = cv2.cvtColor(
+        np.stack([hues, np.full_like(hues, 110), np.full_like(hues, 240)], axis=1)[None],
+        cv2.COLOR_HSV2BGR,
+    )[0]
+    image = np.where(owner[..., None] >= 0, fills[owner], np.where(floor.free, 225, 160)[..., None])
+    image = np.ascontiguousarray(np.where(floor.occupied[..., None], 0, image).astype(np.uint8))
+    named = []
+    for room, share in zip(np.unique(truth[truth >= 0]).tolist(), iou.tolist(), strict=True):
+        mask = (truth == room).astype(np.uint8)
+        lines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        cv2.drawContours(image, lines, -1, (200, 0, 200), 2)
+        if share < _WORSE:
+            named.append((share, np.argwhere(mask).mean(axis=0)))
+    image, (height, _) = np.ascontiguousarray(image[window][::-1]), truth[window].shape
+    for share, (row, column) in named:
+        x, y = round(column - columns.min()) - 30, height - round(row - rows.min())
+        for colour, width in (((255, 255, 255), 6), ((0, 0, 0), 2)):
+            cv2.putText(image, f"{share:.2f}", (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.8, colour, width)
+    return image
+
+
+def main() -> None:
+    """Draw every floor into a folder: `python -m benchmarks.real.cold FOLDER`."""
+    (folder,) = map(Path, sys.argv[1:])
+    for name in FLOORS:
+        source = data_folder() / "cold" / name
+        command = [SPECMAP, "segment", str(source / "map.yaml"), "-o", name, "-q", "--overwrite"]
+        measured(command, folder)
+        floor, truth, stored = *labelled(source)[:2], read_map(folder / name)
+        picture = draw(floor, truth, stored.regions.owner, scored(source, folder / name).iou)
+        cv2.imwrite(str(folder / f"{name}.png"), picture)
+
+
+if __name__ == "__main__":
+    main()

@@ -46,6 +46,7 @@ from specmap_cli.pipelines.localize import settings_for
 from specmap_cli.pipelines.map_in_making import laid_out_of_stored, quality_of_stored
 from specmap_cli.pipelines.reports import EditReport
 from specmap_cli.pipelines.session import Session
+from specmap_cli.segmentation.division import unentered
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.shapes import kind_of
 from specmap_cli.topology.topological_map import TopologicalMap, default_name
@@ -126,7 +127,8 @@ def _drawn(stored: StoredMap, edits: Edits) -> Drawn:
             where=stored.path,
         )
     whole, labels = stored.map_grid, stored.labels
-    return drawn(whole, labels, graph.edits.borders, edits, graph.next_id)
+    nobodys = unentered(whole, stored.regions.owner, labels.poses)
+    return drawn(whole, labels, graph.edits.borders, edits, graph.next_id, nobodys)
 
 
 def _refuse_unapplied(unapplied: Sequence[str], found: Drawn, requested: RequestedEdits) -> None:

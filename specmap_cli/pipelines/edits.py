@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from specmap_cli.core.errors import MapError, UsageError
-from specmap_cli.core.records import IntArray, Labels
+from specmap_cli.core.records import BoolArray, IntArray, Labels
 from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps import filenames
@@ -155,11 +155,16 @@ def _saying(edits: Edits) -> Edits:
 
 
 def drawn(
-    whole: GridMap, labels: Labels, borders: Sequence[BorderEdit], edits: Edits, next_id: int
+    whole: GridMap,
+    labels: Labels,
+    borders: Sequence[BorderEdit],
+    edits: Edits,
+    next_id: int,
+    unentered: BoolArray | None,
 ) -> Drawn:
     """The keyframes with the borders that the edits ask for, instead of those that they have."""
     places = [n for n, change in enumerate(edits.changes) if not isinstance(change, ForbidEdit)]
-    found = redrawn(whole, labels, borders, borders_in(edits), next_id)
+    found = redrawn(whole, labels, borders, borders_in(edits), next_id, unentered)
     skipped = {places[place]: why for place, why in found.skipped.items()}
     changes = list(edits.changes)
     made = [place for place in places if place not in skipped]

@@ -72,7 +72,7 @@ def with_borders(laid: LaidOut) -> tuple[LaidOut, Mapping[int, str]]:
 
     Also why a change could not be made, by its place in the list.
     """
-    found = drawn(laid.whole, laid.labels, laid.borders, laid.edits, laid.next_id)
+    found = drawn(laid.whole, laid.labels, laid.borders, laid.edits, laid.next_id, laid.unentered)
     bordered = replace(
         laid,
         labels=replace(laid.labels, submaps=found.submaps),

@@ -32,7 +32,8 @@ from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.tracking import Tracking
 from specmap_cli.quality.evidence import Evidence, holes_of
 from specmap_cli.quality.verdict import of_recording
-from specmap_cli.segmentation.division import regions_of
+from specmap_cli.segmentation.division import regions_of, segment
+from specmap_cli.segmentation.visibility import LabelArray
 from specmap_cli.topology.graph import settle_labels
 from specmap_cli.topology.topological_map import LogInfo
 
@@ -61,10 +62,14 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
         layout = audited.layout
         trajectory = corrected(explored.trajectory, store, layout.poses)
     closures = refute(explored.closures, constraints, layout)
-    with session.clock.stage("grids"):
-        whole, beyond = _whole_grid(store, layout, config)
+    whole, beyond, division = _drawn(session, layout)
     with session.clock.stage("segmentation"):
-        submaps = _divided(whole, layout, explored.regions, closures, config)
+        if division is None:
+            labels = online_labels(explored.regions, closures, len(layout.poses))
+        else:
+            least_m = config.segmentation.region_min_m
+            labels = regions_of(whole, division, layout.poses, least_m)
+        submaps = _by_first_visit(labels, layout.poses, config)
     with session.clock.stage("audit"):
         rows = rows_of(explored.trajectory, store.stamps_ns, store.poses)
         breaks = tuple(explored.breaks)
@@ -98,6 +103,7 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
         findings=findings,
         next_id=1 + int(submaps.max()),
         drawn=whole,
+        division=division,
         beyond=beyond,
         audit=audited.audit,
         counts=tracking.counts,
@@ -106,46 +112,37 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
 
 def with_grid(session: Session, laid: LaidOut) -> LaidOut:
     """A map with the grid of all keyframes, which the session's store has. Raises as `lay_out`."""
-    with session.clock.stage("grids"):
-        whole, beyond = _whole_grid(session.store, laid.layout, session.config)
-    return replace(laid, drawn=whole, beyond=beyond)
+    whole, beyond, division = _drawn(session, laid.layout)
+    return replace(laid, drawn=whole, beyond=beyond, division=division)
 
 
-def _whole_grid(store: KeyframeStore, layout: Layout, config: Config) -> tuple[GridMap, int]:
+def _drawn(session: Session, layout: Layout) -> tuple[GridMap, int, LabelArray | None]:
     """The grid of all keyframes at their poses in the layout, and how many were beyond its limits.
 
-    Raises NoResultError when no keyframe fits into the largest grid allowed.
+    Also the region of each of its cells: the finished map says where submaps end, if one place of
+    the building is one place of the layout. Raises NoResultError when no keyframe fits into the
+    largest grid allowed.
     """
-    counts = integrate_keyframes(store, range(len(store)), layout.poses, config.grid)
-    whole = counts.snapshot()
+    store, config = session.store, session.config
+    with session.clock.stage("grids"):
+        counts = integrate_keyframes(store, range(len(store)), layout.poses, config.grid)
+        whole = counts.snapshot()
     if not whole.cells.size:
         raise NoResultError(
             "no scan fits into the largest grid allowed: nothing to map",
             "raise grid.max_extent_m or grid.max_area_m2, or lower grid.max_range_m",
             mark=";",
         )
-    return whole, counts.refused
+    division = None
+    if config.relaxation.enabled and not layout.loose and config.segmentation.final_regions:
+        with session.clock.stage("segmentation"):
+            division = segment(whole, config.segmentation).labels
+    return whole, counts.refused, division
 
 
-def divides_whole(layout: Layout, config: Config) -> bool:
-    """Whether the finished map says where submaps end."""
-    consistent = config.relaxation.enabled and not layout.loose
-    return consistent and config.segmentation.final_regions
-
-
-def _divided(
-    whole: GridMap, layout: Layout, regions: Regions, closures: Sequence[Closure], config: Config
-) -> IntArray:
-    """The submap id (n,) of each keyframe, in order of first visit.
-
-    The regions of the finished map say where submaps end, if one place of the building is one place
-    of the layout. Otherwise the regions that were left on the way, and their merges, say it.
-    """
-    if divides_whole(layout, config):
-        labels = regions_of(whole, layout.poses, config.segmentation)
-    else:
-        labels = online_labels(regions, closures, len(layout.poses))
-    settled = settle_labels(labels, layout.poses, config.segmentation.region_min_m)
+def _by_first_visit(labels: IntArray, poses: FloatArray, config: Config) -> IntArray:
+    """The submap id (n,) of each keyframe, in order of first visit, without short excursions."""
+    settled = settle_labels(labels, poses, config.segmentation.region_min_m)
     order: dict[int, int] = {}
     for label in settled.tolist():
         order.setdefault(label, len(order))

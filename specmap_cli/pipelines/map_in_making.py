@@ -17,7 +17,7 @@ import numpy as np
 from specmap_cli.core.errors import InputError, MapError
 from specmap_cli.core.findings import UNDOUBTED, Finding, Quality
 from specmap_cli.core.geometry import FloatArray, path_length
-from specmap_cli.core.records import Closure, IntArray, Labels, Trajectory
+from specmap_cli.core.records import BoolArray, Closure, IntArray, Labels, Trajectory
 from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.layout.audit import Audit
@@ -36,7 +36,8 @@ from specmap_cli.quality.verdict import LAYOUT_CODES, of_layout, quality_of
 from specmap_cli.recognition.features.sets import KeyframeFeatures
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.learning.training_data import TrainingData
-from specmap_cli.topology.regions import Regions, divide
+from specmap_cli.segmentation.division import unentered
+from specmap_cli.topology.regions import OwnerArray, Regions, divide
 from specmap_cli.topology.topological_map import (
     BorderEdit,
     LogInfo,
@@ -76,7 +77,8 @@ class LaidOut:
     follows it are ids that no submap ever had.
 
     `drawn` is the grid of all keyframes, None until it is drawn; `beyond` of them did not fit into
-    it. `audit` is that of the layout. `counts` are of messages and scans.
+    it. `division` has the region of each of its cells, or -1; None where keyframes alone say which
+    submap a cell is in. `audit` is that of the layout. `counts` are of messages and scans.
 
     `edits` are what a person decided, `edits_text` how it was written down, `borders` what of it
     the labels show, and `lost`, in words, what was decided about maps that are in this one and says
@@ -93,6 +95,7 @@ class LaidOut:
     findings: tuple[Finding, ...]
     next_id: int
     drawn: GridMap | None = None
+    division: OwnerArray | None = None
     beyond: int = 0
     audit: Audit = _NOT_AUDITED
     counts: Mapping[str, int] = field(default_factory=dict)
@@ -112,9 +115,16 @@ class LaidOut:
         return self.drawn
 
     @cached_property
+    def unentered(self) -> BoolArray | None:
+        """(H, W) the cells of rooms that the robot saw and never entered; None if nobody knows."""
+        if self.division is None:
+            return None
+        return unentered(self.whole, self.division, self.labels.poses)
+
+    @cached_property
     def regions(self) -> Regions:
         """The division of the cells of the whole grid among the submaps."""
-        return divide(self.whole, self.labels, fences_of(self.borders))
+        return divide(self.whole, self.labels, fences_of(self.borders), self.unentered)
 
     @property
     def starts(self) -> tuple[int, ...]:
@@ -241,6 +251,7 @@ def laid_out_of_stored(stored: StoredMap) -> LaidOut:
         ),
         next_id=topology.next_id,
         drawn=stored.map_grid,
+        division=stored.regions.owner,
         counts=stored.counts,
         edits=edits_of_stored(stored),
         edits_text=edits_text(stored.path, stored.limits),

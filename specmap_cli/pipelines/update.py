@@ -34,7 +34,7 @@ from specmap_cli.pipelines.joining import (
     moved_finding,
     place_apart,
 )
-from specmap_cli.pipelines.laying_out import divides_whole, with_grid
+from specmap_cli.pipelines.laying_out import with_grid
 from specmap_cli.pipelines.learning import (
     Prior,
     comparable,
@@ -246,12 +246,12 @@ def redivided(old: LaidOut, joint: LaidOut, fewer: Thinned, config: Config) -> T
     The keyframes of `old`, with which those of `joint` begin, stay in their submaps.
     """
     laid = fewer.laid
-    if not divides_whole(laid.layout, config):
+    if laid.division is None:
         return fewer
-    poses, settings = joint.layout.poses, config.segmentation
-    divided = regions_of(laid.whole, poses, settings)
+    poses, least_m = joint.layout.poses, config.segmentation.region_min_m
+    divided = regions_of(laid.whole, laid.division, poses, least_m)
     heritage = Heritage(old.labels.poses, old.labels.submaps, old.regions, old.next_id)
-    submaps = inherited(heritage, poses, divided, settings.region_min_m)
+    submaps = inherited(heritage, poses, divided, least_m)
     labels = replace(laid.labels, submaps=submaps[fewer.left])
     next_id = max(old.next_id, 1 + int(submaps.max()))
     return replace(fewer, laid=replace(laid, labels=labels, next_id=next_id))

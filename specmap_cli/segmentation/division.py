@@ -170,28 +170,43 @@ def _placement(
     return cells, graph, spectrum
 
 
-def regions_of(grid: GridMap, poses: FloatArray, config: SegmentationConfig) -> IntArray:
-    """The region (n,) of `grid` that each keyframe at `poses` (n, 3) was taken in.
+def regions_of(
+    grid: GridMap, division: LabelArray | IntArray, poses: FloatArray, least_m: float
+) -> IntArray:
+    """The region (n,) that each keyframe at `poses` (n, 3) was taken in.
 
-    Regions the robot only grazed, on less than `region_min_m` of way in all, go to the region that
-    it came from.
+    `division` (H, W) has the region of each cell of `grid`, or -1. Regions the robot only grazed,
+    on less than `least_m` of way in all, go to the region that it came from.
     """
-    found = segment(grid, config).labels
-    if (found < 0).all():
-        return np.zeros(len(poses), dtype=np.int64)
-    rows, columns = np.clip(grid.cells_of(poses[:, :2]), 0, np.array(found.shape) - 1).T
-    if (found[rows, columns] < 0).any():
-        nearest = ndimage.distance_transform_edt(
-            found < 0, return_distances=False, return_indices=True
-        )
-        rows, columns = nearest[:, rows, columns]
-    labels = found[rows, columns].astype(np.int64)
+    labels = _regions_at(grid, division, poses)
+    if (labels < 0).all():
+        return np.zeros_like(labels)
     way = np.bincount(labels[1:], weights=step_lengths(poses), minlength=int(labels.max()) + 1)
-    stays = way[labels] >= config.region_min_m
+    stays = way[labels] >= least_m
     if not stays.any():
         return np.full_like(labels, np.bincount(labels).argmax())
     source = np.where(stays, np.arange(len(labels)), int(np.argmax(stays)))
     return np.asarray(labels[np.maximum.accumulate(source)], dtype=np.int64)
+
+
+def unentered(grid: GridMap, division: LabelArray | IntArray, poses: FloatArray) -> BoolArray:
+    """(H, W) the cells of regions without a keyframe, and of no region, as in `regions_of`.
+
+    That is what the robot saw through doors and windows, and never drove into.
+    """
+    there = np.unique(_regions_at(grid, division, poses))
+    return ~np.isin(division, there[there >= 0])
+
+
+def _regions_at(grid: GridMap, division: LabelArray | IntArray, poses: FloatArray) -> IntArray:
+    """The region (n,) of the cell that is nearest to each pose and has one; -1 if none has."""
+    rows, columns = np.clip(grid.cells_of(poses[:, :2]), 0, np.array(division.shape) - 1).T
+    if (division[rows, columns] < 0).any() and (division >= 0).any():
+        nearest = ndimage.distance_transform_edt(
+            division < 0, return_distances=False, return_indices=True
+        )
+        rows, columns = nearest[:, rows, columns]
+    return np.asarray(division[rows, columns], dtype=np.int64)
 
 
 def segment_floorplan(grid: GridMap, config: SegmentationConfig) -> Segmentation:

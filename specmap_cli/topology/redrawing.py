@@ -39,11 +39,13 @@ def redrawn(
     borders: Sequence[BorderEdit],
     requested: Sequence[BorderEdit],
     next_id: int,
+    unentered: BoolArray | None = None,
 ) -> Redrawn:
     """Make the borders that are `requested`, in order, instead of those that the labels have.
 
     What has not changed keeps its keyframes. `next_id` and what follows it are ids that no submap
-    ever had: splits without an id get one of these.
+    ever had: splits without an id get one of these. Rooms that are `unentered` (H, W) are in no
+    submap that could be split.
     """
     if [bare(border) for border in borders] == list(requested):
         return Redrawn(labels.submaps, tuple(borders), next_id)
@@ -52,7 +54,7 @@ def redrawn(
     free = max([next_id, *(1 + new for new in taken if new is not None)])
     state = Redrawn(before, (), free)
     for place, border in enumerate(requested):
-        made = _made(whole, labels, state, border)
+        made = _made(whole, labels, state, border, unentered)
         if isinstance(made, str):
             state = replace(state, skipped={**state.skipped, place: made})
         else:
@@ -103,7 +105,13 @@ def carried(
     )
 
 
-def _made(whole: GridMap, labels: Labels, state: Redrawn, border: BorderEdit) -> Redrawn | str:
+def _made(
+    whole: GridMap,
+    labels: Labels,
+    state: Redrawn,
+    border: BorderEdit,
+    unentered: BoolArray | None,
+) -> Redrawn | str:
     """The keyframes with one border more, or why it cannot be made."""
     for id_ in (border.kept, border.gone) if isinstance(border, Merge) else (border.submap,):
         if not (state.submaps == id_).any():
@@ -118,7 +126,8 @@ def _made(whole: GridMap, labels: Labels, state: Redrawn, border: BorderEdit) ->
         owner = next_id if border.new is None else border.new
         if (submaps == owner).any():
             return f"submap {owner} exists already"
-        regions = divide(whole, replace(labels, submaps=submaps), fences=fences_of(state.borders))
+        divided = replace(labels, submaps=submaps)
+        regions = divide(whole, divided, fences_of(state.borders), unentered)
         mine = regions.owner == border.submap
         fence = fence_of(mine, whole, border.line)
         if fence is None:

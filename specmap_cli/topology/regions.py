@@ -123,24 +123,29 @@ def _seen(grid: GridMap, owner: OwnerArray) -> tuple[Seen, ...]:
     return tuple(sorted(found, key=lambda piece: -piece.area_m2))
 
 
-def divide(whole: GridMap, labels: Labels, fences: Sequence[Line] = ()) -> Regions:
+def divide(
+    whole: GridMap,
+    labels: Labels,
+    fences: Sequence[Line] = (),
+    unentered: BoolArray | None = None,
+) -> Regions:
     """Give each free cell of `whole` to the submap of the keyframe that is nearest on foot.
 
     The keyframes flood the cells where a robot has room, and from there the free cells, so that
     regions are connected and end at walls, and go through no slit. Cells that a robot could not get
-    near, such as those seen through a gap or a window, are nobody's. No region grows across the
-    `fences`, lines in the map.
+    near, such as those seen through a gap or a window, are nobody's, and so is what is `unentered`
+    (H, W): rooms without a keyframe. No region grows across the `fences`, lines in the map.
     """
     places = whole.cells_of(labels.poses[:, :2])
     inside = whole.inside(places) & (labels.submaps != NO_SUBMAP)
     rows, columns = places[inside].T
-    passable = whole.free
+    passable = whole.free if unentered is None else whole.free & ~unentered
+    roomy = passable & (whole.clearance() >= _ROBOT_RADIUS_M)
     passable[rows, columns] = True  # where the robot stood, whatever was found there later
     markers = np.zeros(passable.shape, dtype=np.int32)
     markers[rows, columns] = labels.submaps[inside] + 1
     fence = drawn(fences, whole) if fences else None
-    roomy = (whole.clearance() >= _ROBOT_RADIUS_M) | (markers > 0)
-    entered = joined(roomy, markers > 0)
+    entered = joined(roomy | (markers > 0), markers > 0)
     nearest = np.where(entered, flood(entered, markers, fence), 0).astype(np.int32)
     owner = flood(passable, nearest, fence) - 1
     away = cv2.distanceTransform((~entered).astype(np.uint8), cv2.DIST_L2, 5)

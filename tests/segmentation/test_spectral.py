@@ -15,7 +15,13 @@ from sklearn.metrics import adjusted_rand_score
 from specmap_cli.core.config import load_config
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.segmentation.division import region_grid, regions_of, segment, segment_floorplan
+from specmap_cli.segmentation.division import (
+    region_grid,
+    regions_of,
+    segment,
+    segment_floorplan,
+    unentered,
+)
 from specmap_cli.segmentation.working_grid import upright_map, wall_angle
 from tests.segmentation.plans import OFFICE, TWO_ROOMS, plan, same_parts
 from tests.strategies import few, grid_maps
@@ -160,13 +166,23 @@ def drive(xs: np.ndarray) -> np.ndarray:
 
 def test_keyframes_change_region_in_the_door_and_beyond_the_map_are_in_that_of_its_edge() -> None:
     poses = drive(np.concatenate([np.linspace(1.0, 8.0, 71), [-3.0, 12.0]]))
-    labels = regions_of(TWO_ROOMS, poses, DEFAULT.model_copy(update={"region_min_m": 0.0}))
+    labels = regions_of(TWO_ROOMS, segment(TWO_ROOMS, DEFAULT).labels, poses, 0.0)
     (change,) = np.flatnonzero(np.diff(labels[:71]))
     assert 5.1 < poses[change, 0] < 5.7
     assert labels[71:].tolist() == [labels[0], labels[70]]
     assert labels.dtype == np.int64
     nothing = GridMap(np.full((20, 20), UNKNOWN, dtype=np.uint8), 0.05)
-    assert regions_of(nothing, poses[:5], DEFAULT).tolist() == [0] * 5
+    none = segment(nothing, DEFAULT).labels
+    assert regions_of(nothing, none, poses[:5], 1.0).tolist() == [0] * 5
+    assert unentered(nothing, none, poses[:5]).all()
+
+
+def test_a_room_without_a_keyframe_is_not_entered() -> None:
+    division = segment(TWO_ROOMS, DEFAULT).labels
+    first, second = drive(np.linspace(1.0, 4.0, 20)), drive(np.linspace(1.0, 8.0, 71))
+    mine = division[tuple(TWO_ROOMS.cells_of(first[:1, :2])[0])]
+    assert (unentered(TWO_ROOMS, division, first) == (division != mine)).all()
+    assert (unentered(TWO_ROOMS, division, second) == (division < 0)).all()
 
 
 def without_grazed(labels: list[int], poses: np.ndarray, way_m: float) -> list[int]:
@@ -189,10 +205,8 @@ def test_regions_hardly_driven_through_go_to_the_one_before(seed: int, way_m: fl
     stops = np.concatenate([[rng.uniform(0.6, 9.0)], rng.uniform(4.3, 6.8, 4)])
     xs = np.concatenate([np.linspace(a, b, 15) for a, b in itertools.pairwise(stops)])
     poses = drive(xs)
-    every, found = (
-        regions_of(TWO_ROOMS, poses, SegmentationConfig(region_min_m=least_m))
-        for least_m in (0.0, way_m)
-    )
+    division = segment(TWO_ROOMS, DEFAULT).labels
+    every, found = (regions_of(TWO_ROOMS, division, poses, least_m) for least_m in (0.0, way_m))
     assert found.tolist() == without_grazed(every.tolist(), poses, way_m)
 
 
