@@ -119,9 +119,8 @@ def with_grid(session: Session, laid: LaidOut) -> LaidOut:
 def _drawn(session: Session, layout: Layout) -> tuple[GridMap, int, LabelArray | None]:
     """The grid of all keyframes at their poses in the layout, and how many were beyond its limits.
 
-    Also the region of each of its cells: the finished map says where submaps end, if one place of
-    the building is one place of the layout. Raises NoResultError when no keyframe fits into the
-    largest grid allowed.
+    Also its `division_of`. Raises NoResultError when no keyframe fits into the largest grid
+    allowed.
     """
     store, config = session.store, session.config
     with session.clock.stage("grids"):
@@ -133,11 +132,19 @@ def _drawn(session: Session, layout: Layout) -> tuple[GridMap, int, LabelArray |
             "raise grid.max_extent_m or grid.max_area_m2, or lower grid.max_range_m",
             mark=";",
         )
-    division = None
-    if config.relaxation.enabled and not layout.loose and config.segmentation.final_regions:
-        with session.clock.stage("segmentation"):
-            division = segment(whole, config.segmentation).labels
-    return whole, counts.refused, division
+    with session.clock.stage("segmentation"):
+        return whole, counts.refused, division_of(whole, layout, config)
+
+
+def division_of(whole: GridMap, layout: Layout, config: Config) -> LabelArray | None:
+    """The region (H, W) of each cell of the map, -1 for none.
+
+    None where the finished map does not say where submaps end: one place of the building may be
+    two of the layout, or the settings leave it to the way.
+    """
+    if layout.loose or not (config.relaxation.enabled and config.segmentation.final_regions):
+        return None
+    return segment(whole, config.segmentation).labels
 
 
 def _by_first_visit(labels: IntArray, poses: FloatArray, config: Config) -> IntArray:

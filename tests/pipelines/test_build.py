@@ -186,7 +186,7 @@ def test_scans_are_not_kept_in_memory(flat_tour: Tour) -> None:
 def test_without_a_consistent_layout_the_online_submaps_stay(
     flat_done: Finished, settings: dict[str, dict[str, bool]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delattr(laying_out, "regions_of")
+    monkeypatch.delattr(laying_out, "segment")
     little = {"recognition": {"rounds": 4}, "localization": {"augmentation": 20}}
     config = load_config(None, None if settings else "paper", {**little, **settings})
     with KeyframeStore() as store:

@@ -16,6 +16,7 @@ from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.layout.result import Layout
 from specmap_cli.maps.edits import Change, Edits, ForbidEdit, MergeEdit, SplitEdit, SubmapEdit
 from specmap_cli.pipelines.joining import with_edits_of
+from specmap_cli.pipelines.laying_out import division_of
 from specmap_cli.pipelines.map_in_making import LaidOut
 from specmap_cli.pipelines.thinning import Thinned
 from specmap_cli.pipelines.update import redivided
@@ -159,7 +160,8 @@ def updated(whole: GridMap, loose: tuple[int, ...] = ()) -> tuple[LaidOut, IntAr
     labels = Labels(
         stamps_ns=left, poses=joint.layout.poses[left], submaps=joint.labels.submaps[left]
     )
-    drawn = replace(joint, labels=labels, drawn=whole)
+    division = division_of(whole, joint.layout, Config())
+    drawn = replace(joint, labels=labels, drawn=whole, division=division)
     fewer = Thinned(drawn, left, int((left < len(first)).sum()))
     return redivided(old, joint, fewer, Config()).laid, rooms[left]
 
