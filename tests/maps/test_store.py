@@ -64,6 +64,19 @@ def test_all_files_and_no_other_the_same_bytes_every_time(
     assert files_in(again) == files_in(stored)
 
 
+def test_the_division_is_read_as_it_was_written_and_made_where_it_is_missing(
+    stored: Path, result: MapResult
+) -> None:
+    written = result.regions.owner
+    np.testing.assert_array_equal(read_map(stored).regions.owner, written)
+    (stored / "labels.png").unlink()
+    made = read_map(stored).regions.owner
+    assert set(np.unique(made).tolist()) >= {0, 1, 2}
+    cv2.imwrite(str(stored / "labels.png"), np.zeros((2, 2), dtype=np.uint16))
+    with pytest.raises(MapError, match=r"labels\.png.*make the map again"):
+        _ = read_map(stored).regions
+
+
 def test_the_text_of_a_topology_is_sorted_and_strict(stored: Path) -> None:
     text = (stored / "topology.json").read_text()
     document = json.loads(text)

@@ -161,6 +161,17 @@ def test_shared_cells_go_to_the_nearest_keyframe() -> None:
     assert set(np.unique(regions.owner)) == {3, 5}
 
 
+def test_a_room_that_was_not_entered_is_nobodys_up_to_its_door() -> None:
+    grid = GridMap(np.full((4, 10), FREE, dtype=np.uint8), 1.0)
+    unentered = np.zeros((4, 10), dtype=np.bool_)
+    unentered[:, 6:] = True
+    regions = divide(grid, labels_at({3: (1.5, 1.5)}), unentered=unentered)
+    np.testing.assert_array_equal(regions.owner, np.where(unentered, NOBODY, 3))
+    assert [piece.area_m2 for piece in regions.seen] == [16.0]
+    standing = divide(grid, labels_at({3: (7.5, 1.5)}), unentered=unentered).owner
+    assert np.argwhere(standing == 3).tolist() == [[1, 7]], "where the robot stood is its own"
+
+
 def test_near_is_on_foot_not_through_a_wall_or_a_slit_of_a_railing() -> None:
     cells = np.full((30, 41), FREE, dtype=np.uint8)
     cells[:24, 20] = OCCUPIED  # a wall with an opening at the far end
