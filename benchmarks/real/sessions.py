@@ -125,7 +125,7 @@ def comparison(old: Path, new: Path, truth: Placed, folder: Path) -> str:
     try:
         measured(command, folder)
     except RuntimeError as error:
-        return f"refused ({str(error)[-60:]})"
+        return f"refused ({str(error).rpartition(': ')[2]})"
     told = json.loads(next(out.glob("*.json")).read_text(encoding="utf-8"))
     off = truth.whole.pose.inverse() @ Pose2(*told["alignment"]["old_from_new"])
     turned = abs(math.remainder(off.theta, 2 * math.pi))
