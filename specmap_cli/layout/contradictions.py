@@ -1,9 +1,10 @@
 """What speaks against a layout: walls of one pass that stand in the free space of another.
 
 Where two passes come by the same place, each should see the walls that the other one saw. A wall
-that stands nearer than what the other pass saw behind it contradicts the layout, one at the same
-range agrees, and one that is farther was hidden. Views are thinned to one return a bearing, so
-that a layout of a whole log is weighed in a fraction of a second.
+at the same range agrees, and one that is farther was hidden. One that stands nearer contradicts the
+layout, unless other views of its own pass looked through it, or saw what is behind: then it is a
+person, or a thing that was moved, and the walls are where they were. Views are thinned to one
+return a bearing, so that a layout of a whole log is weighed in a fraction of a second.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.geometry import FloatArray, compose, invert
-from specmap_cli.core.records import IntArray
+from specmap_cli.core.geometry import FloatArray, compose
+from specmap_cli.core.records import BoolArray, IntArray
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.path_graph import (
     LOOP_EVERY_M,
@@ -32,20 +33,26 @@ _TOGETHER = 256  # pairs of views compared at once: some MB
 _PARTNER_M = 4.0  # as far as two views see the same walls from about the same side
 _SAME_M, _CLEAR_M = 0.2, 0.4  # a wall at the same range, and one that stands clear before it
 _CLEAR_SHARE = 0.03  # and per metre of range: walls seen at a low angle
-_CHANGED = 0.1  # share of what two right passes see that changed between them: people, doors
-_DOUBTFUL = 0.02  # share of a whole layout; right ones show 0.5 %, wrong ones 5 % and more
+_OWN_STEPS = (-8, -6, -4, -3, -2, -1, 1, 2, 3, 4, 6, 8)  # other views of a pass, of every metre
+_CHANGED = 0.1  # share of what two right passes see that changed between them
+DOUBTFUL = 0.01  # share of a whole layout; right ones show .5 %, wrong ones 2 % and more
 _CLEARLY = 1.2  # times as large a share is not chance in hundreds of readings
-_BY_CHANCE = 30  # readings that may contradict anywhere, a door that closed
+_BY_CHANCE = 30  # readings that may newly contradict anywhere: a door that closed
+_FEW = 10  # readings that say nothing of a layout: such a door in one view
 
 Ranges = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """Readings of two passes that agree in a layout, and those that contradict each other."""
+    """Readings of two passes that agree in a layout, and those that contradict each other.
+
+    At the node `worst` of the graph the most do; None if none does.
+    """
 
     agree: int = 0
     contradict: int = 0
+    worst: int | None = None
 
     def is_worse_than(self, other: Agreement) -> bool:
         """Whether clearly more contradicts here, and not for what newly agrees.
@@ -65,8 +72,8 @@ class Agreement:
 
     @property
     def is_doubtful(self) -> bool:
-        """Whether more contradicts than people, doors and the noise of headings explain."""
-        return self.contradict > _BY_CHANCE + _DOUBTFUL * self.agree
+        """Whether more contradicts than doors and the noise of headings explain."""
+        return self.contradict > _FEW + DOUBTFUL * self.agree
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,13 +112,16 @@ class Views:
         """How the views of all passes stand to each other at poses (M, 3) of the graph's nodes."""
         lasers = compose(poses[self.rows], self.mounts)
         older, newer = self.partners(lasers)
-        agree = contradict = 0
-        for a, b in ((older, newer), (newer, older)):
+        agree, against = 0, np.zeros(len(self.rows), dtype=np.int64)
+        for a, b, of in ((older, newer, newer), (newer, older, newer)):
             for first in range(0, len(a), _TOGETHER):
                 some = slice(first, first + _TOGETHER)
-                same, clear = self._compared(lasers, a[some], b[some])
-                agree, contradict = agree + same, contradict + clear
-        return Agreement(agree, contradict)
+                same, pairs = self._compared(lasers, a[some], b[some])
+                agree += same
+                np.add.at(against, of[some][pairs], 1)
+        contradict = int(against.sum())
+        worst = int(self.rows[against.argmax()]) if contradict else None
+        return Agreement(agree, contradict, worst)
 
     def partners(self, lasers: FloatArray) -> tuple[IntArray, IntArray]:
         """Views of an older pass and a newer one through the same place (P,), the nearest."""
@@ -128,22 +138,48 @@ class Views:
         both = np.array(pairs, dtype=np.int64).reshape(-1, 2)
         return both[:, 0], both[:, 1]
 
-    def _compared(self, lasers: FloatArray, a: IntArray, b: IntArray) -> tuple[int, int]:
-        """How many walls seen from `b` (P,) agree with and stand clear before what `a` saw."""
-        seen = self.ranges[b].astype(np.float64)
-        bearing = (np.arange(_BEARINGS) + 0.5) * (2 * np.pi / _BEARINGS) - np.pi
-        there = compose(invert(lasers[a]), lasers[b])
-        known = np.isfinite(seen)
-        reach = np.where(known, seen, 0.0)
-        angle = there[:, 2:] + bearing
-        x = there[:, :1] + reach * np.cos(angle)
-        y = there[:, 1:2] + reach * np.sin(angle)
-        share = (np.arctan2(y, x) + np.pi) / (2 * np.pi)
-        column = np.floor(share * _BEARINGS).astype(np.int64) % _BEARINGS
-        distance = np.hypot(x, y)
-        around = [self.ranges[a[:, None], (column + k) % _BEARINGS] for k in (-1, 0, 1)]
+    def _compared(self, lasers: FloatArray, a: IntArray, b: IntArray) -> tuple[int, IntArray]:
+        """How many walls seen from `b` (P,) agree with what `a` saw, and those that contradict it.
+
+        A contradiction stands clear before what `a` saw, and no other view of the pass of `b` saw
+        through it or what `a` saw: it hid that from all of them. The pair of each is told.
+        """
+        pair, beam = np.nonzero(np.isfinite(self.ranges[b]))
+        bearing = lasers[b[pair], 2] + (beam + 0.5) * (2 * np.pi / _BEARINGS) - np.pi
+        reach = self.ranges[b[pair], beam].astype(np.float64)
+        walls = lasers[b[pair], :2] + reach[:, None] * _unit(bearing)
+        same, clear, farther = self._seen(lasers, a[pair], walls)
+        found = np.flatnonzero(clear & ~same)
+        pair, walls, views = pair[found], walls[found], b[pair[found]]
+        away = walls - lasers[a[pair], :2]
+        behind = walls + farther[found, None] * _unit(np.arctan2(away[:, 1], away[:, 0]))
+        passing = np.zeros(len(found), dtype=np.bool_)
+        for step in _OWN_STEPS:
+            own = np.clip(views + step, 0, len(self.rows) - 1)
+            near = (own != views) & (np.abs(self.way[own] - self.way[views]) < LOOP_PATH_M)
+            passing |= near & self._seen(lasers, own, walls)[1]
+            passing |= near & self._seen(lasers, own, behind)[0]
+        return int(same.sum()), pair[~passing]
+
+    def _seen(
+        self, lasers: FloatArray, views: IntArray, places: FloatArray
+    ) -> tuple[BoolArray, BoolArray, FloatArray]:
+        """Whether each view (n,) saw a wall at its place (n, 2), or looked clear through it.
+
+        Also how much farther its reading there reaches.
+        """
+        away = places - lasers[views, :2]
+        share = (np.arctan2(away[:, 1], away[:, 0]) - lasers[views, 2]) / (2 * np.pi) + 0.5
+        column = np.floor(share * _BEARINGS).astype(np.int64)
+        distance = np.hypot(away[:, 0], away[:, 1])
+        around = [self.ranges[views, (column + k) % _BEARINGS] for k in (-1, 0, 1)]
         gaps = np.stack(around).astype(np.float64) - distance
-        same = known & (np.abs(gaps).min(axis=0) < _SAME_M + _CLEAR_SHARE * distance)
-        clear = known & np.isfinite(gaps).all(axis=0)
-        clear &= gaps.min(axis=0) > _CLEAR_M + _CLEAR_SHARE * distance
-        return int(same.sum()), int((clear & ~same).sum())
+        slack = _CLEAR_SHARE * distance
+        same = np.abs(gaps).min(axis=0) < _SAME_M + slack
+        clear = np.isfinite(gaps).all(axis=0) & (gaps.min(axis=0) > _CLEAR_M + slack)
+        return same, clear, gaps[1]
+
+
+def _unit(bearing: FloatArray) -> FloatArray:
+    """(n, 2) what points to each bearing."""
+    return np.column_stack([np.cos(bearing), np.sin(bearing)])

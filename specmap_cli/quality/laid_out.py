@@ -9,6 +9,7 @@ import numpy as np
 from specmap_cli.core.findings import Finding, Where
 from specmap_cli.core.geometry import FloatArray, compose, invert, step_lengths
 from specmap_cli.core.text import counted
+from specmap_cli.layout.contradictions import DOUBTFUL
 from specmap_cli.layout.path_graph import Ends
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.quality.evidence import (
@@ -27,6 +28,7 @@ CODES = frozenset({LOOSE, MOVED, RIVAL, LAYOUT, WALLS, MENDED, REFUTED, BEYOND})
 
 _LOOSE_SHARE_POOR = 0.1  # share of the way that a guess places, above which a map is poor
 _WALLS_SHARE_POOR = 0.1  # share of the passes compared that disagree, above which a map is poor
+_CONTRADICTED_POOR = 0.1  # share of the walls that two passes saw
 _LEAST = 2  # that agree to a metre and a few degrees: of wrong ones no two do by chance
 
 
@@ -60,13 +62,18 @@ def walls(evidence: Evidence) -> Iterator[Finding]:
     Where there are none, passes may contradict each other all over the map, a little everywhere.
     """
     found, agreement = evidence.audit.disagreements, evidence.layout.agreement
-    if not found and agreement.is_doubtful:
+    if not found and agreement.is_doubtful and agreement.worst is not None:
+        severity, limit = graded(agreement.share, DOUBTFUL, _CONTRADICTED_POOR)
+        where = evidence.at_keyframe(int(evidence.layout.nodes[agreement.worst]))
         yield Finding(
             code=WALLS,
-            severity="doubtful",
-            message=f"{agreement.share:.1%} of the walls that two passes saw contradict each other",
-            advice="the map is bent, or much moved meanwhile",
+            severity=severity,
+            message=f"{agreement.share:.1%} of the walls that two passes saw contradict each "
+            f"other, most around {told(where)}",
+            advice="the map is bent there",
             value=agreement.share,
+            limit=limit,
+            where=where,
         )
     share = len(found) / max(1, evidence.audit.compared)
     severity, limit = graded(share, 0.0, _WALLS_SHARE_POOR)
