@@ -41,6 +41,7 @@ _PACE_PERCENTILE = 75.0  # of the steps of a robot that moves: it slows down in 
 ODOMETRY_SHARE = 0.3  # share of the way by which both may differ in the median: wheels err less
 _HOLE_WALLS_SHARE = 0.6  # share of the walls around a robot that stood; the rest moved or is new
 _TIE_M = 10.0  # way after a hole from which on matches confirm it: out of a room
+_SESSION_S = 3600.0  # a longer hole without scans parts two sessions
 _WHAT: dict[HoleKind, str] = {
     "missing": "there are no scans",
     "lost": "no scan could be registered",
@@ -193,6 +194,24 @@ def unwatched(evidence: Evidence) -> Iterator[Finding]:
         )
 
 
+def sessions(evidence: Evidence) -> Iterator[Finding]:
+    """Holes of hours: recordings of several sessions that are read as one drive."""
+    for hole in evidence.holes:
+        if hole.kind != "missing" or hole.seconds <= _SESSION_S:
+            continue
+        where = evidence.at_scan(hole.row)
+        yield Finding(
+            code=HOLE,
+            severity="note",
+            message=f"no scan for {hole.seconds / 3600.0:.1f} h before {told(where)}: that is "
+            "another session, and is mapped as one drive",
+            advice="build a map of the first one, and add the others with `specmap update`",
+            value=hole.seconds,
+            limit=_SESSION_S,
+            where=where,
+        )
+
+
 def _doubt(hole: Hole) -> str:
     """Why the motion over a hole is not known; nothing where it is.
 
@@ -244,6 +263,7 @@ CHECKS: tuple[Callable[[Evidence], Iterator[Finding]], ...] = (
     lost_scans,
     breaks,
     unwatched,
+    sessions,
     unmeasured_way,
     odometry_disagrees,
 )

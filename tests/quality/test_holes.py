@@ -12,7 +12,7 @@ from specmap_cli.core.records import PlanarScan, Trajectory
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.layout.result import Layout
 from specmap_cli.quality.evidence import Evidence, Hole, holes_of
-from specmap_cli.quality.recording import _HOLE_WALLS_SHARE, unwatched
+from specmap_cli.quality.recording import _HOLE_WALLS_SHARE, sessions, unwatched
 from tests.layout.driving import link, scans_of, stored
 from tests.quality.evidence import evidence_of
 
@@ -263,3 +263,19 @@ def test_each_piece_between_holes_needs_ties_of_its_own() -> None:
     assert found.where.stamp_ns == 25 * 10**9  # what follows it is tied to what precedes both
     middle = [(10, 72), (20, 84), (30, 95)]
     assert not list(unwatched(evidence(first, CARRIED, ties=[*TIES, *middle])))
+
+
+@pytest.mark.parametrize(("seconds", "told"), [(30.0, 0), (3500.0, 0), (9000.0, 1)])
+def test_a_hole_of_hours_is_another_session_also_where_the_robot_is_known(
+    seconds: float, told: int
+) -> None:
+    stood = replace(hole(Pose2(0.0, 0.0, 0.0), Pose2(0.0, 0.0, 0.0), 1.0), seconds=seconds)
+    assert not list(unwatched(evidence(stood)))
+    found = list(sessions(evidence(stood)))
+    assert len(found) == told
+    for finding in found:
+        assert (finding.code, finding.severity) == ("hole-in-log", "note")
+        assert finding.message.startswith("no scan for 2.5 h before ")
+        assert "specmap update" in finding.advice
+    hung = replace(stood, kind="rest")
+    assert not list(sessions(evidence(hung)))
