@@ -29,8 +29,8 @@ from specmap_cli.grids.gridmap import UNKNOWN, GridMap
 from specmap_cli.grids.map_server import read_grid
 from specmap_cli.segmentation import division, working_grid
 
-# a step, the settings without it, and constants of modules
-STEPS: tuple[tuple[str, dict[str, Any], dict[tuple[Any, str], float]], ...] = (
+# a step, the settings without it, and constants and functions of modules
+STEPS: tuple[tuple[str, dict[str, Any], dict[tuple[Any, str], Any]], ...] = (
     ("all steps", {}, {}),
     ("not turned along the walls", {}, {(working_grid, "_SLIGHT_DEGREES"): 90.0}),
     ("small obstacles stay", {"obstacle_m": 0.0, "furniture_m": 0.0}, {}),
@@ -41,6 +41,7 @@ STEPS: tuple[tuple[str, dict[str, Any], dict[tuple[Any, str], float]], ...] = (
     ("wide borders stay", {"merge": False}, {}),
     ("one placement", {"placements": 1}, {}),
     ("alcoves stay", {}, {(division, "_ALCOVE_M2"): 0.0}),
+    ("rings stay whole", {}, {(division, "without_rings"): np.copy}),
     ("what was only seen stays", {"rooms_only": False}, {}),
     ("furniture gets no label", {"fill": False}, {}),
 )

@@ -42,6 +42,7 @@ from specmap_cli.segmentation.furniture import (
     pieces_at_walls,
 )
 from specmap_cli.segmentation.graph_division import spectral_clusters, split_again
+from specmap_cli.segmentation.rings import without_rings
 from specmap_cli.segmentation.seen import entered
 from specmap_cli.segmentation.spectral import Spectrum
 from specmap_cli.segmentation.visibility import (
@@ -89,7 +90,7 @@ def segment(grid: GridMap, config: SegmentationConfig, *, rooms: bool = False) -
     2. for each placement of the nodes (`_placement`): the clusters of their graph, the halves of
        these, the flood that carries them to cells, and which borders are too wide to be any;
     3. what most placements agree on;
-    4. which regions are alcoves of others;
+    4. which regions are rings, and end at their corners; which are alcoves of others;
     5. with `rooms`, which regions were seen only, and are no rooms (`entered`).
 
     After that no border moves: cells without a label, and cupboards, take one.
@@ -111,6 +112,7 @@ def segment(grid: GridMap, config: SegmentationConfig, *, rooms: bool = False) -
     cells = consensus([found for found, _, _ in placements])  # step 3
     least = config.clearance_m / cell_m
     if config.merge:  # step 4
+        cells = without_rings(cells)
         cells = without_dead_ends(cells, clearance, least, _ALCOVE_M2 / cell_m**2)
     cells = spread_labels(cells, opened)
     if rooms:  # step 5

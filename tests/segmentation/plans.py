@@ -1,10 +1,11 @@
-"""Floor plans drawn in code, and whether two divisions are one."""
+"""Floor plans drawn in code, turned, and whether two divisions are one."""
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.segmentation.visibility import LabelArray
 
 
@@ -25,6 +26,17 @@ def plan(width_m: float, height_m: float, *open_boxes: tuple[float, ...]) -> Gri
         rows = slice(round(y0 / 0.05), round(y1 / 0.05))
         cells[rows, round(x0 / 0.05) : round(x1 / 0.05)] = FREE
     return GridMap(cells, 0.05)
+
+
+def turned_by(degrees: float, grid: GridMap) -> GridMap:
+    """A map turned about its middle, sampled anew; unknown where it was not."""
+    height, width = grid.cells.shape
+    side = int(np.hypot(height, width)) + 20
+    move = np.array(cv2.getRotationMatrix2D((width / 2, height / 2), degrees, 1.0), np.float64)
+    move[:, 2] += side / 2 - np.array([width / 2, height / 2])
+    nearest, beyond = cv2.INTER_NEAREST, (float(UNKNOWN),)
+    cells = cv2.warpAffine(grid.cells, move, (side, side), flags=nearest, borderValue=beyond)
+    return GridMap(np.asarray(cells, dtype=np.uint8), grid.resolution)
 
 
 # rooms of 5 x 4 and 4 x 4 m, a wall of 0.2 m, a door of 0.9 m

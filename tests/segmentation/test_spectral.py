@@ -23,7 +23,7 @@ from specmap_cli.segmentation.division import (
     unentered,
 )
 from specmap_cli.segmentation.working_grid import upright_map, wall_angle
-from tests.segmentation.plans import OFFICE, TWO_ROOMS, plan, same_parts
+from tests.segmentation.plans import OFFICE, TWO_ROOMS, plan, same_parts, turned_by
 from tests.strategies import few, grid_maps
 
 DEFAULT = SegmentationConfig()
@@ -287,17 +287,6 @@ def test_the_middle_of_the_free_space_is_the_corner_of_a_block(degrees: int, cel
     inner = ndimage.binary_erosion(upright.grid.free, np.ones((5, 5)))
     off = np.argwhere(inner).mean(axis=0) + 2.0  # how walls are sampled moves it by a cell
     assert (off % upright.block < 4.0).all()
-
-
-def turned_by(degrees: float, grid: GridMap) -> GridMap:
-    """A map turned about its middle, sampled anew; unknown where it was not."""
-    height, width = grid.cells.shape
-    side = int(np.hypot(height, width)) + 20
-    move = np.array(cv2.getRotationMatrix2D((width / 2, height / 2), degrees, 1.0), np.float64)
-    move[:, 2] += side / 2 - np.array([width / 2, height / 2])
-    nearest, beyond = cv2.INTER_NEAREST, (float(UNKNOWN),)
-    cells = cv2.warpAffine(grid.cells, move, (side, side), flags=nearest, borderValue=beyond)
-    return GridMap(np.asarray(cells, dtype=np.uint8), grid.resolution)
 
 
 @pytest.mark.parametrize("degrees", [20.0, -33.0, 45.0, 70.0])

@@ -1,0 +1,80 @@
+"""Rings of corridors: a region that goes round more than it holds is cut into its sides."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from scipy import ndimage
+
+from specmap_cli.core.records import IntArray
+from specmap_cli.grids.gridmap import BoolArray
+from specmap_cli.segmentation.cells import spread_labels
+from specmap_cli.segmentation.visibility import LabelArray
+
+_BESIDE = np.ones((3, 3), dtype=np.uint8)
+
+
+def without_rings(labels: LabelArray) -> LabelArray:
+    """Regions (h, w) of an upright map of which none is a ring: the sides of one are regions."""
+    sides = labels.copy()
+    count = int(labels.max(initial=-1)) + 1
+    for label, window in enumerate(ndimage.find_objects(labels + 1)):
+        region = np.pad(labels[window] == label, 1)
+        _, around = cv2.connectedComponents((~region).astype(np.uint8), connectivity=4)
+        size = np.bincount(around.ravel(), weights=~region.ravel())
+        cuts = np.zeros_like(region)
+        for number in np.flatnonzero(size):
+            if number != around[0, 0]:  # an obstacle of less than half of its size is passed over
+                large = 2 * size >= size[number]
+                large[[0, around[0, 0]]] = False, True
+                _cut_round(around == number, large[around], cuts)
+        cuts &= region
+        _, piece = cv2.connectedComponents((region & ~cuts).astype(np.uint8), connectivity=8)
+        beside = np.unique(piece[(cv2.dilate(cuts.astype(np.uint8), _BESIDE) > 0) & (piece > 0)])
+        scrap = np.bincount(piece.ravel())[beside] <= np.count_nonzero(cuts)
+        here, piece = sides[window], piece[1:-1, 1:-1]
+        here[cuts[1:-1, 1:-1] | np.isin(piece, beside[scrap])] = -1
+        for number in beside[~scrap][1:]:
+            here[piece == number] = count
+            count += 1
+    return spread_labels(sides, labels >= 0)
+
+
+def _cut_round(hole: BoolArray, solid: BoolArray, cuts: BoolArray) -> None:
+    """Mark in `cuts` (h, w) where a region is cut that is a ring round a hole (h, w).
+
+    It is one when the hole is larger than the floor round it, as wide as it is at the corners of
+    the hole. The longer sides own these corners: the others end where the longer ones go by.
+    """
+    sides = [int(np.ptp(_extent(hole.sum(axis=axis)))) + 1 for axis in (0, 1)]
+    whole = 1
+    for across in (sides[0] >= sides[1], sides[0] < sides[1]):  # the last are the cuts
+        views = [one.T if across else one for one in (hole, solid, cuts)]
+        corners = [[one[::up, ::left] for one in views] for up in (1, -1) for left in (1, -1)]
+        ends = [_cut(*one[:2]) for one in corners]
+        beside = [stop - start for _, start, stop in ends]
+        whole *= sides[across] + max(beside[0] + beside[1], beside[2] + beside[3])
+    if 2 * sides[0] * sides[1] > whole:
+        for (_, _, view), (row, start, stop) in zip(corners, ends, strict=True):
+            view[row, start:stop] = True
+
+
+def _cut(hole: BoolArray, solid: BoolArray) -> tuple[int, int, int]:
+    """Row, first column and end of the cut from the left of a hole (h, w) to what is solid beyond.
+
+    It is looked for from the first row of the hole to its middle; a row farther has to be shorter
+    by as much. So no cut runs along another corridor, or through a bay.
+    """
+    first, last = _extent(hole.sum(axis=1))
+    rows = np.arange(first, (first + last) // 2 + 1)
+    stops = hole[rows].argmax(axis=1)
+    columns = np.arange(hole.shape[1])
+    beyond = np.where(solid[rows] & (columns < stops[:, None]), columns, -1).max(axis=1)
+    best = int((stops - beyond + rows).argmin())
+    return int(rows[best]), int(beyond[best]) + 1, int(stops[best])
+
+
+def _extent(counts: IntArray) -> tuple[int, int]:
+    """The first and the last place where a hole is at least half as wide as at its widest."""
+    wide = np.flatnonzero(2 * counts >= counts.max())
+    return int(wide[0]), int(wide[-1])
