@@ -41,9 +41,8 @@ from specmap_cli.segmentation.furniture import (
     furniture,
     pieces_at_walls,
 )
-from specmap_cli.segmentation.graph_division import spectral_clusters, split_again
 from specmap_cli.segmentation.seen import entered
-from specmap_cli.segmentation.spectral import Spectrum
+from specmap_cli.segmentation.spectral import Spectrum, spectral_clusters, split_again
 from specmap_cli.segmentation.visibility import (
     IndexArray,
     LabelArray,

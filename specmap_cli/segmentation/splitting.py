@@ -24,13 +24,7 @@ from specmap_cli.grids.keyframes import KeyframeStore, add_keyframes
 from specmap_cli.grids.occupancy import OccupancyGrid
 from specmap_cli.segmentation.cells import flooded_at
 from specmap_cli.segmentation.furniture import small_obstacles
-from specmap_cli.segmentation.spectral import (
-    bisect,
-    dense_normalised,
-    dense_similarity,
-    largest_eigenpairs,
-    local_scales,
-)
+from specmap_cli.segmentation.spectral import bisect, largest_eigenpairs, normalised, similarity
 from specmap_cli.segmentation.visibility import (
     IndexArray,
     LabelArray,
@@ -171,16 +165,14 @@ def _spectrum(
     """The nodes joined with node `here` (n,), their eigenvalues (k,) and vectors (n, k)."""
     least = config.split_clearance_m / cell_m
     graph = visibility_graph(clearance, nodes, config.split_sight_m / cell_m, least)
-    scales = local_scales(graph.lengths, graph.pairs, len(nodes), config.neighbours)
-    S = dense_similarity(graph.lengths, graph.pairs, config.split_scale * scales, len(nodes))
+    S = similarity(graph, config.neighbours, config.split_scale, dense=True)
     joined, newest = np.zeros(len(nodes), dtype=np.bool_), np.array([here])
     while len(newest):
         joined[newest] = True
         newest = np.flatnonzero((S[newest] > 0.0).any(axis=0) & ~joined)
     members = np.flatnonzero(joined)
-    L = dense_normalised(S[np.ix_(members, members)])
-    values, vectors = largest_eigenpairs(L, _SPLIT_EIGENPAIRS)
-    return members, values, vectors
+    L, _ = normalised(S[np.ix_(members, members)])
+    return members, *largest_eigenpairs(L, _SPLIT_EIGENPAIRS)
 
 
 def _dividing(
