@@ -17,11 +17,13 @@ from specmap_cli.core.settings import GridConfig, SegmentationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.segmentation import online
-from specmap_cli.segmentation.online import Occasion, OnlineSegmenter, Region
-from specmap_cli.segmentation.splitting import (
+from specmap_cli.segmentation.online import (
     PATH_MARGIN_M,
     SPLIT_CELL_M,
     CoarseSubmap,
+    Occasion,
+    OnlineSegmenter,
+    Region,
     SplitTest,
     examine,
     way_driven,
