@@ -93,8 +93,9 @@ def segment(grid: GridMap, config: SegmentationConfig, *, rooms: bool = False) -
 
     After that no border moves: cells without a label, and cupboards, take one.
 
-    The result does not depend on where the map lies on its grid nor on how it is turned: the work
-    is done on the map cropped, with its walls along the rows and columns.
+    The result depends neither on where the map lies on its grid nor on quarter turns of it: the
+    work is done on the map cropped, with its walls along the rows and columns. After a turn by
+    another angle almost all of the regions are found again: its cells are others.
     """
     upright = upright_map(grid, config.cell_m, config.node_step_m)
     work, cell_m = upright.grid, upright.grid.resolution

@@ -165,7 +165,8 @@ def split_again(
         values, vectors = two_largest(normalised(S)[0])  # Algorithm 2, lines 2 and 4
         if values[1] <= least and S.any(axis=1).all():
             continue  # of a graph in pieces the second eigenvalue is 1, or a node sees no other
-        pieces, piece = connected_components(S, directed=False)
+        links = sparse.coo_array((np.ones(len(pairs)), pairs.T), S.shape)
+        pieces, piece = connected_components(links, directed=False)
         other = piece > 0 if pieces > 1 else bisect(vectors[:, 0], vectors[:, 1]) == 1
         if other.any() and not other.all():
             labels[members[other]] = count

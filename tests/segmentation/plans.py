@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, BoolArray, GridMap
 from specmap_cli.segmentation.visibility import LabelArray
 
 
@@ -25,6 +25,23 @@ def plan(width_m: float, height_m: float, *open_boxes: tuple[float, ...]) -> Gri
         rows = slice(round(y0 / 0.05), round(y1 / 0.05))
         cells[rows, round(x0 / 0.05) : round(x1 / 0.05)] = FREE
     return GridMap(cells, 0.05)
+
+
+def dumbbell() -> BoolArray:
+    """Rooms of 30 x 30 and 30 x 40 cells, joined by a passage of 6 x 9."""
+    free = np.zeros((40, 90), dtype=bool)
+    free[5:35, 5:35] = free[5:35, 41:81] = free[15:24, 35:41] = True
+    return free
+
+
+def cluttered(seed: int) -> BoolArray:
+    """A room of 56 x 66 cells with twelve boxes in it."""
+    free = np.zeros((60, 70), dtype=bool)
+    free[2:-2, 2:-2] = True
+    rng = np.random.default_rng(seed)
+    for row, column in rng.integers(4, 50, (12, 2)):
+        free[row : row + rng.integers(1, 9), column : column + rng.integers(1, 9)] = False
+    return free
 
 
 # rooms of 5 x 4 and 4 x 4 m, a wall of 0.2 m, a door of 0.9 m
