@@ -406,7 +406,5 @@ class CoarseSubmap:
 
 def way_driven(store: KeyframeStore, keyframes: Sequence[int]) -> float:
     """Metres driven from keyframe to keyframe, where these follow each other in the log."""
-    if len(keyframes) < 2:
-        return 0.0
     steps = step_lengths(store.poses_of(keyframes))
     return float(steps[np.diff(keyframes) == 1].sum())

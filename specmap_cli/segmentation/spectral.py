@@ -286,8 +286,6 @@ def kmeans_unit(rows: FloatArray, clusters: int, first: list[int]) -> LabelArray
     Spectral Clustering", NIPS 2001).
     """
     best, least = np.zeros(len(rows), dtype=np.int32), np.inf
-    if clusters <= 1 or len(rows) <= 1:
-        return best
     for row in first:
         taken, likeness = [row], np.abs(rows @ rows[row])
         for _ in range(1, min(clusters, len(rows))):
