@@ -35,11 +35,12 @@ from specmap_cli.segmentation.cells import (
     spread_labels,
     without_dead_ends,
 )
-from specmap_cli.segmentation.furniture import (
+from specmap_cli.segmentation.obstacles import (
     FURNITURE_THICK_M,
     fill_cupboards,
     furniture,
     pieces_at_walls,
+    with_narrow_doors,
 )
 from specmap_cli.segmentation.seen import entered
 from specmap_cli.segmentation.spectral import Spectrum, spectral_clusters, split_again
@@ -50,7 +51,6 @@ from specmap_cli.segmentation.visibility import (
     sample_nodes,
     visibility_graph,
 )
-from specmap_cli.segmentation.wide_doors import with_narrow_doors
 from specmap_cli.segmentation.working_grid import upright_map
 
 _WIDTH_PERCENTILE = 60.0  # of the local widths in a room is the room's width

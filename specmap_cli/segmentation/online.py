@@ -22,7 +22,7 @@ from specmap_cli.grids.gridmap import GridMap, clearance_of
 from specmap_cli.grids.keyframes import KeyframeStore, add_keyframes
 from specmap_cli.grids.occupancy import OccupancyGrid
 from specmap_cli.segmentation.cells import flooded_at
-from specmap_cli.segmentation.furniture import small_obstacles
+from specmap_cli.segmentation.obstacles import small_obstacles
 from specmap_cli.segmentation.spectral import bisect, largest_eigenpairs, normalised, similarity
 from specmap_cli.segmentation.visibility import (
     IndexArray,

@@ -37,7 +37,7 @@ from specmap_cli.segmentation.cells import (
     without_dead_ends,
 )
 from specmap_cli.segmentation.division import segment
-from specmap_cli.segmentation.furniture import furniture, small_obstacles
+from specmap_cli.segmentation.obstacles import furniture, small_obstacles
 from specmap_cli.segmentation.visibility import LabelArray, sample_nodes
 from specmap_cli.segmentation.working_grid import reduced
 from tests.segmentation.plans import OFFICE, cluttered, dumbbell, same_parts
