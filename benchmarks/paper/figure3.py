@@ -26,8 +26,7 @@ from benchmarks.real.closure_truth import true_poses
 from benchmarks.scores import VisitScores
 from benchmarks.simulated.online import Tour, scored
 from specmap_cli.drawing.split_tests import draw_test
-from specmap_cli.segmentation.online import Occasion, OnlineSegmenter
-from specmap_cli.segmentation.splitting import SplitTest
+from specmap_cli.segmentation.online import Occasion, OnlineSegmenter, SplitTest
 
 _SHOWN = 6  # tests up to the first split
 _SECONDS = 180.0  # of the chart

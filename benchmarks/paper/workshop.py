@@ -23,8 +23,7 @@ from specmap_cli.pipelines.learning import Prior
 from specmap_cli.pipelines.map_in_making import Explored, FinishedMap
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.tracking import Tracking, track
-from specmap_cli.segmentation.online import Observer, Occasion
-from specmap_cli.segmentation.splitting import SplitTest
+from specmap_cli.segmentation.online import Observer, Occasion, SplitTest
 
 PAPER, OURS = "paper", "default"
 PRESETS = (PAPER, OURS)

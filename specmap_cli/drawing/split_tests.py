@@ -16,8 +16,7 @@ from specmap_cli.drawing.palette import INK, PAPER, QUIET, paler
 from specmap_cli.drawing.sheet import round_length, strokes
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.segmentation.division import Segmentation
-from specmap_cli.segmentation.online import Occasion
-from specmap_cli.segmentation.splitting import SplitTest
+from specmap_cli.segmentation.online import Occasion, SplitTest
 
 _SIDE = 480  # pixels of the longer side of the map of a test
 _LARGE_SIDE = 900  # and of a divided map

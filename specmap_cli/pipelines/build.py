@@ -34,8 +34,7 @@ if TYPE_CHECKING:  # slow to load: it is, while the other process reads and regi
     from specmap_cli.pipelines.learning import Prior
     from specmap_cli.pipelines.map_in_making import Explored, FinishedMap, LaidOut
     from specmap_cli.pipelines.reports import BuildReport
-    from specmap_cli.segmentation.online import Observer, Occasion
-    from specmap_cli.segmentation.splitting import SplitTest
+    from specmap_cli.segmentation.online import Observer, Occasion, SplitTest
 
 Accepts = Callable[[PosedScan], bool]
 

@@ -23,8 +23,7 @@ from specmap_cli.recognition.learning.classifiers import Recogniser
 from specmap_cli.report.changes import Changes
 from specmap_cli.report.evidence import Evidence, FeatureShare, Learned, Likeness, SplitTrial
 from specmap_cli.report.page import render
-from specmap_cli.segmentation.online import Occasion, OnlineSegmenter
-from specmap_cli.segmentation.splitting import SplitTest
+from specmap_cli.segmentation.online import Occasion, OnlineSegmenter, SplitTest
 
 
 @one_blas_thread()

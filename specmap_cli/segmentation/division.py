@@ -35,16 +35,16 @@ from specmap_cli.segmentation.cells import (
     spread_labels,
     without_dead_ends,
 )
-from specmap_cli.segmentation.furniture import (
+from specmap_cli.segmentation.obstacles import (
     FURNITURE_THICK_M,
     fill_cupboards,
     furniture,
     pieces_at_walls,
+    with_narrow_doors,
 )
-from specmap_cli.segmentation.graph_division import spectral_clusters, split_again
 from specmap_cli.segmentation.rings import without_rings
 from specmap_cli.segmentation.seen import entered
-from specmap_cli.segmentation.spectral import Spectrum
+from specmap_cli.segmentation.spectral import Spectrum, spectral_clusters, split_again
 from specmap_cli.segmentation.visibility import (
     IndexArray,
     LabelArray,
@@ -52,7 +52,6 @@ from specmap_cli.segmentation.visibility import (
     sample_nodes,
     visibility_graph,
 )
-from specmap_cli.segmentation.wide_doors import with_narrow_doors
 from specmap_cli.segmentation.working_grid import upright_map
 
 _WIDTH_PERCENTILE = 60.0  # of the local widths in a room is the room's width
@@ -95,8 +94,9 @@ def segment(grid: GridMap, config: SegmentationConfig, *, rooms: bool = False) -
 
     After that no border moves: cells without a label, and cupboards, take one.
 
-    The result does not depend on where the map lies on its grid nor on how it is turned: the work
-    is done on the map cropped, with its walls along the rows and columns.
+    The result depends neither on where the map lies on its grid nor on quarter turns of it: the
+    work is done on the map cropped, with its walls along the rows and columns. After a turn by
+    another angle almost all of the regions are found again: its cells are others.
     """
     upright = upright_map(grid, config.cell_m, config.node_step_m)
     work, cell_m = upright.grid, upright.grid.resolution

@@ -1,31 +1,41 @@
-"""Algorithm 2 of the paper on a connected graph: similarity, eigenvectors, k-means.
+"""Algorithm 2 of the paper on a visibility graph: similarity, eigenvectors, k-means.
 
 Brunskill, Kollar and Roy, "Topological Mapping Using Spectral Clustering and Classification",
-IROS 2007, section II-A. A whole map is clustered in parts, by `graph_division.py`; what the default
-settings add (docs/segmentation.md) stands in `division.py`, around the algorithm and not in it.
-Nothing here is random: equal input gives equal output.
+IROS 2007, section II-A. What the default settings add to it stands in `division.py`, around the
+algorithm and not in it, but for two things. A large graph is cut first: Algorithm 2 takes about one
+eigenvector a room, of one entry a node, so the cost of a whole building grows with the third power
+of its rooms, while what lies behind a neck hardly moves the clusters on this side of it. And
+clusters are halved by `split_again`. Nothing here is random: equal input gives equal output.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy import sparse
 from scipy.linalg import eigh
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import ArpackNoConvergence, eigsh
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.segmentation.visibility import IndexArray, LabelArray
+from specmap_cli.core.settings import SegmentationConfig
+from specmap_cli.grids.gridmap import BoolArray
+from specmap_cli.segmentation.visibility import IndexArray, LabelArray, VisibilityGraph
 
 _NARROW = 1 << 16  # nodes whose numbers fit 16 bits: numpy sorts such numbers in linear time
 
 _DENSE = 160  # rows up to which solving for all eigenpairs is quicker than iterating
 _TOLERANCE = 1e-6  # far below what moves a count of eigenvalues
+_ROUGH = 1e-3  # tolerance where an order of the nodes is looked for, not their eigenvector
 _FIRST, _NODES_A_CLUSTER = 12, 80  # eigenpairs asked for at first: a guess that is seldom short
 _START_SEED, _START_RANGE = 0, (0.5, 1.5)  # positive, so never at right angles to the first vector
+
+_LEAST_SHARE = 0.2  # of the degrees on either side: every cut leaves much smaller parts
+_FEWEST_NODES = 4  # nodes of a cluster that is looked at: two for each half
 
 _ROUNDS = 100  # of Lloyd's iteration, which ends by itself after some ten
 _TIE = 1e-9  # costs this close are a tie
@@ -45,19 +55,124 @@ class Spectrum:
     used: int
 
 
-def clusters_of(L: Any, degrees: FloatArray, least: float) -> Spectrum:
-    """Lines 3 to 7 of Algorithm 2 for a connected part: L (n, n) sparse, its D_ii `degrees` (n,).
+def spectral_clusters(graph: VisibilityGraph, config: SegmentationConfig) -> Spectrum:
+    """Algorithm 2 on `graph`, lines 3 to 7 for each of its parts by itself (`parts_of`).
 
-    k is the number of eigenvalues above `least`. k-means starts at the row of the best and of the
-    least connected node, so it needs no random numbers.
+    Clusters that a cut touches are dissolved and found once more, together with those beyond the
+    cut: there they end where others do, and not at the cut.
     """
-    values, vectors = eigenpairs_above(L, least)
-    k = max(1, int((values > least).sum()))  # Algorithm 2, line 3
-    X = vectors[:, :k]  # Algorithm 2, line 4
-    Y = unit_rows(X)  # Algorithm 2, line 5
-    starts = [int(degrees.argmax()), int(degrees.argmin())]
-    labels = kmeans_unit(Y, k, starts)  # Algorithm 2, lines 6 and 7
-    return Spectrum(labels=numbered(labels), eigenvalues=values, used=k)
+    S = similarity(graph, config.neighbours)  # Algorithm 2, line 1
+    L, degrees = normalised(S)  # Algorithm 2, line 2
+    parts = parts_of(S, config.part_nodes)
+    found = clusters_of(L, degrees, parts, config.eigenvalue_min)
+    labels, part_of = found.labels, np.zeros(len(graph.nodes), dtype=np.intp)
+    for number, part in enumerate(parts):
+        part_of[part] = number
+    ends = graph.pairs[part_of[graph.pairs[:, 0]] != part_of[graph.pairs[:, 1]]]
+    cut = np.flatnonzero(np.isin(labels, labels[ends]))
+    if len(cut):
+        again = [cut[part] for part in parts_of(S[cut][:, cut], config.part_nodes)]
+        new = clusters_of(L, degrees, again, config.eigenvalue_min).labels
+        labels = np.where(new < 0, labels, labels.max() + 1 + new)
+    return replace(found, labels=numbered(labels))
+
+
+def clusters_of(L: Any, degrees: FloatArray, parts: Sequence[IndexArray], least: float) -> Spectrum:
+    """Lines 3 to 7 of Algorithm 2 for each of some parts of a graph; label -1 outside them.
+
+    L (n, n) sparse and its D_ii `degrees` (n,) are those of the whole graph: what a cut takes from
+    the row of a node stays in its degree, as it goes to a neighbour elsewhere. k is the number of
+    eigenvalues above `least`. k-means starts at the row of the best and of the least connected
+    node, so it needs no random numbers.
+    """
+    labels = np.full(len(degrees), -1, dtype=np.int32)
+    eigenvalues, used = [np.zeros(0)], 0
+    for part in parts:
+        values, vectors = eigenpairs_above(L[part][:, part], least)
+        k = max(1, int((values > least).sum()))  # Algorithm 2, line 3
+        X = vectors[:, :k]  # Algorithm 2, line 4
+        Y = unit_rows(X)  # Algorithm 2, line 5
+        starts = [int(degrees[part].argmax()), int(degrees[part].argmin())]
+        labels[part] = used + kmeans_unit(Y, k, starts)  # Algorithm 2, lines 6 and 7
+        eigenvalues.append(values)
+        used += k
+    falling = np.sort(np.concatenate(eigenvalues))[::-1]
+    return Spectrum(labels=labels, eigenvalues=falling, used=used)
+
+
+def parts_of(S: Any, most: int) -> list[IndexArray]:
+    """The nodes, ascending, of each part of a graph, the parts in the order of their first nodes.
+
+    S (n, n) sparse is the similarity of eq. 1. A part is connected. One with more than `most` nodes
+    is cut in two.
+    """
+    parts, pending = [], [np.arange(S.shape[0])]
+    while pending:
+        nodes = pending.pop()
+        count, piece = connected_components(S[nodes][:, nodes], directed=False)
+        for part in (nodes[piece == number] for number in range(count)):
+            if len(part) <= most:
+                parts.append(part)
+            else:
+                beyond = _beyond_the_neck(S[part][:, part])
+                pending += [part[beyond], part[~beyond]]
+    return sorted(parts, key=lambda part: int(part[0]))
+
+
+def _beyond_the_neck(S: Any) -> BoolArray:
+    """(n,) the nodes on one side of the best cut of a connected graph S (n, n).
+
+    The nodes stand in the order of the second eigenvector. Of all cuts of this order the one with
+    the smallest normalised cut is taken (Shi and Malik, "Normalized Cuts and Image Segmentation",
+    PAMI 2000): similarity lost, over the sum of the degrees of either side.
+    """
+    L, degrees = normalised(S)
+    _, vectors = largest_eigenpairs(L, 2, _ROUGH)
+    order = np.argsort(vectors[:, 1] / np.sqrt(degrees), kind="stable")
+    edges = S[order][:, order].tocoo()
+    ends = np.minimum(edges.row, edges.col), np.maximum(edges.row, edges.col)
+    begun, ended = (np.bincount(each, edges.data, len(order)) for each in ends)
+    lost = np.cumsum(begun - ended)[:-1] / 2.0  # each edge stands in S twice
+    before = np.cumsum(degrees[order])[:-1]
+    after = degrees.sum() - before
+    cost = lost / before + lost / after
+    cost[np.minimum(before, after) < _LEAST_SHARE * degrees.sum()] = np.inf
+    beyond = np.zeros(len(order), dtype=np.bool_)
+    beyond[order[int(cost.argmin()) + 1 :]] = True
+    return beyond
+
+
+def split_again(
+    graph: VisibilityGraph, labels: LabelArray, neighbours: int, least: float
+) -> LabelArray:
+    """(n,) labels after halving every cluster whose own second eigenvalue is above `least`.
+
+    Inside a cluster the scales of eq. 1 are measured anew, so that a room is seen apart from the
+    piece of corridor it was put together with among all the rooms of the map.
+    """
+    labels = labels.copy()
+    (i, j), count = graph.pairs.T.copy(), int(labels.max(initial=-1)) + 1
+    pending = list(range(count))
+    while pending:
+        label = pending.pop()
+        members = np.flatnonzero(labels == label)
+        if len(members) < _FEWEST_NODES:
+            continue
+        inside = (labels[i] == label) & (labels[j] == label)
+        pairs = np.searchsorted(members, graph.pairs[inside])
+        part = VisibilityGraph(graph.nodes[members], pairs, graph.lengths[inside])
+        S = similarity(part, neighbours, dense=True)  # Algorithm 2, line 1
+        values, vectors = two_largest(normalised(S)[0])  # Algorithm 2, lines 2 and 4
+        if values[1] <= least and S.any(axis=1).all():
+            continue  # of a graph in pieces the second eigenvalue is 1, or a node sees no other
+        links = sparse.coo_array((np.ones(len(pairs)), pairs.T), S.shape)
+        pieces, piece = connected_components(links, directed=False)
+        other = piece > 0 if pieces > 1 else bisect(vectors[:, 0], vectors[:, 1]) == 1
+        if other.any() and not other.all():
+            labels[members[other]] = count
+            pending += [label, count]
+            count += 1
+    return numbered(labels)
 
 
 def numbered(labels: LabelArray) -> LabelArray:
@@ -65,16 +180,13 @@ def numbered(labels: LabelArray) -> LabelArray:
     return np.unique(labels, return_inverse=True)[1].astype(np.int32)
 
 
-def local_scales(
-    lengths: FloatArray, pairs: IndexArray, nodes: int, neighbours: int = 0
-) -> FloatArray:
+def local_scales(graph: VisibilityGraph, neighbours: int) -> FloatArray:
     """(n,) sigma of eq. 1: the median distance to the `neighbours` nearest visible nodes, 0: all.
 
-    `pairs` (m, 2) are visible nodes i < j and `lengths` (m,) their distances, in any one unit.
     Nodes that see no other get 1, which is never used.
     """
-    rising = np.argsort(lengths)
-    owner, distance = pairs[rising].ravel(), np.repeat(lengths[rising], 2)
+    nodes, rising = len(graph.nodes), np.argsort(graph.lengths)
+    owner, distance = graph.pairs[rising].ravel(), np.repeat(graph.lengths[rising], 2)
     numbers = owner.astype(np.uint16) if nodes <= _NARROW else owner
     distance = distance[np.argsort(numbers, kind="stable")]
     count = np.bincount(owner, minlength=nodes)
@@ -87,44 +199,37 @@ def local_scales(
     return scales
 
 
-def edge_weights(lengths: FloatArray, pairs: IndexArray, scales: FloatArray) -> FloatArray:
-    """(m,) S_ij of eq. 1 for the visible pairs (m, 2)."""
-    product = scales[pairs[:, 0]] * scales[pairs[:, 1]]
-    return np.asarray(np.exp(-(lengths**2) / product))  # eq. 1
+def similarity(
+    graph: VisibilityGraph, neighbours: int, multiple: float = 1.0, *, dense: bool = False
+) -> Any:
+    """S of eq. 1, (n, n), symmetric: zero on the diagonal and between nodes that see no other.
 
-
-def similarity(lengths: FloatArray, pairs: IndexArray, scales: FloatArray, nodes: int) -> Any:
-    """S of eq. 1, (n, n) sparse and symmetric: zero on the diagonal and between unseen pairs."""
-    weight = edge_weights(lengths, pairs, scales)
-    half = sparse.coo_array((weight, (pairs[:, 0], pairs[:, 1])), shape=(nodes, nodes)).tocsr()
+    Sigma is a `multiple` of `local_scales`. S is sparse, or `dense`, an array: quicker for some
+    hundred nodes.
+    """
+    scales, nodes = multiple * local_scales(graph, neighbours), len(graph.nodes)
+    i, j = graph.pairs.T
+    weight = np.exp(-(graph.lengths**2) / (scales[i] * scales[j]))  # eq. 1
+    if dense:
+        S = np.zeros((nodes, nodes))
+        S[i, j] = S[j, i] = weight
+        return S
+    half = sparse.coo_array((weight, (i, j)), shape=(nodes, nodes)).tocsr()
     return (half + half.T).tocsr()
 
 
-def normalised(affinity: Any) -> tuple[Any, FloatArray]:
-    """L = D^-1/2 S D^-1/2 (n, n) sparse, and the degrees D_ii (n,); rows of zeros stay zero."""
-    degrees = np.asarray(affinity.sum(axis=1), dtype=np.float64).ravel()  # Algorithm 2, line 2
+def normalised(S: Any) -> tuple[Any, FloatArray]:
+    """L = D^-1/2 S D^-1/2 (n, n), and the degrees D_ii (n,); rows of zeros stay zero.
+
+    S is sparse, or an array, and L is like it.
+    """
+    degrees = np.asarray(S.sum(axis=1), dtype=np.float64).ravel()  # Algorithm 2, line 2
     inverse = np.zeros(len(degrees))
     inverse[degrees > 0] = degrees[degrees > 0] ** -0.5
+    if not sparse.issparse(S):
+        return S * inverse[:, None] * inverse, degrees  # Algorithm 2, line 2
     scaling = sparse.diags_array(inverse)
-    return (scaling @ affinity @ scaling).tocsr(), degrees  # Algorithm 2, line 2
-
-
-def dense_similarity(
-    lengths: FloatArray, pairs: IndexArray, scales: FloatArray, nodes: int
-) -> FloatArray:
-    """`similarity` as an array (n, n): quicker for the few hundred nodes of a test."""
-    S = np.zeros((nodes, nodes))
-    i, j = pairs[:, 0], pairs[:, 1]
-    S[i, j] = S[j, i] = edge_weights(lengths, pairs, scales)
-    return S
-
-
-def dense_normalised(S: FloatArray) -> FloatArray:
-    """`normalised` of an array S (n, n): L = D^-1/2 S D^-1/2."""
-    degrees = S.sum(axis=1)
-    inverse = np.zeros(len(degrees))
-    inverse[degrees > 0] = degrees[degrees > 0] ** -0.5
-    return np.asarray(S * inverse[:, None] * inverse)  # Algorithm 2, line 2
+    return (scaling @ S @ scaling).tocsr(), degrees  # Algorithm 2, line 2
 
 
 def largest_eigenpairs(
@@ -138,21 +243,15 @@ def largest_eigenpairs(
     """
     size = matrix.shape[0]
     count = min(count, size)
-    few, found = size > _DENSE and count <= size // 2, None
-    if few:
+    if size > _DENSE and count <= size // 2:
         start = np.random.default_rng(_START_SEED).uniform(*_START_RANGE, size)
         with suppress(ArpackNoConvergence):  # of a long corridor many are nearly the same
             rows = sparse.csr_array(matrix)
-            found = eigsh(rows, k=count, which="LA", v0=start, tol=tolerance)
-    if found is None:  # by solving for all of them
-        values, vectors = np.linalg.eigh(matrix.toarray() if sparse.issparse(matrix) else matrix)
-        values, vectors = values[::-1][:count], vectors[:, ::-1][:, :count]
-    else:
-        values, vectors = found
-    if few:
-        order = np.argsort(-values, kind="stable")
-        values, vectors = values[order], vectors[:, order]
-    return np.asarray(values), with_fixed_signs(vectors)
+            values, vectors = eigsh(rows, k=count, which="LA", v0=start, tol=tolerance)
+            order = np.argsort(-values, kind="stable")
+            return values[order], with_fixed_signs(vectors[:, order])
+    values, vectors = np.linalg.eigh(matrix.toarray() if sparse.issparse(matrix) else matrix)
+    return values[::-1][:count], with_fixed_signs(vectors[:, ::-1][:, :count])
 
 
 def two_largest(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -187,13 +286,11 @@ def kmeans_unit(rows: FloatArray, clusters: int, first: list[int]) -> LabelArray
     Spectral Clustering", NIPS 2001).
     """
     best, least = np.zeros(len(rows), dtype=np.int32), np.inf
-    if clusters <= 1 or len(rows) <= 1:
-        return best
     for row in first:
-        taken, similarity = [row], np.abs(rows @ rows[row])
+        taken, likeness = [row], np.abs(rows @ rows[row])
         for _ in range(1, min(clusters, len(rows))):
-            taken.append(int(similarity.argmin()))
-            np.maximum(similarity, np.abs(rows @ rows[taken[-1]]), out=similarity)
+            taken.append(int(likeness.argmin()))
+            np.maximum(likeness, np.abs(rows @ rows[taken[-1]]), out=likeness)
         centres, labels = rows[taken], np.full(len(rows), -1, dtype=np.int32)
         for _ in range(_ROUNDS):
             scores = rows @ centres.T - 0.5 * (centres**2).sum(axis=1)

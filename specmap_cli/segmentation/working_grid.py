@@ -55,12 +55,10 @@ class UprightMap:
     def labels_in(self, fine: GridMap, labels: LabelArray) -> LabelArray:
         """(H, W) the `labels` (h, w) of the coarse cells on those of the `fine` map; else -1."""
         if self.tilt is not None:
-            back = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
-            size = self.shape[::-1]
-            picture = cv2.warpAffine(
-                labels.astype(np.float32), self.tilt, size, flags=back, borderValue=(-1.0,)
-            )
-            labels = np.asarray(picture, dtype=np.float32).astype(np.int32)
+            back, size = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP, self.shape[::-1]
+            values = labels.astype(np.float32)
+            turned = cv2.warpAffine(values, self.tilt, size, flags=back, borderValue=(-1.0,))
+            labels = turned.astype(np.int32)
         rows, columns = self.before
         high, wide = fine.cells[self.window].shape[:: -1 if self.turns % 2 else 1]
         spread = np.repeat(np.repeat(labels, self.step, axis=0), self.step, axis=1)
@@ -103,14 +101,8 @@ def upright_map(fine: GridMap, cell_m: float, node_step_m: float) -> UprightMap:
     inner = cv2.erode(shown.astype(np.uint8), _AROUND, borderValue=0) > 0
     mass = inner if inner.any() else shown
     frame = _FRAME * step
-    framed = np.full([side + 2 * frame for side in shown.shape], UNKNOWN, dtype=np.uint8)
-    around = [
-        slice(max(side.start - frame, 0), min(side.stop + frame, size))
-        for side, size in zip(window, fine.cells.shape, strict=True)
-    ]
-    row, column = (frame - side.start + one.start for side, one in zip(window, around, strict=True))
-    part = fine.cells[around[0], around[1]]
-    framed[row : row + part.shape[0], column : column + part.shape[1]] = part
+    around = tuple(slice(side.start, side.stop + 2 * frame) for side in window)
+    framed = np.pad(fine.cells, frame, constant_values=UNKNOWN)[around]
     pictures = {turns: np.rot90(framed, turns) for turns in _turns(mass)}
     turns = min(pictures, key=lambda one: (pictures[one].shape, pictures[one].tobytes()))
     along = (np.rot90(mass, turns).sum(axis=axis) for axis in (1, 0))

@@ -14,9 +14,8 @@ from specmap_cli.drawing.palette import INK
 from specmap_cli.drawing.split_tests import draw_segmentation, draw_test
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.segmentation.division import Segmentation
-from specmap_cli.segmentation.online import Occasion
+from specmap_cli.segmentation.online import Occasion, SplitTest
 from specmap_cli.segmentation.spectral import Spectrum
-from specmap_cli.segmentation.splitting import SplitTest
 from tests.drawing.looking import bounds, inked, near, of_colour, pixel
 
 ORANGE, BLUE = (60, 110, 235), (200, 120, 30)  # the robot's side, the side it left

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, GridMap
 from specmap_cli.segmentation.visibility import LabelArray
 
 
@@ -37,6 +37,23 @@ def turned_by(degrees: float, grid: GridMap) -> GridMap:
     nearest, beyond = cv2.INTER_NEAREST, (float(UNKNOWN),)
     cells = cv2.warpAffine(grid.cells, move, (side, side), flags=nearest, borderValue=beyond)
     return GridMap(np.asarray(cells, dtype=np.uint8), grid.resolution)
+
+
+def dumbbell() -> BoolArray:
+    """Rooms of 30 x 30 and 30 x 40 cells, joined by a passage of 6 x 9."""
+    free = np.zeros((40, 90), dtype=bool)
+    free[5:35, 5:35] = free[5:35, 41:81] = free[15:24, 35:41] = True
+    return free
+
+
+def cluttered(seed: int) -> BoolArray:
+    """A room of 56 x 66 cells with twelve boxes in it."""
+    free = np.zeros((60, 70), dtype=bool)
+    free[2:-2, 2:-2] = True
+    rng = np.random.default_rng(seed)
+    for row, column in rng.integers(4, 50, (12, 2)):
+        free[row : row + rng.integers(1, 9), column : column + rng.integers(1, 9)] = False
+    return free
 
 
 # rooms of 5 x 4 and 4 x 4 m, a wall of 0.2 m, a door of 0.9 m

@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, CellArray, GridMap
 from specmap_cli.segmentation.division import segment
-from specmap_cli.segmentation.furniture import fill_cupboards, pieces_at_walls
+from specmap_cli.segmentation.obstacles import fill_cupboards, pieces_at_walls, with_narrow_doors
 from specmap_cli.segmentation.visibility import LabelArray
-from specmap_cli.segmentation.wide_doors import with_narrow_doors
 from tests.segmentation.plans import plan
 
 CELL_M = 0.05
