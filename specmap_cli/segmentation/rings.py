@@ -16,8 +16,10 @@ _BESIDE = np.ones((3, 3), dtype=np.uint8)
 
 def without_rings(labels: LabelArray) -> LabelArray:
     """Regions (h, w) of an upright map of which none is a ring: the sides of one are regions."""
-    sides = labels.copy()
     count = int(labels.max(initial=-1)) + 1
+    if not count:
+        return labels
+    sides = labels.copy()
     for label, window in enumerate(ndimage.find_objects(labels + 1)):
         region = np.pad(labels[window] == label, 1)
         _, around = cv2.connectedComponents((~region).astype(np.uint8), connectivity=4)
