@@ -28,6 +28,8 @@ def entered(labels: LabelArray, grid: GridMap, least: float) -> LabelArray:
        all that it hangs together with, what was seen only included.
     """
     free = labels >= 0
+    if not free.any():
+        return labels
     clearance = clearance_of(free)
     roomy = clearance * grid.resolution >= _ROBOT_RADIUS_M
     away = cv2.distanceTransform((~roomy).astype(np.uint8), cv2.DIST_L2, 5) * grid.resolution

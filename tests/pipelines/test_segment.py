@@ -98,3 +98,12 @@ def test_what_cannot_be_divided_is_one_line_and_leaves_nothing(
         segment_map(plan.with_suffix(".png"), tmp_path / "rooms", resolution=resolution)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "rooms").exists()
+
+
+@pytest.mark.parametrize("grey", [0, 205])
+def test_a_plan_without_free_space_is_one_line(grey: int, tmp_path: Path) -> None:
+    picture = tmp_path / "plan.png"
+    cv2.imwrite(str(picture), np.full((40, 60), grey, dtype=np.uint8))
+    with pytest.raises(NoResultError, match=r"no free space wider than 0\.5 m"):
+        segment_map(picture, tmp_path / "rooms", resolution=0.05)
+    assert not (tmp_path / "rooms").exists()
