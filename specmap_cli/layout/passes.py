@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -211,7 +212,9 @@ def far_passes(graph: Graph, draft: Draft, walls: Walls) -> tuple[tuple[Link, ..
         if not len(old):
             continue
         searched[row] = pose
-        older = WallMap.of(walls.of_all(old.tolist(), draft.poses))
+        rows = old.tolist()
+        seen = partial(walls.seen_of_all, rows, draft.poses)
+        older = WallMap.of(walls.of_all(rows, draft.poses), seen)
         fit = older.place_of(walls.around(row, PLACE_NODES, draft.poses), Guess(pose, error))
         if fit is not None:
             links.append(link_to_nearest(graph, draft.poses, old, row, fit))
