@@ -24,7 +24,7 @@ LOWER, UPPER = -1.0, 1.0  # y of a viewer on either side of a wall along x
 def seen_from(perfect: Laps, row: int) -> FloatArray:
     """The thinned points of one node in its own frame."""
     store, graph = perfect
-    return thinned(store.points(int(graph.nodes[row]), 12.0), 0.05)
+    return thinned(store.points(int(graph.nodes[row]), 30.0), 0.05)
 
 
 def test_walls_are_those_of_the_neighbours_of_its_part_in_the_frame_of_the_node(
