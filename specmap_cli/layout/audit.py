@@ -32,14 +32,16 @@ from specmap_cli.layout.wall_matching import match_passes
 from specmap_cli.layout.walls import PLACE_NODES, Walls
 
 _CELL_M = 0.1  # cells in which passes are compared
-_RANGE_M = 12.0  # farther returns are not compared
+_RANGE_M = 30.0  # farther returns are not compared
 _PASS_M = 6.0  # path of one pass: its own drift is small
 _NEAR_M = 6.0  # passes this near to each other are compared
 _APART_M = 12.0  # passes with so much path between them may have drifted apart
 _PASSES_COMPARED = 8  # the nearest passes that each pass is compared with
 _DEPTH_M = 0.2  # a wall this deep in free space contradicts; less is noise
 _WALL_M = 1.2  # shorter walls may be doors, people or chairs
-_DISAGREEING_SHARE = 0.15  # of the walls that both passes saw, when they disagree
+# Share of the walls that both passes saw when they disagree; where no small motion brings them
+# together half of them: otherwise the building has changed, and the map is right.
+_DISAGREEING_SHARE = 0.15
 _SEARCH_M = 3.0  # walls drawn twice are at most so far apart
 _KEYFRAME_M, _KEYFRAME_RAD = 0.3, 0.25  # between the keyframes of a pass: they see nearly the same
 _STEP_M, _REFINE_STEPS = 0.2, 10  # of the search for how far two walls stand apart
@@ -141,6 +143,9 @@ def audit(store: KeyframeStore, poses: FloatArray, breaks: Collection[int]) -> A
         walls_m = len(contradicted) * _CELL_M
         if walls_m < _WALL_M or walls_m < _DISAGREEING_SHARE * shared * _CELL_M:
             continue
+        offset = _offset(earlier, later)
+        if offset is None and 2 * len(contradicted) < shared:
+            continue
         x, y = np.median(contradicted, axis=0).tolist()
         disagreement = Disagreement(
             earlier=(earlier.first + earlier.last) // 2,
@@ -148,7 +153,7 @@ def audit(store: KeyframeStore, poses: FloatArray, breaks: Collection[int]) -> A
             place=(x, y),
             walls_m=walls_m,
             share=len(contradicted) / shared,
-            offset=_offset(earlier, later),
+            offset=offset,
         )
         found.append(disagreement)
     return Audit(compared=compared, disagreements=tuple(found))

@@ -21,11 +21,11 @@ from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.path_graph import (
     LOOP_EVERY_M,
     LOOP_PATH_M,
-    MATCH_RANGE_M,
     Graph,
     rows_every,
 )
 
+_RANGE_M = 12.0  # farther returns show every error of the heading
 _BEARINGS = 180  # two degrees each: neighbours cover what headings err by
 _MOST_VIEWS = 4000  # of a log, evenly; 6 MB
 _PARTNERS = 4  # views of other passes that each is compared with: the nearest
@@ -97,7 +97,7 @@ class Views:
         numbers = graph.nodes[rows].tolist()
         ranges = np.full((len(numbers), _BEARINGS), np.inf, dtype=np.float32)
         for nearest, number in zip(ranges, numbers, strict=True):
-            x, y = store.scan(number).hits(MATCH_RANGE_M).T
+            x, y = store.scan(number).hits(_RANGE_M).T
             share = (np.arctan2(y, x) + np.pi) / (2 * np.pi)
             bins = np.floor(share * _BEARINGS).astype(np.int64) % _BEARINGS
             np.minimum.at(nearest, bins, np.hypot(x, y))

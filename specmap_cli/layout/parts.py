@@ -22,7 +22,7 @@ from specmap_cli.layout.path_graph import LOOP_EVERY_M, Draft, Ends, Graph
 from specmap_cli.layout.place_search import WallMap
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.wall_matching import link_to_nearest
-from specmap_cli.layout.walls import PLACE_NODES, Walls, seen_free
+from specmap_cli.layout.walls import PLACE_NODES, Walls
 
 # Two links agree when they put the part this near: as far as tracking bends a part of some metres.
 _SAME_M, _SAME_RAD = 0.5, 0.15
@@ -125,9 +125,9 @@ def rejoin(
     draft = replace(draft, tries={**draft.tries, part: tries + 1})
     if search is None:
         rows = np.flatnonzero(graph.parts < part)
-        seen_from = rows[::_EVERY].tolist()
-        free = partial(seen_free, walls, seen_from, draft.poses)
-        older = WallMap.of(walls.of_all(seen_from, draft.poses), free)
+        some = rows[::_EVERY].tolist()
+        seen = partial(walls.seen_of_all, some, draft.poses)
+        older = WallMap.of(walls.of_all(some, draft.poses), seen, standing=True)
         search = PartSearch(part=part, rows=rows, older=older)
         draft = draft.counting("stray_cells", search.older.coarsened)
     fit = search.older.place_of(walls.around(node, PLACE_NODES, draft.poses))

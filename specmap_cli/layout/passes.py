@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -46,7 +47,7 @@ _NODES_A_LINK = 150  # a solution of more nodes costs more, and waits for more l
 _MOVED_M = 1.0  # a guess that moved this far is worth another search
 _NEWS = 1 / 3  # share of the least search by which a link must miss the draft to be news to it
 
-_WIDE_EVERY_M = 10.0  # path between searches as far as its error reaches
+_WIDE_EVERY_M = 5.0  # path between searches as far as its error reaches
 _WIDE_SEARCH_MAX_M = 15.0  # such a search reaches this far at the most
 _REACH_SIGMAS = 3.0  # of the path's error that are searched
 _MOST_ROWS = 80  # whose walls make one search: some 25 m of path, or every other of more
@@ -211,7 +212,9 @@ def far_passes(graph: Graph, draft: Draft, walls: Walls) -> tuple[tuple[Link, ..
         if not len(old):
             continue
         searched[row] = pose
-        older = WallMap.of(walls.of_all(old.tolist(), draft.poses))
+        rows = old.tolist()
+        seen = partial(walls.seen_of_all, rows, draft.poses)
+        older = WallMap.of(walls.of_all(rows, draft.poses), seen)
         fit = older.place_of(walls.around(row, PLACE_NODES, draft.poses), Guess(pose, error))
         if fit is not None:
             links.append(link_to_nearest(graph, draft.poses, old, row, fit))

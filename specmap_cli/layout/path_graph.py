@@ -31,7 +31,7 @@ NODE_M = 0.3  # motion between nodes of the pose graph
 _NODE_RAD = 0.25  # turn between nodes of the pose graph
 LOOP_EVERY_M = 1.0  # least path between searches for nearby passes
 LOOP_PATH_M = 6.0  # less path than this between is no pass
-MATCH_RANGE_M = 12.0  # farther returns are not matched
+MATCH_RANGE_M = 30.0  # beyond it a heading that errs by 0.003 rad moves a wall out of its place
 
 _STEP_SHARE = 0.03  # error of a motion, metres per metre driven
 _TURN_SHARE = 0.02  # error of a motion's turn, radians per radian

@@ -11,7 +11,6 @@ exact, and the same on any processor.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -28,9 +27,11 @@ from specmap_cli.layout.wall_matching import (
     FINE_POINTS_M,
     LOOP_SCORE,
     MATCH_POINTS,
+    SURE,
+    Place,
+    Seen,
     WallFit,
-    confirmed,
-    field_of,
+    everywhere,
 )
 
 _MAP_CELLS = 512  # cells a side in such a search: a larger map is searched coarser
@@ -42,7 +43,8 @@ _RIVALS, _LEAD = 4, 0.05  # places compared, and the score by which the best mus
 _NEAR_STEPS, _NEAR_RAD, _NEAR_M = 0.75, 0.06, 0.1  # the search about each: its width and its step
 _PINNED_M = 0.1  # largest mean deviation of a place found: more is a corridor's open direction
 _BLOCK_M = 2.4  # side of the blocks that search begins with
-_SURE = 0.5 + 0.5 * LOOP_SCORE  # halfway from what is asked to a perfect fit
+_LEAST = SURE + 0.5 * LOOP_SCORE  # score of a sure fit of which half could have been seen
+_STANDING_M = 0.6  # beyond what was seen: a robot's width, and what the poses there are off
 _GUESS_SIGMAS = 3.0  # of a guess that are searched
 _SPARSE_M = 0.4  # between the points of that search: some 100 of them tell a place
 _REACH_RANGES = 1.5  # from a node to the farthest wall seen from the nodes around it
@@ -82,20 +84,19 @@ class WallMap:
     """The walls (N, 2) among which places are looked for, and their score field.
 
     Places are searched `step_m` apart; `coarsened` says that the map is so large that this is more
-    than usual.
+    than usual. `seen` says which cells of a field, and so near to them, were looked into.
     """
 
     points: FloatArray
+    seen: Seen
     field: ScoreField
     pyramid: Pyramid
     step_m: float
     coarsened: bool
 
     @classmethod
-    def of(
-        cls, points: FloatArray, seen: Callable[[ScoreField], BoolArray] | None = None
-    ) -> WallMap:
-        """The walls with their field; `seen` says in which of its cells a robot may stand."""
+    def of(cls, points: FloatArray, seen: Seen = everywhere, *, standing: bool = False) -> WallMap:
+        """The walls with their field; the robot is `standing` in what was seen, or anywhere."""
         field = ScoreField.from_points(points, _CELL_M, _BLUR_M, _SIDE * MATCH_RANGE_M)
         side_m = float(np.sqrt(field.values.size * field.resolution**2))
         needed_m = side_m / _MAP_CELLS
@@ -104,8 +105,9 @@ class WallMap:
         reach_m = _REACH_RANGES * MATCH_RANGE_M
         return cls(
             points=points,
+            seen=seen,
             field=field,
-            pyramid=Pyramid.of(coarse, reach_m, None if seen is None else seen(coarse)),
+            pyramid=Pyramid.of(coarse, reach_m, seen(coarse, _STANDING_M) if standing else None),
             step_m=step_m,
             coarsened=needed_m > _STEP_M,
         )
@@ -127,7 +129,7 @@ class WallMap:
             places = pyramid.corner + (blocks + 0.5 * 2**_TOP) * pyramid.cell_m
             blocks = blocks[guess.reaches(places, middle)]
         # the pooled score, an upper bound, may still become that of a match
-        wanted = Wanted(least=LOOP_SCORE, lead=2 * _LEAD, most=_SEARCH_BLOCKS)
+        wanted = Wanted(least=_LEAST, lead=2 * _LEAD, most=_SEARCH_BLOCKS)
         rough = best_places(self.pyramid, sparse, blocks, angles, wanted, _RIVALS)
         window = Window(distance_m=_NEAR_STEPS * self.step_m, angle_rad=_NEAR_RAD, step_m=_NEAR_M)
         fine = [search(self.field, few, match.pose, window) for match in rough]
@@ -137,8 +139,7 @@ class WallMap:
         best = fine[0]
         away = self.points - (best.pose.x, best.pose.y)
         near = np.hypot(away[:, 0], away[:, 1]) < _NEAR_RANGES * MATCH_RANGE_M
-        field = field_of(self.points[near])
-        found = confirmed(field, source, best.pose, _SURE)
+        found = Place.of(self.points[near], self.seen).confirmed(source, best.pose, SURE)
         if found is None:
             return None
         variance = float(inverse3(found.information)[:2, :2].trace())

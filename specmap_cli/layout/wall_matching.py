@@ -1,13 +1,20 @@
-"""Walls matched with walls: from a rough pose to the best one, and how far it can be trusted."""
+"""Walls matched with walls: from a rough pose to the best one, and how far it can be trusted.
+
+A view is measured by what of it could have been seen: a point on a wall of the other pass speaks
+for a match, one in space that the other pass saw empty speaks against it, and one where the other
+pass never looked says nothing. So the view that overlaps by a third counts for a third.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, inverse3, invert, product
-from specmap_cli.core.records import IntArray
+from specmap_cli.core.records import BoolArray, IntArray
 from specmap_cli.grids.matching import SPREAD_M, Window, covariance, refine, search
 from specmap_cli.grids.score_field import ScoreField, thinned
 from specmap_cli.layout.path_graph import MATCH_RANGE_M, Graph, RowPair
@@ -15,7 +22,13 @@ from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.walls import CELL_M, PLACE_NODES, Walls, from_behind
 
 MATCH_POINTS = 20  # walls with fewer points are not matched
-LOOP_SCORE = 0.6  # a match below this is no edge
+# Share of the points that could have been seen that lie on walls by chance, or where people and
+# furniture were moved: a point on a wall speaks for a match by the rest, another against it by
+# this. What speaks for it, a point of the whole view: a tenth makes an edge, half of a perfect fit
+# is sure. Of two passes through real rooms three quarters and more of what both could see fits.
+LOOP_SCORE = 0.6
+LEAST_EVIDENCE, SURE = 0.1, 0.5 * (1.0 - LOOP_SCORE)
+_SEEN_M = 0.15  # beyond the first wall seen, that counts as seen: the noise of readings and poses
 
 # Searches go from coarse to fine, their points thinned to about the step: four cells first, over
 # all that the path may have drifted, then two cells, then none.
@@ -28,14 +41,12 @@ _TURN_PER_M, _LEAST_TURN_RAD, _MOST_TURN_RAD = 0.15, 0.06, 0.35
 # Of places that fit alike the nearer wins: a metre off costs as much as 1 % of the points.
 _PENALTY_PER_M2, _PENALTY_PER_RAD2 = 0.01, 0.05
 _APART_M = 0.5  # what looks alike in a building, doors or cupboards, stands farther apart
-# Between two places tried in a search the score falls to no less than this share of the best:
-# half the diagonal of a step of the fine one, 7 cm, is 0.7 sigma of the field.
-_HOPELESS = 0.75
 _SIDE = 4.0  # of the field of a place, in ranges: stray points beyond it cost no memory
 _WINDOW_M2 = SPREAD_M**2 / 3  # variance of a window that fits all over
 _OPEN_M2 = 2.0**2  # of a place along a corridor that shows nothing: the wall is still that wall
 # Error of the best match: a cell's side over the root of 12, and what people and furniture moved.
 _FLOOR = np.diag([0.015**2, 0.015**2, 0.004**2])
+
 _FEW = 0.05  # share of points that cannot move a match by much
 
 
@@ -47,67 +58,79 @@ class WallFit:
     information: FloatArray
 
 
-def match_walls(
-    source: FloatArray,
-    target: FloatArray,
-    guess: Pose2,
-    drift_m: float,
-    least_score: float = LOOP_SCORE,
-) -> WallFit | None:
-    """The pose of points `source` (N, 2) among `target` (M, 2), if they reach `least_score` there.
-
-    `guess` is `target_from_source`; `drift_m` bounds how wrong it may be.
-    """
-    field = field_of(target)
-    few = thinned(source, FINE_POINTS_M)
-    if len(few) < MATCH_POINTS:
-        return None
-    if drift_m <= _APART_M and field.score(few, guess) >= least_score:  # perhaps no search is due
-        near = refine(field, thinned(source, _REFINED_POINTS_M), guess, _REFINED_STEPS, _BLUR_M)
-        if near.score >= 0.5 + 0.5 * least_score:  # halfway from what is asked to a perfect fit
-            return _fit(field, source, few, near.pose)
-    window = Window(
-        distance_m=drift_m,
-        angle_rad=float(np.clip(_TURN_PER_M * drift_m, _LEAST_TURN_RAD, _MOST_TURN_RAD)),
-        step_m=_COARSE_M,
-        penalty_per_m2=_PENALTY_PER_M2,
-        penalty_per_rad2=_PENALTY_PER_RAD2,
-    )
-    coarse = thinned(source, _COARSE_POINTS_M)
-    rough = search(field.coarser(_COARSE_CELLS), coarse, guess, window)
-    if rough.score < _HOPELESS * least_score:
-        return None
-    return confirmed(field, source, rough.pose, least_score)
+Seen = Callable[[ScoreField, float], BoolArray]  # which cells, and how far beyond them
 
 
-def field_of(target: FloatArray) -> ScoreField:
-    """The score field of the walls (M, 2) around one place."""
-    return ScoreField.from_points(target, CELL_M, _BLUR_M, _SIDE * MATCH_RANGE_M)
+def everywhere(field: ScoreField, _: float) -> BoolArray:
+    """(H, W) all cells of a field: what could have been seen where nothing is known of that."""
+    return np.ones(field.values.shape, dtype=bool)
 
 
-def confirmed(
-    field: ScoreField, source: FloatArray, rough: Pose2, least_score: float
-) -> WallFit | None:
-    """A rough pose of points (N, 2) brought to the optimum, if `least_score` is reached there."""
-    few = thinned(source, FINE_POINTS_M)
-    if len(few) < MATCH_POINTS:
-        return None
-    fine = search(field, few, rough, _FINE)
-    if fine.score < _HOPELESS * least_score:
-        return None
-    near = refine(field, thinned(source, _REFINED_POINTS_M), fine.pose, _REFINED_STEPS)
-    if near.score < least_score:
-        return None
-    return _fit(field, source, few, near.pose)
+@dataclass(frozen=True, slots=True)
+class Place:
+    """What was seen around a place: how near walls are, and what a point there speaks for."""
 
+    walls: ScoreField
+    evidence: ScoreField
 
-def _fit(field: ScoreField, source: FloatArray, few: FloatArray, near: Pose2) -> WallFit:
-    """The match of points (N, 2) at the optimum by a pose; its error is had from `few` of them."""
-    pose = refine(field.sharper(), thinned(source, CELL_M), near).pose
-    spread = opened(covariance(field, few, pose))
-    turn = np.eye(3)
-    turn[:2, :2] = pose.rotation().T  # errors are weighed in the source's own frame
-    return WallFit(pose, inverse3(product(product(turn, spread), turn.T) + _FLOOR))
+    @classmethod
+    def of(cls, target: FloatArray, seen: Seen = everywhere) -> Place:
+        """The place of walls (M, 2); `seen` says which cells of a field were looked into."""
+        walls = ScoreField.from_points(target, CELL_M, _BLUR_M, _SIDE * MATCH_RANGE_M)
+        values = walls.values - np.float32(LOOP_SCORE) * seen(walls, _SEEN_M).astype(np.float32)
+        return cls(walls, replace(walls, values=values))
+
+    def match(
+        self, source: FloatArray, guess: Pose2, drift_m: float, least: float = LEAST_EVIDENCE
+    ) -> WallFit | None:
+        """The pose of points `source` (N, 2), if there is at least so much evidence for it.
+
+        `guess` is `target_from_source`; `drift_m` bounds how wrong it may be.
+        """
+        few = thinned(source, FINE_POINTS_M)
+        if len(few) < MATCH_POINTS:
+            return None
+        # perhaps no search is due
+        if drift_m <= _APART_M and self.evidence.score(few, guess) >= least:
+            points = thinned(source, _REFINED_POINTS_M)
+            near = refine(self.walls, points, guess, _REFINED_STEPS, _BLUR_M)
+            if self.evidence.score(points, near.pose) >= max(SURE, least):
+                return self._fit(source, few, near.pose)
+        window = Window(
+            distance_m=drift_m,
+            angle_rad=float(np.clip(_TURN_PER_M * drift_m, _LEAST_TURN_RAD, _MOST_TURN_RAD)),
+            step_m=_COARSE_M,
+            penalty_per_m2=_PENALTY_PER_M2,
+            penalty_per_rad2=_PENALTY_PER_RAD2,
+        )
+        coarse = thinned(source, _COARSE_POINTS_M)
+        rough = search(self.evidence.coarser(_COARSE_CELLS), coarse, guess, window)
+        return None if rough.score <= 0.0 else self.confirmed(source, rough.pose, least)
+
+    def confirmed(self, source: FloatArray, rough: Pose2, least: float) -> WallFit | None:
+        """A rough pose of points (N, 2) brought to the optimum, with `least` evidence there."""
+        few = thinned(source, FINE_POINTS_M)
+        if len(few) < MATCH_POINTS:
+            return None
+        fine = search(self.evidence, few, rough, _FINE)
+        if fine.score <= 0.0:
+            return None
+        points = thinned(source, _REFINED_POINTS_M)
+        near = refine(self.walls, points, fine.pose, _REFINED_STEPS)
+        if self.evidence.score(points, near.pose) < least:
+            return None
+        return self._fit(source, few, near.pose)
+
+    def _fit(self, source: FloatArray, few: FloatArray, near: Pose2) -> WallFit:
+        """The match of points (N, 2) at the optimum by a pose; `few` of them tell its error."""
+        pose = refine(self.walls.sharper(), thinned(source, CELL_M), near).pose
+        spread = opened(covariance(self.walls, few, pose))
+        turn = np.eye(3)
+        turn[:2, :2] = pose.rotation().T  # errors are weighed in the source's own frame
+        known = inverse3(product(product(turn, spread), turn.T) + _FLOOR)
+        # a short overlap counts as little as it is
+        told = max(LEAST_EVIDENCE, self.evidence.score(few, pose)) / (1.0 - LOOP_SCORE)
+        return WallFit(pose, told * known)
 
 
 def opened(spread: FloatArray) -> FloatArray:
@@ -143,8 +166,10 @@ def match_passes(
     """
     old, new = rows
     source = walls.around(new, reach, poses)
-    target = walls.around(old, PLACE_NODES, poses)
-    fit = match_walls(source, target, guess, drift_m)
+    place = Place.of(
+        walls.around(old, PLACE_NODES, poses), partial(walls.seen_around, old, PLACE_NODES, poses)
+    )
+    fit = place.match(source, guess, drift_m)
     if fit is None:
         return None
     sides, others = (
@@ -154,8 +179,8 @@ def match_passes(
     behind = from_behind(sides, others, guess, drift_m)
     share = float(behind.mean())
     if share >= _FEW:
-        asked = LOOP_SCORE / max(1.0 - share, LOOP_SCORE)
-        fit = match_walls(source[~behind], target, guess, drift_m, asked)
+        rest = LEAST_EVIDENCE / max(1.0 - share, LEAST_EVIDENCE)  # of the whole view
+        fit = place.match(source[~behind], guess, drift_m, rest)
         if fit is None:
             return None
     return Link(

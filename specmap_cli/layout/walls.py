@@ -8,7 +8,7 @@ would fit.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -61,6 +61,20 @@ class Walls:
         near = [self.sides(k).placed(pose) for k, pose in self._near(node, reach, poses)]
         points, normals = [one.points for one in near], [one.normals for one in near]
         return Sides(np.concatenate(points), np.concatenate(normals))
+
+    def seen_around(
+        self, node: int, reach: int, poses: FloatArray, field: ScoreField, margin_m: float
+    ) -> BoolArray:
+        """(H, W) which cells of a field in the frame of row `node` were seen from these nodes."""
+        near = self._near(node, reach, poses)
+        return seen_from([(self.points(k), pose) for k, pose in near], field, margin_m)
+
+    def seen_of_all(
+        self, nodes: Sequence[int], poses: FloatArray, field: ScoreField, margin_m: float
+    ) -> BoolArray:
+        """(H, W) which cells of a field in the map were seen from rows `nodes`."""
+        views = [(self.points(k), Pose2(*poses[k].tolist())) for k in nodes]
+        return seen_from(views, field, margin_m)
 
     def _near(self, node: int, reach: int, poses: FloatArray) -> list[tuple[int, Pose2]]:
         """The rows around a row, and where they are in its frame."""
@@ -161,22 +175,22 @@ def from_behind(source: Sides, target: Sides, guess: Pose2, drift_m: float) -> B
     return behind
 
 
-def seen_free(
-    walls: Walls, nodes: Sequence[int], poses: FloatArray, field: ScoreField
+def seen_from(
+    views: Iterable[tuple[FloatArray, Pose2]], field: ScoreField, margin_m: float
 ) -> BoolArray:
-    """(H, W) which cells of a field lie in what was seen from rows `nodes`, at poses (M, 3).
+    """(H, W) which cells of a field lie in what was seen, or so near to it.
 
-    What a scan saw is the area between the robot and its returns, joined in their order.
+    What a scan saw is the area between the robot and its returns, joined in their order: `views`
+    are returns (N, 2), and poses of the robot in the frame of the field.
     """
     seen = np.zeros(field.values.shape, dtype=np.uint8)
     height, width = field.values.shape
-    for node in nodes:
-        corners = np.concatenate([np.zeros((1, 2)), walls.points(node)])
+    for points, pose in views:
+        corners = np.concatenate([np.zeros((1, 2)), points])
         if len(corners) >= _FEWEST:
-            placed = Pose2(*poses[node].tolist()).apply(corners)
-            cells = np.floor((placed - np.asarray(field.origin)) / field.resolution)
+            cells = np.floor((pose.apply(corners) - np.asarray(field.origin)) / field.resolution)
             near = np.clip(cells, (-width, -height), (2 * width, 2 * height))  # 32 bits hold these
             cv2.fillPoly(seen, [near.astype(np.int32)], 1)
-    reach = max(1, round(_MARGIN_M / field.resolution))
+    reach = max(1, round(margin_m / field.resolution))
     kernel = np.ones((2 * reach + 1, 2 * reach + 1), dtype=np.uint8)
     return np.asarray(cv2.dilate(seen, kernel) > 0)

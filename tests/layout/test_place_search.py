@@ -164,15 +164,17 @@ def test_no_place_is_taken_where_the_robot_would_stand_in_the_wall() -> None:
     source = rooms((60, 90))
     walls = rooms((60, 90), (60, 90))
 
-    def first_room(field: ScoreField) -> BoolArray:
+    def first_room(field: ScoreField, _: float = 0.0) -> BoolArray:
         columns = field.origin[0] + field.resolution * np.arange(field.values.shape[1])
         return np.broadcast_to(columns < 4.5, field.values.shape)
 
     middle = source - (2.5, 3.0)  # the robot stands amid them
     assert WallMap.of(walls).place_of(middle) is None
-    nowhere = WallMap.of(walls, lambda field: np.zeros(field.values.shape, dtype=bool))
+    nowhere = WallMap.of(
+        walls, lambda field, _: np.zeros(field.values.shape, dtype=bool), standing=True
+    )
     assert nowhere.place_of(middle) is None
-    found = WallMap.of(walls, first_room).place_of(middle)
+    found = WallMap.of(walls, first_room, standing=True).place_of(middle)
     assert found is not None
     assert found.target_from_source[:2] == pytest.approx((2.5, 3.0), abs=0.1)
 

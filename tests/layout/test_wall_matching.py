@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 import pytest
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.records import BoolArray
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.matching import SPREAD_M, Match, Window, search
 from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.layout.path_graph import Graph
 from specmap_cli.layout.wall_matching import (
+    LEAST_EVIDENCE,
+    Place,
     WallFit,
     link_to_nearest,
     match_passes,
-    match_walls,
     opened,
 )
 from specmap_cli.layout.walls import Walls
@@ -41,7 +44,7 @@ def one(graph: Graph, walls: Walls) -> Pass:
 
 def matched(source: FloatArray, target: FloatArray, guess: Pose2, drift_m: float) -> WallFit:
     """The match that is found."""
-    fit = match_walls(source, target, guess, drift_m)
+    fit = Place.of(target).match(source, guess, drift_m)
     assert fit is not None
     return fit
 
@@ -65,8 +68,10 @@ def test_a_pass_is_matched_to_centimetres(graph: Graph, walls: Walls, seed: int)
 def test_another_place_does_not_fit(graph: Graph, walls: Walls) -> None:
     poses = graph.poses
     source, target = walls.around(10, 3, poses), walls.around(45, 8, poses)
-    assert match_walls(source, target, IDENTITY, 1.0) is None
-    assert match_walls(source, target, IDENTITY, 1.0, 0.0) is not None, "the score alone refuses it"
+    assert Place.of(target).match(source, IDENTITY, 1.0) is None
+    with turned("layout.wall_matching", LOOP_SCORE=0.0):
+        found = Place.of(target).match(source, IDENTITY, 1.0)
+    assert found is not None, "the evidence alone refuses it"
 
 
 @pytest.fixture
@@ -103,14 +108,14 @@ def test_what_shows_other_walls_is_given_up_after_the_rough_search(
     one: Pass, windows: list[Window]
 ) -> None:
     target = np.column_stack([np.linspace(20.0, 25.0, 200), np.full(200, 20.0)])
-    assert match_walls(one[0], target, IDENTITY, 0.4) is None
+    assert Place.of(target).match(one[0], IDENTITY, 0.4) is None
     assert len(windows) == 1
 
 
 def test_what_lies_farther_off_than_the_drift_is_not_found(one: Pass) -> None:
     source, target, truth = one
     guess = truth @ Pose2(2.0, 0.0, 0.0)
-    near, far = match_walls(source, target, guess, 0.5), matched(source, target, guess, 2.2)
+    near, far = Place.of(target).match(source, guess, 0.5), matched(source, target, guess, 2.2)
     assert near is None or missed(truth, near.target_from_source)[0] > 0.5
     assert missed(truth, far.target_from_source)[0] < 0.05
 
@@ -120,8 +125,8 @@ def test_too_few_points_are_not_matched() -> None:
     few = points[:: len(points) // 40]
     for least, found in ((20, True), (60, False)):
         with turned("layout.wall_matching", MATCH_POINTS=least):
-            assert (match_walls(few, points, IDENTITY, 0.3, 0.1) is not None) is found
-    assert match_walls(np.zeros((0, 2)), points, IDENTITY, 0.3, 0.1) is None
+            assert (Place.of(points).match(few, IDENTITY, 0.3) is not None) is found
+    assert Place.of(points).match(np.zeros((0, 2)), IDENTITY, 0.3) is None
 
 
 def test_along_a_corridor_a_match_is_loose_in_the_frame_of_the_source() -> None:
@@ -130,6 +135,24 @@ def test_along_a_corridor_a_match_is_loose_in_the_frame_of_the_source() -> None:
     deviation = deviations(matched(turn.inverse().apply(points), points, turn, 0.3))
     assert deviation[1] > 0.1
     assert deviation[0] < 0.05
+
+
+def test_what_could_not_have_been_seen_says_nothing_and_a_short_overlap_little() -> None:
+    """A corridor seen on, past its end: what lies there is no reason to refuse the match."""
+    points = corridor()
+    target = points[points[:, 0] < -1.0]
+    source = points[np.abs(points[:, 0]) < 6.0]
+
+    def before_it(field: ScoreField, _: float) -> BoolArray:
+        columns = field.origin[0] + field.resolution * np.arange(field.values.shape[1])
+        return np.broadcast_to(columns < -1.0, field.values.shape)
+
+    assert Place.of(target).evidence.score(source, IDENTITY) < LEAST_EVIDENCE
+    short = Place.of(target, before_it).match(source, IDENTITY, 0.3)
+    whole = matched(source, points, IDENTITY, 0.3)
+    assert short is not None
+    assert missed(IDENTITY, short.target_from_source)[1] < 0.02
+    assert short.information[1, 1] < 0.8 * whole.information[1, 1]
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.7, np.pi / 2, 2.5])
@@ -171,7 +194,6 @@ def test_a_place_found_in_the_map_is_linked_to_the_nearest_row(graph: Graph) -> 
     assert made.kind == "nearby"
 
 
-LAX = 0.2  # the rooms have little else in common
 FIRST, SECOND, AGAIN = 4, 13, 22  # rows: in the lower room, in the upper one, in the lower one
 Rooms = tuple[Graph, Walls]
 
@@ -194,10 +216,12 @@ def test_the_other_side_of_a_wall_is_no_match(rooms: Rooms) -> None:
     graph, walls = rooms
     guess = between(graph.poses, FIRST, SECOND)
     source, target = (walls.around(row, 4, graph.poses) for row in (SECOND, FIRST))
-    mistaken = match_walls(source, target, guess, 0.3, LAX)
+    seen = partial(walls.seen_around, FIRST, 4, graph.poses)
+    with turned("layout.wall_matching", LOOP_SCORE=0.2):  # they have little else in common
+        mistaken = Place.of(target, seen).match(source, guess, 0.3)
     assert mistaken is not None
     assert missed(guess, mistaken.target_from_source)[0] > 0.2, "a wall's thickness off"
-    with turned("layout.wall_matching", LOOP_SCORE=LAX), turned("layout.walls", PLACE_NODES=4):
+    with turned("layout.wall_matching", PLACE_NODES=4):
         found = match_passes(graph, walls, graph.poses, (FIRST, SECOND), guess, 0.3, 4)
     assert found is None
 
@@ -207,7 +231,7 @@ def test_the_same_side_is_one(rooms: Rooms, off_m: float, fits: bool) -> None:
     graph, walls = rooms
     truth = between(graph.poses, FIRST, AGAIN)
     guess = truth @ Pose2(0.0, off_m, 0.0)
-    with turned("layout.walls", PLACE_NODES=4):
+    with turned("layout.wall_matching", PLACE_NODES=4):
         found = match_passes(graph, walls, graph.poses, (FIRST, AGAIN), guess, 0.3, 4)
     assert (found is not None) is fits
     if found is not None:

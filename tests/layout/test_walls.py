@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose
 from specmap_cli.grids.score_field import ScoreField, thinned
 from specmap_cli.layout.path_graph import Graph
-from specmap_cli.layout.walls import Sides, Walls, from_behind, seen_free
+from specmap_cli.layout.walls import Sides, Walls, from_behind
 from tests.layout.driving import Drive, Laps, between, building, graph_by_hand, stored
 from tests.strategies import poses
 from tests.turning import turned
@@ -24,7 +24,7 @@ LOWER, UPPER = -1.0, 1.0  # y of a viewer on either side of a wall along x
 def seen_from(perfect: Laps, row: int) -> FloatArray:
     """The thinned points of one node in its own frame."""
     store, graph = perfect
-    return thinned(store.points(int(graph.nodes[row]), 12.0), 0.05)
+    return thinned(store.points(int(graph.nodes[row]), 30.0), 0.05)
 
 
 def test_walls_are_those_of_the_neighbours_of_its_part_in_the_frame_of_the_node(
@@ -138,7 +138,7 @@ def test_the_corridor_that_was_driven_is_free_and_the_rock_is_not(
     graph, plan = perfect[1], building()
     rows = np.flatnonzero(graph.parts == 0).tolist()
     field = ScoreField.from_points(walls.of_all(rows, graph.poses), 0.25, 0.3)
-    free = seen_free(walls, rows, graph.poses, field)
+    free = walls.seen_of_all(rows, graph.poses, field, 0.6)
     height, width = free.shape
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     centres = np.column_stack([x.ravel(), y.ravel()]) * 0.25 + field.origin
@@ -159,8 +159,8 @@ def test_what_is_free_lies_where_the_poses_put_it(graph: Graph, walls: Walls) ->
     poses, rows = graph.poses, [3, 40]
     moved = compose(np.array([50.0, -20.0, 0.0]), poses)
     here, there = (ScoreField.from_points(walls.of_all(rows, p), 0.25, 0.3) for p in (poses, moved))
-    free = seen_free(walls, rows, poses, here)
+    free = walls.seen_of_all(rows, poses, here, 0.6)
     assert free.any()
-    assert not seen_free(walls, rows, moved, here).any(), "far off this field"
-    assert seen_free(walls, rows, moved, there).sum() == free.sum()
-    assert not seen_free(walls, [], poses, here).any()
+    assert not walls.seen_of_all(rows, moved, here, 0.6).any(), "far off this field"
+    assert walls.seen_of_all(rows, moved, there, 0.6).sum() == free.sum()
+    assert not walls.seen_of_all([], poses, here, 0.6).any()
