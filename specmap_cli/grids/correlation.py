@@ -54,18 +54,6 @@ class Target:
         product = self.spectrum * np.conj(scipy.fft.rfft2(pictures))
         return np.asarray(scipy.fft.irfft2(product.sum(axis=0), self.shape))
 
-    def correlate_turned(self, pictures: NDArray[Any]) -> NDArray[Any]:
-        """(2, *shape) `correlate` of the pictures, and of these turned by half a turn.
-
-        They turn about the centre of cell [0, 0]. The transform of a picture turned so is the
-        conjugate of its own.
-        """
-        spectrum = scipy.fft.rfft2(pictures)
-        turned = self.spectrum * spectrum
-        upright = self.spectrum * np.conj(spectrum, out=spectrum)
-        both = np.stack([upright.sum(axis=0), turned.sum(axis=0)])
-        return np.asarray(scipy.fft.irfft2(both, self.shape))
-
 
 @dataclass(frozen=True, slots=True)
 class Peak:
@@ -87,19 +75,6 @@ def cell_counts(points: NDArray[Any], cell_m: float, shape: tuple[int, int]) -> 
     columns, rows = np.floor(points / cell_m + 0.5).astype(np.intp).T
     cells = (rows % shape[0]) * shape[1] + columns % shape[1]
     return np.bincount(cells, minlength=shape[0] * shape[1]).reshape(shape)
-
-
-def marked_cells(
-    points: NDArray[Any], cell_m: float, shape: tuple[int, int]
-) -> NDArray[np.float32]:
-    """(shape) 1 in the cells of a periodic picture that hold some of points (N, 2), else 0.
-
-    The cells are those of `cell_counts`.
-    """
-    picture = np.zeros(shape, dtype=np.float32)
-    columns, rows = np.floor(points / cell_m + 0.5).astype(np.intp).T
-    picture[rows % shape[0], columns % shape[1]] = 1.0
-    return picture
 
 
 def local_maxima(correlation: NDArray[Any]) -> NDArray[Any]:

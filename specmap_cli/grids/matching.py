@@ -102,9 +102,9 @@ def search(field: ScoreField, points: NDArray[Any], guess: Pose2, window: Window
 
 
 def search_everywhere(
-    field: ScoreField, points: NDArray[Any], count: int, step: float, angle_step: float
+    field: ScoreField, points: NDArray[Any], count: int, step: float, angles: Iterable[float]
 ) -> list[Match]:
-    """The best `count` poses of points (N, 2) anywhere on the field at any angle, best first.
+    """The best `count` poses of points (N, 2) anywhere on the field at these angles, best first.
 
     A correlation by Fourier transform per angle, on the field pooled to cells of about `step`
     metres: no guess is needed, drift of any size does not matter. The poses are good to about a
@@ -121,7 +121,7 @@ def search_everywhere(
     target = Target.of(coarse.values.astype(np.float64)[None], (2 * reach, 2 * reach))
     x, y = coarse.origin
     found: list[tuple[float, float, float, float]] = []
-    for angle in np.arange(0.0, 2 * np.pi, angle_step).tolist():
+    for angle in angles:
         turned = Pose2(0.0, 0.0, angle).apply(local)
         picture = cell_counts(turned, cell, target.shape) / len(local)
         maxima = local_maxima(target.correlate(picture[None]))

@@ -153,7 +153,7 @@ def explore(scans: Iterable[PosedScan], exploration: Exploration, accepts: Accep
             exploration.recognise(left)
         exploration.session.progress.advance()
     exploration.recognise(exploration.end_submap())
-    exploration.recognise_leftovers()
+    exploration.recognise_again()
     return exploration.explored(trajectory.trajectory())
 
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import pairwise
 
 import numpy as np
 
-from specmap_cli.core.arrays import evenly, neighbours
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, compose, invert
 from specmap_cli.core.records import Closure, IntArray, PosedScan, Trajectory
 from specmap_cli.grids.gridmap import PackedGrid
@@ -78,11 +77,10 @@ class Exploration:
             with self.session.clock.stage("recognition"):
                 self._accept(self.closer.consider(self._stay(region.number)))
 
-    def recognise_leftovers(self) -> None:
-        """Look for duplicates among the submaps until no more are found.
+    def recognise_again(self) -> None:
+        """Regions that the robot came straight back to have grown since they were compared.
 
-        Regions that the robot came straight back to have grown since they were compared: they are
-        compared once more. Then pairs that are duplicates by the topology are.
+        They are compared once more, whole, at the end of the log.
         """
         grown, self._grown = sorted(self._grown), set()
         with self.session.clock.stage("recognition"):
@@ -90,13 +88,6 @@ class Exploration:
                 self.closer.grow(self._stay(number))
             for number in grown:
                 self._accept(self.closer.consider_again(number))
-            merging = True
-            while merging:
-                count, closures = len(self.session.store), self._closures.values()
-                labels = online_labels(self.regions, closures, count).tolist()
-                found = self.closer.consider_leftovers(neighbours(labels, pairwise(labels)))
-                self._accept(found)
-                merging = any(closure.merged for closure in found)
 
     def explored(self, trajectory: Trajectory) -> Explored:
         """What was found, as a value."""

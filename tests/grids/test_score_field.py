@@ -298,7 +298,7 @@ def test_without_points_on_the_field_every_answer_is_the_guess() -> None:
     guess = Pose2(1.0, 2.0, 0.3)
     assert search(FIELD, nothing, guess, WIDE).pose == guess
     assert refine(FIELD, nothing, guess).pose == guess
-    assert matching.search_everywhere(FIELD, nothing, 1, 0.2, 0.05) == []
+    assert matching.search_everywhere(FIELD, nothing, 1, 0.2, [0.0]) == []
     assert ScoreField.from_points(nothing).score(np.ones((3, 2)), IDENTITY) == 0.0
     lone = np.array([[100.0, 100.0], [-200.0, 3.0], [50.0, -70.0]])
     assert search(FIELD, lone, IDENTITY, WIDE).score == 0.0
@@ -320,7 +320,9 @@ def test_a_scan_is_found_from_a_guess(dx: float, dy: float, turn: float, heading
 def test_a_scan_is_found_without_a_guess_and_places_are_apart(heading: float) -> None:
     true = Pose2(6.0, -9.0, heading)
     scan = true.inverse().apply(ROOM[::2])
-    found = matching.search_everywhere(FIELD, scan, count=5, step=0.2, angle_step=0.05)
+    found = matching.search_everywhere(
+        FIELD, scan, count=5, step=0.2, angles=np.arange(0.0, 2.0 * np.pi, 0.05)
+    )
     assert len(found) == 5
     best, *others = found
     assert_near(refine(FIELD, scan, best.pose).pose, true, 0.05, 0.02)

@@ -114,9 +114,8 @@ def test_a_region_that_grew_is_compared_again_whole_and_the_last_word_counts(
         closer = exploration.closer = Mock()
         closer.consider.side_effect = [[], [closure(0, 1)]]
         closer.consider_again.return_value = [closure(1, 0, merged=True)]
-        closer.consider_leftovers.return_value = []
         exploration.recognise([Region(0, (0, 1), None), Region(1, (2,), None), Region(2, (3,), 1)])
-        exploration.recognise_leftovers()
+        exploration.recognise_again()
         assert closer.grow.mock_calls == [call([2, 3])]
         assert closer.consider_again.mock_calls == [call(1)]
         explored = exploration.explored(Trajectory(np.zeros(0, dtype=np.int64), np.zeros((0, 3))))

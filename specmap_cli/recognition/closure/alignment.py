@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from specmap_cli.core.arrays import evenly
-from specmap_cli.core.geometry import Pose2, wrap_angle
+from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import FREE
@@ -25,9 +25,9 @@ from specmap_cli.recognition.closure.verification import (
     CANDIDATES,
     RIVAL_M,
     RIVAL_RAD,
-    TransformSearch,
     differ,
     judge,
+    places,
 )
 from specmap_cli.recognition.closure.votes import Party, likely_pairs, parties_of, votes_of
 
@@ -125,13 +125,12 @@ class _TwoMaps:
         wholes: tuple[PreparedGrid, PreparedGrid],
     ) -> None:
         self.pieces, self.wholes = pieces, wholes
-        self.search = TransformSearch(*wholes)
+        self.centre: FloatArray = wholes[1].walls.mean(axis=0)
         free = np.argwhere(pieces[1].map.whole.free)
         self._floor = pieces[1].map.whole.centres_of(evenly(free, _FLOOR_POINTS))
         self._floor_m2 = pieces[1].map.whole.free_area_m2 / max(1, len(self._floor))
         # what the whole maps say of where they lie
-        poses = self.search.best(self.search.many)
-        self._of_wholes = [self._refined(pose, None) for pose in poses]
+        self._of_wholes = [self._refined(pose, None) for pose in places(*wholes)]
 
     def aligned(self, parties: Sequence[Party]) -> Alignment:
         """The transform that most walls speak for, or why it is not to be believed.
@@ -140,12 +139,11 @@ class _TwoMaps:
         """
         found = [*(self._refined(one.old_from_new, one) for one in parties), *self._of_wholes]
         ranked: list[_Candidate] = []
-        centre = self.search.centre
         for one in sorted(found, key=lambda candidate: -candidate.merit_m):
             near = [
                 k
                 for k, other in enumerate(ranked)
-                if not differ(one.old_from_new, other.old_from_new, centre, RIVAL_M, RIVAL_RAD)
+                if not differ(one.old_from_new, other.old_from_new, self.centre, RIVAL_M, RIVAL_RAD)
             ]
             if not near and one.merit_m > 0.0:
                 ranked.append(one)

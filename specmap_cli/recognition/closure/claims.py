@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.arrays import evenly
-from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.boosting import Booster, boosted, boosted_trees
@@ -35,16 +34,10 @@ _QUANTISED_GROWTH = 2  # the bins are cut anew once there are this many times th
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Claims:
-    """How two submaps claim each other's scans: fractions of eq. 4, xi of eq. 5.
-
-    `rank` orders candidates: the product of the mean chances instead of the fractions claimed, and
-    `by_stay` (k,) the second factor for every stay of the old submap.
-    """
+    """How two submaps claim each other's scans: fractions of eq. 4, xi of eq. 5."""
 
     new_by_old: float
     old_by_new: float
-    rank: float
-    by_stay: FloatArray
 
     @property
     def xi(self) -> float:
@@ -114,10 +107,7 @@ class ClaimRanker:
         """
         ids = sorted(self._submaps)
         if len(ids) < 2:
-            ones = {i: np.ones(len(self._submaps[i])) for i in ids}
-            return {
-                i: Claims(new_by_old=1.0, old_by_new=1.0, rank=1.0, by_stay=ones[i]) for i in ids
-            }
+            return {i: Claims(new_by_old=1.0, old_by_new=1.0) for i in ids}
         new = _Scans(features)
         if self.config.booster != "stumps":
             self._quantise(new)
@@ -144,7 +134,8 @@ class ClaimRanker:
             for i in group:
                 each = max(_LEAST_ASKED, most // len(self._submaps[i]))
                 asked = [evenly(scans.features, each) for scans in self._submaps[i]]
-                found[i] = _claims(c_new, self._classifiers[i].booster, new, asked)
+                c_old = self._classifiers[i].booster
+                found[i] = _claims(c_new, c_old, new.features, np.concatenate(asked))
         return found
 
     def _trained(
@@ -188,19 +179,9 @@ class ClaimRanker:
                 scans.codes = self._quantiser.codes(scans.features)
 
 
-def _claims(c_new: Booster, c_old: Booster, new: _Scans, old: Sequence[NDArray[Any]]) -> Claims:
-    """The claims between a new submap and scans (n, F) of an old one's stays by two classifiers."""
-    of_new = c_old.margins(new.features)
-    of_old = c_new.margins(np.concatenate(old))
-    of_stays = np.split(of_old, np.cumsum([len(scans) for scans in old])[:-1])
-    chances = [  # the means of the logistic function of the margins
-        float((1.0 / (1.0 + np.exp(-margins))).mean()) if len(margins) else 0.0
-        for margins in (of_new, *of_stays)
-    ]
-    by_stay = np.array(chances[1:])
+def _claims(c_new: Booster, c_old: Booster, new: NDArray[Any], old: NDArray[Any]) -> Claims:
+    """The claims between the scans (n, F) of a new submap and of an old one by two classifiers."""
     return Claims(
-        new_by_old=float((of_new > 0.0).mean()),  # eq. 4
-        old_by_new=float((of_old > 0.0).mean()),  # eq. 4
-        rank=chances[0] * float(by_stay.max()),
-        by_stay=by_stay,
+        new_by_old=float((c_old.margins(new) > 0.0).mean()),  # eq. 4
+        old_by_new=float((c_new.margins(old) > 0.0).mean()),  # eq. 4
     )

@@ -8,8 +8,7 @@ With `verify` off, xi alone decides, as in the paper.
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -37,19 +36,18 @@ from specmap_cli.recognition.closure.verification import (
     verify,
 )
 
-_LEFTOVERS = 2  # pairs matched a submap in search of duplicates
-_MEMBERS = 2  # visits of an old submap whose grids are matched
+_MEMBERS = 2  # visits of an old submap whose grids are matched, the latest ones
 _PREPARED = 8  # grids prepared for matching at a time: each takes megabytes
 _NEAR_M = 2.0  # of tracks that may be of one place: a merge's reach, and what tracking is off
 _ALIKE_M = 1.0  # tracking is off by as much in either of two places
-_NO_CLAIMS = Claims(new_by_old=0.0, old_by_new=0.0, rank=0.0, by_stay=np.zeros(0))
+_NO_CLAIMS = Claims(new_by_old=0.0, old_by_new=0.0)
 
 
 class LoopCloser:
     """Remembers the submaps so far and compares each new stay with them.
 
-    A submap keeps one grid for every stay that was merged into it: a new stay is matched with those
-    that its classifier claims most. Submaps have the number of their first stay.
+    A submap keeps one grid for every stay that was merged into it: a new stay is matched with the
+    latest. Submaps have the number of their first stay.
     """
 
     def __init__(self, config: RecognitionConfig, rng: np.random.Generator) -> None:
@@ -57,7 +55,7 @@ class LoopCloser:
         self._submaps: dict[int, list[Stay]] = {}
         self._submap_of: dict[int, int] = {}
         self._ranker = ClaimRanker(config, rng)
-        self._claims: dict[int, dict[int, Claims]] = {}  # the best of two submaps, by both
+        self._claims: dict[int, dict[int, Claims]] = {}  # of each stay when it was new
         self._compared: set[tuple[int, int]] = set()
         self._grids = PreparedGrids(_PREPARED)
         self._way = DriftGraph(config)
@@ -70,18 +68,13 @@ class LoopCloser:
         """
         features = evenly(new.features, SAMPLES_PER_SUBMAP).astype(np.float32)
         new = replace(new, features=features, packed=PackedGrid.of(new.grid.cropped()))
-        claims = self._ranker.claims(features)
-        self._remember_claims(new.number, claims)
+        claims = self._claims[new.number] = self._ranker.claims(features)
         self._ranker.remember(new.number, features)
         if self.config.verify:
-            ranked = sorted(claims, key=lambda i: (-claims[i].rank, i))[:CANDIDATES]
-            orders: list[tuple[int, list[int]]] = []
-            for old in ranked:  # its stays that are claimed most come first, the later of equals
-                share = claims[old].by_stay
-                latest_first = range(len(share))[::-1]
-                orders.append((old, sorted(latest_first, key=share.__getitem__, reverse=True)))
-            orders += [(old, [k]) for old, k in self._expected(new)[:CANDIDATES]]
-            found = [self._best_match(new, old, claims[old], order) for old, order in orders]
+            ranked = sorted(claims, key=lambda i: (-claims[i].xi, i))[:CANDIDATES]
+            stays = [(old, self._submaps[old][::-1]) for old in ranked]  # the latest first
+            stays += [(old, [stay]) for old, stay in self._expected(new)[:CANDIDATES]]
+            found = [self._best_match(new, claims[old], of_old) for old, of_old in stays]
             closures = self._with_one_merge(new, [c for c in found if c is not None])
             closures.sort(key=lambda c: (not c.merged, not c.verified, -c.xi, c.old))
         else:
@@ -106,10 +99,6 @@ class LoopCloser:
         most = sorted(by_area[: self.config.stays_kept])
         self._submaps[kept] = [stays[k] for k in most]
         self._ranker.merge(kept, gone, most)
-        gone_s = self._claims.pop(gone)
-        for other in gone_s:
-            del self._claims[other][gone]
-        self._remember_claims(kept, {i: c for i, c in gone_s.items() if i != kept})
         forgotten = {stay.number for stay in stays} - {stays[k].number for k in most}
         self._compared = {pair for pair in self._compared if forgotten.isdisjoint(pair)}
 
@@ -127,57 +116,12 @@ class LoopCloser:
         stay = next((s for s in self._submaps[own] if s.number == number), None)
         if stay is None or not self.config.verify:
             return []
-        expected = [(old, k) for old, k in self._expected(stay) if old != own]
-        found = [
-            self._best_match(stay, old, self._claims[old].get(own, _NO_CLAIMS), [k])
-            for old, k in expected[:CANDIDATES]
-        ]
+        found = []
+        for old, other in [each for each in self._expected(stay) if each[0] != own][:CANDIDATES]:
+            claims = self._claims[number].get(old) or self._claims[old].get(own, _NO_CLAIMS)
+            found.append(self._best_match(stay, claims, [other]))
         told = self._with_one_merge(stay, [closure for closure in found if closure is not None])
         return [closure for closure in told if closure.merged]
-
-    def consider_leftovers(self, adjacency: Mapping[int, Collection[int]]) -> list[Closure]:
-        """Pairs of submaps that may be duplicates by the topology, verified; at most one merge.
-
-        `adjacency` is of the submaps that are left. Submaps one or two edges apart are compared,
-        of each the best ranked ones first. Call again after merging, until nothing merges; grids
-        are never matched twice.
-        """
-        if not self.config.verify:
-            return []
-        pairs: list[tuple[int, int, Claims]] = []
-        for start in sorted(self._submaps):
-            near = set(adjacency.get(start, ()))
-            near |= {n for neighbour in near for n in adjacency.get(neighbour, ())}
-            for other in sorted(near & self._submaps.keys()):
-                if other > start:
-                    pairs.append((start, other, self._claims[start].get(other, _NO_CLAIMS)))
-        pairs.sort(key=lambda pair: -pair[2].rank)
-        taken: Counter[int] = Counter()
-        found: list[Closure] = []
-        for old, new, claims in pairs:
-            taken[new] += 1
-            if taken[new] > _LEFTOVERS:
-                continue
-            latest_first = range(len(self._submaps[old]))[::-1]
-            for stay in self._submaps[new][-_MEMBERS:]:
-                closure = self._best_match(stay, old, claims, latest_first)
-                if closure is not None:
-                    found.append(closure)
-                if closure is not None and closure.merged:
-                    return found
-        return found
-
-    def _remember_claims(self, submap: int, claims: Mapping[int, Claims]) -> None:
-        """The claims between a submap and others, where none between them ranked better before.
-
-        One value for two submaps, however many stays they have: the table grows with the building.
-        """
-        own = self._claims.setdefault(submap, {})
-        for other, found in claims.items():
-            if other not in own or found.rank > own[other].rank:
-                own[other] = self._claims[other][submap] = replace(
-                    found, by_stay=_NO_CLAIMS.by_stay
-                )
 
     def _claimed(self, new: Stay, claims: Mapping[int, Claims]) -> list[Closure]:
         """The paper's own rule: the largest xi merges when it passes the threshold."""
@@ -194,31 +138,28 @@ class LoopCloser:
             closures.append(_closure(new.number, old, claims[old], by_xi))
         return closures
 
-    def _expected(self, new: Stay) -> list[tuple[int, int]]:
+    def _expected(self, new: Stay) -> list[tuple[int, Stay]]:
         """The submaps, and which stay of each, that tracking says the robot has come back to.
 
         What was seen the other way round looks like another place, but is where it was.
         """
-        found: list[tuple[float, int, int]] = []
+        found: list[tuple[float, int, Stay]] = []
         for old, stays in self._submaps.items():
-            for k, stay in enumerate(stays):
+            for stay in stays:
                 expected = stay.tracked_from(new)
                 if expected is not None and math.isfinite(new.travelled_m - stay.travelled_m):
                     share = tracks_overlap(stay.track, new.track, expected, _NEAR_M)
-                    found += [(share, old, k)] if share > 0.0 else []
+                    found += [(share, old, stay)] if share > 0.0 else []
         found.sort(key=lambda one: -one[0])
-        return [(old, k) for _, old, k in found]
+        return [(old, stay) for _, old, stay in found]
 
-    def _best_match(
-        self, new: Stay, old: int, claims: Claims, order: Collection[int]
-    ) -> Closure | None:
-        """The best match of a stay with stays of an old submap, the first few in `order`.
+    def _best_match(self, new: Stay, claims: Claims, stays: Sequence[Stay]) -> Closure | None:
+        """The best match of a stay with the first few of an old submap's stays.
 
         None when all of these were compared before.
         """
         found: list[Closure] = []
-        for k in list(order)[:_MEMBERS]:
-            stay = self._submaps[old][k]
+        for stay in stays[:_MEMBERS]:
             pair = min(stay.number, new.number), max(stay.number, new.number)
             if pair in self._compared:
                 continue

@@ -16,43 +16,19 @@ from numpy.typing import NDArray
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import BoolArray
-from specmap_cli.grids.gridmap import FREE, NO_OBSTACLE_M, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.grids.gridmap import NO_OBSTACLE_M, UNKNOWN, GridMap
 from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 
 _PREPARED = 64  # grids at a time: each takes up to a megabyte
-_MATCH_CELL_M = 0.3  # two grids are first matched on cells of about this side
 _MATCH_SIGMA_M = 0.15  # how near matched walls pull each other
 INLIER_M = 0.15  # a wall point this near a wall agrees
 _LEAST_WALL_M = 0.5  # less of it says nothing about where a grid belongs
 _MOST_POINTS = 1200  # of walls that are compared: 60 m of them on cells of 5 cm
 _WALL_BLUR_CELLS = 2.0  # the picture of walls is smoothed by this to tell their direction
-# What the walls of another place earn on a coarse cell: 1 on a wall and no less than 0.6, less
-# beside one (smoothed by a cell), and -0.5 in free space, where they cannot be.
-_WALL_BLUR = 1.0
-_LEAST_WALL = 0.6
-_FREE_PENALTY = 0.5
-_FREE_MAJORITY = 0.5  # share of a coarse cell that is free, when it holds no wall
 _FLAT = 1e-9  # keeps the direction of a picture without a gradient from dividing by nought
-_TINY = 1e-6  # keeps a picture without a wall from dividing by nought
 
 ImageArray = NDArray[np.float32]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CoarseGrid:
-    """A grid on cells of `cell_m`, a whole multiple of its resolution, for a search everywhere.
-
-    `walls` and `free` (N, 2) centres of the cells of each kind in the grid's frame; `layers`
-    (2, H, W) what walls (first) and free space (second) of another place earn on a cell; `origin`
-    their lower left corner.
-    """
-
-    cell_m: float
-    walls: FloatArray
-    free: FloatArray
-    layers: ImageArray
-    origin: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,7 +61,6 @@ class PreparedGrid:
     metres_a_point: float
     direction: float
     area: KnownArea
-    coarse: CoarseGrid
 
     @cached_property
     def wide(self) -> ScoreField:
@@ -129,7 +104,6 @@ def prepared(grid: GridMap) -> PreparedGrid | None:
             resolution=grid.resolution,
             origin=grid.origin,
         ),
-        coarse=_coarse(grid),
     )
 
 
@@ -168,37 +142,6 @@ def wall_direction(grid: GridMap) -> float:
     square = gradient * gradient
     total = complex((square * square / (np.abs(square) + _FLAT)).sum(dtype=np.complex128))
     return (math.atan2(total.imag, total.real) / 4.0) % (math.pi / 2.0)
-
-
-def _coarse(grid: GridMap) -> CoarseGrid:
-    """The grid on cells of about `_MATCH_CELL_M`."""
-    factor = max(1, round(_MATCH_CELL_M / grid.resolution))
-    height, width = grid.cells.shape
-    padded = np.pad(
-        grid.cells, ((0, -height % factor), (0, -width % factor)), constant_values=UNKNOWN
-    )
-    sums = []  # how many of `factor` by `factor` cells are of a kind, in blocks side by side
-    for kind in (OCCUPIED, FREE):
-        rows = np.stack([padded[k::factor] == kind for k in range(factor)]).sum(0, np.int32)
-        sums.append(np.stack([rows[:, k::factor] for k in range(factor)]).sum(axis=0))
-    walls: BoolArray = sums[0] > 0
-    free = (sums[1] > _FREE_MAJORITY * factor * factor) & ~walls
-    near = np.asarray(cv2.GaussianBlur(walls.astype(np.float32), (3, 3), _WALL_BLUR), np.float32)
-    near /= max(float(near.max()), _TINY)
-    of_walls = np.where(walls, np.maximum(near, _LEAST_WALL), near) - _FREE_PENALTY * free
-    of_free = -_FREE_PENALTY * walls
-    cells = np.where(walls, OCCUPIED, np.where(free, FREE, UNKNOWN)).astype(np.uint8)
-    coarse = GridMap(cells, factor * grid.resolution, grid.origin)
-    of_both = (coarse.centres_of(np.argwhere(kind)) for kind in (coarse.occupied, coarse.free))
-    # each x beside its y: sums depend on that, in the end
-    wall_places, free_places = map(np.ascontiguousarray, of_both)
-    return CoarseGrid(
-        cell_m=coarse.resolution,
-        walls=wall_places,
-        free=free_places,
-        layers=np.stack([of_walls, of_free]).astype(np.float32),
-        origin=grid.origin,
-    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

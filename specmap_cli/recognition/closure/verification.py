@@ -1,40 +1,35 @@
 """Do two grids show the same place? The most promising transforms refined, and a judgement.
 
-The search needs no prior pose: rotations come from the directions of the walls, translations from a
-correlation by Fourier transform of walls with walls and of free space with walls. The judgement
-counts the wall points of each grid that the other one confirms, less twice those that stand where
-the other saw free space: a right transform contradicts nothing.
+The search needs no prior pose: rotations come from the directions of the walls, translations from
+the search everywhere of `grids`. The judgement counts the wall points of each grid that the other
+one confirms, less twice those that stand where the other saw free space: a right transform
+contradicts nothing.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
-from specmap_cli.grids.correlation import Target, marked_cells, peaks
-from specmap_cli.grids.matching import refine
+from specmap_cli.grids.matching import refine, search_everywhere
 from specmap_cli.recognition.closure.prepared import INLIER_M, KnownArea, PreparedGrid
 
-# How much is tried: more of each takes longer and found nothing more on fr079 and simulated tours.
-_SLACK_RAD = math.radians(3.0)  # the direction of few walls is good to a few degrees
-# Stairs of coarse cells bend that direction: by 22 degrees on simulated rooms in cells of 0.25 m.
+# The direction of walls is good to a few degrees. Stairs of coarse cells bend it: by 22 degrees on
+# simulated rooms in cells of 0.25 m.
+_SLACK_RAD = math.radians(3.0)
 _FINE_CELL_M, _CELL_M_PER_SLACK = 0.05, 0.025
-_PEAKS_PER_ROTATION = 2
-_PEAKS_APART_M = 1.0
-_TRANSFORMS = 8
-# Transforms farther apart are different ones to try, and rivals when both fit.
-_DIFFERENT_M, _DIFFERENT_RAD = 0.5, math.radians(2.0)
-RIVAL_M, RIVAL_RAD = 1.0, math.radians(10.0)
+_COARSE_M, _PLACES = 0.3, 8  # of the search everywhere
+RIVAL_M, RIVAL_RAD = 1.0, math.radians(10.0)  # transforms farther apart are rivals when both fit
 
 CANDIDATES = 3  # best ranked old submaps whose grids are matched
 _HOPELESS_SCORE = 0.3  # a match below this is given up
-_SURE_SCORE = 0.8  # a match above this needs no other rotation
 _CONTRADICTION_M = 0.3  # a wall point farther than this from walls, and in free space, contradicts
 _CONTRADICTION_DEPTH_M = 0.25  # free space counts this far from its edge, which noise blurs
 MIN_LEAD = 0.1  # score over the next best match, or it is ambiguous
@@ -50,74 +45,22 @@ _ROUGH_POINTS, _ROUGH_STEPS, _ROUGH_SHIFT_M = 160, 6, 0.6
 _FINE_POINTS, _FINE_STEPS, _FINE_SHIFT_M = 1000, 15, 0.2
 
 
-class TransformSearch:
-    """The promising transforms old_from_new between two grids.
+def places(old: PreparedGrid, new: PreparedGrid) -> list[Pose2]:
+    """The most promising transforms old_from_new, wherever they lead, the best first.
 
-    `few` and `many` are the rotations off that of aligned walls, the smallest first, radians, that
-    are tried at first, and when these lead nowhere. `centre` (2,) is that of the new grid's walls.
+    Walls are laid on walls: aligned, and turned by quarters.
     """
-
-    def __init__(self, old: PreparedGrid, new: PreparedGrid) -> None:
-        # the larger the cells, the more steps to either side of aligned walls are tried at once
-        cell_m = max(old.area.resolution, new.area.resolution)
-        steps = max(0, int((cell_m - _FINE_CELL_M) / _CELL_M_PER_SLACK))
-        offs = [sign * k * _SLACK_RAD for k in range(1, steps + 2) for sign in (-1.0, 1.0)]
-        self.few, self.many = (0.0, *offs[:-2]), (0.0, *offs)
-        self.centre: FloatArray = new.coarse.walls.mean(axis=0)
-        self._old = old.coarse
-        self._aligned = old.direction - new.direction
-        self._parts = (new.coarse.walls - self.centre, new.coarse.free - self.centre)
-        # of many rotations, neighbours of the best must not crowd out the rivals that count
-        self._apart = (RIVAL_M, RIVAL_RAD) if steps else (_DIFFERENT_M, _DIFFERENT_RAD)
-        self._targets: dict[int, Target] = {}
-        self._placed: dict[tuple[int, float], list[tuple[float, Pose2]]] = {}
-
-    def best(self, slacks: Iterable[float]) -> list[Pose2]:
-        """At most 8 transforms with one of these rotations, the most promising first."""
-        found = [
-            placed
-            for quarters in (0, 1)
-            for slack in slacks
-            for placed in self._of_rotation(quarters, slack)
-        ]
-        found.sort(key=lambda item: -item[0])
-        kept: list[Pose2] = []
-        for _, pose in found:
-            if all(differ(pose, other, self.centre, *self._apart) for other in kept):
-                kept.append(pose)
-            if len(kept) == _TRANSFORMS:
-                break
-        return kept
-
-    def _of_rotation(self, quarters: int, slack: float) -> list[tuple[float, Pose2]]:
-        """The best transforms, with their values, of a rotation and of half a turn more.
-
-        Walls and free space of the new grid, turned, are laid on the old one at every shift. There
-        is room for the new grid at every rotation about one of aligned walls.
-        """
-        if (quarters, slack) in self._placed:
-            return self._placed[quarters, slack]
-        cell_m, (x, y) = self._old.cell_m, self._old.origin
-        angle = self._aligned + quarters * math.pi / 2
-        if quarters not in self._targets:
-            turned = Pose2(0.0, 0.0, angle).apply(np.vstack(self._parts))
-            reach: FloatArray = np.abs(turned).max(axis=0)
-            reach = reach + math.sin(self.many[-1]) * reach[::-1]
-            # to both sides, and what rounding to cells adds
-            columns, rows = (2 * np.ceil(reach / cell_m).astype(int) + 3).tolist()
-            self._targets[quarters] = Target.of(self._old.layers, (rows, columns))
-        target, angle = self._targets[quarters], angle + slack
-        turn, apart = Pose2(0.0, 0.0, angle), round(_PEAKS_APART_M / cell_m)
-        pictures = [marked_cells(turn.apply(part), cell_m, target.shape) for part in self._parts]
-        whole, half = target.correlate_turned(np.stack(pictures))
-        to_centre = Pose2(-float(self.centre[0]), -float(self.centre[1]), 0.0)
-        found = []
-        for correlation, heading in ((whole, angle), (half, angle + math.pi)):
-            for peak in peaks(correlation, target.size, cell_m, _PEAKS_PER_ROTATION, apart):
-                at = Pose2(peak.x + x, peak.y + y, wrap_angle(heading))
-                found.append((peak.value, at @ to_centre))
-        self._placed[quarters, slack] = found
-        return found
+    # the larger the cells, the more steps to either side of aligned walls are tried
+    cell_m = max(old.area.resolution, new.area.resolution)
+    steps = max(0, int((cell_m - _FINE_CELL_M) / _CELL_M_PER_SLACK))
+    aligned = old.direction - new.direction
+    headings = [
+        aligned + quarters * math.pi / 2.0 + k * _SLACK_RAD
+        for quarters in range(4)
+        for k in range(-steps, steps + 1)
+    ]
+    found = search_everywhere(old.wide, new.walls, _PLACES, _COARSE_M, headings)
+    return [match.pose for match in found]
 
 
 def differ(a: Pose2, b: Pose2, centre: NDArray[np.float64], metres: float, radians: float) -> bool:
@@ -165,20 +108,33 @@ def verify(
 ) -> Check | None:
     """The best transform between two grids and its judgement; None when nothing overlaps.
 
-    Of transforms that fit alike only those are rivals that are `plausible`, if that is known.
-
-    Directions of walls are taken as they are first; when that looks promising but is neither right
-    nor clear, they are tried a few degrees off as well.
+    And how much better it is than a different one. Those that tracking rules out are not weighed,
+    where it is known which are `plausible`. Where the best is ruled out itself and leads, all are:
+    it is to be told.
     """
-    search = TransformSearch(old, new)
-    trials = _Trials(old, new, search.centre, plausible)
-    best = trials.best(search.best(search.few))
-    promising = best is not None and _HOPELESS_SCORE <= best.score < _SURE_SCORE
-    # what contradicts a clear match is a difference of the places, not an error of the direction
-    if best is not None and promising and not (best.overlaps and best.lead >= MIN_LEAD):
-        other = trials.best(search.best(search.many))
-        best = other if other is not None and _rank(other) > _rank(best) else best
-    return best
+    points = evenly(new.walls, _ROUGH_POINTS)
+    likely = sorted(places(old, new), key=partial(old.wide.score, points), reverse=True)[:_REFINED]
+    poses = (refine(old.field, points, pose, _ROUGH_STEPS, _ROUGH_SHIFT_M).pose for pose in likely)
+    checks = sorted((judge(old, new, pose) for pose in poses), key=_rank, reverse=True)
+    if not checks:
+        return None
+    if plausible is not None:
+        possible = [check for check in checks if plausible(check.old_from_new)]
+        if possible and _rank(checks[0]) - _rank(possible[0]) < MIN_LEAD:
+            checks = possible
+    best, *others = checks
+    if best.score < _HOPELESS_SCORE:
+        return best
+    points, centre = evenly(new.walls, _FINE_POINTS), new.walls.mean(axis=0)
+    fine = refine(old.field, points, best.old_from_new, _FINE_STEPS, _FINE_SHIFT_M).pose
+    final = judge(old, new, fine)
+    rivals = [
+        _rank(check)
+        for check in others
+        if differ(check.old_from_new, best.old_from_new, centre, RIVAL_M, RIVAL_RAD)
+    ]
+    lead = _rank(best) - max(rivals, default=-1.0)
+    return replace(final if final.score >= best.score else best, lead=lead)
 
 
 def judge(old: PreparedGrid, new: PreparedGrid, old_from_new: Pose2) -> Check:
@@ -212,61 +168,6 @@ def tracks_overlap(
     squared = ((old[:, None, :2] - placed[None]) ** 2).sum(axis=2)
     near = squared <= reach * reach
     return float(min(near.any(axis=0).mean(), near.any(axis=1).mean()))
-
-
-class _Trials:
-    """Transforms between two grids that were refined and judged, each once.
-
-    `centre` (2,) is that of the new grid's walls.
-    """
-
-    def __init__(
-        self,
-        old: PreparedGrid,
-        new: PreparedGrid,
-        centre: FloatArray,
-        plausible: Callable[[Pose2], bool] | None,
-    ) -> None:
-        self.old, self.new, self.centre, self.plausible = old, new, centre, plausible
-        self.rough = evenly(new.walls, _ROUGH_POINTS)
-        self._checks: dict[tuple[Pose2, bool], Check] = {}
-
-    def refined(self, guess: Pose2, *, fine: bool = False) -> Check:
-        """A guess refined from a coarse cell away, or, `fine`, for the last centimetres."""
-        if (guess, fine) not in self._checks:
-            points = evenly(self.new.walls, _FINE_POINTS) if fine else self.rough
-            steps = _FINE_STEPS if fine else _ROUGH_STEPS
-            shift_m = _FINE_SHIFT_M if fine else _ROUGH_SHIFT_M
-            match = refine(self.old.field, points, guess, steps, shift_m)
-            self._checks[guess, fine] = judge(self.old, self.new, match.pose)
-        return self._checks[guess, fine]
-
-    def best(self, guesses: Sequence[Pose2]) -> Check | None:
-        """The best transform near guesses, and how much better it is than a different one.
-
-        Those that tracking rules out are not weighed. Where the best is ruled out itself and leads,
-        all are: it is to be told.
-        """
-        wide, rough = self.old.wide, self.rough
-        likely = sorted(guesses, key=lambda guess: wide.score(rough, guess), reverse=True)
-        checks = sorted(map(self.refined, likely[:_REFINED]), key=_rank, reverse=True)
-        if not checks:
-            return None
-        if self.plausible is not None:
-            possible = [check for check in checks if self.plausible(check.old_from_new)]
-            if possible and _rank(checks[0]) - _rank(possible[0]) < MIN_LEAD:
-                checks = possible
-        best, *others = checks
-        if best.score < _HOPELESS_SCORE:
-            return best
-        final = self.refined(best.old_from_new, fine=True)
-        rivals = [
-            _rank(check)
-            for check in others
-            if differ(check.old_from_new, best.old_from_new, self.centre, RIVAL_M, RIVAL_RAD)
-        ]
-        lead = _rank(best) - max(rivals, default=-1.0)
-        return replace(final if final.score >= best.score else best, lead=lead)
 
 
 def _rank(check: Check) -> float:

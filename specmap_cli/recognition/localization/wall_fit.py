@@ -38,7 +38,8 @@ _FOREIGN_MISFIT_SPREAD = 0.13  # standard deviation of that share, seen on plans
 _LEAST_POINTS = 10  # fewer fit anywhere
 _OFF = 0.95  # a point that much off is a quarter of a metre from walls: behind none by noise
 # Of the search, coarse: what it finds within 0.3 m and a few degrees is mended by the refinement.
-_STEP_M, _STEP_RAD, _PLACES = 0.3, math.radians(5.0), 4
+_STEP_M, _PLACES = 0.3, 4
+_ALL_ROUND = np.arange(0.0, 2.0 * math.pi, math.radians(5.0)).tolist()
 # By how much the place that fits best is better than the next one, on average: of scans from
 # elsewhere, which fit by chance, and of the map's own.
 _FOREIGN_GAP, _OWN_GAP = 0.06, 0.15
@@ -217,7 +218,7 @@ class WallFit:
         The best by the field alone may be wrong: it does not know where the map saw nothing.
         """
         matches = search_everywhere(
-            self.around.field(submap), view.points, _PLACES, _STEP_M, _STEP_RAD
+            self.around.field(submap), view.points, _PLACES, _STEP_M, _ALL_ROUND
         )
         guesses = [match.pose for match in matches] or [IDENTITY]
         found = [self._refined(view, view.points, submap, guess) for guess in guesses]

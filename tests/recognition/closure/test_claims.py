@@ -54,7 +54,7 @@ def test_before_there_are_two_submaps_the_first_claims_all(config: RecognitionCo
     assert ranker(config, 0).claims(new) == {}
     only = ranker(config, 1).claims(new)
     assert list(only) == [0]
-    assert (only[0].xi, only[0].rank, only[0].by_stay.tolist()) == (1.0, 1.0, [1.0])
+    assert only[0].xi == 1.0
 
 
 def test_claims_are_the_shares_of_classifiers_trained_as_the_paper_says() -> None:
@@ -71,8 +71,6 @@ def test_claims_are_the_shares_of_classifiers_trained_as_the_paper_says() -> Non
         assert found[o].new_by_old == (c_old.margins(new) > 0.0).mean()
         assert found[o].old_by_new == (c_new.margins(X) > 0.0).mean()
         assert found[o].xi == found[o].new_by_old * found[o].old_by_new
-        chances = [1.0 / (1.0 + np.exp(-c.margins(Z))) for c, Z in ((c_old, new), (c_new, X))]
-        assert found[o].rank == pytest.approx(chances[0].mean() * chances[1].mean())
 
 
 @pytest.mark.parametrize("groups", [0, 1, 2, 3, 50])
@@ -105,9 +103,8 @@ def test_of_a_submap_visited_often_no_more_scans_are_asked_than_of_one_visited_t
         asking.clear()
         made.claims(scans_of(9))
         asked = asking[1][3]  # one group after the other: submap 1 is the second
-        assert len(asked) == visit
-        assert len({len(X) for X in asked}) == 1  # every stay alike
-        counts.append(sum(map(len, asked)))
+        assert len(asked) % visit == 0  # every stay alike
+        counts.append(len(asked))
         made.remember(10 + visit, scans_of(1, seed=visit))
         made.merge(1, 10 + visit)
     assert counts[:2] == [40, 80]
@@ -138,17 +135,16 @@ def test_negatives_are_capped_and_of_all_submaps_alike_however_often_they_were_v
             assert of_place[:, -40:].any()
 
 
-def test_stays_of_one_submap_are_claimed_one_by_one_and_judged_together() -> None:
+def test_stays_of_one_submap_are_judged_together() -> None:
     made = ranker(TREES, 4)
     made.remember(8, scans_of(1, seed=5))
-    made.remember(9, scans_of(77, seed=5))  # another place, merged by mistake
     made.merge(1, 8)
-    made.merge(1, 9)
     claims = made.claims(scans_of(1, seed=6))
     assert sorted(claims) == [0, 1, 2, 3]
-    assert len(claims[1].by_stay) == 3
-    assert claims[1].by_stay[:2].min() > claims[1].by_stay[2]
-    assert max(claims, key=lambda i: claims[i].rank) == 1
+    assert max(claims, key=lambda i: claims[i].xi) == 1
+    made.remember(9, scans_of(77, seed=5))  # another place, merged by mistake
+    made.merge(1, 9)
+    assert made.claims(scans_of(1, seed=6))[1].old_by_new < claims[1].old_by_new
 
 
 def test_a_classifier_is_trained_again_when_its_submap_or_the_map_grew_and_bins_are_cut() -> None:
@@ -185,7 +181,7 @@ def test_the_same_seed_gives_the_same_claims_stumps_need_none_and_nothing_is_cha
             handed = [scans_of(place) for place in range(3)]
             for place, X in enumerate(handed):
                 made.remember(place, X)
-            ranks.append([claims.rank for claims in made.claims(new).values()])
+            ranks.append([claims.xi for claims in made.claims(new).values()])
             left = [*handed, new]
             np.testing.assert_array_equal(left, [*map(scans_of, range(3)), scans_of(1, 4)])
         assert ranks[0] == ranks[1]

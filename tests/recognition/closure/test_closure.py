@@ -84,11 +84,7 @@ def test_a_place_that_looks_new_is_compared_with_what_was_where_it_is(
     """Seen the other way round it ranks last, but tracking knows; once it was lost, it does not."""
 
     def misled(ranker: ClaimRanker, features: Any) -> dict[int, Claims]:
-        return {
-            i: Claims(new_by_old=i, old_by_new=i, rank=i, by_stay=np.ones(1))
-            for i in ranker._submaps
-            if len(features)
-        }
+        return {i: Claims(new_by_old=i, old_by_new=i) for i in ranker._submaps if len(features)}
 
     monkeypatch.setattr(ClaimRanker, "claims", misled)
     loop = closer(configured(RecognitionConfig, "recognition", {"candidates": 1}))
@@ -105,21 +101,7 @@ def test_a_submap_without_a_wall_is_considered_and_refused_once(building: Any) -
     assert (closure.old, closure.new, closure.verified) == (0, 1, False)
     assert closure.reason == "a grid shows too few walls to match"
     assert math.isnan(closure.score)
-    assert loop.consider_leftovers({0: [1], 1: [0]}) == []
-
-
-def test_leftover_duplicates_are_found_through_the_topology(building: Any) -> None:
-    loop = closer(
-        altered(RecognitionConfig(closure_rounds=5), "recognition", {"candidates": 1, "members": 1})
-    )
-    # advice is not followed: the second visit of room 0 stays a submap of its own
-    considered(loop, building, [0, 1, 2, 4])
-    loop._compared.clear()
-    adjacency = {0: [1], 1: [0, 4], 2: [], 4: [1]}
-    found = loop.consider_leftovers(adjacency)
-    assert [(c.old, c.new) for c in found if c.merged] == [(0, 4)]
-    loop.merge(0, 4)
-    assert not any(c.merged for c in loop.consider_leftovers({0: [1], 1: [0], 2: []}))
+    assert loop.consider_again(1) == []
 
 
 def test_a_stay_that_went_on_is_compared_whole(building: Any) -> None:
@@ -150,7 +132,7 @@ def test_the_paper_s_rule_waits_for_two_submaps_and_takes_the_best_xi(building: 
         assert np.isnan(closure.score)
         assert closure.xi == pytest.approx(closure.claims_new_by_old * closure.claims_old_by_new)
     # without grids nothing else is asked
-    assert loop.consider_leftovers({0: [1], 1: [0, 2], 2: [1]}) == loop.consider_again(2) == []
+    assert loop.consider_again(2) == []
 
 
 class Oracle:
@@ -272,26 +254,6 @@ def test_of_many_stays_those_that_saw_most_are_remembered(building: Any, oracle:
     assert loop.consider_again(4) == []
 
 
-def test_two_submaps_have_one_claim_on_each_other_however_many_stays_they_have(
-    building: Any,
-) -> None:
-    loop = closer(small({"verify": False, "stays_kept": 3}))
-    considered(loop, building, [0, 1, 2])
-    for number in range(4, 19):
-        if number % 4 == 3:
-            continue
-        before = {i: loop._claims[number % 4][i] for i in range(3) if i != number % 4}
-        considered(loop, building, [number])
-        fresh = {i: loop._claims[i][number] for i in before}
-        loop.merge(number % 4, number)
-        for i, claims in before.items():
-            best = max(claims, fresh[i], key=lambda found: found.rank)
-            assert loop._claims[number % 4][i] == best
-        assert {a: sorted(row) for a, row in loop._claims.items()} == {
-            a: sorted({0, 1, 2} - {a}) for a in range(3)
-        }
-
-
 def test_a_stay_merged_away_is_named_by_its_own_number(building: Any, oracle: Oracle) -> None:
     """Closures name stays, which keep their numbers; submaps have that of their first stay."""
     loop = closer(small({"members": 9}))
@@ -303,46 +265,6 @@ def test_a_stay_merged_away_is_named_by_its_own_number(building: Any, oracle: Or
     loop.merge(closures[0].old, closures[0].new)
     assert sorted(loop._submaps) == [0, 1]
     assert [stay.number for stay in loop._submaps[0]] == [0, 4, 8]
-
-
-LINE = {0: [1], 1: [0, 2], 2: [1, 3], 3: [2]}
-
-
-@pytest.mark.parametrize("leftovers", [0, 1, 2])
-def test_leftovers_are_one_or_two_edges_apart_few_of_each_submap_and_none_is_matched_twice(
-    building: Any, oracle: Oracle, leftovers: int
-) -> None:
-    loop = closer(small({"candidates": 1, "leftovers": leftovers}))
-    considered(loop, building, [0, 1, 2, 3])
-    before = set(oracle.asked)
-    oracle.asked.clear()
-    found = loop.consider_leftovers(LINE)
-    pairs = {(0, 1), (0, 2), (1, 2), (1, 3), (2, 3)} - before  # all but the two ends
-    assert {(c.old, c.new) for c in found} == set(oracle.asked) <= pairs
-    assert len(oracle.asked) == len(set(oracle.asked))
-    news = [new for _, new in oracle.asked]
-    assert all(news.count(new) <= leftovers for new in news)
-    if leftovers == 2:  # of each there are no more
-        assert set(oracle.asked) == pairs
-    assert loop.consider_leftovers(LINE) == []
-
-
-def test_a_duplicate_found_ends_the_search_until_it_is_merged(
-    building: Any, oracle: Oracle
-) -> None:
-    loop = closer(small({"candidates": 1, "leftovers": 9}))
-    considered(loop, building, [0, 1, 2, 3])
-    oracle.scores = {(a, b): 0.9 for a in range(4) for b in range(4)}
-    merged = 0
-    adjacency: dict[int, list[int]] = LINE
-    while found := [c for c in loop.consider_leftovers(adjacency) if c.merged]:
-        assert len(found) == 1
-        loop.merge(found[-1].old, found[-1].new)
-        merged += 1
-        left = sorted(loop._submaps)
-        adjacency = {a: [b for b in left if b != a] for a in left}
-    assert merged >= 1
-    assert len(loop._submaps) == 4 - merged
 
 
 def test_a_stay_is_kept_cropped_and_sampled_prepared_once_and_is_left_as_it_was(

@@ -12,13 +12,19 @@ from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert, wrap_angle
+from specmap_cli.core.geometry import (
+    IDENTITY,
+    FloatArray,
+    Pose2,
+    compose,
+    invert,
+    wrap_angle,
+    wrap_angles,
+)
 from specmap_cli.core.settings import GridConfig, RecognitionConfig
-from specmap_cli.grids.correlation import Target
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.occupancy import OccupancyGrid
 from specmap_cli.grids.score_field import ScoreField
-from specmap_cli.recognition.closure import verification
 from specmap_cli.recognition.closure.prepared import (
     INLIER_M,
     PreparedGrid,
@@ -32,9 +38,8 @@ from specmap_cli.recognition.closure.verification import (
     MIN_LEAD,
     MIN_WALL_M,
     Check,
-    TransformSearch,
-    differ,
     judge,
+    places,
     tracks_overlap,
     verify,
 )
@@ -227,50 +232,12 @@ def two(building: Any, first: int, second: int) -> tuple[PreparedGrid, PreparedG
     return ready(building.visit(0, first).grid), ready(building.visit(1, second, seed=1).grid)
 
 
-def test_the_best_transforms_are_different_and_rotations_correlated_once_with_half_a_turn_more(
-    building: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    correlated = watched(monkeypatch, Target, "correlate_turned")
-    search = TransformSearch(*two(building, 0, 1))
-    first = search.best(search.few)
-    assert 1 < len(first) <= 8
-    pairs = [(a, b) for k, a in enumerate(first) for b in first[:k]]
-    assert all(differ(a, b, search.centre, 0.5, math.radians(2.0)) for a, b in pairs)
-    assert len(correlated) == 2 * len(search.few)
-    assert search.best(search.few) == first
-    search.best(search.many)
-    assert len(correlated) == 2 * len(search.many)
-
-
-@pytest.mark.parametrize(
-    ("said", "passes"),
-    [
-        ({"score": 0.9, "lead": 0.0, "overlap": 0.1}, 1),  # right
-        ({"score": 0.2, "lead": 0.0, "overlap": 0.1}, 1),  # hopeless
-        ({"score": 0.6, "lead": 0.5, "overlap": 0.6}, 1),  # clear: it is another place
-        ({"score": 0.6, "lead": 0.05, "overlap": 0.6}, 2),
-        ({"score": 0.6, "lead": 0.5, "overlap": 0.3}, 2),
-    ],
-)
-def test_other_directions_are_tried_when_the_first_answer_is_neither_right_nor_clear(
-    said: dict[str, float], passes: int, building: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    check = Check(old_from_new=IDENTITY, confirmed_m=9.0, least_overlap=said["overlap"], **said)
-    monkeypatch.setattr(verification._Trials, "best", lambda *_: check)
-    tried = watched(monkeypatch, verification._Trials, "best")
-    assert verify(*two(building, 0, 1)) == check
-    assert len(tried) == passes
-
-
-def test_a_guess_is_refined_once(building: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    made = watched(monkeypatch, verification, "refine")
-    grids = two(building, 0, 1)
-    turn("recognition", sure_score=1.0, hopeless_score=-1.0, min_lead=9.0)
-    matched(*grids)
-    guesses = [(guess, len(points)) for _, points, guess, *_ in made]
-    assert len(guesses) >= 4  # three, the last centimetres, and others of the second pass
-    assert len(set(guesses)) == len(guesses)
-    assert np.isfinite([guess for guess, _ in guesses]).all()
+def test_the_most_promising_places_are_few_and_lie_at_aligned_walls(building: Any) -> None:
+    old, new = two(building, 0, 1)
+    found = places(old, new)
+    assert 1 < len(found) <= 8
+    off = [4.0 * (pose.theta - old.direction + new.direction) for pose in found]
+    assert np.abs(wrap_angles(np.array(off))).max() < 1e-6
 
 
 @pytest.mark.parametrize("degrees", [0, 10, 37, 80])
@@ -316,38 +283,6 @@ def test_the_known_area_grows_by_what_an_inlier_may_be_off(inlier_m: float, marg
     turn("recognition", inlier_m=inlier_m)
     middle = ready(GridMap(cells, 0.05)).area.known[:, 15]
     assert np.flatnonzero(middle).tolist() == list(range(17 - margin, 17 + margin + 1))
-
-
-@pytest.mark.parametrize(
-    ("resolution", "cell_m"),
-    [(0.05, 0.3), (0.1, 0.3), (0.03, 0.3), (0.07, 0.28), (0.2, 0.2), (0.4, 0.4)],
-)
-def test_coarse_cells_are_whole_multiples_of_the_grid_s(resolution: float, cell_m: float) -> None:
-    """And lie where the fine cells lie, so that transforms found on them are true."""
-    grid = walls_at(HALL, free=True, resolution=resolution)
-    coarse = ready(grid).coarse
-    assert coarse.cell_m == pytest.approx(cell_m)
-    walls = grid.centres_of(np.argwhere(grid.occupied))
-    corner = np.floor((walls - coarse.origin) / coarse.cell_m + 1e-9).astype(int)
-    expected = {tuple(cell) for cell in corner.tolist()}
-    found = np.floor((coarse.walls - coarse.origin) / coarse.cell_m).astype(int)
-    assert {tuple(cell) for cell in found.tolist()} == expected
-
-
-def test_coarse_layers_reward_walls_on_walls_and_punish_them_in_free_space() -> None:
-    coarse = ready(walls_at(HALL, free=True)).coarse
-    of_walls, of_free = coarse.layers
-
-    def values(layer: Any, points: Any) -> Any:
-        columns, rows = np.floor((points - coarse.origin) / coarse.cell_m).astype(int).T
-        return layer[rows, columns]
-
-    assert values(of_walls, coarse.walls).min() >= 0.6
-    assert values(of_walls, coarse.walls).max() <= 1.0
-    assert values(of_walls, np.zeros((1, 2))) == pytest.approx(-0.5)  # the middle of the room
-    assert values(of_free, coarse.walls).tolist() == [-0.5] * len(coarse.walls)
-    assert not values(of_free, coarse.free).any()
-    assert not {*map(tuple, coarse.walls)} & {*map(tuple, coarse.free)}
 
 
 @given(st.lists(st.integers(0, 5), min_size=1, max_size=30))
