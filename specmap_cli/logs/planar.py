@@ -5,8 +5,8 @@ known. Readings below the laser's minimum are invalid; those of 0 m, of the lase
 and beyond mean no return, whatever the driver's convention, and so does what `Ceiling` finds.
 Readings of the robot itself, which `OwnBody` finds, are invalid.
 
-Bearings are the single-precision numbers nearest to those that a laser can mean. What lies below
-comes from how a recording was written, and would make another map of the same scans.
+Bearings and ranges are the single-precision numbers nearest to those that a laser can mean. What
+lies below comes from how a recording was written, and would make another map of the same scans.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from specmap_cli.logs.messages import BadMessageError, ScanLayout, ScanRecord
 SCAN_TIME_MAX_S = 1.0  # a planar sweep that takes longer has its times in another unit
 _FULL_CIRCLE = 2.0 * math.pi
 _MISSING_BEAMS = 1.5  # of a full circle: its last beam stops one short of the first, and rounding
+_RANGE_DECIMALS = 4  # metres: a tenth of the least step of the ranges of a laser
 # What a laser can mean: a round number of degrees between beams and in the middle of its view, or a
 # power of two of beams in a circle.
 _MIDDLE_RAD, _STEP_RAD = math.radians(1e-4), math.radians(5e-7)
@@ -77,7 +78,7 @@ class ScanLeveller:
         return PlanarScan(
             stamp_ns=stamp_ns,
             bearings=bearings,
-            ranges=ranges,
+            ranges=np.round(ranges, _RANGE_DECIMALS).astype(np.float32).astype(np.float64),
             range_max=range_max,
             full_circle=full_circle,
             beam_times_s=times_s,

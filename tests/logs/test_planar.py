@@ -104,6 +104,12 @@ def test_the_same_beams_make_the_same_scan_however_they_are_written(step_deg: fl
         np.testing.assert_array_equal(other.ranges, first.ranges)
 
 
+def test_readings_that_differ_by_a_micrometre_are_the_same() -> None:
+    ranges = np.round(np.random.default_rng(0).uniform(0.5, 7.0, 50), 3)
+    near = ranges + np.random.default_rng(1).uniform(-1e-6, 1e-6, 50)
+    assert levelled(record(near)).ranges.tolist() == np.float32(ranges).tolist()
+
+
 def test_codes_of_no_return_and_of_invalid_readings() -> None:
     ranges = [0.0, 0.05, -1.0, 1.0, 7.99, 8.0, 9.5, math.inf, math.nan, -math.inf]
     scan = levelled(record(ranges))
