@@ -106,7 +106,8 @@ def choose_clock(scans: Sequence[tuple[int, int]], pairs: Sequence[StampPair]) -
     apart = nanoseconds(_CLOCKS_APART_S)
     near = [abs(stamp - time) <= apart for stamp, time in zip(stamps, times, strict=True) if stamp]
     header = Clock(zero_is_unset=2 * sum(near) > len(near))
-    told = [pair for pair in pairs if pair.odometry[0] != 0]
+    # a message counts once, with the first scan after it: in a burst many scans follow one message
+    told = list({pair.odometry: pair for pair in reversed(pairs) if pair.odometry[0] != 0}.values())
     if not told:
         return header
     if len(told) >= _FEWEST and len({pair.odometry[0] for pair in told}) == 1:

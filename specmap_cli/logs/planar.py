@@ -4,12 +4,16 @@ A range is finite where there was a return, +inf where the beam met nothing, NaN
 known. Readings below the laser's minimum are invalid; those of 0 m, of the laser's maximum range
 and beyond mean no return, whatever the driver's convention, and so does what `Ceiling` finds.
 Readings of the robot itself, which `OwnBody` finds, are invalid.
+
+Bearings and ranges are the single-precision numbers nearest to those that a laser can mean. What
+lies below comes from how a recording was written, and would make another map of the same scans.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +25,10 @@ from specmap_cli.logs.messages import BadMessageError, ScanLayout, ScanRecord
 SCAN_TIME_MAX_S = 1.0  # a planar sweep that takes longer has its times in another unit
 _FULL_CIRCLE = 2.0 * math.pi
 _MISSING_BEAMS = 1.5  # of a full circle: its last beam stops one short of the first, and rounding
+_RANGE_DECIMALS = 4  # metres: a tenth of the least step of the ranges of a laser
+# What a laser can mean: a round number of degrees between beams and in the middle of its view, or a
+# power of two of beams in a circle.
+_MIDDLE_RAD, _STEP_RAD = math.radians(1e-4), math.radians(5e-7)
 
 
 class _Beams(NamedTuple):
@@ -70,7 +78,7 @@ class ScanLeveller:
         return PlanarScan(
             stamp_ns=stamp_ns,
             bearings=bearings,
-            ranges=ranges,
+            ranges=np.round(ranges, _RANGE_DECIMALS).astype(np.float32).astype(np.float64),
             range_max=range_max,
             full_circle=full_circle,
             beam_times_s=times_s,
@@ -83,17 +91,22 @@ def _beams(layout: ScanLayout, upside_down: bool) -> _Beams:
     full_circle = covers_circle(count, step)
     if full_circle:  # the last beams may look where the first ones did
         count = min(count, round(_FULL_CIRCLE / abs(step)))
-    sign = -1.0 if upside_down else 1.0
+    if upside_down:
+        layout, step = replace(layout, angle_min=-layout.angle_min), -step
     numbers = np.arange(count, dtype=np.float64)
-    bearings: FloatArray = sign * (layout.angle_min + step * numbers)
-    ascending = sign * step > 0.0 or count == 1
+    half, ascending = (count - 1) / 2.0, step > 0.0 or count == 1
+    middle = np.round((layout.angle_min + half * step) / _MIDDLE_RAD)  # the same from either end
+    between = _STEP_RAD * round(abs(step) / _STEP_RAD) or abs(step)
+    first = float(np.float32(_MIDDLE_RAD * middle - half * between))
+    if not math.isfinite(first):
+        raise BadMessageError("a scan without angles")
+    bearings: FloatArray = first + float(np.float32(between)) * numbers
+    bearings.setflags(write=False)
     used = slice(0, count) if ascending else slice(count - 1, None, -1)
     order = slice(None) if ascending else slice(None, None, -1)
     sweep = layout.time_increment * (count - 1)
     timed = 0.0 < sweep <= SCAN_TIME_MAX_S
     times: FloatArray | None = layout.time_increment * numbers[order] if timed else None
-    bearings = bearings[order].copy()
-    bearings.setflags(write=False)
     return _Beams(bearings=bearings, times_s=times, used=used, full_circle=full_circle)
 
 

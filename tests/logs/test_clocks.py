@@ -21,6 +21,7 @@ from tests.logs.recordings import SECOND, sweeps_of
 from tests.turning import turn
 
 TODAY = 1_700_000_000 * SECOND
+MS = 1_000_000
 
 
 def glimpses(stamps: list[int], times: list[int]) -> list[tuple[int, int]]:
@@ -90,6 +91,18 @@ def test_the_settings_say_how_far_apart_the_clocks_may_be(
     turn("logs", clocks_apart_s=limit_s)
     clock = choose_clock(glimpses(ahead, times), pairs)
     assert clock.odometry_shift_ns == round(shift_s * SECOND)
+
+
+@pytest.mark.parametrize("before_s", [0, 10])
+def test_scans_that_come_in_a_burst_behind_one_message_say_nothing_about_its_clock(
+    before_s: int,
+) -> None:
+    """Nor are stamps shifted that go on for seconds while the recorder hears all scans at once."""
+    at_once = [TODAY + 9 * SECOND + n * MS for n in range(90)]
+    scans = glimpses(tenths(90), at_once)
+    before = TODAY - before_s * SECOND, at_once[0] - before_s * SECOND
+    pairs = [StampPair(before, scan) for scan in scans]
+    assert choose_clock(scans, pairs) == choose_clock(scans, [])
 
 
 def test_a_zero_among_stamps_of_the_recorders_clock_was_never_set() -> None:
@@ -196,9 +209,6 @@ def test_the_odometry_of_a_line_stays_with_it(
     sweeps, _ = sweeps_of(path)
     assert places(sweeps) == [float(n) for n in range(len(stamps))]
     assert [s.stamp_ns for s in sweeps] == expected
-
-
-MS = 1_000_000
 
 
 def test_memory_is_bounded() -> None:

@@ -85,7 +85,29 @@ def test_returns_are_where_the_mounted_laser_saw_them(
     assert (np.diff(scan.bearings) > 0.0).all()
     order = np.argsort(expected[:, 0] + 10.0 * expected[:, 1])
     again = np.argsort(found[:, 0] + 10.0 * found[:, 1])
-    np.testing.assert_allclose(found[again], expected[order], atol=1e-6)
+    np.testing.assert_allclose(found[again], expected[order], atol=1e-4)
+
+
+@pytest.mark.parametrize("step_deg", [0.25, 0.5, 1.0, 360.0 / 1024.0])
+def test_the_same_beams_make_the_same_scan_however_they_are_written(step_deg: float) -> None:
+    """From either end and upside down: to the bit."""
+    ranges = np.random.default_rng(0).uniform(0.5, 7.0, 301)
+    step, low = (float(np.float32(math.radians(each))) for each in (step_deg, -115.0))
+    high, hanging = float(np.float32(low + 300 * step)), ScanLeveller(np.diag([1.0, -1, -1, 1]))
+    first = levelled(record(ranges, low, step))
+    for other in (
+        levelled(record(ranges[::-1], high, -step)),
+        hanging.level(record(ranges[::-1], -high, step), 5),
+        hanging.level(record(ranges, -low, -step), 5),
+    ):
+        np.testing.assert_array_equal(other.bearings, first.bearings)
+        np.testing.assert_array_equal(other.ranges, first.ranges)
+
+
+def test_readings_that_differ_by_a_micrometre_are_the_same() -> None:
+    ranges = np.round(np.random.default_rng(0).uniform(0.5, 7.0, 50), 3)
+    near = ranges + np.random.default_rng(1).uniform(-1e-6, 1e-6, 50)
+    assert levelled(record(near)).ranges.tolist() == np.float32(ranges).tolist()
 
 
 def test_codes_of_no_return_and_of_invalid_readings() -> None:
@@ -118,7 +140,7 @@ def test_a_missing_increment_is_found_from_the_angles_and_one_beam_takes_no_time
     scan = levelled(record([1.0, 1.0, 1.0], -1.0, 0.0, angle_max=1.0))
     np.testing.assert_allclose(scan.bearings, [-1.0, 0.0, 1.0])
     single = levelled(record([1.5], 0.3, 0.0, time_increment=0.5))
-    assert single.bearings.tolist() == [0.3]
+    assert single.bearings.tolist() == pytest.approx([0.3], abs=1e-6)
     assert single.beam_times_s is None
 
 
@@ -130,6 +152,7 @@ def test_a_missing_increment_is_found_from_the_angles_and_one_beam_takes_no_time
         record([1.0, 1.0], 0.0, 0.0),
         record([1.0, 1.0], 0.0, math.nan, angle_max=math.inf),
         record([1.0, 1.0], 0.0, 100.0),
+        record([1.0, 1.0], 1e308),
         record([1.0, 1.0], 0.0, -6.3),
     ],
 )
