@@ -2,8 +2,7 @@
 
 The path is cut into passes of some metres, each with a small grid of its own. Where two passes saw
 the same place, the walls of one must not stand in the space that the other proved free. What moves
-(people, chairs, doors) is short; a wall that is drawn twice is long. What is drawn twice is matched
-and the layout solved again with it.
+(people, chairs, doors) is short; a wall that is drawn twice is long.
 """
 
 from __future__ import annotations
@@ -16,20 +15,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, moved, travelled
+from specmap_cli.core.geometry import FloatArray, Pose2, moved, travelled
 from specmap_cli.core.settings import GridConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.grids.matching import Window, refine, search
 from specmap_cli.grids.score_field import ScoreField
-from specmap_cli.layout.consistency import judge
-from specmap_cli.layout.contradictions import Views
-from specmap_cli.layout.passes import LOOP_SEARCH_M
-from specmap_cli.layout.path_graph import Draft, Graph
-from specmap_cli.layout.result import Candidate, Choice, Layout, Repair
-from specmap_cli.layout.solving import settle, tighten
-from specmap_cli.layout.wall_matching import match_passes
-from specmap_cli.layout.walls import PLACE_NODES, Walls
 
 _CELL_M = 0.1  # cells in which passes are compared
 _RANGE_M = 30.0  # farther returns are not compared
@@ -50,8 +41,6 @@ _SIGMA_M = 0.15  # of its field: a cell and a half
 # Share of the walls known to both passes that must agree at the place found, and by how much more
 # than before: people and things moved between the passes leave some that do not.
 _LEAST, _LEAD = 0.75, 0.1
-
-_REPAIR_ROUNDS = 3  # walls drawn twice are matched and solved again this often at the most
 
 
 @dataclass(frozen=True)
@@ -236,81 +225,3 @@ def _offset(earlier: Pass, later: Pass) -> Pose2 | None:
     if shares[1] < max(_LEAST, shares[0] + _LEAD):
         return None
     return best.pose @ centre.inverse()
-
-
-@dataclass(frozen=True, slots=True)
-class Audited:
-    """A layout and what the audit says of it."""
-
-    layout: Layout
-    audit: Audit
-
-
-def repaired(store: KeyframeStore, layout: Layout, breaks: Collection[int]) -> Audited:
-    """The layout with its audit, mended where passes disagree and it shows how far they are apart.
-
-    A disagreement with an offset says where the later pass belongs. There the walls of both passes
-    are matched, as those of nearby passes are, and become links. The layout with them is taken only
-    if the audit finds less wall that is contradicted, and if no more contradicts all over the map.
-    Tried `_REPAIR_ROUNDS` times at the most; a trial that is no better ends it. Where the layout
-    has no graph nothing is mended. Deterministic.
-    """
-    first = best = Audited(layout, audit(store, layout.poses, breaks))
-    for _ in range(_REPAIR_ROUNDS if len(layout.nodes) else 0):
-        trial = _mended(store, best)
-        if trial is None:
-            break
-        again = Audited(trial, audit(store, trial.poses, breaks))
-        if again.audit.walls_m >= best.audit.walls_m or again.audit.share > best.audit.share:
-            break
-        if trial.agreement.is_worse_than(best.layout.agreement):
-            break
-        best = again
-    if best is first:
-        return best
-    before, away = set(layout.kept), best.layout.poses[:, :2] - layout.poses[:, :2]
-    repair = Repair(
-        links=tuple(link for link in best.layout.kept if link not in before),
-        walls_m=first.audit.walls_m,
-        moved_m=float(np.hypot(away[:, 0], away[:, 1]).max()),
-    )
-    return replace(best, layout=replace(best.layout, repair=repair))
-
-
-def _mended(store: KeyframeStore, found: Audited) -> Layout | None:
-    """The layout solved with the claims of the audit that are believed, if there are any.
-
-    A claim is a link between passes that disagree, where their walls fit when moved by the offset.
-    One alone may mend little, as a pass found far away: others must agree with it.
-    """
-    layout, disagreements = found.layout, found.audit.disagreements
-    if all(one.offset is None for one in disagreements):
-        return None
-    graph = Graph.of(store.poses, layout.nodes, layout.odometry)
-    guessed = {int(graph.parts[graph.row[start]]) for start in layout.loose}
-    draft = Draft(
-        poses=layout.poses[graph.nodes],
-        loops=layout.kept,
-        tied=frozenset(graph.part_numbers) - guessed,
-        limits=layout.limits,
-    )
-    walls = Walls(store, graph)
-    claims = []
-    for one in disagreements:
-        if one.offset is None:
-            continue
-        ends = np.array([one.earlier, one.later])
-        old, new = (np.searchsorted(graph.nodes, ends, side="right") - 1).tolist()
-        moved_by = compose(np.array(one.offset), draft.poses[new])
-        guess = Pose2(*compose(invert(draft.poses[old]), moved_by).tolist())
-        claim = match_passes(
-            graph, walls, draft.poses, (old, new), guess, LOOP_SEARCH_M, PLACE_NODES
-        )
-        claims += [] if claim is None else [claim]
-    believed = [one.link for one in judge(graph, draft, claims)[0] if one.believed]
-    if not believed:
-        return None
-    trial, dropped = settle(graph, tighten(graph, draft.adding(believed)))
-    choice: Choice = "passes" if layout.choice == "tracked" else layout.choice
-    agreement = Views.of(store, graph).agreement(trial.poses)
-    return Layout.of(graph, Candidate(choice, trial, (*layout.dropped, *dropped), agreement))

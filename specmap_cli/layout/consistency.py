@@ -46,9 +46,8 @@ _CLIQUE_STEPS = 100_000  # steps of the search for the largest set that agrees, 
 
 # near: the layout says the same; drift: drift explains the rest; votes: others say the same;
 # waiting: drift would explain it, but others that agree come first;
-# impossible: nothing explains it; outvoted: closures that agree say otherwise;
-# contradicted: with it, more walls stand in free space.
-Reason = Literal["near", "drift", "votes", "waiting", "impossible", "outvoted", "contradicted"]
+# impossible: nothing explains it; outvoted: closures that agree say otherwise.
+Reason = Literal["near", "drift", "votes", "waiting", "impossible", "outvoted"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

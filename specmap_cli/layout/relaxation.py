@@ -2,8 +2,8 @@
 
 A pose graph over a thinned set of keyframes, tied by the front end's motion, by verified loop
 closures of any drift, and by nearby passes, which are looked for here, once the closures have
-brought the passes near each other. Robust: closures are judged, tried, and tried without each group
-under suspicion; what does not fit in the end is dropped and reported.
+brought the passes near each other. Robust: closures are judged, what does not fit in the end is
+dropped and reported, and a layout that walls contradict is not taken.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from specmap_cli.layout.consistency import Judgement, judge
 from specmap_cli.layout.contradictions import Views
 from specmap_cli.layout.parts import place_parts
 from specmap_cli.layout.passes import far_passes, find_passes
-from specmap_cli.layout.path_graph import Bridge, Draft, Ends, Graph, graph_of
+from specmap_cli.layout.path_graph import Bridge, Draft, Graph, graph_of
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.result import Candidate, Layout
 from specmap_cli.layout.solving import settle, solved, tighten
@@ -26,9 +26,7 @@ from specmap_cli.layout.uncertainty import CLOSURE_SLACK_M, deviations
 from specmap_cli.layout.walls import Walls
 
 _VOTES_FOR_PART = 2  # closures that must agree on where a piece after a break lies
-_SUSPECTS_MOST = 6  # groups of closures the layout is tried without, when walls contradict
 _JUDGE_ROUNDS = 6  # closures are judged, and passes searched, this often at the most
-_FOLLOWS_M = 30.0  # of path on both passes: closures nearer than this stand or fall together
 
 
 def relax(
@@ -53,7 +51,7 @@ def relax(
     placed = place_parts(graph, closures, _VOTES_FOR_PART)
     passes = find_passes(graph, replace(placed, hints=tuple(closures)), walls)
     passes = solved(graph, passes)
-    closed, judged = close(graph, passes, closures, walls, views)
+    closed, judged = close(graph, passes, closures, walls)
     draft, outliers = settle(graph, closed)
     refuted = tuple(one.link for one in judged if not one.believed)
     best = Candidate("relaxed", draft, (*refuted, *outliers), views.agreement(draft.poses))
@@ -61,7 +59,7 @@ def relax(
 
 
 def close(
-    graph: Graph, draft: Draft, closures: Sequence[Link], walls: Walls, views: Views
+    graph: Graph, draft: Draft, closures: Sequence[Link], walls: Walls
 ) -> tuple[Draft, tuple[Judgement, ...]]:
     """The draft with the closures that are believed, and what was found of each, in their order.
 
@@ -77,57 +75,13 @@ def close(
         pool += claims
         fresh, cut_short = judge(graph, draft, [pool[k] for k in waiting])
         draft = draft.counting("clique_steps", cut_short)
-        draft, fresh = _tried(graph, draft, fresh, views)
         judged.update(zip(waiting, fresh, strict=True))
-        if not any(one.believed for one in fresh):
+        believed = [one.link for one in fresh if one.believed]
+        if not believed:
             break
-        draft = find_passes(graph, draft, walls)
-        waiting = [
-            k for k in waiting if not judged[k].believed and judged[k].reason != "contradicted"
-        ]
+        draft = find_passes(graph, tighten(graph, draft.adding(believed)), walls)
+        waiting = [k for k in waiting if not judged[k].believed]
     return draft, tuple(judged[k] for k in range(len(pool)))
-
-
-def _tried(
-    graph: Graph, draft: Draft, judged: Sequence[Judgement], views: Views
-) -> tuple[Draft, tuple[Judgement, ...]]:
-    """The draft with the believed closures, without groups that bring walls into free space."""
-    kept = [k for k, one in enumerate(judged) if one.believed]
-    if not kept:
-        return draft, tuple(judged)
-    before = views.agreement(draft.poses)
-    trial = tighten(graph, draft.adding([judged[k].link for k in kept]))
-    after = views.agreement(trial.poses)
-    if after.is_doubtful or after.is_worse_than(before):
-        for group in suspects(graph, judged):
-            rest = [k for k in kept if k not in group]
-            without = tighten(graph, draft.adding([judged[k].link for k in rest]))
-            agreement = views.agreement(without.poses)
-            if after.is_worse_than(agreement):
-                trial, kept, after = without, rest, agreement
-    return trial, tuple(
-        replace(one, reason="contradicted") if one.believed and k not in kept else one
-        for k, one in enumerate(judged)
-    )
-
-
-def suspects(graph: Graph, judged: Sequence[Judgement]) -> list[list[int]]:
-    """Groups of believed closures that follow one another, those that mend most first.
-
-    By their numbers. What the layout says anyway, within `CLOSURE_SLACK_M`, is not suspected.
-    """
-    ends = Ends.of(graph.row, [one.link for one in judged])
-    older, newer = graph.path[ends.i], graph.path[ends.j]
-    groups: list[list[int]] = []
-    for k, one in enumerate(judged):
-        if not one.believed or one.reason == "near":
-            continue
-        along = (abs(older - older[k]) <= _FOLLOWS_M) & (abs(newer - newer[k]) <= _FOLLOWS_M)
-        near = [group for group in groups if along[group].any()]
-        groups = [group for group in groups if group not in near]
-        groups.append([*(other for group in near for other in group), k])
-    groups.sort(key=lambda group: -max(judged[k].away_m for k in group))
-    return groups[:_SUSPECTS_MOST]
 
 
 def chosen(graph: Graph, passes: Draft, best: Candidate, views: Views) -> Candidate:

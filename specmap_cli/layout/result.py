@@ -34,26 +34,13 @@ class PartMove:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Repair:
-    """What the audit mended: `links` between passes that drew their walls twice.
-
-    `walls_m` of wall were contradicted before. No keyframe was moved farther than `moved_m`.
-    """
-
-    links: tuple[Link, ...]
-    walls_m: float
-    moved_m: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
     """Relaxed poses (n, 3) of all keyframes, and the pose graph they come from.
 
     `nodes` are the keyframe numbers in the graph; `odometry`, `kept` and `dropped` its edges, the
     last two being closures and nearby passes. `loose` are the keyframes at which tracking restarted
     and whose place, and that of what follows, is a guess. `choice` is what the poses come from,
-    `parts` how far pieces after a break were moved, `agreement` how the passes stand to each other,
-    `repair` what the audit mended, if anything.
+    `parts` how far pieces after a break were moved, `agreement` how the passes stand to each other.
 
     `limits` counts by name how often work was cut short: passes searched less far than the path may
     have drifted (`loop_search_max_m`), parts given up (`stray_tries`), searches made coarser
@@ -71,7 +58,6 @@ class Layout:
     parts: tuple[PartMove, ...] = ()
     agreement: Agreement = field(default_factory=Agreement)
     limits: Mapping[str, int] = field(default_factory=dict)
-    repair: Repair | None = None
 
     @classmethod
     def of(cls, graph: Graph, candidate: Candidate) -> Layout:

@@ -1,8 +1,8 @@
 """From a recorded log to a topological map: Algorithm 1 of the paper, and what follows it.
 
 Brunskill, Kollar and Roy, "Topological Mapping Using Spectral Clustering and Classification"
-(IROS 2007). While the log lasts: track, segment, recognise. After it: relax, turn, heal,
-refute, divide, assess, learn, write.
+(IROS 2007). While the log lasts: track, segment, recognise. After it: relax, turn, refute,
+divide, assess, learn, write.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The layout of what was explored: relaxed, turned, healed; and the closures that it refutes.
+"""The layout of what was explored: relaxed and turned; and the closures that it refutes.
 
 Then the map is drawn in it and divided: the regions of the finished map say where submaps end.
 """
@@ -18,7 +18,7 @@ from specmap_cli.core.settings import Config
 from specmap_cli.core.text import legible
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
-from specmap_cli.layout.audit import repaired
+from specmap_cli.layout.audit import audit
 from specmap_cli.layout.closure_matching import place_around, sharpened
 from specmap_cli.layout.main_direction import along_walls
 from specmap_cli.layout.passes import METRES_A_RADIAN
@@ -48,7 +48,7 @@ REFUTED = "contradicts the layout"
 def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str) -> LaidOut:
     """The map of what was explored in the recording of a file `name`.
 
-    Relaxed by the closures, turned along the walls, healed; closures that contradict it refuted;
+    Relaxed by the closures, turned along the walls; closures that contradict it refuted;
     drawn and divided. Raises NoResultError when no keyframe fits into the largest grid allowed.
     """
     store, config = session.store, session.config
@@ -58,8 +58,7 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
         layout = relax(store, tuple(constraints.values()), explored.breaks, config.relaxation)
         layout = along_walls(layout, store, config.relaxation)
     with session.clock.stage("audit"):
-        audited = repaired(store, layout, explored.breaks)
-        layout = audited.layout
+        audited = audit(store, layout.poses, explored.breaks)
         trajectory = corrected(explored.trajectory, store, layout.poses)
     closures = refute(explored.closures, constraints, layout)
     whole, beyond, division = _drawn(session, layout)
@@ -78,7 +77,7 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
             keyframes_ns=store.stamps_ns,
             breaks=breaks,
             layout=layout,
-            audit=audited.audit,
+            audit=audited,
             beyond=beyond,
             warnings=tracking.warnings,
             holes=holes_of(store, rows, trajectory, layout, breaks),
@@ -105,7 +104,7 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
         drawn=whole,
         division=division,
         beyond=beyond,
-        audit=audited.audit,
+        audit=audited,
         counts=tracking.counts,
     )
 

@@ -23,8 +23,8 @@ from specmap_cli.quality.evidence import (
 )
 
 LOOSE, MOVED, RIVAL, LAYOUT = "loose-part", "part-moved", "rival-place", "layout-refused"
-WALLS, MENDED, REFUTED, BEYOND = "walls-disagree", "walls-mended", "closures-refuted", "beyond-grid"
-CODES = frozenset({LOOSE, MOVED, RIVAL, LAYOUT, WALLS, MENDED, REFUTED, BEYOND})
+WALLS, REFUTED, BEYOND = "walls-disagree", "closures-refuted", "beyond-grid"
+CODES = frozenset({LOOSE, MOVED, RIVAL, LAYOUT, WALLS, REFUTED, BEYOND})
 
 _LOOSE_SHARE_POOR = 0.1  # share of the way that a guess places, above which a map is poor
 _WALLS_SHARE_POOR = 0.1  # share of the passes compared that disagree, above which a map is poor
@@ -94,20 +94,6 @@ def walls(evidence: Evidence) -> Iterator[Finding]:
             value=share,
             limit=limit,
             where=Where(later.stamp_ns, x, y),
-        )
-
-
-def mended(evidence: Evidence) -> Iterator[Finding]:
-    """Walls that the layout drew twice and the audit brought together; what is left is told."""
-    repair = evidence.layout.repair
-    if repair is not None:
-        yield Finding(
-            code=MENDED,
-            severity="note",
-            message=f"{repair.walls_m:.1f} m of wall were drawn twice: matched again in "
-            f"{counted(len(repair.links), 'place')}, the map moved by up to {repair.moved_m:.2f} "
-            "m",
-            value=repair.moved_m,
         )
 
 
@@ -228,7 +214,6 @@ CHECKS: tuple[Callable[[Evidence], Iterator[Finding]], ...] = (
     rival_places,
     refused_layout,
     walls,
-    mended,
     refuted,
     beyond_grid,
 )

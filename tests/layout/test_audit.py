@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.geometry import Pose2, compose
-from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.gridmap import OCCUPIED
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.audit import (
@@ -19,7 +18,6 @@ from specmap_cli.layout.audit import (
     Disagreement,
     audit,
     passes_of,
-    repaired,
 )
 from specmap_cli.layout.contradictions import Agreement, Views
 from specmap_cli.layout.path_graph import LOOP_PATH_M, Graph, graph_of
@@ -121,38 +119,11 @@ def test_distance_is_that_at_the_place_of_the_walls() -> None:
     assert replace(one, offset=None).apart_m is None
 
 
-def test_walls_drawn_twice_are_brought_together(drive: Drive, bent: Bent) -> None:
-    truth, _ = drive
-    store, layout = bent
-    before = audit(store, layout.poses, [])
-    found = repaired(store, layout, [])
-    assert before.disagreements
-    assert worst(layout.poses, truth) > 1.5
-    assert worst(found.layout.poses, truth) < 0.4
-    assert found.audit.disagreements == ()
-    assert found.audit == audit(store, found.layout.poses, [])
-    repair = found.layout.repair
-    assert repair is not None
-    assert repair.walls_m == before.walls_m > 0.0
-    assert repair.moved_m > 1.0
-    assert repair.links == found.layout.kept
-    assert {link.kind for link in repair.links} == {"nearby"}
-    assert found.layout.agreement.share < 0.1 * layout.agreement.share
-    assert layout.repair is None, "the layout before is as it was"
-    again = repaired(store, replace(layout, choice="tracked"), []).layout
-    assert again.choice == "passes", "as tracked it is mended by passes alone"
-    assert np.array_equal(again.poses, found.layout.poses)
-
-
-def test_a_right_layout_is_left_as_it_is(store: KeyframeStore) -> None:
-    layout = relax(store, [], {}, CONFIG)
-    found = repaired(store, layout, [])
-    assert found.layout is layout
-    assert found.audit.disagreements == ()
-    tracked = relax(store, [], {}, RelaxationConfig(enabled=False))
-    found = repaired(store, tracked, [])
-    assert found.layout is tracked, "poses as tracked have no graph to mend"
-    assert found.audit.disagreements
+def test_a_layout_with_its_passes_has_no_disagreement_and_without_them_it_has(
+    store: KeyframeStore, bent: Bent
+) -> None:
+    assert audit(store, relax(store, [], {}, CONFIG).poses, []).disagreements == ()
+    assert audit(bent[0], bent[1].poses, []).disagreements
 
 
 def test_another_building_is_not_bent_until_it_fits(drive: Drive) -> None:
@@ -161,11 +132,11 @@ def test_another_building_is_not_bent_until_it_fits(drive: Drive) -> None:
     folded = moved_from(SECOND_LAP, truth, (9.0, -2.0, np.pi / 2))
     with stored(folded, scans) as store, closures_alone():
         layout = relax(store, [], {}, CONFIG)
-        found = repaired(store, layout, [])
-    assert found.audit.disagreements
-    assert all(one.walls_m >= _WALL_M for one in found.audit.disagreements)
+        found = audit(store, layout.poses, [])
+    assert found.disagreements
+    assert all(one.walls_m >= _WALL_M for one in found.disagreements)
     for lap in (slice(None, SECOND_LAP), slice(SECOND_LAP, None)):
-        assert worst(found.layout.poses[lap], truth[lap]) < 0.1, "each lap keeps its form"
+        assert worst(layout.poses[lap], truth[lap]) < 0.1, "each lap keeps its form"
 
 
 @pytest.fixture(scope="module")

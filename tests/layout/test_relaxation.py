@@ -12,11 +12,11 @@ import pytest
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.consistency import Judgement, Reason
+from specmap_cli.layout.consistency import Judgement
 from specmap_cli.layout.contradictions import Agreement, Views
 from specmap_cli.layout.path_graph import Bridge, Draft, Graph, graph_of
 from specmap_cli.layout.pose_graph import Link
-from specmap_cli.layout.relaxation import chosen, close, relax, suspects
+from specmap_cli.layout.relaxation import chosen, close, relax
 from specmap_cli.layout.result import Candidate, Layout
 from specmap_cli.layout.walls import Walls
 from tests.layout.driving import (
@@ -208,36 +208,34 @@ class Ring:
     truth: FloatArray
     graph: Graph
     walls: Walls
-    views: Views
 
     def close(self, *closures: Link) -> tuple[Draft, tuple[Judgement, ...]]:
         start = as_tracked(self.graph)
-        return close(self.graph, start, closures, self.walls, self.views)
+        return close(self.graph, start, closures, self.walls)
 
 
 @pytest.fixture
 def ring(drive: Drive, store: KeyframeStore) -> Ring:
     graph = graph_of(store, [60, 100, 200, 540, 590, 690], {})
-    return Ring(drive[0], graph, Walls(store, graph), Views.of(store, graph))
+    return Ring(drive[0], graph, Walls(store, graph))
 
 
 @pytest.mark.usefixtures("alone")
 @pytest.mark.parametrize("away", [(3.0, 1.0), (0.0, 1.5)])
 def test_a_wrong_closure_that_drift_would_allow_brings_walls_into_free_space(
-    ring: Ring, away: tuple[float, float]
+    ring: Ring, store: KeyframeStore, away: tuple[float, float]
 ) -> None:
     wrong = closure(ring.truth, 60, 540, Pose2(*away, 0.0))
     draft, (found,) = ring.close(wrong)
-    assert found.reason == "contradicted"
-    assert draft.loops == ()
+    assert (draft.loops, found.reason) == ((wrong,), "drift")
     assert found.away_m > 1.0
-    with turned("layout.relaxation", _SUSPECTS_MOST=0):
-        unasked, (believed,) = ring.close(wrong)
-    assert (unasked.loops, believed.reason) == ((wrong,), "drift")
+    layout = relax(store, [wrong], {}, CONFIG)
+    assert layout.choice != "relaxed"
+    assert (layout.kept, layout.dropped) == ((), (wrong,))
 
 
 @pytest.mark.usefixtures("alone")
-def test_right_closures_are_not_suspected_and_stay_beside_a_wrong_one(ring: Ring) -> None:
+def test_right_closures_are_believed_and_stay_beside_a_wrong_one(ring: Ring) -> None:
     right = [closure(ring.truth, *ends) for ends in ((60, 540), (100, 590), (200, 690))]
     draft, found = ring.close(*right)
     assert draft.loops == tuple(right)
@@ -248,35 +246,13 @@ def test_right_closures_are_not_suspected_and_stay_beside_a_wrong_one(ring: Ring
     assert not suspect.believed or worst(mixed.poses, ring.truth[ring.graph.nodes]) < 0.5
 
 
-def test_suspects_follow_one_another_on_both_passes_and_mend_most_first() -> None:
-    graph = graph_by_hand(np.array([(0.5 * k, 0.0, 0.0) for k in range(800)]))
-    cases: tuple[tuple[int, int, float, Reason], ...] = (
-        (0, 400, 1.0, "drift"),
-        (40, 440, 2.0, "drift"),
-        (300, 450, 5.0, "drift"),
-        (80, 480, 1.5, "votes"),
-        (500, 700, 0.1, "near"),
-        (510, 710, 9.0, "impossible"),
-    )
-    judged = [
-        Judgement(
-            link=link(a, b, IDENTITY, "closure"), reason=reason, away_m=away, allowed_m=9.0, votes=1
-        )
-        for a, b, away, reason in cases
-    ]
-    assert suspects(graph, judged) == [[2], [0, 1, 3]]
-    with turned("layout.relaxation", _SUSPECTS_MOST=1):
-        assert suspects(graph, judged) == [[2]]
-
-
 @pytest.mark.usefixtures("alone")
 def test_what_is_worse_than_the_path_as_tracked_is_not_taken(drive: Drive) -> None:
-    """Three wrong closures that agree, over a path that was perfect, and none is suspected."""
+    """Three wrong closures that agree, over a path that was perfect."""
     truth, scans = drive
     off = Pose2(0.8, 0.8, 0.0)
     wrong = [closure(truth, i, j, off) for i, j in ((60, 540), (130, 610), (200, 690))]
-    with turned("layout.relaxation", _SUSPECTS_MOST=0):
-        layout = laid_out(truth, scans, wrong)
+    layout = laid_out(truth, scans, wrong)
     assert layout.choice in {"tracked", "passes"}
     assert worst(layout.poses, truth) < 0.05
     assert layout.kept == ()

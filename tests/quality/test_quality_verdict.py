@@ -10,7 +10,7 @@ from specmap_cli.core.findings import Finding, Severity, Where
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.layout.audit import Audit, Disagreement
 from specmap_cli.layout.contradictions import Agreement
-from specmap_cli.layout.result import PartMove, Repair
+from specmap_cli.layout.result import PartMove
 from specmap_cli.quality.evidence import Evidence
 from tests.layout.driving import link
 from tests.quality.evidence import evidence_of, judged
@@ -192,11 +192,6 @@ UNKNOWN = tuple(replace(one, offset=None) for one in TWICE)
         (
             laid(dropped=TIES),
             "note closures-refuted: 2 loop closures contradict the rest: left out",
-        ),
-        (
-            laid(repair=Repair(links=TIES[2:], walls_m=4.2, moved_m=0.25)),
-            "note walls-mended: 4.2 m of wall were drawn twice: matched again in 1 place, the map "
-            "moved by up to 0.25 m",
         ),
         (
             laid(
