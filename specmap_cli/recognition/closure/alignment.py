@@ -72,20 +72,15 @@ class Alignment:
 def align(old: MapToAlign, new: MapToAlign, config: Config) -> Alignment:
     """The transform between two maps, or the reason why there is none.
 
-    Submaps are matched with those that they are most like. Where these do not say where the maps
-    lie, they are matched with more.
+    Submaps are matched with those that they are most like.
     """
     recognition = config.recognition
     wholes = [prepared(map_.whole) for map_ in (old, new)]
     if wholes[0] is None or wholes[1] is None:
         return Alignment(old_from_new=None, reason="a map shows too few walls to match")
     pieces = PreparedMap(old), PreparedMap(new)
-    two = _TwoMaps(pieces, (wholes[0], wholes[1]))
-    likely, others = likely_pairs(old, new, CANDIDATES)
-    votes = votes_of(likely, *pieces, recognition)
-    found = two.aligned(parties_of(votes))
-    if found.old_from_new is None and others:
-        found = two.aligned(parties_of([*votes, *votes_of(others, *pieces, recognition)]))
+    votes = votes_of(likely_pairs(old, new, CANDIDATES), *pieces, recognition)
+    found = _TwoMaps(pieces, (wholes[0], wholes[1])).aligned(parties_of(votes))
     if found.old_from_new is None:
         return found
     reason = (
