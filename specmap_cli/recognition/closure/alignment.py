@@ -8,7 +8,7 @@ themselves, when what both maps saw agrees under it, and when no other explains 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,10 +27,10 @@ from specmap_cli.recognition.closure.verification import (
     RIVAL_RAD,
     differ,
     judge,
-    places,
 )
 from specmap_cli.recognition.closure.votes import Party, likely_pairs, parties_of, votes_of
 
+_NO_VOTE = "no submap of one map matches a submap of the other in one way only"
 # Of the refinement of a candidate: from a coarse cell of the search away, then to the centimetre.
 _ROUGH_POINTS, _ROUGH_STEPS, _ROUGH_SHIFT_M = 400, 8, 0.6
 _FINE_STEPS, _FINE_SHIFT_M = 15, 0.2
@@ -42,7 +42,6 @@ _LEAST_SCORE = 0.5  # of all that both saw; halls of other buildings that touch 
 _MOST_ODD = 0.2  # of the walls: one room of five was rebuilt; more may be another floor
 _LEAST_AREA_M2, _LEAST_WALLS_M = 10.0, 10.0  # a small room: less says nothing about a building
 _MOST_RIVAL = 0.6  # of the walls that the best transform explains: look-alike rows come near it
-_MISFITS = 4.0  # times as much that does not fit: a building that is nearly the same when turned
 _LEAST_PARTY = 3  # submaps that speak for a transform by themselves: two offices look alike
 # With fewer: as much as a floor of a house, and nothing else like it.
 _LARGE_M2, _LARGE_WALLS_M, _LARGE_RIVAL = 100.0, 100.0, 0.3
@@ -73,20 +72,15 @@ class Alignment:
 def align(old: MapToAlign, new: MapToAlign, config: Config) -> Alignment:
     """The transform between two maps, or the reason why there is none.
 
-    Submaps are matched with those that they are most like. Where these do not say where the maps
-    lie, they are matched with more.
+    Submaps are matched with those that they are most like.
     """
     recognition = config.recognition
     wholes = [prepared(map_.whole) for map_ in (old, new)]
     if wholes[0] is None or wholes[1] is None:
         return Alignment(old_from_new=None, reason="a map shows too few walls to match")
     pieces = PreparedMap(old), PreparedMap(new)
-    two = _TwoMaps(pieces, (wholes[0], wholes[1]))
-    likely, others = likely_pairs(old, new, CANDIDATES)
-    votes = votes_of(likely, *pieces, recognition)
-    found = two.aligned(parties_of(votes))
-    if found.old_from_new is None and others:
-        found = two.aligned(parties_of([*votes, *votes_of(others, *pieces, recognition)]))
+    votes = votes_of(likely_pairs(old, new, CANDIDATES), *pieces, recognition)
+    found = _TwoMaps(pieces, (wholes[0], wholes[1])).aligned(parties_of(votes))
     if found.old_from_new is None:
         return found
     reason = (
@@ -107,13 +101,8 @@ class _Candidate:
 
     old_from_new: Pose2
     merit_m: float
-    party: Party | None
+    party: Party
     common_m2: float
-
-    @property
-    def strength(self) -> int:
-        """How many submaps of either map found it by themselves."""
-        return 0 if self.party is None else self.party.strength
 
 
 class _TwoMaps:
@@ -129,49 +118,36 @@ class _TwoMaps:
         free = np.argwhere(pieces[1].map.whole.free)
         self._floor = pieces[1].map.whole.centres_of(evenly(free, _FLOOR_POINTS))
         self._floor_m2 = pieces[1].map.whole.free_area_m2 / max(1, len(self._floor))
-        # what the whole maps say of where they lie
-        self._of_wholes = [self._refined(pose, None) for pose in places(*wholes)]
 
     def aligned(self, parties: Sequence[Party]) -> Alignment:
-        """The transform that most walls speak for, or why it is not to be believed.
-
-        Different ones are weighed, of votes and of the whole maps.
-        """
-        found = [*(self._refined(one.old_from_new, one) for one in parties), *self._of_wholes]
+        """The transform that most walls speak for, or why it is not to be believed."""
+        found = [self._refined(party) for party in parties]
         ranked: list[_Candidate] = []
         for one in sorted(found, key=lambda candidate: -candidate.merit_m):
-            near = [
-                k
-                for k, other in enumerate(ranked)
-                if not differ(one.old_from_new, other.old_from_new, self.centre, RIVAL_M, RIVAL_RAD)
-            ]
-            if not near and one.merit_m > 0.0:
+            if one.merit_m > 0.0 and all(
+                differ(one.old_from_new, other.old_from_new, self.centre, RIVAL_M, RIVAL_RAD)
+                for other in ranked
+            ):
                 ranked.append(one)
-            elif near and ranked[near[0]].party is None:  # the same, and some submaps found it
-                ranked[near[0]] = replace(ranked[near[0]], party=one.party)
         if not ranked:
-            return Alignment(old_from_new=None, reason="no place of one map was found in the other")
-        best = ranked[0]
-        rivals = _rivals(ranked, self._ground)
+            return Alignment(old_from_new=None, reason=_NO_VOTE)
+        best, *rivals = ranked
+        old, new = zip(self.pieces, self.wholes, strict=True)
         told = Alignment(
             old_from_new=best.old_from_new,
             reason="",
-            votes=0 if best.party is None else len(best.party.votes),
-            party=best.strength,
-            ground=self._ground(best),
+            votes=len(best.party.votes),
+            party=best.party.strength,
+            ground=common_ground(old, new, best.old_from_new),
             area_m2=best.common_m2,
             rival=rivals[0].merit_m / best.merit_m if rivals else 0.0,
         )
         why_not = _why_not(told, best, rivals)
         return replace(told, old_from_new=None, reason=why_not) if why_not else told
 
-    def _ground(self, candidate: _Candidate) -> CommonGround:
-        old, new = zip(self.pieces, self.wholes, strict=True)
-        return common_ground(old, new, candidate.old_from_new)
-
-    def _refined(self, guess: Pose2, party: Party | None) -> _Candidate:
-        """A guess that `party` made, if any, moved to where the walls of both maps fit best."""
-        (old, new), pose = self.wholes, guess
+    def _refined(self, party: Party) -> _Candidate:
+        """The transform of a party, moved to where the walls of both maps fit best."""
+        (old, new), pose = self.wholes, party.old_from_new
         for field, most, steps, shift_m in (
             (old.field, _ROUGH_POINTS, _ROUGH_STEPS, _ROUGH_SHIFT_M),
             (old.field.sharper(), len(new.walls), _FINE_STEPS, _FINE_SHIFT_M),
@@ -187,28 +163,6 @@ class _TwoMaps:
         common_m2 = float(np.count_nonzero(floor == FREE)) * self._floor_m2
         merit_m = min(judge(*self.wholes, pose).net_walls_m, _WALLS_PER_M2 * common_m2)
         return _Candidate(pose, merit_m, party, common_m2)
-
-
-def _rivals(
-    ranked: Sequence[_Candidate], ground: Callable[[_Candidate], CommonGround]
-) -> list[_Candidate]:
-    """The transforms but the best that are to be weighed against it, in their order.
-
-    Not those that are clearly worse, though they explain much, as in a building that looks nearly
-    the same when it is turned: several submaps speak for the best one alone, with the walls of as
-    many rooms, and a few times as much as under that does not fit.
-    """
-    best, *others = ranked
-    if not others or others[0].merit_m <= _MOST_RIVAL * best.merit_m:
-        return others
-    misfit = 1.0 - ground(best).score
-    return [
-        other
-        for other in others
-        if best.strength - other.strength < _LEAST_PARTY
-        or best.merit_m - other.merit_m < _LEAST_PARTY * _LEAST_WALLS_M
-        or 1.0 - ground(other).score < _MISFITS * misfit
-    ]
 
 
 def _why_not(found: Alignment, best: _Candidate, rivals: Sequence[_Candidate]) -> str:
@@ -238,8 +192,7 @@ def _why_not(found: Alignment, best: _Candidate, rivals: Sequence[_Candidate]) -
             f"and {turn:.0f} degrees apart"
         )
     large = (
-        found.votes > 0
-        and found.area_m2 >= _LARGE_M2
+        found.area_m2 >= _LARGE_M2
         and ground.confirmed_m >= _LARGE_WALLS_M
         and found.rival <= _LARGE_RIVAL
     )

@@ -30,7 +30,6 @@ from specmap_cli.recognition.features.virtual import VIRTUAL_BEAMS, VIRTUAL_RANG
 _PLACES = 16  # of a submap from which scans are cast: a mean of chances to a tenth
 _DECIMALS = 6  # of a chance: the last digits of an exponential depend on the processor
 _AREA_PRIOR = 0.5  # times the logarithm of a ratio of areas, where no classifier can be asked
-_FAR_BEHIND = 0.1  # of the best rank: a tenth of the chance
 
 Pair = tuple[int, int]
 # Votes for one transform: what a match of two grids is off, and how much more for each metre
@@ -41,25 +40,17 @@ _PARTIES, _SEEDS = 8, 24  # the largest votes are tried: of hundreds of rooms mo
 _ROUNDS = 3  # of fitting a transform and collecting the votes for it
 
 
-def likely_pairs(
-    old: MapToAlign, new: MapToAlign, candidates: int
-) -> tuple[list[Pair], list[Pair]]:
-    """Pairs (old submap, new submap) worth a match of their grids, the likeliest first.
+def likely_pairs(old: MapToAlign, new: MapToAlign, candidates: int) -> set[Pair]:
+    """Pairs (old submap, new submap) worth a match of their grids.
 
-    Of each submap the `candidates` best ranked ones of the other map. The second list is of those
-    that another pair of the new submap is likelier than by far.
+    Of each submap the `candidates` best ranked ones of the other map.
     """
     ranks = _ranks(old, new)
     best_new = np.argsort(-ranks, axis=1, kind="stable")[:, :candidates]
     best_old = np.argsort(-ranks, axis=0, kind="stable")[:candidates]
     chosen = {(i, j) for i, row in enumerate(best_new.tolist()) for j in row}
     chosen |= {(i, j) for row in best_old.tolist() for j, i in enumerate(row)}
-    ordered = sorted(chosen, key=lambda pair: (-ranks[pair], pair))
-    least = _FAR_BEHIND * ranks.max(axis=0, initial=0.0)
-    first, later = list[Pair](), list[Pair]()
-    for i, j in ordered:
-        (first if ranks[i, j] >= least[j] else later).append((old.ids[i], new.ids[j]))
-    return first, later
+    return {(old.ids[i], new.ids[j]) for i, j in chosen}
 
 
 def _ranks(old: MapToAlign, new: MapToAlign) -> FloatArray:
