@@ -12,12 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from specmap_cli.core.geometry import Pose2, product
+from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.matching import weakest_direction
 from specmap_cli.registration.guess import (
     BEYOND_DOUBT,
-    SEARCH_M,
     MotionGuess,
     near_window,
     wide_search,
@@ -43,7 +42,6 @@ _NEARLY, _ROUGHLY = 2.0, 3.0
 _PER_SLACK = 0.05  # score that a place must have more for each slack away from odometry's
 # Score that another place must have more to refute trusted odometry's: wheels that slip make 0.4.
 _REFUTES = 0.25
-_BACKED_UP = (1.0, 0.5)  # shares of a step that are tried as driven backwards
 
 _SLIP_M = 0.08  # a result this far behind odometry may have slipped in a corridor
 _ALIKE = 0.01  # scores this near speak for two places alike
@@ -151,35 +149,21 @@ def _speaks_against(support: Support, config: RegistrationConfig) -> bool:
 
 
 def _searched(scene: Scene, guess: MotionGuess, fit: Fit, bounds: Bounds) -> Fit:
-    """The best one of a doubtful result and of places around the guess and behind it.
+    """The best one of a doubtful result and of what searches find around all that is expected.
 
-    Wheels that only count tell nothing of the direction in which they turn. A step of the log may
-    be driven backwards as a whole, or half of it. The heading of some odometry jumps, when it is
-    corrected or begins anew: where its turn is unheard of, a result that is still poor gives way to
-    the place after the motion before, if most walls there are known and fit. Where odometry's turn
-    is right, walls come into sight that are new at the other place.
+    A place that odometry misread is taken if most walls there are known and fit. Where odometry is
+    right, walls come into sight that are new at other places.
     """
-    expected = guess.expected
-    window = near_window(measured=expected.measured)
+    window = near_window(measured=guess.expected.measured)
     found = scene.search(guess.pose, window, _KERNEL_VOXELS, bounds)
     fit = _better(scene, guess, fit, found, guess.planar)
-    beyond = expected.motion.distance > SEARCH_M  # the search around the guess reaches as far
-    if expected.measured and beyond and fit.score < BEYOND_DOUBT:
-        x, y, theta = expected.motion
-        backwards = product(guess.before, Pose2(-x, -y, theta).matrix())
-        for share in _BACKED_UP:
-            place = guess.pose.copy()
-            place[:3, 3] += share * (backwards[:3, 3] - guess.pose[:3, 3])
-            around = Bounds.around(place, scene.config)
-            found = scene.search(place, window, _KERNEL_VOXELS, around)
-            if found.score >= BEYOND_DOUBT:
-                fit = _better(scene, guess, fit, found, Pose2.from_matrix(place))
-    if not (expected.measured and expected.unheard_of) or fit.score >= POOR_SCORE:
-        return fit
-    found = scene.align(product(guess.before, expected.carried.matrix()), _KERNEL_VOXELS)
-    support = scene.support(found.planar)
-    certain = support.share >= MOST and support.score > GOOD_SCORE
-    return fit.or_better(found) if certain else replace(fit, refused=fit.refused + found.refused)
+    for place in guess.misread if fit.score < BEYOND_DOUBT else ():
+        around = Bounds.around(place, scene.config)
+        found = scene.search(place, window, _KERNEL_VOXELS, around)
+        support = scene.support(found.planar)
+        if support.share >= MOST and support.score >= BEYOND_DOUBT:
+            fit = _better(scene, guess, fit, found, Pose2.from_matrix(place))
+    return fit
 
 
 def _better(scene: Scene, guess: MotionGuess, fit: Fit, found: Fit, place: Pose2) -> Fit:

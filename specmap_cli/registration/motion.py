@@ -50,8 +50,7 @@ class ExpectedMotion:
     `motion` is odometry's when it was `measured`, else `carried`: the motion before carried on.
     `during` is the motion to de-skew with. `jumped` tells of an odometry increment too large to be
     a motion, `shortened` of a motion before that was too large to be carried on as it was. `hole`:
-    much more time went by than between other sweeps. `unheard_of`: odometry reports a turn that is
-    larger than those that walls have confirmed.
+    much more time went by than between other sweeps.
     """
 
     motion: Pose2
@@ -62,7 +61,6 @@ class ExpectedMotion:
     jumped: bool
     shortened: bool
     hole: bool = False
-    unheard_of: bool = False
 
 
 class MotionModel:
@@ -120,7 +118,6 @@ class MotionModel:
             jumped=jumped,
             shortened=(not measured and carried != self._last) or (timed and during != steady),
             hole=hole,
-            unheard_of=increment is not None and abs(increment.theta) > limits.theta,
         )
 
     def conclude(self, motion: Pose2, *, confirmed: bool = False) -> None:

@@ -179,26 +179,6 @@ def test_a_hole_in_the_log_is_a_gap_much_longer_than_usual(
     assert not any(found[1:-1])
 
 
-@pytest.mark.parametrize(
-    ("turn_rad", "unheard_of"), [(0.7, False), (-0.7, False), (0.9, True), (-0.9, True)]
-)
-def test_a_turn_beyond_what_may_be_carried_on_is_unheard_of(
-    turn_rad: float, unheard_of: bool
-) -> None:
-    now = sweep(odometry=Pose2(0.0, 0.0, turn_rad))
-    assert after(IDENTITY, now).unheard_of == unheard_of
-    assert not after(IDENTITY, now, carried_rad=1.0).unheard_of
-
-
-def test_a_turn_such_as_walls_have_confirmed_is_not_unheard_of() -> None:
-    model = MotionModel(RegistrationConfig())
-    model.expect(sweep(odometry=IDENTITY))
-    for _ in range(2):
-        model.conclude(Pose2(0.0, 0.0, 1.0), confirmed=True)
-    assert not model.expect(sweep(odometry=Pose2(0.0, 0.0, 1.4))).unheard_of
-    assert model.expect(sweep(odometry=Pose2(0.0, 0.0, 3.0))).unheard_of
-
-
 BOTH = (True, True)
 
 
