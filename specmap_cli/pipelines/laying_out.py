@@ -62,13 +62,12 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
         trajectory = corrected(explored.trajectory, store, layout.poses)
     closures = refute(explored.closures, constraints, layout)
     whole, beyond, division = _drawn(session, layout)
-    with session.clock.stage("segmentation"):
-        if division is None:
-            labels = online_labels(explored.regions, closures, len(layout.poses))
-        else:
-            least_m = config.segmentation.region_min_m
-            labels = regions_of(whole, division, layout.poses, least_m)
-        submaps = _by_first_visit(labels, layout.poses, config)
+    least_m = config.segmentation.region_min_m
+    if division is None:
+        submaps = online_labels(explored.regions, closures, len(layout.poses))
+    else:
+        submaps = regions_of(whole, division, layout.poses, least_m)
+    submaps = _by_first_visit(submaps, layout.poses, least_m)
     with session.clock.stage("audit"):
         rows = rows_of(explored.trajectory, store.stamps_ns, store.poses)
         breaks = tuple(explored.breaks)
@@ -146,9 +145,9 @@ def division_of(whole: GridMap, layout: Layout, config: Config) -> LabelArray | 
     return segment(whole, config.segmentation).labels
 
 
-def _by_first_visit(labels: IntArray, poses: FloatArray, config: Config) -> IntArray:
+def _by_first_visit(labels: IntArray, poses: FloatArray, least_m: float) -> IntArray:
     """The submap id (n,) of each keyframe, in order of first visit, without short excursions."""
-    settled = settle_labels(labels, poses, config.segmentation.region_min_m)
+    settled = settle_labels(labels, poses, least_m)
     order: dict[int, int] = {}
     for label in settled.tolist():
         order.setdefault(label, len(order))

@@ -137,15 +137,13 @@ def near_window(*, measured: bool) -> Window:
     )
 
 
-def wide_search(
-    guess: MotionGuess, config: RegistrationConfig, *, free: bool
-) -> tuple[Window, Bounds]:
+def wide_search(guess: MotionGuess, config: RegistrationConfig) -> tuple[Window, Bounds]:
     """Where the robot can have come in a hole of the log, or by wheels that slipped; and bounds.
 
-    Unless it is `free`, odometry is trusted: it does not err by a wide turn, but wheels may have
-    turned in vain. If it is, a result may be as far from the guess as the search looks.
+    Trusted odometry does not err by a wide turn, but wheels may have turned in vain. Without it a
+    result may be as far from the guess as the search looks.
     """
-    slipped_m = _WIDE_SEARCH_M + guess.expected.motion.distance
+    free, slipped_m = not guess.trusted, _WIDE_SEARCH_M + guess.expected.motion.distance
     window = Window(
         distance_m=_WIDE_SEARCH_M if free else min(config.max_shift_m, slipped_m),
         angle_rad=_WIDE_SEARCH_RAD if free else _SEARCH_RAD,

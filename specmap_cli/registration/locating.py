@@ -91,9 +91,8 @@ def locate(scene: Scene, guess: MotionGuess) -> Located:
         known = support.share >= MOST and support.score >= FAIR_SCORE
         wide = not known and not (new and fit.score >= POOR_SCORE)
     if wide:
-        free = not guess.trusted or guess.expected.hole
-        window, reach = wide_search(guess, config, free=free)
-        if not free and _speaks_against(scene.support(fit.planar), config):
+        window, reach = wide_search(guess, config)
+        if guess.trusted and _speaks_against(scene.support(fit.planar), config):
             window = replace(window, angle_rad=config.max_shift_rad)
         fit = fit.or_better(scene.search(guess.pose, window, _WIDER_KERNELS, reach))
     if measured and not doubted:

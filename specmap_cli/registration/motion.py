@@ -9,7 +9,6 @@ showed holds for long ones, too.
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,9 +19,6 @@ from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.matching import observability
 
 _S_PER_NS = 1e-9
-_INTERVALS = 40  # latest ones that tell which interval is usual: some seconds of most logs
-_LONG_INTERVAL = 0.9  # quantile: stamps of some logs come in bursts, and most intervals are short
-_HOLE = 3.0  # long intervals from which on one is a hole in the log
 _FASTER = 1.5  # of the largest motion seen, and no more, may be carried on: robots speed up
 
 # What wheels on hard floors err at most, about twice what they do: metres and radians at rest, and
@@ -49,8 +45,7 @@ class ExpectedMotion:
 
     `motion` is odometry's when it was `measured`, else `carried`: the motion before carried on.
     `during` is the motion to de-skew with. `jumped` tells of an odometry increment too large to be
-    a motion, `shortened` of a motion before that was too large to be carried on as it was. `hole`:
-    much more time went by than between other sweeps.
+    a motion, `shortened` of a motion before that was too large to be carried on as it was.
     """
 
     motion: Pose2
@@ -60,7 +55,6 @@ class ExpectedMotion:
     measured: bool
     jumped: bool
     shortened: bool
-    hole: bool = False
 
 
 class MotionModel:
@@ -77,7 +71,6 @@ class MotionModel:
         self._last = self._before = IDENTITY
         # forward, sideways and in turn the two largest confirmed motions: one may be an error
         self._largest = [(0.0, 0.0)] * 3
-        self._intervals: deque[float] = deque(maxlen=_INTERVALS)
 
     def expect(self, sweep: Sweep) -> ExpectedMotion:
         """The motion expected since the sweep before."""
@@ -103,11 +96,6 @@ class MotionModel:
             for motion in (self._last, steady)
         )
         measured = increment is not None and not jumped
-        hole, known = False, sorted(self._intervals)
-        if len(known) >= _INTERVALS // 2:
-            usual_s = known[int(_LONG_INTERVAL * len(known))]
-            hole = interval_s > _HOLE * usual_s > 0.0
-        self._intervals.append(interval_s)
         timed = sweep.planar.beam_times_s is not None or sweep.cloud_times_s is not None
         return ExpectedMotion(
             motion=increment if increment is not None and measured else carried,
@@ -117,7 +105,6 @@ class MotionModel:
             measured=measured,
             jumped=jumped,
             shortened=(not measured and carried != self._last) or (timed and during != steady),
-            hole=hole,
         )
 
     def conclude(self, motion: Pose2, *, confirmed: bool = False) -> None:

@@ -157,28 +157,6 @@ def test_two_confirmed_motions_widen_what_is_carried_on() -> None:
     assert model.expect(sweep()).carried == Pose2(3.0, -0.2, 0.3)
 
 
-@pytest.mark.parametrize(
-    ("gaps_s", "gap_s", "hole"),
-    [
-        ([0.1] * 40, 0.31, True),
-        ([0.1] * 40, 0.29, False),
-        ([0.1] * 10, 5.0, False),  # too early to tell
-        ([0.001, 0.199] * 20, 0.5, False),  # stamps in bursts
-        ([0.001, 0.199] * 20, 0.7, True),
-        ([0.0] * 40, 5.0, False),  # stamps that say nothing
-        ([2.0] * 40, 2.5, False),  # a sparse log has no holes
-    ],
-)
-def test_a_hole_in_the_log_is_a_gap_much_longer_than_usual(
-    gaps_s: list[float], gap_s: float, hole: bool
-) -> None:
-    model = MotionModel(RegistrationConfig())
-    stamps_s = np.cumsum([1.0, *gaps_s, gap_s])
-    found = [model.expect(sweep(float(stamp))).hole for stamp in stamps_s]
-    assert found[-1] == hole
-    assert not any(found[1:-1])
-
-
 BOTH = (True, True)
 
 
