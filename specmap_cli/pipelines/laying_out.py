@@ -46,10 +46,9 @@ REFUTED = "contradicts the layout"
 
 
 def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str) -> LaidOut:
-    """The map of what was explored in the recording of a file `name`.
+    """The map of what was explored in the recording of a file `name`: laid out, drawn and divided.
 
-    Relaxed by the closures, turned along the walls; closures that contradict it refuted;
-    drawn and divided. Raises NoResultError when no keyframe fits into the largest grid allowed.
+    Raises NoResultError when no keyframe fits into the largest grid allowed.
     """
     store, config = session.store, session.config
     session.progress.start("layout", None)
