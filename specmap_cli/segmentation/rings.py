@@ -25,11 +25,12 @@ def without_rings(labels: LabelArray) -> LabelArray:
         _, around = cv2.connectedComponents((~region).astype(np.uint8), connectivity=4)
         size = np.bincount(around.ravel(), weights=~region.ravel())
         cuts = np.zeros_like(region)
-        for number in np.flatnonzero(size):
+        for number, box in enumerate(ndimage.find_objects(around), 1):
             if number != around[0, 0]:  # an obstacle of less than half of its size is passed over
                 large = 2 * size >= size[number]
                 large[[0, around[0, 0]]] = False, True
-                _cut_round(around == number, large[around], cuts)
+                near = tuple(slice(max(0, 2 * s.start - s.stop), 2 * s.stop - s.start) for s in box)
+                _cut_round(around[near] == number, large[around[near]], cuts[near])
         cuts &= region
         _, piece = cv2.connectedComponents((region & ~cuts).astype(np.uint8), connectivity=8)
         beside = np.unique(piece[(cv2.dilate(cuts.astype(np.uint8), _BESIDE) > 0) & (piece > 0)])
@@ -46,7 +47,8 @@ def _cut_round(hole: BoolArray, solid: BoolArray, cuts: BoolArray) -> None:
     """Mark in `cuts` (h, w) where a region is cut that is a ring round a hole (h, w).
 
     It is one when the hole is larger than the floor round it, as wide as it is at the corners of
-    the hole. The longer sides own these corners: the others end where the longer ones go by.
+    the hole; nothing farther away than the hole is wide can matter. The longer sides own these
+    corners: the others end where the longer ones go by.
     """
     sides = [int(np.ptp(_extent(hole.sum(axis=axis)))) + 1 for axis in (0, 1)]
     whole = 1

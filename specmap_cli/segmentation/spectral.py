@@ -152,13 +152,15 @@ def split_again(
     """
     labels = labels.copy()
     (i, j), count = graph.pairs.T.copy(), int(labels.max(initial=-1)) + 1
-    pending = list(range(count))
+    within = np.flatnonzero(labels[i] == labels[j])
+    within = within[np.argsort(labels[i[within]], kind="stable")]
+    ends = np.cumsum(np.bincount(labels[i[within]], minlength=count))
+    pending = list(enumerate(np.split(within, ends[:-1])))  # clusters, and the links in each
     while pending:
-        label = pending.pop()
+        label, inside = pending.pop()
         members = np.flatnonzero(labels == label)
         if len(members) < _FEWEST_NODES:
             continue
-        inside = (labels[i] == label) & (labels[j] == label)
         pairs = np.searchsorted(members, graph.pairs[inside])
         part = VisibilityGraph(graph.nodes[members], pairs, graph.lengths[inside])
         S = similarity(part, neighbours, dense=True)  # Algorithm 2, line 1
@@ -170,7 +172,9 @@ def split_again(
         other = piece > 0 if pieces > 1 else bisect(vectors[:, 0], vectors[:, 1]) == 1
         if other.any() and not other.all():
             labels[members[other]] = count
-            pending += [label, count]
+            halves = labels[i[inside]], labels[j[inside]]
+            for half in (label, count):
+                pending.append((half, inside[(halves[0] == half) & (halves[1] == half)]))
             count += 1
     return numbered(labels)
 
