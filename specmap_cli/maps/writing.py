@@ -25,7 +25,7 @@ from specmap_cli.maps import filenames
 from specmap_cli.maps.features_file import Arrays, write_features
 from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.text_files import labels_text, trajectory_text
-from specmap_cli.topology.regions import NOBODY, OwnerArray, Regions
+from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import LogInfo, TopologicalMap
 
 PictureArray = NDArray[np.uint8]
@@ -78,7 +78,7 @@ def write_map(
     )
     _write_topology(directory, result.topology, record)
     write_grid(directory / filenames.MAP_GRID, result.regions.grid)
-    _write_labels(directory, result.regions.owner)
+    _write_labels(directory, (result.regions.owner + 1).astype(np.uint16))
     write_png(directory / filenames.OVERVIEW, result.overview)
     for name, text in (
         (filenames.CLASSIFIERS, result.classifiers),
@@ -110,16 +110,15 @@ def write_segmentation(
     directory = Path(directory)
     _write_topology(directory, topology, TopologyRecord.of(topology, regions, (log,)))
     write_grid(directory / filenames.MAP_GRID, full)
-    owner, (height, width) = np.full(full.cells.shape, NOBODY), regions.owner.shape
+    labels, (height, width) = np.zeros(full.cells.shape, dtype=np.uint16), regions.owner.shape
     row, column = full.cells_of(regions.grid.centres_of(np.zeros((1, 2))))[0].tolist()
-    owner[row : row + height, column : column + width] = regions.owner
-    _write_labels(directory, owner)
+    labels[row : row + height, column : column + width] = regions.owner + 1
+    _write_labels(directory, labels)
     write_png(directory / filenames.OVERVIEW, overview)
 
 
-def _write_labels(directory: Path, owner: OwnerArray) -> None:
-    """Write labels.png: the submap of each cell (H, W) plus 1, in 16 bits; 0 has none."""
-    labels = (owner + 1).astype(np.uint16)
+def _write_labels(directory: Path, labels: NDArray[np.uint16]) -> None:
+    """Write labels.png: the submap of each cell (H, W) plus 1; 0 has none."""
     write_png(directory / filenames.LABELS_IMAGE, labels[::-1])
 
 
