@@ -11,6 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import replace
 
 from specmap_cli.batch.ledger import EventRecord, Ledger
@@ -65,18 +66,16 @@ def run_batch(
             write_files(terms.output, summaries_of(names, ledger.results))
 
         note(ledger.event("began"))
-        with opened(cluster) as client:
-            try:
-                written = time.monotonic()
-                with Workers(client, terms) as workers:
-                    for event in work_off(longest_first(jobs, sizes), workers, retries, ledger):
-                        note(event)
-                        show(ledger)
-                        if time.monotonic() - written > _SUMMARY_EVERY_S:
-                            summarise()
-                            written = time.monotonic()
-            finally:  # however it ends, once there are workers
-                summarise()
+        with ExitStack() as stack:
+            workers = stack.enter_context(opened(cluster, terms))
+            stack.callback(summarise)  # however it ends, once there are workers
+            written = time.monotonic()
+            for event in work_off(longest_first(jobs, sizes), workers, retries, ledger):
+                note(event)
+                show(ledger)
+                if time.monotonic() - written > _SUMMARY_EVERY_S:
+                    summarise()
+                    written = time.monotonic()
         note(ledger.event("ended"))
     return ledger
 

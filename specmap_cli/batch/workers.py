@@ -1,53 +1,51 @@
-"""The workers of Dask, on this machine or behind any scheduler, and what each does with a job.
+"""The workers of a batch: threads of this process, or those of Dask behind any scheduler.
 
-Nothing of a job lives in the cluster. A worker that dies, a client that dies and a scheduler that
-dies lose what they were doing; results lie in the output.
+Workers of this machine listen on no port: no other user of it could tell them what to do. Nothing
+of a job lives in the workers. One that dies, a client that dies and a scheduler that dies lose what
+they were doing; results lie in the output.
 """
 
 from __future__ import annotations
 
+import ctypes
 import logging
+import multiprocessing
 import os
+import signal
+import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from importlib import import_module
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 from uuid import uuid4
 
 from specmap_cli import __version__
+from specmap_cli.batch.processes import GivenUpError
 from specmap_cli.batch.records import JobResult, Terms, Turn
 from specmap_cli.batch.running import failure, run_job
 from specmap_cli.core.errors import PACKAGE, NoResultError, UsageError
 
 if TYPE_CHECKING:
-    from distributed import Client, Future, LocalCluster
+    from distributed import Client, Future
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_STARTS = 2  # how often workers are started before it is given up
 _ANSWER_S = 10.0  # a scheduler that does not answer within this time is not there
 _MB = 1_000_000
 _POLL_S = 1.0  # how long to wait for a result before looking at the workers again
 _SHARE = 0.9  # of the machine's memory: the rest is for the system and the client
-# One worker's death fails the one job it had: how often to try again is decided here, not there.
-# Workers do next to nothing themselves; profiling and spilling would only cost.
-_DASK: Mapping[str, Any] = {
-    "distributed.scheduler.allowed-failures": 0,
-    "distributed.scheduler.worker-ttl": "5 minutes",
-    "distributed.worker.preload": ["specmap_cli.batch.preload"],
-    "distributed.worker.profile.enabled": False,
-    "distributed.admin.system-monitor.gil.enabled": False,
-}
 
 
 @dataclass(frozen=True, slots=True)
 class Cluster:
-    """Where workers are: `workers` processes of this machine (None: one a processor), or those of
-    a scheduler, for the first of which to wait `patience_s`."""
+    """Where workers are: `workers` of this machine (None: one a processor), or those of a
+    scheduler, for the first of which to wait `patience_s`."""
 
     workers: int | None = None
     scheduler: str | None = None
@@ -55,12 +53,23 @@ class Cluster:
 
 
 @contextmanager
-def opened(cluster: Cluster) -> Iterator[Client]:
-    """A client of the workers; those of this machine end with the block.
+def opened(cluster: Cluster, terms: Terms) -> Iterator[Workers]:
+    """The workers, which give up what they do when the block ends.
 
     Raises UsageError where there is no scheduler, no worker, or another version of specmap.
     """
-    import dask
+    if cluster.scheduler is None:
+        with LocalWorkers(cluster.workers or processors(), terms) as local:
+            yield local
+        return
+    connected = _connected(cluster.scheduler, cluster.patience_s)
+    with connected as client, Workers(client, terms) as workers:
+        yield workers
+
+
+@contextmanager
+def _connected(address: str, patience_s: float) -> Iterator[Client]:
+    """A client of a scheduler that has workers of this version."""
     from distributed import Client
     from distributed.versions import VersionMismatchWarning
 
@@ -71,25 +80,29 @@ def opened(cluster: Cluster) -> Iterator[Client]:
             logger.setLevel(logging.CRITICAL)
         stack.enter_context(warnings.catch_warnings())
         warnings.simplefilter("ignore", VersionMismatchWarning)
-        if cluster.scheduler is None:
-            stack.enter_context(dask.config.set(_DASK))
-            client = stack.enter_context(Client(stack.enter_context(_started(cluster))))
-        else:
-            client = stack.enter_context(_connected(cluster.scheduler))
         try:
-            client.wait_for_workers(1, timeout=cluster.patience_s)
+            client = Client(address, timeout=_ANSWER_S, set_as_default=False)
+        except (OSError, ValueError) as error:
+            said = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise UsageError(
+                f"no Dask scheduler answers ({said})",
+                "start one with `dask scheduler`, and workers with `dask worker`",
+                where=address,
+            ) from None
+        stack.enter_context(client)
+        try:
+            client.wait_for_workers(1, timeout=patience_s)
         except TimeoutError:
-            found = f"no worker has come in {cluster.patience_s:.0f} s"
-            where = cluster.scheduler or "this machine"
-            raise UsageError(found, "start one with `dask worker`", where=where) from None
+            found = f"no worker has come in {patience_s:.0f} s"
+            raise UsageError(found, "start one with `dask worker`", where=address) from None
         # another version makes other maps
-        for address, version in sorted(client.run(_version, on_error="return").items()):
+        for worker, version in sorted(client.run(_version, on_error="return").items()):
             if version != __version__:
                 what = version if isinstance(version, str) else f"none that works ({version})"
                 raise UsageError(
                     f"the worker has specmap {what}, this is {__version__}",
                     "install the same version on both sides",
-                    where=address,
+                    where=worker,
                 )
         yield client
 
@@ -113,44 +126,6 @@ def require_dask() -> None:
     except ImportError as error:
         raise UsageError(
             f"workers need Dask ({error})", "pip install 'specmap-cli[batch]'", code=PACKAGE
-        ) from None
-
-
-def _started(cluster: Cluster) -> LocalCluster:
-    """The workers of this machine. A worker may die while it starts: then all start once more."""
-    from distributed import LocalCluster
-
-    cluster_of_dask: Any = LocalCluster
-    for _ in range(_STARTS):
-        try:
-            started: LocalCluster = cluster_of_dask(
-                n_workers=cluster.workers or processors(),
-                threads_per_worker=1,
-                processes=True,
-                scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
-                memory_limit=0,  # the steps of jobs have limits of their own
-                silence_logs=logging.CRITICAL,
-            )
-            return started
-        except (RuntimeError, OSError) as error:
-            why = str(error.__cause__ or error)
-    raise NoResultError(
-        f"the workers of this machine could not be started ({why})",
-        "run the same command again, which goes on where this one stopped",
-    )
-
-
-def _connected(address: str) -> Client:
-    from distributed import Client
-
-    try:
-        return Client(address, timeout=_ANSWER_S, set_as_default=False)
-    except (OSError, ValueError) as error:
-        said = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise UsageError(
-            f"no Dask scheduler answers ({said})",
-            "start one with `dask scheduler`, and workers with `dask worker`",
-            where=address,
         ) from None
 
 
@@ -253,6 +228,57 @@ class Workers:
         return addresses, memory_mb or None
 
 
+class LocalWorkers(Workers):
+    """The same on this machine: each is a thread, which runs the steps of a job as processes."""
+
+    def __init__(self, count: int, terms: Terms) -> None:
+        self._count = count
+        self._terms = terms
+        self._threads = ThreadPoolExecutor(count)
+        self._results: SimpleQueue[tuple[Turn, JobResult]] = SimpleQueue()
+        self._are_wanted = True
+
+    def __exit__(self, *_: object) -> None:
+        self._are_wanted = False
+        self._threads.shutdown(cancel_futures=True)
+
+    def slots(self) -> int:
+        """How many workers there are."""
+        return self._count
+
+    def alone_mb(self) -> int | None:
+        """The megabytes that a job may use when it is alone; None: any."""
+        limit = self._terms.limits.memory_mb
+        return None if limit is None else limit * self._count
+
+    def submit(self, turn: Turn) -> None:
+        """Have a job done."""
+        limits = self._terms.limits
+        limits = replace(limits, memory_mb=self.alone_mb()) if turn.alone else limits
+
+        def work() -> None:
+            try:
+                result = run_job(turn, replace(self._terms, limits=limits), self._is_wanted)
+            except GivenUpError:
+                return
+            except Exception as error:
+                told = f"the worker failed: {type(error).__name__}: {error}"
+                result = failure(turn, "worker", told, limits)
+            self._results.put((turn, result))
+
+        self._threads.submit(work)
+
+    def _is_wanted(self) -> bool:
+        return self._are_wanted
+
+    def next_result(self) -> tuple[Turn, JobResult | None] | None:
+        """The next result; None after a while."""
+        try:
+            return self._results.get(timeout=_POLL_S)
+        except Empty:
+            return None
+
+
 def on_worker(turn: Turn, terms: Terms, version: str) -> JobResult:
     """What a worker of Dask does with a job."""
     if version != __version__:
@@ -283,16 +309,33 @@ def spread(
     What the function raises is raised here. Raises UsageError where there are no workers,
     NoResultError where they are lost on the way.
     """
+    lost = "start them and run the same command again, or leave out --workers and --scheduler"
+    if cluster.scheduler is None:
+        count, context = cluster.workers or processors(), multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(count, context, initializer=_tied_to_parent) as pool:
+            try:
+                return list(pool.map(function, items))
+            except BrokenProcessPool:
+                raise NoResultError("a worker was killed", lost) from None
+            except BaseException:  # the others need not come to their end
+                pool.shutdown(wait=False, cancel_futures=True)
+                for child in multiprocessing.active_children():
+                    child.terminate()
+                raise
     require_dask()
     from distributed import KilledWorker
     from distributed.comm.core import CommClosedError
 
-    with opened(cluster) as client:
+    with _connected(cluster.scheduler, cluster.patience_s) as client:
         try:
             found: list[Result] = client.gather(client.map(function, items, pure=False))
             return found
         except (KilledWorker, CommClosedError) as error:
-            raise NoResultError(
-                f"the workers were lost ({type(error).__name__})",
-                "start them and run the same command again, or leave out --workers and --scheduler",
-            ) from None
+            raise NoResultError(f"the workers were lost ({type(error).__name__})", lost) from None
+
+
+def _tied_to_parent() -> None:
+    """Turn a process deaf to Ctrl-C, which its parent heeds; on Linux it dies with that."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG

@@ -94,7 +94,7 @@ def batch(
     specmap batch 'logs/*.mcap' -o maps --workers 4 --step build
     specmap batch jobs.toml -o s3://bucket/maps --scheduler tcp://host:8786
     """
-    cluster = cluster_of(sharing.workers, sharing.scheduler)
+    cluster = cluster_of(sharing.workers, sharing.scheduler, common)
     from specmap_cli.batch.batch import run_batch
     from specmap_cli.batch.jobs import jobs_of
     from specmap_cli.batch.records import Limits, Terms

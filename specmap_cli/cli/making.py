@@ -150,7 +150,7 @@ def merge(
         int | None,
         typer.Option(
             min=1,
-            help="Align pairs of maps on as many processes; needs the extra `batch`.",
+            help="Align pairs of maps on as many processes.",
         ),
     ] = None,
     scheduler: Annotated[
@@ -185,16 +185,16 @@ def merge(
             settings.of_map(oldest(stored)),
             overwrite=overwrite,
             progress=progress,
-            spread=_spread(workers, scheduler),
+            spread=_spread(workers, scheduler, common),
         )
     common.show(report.as_dict(), report.lines())
 
 
-def _spread(workers: int | None, scheduler: str | None) -> Spread | None:
+def _spread(workers: int | None, scheduler: str | None, common: Common) -> Spread | None:
     """Where pairs of maps are aligned; None: in this process."""
     if workers is None and scheduler is None:
         return None
-    cluster = cluster_of(workers, scheduler)
+    cluster = cluster_of(workers, scheduler, common)
     from functools import partial
 
     from specmap_cli.batch.workers import spread

@@ -210,10 +210,15 @@ class LogSettings(Settings):
         return Settings.overrides(self, {**own, **(flags or {})})
 
 
-def cluster_of(workers: int | None, scheduler: str | None) -> Cluster:
+def cluster_of(workers: int | None, scheduler: str | None, common: Common) -> Cluster:
     """Where work is shared: `--workers` of this machine, or those of a `--scheduler`."""
     if workers is not None and scheduler is not None:
         raise UsageError("--workers and --scheduler do not go together: a scheduler has its own")
+    if scheduler is not None and not scheduler.startswith("tls:"):
+        common.progress().warn(
+            f"{scheduler} does not use TLS: whoever reaches it can run code as you, see "
+            "docs/security.md"
+        )
     from specmap_cli.batch.workers import Cluster
 
     return Cluster(workers, scheduler)

@@ -175,8 +175,8 @@ class OutputDirectory:
             return
         of_map = self.marker == TOPOLOGY
         marker = self._target / self.marker
-        # we wrote no directory without it, and none of ours without its version
-        if not marker.is_file() or b'"schema_version"' not in marker.read_bytes():
+        # we wrote no directory without it, and no map without its version
+        if not marker.is_file() or (of_map and b'"schema_version"' not in marker.read_bytes()):
             raise refused(
                 f"is not empty and holds no {'map' if of_map else 'earlier result'} "
                 f"(no {self.marker} of specmap in it)",

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -19,13 +21,14 @@ from specmap_cli.batch import batch, workers
 from specmap_cli.batch.batch import run_batch, work_off
 from specmap_cli.batch.ledger import EventRecord, Ledger
 from specmap_cli.batch.places import PlaceError
-from specmap_cli.batch.records import Limits, Terms, Turn
+from specmap_cli.batch.records import JobResult, Limits, Terms, Turn
 from specmap_cli.batch.summaries import SUMMARIES
 from specmap_cli.batch.workers import Cluster, Workers, spread
 from specmap_cli.core.errors import MapError, NoResultError, UsageError
 from tests.batch.results import at_once, job
 
-distributed = pytest.importorskip("distributed")
+distributed, dask = pytest.importorskip("distributed"), pytest.importorskip("dask")
+psutil = pytest.importorskip("psutil")
 
 # What Dask leaves to the garbage collector in a test's process is not ours.
 pytestmark = [
@@ -54,8 +57,9 @@ def ran(client: Any, monkeypatch: pytest.MonkeyPatch) -> Ran:
     """Run jobs that do what their names say on these workers; also what was told."""
 
     @contextmanager
-    def opened(_: Cluster) -> Iterator[Any]:
-        yield client
+    def opened(_: Cluster, terms: Terms) -> Iterator[Workers]:
+        with workers.Workers(client, terms) as some:
+            yield some
 
     def ran(
         out: Path | str, *names: str, limits: Limits = Limits(), **options: Any
@@ -66,7 +70,6 @@ def ran(client: Any, monkeypatch: pytest.MonkeyPatch) -> Ran:
         return run_batch(jobs, terms, Cluster(), 0, tell, **options), told
 
     monkeypatch.setattr(batch, "opened", opened)
-    monkeypatch.setattr(workers, "opened", opened)
     monkeypatch.setattr(workers, "on_worker", at_once)
     return ran
 
@@ -104,7 +107,7 @@ def test_two_batches_do_not_share_a_directory_which_is_the_same_for_all_workers(
         with pytest.raises(UsageError, match="another batch is writing there"):
             ran(tmp_path / "maps", "b")
 
-    monkeypatch.setattr(batch, "Workers", told)
+    monkeypatch.setattr(workers, "Workers", told)
     monkeypatch.chdir(tmp_path)
     ran("maps", "a", tell=again)
     ran("maps", "b")
@@ -143,7 +146,14 @@ def test_a_job_whose_worker_dies_is_tried_again(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(workers, "on_worker", at_once)
     names = ("deadly", "a", "b")
     ledger = Ledger([job(name) for name in names], dict.fromkeys(names, 1))
-    with workers.opened(Cluster(workers=2)) as client, Workers(client, Terms("")) as some:
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0", memory_limit=0
+        ) as local,
+        distributed.Client(local) as client,
+        Workers(client, Terms("")) as some,
+    ):
         happened = list(work_off(ledger.jobs, some, 1, ledger))
     (retried,) = (one for one in happened if one is not None and one.event == "retried")
     assert (retried.job, retried.kind) == ("deadly", "worker")
@@ -195,41 +205,59 @@ def test_a_scheduler_in_another_process(tmp_path: Path, monkeypatch: pytest.Monk
         assert record["limits"]["memory_mb"] > 0  # the worker's share
 
 
-def test_a_new_worker_is_deaf_to_ctrl_c_before_it_loads_anything_of_ours() -> None:
-    """And a worker that has a job loads no reader of logs: its steps do."""
-    program = """
-import signal, sys, threading
-{preload}
-dask_setup(None)
-assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
-assert not {{"numpy", "pydantic", "specmap_cli.core"}} & sys.modules.keys()
-import specmap_cli.batch.workers
-assert not [name for name in sys.modules if name.startswith("specmap_cli.logs")]
-"""
-    preload = f"from {workers._DASK['distributed.worker.preload'][0]} import dask_setup"
-    subprocess.run([sys.executable, "-c", program.format(preload=preload)], check=True)
-
-
 def _tripled(number: int) -> int:
     if number < 0:
         raise MapError(f"{number}: not a map")
     return 3 * number
 
 
-@pytest.mark.usefixtures("ran")
-def test_a_function_of_many_things_is_spread_over_the_workers() -> None:
-    assert spread(Cluster(), _tripled, [1, 2, 3]) == [3, 6, 9]
+def _killing(number: int) -> int:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def test_a_function_of_many_things_is_spread_over_processes() -> None:
+    """One that is killed on the way, as for want of memory, is told of."""
+    assert spread(Cluster(2), _tripled, [1, 2, 3]) == [3, 6, 9]
     with pytest.raises(MapError, match="-1: not a map"):
-        spread(Cluster(), _tripled, [1, -1])
+        spread(Cluster(2), _tripled, [-1, *range(9)])
+    with pytest.raises(NoResultError, match="a worker was killed"):
+        spread(Cluster(1), _killing, [1])
 
 
-def test_a_worker_that_dies_while_it_starts_is_started_again(
-    monkeypatch: pytest.MonkeyPatch,
+def test_a_function_of_many_things_is_spread_over_the_workers_of_a_scheduler(
+    client: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    died = RuntimeError("Nanny failed to start.")
-    died.__cause__ = RuntimeError("no worker process")
-    monkeypatch.setattr(distributed, "LocalCluster", Mock(side_effect=[died, "started"]))
-    assert workers._started(Cluster(1)) == "started"
-    monkeypatch.setattr(distributed, "LocalCluster", Mock(side_effect=died))
-    with pytest.raises(NoResultError, match=r"could not be started \(no worker process\): run "):
-        workers._started(Cluster(1))
+    monkeypatch.setattr(workers, "_connected", lambda *_: nullcontext(client))
+    assert spread(Cluster(scheduler="inproc:"), _tripled, [1, 2]) == [3, 6]
+
+
+def _ports() -> set[str]:
+    """The ports of TCP at which this process and its children listen."""
+    own = psutil.Process()
+    each = [own, *own.children(recursive=True)]
+    return {
+        str(one.laddr)
+        for process in each
+        for one in process.net_connections(kind="tcp")
+        if one.status == psutil.CONN_LISTEN
+    }
+
+
+def test_workers_of_this_machine_listen_on_no_port(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At a port, any user of the machine could have his code run as ours."""
+    before, during = _ports(), list[set[str]]()
+
+    def looking(turn: Turn, terms: Terms, _: Callable[[], bool]) -> JobResult:
+        during.append(_ports())
+        return at_once(turn, terms, __version__)
+
+    monkeypatch.setattr(workers, "run_job", looking)
+    ledger = run_batch([job("a"), job("buggy")], Terms(str(tmp_path)), Cluster(2))
+    assert (ledger.done, ledger.failed) == (1, 1)
+    assert ledger.results["buggy"].reason == "the worker failed: ValueError: a bug of the worker"
+    assert spread(Cluster(1), _tripled, [1]) == [3]
+    assert during == [before] * len(during)
+    assert len(during) >= 2
