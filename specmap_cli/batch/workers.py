@@ -15,6 +15,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future as LocalFuture
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager
@@ -25,7 +26,6 @@ from typing import TYPE_CHECKING, TypeVar
 from uuid import uuid4
 
 from specmap_cli import __version__
-from specmap_cli.batch.processes import GivenUpError
 from specmap_cli.batch.records import JobResult, Terms, Turn
 from specmap_cli.batch.running import failure, run_job
 from specmap_cli.core.errors import PACKAGE, NoResultError, UsageError
@@ -235,7 +235,7 @@ class LocalWorkers(Workers):
         self._count = count
         self._terms = terms
         self._threads = ThreadPoolExecutor(count)
-        self._results: SimpleQueue[tuple[Turn, JobResult]] = SimpleQueue()
+        self._results: SimpleQueue[tuple[Turn, LocalFuture[JobResult]]] = SimpleQueue()
         self._are_wanted = True
 
     def __exit__(self, *_: object) -> None:
@@ -255,18 +255,9 @@ class LocalWorkers(Workers):
         """Have a job done."""
         limits = self._terms.limits
         limits = replace(limits, memory_mb=self.alone_mb()) if turn.alone else limits
-
-        def work() -> None:
-            try:
-                result = run_job(turn, replace(self._terms, limits=limits), self._is_wanted)
-            except GivenUpError:
-                return
-            except Exception as error:
-                told = f"the worker failed: {type(error).__name__}: {error}"
-                result = failure(turn, "worker", told, limits)
-            self._results.put((turn, result))
-
-        self._threads.submit(work)
+        terms = replace(self._terms, limits=limits)
+        job = self._threads.submit(run_job, turn, terms, self._is_wanted)
+        job.add_done_callback(lambda ended: self._results.put((turn, ended)))
 
     def _is_wanted(self) -> bool:
         return self._are_wanted
@@ -274,9 +265,14 @@ class LocalWorkers(Workers):
     def next_result(self) -> tuple[Turn, JobResult | None] | None:
         """The next result; None after a while."""
         try:
-            return self._results.get(timeout=_POLL_S)
+            turn, job = self._results.get(timeout=_POLL_S)
         except Empty:
             return None
+        error = job.exception()
+        if error is None:
+            return turn, job.result()
+        told = f"the worker failed: {type(error).__name__}: {error}"
+        return turn, failure(turn, "worker", told, self._terms.limits)
 
 
 def on_worker(turn: Turn, terms: Terms, version: str) -> JobResult:

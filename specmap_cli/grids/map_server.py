@@ -58,6 +58,7 @@ _PNG_OPTIONS = [cv2.IMWRITE_PNG_COMPRESSION, 6, cv2.IMWRITE_PNG_STRATEGY, 0]
 _PICTURE_MAX_MB = 268.0  # a picture of a map or a plan, even one without compression
 _PIXELS_PER_MPIXEL = 1_000_000
 # Where width and height stand in the formats that maps come in, by the definition of each.
+_PNG_MAGIC, _AROUND_A_CHUNK = b"\x89PNG\r\n\x1a\n", 12  # bytes: its length, kind and checksum
 _PNG = re.compile(rb"\x89PNG\r\n\x1a\n.{4}IHDR(.{8})", re.DOTALL)
 _BMP = re.compile(rb"BM.{16}(.{8})", re.DOTALL)
 _PNM = re.compile(rb"P[1-6]\s+(?:#[^\n]*\n\s*)*(\d+)\s+(?:#[^\n]*\n\s*)*(\d+)")
@@ -295,18 +296,31 @@ def read_picture(path: Path, limits: LimitsConfig | None = None) -> NDArray[Any]
             where=path,
             code=TOO_LARGE,
         )
+    picture: NDArray[Any] | None = None
     try:
         with _silence():
-            picture: NDArray[Any] | None = cv2.imdecode(
-                np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED
-            )
+            if _is_whole(data):
+                picture = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:  # no bytes at all, or more pixels than OpenCV takes
         if error.code == cv2.Error.StsNoMem:
             raise MemoryError(f"for the {width} x {height} pixels of {path}") from None
-        picture = None
     if picture is None:
         raise MapError("not an image that can be read", "expected PNG, PGM or BMP", where=path)
     return np.atleast_3d(picture)[::-1]
+
+
+def _is_whole(data: bytes) -> bool:
+    """Whether a PNG holds every byte that its chunks claim, which decoders ask memory for.
+
+    Pictures of other formats have no chunks.
+    """
+    place = len(_PNG_MAGIC)
+    while data.startswith(_PNG_MAGIC) and place < len(data):
+        length = int.from_bytes(data[place : place + 4])
+        if length > len(data) - place - _AROUND_A_CHUNK:
+            return False
+        place += length + _AROUND_A_CHUNK
+    return True
 
 
 def _size(data: bytes) -> tuple[int, int]:

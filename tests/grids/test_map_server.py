@@ -422,6 +422,20 @@ def test_want_of_memory_is_told_as_what_it_is(
         read_picture(path)
 
 
+@pytest.mark.parametrize("claimed", [0x7E097849, 0x00FFFFFF, 12])
+def test_a_picture_that_claims_more_than_it_holds_reaches_no_decoder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, claimed: int
+) -> None:
+    """OpenCV would take gigabytes for a file of 52 bytes."""
+    path, asked = tmp_path / "m.png", list[object]()
+    head = (13).to_bytes(4) + b"IHDR" + (428).to_bytes(4) + (268).to_bytes(4) + bytes(9)
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + head + claimed.to_bytes(4) + b"IDATx\x9c\xed\x9d")
+    monkeypatch.setattr(cv2, "imdecode", lambda *_: asked.append(1))
+    with pytest.raises(MapError, match="not an image that can be read"):
+        read_picture(path)
+    assert asked == []
+
+
 @pytest.mark.parametrize("place", [20, 45, 55, -6, -1])
 def test_libraries_keep_silent_about_damage(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], place: int

@@ -91,7 +91,8 @@ def damaged_keyword(line: bytes) -> str | None:
         word = line[: len(keyword)]
         wrong = [old for old, new in zip(keyword, word, strict=False) if old != new]
         if len(word) == len(keyword) and len(wrong) <= 1 and not bytes(wrong).isdigit():
-            other = not wrong and not line[len(keyword) + 1 : len(keyword) + 2].isdigit()
+            behind = line[len(keyword) : len(keyword) + 2]  # no keyword goes on beyond ASCII
+            other = not wrong and behind[:1] < b"\x80" and not behind[1:].isdigit()
             return None if other else keyword.decode("ascii")
     return None
 
@@ -253,13 +254,16 @@ class CarmenFile(Recording):
         if not is_text(head):
             return False
         searched = 0
-        with file.open("rb") as lines:
-            for line in iter(lambda: lines.readline(_MAX_LINE_BYTES), b""):
-                searched += len(line)
-                if keyword_of(line) is not None:
-                    return True
-                if searched > _SEARCH_BYTES:
-                    return False
+        try:
+            with file.open("rb") as lines:
+                for line in iter(lambda: lines.readline(_MAX_LINE_BYTES), b""):
+                    searched += len(line)
+                    if keyword_of(line) is not None:
+                        return True
+                    if searched > _SEARCH_BYTES:
+                        return False
+        except OSError as error:
+            raise unreadable(file, error) from None
         return False
 
     @property
@@ -358,8 +362,9 @@ def _read(text: bytes) -> tuple[CarmenLine | None, list[str]]:
     if keyword is None:
         no_text = _CONTROL.search(text) and text.strip(b"\0\r\n")  # all zeros is padding
         return None, lost or ([_NO_TEXT] if no_text else [])
+    cut = not text.endswith(b"\n") and text.endswith(words[-1])  # who knows what its end was
     try:
-        return parse_line(keyword, words), lost
+        return parse_line(keyword, words[:-1] if cut else words), lost
     except (ValueError, IndexError):
         return None, [*lost, keyword]
 

@@ -202,11 +202,37 @@ def test_a_reading_of_80_m_is_no_return_and_a_line_without_ipc_time_takes_the_lo
     assert sweep.stamp_ns == 7_250_000_000
 
 
-def test_a_disk_that_fails_is_one_line(front: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Failing(BytesIO):
-        def seek(self, *_: int) -> int:
-            raise OSError(5, "Input/output error")
+def test_a_keyword_that_damage_joined_with_what_follows_is_told(path: Path) -> None:
+    """A no-break space in the place of a blank has two bytes."""
+    sound = flaser(0.5, AHEAD)
+    path.write_text(sound + sound.replace("FLASER ", "FLASER\u00a0"), encoding="utf-8")
+    sweeps, stream = sweeps_of(path)
+    assert len(sweeps) == 1
+    assert stream.log.damage == [
+        f"{path}: line 2 (byte {len(sound)}) is damaged: one FLASER after 0.500 s is lost"
+    ]
 
+
+@pytest.mark.parametrize("cut", [3, 5, 16])
+def test_a_log_cut_inside_its_last_stamp_has_no_scan_of_another_time(path: Path, cut: int) -> None:
+    sound, behind = flaser(1_700_000_000.5, AHEAD), len(" nohost 1700000000.500000\n")
+    path.write_text((sound + sound)[: -behind - cut])
+    sweeps, stream = sweeps_of(path)
+    assert [sweep.stamp_ns for sweep in sweeps] == [1_700_000_000_500_000_000]
+    assert len(stream.log.damage) == 1
+
+
+@pytest.mark.parametrize("method", ["seek", "readline"])
+def test_a_disk_that_fails_is_one_line(
+    method: str, front: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Failing(BytesIO):
+        pass
+
+    def fail(*_: int) -> int:
+        raise OSError(5, "Input/output error")
+
+    setattr(Failing, method, fail)
     content = front.read_bytes()
     monkeypatch.setattr(Path, "open", lambda *_: Failing(content))
     assert refusal(front) == f"{front}: cannot read: Input/output error"
