@@ -12,7 +12,7 @@ from fuzz.changes import Change
 from fuzz.compression_changes import FORMATS, change_compressed, packed
 from fuzz.containers import Variant
 from fuzz.drives import SCAN_TOPIC, Drive
-from fuzz.map_changes import Files, change_map
+from fuzz.map_changes import Files, change_map, without_digests
 from fuzz.message_changes import change_messages
 from fuzz.record_changes import change_records
 from fuzz.row_changes import change_rows
@@ -74,11 +74,14 @@ def case_of(seeds: Seeds, seed: int, number: int) -> Case:
 
 
 def _map_case(seeds: Seeds, rng: random.Random, number: int) -> MapCase:
-    files: Files = dict(seeds.map_files)
+    intact: Files = dict(seeds.map_files)
+    if rng.random() < 0.5:
+        intact = without_digests(intact)
+    files = dict(intact)
     deeds: list[str] = []
     notes: list[str] = []
     for _ in range(rng.choice([1, 1, 1, 2])):
-        files, done, note = change_map(rng, files, seeds.map_files)
+        files, done, note = change_map(rng, files, intact)
         deeds += [deed for deed in done if not deeds]  # one is enough: the file may be gone
         notes.append(note)
     return MapCase(

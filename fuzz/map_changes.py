@@ -144,6 +144,13 @@ def change_map(
     return {**files, name: data}, [], f"{name}: {note}"
 
 
+def without_digests(files: Mapping[str, bytes]) -> Files:
+    """The files of a map that tells no digests: damage gets behind the check of them."""
+    document = json.loads(files["topology.json"])
+    document["graph"]["files"] = {}
+    return {**files, "topology.json": json.dumps(document).encode()}
+
+
 def write_map(folder: Path, files: Mapping[str, bytes], deeds: list[str]) -> None:
     """Write a map directory, then do to its files what `change_map` asked for."""
     for name, data in files.items():
@@ -220,8 +227,12 @@ def _change_yaml(rng: random.Random, data: bytes) -> tuple[bytes, str]:
 
 
 def _change_png(rng: random.Random, data: bytes) -> tuple[bytes, str]:
-    """Another header with a checksum that fits, or other bytes."""
-    if rng.random() < 0.5:
+    """Another header with a checksum that fits, a chunk that claims to be longer, other bytes."""
+    kind = rng.random()
+    if kind < 0.1:
+        claimed = rng.choice([0, 100, 2**24, 2**31 - 1, 2**32 - 1])
+        return data[:33] + struct.pack(">I", claimed) + data[37:], f"a chunk of {claimed} bytes"
+    if kind < 0.5:
         change = change_bytes(rng, data)
         return change.data, change.note
     sides = rng.choice([(0, 0), (1, 1), (30_000, 30_000), (2**31 - 1, 2**31 - 1), (60_000, 4)])

@@ -71,6 +71,11 @@ def _change_words(rng: random.Random, words: list[bytes]) -> tuple[list[bytes], 
     place = rng.choice([0, 1, rng.randrange(len(words)), rng.randrange(len(words))])
     place = min(place, len(words) - 1)
     kind = rng.random()
+    if kind < 0.05 and place + 1 < len(words):
+        joined = rng.choice([b"\xc2\xa0", b"\xa0", b"\xe2\x80\xaf", b"\t"]).join(
+            words[place : place + 2]
+        )
+        return [*words[:place], joined, *words[place + 2 :]], f"words {place} and the next joined"
     if kind < 0.1:
         return replaced(words, place), f"word {place} dropped"
     if kind < 0.2:

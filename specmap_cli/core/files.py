@@ -6,6 +6,7 @@ By a lock a run shows that it lives: the system lets go of it however the run en
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
 import re
 import stat
@@ -45,6 +46,12 @@ def read_bytes(path: Path | str, most_mb: float, setting: str | None = None) -> 
         more = f"; if it is meant, raise {setting}" if setting is not None else ""
         raise OSError(errno.EFBIG, f"larger than {most_mb:g} MB{more}", str(path))
     return data
+
+
+def sha256_of(path: Path) -> str:
+    """The SHA-256 of a file in hexadecimal digits. Raises OSError."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def write_text(path: Path | str, text: str) -> None:

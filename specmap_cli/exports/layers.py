@@ -112,7 +112,7 @@ def driven(stored: StoredMap) -> FloatArray:
     path = stored.path / filenames.TRAJECTORY
     if not path.exists():
         return np.zeros((0, 3))
-    trajectory = read_trajectory(path, stored.limits)
+    trajectory = stored.checked(read_trajectory(path, stored.limits), path.name)
     return trajectory.poses if trajectory.lost is None else trajectory.poses[~trajectory.lost]
 
 

@@ -49,7 +49,7 @@ def _read(stored: StoredMap) -> tuple[dict[int, FloatArray], list[Link]]:
             where=stored.path,
         )
     try:
-        poses, links = read_g2o(map_text(path, stored.limits))
+        poses, links = read_g2o(stored.checked(map_text(path, stored.limits), path.name))
     except InputError as error:
         raise MapError(error.found, "build the map again", where=path) from None
     strangers = {end for link in links for end in (link.source, link.target)} - poses.keys()

@@ -16,6 +16,7 @@ EDITS = "edits.toml"
 OVERVIEW = "overview.png"
 LABELS_IMAGE = "labels.png"
 MAP_GRID = "map"  # with the suffixes .png and .yaml: the grid of the whole map
+OF_LABELS = "labels_sha256"  # in run.json: the digest of labels.csv, by which it knows its map
 SUBMAPS = "submaps"  # the directory of the submaps' grids
 # all of them; whatever else lies in a map directory is a person's own
 OF_A_MAP = frozenset(
@@ -36,9 +37,16 @@ OF_A_MAP = frozenset(
         SUBMAPS,
     }
 )
+# what no digest holds to the others: it tells the digests, or how long a run took, or may be edited
+_BY_ITSELF = frozenset({TOPOLOGY, RUN, EDITS, OVERVIEW, SUBMAPS})
 _GRID_OF_A_SUBMAP = re.compile(re.escape(SUBMAPS) + r"/\d+\.(png|yaml)")
 
 
 def is_of_a_map(path: str) -> bool:
     """Whether a path inside a map directory is one that specmap writes."""
     return path in OF_A_MAP or _GRID_OF_A_SUBMAP.fullmatch(path) is not None
+
+
+def has_digest(path: str) -> bool:
+    """Whether topology.json tells the digest of that file of a map."""
+    return is_of_a_map(path) and path not in _BY_ITSELF

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal, Self
 
@@ -91,6 +91,15 @@ class GraphRecord(Record):
     )
     edits: EditsRecord = Field(description="what of edits.toml the map shows")
     quality: Quality | None = Field(description="null where the map was not judged")
+    files: dict[str, str] = Field(
+        default_factory=dict,
+        description="SHA-256 of the files that belong to it, by name; maps of earlier versions do "
+        "not tell it",
+    )
+
+    def with_files(self, files: Mapping[str, str]) -> Self:
+        """The same, naming the files that belong to it."""
+        return self.model_copy(update={"files": dict(files)})
 
 
 class NodeRecord(Record):

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import ValidationError
@@ -16,6 +16,7 @@ from pydantic import ValidationError
 from specmap_cli.core.arguments import path_of
 from specmap_cli.core.config import known_settings
 from specmap_cli.core.errors import MAP_MISSING, TOO_LARGE, MapError
+from specmap_cli.core.files import sha256_of
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import NO_SUBMAP, Labels
 from specmap_cli.core.settings import Config, LimitsConfig
@@ -36,6 +37,8 @@ from specmap_cli.topology.topological_map import (
     default_name,
     fences_of,
 )
+
+Value = TypeVar("Value")
 
 _FINEST_M, _COARSEST_M = 0.002, 10.0  # a cell of a map; matching scans in finer ones takes forever
 
@@ -65,6 +68,19 @@ class StoredMap:
         if _stamp_of(self.path / filenames.TOPOLOGY) != self.as_read:
             raise MapError("was replaced meanwhile", "run the command again", where=self.path)
 
+    def checked(self, value: Value, *names: str) -> Value:
+        """What was read from files of those names: MapError when one is of another map."""
+        for name in names:
+            path, wanted = self.path / name, self.record.graph.files.get(name)
+            try:
+                belongs = wanted is None or sha256_of(path) == wanted
+            except OSError:  # gone since it was read
+                belongs = False
+            if not belongs:
+                self.refuse_changed()
+                raise _foreign(path)
+        return value
+
     @property
     def ids(self) -> list[int]:
         """Submap ids, ascending."""
@@ -83,15 +99,13 @@ class StoredMap:
     @cached_property
     def grids(self) -> Mapping[int, GridMap]:
         """The grids of all submaps in their own frames, each read when asked for."""
-        paths = {
-            node.id: (self.path / node.image).with_suffix(".yaml") for node in self.record.nodes
-        }
-        return _Grids(paths, self.limits)
+        return _Grids(self)
 
     @cached_property
     def map_grid(self) -> GridMap:
         """The grid of the whole map."""
-        return read_grid(self._of_recording(f"{filenames.MAP_GRID}.yaml"), limits=self.limits)
+        names = [f"{filenames.MAP_GRID}{end}" for end in (".yaml", ".png")]
+        return self.checked(read_grid(self._of_recording(names[0]), limits=self.limits), *names)
 
     @cached_property
     def topology(self) -> TopologicalMap:
@@ -128,6 +142,7 @@ class StoredMap:
         if owner.shape != self.map_grid.cells.shape or not known:
             what = f"not the labels of {filenames.TOPOLOGY}"
             raise MapError(what, "make the map again", where=of_grid)
+        self.checked(owner, of_grid.name)
         return Regions.of(self.map_grid, np.where(self.map_grid.free, owner, NOBODY))
 
     @cached_property
@@ -142,7 +157,7 @@ class StoredMap:
                 "build the map again",
                 where=path,
             )
-        return labels
+        return self.checked(labels, path.name)
 
     def keyframes(self) -> KeyframeStore:
         """The scans of the keyframes and their poses as registered: close the store after use."""
@@ -165,12 +180,17 @@ class StoredMap:
                 "build the map again",
                 where=path,
             )
-        return store
+        try:
+            return self.checked(store, path.name)
+        except MapError:
+            store.close()
+            raise
 
     @cached_property
     def classifiers(self) -> str:
         """The text of classifiers.json."""
-        return map_text(self._of_recording(filenames.CLASSIFIERS), self.limits)
+        path = self._of_recording(filenames.CLASSIFIERS)
+        return self.checked(map_text(path, self.limits), path.name)
 
     @property
     def features(self) -> Arrays | None:
@@ -178,7 +198,8 @@ class StoredMap:
         path = self.path / filenames.FEATURES
         if not path.exists():
             return None
-        return read_features(path, len(self.labels.stamps_ns), self.limits)
+        found = read_features(path, len(self.labels.stamps_ns), self.limits)
+        return self.checked(found, path.name)
 
     @cached_property
     def run(self) -> dict[str, Any]:
@@ -188,6 +209,10 @@ class StoredMap:
             raise MapError(
                 "not a JSON object", "build the map again", where=self.path / filenames.RUN
             )
+        wanted = self.record.graph.files.get(filenames.LABELS)
+        if wanted is not None and run.get(filenames.OF_LABELS, wanted) != wanted:
+            self.refuse_changed()
+            raise _foreign(self.path / filenames.RUN)
         return run
 
     def _of_recording(self, name: str) -> Path:
@@ -247,6 +272,11 @@ def _stamp_of(path: Path) -> tuple[int, ...]:
     return about.st_ino, about.st_size, about.st_mtime_ns
 
 
+def _foreign(path: Path) -> MapError:
+    what = f"is not the file that {filenames.TOPOLOGY} was written with"
+    return MapError(what, "put that one back, or build the map again", where=path)
+
+
 def _composed(stored: StoredMap) -> Regions:
     """The grids of all submaps laid out in the map, each the owner of what is free in it.
 
@@ -290,31 +320,34 @@ def _placed(node: NodeRecord, grid: GridMap, cells: BoolArray) -> FloatArray:
 class _Grids(Mapping[int, GridMap]):
     """Grids by submap id, each read from its file when it is first asked for."""
 
-    def __init__(self, paths: Mapping[int, Path], limits: LimitsConfig) -> None:
-        self._paths = paths
-        self._limits = limits
+    def __init__(self, stored: StoredMap) -> None:
+        self._stored = stored
+        self._images = {node.id: Path(node.image) for node in stored.record.nodes}
         self._read: dict[int, GridMap] = {}
 
     def __getitem__(self, submap: int) -> GridMap:
         if submap not in self._read:
-            grid = read_grid(self._paths[submap], limits=self._limits)
+            image, stored = self._images[submap], self._stored
+            path = stored.path / image.with_suffix(".yaml")
+            grid = read_grid(path, limits=stored.limits)
             if not _FINEST_M <= grid.resolution <= _COARSEST_M:
                 raise MapError(
                     f"resolution is {grid.resolution:g}",
                     f"expected {_FINEST_M:g} to {_COARSEST_M:g} metres a cell: build the map again",
-                    where=self._paths[submap],
+                    where=path,
                 )
-            self._read[submap] = grid
+            names = (image.as_posix(), image.with_suffix(".yaml").as_posix())
+            self._read[submap] = stored.checked(grid, *names)
         return self._read[submap]
 
     def __contains__(self, submap: object) -> bool:
-        return submap in self._paths
+        return submap in self._images
 
     def __iter__(self) -> Iterator[int]:
-        return iter(sorted(self._paths))
+        return iter(sorted(self._images))
 
     def __len__(self) -> int:
-        return len(self._paths)
+        return len(self._images)
 
 
 def read_map(path: str | Path, limits: LimitsConfig | None = None) -> StoredMap:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.errors import UsageError
+from specmap_cli.core.files import sha256_of
 from specmap_cli.core.findings import UNDOUBTED, Quality
 from specmap_cli.core.records import Labels, Trajectory
 from specmap_cli.core.text import to_json
@@ -23,6 +24,7 @@ from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.map_server import write_grid, write_png
 from specmap_cli.maps import filenames
 from specmap_cli.maps.features_file import Arrays, write_features
+from specmap_cli.maps.filenames import OF_LABELS, has_digest
 from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.text_files import labels_text, trajectory_text
 from specmap_cli.topology.regions import Regions
@@ -60,12 +62,12 @@ class MapResult:
 def write_map(
     directory: str | Path, result: MapResult, keyframes: KeyframeStore | None = None
 ) -> None:
-    """Write all files of a map into an existing, empty directory.
+    """Write all files of a map into an existing directory; scans and ways that are there stay.
 
     `keyframes` are those of `labels`. A map without them cannot be made anew from its directory.
     """
     directory = Path(directory)
-    if keyframes is not None:
+    if keyframes is not None and not (directory / filenames.KEYFRAMES).exists():
         from specmap_cli.maps.keyframe_log import write_keyframes  # loads what writes recordings
 
         path = directory / filenames.KEYFRAMES
@@ -73,10 +75,6 @@ def write_map(
             write_keyframes(path, keyframes, result.labels.poses, result.frame)
         except UsageError as error:  # as of the other files: the directory has the word
             raise error.__context__ or error from None
-    record = TopologyRecord.of(
-        result.topology, result.regions, result.logs, result.frame, result.quality
-    )
-    _write_topology(directory, result.topology, record)
     write_grid(directory / filenames.MAP_GRID, result.regions.grid)
     _write_labels(directory, (result.regions.owner + 1).astype(np.uint16))
     write_png(directory / filenames.OVERVIEW, result.overview)
@@ -85,13 +83,19 @@ def write_map(
         (filenames.TRAJECTORY, trajectory_text(result.trajectory)),
         (filenames.POSE_GRAPH, result.pose_graph),
         (filenames.LABELS, labels_text(result.labels)),
-        (filenames.RUN, to_json(dict(result.run))),
     ):
-        (directory / name).write_text(text, encoding="utf-8")
+        if not (directory / name).exists():
+            (directory / name).write_text(text, encoding="utf-8")
     if result.features is not None:
         write_features(directory / filenames.FEATURES, result.features)
     if result.edits:
         (directory / filenames.EDITS).write_text(result.edits, encoding="utf-8")
+    record = TopologyRecord.of(
+        result.topology, result.regions, result.logs, result.frame, result.quality
+    )
+    files = _write_topology(directory, result.topology, record)
+    run = {**result.run, OF_LABELS: files[filenames.LABELS]}
+    (directory / filenames.RUN).write_text(to_json(run), encoding="utf-8")
 
 
 def write_segmentation(
@@ -108,13 +112,13 @@ def write_segmentation(
     size and orientation, 16 bit: 0 is unlabelled, otherwise submap id + 1.
     """
     directory = Path(directory)
-    _write_topology(directory, topology, TopologyRecord.of(topology, regions, (log,)))
     write_grid(directory / filenames.MAP_GRID, full)
     labels, (height, width) = np.zeros(full.cells.shape, dtype=np.uint16), regions.owner.shape
     row, column = full.cells_of(regions.grid.centres_of(np.zeros((1, 2))))[0].tolist()
     labels[row : row + height, column : column + width] = regions.owner + 1
     _write_labels(directory, labels)
     write_png(directory / filenames.OVERVIEW, overview)
+    _write_topology(directory, topology, TopologyRecord.of(topology, regions, (log,)))
 
 
 def _write_labels(directory: Path, labels: NDArray[np.uint16]) -> None:
@@ -122,10 +126,16 @@ def _write_labels(directory: Path, labels: NDArray[np.uint16]) -> None:
     write_png(directory / filenames.LABELS_IMAGE, labels[::-1])
 
 
-def _write_topology(directory: Path, topology: TopologicalMap, record: TopologyRecord) -> None:
-    """Write topology.json and the grid of each submap."""
-    (directory / filenames.TOPOLOGY).write_text(record.text(), encoding="utf-8")
+def _write_topology(
+    directory: Path, topology: TopologicalMap, record: TopologyRecord
+) -> Mapping[str, str]:
+    """Write the grid of each submap, then topology.json with the digests of all; returns these."""
     (directory / filenames.SUBMAPS).mkdir()
     for node in record.nodes:
         image = directory / node.image
         write_grid(image.with_suffix(""), topology.submaps[node.id].grid)
+    names = (path.relative_to(directory).as_posix() for path in directory.rglob("*"))
+    files = {name: sha256_of(directory / name) for name in sorted(filter(has_digest, names))}
+    record = record.model_copy(update={"graph": record.graph.with_files(files)})
+    (directory / filenames.TOPOLOGY).write_text(record.text(), encoding="utf-8")
+    return files

@@ -157,6 +157,7 @@ def _relabelled(stored: StoredMap, found: Drawn, directory: Path) -> Edited:
         picture = render_segmentation(topology, regions, logs[0])
     else:
         way = read_trajectory(stored.path / filenames.TRAJECTORY, stored.limits)
+        stored.checked(way, filenames.TRAJECTORY)
         quality = quality_of_stored(stored)
         picture = render_overview(topology, regions, way, stored.labels, logs, quality)
     write_png(directory / filenames.OVERVIEW, picture)
@@ -184,8 +185,8 @@ def _made_anew(
         prior = Prior.of(session, kept)
         finished = finish(session, laid, prior, quality_of_stored(stored))
         run = {**stored.run, "versions": versions(), "counts": finished.counts}
+        _carry_over(stored.path, directory, filenames.OF_A_MAP - _OF_THE_LAYOUT)
         write_finished(session, directory, finished, lambda: run)
-    _carry_over(stored.path, directory, filenames.OF_A_MAP - _OF_THE_LAYOUT)
     return finished.topology, finished.unapplied
 
 

@@ -61,6 +61,7 @@ class DrawnMap:
         if not path.exists():
             return np.zeros((0, 2))
         trajectory = read_trajectory(path, self.stored.limits)
+        self.stored.checked(trajectory, path.name)
         lost = trajectory.lost
         return np.zeros((0, 2)) if lost is None else trajectory.poses[lost, :2]
 

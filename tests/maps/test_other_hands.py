@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
+import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,8 +19,9 @@ from specmap_cli.core.files import write_text
 from specmap_cli.maps import directory as module
 from specmap_cli.maps.directory import OutputDirectory, put_right
 from specmap_cli.maps.filenames import EDITS, TOPOLOGY
-from specmap_cli.maps.store import read_map
+from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.maps.writing import MapResult, write_map
+from specmap_cli.pipelines.map_in_making import laid_out_of_stored
 
 
 @pytest.fixture
@@ -209,3 +214,35 @@ def test_a_neighbour_s_directory_is_not_taken_for_a_map_that_was_moved_away(
         os.chown(planted, 12345, 12345)
     assert put_right(tmp_path / "new") == []
     assert not (tmp_path / "new").exists()
+
+
+READERS: dict[str, Callable[[StoredMap], object]] = {
+    "map.png": lambda map_: map_.map_grid,
+    "map.yaml": lambda map_: map_.map_grid,
+    "labels.png": lambda map_: map_.regions,
+    "labels.csv": lambda map_: map_.labels,
+    "classifiers.json": lambda map_: map_.classifiers,
+    "features.npz": lambda map_: map_.features,
+    "keyframes.mcap": lambda map_: map_.keyframes().close(),
+    "run.json": lambda map_: map_.run,
+    "submaps/000.png": lambda map_: map_.grid(0),
+    "submaps/000.yaml": lambda map_: map_.topology,
+    "trajectory.tum": laid_out_of_stored,
+    "trajectory.g2o": laid_out_of_stored,
+}
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_files_of_another_map_are_refused(name: str, flat_map: StoredMap, tmp_path: Path) -> None:
+    """They would be read well, and teach wrong classifiers in silence."""
+    mine = tmp_path / "mine"
+    shutil.copytree(flat_map.path, mine)
+    READERS[name](read_map(mine))
+    changed = mine / ("run.json" if name == "run.json" else TOPOLOGY)
+    document = json.loads(changed.read_text())
+    digests = document if name == "run.json" else document["graph"]["files"]
+    digests["labels_sha256" if name == "run.json" else name] = "0" * 64
+    changed.write_text(json.dumps(document))
+    told = f"{re.escape(str(mine / name))}: is not the file that topology.json was written with"
+    with pytest.raises(MapError, match=told):
+        READERS[name](read_map(mine))
