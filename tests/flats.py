@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import csv
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
 from specmap_cli.core.config import load_config
 from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.maps.filenames import TOPOLOGY
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.pipelines.build import build_map
 from specmap_cli.pipelines.reports import BuildReport
@@ -28,6 +30,13 @@ class Explained:
 
     report: BuildReport
     pictures: Path
+
+
+def forget_digests(map_: Path) -> None:
+    """Make a map one that tells no digests, as of an earlier version: its files may be changed."""
+    document = json.loads((map_ / TOPOLOGY).read_text(encoding="utf-8"))
+    document["graph"]["files"] = {}
+    (map_ / TOPOLOGY).write_text(json.dumps(document), encoding="utf-8")
 
 
 @dataclass(frozen=True)

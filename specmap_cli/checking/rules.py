@@ -23,7 +23,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
-from specmap_cli.checking.figures import FINDINGS, GOLDEN, MEANINGS, Figures, is_figure
+from specmap_cli.checking.figures import BOUNDED, FINDINGS, GOLDEN, Figures
 from specmap_cli.checking.record import CheckRecord, OutcomeRecord
 from specmap_cli.core.errors import SETTING, UsageError
 from specmap_cli.core.findings import VERDICTS, Verdict, at_least_as_bad
@@ -82,8 +82,8 @@ def _is_number(value: Any) -> bool:
 
 def _figure(name: str) -> str:
     """Refuse what is no figure of a map."""
-    if not is_figure(name):
-        raise UnfitError(choice(name, MEANINGS), "no such figure")
+    if name not in BOUNDED:
+        raise UnfitError(choice(name, BOUNDED), "no such figure")
     return name
 
 

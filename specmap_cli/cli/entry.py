@@ -6,6 +6,7 @@ module imports nothing that takes time, so that a signal is heeded from the firs
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import signal
@@ -134,6 +135,9 @@ def _told(error: Exception) -> SpecmapError | None:
     if is_of_the_machine(error):
         said, hint = reason(error)
         return UsageError(said, hint, mark=";", where=error.filename, code=MACHINE)
+    if isinstance(error, FileNotFoundError) and error.filename is None:  # of `os.getcwd`
+        hint = "change to another one"
+        return UsageError("the current directory was removed", hint, code=MACHINE)
     if is_of_the_place(error):
         from tempfile import gettempdir
 
@@ -182,13 +186,25 @@ def print_text(text: str) -> None:
     """
     try:
         try:
-            print(text, end="", flush=True)
+            _print_all(text)
         except UnicodeEncodeError:
             encoding = sys.stdout.encoding
             shown = text.encode(encoding, "backslashreplace").decode(encoding)
-            print(shown, end="", flush=True)
+            _print_all(shown)
     except BrokenPipeError:
         discard_stdout()
+
+
+def _print_all(text: str) -> None:
+    """A text to its end: without a buffer (PYTHONUNBUFFERED) print takes a part for the whole."""
+    raw = getattr(sys.stdout, "buffer", None)
+    if not isinstance(raw, io.RawIOBase):
+        print(text, end="", flush=True)
+        return
+    sys.stdout.flush()
+    data = text.encode(sys.stdout.encoding, sys.stdout.errors or "strict")
+    while data:
+        data = data[raw.write(data) or 0 :]
 
 
 def discard_stdout() -> None:

@@ -72,7 +72,10 @@ def write_together(contents: Mapping[Path, bytes]) -> None:
     """
     with ExitStack() as files:  # each takes its name only when all have been written
         for path, data in contents.items():
-            files.enter_context(complete_file(path)).write(data)
+            file = files.enter_context(complete_file(path))
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())  # a full disk is told before any takes its name
 
 
 @contextmanager

@@ -66,7 +66,7 @@ def markdown_text(text: str) -> str:
     plain = legible(text)
     for sign in "\\`*_[]|<>":
         plain = plain.replace(sign, f"\\{sign}")
-    return plain
+    return plain.replace("@", "@\N{ZERO WIDTH SPACE}")  # else a forge tells the user of that name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -179,7 +179,7 @@ class OutputDirectory:
         if not marker.is_file() or (of_map and b'"schema_version"' not in marker.read_bytes()):
             raise refused(
                 f"is not empty and holds no {'map' if of_map else 'earlier result'} "
-                f"(no {self.marker} of specmap in it)",
+                f"(no {self.marker}{' of specmap' * marker.is_file()} in it)",
                 "choose another output directory",
             )
         if not self.overwrite:

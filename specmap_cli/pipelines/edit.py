@@ -6,6 +6,7 @@ it is made anew from its keyframes: grids, classifiers, regions and links; its l
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 from collections.abc import Collection, Sequence
@@ -16,7 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from specmap_cli.core.arguments import instance_of, path_of
-from specmap_cli.core.errors import MapError, UsageError
+from specmap_cli.core.errors import MapError, UsageError, is_of_the_place
 from specmap_cli.core.json_values import Record
 from specmap_cli.core.process import one_blas_thread, versions
 from specmap_cli.core.progress import Progress, Silent
@@ -232,4 +233,6 @@ def _carry_over(source: Path, target: Path, without: Collection[str]) -> None:
             elif path.is_file():
                 shutil.copyfile(path, target / path.name)
     except OSError as error:
+        if is_of_the_place(error) and error.errno != errno.EIO:  # it is the output that is full
+            raise OSError(error.errno, error.strerror, str(target)) from None
         raise MapError.of_system(error, "cannot be copied", where=source) from None

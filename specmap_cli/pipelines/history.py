@@ -101,7 +101,7 @@ def history_of(
     zone = zone_of(timezone)
     readable, left_out = _dated(_found(maps), limits, progress)
     if not readable:
-        raise MapError(left_out[0].reason)
+        raise MapError(left_out[0].reason if left_out else "no maps were named")
     buildings: list[_Building] = []
     progress.start("comparing maps", len(readable))
     for number, path in enumerate(readable):

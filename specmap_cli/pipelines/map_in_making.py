@@ -268,7 +268,7 @@ def quality_of_stored(stored: StoredMap) -> Quality:
 def _layout(stored: StoredMap) -> Layout:
     """The layout of a map directory, with the links that are more than the way between nodes."""
     path, labels = stored.path / filenames.POSE_GRAPH, stored.labels
-    text = stored.checked(map_text(path, stored.limits), path.name)
+    text = map_text(path, stored.limits)
     try:
         poses, links = read_g2o(text)
     except InputError as error:
@@ -282,6 +282,7 @@ def _layout(stored: StoredMap) -> Layout:
             "build the map again",
             where=path,
         )
+    stored.checked(nodes, path.name)
     after = dict(pairwise(nodes.tolist()))
     return Layout(
         poses=labels.poses,
@@ -293,7 +294,7 @@ def _layout(stored: StoredMap) -> Layout:
 def _trajectory(stored: StoredMap) -> Trajectory:
     """The trajectory of a map directory, which leads through its keyframes."""
     path, labels = stored.path / filenames.TRAJECTORY, stored.labels
-    trajectory = stored.checked(read_trajectory(path, stored.limits), path.name)
+    trajectory = read_trajectory(path, stored.limits)
     found = rows_of(trajectory, labels.stamps_ns.tolist(), labels.poses)
     if len(found) != len(labels.stamps_ns) or len(trajectory.stamps_ns) != sum(
         log.scans for log in stored.logs
@@ -304,4 +305,4 @@ def _trajectory(stored: StoredMap) -> Trajectory:
             "build the map again",
             where=path,
         )
-    return trajectory
+    return stored.checked(trajectory, path.name)

@@ -26,7 +26,7 @@ from typing import Any, Generic, TypeVar
 
 import cv2
 
-from specmap_cli.core.errors import MEMORY, InputError, SpecmapError
+from specmap_cli.core.errors import INTERRUPTED, MEMORY, InputError, SpecmapError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -185,7 +185,11 @@ def _received(receiver: Connection, child: BaseProcess) -> Generator[Any, None, 
                     code=MEMORY,
                 ) from None
             told = f"the process that worked ahead ended with status {child.exitcode}"
-            raise SpecmapError(told) from None
+            ended = SpecmapError(told)
+            if child.exitcode in (-signal.SIGINT, -signal.SIGTERM):  # somebody asked it to
+                ended = SpecmapError(told, code=INTERRUPTED)
+                ended.exit_code = 128 - child.exitcode
+            raise ended from None
         if kind == _ERROR:
             raise value
         if kind == _RESULT:

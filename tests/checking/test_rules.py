@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from specmap_cli.checking.figures import FINDINGS, GOLDEN, MEANINGS, is_figure
+from specmap_cli.checking.figures import BOUNDED, FINDINGS, GOLDEN, MEANINGS
 from specmap_cli.checking.rules import DEFAULTS, read_rules
 from specmap_cli.core.errors import UsageError
+from specmap_cli.core.findings import INPUT
 from specmap_cli.quality import laid_out, recording
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "check.md"
@@ -29,7 +30,7 @@ def test_without_a_file_the_defaults_hold() -> None:
 
 
 def test_every_default_is_of_a_figure_and_every_doubt_has_one() -> None:
-    assert all(is_figure(name) for name, _, _ in DEFAULTS.each())
+    assert {name for name, _, _ in DEFAULTS.each()} <= set(BOUNDED)
     codes = {
         code
         for module in (laid_out, recording)
@@ -38,17 +39,19 @@ def test_every_default_is_of_a_figure_and_every_doubt_has_one() -> None:
     }
     only_notes = {recording.BREAK, laid_out.REFUTED}
     assert len(codes) >= 12
+    known = {name for name in BOUNDED if name.startswith(FINDINGS)}
+    assert known == {FINDINGS + code for code in codes | {INPUT}}
     assert {f"{FINDINGS}{code}" for code in codes - only_notes} == {
         name for name in DEFAULTS.most if name.startswith(FINDINGS)
     }
 
 
 def test_a_file_goes_over_the_defaults_or_does_without_them(tmp_path: Path) -> None:
-    text = 'verdict = "good"\n[most]\nlost_share = 0.2\nparts = inf\nfindings.later-code = 3\n'
+    text = 'verdict = "good"\n[most]\nlost_share = 0.2\nparts = inf\nfindings.tracking-break = 3\n'
     text += "[least]\nsubmaps = 5\nscans_per_s = 20"
     rules = read_rules(written(tmp_path, text), against=False)
     assert rules.verdict == "good"
-    assert (rules.most["lost_share"], rules.most["findings.later-code"]) == (0.2, 3)
+    assert (rules.most["lost_share"], rules.most["findings.tracking-break"]) == (0.2, 3)
     assert "parts" not in rules.most
     assert rules.most["findings.walls-disagree"] == 0
     assert rules.least == {"submaps": 5, "scans_per_s": 20}
@@ -60,6 +63,10 @@ def test_a_file_goes_over_the_defaults_or_does_without_them(tmp_path: Path) -> N
     ("text", "told"),
     [
         ("[most]\nlost_shar = 1", "most.lost_shar: no such figure: did you mean lost_share?"),
+        (
+            "[most]\nfindings.walls-disagre = 0",
+            "most.findings.walls-disagre: no such figure: did you mean findings.walls-disagree?",
+        ),
         ("[most]\nzebra = 1", "most.zebra: no such figure: choose from scans, lost_share"),
         ("[least]\nsubmaps = true", "least.submaps is True: expected a number"),
         ("[least]\nsubmaps = nan", "least.submaps is nan: expected a number"),

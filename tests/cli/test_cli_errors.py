@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import errno
+import io
 import json
 import math
 import os
 import signal
+import sys
 import tempfile
 import unicodedata
 from pathlib import Path
+from typing import Any, cast
 from unittest.mock import Mock
 
 import cv2
@@ -157,6 +160,27 @@ def test_another_error_of_the_system_is_a_bug(monkeypatch: pytest.MonkeyPatch) -
         main(["build", "log.mcap", "-o", "map"])
 
 
+def test_a_short_write_to_an_unbuffered_stdout_is_no_loss(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As with PYTHONUNBUFFERED=1: print would take a part for the whole."""
+
+    class Slow(io.RawIOBase):
+        got = b""
+
+        def writable(self) -> bool:
+            return True
+
+        def write(self, data: Any) -> int:
+            Slow.got += bytes(data[:7])
+            return min(7, len(data))
+
+    # the buffer of a text stream is a raw one then
+    stream = io.TextIOWrapper(cast("io.BufferedWriter", Slow()), "utf-8", write_through=True)
+    monkeypatch.setattr(sys, "stdout", stream)
+    assert main(["schema"]) == 0
+    assert len(Slow.got) > 70
+    assert Slow.got.endswith(b"\n")
+
+
 def system(number: int, name: str | None = None) -> OSError:
     """An error as the system raises it."""
     return OSError(number, os.strerror(number), name)
@@ -192,6 +216,7 @@ END = "Cannot allocate memory; end other programs, or give less at once"
         (FileNotFoundError(2, NO_PLACE), 2, f"{NO_PLACE}: free some space there, or {ANOTHER}"),
         (system(errno.EROFS), 2, f"the output: {UNWRITTEN}Read-only file system; write elsewhere"),
         (system(errno.EDQUOT, "a/b"), 2, f"a/b: {QUOTA}"),
+        (system(errno.ENOENT), 2, "the current directory was removed: change to another one"),
         (system(errno.EMFILE, "a/b"), 2, f"a/b: Too many open files; {FEWER}"),
         (system(errno.ENFILE), 2, TOO_MANY),
         (system(errno.ENOMEM), 2, END),

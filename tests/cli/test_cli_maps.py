@@ -17,7 +17,7 @@ import pytest
 from specmap_cli.grids.gridmap import OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.map_server import write_grid
 from tests.cli.conftest import QUICK, Outcome, Run
-from tests.flats import record_tour
+from tests.flats import forget_digests, record_tour
 
 Damage = Callable[[Path], object]
 Change = Callable[[dict[str, Any]], Any]
@@ -289,6 +289,7 @@ def test_a_damaged_map_is_merged_as_far_as_it_is_whole_or_refused(
     tmp_path: Path,
     run: Run,
 ) -> None:
+    forget_digests(own_map)
     damage(own_map / name)
     found = run("merge", tiny_map, own_map, "-o", tmp_path / "out", "--quiet", *QUICK)
     assert found.code == 3

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.errors import UsageError
-from specmap_cli.core.files import is_nobody_s, lock, read_bytes, write_text
+from specmap_cli.core.files import is_nobody_s, lock, read_bytes, write_text, write_together
 from specmap_cli.grids.map_server import write_png
 
 
@@ -43,6 +43,23 @@ def test_a_failing_replacement_leaves_the_old_file(
         write_text(path, "new")
     assert path.read_text() == "old"
     assert os.listdir(tmp_path) == ["run.json"]
+
+
+def test_two_files_appear_together_or_not_at_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The disk is full when the second one is written."""
+    calls: list[int] = []
+
+    def full(descriptor: int) -> None:
+        calls.append(descriptor)
+        if len(calls) == 2:
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(UsageError, match=r"b\.md: cannot be written: No space left"):
+        write_together({tmp_path / "a.xml": b"a", tmp_path / "b.md": b"b"})
+    assert os.listdir(tmp_path) == []
 
 
 def test_a_file_is_read_up_to_its_bound_and_not_beyond(tmp_path: Path) -> None:

@@ -184,6 +184,7 @@ def test_every_text_is_read_back_and_values_are_as_python_has_them(texts: list[s
 
 
 def test_markdown_keeps_its_columns() -> None:
+    assert "@some" not in markdown_text("@somebody")  # whom a forge would tell
     rows = [(markdown_text("a|b"), "1"), (markdown_text("*c*\n"), "")]
     assert markdown_table(("", "share of"), rows, {"share of"}) == [
         "| | share of |",

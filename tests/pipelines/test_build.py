@@ -285,7 +285,7 @@ class TestBuildMap:
             build_map(tiny_log, out, config)
         assert list(tmp_path.iterdir()) == []
         out.mkdir()
-        (out / "topology.json").write_text("{}", encoding="utf-8")
+        (out / "topology.json").write_text('{"schema_version": 2}', encoding="utf-8")
         (out / "edits.toml").write_text('[submaps.0]\nname = "Kitchen"\n', encoding="utf-8")
         with pytest.raises(UsageError, match=r"edits\.toml holds .* --like"):
             build_map(tiny_log, out, overwrite=True)

@@ -274,3 +274,8 @@ def test_a_map_without_classifiers_is_compared_by_its_grids(
     shutil.copytree(changed, bare)
     (bare / "classifiers.json").unlink()
     assert np.isfinite(compare_maps(before, bare).alignment.rival)
+
+
+def test_no_maps_are_refused() -> None:
+    with pytest.raises(MapError, match="no maps were named"):
+        history_of([])

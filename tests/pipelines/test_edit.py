@@ -124,6 +124,15 @@ class TestNames:
         edit_map(own)
         assert read_map(own).names == {}
 
+    def test_a_full_disk_is_told_of_the_output(
+        self, own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        full = OSError(28, "No space left on device", str(own / "map.png"))
+        monkeypatch.setattr(shutil, "copyfile", Mock(side_effect=full))
+        told = r"out: cannot be written: No space left on device; free some space, or choose"
+        with pytest.raises(UsageError, match=told):
+            edit_map(own, RequestedEdits(names={1: "Lab"}), tmp_path / "out")
+
     def test_a_name_written_into_topology_json_is_a_person_s(self, own: Path) -> None:
         """And edits that the map shows must not be lost unsaid."""
         document = json.loads((own / "topology.json").read_text(encoding="utf-8"))

@@ -27,7 +27,7 @@ from specmap_cli.pipelines.update import update_map
 from specmap_cli.simulation.simulator import SimulationOptions
 from specmap_cli.topology.identity import BorderChange
 from specmap_cli.topology.regions import NOBODY
-from tests.flats import QUICK, Mapped
+from tests.flats import QUICK, Mapped, forget_digests
 from tests.pipelines.conftest import day
 
 
@@ -77,6 +77,7 @@ def kept(
     assert features is not None
     ones = {kind: np.ones_like(features[kind]) for kind in ("raw", "along")}
     write_features(folder / "old" / "features.npz", {**features, **ones})
+    forget_digests(folder / "old")
     report = update_map(folder / "old", second.log, folder / "new", QUICK)
     return Kept(sunday.log, second, read_map(folder / "old"), read_map(folder / "new"), report)
 

@@ -172,6 +172,15 @@ class TestChild:
         with receiver, pytest.raises(SpecmapError, match="ended with status 7"):
             next(module._received(receiver, child))
 
+    @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+    def test_a_child_that_somebody_ended_is_an_interruption(self, number: int, code: int) -> None:
+        receiver, sender = multiprocessing.get_context("fork").Pipe(duplex=False)
+        sender.close()
+        child = Mock(exitcode=-number)
+        with receiver, pytest.raises(SpecmapError) as caught:
+            next(module._received(receiver, child))
+        assert (caught.value.exit_code, caught.value.code) == (code, "interrupted")
+
     def test_what_the_work_returns_is_its_result(self) -> None:
         with ahead(lambda: pids(3)) as running:
             next(running)

@@ -23,6 +23,7 @@ from specmap_cli.report.evidence import MOST_TESTS, Evidence
 from specmap_cli.report.layers import MOST_REFUSED
 from specmap_cli.report.page import render
 from tests.comparisons import comparison, thing, way
+from tests.flats import forget_digests
 from tests.report.conftest import HOSTILE
 
 LAYERS = {"regions", "walls", "badges", "doors", "ways", "track", "findings", "accepted", "refused"}
@@ -197,6 +198,7 @@ def test_a_run_that_somebody_changed_is_shown_as_far_as_it_is_one_and_lost_scans
     house: StoredMap, evidence: Evidence
 ) -> None:
     run = {"counts": {"scans": 30, "odd": "x"}, "seconds": {"a": "b"}, "inputs": 4, "config": {}}
+    forget_digests(house.path)
     (house.path / "run.json").write_text(json.dumps(run))
     tum = house.path / "trajectory.tum"
     first, second, *rest = tum.read_text().splitlines(keepends=True)
