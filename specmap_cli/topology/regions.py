@@ -231,7 +231,8 @@ class Space:
 
         Zero for cells that are not free.
         """
-        return np.asarray(np.maximum(self.away - 0.5, 0.0) * self.grid.resolution)
+        inside = self.away - 0.5
+        return np.multiply(np.maximum(inside, 0.0, out=inside), self.grid.resolution, out=inside)
 
     def place(self, cell: FloatArray | IntArray) -> tuple[float, float]:
         """x and y in the map of a row and a column, which may have fractions."""
