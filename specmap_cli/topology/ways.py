@@ -59,15 +59,16 @@ def ways(
     with np.errstate(divide="ignore"):
         np.divide(most, price, out=price)
     price[clearance < radius_m] = np.inf
-    windows, trees = windows_of(space.owner), {}
-    for submap, window in windows.items():
+    windows, trees, wanted = windows_of(space.owner), {}, list(pairs)
+    for submap in {submap for pair in wanted for submap in pair} & windows.keys():
+        window = windows[submap]
         mine = (space.owner[window] == submap) & np.isfinite(price[window])
         trees[submap] = tree(mine, price[window], window, anchors[submap].cell)
     borders: dict[Pair, list[Border]] = {}
     for border in borders_of(space.owner):
         borders.setdefault(border.pair, []).append(border)
     land = _Land(space, clearance, price, anchors, windows, trees, borders)
-    return {pair: _way(land, pair) for pair in pairs}
+    return {pair: _way(land, pair) for pair in wanted}
 
 
 @dataclass(frozen=True, slots=True)
