@@ -17,7 +17,6 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.records import IntArray
 from specmap_cli.grids.gridmap import BoolArray, contacts, nearest_values
 from specmap_cli.segmentation.visibility import IndexArray, LabelArray
 
@@ -217,7 +216,7 @@ def consensus(divisions: Sequence[LabelArray]) -> LabelArray:
     that division counts, then the first.
     """
     some = np.any([division >= 0 for division in divisions], axis=0)
-    others = [division[some].astype(np.int64) + 1 for division in divisions]  # 0: no label
+    others = [division[some] + np.int32(1) for division in divisions]  # 0: no label
     likeness = [math.fsum(_alike(one, other)[1] for other in others) for one in others]
     middle = others.pop(int(np.argmax(likeness)))
     for other in others:
@@ -226,7 +225,8 @@ def consensus(divisions: Sequence[LabelArray]) -> LabelArray:
     votes = [middle]
     for other in others:
         iou = _alike(middle, other)[0]
-        votes.append(np.where(iou.max(axis=0) > _SAME, iou.argmax(axis=0), 0)[other])
+        same = np.where(iou.max(axis=0) > _SAME, iou.argmax(axis=0), 0).astype(np.int32)
+        votes.append(same[other])
     cast = np.array(votes)
     split = (cast != middle).any(axis=0)
     cast = cast[:, split]
@@ -237,7 +237,7 @@ def consensus(divisions: Sequence[LabelArray]) -> LabelArray:
     return labels
 
 
-def _alike(one: IntArray, other: IntArray) -> tuple[FloatArray, float]:
+def _alike(one: LabelArray, other: LabelArray) -> tuple[FloatArray, float]:
     """Intersection over union (k, l) of the regions 1, 2, ... of two divisions (n,); 0: no region.
 
     Also the mean, over the regions of both that have cells, of the best of each.
