@@ -22,6 +22,7 @@ FINDINGS, GOLDEN = "findings.", "golden."  # what the names of such figures begi
 MEANINGS = {
     "scans": "scans that were read",
     "lost_share": "share of the scans that could not be registered",
+    "damage": "places where a recording is damaged or cut off, so that scans may be missing",
     "breaks": "how often tracking was lost and began afresh",
     "duration_s": "seconds from the first keyframe to the last, of all recordings",
     "path_m": "metres driven",
@@ -77,6 +78,7 @@ def figures_of(stored: StoredMap) -> dict[str, float | None]:
     return {
         "scans": scans,
         "lost_share": lost / scans if scans and lost is not None else None,
+        "damage": counts.get("damage", 0),
         "breaks": counts.get("breaks"),
         "revisits": counts.get("merges"),
         "wall_s": wall_s,

@@ -56,6 +56,7 @@ DEFAULTS = Rules(
     verdict="doubtful",
     most={
         "lost_share": 0.05,
+        "damage": 0,
         "parts": 1,
         "findings.lost-scans": 0,
         "findings.hole-in-log": 0,

@@ -23,7 +23,7 @@ from specmap_cli.core.errors import MACHINE, OUTPUT, UsageError
 _AT_ONCE = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 
 _BYTES_PER_MB = 1_000_000
-_TOGETHER = 16  # files that are written to the disk at once
+_TOGETHER = 8  # files that are written to the disk at once
 
 
 def read_bytes(path: Path | str, most_mb: float, setting: str | None = None) -> bytes:
@@ -144,11 +144,12 @@ def to_disk(*paths: Path) -> None:
         finally:
             os.close(descriptor)
 
-    if len(paths) == 1:
-        wait(*paths)
-        return
-    with ThreadPoolExecutor(_TOGETHER) as threads:  # a disk writes many as fast as one
-        list(threads.map(wait, paths))
+    if len(paths) > 1:  # a disk writes many as fast as one
+        with suppress(RuntimeError), ThreadPoolExecutor(_TOGETHER) as threads:  # none to be had
+            list(threads.map(wait, paths))
+            return
+    for path in paths:
+        wait(path)
 
 
 def remove_leftovers(target: Path) -> tuple[Path, ...]:

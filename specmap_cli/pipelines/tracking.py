@@ -96,7 +96,10 @@ def track(stream: SweepStream, config: RegistrationConfig) -> Generator[PosedSca
         "moved, and were left out: the driver of the laser hung"
     ]
     return Tracking(
-        counts={**stream.counts, **front_end.counts, "stale_scans": stale},
+        counts={
+            **{**stream.counts, **front_end.counts, "stale_scans": stale},
+            "damage": len(stream.log.damage),
+        },
         warnings=(*stream.warnings, *(hung if stale else ()), *front_end.warnings),
         seconds=clock.seconds.get("registration", 0.0),
     )

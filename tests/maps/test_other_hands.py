@@ -6,10 +6,12 @@ import json
 import os
 import re
 import shutil
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -152,10 +154,13 @@ class ForgetfulDisk:
         ]
 
 
-@pytest.mark.parametrize("at_once", [True, False])
+@pytest.mark.parametrize(("at_once", "threads"), [(True, True), (False, True), (True, False)])
 def test_a_power_cut_leaves_a_whole_map(
-    at_once: bool, out: Path, result: MapResult, monkeypatch: pytest.MonkeyPatch
+    at_once: bool, threads: bool, out: Path, result: MapResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    if not threads:  # where the process may have no more of them
+        refused = Mock(side_effect=RuntimeError("can't start new thread"))
+        monkeypatch.setattr(threading.Thread, "start", refused)
     disk, lost = ForgetfulDisk(monkeypatch), list[str]()
     rename, exchanged = os.rename, module.exchanged
 
