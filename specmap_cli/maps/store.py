@@ -5,7 +5,8 @@ Whatever is missing or damaged is a MapError of one line that names the file.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import functools
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
@@ -41,6 +42,20 @@ from specmap_cli.topology.topological_map import (
 Value = TypeVar("Value")
 
 _FINEST_M, _COARSEST_M = 0.002, 10.0  # a cell of a map; matching scans in finer ones takes forever
+
+
+def _of_one_map(read: Callable[[StoredMap], Value]) -> Callable[[StoredMap], Value]:
+    """A reader of a file that says where what is wrong is only that the map was replaced."""
+
+    @functools.wraps(read)
+    def reader(stored: StoredMap) -> Value:
+        try:
+            return read(stored)
+        except MapError:
+            stored.refuse_changed()
+            raise
+
+    return reader
 
 
 class StoredMap:
@@ -102,12 +117,14 @@ class StoredMap:
         return _Grids(self)
 
     @cached_property
+    @_of_one_map
     def map_grid(self) -> GridMap:
         """The grid of the whole map."""
         names = [f"{filenames.MAP_GRID}{end}" for end in (".yaml", ".png")]
         return self.checked(read_grid(self._of_recording(names[0]), limits=self.limits), *names)
 
     @cached_property
+    @_of_one_map
     def topology(self) -> TopologicalMap:
         """The map with all its grids; keyframes are rows of `labels`."""
         graph = self.record.graph
@@ -129,6 +146,7 @@ class StoredMap:
         )
 
     @cached_property
+    @_of_one_map
     def regions(self) -> Regions:
         """The free cells of the map divided among the submaps, as in overview.png."""
         of_grid = self.path / filenames.LABELS_IMAGE
@@ -146,6 +164,7 @@ class StoredMap:
         return Regions.of(self.map_grid, np.where(self.map_grid.free, owner, NOBODY))
 
     @cached_property
+    @_of_one_map
     def labels(self) -> Labels:
         """The keyframes with their submaps."""
         path = self._of_recording(filenames.LABELS)
@@ -159,6 +178,7 @@ class StoredMap:
             )
         return self.checked(labels, path.name)
 
+    @_of_one_map
     def keyframes(self) -> KeyframeStore:
         """The scans of the keyframes and their poses as registered: close the store after use."""
         from specmap_cli.maps.keyframe_log import read_keyframes  # loads the readers of recordings
@@ -187,12 +207,14 @@ class StoredMap:
             raise
 
     @cached_property
+    @_of_one_map
     def classifiers(self) -> str:
         """The text of classifiers.json."""
         path = self._of_recording(filenames.CLASSIFIERS)
         return self.checked(map_text(path, self.limits), path.name)
 
     @property
+    @_of_one_map
     def features(self) -> Arrays | None:
         """The features that the classifiers learned from; None where they were not kept."""
         path = self.path / filenames.FEATURES
@@ -202,6 +224,7 @@ class StoredMap:
         return self.checked(found, path.name)
 
     @cached_property
+    @_of_one_map
     def run(self) -> dict[str, Any]:
         """The contents of run.json."""
         run = map_json(self._of_recording(filenames.RUN), self.limits)
@@ -211,7 +234,6 @@ class StoredMap:
             )
         wanted = self.record.graph.files.get(filenames.LABELS)
         if wanted is not None and run.get(filenames.OF_LABELS, wanted) != wanted:
-            self.refuse_changed()
             raise _foreign(self.path / filenames.RUN)
         return run
 

@@ -86,6 +86,15 @@ def test_a_map_is_not_made_of_what_another_run_has_replaced(out: Path, result: M
     assert frame_of(out) == "newer"
 
 
+def test_a_reader_sees_one_map_or_hears_that_it_was_replaced(out: Path, result: MapResult) -> None:
+    """Also where what it finds of the new map makes no sense with what it read of the old one."""
+    read = read_map(out)
+    anew(out, result, "new")
+    (out / "labels.png").write_bytes(b"of submaps that the old one did not have")
+    with pytest.raises(MapError, match="was replaced meanwhile: run the command again"):
+        _ = read.regions
+
+
 def test_decisions_are_replaced_by_maps_that_say_them_too_and_by_no_others(
     tmp_path: Path, out: Path, result: MapResult
 ) -> None:
