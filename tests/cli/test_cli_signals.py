@@ -45,7 +45,8 @@ class TestInThisProcess:
     ) -> None:
         if present:
             (tmp_path / "map").mkdir()
-            (tmp_path / "map" / "topology.json").write_text("mine", encoding="utf-8")
+            mine = '{"schema_version": 2}'
+            (tmp_path / "map" / "topology.json").write_text(mine, encoding="utf-8")
         raise_at(step, number, monkeypatch)
         said = run("build", tiny_log, "-o", tmp_path / "map", "--overwrite", *QUICK)
         assert said.code == 128 + number
