@@ -11,6 +11,13 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
+from specmap_cli.recognition.closure.prepared import (
+    INLIER_M,
+    PreparedGrid,
+    PreparedGrids,
+    prepared,
+    wall_direction,
+)
 
 from specmap_cli.core.geometry import (
     IDENTITY,
@@ -25,13 +32,6 @@ from specmap_cli.core.settings import GridConfig, RecognitionConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.occupancy import OccupancyGrid
 from specmap_cli.grids.score_field import ScoreField
-from specmap_cli.recognition.closure.prepared import (
-    INLIER_M,
-    PreparedGrid,
-    PreparedGrids,
-    prepared,
-    wall_direction,
-)
 from specmap_cli.recognition.closure.verification import (
     _CONTRADICTION_DEPTH_M,
     _CONTRADICTION_M,
