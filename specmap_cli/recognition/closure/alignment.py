@@ -48,12 +48,12 @@ _FLOOR_POINTS = 3000  # of the free space: its share that both saw to a hundredt
 # What a metre of wall that both know speaks for a place is its score less what other buildings
 # reach where they fit best. Of two recordings of a place it came to 43 m and more, of two buildings
 # to 10 m at most.
-_CHANCE, _LEAST_M = 0.3, 35.0
+_CHANCE, _LEAST_M = 0.3, 40.0
 _WALLS_PER_M2 = 3.0  # of rooms, with all that stands in them: maps may touch back to back
 _LEAST_SCORE = 0.6  # of all that both saw; halls of other buildings that touch reach more
 _MOST_ODD = 0.2  # of the walls: one room of five was rebuilt; more may be another floor
 _SLID_M = 1.01 * RIVAL_M
-_MOST_RIVAL = 0.75  # of what speaks for the best place: look-alike rows come near it
+_MOST_RIVAL = 0.7  # of what speaks for the best place: look-alike rows come near it
 _MOST_RESIDUAL_M = 0.25  # half of what a submap may lie off: by chance it lies anywhere in there
 
 # How far a submap may lie from where one rigid transform puts it: what a layout leaves open, as
@@ -107,10 +107,10 @@ class PieceFit:
 class CommonGround:
     """Two maps under a transform, where both saw; each submap may lie off by a little.
 
-    `old` and `new` are the fits of their submaps. `confirmed` and `contradicted` are shares of the walls that both maps know about, the worse of
-    both maps'; `confirmed_m` metres of wall that agree; `at_odds` the share of the walls that are
-    in submaps which do not fit, the worse of both maps'; `residual_m` (root mean square): how far
-    submaps lie off.
+    `old` and `new` are the fits of their submaps. `confirmed` and `contradicted` are shares of the
+    walls that both maps know about, the worse of both maps'; `confirmed_m` metres of wall that
+    agree; `at_odds` the share of the walls that are in submaps which do not fit, the worse of both
+    maps'; `residual_m` (root mean square): how far submaps lie off.
     """
 
     old: tuple[PieceFit, ...]
@@ -275,7 +275,8 @@ class _Search:
 def _why_not(found: Alignment, rival: Pose2) -> str:
     """Why a transform is not to be believed; empty when it is."""
     ground = found.ground
-    assert ground is not None and found.old_from_new is not None
+    assert ground is not None
+    assert found.old_from_new is not None
     if ground.score < _LEAST_SCORE or ground.residual_m > _MOST_RESIDUAL_M:
         return (
             f"what both maps saw does not agree: where they fit best, {ground.confirmed:.0%} of "
@@ -286,17 +287,17 @@ def _why_not(found: Alignment, rival: Pose2) -> str:
             f"what both maps saw does not agree everywhere: {ground.at_odds:.0%} of the walls are "
             "in submaps that do not fit: another floor of one plan, or a part that was rebuilt"
         ).replace("%", " %")
+    if found.evidence_m < _LEAST_M:
+        return (
+            f"the maps have too little in common: {found.evidence_m:.0f} m of wall and "
+            f"{found.area_m2:.0f} m2: a few rooms that look alike may be of two buildings"
+        )
     if found.rival > _MOST_RIVAL:
         away = found.old_from_new.inverse() @ rival
         turn = math.degrees(abs(wrap_angle(away.theta)))
         return (
             f"ambiguous: the maps fit in more than one way, {away.distance:.1f} m "
             f"and {turn:.0f} degrees apart"
-        )
-    if found.evidence_m < _LEAST_M:
-        return (
-            f"the maps have too little in common: at best {found.area_m2:.0f} m2 and "
-            f"{ground.confirmed_m:.0f} m of wall: a few rooms that look alike may be of two buildings"
         )
     return ""
 
@@ -395,11 +396,12 @@ def _common_ground(old: _Map, new: _Map, old_from_new: Pose2) -> CommonGround:
 def _joints(ground: CommonGround) -> tuple[Joint, ...]:
     """Each submap that fits with its partner in the other map, by id of new, then of old."""
     found: dict[tuple[int, int], PieceFit] = {}
-    told = [((fit.submap, fit.partner), fit) for fit in ground.new]
-    told += [((fit.partner, fit.submap), fit) for fit in ground.old]
-    for (new, old), fit in sorted(told, key=lambda each: each[1].confirmed_m):
-        if new is not None and old is not None and fit.score >= _ODD:
-            found[new, old] = fit  # of two that tell of a pair, what more walls say
+    mine = {id(fit) for fit in ground.new}
+    for fit in sorted((*ground.new, *ground.old), key=lambda fit: fit.confirmed_m):
+        if fit.partner is not None and fit.score >= _ODD:
+            own, partner = fit.submap, fit.partner
+            # of two that tell of a pair, what more walls say
+            found[(own, partner) if id(fit) in mine else (partner, own)] = fit
     return tuple(
         Joint(old=old, new=new, map_from_map=fit.old_from_new, score=fit.score)
         for (new, old), fit in sorted(found.items())

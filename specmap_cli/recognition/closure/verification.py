@@ -132,7 +132,7 @@ def prepared(grid: GridMap) -> PreparedGrid | None:
 
 
 def walls_of(grid: GridMap) -> tuple[FloatArray, float]:
-    """Points (n, 2) of the occupied cells of a grid, and how many metres of wall each stands for."""
+    """Points (n, 2) of the occupied cells of a grid, and how many metres of wall each tells of."""
     occupied = np.argwhere(grid.occupied)
     points = evenly(occupied, _MOST_POINTS)
     return grid.centres_of(points), grid.resolution * len(occupied) / max(1, len(points))
@@ -180,8 +180,8 @@ class Check:
 
     `score` is the smaller share of inliers less twice the larger share of contradictions, at most
     1; `confirmed_m` the smaller length of wall confirmed, metres; `overlap` and `least_overlap` the
-    larger and the smaller share of a grid's walls that the other one knows about; `lead` is how much
-    better it is than the next best transform that is a different one.
+    larger and the smaller share of a grid's walls that the other one knows about. `lead` is how
+    much better it is than the next best transform that is a different one.
     """
 
     old_from_new: Pose2
@@ -195,11 +195,6 @@ class Check:
     def overlaps(self) -> bool:
         """Whether each grid knows enough of the walls of the other."""
         return self.overlap >= MIN_OVERLAP and self.least_overlap >= LEAST_OVERLAP
-
-    def matches(self, min_score: float) -> bool:
-        """Whether the grids match here, whatever else may match as well."""
-        walls = self.confirmed_m >= MIN_WALL_M
-        return self.score >= min_score and walls and self.overlaps
 
 
 def verify(
