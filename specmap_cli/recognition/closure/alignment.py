@@ -23,6 +23,7 @@ from specmap_cli.recognition.closure.verification import (
     COARSE_M,
     CONTRADICTION_WEIGHT,
     LEAST_WALL_M,
+    MIN_OVERLAP,
     MIN_WALL_M,
     RIVAL_M,
     RIVAL_RAD,
@@ -49,6 +50,8 @@ _FLOOR_POINTS = 3000  # of the free space: its share that both saw to a hundredt
 # reach where they fit best. Of two recordings of a place it came to 43 m and more, of two buildings
 # to 10 m at most.
 _CHANCE, _LEAST_M = 0.3, 40.0
+# Less is enough of small rooms, where that many of either map are the same: two may look alike.
+_ROOMS, _LEAST_ROOMS_M = 3, 20.0
 _WALLS_PER_M2 = 3.0  # of rooms, with all that stands in them: maps may touch back to back
 _LEAST_SCORE = 0.6  # of all that both saw; halls of other buildings that touch reach more
 _MOST_ODD = 0.2  # of the walls: one room of five was rebuilt; more may be another floor
@@ -176,6 +179,7 @@ def align(old: MapToAlign, new: MapToAlign) -> Alignment:
     found = Alignment(
         old_from_new=best.old_from_new,
         reason="",
+        joints=_joints(ground),
         ground=ground,
         evidence_m=best.evidence_m,
         area_m2=best.area_m2,
@@ -183,12 +187,12 @@ def align(old: MapToAlign, new: MapToAlign) -> Alignment:
     )
     why_not = _why_not(found, rivals[0].old_from_new)
     if why_not:
-        return replace(found, old_from_new=None, reason=why_not)
+        return replace(found, old_from_new=None, reason=why_not, joints=())
     reason = (
         f"aligned: {found.evidence_m:.0f} m of wall speak for it, "
         f"{found.area_m2:.0f} m2 are in both maps"
     )
-    return replace(found, reason=reason, joints=_joints(ground))
+    return replace(found, reason=reason)
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,19 +218,24 @@ class _Search:
         Among them are those slid along the walls: where a corridor shows nothing else, they fit.
         """
         rough = [self._measured(self._refined(pose, rough=True)) for pose in self._places()]
-        rough.sort(key=lambda one: -one.evidence_m)
-        found = [self._measured(self._refined(one.old_from_new)) for one in rough[:_FOLLOWED]]
+        likely = self._different(rough)[:_FOLLOWED]
+        found = [self._measured(self._refined(one.old_from_new)) for one in likely]
         best = max(found, key=lambda one: one.evidence_m)
         for k in range(4):  # as they are: refined, they would slide back
             along = self.old.direction + k * math.pi / 2
             slid = Pose2(_SLID_M * math.cos(along), _SLID_M * math.sin(along), 0.0)
             found.append(self._measured(slid @ best.old_from_new))
-        found.sort(key=lambda one: -one.evidence_m)
-        centre, motion = self.new.walls.mean(axis=0), best.old_from_new
-        return [
-            best,
-            *(one for one in found if differ(one.old_from_new, motion, centre, RIVAL_M, RIVAL_RAD)),
-        ]
+        return self._different(found)
+
+    def _different(self, found: list[_Candidate]) -> list[_Candidate]:
+        """The best of some transforms, the best of those that truly differ from it, and so on."""
+        kept: list[_Candidate] = []
+        centre = self.new.walls.mean(axis=0)
+        for one in sorted(found, key=lambda one: -one.evidence_m):
+            motions = [other.old_from_new for other in kept]
+            if all(differ(one.old_from_new, m, centre, RIVAL_M, RIVAL_RAD) for m in motions):
+                kept.append(one)
+        return kept
 
     def _places(self) -> Iterator[Pose2]:
         """Where the walls of the new map, or of one of its tiles, lie on walls of the old one."""
@@ -287,7 +296,7 @@ def _why_not(found: Alignment, rival: Pose2) -> str:
             f"what both maps saw does not agree everywhere: {ground.at_odds:.0%} of the walls are "
             "in submaps that do not fit: another floor of one plan, or a part that was rebuilt"
         ).replace("%", " %")
-    if found.evidence_m < _LEAST_M:
+    if found.evidence_m < (_LEAST_M if found.submaps < _ROOMS else _LEAST_ROOMS_M):
         return (
             f"the maps have too little in common: {found.evidence_m:.0f} m of wall and "
             f"{found.area_m2:.0f} m2: a few rooms that look alike may be of two buildings"
@@ -398,7 +407,8 @@ def _joints(ground: CommonGround) -> tuple[Joint, ...]:
     found: dict[tuple[int, int], PieceFit] = {}
     mine = {id(fit) for fit in ground.new}
     for fit in sorted((*ground.new, *ground.old), key=lambda fit: fit.confirmed_m):
-        if fit.partner is not None and fit.score >= _ODD:
+        seen = fit.known_m >= MIN_OVERLAP * fit.walls_m  # not through a door alone
+        if fit.partner is not None and seen and fit.score >= _ODD:
             own, partner = fit.submap, fit.partner
             # of two that tell of a pair, what more walls say
             found[(own, partner) if id(fit) in mine else (partner, own)] = fit
