@@ -192,6 +192,16 @@ def test_what_looks_alike_is_refused() -> None:
     assert "too little in common" in found.reason
 
 
+def test_a_bare_corridor_is_refused_since_it_slides() -> None:
+    cells = np.full((60, 800), UNKNOWN, dtype=np.uint8)
+    _fill(cells, (0.0, 0.5, 40.0, 2.5), FREE)
+    _fill(cells, (0.0, 0.45, 40.0, 0.5), OCCUPIED)
+    _fill(cells, (0.0, 2.5, 40.0, 2.55), OCCUPIED)
+    grid = GridMap(cells, CELL_M)
+    bare = MapToAlign(whole=grid, grids={0: grid}, frames={0: IDENTITY})
+    assert "ambiguous" in refused(bare, bare).reason
+
+
 def turned_twice(plan: Floor) -> Floor:
     """A floor, and below it the same floor turned by half a circle: it looks so from both ends."""
     height, width = (side * CELL_M for side in plan.cells.shape)
