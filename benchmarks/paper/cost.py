@@ -14,8 +14,7 @@ from benchmarks.paper.workshop import OURS, PAPER, PRESETS, WORDS, Workshop, bes
 from specmap_cli.core.config import load_config
 from specmap_cli.core.settings import Config, RecognitionConfig
 from specmap_cli.grids.gridmap import GridMap, PackedGrid
-from specmap_cli.recognition.closure.decision import Stay
-from specmap_cli.recognition.closure.loop_closer import LoopCloser
+from specmap_cli.recognition.closure.loop_closer import LoopCloser, Stay
 from specmap_cli.recognition.features.sets import feature_names
 
 MOST = {PAPER: 40, OURS: 160}

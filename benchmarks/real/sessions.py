@@ -145,7 +145,8 @@ def update(there: Seen, here: Seen, log: str, truth: Placed, folder: Path) -> st
         return "refused"
     stamps = here.stamps_ns[truth.rows[truth.known]]
     made = read_tum(out / "trajectory.tum")
-    rows = nearest(made.stamps_ns, stamps)
+    order = np.argsort(made.stamps_ns)  # the session may be older than the map
+    rows = order[nearest(made.stamps_ns[order], stamps)]
     same = np.abs(made.stamps_ns[rows] - stamps) < 10_000
     off = made.poses[rows[same], :2] - truth.poses[truth.known][same, :2]
     away = float(np.median(np.hypot(*off.T))) if same.any() else math.inf

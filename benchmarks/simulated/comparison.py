@@ -21,14 +21,14 @@ from benchmarks.data import plan
 from benchmarks.scoreboard.bench import Bench
 from benchmarks.scoreboard.rows import Figure, Figures, Row
 from specmap_cli.core.geometry import FloatArray, Pose2, nearest_motion, wrap_angle
-from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.maps.store import read_map
 from specmap_cli.maps.text_files import read_tum
 from specmap_cli.pipelines.build import build_map
 from specmap_cli.pipelines.compare import Comparison, compare_maps
-from specmap_cli.pipelines.overlaps import align_maps
+from specmap_cli.pipelines.overlaps import stored_to_align
 from specmap_cli.pipelines.simulate import simulate
+from specmap_cli.recognition.closure.alignment import align
 from specmap_cli.simulation.simulator import simulation_options
 from specmap_cli.topology.differences import Crossing
 
@@ -230,7 +230,7 @@ def _plan_from_map(path: Path) -> Pose2:
 
 def _told(old: Path, new: Path) -> float | None:
     """How many metres the transform between two maps is off; None where there is none."""
-    found = align_maps(read_map(old), read_map(new), Config())
+    found = align(stored_to_align(read_map(old)), stored_to_align(read_map(new)))
     off: float | None = None
     words = f"refused: {found.reason}"
     if found.old_from_new is not None:

@@ -149,10 +149,16 @@ def without_keyframes(
             motions += motion_links(store, np.array([source, target]), breaks)
         else:
             motions.append(replace(one, source=source, target=target))
+    agreement = layout.agreement
+    if agreement.worst is not None:  # at the next node that is left
+        left = np.searchsorted(numbers, layout.nodes[agreement.worst])
+        worst = min(int(np.searchsorted(nodes, left)), len(nodes) - 1)
+        agreement = replace(agreement, worst=worst)
     return replace(
         layout,
         poses=layout.poses[numbers],
         nodes=nodes,
+        agreement=agreement,
         odometry=tuple(motions),
         kept=kept,
         dropped=(),

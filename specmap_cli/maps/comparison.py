@@ -38,9 +38,9 @@ class MapFigures(Measured):
 class AlignmentRecord(Measured):
     """Where the new map lies in the old one, and what that stands on.
 
-    `submaps` of either map found it by themselves. They did so in `votes` pairs: a submap may match
-    several of the other map. `rival` is the part of the walls that the next best transform
-    explains. `residual_m` is how far submaps lie off.
+    `submaps` of either map match under it, in `votes` pairs: a submap may match several of the
+    other map. `rival` is the part of what speaks for it that speaks for the next best transform.
+    `residual_m` is how far submaps lie off.
     """
 
     old_from_new: Transform

@@ -32,9 +32,8 @@ from specmap_cli.maps.comparison import (
 )
 from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.store import StoredMap, opened_map
-from specmap_cli.pipelines.localize import settings_for
-from specmap_cli.pipelines.overlaps import align_maps
-from specmap_cli.recognition.closure.alignment import Alignment
+from specmap_cli.pipelines.overlaps import stored_to_align
+from specmap_cli.recognition.closure.alignment import Alignment, align
 from specmap_cli.topology.differences import Crossing, Differences, Obstacle, differences
 from specmap_cli.topology.topological_map import default_name, driven_m, starts_of
 
@@ -68,8 +67,8 @@ class Comparison:
             identical=self.identical,
             alignment=AlignmentRecord(
                 old_from_new=transform(alignment.old_from_new),
-                votes=alignment.votes,
-                submaps=alignment.party,
+                votes=len(alignment.joints),
+                submaps=alignment.submaps,
                 area_m2=alignment.area_m2,
                 walls_m=0.0 if ground is None else ground.confirmed_m,
                 residual_m=0.0 if ground is None else ground.residual_m,
@@ -104,15 +103,14 @@ def compare_maps(
 ) -> Comparison:
     """What differs between two maps, directories or read ones.
 
-    Without `config` the settings are those that the old map was built with. Raises NoResultError
-    when the maps cannot be aligned, MapError for a directory that is no map or damaged.
+    The limits of `config` bound the files that are read. Raises NoResultError when the maps cannot
+    be aligned, MapError for a directory that is no map or damaged.
     """
     progress = progress or Silent()
     limits = None if config is None else config.limits
     one, other = opened_map(old, "old", limits), opened_map(new, "new", limits)
     if config is not None:
         instance_of(config, Config, "config")
-    config = settings_for(one, {}) if config is None else config
     grids = one.map_grid, other.map_grid
     identical = (
         one.record.text() == other.record.text()
@@ -121,7 +119,7 @@ def compare_maps(
         and np.array_equal(grids[0].cells, grids[1].cells)
     )
     progress.start("comparing", None)
-    alignment = align_maps(one, other, config)
+    alignment = align(stored_to_align(one), stored_to_align(other))
     if alignment.old_from_new is None and not identical:
         raise NoResultError(
             f"not aligned with {one.path}: {alignment.reason}", where=other.path, code=NOT_ALIGNED
@@ -171,7 +169,8 @@ def write_comparison(
 def _motion(alignment: Alignment) -> BentMotion:
     """The motion from the new map to the old one, as its submaps lie in it."""
     assert alignment.old_from_new is not None
-    pieces = () if alignment.ground is None else alignment.ground.pieces
+    ground = alignment.ground
+    pieces = () if ground is None else (*ground.new, *ground.old)
     local = tuple(
         LocalMotion(fit.centre, fit.old_from_new, fit.confirmed_m)
         for fit in pieces

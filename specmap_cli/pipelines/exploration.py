@@ -17,8 +17,7 @@ from specmap_cli.layout.path_graph import Bridge
 from specmap_cli.pipelines.map_in_making import Explored
 from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.closure.claims import SAMPLES_PER_SUBMAP
-from specmap_cli.recognition.closure.decision import Stay
-from specmap_cli.recognition.closure.loop_closer import LoopCloser
+from specmap_cli.recognition.closure.loop_closer import LoopCloser, Stay
 from specmap_cli.recognition.features.sets import KeyframeFeatures
 from specmap_cli.segmentation.online import Observer, OnlineSegmenter, Region
 from specmap_cli.topology.graph import submap_of_regions

@@ -179,7 +179,7 @@ def _dated(
             stored = read_map(path, limits)
             if not (path / filenames.LABELS).exists() or not len(stored.labels.stamps_ns):
                 raise MapError("was not made of a recording: it knows no visits", where=path)
-            stored_to_align(stored, learned=False)  # all that a comparison needs
+            stored_to_align(stored)  # all that a comparison needs
             dated.append((span_ns(stored)[1], str(path), path))
         except MapError as error:
             progress.warn(f"left out: {error}")

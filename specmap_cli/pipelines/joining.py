@@ -34,7 +34,7 @@ from specmap_cli.maps.edits import (
 from specmap_cli.pipelines.laying_out import constraints_of, refute
 from specmap_cli.pipelines.map_in_making import LaidOut, gaps_in
 from specmap_cli.pipelines.session import Session
-from specmap_cli.recognition.closure.common_ground import Joint
+from specmap_cli.recognition.closure.alignment import Joint
 from specmap_cli.topology.graph import Heritage, inherited
 from specmap_cli.topology.redrawing import undone
 
@@ -158,7 +158,7 @@ def closures_between(old: LaidOut, new: LaidOut, joints: Sequence[Joint]) -> tup
                 claims_old_by_new=np.nan,
                 verified=True,
                 merged=True,
-                score=joint.check.score,
+                score=joint.score,
                 reason=_JOINED,
                 old_from_new=frames[0].inverse() @ joint.map_from_map @ frames[1],
             )

@@ -11,14 +11,11 @@ import networkx as nx
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.settings import Config
-from specmap_cli.maps.filenames import CLASSIFIERS
 from specmap_cli.maps.store import StoredMap, read_map
 from specmap_cli.pipelines.learning import submap_grids
-from specmap_cli.pipelines.localize import classifiers_of
 from specmap_cli.pipelines.map_in_making import LaidOut, submaps_of
 from specmap_cli.pipelines.session import Session
-from specmap_cli.recognition.closure.alignment import Alignment, align
-from specmap_cli.recognition.closure.prepared import MapToAlign
+from specmap_cli.recognition.closure.alignment import Alignment, MapToAlign, align
 
 Overlaps = Mapping[tuple[int, int], Alignment]  # of maps i < j: where j lies in i
 
@@ -29,23 +26,17 @@ PairOfMaps = tuple[Path, Path, Config]
 Spread = Callable[[Callable[[PairOfMaps], Alignment], Sequence[PairOfMaps]], Iterable[Alignment]]
 
 
-def stored_to_align(stored: StoredMap, *, learned: bool = True) -> MapToAlign:
-    """A stored map as the alignment takes it, with its classifiers where it has `learned`.
-
-    Raises MapError for a damaged map.
-    """
-    submaps, whole, labels = stored.topology.submaps, stored.map_grid, stored.labels
+def stored_to_align(stored: StoredMap) -> MapToAlign:
+    """A stored map as the alignment takes it. Raises MapError for a damaged map."""
     return MapToAlign(
-        whole=whole,
+        whole=stored.map_grid,
         grids=stored.grids,
-        frames={i: submap.map_from_submap for i, submap in submaps.items()},
-        tracks={i: labels.poses[labels.submaps == i] for i in submaps},
-        classifiers=classifiers_of(stored) if learned else None,
+        frames={i: submap.map_from_submap for i, submap in stored.topology.submaps.items()},
     )
 
 
 def laid_out_to_align(session: Session, laid: LaidOut) -> MapToAlign:
-    """A recording that was laid out by itself as the alignment takes it: without classifiers."""
+    """A recording that was laid out by itself as the alignment takes it."""
     submaps, poses = submaps_of(laid.labels.submaps), laid.labels.poses
     with session.clock.stage("grids"):
         grids = submap_grids(session, submaps, poses, silent=True)
@@ -53,26 +44,15 @@ def laid_out_to_align(session: Session, laid: LaidOut) -> MapToAlign:
         whole=laid.whole,
         grids=grids,
         frames={id_: Pose2(*poses[own[0]].tolist()) for id_, own in submaps.items()},
-        tracks={id_: poses[own] for id_, own in submaps.items()},
     )
-
-
-def align_maps(old: StoredMap, new: StoredMap, config: Config) -> Alignment:
-    """Where a stored map lies in another one, by their grids alone where one has no classifiers.
-
-    Raises MapError for a damaged map.
-    """
-    one, other = (
-        stored_to_align(it, learned=(it.path / CLASSIFIERS).exists()) for it in (old, new)
-    )
-    return align(one, other, config)
 
 
 @one_blas_thread()
 def align_pair(pair: PairOfMaps) -> Alignment:
-    """The same of two directories. Raises MapError for a damaged map."""
+    """Where the map of one directory lies in that of another. Raises MapError for a damaged map."""
     old, new, config = pair
-    return align_maps(read_map(old, config.limits), read_map(new, config.limits), config)
+    maps = (stored_to_align(read_map(path, config.limits)) for path in (old, new))
+    return align(*maps)
 
 
 def overlaps_of(
@@ -82,7 +62,7 @@ def overlaps_of(
     pairs = list(combinations(range(len(maps)), 2))
     found: Iterable[Alignment]
     if spread is None:
-        found = (align(to_align[i], to_align[j], config) for i, j in pairs)
+        found = (align(to_align[i], to_align[j]) for i, j in pairs)
     else:
         paths = [stored.path.resolve() for stored in maps]
         found = spread(align_pair, [(paths[i], paths[j], config) for i, j in pairs])
@@ -107,8 +87,7 @@ def steps_of(count: int, overlaps: Overlaps) -> list[tuple[int | None, int]]:
     graph = nx.Graph()
     graph.add_nodes_from(range(count))
     for (i, j), alignment in overlaps.items():
-        walls_m = 0.0 if alignment.ground is None else alignment.ground.confirmed_m
-        graph.add_edge(i, j, weight=walls_m)
+        graph.add_edge(i, j, weight=alignment.evidence_m)
     tree = nx.maximum_spanning_tree(graph)
     steps: list[tuple[int | None, int]] = []
     for part in parts_of(count, overlaps):

@@ -41,14 +41,13 @@ from specmap_cli.pipelines.learning import (
     training_data_of_stored,
     valid_training_data,
 )
-from specmap_cli.pipelines.localize import settings_for
+from specmap_cli.pipelines.localize import classifiers_of, settings_for
 from specmap_cli.pipelines.map_in_making import LaidOut, laid_out_of_stored
 from specmap_cli.pipelines.overlaps import laid_out_to_align, stored_to_align
 from specmap_cli.pipelines.reports import BuildReport, UpdateRecord, UpdateReport
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.thinning import Thinned, thinned
-from specmap_cli.recognition.closure.alignment import Alignment, align
-from specmap_cli.recognition.closure.prepared import MapToAlign
+from specmap_cli.recognition.closure.alignment import Alignment, MapToAlign, align
 from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.segmentation.division import regions_of
 from specmap_cli.topology.graph import Heritage, inherited
@@ -125,6 +124,7 @@ def _updated(
     """
     config, store, name = session.config, session.store, stream.log.name
     old_to_align, data = stored_to_align(stored), training_data_of_stored(stored, config)
+    known = comparable(classifiers_of(stored), stored, config)
     with KeyframeStore() as own:
         alone = replace(session, store=own)
         new, prior = survey(alone, stream)
@@ -143,11 +143,7 @@ def _updated(
     laid, left = fewer.laid, fewer.left[: fewer.old]
     data = valid_training_data(data, old.labels, laid.labels, left, config.grid.resolution_m)
     features = prior.features.among(store, fewer.old)
-    prior = Prior(
-        features.knowing(data.raw.keyframes, data.raw.features),
-        data,
-        comparable(old_to_align.classifiers, stored, config),
-    )
+    prior = Prior(features.knowing(data.raw.keyframes, data.raw.features), data, known)
     before = stored.counts
     counts = {name: count + before.get(name, 0) for name, count in new.counts.items()}
     return replace(fewer, laid=replace(laid, counts=counts)), prior, alignment
@@ -201,7 +197,7 @@ def _aligned(session: Session, old: MapToAlign, new: MapToAlign) -> Alignment:
     """Where the recording lies in the map."""
     session.progress.start("aligning", None)
     with session.clock.stage("alignment"):
-        return align(old, new, session.config)
+        return align(old, new)
 
 
 def _joined(

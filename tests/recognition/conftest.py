@@ -15,7 +15,7 @@ from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import GridConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap, PackedGrid
 from specmap_cli.grids.occupancy import OccupancyGrid
-from specmap_cli.recognition.closure.decision import Stay
+from specmap_cli.recognition.closure.loop_closer import Stay
 from specmap_cli.recognition.features.sets import ENTRY_POINTS, feature_sets, scans_features
 from tests import plugins
 from tests.casting import ranges_at

@@ -1,51 +1,146 @@
 """Where one map lies in another: the rigid transform between two maps, or why there is none.
 
-Claims rank pairs of submaps, grids decide, and every verified pair votes for a transform between
-the maps (Section III-C). A transform is believed when several submaps of either map found it by
-themselves, when what both maps saw agrees under it, and when no other explains nearly as much.
+One argument: the walls of the one map are laid on those of the other wherever they may fit; what
+both maps saw speaks for a place or against it, metre by metre; and a place is believed when enough
+speaks for it and no other place, turned, elsewhere or slid along its walls, has nearly as much.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
-from specmap_cli.core.settings import Config
-from specmap_cli.core.text import counted
-from specmap_cli.grids.gridmap import FREE
-from specmap_cli.grids.matching import refine
-from specmap_cli.recognition.closure.common_ground import CommonGround, Joint, common_ground, joints
-from specmap_cli.recognition.closure.prepared import MapToAlign, PreparedGrid, PreparedMap, prepared
+from specmap_cli.grids.gridmap import FREE, GridMap
+from specmap_cli.grids.matching import refine, search_everywhere
 from specmap_cli.recognition.closure.verification import (
-    CANDIDATES,
+    COARSE_M,
+    CONTRADICTION_WEIGHT,
+    LEAST_WALL_M,
+    MIN_OVERLAP,
+    MIN_WALL_M,
     RIVAL_M,
     RIVAL_RAD,
+    PreparedGrid,
+    agreement,
     differ,
-    judge,
+    headings,
+    prepared,
+    walls_of,
 )
-from specmap_cli.recognition.closure.votes import Party, likely_pairs, parties_of, votes_of
 
-_NO_VOTE = "no submap of one map matches a submap of the other in one way only"
+# Of the search: places of each heading that are followed, of the whole new map and of its tiles,
+# since a map that shares a wing with another one fits best where most of it lies beside that.
+_PLACES = 8
+_TILE_M, _MOST_TILES = 16.0, 8
+_FOLLOWED = 12  # of all these, to the centimetre
 # Of the refinement of a candidate: from a coarse cell of the search away, then to the centimetre.
 _ROUGH_POINTS, _ROUGH_STEPS, _ROUGH_SHIFT_M = 400, 8, 0.6
 _FINE_STEPS, _FINE_SHIFT_M = 15, 0.2
 _NEAR_SCORE, _FEWEST_NEAR = 0.1, 50  # of a wide field: two sigma of it, some 0.6 m
-_WALLS_PER_M2 = 3.0  # of rooms, with all that stands in them; offices have two
-_FLOOR_POINTS = 5000  # of the free space: its share that both saw to a hundredth
+_FLOOR_POINTS = 3000  # of the free space: its share that both saw to a hundredth
 
-_LEAST_SCORE = 0.5  # of all that both saw; halls of other buildings that touch reach more
+# What a metre of wall that both know speaks for a place is its score less what other buildings
+# reach where they fit best. Of two recordings of a place it came to 42 m and more, of two buildings
+# to 16 m at most, and to 32 m of one that was mirrored.
+_CHANCE, _LEAST_M = 0.3, 40.0
+# Less is enough of small rooms, where that many of either map are the same: two may look alike.
+_ROOMS, _LEAST_ROOMS_M = 3, 20.0
+_WALLS_PER_M2 = 3.0  # of rooms, with all that stands in them: maps may touch back to back
+_LEAST_SCORE = 0.6  # of all that both saw; halls of other buildings that touch reach more
 _MOST_ODD = 0.2  # of the walls: one room of five was rebuilt; more may be another floor
-_LEAST_AREA_M2, _LEAST_WALLS_M = 10.0, 10.0  # a small room: less says nothing about a building
-_MOST_RIVAL = 0.6  # of the walls that the best transform explains: look-alike rows come near it
-_LEAST_PARTY = 3  # submaps that speak for a transform by themselves: two offices look alike
-# With fewer: as much as a floor of a house, and nothing else like it.
-_LARGE_M2, _LARGE_WALLS_M, _LARGE_RIVAL = 100.0, 100.0, 0.3
+_SLID_M = 1.01 * RIVAL_M
+_MOST_RIVAL = 0.7  # of what speaks for the best place: look-alike rows come near it
 _MOST_RESIDUAL_M = 0.25  # half of what a submap may lie off: by chance it lies anywhere in there
+
+# How far a submap may lie from where one rigid transform puts it: what a layout leaves open, as
+# `CLOSURE_SLACK_M` of the layout does; and by how much it may be turned.
+_SLACK_M, _SLACK_RAD = 0.5, math.radians(3.0)
+_ODD = 0.5  # score of a submap of which a quarter, at the least, is not what the other map saw
+_POINTS, _STEPS = 300, 8  # of the match of a submap
+_SAME_WALL_M = 0.3  # between walls of two submaps that are one
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MapToAlign:
+    """A finished map: its `whole` grid, and the grids of its submaps by id.
+
+    `frames` are those of the submaps in the map.
+    """
+
+    whole: GridMap
+    grids: Mapping[int, GridMap]
+    frames: Mapping[int, Pose2]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PieceFit:
+    """One submap of either map under a transform, and where it fits best nearby.
+
+    `known_m` of its `walls_m` lie where the other map saw; `confirmed_m` of these are there, too,
+    and `contradicted_m` stand in its free space. `old_from_new` is the transform that fits it best,
+    `off_m` away where it lies, at `centre` (2,) in the new map. `partner` is the submap of the
+    other map that has most of these walls, if any has.
+    """
+
+    submap: int
+    walls_m: float
+    known_m: float
+    confirmed_m: float
+    contradicted_m: float
+    old_from_new: Pose2
+    off_m: float
+    centre: FloatArray
+    partner: int | None
+
+    @property
+    def score(self) -> float:
+        """The share confirmed less twice the share contradicted."""
+        lost = CONTRADICTION_WEIGHT * self.contradicted_m
+        return (self.confirmed_m - lost) / self.known_m if self.known_m > 0.0 else 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CommonGround:
+    """Two maps under a transform, where both saw; each submap may lie off by a little.
+
+    `old` and `new` are the fits of their submaps. `confirmed` and `contradicted` are shares of the
+    walls that both maps know about, the worse of both maps'; `confirmed_m` metres of wall that
+    agree; `at_odds` the share of the walls that are in submaps which do not fit, the worse of both
+    maps'; `residual_m` (root mean square): how far submaps lie off.
+    """
+
+    old: tuple[PieceFit, ...]
+    new: tuple[PieceFit, ...]
+    confirmed: float
+    contradicted: float
+    confirmed_m: float
+    at_odds: float
+    residual_m: float
+
+    @property
+    def score(self) -> float:
+        """The share confirmed less twice the share contradicted."""
+        return self.confirmed - CONTRADICTION_WEIGHT * self.contradicted
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Joint:
+    """A submap of the old map and one of the new map that have walls in common.
+
+    `map_from_map` is what these say of the maps (old from new), `score` how well they agree.
+    """
+
+    old: int
+    new: int
+    map_from_map: Pose2
+    score: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,127 +148,144 @@ class Alignment:
     """Where a new map lies in an old one.
 
     `old_from_new` is between the map frames, None when it is not sure; `reason` says why, in words.
-    `joints` are the pairs of submaps that match under it. `votes` of these had found it by
-    themselves, for `party` submaps of either map. `ground` is what both maps saw under the best
-    transform there was, `area_m2` the free space that both saw, `rival` how much of its walls
-    another transform explains, in [0, 1], of those that are not clearly worse.
+    `joints` are the pairs of submaps that match under it. `evidence_m` metres of wall speak for the
+    best transform there was, `rival` is the share of it that the next best has, `ground` what both
+    maps saw under it, `area_m2` the free space that both saw.
     """
 
     old_from_new: Pose2 | None
     reason: str
     joints: tuple[Joint, ...] = ()
-    votes: int = 0
-    party: int = 0
     ground: CommonGround | None = None
+    evidence_m: float = 0.0
     area_m2: float = 0.0
     rival: float = 0.0
 
+    @property
+    def submaps(self) -> int:
+        """How many submaps of either map match under it: those of the map with fewer."""
+        joints = self.joints
+        return min(len({joint.old for joint in joints}), len({joint.new for joint in joints}))
 
-def align(old: MapToAlign, new: MapToAlign, config: Config) -> Alignment:
-    """The transform between two maps, or the reason why there is none.
 
-    Submaps are matched with those that they are most like.
-    """
-    recognition = config.recognition
+def align(old: MapToAlign, new: MapToAlign) -> Alignment:
+    """The transform between two maps, or the reason why there is none."""
     wholes = [prepared(map_.whole) for map_ in (old, new)]
     if wholes[0] is None or wholes[1] is None:
         return Alignment(old_from_new=None, reason="a map shows too few walls to match")
-    pieces = PreparedMap(old), PreparedMap(new)
-    votes = votes_of(likely_pairs(old, new, CANDIDATES), *pieces, recognition)
-    found = _TwoMaps(pieces, (wholes[0], wholes[1])).aligned(parties_of(votes))
-    if found.old_from_new is None:
-        return found
+    one, other = _Map(old, wholes[0]), _Map(new, wholes[1])
+    best, *rivals = _Search(one.whole, other.whole).ranked()
+    ground = _common_ground(one, other, best.old_from_new)
+    found = Alignment(
+        old_from_new=best.old_from_new,
+        reason="",
+        joints=_joints(ground),
+        ground=ground,
+        evidence_m=best.evidence_m,
+        area_m2=best.area_m2,
+        rival=max(0.0, rivals[0].evidence_m / best.evidence_m) if best.evidence_m > 0.0 else 1.0,
+    )
+    why_not = _why_not(found, rivals[0].old_from_new)
+    if why_not:
+        return replace(found, old_from_new=None, reason=why_not, joints=())
     reason = (
-        f"aligned by {counted(found.party, 'submap')} of either map, "
+        f"aligned: {found.evidence_m:.0f} m of wall speak for it, "
         f"{found.area_m2:.0f} m2 are in both maps"
     )
-    agreed = joints(*pieces, found.old_from_new, recognition)
-    return replace(found, reason=reason, joints=agreed)
+    return replace(found, reason=reason)
 
 
 @dataclass(frozen=True, slots=True)
 class _Candidate:
-    """A refined transform, the metres of wall that speak for it, and the party that found it.
-
-    Walls count only as far as there are rooms between them: maps that touch back to back have
-    straight walls in common, and nothing else. `common_m2` square metres are free in both maps.
-    """
+    """A transform, the metres of wall that speak for it, and the free space that both maps saw."""
 
     old_from_new: Pose2
-    merit_m: float
-    party: Party
-    common_m2: float
+    evidence_m: float
+    area_m2: float
 
 
-class _TwoMaps:
-    """Two maps, the old one first: their submaps and their whole grids."""
+class _Search:
+    """Where the walls of a new map may lie on those of an old one."""
 
-    def __init__(
-        self,
-        pieces: tuple[PreparedMap, PreparedMap],
-        wholes: tuple[PreparedGrid, PreparedGrid],
-    ) -> None:
-        self.pieces, self.wholes = pieces, wholes
-        self.centre: FloatArray = wholes[1].walls.mean(axis=0)
-        free = np.argwhere(pieces[1].map.whole.free)
-        self._floor = pieces[1].map.whole.centres_of(evenly(free, _FLOOR_POINTS))
-        self._floor_m2 = pieces[1].map.whole.free_area_m2 / max(1, len(self._floor))
+    def __init__(self, old: PreparedGrid, new: PreparedGrid) -> None:
+        self.old, self.new = old, new
+        free = new.grid.centres_of(np.argwhere(new.grid.free))
+        self._floor = evenly(free, _FLOOR_POINTS)
 
-    def aligned(self, parties: Sequence[Party]) -> Alignment:
-        """The transform that most walls speak for, or why it is not to be believed."""
-        found = [self._refined(party) for party in parties]
-        ranked: list[_Candidate] = []
-        for one in sorted(found, key=lambda candidate: -candidate.merit_m):
-            if one.merit_m > 0.0 and all(
-                differ(one.old_from_new, other.old_from_new, self.centre, RIVAL_M, RIVAL_RAD)
-                for other in ranked
-            ):
-                ranked.append(one)
-        if not ranked:
-            return Alignment(old_from_new=None, reason=_NO_VOTE)
-        best, *rivals = ranked
-        old, new = zip(self.pieces, self.wholes, strict=True)
-        told = Alignment(
-            old_from_new=best.old_from_new,
-            reason="",
-            votes=len(best.party.votes),
-            party=best.party.strength,
-            ground=common_ground(old, new, best.old_from_new),
-            area_m2=best.common_m2,
-            rival=rivals[0].merit_m / best.merit_m if rivals else 0.0,
-        )
-        why_not = _why_not(told, best, rivals)
-        return replace(told, old_from_new=None, reason=why_not) if why_not else told
+    def ranked(self) -> list[_Candidate]:
+        """The best transform and those that truly differ, the best first.
 
-    def _refined(self, party: Party) -> _Candidate:
-        """The transform of a party, moved to where the walls of both maps fit best."""
-        (old, new), pose = self.wholes, party.old_from_new
-        for field, most, steps, shift_m in (
-            (old.field, _ROUGH_POINTS, _ROUGH_STEPS, _ROUGH_SHIFT_M),
-            (old.field.sharper(), len(new.walls), _FINE_STEPS, _FINE_SHIFT_M),
+        Among them are those slid along the walls: where a corridor shows nothing else, they fit.
+        """
+        rough = [self._measured(self._refined(pose, rough=True)) for pose in self._places()]
+        likely = self._different(rough)[:_FOLLOWED]
+        found = [self._measured(self._refined(one.old_from_new)) for one in likely]
+        best = max(found, key=lambda one: one.evidence_m)
+        for k in range(4):  # as they are: refined, they would slide back
+            along = self.old.direction + k * math.pi / 2
+            slid = Pose2(_SLID_M * math.cos(along), _SLID_M * math.sin(along), 0.0)
+            found.append(self._measured(slid @ best.old_from_new))
+        return self._different(found)
+
+    def _different(self, found: list[_Candidate]) -> list[_Candidate]:
+        """The best of some transforms, the best of those that truly differ from it, and so on."""
+        kept: list[_Candidate] = []
+        centre = self.new.walls.mean(axis=0)
+        for one in sorted(found, key=lambda one: -one.evidence_m):
+            motions = [other.old_from_new for other in kept]
+            if all(differ(one.old_from_new, m, centre, RIVAL_M, RIVAL_RAD) for m in motions):
+                kept.append(one)
+        return kept
+
+    def _places(self) -> Iterator[Pose2]:
+        """Where the walls of the new map, or of one of its tiles, lie on walls of the old one."""
+        walls, turns = self.new.walls, headings(self.old, self.new)
+        number = np.unique(np.floor(walls / _TILE_M), axis=0, return_inverse=True)[1].ravel()
+        tiles = [walls[number == k] for k in range(int(number.max()) + 1)]
+        tiles = sorted(tiles, key=len, reverse=True)[:_MOST_TILES]
+        for view in (walls, *tiles) if len(tiles) > 1 else (walls,):
+            for turn in turns:
+                found = search_everywhere(self.old.wide, view, _PLACES, COARSE_M, [turn])
+                yield from (match.pose for match in found)
+
+    def _refined(self, pose: Pose2, *, rough: bool = False) -> Pose2:
+        """A transform moved to where the walls of both maps fit best."""
+        field, walls = self.old.field.sharper(), self.new.walls
+        most, steps, shift_m = len(walls), _FINE_STEPS, _FINE_SHIFT_M
+        if rough:
+            field = self.old.field
+            most, steps, shift_m = _ROUGH_POINTS, _ROUGH_STEPS, _ROUGH_SHIFT_M
+        near = self.old.wide.at(pose.apply(walls)) > _NEAR_SCORE
+        points = evenly(walls[near] if np.count_nonzero(near) >= _FEWEST_NEAR else walls, most)
+        # by no more than a shift where the points are: the frame may lie far off
+        x, y = points.mean(axis=0).tolist()
+        found = refine(field, points - (x, y), pose @ Pose2(x, y, 0.0), steps, shift_m)
+        return found.pose @ Pose2(-x, -y, 0.0)
+
+    def _measured(self, pose: Pose2) -> _Candidate:
+        """What speaks for a transform: of the map of which fewer metres of wall do.
+
+        Walls count only as far as there is room between them.
+        """
+        known = []
+        for grid, other, motion in (
+            (self.new, self.old, pose),
+            (self.old, self.new, pose.inverse()),
         ):
-            near = old.wide.at(pose.apply(new.walls)) > _NEAR_SCORE
-            walls = new.walls[near] if np.count_nonzero(near) >= _FEWEST_NEAR else new.walls
-            points = evenly(walls, most)
-            # by no more than a shift where the points are: the frame may lie far off
-            x, y = points.mean(axis=0).tolist()
-            found = refine(field, points - (x, y), pose @ Pose2(x, y, 0.0), steps, shift_m)
-            pose = found.pose @ Pose2(-x, -y, 0.0)
-        floor = self.pieces[0].map.whole.values_at(pose.apply(self._floor))
-        common_m2 = float(np.count_nonzero(floor == FREE)) * self._floor_m2
-        merit_m = min(judge(*self.wholes, pose).net_walls_m, _WALLS_PER_M2 * common_m2)
-        return _Candidate(pose, merit_m, party, common_m2)
+            said = agreement(other.area, motion.apply(grid.walls))
+            each = said.confirmed - CONTRADICTION_WEIGHT * said.contradicted - _CHANCE
+            known.append(said.known * len(grid.walls) * grid.metres_a_point * each)
+        floor = self.old.grid.values_at(pose.apply(self._floor))
+        share = float(np.mean(floor == FREE)) if len(floor) else 0.0
+        area_m2 = share * self.new.grid.free_area_m2
+        return _Candidate(pose, min(*known, _WALLS_PER_M2 * area_m2), area_m2)
 
 
-def _why_not(found: Alignment, best: _Candidate, rivals: Sequence[_Candidate]) -> str:
+def _why_not(found: Alignment, rival: Pose2) -> str:
     """Why a transform is not to be believed; empty when it is."""
     ground = found.ground
     assert ground is not None
-    if found.area_m2 < _LEAST_AREA_M2 or ground.confirmed_m < _LEAST_WALLS_M:
-        return (
-            f"the maps have too little in common: at best {found.area_m2:.0f} m2 "
-            f"and {ground.confirmed_m:.0f} m of wall"
-        )
+    assert found.old_from_new is not None
     if ground.score < _LEAST_SCORE or ground.residual_m > _MOST_RESIDUAL_M:
         return (
             f"what both maps saw does not agree: where they fit best, {ground.confirmed:.0%} of "
@@ -184,20 +296,123 @@ def _why_not(found: Alignment, best: _Candidate, rivals: Sequence[_Candidate]) -
             f"what both maps saw does not agree everywhere: {ground.at_odds:.0%} of the walls are "
             "in submaps that do not fit: another floor of one plan, or a part that was rebuilt"
         ).replace("%", " %")
+    if found.evidence_m < (_LEAST_M if found.submaps < _ROOMS else _LEAST_ROOMS_M):
+        return (
+            f"the maps have too little in common: {found.evidence_m:.0f} m of wall and "
+            f"{found.area_m2:.0f} m2: a few rooms that look alike may be of two buildings"
+        )
     if found.rival > _MOST_RIVAL:
-        away = best.old_from_new.inverse() @ rivals[0].old_from_new
+        away = found.old_from_new.inverse() @ rival
         turn = math.degrees(abs(wrap_angle(away.theta)))
         return (
             f"ambiguous: the maps fit in more than one way, {away.distance:.1f} m "
             f"and {turn:.0f} degrees apart"
         )
-    large = (
-        found.area_m2 >= _LARGE_M2
-        and ground.confirmed_m >= _LARGE_WALLS_M
-        and found.rival <= _LARGE_RIVAL
-    )
-    if found.party < _LEAST_PARTY and not large:
-        return (
-            "too few submaps were recognised: a few rooms that look alike may be of two buildings"
-        )
     return ""
+
+
+class _Map:
+    """A map, its whole grid prepared, and the walls of its submaps, in the map."""
+
+    def __init__(self, map_: MapToAlign, whole: PreparedGrid) -> None:
+        self.map, self.whole = map_, whole
+        self.walls: dict[int, FloatArray] = {}
+        self.metres: dict[int, float] = {}  # of wall a point
+        for id_, frame in sorted(map_.frames.items()):
+            points, each_m = walls_of(map_.grids[id_])
+            if len(points) * each_m >= LEAST_WALL_M:
+                self.walls[id_], self.metres[id_] = frame.apply(points), each_m
+
+    @cached_property
+    def trees(self) -> dict[int, cKDTree]:
+        """The walls of each submap, to ask which of them has a wall."""
+        return {id_: cKDTree(walls) for id_, walls in self.walls.items()}
+
+    def fits(self, other: _Map, other_from_map: Pose2) -> Iterator[PieceFit]:
+        """Its submaps against the whole of another map; `old_from_new` is from here to there."""
+        for id_, walls in self.walls.items():
+            middle, each_m = walls.mean(axis=0), self.metres[id_]
+            x, y = middle.tolist()
+            guess = other_from_map @ Pose2(x, y, 0.0)
+            points = evenly(walls - middle, _POINTS)
+            best = refine(other.whole.field, points, guess, _STEPS, _SLACK_M).pose
+            if abs(wrap_angle(best.theta - guess.theta)) > _SLACK_RAD:
+                best = guess
+            there = best.apply(walls - middle)
+            said = agreement(other.whole.area, there)
+            known_m = said.known * len(walls) * each_m
+            yield PieceFit(
+                submap=id_,
+                walls_m=len(walls) * each_m,
+                known_m=known_m,
+                confirmed_m=said.confirmed * known_m,
+                contradicted_m=said.contradicted * known_m,
+                old_from_new=best @ Pose2(-x, -y, 0.0),
+                off_m=math.dist(best[:2], guess[:2]),
+                centre=middle,
+                partner=other.partner(there, each_m),
+            )
+
+    def partner(self, walls: FloatArray, each_m: float) -> int | None:
+        """The submap that has most of some walls (n, 2) in the map, if one has enough."""
+        points = evenly(walls, _POINTS)
+        each_m *= len(walls) / len(points)
+        low, high = points.min(axis=0), points.max(axis=0)
+        best, most_m = None, MIN_WALL_M
+        for id_, tree in self.trees.items():
+            if (low < tree.maxes).all() and (tree.mins < high).all():
+                away, _ = tree.query(points, distance_upper_bound=_SAME_WALL_M)
+                shared_m = float(np.count_nonzero(np.isfinite(away))) * each_m
+                if shared_m > most_m:
+                    best, most_m = id_, shared_m
+        return best
+
+
+def _common_ground(old: _Map, new: _Map, old_from_new: Pose2) -> CommonGround:
+    """What two maps have in common under a transform."""
+    there = tuple(new.fits(old, old_from_new))
+    back = tuple(
+        replace(
+            fit,
+            old_from_new=fit.old_from_new.inverse(),
+            centre=fit.old_from_new.apply(fit.centre[None])[0],
+        )
+        for fit in old.fits(new, old_from_new.inverse())
+    )
+    sides = []  # of either map's walls: shares confirmed and contradicted, metres, share at odds
+    for own in (there, back):
+        known = sum(fit.known_m for fit in own)
+        good = sum(fit.confirmed_m for fit in own)
+        bad = sum(fit.contradicted_m for fit in own)
+        odd = sum(fit.known_m for fit in own if fit.score < _ODD)
+        some = known > 0.0
+        sides.append((good / known, bad / known, good, odd / known) if some else (0.0,) * 4)
+    confirmed, contradicted, confirmed_m, at_odds = zip(*sides, strict=True)
+    weights = np.array([fit.confirmed_m for fit in (*there, *back)])
+    off = np.array([fit.off_m for fit in (*there, *back)])
+    heavy = weights.sum() > 0.0
+    return CommonGround(
+        old=back,
+        new=there,
+        confirmed=min(confirmed),
+        contradicted=max(contradicted),
+        confirmed_m=min(confirmed_m),
+        at_odds=max(at_odds),
+        residual_m=math.sqrt(float(np.average(off**2, weights=weights))) if heavy else 0.0,
+    )
+
+
+def _joints(ground: CommonGround) -> tuple[Joint, ...]:
+    """Each submap that fits with its partner in the other map, by id of new, then of old."""
+    found: dict[tuple[int, int], PieceFit] = {}
+    mine = {id(fit) for fit in ground.new}
+    for fit in sorted((*ground.new, *ground.old), key=lambda fit: fit.confirmed_m):
+        seen = fit.known_m >= MIN_OVERLAP * fit.walls_m  # not through a door alone
+        if fit.partner is not None and seen and fit.score >= _ODD:
+            own, partner = fit.submap, fit.partner
+            # of two that tell of a pair, what more walls say
+            found[(own, partner) if id(fit) in mine else (partner, own)] = fit
+    return tuple(
+        Joint(old=old, new=new, map_from_map=fit.old_from_new, score=fit.score)
+        for (new, old), fit in sorted(found.items())
+    )

@@ -1,4 +1,4 @@
-"""Do two grids show the same place? The most promising transforms refined, and a judgement.
+"""Do two grids show the same place? Walls and free space prepared, transforms tried, a judgement.
 
 The search needs no prior pose: rotations come from the directions of the walls, translations from
 the search everywhere of `grids`. The judgement counts the wall points of each grid that the other
@@ -11,21 +11,30 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
+from specmap_cli.core.records import BoolArray
+from specmap_cli.grids.gridmap import NO_OBSTACLE_M, UNKNOWN, GridMap
 from specmap_cli.grids.matching import refine, search_everywhere
-from specmap_cli.recognition.closure.prepared import INLIER_M, KnownArea, PreparedGrid
+from specmap_cli.grids.score_field import ScoreField
 
+_MATCH_SIGMA_M = 0.15  # how near matched walls pull each other
+_INLIER_M = 0.15  # a wall point this near a wall agrees
+LEAST_WALL_M = 0.5  # less of it says nothing about where a grid belongs
+_MOST_POINTS = 1200  # of walls that are compared: 60 m of them on cells of 5 cm
+_WALL_BLUR_CELLS = 2.0  # the picture of walls is smoothed by this to tell their direction
+_FLAT = 1e-9  # keeps the direction of a picture without a gradient from dividing by nought
 # The direction of walls is good to a few degrees. Stairs of coarse cells bend it: by 22 degrees on
 # simulated rooms in cells of 0.25 m.
 _SLACK_RAD = math.radians(3.0)
 _FINE_CELL_M, _CELL_M_PER_SLACK = 0.05, 0.025
-_COARSE_M, _PLACES = 0.3, 8  # of the search everywhere
+COARSE_M, _PLACES = 0.3, 8  # of the search everywhere
 RIVAL_M, RIVAL_RAD = 1.0, math.radians(10.0)  # transforms farther apart are rivals when both fit
 
 CANDIDATES = 3  # best ranked old submaps whose grids are matched
@@ -44,23 +53,118 @@ _REFINED = 3
 _ROUGH_POINTS, _ROUGH_STEPS, _ROUGH_SHIFT_M = 160, 6, 0.6
 _FINE_POINTS, _FINE_STEPS, _FINE_SHIFT_M = 1000, 15, 0.2
 
+ImageArray = NDArray[np.float32]
 
-def places(old: PreparedGrid, new: PreparedGrid) -> list[Pose2]:
-    """The most promising transforms old_from_new, wherever they lead, the best first.
 
-    Walls are laid on walls: aligned, and turned by quarters.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KnownArea:
+    """What a grid knows of each cell, of `resolution` metres from `origin`.
+
+    `wall_distance` and `depth` (H, W) metres to the nearest wall and to the nearest cell that is
+    not free; `known` (H, W) whether it was seen, or lies next to what was.
     """
+
+    wall_distance: ImageArray
+    depth: ImageArray
+    known: BoolArray
+    resolution: float
+    origin: tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PreparedGrid:
+    """One `grid` prepared for matching, in its own frame.
+
+    `walls` (N, 2) points of the occupied cells, each for `metres_a_point` of wall; `direction` of
+    its walls in [0, pi / 2) rad. What the older grid of a match alone needs is made when asked for:
+    many a grid is only ever the newer one.
+    """
+
+    grid: GridMap
+    sigma_m: float
+    walls: FloatArray
+    metres_a_point: float
+    direction: float
+    area: KnownArea
+
+    @cached_property
+    def wide(self) -> ScoreField:
+        """How near walls are, tolerant, for ranking."""
+        return ScoreField.from_grid(self.grid, 2.0 * self.sigma_m)
+
+    @cached_property
+    def field(self) -> ScoreField:
+        """How near walls are, for the refinement."""
+        return self.wide.sharper()
+
+
+def prepared(grid: GridMap) -> PreparedGrid | None:
+    """The grid prepared for matching; None when it shows too little of a wall."""
+    grid = grid.cropped()
+    walls, metres_a_point = walls_of(grid)
+    if len(walls) * metres_a_point < LEAST_WALL_M:
+        return None
+    # what the grid knows ends as far past the cells that were seen as an inlier may be off
+    margin = max(1, round(_INLIER_M / grid.resolution))
+    seen = (grid.cells != UNKNOWN).astype(np.uint8)
+    known = cv2.dilate(seen, np.ones((2 * margin + 1, 2 * margin + 1), dtype=np.uint8))
+    distances = []  # metres from each cell inside to the nearest outside
+    for inside in (~grid.occupied, grid.free):
+        metres = np.full(inside.shape, NO_OBSTACLE_M, dtype=np.float32)
+        if not inside.all():
+            cells = cv2.distanceTransform(inside.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
+            metres = np.asarray(cells * np.float32(grid.resolution), dtype=np.float32)
+        distances.append(metres)
+    return PreparedGrid(
+        grid=grid,
+        sigma_m=max(_MATCH_SIGMA_M, grid.resolution),
+        walls=walls,
+        metres_a_point=metres_a_point,
+        direction=wall_direction(grid),
+        area=KnownArea(
+            wall_distance=distances[0],
+            depth=distances[1],
+            known=np.asarray(known > 0),
+            resolution=grid.resolution,
+            origin=grid.origin,
+        ),
+    )
+
+
+def walls_of(grid: GridMap) -> tuple[FloatArray, float]:
+    """Points (n, 2) of the occupied cells of a grid, and how many metres of wall each tells of."""
+    occupied = np.argwhere(grid.occupied)
+    points = evenly(occupied, _MOST_POINTS)
+    return grid.centres_of(points), grid.resolution * len(occupied) / max(1, len(points))
+
+
+def wall_direction(grid: GridMap) -> float:
+    """The direction of the walls, modulo a right angle, in [0, pi / 2) rad.
+
+    From the gradient of the blurred picture of the obstacles: four times its angle is the same for
+    a wall, its back and the walls across.
+    """
+    picture = cv2.GaussianBlur(grid.occupied.astype(np.float32), (0, 0), _WALL_BLUR_CELLS)
+    dx = cv2.Sobel(picture, cv2.CV_32F, 1, 0)
+    dy = cv2.Sobel(picture, cv2.CV_32F, 0, 1)
+    steep = np.flatnonzero((dx != 0.0) | (dy != 0.0))  # few cells lie near a wall
+    gradient = dx.take(steep) + np.complex64(1j) * dy.take(steep)
+    square = gradient * gradient
+    total = complex((square * square / (np.abs(square) + _FLAT)).sum(dtype=np.complex128))
+    return (math.atan2(total.imag, total.real) / 4.0) % (math.pi / 2.0)
+
+
+def headings(old: PreparedGrid, new: PreparedGrid) -> list[float]:
+    """The headings old_from_new that lay walls along walls: aligned, and turned by quarters."""
     # the larger the cells, the more steps to either side of aligned walls are tried
     cell_m = max(old.area.resolution, new.area.resolution)
     steps = max(0, int((cell_m - _FINE_CELL_M) / _CELL_M_PER_SLACK))
     aligned = old.direction - new.direction
-    headings = [
+    return [
         aligned + quarters * math.pi / 2.0 + k * _SLACK_RAD
         for quarters in range(4)
         for k in range(-steps, steps + 1)
     ]
-    found = search_everywhere(old.wide, new.walls, _PLACES, _COARSE_M, headings)
-    return [match.pose for match in found]
 
 
 def differ(a: Pose2, b: Pose2, centre: NDArray[np.float64], metres: float, radians: float) -> bool:
@@ -76,10 +180,8 @@ class Check:
 
     `score` is the smaller share of inliers less twice the larger share of contradictions, at most
     1; `confirmed_m` the smaller length of wall confirmed, metres; `overlap` and `least_overlap` the
-    larger and the smaller share of a grid's walls that the other one knows about; `net_walls_m` the
-    smaller length of wall that speaks for the transform, less twice that against it: a share would
-    favour grids that hardly touch. `lead` is how much better it is than the next best transform
-    that is a different one.
+    larger and the smaller share of a grid's walls that the other one knows about. `lead` is how
+    much better it is than the next best transform that is a different one.
     """
 
     old_from_new: Pose2
@@ -87,18 +189,12 @@ class Check:
     confirmed_m: float
     overlap: float
     least_overlap: float
-    net_walls_m: float = 0.0
     lead: float = 0.0
 
     @property
     def overlaps(self) -> bool:
         """Whether each grid knows enough of the walls of the other."""
         return self.overlap >= MIN_OVERLAP and self.least_overlap >= LEAST_OVERLAP
-
-    def matches(self, min_score: float) -> bool:
-        """Whether the grids match here, whatever else may match as well."""
-        walls = self.confirmed_m >= MIN_WALL_M
-        return self.score >= min_score and walls and self.overlaps
 
 
 def verify(
@@ -113,7 +209,9 @@ def verify(
     it is to be told.
     """
     points = evenly(new.walls, _ROUGH_POINTS)
-    likely = sorted(places(old, new), key=partial(old.wide.score, points), reverse=True)[:_REFINED]
+    found = search_everywhere(old.wide, new.walls, _PLACES, COARSE_M, headings(old, new))
+    places = [match.pose for match in found]
+    likely = sorted(places, key=partial(old.wide.score, points), reverse=True)[:_REFINED]
     poses = (refine(old.field, points, pose, _ROUGH_STEPS, _ROUGH_SHIFT_M).pose for pose in likely)
     checks = sorted((judge(old, new, pose) for pose in poses), key=_rank, reverse=True)
     if not checks:
@@ -148,13 +246,6 @@ def judge(old: PreparedGrid, new: PreparedGrid, old_from_new: Pose2) -> Check:
         confirmed_m=min(there.inliers * new.metres_a_point, back.inliers * old.metres_a_point),
         overlap=max(there.known, back.known),
         least_overlap=min(there.known, back.known),
-        net_walls_m=min(
-            said.known
-            * len(grid.walls)
-            * grid.metres_a_point
-            * (said.confirmed - CONTRADICTION_WEIGHT * said.contradicted)
-            for said, grid in ((there, new), (back, old))
-        ),
     )
 
 
@@ -200,7 +291,7 @@ def agreement(area: KnownArea, points: FloatArray) -> Agreement:
     distance, depth = area.wall_distance[rows, columns], area.depth[rows, columns]
     # distances are of whole cells: no limit is finer than they can tell
     cell = area.resolution
-    inliers = int(np.count_nonzero(distance <= max(INLIER_M, _INLIER_CELLS * cell)))
+    inliers = int(np.count_nonzero(distance <= max(_INLIER_M, _INLIER_CELLS * cell)))
     off = distance > max(_CONTRADICTION_M, _CONTRADICTION_CELLS * cell)
     contradicted = off & (depth > max(_CONTRADICTION_DEPTH_M, _INLIER_CELLS * cell))
     return Agreement(

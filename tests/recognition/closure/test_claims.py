@@ -16,7 +16,7 @@ from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.gridmap import FREE, GridMap, PackedGrid
 from specmap_cli.recognition.closure import claims
 from specmap_cli.recognition.closure.claims import ClaimRanker
-from specmap_cli.recognition.closure.decision import Decision, DriftGraph, Stay, decide
+from specmap_cli.recognition.closure.loop_closer import Decision, DriftGraph, Stay, decide
 from specmap_cli.recognition.closure.verification import Check
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.boosting import StumpBoost

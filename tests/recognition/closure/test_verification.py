@@ -25,23 +25,20 @@ from specmap_cli.core.settings import GridConfig, RecognitionConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.occupancy import OccupancyGrid
 from specmap_cli.grids.score_field import ScoreField
-from specmap_cli.recognition.closure.prepared import (
-    INLIER_M,
-    PreparedGrid,
-    PreparedGrids,
-    prepared,
-    wall_direction,
-)
 from specmap_cli.recognition.closure.verification import (
     _CONTRADICTION_DEPTH_M,
     _CONTRADICTION_M,
+    _INLIER_M,
     MIN_LEAD,
     MIN_WALL_M,
     Check,
+    PreparedGrid,
+    headings,
     judge,
-    places,
+    prepared,
     tracks_overlap,
     verify,
+    wall_direction,
 )
 from tests.recognition.watching import watched
 from tests.strategies import angles, few, pose_arrays, poses
@@ -175,7 +172,7 @@ def by_hand(old: GridMap, new: GridMap, old_from_new: Pose2) -> Any:
     at = old.centres_of(old.cells_of(points[known]))
     distance, _ = cKDTree(walls).query(at)
     depth, _ = cKDTree(closed).query(at)
-    confirmed = distance <= INLIER_M + 1e-6
+    confirmed = distance <= _INLIER_M + 1e-6
     contradicted = (distance > _CONTRADICTION_M + 1e-6) & (depth > _CONTRADICTION_DEPTH_M + 1e-6)
     return confirmed.mean(), contradicted.mean(), int(confirmed.sum())
 
@@ -232,12 +229,12 @@ def two(building: Any, first: int, second: int) -> tuple[PreparedGrid, PreparedG
     return ready(building.visit(0, first).grid), ready(building.visit(1, second, seed=1).grid)
 
 
-def test_the_most_promising_places_are_few_and_lie_at_aligned_walls(building: Any) -> None:
+def test_the_headings_that_are_tried_lay_walls_along_walls(building: Any) -> None:
     old, new = two(building, 0, 1)
-    found = places(old, new)
-    assert 1 < len(found) <= 8
-    off = [4.0 * (pose.theta - old.direction + new.direction) for pose in found]
-    assert np.abs(wrap_angles(np.array(off))).max() < 1e-6
+    found = headings(old, new)
+    assert len(found) == 4
+    off = 4.0 * (np.array(found) - old.direction + new.direction)
+    assert np.abs(wrap_angles(off)).max() < 1e-6
 
 
 @pytest.mark.parametrize("degrees", [0, 10, 37, 80])
@@ -283,27 +280,6 @@ def test_the_known_area_grows_by_what_an_inlier_may_be_off(inlier_m: float, marg
     turn("recognition", inlier_m=inlier_m)
     middle = ready(GridMap(cells, 0.05)).area.known[:, 15]
     assert np.flatnonzero(middle).tolist() == list(range(17 - margin, 17 + margin + 1))
-
-
-@given(st.lists(st.integers(0, 5), min_size=1, max_size=30))
-def test_the_last_used_grids_are_kept_and_others_prepared_again(numbers: list[int]) -> None:
-    """Those, too, that cannot be prepared: those of even numbers."""
-    grids, asked = PreparedGrids(most=3), list[int]()
-    held: list[int] = []  # the last used one last
-
-    def answer(number: Any) -> Any:
-        asked.append(number)
-        return number if number % 2 else None
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("specmap_cli.recognition.closure.prepared.prepared", answer)
-        for number in numbers:
-            asked.clear()
-            grid: Any = number
-            found: Any = grids.of(number, grid)
-            assert found == (number if number % 2 else None)
-            assert asked == ([] if number in held else [number])
-            held = [*(kept for kept in held if kept != number), number][-3:]
 
 
 def test_fields_are_made_of_the_older_grid_alone_and_once(monkeypatch: pytest.MonkeyPatch) -> None:
