@@ -249,6 +249,13 @@ def _lattice_scores(
         yield angle, flat.take(cells).sum(axis=1, dtype=np.float64) / len(points)
 
 
+def within_ellipse(away: FloatArray, covariance: FloatArray) -> BoolArray:
+    """(N,) whether vectors (N, 2) end inside the ellipse of a covariance (2, 2)."""
+    (a, b), (_, c) = covariance.tolist()
+    x, y = away[:, 0], away[:, 1]
+    return np.asarray(c * x * x - 2.0 * b * x * y + a * y * y <= a * c - b * b)
+
+
 def observability(points: FloatArray, range_noise_m: float) -> FloatArray:
     """Fisher information (3, 3) of a scan's own pose, from points (N, 2) in order of bearing.
 

@@ -22,6 +22,7 @@ import numpy as np
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, inverse3, invert, step_lengths
 from specmap_cli.core.records import IntArray
 from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.layout.consistency import Uncertainty
 from specmap_cli.layout.contradictions import Views
 from specmap_cli.layout.passes import find_passes
 from specmap_cli.layout.path_graph import (
@@ -32,10 +33,9 @@ from specmap_cli.layout.path_graph import (
     graph_of,
     motion_links,
 )
-from specmap_cli.layout.pose_graph import Link
+from specmap_cli.layout.pose_graph import Link, adjoint, moved_covariance
 from specmap_cli.layout.result import Candidate, Layout
 from specmap_cli.layout.solving import settle, tighten
-from specmap_cli.layout.uncertainty import Uncertainty, adjoint, moved_covariance
 from specmap_cli.layout.walls import Walls
 
 # What a layout knows of two places that walls tie, seen by several passes: two fifths of a cell of

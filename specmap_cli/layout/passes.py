@@ -20,6 +20,7 @@ from functools import partial
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angles
+from specmap_cli.grids.matching import within_ellipse
 from specmap_cli.layout.parts import PartSearch, rejoin
 from specmap_cli.layout.path_graph import (
     LOOP_EVERY_M,
@@ -32,7 +33,7 @@ from specmap_cli.layout.path_graph import (
 from specmap_cli.layout.place_search import Guess, WallMap
 from specmap_cli.layout.pose_graph import Link, LinkArrays, errors
 from specmap_cli.layout.solving import solved
-from specmap_cli.layout.uncertainty import DRIFT_SHARE, path_error, within_ellipse
+from specmap_cli.layout.consistency import DRIFT_SHARE, path_error
 from specmap_cli.layout.wall_matching import link_to_nearest, match_passes
 from specmap_cli.layout.walls import PLACE_NODES, Walls
 

@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2, inverse3, wrap_angle
 from specmap_cli.core.records import BoolArray, IntArray
-from specmap_cli.grids.matching import Match, Window, different_places, search
+from specmap_cli.grids.matching import Match, Window, within_ellipse, different_places, search
 from specmap_cli.grids.score_field import ScoreField, thinned
 from specmap_cli.layout.path_graph import MATCH_RANGE_M
-from specmap_cli.layout.uncertainty import within_ellipse
 from specmap_cli.layout.wall_matching import (
     FINE_POINTS_M,
     LOOP_SCORE,

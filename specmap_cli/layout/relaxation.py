@@ -12,21 +12,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import compress
 
+import numpy as np
+
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.consistency import Judgement, judge
+from specmap_cli.layout.consistency import CLAIM_SLACK_M, Judgement, judge
 from specmap_cli.layout.contradictions import Views
 from specmap_cli.layout.parts import place_parts
 from specmap_cli.layout.passes import far_passes, find_passes
-from specmap_cli.layout.path_graph import Bridge, Draft, Graph, graph_of
-from specmap_cli.layout.pose_graph import Link
+from specmap_cli.layout.path_graph import Bridge, Draft, Ends, Graph, graph_of
+from specmap_cli.layout.pose_graph import Link, errors
 from specmap_cli.layout.result import Candidate, Layout
 from specmap_cli.layout.solving import settle, solved, tighten
-from specmap_cli.layout.uncertainty import CLOSURE_SLACK_M, deviations
 from specmap_cli.layout.walls import Walls
 
 _VOTES_FOR_PART = 2  # closures that must agree on where a piece after a break lies
-_JUDGE_ROUNDS = 6  # closures are judged, and passes searched, this often at the most
 
 
 def relax(
@@ -61,27 +61,17 @@ def relax(
 def close(
     graph: Graph, draft: Draft, closures: Sequence[Link], walls: Walls
 ) -> tuple[Draft, tuple[Judgement, ...]]:
-    """The draft with the closures that are believed, and what was found of each, in their order.
+    """The draft with the claims that are believed, and what was found of each, in their order.
 
-    Passes found far away follow, which are judged like closures. Closures may bring passes near
-    each other that were far apart, and those may show that other closures are right: passes are
-    searched and the rest is judged again until nothing is new.
+    Claims are closures, and walls found where none were expected. They bring passes near each other
+    that were far apart: these are searched then.
     """
-    judged: dict[int, Judgement] = {}
-    pool, waiting = list(closures), list(range(len(closures)))
-    for _ in range(_JUDGE_ROUNDS):
-        claims, draft = far_passes(graph, draft, walls)
-        waiting += range(len(pool), len(pool) + len(claims))
-        pool += claims
-        fresh, cut_short = judge(graph, draft, [pool[k] for k in waiting])
-        draft = draft.counting("clique_steps", cut_short)
-        judged.update(zip(waiting, fresh, strict=True))
-        believed = [one.link for one in fresh if one.believed]
-        if not believed:
-            break
+    finds, draft = far_passes(graph, draft, walls)
+    judged = judge(graph, draft, [*closures, *finds])
+    believed = [one.link for one in judged if one.believed]
+    if believed:
         draft = find_passes(graph, tighten(graph, draft.adding(believed)), walls)
-        waiting = [k for k in waiting if not judged[k].believed]
-    return draft, tuple(judged[k] for k in range(len(pool)))
+    return draft, judged
 
 
 def chosen(graph: Graph, passes: Draft, best: Candidate, views: Views) -> Candidate:
@@ -93,7 +83,9 @@ def chosen(graph: Graph, passes: Draft, best: Candidate, views: Views) -> Candid
     links = (*best.draft.loops, *best.dropped)
     closures = tuple(link for link in links if link.kind == "closure")
     if closures:
-        is_near = deviations(graph, passes, closures)[0] <= CLOSURE_SLACK_M
+        ends = Ends.of(graph.row, closures)
+        away = errors(passes.poses, ends.i, ends.j, ends.z)
+        is_near = np.hypot(away[:, 0], away[:, 1]) <= CLAIM_SLACK_M
         alone, outliers = settle(graph, passes.adding(tuple(compress(closures, is_near))))
         dropped = (*compress(closures, ~is_near), *outliers)
         agreement = views.agreement(alone.poses)

@@ -17,6 +17,7 @@ from specmap_cli.core.records import IntArray
 from specmap_cli.layout.path_graph import Draft, Graph
 from specmap_cli.layout.pose_graph import (
     SETTLED,
+    adjoint,moved_covariance,
     Link,
     LinkArrays,
     Solution,
@@ -24,7 +25,6 @@ from specmap_cli.layout.pose_graph import (
     solve,
     squared,
 )
-from specmap_cli.layout.uncertainty import adjoint, moved_covariance
 
 _KERNEL_SIGMAS = 2.0  # closures and passes farther off than this pull less and less
 _OUTLIER_CHI2 = 25.0  # closures and passes above it, five sigmas off, are dropped in the end
