@@ -21,6 +21,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 
 from specmap_cli.core.geometry import FloatArray, compose, inverse3, invert
 from specmap_cli.core.records import BoolArray, IntArray
@@ -32,12 +34,16 @@ _DRIFT_RAD_PER_M = 0.001  # radians per metre by which tracking may turn on and 
 CLAIM_SLACK_M = 0.5  # what any claim may mend
 
 _VOTES = 3  # independent claims that agree
+_PART_VOTES = 2  # closures that agree on where a piece after a break lies
 _APART_M = 5.0  # claims nearer than this along both passes count as one
-# Sigmas of the path's error that a closure alone may mend, and that claims which agree may mend.
-_ALONE_SIGMAS, _MEND_SIGMAS = 3.0, 5.0
+# A closure alone may mend this share of the way between its ends, or so many sigmas of its error;
+# beside others that agree, fewer.
+_ALONE_SHARE, _ALONE_SIGMAS, _BESIDE_SIGMAS = 0.15, 3.0, 2.0
+_MEND_SIGMAS = 5.0  # sigmas of the path's error that claims which agree may mend
 # Error of a claim that is right, where claims are compared: of its place, of its heading.
 _CLAIM_M, _CLAIM_RAD = 0.15, 0.03
 _CLAIM_ERROR = np.diag([_CLAIM_M**2, _CLAIM_M**2, _CLAIM_RAD**2])
+_SURE = 3.0  # one knows the place of another better than the path does, by this
 _AGREE_CHI2 = 16.3  # below it two claims agree: one right pair of 1,000 is above
 
 # near: the layout says the same; drift: the path's error explains it; votes: others say the same;
@@ -50,14 +56,14 @@ Reason = Literal["near", "drift", "votes", "alone", "impossible", "outvoted"]
 class Judgement:
     """A claim, and why it is believed or not.
 
-    It would move its end by `away_m`, which is `sigmas` of what the path may be off; nan across a
-    break. `votes` independent claims agree with it, itself included.
+    It would move its end by `away_m`, of which the path alone allows `allowed_m`. `votes`
+    independent claims agree with it, itself included.
     """
 
     link: Link
     reason: Reason
     away_m: float
-    sigmas: float
+    allowed_m: float
     votes: int
 
     @property
@@ -76,77 +82,107 @@ def judge(graph: Graph, draft: Draft, claims: Sequence[Link]) -> tuple[Judgement
     error = path_error(graph, graph.poses).between(ends.i, ends.j) + _CLAIM_ERROR
     missed = errors(graph.poses, ends.i, ends.j, ends.z)
     sigmas = np.sqrt(np.einsum("la,lab,lb->l", missed, inverse3(error), missed))
-    sigmas[older != newer] = np.nan  # nothing measured the way
-    same, agree = consistent(graph, draft.poses, ends, spread)
-    votes = _votes(graph, ends, agree & same, ~(sigmas > _MEND_SIGMAS))
+    known_m = _sigma_m(spread.between(ends.i, ends.j))
+    pairs = Pairs.of(graph, draft.poses, ends, spread)
+    possible = (older != newer) | (sigmas <= _MEND_SIGMAS)
+    votes = _votes(graph, ends, pairs.agree, pairs.told_m <= known_m / _SURE, possible)
     winners = votes >= _VOTES
-    rivals = same & winners
-    outvoted = ~winners & (2 * (rivals & ~agree).sum(axis=1) > rivals.sum(axis=1))
+    # of those that agree, the one that knows its place best, if better than the path
+    told_m, rows = np.where(winners, pairs.told_m, np.inf), np.arange(len(claims))
+    best = told_m.argmin(axis=1)
+    outvoted = (told_m[rows, best] < known_m) & ~pairs.agree[rows, best]
+    way_m = np.abs(graph.path[ends.j] - graph.path[ends.i])
+    allowed_m = CLAIM_SLACK_M + np.maximum(_ALONE_SHARE * way_m, _ALONE_SIGMAS * known_m)
+    explained = np.where(
+        np.isfinite(told_m[rows, best]), sigmas <= _BESIDE_SIGMAS, away_m <= allowed_m
+    )
+    lost = older != newer  # nothing is known of the way
+    explained[lost] = votes[lost] >= _PART_VOTES
     judged = []
     for k, link in enumerate(claims):
-        reason: Reason = "impossible"
-        if outvoted[k]:
+        reason: Reason = "alone" if lost[k] else "impossible"
+        if winners[k]:
+            reason = "votes"
+        elif outvoted[k]:
             reason = "outvoted"
         elif away_m[k] <= CLAIM_SLACK_M:
             reason = "near"
-        elif winners[k]:
-            reason = "votes"
-        elif not sigmas[k] > _ALONE_SIGMAS:
+        elif explained[k]:
             reason = "drift" if link.kind == "closure" else "alone"
         one = Judgement(
             link=link,
             reason=reason,
             away_m=float(away_m[k]),
-            sigmas=float(sigmas[k]),
+            allowed_m=float(allowed_m[k]),
             votes=int(votes[k]),
         )
         judged.append(one)
     return tuple(judged)
 
 
-def consistent(
-    graph: Graph, poses: FloatArray, ends: Ends, spread: Uncertainty
-) -> tuple[BoolArray, BoolArray]:
-    """(L, L) which links lie between the same two parts, and (L, L) which of these agree.
+@dataclass(frozen=True, slots=True)
+class Pairs:
+    """Which links `agree`, (L, L), and how well one says where another would be: `told_m` (L, L).
 
-    Links between other parts say nothing of each other. At poses (M, 3) the way home leads from the
-    older end of link a over it, along the newer pass, back over link b, and along the older pass.
-    Its error is told in the frame of the newer end of b.
+    That is a standard deviation. Of links between other parts one says nothing: inf.
     """
-    older, newer = ends.parts(graph)
-    same = (older[:, None] == older) & (newer[:, None] == newer)
-    a, b = np.nonzero(np.triu(same, 1))
-    later = compose(invert(poses[ends.j[a]]), poses[ends.j[b]])  # ja from jb
-    before = compose(invert(poses[ends.i[b]]), poses[ends.i[a]])  # ib from ia
-    over = compose(compose(before, ends.z[a]), later)  # ib from jb, by way of link a
-    error = compose(invert(ends.z[b]), over)
-    # each piece's error, moved to the frame of jb: that of a link acts in the frame of its end
-    covariance = spread.between(ends.j[a], ends.j[b]) + _CLAIM_ERROR
-    covariance = covariance + moved_covariance(adjoint(invert(later)), _CLAIM_ERROR[None])
-    back = adjoint(invert(compose(ends.z[a], later)))  # jb from ia
-    covariance = covariance + moved_covariance(back, spread.between(ends.i[b], ends.i[a]))
-    agree = np.eye(len(older), dtype=bool)
-    agree[a, b] = np.einsum("la,lab,lb->l", error, inverse3(covariance), error) <= _AGREE_CHI2
-    return same, agree | agree.T
+
+    agree: BoolArray
+    told_m: FloatArray
+
+    @classmethod
+    def of(cls, graph: Graph, poses: FloatArray, ends: Ends, spread: Uncertainty) -> Pairs:
+        """Of links at poses (M, 3).
+
+        The way home leads from the older end of link a over it, along the newer pass, back over
+        link b, and along the older pass. Its error is told in the frame of the newer end of b.
+        """
+        older, newer = ends.parts(graph)
+        same = (older[:, None] == older) & (newer[:, None] == newer)
+        a, b = np.nonzero(np.triu(same, 1))
+        later = compose(invert(poses[ends.j[a]]), poses[ends.j[b]])  # ja from jb
+        before = compose(invert(poses[ends.i[b]]), poses[ends.i[a]])  # ib from ia
+        over = compose(compose(before, ends.z[a]), later)  # ib from jb, by way of link a
+        error = compose(invert(ends.z[b]), over)
+        # each piece's error, moved to the frame of jb: that of a link acts in the frame of its end
+        covariance = spread.between(ends.j[a], ends.j[b]) + _CLAIM_ERROR
+        covariance = covariance + moved_covariance(adjoint(invert(later)), _CLAIM_ERROR[None])
+        back = adjoint(invert(compose(ends.z[a], later)))  # jb from ia
+        covariance = covariance + moved_covariance(back, spread.between(ends.i[b], ends.i[a]))
+        agree = np.eye(len(older), dtype=bool)
+        chi2 = np.einsum("la,lab,lb->l", error, inverse3(covariance), error)
+        agree[a, b] = agree[b, a] = chi2 <= _AGREE_CHI2
+        told_m = np.full(same.shape, np.inf)
+        told_m[a, b] = told_m[b, a] = _sigma_m(covariance)
+        return cls(agree, told_m)
 
 
-def _votes(graph: Graph, ends: Ends, agree: BoolArray, possible: BoolArray) -> IntArray:
+def _sigma_m(covariance: FloatArray) -> FloatArray:
+    """(L,) the standard deviation of a place, of all directions, by (L, 3, 3)."""
+    return np.asarray(np.sqrt((covariance[:, 0, 0] + covariance[:, 1, 1]) / 2))
+
+
+def _votes(
+    graph: Graph, ends: Ends, agree: BoolArray, sure: BoolArray, possible: BoolArray
+) -> IntArray:
     """(c,) with how many independent claims each agrees that agree with each other, with itself.
 
     Sets of claims in which each agrees with each are gathered from those with the most that agree
-    on, one after the other.
+    on, one after the other. Within a set those count that hang together by `sure` pairs (c, c), of
+    which one knows the place of the other much better than the path: far along it anything agrees.
     """
     votes, left = np.ones(len(agree), dtype=np.int64), possible
     while left.any():
-        friends = agree & left & left[:, None]
-        members = np.zeros(len(agree), dtype=bool)
-        common = left
+        members, common = np.zeros(len(agree), dtype=bool), left
         while common.any():
-            best = int(np.argmax(np.where(common, (friends & common).sum(axis=1), -1)))
+            best = int(np.argmax(np.where(common, (agree & common).sum(axis=1), -1)))
             members[best] = True
-            common = common & friends[best] & ~members
+            common = common & agree[best] & ~members
         chosen = np.flatnonzero(members)
-        votes[chosen] = independent(ends, chosen.tolist(), graph.path, _APART_M)
+        _, chain = connected_components(csr_array(sure[np.ix_(chosen, chosen)]), directed=False)
+        for number in range(int(chain.max()) + 1):
+            linked = chosen[chain == number]
+            votes[linked] = independent(ends, linked.tolist(), graph.path, _APART_M)
         left = left & ~members
     return votes
 

@@ -34,6 +34,7 @@ from specmap_cli.layout.path_graph import (
     motion_links,
 )
 from specmap_cli.layout.pose_graph import Link, adjoint, moved_covariance
+from specmap_cli.layout.relaxation import close
 from specmap_cli.layout.result import Candidate, Layout
 from specmap_cli.layout.solving import settle, tighten
 from specmap_cli.layout.walls import Walls
@@ -83,9 +84,11 @@ def join_layouts(
     )
     walls, views = Walls(store, graph), Views.of(store, graph)
     first = graph.row[len(old.poses)]
-    passes = find_passes(graph, begun, walls, first)
-    draft, dropped = settle(graph, tighten(graph, passes))
-    dropped = (*old.dropped, *new.dropped, *dropped)
+    passes = tighten(graph, find_passes(graph, begun, walls, first))
+    closed, judged = close(graph, passes, (), walls, first)
+    draft, dropped = settle(graph, closed)
+    refuted = (one.link for one in judged if not one.believed)
+    dropped = (*old.dropped, *new.dropped, *refuted, *dropped)
     agreement = views.agreement(draft.poses)
     return Layout.of(graph, Candidate("relaxed", draft, dropped, agreement))
 

@@ -19,7 +19,6 @@ from specmap_cli.core.text import legible
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.layout.audit import audit
-from specmap_cli.layout.closure_matching import place_around, sharpened
 from specmap_cli.layout.main_direction import along_walls
 from specmap_cli.layout.passes import METRES_A_RADIAN
 from specmap_cli.layout.pose_graph import Link
@@ -159,7 +158,7 @@ def constraints_of(
     """For each pair of merged regions, (old, new): where a keyframe lies, seen from another.
 
     These two saw most alike: by the match of the grids they are the nearest to each other, turned
-    as little as may be. The walls around them tie them.
+    as little as may be.
 
     Grids that match while the robot's tracks do not overlap are no evidence for the layout: that is
     what look-alike rooms do, too.
@@ -175,11 +174,10 @@ def constraints_of(
         new_track = compose(np.array(closure.old_from_new), in_own_frame(store, new))
         i, j = nearest_pair(old_track, new_track)
         guess = Pose2(*compose(invert(old_track[i]), new_track[j]).tolist())
-        places = place_around(store, old, i), place_around(store, new, j)
         found[closure.old, closure.new] = Link(
             source=old[i],
             target=new[j],
-            source_from_target=sharpened(*places, guess),
+            source_from_target=guess,
             information=information,
             kind="closure",
         )
