@@ -22,8 +22,8 @@ import numpy as np
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, inverse3, invert, step_lengths
 from specmap_cli.core.records import IntArray
 from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.layout.audit import Views
 from specmap_cli.layout.consistency import Uncertainty
-from specmap_cli.layout.contradictions import Views
 from specmap_cli.layout.passes import find_passes
 from specmap_cli.layout.path_graph import (
     NODE_M,

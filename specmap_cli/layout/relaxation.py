@@ -17,8 +17,8 @@ import numpy as np
 from specmap_cli.core.geometry import FloatArray, compose, invert, wrap_angles
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.layout.audit import Views
 from specmap_cli.layout.consistency import CLAIM_SLACK_M, Judgement, judge
-from specmap_cli.layout.contradictions import Views
 from specmap_cli.layout.passes import far_passes, find_passes
 from specmap_cli.layout.path_graph import Bridge, Draft, Ends, Graph, graph_of
 from specmap_cli.layout.pose_graph import Link, errors

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from specmap_cli.core.geometry import FloatArray, compose, invert
 from specmap_cli.core.records import IntArray
-from specmap_cli.layout.contradictions import Agreement
+from specmap_cli.layout.audit import Agreement
 from specmap_cli.layout.path_graph import Draft, Ends, Graph
 from specmap_cli.layout.pose_graph import Link, graph_text
 from specmap_cli.layout.trajectory import propagated

@@ -18,7 +18,6 @@ from specmap_cli.core.settings import Config
 from specmap_cli.core.text import legible
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
-from specmap_cli.layout.audit import audit
 from specmap_cli.layout.main_direction import along_walls
 from specmap_cli.layout.passes import METRES_A_RADIAN
 from specmap_cli.layout.pose_graph import Link
@@ -55,8 +54,6 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
         constraints = constraints_of(explored.closures, explored.regions, store)
         layout = relax(store, tuple(constraints.values()), explored.breaks, config.relaxation)
         layout = along_walls(layout, store, config.relaxation)
-    with session.clock.stage("audit"):
-        audited = audit(store, layout.poses, explored.breaks)
         trajectory = corrected(explored.trajectory, store, layout.poses)
     closures = refute(explored.closures, constraints, layout)
     whole, beyond, division = _drawn(session, layout)
@@ -74,7 +71,6 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
             keyframes_ns=store.stamps_ns,
             breaks=breaks,
             layout=layout,
-            audit=audited,
             beyond=beyond,
             warnings=tracking.warnings,
             holes=holes_of(store, rows, trajectory, layout, breaks),
@@ -101,7 +97,6 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
         drawn=whole,
         division=division,
         beyond=beyond,
-        audit=audited,
         counts=tracking.counts,
     )
 

@@ -12,8 +12,8 @@ import pytest
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.layout.audit import Agreement, Views
 from specmap_cli.layout.consistency import Judgement
-from specmap_cli.layout.contradictions import Agreement, Views
 from specmap_cli.layout.path_graph import Bridge, Draft, Graph, graph_of
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.relaxation import chosen, close, relax
