@@ -34,7 +34,7 @@ from specmap_cli.layout.path_graph import (
     motion_links,
 )
 from specmap_cli.layout.pose_graph import Link, adjoint, moved_covariance
-from specmap_cli.layout.relaxation import close
+from specmap_cli.layout.relaxation import close, explained
 from specmap_cli.layout.result import Candidate, Layout
 from specmap_cli.layout.solving import settle, tighten
 from specmap_cli.layout.walls import Walls
@@ -57,6 +57,7 @@ def placed(layout: Layout, map_from_own: Pose2, first: int = 0) -> Layout:
         odometry=odometry,
         kept=kept,
         dropped=dropped,
+        why={(a + first, b + first): reason for (a, b), reason in layout.why.items()},
         loose=tuple(start + first for start in layout.loose),
     )
 
@@ -90,7 +91,8 @@ def join_layouts(
     refuted = (one.link for one in judged if not one.believed)
     dropped = (*old.dropped, *new.dropped, *refuted, *dropped)
     agreement = views.agreement(draft.poses)
-    return Layout.of(graph, Candidate("relaxed", draft, dropped, agreement))
+    layout = Layout.of(graph, Candidate("relaxed", draft, dropped, agreement))
+    return replace(layout, why={**explained(layout, judged), **old.why, **new.why})
 
 
 def gaps_of(poses: FloatArray, thinned: IntArray) -> dict[int, Bridge]:
@@ -159,6 +161,7 @@ def without_keyframes(
         odometry=tuple(motions),
         kept=kept,
         dropped=(),
+        why={},
         loose=tuple(row[start] for start in layout.loose),
     )
 

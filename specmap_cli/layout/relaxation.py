@@ -20,9 +20,9 @@ from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.audit import Views
 from specmap_cli.layout.consistency import CLAIM_SLACK_M, Judgement, judge
 from specmap_cli.layout.passes import far_passes, find_passes
-from specmap_cli.layout.path_graph import Bridge, Draft, Ends, Graph, graph_of
+from specmap_cli.layout.path_graph import Bridge, Draft, Ends, Graph, RowPair, graph_of
 from specmap_cli.layout.pose_graph import Link, errors
-from specmap_cli.layout.result import Candidate, Layout
+from specmap_cli.layout.result import Candidate, Layout, Reason
 from specmap_cli.layout.solving import settle, solved, tighten
 from specmap_cli.layout.wall_matching import match_passes
 from specmap_cli.layout.walls import PLACE_NODES, Walls
@@ -57,7 +57,8 @@ def relax(
     draft, outliers = settle(graph, closed)
     refuted = tuple(one.link for one in judged if not one.believed)
     best = Candidate("relaxed", draft, (*refuted, *outliers), views.agreement(draft.poses))
-    return Layout.of(graph, chosen(graph, passes, best, views))
+    layout = Layout.of(graph, chosen(graph, passes, best, views))
+    return replace(layout, why=explained(layout, judged))
 
 
 def measured(graph: Graph, walls: Walls, closure: Link) -> Link:
@@ -87,6 +88,19 @@ def close(
         draft = place_parts(graph, draft, believed).adding(believed)
         draft = find_passes(graph, tighten(graph, draft), walls, first)
     return draft, judged
+
+
+def explained(layout: Layout, judged: Sequence[Judgement]) -> dict[RowPair, Reason]:
+    """Why each link of a layout was dropped, by its ends."""
+    judgements = {(one.link.source, one.link.target): one.reason for one in judged}
+    found: dict[RowPair, Reason] = {}
+    for link in layout.dropped:
+        reason = judgements.get((link.source, link.target))
+        if reason == "impossible" or reason == "outvoted" or reason == "alone":
+            found[link.source, link.target] = reason
+        else:
+            found[link.source, link.target] = "outlier" if layout.choice == "relaxed" else "walls"
+    return found
 
 
 def place_parts(graph: Graph, draft: Draft, links: Sequence[Link]) -> Draft:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -13,10 +13,13 @@ from scipy.sparse.csgraph import connected_components
 from specmap_cli.core.geometry import FloatArray, compose, invert
 from specmap_cli.core.records import IntArray
 from specmap_cli.layout.audit import Agreement
-from specmap_cli.layout.path_graph import Draft, Ends, Graph
+from specmap_cli.layout.path_graph import Draft, Ends, Graph, RowPair
 from specmap_cli.layout.pose_graph import Link, graph_text
 from specmap_cli.layout.trajectory import propagated
 
+# Of a claim what the consistency found (see `consistency.py`), or:
+# outlier: the solution misses it; walls: the layout with it was not taken.
+Reason = Literal["impossible", "outvoted", "alone", "outlier", "walls"]
 # relaxed: closures and passes; passes: these alone, closures contradicted them; tracked: as it was
 Choice = Literal["relaxed", "passes", "tracked"]
 
@@ -39,7 +42,8 @@ class Layout:
     """Relaxed poses (n, 3) of all keyframes, and the pose graph they come from.
 
     `nodes` are the keyframe numbers in the graph; `odometry`, `kept` and `dropped` its edges, the
-    last two being closures and nearby passes. `loose` are the keyframes at which tracking restarted
+    last two being closures and nearby passes. `why` says of the ends of those dropped what speaks
+    against them. `loose` are the keyframes at which tracking restarted
     and whose place, and that of what follows, is a guess. `choice` is what the poses come from,
     `parts` how far pieces after a break were moved, `agreement` how the passes stand to each other.
     """
@@ -49,6 +53,7 @@ class Layout:
     odometry: tuple[Link, ...] = ()
     kept: tuple[Link, ...] = ()
     dropped: tuple[Link, ...] = ()
+    why: Mapping[RowPair, Reason] = field(default_factory=dict)
     loose: tuple[int, ...] = ()
     choice: Choice = "tracked"
     parts: tuple[PartMove, ...] = ()

@@ -41,6 +41,13 @@ _CLOSURE_SIGMA_RAD = 0.0087  # spread of their heading
 Pair = tuple[int, int]
 
 REFUTED = "contradicts the layout"
+_WHY = {
+    "impossible": "the path cannot be so wrong",
+    "outvoted": "closures that agree say otherwise",
+    "alone": "no other agrees",
+    "outlier": "the others cannot be solved with it",
+    "walls": "walls would be drawn twice",
+}
 
 
 def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str) -> LaidOut:
@@ -185,14 +192,14 @@ def refute(
 ) -> tuple[Closure, ...]:
     """The closures, without the merges whose constraint the layout dropped."""
     dropped = {(link.source, link.target) for link in layout.dropped if link.kind == "closure"}
-    refuted = {
-        pair
-        for pair, constraint in constraints.items()
-        if (constraint.source, constraint.target) in dropped
+    reasons = {
+        pair: f"{REFUTED}: {_WHY[layout.why[ends]]}" if ends in layout.why else REFUTED
+        for pair, ends in ((pair, (one.source, one.target)) for pair, one in constraints.items())
+        if ends in dropped
     }
     return tuple(
-        replace(closure, merged=False, verified=False, reason=REFUTED, old_from_new=None)
-        if (closure.old, closure.new) in refuted
+        replace(closure, merged=False, verified=False, reason=reason, old_from_new=None)
+        if (reason := reasons.get((closure.old, closure.new)))
         else closure
         for closure in closures
     )

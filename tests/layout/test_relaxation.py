@@ -130,6 +130,7 @@ def test_a_wrong_closure_leaves_the_others_alone(drive: Drive) -> None:
     laid = (laid_out(drifted(truth), scans, each) for each in ([*right, wrong], right))
     with_wrong, without = laid
     assert (with_wrong.dropped, without.dropped) == ((wrong,), ())
+    assert with_wrong.why == {(5, 590): "outlier"}
     assert np.allclose(with_wrong.poses, without.poses, atol=0.01)
 
 
@@ -247,6 +248,7 @@ def test_what_is_worse_than_the_path_as_tracked_is_not_taken(drive: Drive) -> No
     assert worst(layout.poses, truth) < 0.05
     assert layout.kept == ()
     assert set(layout.dropped) == set(wrong)
+    assert set(layout.why.values()) == {"walls"}
 
 
 class Trusting:
