@@ -46,7 +46,7 @@ _APART_RAD = 0.3  # likewise of two headings
 
 PRIOR_SIGMAS = 3.0  # of a prior that are searched
 _ANSWERS = 4  # places compared: the best one and its rivals
-_LATTICE_BEST, _SOME = 1000, 4  # poses that fit some of the points best are asked of them all
+_LATTICE_BEST, _SOME = 500, 4  # poses that fit some of the points best are asked of them all
 
 _FAR_PERCENTILE = 80.0  # of the ranges: the few farthest points may move by more than a step
 _LEAST_TURN_RAD, _MOST_TURN_RAD = 0.01, 0.05  # between two angles that are tried
@@ -181,12 +181,12 @@ def answers(
     some = _lattice_scores(coarser, local[::_SOME], centre, shifts, angles)
     rough = np.stack([scores for _, scores in some])
     few = max(0, rough.size - _LATTICE_BEST)
-    best = rough >= np.partition(rough, few, axis=None)[few]
-    corners = 0.5 * coarse.resolution * np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])
+    best = (rough >= np.partition(rough, few, axis=None)[few]) & (rough > 0.0)
+    around = coarse.resolution * (np.argwhere(np.ones((3, 3))) - 1.0)
     found: list[tuple[float, Pose2]] = []
     for angle, chosen in zip(angles.tolist(), best, strict=True):
         if chosen.any():
-            near = (shifts[chosen, None] + corners).reshape(-1, 2)
+            near = np.unique((shifts[chosen, None] + around).reshape(-1, 2), axis=0)
             ((_, scores),) = _lattice_scores(coarse, local, centre, near, np.array([angle]))
             found += [
                 (score, Pose2(x + across, y + along, wrap_angle(angle)))

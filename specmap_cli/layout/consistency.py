@@ -36,9 +36,9 @@ CLAIM_SLACK_M = 0.5  # what any claim may mend
 _VOTES = 3  # independent claims that agree
 _PART_VOTES = 2  # closures that agree on where a piece after a break lies
 _APART_M = 5.0  # claims nearer than this along both passes count as one
-# A closure alone may mend this share of the way between its ends, or so many sigmas of its error;
-# beside others that agree, fewer.
-_ALONE_SHARE, _ALONE_SIGMAS, _BESIDE_SIGMAS = 0.15, 3.0, 2.0
+# A closure alone may mend so many sigmas of the path's error, and this share of the way between its
+# ends where no others agree.
+_ALONE_SIGMAS, _ALONE_SHARE = 3.0, 0.15
 _MEND_SIGMAS = 5.0  # sigmas of the path's error that claims which agree may mend
 # Error of a claim that is right, where claims are compared: of its place, of its heading.
 _CLAIM_M, _CLAIM_RAD = 0.15, 0.03
@@ -93,9 +93,8 @@ def judge(graph: Graph, draft: Draft, claims: Sequence[Link]) -> tuple[Judgement
     outvoted = (told_m[rows, best] < known_m) & ~pairs.agree[rows, best]
     way_m = np.abs(graph.path[ends.j] - graph.path[ends.i])
     allowed_m = CLAIM_SLACK_M + np.maximum(_ALONE_SHARE * way_m, _ALONE_SIGMAS * known_m)
-    explained = np.where(
-        np.isfinite(told_m[rows, best]), sigmas <= _BESIDE_SIGMAS, away_m <= allowed_m
-    )
+    is_beside = np.isfinite(told_m[rows, best])
+    explained = np.where(is_beside, sigmas <= _ALONE_SIGMAS, away_m <= allowed_m)
     lost = older != newer  # nothing is known of the way
     explained[lost] = votes[lost] >= _PART_VOTES
     judged = []
