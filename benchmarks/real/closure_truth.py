@@ -13,10 +13,12 @@ from specmap_cli.core.config import load_config
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angle, wrap_angles
 from specmap_cli.evaluation.trajectories import associate
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.closure_matching import Place, place_around, sharpened
+from specmap_cli.layout.path_graph import Graph, graph_of
 from specmap_cli.layout.pose_graph import Link
+from specmap_cli.layout.relaxation import CLOSURE_OFF_M, measured
+from specmap_cli.layout.wall_matching import Place
+from specmap_cli.layout.walls import PLACE_NODES, Walls
 from specmap_cli.maps.text_files import read_tum
-from specmap_cli.pipelines.exploration import Regions
 from specmap_cli.pipelines.laying_out import constraints_of
 from specmap_cli.pipelines.map_in_making import Explored
 from specmap_cli.recognition.closure.verification import tracks_overlap
@@ -99,7 +101,7 @@ def judged(explored: Explored, store: KeyframeStore, truth: FloatArray, reach: i
     overlap = _overlaps({r: track for r, track in tracks.items() if len(track)})
     merges = [c for c in explored.closures if c.merged]
     submap = submap_of_regions(explored.regions, [(c.old, c.new) for c in merges])
-    constraints = constraints_of(explored.closures, explored.regions, store)
+    graph, walls, constraints = _measured(explored, store)
     again = [pair for pair, share in overlap.items() if share >= REVISIT]
     found = {b for a, b in again if submap[a] == submap[b]}
     return Judged(
@@ -110,8 +112,8 @@ def judged(explored: Explored, store: KeyframeStore, truth: FloatArray, reach: i
         ),
         found=len(found),
         revisits=len({b for _, b in again}),
-        errors=_constraint_errors(constraints.values(), store, truth, reach),
-        repeats=_repeats(constraints, explored.regions, store),
+        errors=_constraint_errors(constraints, store, truth, reach),
+        repeats=_repeats(graph, walls, constraints),
     )
 
 
@@ -136,27 +138,37 @@ def _constraint_errors(
     return np.array(errors).reshape(-1, 2)
 
 
-def _repeats(
-    constraints: Mapping[tuple[int, int], Link], regions: Regions, store: KeyframeStore
-) -> FloatArray:
+def _measured(explored: Explored, store: KeyframeStore) -> tuple[Graph, Walls, list[Link]]:
+    """The constraints of a build as its layout measures them, with the graph they tie."""
+    rough = constraints_of(explored.closures, explored.regions, store).values()
+    ends = {end for link in rough for end in (link.source, link.target)}
+    graph = graph_of(store, ends, explored.breaks)
+    walls = Walls(store, graph)
+    return graph, walls, [measured(graph, walls, link) for link in rough]
+
+
+def _repeats(graph: Graph, walls: Walls, constraints: Iterable[Link]) -> FloatArray:
     """(n, 2) metres and degrees between each constraint by one half of the scans and the other."""
     apart = []
-    for pair, constraint in constraints.items():
-        ends = zip(pair, (constraint.source, constraint.target), strict=True)
-        old, new = (
-            place_around(store, regions[region], list(regions[region]).index(k))
-            for region, k in ends
-        )
+    for constraint in constraints:
         guess = constraint.source_from_target @ _BESIDE
-        halves = [sharpened(_half(old, which), _half(new, which), guess) for which in (0, 1)]
+        rows = [graph.row[end] for end in (constraint.source, constraint.target)]
+        halves = []
+        for which in (0, 1):
+            old, new = (_half(graph, walls, row, which) for row in rows)
+            fit = Place.of(old).match(new, guess, CLOSURE_OFF_M)
+            halves.append(guess if fit is None else fit.target_from_source)
         apart.append(_off(*halves))
     return np.array(apart).reshape(-1, 2)
 
 
-def _half(place: Place, which: int) -> Place:
-    """Every other scan of a place, and that of its keyframe."""
-    rows = [k for k in range(len(place.scans)) if k % 2 == which or k == place.own]
-    return Place(tuple(place.scans[k] for k in rows), place.poses[rows], rows.index(place.own))
+def _half(graph: Graph, walls: Walls, row: int, which: int) -> FloatArray:
+    """What every other node of a place, and its own, shows: (N, 2) in the frame of the row."""
+    low, high = max(0, row - PLACE_NODES), min(len(graph.nodes), row + PLACE_NODES + 1)
+    near = [k for k in range(low, high) if k % 2 == which or k == row]
+    relative = compose(invert(graph.poses[row]), graph.poses[near]).tolist()
+    views = zip(near, relative, strict=True)
+    return np.concatenate([Pose2(*pose).apply(walls.points(k)) for k, pose in views])
 
 
 def _off(a: Pose2, b: Pose2) -> tuple[float, float]:

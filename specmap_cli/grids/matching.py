@@ -44,6 +44,10 @@ _SPREAD_STEPS = 6  # of the lattice, from the match to either end
 _APART_M = 1.0  # of two places found: nearer ones lead `refine` to the same pose
 _APART_RAD = 0.3  # likewise of two headings
 
+PRIOR_SIGMAS = 3.0  # of a prior that are searched
+_ANSWERS = 4  # places compared: the best one and its rivals
+_LATTICE_BEST, _SOME = 500, 4  # poses that fit some of the points best are asked of them all
+
 _FAR_PERCENTILE = 80.0  # of the ranges: the few farthest points may move by more than a step
 _LEAST_TURN_RAD, _MOST_TURN_RAD = 0.01, 0.05  # between two angles that are tried
 _SLACK = 1e-9  # scores and lengths this close are equal
@@ -131,6 +135,72 @@ def search_everywhere(
         (min(1.0, -worse), Pose2(x, y, wrap_angle(angle))) for worse, x, y, angle in sorted(found)
     )
     return different_places(places, middle, count)
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """Where points may be: about `pose`, with an error of this covariance (3, 3) in the field.
+
+    Without a covariance they may be anywhere, at any angle.
+    """
+
+    pose: Pose2
+    covariance: FloatArray | None = None
+
+    def angles(self, step_rad: float) -> FloatArray:
+        """(A,) headings within three sigmas, `step_rad` apart."""
+        if self.covariance is None:
+            return np.arange(0.0, 2 * np.pi, step_rad)
+        reach = min(np.pi, PRIOR_SIGMAS * float(np.sqrt(self.covariance[2, 2])))
+        count = math.ceil(reach / step_rad)
+        steps = step_rad * np.arange(-count, count + 1)
+        return np.asarray(self.pose.theta + steps, dtype=np.float64)
+
+
+def answers(
+    field: ScoreField, points: NDArray[Any], prior: Prior, step_m: float, step_rad: float
+) -> list[Match]:
+    """The best poses of points (N, 2) on a field that differ, best first, at most `_ANSWERS`.
+
+    Of those within three sigmas of the prior, or anywhere, on the field pooled to cells of about
+    `step_m`: as for `search_everywhere`, scores are upper bounds.
+    """
+    angles = prior.angles(step_rad)
+    if prior.covariance is None:
+        return search_everywhere(field, points, _ANSWERS, step_m, angles.tolist())
+    cells = max(1, round(step_m / field.resolution))
+    coarse, coarser = field.coarser(cells), field.coarser(2 * cells)
+    reach = PRIOR_SIGMAS**2 * prior.covariance[:2, :2] + step_m**2 * np.eye(2)
+    most = math.ceil(math.sqrt(float(reach.diagonal().max())) / coarser.resolution)
+    steps = coarser.resolution * np.arange(-most, most + 1)
+    shifts = np.column_stack([each.ravel() for each in np.meshgrid(steps, steps)])
+    shifts = shifts[within_ellipse(shifts, reach)]
+    middle = np.asarray(points, dtype=np.float64).mean(axis=0)
+    (x, y), local = prior.pose.apply(middle[None])[0].tolist(), points - middle
+    centre = Pose2(x, y, 0.0)
+    some = _lattice_scores(coarser, local[::_SOME], centre, shifts, angles)
+    rough = np.stack([scores for _, scores in some])
+    few = max(0, rough.size - _LATTICE_BEST)
+    best = (rough >= np.partition(rough, few, axis=None)[few]) & (rough > 0.0)
+    around = coarse.resolution * (np.argwhere(np.ones((3, 3))) - 1.0)
+    found: list[tuple[float, Pose2]] = []
+    for angle, chosen in zip(angles.tolist(), best, strict=True):
+        if chosen.any():
+            near = np.unique((shifts[chosen, None] + around).reshape(-1, 2), axis=0)
+            ((_, scores),) = _lattice_scores(coarse, local, centre, near, np.array([angle]))
+            found += [
+                (score, Pose2(x + across, y + along, wrap_angle(angle)))
+                for score, (across, along) in zip(scores.tolist(), near.tolist(), strict=True)
+            ]
+    places = sorted(found, key=lambda place: -place[0])[:_LATTICE_BEST]
+    return different_places(places, middle, _ANSWERS)
+
+
+def within_ellipse(away: FloatArray, covariance: FloatArray) -> BoolArray:
+    """(N,) whether vectors (N, 2) end inside the ellipse of a covariance (2, 2)."""
+    (a, b), (_, c) = covariance.tolist()
+    x, y = away[:, 0], away[:, 1]
+    return np.asarray(c * x * x - 2.0 * b * x * y + a * y * y <= a * c - b * b)
 
 
 def different_places(

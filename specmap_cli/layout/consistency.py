@@ -1,14 +1,17 @@
-"""Which closures are believed: those that drift explains, and those that agree with each other.
+"""Which claims are believed: those that the path's own error explains, and no others outvote.
 
-One closure alone may be of two places that look alike. It must stay within what drift allows.
-Several independent ones that agree may mend more, as far as the path's own error reaches: offices
-in a row that look alike agree, too, but the way from one to the next is short and well known.
+A claim ties two nodes by what was recognised: a closure of two submaps, or walls found far from
+where they were expected. One alone may be of two places that look alike. Pairwise consistency
+(Mangelson et al., "Pairwise Consistent Measurement Set Maximization for Robust Multi-robot Map
+Merging", ICRA 2018): two claims agree when the way over the one and back over the other comes home,
+within what the paths between their ends may be off. The tracked path is asked in the same way: a
+claim must be what its error explains. Offices in a row that look alike agree, but the way from one
+to the next is short and well known.
 
-Pairwise consistency maximisation (Mangelson et al., "Pairwise Consistent Measurement Set
-Maximization for Robust Multi-robot Map Merging", ICRA 2018): two closures agree when the way over
-the one and back over the other comes home, within what the paths between their ends may be off. The
-largest set in which each agrees with each is the largest clique of a graph (Tomita and Seki, "An
-efficient branch-and-bound algorithm for finding a maximum clique", DMTCS 2003).
+The error of a step is small, so that errors add up as motions of the map about one origin (Barfoot
+and Furgale, "Associating uncertainty with three-dimensional poses", T-RO 2014, first order): sums
+along the path give the covariance between any two nodes at once. A share of the way is added
+for errors that go on in one direction: wheels measured wrongly, a corridor that looks shorter.
 """
 
 from __future__ import annotations
@@ -24,38 +27,37 @@ from scipy.sparse.csgraph import connected_components
 from specmap_cli.core.geometry import FloatArray, compose, inverse3, invert
 from specmap_cli.core.records import BoolArray, IntArray
 from specmap_cli.layout.path_graph import Draft, Ends, Graph
-from specmap_cli.layout.pose_graph import Link, errors
-from specmap_cli.layout.uncertainty import (
-    CLOSURE_SLACK_M,
-    Uncertainty,
-    adjoint,
-    deviations,
-    moved_covariance,
-    path_error,
-)
+from specmap_cli.layout.pose_graph import Link, adjoint, errors, moved_covariance
 
-_CLOSURE_VOTES = 3  # independent closures that agree may mend more than drift explains
-_CLOSURE_APART_M = 5.0  # closures nearer than this along both passes count as one
-_MEND_SIGMAS = 5.0  # sigmas of the path's error that closures which agree may mend
-_SURE = 3.0  # a closure that agrees with another one knows its place better than the path, by this
-# Error of a closure that is right, where closures are compared: of its place, of its heading.
-_CLOSURE_M, _CLOSURE_RAD = 0.15, 0.03
-_CLOSURE_ERROR = np.diag([_CLOSURE_M**2, _CLOSURE_M**2, _CLOSURE_RAD**2])
-_AGREE_CHI2 = 16.3  # below it two closures agree: one right pair of 1,000 is above
-_CLIQUE_STEPS = 100_000  # steps of the search for the largest set that agrees, at the most
+DRIFT_SHARE = 0.04  # metres per metre driven by which a layout with passes may be off
+_DRIFT_RAD_PER_M = 0.001  # radians per metre by which tracking may turn on and on
+CLAIM_SLACK_M = 0.5  # what any claim may mend
 
-# near: the layout says the same; drift: drift explains the rest; votes: others say the same;
-# waiting: drift would explain it, but others that agree come first;
-# impossible: nothing explains it; outvoted: closures that agree say otherwise.
-Reason = Literal["near", "drift", "votes", "waiting", "impossible", "outvoted"]
+_VOTES = 3  # independent claims that agree
+_PART_VOTES = 2  # closures that agree on where a piece after a break lies
+_APART_M = 5.0  # claims nearer than this along both passes count as one
+# A closure alone may mend so many sigmas of the path's error, and this share of the way between its
+# ends where no others agree.
+_ALONE_SIGMAS, _ALONE_SHARE = 3.0, 0.15
+_MEND_SIGMAS = 5.0  # sigmas of the path's error that claims which agree may mend
+# Error of a claim that is right, where claims are compared: of its place, of its heading.
+_CLAIM_M, _CLAIM_RAD = 0.15, 0.03
+_CLAIM_ERROR = np.diag([_CLAIM_M**2, _CLAIM_M**2, _CLAIM_RAD**2])
+_SURE = 3.0  # one knows the place of another better than the path does, by this
+_AGREE_CHI2 = 16.3  # below it two claims agree: one right pair of 1,000 is above
+
+# near: the layout says the same; drift: the path's error explains it; votes: others say the same;
+# alone: one find far away, or across a break, is not enough; impossible: the path's error does not
+# explain it; outvoted: claims that agree say otherwise.
+Reason = Literal["near", "drift", "votes", "alone", "impossible", "outvoted"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judgement:
-    """A closure or wide pass, and why it is believed or not.
+    """A claim, and why it is believed or not.
 
-    It would move its end by `away_m`, of which drift alone allows `allowed_m`. `votes` independent
-    closures agree with it, itself included.
+    It would move its end by `away_m`, of which the path alone allows `allowed_m`. `votes`
+    independent claims agree with it, itself included.
     """
 
     link: Link
@@ -70,66 +72,66 @@ class Judgement:
         return self.reason in {"near", "drift", "votes"}
 
 
-def judge(
-    graph: Graph, draft: Draft, closures: Sequence[Link]
-) -> tuple[tuple[Judgement, ...], int]:
-    """Each closure against the layout in the making and against all others, in their order.
-
-    And how many searches for the largest set that agrees ended early.
-    """
-    if not closures:
-        return (), 0
-    away_m, allowed_m = deviations(graph, draft, closures)
-    ends, spread = Ends.of(graph.row, closures), path_error(graph, draft.poses)
+def judge(graph: Graph, draft: Draft, claims: Sequence[Link]) -> tuple[Judgement, ...]:
+    """Each claim against the layout in the making and against all others, in their order."""
+    if not claims:
+        return ()
+    ends, spread = Ends.of(graph.row, claims), path_error(graph, draft.poses)
+    away_m = np.hypot(*errors(draft.poses, ends.i, ends.j, ends.z)[:, :2].T)
+    older, newer = ends.parts(graph)
+    error = path_error(graph, graph.poses).between(ends.i, ends.j) + _CLAIM_ERROR
+    missed = errors(graph.poses, ends.i, ends.j, ends.z)
+    sigmas = np.sqrt(np.einsum("la,lab,lb->l", missed, inverse3(error), missed))
+    known_m = _sigma_m(spread.between(ends.i, ends.j))
     pairs = Pairs.of(graph, draft.poses, ends, spread)
-    votes, cut_short = _votes(graph, ends, pairs, spread)
-    winners = votes >= _CLOSURE_VOTES
-    rivals = pairs.same & winners
-    against = (rivals & ~pairs.agree).sum(axis=1)
-    outvoted = ~winners & (2 * against > rivals.sum(axis=1))
-    reasons: list[Reason] = []
-    for k, link in enumerate(closures):
-        if outvoted[k]:
-            reasons.append("outvoted")
-        elif away_m[k] <= CLOSURE_SLACK_M:
-            reasons.append("near")
-        elif winners[k]:
-            reasons.append("votes")
-        # what is found far away may mend nothing alone, since walls look alike
-        elif link.kind == "closure" and away_m[k] <= allowed_m[k]:
-            reasons.append("drift")
-        else:
-            reasons.append("impossible")
-    if "votes" in reasons:  # one alone is asked again in the layout that these have mended
-        reasons = ["waiting" if reason == "drift" else reason for reason in reasons]
-    judged = tuple(
-        Judgement(
+    possible = (older != newer) | (sigmas <= _MEND_SIGMAS)
+    votes = _votes(graph, ends, pairs.agree, pairs.told_m <= known_m / _SURE, possible)
+    winners = votes >= _VOTES
+    # of those that agree, the one that knows its place best, if better than the path
+    told_m, rows = np.where(winners, pairs.told_m, np.inf), np.arange(len(claims))
+    best = told_m.argmin(axis=1)
+    outvoted = (told_m[rows, best] < known_m) & ~pairs.agree[rows, best]
+    way_m = np.abs(graph.path[ends.j] - graph.path[ends.i])
+    allowed_m = CLAIM_SLACK_M + np.maximum(_ALONE_SHARE * way_m, _ALONE_SIGMAS * known_m)
+    is_beside = np.isfinite(told_m[rows, best])
+    explained = np.where(is_beside, sigmas <= _ALONE_SIGMAS, away_m <= allowed_m)
+    lost = older != newer  # nothing is known of the way
+    explained[lost] = votes[lost] >= _PART_VOTES
+    judged = []
+    for k, link in enumerate(claims):
+        reason: Reason = "alone" if lost[k] else "impossible"
+        if winners[k]:
+            reason = "votes"
+        elif outvoted[k]:
+            reason = "outvoted"
+        elif away_m[k] <= CLAIM_SLACK_M:
+            reason = "near"
+        elif explained[k]:
+            reason = "drift" if link.kind == "closure" else "alone"
+        one = Judgement(
             link=link,
             reason=reason,
             away_m=float(away_m[k]),
             allowed_m=float(allowed_m[k]),
             votes=int(votes[k]),
         )
-        for k, (link, reason) in enumerate(zip(closures, reasons, strict=True))
-    )
-    return judged, cut_short
+        judged.append(one)
+    return tuple(judged)
 
 
 @dataclass(frozen=True, slots=True)
 class Pairs:
-    """Which links lie between the `same` two parts, (L, L), and which of these `agree`.
+    """Which links `agree`, (L, L), and how well one says where another would be: `told_m` (L, L).
 
-    `sigma_m` (L, L): how well one says where another would be, as the standard deviation of the
-    place; inf where links say nothing of each other.
+    That is a standard deviation. Of links between other parts one says nothing: inf.
     """
 
-    same: BoolArray
     agree: BoolArray
-    sigma_m: FloatArray
+    told_m: FloatArray
 
     @classmethod
     def of(cls, graph: Graph, poses: FloatArray, ends: Ends, spread: Uncertainty) -> Pairs:
-        """Of links at poses (M, 3). Those between other parts say nothing of each other.
+        """Of links at poses (M, 3).
 
         The way home leads from the older end of link a over it, along the newer pass, back over
         link b, and along the older pass. Its error is told in the frame of the newer end of b.
@@ -142,44 +144,46 @@ class Pairs:
         over = compose(compose(before, ends.z[a]), later)  # ib from jb, by way of link a
         error = compose(invert(ends.z[b]), over)
         # each piece's error, moved to the frame of jb: that of a link acts in the frame of its end
-        covariance = spread.between(ends.j[a], ends.j[b]) + _CLOSURE_ERROR
-        covariance = covariance + moved_covariance(adjoint(invert(later)), _CLOSURE_ERROR[None])
+        covariance = spread.between(ends.j[a], ends.j[b]) + _CLAIM_ERROR
+        covariance = covariance + moved_covariance(adjoint(invert(later)), _CLAIM_ERROR[None])
         back = adjoint(invert(compose(ends.z[a], later)))  # jb from ia
         covariance = covariance + moved_covariance(back, spread.between(ends.i[b], ends.i[a]))
-        agree, sigma = np.zeros(same.shape, dtype=bool), np.full(same.shape, np.inf)
+        agree = np.eye(len(older), dtype=bool)
         chi2 = np.einsum("la,lab,lb->l", error, inverse3(covariance), error)
-        agree[a, b] = chi2 <= _AGREE_CHI2
-        sigma[a, b] = np.sqrt((covariance[:, 0, 0] + covariance[:, 1, 1]) / 2)  # of all directions
-        return cls(same, agree | agree.T, np.minimum(sigma, sigma.T))
+        agree[a, b] = agree[b, a] = chi2 <= _AGREE_CHI2
+        told_m = np.full(same.shape, np.inf)
+        told_m[a, b] = told_m[b, a] = _sigma_m(covariance)
+        return cls(agree, told_m)
 
 
-def _votes(graph: Graph, ends: Ends, pairs: Pairs, spread: Uncertainty) -> tuple[IntArray, int]:
-    """(c,) with how many independent closures each agrees, itself included, and cuts.
+def _sigma_m(covariance: FloatArray) -> FloatArray:
+    """(L,) the standard deviation of a place, of all directions, by (L, 3, 3)."""
+    return np.asarray(np.sqrt((covariance[:, 0, 0] + covariance[:, 1, 1]) / 2))
 
-    The largest set first, then that among closures between other parts, of which it says nothing.
-    Within a set those count that hang together by pairs of which one knows the place of the other
-    much better than the path does: far along the path anything agrees.
+
+def _votes(
+    graph: Graph, ends: Ends, agree: BoolArray, sure: BoolArray, possible: BoolArray
+) -> IntArray:
+    """(c,) with how many independent claims each agrees that agree with each other, with itself.
+
+    Sets of claims in which each agrees with each are gathered from those with the most that agree
+    on, one after the other. Within a set those count that hang together by `sure` pairs (c, c), of
+    which one knows the place of the other much better than the path: far along it anything agrees.
     """
-    own = spread.between(ends.i, ends.j)
-    sure_m = np.sqrt((own[:, 0, 0] + own[:, 1, 1]) / 2) / _SURE
-    # how far each is from the path as tracked, in sigmas of its error
-    error = path_error(graph, graph.poses).between(ends.i, ends.j) + _CLOSURE_ERROR
-    missed = errors(graph.poses, ends.i, ends.j, ends.z)
-    sigmas = np.sqrt(np.einsum("la,lab,lb->l", missed, inverse3(error), missed))
-    older, newer = ends.parts(graph)
-    left = np.flatnonzero((older != newer) | (sigmas <= _MEND_SIGMAS))
-    votes, cut_short = np.ones(len(ends.i), dtype=np.int64), 0
-    while len(left):
-        clique, is_largest = largest_clique(pairs.agree[np.ix_(left, left)], _CLIQUE_STEPS)
-        cut_short += not is_largest
-        members = left[list(clique)]
-        sure = pairs.sigma_m[np.ix_(members, members)] <= sure_m[members]
-        _, chain = connected_components(csr_array(sure), directed=False)
+    votes, left = np.ones(len(agree), dtype=np.int64), possible
+    while left.any():
+        members, common = np.zeros(len(agree), dtype=bool), left
+        while common.any():
+            best = int(np.argmax(np.where(common, (agree & common).sum(axis=1), -1)))
+            members[best] = True
+            common = common & agree[best] & ~members
+        chosen = np.flatnonzero(members)
+        _, chain = connected_components(csr_array(sure[np.ix_(chosen, chosen)]), directed=False)
         for number in range(int(chain.max()) + 1):
-            linked = members[chain == number]
-            votes[linked] = independent(ends, linked.tolist(), graph.path, _CLOSURE_APART_M)
-        left = left[~pairs.same[left, members[0]]]
-    return votes, cut_short
+            linked = chosen[chain == number]
+            votes[linked] = independent(ends, linked.tolist(), graph.path, _APART_M)
+        left = left & ~members
+    return votes
 
 
 def independent(ends: Ends, members: Sequence[int], way: FloatArray, apart_m: float) -> int:
@@ -195,54 +199,47 @@ def independent(ends: Ends, members: Sequence[int], way: FloatArray, apart_m: fl
     return len(chosen)
 
 
-def largest_clique(adjacent: BoolArray, most_steps: int) -> tuple[tuple[int, ...], bool]:
-    """The largest clique of an undirected graph (n, n), ascending, and whether that is certain.
+@dataclass(frozen=True, slots=True)
+class Uncertainty:
+    """`sums` (M, 3, 3): the covariance of each node in the map's frame, seen from the first.
 
-    Branch and bound with colours: vertices that share a colour are not neighbours, so that a clique
-    has at most one of each. Of equals the first found counts: the same every time. It starts from a
-    greedy one and ends after `most_steps` steps with the best so far.
+    `way` (M,) metres driven up to each node; `share` and `veer` are errors that go on, metres and
+    radians a metre.
     """
-    search = _CliqueSearch(adjacent, most_steps)
-    search.expand([], search.all)
-    return tuple(sorted(search.best)), search.left > 0
+
+    sums: FloatArray
+    way: FloatArray
+    poses: FloatArray
+    share: float
+    veer: float = 0.0
+
+    @classmethod
+    def along(
+        cls, poses: FloatArray, motions: Sequence[Link], share: float, veer: float = 0.0
+    ) -> Uncertainty:
+        """Of a path of nodes (M, 3), from its M - 1 motions."""
+        steps = np.array([link.information for link in motions]).reshape(-1, 3, 3)
+        lengths = [link.source_from_target.distance for link in motions]
+        noise = moved_covariance(adjoint(poses[1:]), inverse3(steps))
+        sums = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(noise, axis=0)])
+        way = np.concatenate([[0.0], np.cumsum(np.array(lengths))])
+        return cls(sums, way, poses, share, veer)
+
+    def between(self, i: IntArray, j: IntArray) -> FloatArray:
+        """(L, 3, 3) covariance of the poses of rows `j` (L,) seen from rows `i`, in their frame."""
+        low, high = np.minimum(i, j), np.maximum(i, j)
+        summed = self.sums[high] - self.sums[low]
+        spread = moved_covariance(adjoint(invert(self.poses[j])), summed)
+        driven, away = self.way[high] - self.way[low], self.poses[j, :2] - self.poses[i, :2]
+        turned = self.veer * driven
+        aside = 0.5 * turned * np.hypot(away[:, 0], away[:, 1])  # half: it turns bit by bit
+        steady = (self.share * driven) ** 2 + aside**2
+        spread[:, 0, 0] += steady
+        spread[:, 1, 1] += steady
+        spread[:, 2, 2] += turned**2
+        return spread
 
 
-class _CliqueSearch:
-    """Sets of vertices are the bits of whole numbers."""
-
-    def __init__(self, adjacent: BoolArray, most_steps: int) -> None:
-        self.neighbours = [
-            sum(1 << int(k) for k in np.flatnonzero(row) if k != vertex)
-            for vertex, row in enumerate(adjacent)
-        ]
-        self.all = (1 << len(adjacent)) - 1
-        self.left = most_steps
-        self.best: list[int] = []  # at first of the most neighbours, each one of all before
-        common = self.all
-        for vertex in sorted(
-            range(len(adjacent)), key=lambda v: (-self.neighbours[v].bit_count(), v)
-        ):
-            if common >> vertex & 1:
-                self.best.append(vertex)
-                common &= self.neighbours[vertex]
-
-    def expand(self, clique: list[int], candidates: int) -> None:
-        """Look for larger cliques of `clique` and some of its common neighbours `candidates`."""
-        if not candidates and len(clique) > len(self.best):
-            self.best = list(clique)
-        order: list[tuple[int, int]] = []  # with colours, ascending: a bound on cliques up to there
-        colour, rest = 0, candidates
-        while rest:
-            colour += 1
-            free = rest
-            while free:
-                vertex = (free & -free).bit_length() - 1
-                rest &= ~(1 << vertex)
-                free &= ~(1 << vertex) & ~self.neighbours[vertex]
-                order.append((vertex, colour))
-        for vertex, colour in reversed(order):
-            if self.left <= 0 or len(clique) + colour <= len(self.best):
-                return
-            self.left -= 1
-            self.expand([*clique, vertex], candidates & self.neighbours[vertex])
-            candidates &= ~(1 << vertex)
+def path_error(graph: Graph, poses: FloatArray) -> Uncertainty:
+    """The error of a path at poses (M, 3): of errors that go on, the constants are two sigmas."""
+    return Uncertainty.along(poses, graph.odometry, 0.5 * DRIFT_SHARE, 0.5 * _DRIFT_RAD_PER_M)

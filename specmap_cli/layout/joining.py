@@ -22,7 +22,8 @@ import numpy as np
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, inverse3, invert, step_lengths
 from specmap_cli.core.records import IntArray
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.contradictions import Views
+from specmap_cli.layout.audit import Views
+from specmap_cli.layout.consistency import Uncertainty
 from specmap_cli.layout.passes import find_passes
 from specmap_cli.layout.path_graph import (
     NODE_M,
@@ -32,10 +33,10 @@ from specmap_cli.layout.path_graph import (
     graph_of,
     motion_links,
 )
-from specmap_cli.layout.pose_graph import Link
+from specmap_cli.layout.pose_graph import Link, adjoint, moved_covariance
+from specmap_cli.layout.relaxation import close, explained
 from specmap_cli.layout.result import Candidate, Layout
 from specmap_cli.layout.solving import settle, tighten
-from specmap_cli.layout.uncertainty import Uncertainty, adjoint, moved_covariance
 from specmap_cli.layout.walls import Walls
 
 # What a layout knows of two places that walls tie, seen by several passes: two fifths of a cell of
@@ -56,6 +57,7 @@ def placed(layout: Layout, map_from_own: Pose2, first: int = 0) -> Layout:
         odometry=odometry,
         kept=kept,
         dropped=dropped,
+        why={(a + first, b + first): reason for (a, b), reason in layout.why.items()},
         loose=tuple(start + first for start in layout.loose),
     )
 
@@ -83,11 +85,14 @@ def join_layouts(
     )
     walls, views = Walls(store, graph), Views.of(store, graph)
     first = graph.row[len(old.poses)]
-    passes = find_passes(graph, begun, walls, first)
-    draft, dropped = settle(graph, tighten(graph, passes))
-    dropped = (*old.dropped, *new.dropped, *dropped)
+    passes = tighten(graph, find_passes(graph, begun, walls, first))
+    closed, judged = close(graph, passes, (), walls, first)
+    draft, dropped = settle(graph, closed)
+    refuted = (one.link for one in judged if not one.believed)
+    dropped = (*old.dropped, *new.dropped, *refuted, *dropped)
     agreement = views.agreement(draft.poses)
-    return Layout.of(graph, Candidate("relaxed", draft, dropped, agreement))
+    layout = Layout.of(graph, Candidate("relaxed", draft, dropped, agreement))
+    return replace(layout, why={**explained(layout, judged), **old.why, **new.why})
 
 
 def gaps_of(poses: FloatArray, thinned: IntArray) -> dict[int, Bridge]:
@@ -162,6 +167,7 @@ def without_keyframes(
         odometry=tuple(motions),
         kept=kept,
         dropped=(),
+        why={},
         loose=tuple(row[start] for start in layout.loose),
     )
 

@@ -20,7 +20,8 @@ from functools import partial
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angles
-from specmap_cli.layout.parts import PartSearch, rejoin
+from specmap_cli.grids.matching import PRIOR_SIGMAS, Prior, within_ellipse
+from specmap_cli.layout.consistency import DRIFT_SHARE, Uncertainty, path_error
 from specmap_cli.layout.path_graph import (
     LOOP_EVERY_M,
     LOOP_PATH_M,
@@ -29,11 +30,9 @@ from specmap_cli.layout.path_graph import (
     RowPair,
     rows_every,
 )
-from specmap_cli.layout.place_search import Guess, WallMap
 from specmap_cli.layout.pose_graph import Link, LinkArrays, errors
 from specmap_cli.layout.solving import solved
-from specmap_cli.layout.uncertainty import DRIFT_SHARE, path_error, within_ellipse
-from specmap_cli.layout.wall_matching import link_to_nearest, match_passes
+from specmap_cli.layout.wall_matching import found, link_to_nearest, match_passes
 from specmap_cli.layout.walls import PLACE_NODES, Walls
 
 LOOPS_PER_NODE = 2  # passes tried until one fits
@@ -49,17 +48,16 @@ _NEWS = 1 / 3  # share of the least search by which a link must miss the draft t
 
 _WIDE_EVERY_M = 5.0  # path between searches as far as its error reaches
 _WIDE_SEARCH_MAX_M = 15.0  # such a search reaches this far at the most
-_REACH_SIGMAS = 3.0  # of the path's error that are searched
+_LOST_TRIES, _LOST_EVERY = 8, 2  # searches for a part; nodes that show nearly the same
 _MOST_ROWS = 80  # whose walls make one search: some 25 m of path, or every other of more
 
 
 def find_passes(graph: Graph, draft: Draft, walls: Walls, first: int = 0) -> Draft:
     """The draft with the nearby passes that could be matched, solved again as they come in.
 
-    Goes along the path, from row `first` on. Where a part hangs on the others by a guess only, it
-    is looked for among all older walls first. Nodes that the draft was matched at are asked again,
-    but matched only when they moved. Links that say what the draft says anyway are no reason to
-    solve it.
+    Goes along the path, from row `first` on, but for parts that hang on the others by a guess only.
+    Nodes that the draft was matched at are asked again, but matched only when they moved. Links
+    that say what the draft says anyway are no reason to solve it.
     """
     matched = dict(draft.matched)
     linked = {
@@ -72,30 +70,24 @@ def find_passes(graph: Graph, draft: Draft, walls: Walls, first: int = 0) -> Dra
     due_m = tied_m + LOOP_EVERY_M
     safe_m = 0.5 * LOOP_SEARCH_M / DRIFT_SHARE  # on it the path drifts by half of the least search
     renew_after = max(_SOLVE_EVERY, len(graph.nodes) // _NODES_A_LINK)
-    search: PartSearch | None = None
     for node, way_m in enumerate(graph.path.tolist()):
         if node < first or (way_m < due_m and node not in asked):
             continue
-        part, due_m = int(graph.parts[node]), way_m + LOOP_EVERY_M
-        if part in draft.tied:
-            drift_m = LOOP_SEARCH_M + DRIFT_SHARE * (way_m - tied_m)
-            passes = passes_at(node, graph, draft.poses, walls, matched, linked, drift_m)
-            found, is_tied = passes.links, passes.is_tied
-            matched.update(passes.guesses)
-            draft = draft.counting("loop_search_max_m", passes.cut_short)
-            if is_tied:
-                # n passes err by one over the root of n: the more, the less one match can add
-                spacing_m = math.sqrt(passes.older) * LOOP_EVERY_M
-                due_m = way_m + max(LOOP_EVERY_M, min(spacing_m, safe_m))
-        else:
-            draft, search = rejoin(node, graph, draft, walls, search)
-            found = search.finds if search is not None and part in draft.tied else ()
-            is_tied = bool(found)
-        if is_tied:
+        due_m = way_m + LOOP_EVERY_M
+        if int(graph.parts[node]) not in draft.tied:
+            continue
+        drift_m = LOOP_SEARCH_M + DRIFT_SHARE * (way_m - tied_m)
+        passes = passes_at(node, graph, draft.poses, walls, matched, linked, drift_m)
+        links = passes.links
+        matched.update(passes.guesses)
+        if passes.is_tied:
+            # n passes err by one over the root of n: the more, the less one match can add
+            spacing_m = math.sqrt(passes.older) * LOOP_EVERY_M
+            due_m = way_m + max(LOOP_EVERY_M, min(spacing_m, safe_m))
             tied_m = way_m
-        if found:
-            draft = draft.adding(found)
-            edges = LinkArrays.of(found, graph.row, {})
+        if links:
+            draft = draft.adding(links)
+            edges = LinkArrays.of(links, graph.row, {})
             missed = errors(draft.poses, edges.i, edges.j, edges.z)
             news += int(np.count_nonzero(np.hypot(*missed[:, :2].T) > _NEWS * LOOP_SEARCH_M))
         if news >= renew_after:
@@ -108,15 +100,13 @@ class Passes:
     """The links found at one node, and the pairs of rows that were matched from which `guesses`.
 
     `is_tied` says that the node is tied to an older pass, by these links or from before; `older`
-    counts the passes that came by. `cut_short` counts the matches that were not searched as far as
-    the path may have drifted.
+    counts the passes that came by.
     """
 
     links: tuple[Link, ...]
     guesses: Mapping[RowPair, Pose2]
     is_tied: bool
     older: int
-    cut_short: int
 
 
 def passes_at(
@@ -136,14 +126,13 @@ def passes_at(
     reach_m = min(drift_m, LOOP_SEARCH_MAX_M)
     links: list[Link] = []
     guesses: dict[RowPair, Pose2] = {}
-    tries, is_tied = 0, False
+    is_tied = False
     near = candidates(node, poses, graph.path)
     for old in near[:LOOPS_PER_NODE]:
         pair = old, node
         guesses[pair] = guess = Pose2(*compose(invert(poses[old]), poses[node]).tolist())
         before = matched.get(pair)
         if before is None or (before.inverse() @ guess).distance > _MOVED_M:
-            tries += 1
             found = match_passes(graph, walls, poses, pair, guess, reach_m, _NEWER_NODES)
             links += [] if found is None else [found]
         is_tied = bool(links) or pair in linked
@@ -154,7 +143,6 @@ def passes_at(
         guesses=guesses,
         is_tied=is_tied,
         older=len(near),
-        cut_short=tries if drift_m > reach_m else 0,
     )
 
 
@@ -176,46 +164,47 @@ def candidates(node: int, poses: FloatArray, path: FloatArray) -> list[int]:
     return chosen
 
 
-def far_passes(graph: Graph, draft: Draft, walls: Walls) -> tuple[tuple[Link, ...], Draft]:
-    """What is found along the path, every `_WIDE_EVERY_M`, where no pass ties it well enough.
+def far_passes(graph: Graph, draft: Draft, walls: Walls, first: int = 0) -> tuple[Link, ...]:
+    """Where walls are found, every `_WIDE_EVERY_M` from row `first` on, that no pass ties enough.
 
-    And the draft, which knows where it was searched.
+    As far as the path's error reaches; where nothing but a guess ties the path, anywhere.
     """
     newer = [max(graph.row[link.source], graph.row[link.target]) for link in draft.loops]
     ties, spread = np.unique(np.array([0, *newer])), path_error(graph, draft.poses)
     links: list[Link] = []
-    searched: dict[int, Pose2] = {}
     for row in rows_every(graph.path, _WIDE_EVERY_M):
-        pose = Pose2(*draft.poses[row].tolist())
-        before = draft.searched.get(row)
-        stayed = before is not None and (before.inverse() @ pose).distance <= _MOVED_M
-        if int(graph.parts[row]) not in draft.tied or stayed:
+        part, pose = int(graph.parts[row]), Pose2(*draft.poses[row].tolist())
+        if row < first:
             continue
-        last = int(ties[np.searchsorted(ties, row, side="right") - 1])
-        if graph.parts[last] != graph.parts[row]:
-            continue
-        # of the row seen from the last one tied, in the map
-        error = spread.between(np.array([last]), np.array([row]))[0]
-        turn = Pose2(*spread.poses[row].tolist()).rotation()
-        place = np.einsum("ab,bc,dc->ad", turn, error[:2, :2], turn)
-        half = 0.5 * (place[0, 0] - place[1, 1])
-        larger = 0.5 * (place[0, 0] + place[1, 1]) + np.sqrt(half**2 + place[0, 1] ** 2)
-        longest = float(np.sqrt(larger))  # the axis of the ellipse
-        if _REACH_SIGMAS * longest <= LOOP_SEARCH_MAX_M:
-            continue
-        scale = min(1.0, _WIDE_SEARCH_MAX_M / (_REACH_SIGMAS * longest))
-        error[:2, :2] = place * scale**2
-        old = np.flatnonzero(graph.path < graph.path[row] - LOOP_PATH_M)
-        reach = _REACH_SIGMAS**2 * error[:2, :2] + _NEAR_M**2 * np.eye(2)
-        old = old[within_ellipse(draft.poses[old, :2] - draft.poses[row, :2], reach)]
-        old = old[:: max(1, -(-len(old) // _MOST_ROWS))]
-        if not len(old):
-            continue
-        searched[row] = pose
-        rows = old.tolist()
-        seen = partial(walls.seen_of_all, rows, draft.poses)
-        older = WallMap.of(walls.of_all(rows, draft.poses), seen)
-        fit = older.place_of(walls.around(row, PLACE_NODES, draft.poses), Guess(pose, error))
-        if fit is not None:
-            links.append(link_to_nearest(graph, draft.poses, old, row, fit))
-    return tuple(links), replace(draft, searched={**draft.searched, **searched})
+        if part not in draft.tied:
+            start = float(graph.path[np.argmax(graph.parts == part)])
+            if graph.path[row] - start > _LOST_TRIES * _WIDE_EVERY_M:
+                continue
+            prior, old = Prior(pose), np.flatnonzero(graph.parts < part)[::_LOST_EVERY]
+        else:
+            last = int(ties[np.searchsorted(ties, row, side="right") - 1])
+            if graph.parts[last] != part:
+                continue
+            error = _in_map(spread, last, row)
+            longest = float(np.sqrt(np.linalg.eigvalsh(error[:2, :2])[-1]))
+            if PRIOR_SIGMAS * longest <= LOOP_SEARCH_MAX_M:
+                continue
+            error[:2, :2] *= min(1.0, _WIDE_SEARCH_MAX_M / (PRIOR_SIGMAS * longest)) ** 2
+            reach = PRIOR_SIGMAS**2 * error[:2, :2] + _NEAR_M**2 * np.eye(2)
+            old = np.flatnonzero(graph.path < graph.path[row] - LOOP_PATH_M)
+            old = old[within_ellipse(draft.poses[old, :2] - draft.poses[row, :2], reach)]
+            prior, old = Prior(pose, error), old[:: max(1, -(-len(old) // _MOST_ROWS))]
+        if len(old):
+            seen = partial(walls.seen_of_all, old.tolist(), draft.poses)
+            view = walls.around(row, PLACE_NODES, draft.poses)
+            fit = found(walls.of_all(old.tolist(), draft.poses), seen, view, prior)
+            links += [] if fit is None else [link_to_nearest(graph, draft.poses, old, row, fit)]
+    return tuple(links)
+
+
+def _in_map(spread: Uncertainty, last: int, row: int) -> FloatArray:
+    """The covariance (3, 3) of a row seen from another one, its place in the axes of the map."""
+    error: FloatArray = spread.between(np.array([last]), np.array([row]))[0]
+    turn = Pose2(*spread.poses[row].tolist()).rotation()
+    error[:2, :2] = np.einsum("ab,bc,dc->ad", turn, error[:2, :2], turn)
+    return error

@@ -184,30 +184,17 @@ class Draft:
     """A layout in the making: `poses` (M, 3) of the nodes, and `loops`, what else ties them.
 
     `tied` are the parts whose poses are better than a guess. `matched` holds, for pairs of rows
-    that were matched, the guess that the match began with; `searched`, for rows whose walls were
-    looked for far around, where they were then; `tries` how often a part was searched for without
-    any guess. `hints` are closures, which count as finds in that search. `limits` counts by name
-    how often a setting cut the work short, if it did.
+    that were matched, the guess that the match began with.
     """
 
     poses: FloatArray
     loops: tuple[Link, ...] = ()
     tied: frozenset[int] = frozenset({0})
     matched: Mapping[RowPair, Pose2] = field(default_factory=dict)
-    searched: Mapping[int, Pose2] = field(default_factory=dict)
-    tries: Mapping[int, int] = field(default_factory=dict)
-    limits: Mapping[str, int] = field(default_factory=dict)
-    hints: tuple[Link, ...] = ()
 
     def adding(self, links: Sequence[Link]) -> Draft:
         """The draft with some more loops, which have not moved it yet."""
         return replace(self, loops=(*self.loops, *links))
-
-    def counting(self, limit: str, count: int) -> Draft:
-        """The draft in which a limit was hit `count` times more."""
-        if not count:
-            return self
-        return replace(self, limits={**self.limits, limit: self.limits.get(limit, 0) + count})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -104,6 +104,22 @@ def errors(poses: FloatArray, i: IntArray, j: IntArray, z: FloatArray) -> FloatA
     return compose(invert(z), compose(invert(poses[i]), poses[j]))
 
 
+def adjoint(poses: FloatArray) -> FloatArray:
+    """(L, 3, 3) what turns a small motion in the frame of each pose (L, 3) into one of the map."""
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    matrix = np.zeros((len(poses), 3, 3))
+    matrix[:, 0, 0], matrix[:, 0, 1], matrix[:, 0, 2] = c, -s, poses[:, 1]
+    matrix[:, 1, 0], matrix[:, 1, 1], matrix[:, 1, 2] = s, c, -poses[:, 0]
+    matrix[:, 2, 2] = 1.0
+    return matrix
+
+
+def moved_covariance(matrix: FloatArray, covariance: FloatArray) -> FloatArray:
+    """(L, 3, 3) A C A^T, summed in one order on every processor."""
+    half = np.einsum("lab,lbc->lac", matrix, covariance)
+    return np.asarray(np.einsum("lac,ldc->lad", half, matrix), dtype=np.float64)
+
+
 def squared(poses: FloatArray, edges: LinkArrays) -> FloatArray:
     """(E,) chi2 of each edge."""
     e = errors(poses, edges.i, edges.j, edges.z)

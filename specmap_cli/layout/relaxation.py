@@ -12,21 +12,24 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import compress
 
+import numpy as np
+
+from specmap_cli.core.geometry import FloatArray, compose, invert, wrap_angles
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.consistency import Judgement, judge
-from specmap_cli.layout.contradictions import Views
-from specmap_cli.layout.parts import place_parts
+from specmap_cli.layout.audit import Views
+from specmap_cli.layout.consistency import CLAIM_SLACK_M, Judgement, judge
 from specmap_cli.layout.passes import far_passes, find_passes
-from specmap_cli.layout.path_graph import Bridge, Draft, Graph, graph_of
-from specmap_cli.layout.pose_graph import Link
-from specmap_cli.layout.result import Candidate, Layout
+from specmap_cli.layout.path_graph import Bridge, Draft, Ends, Graph, RowPair, graph_of
+from specmap_cli.layout.pose_graph import Link, errors
+from specmap_cli.layout.result import Candidate, Layout, Reason
 from specmap_cli.layout.solving import settle, solved, tighten
-from specmap_cli.layout.uncertainty import CLOSURE_SLACK_M, deviations
-from specmap_cli.layout.walls import Walls
+from specmap_cli.layout.wall_matching import match_passes
+from specmap_cli.layout.walls import PLACE_NODES, Walls
 
-_VOTES_FOR_PART = 2  # closures that must agree on where a piece after a break lies
-_JUDGE_ROUNDS = 6  # closures are judged, and passes searched, this often at the most
+CLOSURE_OFF_M = 0.3  # grids of submaps were compared that near: what lies beyond was not
+# Two links agree when they put a part this near: as far as tracking bends a part of some metres.
+_SAME_M, _SAME_RAD = 0.5, 0.15
 
 
 def relax(
@@ -48,40 +51,91 @@ def relax(
     ends = {end for closure in closures for end in (closure.source, closure.target)}
     graph = graph_of(store, ends, breaks)
     walls, views = Walls(store, graph), Views.of(store, graph)
-    placed = place_parts(graph, closures, _VOTES_FOR_PART)
-    passes = find_passes(graph, replace(placed, hints=tuple(closures)), walls)
-    passes = solved(graph, passes)
+    passes = solved(graph, find_passes(graph, Draft(poses=graph.poses), walls))
+    closures = [measured(graph, walls, closure) for closure in closures]
     closed, judged = close(graph, passes, closures, walls)
     draft, outliers = settle(graph, closed)
     refuted = tuple(one.link for one in judged if not one.believed)
     best = Candidate("relaxed", draft, (*refuted, *outliers), views.agreement(draft.poses))
-    return Layout.of(graph, chosen(graph, passes, best, views))
+    layout = Layout.of(graph, chosen(graph, passes, best, views))
+    return replace(layout, why=explained(layout, judged))
+
+
+def measured(graph: Graph, walls: Walls, closure: Link) -> Link:
+    """A closure told more precisely, by the walls around its two keyframes where these fit.
+
+    Grids of whole submaps match to their cells, and a path that drifts within one bends its grid.
+    """
+    rows = graph.row[closure.source], graph.row[closure.target]
+    guess = closure.source_from_target
+    near = match_passes(graph, walls, graph.poses, rows, guess, CLOSURE_OFF_M, PLACE_NODES)
+    if near is None or (guess.inverse() @ near.source_from_target).distance > CLOSURE_OFF_M:
+        return closure
+    return replace(closure, source_from_target=near.source_from_target)
 
 
 def close(
-    graph: Graph, draft: Draft, closures: Sequence[Link], walls: Walls
+    graph: Graph, draft: Draft, closures: Sequence[Link], walls: Walls, first: int = 0
 ) -> tuple[Draft, tuple[Judgement, ...]]:
-    """The draft with the closures that are believed, and what was found of each, in their order.
+    """The draft with the claims that are believed, and what was found of each, in their order.
 
-    Passes found far away follow, which are judged like closures. Closures may bring passes near
-    each other that were far apart, and those may show that other closures are right: passes are
-    searched and the rest is judged again until nothing is new.
+    Claims are closures, and walls found from row `first` on where none were expected. They bring
+    passes near each other that were far apart: these are searched then.
     """
-    judged: dict[int, Judgement] = {}
-    pool, waiting = list(closures), list(range(len(closures)))
-    for _ in range(_JUDGE_ROUNDS):
-        claims, draft = far_passes(graph, draft, walls)
-        waiting += range(len(pool), len(pool) + len(claims))
-        pool += claims
-        fresh, cut_short = judge(graph, draft, [pool[k] for k in waiting])
-        draft = draft.counting("clique_steps", cut_short)
-        judged.update(zip(waiting, fresh, strict=True))
-        believed = [one.link for one in fresh if one.believed]
-        if not believed:
-            break
-        draft = find_passes(graph, tighten(graph, draft.adding(believed)), walls)
-        waiting = [k for k in waiting if not judged[k].believed]
-    return draft, tuple(judged[k] for k in range(len(pool)))
+    judged = judge(graph, draft, [*closures, *far_passes(graph, draft, walls, first)])
+    believed = [one.link for one in judged if one.believed]
+    if believed:
+        draft = place_parts(graph, draft, believed).adding(believed)
+        draft = find_passes(graph, tighten(graph, draft), walls, first)
+    return draft, judged
+
+
+def explained(layout: Layout, judged: Sequence[Judgement]) -> dict[RowPair, Reason]:
+    """Why each link of a layout was dropped, by its ends."""
+    judgements = {(one.link.source, one.link.target): one.reason for one in judged}
+    found: dict[RowPair, Reason] = {}
+    for link in layout.dropped:
+        reason = judgements.get((link.source, link.target))
+        if reason == "impossible" or reason == "outvoted" or reason == "alone":
+            found[link.source, link.target] = reason
+        else:
+            found[link.source, link.target] = "outlier" if layout.choice == "relaxed" else "walls"
+    return found
+
+
+def place_parts(graph: Graph, draft: Draft, links: Sequence[Link]) -> Draft:
+    """The draft with each part moved as a whole to where most links to older parts put it.
+
+    A robust solution takes what is metres off for an outlier. Parts that hang on a moved one move
+    with it. Those without a link stay a guess.
+    """
+    ends = Ends.of(graph.row, links)
+    older, newer = ends.parts(graph)
+    for part in graph.part_numbers[1:]:
+        across = (newer == part) & (older < part)
+        if part in draft.tied or not across.any():
+            continue
+        claimed = compose(draft.poses[ends.i[across]], ends.z[across])
+        motions = compose(claimed, invert(draft.poses[ends.j[across]]))  # of the map
+        centre = draft.poses[graph.parts == part, :2].mean(axis=0)
+        poses, later = np.array(draft.poses), graph.parts >= part
+        poses[later] = compose(most_voted(motions, centre)[0], poses[later])
+        draft = replace(draft, poses=poses, tied=draft.tied | {part})
+    return draft
+
+
+def most_voted(motions: FloatArray, centre: FloatArray) -> tuple[FloatArray, int]:
+    """The motion that most others agree with, and how many do, itself included.
+
+    `centre` (2,) is where the motions (L, 3) are compared: a turn far from the origin moves much.
+    The first of equals is taken.
+    """
+    placed = compose(motions, np.array([centre[0], centre[1], 0.0]))
+    apart = np.hypot(*(placed[:, None, :2] - placed[None, :, :2]).transpose(2, 0, 1))
+    turned = np.abs(wrap_angles(placed[:, None, 2] - placed[None, :, 2]))
+    votes = ((apart <= _SAME_M) & (turned <= _SAME_RAD)).sum(axis=1)
+    best = int(votes.argmax())
+    return motions[best], int(votes[best])
 
 
 def chosen(graph: Graph, passes: Draft, best: Candidate, views: Views) -> Candidate:
@@ -93,7 +147,9 @@ def chosen(graph: Graph, passes: Draft, best: Candidate, views: Views) -> Candid
     links = (*best.draft.loops, *best.dropped)
     closures = tuple(link for link in links if link.kind == "closure")
     if closures:
-        is_near = deviations(graph, passes, closures)[0] <= CLOSURE_SLACK_M
+        ends = Ends.of(graph.row, closures)
+        away = errors(passes.poses, ends.i, ends.j, ends.z)
+        is_near = np.hypot(away[:, 0], away[:, 1]) <= CLAIM_SLACK_M
         alone, outliers = settle(graph, passes.adding(tuple(compress(closures, is_near))))
         dropped = (*compress(closures, ~is_near), *outliers)
         agreement = views.agreement(alone.poses)

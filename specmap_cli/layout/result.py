@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 
 from specmap_cli.core.geometry import FloatArray, compose, invert
 from specmap_cli.core.records import IntArray
-from specmap_cli.layout.contradictions import Agreement
-from specmap_cli.layout.parts import PART_TRIES, loose_starts
-from specmap_cli.layout.path_graph import Draft, Ends, Graph
+from specmap_cli.layout.audit import Agreement
+from specmap_cli.layout.path_graph import Draft, Ends, Graph, RowPair
 from specmap_cli.layout.pose_graph import Link, graph_text
 from specmap_cli.layout.trajectory import propagated
 
+# Of a claim what the consistency found (see `consistency.py`), or:
+# outlier: the solution misses it; walls: the layout with it was not taken.
+Reason = Literal["impossible", "outvoted", "alone", "outlier", "walls"]
 # relaxed: closures and passes; passes: these alone, closures contradicted them; tracked: as it was
 Choice = Literal["relaxed", "passes", "tracked"]
 
@@ -38,14 +42,10 @@ class Layout:
     """Relaxed poses (n, 3) of all keyframes, and the pose graph they come from.
 
     `nodes` are the keyframe numbers in the graph; `odometry`, `kept` and `dropped` its edges, the
-    last two being closures and nearby passes. `loose` are the keyframes at which tracking restarted
+    last two being closures and nearby passes. `why` says of the ends of those dropped what speaks
+    against them. `loose` are the keyframes at which tracking restarted
     and whose place, and that of what follows, is a guess. `choice` is what the poses come from,
     `parts` how far pieces after a break were moved, `agreement` how the passes stand to each other.
-
-    `limits` counts by name how often work was cut short: passes searched less far than the path may
-    have drifted (`loop_search_max_m`), parts given up (`stray_tries`), searches made coarser
-    (`stray_cells`), sets of closures that may not be the largest (`clique_steps`), solutions
-    stopped before they had settled (`solve_iterations`).
     """
 
     poses: FloatArray
@@ -53,18 +53,16 @@ class Layout:
     odometry: tuple[Link, ...] = ()
     kept: tuple[Link, ...] = ()
     dropped: tuple[Link, ...] = ()
+    why: Mapping[RowPair, Reason] = field(default_factory=dict)
     loose: tuple[int, ...] = ()
     choice: Choice = "tracked"
     parts: tuple[PartMove, ...] = ()
     agreement: Agreement = field(default_factory=Agreement)
-    limits: Mapping[str, int] = field(default_factory=dict)
 
     @classmethod
     def of(cls, graph: Graph, candidate: Candidate) -> Layout:
         """The layout of all keyframes from the settled draft of the nodes."""
         draft = candidate.draft
-        spent = [part for part, tries in draft.tries.items() if tries >= PART_TRIES]
-        given_up = sum(part not in draft.tied for part in spent)
         older, newer = Ends.of(graph.row, draft.loops).parts(graph)
         moves = []
         for part in graph.part_numbers[1:]:
@@ -89,7 +87,6 @@ class Layout:
             choice=candidate.choice,
             parts=tuple(moves),
             agreement=candidate.agreement,
-            limits=draft.counting("stray_tries", given_up).limits,
         )
 
     def g2o(self) -> str:
@@ -113,3 +110,13 @@ class Candidate:
     draft: Draft
     dropped: tuple[Link, ...]
     agreement: Agreement
+
+
+def loose_starts(graph: Graph, loops: Sequence[Link]) -> tuple[int, ...]:
+    """First keyframes of the parts that no loop ties to the first part, nor over others."""
+    ties = Ends.of(graph.row, loops).parts(graph)
+    count = len(graph.part_numbers)
+    tied = csr_array((np.ones(len(loops)), ties), shape=(count, count))
+    _, piece = connected_components(tied, directed=False)
+    apart = np.flatnonzero(piece != piece[0])
+    return tuple(int(graph.nodes[np.argmax(graph.parts == part)]) for part in apart)

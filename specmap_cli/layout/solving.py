@@ -1,19 +1,12 @@
-"""Drafts of the layout solved: as they are, over any drift, and without what does not fit.
-
-Most nodes of a path hang between their neighbours alone. Between two nodes that a loop ties, some
-motions in a row say no more than their product with the sum of their errors (first order, as in
-`uncertainty`), so that a graph solved again and again needs the ends of such chains only. What a
-chain is stretched by in the end is shared out along it as its errors say.
-"""
+"""Drafts of the layout solved: as they are, over any drift, and without what does not fit."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray, Pose2, compose, inverse3, invert, product
-from specmap_cli.core.records import IntArray
+from specmap_cli.core.geometry import Pose2, compose, invert
 from specmap_cli.layout.path_graph import Draft, Graph
 from specmap_cli.layout.pose_graph import (
     SETTLED,
@@ -24,7 +17,6 @@ from specmap_cli.layout.pose_graph import (
     solve,
     squared,
 )
-from specmap_cli.layout.uncertainty import adjoint, moved_covariance
 
 _KERNEL_SIGMAS = 2.0  # closures and passes farther off than this pull less and less
 _OUTLIER_CHI2 = 25.0  # closures and passes above it, five sigmas off, are dropped in the end
@@ -35,14 +27,11 @@ _EXACT = 1e-8  # metres and radians: what rounding makes of a motion that fits
 _DECIMALS = 9  # of poses solved: a nanometre; libraries differ from the fourteenth on
 _NARROWER = 3.0  # from one width of the kernel to the next: outvoted closures let go one by one
 
-_LONGEST = 16  # motions in a chain: some 5 m, which bend too little for the second order
-
 
 def solved(graph: Graph, draft: Draft, *, roughly: bool = False) -> Draft:
     """The draft with the poses that fit its links best; roughly to look for more from there."""
     solution = _solution(graph, draft, _KERNEL_SIGMAS, _ROUGHLY if roughly else SETTLED)
-    draft = replace(draft, poses=solution.poses)
-    return draft.counting("solve_iterations", not solution.converged)
+    return replace(draft, poses=solution.poses)
 
 
 def tighten(graph: Graph, draft: Draft) -> Draft:
@@ -72,7 +61,6 @@ def settle(graph: Graph, draft: Draft) -> tuple[Draft, tuple[Link, ...]]:
         dropped += [link for link, fit in zip(draft.loops, fits, strict=True) if not fit]
         loops = tuple(link for link, fit in zip(draft.loops, fits, strict=True) if fit)
         draft = replace(draft, poses=solution.poses, loops=loops)
-        draft = draft.counting("solve_iterations", not solution.converged)
         if fits.all():
             return draft, tuple(dropped)
 
@@ -80,10 +68,7 @@ def settle(graph: Graph, draft: Draft) -> tuple[Draft, tuple[Link, ...]]:
 def _solution(
     graph: Graph, draft: Draft, width: float, settled: float = SETTLED, *, hasty: bool = False
 ) -> Solution:
-    """The solution with Cauchy's kernel of `width` sigmas on the loops.
-
-    Where a rough one will do the chains of the path are solved as one motion each.
-    """
+    """The solution with Cauchy's kernel of `width` sigmas on the loops."""
     widths = {"closure": width, "nearby": width, "loose": _KERNEL_SIGMAS, "bridge": _KERNEL_SIGMAS}
     motions = list(graph.odometry)
     for row, motion in enumerate(motions):
@@ -101,76 +86,7 @@ def _solution(
     count = 1 + int(np.maximum(links.i, links.j)[pulls].max(initial=0))
     path, inner = draft.poses[:count], (links.i < count) & (links.j < count)
     some = LinkArrays._make(each[inner] for each in links)
-    if settled <= SETTLED:
-        found = solve(path, some, steps, settled)
-    else:
-        condensed = Condensed.of(some, count - 1)
-        found = solve(path[condensed.kept], condensed.links, steps, settled)
-        found = replace(found, poses=condensed.expanded(found.poses))
+    found = solve(path, some, steps, settled)
     tail = compose(invert(draft.poses[count - 1]), draft.poses[count:])
     poses = np.concatenate([found.poses, compose(found.poses[-1], tail)])
     return replace(found, poses=poses, chi2=squared(poses, links))
-
-
-@dataclass(frozen=True, slots=True)
-class Condensed:
-    """The rows `kept` (K,) of a path of M nodes, ascending, and the links between them.
-
-    `start` (M,) is the number of the kept row that each row follows or is. `there` (M, 3) is each
-    row seen from that one along the motions, and `share` (M, 3, 3) what it takes of a motion of the
-    end of its chain, in the frame of that kept row.
-    """
-
-    kept: IntArray
-    links: LinkArrays
-    start: IntArray
-    there: FloatArray
-    share: FloatArray
-
-    @classmethod
-    def of(cls, links: LinkArrays, motions: int) -> Condensed:
-        """Of links whose first `motions` lead from each row to the next, in order.
-
-        Rows that anything but two motions ties are kept, and some more: no chain is too long.
-        """
-        tied, loops = np.zeros(motions + 1, dtype=bool), slice(motions, None)
-        tied[[0, motions]] = True
-        tied[links.i[loops]] = tied[links.j[loops]] = True
-        special = np.flatnonzero(np.isfinite(links.width[:motions]))
-        tied[special] = tied[special + 1] = True
-        rows, ends = np.arange(motions + 1), np.flatnonzero(tied)
-        since = (rows - ends[np.searchsorted(ends, rows, side="right") - 1]) % _LONGEST
-        kept = np.flatnonzero(since == 0)
-        # each row seen from the start of its chain, and its covariance there; and the same after
-        # the motion that follows each row
-        z, w = links.z[:motions], links.w[:motions]
-        there, sums = np.zeros((motions + 1, 3)), np.zeros((motions + 1, 3, 3))
-        after, total, noise = np.array(z), np.zeros(w.shape), inverse3(w)
-        for number in range(_LONGEST):  # of a motion in its chain
-            here = np.flatnonzero(since[:-1] == number)
-            after[here] = compose(there[here], z[here])
-            total[here] = sums[here] + moved_covariance(adjoint(after[here]), noise[here])
-            on = here[since[here + 1] > 0]
-            there[on + 1], sums[on + 1] = after[on], total[on]
-        start = np.searchsorted(kept, rows, side="right") - 1
-        last = kept[1:] - 1  # motion of each chain
-        share = np.zeros((motions + 1, 3, 3))
-        inner = np.flatnonzero(since)
-        share[inner] = product(sums[inner], inverse3(total)[last[start[inner]]])
-        spread = moved_covariance(adjoint(invert(after[last])), total[last])
-        chains = LinkArrays(
-            i=np.concatenate([start[kept[:-1]], start[links.i[loops]]]),
-            j=np.concatenate([start[kept[1:]], start[links.j[loops]]]),
-            z=np.concatenate([after[last], links.z[loops]]),
-            w=np.concatenate([inverse3(spread), links.w[loops]]),
-            width=np.concatenate([links.width[last], links.width[loops]]),
-        )
-        return cls(kept, chains, start, there, share)
-
-    def expanded(self, poses: FloatArray) -> FloatArray:
-        """(M, 3) poses of all rows, those of the kept ones being `poses` (K, 3)."""
-        ends = compose(invert(poses[:-1]), poses[1:])  # seen from the start of each chain
-        motion = compose(ends, invert(self.links.z[: len(ends)]))
-        motion = np.concatenate([motion, np.zeros((1, 3))])  # nothing follows the last row
-        moved = np.einsum("mab,mb->ma", self.share, motion[self.start])
-        return compose(poses[self.start], compose(moved, self.there))

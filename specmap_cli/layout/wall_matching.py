@@ -15,7 +15,7 @@ import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, inverse3, invert, product
 from specmap_cli.core.records import BoolArray, IntArray
-from specmap_cli.grids.matching import SPREAD_M, Window, covariance, refine, search
+from specmap_cli.grids.matching import SPREAD_M, Prior, Window, answers, covariance, refine, search
 from specmap_cli.grids.score_field import ScoreField, thinned
 from specmap_cli.layout.path_graph import MATCH_RANGE_M, Graph, RowPair
 from specmap_cli.layout.pose_graph import Link
@@ -46,6 +46,15 @@ _WINDOW_M2 = SPREAD_M**2 / 3  # variance of a window that fits all over
 _OPEN_M2 = 2.0**2  # of a place along a corridor that shows nothing: the wall is still that wall
 # Error of the best match: a cell's side over the root of 12, and what people and furniture moved.
 _FLOOR = np.diag([0.015**2, 0.015**2, 0.004**2])
+
+# Farther than a pass may drift: on cells of this size, and steps.
+_WIDE_CELL_M, _WIDE_STEP_M, _WIDE_STEP_RAD = 0.1, 0.3, 0.04
+_WIDE_SIDE = 40.0  # of that field, in ranges
+_SPARSE_M = 0.4  # between the points of that search: some 100 of them tell a place
+_AROUND = Window(distance_m=0.225, angle_rad=0.06, step_m=0.1)  # searched about each answer
+_LEAD = 0.05  # by which the best answer must lead
+_PINNED_M = 0.1  # largest mean deviation of a place found: more is a corridor's open direction
+_NEAR_RANGES = 2.0  # walls this many ranges around a place are those seen from it
 
 _FEW = 0.05  # share of points that cannot move a match by much
 
@@ -131,6 +140,30 @@ class Place:
         # a short overlap counts as little as it is
         told = max(LEAST_EVIDENCE, self.evidence.score(few, pose)) / (1.0 - LOOP_SCORE)
         return WallFit(pose, told * known)
+
+
+def found(points: FloatArray, seen: Seen, source: FloatArray, prior: Prior) -> WallFit | None:
+    """The pose of a view `source` (N, 2) among walls (M, 2), however far the prior reaches.
+
+    It must fit well, nowhere else nearly as well, and leave no direction open: in a bare corridor
+    nothing is found. `seen` says which cells of a field, and so near to them, were looked into.
+    """
+    few = thinned(source, FINE_POINTS_M)
+    if len(few) < MATCH_POINTS:
+        return None
+    field = ScoreField.from_points(points, _WIDE_CELL_M, _BLUR_M, _WIDE_SIDE * MATCH_RANGE_M)
+    rough = answers(field, thinned(source, _SPARSE_M), prior, _WIDE_STEP_M, _WIDE_STEP_RAD)
+    fine = [search(field, few, match.pose, _AROUND) for match in rough]
+    fine.sort(key=lambda match: -match.score)
+    if not fine or (len(fine) > 1 and fine[1].score > fine[0].score - _LEAD):
+        return None
+    best = fine[0].pose
+    near = np.hypot(*(points - (best.x, best.y)).T) < _NEAR_RANGES * MATCH_RANGE_M
+    fit = Place.of(points[near], seen).confirmed(source, best, SURE)
+    if fit is None:
+        return None
+    variance = float(inverse3(fit.information)[:2, :2].trace())
+    return fit if variance <= 2 * _PINNED_M**2 else None
 
 
 def opened(spread: FloatArray) -> FloatArray:

@@ -19,7 +19,6 @@ from specmap_cli.core.geometry import FloatArray, Pose2, compose, nearest_motion
 from specmap_cli.core.records import Closure, IntArray, Labels, Trajectory
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.layout.audit import audit
 from specmap_cli.layout.joining import join_layouts, placed
 from specmap_cli.layout.trajectory import propagated, rows_of
 from specmap_cli.maps.edits import (
@@ -67,7 +66,6 @@ def join(
     layout = join_layouts(store, old.layout, later.layout, tuple(constraints.values()), cuts)
     # in the frame in which the old keyframes lie nearest to their places in the old map
     layout = placed(layout, nearest_motion(layout.poses[:first, :2], old.layout.poses[:, :2]))
-    audited = audit(store, layout.poses, cuts)
     starts = {*old.starts, first, *later.starts}  # no guess of tracking joined the recordings
     parts = tuple(move for move in layout.parts if move.first not in starts)
     layout = replace(layout, parts=parts)
@@ -87,7 +85,6 @@ def join(
         logs=logs,
         findings=(*old.findings, *later.findings),
         next_id=max(old.next_id, 1 + int(submaps.max(initial=-1))),
-        audit=audited,
         edits=old.edits,
         edits_text=old.edits_text,
         lost=old.lost,

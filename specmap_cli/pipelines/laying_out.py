@@ -18,8 +18,6 @@ from specmap_cli.core.settings import Config
 from specmap_cli.core.text import legible
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
-from specmap_cli.layout.audit import audit
-from specmap_cli.layout.closure_matching import place_around, sharpened
 from specmap_cli.layout.main_direction import along_walls
 from specmap_cli.layout.passes import METRES_A_RADIAN
 from specmap_cli.layout.pose_graph import Link
@@ -43,6 +41,13 @@ _CLOSURE_SIGMA_RAD = 0.0087  # spread of their heading
 Pair = tuple[int, int]
 
 REFUTED = "contradicts the layout"
+_WHY = {
+    "impossible": "the path cannot be so wrong",
+    "outvoted": "closures that agree say otherwise",
+    "alone": "no other agrees",
+    "outlier": "the others cannot be solved with it",
+    "walls": "walls would be drawn twice",
+}
 
 
 def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str) -> LaidOut:
@@ -56,8 +61,6 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
         constraints = constraints_of(explored.closures, explored.regions, store)
         layout = relax(store, tuple(constraints.values()), explored.breaks, config.relaxation)
         layout = along_walls(layout, store, config.relaxation)
-    with session.clock.stage("audit"):
-        audited = audit(store, layout.poses, explored.breaks)
         trajectory = corrected(explored.trajectory, store, layout.poses)
     closures = refute(explored.closures, constraints, layout)
     whole, beyond, division = _drawn(session, layout)
@@ -75,7 +78,6 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
             keyframes_ns=store.stamps_ns,
             breaks=breaks,
             layout=layout,
-            audit=audited,
             beyond=beyond,
             warnings=tracking.warnings,
             holes=holes_of(store, rows, trajectory, layout, breaks),
@@ -102,7 +104,6 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
         drawn=whole,
         division=division,
         beyond=beyond,
-        audit=audited,
         counts=tracking.counts,
     )
 
@@ -160,7 +161,7 @@ def constraints_of(
     """For each pair of merged regions, (old, new): where a keyframe lies, seen from another.
 
     These two saw most alike: by the match of the grids they are the nearest to each other, turned
-    as little as may be. The walls around them tie them.
+    as little as may be.
 
     Grids that match while the robot's tracks do not overlap are no evidence for the layout: that is
     what look-alike rooms do, too.
@@ -176,11 +177,10 @@ def constraints_of(
         new_track = compose(np.array(closure.old_from_new), in_own_frame(store, new))
         i, j = nearest_pair(old_track, new_track)
         guess = Pose2(*compose(invert(old_track[i]), new_track[j]).tolist())
-        places = place_around(store, old, i), place_around(store, new, j)
         found[closure.old, closure.new] = Link(
             source=old[i],
             target=new[j],
-            source_from_target=sharpened(*places, guess),
+            source_from_target=guess,
             information=information,
             kind="closure",
         )
@@ -192,14 +192,14 @@ def refute(
 ) -> tuple[Closure, ...]:
     """The closures, without the merges whose constraint the layout dropped."""
     dropped = {(link.source, link.target) for link in layout.dropped if link.kind == "closure"}
-    refuted = {
-        pair
-        for pair, constraint in constraints.items()
-        if (constraint.source, constraint.target) in dropped
+    reasons = {
+        pair: f"{REFUTED}: {_WHY[layout.why[ends]]}" if ends in layout.why else REFUTED
+        for pair, ends in ((pair, (one.source, one.target)) for pair, one in constraints.items())
+        if ends in dropped
     }
     return tuple(
-        replace(closure, merged=False, verified=False, reason=REFUTED, old_from_new=None)
-        if (closure.old, closure.new) in refuted
+        replace(closure, merged=False, verified=False, reason=reason, old_from_new=None)
+        if (reason := reasons.get((closure.old, closure.new)))
         else closure
         for closure in closures
     )

@@ -20,7 +20,6 @@ from specmap_cli.core.geometry import FloatArray, path_length
 from specmap_cli.core.records import BoolArray, Closure, IntArray, Labels, Trajectory
 from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.layout.audit import Audit
 from specmap_cli.layout.joining import gaps_of
 from specmap_cli.layout.path_graph import Bridge
 from specmap_cli.layout.pose_graph import read_g2o
@@ -47,7 +46,6 @@ from specmap_cli.topology.topological_map import (
 )
 
 Breaks = Mapping[int, Bridge | None]
-_NOT_AUDITED = Audit(compared=0, disagreements=())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,7 +76,7 @@ class LaidOut:
 
     `drawn` is the grid of all keyframes, None until it is drawn; `beyond` of them did not fit into
     it. `division` has the region of each of its cells, or -1; None where keyframes alone say which
-    submap a cell is in. `audit` is that of the layout. `counts` are of messages and scans.
+    submap a cell is in. `counts` are of messages and scans.
 
     `edits` are what a person decided, `edits_text` how it was written down, `borders` what of it
     the labels show, and `lost`, in words, what was decided about maps that are in this one and says
@@ -97,7 +95,6 @@ class LaidOut:
     drawn: GridMap | None = None
     division: OwnerArray | None = None
     beyond: int = 0
-    audit: Audit = _NOT_AUDITED
     counts: Mapping[str, int] = field(default_factory=dict)
     edits: Edits = field(default_factory=Edits)
     edits_text: str = ""
@@ -159,7 +156,6 @@ class LaidOut:
             keyframes_ns=tuple(self.labels.stamps_ns.tolist()),
             breaks=tuple(self.breaks),
             layout=self.layout,
-            audit=self.audit,
             beyond=self.beyond,
             warnings=(),
         )

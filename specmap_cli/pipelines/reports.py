@@ -89,7 +89,7 @@ class RunRecord(Value):
     ) -> RunRecord:
         """What is to be told of a map that was made in a session of `inputs`."""
         laid, clock = finished.laid, session.clock
-        limits = {**laid.layout.limits, "max_extent_m": laid.beyond}
+        limits = {"max_extent_m": laid.beyond}
         return cls(
             inputs=tuple(path.name for path in inputs),
             selection=None

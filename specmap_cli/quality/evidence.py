@@ -19,7 +19,6 @@ from specmap_cli.core.findings import Severity, Where
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, moved, step_lengths
 from specmap_cli.core.records import BoolArray, IntArray, Trajectory
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.audit import Audit
 from specmap_cli.layout.result import Layout
 
 MOVED_M = 1.0  # a piece that the layout moved farther is told of
@@ -75,7 +74,6 @@ class Evidence:
     keyframes_ns: tuple[int, ...]
     breaks: tuple[int, ...]
     layout: Layout
-    audit: Audit
     beyond: int
     warnings: tuple[str, ...]
     holes: tuple[Hole, ...] = ()

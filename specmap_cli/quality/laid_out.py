@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from specmap_cli.core.findings import Finding, Where
+from specmap_cli.core.findings import Finding
 from specmap_cli.core.geometry import FloatArray, compose, invert, step_lengths
 from specmap_cli.core.text import counted
-from specmap_cli.layout.contradictions import DOUBTFUL
+from specmap_cli.layout.audit import DOUBTFUL
 from specmap_cli.layout.path_graph import Ends
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.quality.evidence import (
@@ -27,7 +27,6 @@ WALLS, REFUTED, BEYOND = "walls-disagree", "closures-refuted", "beyond-grid"
 CODES = frozenset({LOOSE, MOVED, RIVAL, LAYOUT, WALLS, REFUTED, BEYOND})
 
 _LOOSE_SHARE_POOR = 0.1  # share of the way that a guess places, above which a map is poor
-_WALLS_SHARE_POOR = 0.1  # share of the passes compared that disagree, above which a map is poor
 _CONTRADICTED_POOR = 0.1  # share of the walls that two passes saw
 _LEAST = 2  # that agree to a metre and a few degrees: of wrong ones no two do by chance
 
@@ -57,43 +56,26 @@ def loose_parts(evidence: Evidence) -> Iterator[Finding]:
 
 
 def walls(evidence: Evidence) -> Iterator[Finding]:
-    """Places where passes of the robot disagree about the walls, a finding a place.
-
-    Where there are none, passes may contradict each other all over the map, a little everywhere.
-    """
-    found, agreement = evidence.audit.disagreements, evidence.layout.agreement
-    if not found and agreement.is_doubtful and agreement.worst is not None:
-        severity, limit = graded(agreement.share, DOUBTFUL, _CONTRADICTED_POOR)
-        where = evidence.at_keyframe(int(evidence.layout.nodes[agreement.worst]))
+    """Places where passes of the robot disagree about the walls, a finding a place."""
+    agreement, told_at = evidence.layout.agreement, list[tuple[float, float]]()
+    if not agreement.is_doubtful:
+        return
+    severity, limit = graded(agreement.share, DOUBTFUL, _CONTRADICTED_POOR)
+    for row in agreement.worst:
+        number = int(evidence.layout.nodes[row])
+        where, (x, y) = evidence.at_keyframe(number), evidence.layout.poses[number, :2].tolist()
+        if any(np.hypot(x - a, y - b) <= SAME_PLACE_M for a, b in told_at):
+            continue
+        told_at.append((x, y))
         yield Finding(
             code=WALLS,
             severity=severity,
-            message=f"{agreement.share:.1%} of the walls that two passes saw contradict each "
-            f"other, most around {told(where)}",
-            advice="the map is bent there",
+            message=f"walls seen around {told(where)} contradict what was seen when the robot was "
+            f"there before ({agreement.share:.1%} of what was seen twice in the map)",
+            advice="the map is bent or folded there, or the building changed",
             value=agreement.share,
             limit=limit,
             where=where,
-        )
-    share = len(found) / max(1, evidence.audit.compared)
-    severity, limit = graded(share, 0.0, _WALLS_SHARE_POOR)
-    waiting = sorted(found, key=lambda one: -one.walls_m)
-    while waiting:
-        worst, (x, y) = waiting[0], waiting[0].place
-        away = [np.hypot(one.place[0] - x, one.place[1] - y) for one in waiting]
-        waiting = [one for one, m in zip(waiting, away, strict=True) if m > SAME_PLACE_M]
-        earlier, later = (evidence.at_keyframe(n) for n in (worst.earlier, worst.later))
-        apart_m = worst.apart_m
-        how = "contradict each other" if apart_m is None else f"are {apart_m:.2f} m apart"
-        yield Finding(
-            code=WALLS,
-            severity=severity,
-            message=f"near ({x:.1f}, {y:.1f}) the walls seen at {told(earlier)} and "
-            f"{told(later)} {how} (over {worst.walls_m:.1f} m)",
-            advice="the map is bent or folded there, or the building changed",
-            value=share,
-            limit=limit,
-            where=Where(later.stamp_ns, x, y),
         )
 
 

@@ -202,8 +202,5 @@ def arc(count: int, turn: float = 0.05) -> FloatArray:
 @contextmanager
 def closures_alone() -> Iterator[None]:
     """No pass mends what closures do."""
-    with (
-        turned("layout.passes", LOOPS_PER_NODE=0, _WIDE_EVERY_M=1e9),
-        turned("layout.parts", PART_TRIES=0),
-    ):
+    with turned("layout.passes", LOOPS_PER_NODE=0, _WIDE_EVERY_M=1e9):
         yield

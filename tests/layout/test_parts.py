@@ -4,24 +4,15 @@ from __future__ import annotations
 
 import networkx as nx
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray, compose, invert, wrap_angles
-from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.parts import (
-    PartSearch,
-    loose_starts,
-    most_voted,
-    place_part,
-    place_parts,
-    rejoin,
-)
-from specmap_cli.layout.path_graph import NODE_M, Draft, Graph, graph_of
+from specmap_cli.layout.path_graph import Draft, Graph, graph_of
+from specmap_cli.layout.relaxation import close, most_voted, place_parts
+from specmap_cli.layout.result import loose_starts
 from specmap_cli.layout.walls import Walls
 from tests.layout.driving import (
-    Laps,
     arc,
     between,
     building,
@@ -53,7 +44,7 @@ def test_a_part_goes_where_links_put_it(poses: FloatArray, seed: int) -> None:
     draft = Draft(poses=poses)
     z = np.random.default_rng(seed).uniform(-3, 3, 3)
     there, back = link(1, 3, z.tolist()), link(3, 1, invert(z).tolist())
-    placed = place_part(graph_by_hand(poses, breaks=(2,)), draft, 1, [there, back], votes=2)
+    placed = place_parts(graph_by_hand(poses, breaks=(2,)), draft, [there, back])
     gap = compose(invert(z), compose(invert(placed.poses[1]), placed.poses[3]))
     assert placed.tied == {0, 1}
     assert np.hypot(*gap[:2]) < 1e-6
@@ -81,22 +72,19 @@ def test_parts_go_where_most_closures_put_them() -> None:
     truth, graph = kidnapped()
     wrong = [link(2, 22, (9.0, 9.0, 1.0)), link(3, 44, (-9.0, 9.0, 1.0))]
     right = [true_link(truth, *ends) for ends in ((0, 25), (5, 35), (30, 50), (10, 55))]
-    draft = place_parts(graph, [*wrong, *right], 2)
+    draft = place_parts(graph, Draft(poses=graph.poses), [*wrong, *right])
     assert np.allclose(draft.poses, truth, atol=1e-9)
     assert draft.tied == {0, 1, 2}
-    assert draft.loops == (), "the closures themselves are judged later"
+    assert draft.loops == (), "they pull when it is solved"
 
 
-def test_links_that_agree_take_a_part_to_older_ones_and_along_what_hangs_on_it() -> None:
+def test_links_take_a_part_to_older_ones_and_along_what_hangs_on_it() -> None:
     truth, graph = kidnapped()
     draft = Draft(poses=graph.poses)
-    links = [true_link(truth, *ends) for ends in ((21, 30), (25, 50), (5, 45))]
-    assert place_part(graph, draft, 1, links, votes=1) is draft, "no link to an older part"
-    assert place_part(graph, draft, 2, links, votes=1).tied == {0, 2}
-    assert place_part(graph, draft, 2, links, votes=3) is draft
+    assert place_parts(graph, draft, [true_link(truth, 21, 30)]) == draft, "to no older part"
+    assert place_parts(graph, draft, [true_link(truth, 25, 50)]).tied == {0, 2}
     finds = [true_link(truth, 0, 25), true_link(truth, 5, 35), link(1, 30, (9.0, 9.0, 1.0))]
-    assert place_part(graph, draft, 1, finds, votes=3) is draft
-    placed = place_part(graph, draft, 1, finds, votes=2)
+    placed = place_parts(graph, draft, finds)
     assert placed.tied == {0, 1}
     assert np.allclose(placed.poses[:40], truth[:40], atol=1e-9)
     inside = compose(invert(placed.poses[20]), placed.poses[20:])
@@ -115,87 +103,27 @@ def test_loose_parts_are_those_that_networkx_finds_apart(pairs: list[tuple[int, 
     assert loose_starts(graph_by_hand(arc(20)), loops) == ()
 
 
-def test_the_guess_is_a_vote_where_a_closure_agrees_with_it() -> None:
-    truth = arc(40)
-    graph = graph_by_hand(truth, breaks=(20,))
-    (x, y, theta) = true_link(truth, 5, 30).source_from_target
-    near, far = link(5, 30, (x + 0.2, y, theta)), link(5, 30, (x + 2.0, y, theta))
-    tied = place_parts(graph, [near], 2)
-    assert tied.tied == {0, 1}
-    assert np.hypot(*(tied.poses - truth)[20:, :2].T) == pytest.approx(0.2)
-    assert place_parts(graph, [far], 2).tied == {0}
-    assert place_parts(graph, [], 1).tied == {0}, "the guess alone is none"
-
-
-def search_along(
-    store: KeyframeStore, graph: Graph, rows: list[int]
-) -> tuple[Draft, PartSearch | None]:
-    """The search for the part of some rows, one try at each, until it is found."""
-    draft, search = Draft(poses=graph.poses), None
-    walls = Walls(store, graph)
-    for row in rows:
-        draft, search = rejoin(row, graph, draft, walls, search)
-        if int(graph.parts[row]) in draft.tied:
-            break
-    return draft, search
-
-
 def test_a_part_is_moved_when_enough_finds_agree() -> None:
-    """The second lap was put metres away and turned; three places along it say where it belongs."""
-    truth = round_trip(1.25)[::2]
+    """The second lap was put metres away and turned; places along it say where it belongs."""
+    truth = round_trip(1.5)[::2]
     kidnapped = moved_from(260, truth, AWAY)
     with stored(kidnapped, scans_of(building(), truth)) as store:
         graph = graph_of(store, [], {260: None})
-        rows = np.flatnonzero(graph.parts == 1).tolist()[::4]
-        draft, search = search_along(store, graph, rows)
-        with turned("layout.parts", _PART_VOTES=1):
-            hasty, first = search_along(store, graph, rows)
-    assert search is not None
+        draft, judged = close(graph, Draft(poses=graph.poses), (), Walls(store, graph))
+    finds = [one for one in judged if one.link.target >= 260]
+    assert len(finds) >= 3
+    assert {one.reason for one in finds} == {"votes"}
     assert draft.tied == {0, 1}
-    assert len(search.finds) == 3
-    assert draft.tries[1] >= 3
     assert worst(draft.poses, truth[graph.nodes]) < 0.3
-    for find in search.finds:
+    for find in (one.link for one in finds):
         assert missed(between(truth, find.source, find.target), find.source_from_target)[0] < 0.2
-    assert first is not None
-    assert hasty.tied == {0, 1}
-    assert len(first.finds) == 1
 
 
-def test_a_part_is_given_up_and_the_finds_of_another_part_do_not_count(perfect: Laps) -> None:
-    store, _ = perfect
-    graph = graph_of(store, [], {480: None, 600: None})
-    rows = np.flatnonzero(graph.parts >= 1).tolist()
-    first, second = ([row for row in rows if graph.parts[row] == part] for part in (1, 2))
-    with turned("layout.parts", PART_TRIES=2, _PART_VOTES=4):
-        draft, search = search_along(store, graph, [*first[8:24:4], *second[8:24:4]])
-    assert draft.tries == {1: 2, 2: 2}
-    assert search is not None
-    assert search.part == 2
-    assert len(search.finds) == 2, "two of each part, and none of the part before"
+def test_one_find_alone_moves_no_part() -> None:
+    truth = round_trip(1.5)[::2]
+    with stored(moved_from(260, truth, AWAY), scans_of(building(), truth)) as store:
+        graph = graph_of(store, [], {260: None})
+        with turned("layout.passes", _LOST_TRIES=0):
+            draft, judged = close(graph, Draft(poses=graph.poses), (), Walls(store, graph))
+    assert [one.reason for one in judged if one.link.target >= 260] == ["alone"]
     assert draft.tied == {0}
-    assert np.array_equal(draft.poses, graph.poses)
-    with turned("layout.parts", PART_TRIES=0):
-        never, nothing = search_along(store, graph, first[:4])
-    assert nothing is None
-    assert never.tries == {}
-
-
-def test_the_more_tries_fail_the_farther_apart_they_are(perfect: Laps) -> None:
-    store, _ = perfect
-    graph = graph_of(store, [], {480: None})
-    rows = np.flatnonzero(graph.parts == 1).tolist()
-    draft, search, at = Draft(poses=graph.poses), None, []
-    walls = Walls(store, graph)
-    for row in rows:
-        before = draft.tries.get(1, 0)
-        with (
-            turned("layout.path_graph", LOOP_EVERY_M=0.6),
-            turned("layout.parts", PART_TRIES=4, _PART_VOTES=9),
-        ):
-            draft, search = rejoin(row, graph, draft, walls, search)
-        if draft.tries[1] > before:
-            at.append(float(graph.path[row] - graph.path[rows[0]]))
-    due = [0.6 * tries * (1.0 + tries / 20) for tries in range(4)]
-    assert len(at) == 4
-    assert all(0.0 <= way - least <= NODE_M + 0.2 for way, least in zip(at, due, strict=True))

@@ -12,8 +12,8 @@ import pytest
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.layout.audit import Agreement, Views
 from specmap_cli.layout.consistency import Judgement
-from specmap_cli.layout.contradictions import Agreement, Views
 from specmap_cli.layout.path_graph import Bridge, Draft, Graph, graph_of
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.relaxation import chosen, close, relax
@@ -34,7 +34,6 @@ from tests.layout.driving import (
     true_link,
     worst,
 )
-from tests.turning import turned
 
 AT = 500  # where tracking breaks
 
@@ -109,17 +108,8 @@ def test_a_part_that_fits_nowhere_or_is_tied_only_to_itself_is_loose(drive: Driv
     assert elsewhere(drive).loose == (60,)
     inside = closure(np.vstack([drive[0][:60], drive[0][300:360]]), 65, 110)
     layout = elsewhere(drive, inside)
-    assert layout.kept == (inside,)
+    assert ends_of(layout.kept) == ends_of((inside,))
     assert layout.loose == (60,)
-
-
-def test_limits_that_were_hit_are_told(drive: Drive) -> None:
-    tie = closure(np.vstack([drive[0][:60], drive[0][300:360]]), 3, 50)
-    with turned("layout.solving", _SOLVE_ITERATIONS=1), turned("layout.parts", PART_TRIES=2):
-        layout = elsewhere(drive, tie, bias=0.003)
-    assert layout.limits["stray_tries"] == 1
-    assert layout.limits["solve_iterations"] >= 1
-    assert elsewhere(drive, tie, bias=0.003).limits == {}
 
 
 def test_without_relaxation_the_poses_are_those_tracked(drive: Drive, store: KeyframeStore) -> None:
@@ -140,7 +130,8 @@ def test_a_wrong_closure_leaves_the_others_alone(drive: Drive) -> None:
     laid = (laid_out(drifted(truth), scans, each) for each in ([*right, wrong], right))
     with_wrong, without = laid
     assert (with_wrong.dropped, without.dropped) == ((wrong,), ())
-    assert np.allclose(with_wrong.poses, without.poses, atol=1e-6)
+    assert with_wrong.why == {(5, 590): "outlier"}
+    assert np.allclose(with_wrong.poses, without.poses, atol=0.01)
 
 
 def test_the_frame_of_the_map_does_not_matter_to_a_layout(drive: Drive) -> None:
@@ -198,7 +189,7 @@ def test_two_closures_that_agree_move_a_piece_of_which_nothing_is_known(drive: D
     assert (move.first, move.votes) == (AT, 2)
     assert move.moved_m == pytest.approx(0.96, abs=0.05)
     assert one.loose == (AT,)
-    assert one.dropped == (right[0],), "alone it is impossible"
+    assert ends_of(one.dropped) == ends_of((right[0],)), "alone it is not enough"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -257,6 +248,7 @@ def test_what_is_worse_than_the_path_as_tracked_is_not_taken(drive: Drive) -> No
     assert worst(layout.poses, truth) < 0.05
     assert layout.kept == ()
     assert set(layout.dropped) == set(wrong)
+    assert set(layout.why.values()) == {"walls"}
 
 
 class Trusting:

@@ -7,26 +7,31 @@ from functools import partial
 
 import numpy as np
 import pytest
+from hypothesis import given
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import BoolArray
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.grids.matching import SPREAD_M, Match, Window, search
+from specmap_cli.grids.matching import SPREAD_M, Match, Prior, Window, search
 from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.layout.path_graph import Graph
 from specmap_cli.layout.wall_matching import (
     LEAST_EVIDENCE,
     Place,
     WallFit,
+    everywhere,
+    found,
     link_to_nearest,
     match_passes,
     opened,
 )
 from specmap_cli.layout.walls import Walls
 from tests.layout.driving import between, corridor, graph_by_hand, missed, scans_of, stored
+from tests.strategies import angles, few
 from tests.turning import turned
 
 Pass = tuple[FloatArray, FloatArray, Pose2]
+ANYWHERE = Prior(Pose2(0.0, 0.0, 0.0))
 
 
 def pass_of(graph: Graph, walls: Walls, row: int) -> Pass:
@@ -123,9 +128,9 @@ def test_what_lies_farther_off_than_the_drift_is_not_found(one: Pass) -> None:
 def test_too_few_points_are_not_matched() -> None:
     points = corridor()
     few = points[:: len(points) // 40]
-    for least, found in ((20, True), (60, False)):
+    for least, fits in ((20, True), (60, False)):
         with turned("layout.wall_matching", MATCH_POINTS=least):
-            assert (Place.of(points).match(few, IDENTITY, 0.3) is not None) is found
+            assert (Place.of(points).match(few, IDENTITY, 0.3) is not None) is fits
     assert Place.of(points).match(np.zeros((0, 2)), IDENTITY, 0.3) is None
 
 
@@ -237,3 +242,49 @@ def test_the_same_side_is_one(rooms: Rooms, off_m: float, fits: bool) -> None:
     if found is not None:
         assert (found.source, found.target, found.kind) == (FIRST, AGAIN, "nearby")
         assert missed(truth, found.source_from_target)[0] < 0.03
+
+
+@few(6)
+@given(angles)
+def test_a_place_is_found_at_any_angle(graph: Graph, walls: Walls, turn: float) -> None:
+    older = walls.of_all(np.flatnonzero(graph.parts == 0).tolist(), graph.poses)
+    row = int(np.argmax(graph.parts == 1)) + 20
+    source = walls.around(row, 8, graph.poses)
+    truth, turned = Pose2(*graph.poses[row].tolist()), Pose2(0.0, 0.0, turn)
+    fit = found(older, everywhere, turned.inverse().apply(source), ANYWHERE)
+    assert fit is not None
+    assert np.less(missed(truth, fit.target_from_source @ turned.inverse()), (0.1, 0.03)).all()
+
+
+def plans_of(*plans: tuple[int, int]) -> FloatArray:
+    """The walls of rectangular rooms side by side, each 5 m from the last, in cells of 5 cm."""
+    cells = np.full((160, 100 * len(plans) + 40), FREE, dtype=np.uint8)
+    for number, (width, height) in enumerate(plans):
+        left = 20 + 100 * number
+        cells[20 : 21 + height, [left, left + width]] = OCCUPIED
+        cells[[20, 20 + height], left : left + width + 1] = OCCUPIED
+        cells[20 : 30 + height // 4, left + width // 3] = OCCUPIED  # so that no turn fits
+    grid = GridMap(cells, 0.05)
+    return grid.centres_of(np.argwhere(grid.occupied))
+
+
+def test_what_fits_two_places_is_found_in_neither() -> None:
+    source = plans_of((60, 90))
+    only = found(plans_of((60, 90), (80, 40)), everywhere, source, ANYWHERE)
+    assert only is not None
+    assert np.hypot(*only.target_from_source[:2]) < 0.1
+    twins = plans_of((60, 90), (60, 90))
+    assert found(twins, everywhere, source, ANYWHERE) is None
+    near = Prior(Pose2(5.0, 0.4, 0.1), np.diag([0.3, 0.3, 0.05]) ** 2)
+    second = found(twins, everywhere, source, near)
+    assert second is not None, "the prior reaches the second of them alone"
+    assert second.target_from_source[:2] == pytest.approx((5.0, 0.0), abs=0.1)
+
+
+def test_a_bare_corridor_too_few_points_and_no_walls_are_no_place() -> None:
+    x = np.arange(0.0, 40.0, 0.05)
+    walls = np.vstack([np.column_stack([x, 0 * x]), np.column_stack([x, 0 * x + 2.0])])
+    assert found(walls, everywhere, walls[np.abs(walls[:, 0] - 20.0) < 5.0], ANYWHERE) is None
+    few = np.column_stack([np.arange(0.0, 4.0, 0.25), np.zeros(16)])
+    assert found(walls, everywhere, few, ANYWHERE) is None
+    assert found(np.zeros((0, 2)), everywhere, plans_of((60, 90)), ANYWHERE) is None

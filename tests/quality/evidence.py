@@ -10,7 +10,6 @@ import numpy as np
 from specmap_cli.core.findings import Quality
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import Trajectory
-from specmap_cli.layout.audit import Audit
 from specmap_cli.layout.result import Layout
 from specmap_cli.quality.evidence import Evidence
 from specmap_cli.quality.verdict import of_layout, of_recording, quality_of
@@ -27,7 +26,7 @@ def evidence_of(
     """The evidence of poses, each of them a keyframe."""
     stamps, marks = np.arange(len(poses)) * every_ns, np.zeros(len(poses), dtype=np.bool_)
     marks[list(lost)] = True
-    fields: dict[str, Any] = {"breaks": (), "audit": Audit(), "beyond": 0, "warnings": (), **told}
+    fields: dict[str, Any] = {"breaks": (), "beyond": 0, "warnings": (), **told}
     return Evidence(
         trajectory=Trajectory(stamps, poses, odometry=odometry, lost=marks),
         keyframes_ns=tuple(stamps.tolist()),

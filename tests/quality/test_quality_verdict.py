@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.findings import Finding, Severity, Where
-from specmap_cli.core.geometry import Pose2
-from specmap_cli.layout.audit import Audit, Disagreement
-from specmap_cli.layout.contradictions import Agreement
+from specmap_cli.layout.audit import Agreement
 from specmap_cli.layout.result import PartMove
 from specmap_cli.quality.evidence import Evidence
 from tests.layout.driving import link
@@ -24,8 +22,7 @@ def evidence(
     """A straight drive in which nothing is wrong but what is asked for."""
     poses = np.column_stack([np.arange(float(SCANS)), np.zeros((SCANS, 2))])
     measured = poses if odometry else np.full((SCANS, 3), np.nan)
-    audit = Audit(compared=20)
-    return evidence_of(poses, odometry=measured, lost=lost, breaks=breaks, audit=audit)
+    return evidence_of(poses, odometry=measured, lost=lost, breaks=breaks)
 
 
 def travelled(base: Evidence, **fields: Any) -> Evidence:
@@ -42,12 +39,6 @@ def laid(base: Evidence | None = None, **fields: Any) -> Evidence:
     """The drive, or another one, with a layout of which something else is known."""
     base = base or evidence()
     return replace(base, layout=replace(base.layout, **fields))
-
-
-def disagreement(place: tuple[float, float], walls_m: float = 3.0) -> Disagreement:
-    return Disagreement(
-        earlier=10, later=60, place=place, walls_m=walls_m, share=0.4, offset=Pose2(0.0, 0.5, 0.0)
-    )
 
 
 def test_nothing_wrong_and_few_contradictions_are_good() -> None:
@@ -111,13 +102,16 @@ def test_what_a_guess_places_weighs_by_its_way_up_to_the_next_break(
     )
 
 
-@pytest.mark.parametrize(("count", "severity"), [(1, "doubtful"), (2, "doubtful"), (3, "poor")])
-def test_disagreeing_walls_weigh_by_their_share(count: int, severity: Severity) -> None:
-    places = [(100.0 * k, 0.0) for k in range(count)]
-    audit = Audit(compared=20, disagreements=tuple(map(disagreement, places)))
-    found = judged(replace(evidence(), audit=audit)).findings
-    assert [(one.code, one.severity) for one in found] == [("walls-disagree", severity)] * count
-    assert [one.place for one in found] == places
+@pytest.mark.parametrize(("share", "severity"), [(0.02, "doubtful"), (0.2, "poor")])
+def test_walls_that_contradict_weigh_by_their_share_a_finding_a_place(
+    share: float, severity: Severity
+) -> None:
+    wrong = round(10_000 * share)
+    agreement = Agreement(agree=10_000 - wrong, contradict=wrong, worst=(5, 6, 60, 4))
+    found = judged(laid(agreement=agreement, nodes=np.arange(SCANS), choice="relaxed")).findings
+    assert [(one.code, one.severity) for one in found] == [("walls-disagree", severity)] * 2
+    assert [one.place for one in found] == [(5.0, 0.0), (60.0, 0.0)], "6 and 4 are the same place"
+    assert [one.value for one in found] == pytest.approx([share, share])
 
 
 def test_the_gravest_come_first_and_the_input_is_told() -> None:
@@ -182,8 +176,6 @@ def test_a_piece_that_was_moved_far_is_told_of(votes: int, severity: Severity) -
 
 
 TIES = tuple(link(1, 9, (0.0, 0.0, 0.0), kind) for kind in ("closure", "closure", "nearby"))
-TWICE = (disagreement((1.0, 0.0)), disagreement((3.0, 1.0), 5.0))
-UNKNOWN = tuple(replace(one, offset=None) for one in TWICE)
 
 
 @pytest.mark.parametrize(
@@ -195,22 +187,12 @@ UNKNOWN = tuple(replace(one, offset=None) for one in TWICE)
         ),
         (
             laid(
-                agreement=Agreement(agree=1000, contradict=100, worst=0),
+                agreement=Agreement(agree=1000, contradict=100, worst=(0,)),
                 nodes=np.array([7]),
                 choice="relaxed",
             ),
-            "doubtful walls-disagree: 9.1% of the walls that two passes saw contradict each other, "
-            "most around 7.000 s",
-        ),
-        (
-            replace(evidence(), audit=Audit(compared=100, disagreements=TWICE)),
-            "doubtful walls-disagree: near (3.0, 1.0) the walls seen at 10.000 s and 60.000 s are "
-            "0.50 m apart (over 5.0 m)",
-        ),
-        (
-            replace(evidence(), audit=Audit(compared=100, disagreements=UNKNOWN)),
-            "doubtful walls-disagree: near (3.0, 1.0) the walls seen at 10.000 s and 60.000 s "
-            "contradict each other (over 5.0 m)",
+            "doubtful walls-disagree: walls seen around 7.000 s contradict what was seen when the "
+            "robot was there before (9.1% of what was seen twice in the map)",
         ),
         (
             laid(nodes=np.arange(3)),
