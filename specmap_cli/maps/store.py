@@ -28,7 +28,7 @@ from specmap_cli.maps.features_file import Arrays, read_features
 from specmap_cli.maps.schema import NodeRecord, TopologyRecord
 from specmap_cli.maps.text_files import first_finding, map_json, map_text, read_labels
 from specmap_cli.maps.topology_file import read_topology
-from specmap_cli.topology.regions import NOBODY, Regions, divide
+from specmap_cli.topology.regions import NOBODY, OwnerArray, Regions, divide
 from specmap_cli.topology.topological_map import (
     LogInfo,
     Merge,
@@ -109,12 +109,13 @@ class StoredMap:
         )
 
     @cached_property
-    def regions(self) -> Regions:
-        """The free cells of the map divided among the submaps, as in overview.png."""
+    def division(self) -> tuple[GridMap, OwnerArray]:
+        """A grid of the map, and (H, W) the submap of each of its free cells, or NOBODY."""
         of_grid = self.path / filenames.LABELS_IMAGE
         if not of_grid.exists():
             borders = self.record.graph.edits.borders
-            return divide(self.map_grid, self.labels, fences_of(borders))
+            divided = divide(self.map_grid, self.labels, fences_of(borders))
+            return divided.grid, divided.owner
         if not (self.path / f"{filenames.MAP_GRID}.yaml").exists():
             return _composed(self)  # an earlier version divided it
         owner = read_picture(of_grid, self.limits)[..., 0].astype(np.int64) - 1
@@ -122,7 +123,12 @@ class StoredMap:
         if owner.shape != self.map_grid.cells.shape or not known:
             what = f"not the labels of {filenames.TOPOLOGY}"
             raise MapError(what, "make the map again", where=of_grid)
-        return Regions.of(self.map_grid, np.where(self.map_grid.free, owner, NOBODY))
+        return self.map_grid, np.where(self.map_grid.free, owner, NOBODY)
+
+    @cached_property
+    def regions(self) -> Regions:
+        """The free cells of the map divided among the submaps, as in overview.png."""
+        return Regions.of(*self.division)
 
     @cached_property
     def labels(self) -> Labels:
@@ -232,7 +238,7 @@ class StoredMap:
         return known_settings(written)[1] if isinstance(written, dict) else []
 
 
-def _composed(stored: StoredMap) -> Regions:
+def _composed(stored: StoredMap) -> tuple[GridMap, OwnerArray]:
     """The grids of all submaps laid out in the map, each the owner of what is free in it.
 
     Earlier versions kept no more of a grid that they divided. Raises MapError when the whole would
@@ -264,7 +270,7 @@ def _composed(stored: StoredMap) -> Regions:
             rows, columns = whole.cells_of(_placed(node, grid, grid.cells == value)).T
             whole.cells[rows, columns] = value
             owner[rows, columns] = node.id if value == FREE else NOBODY
-    return Regions.of(whole, owner)
+    return whole, owner
 
 
 def _placed(node: NodeRecord, grid: GridMap, cells: BoolArray) -> FloatArray:
