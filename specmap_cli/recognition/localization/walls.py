@@ -33,6 +33,7 @@ _OFF = 0.9  # a return that much off is two decimetres from walls: not by noise
 _FRONT_WEIGHT = 0.1  # of a return in space that the map saw empty: somebody, or a moved thing
 _BODY_M, _GAP_M = 1.2, 0.5  # such things are no wider; two returns on one are no farther apart
 _UNSEEN_WEIGHT = 0.25  # of a return where the map saw nothing
+_LATE_MOST = 0.08  # what the way so far says at the most against a place where the scan alone fits
 _MOST_RAYS = 120  # of a scan, one every three degrees all round: what is cast costs grows with them
 # What the pose of a match and the cells of a grid leave open, in heading and sideways. Along a wall
 # that moves the end of a ray by metres: so a ray may reach as far as any that passes so near.
@@ -145,7 +146,8 @@ class MapWalls:
             told = [self._off_walls(view.own, each) for each in poses]
             k = int(told[1][0] < told[0][0])
             pose, (alone, front) = poses[k], told[k]
-            off = 0.5 * (alone + self._off_walls(view.points, pose)[0])
+            late = self._off_walls(view.points, pose)[0]
+            off = min(0.5 * (alone + late), alone + _LATE_MOST)
         misfit = min(1.0, off + self._behind(view.posed, pose))
         # Misfits in known places are exponential, of the mean that the map's own views had; in
         # others, where they fit best, normal. What fits worse than those is no more of them for it.
