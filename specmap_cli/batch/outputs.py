@@ -122,7 +122,9 @@ class _Here(Folder):
     def fresh(self, scratch: Path) -> Iterator[Path]:
         """A new result beside the old one, which goes when it is complete."""
         del scratch  # a rename needs the same file system
-        with OutputDirectory(self._path, overwrite=True, marker=JOB) as directory:
+        with OutputDirectory(
+            self._path, overwrite=True, marker=JOB, ours=lambda _: True
+        ) as directory:
             yield directory
 
 
@@ -231,7 +233,7 @@ def taken(output: str) -> Iterator[Callable[[str], object]]:
         advice = "choose another place"
         raise UsageError.of_system(error, "cannot be written", advice, where=directory) from None
     try:
-        if not lock(holder):
+        if lock(holder) is not True:
             raise UsageError(
                 "another batch is writing there",
                 "wait for it, or choose another directory",

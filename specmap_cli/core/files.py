@@ -11,6 +11,7 @@ import re
 import stat
 import tempfile
 from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO
@@ -21,6 +22,7 @@ from specmap_cli.core.errors import MACHINE, OUTPUT, UsageError
 _AT_ONCE = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 
 _BYTES_PER_MB = 1_000_000
+_TOGETHER = 16  # files that are written to the disk at once
 
 
 def read_bytes(path: Path | str, most_mb: float, setting: str | None = None) -> bytes:
@@ -90,10 +92,12 @@ def complete_file(path: Path | str) -> Iterator[IO[bytes]]:
     partial = partial_of(target)
     try:
         remove_leftovers(target)
-        with partial.open("wb") as file:
-            lock(file.fileno())
+        with made(partial) as file:
             yield file
+            file.flush()
+            os.fsync(file.fileno())
         os.replace(partial, target)
+        to_disk(target.parent)
     except OSError as error:
         raise UsageError.of_system(
             error, "cannot be written", "choose another place", where=target, code=OUTPUT
@@ -104,8 +108,37 @@ def complete_file(path: Path | str) -> Iterator[IO[bytes]]:
 
 
 def partial_of(target: Path) -> Path:
-    """The hidden neighbour of a file in which this process writes it."""
-    return target.with_name(f".{target.name}.partial-{os.getpid()}")
+    """A hidden neighbour of a file in which to write it; nobody can know its name before."""
+    return target.with_name(f".{target.name}.partial-{os.urandom(8).hex()}")
+
+
+def made(path: Path) -> IO[bytes]:
+    """A new file to write, locked by this run. FileExistsError where there is one, or a link."""
+    file = path.open("xb")
+    lock(file.fileno())
+    return file
+
+
+def to_disk(*paths: Path) -> None:
+    """Wait until files and directories would survive a power cut; links need no word."""
+
+    def wait(path: Path) -> None:
+        if stat.S_IFMT(path.lstat().st_mode) not in (stat.S_IFREG, stat.S_IFDIR):
+            return
+        descriptor = os.open(path, _AT_ONCE)
+        try:
+            os.fsync(descriptor)
+        except OSError as error:
+            if error.errno != errno.EINVAL:  # a file system that does not know of it
+                raise
+        finally:
+            os.close(descriptor)
+
+    if len(paths) == 1:
+        wait(*paths)
+        return
+    with ThreadPoolExecutor(_TOGETHER) as threads:  # a disk writes many as fast as one
+        list(threads.map(wait, paths))
 
 
 def remove_leftovers(target: Path) -> tuple[Path, ...]:
@@ -114,7 +147,7 @@ def remove_leftovers(target: Path) -> tuple[Path, ...]:
     It has the name that `partial_of` gives, and no living run holds a lock on it. Raises OSError.
     """
     removed = []
-    ours = re.compile(re.escape(f".{target.name}.partial-") + r"\d+")
+    ours = re.compile(re.escape(f".{target.name}.partial-") + r"([0-9a-f]{16}|\d+)")
     for path in target.parent.iterdir():
         left = ours.fullmatch(path.name) and path.is_file() and not path.is_symlink()
         if left and is_nobody_s(path):
@@ -123,17 +156,30 @@ def remove_leftovers(target: Path) -> tuple[Path, ...]:
     return tuple(removed)
 
 
-def lock(descriptor: int) -> bool:
-    """Take the lock of an open file or directory; False when somebody has it or there are none."""
+def lock(descriptor: int) -> bool | None:
+    """Take the lock of an open file or directory; False: somebody has it; None: there are none."""
     try:
         import fcntl  # not on every system
     except ImportError:
-        return False
+        return None
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
+    except BlockingIOError:
         return False
+    except OSError:
+        return None
     return True
+
+
+def holder_of(descriptor: int) -> str:
+    """Who has the lock of an open file or directory, as far as the system tells."""
+    inode = f":{os.fstat(descriptor).st_ino}"
+    with suppress(OSError):
+        for line in Path("/proc/locks").read_text(encoding="ascii").splitlines():
+            _, kind, _, _, process, place, *_ = line.replace("-> ", "").split()
+            if kind == "FLOCK" and place.endswith(inode):
+                return f"process {process}"
+    return "another process"
 
 
 def is_nobody_s(path: Path) -> bool:
@@ -141,7 +187,7 @@ def is_nobody_s(path: Path) -> bool:
     with suppress(OSError):
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
         try:
-            return lock(descriptor)
+            return lock(descriptor) is True
         finally:
             os.close(descriptor)
     return False

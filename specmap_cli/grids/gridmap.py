@@ -172,8 +172,8 @@ def cell_distances(picture: CellArray) -> FloatArray:
     distances between cells are whole numbers: rounded to these, they are the same in every run.
     """
     pixels = cv2.distanceTransform(picture, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    squares = np.rint(np.square(pixels, dtype=np.float64))
-    return np.asarray(np.sqrt(squares), dtype=np.float64)
+    squares = np.square(pixels, dtype=np.float64)
+    return np.asarray(np.sqrt(np.rint(squares, out=squares), out=squares))
 
 
 def clearance_of(free: BoolArray) -> FloatArray:

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from specmap_cli import __version__
 from specmap_cli.core.arguments import Paths, path_of, paths_of
 from specmap_cli.core.errors import OUTPUT, OUTPUT_EXISTS, UsageError
-from specmap_cli.core.files import lock, partial_of, remove_leftovers
+from specmap_cli.core.files import made, partial_of, remove_leftovers, to_disk
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import LogConfig
@@ -77,10 +77,9 @@ class LogWriter:
         self._schemas: dict[str, int] = {}
         try:
             remove_leftovers(self.path)
-            self._file: IO[bytes] | None = self._part.open("wb")
+            self._file: IO[bytes] | None = made(self._part)
         except OSError as error:
             raise self._unwritable(error) from None
-        lock(self._file.fileno())  # by which others see that this run lives
         # Also runs at the exit of the interpreter: no interruption leaves the part behind.
         self._clean_up = weakref.finalize(self, self._part.unlink, missing_ok=True)
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
@@ -171,12 +170,14 @@ class LogWriter:
         try:
             self._writer.finish()  # type: ignore[no-untyped-call]
             self._file.close()
+            to_disk(self._part)
             os.replace(self._part, self.path)
+            to_disk(self.path.parent)
         except OSError as error:
             self.discard()
             raise self._unwritable(error) from None
         self._file = None
-        self._clean_up.detach()  # another writer may use the name of the part meanwhile
+        self._clean_up.detach()
 
     def discard(self) -> None:
         """Give up: nothing is left of the file."""

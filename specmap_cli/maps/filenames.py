@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 TOPOLOGY = "topology.json"
 CLASSIFIERS = "classifiers.json"
 FEATURES = "features.npz"
@@ -34,3 +36,9 @@ OF_A_MAP = frozenset(
         SUBMAPS,
     }
 )
+_GRID_OF_A_SUBMAP = re.compile(re.escape(SUBMAPS) + r"/\d+\.(png|yaml)")
+
+
+def is_of_a_map(path: str) -> bool:
+    """Whether a path inside a map directory is one that specmap writes."""
+    return path in OF_A_MAP or _GRID_OF_A_SUBMAP.fullmatch(path) is not None

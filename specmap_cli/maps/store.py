@@ -58,6 +58,12 @@ class StoredMap:
         self.record = record
         self.limits = LimitsConfig() if limits is None else limits
         self.note = note
+        self.as_read = _stamp_of(path / filenames.TOPOLOGY)
+
+    def refuse_changed(self) -> None:
+        """Raise MapError when another run or a person has replaced the map since it was read."""
+        if _stamp_of(self.path / filenames.TOPOLOGY) != self.as_read:
+            raise MapError("was replaced meanwhile", "run the command again", where=self.path)
 
     @property
     def ids(self) -> list[int]:
@@ -238,6 +244,15 @@ class StoredMap:
         return known_settings(written)[1] if isinstance(written, dict) else []
 
 
+def _stamp_of(path: Path) -> tuple[int, ...]:
+    """What changes when a file is written anew; nothing where there is none."""
+    try:
+        about = path.stat()
+    except OSError:
+        return ()
+    return about.st_ino, about.st_size, about.st_mtime_ns
+
+
 def _composed(stored: StoredMap) -> tuple[GridMap, OwnerArray]:
     """The grids of all submaps laid out in the map, each the owner of what is free in it.
 
@@ -328,9 +343,11 @@ def read_map(path: str | Path, limits: LimitsConfig | None = None) -> StoredMap:
             "expected a directory written by `specmap build`",
             where=path,
         )
-    limits = LimitsConfig() if limits is None else limits
+    limits, as_read = LimitsConfig() if limits is None else limits, _stamp_of(topology)
     record, note = read_topology(topology, limits)
-    return StoredMap(path, record, limits, note)
+    stored = StoredMap(path, record, limits, note)
+    stored.as_read = as_read  # not what it may be by now
+    return stored
 
 
 def opened_map(

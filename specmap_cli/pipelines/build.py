@@ -23,7 +23,6 @@ from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.directory import OutputDirectory, refuse_inside
-from specmap_cli.maps.filenames import EDITS
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.tracking import TrajectoryRecorder, track
 from specmap_cli.pipelines.worker import ahead
@@ -60,12 +59,6 @@ def build_map(
     given, target, progress = paths_of(logs, "logs"), path_of(out, "out"), progress or Silent()
     pictures = None if explain is None else path_of(explain, "explain")
     refuse_inside(pictures, target)
-    if (target / EDITS).exists():
-        raise UsageError(
-            f"its {EDITS} holds a person's decisions, which a new map would lose",
-            f"keep them with --like {target}, or move the file away",
-            where=target,
-        )
     with (
         open_log(given, config.log) as log,
         OutputDirectory(target, overwrite, progress) as partial,

@@ -158,7 +158,10 @@ def write_comparison(
         comparison.differences,
         (comparison.old.path.resolve().name, comparison.new.path.resolve().name),
     )
-    with OutputDirectory(path_of(out, "out"), overwrite, progress, COMPARISON) as partial:
+    files, target = {SUMMARY, COMPARISON, PICTURE}, path_of(out, "out")
+    with OutputDirectory(
+        target, overwrite, progress, marker=COMPARISON, ours=files.__contains__
+    ) as partial:
         summary = "\n".join(comparison.lines()) + "\n"
         (partial / SUMMARY).write_text(summary, encoding="utf-8")
         (partial / COMPARISON).write_text(to_json(comparison.as_dict()), encoding="utf-8")

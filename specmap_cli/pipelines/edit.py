@@ -85,18 +85,19 @@ def edit_map(
         progress.note(stored.note)
     target = stored.path if out is None else path_of(out, "out")
     in_place = os.path.realpath(target) == os.path.realpath(stored.path)
-    found = _drawn(stored, with_requested(edits_of_stored(stored), requested))
-    known = sorted(set(found.submaps.tolist()) - {NO_SUBMAP})
-    for id_ in requested.submaps:
-        if id_ not in known:
-            there = ", ".join(str(each) for each in known)
-            raise UsageError(
-                f"there is no submap {id_} to name or to describe", f"choose from {there}"
-            )
-    skipped = [f"{number_of(place)}: {why}" for place, why in sorted(found.skipped.items())]
-    _refuse_unapplied(skipped, found, requested)
-    anew = found.borders != stored.record.graph.edits.borders
-    with OutputDirectory(target, overwrite or in_place, progress) as partial:
+    # once the map is held nobody changes its edits.toml unseen
+    with OutputDirectory(target, overwrite or in_place, progress, made_of=[stored]) as partial:
+        found = _drawn(stored, with_requested(edits_of_stored(stored), requested))
+        known = sorted(set(found.submaps.tolist()) - {NO_SUBMAP})
+        for id_ in requested.submaps:
+            if id_ not in known:
+                there = ", ".join(str(each) for each in known)
+                raise UsageError(
+                    f"there is no submap {id_} to name or to describe", f"choose from {there}"
+                )
+        skipped = [f"{number_of(place)}: {why}" for place, why in sorted(found.skipped.items())]
+        _refuse_unapplied(skipped, found, requested)
+        anew = found.borders != stored.record.graph.edits.borders
         if anew:
             topology, unapplied = _made_anew(stored, found, config, progress, partial)
         else:

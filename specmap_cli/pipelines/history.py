@@ -137,7 +137,10 @@ def write_history(
     Raises UsageError for an output in the way.
     """
     plans, target = [read_map(path, limits) for path in report.plans], path_of(out, "out")
-    with OutputDirectory(target, overwrite, progress, HISTORY) as partial:
+    files = {HISTORY, PAGE, *TABLES}
+    with OutputDirectory(
+        target, overwrite, progress, marker=HISTORY, ours=files.__contains__
+    ) as partial:
         (partial / HISTORY).write_text(to_json(report.as_dict()), encoding="utf-8")
         for name, table in TABLES.items():
             (partial / name).write_text(table(report.record), encoding="utf-8")

@@ -122,7 +122,8 @@ def _drawn(session: Session, layout: Layout) -> tuple[GridMap, int, LabelArray |
     store, config = session.store, session.config
     with session.clock.stage("grids"):
         counts = integrate_keyframes(store, range(len(store)), layout.poses, config.grid)
-        whole = counts.snapshot()
+        whole, beyond = counts.snapshot(), counts.refused
+        del counts  # of a large building they are most of the memory
     if not whole.cells.size:
         raise NoResultError(
             "no scan fits into the largest grid allowed: nothing to map",
@@ -130,7 +131,7 @@ def _drawn(session: Session, layout: Layout) -> tuple[GridMap, int, LabelArray |
             mark=";",
         )
     with session.clock.stage("segmentation"):
-        return whole, counts.refused, division_of(whole, layout, config)
+        return whole, beyond, division_of(whole, layout, config)
 
 
 def division_of(whole: GridMap, layout: Layout, config: Config) -> LabelArray | None:

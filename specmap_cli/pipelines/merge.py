@@ -69,7 +69,10 @@ def merge_maps(
     config = settings_for(first, {}) if config is None else instance_of(config, Config, "config")
     ordered = sorted(given, key=_age)
     check_feature_sets(config)
-    with OutputDirectory(target, overwrite, progress) as partial, KeyframeStore() as store:
+    with (
+        OutputDirectory(target, overwrite, progress, made_of=given) as partial,
+        KeyframeStore() as store,
+    ):
         session = Session(config, store, progress)
         parts = [laid_out_of_stored(stored) for stored in ordered]
         to_align = [stored_to_align(stored) for stored in ordered]

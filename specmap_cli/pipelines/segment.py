@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from specmap_cli.core.arguments import instance_of, path_of
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import IDENTITY
@@ -93,7 +91,7 @@ def segment_map(
             where=path,
         )
     found = segment_floorplan(whole, config.segmentation)
-    regions = Regions.of(whole, np.asarray(found.labels, dtype=np.int64))
+    regions = Regions.of(whole, found.labels)
     with OutputDirectory(target, overwrite) as partial:
         grids = {k: region_grid(whole, found.labels == k) for k in range(found.count)}
         submaps = {k: Submap(id=k, map_from_submap=IDENTITY, grid=own) for k, own in grids.items()}

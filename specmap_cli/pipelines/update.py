@@ -84,7 +84,7 @@ def update_map(
     check_feature_sets(config)
     with (
         open_log(given, config.log) as log,
-        OutputDirectory(target, overwrite, progress) as partial,
+        OutputDirectory(target, overwrite, progress, made_of=[stored]) as partial,
         stored.keyframes() as store,
     ):
         session, old = Session(config, store, progress), laid_out_of_stored(stored)
@@ -175,7 +175,7 @@ def build_like(
     check_feature_sets(config)
     with (
         open_log(given, config.log) as log,
-        OutputDirectory(target, overwrite, progress) as partial,
+        OutputDirectory(target, overwrite, progress, made_of=[stored]) as partial,
         KeyframeStore() as store,
     ):
         session = Session(config, store, progress)

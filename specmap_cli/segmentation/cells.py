@@ -17,7 +17,6 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.records import IntArray
 from specmap_cli.grids.gridmap import BoolArray, contacts, nearest_values
 from specmap_cli.segmentation.visibility import IndexArray, LabelArray
 
@@ -26,6 +25,7 @@ Pair = tuple[int, int]
 _RINGS = 3  # cells by which labels creep: the fringe of free cells beside a wall of 0.1 m cells
 _LEVELS = 126  # heights of the relief that is flooded: the sum of two of them, and one, fit a byte
 _AROUND = np.array([(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1)])
+_ROWS = 256  # made at once: bounds the memory
 _TINY = 1e-9  # cells; keeps a grid without free space from dividing by zero
 
 _RATIO_SLACK = 1e-9  # a border of just the ratio asked for joins, whatever the last digit
@@ -35,13 +35,9 @@ _SAME = 0.5  # intersection over union above which regions are the same: each ha
 
 def flood_labels(clearance: FloatArray, nodes: IndexArray, labels: LabelArray) -> LabelArray:
     """(h, w) labels grown from the nodes (n, 2) in order of falling clearance; -1 unreached."""
-    free = clearance > 0.0
     if not len(nodes):
         return np.full(clearance.shape, -1, dtype=np.int32)
-    flooded = _watershed(clearance, nodes, labels)
-    piece, held = _pieces(free, tuple(nodes.T))
-    flooded[(flooded < 0) | ~held[piece]] = -1
-    return spread_labels(flooded, free)
+    return spread_labels(_watershed(clearance, nodes, labels), clearance > 0.0)
 
 
 def flooded_at(
@@ -53,30 +49,19 @@ def flooded_at(
     """
     low = np.minimum(nodes.min(axis=0), cells.min(axis=0))
     high = np.maximum(nodes.max(axis=0), cells.max(axis=0)) + 1
-    clearance, nodes, cells = (
-        clearance[low[0] : high[0], low[1] : high[1]],
-        nodes - low,
-        cells - low,
-    )
-    flooded = _watershed(clearance, nodes, labels)
-    piece, held = _pieces(clearance > 0.0, tuple(nodes.T))
-    found = _at(flooded, piece, held, cells)
-    lines = np.flatnonzero((found < 0) & (piece[cells[:, 0], cells[:, 1]] > 0))
+    clearance, nodes = clearance[low[0] : high[0], low[1] : high[1]], nodes - low
+    flooded, cells = _watershed(clearance, nodes, labels), cells - low
+    found = np.asarray(flooded[tuple(cells.T)])
+    lines = np.flatnonzero((found < 0) & (clearance[tuple(cells.T)] > 0.0))
     around = np.clip(cells[lines, None] + _AROUND, 0, np.array(clearance.shape) - 1)
-    found[lines] = _at(flooded, piece, held, around.reshape(-1, 2)).reshape(-1, 9).max(axis=1)
+    found[lines] = flooded[tuple(around.reshape(-1, 2).T)].reshape(-1, 9).max(axis=1)
     if (found[lines] >= 0).all():
         return found
-    return flood_labels(clearance, nodes, labels)[cells[:, 0], cells[:, 1]]
-
-
-def _at(flooded: LabelArray, piece: LabelArray, held: BoolArray, cells: IndexArray) -> LabelArray:
-    """(p,) labels of some cells (p, 2) that the flood reached from a node, -1 of others."""
-    rows, columns = cells.T
-    return np.where(held[piece[rows, columns]], np.maximum(flooded[rows, columns], -1), -1)
+    return np.asarray(spread_labels(flooded, clearance > 0.0)[tuple(cells.T)])
 
 
 def _watershed(clearance: FloatArray, nodes: IndexArray, labels: LabelArray) -> LabelArray:
-    """(h, w) labels flooded from the nodes (n, 2), below 0 on the lines between two of them.
+    """(h, w) labels flooded from the nodes (n, 2); -1 on the lines between two of them and apart.
 
     This is Meyer's watershed on a relief whose height falls with the clearance: two
     fronts meet where the passage between them is narrowest. OpenCV takes cells in the order of the
@@ -85,32 +70,38 @@ def _watershed(clearance: FloatArray, nodes: IndexArray, labels: LabelArray) -> 
     It floods walls, too, and free cells behind them.
     """
     top = max(float(clearance.max(initial=0.0)), _TINY)
-    height = np.rint((1.0 - clearance / top) * _LEVELS).astype(np.uint8)
-    relief = height + np.uint8(_LEVELS + 2)
-    for black in (np.s_[::2, ::2], np.s_[1::2, 1::2]):
-        relief[black] = np.uint8(_LEVELS + 1) - height[black]
-    wall = np.uint8(255) * (clearance <= 0.0)
-    relief[wall > 0] = 0
-    nothing = np.zeros_like(relief)
-    picture = cv2.copyMakeBorder(
-        cv2.merge([relief, wall, nothing]), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=(0, 255, 0)
-    )
+    rows, columns = clearance.shape
+    picture = np.zeros((rows + 2, columns + 2, 3), dtype=np.uint8)
+    picture[:, :, 1] = 255
+    for first in range(0, rows, _ROWS):
+        some = clearance[first : first + _ROWS]
+        height = np.rint((1.0 - some / top) * _LEVELS).astype(np.uint8)
+        relief = height + np.uint8(_LEVELS + 2)
+        for row, black in ((first % 2, np.s_[::2]), (1 - first % 2, np.s_[1::2])):
+            relief[row::2, black] = np.uint8(_LEVELS + 1) - height[row::2, black]
+        wall = some <= 0.0
+        relief[wall] = 0
+        part = picture[1 + first : 1 + first + len(some), 1:-1]
+        part[:, :, 0], part[:, :, 1] = relief, np.uint8(255) * wall
     markers = np.zeros(picture.shape[:2], dtype=np.int32)
     markers[nodes[:, 0] + 1, nodes[:, 1] + 1] = labels + 1
     cv2.watershed(picture, markers)
-    return markers[1:-1, 1:-1] - 1
+    flooded = markers[1:-1, 1:-1]
+    flooded -= 1
+    flooded[(flooded < 0) | ~_held(clearance > 0.0, tuple(nodes.T))] = -1
+    return flooded
 
 
-def _pieces(free: BoolArray, seeds: Any) -> tuple[LabelArray, BoolArray]:
-    """The piece (h, w) of `free` that a cell is of, 0: none; and which pieces hold a seed.
+def _held(free: BoolArray, seeds: Any) -> BoolArray:
+    """(h, w) the cells of the pieces of `free` that hold a seed, joined over edges and corners.
 
-    `seeds` is an index of cells. Pieces are joined over edges and corners.
+    `seeds` is an index of cells.
     """
     count, piece = cv2.connectedComponents(free.astype(np.uint8), connectivity=8)
     held = np.zeros(count, dtype=bool)
     held[piece[seeds]] = True
     held[0] = False
-    return np.asarray(piece, dtype=np.int32), held
+    return np.asarray(held[piece])
 
 
 def nearest_labels(free: BoolArray, nodes: IndexArray, labels: LabelArray) -> LabelArray:
@@ -133,7 +124,8 @@ def spread_labels(
     missing = free & (labels < 0)
     if not missing.any():
         return labels
-    grown = (labels + 1).astype(np.uint16)
+    grown = labels.astype(np.uint16)
+    grown += 1
     around = np.ones((3, 3), dtype=np.uint8)
     for _ in range(rings):
         bigger = cv2.dilate(grown, around)
@@ -141,11 +133,12 @@ def spread_labels(
         grown[open_cells] = bigger[open_cells]
     missing &= (grown == 0) & everywhere
     if missing.any():
-        piece, held = _pieces(free, grown > 0)
-        missing &= held[piece]
+        missing &= _held(free, grown > 0)
     if missing.any():
         grown[missing] = nearest_values(grown)[0][missing]
-    return grown.astype(np.int32) - 1
+    spread = grown.astype(np.int32)
+    spread -= 1
+    return spread
 
 
 def local_widths(
@@ -223,7 +216,7 @@ def consensus(divisions: Sequence[LabelArray]) -> LabelArray:
     that division counts, then the first.
     """
     some = np.any([division >= 0 for division in divisions], axis=0)
-    others = [division[some].astype(np.int64) + 1 for division in divisions]  # 0: no label
+    others = [division[some] + np.int32(1) for division in divisions]  # 0: no label
     likeness = [math.fsum(_alike(one, other)[1] for other in others) for one in others]
     middle = others.pop(int(np.argmax(likeness)))
     for other in others:
@@ -232,7 +225,8 @@ def consensus(divisions: Sequence[LabelArray]) -> LabelArray:
     votes = [middle]
     for other in others:
         iou = _alike(middle, other)[0]
-        votes.append(np.where(iou.max(axis=0) > _SAME, iou.argmax(axis=0), 0)[other])
+        same = np.where(iou.max(axis=0) > _SAME, iou.argmax(axis=0), 0).astype(np.int32)
+        votes.append(same[other])
     cast = np.array(votes)
     split = (cast != middle).any(axis=0)
     cast = cast[:, split]
@@ -243,7 +237,7 @@ def consensus(divisions: Sequence[LabelArray]) -> LabelArray:
     return labels
 
 
-def _alike(one: IntArray, other: IntArray) -> tuple[FloatArray, float]:
+def _alike(one: LabelArray, other: LabelArray) -> tuple[FloatArray, float]:
     """Intersection over union (k, l) of the regions 1, 2, ... of two divisions (n,); 0: no region.
 
     Also the mean, over the regions of both that have cells, of the best of each.

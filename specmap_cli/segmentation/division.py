@@ -100,63 +100,79 @@ def segment(grid: GridMap, config: SegmentationConfig, *, rooms: bool = False) -
     """
     upright = upright_map(grid, config.cell_m, config.node_step_m)
     work, cell_m = upright.grid, upright.grid.resolution
-    small = furniture(work.free, cell_m, config)  # step 1
-    opened = narrowed = work.free | small
-    if config.wide_door_m:
-        opened, narrowed = with_narrow_doors(work.free, small, cell_m, config.wide_door_m)
-    clearance = clearance_of(narrowed)
-    placements = [  # step 2
-        _placement(clearance, cell_m, config, upright.block, number)
-        for number in range(config.placements)
-    ]
-    cells = consensus([found for found, _, _ in placements])  # step 3
+    cells, graph, spectrum = _divided(work, config, upright.block)
     least = config.clearance_m / cell_m
-    if config.merge:  # step 4
-        cells = without_rings(cells)
-        cells = without_dead_ends(cells, clearance, least, _ALCOVE_M2 / cell_m**2)
-    cells = spread_labels(cells, opened)
     if rooms:  # step 5
         cells = entered(cells, work, least)
     if config.fill:
         cells = fill_cupboards(cells, pieces_at_walls(work, FURNITURE_THICK_M), cell_m)
     else:
         cells = np.where(work.free, cells, np.int32(-1))
-    furnished = upright.labels_in(grid, np.where(work.free, np.int32(-1), cells))
-    fine = np.where(grid.free, upright.labels_in(grid, cells), furnished)
+    fine = upright.cells_in(grid, cells, -1)
+    fine[~grid.free & upright.cells_in(grid, work.free, False)] = -1  # furniture alone has a label
     fine = spread_labels(fine, grid.free, upright.step + 1, everywhere=not rooms)
     sizes = np.bincount(fine[fine >= 0], minlength=int(cells.max(initial=0)) + 1)
-    names = np.zeros(len(sizes), dtype=np.int32)
+    names = np.full(len(sizes) + 1, -1, dtype=np.int32)  # the last is that of no region
     names[np.argsort(-sizes, kind="stable")] = np.arange(len(sizes))
-    _, graph, spectrum = placements[0]
-    node_labels = cells[graph.nodes[:, 0], graph.nodes[:, 1]]
     return Segmentation(
-        labels=np.where(fine < 0, np.int32(-1), names[fine]),
+        labels=names[fine],
         nodes=upright.places(grid, graph.nodes),
-        node_labels=np.where(node_labels < 0, np.int32(-1), names[node_labels]),
+        node_labels=names[cells[tuple(graph.nodes.T)]],
         pairs=graph.pairs,
         spectrum=spectrum,
     )
 
 
-def _placement(
-    clearance: FloatArray, cell_m: float, config: SegmentationConfig, block: int, number: int
+def _divided(
+    work: GridMap, config: SegmentationConfig, block: int
 ) -> tuple[LabelArray, VisibilityGraph, Spectrum]:
-    """The labels (h, w) of the working grid by one placement of the nodes, and what led to them.
+    """Steps 1 to 4 of `segment`: the regions (h, w) of a working grid, with its furniture.
+
+    Also what the first placement led to. Nodes stand in blocks of `block` x `block` cells.
+    """
+    cell_m = work.resolution
+    small = furniture(work.free, cell_m, config)  # step 1
+    opened = narrowed = work.free | small
+    if config.wide_door_m:
+        opened, narrowed = with_narrow_doors(work.free, small, cell_m, config.wide_door_m)
+    clearance = clearance_of(narrowed)
+    space = clearance > 0.0
+    placements = [  # step 2
+        _placement(clearance, space, cell_m, config, block, number)
+        for number in range(config.placements)
+    ]
+    cells = np.full(space.shape, -1, dtype=np.int32)
+    cells[space] = consensus([found for found, _, _ in placements])  # step 3
+    if config.merge:  # step 4
+        cells = without_rings(cells)
+        least, alcove = config.clearance_m / cell_m, _ALCOVE_M2 / cell_m**2
+        cells = without_dead_ends(cells, clearance, least, alcove)
+    return spread_labels(cells, opened), *placements[0][1:]
+
+
+def _placement(
+    clearance: FloatArray,
+    space: BoolArray,
+    cell_m: float,
+    config: SegmentationConfig,
+    block: int,
+    number: int,
+) -> tuple[LabelArray, VisibilityGraph, Spectrum]:
+    """The labels (n,) of the `space` (h, w) by one placement of the nodes, and what led to them.
 
     Placements differ in how far before the grid the blocks of the nodes begin. Lengths in the graph
     are coarse cells.
     """
     least, sight = config.clearance_m / cell_m, config.sight_m / cell_m
     before = round(number / config.placements * block)
-    shifted = np.pad(clearance, ((before, 0), (before, 0)))
-    nodes = sample_nodes(shifted, block, least, config.nodes) - before
+    nodes = sample_nodes(clearance, block, least, config.nodes, before)
     graph = visibility_graph(clearance, nodes, sight, least)
     spectrum = spectral_clusters(graph, config)
     clusters = spectrum.labels
     if config.halve:
         clusters = split_again(graph, clusters, config.neighbours, config.halve_eigenvalue)
     if config.labels == "nearest":
-        cells = nearest_labels(clearance > 0.0, nodes, clusters)
+        cells = nearest_labels(space, nodes, clusters)
     else:
         cells = flood_labels(clearance, nodes, clusters)
     if config.merge and len(clusters):  # clusters that no narrowing separates
@@ -168,8 +184,8 @@ def _placement(
             for label in range(int(clusters.max()) + 1)
         ]
         names = joined_wide(border_widths(cells, clearance), widths, config.merge_ratio)
-        cells = np.where(cells < 0, np.int32(-1), names[cells])
-    return cells, graph, spectrum
+        return np.append(names, np.int32(-1))[cells[space]], graph, spectrum
+    return cells[space], graph, spectrum
 
 
 def regions_of(

@@ -18,13 +18,14 @@ import numpy as np
 
 from specmap_cli.core.records import IntArray
 from specmap_cli.core.settings import SegmentationConfig
-from specmap_cli.grids.gridmap import UNKNOWN, BoolArray, GridMap, cell_distances
+from specmap_cli.grids.gridmap import UNKNOWN, BoolArray, CellArray, GridMap
 from specmap_cli.segmentation.visibility import LabelArray
 
 # Solid furniture is thicker than this across: walls are thinner than tables.
 FURNITURE_THICK_M = 0.4
 _SLACK = 1e-9  # sizes that are equal on paper stay equal in floating point
 _SLIT_M = 0.15  # free space narrower than this between two pieces of a wall is noise
+_ROUNDING = 1e-3  # cells: more than OpenCV errs by, less than from one distance to the next
 _SOLID = 0.5  # share of its rectangle: furniture fills three quarters, corners of walls a third
 
 _LONGEST_M = 4.0  # a row of cupboards; larger is what was never seen, and thick walls
@@ -33,6 +34,7 @@ _REACH_M = 0.2  # from a piece to the labelled cells of its room
 _DOOR_M = 0.8  # what is left of a wide opening; beside a post, none is wider than two doors
 _SPACE_M = 0.9  # the least free space in front of a wall; posts are thinner
 _WALL_M = 0.5  # the least length of a wall beside an opening; twice this is too thick for one
+_ROWS = 256  # looked at in one go: bounds the memory
 _LINE_M = 6.0  # the longest row of openings and posts between two walls
 
 
@@ -100,10 +102,10 @@ def pieces_at_walls(grid: GridMap, thick_m: float) -> LabelArray:
     outside = (large[piece] & framed)[1:-1, 1:-1]
     # cells that a disc covers which is so wide and fits in
     blocked = np.pad(~grid.free & ~outside, radius + 1).astype(np.uint8)
-    middle = cell_distances(blocked) > radius
+    middle = ~_near(blocked, radius)
     if not middle.any():
         return nowhere
-    covered = cell_distances((~middle).astype(np.uint8)) <= radius
+    covered = _near((~middle).astype(np.uint8), radius)
     thick = covered[radius + 1 : -radius - 1, radius + 1 : -radius - 1]
     pieces, large = _pieces(thick, grid.resolution)
     for edge in (pieces[0], pieces[-1], pieces[:, 0], pieces[:, -1]):
@@ -130,6 +132,11 @@ def fill_cupboards(labels: LabelArray, pieces: LabelArray, resolution: float) ->
     return np.where((pieces > 0) & (labels < 0), best[pieces], labels)
 
 
+def _near(picture: CellArray, radius: int) -> BoolArray:
+    """(H, W) the cells no farther than `radius` cells from a zero of a picture (H, W)."""
+    return cv2.distanceTransform(picture, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) <= radius + _ROUNDING
+
+
 def _pieces(mask: BoolArray, resolution: float) -> tuple[LabelArray, BoolArray]:
     """The number (H, W) of each piece of a mask, 0 outside; which (k,) are longer than furniture.
 
@@ -151,11 +158,18 @@ def with_narrow_doors(
     framed, pieces = np.pad(free | small, 1), np.pad(small, 1)
     metres = widest_m, _DOOR_M, _SPACE_M, _WALL_M, _LINE_M
     lengths = [max(1, round(length / resolution)) for length in metres]
-    rows = _along_rows(framed, pieces, *lengths)
-    columns = _along_rows(framed.T, pieces.T, *lengths)
-    jambs, posts = ((one | other.T)[1:-1, 1:-1] for one, other in zip(rows, columns, strict=True))
-    opened = free | (small & ~posts)
-    return opened, opened & ~jambs
+    jambs, posts = np.zeros_like(framed), np.zeros_like(framed)
+    reach = sum(lengths[2:4]) + 1  # rows that have a say in what a row is
+    rows, columns = (framed, pieces, jambs, posts), (framed.T, pieces.T, jambs.T, posts.T)
+    for cells, things, *found in (rows, columns):
+        for first in range(0, len(cells), _ROWS):
+            low, end = max(0, first - reach), first + _ROWS
+            some, own = slice(low, end + reach), slice(first - low, end - low)
+            made = _along_rows(cells[some], things[some], *lengths)
+            for mask, new in zip(found, made, strict=True):
+                mask[first:end] |= new[own]
+    opened = free | (small & ~posts[1:-1, 1:-1])
+    return opened, opened & ~jambs[1:-1, 1:-1]
 
 
 def _along_rows(

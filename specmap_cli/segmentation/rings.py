@@ -22,19 +22,23 @@ def without_rings(labels: LabelArray) -> LabelArray:
     sides = labels.copy()
     for label, window in enumerate(ndimage.find_objects(labels + 1)):
         region = np.pad(labels[window] == label, 1)
-        _, around = cv2.connectedComponents((~region).astype(np.uint8), connectivity=4)
-        size = np.bincount(around.ravel(), weights=~region.ravel())
-        cuts = np.zeros_like(region)
-        for number, box in enumerate(ndimage.find_objects(around), 1):
-            if number != around[0, 0]:  # an obstacle of less than half of its size is passed over
-                large = 2 * size >= size[number]
+        beyond = (~region).astype(np.uint8)
+        _, around, stats, _ = cv2.connectedComponentsWithStats(beyond, connectivity=4)
+        cuts, size = np.zeros_like(region), stats[:, cv2.CC_STAT_AREA]
+        for number, (left, top, wide, high, _) in enumerate(stats.tolist()):
+            if number not in (0, around[0, 0]):
+                large = 2 * size >= size[number]  # an obstacle that is smaller is passed over
                 large[[0, around[0, 0]]] = False, True
-                near = tuple(slice(max(0, 2 * s.start - s.stop), 2 * s.stop - s.start) for s in box)
+                rows = slice(max(0, top - high), top + 2 * high)
+                near = rows, slice(max(0, left - wide), left + 2 * wide)
                 _cut_round(around[near] == number, large[around[near]], cuts[near])
         cuts &= region
-        _, piece = cv2.connectedComponents((region & ~cuts).astype(np.uint8), connectivity=8)
+        if not cuts.any():
+            continue
+        rest = (region & ~cuts).astype(np.uint8)
+        _, piece, stats, _ = cv2.connectedComponentsWithStats(rest, connectivity=8)
         beside = np.unique(piece[(cv2.dilate(cuts.astype(np.uint8), _BESIDE) > 0) & (piece > 0)])
-        scrap = np.bincount(piece.ravel())[beside] <= np.count_nonzero(cuts)
+        scrap = stats[beside, cv2.CC_STAT_AREA] <= np.count_nonzero(cuts)
         here, piece = sides[window], piece[1:-1, 1:-1]
         here[cuts[1:-1, 1:-1] | np.isin(piece, beside[scrap])] = -1
         for number in beside[~scrap][1:]:

@@ -18,6 +18,7 @@ from specmap_cli.grids.gridmap import BoolArray
 LabelArray = NDArray[np.int32]
 IndexArray = NDArray[np.intp]
 
+_AT_ONCE = 1 << 20  # cells of blocks looked at in one go: bounds the memory
 _CHUNK = 1 << 16  # pairs traced at once: bounds the memory
 _STEPS = 8  # of all lines before those that have ended are cleared out
 _SLACK = 1e-9  # lengths that are equal on paper stay equal in floating point
@@ -42,28 +43,34 @@ def visibility_graph(
     return VisibilityGraph(nodes, pairs, np.hypot(delta[:, 0], delta[:, 1]))
 
 
-def sample_nodes(clearance: FloatArray, step: int, least: float, choice: str) -> IndexArray:
+def sample_nodes(
+    clearance: FloatArray, step: int, least: float, choice: str, before: int = 0
+) -> IndexArray:
     """(n, 2) row and column of one node in each block of `step` x `step` cells, in block order.
 
     `choice` "clearest" takes the cell with the largest clearance of a block, so that nodes stand in
     the middle of rooms and doorways; "centre" takes the block's middle cell. Blocks whose cell has
-    no more clearance than `least` give no node.
+    no more clearance than `least` give no node. The first block begins `before` rows and columns
+    off the grid.
     """
     height, width = clearance.shape
-    rows, columns = -(-height // step), -(-width // step)
-    padded = np.zeros((rows * step, columns * step))
-    padded[:height, :width] = clearance
-    blocks = (
-        padded.reshape(rows, step, columns, step).swapaxes(1, 2).reshape(rows, columns, step**2)
-    )
-    if choice == "clearest":
-        chosen = blocks.argmax(axis=2)
-    else:
-        chosen = np.full((rows, columns), (step // 2) * step + step // 2)
-    value = np.take_along_axis(blocks, chosen[:, :, None], axis=2)[:, :, 0]
-    row, column = np.nonzero(value > max(least, 0.0) + _SLACK)
-    inner = chosen[row, column]
-    return np.column_stack([row * step + inner // step, column * step + inner % step])
+    columns = max(1, -(-(before + width) // step))
+    many = step * max(1, _AT_ONCE // (columns * step**2))  # rows of some blocks
+    nodes = [np.zeros((0, 2), dtype=np.intp)]
+    for top in range(-before, height, many):
+        first, end = max(top, 0), min(top + many, height)
+        blocks = np.zeros((-(-(end - top) // step) * step, columns * step))
+        blocks[first - top : end - top, before : before + width] = clearance[first:end]
+        inner = blocks.reshape(-1, step, columns, step).swapaxes(1, 2).reshape(-1, columns, step**2)
+        if choice == "clearest":
+            chosen = inner.argmax(axis=2)
+        else:
+            chosen = np.full(inner.shape[:2], (step // 2) * step + step // 2)
+        value = np.take_along_axis(inner, chosen[:, :, None], axis=2)[:, :, 0]
+        row, column = np.nonzero(value > max(least, 0.0) + _SLACK)
+        down, across = np.divmod(chosen[row, column], step)
+        nodes.append(np.column_stack([top + row * step + down, column * step + across - before]))
+    return np.concatenate(nodes)
 
 
 def near_pairs(nodes: IndexArray, reach: float) -> IndexArray:

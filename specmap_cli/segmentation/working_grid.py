@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -24,13 +24,14 @@ from specmap_cli.grids.gridmap import (
     GridMap,
     window_of,
 )
-from specmap_cli.segmentation.visibility import LabelArray
 
 _AROUND = np.ones((5, 5), dtype=np.uint8)  # wider than the rays of a laser far away, in cells
 _FRAME = 3  # coarse cells round the free space: walls stand there
 _STEPS_DEGREES = (1.0, 0.1)  # between the directions that are looked at, first and last
 _SLIGHT_DEGREES = 1.5  # walls that lean no more are as good as upright: cells stay as they are
 _LARGEST = 20_000  # cells a side; a larger map stays as it lies: OpenCV counts to 32,767
+
+_Value = TypeVar("_Value", bound=np.generic)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,18 +53,19 @@ class UprightMap:
     shape: tuple[int, int]
     tilt: FloatArray | None
 
-    def labels_in(self, fine: GridMap, labels: LabelArray) -> LabelArray:
-        """(H, W) the `labels` (h, w) of the coarse cells on those of the `fine` map; else -1."""
+    def cells_in(self, fine: GridMap, values: NDArray[_Value], elsewhere: int) -> NDArray[_Value]:
+        """(H, W) the `values` (h, w) of the coarse cells on those of the `fine` map."""
         if self.tilt is not None:
             back, size = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP, self.shape[::-1]
-            values = labels.astype(np.float32)
-            turned = cv2.warpAffine(values, self.tilt, size, flags=back, borderValue=(-1.0,))
-            labels = turned.astype(np.int32)
+            turned = cv2.warpAffine(
+                values.astype(np.float32), self.tilt, size, flags=back, borderValue=(elsewhere,)
+            )
+            values = turned.astype(values.dtype)
         rows, columns = self.before
         high, wide = fine.cells[self.window].shape[:: -1 if self.turns % 2 else 1]
-        spread = np.repeat(np.repeat(labels, self.step, axis=0), self.step, axis=1)
+        spread = np.repeat(np.repeat(values, self.step, axis=0), self.step, axis=1)
         spread = spread[rows : rows + high, columns : columns + wide]
-        whole = np.full(fine.cells.shape, -1, dtype=np.int32)
+        whole = np.full(fine.cells.shape, elsewhere, dtype=values.dtype)
         whole[self.window] = np.rot90(spread, -self.turns)
         return whole
 

@@ -168,10 +168,12 @@ def flood(
     """
     entered = passable if fences is None else passable & ~fences
     picture = np.pad(np.where(entered, np.uint8(0), np.uint8(255)), 1, constant_values=255)
-    flooded = cv2.watershed(cv2.merge([picture] * 3), np.pad(markers, 1))
-    closed = cv2.dilate(flooded.astype(np.float32), _CROSS)  # ids are exact in single precision
+    flooded = np.pad(markers, 1)
+    cv2.watershed(cv2.merge([picture] * 3), flooded)
     fronts = (flooded < 0) & np.pad(passable, 1)
-    return np.where(fronts, closed, flooded).astype(np.int32)[1:-1, 1:-1]
+    ids = flooded.astype(np.float32)  # exact in single precision
+    flooded[fronts] = cv2.dilate(ids, _CROSS)[fronts]
+    return flooded[1:-1, 1:-1]
 
 
 def drawn(fences: Iterable[Line], grid: GridMap) -> BoolArray:
@@ -231,7 +233,8 @@ class Space:
 
         Zero for cells that are not free.
         """
-        return np.asarray(np.maximum(self.away - 0.5, 0.0) * self.grid.resolution)
+        inside = self.away - 0.5
+        return np.multiply(np.maximum(inside, 0.0, out=inside), self.grid.resolution, out=inside)
 
     def place(self, cell: FloatArray | IntArray) -> tuple[float, float]:
         """x and y in the map of a row and a column, which may have fractions."""

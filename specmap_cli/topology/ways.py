@@ -55,18 +55,20 @@ def ways(
     The time is that of one search over the cells of each submap: linear in the area.
     """
     clearance, most = space.clearance, _COMFORT * radius_m
+    price = np.minimum(clearance, most)
     with np.errstate(divide="ignore"):
-        price = most / np.minimum(clearance, most)
+        np.divide(most, price, out=price)
     price[clearance < radius_m] = np.inf
-    windows, trees = windows_of(space.owner), {}
-    for submap, window in windows.items():
+    windows, trees, wanted = windows_of(space.owner), {}, list(pairs)
+    for submap in {submap for pair in wanted for submap in pair} & windows.keys():
+        window = windows[submap]
         mine = (space.owner[window] == submap) & np.isfinite(price[window])
         trees[submap] = tree(mine, price[window], window, anchors[submap].cell)
     borders: dict[Pair, list[Border]] = {}
     for border in borders_of(space.owner):
         borders.setdefault(border.pair, []).append(border)
     land = _Land(space, clearance, price, anchors, windows, trees, borders)
-    return {pair: _way(land, pair) for pair in pairs}
+    return {pair: _way(land, pair) for pair in wanted}
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +166,7 @@ def anchors_of(
     railing or glass.
     """
     clearance = space.clearance
-    visits = np.zeros(space.owner.shape, dtype=np.int64)
+    visits = np.zeros(space.owner.shape, dtype=np.int32)
     np.add.at(visits, tuple(stood.T), 1)
     anchors = {}
     for submap, window in windows_of(space.owner).items():
@@ -206,7 +208,7 @@ class Tree:
     """
 
     corner: IntArray
-    number: IntArray
+    number: NDArray[np.int32]
     cells: IntArray
     cost: FloatArray
     before: NDArray[np.int32]
@@ -234,7 +236,7 @@ def tree(open_cells: BoolArray, price: FloatArray, window: Window, start: tuple[
     from scipy.sparse import csr_matrix  # take a fifth of a second to load
     from scipy.sparse.csgraph import dijkstra
 
-    number = np.full(open_cells.shape, _NO_NODE, dtype=np.int64)
+    number = np.full(open_cells.shape, _NO_NODE, dtype=np.int32)
     cells = np.argwhere(open_cells)
     number[open_cells] = np.arange(len(cells))
     ends, prices = [], []

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import json
 import os
 import shutil
 import signal
@@ -33,9 +34,13 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 def fill(directory: Path, words: str = "new") -> None:
-    (directory / TOPOLOGY).write_text(words)
+    (directory / TOPOLOGY).write_text(f'{{"schema_version": "{words}"}}')
     (directory / "submaps").mkdir()
     (directory / "submaps" / "000.png").write_text(words)
+
+
+def words_of(directory: Path) -> str:
+    return str(json.loads((directory / TOPOLOGY).read_text())["schema_version"])
 
 
 def fill_and_raise(directory: Path, error: type[BaseException], *others: Path) -> None:
@@ -96,8 +101,8 @@ def test_overwrite_replaces_the_whole_map_and_follows_no_link_in_it(
     (out / "link").symlink_to(tmp_path / "precious")
     with OutputDirectory(out, overwrite=True) as partial:
         fill(partial)
-        assert (out / TOPOLOGY).read_text() == "old"
-    assert (out / TOPOLOGY).read_text() == "new"
+        assert words_of(out) == "old"
+    assert words_of(out) == "new"
     assert os.listdir(out / "submaps") == ["000.png"]
     assert (tmp_path / "precious" / "file").read_text() == "kept"
     assert hidden(tmp_path) == []
@@ -135,7 +140,7 @@ def test_of_two_writers_of_one_place_the_first_wins(tmp_path: Path) -> None:
     first.__exit__(None, None, None)
     with pytest.raises(UsageError, match="already holds a map: use --overwrite"):
         second.__exit__(None, None, None)
-    assert (out / TOPOLOGY).read_text() == "first"
+    assert words_of(out) == "first"
     assert hidden(tmp_path) == []
 
 
@@ -153,7 +158,7 @@ def test_a_failing_swap_restores_the_old_map(
     monkeypatch.setattr(os, "rename", failing)
     with pytest.raises(UsageError, match="Input/output error"):
         write(out)
-    assert (out / TOPOLOGY).read_text() == "old"
+    assert words_of(out) == "old"
     assert hidden(tmp_path) == []
 
 
@@ -176,7 +181,7 @@ def test_a_link_to_a_map_stays_one_and_another_thread_writes_as_well(
         threads.submit(write, link).result()
     assert hidden(tmp_path) == []
     assert link.is_symlink()
-    assert (out / TOPOLOGY).read_text() == "new"
+    assert words_of(out) == "new"
 
 
 @pytest.mark.parametrize(("first", "other"), [SIGNALS, SIGNALS[::-1]])
@@ -217,7 +222,7 @@ def test_a_signal_while_handlers_are_put_back_swallows_no_other(
         for number, handler in before.items():
             put(number, handler)
     assert told == [other, first, first, other]
-    assert (out / TOPOLOGY).read_text() == "new"
+    assert words_of(out) == "new"
     assert hidden(out.parent) == []
 
 

@@ -257,7 +257,7 @@ def test_every_copy_of_a_map_looks_the_same_and_labels_and_nodes_go_back(
     np.testing.assert_array_equal(one.grid.cells, other.grid.cells)
     numbers = np.arange(one.grid.cells.size, dtype=np.int32).reshape(one.grid.cells.shape)
     for copy, upright in zip(copies, (one, other), strict=True):
-        labels = upright.labels_in(copy, numbers)
+        labels = upright.cells_in(copy, numbers, -1)
         assert (labels[copy.free] >= 0).all()
         shown = np.argwhere(copy.free)
         low, high = (shown.min(axis=0), shown.max(axis=0)) if len(shown) else (1, 0)
