@@ -30,6 +30,7 @@ from specmap_cli.evaluation.trajectories import associate
 from specmap_cli.maps.text_files import read_tum
 from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.localization.localizer import Label, Localizer
+from specmap_cli.recognition.localization.walls import MapWalls
 
 _HEAD = ("tour", "choices", "labels", "submaps", "recall", "precision", "right")
 
@@ -115,7 +116,7 @@ def ask(built: Built, case: Case, again: Case, workshop: Workshop) -> Asked:
     finished = built.finished
     reference = read_tum(again.ready().truth)
     localizer = _localizer(built)
-    labels = [localizer.update(scan) for scan in workshop.recording(again).scans]
+    labels = [localizer.add(scan).label for scan in workshop.recording(again).scans]
     given = true_poses(case.truth, built.store, of_laser=False)
     known = np.isfinite(given[:, 0])
     moved: Pose2 = nearest_motion(given[known, :2], finished.labels.poses[known, :2])
@@ -139,16 +140,11 @@ def _classifiers_alone(
 
 
 def _localizer(built: Built) -> Localizer:
-    finished = built.finished
-    submaps, kept = finished.topology.submaps, finished.labels
-    return Localizer(
-        finished.classifiers,
-        neighbours(finished.classifiers.ids, finished.topology.joined),
-        {i: submap.grid for i, submap in submaps.items()},
-        built.config.localization,
-        {i: submap.map_from_submap for i, submap in submaps.items()},
-        {i: kept.poses[kept.submaps == i] for i in submaps},
-    )
+    finished, settings = built.finished, built.config.localization
+    divided, classifiers = finished.regions, finished.classifiers
+    walls = MapWalls(divided.grid, divided.owner, classifiers.misfit, settings)
+    adjacency = neighbours(classifiers.ids, finished.topology.joined)
+    return Localizer(classifiers, adjacency, walls, settings)
 
 
 def _picture(case: Case, preset: str, built: Built, asked: Asked) -> Picture:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -19,6 +20,14 @@ from specmap_cli.cli.options import (
 )
 from specmap_cli.cli.targets import check_files, files_of_maps, keep_inputs
 from specmap_cli.core.errors import BROKEN_RULE, MapError
+
+_MOST_SCANS = 0.5  # share of the scans that makes most of them
+
+
+class Failing(StrEnum):
+    """What `localize` can be asked to fail on."""
+
+    unknown = "unknown"
 
 
 def localize(
@@ -39,6 +48,10 @@ def localize(
         bool, typer.Option("--metric", help="Also match each scan within its submap's grid.")
     ] = False,
     overwrite: Overwrite = False,
+    fail_on: Annotated[
+        Failing | None,
+        typer.Option(help="Exit with code 5 when most scans are unknown. All is written anyway."),
+    ] = None,
     *,
     settings: LogSettings,
     common: Common,
@@ -66,6 +79,8 @@ def localize(
         )
     write_report(report, stored, metric=metric, csv=out, plot=plot)
     common.show(report.as_dict(), report.lines())
+    if fail_on is not None and report.known < _MOST_SCANS:
+        raise typer.Exit(BROKEN_RULE)
 
 
 def compare(

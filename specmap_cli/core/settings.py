@@ -386,9 +386,6 @@ class LocalizationConfig(_Section):
     false_unknown: float = Field(
         0.05, gt=0, lt=1, description="Share of the scans of known places that are given up."
     )
-    fit_submaps: int = Field(
-        2, ge=0, description="Number of likely submaps whose walls are searched; 0: no walls."
-    )
     least_misfit: float = Field(
         0.05,
         gt=0,

@@ -70,7 +70,7 @@ def render_labels(
     elif fills is None:  # such that differ along the trajectory
         ids = [int(id_) for id_ in np.unique(submaps) if id_ != NO_SUBMAP]
         fills = colour_graph(ids, set(itertools.pairwise(submaps.tolist())))
-    shown = {"predicted submap, with its id", "start"}
+    shown = {"predicted submap, with its id", "start", "end"}
     shown |= {"wall"} if map_with_regions is not None else set()
     shown |= {"unknown"} if (submaps == NO_SUBMAP).any() else set()
     shown |= {"wrong"} if truth is not None else set()
@@ -127,6 +127,7 @@ def _draw_predicted(
             symbols.badge(sheet.canvas, middle, str(id_), fills[id_])
             taken.append((id_, middle))
     if len(pixels):
+        symbols.end(sheet.canvas, pixels[-1])
         symbols.start(sheet.canvas, pixels[0])
     return np.array([middle for _, middle in taken]).reshape(-1, 2)
 

@@ -33,6 +33,7 @@ from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.localization.localizer import Label, Localizer
+from specmap_cli.recognition.localization.walls import MapWalls
 
 Split = Literal["random", "blocks"]
 
@@ -260,18 +261,15 @@ def labels_of(finished: FinishedMap, held_out: KeyframeStore, config: Config) ->
     poses = poses_at(finished, held_out.stamps_ns)
     classifiers = finished.classifiers
     adjacency = neighbours(classifiers.ids, finished.topology.joined)
-    submaps = finished.topology.submaps
-    grids = {i: submap.grid for i, submap in submaps.items()}
-    frames = {i: submap.map_from_submap for i, submap in submaps.items()}
-    kept = finished.labels
-    tracks = {i: kept.poses[kept.submaps == i] for i in classifiers.ids}
-    localizer = Localizer(classifiers, adjacency, grids, config.localization, frames, tracks)
+    divided, settings = finished.regions, config.localization
+    walls = MapWalls(divided.grid, divided.owner, classifiers.misfit, settings)
+    localizer = Localizer(classifiers, adjacency, walls, settings)
     labels: list[Label] = []
     for k in range(len(held_out)):
         place = Pose2(*poses[k].tolist())
         gap = k > 0 and float(np.hypot(*(poses[k, :2] - poses[k - 1, :2]))) > 1.0
         scan = replace(held_out.posed(k), map_from_base=place, restarted=gap)
-        labels.append(localizer.update(scan))
+        labels.append(localizer.add(scan).label)
     return labels
 
 

@@ -30,7 +30,7 @@ from specmap_cli.maps.features_file import Arrays, read_features
 from specmap_cli.maps.schema import NodeRecord, TopologyRecord
 from specmap_cli.maps.text_files import first_finding, map_json, map_text, read_labels
 from specmap_cli.maps.topology_file import read_topology
-from specmap_cli.topology.regions import NOBODY, Regions, divide
+from specmap_cli.topology.regions import NOBODY, OwnerArray, Regions, divide
 from specmap_cli.topology.topological_map import (
     LogInfo,
     Merge,
@@ -152,7 +152,8 @@ class StoredMap:
         of_grid = self.path / filenames.LABELS_IMAGE
         if not of_grid.exists():
             borders = self.record.graph.edits.borders
-            return divide(self.map_grid, self.labels, fences_of(borders))
+            divided = divide(self.map_grid, self.labels, fences_of(borders))
+            return divided.grid, divided.owner
         if not (self.path / f"{filenames.MAP_GRID}.yaml").exists():
             return _composed(self)  # an earlier version divided it
         owner = read_picture(of_grid, self.limits)[..., 0].astype(np.int64) - 1
@@ -331,7 +332,7 @@ def _composed(stored: StoredMap) -> Regions:
             rows, columns = whole.cells_of(_placed(node, grid, grid.cells == value)).T
             whole.cells[rows, columns] = value
             owner[rows, columns] = node.id if value == FREE else NOBODY
-    return Regions.of(whole, owner)
+    return whole, owner
 
 
 def _placed(node: NodeRecord, grid: GridMap, cells: BoolArray) -> FloatArray:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +16,12 @@ from numpy.typing import NDArray
 from specmap_cli.core.arguments import Paths, instance_of, path_of, paths_of
 from specmap_cli.core.arrays import neighbours
 from specmap_cli.core.config import SETTINGS, load_config, with_overrides
-from specmap_cli.core.errors import SETTING, LogError, MapError, UsageError
+from specmap_cli.core.errors import LogError, MapError
 from specmap_cli.core.files import write_together
-from specmap_cli.core.geometry import FloatArray, Pose2, step_lengths
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, product
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
-from specmap_cli.core.records import NO_SUBMAP, PosedScan
+from specmap_cli.core.records import NO_SUBMAP
 from specmap_cli.core.settings import Config, LogConfig
 from specmap_cli.core.tables import csv_text
 from specmap_cli.core.text import counted, legible, stamp_text
@@ -31,9 +32,8 @@ from specmap_cli.maps.filenames import CLASSIFIERS
 from specmap_cli.maps.store import StoredMap, opened_map
 from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
-from specmap_cli.recognition.localization.localizer import Label, Localizer
-from specmap_cli.recognition.localization.metric import Fix
-from specmap_cli.recognition.localization.places import LeadingPlace
+from specmap_cli.recognition.localization.localizer import Fix, Label, Localizer, Where
+from specmap_cli.recognition.localization.walls import MapWalls
 from specmap_cli.registration.frontend import FrontEnd
 from specmap_cli.topology.topological_map import default_name
 
@@ -63,7 +63,7 @@ def localize_log(
     was built with. `offline` smooths over the whole log instead of filtering; `metric` gives poses
     in the filtered submaps, of scans whose place is clear. Raises LogError for a recording without
     a usable scan, InputError when its laser cannot stand in for the map's, MapError for a damaged
-    map, UsageError when `metric` is wanted of settings that leave the walls out.
+    map.
     """
     progress = progress or Silent()
     given = paths_of(logs, "logs")
@@ -72,25 +72,22 @@ def localize_log(
     stored = _opened(map_, config, progress)
     config = settings_for(stored, {}) if config is None else config
     check_feature_sets(config)
-    if metric and not config.localization.fit_submaps:
-        raise UsageError(
-            "0 leaves out the walls, by which poses are found",
-            "raise it, or leave out --metric",
-            where="localization.fit_submaps",
-            code=SETTING,
-        )
-    localizer = localizer_of(stored, config, metric=metric)
+    localizer = localizer_of(stored, config, with_walls=metric)
     if config.localization.unknown and localizer.classifiers.misfit is None:
         progress.note(f"{stored.path}: {_NO_MISFIT}")
     with open_log(given, config.log) as log:
         stream, front_end = SweepStream(log, config.log), FrontEnd(config.registration)
         progress.note(stream.selection.note)
         progress.start("localising", stream.expected)
-        scans = tuple(_localized(stream, front_end, localizer, metric and not offline, progress))
-        if not scans:
+        found = list[Where]()
+        for where in localizer.located(front_end.register(sweep) for sweep in stream):
+            found.append(where)
+            progress.advance()
+        if not found:
             raise LogError("no usable scan in it", "see `specmap info`", mark=";", where=log.name)
-        if offline:
-            scans = tuple(_smoothed(scans, stream, config, localizer, metric, progress))
+        found = localizer.smoothed() if offline else found
+        frames = {id_: one.map_from_submap for id_, one in stored.topology.submaps.items()}
+        scans = tuple(LocalizedScan.of(where, frames, metric) for where in found)
         notes = [localizer.note] if localizer.note else []
         if localizer.classifiers.calibration is None:
             notes.append(f"{stored.path}: {_NO_CALIBRATION}")
@@ -113,54 +110,6 @@ def _opened(map_: StoredMap | Path | str, config: Config | None, progress: Progr
     return stored
 
 
-def _localized(
-    stream: SweepStream,
-    front_end: FrontEnd,
-    localizer: Localizer,
-    metric: bool,
-    progress: Progress,
-) -> Iterator[LocalizedScan]:
-    """Each scan registered, labelled, and matched within its submap when `metric`."""
-    tracked = (front_end.register(sweep) for sweep in stream)
-    for posed, label in localizer.labelled(tracked):
-        scan = LocalizedScan(label=label, track_from_base=posed.map_from_base)
-        yield _in_submap(scan, posed, localizer, localizer.places.lead) if metric else scan
-        progress.advance()
-
-
-def _smoothed(
-    scans: Sequence[LocalizedScan],
-    stream: SweepStream,
-    config: Config,
-    localizer: Localizer,
-    metric: bool,
-    progress: Progress,
-) -> Iterator[LocalizedScan]:
-    """The scans with the labels that the whole log gives, matched in these when `metric`.
-
-    For that the log is read and registered once more, with the same result: no scan was kept.
-    """
-    labels = zip(localizer.smoothed(), scans, strict=True)
-    relabelled = [replace(scan, label=label) for label, scan in labels]
-    if not metric:
-        yield from relabelled
-        return
-    progress.start("matching", stream.expected)
-    front_end = FrontEnd(config.registration)
-    for sweep, scan, lead in zip(stream, relabelled, localizer.leads(), strict=True):
-        yield _in_submap(scan, front_end.register(sweep), localizer, lead)
-        progress.advance()
-
-
-def _in_submap(
-    scan: LocalizedScan, posed: PosedScan, localizer: Localizer, lead: LeadingPlace | None
-) -> LocalizedScan:
-    """A scan with its pose in the submap that it is labelled with, where a place leads."""
-    place = None if lead is None else lead.place
-    fix = localizer.tracker.locate(posed, place, scan.label.filtered_submap)
-    return replace(scan, fix=fix)
-
-
 def settings_for(
     stored: StoredMap,
     overrides: dict[str, Any],
@@ -180,14 +129,12 @@ def settings_for(
     return with_overrides(config, overrides)
 
 
-def localizer_of(stored: StoredMap, config: Config, *, metric: bool = False) -> Localizer:
-    """The localizer of a stored map: its classifiers, the neighbours of its submaps, its grids."""
-    classifiers = classifiers_of(stored)
+def localizer_of(stored: StoredMap, config: Config, *, with_walls: bool = False) -> Localizer:
+    """The localizer of a stored map: its classifiers, the neighbours of its submaps, its walls."""
+    classifiers, settings = classifiers_of(stored), config.localization
+    walls = MapWalls(*stored.division, classifiers.misfit, settings)
     adjacency = neighbours(stored.ids, stored.topology.joined)
-    frames = {i: submap.map_from_submap for i, submap in stored.topology.submaps.items()}
-    labels, settings = stored.labels, config.localization
-    tracks = {i: labels.poses[labels.submaps == i] for i in stored.ids}
-    return Localizer(classifiers, adjacency, stored.grids, settings, frames, tracks, metric=metric)
+    return Localizer(classifiers, adjacency, walls, settings, with_walls=with_walls)
 
 
 def classifiers_of(stored: StoredMap) -> ClassifierSet:
@@ -209,27 +156,52 @@ def classifiers_of(stored: StoredMap) -> ClassifierSet:
 
 
 HEADER = "stamp,submap,margin,runner_up,filtered_submap,name,filtered_probability,probability"
-METRIC_HEADER = ",x,y,theta,score,var_x,cov_xy,cov_xtheta,var_y,cov_ytheta,var_theta"
-_LEAP_M, _STEADY_SCANS = 0.5, 10  # a place that leaps and leaves within so many scans is wrong
+METRIC_HEADER = (
+    ",x,y,theta,score,var_x,cov_xy,cov_xtheta,var_y,cov_ytheta,var_theta,map_x,map_y,map_theta"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LocalizedScan:
-    """The label of one scan, its place as registered, and within the map where it was matched."""
+    """The label of one scan, its place as registered, and within the map where one is known.
+
+    `map_from_submap` is the frame of the submap of the filtered label.
+    """
 
     label: Label
     track_from_base: Pose2
     fix: Fix | None = None
+    map_from_submap: Pose2 = IDENTITY
+
+    @classmethod
+    def of(cls, where: Where, frames: Mapping[int, Pose2], metric: bool) -> LocalizedScan:
+        """What is known of a scan; `frames` are those of the submaps."""
+        submap = where.label.filtered_submap
+        return cls(
+            label=where.label,
+            track_from_base=where.track_from_base,
+            fix=where.fix if metric and submap is not None else None,
+            map_from_submap=IDENTITY if submap is None else frames[submap],
+        )
+
+    @property
+    def map_from_base(self) -> Pose2 | None:
+        """The pose in the map, None where it is not known."""
+        return None if self.fix is None else self.fix.pose
 
     @property
     def submap_from_base(self) -> Pose2 | None:
         """The pose in the submap of the filtered label, None where it is not known."""
-        return None if self.fix is None else self.fix.pose
+        return None if self.fix is None else self.map_from_submap.inverse() @ self.fix.pose
 
     @property
     def covariance(self) -> FloatArray | None:
-        """(3, 3) of x, y and angle of that pose: square metres and radians."""
-        return None if self.fix is None else self.fix.covariance
+        """(3, 3) of x, y and angle of the pose in the submap: square metres and radians."""
+        if self.fix is None:
+            return None
+        turn = np.eye(3)
+        turn[:2, :2] = self.map_from_submap.rotation().T
+        return product(product(turn, self.fix.covariance), turn.T)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -240,6 +212,11 @@ class LocalizationReport:
     scans: tuple[LocalizedScan, ...]
     warnings: tuple[str, ...]
     names: Mapping[int, str] = field(default_factory=dict)
+
+    @property
+    def known(self) -> float:
+        """Share of the scans that are from the map, by the filter."""
+        return 1.0 - self._counts()[1][None] / len(self.scans)
 
     def name_of(self, submap: int | None) -> str:
         """What a submap is called; nothing for unknown."""
@@ -254,6 +231,7 @@ class LocalizationReport:
             "raw": {_name(key): raw[key] for key in sorted(raw, key=_order)},
             "filtered": {_name(key): filtered[key] for key in sorted(filtered, key=_order)},
             "agreement": self._agreement(),
+            "known": round(self.known, 6),
             "names": {str(id_): name for id_, name in sorted(self.names.items())},
             "warnings": list(self.warnings),
         }
@@ -261,10 +239,11 @@ class LocalizationReport:
     def lines(self) -> list[str]:
         """A table of the submaps that were seen."""
         raw, filtered = self._counts()
-        agreement = self._agreement()
+        told = f"raw and filtered label agree on {self._agreement():.1%}"
+        if not self.known:
+            told = "none of them known: the map does not show this place"
         lines = [
-            f"{self.log}: {counted(len(self.scans), 'scan')}, raw and filtered label agree on "
-            f"{agreement:.1%}",
+            f"{self.log}: {counted(len(self.scans), 'scan')}, {told}",
             f"{'submap':>8} {'raw':>8} {'filtered':>9}",
         ]
         for key in sorted({*raw, *filtered}, key=_order):
@@ -313,12 +292,14 @@ def _cells(report: LocalizationReport, scan: LocalizedScan, metric: bool) -> lis
     When `metric` its pose, the score of that and the upper triangle of its covariance come last.
     """
     label, fix = scan.label, scan.fix
+    pose, covariance = scan.submap_from_base, scan.covariance
     where: list[str] = []
-    if metric and fix is None:
+    if metric and (fix is None or pose is None or covariance is None):
         where = [""] * METRIC_HEADER.count(",")
-    elif metric and fix is not None:
-        where = [f"{value:.6f}" for value in (*fix.pose, fix.score)]
-        where += [f"{value:.4e}" for value in fix.covariance[np.triu_indices(3)].tolist()]
+    elif metric and fix is not None and pose is not None and covariance is not None:
+        where = [f"{value:.6f}" for value in (*pose, fix.score)]
+        where += [f"{value:.4e}" for value in covariance[np.triu_indices(3)].tolist()]
+        where += [f"{value:.6f}" for value in fix.pose]
     return [
         stamp_text(label.stamp_ns),
         label.submap,
@@ -335,11 +316,12 @@ def _cells(report: LocalizationReport, scan: LocalizedScan, metric: bool) -> lis
 def picture_of(report: LocalizationReport, stored: StoredMap, metric: bool) -> NDArray[np.uint8]:
     """The predicted submap along the trajectory, over the map where scans were matched in it.
 
-    The colours are those of the map's overview.
+    The colours are those of the map's overview. Without a pose the way is as it was tracked.
     """
     from specmap_cli.drawing.palette import colours_of  # slow to load, and seldom wanted
     from specmap_cli.drawing.predictions import render_labels
 
+    metric = metric and any(scan.fix is not None for scan in report.scans)
     submaps = np.array(
         [
             NO_SUBMAP if scan.label.filtered_submap is None else scan.label.filtered_submap
@@ -351,30 +333,24 @@ def picture_of(report: LocalizationReport, stored: StoredMap, metric: bool) -> N
         track = np.array([scan.track_from_base[:2] for scan in report.scans])
         fills = colours_of(stored.topology, stored.regions)
         return render_labels(track, submaps, title, fills=fills)
-    places = np.full((len(report.scans), 2), math.nan)
-    for place, scan in zip(places, report.scans, strict=True):
-        if scan.fix is not None:
-            map_from_submap = stored.topology.submaps[scan.fix.submap].map_from_submap
-            place[:] = (map_from_submap @ scan.fix.pose)[:2]
-    places = _steady(places, report.scans)
     ground = (stored.topology, stored.regions)
-    return render_labels(places, submaps, title, map_with_regions=ground)
+    return render_labels(_tracked(report.scans), submaps, title, map_with_regions=ground)
 
 
-def _steady(places: FloatArray, scans: Sequence[LocalizedScan]) -> FloatArray:
-    """Places (n, 2) without those that leap farther than the robot drove, both there and away.
+def _tracked(scans: Sequence[LocalizedScan]) -> FloatArray:
+    """(n, 2) places in the map: where no pose is known, where the motion since the last one leads.
 
-    The first scan of a submap may match the wrong end of it; NaN marks what is left out.
+    Before the first pose it leads back from there. NaN where none is known at all.
     """
-    track = np.array([scan.track_from_base[:2] for scan in scans])
-    kept = np.flatnonzero(np.isfinite(places).all(axis=1))
-    leaps = step_lengths(places[kept]) > step_lengths(track[kept]) + _LEAP_M
-    runs = np.split(kept, np.flatnonzero(leaps) + 1)
-    steady = places.copy()
-    for run in runs:
-        if len(run) < _STEADY_SCANS:
-            steady[run] = math.nan
-    return steady
+    places = np.full((len(scans), 2), math.nan)
+    known = [k for k, scan in enumerate(scans) if scan.fix is not None]
+    for k, scan in enumerate(scans):
+        if known:
+            last = scans[known[max(0, bisect_right(known, k) - 1)]]
+            assert last.fix is not None
+            motion = last.track_from_base.inverse() @ scan.track_from_base
+            places[k] = (last.fix.pose @ motion)[:2]
+    return places
 
 
 def _name(submap: int | None) -> str:

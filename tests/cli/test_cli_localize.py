@@ -114,6 +114,17 @@ def test_offline_labels_know_the_whole_log(
     assert still <= doubted
 
 
+def test_a_log_of_another_place_says_so_in_its_first_line_and_by_its_code(
+    tiny_log: Path, tiny_map: Path, run: Run
+) -> None:
+    other = SAMPLE_LOGS / "office_again.mcap"
+    line = ("--map", tiny_map, "-q", "--fail-on", "unknown")
+    assert run("localize", tiny_log, *line).code == 0
+    failed = run("localize", other, *line)
+    assert failed.code == 5
+    assert "none of them known" in failed.out or "unknown" in failed.out
+
+
 def test_a_hold_out_is_one_object_and_a_picture(tiny_log: Path, tmp_path: Path, run: Run) -> None:
     picture = tmp_path / "confusion.png"
     line = ("evaluate", tiny_log, "--protocol", "holdout", "--share", "0.3", *QUICK)

@@ -26,8 +26,7 @@ from specmap_cli.maps.store import StoredMap
 from specmap_cli.pipelines import localize
 from specmap_cli.pipelines.localize import HEADER, METRIC_HEADER, LocalizationReport, LocalizedScan
 from specmap_cli.pipelines.simulate import simulate
-from specmap_cli.recognition.localization.localizer import Label
-from specmap_cli.recognition.localization.metric import Fix
+from specmap_cli.recognition.localization.localizer import Fix, Label
 from specmap_cli.simulation.simulator import SimulationOptions
 from tests.drawing.looking import colours_in
 
@@ -53,7 +52,7 @@ def labelled(submaps: Sequence[int | None], poses: Sequence[Pose2 | None]) -> Lo
     scans = []
     for k, (id_, pose) in enumerate(zip(submaps, poses, strict=True)):
         label = Label(stamp_ns=k * 10**8, submap=id_, runner_up=None, filtered_submap=id_, **sure)
-        fix = None if pose is None else Fix(id_ or 0, pose, 1e-4 * np.eye(3), 0.9)
+        fix = None if pose is None else Fix(pose, 1e-4 * np.eye(3), 0.9, 0.99)
         way = Pose2(0.1 * k, 0.0, 0.0)
         scans.append(LocalizedScan(label=label, track_from_base=way, fix=fix))
     return LocalizationReport(log="made.mcap", scans=tuple(scans), warnings=("a warning",))
@@ -82,7 +81,7 @@ def test_the_map_s_own_log_is_found_where_it_was_taken(
 def test_offline_poses_are_in_the_frames_of_the_submaps_that_smoothing_gives(
     own_log: Path, flat_map: StoredMap, metric: LocalizationReport
 ) -> None:
-    """A scan is matched in the submap that smoothing gives it, also before a place led."""
+    """A scan has a pose in the submap that smoothing gives it, also before a place led."""
     offline = localize_log(own_log, flat_map, offline=True, metric=True)
     pairs = list(zip(offline.scans, metric.scans, strict=True))
     for a, b in pairs:  # a single scan votes as it did
@@ -102,13 +101,7 @@ def test_offline_poses_are_in_the_frames_of_the_submaps_that_smoothing_gives(
     assert given >= sum(scan.submap_from_base is not None for scan in metric.scans)
 
 
-def test_poses_without_walls_and_classifiers_of_other_submaps_are_refused(
-    own_log: Path, flat_map: StoredMap
-) -> None:
-    """Poses are found by the walls: none would be given, without a word why."""
-    config = localize.settings_for(flat_map, {"localization": {"fit_submaps": 0}})
-    with pytest.raises(UsageError, match=r"localization\.fit_submaps: 0 .*--metric"):
-        localize_log(own_log, flat_map, config, metric=True)
+def test_classifiers_of_other_submaps_are_refused(own_log: Path, flat_map: StoredMap) -> None:
     record = flat_map.record
     fewer = record.model_copy(update={"nodes": record.nodes[:-1]})
     with pytest.raises(MapError, match=r"classifiers\.json: classifiers of the submaps"):
@@ -174,6 +167,7 @@ class TestReport:
             "raw": {"0": 2, "2": 1, "unknown": 1},
             "filtered": {"0": 1, "2": 2, "unknown": 1},
             "agreement": 0.75,
+            "known": 0.75,
             "names": {},
             "warnings": ["a warning"],
         }
@@ -203,21 +197,28 @@ class TestReport:
         assert second["stamp"] == "0.100000000"
         if with_poses:
             assert (first["x"], first["y"], first["theta"]) == ("1.000000", "2.000000", "0.500000")
-            assert (second["x"], second["score"]) == ("", "")
+            assert (first["map_x"], first["map_theta"]) == ("1.000000", "0.500000")
+            assert (second["x"], second["score"], second["map_x"]) == ("", "", "")
         assert None not in first
         assert None not in second
 
-    def test_its_picture_leaves_out_places_that_leap_away_and_back(
+    def test_where_nothing_is_known_it_says_so_and_its_picture_shows_the_way_as_it_was_tracked(
         self, flat_map: StoredMap
     ) -> None:
-        """A few scans matched at the wrong end of a submap draw no line across the map."""
-        poses = [Pose2(0.1 * k, 0.0, 0.0) for k in range(40)]
-        leaping = [*poses[:20], *[Pose2(60.0, 60.0, 0.0)] * 2, *poses[22:]]
-        straight, other = (
-            localize.picture_of(labelled([0] * 40, track), flat_map, True)
-            for track in (poses, leaping)
+        report = labelled([None] * 40, [None] * 40)
+        assert report.lines()[0] == (
+            "made.mcap: 40 scans, none of them known: the map does not show this place"
         )
-        assert straight.shape == other.shape
+        assert (report.known, report.as_dict()["known"]) == (0.0, 0.0)
+        picture = localize.picture_of(report, flat_map, True)
+        assert colours_in(picture) > 3
+        some = labelled(
+            [0] * 20 + [None] * 20, [Pose2(0.0, 0.1 * k, 1.0) for k in range(20)] + [None] * 20
+        )
+        places = localize._tracked(some.scans)
+        assert np.isfinite(places).all()
+        motion = Pose2(1.9, 0.0, 0.0).inverse() @ Pose2(3.9, 0.0, 0.0)
+        assert places[-1] == pytest.approx((Pose2(0.0, 1.9, 1.0) @ motion)[:2])
 
     def test_its_picture_without_a_map_shows_the_track(
         self, flat_map: StoredMap, tmp_path: Path

@@ -39,6 +39,40 @@ def novelty(before: Pose2 | None, now: Pose2, so_far: float = 0.0) -> float:
     return so_far + step.distance / INDEPENDENT_M + abs(step.theta) / INDEPENDENT_RAD
 
 
+class Clue:
+    """One kind of clue: the mean of what is said in a view, by the motion since it last was."""
+
+    def __init__(self) -> None:
+        self._at: Pose2 | None = None
+        self._motion = 1.0  # share of a view that says something new; what comes first does
+        self._weight, self._sum, self._scans = 0.0, 0.0, 0
+        self.last: float | None = None
+
+    @property
+    def worth(self) -> float:
+        """What the view says so far; nothing as long as nothing was said of it."""
+        return self._weight * self._sum / self._scans if self._scans else 0.0
+
+    def see(self, posed: PosedScan, again: bool) -> None:
+        """Take in where a scan was taken, and whether in the last view."""
+        if not again:
+            self._weight, self._sum, self._scans = 0.0, 0.0, 0
+        if posed.lost:
+            return
+        self._motion = novelty(self._at, posed.map_from_base, self._motion)
+        self._at = posed.map_from_base
+
+    def add(self, said: float | None) -> None:
+        """Take in what is said of a scan, if anything is."""
+        if said is None:
+            return
+        if not self._scans:
+            self._weight, self._motion = min(1.0, self._motion), 0.0
+        self.last = said
+        self._sum += said
+        self._scans += 1
+
+
 class ViewGrouping:
     """The views of a log. A view begins where the robot moved, and lasts until it moves again.
 

@@ -12,23 +12,18 @@ import numpy as np
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import LocalizationConfig
-from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.recognition.features.virtual import WINDOW_M
 from specmap_cli.recognition.learning.calibration import steadiness
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.localization.classification import ClassifiedScan, ScanClassifier
-from specmap_cli.recognition.localization.filtering import (
-    SMALLEST,
-    HiddenMarkovFilter,
-    ViewGrouping,
-)
-from specmap_cli.recognition.localization.metric import MetricTracker
-from specmap_cli.recognition.localization.places import LeadingPlace, Owners, looking_back
-from specmap_cli.recognition.localization.tracking import PlaceTracker
-from specmap_cli.recognition.localization.unknown import UnknownOdds, WallCheck
-from specmap_cli.recognition.localization.wall_fit import Ratio, Surroundings, WallFit
+from specmap_cli.recognition.localization.filtering import Clue, HiddenMarkovFilter, ViewGrouping
+from specmap_cli.recognition.localization.places import Estimate, WeighedPlaces
+from specmap_cli.recognition.localization.walls import MapWalls
 
 _STRANGE_ALONE = 1.0  # a single scan is unknown beyond this share of the limit
+_STRANGE_FROM = 0.87  # from this share of the limit on, a scan speaks for unknown
+_STRANGE_GAIN = 2.0  # log likelihood for unknown, per share of the limit beyond that
+_STRANGE_MOST = 1.0  # the most of that likelihood: views that are strange come in a row
 _TOGETHER = 32  # scans whose features are computed at once
 
 
@@ -50,122 +45,177 @@ class Label:
     probability: float
 
 
-class Localizer:
-    """Labels the scans of a log in turn, by the classifiers and topology of a map.
+@dataclass(frozen=True, slots=True)
+class Fix:
+    """A scan's pose in the map, its covariance (3, 3) in x, y and angle, its score in [0, 1].
 
-    `frames` are the submaps' frames in the layout: they say where a robot comes out that drives
-    from one submap into another. `tracks` (n, 2 or more) are where the keyframes of each submap
-    are in the map: they say where one submap ends. `metric` asks for places even where walls do not
-    count for the labels.
+    `probability` is that of the place; the covariance is that of all places that it may be.
+    """
+
+    pose: Pose2
+    covariance: FloatArray
+    score: float
+    probability: float
+
+
+@dataclass(frozen=True, slots=True)
+class Where:
+    """What is known of the place of one scan: its label, and its pose in the map where one leads.
+
+    `track_from_base` is where it was registered, `restarted` that this has nothing to do with the
+    scan before.
+    """
+
+    label: Label
+    fix: Fix | None
+    track_from_base: Pose2
+    restarted: bool
+
+
+class Localizer:
+    """Tells where the scans of a log were taken, one after another, in a map.
+
+    `adjacency` are the neighbours of its submaps. `with_walls` asks for poses even where walls do
+    not count for the labels.
     """
 
     def __init__(
         self,
         classifiers: ClassifierSet,
         adjacency: Mapping[int, Collection[int]],
-        grids: Mapping[int, GridMap],
+        walls: MapWalls,
         config: LocalizationConfig,
-        frames: Mapping[int, Pose2] | None = None,
-        tracks: Mapping[int, FloatArray] | None = None,
         *,
-        metric: bool = False,
+        with_walls: bool = False,
     ) -> None:
         self.classifiers = classifiers
         self.config = config
         self.filter = HiddenMarkovFilter({i: adjacency.get(i, ()) for i in classifiers.ids}, config)
+        self.places = WeighedPlaces(walls, self.filter.ids, config)
         self._classifier = ScanClassifier(classifiers, config)
-        frames = frames or {}
-        around = Surroundings(grids, adjacency, frames)
-        self.tracker = MetricTracker(around.field, frames)
-        ratio = Ratio(classifiers.misfit, config)
-        fit = WallFit(grids, around, ratio, frames)
-        owners = Owners(tracks or {}, frames, grids)
-        self.places = PlaceTracker(self.filter.ids, fit, owners, config)
-        # Whether a view is of the map at all is told best by the walls that each submap saw itself.
-        alone = WallFit(grids, Surroundings(grids, {}, frames), ratio, frames)
-        self.walls = WallCheck(alone, config)
-        self._uses_walls = metric or config.unknown
-        self._unknown = UnknownOdds(self.walls, config)
+        self._uses_walls = with_walls or config.unknown
+        self._walls, self._looks = Clue(), Clue()
         self._views = ViewGrouping()
-        self._labels: list[Label] = []
-        self._leads: list[tuple[Pose2, bool, LeadingPlace | None]] = []
+        self._told: list[Where] = []
 
     @property
     def note(self) -> str:
         """How the log's laser is made to fit the classifiers; empty when it is the same."""
         return self._classifier.note
 
-    def labelled(self, scans: Iterable[PosedScan]) -> Iterator[tuple[PosedScan, Label]]:
-        """The next scans, each with its label, some read ahead: many at once are cheaper to see.
+    def add(self, posed: PosedScan) -> Where:
+        """Where the next scan was taken. Raises InputError when its laser sees too little."""
+        return self._add(posed, self._classifier.classified([posed])[0])
 
-        Raises InputError when their laser sees too little.
-        """
+    def located(self, scans: Iterable[PosedScan]) -> Iterator[Where]:
+        """As `add`, of many scans, some read ahead: many at once are cheaper to see."""
         left = iter(scans)
         while some := list(islice(left, _TOGETHER)):
             for posed, scan in zip(some, self._classifier.classified(some), strict=True):
-                yield posed, self._update(posed, scan)
+                yield self._add(posed, scan)
 
-    def update(self, posed: PosedScan) -> Label:
-        """The label of the next scan. Raises InputError when its laser sees too little."""
-        return self._update(posed, self._classifier.classified([posed])[0])
-
-    def _update(self, posed: PosedScan, scan: ClassifiedScan) -> Label:
-        """The label of a scan: what is said of its view, the filter, then the places."""
+    def _add(self, posed: PosedScan, scan: ClassifiedScan) -> Where:
+        """The places first, then the filter by what they and the classifiers say of the view."""
         if posed.restarted:
-            self._unknown.restart()
+            self._walls, self._looks = Clue(), Clue()
             self._views.restart()
             self.filter.reset()
             self.places.restart()
         again = not self._views.begins(posed)
         known = self._views.mean(scan.all)
         known = min(1.0, self._views.motion / steadiness(known)) * known
-        worth = -math.inf
-        if self._uses_walls:
-            # the submap first that is likeliest by all scans, then by this one's margins
-            before = np.maximum(self.filter.predicted(again)[:-1], SMALLEST)
-            by_all = scan.all + np.log(before)
-            ranked = [int(by_all.argmax()), *np.argsort(-scan.all, kind="stable").tolist()]
-            likely = [self.filter.ids[k] for k in dict.fromkeys(ranked)]
-            worth = self._unknown.worth(posed, scan, likely, again)
         log_likelihoods = np.append(known, -math.inf)
-        if self.config.unknown:
-            log_likelihoods = self.filter.with_unknown(known, worth, again)
+        if self._uses_walls:
+            expected = self.filter.predicted(again)[:-1] * np.exp(known - known.max())
+            worth = self._worth(posed, scan, expected, again)
+            if self.config.unknown:
+                log_likelihoods = self.filter.with_unknown(known, worth, again)
         belief = self.filter.update(log_likelihoods, again)
-        by_places = self.places.update(posed, self.walls.view, belief[:-1])
-        belief = np.append(by_places, belief[-1])
+        fix = None
+        if self._uses_walls:
+            fix = self._fix(posed, belief[:-1])
+            belief = np.append(self.places.mixed(belief[:-1]), belief[-1])
         label = self._filtered(self._raw_label(posed.stamp_ns, scan), belief)
-        self._labels.append(label)
-        self._leads.append((posed.map_from_base, posed.restarted, self.places.lead))
+        where = Where(label, fix, posed.map_from_base, posed.restarted)
+        self._told.append(where)
         self._views.keep(log_likelihoods)
-        return label
+        return where
 
-    def smoothed(self) -> list[Label]:
-        """All labels so far, the filtered ones given the whole track that they belong to.
+    def _worth(
+        self, posed: PosedScan, scan: ClassifiedScan, belief: FloatArray, again: bool
+    ) -> float:
+        """Log likelihood of unknown by the view that a scan is of: its walls, and its looks."""
+        for clue in (self._walls, self._looks):
+            clue.see(posed, again)
+        self._walls.add(self.places.see(posed, scan.seen, belief))
+        if scan.strange != -math.inf:
+            strange = _STRANGE_GAIN * (scan.strange - _STRANGE_FROM)
+            if strange > 0.0:
+                # what a short window of a narrow laser has seen so far looks strange anywhere
+                strange *= scan.shown**2
+            self._looks.add(min(max(strange, -_STRANGE_MOST), _STRANGE_MOST))
+        return self._walls.worth + self._looks.worth
 
-        And what a lead says of the submap.
+    def _fix(self, posed: PosedScan, belief: FloatArray) -> Fix | None:
+        """The pose of the place that leads; its covariance is that of all places that fit."""
+        leader = self.places.follow(posed, belief)
+        if leader is None or not leader.has_pose:
+            return None
+        chances = self.places.chances(belief)
+        covariance = np.zeros((3, 3))
+        for each, chance in zip(self.places.places, chances.tolist(), strict=True):
+            off = each.moved(posed.map_from_base).estimate.off(leader.estimate.pose)
+            covariance += chance * (each.estimate.covariance + off[:, None] * off)
+        return Fix(
+            leader.estimate.pose,
+            covariance / float(chances.sum()),
+            leader.score,
+            float(chances.max()),
+        )
+
+    def smoothed(self) -> list[Where]:
+        """All scans so far, with labels that are given the whole track that they belong to.
+
+        And with the poses that the place tells which led there, or that leads later.
         """
-        labels = []
         beliefs = self._views.of_scans(self.filter.smooth)
-        for label, belief, lead in zip(self._labels, beliefs, self.leads(), strict=True):
+        found = []
+        for where, belief, fix in zip(self._told, beliefs, self._looking_back(), strict=True):
             led = belief
-            if lead is not None and self.places.owners.known:
-                led = (1.0 - lead.probability) * belief
-                owner = self.places.owners.of(lead.place.submap, lead.place.pose)
-                led[self.filter.ids.index(owner)] += lead.probability * float(belief[:-1].sum())
+            if fix is not None:
+                led = (1.0 - fix.probability) * belief
+                owner = self.filter.ids.index(self.places.walls.owner(fix.pose))
+                led[owner] += fix.probability * float(belief[:-1].sum())
                 led[-1] = belief[-1]
-            labels.append(self._filtered(label, led))
-        return labels
+            found.append(replace(where, label=self._filtered(where.label, led), fix=fix))
+        return found
 
-    def leads(self) -> list[LeadingPlace | None]:
-        """The place that leads at each scan so far, or that leads later and tells of it."""
-        return looking_back(self._leads, WINDOW_M)
+    def _looking_back(self) -> list[Fix | None]:
+        """The pose of each scan; where none led, by the next that has one within a window of way.
+
+        What comes after a loss of tracking says nothing of what was before.
+        """
+        filled: list[Fix | None] = []
+        later: tuple[Where, Fix] | None = None
+        for where in reversed(self._told):
+            fix = where.fix
+            if fix is not None:
+                later = where, fix
+            elif later is not None:
+                back = later[0].track_from_base.inverse() @ where.track_from_base
+                before = Estimate(later[1].pose, later[1].covariance).moved(back)
+                if back.distance <= WINDOW_M:
+                    fix = replace(later[1], pose=before.pose, covariance=before.covariance)
+            filled.append(fix)
+            later = None if where.restarted else later
+        return filled[::-1]
 
     def _raw_label(self, stamp_ns: int, scan: ClassifiedScan) -> Label:
         """The label of the single scan by the most votes; nothing is filtered yet."""
         order = np.argsort(-scan.margins, kind="stable")
         ids, margins = self.filter.ids, scan.margins[order]
         # of no place is what fits no walls or, if that is not known, what is strange
-        of_walls = self._unknown.of_walls
+        of_walls = self._walls.last
         strange = scan.strange > _STRANGE_ALONE if of_walls is None else of_walls > 0.0
         known = not (self.config.unknown and strange)
         return Label(

@@ -1,11 +1,9 @@
-"""The hidden Markov filter against sums over all paths, views of scans, and what is unknown."""
+"""The hidden Markov filter against sums over all paths, views of scans, and clues to unknown."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping, Sequence
 from itertools import pairwise, product
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,10 +13,8 @@ from hypothesis import strategies as st
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import LocalizationConfig
-from specmap_cli.recognition.localization.classification import ClassifiedScan
-from specmap_cli.recognition.localization.filtering import HiddenMarkovFilter, ViewGrouping
-from specmap_cli.recognition.localization.unknown import UnknownOdds, WallCheck
-from tests.recognition.posed import EMPTY, at
+from specmap_cli.recognition.localization.filtering import Clue, HiddenMarkovFilter, ViewGrouping
+from tests.recognition.posed import at
 from tests.turning import configured, turn
 
 LINE: dict[int, list[int]] = {0: [1], 1: [0, 2], 2: [1], 5: []}
@@ -185,85 +181,33 @@ def test_every_scan_gets_the_row_of_its_view(views: ViewGrouping) -> None:
     assert [row.tolist() for row in rows] == [[20.0]] * 3 + [[30.0], [40.0]]
 
 
-class Saying(WallCheck):
-    """Walls that say what they are told to, scan by scan; some are `found` by a search."""
-
-    def __init__(self, said: Sequence[float | None], found: Sequence[int]) -> None:
-        self.told = [(ratio, k in found) for k, ratio in enumerate(said)]
-
-    def unknown(self, *_: Any) -> float | None:
-        ratio, self.found = self.told.pop(0)
-        return ratio
-
-    def restart(self) -> None:
-        """Nothing to forget."""
-
-
-def unknown_odds(said: Sequence[float | None], found: Sequence[int] = ()) -> UnknownOdds:
-    strange = {"strange_from": 1.0, "strange_gain": 2.0, "strange_most": 1.0}
-    turn("recognition", independent_m=1.0, independent_rad=2.0, **strange)
-    return UnknownOdds(Saying(said, found), LocalizationConfig())
+def worths(
+    said: Sequence[float | None], scans: Sequence[PosedScan], again: Sequence[bool]
+) -> list[float]:
+    """What a clue is worth, scan by scan."""
+    turn("recognition", independent_m=1.0, independent_rad=2.0)
+    clue, found = Clue(), []
+    for each, scan, same in zip(said, scans, again, strict=True):
+        clue.see(scan, same)
+        clue.add(each)
+        found.append(clue.worth)
+    return found
 
 
-def looks(strange: float = -math.inf, shown: float = 1.0) -> ClassifiedScan:
-    none = np.zeros(1)
-    return ClassifiedScan(
-        margins=none, raw=none, all=none, strange=strange, seen=EMPTY, shown=shown
-    )
-
-
-@pytest.mark.parametrize(
-    ("said", "late", "worth"),
-    [
-        ([3.0, -1.0, -2.0, None], [], [3.0, 1.0, 0.0, 0.0]),
-        ([4, 3, -2, -3], [2], [4, 3.5, -2, -2.5]),
-    ],
-)
-def test_scans_of_one_view_are_averaged_and_a_place_found_late_takes_the_place_of_those_before(
-    said: list[float | None], late: list[int], worth: list[float]
-) -> None:
-    """As long as the right submap was not searched, a scan seems to fit none."""
-    guide = unknown_odds(said, late)
-    found = [guide.worth(at(0.0), looks(), [1], again=k > 0) for k in range(4)]
-    assert found == pytest.approx(worth)
+def test_scans_of_one_view_are_averaged() -> None:
+    again = [False, True, True, True]
+    assert worths([3.0, -1.0, -2.0, None], [at(0.0)] * 4, again) == [3.0, 1.0, 0.0, 0.0]
 
 
 @pytest.mark.parametrize(
     ("scan", "share"), [(at(0.25), 0.25), (at(0.0, 0.5), 0.25), (at(0.3, 0.4), 0.5), (at(9.0), 1.0)]
 )
-def test_a_view_counts_by_the_motion_to_it_and_whole_after_a_restart(
-    scan: PosedScan, share: float
-) -> None:
-    guide = unknown_odds([4.0, 4.0, -3.0])
-    assert guide.worth(at(0.0), looks(), [1], again=False) == 4.0
-    assert guide.worth(scan, looks(), [1], again=False) == pytest.approx(4.0 * share)
-    assert guide.of_walls == 4.0
-    guide.restart()
-    assert guide.of_walls is None
-    assert guide.worth(at(0.0), looks(), [1], again=False) == -3.0
+def test_a_view_counts_by_the_motion_to_it(scan: PosedScan, share: float) -> None:
+    assert worths([4.0, 4.0], [at(0.0), scan], [False, False]) == pytest.approx([4.0, 4.0 * share])
 
 
 def test_motion_that_nothing_was_said_of_counts_when_something_is_but_a_lost_scan_is_none() -> None:
-    guide = unknown_odds([4.0, None, None, 2.0, None, 4.0])
-    found = [guide.worth(at(0.3 * k), looks(), [1], again=False) for k in range(4)]
-    assert found == pytest.approx([4.0, 0.0, 0.0, 0.9 * 2.0])
-    guide.worth(at(50.0, lost=True), looks(), [1], again=True)
-    assert guide.worth(at(1.0), looks(), [1], again=False) == pytest.approx(0.4)
-
-
-@pytest.mark.parametrize(
-    ("strange", "shown", "worth"),
-    [
-        (-math.inf, 1.0, 0.0),
-        (1.0, 1.0, 0.0),
-        (1.2, 1.0, 0.4),
-        (9.0, 1.0, 1.0),
-        (0.0, 1.0, -1.0),
-        (1.2, 0.5, 0.1),
-        (0.8, 0.5, -0.4),
-    ],
-)
-def test_strange_looks_count_within_bounds(strange: float, shown: float, worth: float) -> None:
-    """And only as far as enough was seen; that a view looks familiar counts from the start."""
-    guide = unknown_odds([None])
-    assert guide.worth(at(0.0), looks(strange, shown), [], again=False) == pytest.approx(worth)
+    scans = [*(at(0.3 * k) for k in range(4)), at(50.0, lost=True), at(1.0)]
+    again = [False] * 4 + [True, False]
+    found = worths([4.0, None, None, 2.0, None, 4.0], scans, again)
+    assert found == pytest.approx([4.0, 0.0, 0.0, 1.8, 1.8, 0.4])
