@@ -155,10 +155,9 @@ def without_keyframes(
         else:
             motions.append(replace(one, source=source, target=target))
     agreement = layout.agreement
-    if agreement.worst is not None:  # at the next node that is left
-        left = np.searchsorted(numbers, layout.nodes[agreement.worst])
-        worst = min(int(np.searchsorted(nodes, left)), len(nodes) - 1)
-        agreement = replace(agreement, worst=worst)
+    left = np.searchsorted(numbers, layout.nodes[list(agreement.worst)])  # or the next that is left
+    worst = np.minimum(np.searchsorted(nodes, left), len(nodes) - 1)
+    agreement = replace(agreement, worst=tuple(dict.fromkeys(worst.tolist())))
     return replace(
         layout,
         poses=layout.poses[numbers],

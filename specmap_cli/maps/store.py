@@ -147,8 +147,8 @@ class StoredMap:
 
     @cached_property
     @_of_one_map
-    def regions(self) -> Regions:
-        """The free cells of the map divided among the submaps, as in overview.png."""
+    def division(self) -> tuple[GridMap, OwnerArray]:
+        """A grid of the map, and (H, W) the submap of each of its free cells, or NOBODY."""
         of_grid = self.path / filenames.LABELS_IMAGE
         if not of_grid.exists():
             borders = self.record.graph.edits.borders
@@ -162,7 +162,12 @@ class StoredMap:
             what = f"not the labels of {filenames.TOPOLOGY}"
             raise MapError(what, "make the map again", where=of_grid)
         self.checked(owner, of_grid.name)
-        return Regions.of(self.map_grid, np.where(self.map_grid.free, owner, NOBODY))
+        return self.map_grid, np.where(self.map_grid.free, owner, NOBODY)
+
+    @cached_property
+    def regions(self) -> Regions:
+        """The free cells of the map divided among the submaps, as in overview.png."""
+        return Regions.of(*self.division)
 
     @cached_property
     @_of_one_map
@@ -300,7 +305,7 @@ def _foreign(path: Path) -> MapError:
     return MapError(what, "put that one back, or build the map again", where=path)
 
 
-def _composed(stored: StoredMap) -> Regions:
+def _composed(stored: StoredMap) -> tuple[GridMap, OwnerArray]:
     """The grids of all submaps laid out in the map, each the owner of what is free in it.
 
     Earlier versions kept no more of a grid that they divided. Raises MapError when the whole would
