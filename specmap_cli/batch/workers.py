@@ -313,10 +313,8 @@ def spread(
                 return list(pool.map(function, items))
             except BrokenProcessPool:
                 raise NoResultError("a worker was killed", lost) from None
-            except BaseException:  # the others need not come to their end
+            except BaseException:  # what did not begin need not
                 pool.shutdown(wait=False, cancel_futures=True)
-                for child in multiprocessing.active_children():
-                    child.terminate()
                 raise
     require_dask()
     from distributed import KilledWorker

@@ -46,7 +46,7 @@ _FIT_MOST = 4.0  # log likelihood that walls give at the most
 # elsewhere, which fit by chance, and of the map's own.
 _FOREIGN_GAP, _OWN_GAP = 0.06, 0.15
 # Of the search, coarse: what it finds within 0.3 m and a few degrees is mended by the refinement.
-_STEP_M, _TRIED, _PLACES = 0.3, 40, 8
+_STEP_M, _TRIED, _PLACES = 0.25, 8, 8
 _ALL_ROUND = np.arange(0.0, 2.0 * math.pi, math.radians(5.0)).tolist()
 
 
