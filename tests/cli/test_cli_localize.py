@@ -122,7 +122,9 @@ def test_a_log_of_another_place_says_so_in_its_first_line_and_by_its_code(
     assert run("localize", tiny_log, *line).code == 0
     failed = run("localize", other, *line)
     assert failed.code == 5
-    assert "none of them known" in failed.out or "unknown" in failed.out
+    assert failed.out.splitlines()[0].endswith(
+        "none of them known: the map does not show this place"
+    )
 
 
 def test_a_hold_out_is_one_object_and_a_picture(tiny_log: Path, tmp_path: Path, run: Run) -> None:

@@ -257,11 +257,21 @@ def test_a_robot_that_stands_in_its_room_is_found_however_long(
     assert max(smoothed) - min(smoothed) < 1e-3
 
 
-def test_a_narrow_view_of_a_one_room_map_is_recognised_standing(building: Any) -> None:
+# two of five places in another room are called known: the walls say less against one than they did
+_ANOTHER = pytest.mark.xfail(strict=True, reason="half of another room fits walls of a single room")
+
+
+@pytest.mark.parametrize(
+    ("room", "known"),
+    [(0, 1.0), pytest.param(1, 0.0, marks=_ANOTHER), pytest.param(2, 0.0, marks=_ANOTHER)],
+)
+def test_a_narrow_view_of_a_one_room_map_is_recognised_standing(
+    building: Any, room: int, known: float
+) -> None:
     """What shows from one place is half of the room, and unlike all that was learned of it."""
 
-    def tour_of(room: int, seed: int) -> list[PosedScan]:
-        scans = building.posed(building.path(room, seed))
+    def tour_of(number: int, seed: int) -> list[PosedScan]:
+        scans = building.posed(building.path(number, seed))
         front = np.abs(scans[0].planar.bearings) <= np.pi / 2
         bearings, whole = scans[0].planar.bearings[front], [scan.planar for scan in scans]
         halves = [replace(s, bearings=bearings, ranges=s.ranges[front]) for s in whole]
@@ -274,11 +284,10 @@ def test_a_narrow_view_of_a_one_room_map_is_recognised_standing(building: Any) -
     cells[:, 190:] = OCCUPIED
     plan = GridMap(cells, building.plan.resolution)
     one_room = train(tour_of(0, 1), np.full(40, 3), CONFIG, plan, np.full(cells.shape, 3))
-    for room, known in ((0, 1.0), (1, 0.0), (2, 0.0)):
-        labels = []
-        for scan in tour_of(room, 4)[::8]:
-            labels += told(one_room.localizer({3: []}), [scan] * 6)
-        assert right(labels, np.full(len(labels), 3)) == pytest.approx(known, abs=0.45)
+    labels = []
+    for scan in tour_of(room, 4)[::8]:
+        labels += told(one_room.localizer({3: []}), [scan] * 6)
+    assert right(labels, np.full(len(labels), 3)) == pytest.approx(known, abs=0.25)
 
 
 HALF = Sensor(beams=181, field_of_view=math.pi, range_max=20.0, full_circle=False)
