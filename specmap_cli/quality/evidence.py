@@ -61,8 +61,8 @@ class Hole:
     Scans were `missing` meanwhile, or `lost`, or the map had the robot at `rest` while odometry
     drove on. `keyframe` is the first one after it. `measured` is the motion of the base by
     odometry, None where nothing measured it. `apart` is the motion by odometry seen from that of
-    the map, or without odometry that of a robot at rest. `alike` is the share of the walls seen
-    from the keyframe that lie where walls were seen before the hole.
+    the map, or without odometry that of a robot that stood or went on. `alike` is the share of the
+    walls seen from the keyframe that lie where walls were seen before the hole.
     """
 
     row: int
@@ -187,7 +187,7 @@ def holes_of(
             keyframe=keyframe,
             seconds=float(trajectory.stamps_ns[after] - trajectory.stamps_ns[before]) * 1e-9,
             measured=None if around is None else _measured(trajectory, before, after),
-            apart=by_map.inverse() @ (IDENTITY if around is None else around),
+            apart=by_map.inverse() @ (around or _expected(trajectory, start, end)),
             alike=_alike(store, layout.poses, keyframe),
             kind=kind,
         )
@@ -246,6 +246,14 @@ def _measured(trajectory: Trajectory, before: int, after: int) -> Pose2 | None:
     if odometry is None or not np.isfinite(odometry[[before, after]]).all():
         return None
     return _motion(odometry, before, after)
+
+
+def _expected(trajectory: Trajectory, before: int, after: int) -> Pose2:
+    """The motion of a robot that stood, or went on as in as long a time before: as the map's."""
+    stamps_ns, poses = trajectory.stamps_ns, trajectory.poses
+    earlier = int(np.searchsorted(stamps_ns, 2 * stamps_ns[before] - stamps_ns[after]))
+    by_map, went_on = _motion(poses, before, after), _motion(poses, earlier, before)
+    return min((IDENTITY, went_on), key=lambda motion: (by_map.inverse() @ motion).distance)
 
 
 def _motion(poses: FloatArray, before: int, after: int) -> Pose2:

@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 
 from specmap_cli.core.arrays import runs
 from specmap_cli.core.findings import Finding
-from specmap_cli.core.geometry import compose, invert, travelled
+from specmap_cli.core.geometry import compose, invert, step_lengths, travelled
 from specmap_cli.core.records import IntArray
 from specmap_cli.core.text import counted
 from specmap_cli.layout.result import Layout
@@ -124,8 +124,8 @@ def unmeasured_way(evidence: Evidence) -> Iterator[Finding]:
 def odometry_disagrees(evidence: Evidence) -> Iterator[Finding]:
     """Odometry that tells another way than the map: everywhere, or in single places.
 
-    Everywhere: it is of another robot or clock, or the laser is not where the log says. In a single
-    place wheels slip, which is no fault of the map.
+    Everywhere that wheels turn: it is of another robot or clock, or the laser is not where the log
+    says. In a single place wheels slip, or the robot is carried, which is no fault of the map.
     """
     poses, odometry = evidence.trajectory.poses, evidence.trajectory.odometry
     if odometry is None or not evidence.measured.any():
@@ -143,7 +143,11 @@ def odometry_disagrees(evidence: Evidence) -> Iterator[Finding]:
     by_map, by_odometry = (compose(invert(p[starts]), p[ends]) for p in (poses, odometry))
     off = compose(invert(by_map), by_odometry)
     apart = np.hypot(off[:, 0], off[:, 1]) / ODOMETRY_WINDOW_M
-    usual, worst = float(np.median(apart)), int(apart.argmax())
+    # wheels that stand while the map moves tell of a robot that is carried, unless they mostly do
+    turned = np.nancumsum(step_lengths(odometry))
+    driven = turned[ends - 1] - turned[starts] > ODOMETRY_SHARE * ODOMETRY_WINDOW_M
+    usual = float(np.median(apart[driven] if driven.mean() > ODOMETRY_SHARE else apart))
+    worst = int(apart.argmax())
     everywhere = usual > ODOMETRY_SHARE
     share = usual if everywhere else float(apart[worst])
     limit = ODOMETRY_SHARE if everywhere else ODOMETRY_SLIP_SHARE

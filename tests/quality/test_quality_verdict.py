@@ -192,6 +192,21 @@ def test_odometry_is_compared_where_there_is_some_and_a_slip_of_wheels_is_a_note
     assert 44.0 <= finding.place[0] <= 50.0
 
 
+@pytest.mark.parametrize(("end", "count"), [(70, 0), (90, 1)])
+def test_wheels_that_stand_say_nothing_of_odometry_elsewhere(end: int, count: int) -> None:
+    """A robot that is carried for most of a drive; one whose wheels hardly turn at all."""
+    base = evidence()
+    carried = np.array(base.trajectory.poses)
+    carried[10:end] = carried[10]
+    carried[end:] -= carried[end] - carried[10]
+    doubts = [
+        one
+        for one in judged(travelled(base, odometry=carried)).findings
+        if one.severity == "doubtful"
+    ]
+    assert len(doubts) == count
+
+
 @pytest.mark.parametrize(("votes", "severity"), [(1, "doubtful"), (2, "doubtful"), (3, "note")])
 def test_a_piece_that_was_moved_far_is_told_of(votes: int, severity: Severity) -> None:
     moves = (
