@@ -21,6 +21,7 @@ from specmap_cli.core.config import (
     with_overrides,
     without_retired,
 )
+from specmap_cli.core.described import meanings
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.settings import Config
 from specmap_cli.core.toml import to_toml
@@ -145,7 +146,7 @@ def descriptions(section: type[BaseModel], before: str = "") -> Iterator[tuple[s
         if isinstance(kind, type) and issubclass(kind, BaseModel):
             yield from descriptions(kind, f"{name}.")
         else:
-            yield before + name, field.description or ""
+            yield before + name, meanings(section)[name]
 
 
 def test_every_description_can_be_read_alone() -> None:
