@@ -1,14 +1,12 @@
 """How far a batch has come: what is known of each job, and the events that are told meanwhile.
 
 An event is a line of JSON. `EventRecord` is its format; `batch.schema.json` beside this file is the
-same as JSON Schema, for other tools. After a change of the model,
-`python -m specmap_cli.batch.ledger` prints the new one.
+same as JSON Schema, for other tools.
 """
 
 from __future__ import annotations
 
 import json
-import sys
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -160,6 +158,3 @@ def _scans(record: JobRecord) -> int | None:
 
 
 SCHEMA = ModelSchema(EventRecord, "batch", SCHEMA_VERSION, "specmap batch --json: one line")
-
-if __name__ == "__main__":
-    sys.stdout.write(SCHEMA.text())

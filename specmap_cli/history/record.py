@@ -1,13 +1,11 @@
 """The contents of history.json: buildings, their rooms, visits by day, and what changed when.
 
 These models are the format. `history.schema.json` beside this file is the same as JSON Schema, for
-other tools. After a change of the models, `python -m specmap_cli.history.record` prints the new
-one. Lengths are metres; places are in the frame of a building, that of its first map.
+other tools. Lengths are metres; places are in the frame of a building, that of its first map.
 """
 
 from __future__ import annotations
 
-import sys
 from typing import Literal
 
 from pydantic import Field
@@ -116,6 +114,3 @@ class HistoryRecord(Measured):
 
 
 SCHEMA = ModelSchema(HistoryRecord, "history", SCHEMA_VERSION, "specmap history.json")
-
-if __name__ == "__main__":
-    sys.stdout.write(SCHEMA.text())
