@@ -111,7 +111,12 @@ class Closure(Value):
         Count | None,
         Field(description="id of the node that `old` ended in; null where it is not known"),
     ] = None
-    xi: Annotated[MaybeNan, Field(description="eq. 5 of the paper: the product of the two claims")]
+    xi: Annotated[
+        MaybeNan,
+        Field(
+            description="eq. 5: the product of the claims; all three null where maps were joined"
+        ),
+    ]
     claims_new_by_old: Annotated[
         MaybeNan,
         Field(description="eq. 4: share of the scans of `new` that the classifier of `old` claims"),
@@ -120,7 +125,10 @@ class Closure(Value):
         MaybeNan,
         Field(description="eq. 4: share of the scans of `old` that the classifier of `new` claims"),
     ]
-    verified: Annotated[bool, Field(description="whether the two grids match")]
+    verified: Annotated[
+        bool,
+        Field(description="whether the two grids match, and the layout does not contradict it"),
+    ]
     score: Annotated[
         MaybeNan,
         Field(

@@ -32,9 +32,6 @@ from specmap_cli.core.json_values import (
 from specmap_cli.core.records import Closure, Labels
 from specmap_cli.grids.gridmap import GridMap
 
-# traversed: the robot drove across; closure: joined by matching grids only; loose: joined by a
-# guess across scans that could not be registered; seen: they touch, but the robot never went from
-# one to the other; doorway: regions of a finished map that touch.
 EdgeKind = Literal["traversed", "closure", "loose", "seen", "doorway"]
 # What a submap is by its shape (`topology.shapes`), or by a person's word.
 SubmapKind = Literal["room", "corridor", "hall"]
@@ -118,7 +115,10 @@ class Door(Value):
     ]
     x: Annotated[Number, Field(description="of its middle, metres")]
     y: Annotated[Number, Field(description="of its middle, metres")]
-    width_m: Annotated[Amount, Field(description="clear width from wall to wall, metres")]
+    width_m: Annotated[
+        Amount,
+        Field(description="clear width from wall to wall, what nobody saw being wall, metres"),
+    ]
     theta: Annotated[
         Number,
         Field(
@@ -152,7 +152,15 @@ class Edge(Value):
 
     source: Annotated[Count, Field(description="id of a node, smaller than `target`")]
     target: Annotated[Count, Field(description="id of a node")]
-    kind: Annotated[EdgeKind, Field(description="how the two are known to be joined")]
+    kind: Annotated[
+        EdgeKind,
+        Field(
+            description="traversed: the robot drove across; closure: it did not, but the grids "
+            "match and the tracks meet; loose: only a guess joins them, across scans that could "
+            "not be registered; seen: they touch, but the robot never went from one to the other; "
+            "doorway: regions of a finished map that touch"
+        ),
+    ]
     traversals: Annotated[tuple[Traversal, ...], Field(description="each crossing, in order")] = ()
     doors: Annotated[
         tuple[Count, ...],
@@ -246,7 +254,13 @@ class Stay(Value):
     end_ns: Annotated[
         StampNs, Field(alias="end", description="stamp of its last keyframe, seconds")
     ]
-    origin: Annotated[Count, Field(description="the keyframe whose pose is the frame of the stay")]
+    origin: Annotated[
+        Count,
+        Field(
+            description="the keyframe whose pose is the frame of the stay: its first, unless the "
+            "robot came back and earlier ones were added"
+        ),
+    ]
     runs: Annotated[
         tuple[Span, ...],
         Field(
