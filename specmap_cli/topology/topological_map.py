@@ -115,10 +115,7 @@ class Door(Value):
     ]
     x: Annotated[Number, Field(description="of its middle, metres")]
     y: Annotated[Number, Field(description="of its middle, metres")]
-    width_m: Annotated[
-        Amount,
-        Field(description="clear width from wall to wall, what nobody saw being wall, metres"),
-    ]
+    width_m: Annotated[Amount, Field(description="clear width, unseen space being wall, metres")]
     theta: Annotated[
         Number,
         Field(
@@ -254,13 +251,7 @@ class Stay(Value):
     end_ns: Annotated[
         StampNs, Field(alias="end", description="stamp of its last keyframe, seconds")
     ]
-    origin: Annotated[
-        Count,
-        Field(
-            description="the keyframe whose pose is the frame of the stay: its first, unless the "
-            "robot came back and earlier ones were added"
-        ),
-    ]
+    origin: Annotated[Count, Field(description="the keyframe whose pose is the frame of the stay")]
     runs: Annotated[
         tuple[Span, ...],
         Field(
