@@ -110,13 +110,13 @@ class Closure(Value):
     old_submap: Count | None = None
     """id of the node that `old` ended in; null where it is not known"""
     xi: MaybeNan
-    """eq. 5 of the paper: the product of the two claims"""
+    """eq. 5: the product of the claims; all three null where maps were joined"""
     claims_new_by_old: MaybeNan
     """eq. 4: share of the scans of `new` that the classifier of `old` claims"""
     claims_old_by_new: MaybeNan
     """eq. 4: share of the scans of `old` that the classifier of `new` claims"""
     verified: bool
-    """whether the two grids match"""
+    """whether the two grids match, and the layout does not contradict it"""
     score: MaybeNan
     """how well the grids match, 1 is perfect; null when they were not compared"""
     merged: Annotated[bool, Field(alias="accepted")]

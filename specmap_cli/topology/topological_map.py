@@ -32,9 +32,6 @@ from specmap_cli.core.json_values import (
 from specmap_cli.core.records import Closure, Labels
 from specmap_cli.grids.gridmap import GridMap
 
-# traversed: the robot drove across; closure: joined by matching grids only; loose: joined by a
-# guess across scans that could not be registered; seen: they touch, but the robot never went from
-# one to the other; doorway: regions of a finished map that touch.
 EdgeKind = Literal["traversed", "closure", "loose", "seen", "doorway"]
 # What a submap is by its shape (`topology.shapes`), or by a person's word.
 SubmapKind = Literal["room", "corridor", "hall"]
@@ -126,7 +123,7 @@ class Door(Value):
     y: Number
     """of its middle, metres"""
     width_m: Amount
-    """clear width from wall to wall, metres"""
+    """clear width, unseen space being wall, metres"""
     theta: Number
     """direction of who goes through it from the first of `between` to the second, radians; its line
     stands across that"""
@@ -155,7 +152,10 @@ class Edge(Value):
     target: Count
     """id of a node"""
     kind: EdgeKind
-    """how the two are known to be joined"""
+    """traversed: the robot drove across; closure: it did not, but the grids match and the tracks
+    meet; loose: only a guess joins them, across scans that could not be registered; seen: they
+    touch, but the robot never went from one to the other; doorway: regions of a finished map that
+    touch"""
     traversals: tuple[Traversal, ...] = ()
     """each crossing, in order"""
     doors: tuple[Count, ...] = ()
