@@ -226,7 +226,7 @@ class Stay(Value):
     end_ns: Annotated[StampNs, Field(alias="end")]
     """stamp of its last keyframe, seconds"""
     origin: Count
-    """the keyframe whose pose is the frame of the stay: its first, unless earlier ones came to it"""
+    """the keyframe whose pose is the frame of the stay"""
     runs: Annotated[tuple[Span, ...], Field(alias="keyframes", min_length=1)]
     """runs [first, last] of its keyframes, rows of labels.csv"""
 
