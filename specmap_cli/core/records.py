@@ -110,7 +110,7 @@ class Closure(Value):
     old_submap: Count | None = None
     """id of the node that `old` ended in; null where it is not known"""
     xi: MaybeNan
-    """eq. 5 of the paper: the product of the two claims; all three null where maps were joined"""
+    """eq. 5: the product of the claims; all three null where maps were joined"""
     claims_new_by_old: MaybeNan
     """eq. 4: share of the scans of `new` that the classifier of `old` claims"""
     claims_old_by_new: MaybeNan

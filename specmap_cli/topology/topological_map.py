@@ -123,7 +123,7 @@ class Door(Value):
     y: Number
     """of its middle, metres"""
     width_m: Amount
-    """clear width from wall to wall, what nobody saw being wall, metres"""
+    """clear width, unseen space being wall, metres"""
     theta: Number
     """direction of who goes through it from the first of `between` to the second, radians; its line
     stands across that"""
