@@ -178,6 +178,7 @@ class FrontEnd:
         scene, track = Scene(view=view, local=local, config=self.config), self._track
         guess = MotionGuess(
             pose=best_guess(scene, track.pose, expected),
+            before=track.pose,
             expected=expected,
             by_motion=track.by_motion if expected.measured else track.carried_on,
             reliance=track.reliance,

@@ -51,6 +51,7 @@ _CARRIED_SHARE, _CARRIED_TURN_SHARE = 0.2, 0.3
 
 SEARCH_M = 0.25  # half width of the search: odometry's error
 _SEARCH_RAD = 0.35  # half angle of the search: a clock apart, in a turn
+_BACKED_UP = (1.0, 0.5)  # shares of a step that are tried as driven backwards
 _BLIND_SEARCH_M = 0.3  # half width of the search without odometry
 _BLIND_SEARCH_RAD = 0.5  # half angle of the search without odometry
 _WIDE_SEARCH_M = 1.0  # half width of the wide search: a hole in the log
@@ -259,13 +260,14 @@ def fixed_directions(scan: PlanarScan, base_from_laser: Pose2, motion: Pose2) ->
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionGuess:
-    """Where a sweep is expected: at `pose` (4, 4), after a motion.
+    """Where a sweep is expected: at `pose` (4, 4), after `before` (4, 4) and a motion.
 
     `by_motion` is the place that the expected motions since the last keyframe lead to, or without
     odometry the usual one. `reliance` is what odometry has been worth.
     """
 
     pose: FloatArray
+    before: FloatArray
     expected: ExpectedMotion
     by_motion: Pose2
     reliance: Reliance = UNKNOWN
@@ -278,6 +280,26 @@ class MotionGuess:
     def trusted(self) -> bool:
         """Whether odometry measured the motion, and is worth its name."""
         return self.expected.measured and self.reliance.trusted
+
+    @property
+    def misread(self) -> list[FloatArray]:
+        """Poses (4, 4) that odometry may have misread, where a search around its own looks not.
+
+        Wheels that only count tell nothing of the direction in which they turn: a step of the log
+        may be driven backwards as a whole, or half of it. The heading of some odometry jumps, when
+        it is corrected or begins anew: there the motion before goes on.
+        """
+        expected, places = self.expected, []
+        if expected.motion.distance > SEARCH_M:
+            x, y, theta = expected.motion
+            backwards = product(self.before, Pose2(-x, -y, theta).matrix())
+            for share in _BACKED_UP:
+                place = self.pose.copy()
+                place[:3, 3] += share * (backwards[:3, 3] - self.pose[:3, 3])
+                places.append(place)
+        if abs((expected.motion.inverse() @ expected.carried).theta) > _SEARCH_RAD:
+            places.append(product(self.before, expected.carried.matrix()))
+        return places if expected.measured else []
 
     def agrees(self, fit: Fit, slacks: float = 1.0) -> bool:
         """Whether a result is as near the guess as the robot's motion can have been.
@@ -319,7 +341,7 @@ def best_guess(scene: Scene, before: FloatArray, expected: ExpectedMotion) -> Fl
         return guess
     apart = expected.motion.inverse() @ expected.carried
     alike = apart.distance < _SMALL_M and abs(apart.theta) < _SMALL_RAD  # aligned to one place
-    if alike:
+    if alike or abs(apart.theta) > _SEARCH_RAD:
         return guess
     other = product(before, expected.carried.matrix())
     places = [Pose2.from_matrix(pose) for pose in (guess, other)]

@@ -96,8 +96,7 @@ def locate(scene: Scene, guess: MotionGuess) -> Located:
         share = ENOUGH if guess.trusted else MOST
         doubted = support.share < share or support.score <= GOOD_SCORE
     if doubted:
-        found = scene.search(guess.pose, near_window(measured=measured), _KERNEL_VOXELS, bounds)
-        fit = _better(scene, guess, fit, found)
+        fit = _searched(scene, guess, fit, bounds)
     agreeing = guess.agrees(fit)
     # before a contradiction is believed, the robot is looked for wherever it can have come
     wide = doubted and fit.score < (SURE_SCORE if agreeing else BEYOND_DOUBT)
@@ -165,8 +164,26 @@ def _speaks_against(support: Support, config: RegistrationConfig) -> bool:
     return enough and support.score < POOR_SCORE * min(1.0, support.share / MOST)
 
 
-def _better(scene: Scene, guess: MotionGuess, fit: Fit, found: Fit) -> Fit:
-    """The better one of a result and of what a search around the guess found.
+def _searched(scene: Scene, guess: MotionGuess, fit: Fit, bounds: Bounds) -> Fit:
+    """The best one of a doubtful result and of what searches find around all that is expected.
+
+    A place that odometry misread is taken if most walls there are known and fit. Where odometry is
+    right, walls come into sight that are new at other places.
+    """
+    window = near_window(measured=guess.expected.measured)
+    found = scene.search(guess.pose, window, _KERNEL_VOXELS, bounds)
+    fit = _better(scene, guess, fit, found, guess.planar)
+    for place in guess.misread if fit.score < BEYOND_DOUBT else ():
+        around = Bounds.around(place, scene.config)
+        found = scene.search(place, window, _KERNEL_VOXELS, around)
+        support = scene.support(found.planar)
+        if support.share >= MOST and support.score >= BEYOND_DOUBT:
+            fit = _better(scene, guess, fit, found, Pose2.from_matrix(place))
+    return fit
+
+
+def _better(scene: Scene, guess: MotionGuess, fit: Fit, found: Fit, place: Pose2) -> Fit:
+    """The better one of a result and of what a search around a place found.
 
     A place that agrees with trusted odometry and that the walls speak for is not given up for one
     that does not agree: new walls that lie on old ones somewhere else do not prove it. Where hardly
@@ -178,7 +195,7 @@ def _better(scene: Scene, guess: MotionGuess, fit: Fit, found: Fit) -> Fit:
     if support.share < _NEARLY_ALL:
         kept = support.share >= ENOUGH and support.score >= FAIR_SCORE
     else:
-        away = guess.planar.inverse() @ found.planar
+        away = place.inverse() @ found.planar
         needed = fit.score + _PER_SLACK * guess.reliance.slacks(guess.expected.motion, away)
         kept = found.score < needed
     return replace(fit, refused=fit.refused + found.refused) if kept else fit.or_better(found)

@@ -153,6 +153,7 @@ def guess_of(
     """A guess at a place, which the expected motion leads to."""
     return MotionGuess(
         pose=place.matrix(),
+        before=(place @ expected.motion.inverse()).matrix(),
         expected=expected,
         by_motion=by_motion,
         reliance=reliance,

@@ -99,14 +99,38 @@ def test_the_guess_is_odometry_s_unless_the_walls_object(world: GridMap) -> None
     """A robot that turned before and now drives on: a carried turn would lead the scan astray."""
     scene, before = scene_in(world, ToldAligner()), np.eye(4)
     slightly, wildly = Pose2(0.01, 0.0, 0.002), Pose2(0.0, 0.0, 0.34)
-    jumped = Pose2(0.0, 0.0, 3.0)  # a heading that begins anew
-    for odometry, taken in ((slightly, slightly), (wildly, IDENTITY), (jumped, IDENTITY)):
+    beyond = Pose2(0.0, 0.0, 0.36)  # a turn that odometry may miss
+    for odometry, taken in ((slightly, slightly), (wildly, IDENTITY), (beyond, beyond)):
         guess = best_guess(scene, before, expecting(odometry, IDENTITY))
         assert np.allclose(guess, taken.matrix()), odometry
     # what is no better is not taken, nor anything at all against no odometry
     assert np.allclose(best_guess(scene, before, expecting(wildly, wildly)), wildly.matrix())
     unmeasured = expecting(wildly, IDENTITY, measured=False)
     assert np.allclose(best_guess(scene, before, unmeasured), wildly.matrix())
+
+
+@pytest.mark.parametrize("backwards", [1.0, 0.5])
+def test_a_step_driven_backwards_is_found_where_odometry_reports_it_forwards(
+    world: GridMap, backwards: float
+) -> None:
+    """The truth is the identity; odometry leads 2 m on, or as far as half of it was backwards."""
+    step = Pose2(1.0, 0.0, 0.0)
+    guess = Pose2(2.0 * backwards * step.x, 0.0, 0.0)
+    scene = scene_in(world, ToldAligner(), max_shift_m=0.8)
+    located = locate(scene, guess.matrix(), expecting(step), guess)
+    assert located.fit.planar.distance < 0.1
+    assert located.fit.score > 0.85
+
+
+@pytest.mark.parametrize("measured", [True, False])
+def test_a_turn_that_the_walls_deny_gives_way_to_the_motion_before(
+    world: GridMap, measured: bool
+) -> None:
+    """The truth is the identity; odometry turns by half a turn, farther than a search does."""
+    scene = scene_in(world, ToldAligner())
+    turn = Pose2(0.0, 0.0, 3.0)
+    located = locate(scene, turn.matrix(), expecting(turn, measured=measured), turn)
+    assert (located.fit.score > 0.9) == measured
 
 
 def test_odometry_denies_by_what_it_is_worth_of_way_and_of_turn() -> None:
@@ -257,11 +281,9 @@ def test_without_odometry_the_motion_goes_on_along_a_bare_corridor_and_only_ther
     way, ahead = Pose2(0.0, 0.0, turn), Pose2(0.3, 0.2, 0.1)
     seen, known = (way.apply(corridor(length, end_m)) for length in (20.0, 30.0))
     scene = with_beams(scene_of(seen, known, ToldAligner()))
-    located = locate(scene, np.eye(4), expecting(measured=False), way @ ahead)
-    along, across, heading = way.inverse() @ located.fit.planar @ way
-    loose = abs(Pose2(0.0, 0.0, -turn).apply(located.loose[None])[0])
-    assert loose == pytest.approx((1.0 if carried else 0.0, 0.0), abs=0.02)
-    assert not locate(scene, np.eye(4), expecting(), way @ ahead).loose.any()
+    by_motion = way @ ahead
+    found = locate(scene, np.eye(4), expecting(measured=False), by_motion).fit.planar
+    along, across, heading = way.inverse() @ found @ way
     assert along == pytest.approx(ahead.x if carried else 0.0, abs=1e-3)
     assert (across, heading) == pytest.approx((0.0, 0.0), abs=1e-3)
 
