@@ -6,7 +6,7 @@ from bisect import bisect_left
 from typing import NamedTuple
 
 from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
-from specmap_cli.core.text import nanoseconds
+from specmap_cli.core.text import legible, nanoseconds
 from specmap_cli.logs.messages import BadMessageError, decode_odometry, decode_transforms
 from specmap_cli.logs.readers.recording import Message
 from specmap_cli.logs.selection import Selection
@@ -81,7 +81,8 @@ class Heard(NamedTuple):
 class OdometryListener:
     """The odometry of one pass over a log: messages in, the base at the stamps of scans out.
 
-    `poses` is what was heard so far, `heard` how many poses that were, `last` the last of them.
+    `poses` is what was heard so far, `heard` how many poses that were, `last` the last of them,
+    `renamed` how many had other frames than the first, which no transform joins.
     """
 
     def __init__(self, selection: Selection) -> None:
@@ -89,6 +90,8 @@ class OdometryListener:
         self.poses = OdometryBuffer()
         self.heard = 0
         self.last: Heard | None = None
+        self.renamed = 0
+        self._frames: list[tuple[str, str]] = []  # (parent, child) of the first, and of another
         self._tree = selection.tree.copy()
         self._chain = frozenset(self._tree.ancestors(selection.base_frame))
 
@@ -100,11 +103,13 @@ class OdometryListener:
         absurd: list[str] = []
         if selection.odometry == "topic":
             record = decode_odometry(message)
-            odom_from_base: FloatArray | None = record.parent_from_child
+            odom_from_base, child_from_base = record.parent_from_child, None
             if record.child and record.child != base:
                 child_from_base = self._tree.lookup(record.child, base)
-                if child_from_base is not None:
-                    odom_from_base = record.parent_from_child @ child_from_base
+            if child_from_base is not None:
+                odom_from_base = record.parent_from_child @ child_from_base
+            joined = record.child == base or child_from_base is not None
+            self._compare((record.parent, record.child), joined=joined)
             heard.append((record.stamp_ns, odom_from_base))
         else:
             transforms = decode_transforms(message)
@@ -122,6 +127,24 @@ class OdometryListener:
                 self.poses.add(known_ns, self.last.pose)
         if absurd:
             raise BadMessageError(f"the transform of {absurd[0]!r} is not finite or absurd")
+
+    def _compare(self, frames: tuple[str, str], *, joined: bool) -> None:
+        """Count odometry between other frames than those of the first message."""
+        self._frames = self._frames or [frames]
+        if frames != (first := self._frames[0]) and not (joined and frames[0] == first[0]):
+            self._frames = [first, *self._frames[1:], frames][:2]
+            self.renamed += 1
+
+    @property
+    def notes(self) -> list[str]:
+        """What to know of the frames of the odometry; nothing where they stay the same."""
+        if not self.renamed:
+            return []
+        first, other = (f"{parent!r} -> {child!r}" for parent, child in self._frames)
+        return [
+            f"the odometry moves {legible(first)}, but in {self.renamed:,} later messages other "
+            f"frames, such as {legible(other)}: they are taken to be the same"
+        ]
 
     def own(self, stamp_ns: int, time_ns: int) -> Pose2 | None:
         """odom_from_base of a scan with these header and recorder's times, by the order of the log.

@@ -72,6 +72,7 @@ class SweepStream:
         self.selection: Selection = select(log, config)
         self.counts = dict.fromkeys(_COUNTED, 0)
         self.ceiling, self.own_body = Ceiling(), OwnBody()
+        self._odometry = OdometryListener(self.selection)
 
     @property
     def expected(self) -> int:
@@ -87,12 +88,14 @@ class SweepStream:
             if self.counts[key] > _LEAST_SHARE.get(key, 0.0) * self.counts["scans"]
         ]
         assumed = [legible(line) for line in self.selection.warnings]
+        found += self._odometry.notes
         return [*self.log.damage, *assumed, *found, *self.ceiling.notes, *self.own_body.notes]
 
     def __iter__(self) -> Iterator[Sweep]:
         """The sweeps in the order of the log."""
         self.counts = counts = dict.fromkeys(_COUNTED, 0)
-        chosen, odometry = self.selection, OdometryListener(self.selection)
+        chosen = self.selection
+        self._odometry = odometry = OdometryListener(chosen)
         self.ceiling, self.own_body = Ceiling(chosen.ceilings_m), OwnBody()
         leveller = ScanLeveller(chosen.base_from_laser, self.ceiling, self.own_body)
         sweeps = _SweepMaker(chosen, self.config, counts, leveller)

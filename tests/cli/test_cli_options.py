@@ -18,9 +18,11 @@ MAKE = {"segment", "simulate", "convert", "export", "compare", "merge", "edit", 
 WRITERS = READERS - {"info"} | MAKE
 SETTLED = READERS | MAKE | {"config", "check", "batch"}
 ALL = SETTLED | {"schema"}
+BOUNDED = {"simulate", "convert", "export", "edit", "report", "history", "check"}  # in their inputs
 HAVE = {
     **dict.fromkeys(("--quiet", "-q", "--json", "--log-level"), ALL),
-    **dict.fromkeys(("--config", "--set", "--preset"), SETTLED),
+    **dict.fromkeys(("--config", "--set"), SETTLED),
+    "--preset": SETTLED - BOUNDED,
     **dict.fromkeys(("--scan-topic", "--odom-topic", "--base-frame", "--no-odometry"), READERS),
     "--overwrite": WRITERS | {"check"},
     **dict.fromkeys(("--out", "-o"), WRITERS | {"batch"}),
