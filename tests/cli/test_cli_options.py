@@ -99,6 +99,7 @@ def test_quiet_leaves_warnings_to_the_result(tiny_map: Path, tmp_path: Path, run
         assert any("cut.mcap: cut off" in warning for warning in json.loads(quiet.out)["warnings"])
     run_record = json.loads((tmp_path / "map" / "run.json").read_text(encoding="utf-8"))
     assert any("cut.mcap: cut off" in warning for warning in run_record["warnings"])
+    assert run_record["counts"]["damage"] == 1  # of which `check` has a rule
 
 
 class TestEnvironment:
