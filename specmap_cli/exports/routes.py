@@ -150,7 +150,7 @@ def check_routes(stored: StoredMap, progress: Progress) -> None:
             why = "it has one submap: record a drive through more rooms, or cut it with "
             why += "`specmap edit --split`"
         elif any(edge.forbidden and edge.corners for edge in record.edges):
-            why = "those that there are were forbidden: allow one with `specmap edit`"
+            why = "those that there are were forbidden: allow one with `specmap edit --undo`"
         else:
             why = f"all are too narrow for a robot of {radius:g} m radius: build the map again "
             why += "with a smaller ways.robot_radius_m, if the robot is smaller"

@@ -128,8 +128,9 @@ def _surprises(before: TopologyRecord, after: TopologicalMap) -> Iterator[str]:
         allowed = parts(after.submaps, [replace(edge, forbidden=False) for edge in edges.values()])
         cut = [part for part in parts(after.submaps, edges.values())[1:] if part not in allowed]
         if cut:
+            noun = "submap" if sum(map(len, cut)) == 1 else "submaps"
             which = "; ".join(", ".join(map(str, part)) for part in cut)
-            yield f"no route leads to {which} any more: every way there is forbidden"
+            yield f"no route leads to {noun} {which} any more: every way there is forbidden"
     names = {id_: submap.name or default_name(id_) for id_, submap in after.submaps.items()}
     was = {node.id: node.name for node in before.nodes}
     for name in dict.fromkeys(names[id_] for id_ in sorted(names) if names[id_] != was.get(id_)):

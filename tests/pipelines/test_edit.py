@@ -260,7 +260,7 @@ class TestForbiddenDoors:
         requested = RequestedEdits(changes=({"forbid": [room, built.corridor]},))
         progress = Mock(Silent)
         shut = edit_map(built.map, requested, tmp_path / "shut", progress=progress)
-        told = f"no route leads to {room} any more: every way there is forbidden"
+        told = f"no route leads to submap {room} any more: every way there is forbidden"
         assert progress.warn.mock_calls == [call(told)]
         stored = read_map(shut.out)
         assert shut.forbidden == (pair,)
