@@ -202,9 +202,8 @@ class WeighedPlaces:
         least = min((each.front for each in fitted), default=0.0)
         pairs = zip(there, fitted, strict=True)
         self._keep([place.seen(fit, share, least) for place, fit in pairs], belief)
-        told = min((each.against for each in self.places), default=None)
-        told = told if told is None or told < 0.0 else None
-        if self._is_due(fits and told is None, belief):
+        told = min((each.against for each in self.places), default=math.inf)
+        if self._is_due(fits and told >= 0.0, belief):
             found = self.walls.anywhere(view)
             least = min(each.front for each in found)
             born = [
@@ -215,8 +214,8 @@ class WeighedPlaces:
             self._searched, self._scans = self._driven, 0
             self._wait = 1 if born else 2 * self._wait
             self._keep([*self.places, *born], belief)
-            told = min([each.against for each in found] + ([] if told is None else [told]))
-        return told
+            return min([told, *(each.against for each in found)])
+        return told if told < 0.0 else None  # what fits nowhere else was not asked
 
     def _is_due(self, at_once: bool, belief: FloatArray) -> bool:
         """Whether the map is to be searched: the sooner again if nothing fits."""
