@@ -26,6 +26,7 @@ PROGRAM = (sys.executable, "-m", "specmap_cli")
 FINE = {0, 2, 3, 5}  # done, refused, replaced while it was read, a rule that is broken
 _NOTES, _WORDS = "notes.txt", "a person's own"
 _LONGEST_S = 300.0
+_TOLD_EVERY = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +134,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             ended.update(map(str, ends))
             failed += bool(faults)
             for fault in faults:
-                print(f"pair {number}, {kinds[1]} {after_s:.2f} s after {kinds[0]}: {fault}")
+                told = f"pair {number}, {kinds[1]} {after_s:.2f} s after {kinds[0]}: {fault}"
+                print(told, flush=True)
+            if (number + 1) % _TOLD_EVERY == 0:
+                print(f"{number + 1} pairs, {failed} failed", file=sys.stderr, flush=True)
     print(json.dumps({"pairs": options.count, "failed": failed, "exit codes": dict(ended)}))
     return int(failed > 0)
 
