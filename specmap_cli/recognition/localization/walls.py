@@ -21,7 +21,7 @@ from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, wrap_angle
 from specmap_cli.core.records import NO_SUBMAP, BoolArray, PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
-from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap, cast_rays, nearest_values
+from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap, LengthArray, cast_rays, nearest_values
 from specmap_cli.grids.matching import refine, search_everywhere
 from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.learning.misfit import FIT_RANGE_M, HeldOutMisfit, near_returns, pooled
@@ -119,7 +119,7 @@ class MapWalls:
         return ScoreField.from_grid(self.grid)
 
     @cached_property
-    def _distances(self) -> FloatArray:
+    def _distances(self) -> LengthArray:
         return self.grid.obstacle_distance()
 
     @cached_property
