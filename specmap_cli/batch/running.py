@@ -19,8 +19,13 @@ from pathlib import Path
 
 import specmap_cli
 from specmap_cli import __version__
-from specmap_cli.batch.outputs import files_in, folder_at, write_record
-from specmap_cli.batch.places import PlaceError, scratch_directory
+from specmap_cli.batch.places import (
+    PlaceError,
+    files_in,
+    folder_at,
+    scratch_directory,
+    write_record,
+)
 from specmap_cli.batch.processes import Bounds, judged, run_process
 from specmap_cli.batch.records import (
     InputRecord,
@@ -36,7 +41,7 @@ from specmap_cli.batch.records import (
 )
 from specmap_cli.batch.sources import digest_of, fetched, inputs_of
 from specmap_cli.batch.steps import LOG_TEXT, MAP, arguments_of
-from specmap_cli.checking.figures import figures_of
+from specmap_cli.checking.rules import figures_of
 from specmap_cli.core.errors import LogError, MapError, SpecmapError, UsageError
 from specmap_cli.core.text import legible
 from specmap_cli.maps.store import read_map

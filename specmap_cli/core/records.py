@@ -72,7 +72,8 @@ class PosedScan:
     before); `lost` marks a scan that could not be registered and must not enter a map; `restarted`
     marks the first scan after a run of lost ones, joined to what came before by a guess only;
     `bridge` is how far that guess may be off, metres and radians, None where nothing measured it.
-    `planar` is de-skewed. `blind`: neither walls nor odometry fix its place along some direction.
+    `planar` is de-skewed. Walls do not fix each motion in all directions: what was guessed on the
+    way up to it may be off by `guessed_m`, x and y in the map, a standard deviation.
     `odom_from_base` is the odometry at its stamp, None where there is none.
     `map_from_base_3d` (4, 4) keeps z, roll and pitch of a 3D lidar.
     """
@@ -87,7 +88,7 @@ class PosedScan:
     lost: bool = False
     restarted: bool = False
     bridge: tuple[float, float] | None = None
-    blind: bool = False
+    guessed_m: tuple[float, float] = (0.0, 0.0)
     odom_from_base: Pose2 | None = None
     map_from_base_3d: FloatArray | None = None
 
@@ -101,44 +102,31 @@ class PosedScan:
 class Closure(Value):
     """Two stays that loop closure compared."""
 
-    new: Annotated[Count, Field(description="number of the later stay")]
-    old: Annotated[Count, Field(description="number of the earlier stay")]
-    new_submap: Annotated[
-        Count | None,
-        Field(description="id of the node that `new` ended in; null where it is not known"),
-    ] = None
-    old_submap: Annotated[
-        Count | None,
-        Field(description="id of the node that `old` ended in; null where it is not known"),
-    ] = None
-    xi: Annotated[MaybeNan, Field(description="eq. 5 of the paper: the product of the two claims")]
-    claims_new_by_old: Annotated[
-        MaybeNan,
-        Field(description="eq. 4: share of the scans of `new` that the classifier of `old` claims"),
-    ]
-    claims_old_by_new: Annotated[
-        MaybeNan,
-        Field(description="eq. 4: share of the scans of `old` that the classifier of `new` claims"),
-    ]
-    verified: Annotated[bool, Field(description="whether the two grids match")]
-    score: Annotated[
-        MaybeNan,
-        Field(
-            description="how well the grids match, 1 is perfect; null when they were not compared"
-        ),
-    ]
-    merged: Annotated[
-        bool, Field(alias="accepted", description="whether the two became one submap")
-    ]
-    reason: Annotated[str, Field(description="why they did, or why not")]
-    old_from_new: Annotated[
-        Motion | None,
-        Field(
-            alias="transform",
-            description="[x, y, theta] of the frame of `new`, its `origin`, in that of `old`; "
-            "null when not verified",
-        ),
-    ] = None
+    new: Count
+    """number of the later stay"""
+    old: Count
+    """number of the earlier stay"""
+    new_submap: Count | None = None
+    """id of the node that `new` ended in; null where it is not known"""
+    old_submap: Count | None = None
+    """id of the node that `old` ended in; null where it is not known"""
+    xi: MaybeNan
+    """eq. 5: the product of the claims; all three null where maps were joined"""
+    claims_new_by_old: MaybeNan
+    """eq. 4: share of the scans of `new` that the classifier of `old` claims"""
+    claims_old_by_new: MaybeNan
+    """eq. 4: share of the scans of `old` that the classifier of `new` claims"""
+    verified: bool
+    """whether the two grids match, and the layout does not contradict it"""
+    score: MaybeNan
+    """how well the grids match, 1 is perfect; null when they were not compared"""
+    merged: Annotated[bool, Field(alias="accepted")]
+    """whether the two became one submap"""
+    reason: str
+    """why they did, or why not"""
+    old_from_new: Annotated[Motion | None, Field(alias="transform")] = None
+    """[x, y, theta] of the frame of `new`, its `origin`, in that of `old`; null when not
+    verified"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,8 +135,7 @@ class Trajectory:
 
     `tilt` (n, 3) holds z, roll and pitch for a 3D lidar, None for planar logs. `lost` (n,) marks
     the scans that could not be registered: their poses are guesses. `odometry` (n, 3) are the poses
-    by odometry, NaN where there is none. `blind` (n,) marks scans whose place along some direction
-    neither walls nor odometry fix. Each is None where nothing is known of it.
+    by odometry, NaN where there is none. Each is None where nothing is known of it.
     """
 
     stamps_ns: IntArray
@@ -156,7 +143,6 @@ class Trajectory:
     tilt: FloatArray | None = None
     lost: BoolArray | None = None
     odometry: FloatArray | None = None
-    blind: BoolArray | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

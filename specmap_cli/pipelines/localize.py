@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,7 @@ from specmap_cli.recognition.localization.walls import MapWalls
 from specmap_cli.registration.frontend import FrontEnd
 from specmap_cli.topology.topological_map import default_name
 
+_TELL_S = 10.0  # between lines while the place is not known: the whole map is searched then
 _NO_CALIBRATION = (
     "an older map, which does not say how sure its classifiers are: probabilities are those that "
     "are usual elsewhere; build it again"
@@ -79,13 +81,16 @@ def localize_log(
         stream, front_end = SweepStream(log, config.log), FrontEnd(config.registration)
         progress.note(stream.selection.note)
         progress.start("localising", stream.expected)
-        found = list[Where]()
+        found, told = list[Where](), monotonic()
         for where in localizer.located(front_end.register(sweep) for sweep in stream):
             found.append(where)
             progress.advance()
+            if where.label.filtered_submap is None and monotonic() - told > _TELL_S:
+                progress.note(f"{counted(len(found), 'scan')} so far, the place is not known now")
+                told = monotonic()
         if not found:
             raise LogError("no usable scan in it", "see `specmap info`", mark=";", where=log.name)
-        found = localizer.smoothed() if offline else found
+        found = localizer.smoothed(found) if offline else found
         frames = {id_: one.map_from_submap for id_, one in stored.topology.submaps.items()}
         scans = tuple(LocalizedScan.of(where, frames, metric) for where in found)
         notes = [localizer.note] if localizer.note else []

@@ -23,7 +23,7 @@ from specmap_cli.grids.keyframes import KeyframeStore, add_keyframes
 from specmap_cli.grids.occupancy import OccupancyGrid
 from specmap_cli.segmentation.cells import flooded_at
 from specmap_cli.segmentation.obstacles import small_obstacles
-from specmap_cli.segmentation.spectral import bisect, largest_eigenpairs, normalised, similarity
+from specmap_cli.segmentation.spectral import bisect, largest_of, normalised, similarity
 from specmap_cli.segmentation.visibility import (
     IndexArray,
     LabelArray,
@@ -32,7 +32,6 @@ from specmap_cli.segmentation.visibility import (
 )
 
 _TEST_METRES = 1.0  # travelled between two tests
-_LATER = 0.25  # of the least part that a test can split off a long way: so much later it may come
 
 _SPLIT_NODES = 250  # most nodes in a test: the blocks grow
 _SPLIT_EIGENPAIRS = 12  # looked at in a test: each room seen but not entered takes one
@@ -111,8 +110,8 @@ class OnlineSegmenter:
             self._since_test += driven
             self._way_m += driven
             # A test costs what the submap has grown to. In a long one, where only a part of many
-            # metres can be split off, it is made more seldom.
-            due = max(_TEST_METRES, _LATER * (self.config.split_share * self._way_m))
+            # metres can be split off, it is made once in that many.
+            due = max(_TEST_METRES, self.config.split_share * self._way_m)
         if self._since_test < due:
             return []
         self._since_test = 0.0
@@ -285,7 +284,7 @@ def _spectrum(
         joined[newest] = True
         newest = np.flatnonzero((S[newest] > 0.0).any(axis=0) & ~joined)
     L, _ = normalised(S[np.ix_(joined, joined)])
-    return joined, *largest_eigenpairs(L, _SPLIT_EIGENPAIRS)
+    return joined, *largest_of(L, _SPLIT_EIGENPAIRS)
 
 
 def _dividing(
