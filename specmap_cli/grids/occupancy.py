@@ -25,7 +25,7 @@ _Indices = NDArray[np.intp]
 
 _OCCUPIED_SHARE = 0.25  # hits / (hits + misses) of a wall
 _FREE, _OCCUPIED, _UNKNOWN = (np.uint8(state) for state in (FREE, OCCUPIED, UNKNOWN))
-_ONCE = np.float32(1.0)
+_MOST = 60_000  # scans counted of a cell: what comes after them changes no share
 _GROWTH_CELLS = 128  # added on a side that grows: some 6 m at once, so that it seldom does
 
 SURFACE_GAP_M = 0.3  # returns this close bound one surface
@@ -46,9 +46,7 @@ class OccupancyGrid:
         self.resolution = config.resolution_m
         self.refused = 0
         self._corner = (0, 0)  # cell coordinates (column, row) of element [0, 0]
-        self._hits: NDArray[np.int32] = np.zeros((0, 0), dtype=np.int32)
-        # counts as OpenCV adds them up fastest; whole numbers up to 16 million are exact
-        self._misses: NDArray[np.float32] = np.zeros((0, 0), dtype=np.float32)
+        self._hits, self._misses = (np.zeros((0, 0), dtype=np.uint16) for _ in range(2))
 
     def integrate(
         self, scans: Sequence[PlanarScan], grid_from_laser: FloatArray, grid_from_base: FloatArray
@@ -75,19 +73,22 @@ class OccupancyGrid:
                 self.refused += 1
             elif fan is not None:
                 (left, bottom), (right, top) = fan.low, fan.high
-                passed = np.zeros((top - bottom, right - left), dtype=np.uint8)
+                passed = np.zeros((top - bottom, right - left), dtype=np.uint16)
                 cv2.fillPoly(passed, [fan.star], 1, cv2.LINE_8, SUBPIXEL_BITS)
                 passed[fan.rows, fan.columns] = 0
                 window = self._window(fan.low, fan.high)
-                cv2.accumulate(passed, self._misses[window])
+                misses = self._misses[window]
+                cv2.add(misses, passed, misses)  # which stops at the most
                 rows, columns = fan.rows + window[0].start, fan.columns + window[1].start
                 # once for a cell that several beams hit
-                self._hits.reshape(-1)[rows * self._hits.shape[1] + columns] += 1
+                cells = rows * self._hits.shape[1] + columns
+                self._hits.reshape(-1)[cells] += self._hits.reshape(-1)[cells] < _MOST
             stood.append(self._cover(first, end))
         disc, rows, columns = np.nonzero(inside & np.array(stood)[:, None, None])
         rows, columns = rows + low[disc, 1] - self._corner[1], columns + low[disc, 0]
         cells = rows * self._hits.shape[1] + columns - self._corner[0]
-        np.add.at(self._misses.reshape(-1), cells, _ONCE)  # each as often as it is stood on
+        cells = cells[self._misses.reshape(-1)[cells] < _MOST]
+        np.add.at(self._misses.reshape(-1), cells, 1)  # each as often as it is stood on
 
     def snapshot(self, window: tuple[slice, slice] | None = None) -> GridMap:
         """The trinary grid as it stands, or a window of it: some of the rows and columns."""
@@ -131,7 +132,7 @@ class OccupancyGrid:
         rest._hits, rest._misses = self._hits.copy(), self._misses.copy()
         here, there = rest._shared(part), part._shared(rest)
         for counts, taken in ((rest._hits, part._hits), (rest._misses, part._misses)):
-            counts[here] = np.maximum(counts[here] - taken[there], 0)
+            counts[here] -= np.minimum(counts[here], taken[there])
         window = window_of((rest._hits > 0) | (rest._misses > 0))
         rows, columns = window or (slice(0, 0), slice(0, 0))
         rest._hits = rest._hits[rows, columns].copy()
@@ -176,13 +177,15 @@ class OccupancyGrid:
                 break
         else:
             return False
-        hits = np.zeros((height, width), dtype=np.int32)
-        misses = np.zeros((height, width), dtype=np.float32)
         dx, dy = (np.array(corner) - first).tolist()
-        if rows:
-            hits[dy : dy + rows, dx : dx + columns] = self._hits
-            misses[dy : dy + rows, dx : dx + columns] = self._misses
-        self._hits, self._misses = hits, misses
+
+        def grown(counts: NDArray[np.uint16]) -> NDArray[np.uint16]:
+            larger = np.zeros((height, width), dtype=np.uint16)
+            larger[dy : dy + rows, dx : dx + columns] = counts
+            return larger
+
+        self._hits = grown(self._hits)
+        self._misses = grown(self._misses)
         self._corner = (int(first[0]), int(first[1]))
         return True
 

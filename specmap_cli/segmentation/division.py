@@ -23,6 +23,7 @@ from specmap_cli.grids.gridmap import (
     BoolArray,
     CellArray,
     GridMap,
+    LengthArray,
     clearance_of,
 )
 from specmap_cli.segmentation.cells import (
@@ -63,7 +64,7 @@ _WALL_CELLS = 2  # obstacles this near belong to the picture of a region: a wall
 class Segmentation:
     """A labelled map and what led to it.
 
-    `labels` (H, W) int32: -1 unlabelled, otherwise 0, 1, ... by falling area; `nodes` (n, 2) x and
+    `labels` (H, W) int16: -1 unlabelled, otherwise 0, 1, ... by falling area; `nodes` (n, 2) x and
     y in metres with their `node_labels` (n,); `pairs` (m, 2) mutually visible nodes; `spectrum` the
     eigenpairs and the clusters they gave.
     """
@@ -107,12 +108,12 @@ def segment(grid: GridMap, config: SegmentationConfig, *, rooms: bool = False) -
     if config.fill:
         cells = fill_cupboards(cells, pieces_at_walls(work, FURNITURE_THICK_M), cell_m)
     else:
-        cells = np.where(work.free, cells, np.int32(-1))
+        cells = np.where(work.free, cells, np.int16(-1))
     fine = upright.cells_in(grid, cells, -1)
     fine[~grid.free & upright.cells_in(grid, work.free, False)] = -1  # furniture alone has a label
     fine = spread_labels(fine, grid.free, upright.step + 1, everywhere=not rooms)
     sizes = np.bincount(fine[fine >= 0], minlength=int(cells.max(initial=0)) + 1)
-    names = np.full(len(sizes) + 1, -1, dtype=np.int32)  # the last is that of no region
+    names = np.full(len(sizes) + 1, -1, dtype=np.int16)  # the last is that of no region
     names[np.argsort(-sizes, kind="stable")] = np.arange(len(sizes))
     return Segmentation(
         labels=names[fine],
@@ -141,7 +142,7 @@ def _divided(
         _placement(clearance, space, cell_m, config, block, number)
         for number in range(config.placements)
     ]
-    cells = np.full(space.shape, -1, dtype=np.int32)
+    cells = np.full(space.shape, -1, dtype=np.int16)
     cells[space] = consensus([found for found, _, _ in placements])  # step 3
     if config.merge:  # step 4
         cells = without_rings(cells)
@@ -151,7 +152,7 @@ def _divided(
 
 
 def _placement(
-    clearance: FloatArray,
+    clearance: LengthArray,
     space: BoolArray,
     cell_m: float,
     config: SegmentationConfig,
@@ -184,7 +185,7 @@ def _placement(
             for label in range(int(clusters.max()) + 1)
         ]
         names = joined_wide(border_widths(cells, clearance), widths, config.merge_ratio)
-        return np.append(names, np.int32(-1))[cells[space]], graph, spectrum
+        return np.append(names, np.int16(-1))[cells[space]], graph, spectrum
     return cells[space], graph, spectrum
 
 

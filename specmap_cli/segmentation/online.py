@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from specmap_cli.core.geometry import FloatArray, moved, step_lengths
 from specmap_cli.core.records import BoolArray
 from specmap_cli.core.settings import GridConfig, SegmentationConfig
-from specmap_cli.grids.gridmap import GridMap, clearance_of
+from specmap_cli.grids.gridmap import GridMap, LengthArray, clearance_of
 from specmap_cli.grids.keyframes import KeyframeStore, add_keyframes
 from specmap_cli.grids.occupancy import OccupancyGrid
 from specmap_cli.segmentation.cells import flooded_at
@@ -226,7 +226,7 @@ def examine(grid: GridMap, poses: FloatArray, config: SegmentationConfig) -> Spl
             stays=all_poses,
             reached=all_poses,
         )
-    numbers = np.arange(len(nodes), dtype=np.int32)
+    numbers = np.arange(len(nodes), dtype=np.int16)
     home = flooded_at(clearance, nodes, numbers, way).astype(np.intp)
     lost = home < 0
     if lost.any():
@@ -254,7 +254,7 @@ def examine(grid: GridMap, poses: FloatArray, config: SegmentationConfig) -> Spl
 
 
 def _nodes_along(
-    clearance: FloatArray, cell_m: float, way: IndexArray, config: SegmentationConfig
+    clearance: LengthArray, cell_m: float, way: IndexArray, config: SegmentationConfig
 ) -> IndexArray:
     """Nodes near the cells `way` (p, 2); the blocks grow until there are few enough."""
     if not clearance.size:  # the way leaves a grid that may not grow any more
@@ -273,7 +273,7 @@ def _nodes_along(
 
 
 def _spectrum(
-    clearance: FloatArray, cell_m: float, nodes: IndexArray, here: int, config: SegmentationConfig
+    clearance: LengthArray, cell_m: float, nodes: IndexArray, here: int, config: SegmentationConfig
 ) -> tuple[BoolArray, FloatArray, FloatArray]:
     """Which nodes (n,) are joined with node `here`, their eigenvalues (k,) and vectors (m, k)."""
     least, sight = config.split_clearance_m / cell_m, config.split_sight_m / cell_m
@@ -301,7 +301,7 @@ def _dividing(
         part = float(weight[sides[home] == 1].sum() / weight.sum())
         if share == 0.0 or share <= part <= 1.0 - share:
             return column, sides
-    return 0, np.zeros(len(vectors), dtype=np.int32)
+    return 0, np.zeros(len(vectors), dtype=np.int16)
 
 
 class CoarseSubmap:

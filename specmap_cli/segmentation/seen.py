@@ -33,8 +33,8 @@ def entered(labels: LabelArray, grid: GridMap, least: float) -> LabelArray:
     clearance = clearance_of(free)
     roomy = clearance * grid.resolution >= _ROBOT_RADIUS_M
     away = cv2.distanceTransform((~roomy).astype(np.uint8), cv2.DIST_L2, 5) * grid.resolution
-    found = np.where(joined(free & (away <= _REACH_M), roomy), labels, np.int32(-1))
-    walled = np.where(_open_to_the_unknown(found, grid)[found], np.int32(-1), found)
+    found = np.where(joined(free & (away <= _REACH_M), roomy), labels, np.int16(-1))
+    walled = np.where(_open_to_the_unknown(found, grid)[found], np.int16(-1), found)
     found = walled if (walled >= 0).any() else found
     count = int(labels.max(initial=0)) + 1
     size = np.bincount(found[found >= 0], minlength=count)
@@ -45,7 +45,7 @@ def entered(labels: LabelArray, grid: GridMap, least: float) -> LabelArray:
     area = np.bincount(part, weights=size)[part]
     largest = np.zeros(count)
     np.maximum.at(largest, piece, area)
-    return np.where((area < largest[piece])[found], np.int32(-1), found)
+    return np.where((area < largest[piece])[found], np.int16(-1), found)
 
 
 def _open_to_the_unknown(labels: LabelArray, grid: GridMap) -> BoolArray:
@@ -61,7 +61,7 @@ def _open_to_the_unknown(labels: LabelArray, grid: GridMap) -> BoolArray:
         (np.s_[:, 1:], np.s_[:, :-1]),
     ):
         inside, beyond = labels[one], labels[other] < 0
-        inside = np.where(beyond, inside, np.int32(-1))
+        inside = np.where(beyond, inside, np.int16(-1))
         for kind, sign in ((unknown[other], 1), (wall[other], -1)):
             sides = inside[(inside >= 0) & kind]
             more += sign * np.bincount(sides, minlength=count)

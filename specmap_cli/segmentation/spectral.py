@@ -85,7 +85,7 @@ def clusters_of(L: Any, degrees: FloatArray, parts: Sequence[IndexArray], least:
     eigenvalues above `least`. k-means starts at the row of the best and of the least connected
     node, so it needs no random numbers.
     """
-    labels = np.full(len(degrees), -1, dtype=np.int32)
+    labels = np.full(len(degrees), -1, dtype=np.int16)
     eigenvalues, used = [np.zeros(0)], 0
     for part in parts:
         values, vectors = eigenpairs_above(L[part][:, part], least)
@@ -181,7 +181,7 @@ def split_again(
 
 def numbered(labels: LabelArray) -> LabelArray:
     """The labels (n,) renamed 0, 1, ... without empty clusters."""
-    return np.unique(labels, return_inverse=True)[1].astype(np.int32)
+    return np.unique(labels, return_inverse=True)[1].astype(np.int16)
 
 
 def local_scales(graph: VisibilityGraph, neighbours: int) -> FloatArray:
@@ -290,16 +290,16 @@ def kmeans_unit(rows: FloatArray, clusters: int, first: list[int]) -> LabelArray
     at a time, the row most nearly orthogonal to all taken before (Ng, Jordan and Weiss, "On
     Spectral Clustering", NIPS 2001).
     """
-    best, least = np.zeros(len(rows), dtype=np.int32), np.inf
+    best, least = np.zeros(len(rows), dtype=np.int16), np.inf
     for row in first:
         taken, likeness = [row], np.abs(rows @ rows[row])
         for _ in range(1, min(clusters, len(rows))):
             taken.append(int(likeness.argmin()))
             np.maximum(likeness, np.abs(rows @ rows[taken[-1]]), out=likeness)
-        centres, labels = rows[taken], np.full(len(rows), -1, dtype=np.int32)
+        centres, labels = rows[taken], np.full(len(rows), -1, dtype=np.int16)
         for _ in range(_ROUNDS):
             scores = rows @ centres.T - 0.5 * (centres**2).sum(axis=1)
-            found = scores.argmax(axis=1).astype(np.int32)
+            found = scores.argmax(axis=1).astype(np.int16)
             if np.array_equal(found, labels):
                 break
             labels = found

@@ -7,15 +7,16 @@ distance to the nearest cell that is not free, from the distance transform.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.grids.gridmap import BoolArray
+from specmap_cli.grids.gridmap import BoolArray, LengthArray
 
-LabelArray = NDArray[np.int32]
+LabelArray = NDArray[np.signedinteger[Any]]  # of cells int16: half the memory, and enough
 IndexArray = NDArray[np.intp]
 
 _AT_ONCE = 1 << 20  # cells of blocks looked at in one go: bounds the memory
@@ -34,7 +35,7 @@ class VisibilityGraph:
 
 
 def visibility_graph(
-    clearance: FloatArray, nodes: IndexArray, sight: float, least: float
+    clearance: LengthArray, nodes: IndexArray, sight: float, least: float
 ) -> VisibilityGraph:
     """Edges between all nodes at most `sight` apart whose line keeps more than `least` clear."""
     pairs = near_pairs(nodes, sight)
@@ -44,7 +45,7 @@ def visibility_graph(
 
 
 def sample_nodes(
-    clearance: FloatArray, step: int, least: float, choice: str, before: int = 0
+    clearance: LengthArray, step: int, least: float, choice: str, before: int = 0
 ) -> IndexArray:
     """(n, 2) row and column of one node in each block of `step` x `step` cells, in block order.
 
@@ -59,7 +60,7 @@ def sample_nodes(
     nodes = [np.zeros((0, 2), dtype=np.intp)]
     for top in range(-before, height, many):
         first, end = max(top, 0), min(top + many, height)
-        blocks = np.zeros((-(-(end - top) // step) * step, columns * step))
+        blocks = np.zeros((-(-(end - top) // step) * step, columns * step), dtype=np.float32)
         blocks[first - top : end - top, before : before + width] = clearance[first:end]
         inner = blocks.reshape(-1, step, columns, step).swapaxes(1, 2).reshape(-1, columns, step**2)
         if choice == "clearest":
@@ -84,7 +85,9 @@ def near_pairs(nodes: IndexArray, reach: float) -> IndexArray:
     return np.asarray(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))], dtype=np.intp)
 
 
-def visible(clearance: FloatArray, nodes: IndexArray, pairs: IndexArray, least: float) -> BoolArray:
+def visible(
+    clearance: LengthArray, nodes: IndexArray, pairs: IndexArray, least: float
+) -> BoolArray:
     """(m,) whether the straight line between each pair keeps more than `least` of clearance.
 
     A line is walked by the free distance it stands on, which cannot jump over an obstacle, and by

@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap, cast_rays, nearest_values
+from specmap_cli.grids.gridmap import (
+    FREE,
+    OCCUPIED,
+    GridMap,
+    LengthArray,
+    cast_rays,
+    nearest_values,
+)
 
 LabelArray = NDArray[np.int32]
 
@@ -34,8 +41,8 @@ class World:
     """
 
     plan: GridMap
-    distance: FloatArray
-    clearance: FloatArray
+    distance: LengthArray
+    clearance: LengthArray
 
     @classmethod
     def of(cls, plan: GridMap) -> World:

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import BoolArray
 from specmap_cli.grids.bent import BentMotion
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, LengthArray
 from specmap_cli.topology.identity import Identity, identify
 from specmap_cli.topology.regions import NOBODY, Regions, borders_of
 
@@ -263,7 +263,7 @@ def _around(
 
 def _is_blocked(
     other: GridMap,
-    away_m: FloatArray,
+    away_m: LengthArray,
     placed: _Cells,
     cells: _Cells,
     sides: tuple[BoolArray, BoolArray],

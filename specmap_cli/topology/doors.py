@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import BoolArray, IntArray
-from specmap_cli.grids.gridmap import cell_distances
+from specmap_cli.grids.gridmap import LengthArray, cell_distances
 from specmap_cli.topology.regions import Border, Pair, Space, borders_of
 from specmap_cli.topology.topological_map import Door, Traversal
 
@@ -165,7 +165,7 @@ class _Saddle:
 
 
 def _saddle(
-    heights: FloatArray, is_low: BoolArray, from_border: FloatArray, least: float
+    heights: LengthArray, is_low: BoolArray, from_border: LengthArray, least: float
 ) -> _Saddle | None:
     """The highest saddle between a hill of each submap that is near enough to their border.
 
@@ -187,7 +187,7 @@ def _saddle(
 
 
 def _within(
-    low: float, high: float, heights: FloatArray, is_low: BoolArray, from_border: FloatArray
+    low: float, high: float, heights: LengthArray, is_low: BoolArray, from_border: LengthArray
 ) -> _Saddle | None:
     """As `_saddle`, among the saddles from one level up to another."""
     levels = np.unique(heights[(heights >= low) & (heights < high)])
@@ -208,7 +208,7 @@ def _within(
 
 
 def _joined(
-    above: Parts, here: Parts, heights: FloatArray, is_low: BoolArray, least: float
+    above: Parts, here: Parts, heights: LengthArray, is_low: BoolArray, least: float
 ) -> tuple[int, int] | None:
     """The parts above a level that become one at it: a hill of the first submap, of the second.
 

@@ -20,6 +20,7 @@ from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels
 from specmap_cli.grids.gridmap import (
     BoolArray,
     GridMap,
+    LengthArray,
     clearance_of,
     contacts,
     joined,
@@ -216,7 +217,7 @@ class Space:
 
     grid: GridMap
     owner: OwnerArray
-    away: FloatArray
+    away: LengthArray
     wall_depth: float = 0.0
 
     @classmethod
@@ -233,8 +234,11 @@ class Space:
 
         Zero for cells that are not free.
         """
-        inside = self.away - 0.5
-        return np.multiply(np.maximum(inside, 0.0, out=inside), self.grid.resolution, out=inside)
+        inside = np.square(self.away, dtype=np.float64)  # whole numbers: their roots are exact
+        np.sqrt(np.rint(inside, out=inside), out=inside)
+        inside -= 0.5
+        np.maximum(inside, 0.0, out=inside)
+        return np.asarray(np.multiply(inside, self.grid.resolution, out=inside))
 
     def place(self, cell: FloatArray | IntArray) -> tuple[float, float]:
         """x and y in the map of a row and a column, which may have fractions."""

@@ -20,6 +20,7 @@ from specmap_cli.grids.gridmap import (
     UNKNOWN,
     BoolArray,
     GridMap,
+    LengthArray,
     clearance_of,
     contacts,
     joined,
@@ -84,7 +85,7 @@ def test_nearest_labels_are_those_of_the_nearest_node(seed: int) -> None:
         assert found[row, column] in labels[gaps == gaps.min()]
 
 
-def narrowest(clearance: FloatArray, nodes: np.ndarray) -> FloatArray:
+def narrowest(clearance: LengthArray, nodes: np.ndarray) -> FloatArray:
     """(n, h, w) the least clearance on the best way from each node to each cell."""
     found = np.zeros((len(nodes), *clearance.shape))
     for level in np.unique(clearance[clearance > 0.0]):

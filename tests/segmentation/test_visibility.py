@@ -8,8 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.core.geometry import FloatArray
-from specmap_cli.grids.gridmap import clearance_of
+from specmap_cli.grids.gridmap import LengthArray, clearance_of
 from specmap_cli.segmentation import visibility
 from specmap_cli.segmentation.visibility import near_pairs, sample_nodes, visible
 from tests.segmentation.plans import cluttered, dumbbell
@@ -28,7 +27,7 @@ def test_sight_lines_are_those_of_a_cell_by_cell_check(seed: int) -> None:
     assert seen[least > 2.3].all()  # and lines well clear of everything always do
 
 
-def _least_clearance(clearance: FloatArray, start: np.ndarray, end: np.ndarray) -> float:
+def _least_clearance(clearance: LengthArray, start: np.ndarray, end: np.ndarray) -> float:
     share = np.linspace(0.0, 1.0, 400)[:, None]
     cells = np.rint(start + (end - start) * share).astype(int)
     return float(clearance[cells[:, 0], cells[:, 1]].min())

@@ -25,6 +25,7 @@ from specmap_cli.grids.gridmap import (
     FREE,
     UNKNOWN,
     GridMap,
+    LengthArray,
     cast_rays,
     clearance_of,
     nearest_values,
@@ -127,13 +128,13 @@ class MapWalls:
         return ScoreField.from_grid(self.grid)
 
     @cached_property
-    def _distances(self) -> FloatArray:
+    def _distances(self) -> LengthArray:
         """(H, W) metres to the nearest wall that nobody sees through.
 
         What has no unseen cell in it, nor beside it, is thinner than walls are built: a pane, a
         railing, a leg of a table. The laser passes some of these.
         """
-        unseen = clearance_of(self.grid.cells != UNKNOWN) * self.grid.resolution
+        unseen = clearance_of(self.grid.cells != UNKNOWN) * np.float64(self.grid.resolution)
         cells = np.where(unseen <= _WALL_M, self.grid.cells, FREE)
         return GridMap(cells, self.grid.resolution, self.grid.origin).obstacle_distance()
 
