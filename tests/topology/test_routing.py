@@ -23,8 +23,7 @@ def roads(*doors: Any, shut: tuple[int, ...] = ()) -> Roads:
 
 
 def test_a_route_leads_from_place_to_place_through_the_door() -> None:
-    topology, regions = two_doors(NORTH)
-    (door,) = topology.doors
+    (door,) = two_doors(NORTH)[0].doors
     found = roads(NORTH).route((1.0, 1.0), (9.0, 1.0))
     assert found
     assert found.why == ""
