@@ -72,7 +72,6 @@ def main() -> None:
         put(out / "again.png", "office_again.png")
         nodes = ["--explain", out / "nodes.png"]
         specmap("segment", SAMPLES / "office.yaml", "-o", out / "plan", *nodes)
-        put(out / "plan" / "overview.png", "office_plan.png")
         put(out / "nodes.png", "segmentation_nodes.png")
 
 

@@ -141,7 +141,7 @@ def test_the_documents_tell_the_same_sizes() -> None:
     sizes = f"A module has {MOST_LINES} lines at the most, a function {MOST_LINES_OF_A_FUNCTION}."
     told = {
         "CONTRIBUTING.md": (sizes,),
-        "docs/architecture.md": (sizes, f"{len(MAY_IMPORT)} packages on {floors} floors"),
+        "docs/find_your_way.md": (sizes, f"{len(MAY_IMPORT)} packages on {floors} floors"),
     }
     for name, sentences in told.items():
         text = (ROOT.parent / name).read_text(encoding="utf-8")

@@ -69,17 +69,13 @@ def test_the_paper_s_map_names_what_exists_and_tests_that_do() -> None:
         assert test in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}, test
 
 
-def test_the_architecture_names_every_package() -> None:
-    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+def test_the_way_to_a_change_names_every_package_and_files_that_exist() -> None:
+    text = (ROOT / "docs" / "find_your_way.md").read_text(encoding="utf-8")
     packages = [f"{path.parent.name}/" for path in PACKAGE.rglob("*/__init__.py")]
     assert [name for name in sorted(packages) if name not in text] == []
-    modules = {path.name for path in PACKAGE.rglob("*.py")}
-    modules |= {path.name for path in (ROOT / "tests").glob("*.py")}
+    folders = (PACKAGE, ROOT / "tests", ROOT / "docs")
+    modules = {path.name for folder in folders for path in folder.rglob("*.py")}
     assert [name for name in re.findall(r"\w+\.py\b", text) if name not in modules] == []
-
-
-def test_the_way_to_a_change_leads_to_files_that_exist() -> None:
-    text = (ROOT / "docs" / "find_your_way.md").read_text(encoding="utf-8")
     paths = [name for name in quoted(text) if re.fullmatch(r"\w+(/\w+)+\.\w+", name)]
     assert len(paths) > 20
     missing = [name for name in paths if not (PACKAGE / name).exists() | (ROOT / name).exists()]

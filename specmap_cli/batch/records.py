@@ -2,13 +2,11 @@
 
 `Job` and its parts say what is to be done; they are made by `batch.jobs`, and can be pickled.
 `JobRecord` and its parts are the format of `job.json`, which a finished job leaves in its folder.
-`job.schema.json` beside this file is the same as JSON Schema, for other tools. After a change of
-the models, `python -m specmap_cli.batch.records` prints the new one.
+`job.schema.json` beside this file is the same as JSON Schema, for other tools.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, get_args
@@ -178,6 +176,3 @@ class JobResult:
 
 
 SCHEMA = ModelSchema(JobRecord, "job", SCHEMA_VERSION, "specmap batch: job.json")
-
-if __name__ == "__main__":
-    sys.stdout.write(SCHEMA.text())

@@ -36,7 +36,7 @@ from specmap_cli.batch.records import (
 )
 from specmap_cli.batch.sources import digest_of, fetched, inputs_of
 from specmap_cli.batch.steps import LOG_TEXT, MAP, arguments_of
-from specmap_cli.checking.figures import figures_of
+from specmap_cli.checking.rules import figures_of
 from specmap_cli.core.errors import LogError, MapError, SpecmapError, UsageError
 from specmap_cli.core.text import legible
 from specmap_cli.maps.store import read_map

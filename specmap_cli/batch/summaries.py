@@ -49,7 +49,7 @@ Row = Mapping[str, Value]
 class Column:
     """A column: its name, the type of its values, and where they come from.
 
-    What they mean is in docs/batch_clusters.md.
+    What they mean is in docs/batch.md.
     """
 
     name: str

@@ -1,13 +1,11 @@
 """What a check found: every rule and every figure of the map, for a machine, a person and a CI.
 
 The models are the format of `specmap check --json`. `check.schema.json` beside this file is the
-same as JSON Schema, for other tools. After a change of the models,
-`python -m specmap_cli.checking.record` prints the new one.
+same as JSON Schema, for other tools.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
@@ -119,6 +117,3 @@ FORMATS: dict[str, Callable[[CheckRecord], bytes]] = {
 }
 
 SCHEMA = ModelSchema(CheckRecord, "check", SCHEMA_VERSION, "specmap check --json")
-
-if __name__ == "__main__":
-    sys.stdout.write(SCHEMA.text())

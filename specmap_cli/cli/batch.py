@@ -14,7 +14,7 @@ from specmap_cli.cli.options import Common, Settings, cluster_of, options_of, ou
 from specmap_cli.core.errors import BROKEN_RULE
 
 if TYPE_CHECKING:
-    from specmap_cli.batch.ledger import EventRecord, Ledger
+    from specmap_cli.batch.batch import EventRecord, Ledger
     from specmap_cli.batch.records import Command, Option, Plan
     from specmap_cli.cli.console import ConsoleProgress
 

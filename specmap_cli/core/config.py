@@ -32,57 +32,7 @@ SETTINGS = TomlFormat(
     plainly={"model_type": "is a section: expected one of its keys"},
 )
 
-# What the paper itself did, as differences from the defaults.
-PRESETS: dict[str, dict[str, Any]] = {
-    "default": {},
-    "paper": {
-        "segmentation": {
-            "cell_m": 0.1,
-            "obstacle_m": 0.0,
-            "furniture_m": 0.0,
-            "wide_door_m": 0.0,
-            "fill": False,
-            "nodes": "centre",
-            "node_step_m": 0.5,
-            "clearance_m": 0.0,
-            "sight_m": 6.0,
-            "neighbours": 60,  # the paper leaves l open; fewer cut every room into pieces
-            "eigenvalue_min": 0.9,
-            "part_nodes": 1_000_000,
-            "halve": False,
-            "labels": "nearest",
-            "merge": False,
-            "placements": 1,
-            "rooms_only": False,
-            "test_every": "keyframes",
-            "split_eigenvalue": 0.8,
-            "split_share": 0.0,
-            "split_scale": 1.0,
-            "split_obstacle_m": 0.0,
-            "split_clearance_m": 0.0,
-            "split_sight_m": 20.0,
-            "path_band_m": 0.0,
-            "region_min_m": 0.0,
-            "regrow": False,
-            "final_regions": False,
-        },
-        "recognition": {
-            "feature_set": "table1",
-            "booster": "stumps",
-            "rounds": 300,
-            "positives": 1_000_000,
-            "negatives": 1_000_000,
-            "augmentation": 0,
-            "closure_negatives": 1_000_000,
-            "groups": 0,
-            "refresh_growth": 0.0,
-            "verify": False,
-            "stays_kept": 1_000_000,
-            "closure_rounds": 60,
-        },
-        "localization": {"virtual": False, "unknown": False},
-    },
-}
+PRESETS = ("default", "paper")  # the second is what the paper itself did: paper.toml
 
 
 def load_config(
@@ -100,7 +50,7 @@ def load_config(
     from_file = {} if path is None else SETTINGS.tables(path)
     name = preset or from_file.get("preset", "default")
     where = f"{path}: " if path is not None else ""
-    if not isinstance(name, str) or name not in PRESETS:
+    if name not in PRESETS:
         choices = ", ".join(sorted(PRESETS))
         found, source = f"unknown preset {name!r}", path if preset is None else None
         raise UsageError(found, f"choose from {choices}", where=source, code=SETTING)
@@ -113,7 +63,7 @@ def load_config(
             where=path,
             code=SETTING,
         )
-    merged = _merge(_merge(_merge({}, PRESETS[name]), from_file), overrides or {})
+    merged = _merge(_merge({} if name == "default" else _file_of(name), from_file), overrides or {})
     return _validated({**merged, "preset": name}, where, overrides or {})
 
 
@@ -180,17 +130,19 @@ def _merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     return merged
 
 
-_RETIRED = Path(__file__).with_name("retired.toml")
-
-
 class RetiredSetting(UserWarning):
     """A setting was given that is retired: it has no effect."""
 
 
 @cache
+def _file_of(name: str) -> dict[str, dict[str, Any]]:
+    """What a file of this package says, by section and key."""
+    return tomllib.loads(Path(__file__).with_name(f"{name}.toml").read_text(encoding="utf-8"))
+
+
 def last_defaults() -> Mapping[str, Mapping[str, Any]]:
     """The last default of each retired setting, by section and key."""
-    return tomllib.loads(_RETIRED.read_text(encoding="utf-8"))
+    return _file_of("retired")
 
 
 def without_retired(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:

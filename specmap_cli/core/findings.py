@@ -24,11 +24,12 @@ Place = tuple[float, float]
 class Where(Value):
     """When and where something was found."""
 
-    stamp_ns: Annotated[
-        StampNs | None, Field(alias="stamp", description="seconds; null where it has no stamp")
-    ]
-    x: Annotated[Number | None, Field(description="metres; null where it has no place")]
-    y: Annotated[Number | None, Field(description="metres; null where it has no place")]
+    stamp_ns: Annotated[StampNs | None, Field(alias="stamp")]
+    """seconds; null where it has no stamp"""
+    x: Number | None
+    """metres; null where it has no place"""
+    y: Number | None
+    """metres; null where it has no place"""
 
     @property
     def place(self) -> Place | None:
@@ -40,19 +41,20 @@ class Where(Value):
 class Finding(Value):
     """Something that was found out about the map; docs/quality.md lists the codes."""
 
-    code: Annotated[str, Field(description="what was found, stable over versions")]
-    severity: Annotated[Severity, Field(description="how grave it is")]
-    message: Annotated[str, Field(description="the same in words")]
-    advice: Annotated[str, Field(description="what to do about it")] = ""
-    value: Annotated[
-        float | None, Field(description="what was measured; null where nothing was")
-    ] = None
-    limit: Annotated[
-        float | None, Field(description="what the value is compared with; null for nothing")
-    ] = None
-    where: Annotated[Where | None, Field(description="null for what holds for the whole map")] = (
-        None
-    )
+    code: str
+    """what was found, stable over versions"""
+    severity: Severity
+    """how grave it is"""
+    message: str
+    """the same in words"""
+    advice: str = ""
+    """what to do about it"""
+    value: float | None = None
+    """what was measured; null where nothing was"""
+    limit: float | None = None
+    """what the value is compared with; null for nothing"""
+    where: Where | None = None
+    """null for what holds for the whole map"""
 
     @property
     def place(self) -> Place | None:
@@ -64,10 +66,10 @@ class Finding(Value):
 class Quality(Value):
     """What is thought of the map."""
 
-    verdict: Annotated[
-        Verdict, Field(description="what the gravest of the findings makes of the map")
-    ]
-    findings: Annotated[tuple[Finding, ...], Field(description="all findings")]
+    verdict: Verdict
+    """what the gravest of the findings makes of the map"""
+    findings: tuple[Finding, ...]
+    """all findings"""
 
     @classmethod
     def of(cls, findings: Iterable[Finding]) -> Quality:

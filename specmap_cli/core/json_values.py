@@ -8,7 +8,6 @@ a `Record`.
 
 from __future__ import annotations
 
-import inspect
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -22,13 +21,12 @@ from pydantic import (
     ConfigDict,
     Field,
     GetCoreSchemaHandler,
-    GetJsonSchemaHandler,
     PlainSerializer,
     TypeAdapter,
     field_validator,
 )
-from pydantic.json_schema import JsonSchemaValue
 
+from specmap_cli.core.described import Described
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.text import nanoseconds, rounded, seconds
 
@@ -53,7 +51,7 @@ def titled(title: str) -> ConfigDict:
     return ConfigDict(extra="forbid", allow_inf_nan=False, title=title)
 
 
-class Value:
+class Value(Described):
     """A part of a JSON file that the program works with: the base of frozen dataclasses.
 
     The program makes one as any dataclass, unchecked. One that is read is checked, and no key may
@@ -80,14 +78,6 @@ class Value:
             if field["schema"]["type"] == "default" and field["name"] not in cls.may_lack:
                 field["schema"] = field["schema"]["schema"]
         return found
-
-    @classmethod
-    def __get_pydantic_json_schema__(
-        cls, schema: Any, handler: GetJsonSchemaHandler
-    ) -> JsonSchemaValue:
-        made = handler(schema)
-        handler.resolve_ref_schema(made)["description"] = inspect.getdoc(cls)  # as of models
-        return made
 
 
 @dataclass(frozen=True, slots=True)

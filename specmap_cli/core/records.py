@@ -101,44 +101,31 @@ class PosedScan:
 class Closure(Value):
     """Two stays that loop closure compared."""
 
-    new: Annotated[Count, Field(description="number of the later stay")]
-    old: Annotated[Count, Field(description="number of the earlier stay")]
-    new_submap: Annotated[
-        Count | None,
-        Field(description="id of the node that `new` ended in; null where it is not known"),
-    ] = None
-    old_submap: Annotated[
-        Count | None,
-        Field(description="id of the node that `old` ended in; null where it is not known"),
-    ] = None
-    xi: Annotated[MaybeNan, Field(description="eq. 5 of the paper: the product of the two claims")]
-    claims_new_by_old: Annotated[
-        MaybeNan,
-        Field(description="eq. 4: share of the scans of `new` that the classifier of `old` claims"),
-    ]
-    claims_old_by_new: Annotated[
-        MaybeNan,
-        Field(description="eq. 4: share of the scans of `old` that the classifier of `new` claims"),
-    ]
-    verified: Annotated[bool, Field(description="whether the two grids match")]
-    score: Annotated[
-        MaybeNan,
-        Field(
-            description="how well the grids match, 1 is perfect; null when they were not compared"
-        ),
-    ]
-    merged: Annotated[
-        bool, Field(alias="accepted", description="whether the two became one submap")
-    ]
-    reason: Annotated[str, Field(description="why they did, or why not")]
-    old_from_new: Annotated[
-        Motion | None,
-        Field(
-            alias="transform",
-            description="[x, y, theta] of the frame of `new`, its `origin`, in that of `old`; "
-            "null when not verified",
-        ),
-    ] = None
+    new: Count
+    """number of the later stay"""
+    old: Count
+    """number of the earlier stay"""
+    new_submap: Count | None = None
+    """id of the node that `new` ended in; null where it is not known"""
+    old_submap: Count | None = None
+    """id of the node that `old` ended in; null where it is not known"""
+    xi: MaybeNan
+    """eq. 5: the product of the claims; all three null where maps were joined"""
+    claims_new_by_old: MaybeNan
+    """eq. 4: share of the scans of `new` that the classifier of `old` claims"""
+    claims_old_by_new: MaybeNan
+    """eq. 4: share of the scans of `old` that the classifier of `new` claims"""
+    verified: bool
+    """whether the two grids match, and the layout does not contradict it"""
+    score: MaybeNan
+    """how well the grids match, 1 is perfect; null when they were not compared"""
+    merged: Annotated[bool, Field(alias="accepted")]
+    """whether the two became one submap"""
+    reason: str
+    """why they did, or why not"""
+    old_from_new: Annotated[Motion | None, Field(alias="transform")] = None
+    """[x, y, theta] of the frame of `new`, its `origin`, in that of `old`; null when not
+    verified"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ValidationError
 
+from specmap_cli.core.described import meanings
 from specmap_cli.core.errors import SpecmapError
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -188,9 +189,9 @@ def to_toml(config: BaseModel) -> str:
     lines = [f"{name} = {toml_value(entry)}" for name, entry in plain.items()]
     for name, section in sections.items():
         lines += ["", f"[{name}]"]
-        for key, entry in type(section).model_fields.items():
+        for key, meaning in meanings(type(section)).items():
             value = getattr(section, key)
-            comment = f"  # {entry.description}" if entry.description else ""
+            comment = f"  # {meaning}" if meaning else ""
             if value is None:  # TOML has no null: an absent key is the default
                 lines.append(f"# {key} ={comment or ' unset'}")
             else:

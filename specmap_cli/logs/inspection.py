@@ -21,13 +21,12 @@ from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import IntArray, Sweep
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.clocks import odometry_of
-from specmap_cli.logs.frames import TransformTree, read_frames
 from specmap_cli.logs.messages import BadMessageError, decode_scan
 from specmap_cli.logs.opening import Log
 from specmap_cli.logs.planar import Repeats
 from specmap_cli.logs.readers.encoding import LASER_SCAN, NS_PER_S, ODOMETRY, SCAN_TYPES, TF_MESSAGE
 from specmap_cli.logs.readers.recording import Message
-from specmap_cli.logs.selection import Selection
+from specmap_cli.logs.selection import Selection, TransformTree, read_frames
 from specmap_cli.logs.sensors import LOOK_SCANS, SeveralSensorsError
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.summary import (

@@ -25,6 +25,7 @@ from specmap_cli.logs.messages import BadMessageError, ScanLayout, ScanRecord
 SCAN_TIME_MAX_S = 1.0  # a planar sweep that takes longer has its times in another unit
 _FULL_CIRCLE = 2.0 * math.pi
 _MISSING_BEAMS = 1.5  # of a full circle: its last beam stops one short of the first, and rounding
+_MOST_BEAMS = 3600  # of a scan: a tenth of a degree; of more, every second or later one is read
 _RANGE_DECIMALS = 4  # metres: a tenth of the least step of the ranges of a laser
 # What a laser can mean: a round number of degrees between beams and in the middle of its view, or a
 # power of two of beams in a circle.
@@ -93,7 +94,8 @@ def _beams(layout: ScanLayout, upside_down: bool) -> _Beams:
         count = min(count, round(_FULL_CIRCLE / abs(step)))
     if upside_down:
         layout, step = replace(layout, angle_min=-layout.angle_min), -step
-    numbers = np.arange(count, dtype=np.float64)
+    stride = -(-count // _MOST_BEAMS)
+    numbers = np.arange(0, count, stride, dtype=np.float64)
     half, ascending = (count - 1) / 2.0, step > 0.0 or count == 1
     middle = np.round((layout.angle_min + half * step) / _MIDDLE_RAD)  # the same from either end
     between = _STEP_RAD * round(abs(step) / _STEP_RAD) or abs(step)
@@ -102,11 +104,11 @@ def _beams(layout: ScanLayout, upside_down: bool) -> _Beams:
         raise BadMessageError("a scan without angles")
     bearings: FloatArray = first + float(np.float32(between)) * numbers
     bearings.setflags(write=False)
-    used = slice(0, count) if ascending else slice(count - 1, None, -1)
-    order = slice(None) if ascending else slice(None, None, -1)
+    used = slice(0, count, stride) if ascending else slice(count - 1, None, -stride)
     sweep = layout.time_increment * (count - 1)
     timed = 0.0 < sweep <= SCAN_TIME_MAX_S
-    times: FloatArray | None = layout.time_increment * numbers[order] if timed else None
+    turns = numbers if ascending else count - 1 - numbers
+    times: FloatArray | None = layout.time_increment * turns if timed else None
     return _Beams(bearings=bearings, times_s=times, used=used, full_circle=full_circle)
 
 

@@ -1,13 +1,11 @@
 """The contents of compare.json: two maps against each other.
 
 These models are the format. `comparison.schema.json` beside this file is the same as JSON Schema,
-for other tools. After a change of the models, `python -m specmap_cli.maps.comparison` prints the
-new one. Lengths are metres, angles radians; places are in the frame of the old map.
+for other tools. Lengths are metres, angles radians; places are in the frame of the old map.
 """
 
 from __future__ import annotations
 
-import sys
 from typing import Literal
 
 from pydantic import Field
@@ -108,6 +106,3 @@ class ComparisonRecord(Measured):
 
 
 SCHEMA = ModelSchema(ComparisonRecord, "comparison", SCHEMA_VERSION, "specmap compare.json")
-
-if __name__ == "__main__":
-    sys.stdout.write(SCHEMA.text())

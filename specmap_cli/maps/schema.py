@@ -1,7 +1,7 @@
 """The contents of topology.json: node-link JSON that networkx reads as it is.
 
 These models are the format. `topology.schema.json` beside this file is the same as JSON Schema, for
-other tools. After a change of the models, `python -m specmap_cli.maps.schema` prints the new one.
+other tools.
 Lengths are metres, angles radians, stamps seconds; everything is in the frame named by
 `graph.frame` unless it says otherwise.
 """
@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal, Self
@@ -281,6 +280,3 @@ def placed(topology: TopologicalMap, nodes: Iterable[NodeRecord]) -> tuple[Edge,
 
 
 SCHEMA = ModelSchema(TopologyRecord, "topology", SCHEMA_VERSION, "specmap topology.json")
-
-if __name__ == "__main__":
-    sys.stdout.write(SCHEMA.text())

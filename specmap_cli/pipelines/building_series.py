@@ -15,8 +15,7 @@ from specmap_cli.core.errors import NoResultError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels
 from specmap_cli.grids.bent import BentMotion
-from specmap_cli.history.record import room_name
-from specmap_cli.history.visits import Tour, tour_of
+from specmap_cli.history.record import Tour, room_name, tour_of
 from specmap_cli.maps.schema import NodeRecord
 from specmap_cli.maps.store import Map
 from specmap_cli.pipelines.compare import Comparison, compare_maps

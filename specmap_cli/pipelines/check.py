@@ -7,9 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from specmap_cli.checking.figures import FINDINGS, figures_against, figures_of
 from specmap_cli.checking.record import CheckRecord, lines_of
-from specmap_cli.checking.rules import VERDICT, Rules, judged, read_rules
+from specmap_cli.checking.rules import (
+    FINDINGS,
+    VERDICT,
+    Rules,
+    figures_against,
+    figures_of,
+    judged,
+    read_rules,
+)
 from specmap_cli.core.arguments import instance_of
 from specmap_cli.core.errors import NoResultError
 from specmap_cli.core.findings import Finding, Severity

@@ -25,9 +25,12 @@ from specmap_cli.history.record import (
     LeftOutRecord,
     MapRecord,
     RoomRecord,
+    day_of,
+    days_of,
+    totals,
+    zone_of,
 )
 from specmap_cli.history.views import TABLES, lines_of, render_history
-from specmap_cli.history.visits import day_of, days_of, totals, zone_of
 from specmap_cli.maps import filenames
 from specmap_cli.maps.comparison import ThingRecord
 from specmap_cli.maps.directory import OutputDirectory

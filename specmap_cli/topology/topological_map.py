@@ -32,9 +32,6 @@ from specmap_cli.core.json_values import (
 from specmap_cli.core.records import Closure, Labels
 from specmap_cli.grids.gridmap import GridMap
 
-# traversed: the robot drove across; closure: joined by matching grids only; loose: joined by a
-# guess across scans that could not be registered; seen: they touch, but the robot never went from
-# one to the other; doorway: regions of a finished map that touch.
 EdgeKind = Literal["traversed", "closure", "loose", "seen", "doorway"]
 # What a submap is by its shape (`topology.shapes`), or by a person's word.
 SubmapKind = Literal["room", "corridor", "hall"]
@@ -44,12 +41,10 @@ SubmapKind = Literal["room", "corridor", "hall"]
 class Visit(Value):
     """One visit of the robot to a submap."""
 
-    start_ns: Annotated[
-        StampNs, Field(alias="start", description="stamp of its first keyframe, seconds")
-    ]
-    end_ns: Annotated[
-        StampNs, Field(alias="end", description="stamp of its last keyframe, seconds")
-    ]
+    start_ns: Annotated[StampNs, Field(alias="start")]
+    """stamp of its first keyframe, seconds"""
+    end_ns: Annotated[StampNs, Field(alias="end")]
+    """stamp of its last keyframe, seconds"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,12 +79,14 @@ class Submap:
 class Said(Value):
     """What a person said of a submap."""
 
-    id: Annotated[Count, Field(description="of the node")]
-    name: Annotated[str | None, Field(description="null where nobody named it")] = None
-    kind: Annotated[SubmapKind | None, Field(description="null where its shape says it")] = None
-    properties: Annotated[dict[str, PropertyValue], Field(description="those of the node")] = field(
-        default_factory=dict
-    )
+    id: Count
+    """of the node"""
+    name: str | None = None
+    """null where nobody named it"""
+    kind: SubmapKind | None = None
+    """null where its shape says it"""
+    properties: dict[str, PropertyValue] = field(default_factory=dict)
+    """those of the node"""
 
 
 def default_name(submap: int) -> str:
@@ -101,43 +98,43 @@ def default_name(submap: int) -> str:
 class Traversal(Value):
     """The robot went from one submap to another, and its pose at that moment."""
 
-    stamp_ns: Annotated[StampNs, Field(alias="stamp", description="seconds")]
-    source: Annotated[Count, Field(alias="from", description="id of the node that the robot left")]
-    target: Annotated[Count, Field(alias="to", description="id of the node that it came to")]
-    x: Annotated[Number, Field(description="of the robot, metres")]
-    y: Annotated[Number, Field(description="of the robot, metres")]
-    theta: Annotated[Number, Field(description="of the robot, radians")]
+    stamp_ns: Annotated[StampNs, Field(alias="stamp")]
+    """seconds"""
+    source: Annotated[Count, Field(alias="from")]
+    """id of the node that the robot left"""
+    target: Annotated[Count, Field(alias="to")]
+    """id of the node that it came to"""
+    x: Number
+    """of the robot, metres"""
+    y: Number
+    """of the robot, metres"""
+    theta: Number
+    """of the robot, radians"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Door(Value):
     """A narrow passage between two submaps: narrower than the space on both sides of it."""
 
-    id: Annotated[
-        Count, Field(description="what edges call it by; given afresh whenever a map is made")
-    ]
-    x: Annotated[Number, Field(description="of its middle, metres")]
-    y: Annotated[Number, Field(description="of its middle, metres")]
-    width_m: Annotated[Amount, Field(description="clear width from wall to wall, metres")]
-    theta: Annotated[
-        Number,
-        Field(
-            description="direction of who goes through it from the first of `between` to the "
-            "second, radians; its line stands across that"
-        ),
-    ]
-    between: Annotated[
-        tuple[Count, Count], Field(description="ids of two nodes, the smaller one first")
-    ]
-    crossings: Annotated[
-        tuple[Traversal, ...], Field(description="when the robot went through, in order")
-    ] = ()
-    driven: Annotated[
-        bool, Field(description="whether it ever did; false: the door was only seen")
-    ] = False
-    forbidden: Annotated[
-        bool, Field(description="whether a person said that robots must not go through")
-    ] = False
+    id: Count
+    """what edges call it by; given afresh whenever a map is made"""
+    x: Number
+    """of its middle, metres"""
+    y: Number
+    """of its middle, metres"""
+    width_m: Amount
+    """clear width, unseen space being wall, metres"""
+    theta: Number
+    """direction of who goes through it from the first of `between` to the second, radians; its line
+    stands across that"""
+    between: tuple[Count, Count]
+    """ids of two nodes, the smaller one first"""
+    crossings: tuple[Traversal, ...] = ()
+    """when the robot went through, in order"""
+    driven: bool = False
+    """whether it ever did; false: the door was only seen"""
+    forbidden: bool = False
+    """whether a person said that robots must not go through"""
 
     @property
     def sides(self) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -150,58 +147,40 @@ class Door(Value):
 class Edge(Value):
     """An undirected link between two submaps."""
 
-    source: Annotated[Count, Field(description="id of a node, smaller than `target`")]
-    target: Annotated[Count, Field(description="id of a node")]
-    kind: Annotated[EdgeKind, Field(description="how the two are known to be joined")]
-    traversals: Annotated[tuple[Traversal, ...], Field(description="each crossing, in order")] = ()
-    doors: Annotated[
-        tuple[Count, ...],
-        Field(
-            description="ids of the doors that `path` goes through, in order; none: it crosses an "
-            "open border. Without a path: of all doors between the two"
-        ),
-    ] = ()
-    path: Annotated[
-        Corners | None,
-        Field(
-            description="from the anchor of `source` to that of `target`, inside the two submaps, "
-            "through free cells that the robot can pass; null where it is too wide for every way"
-        ),
-    ] = None
-    length_m: Annotated[
-        Amount | None, Field(description="along the path, metres; null without one")
-    ] = None
-    clearance_m: Annotated[
-        Amount | None,
-        Field(
-            description="the least on the path; without one that of the widest way, smaller than "
-            "graph.robot_radius_m; null where no free cells join the two"
-        ),
-    ] = None
-    x: Annotated[
-        Number | None,
-        Field(
-            description="of the first door on the path; in the open the mean of the traversals; "
-            "null without them"
-        ),
-    ] = None
-    y: Annotated[Number | None, Field(description="as x")] = None
-    distance_m: Annotated[
-        Amount, Field(description="from centroid to centroid, through the crossing")
-    ] = 0.0
-    width_m: Annotated[
-        Amount | None, Field(description="of the first door on the path; null in the open")
-    ] = None
-    source_from_target: Annotated[
-        Motion,
-        Field(
-            alias="transform",
-            description="[x, y, theta] of the frame of `target` in the frame of `source`",
-        ),
-    ] = IDENTITY
-    forbidden: Annotated[
-        bool, Field(description="whether a person said that robots must not go there")
-    ] = False
+    source: Count
+    """id of a node, smaller than `target`"""
+    target: Count
+    """id of a node"""
+    kind: EdgeKind
+    """traversed: the robot drove across; closure: it did not, but the grids match and the tracks
+    meet; loose: only a guess joins them, across scans that could not be registered; seen: they
+    touch, but the robot never went from one to the other; doorway: regions of a finished map that
+    touch"""
+    traversals: tuple[Traversal, ...] = ()
+    """each crossing, in order"""
+    doors: tuple[Count, ...] = ()
+    """ids of the doors that `path` goes through, in order; none: it crosses an open border. Without
+    a path: of all doors between the two"""
+    path: Corners | None = None
+    """from the anchor of `source` to that of `target`, inside the two submaps, through free cells
+    that the robot can pass; null where it is too wide for every way"""
+    length_m: Amount | None = None
+    """along the path, metres; null without one"""
+    clearance_m: Amount | None = None
+    """the least on the path; without one that of the widest way, smaller than graph.robot_radius_m;
+    null where no free cells join the two"""
+    x: Number | None = None
+    """of the first door on the path; in the open the mean of the traversals; null without them"""
+    y: Number | None = None
+    """as x"""
+    distance_m: Amount = 0.0
+    """from centroid to centroid, through the crossing"""
+    width_m: Amount | None = None
+    """of the first door on the path; null in the open"""
+    source_from_target: Annotated[Motion, Field(alias="transform")] = IDENTITY
+    """[x, y, theta] of the frame of `target` in the frame of `source`"""
+    forbidden: bool = False
+    """whether a person said that robots must not go there"""
 
     @property
     def crossing(self) -> Point | None:
@@ -238,23 +217,18 @@ def edge_between(
 class Stay(Value):
     """A piece of the way in which the robot saw a part of the map; closures compare such pieces."""
 
-    number: Annotated[Count, Field(description="what closures call it by")]
-    submap: Annotated[Count, Field(description="id of the node that most of its keyframes are in")]
-    start_ns: Annotated[
-        StampNs, Field(alias="start", description="stamp of its first keyframe, seconds")
-    ]
-    end_ns: Annotated[
-        StampNs, Field(alias="end", description="stamp of its last keyframe, seconds")
-    ]
-    origin: Annotated[Count, Field(description="the keyframe whose pose is the frame of the stay")]
-    runs: Annotated[
-        tuple[Span, ...],
-        Field(
-            alias="keyframes",
-            min_length=1,
-            description="runs [first, last] of its keyframes, rows of labels.csv",
-        ),
-    ]
+    number: Count
+    """what closures call it by"""
+    submap: Count
+    """id of the node that most of its keyframes are in"""
+    start_ns: Annotated[StampNs, Field(alias="start")]
+    """stamp of its first keyframe, seconds"""
+    end_ns: Annotated[StampNs, Field(alias="end")]
+    """stamp of its last keyframe, seconds"""
+    origin: Count
+    """the keyframe whose pose is the frame of the stay"""
+    runs: Annotated[tuple[Span, ...], Field(alias="keyframes", min_length=1)]
+    """runs [first, last] of its keyframes, rows of labels.csv"""
 
     @property
     def keyframes(self) -> tuple[int, ...]:
@@ -266,17 +240,12 @@ class Stay(Value):
 class Break(Value):
     """Tracking was lost before a keyframe, and restarted with it."""
 
-    keyframe: Annotated[Count, Field(description="the keyframe, a row of labels.csv")]
-    position_m: Annotated[
-        Number | None,
-        Field(
-            description="how far odometry may be off over the break, metres; null where the "
-            "motion is a guess"
-        ),
-    ] = None
-    heading_rad: Annotated[
-        Number | None, Field(description="the same for the heading, radians")
-    ] = None
+    keyframe: Count
+    """the keyframe, a row of labels.csv"""
+    position_m: Number | None = None
+    """how far odometry may be off over the break, metres; null where the motion is a guess"""
+    heading_rad: Number | None = None
+    """the same for the heading, radians"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -316,30 +285,20 @@ class LogInfo(Value):
     __pydantic_config__ = titled("LogRecord")
     may_lack = frozenset({"path_m"})
 
-    name: Annotated[str, Field(description="name of the file, without directories")]
-    start_ns: Annotated[
-        StampNs | None,
-        Field(alias="start", description="stamp of the first scan, seconds; null for a grid"),
-    ] = None
-    end_ns: Annotated[
-        StampNs | None,
-        Field(alias="end", description="stamp of the last scan, seconds; null for a grid"),
-    ] = None
-    scans: Annotated[Count, Field(description="number of its scans that were read")] = 0
-    keyframes: Annotated[
-        Span | None,
-        Field(
-            description="first and last keyframe that it gave, rows of labels.csv; null where "
-            "there are none or it is not known"
-        ),
-    ] = None
-    path_m: Annotated[
-        Amount | None,
-        Field(
-            description="metres driven in it, where the map keeps only some of its keyframes; "
-            "null where it keeps all"
-        ),
-    ] = None
+    name: str
+    """name of the file, without directories"""
+    start_ns: Annotated[StampNs | None, Field(alias="start")] = None
+    """stamp of the first scan, seconds; null for a grid"""
+    end_ns: Annotated[StampNs | None, Field(alias="end")] = None
+    """stamp of the last scan, seconds; null for a grid"""
+    scans: Count = 0
+    """number of its scans that were read"""
+    keyframes: Span | None = None
+    """first and last keyframe that it gave, rows of labels.csv; null where there are none or it is
+    not known"""
+    path_m: Amount | None = None
+    """metres driven in it, where the map keeps only some of its keyframes; null where it
+    keeps all"""
 
 
 def starts_of(logs: Sequence[LogInfo]) -> tuple[int, ...]:
@@ -363,11 +322,12 @@ def driven_m(logs: Sequence[LogInfo], labels: Labels) -> float:
 class Seen(Value):
     """A connected piece of what was only seen: free cells of no submap, which nobody entered."""
 
-    area_m2: Annotated[Amount, Field(description="of its cells, square metres")]
-    x: Annotated[
-        Number, Field(description="of the cell in it that is farthest from its border, metres")
-    ]
-    y: Annotated[Number, Field(description="of the same cell, metres")]
+    area_m2: Amount
+    """of its cells, square metres"""
+    x: Number
+    """of the cell in it that is farthest from its border, metres"""
+    y: Number
+    """of the same cell, metres"""
 
 
 Line = tuple[Point, Point]  # its two ends, metres
@@ -377,15 +337,12 @@ Line = tuple[Point, Point]  # its two ends, metres
 class Merge(Value):
     """One submap became part of another."""
 
-    merge: Annotated[tuple[Count, Count], Field(description="[kept, gone]: ids of the two")]
-    runs: Annotated[
-        tuple[Span, ...],
-        Field(
-            alias="keyframes",
-            description="runs [first, last] of the keyframes that came with it, rows of labels.csv",
-        ),
-    ] = ()
-    known: Annotated[Count, Field(description="number of keyframes that the map had then")] = 0
+    merge: tuple[Count, Count]
+    """[kept, gone]: ids of the two"""
+    runs: Annotated[tuple[Span, ...], Field(alias="keyframes")] = ()
+    """runs [first, last] of the keyframes that came with it, rows of labels.csv"""
+    known: Count = 0
+    """number of keyframes that the map had then"""
 
     @property
     def kept(self) -> int:
@@ -407,23 +364,14 @@ class Merge(Value):
 class Split(Value):
     """A submap was cut along a line."""
 
-    submap: Annotated[
-        Count,
-        Field(alias="split", description="id of the submap, and of what is left of the line"),
-    ]
-    new: Annotated[
-        int | None,
-        Written(Count),
-        Field(description="id of what is right of the line, seen along it"),
-    ] = None
-    line: Annotated[Line, Field(description="two places in the map, as a person gave them")]
-    fence: Annotated[
-        Line | None,
-        Written(Line),
-        Field(
-            description="the line from border to border of the submap; no region reaches across it"
-        ),
-    ] = None
+    submap: Annotated[Count, Field(alias="split")]
+    """id of the submap, and of what is left of the line"""
+    new: Annotated[int | None, Written(Count)] = None
+    """id of what is right of the line, seen along it"""
+    line: Line
+    """two places in the map, as a person gave them"""
+    fence: Annotated[Line | None, Written(Line)] = None
+    """the line from border to border of the submap; no region reaches across it"""
 
 
 BorderEdit = Merge | Split

@@ -18,8 +18,7 @@ import pytest
 
 from specmap_cli import __version__
 from specmap_cli.batch import batch, workers
-from specmap_cli.batch.batch import run_batch, work_off
-from specmap_cli.batch.ledger import EventRecord, Ledger
+from specmap_cli.batch.batch import EventRecord, Ledger, run_batch, work_off
 from specmap_cli.batch.places import PlaceError
 from specmap_cli.batch.records import JobResult, Limits, Terms, Turn
 from specmap_cli.batch.summaries import SUMMARIES

@@ -9,8 +9,7 @@ from collections.abc import Iterable
 import jsonschema
 import pytest
 
-from specmap_cli.batch.batch import longest_first, work_off
-from specmap_cli.batch.ledger import Ledger
+from specmap_cli.batch.batch import Ledger, longest_first, work_off
 from specmap_cli.batch.records import JobResult, Turn
 from specmap_cli.batch.workers import Workers
 from specmap_cli.core.schemas import read_schema

@@ -11,9 +11,8 @@ from xml.etree import ElementTree
 import jsonschema
 import pytest
 
-from specmap_cli.checking.figures import figures_against, figures_of
 from specmap_cli.checking.record import CheckRecord, OutcomeRecord, junit, lines_of, markdown
-from specmap_cli.checking.rules import Rules, judged, read_rules
+from specmap_cli.checking.rules import Rules, figures_against, figures_of, judged, read_rules
 from specmap_cli.core.findings import VERDICTS, Verdict
 from specmap_cli.core.schemas import read_schema
 from specmap_cli.maps.store import read_map

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from specmap_cli.checking.figures import BOUNDED, FINDINGS, GOLDEN, MEANINGS
-from specmap_cli.checking.rules import DEFAULTS, read_rules
+from specmap_cli.checking.rules import BOUNDED, DEFAULTS, FINDINGS, GOLDEN, MEANINGS, read_rules
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.findings import INPUT
 from specmap_cli.quality import laid_out, recording

@@ -9,8 +9,16 @@ import pytest
 
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.records import NO_SUBMAP, Labels
-from specmap_cli.history.record import StayRecord
-from specmap_cli.history.visits import Tour, Visit, day_of, days_of, totals, tour_of, zone_of
+from specmap_cli.history.record import (
+    StayRecord,
+    Tour,
+    Visit,
+    day_of,
+    days_of,
+    totals,
+    tour_of,
+    zone_of,
+)
 
 _NS = 1_000_000_000
 _MIDNIGHT = int(datetime(2026, 3, 2, tzinfo=UTC).timestamp()) * _NS

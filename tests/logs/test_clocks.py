@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Sweep
 from specmap_cli.logs.clocks import Clock, StampPair, choose_clock
-from specmap_cli.logs.odometry import MAX_POSES, OdometryBuffer
 from specmap_cli.logs.readers.encoding import LASER_SCAN, ODOMETRY, odometry_cdr, scan_cdr
+from specmap_cli.logs.stream import MAX_POSES, OdometryBuffer
 from specmap_cli.logs.writer import LogWriter, convert
 from tests.logs.recordings import SECOND, sweeps_of
 from tests.turning import turn

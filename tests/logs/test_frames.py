@@ -15,11 +15,10 @@ from scipy.spatial.transform import Rotation
 from specmap_cli.core.errors import LogError, UsageError
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.logs.frames import TransformTree
 from specmap_cli.logs.inspection import summarize
 from specmap_cli.logs.messages import TransformRecord
 from specmap_cli.logs.opening import open_log
-from specmap_cli.logs.selection import Selection, odometry_ancestor, select
+from specmap_cli.logs.selection import Selection, TransformTree, odometry_ancestor, select
 from specmap_cli.logs.sensors import SeveralSensorsError
 from specmap_cli.logs.writer import LogWriter
 from tests.logs.recordings import SECOND, START, sweeps_of

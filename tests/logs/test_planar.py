@@ -62,6 +62,24 @@ def mounted(roll: float, pitch: float, yaw: float, x: float, y: float, z: float)
     return matrix
 
 
+@pytest.mark.parametrize("turned", [1.0, -1.0])
+def test_of_too_many_beams_every_so_manieth_is_read(turned: float) -> None:
+    count, step = 50_001, 1e-4
+    bearings = -2.5 + step * np.arange(count)
+    ranges = 2.0 + np.sin(bearings)
+    scan = record(
+        ranges if turned > 0 else ranges[::-1], -2.5 * turned, step * turned, time_increment=1e-6
+    )
+    found = levelled(scan)
+    assert 1000 < len(found.ranges) <= 3600
+    np.testing.assert_allclose(np.diff(found.bearings), np.diff(found.bearings)[0], atol=1e-9)
+    np.testing.assert_allclose(found.ranges, 2.0 + np.sin(found.bearings), atol=1e-3)
+    assert found.beam_times_s is not None
+    late = (found.bearings + 2.5) / step * 1e-6
+    expected = late if turned > 0 else (count - 1) * 1e-6 - late
+    np.testing.assert_allclose(found.beam_times_s, expected, atol=1e-5)
+
+
 @few(30)
 @given(
     flip=st.sampled_from([(0.0, 0.0), (math.pi, 0.0), (0.0, math.pi), (math.pi, math.pi)]),

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from specmap_cli.checking.figures import figures_of
+from specmap_cli.checking.rules import figures_of
 from specmap_cli.cli import main
 from specmap_cli.core.errors import MapError, NoResultError, UsageError
 from specmap_cli.grids.gridmap import FREE
