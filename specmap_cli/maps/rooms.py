@@ -5,7 +5,8 @@ A room is a submap, as it is in the finished map: in its frame, unless it says o
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
@@ -89,6 +90,9 @@ class Room:
         return product(motion, x_y)
 
 
+RoomOrPlace = Room | int | str | Sequence[float]  # a room by id or name, x and y, or a pose
+
+
 class Rooms(Mapping[int, Room]):
     """The rooms of a map in the order of their ids. `rooms[3]` or `rooms["kitchen"]` is one.
 
@@ -124,6 +128,16 @@ class Rooms(Mapping[int, Room]):
             return self._rooms[room]
         there = ", ".join(f"{one.id} {one.given_name!r}" for one in self._rooms.values())
         raise KeyError(f"no room {room!r}; there are {there}")
+
+    def place_of(self, given: RoomOrPlace) -> Point:
+        """The place that is meant; ValueError for one that is nowhere, KeyError for no room."""
+        room = self[given] if isinstance(given, int | str) else given
+        if isinstance(room, Room):
+            return room.place
+        x, y = map(float, room[:2])
+        if not math.isfinite(x + y):
+            raise ValueError(f"expected a room, or x and y in metres, found {given!r:.60}")
+        return x, y
 
     def __iter__(self) -> Iterator[int]:
         return iter(self._rooms)

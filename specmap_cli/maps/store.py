@@ -6,8 +6,7 @@ Whatever is missing or damaged is a MapError of one line that names the file.
 from __future__ import annotations
 
 import functools
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -22,7 +21,6 @@ from specmap_cli.core.config import known_settings
 from specmap_cli.core.errors import MAP_MISSING, MapError
 from specmap_cli.core.files import sha256_of
 from specmap_cli.core.findings import Quality
-from specmap_cli.core.json_values import Point
 from specmap_cli.core.records import NO_SUBMAP, Labels, Trajectory
 from specmap_cli.core.settings import Config, LimitsConfig
 from specmap_cli.core.text import counted
@@ -31,7 +29,7 @@ from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.map_server import read_grid, read_picture
 from specmap_cli.maps import filenames
 from specmap_cli.maps.features_file import Arrays, read_features
-from specmap_cli.maps.rooms import Grids, Room, Rooms, composed
+from specmap_cli.maps.rooms import Grids, Room, RoomOrPlace, Rooms, composed
 from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.text_files import (
     first_finding,
@@ -56,7 +54,6 @@ if TYPE_CHECKING:
 
 Value = TypeVar("Value")
 
-RoomOrPlace = Room | int | str | Sequence[float]  # a room by id or name, x and y, or a pose
 _NOTHING = np.zeros(0, dtype=np.int64)
 _NO_LABELS = Labels(stamps_ns=_NOTHING, poses=np.zeros((0, 3)), submaps=_NOTHING)
 
@@ -118,6 +115,11 @@ class Map:
         """Every door between two rooms, by id."""
         return self.record.graph.doors
 
+    @property
+    def grid(self) -> GridMap:
+        """The grid of the whole map."""
+        return self.division[0]
+
     @cached_property
     def rooms(self) -> Rooms:
         """The rooms, by id or by name."""
@@ -125,7 +127,7 @@ class Map:
 
     def room_at(self, x: float, y: float) -> Room | None:
         """The room that a place is in, or None. A robot beside a wall of a room is still in it."""
-        place = np.array([self._place((x, y))])
+        place = np.array([self.rooms.place_of((x, y))])
         grid, owner = self.regions.grid, self.regions.owner
         rows, columns = slices_near(place, 1.0, grid.origin, grid.resolution, owner.shape)
         part = Regions(grid.window(rows, columns), owner[rows, columns], {})
@@ -139,26 +141,12 @@ class Map:
         leads the way to its anchor. Where there is none, `route.why` says the reason. Raises
         KeyError for an unknown room.
         """
-        if self._roads is None:
-            return Route(why="nobody looked for ways when the map was made: build it again")
-        return self._roads.route(self._place(start), self._place(goal))
-
-    def _place(self, given: RoomOrPlace) -> Point:
-        if isinstance(given, int | str):
-            given = self.rooms[given]
-        if isinstance(given, Room):
-            return given.place
-        x, y = map(float, given[:2])
-        if not math.isfinite(x + y):
-            raise ValueError(f"expected a room, or x and y in metres, found {given!r:.60}")
-        return x, y
+        return self._roads.route(self.rooms.place_of(start), self.rooms.place_of(goal))
 
     @cached_property
-    def _roads(self) -> Roads | None:
-        radius_m = self.record.graph.robot_radius_m
-        if radius_m is None:
-            return None
-        return Roads(self.regions, self.doors, self.record.edges, radius_m)
+    def _roads(self) -> Roads:
+        graph = self.record.graph
+        return Roads(self.regions, graph.doors, self.record.edges, graph.robot_radius_m)
 
     def to_networkx(self) -> nx.Graph:
         """A graph: nodes are rooms by id, edges the links between them, both with their figures.
@@ -242,7 +230,9 @@ class Map:
     def map_grid(self) -> GridMap:
         """The grid of the whole map."""
         names = [f"{filenames.MAP_GRID}{end}" for end in (".yaml", ".png")]
-        return self.checked(read_grid(self._of_recording(names[0]), limits=self.limits), *names)
+        grid = read_grid(self._of_recording(names[0]), limits=self.limits)
+        unchanging(grid.cells)
+        return self.checked(grid, *names)
 
     @cached_property
     @_of_one_map

@@ -36,7 +36,7 @@ _NO_CALIBRATION = (
 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Scan:
     """What a planar laser saw at one moment, from `stamp_ns` on, in nanoseconds.
 

@@ -50,12 +50,17 @@ class Route:
 
 
 class Roads:
-    """What of a map a robot can drive on; `route` finds the way on it from place to place."""
+    """What of a map a robot can drive on; `route` finds the way on it from place to place.
+
+    Of a map of an earlier version nobody knows the robot's radius.
+    """
 
     def __init__(
-        self, regions: Regions, doors: Sequence[Door], edges: Iterable[Edge], radius_m: float
+        self, regions: Regions, doors: Sequence[Door], edges: Iterable[Edge], radius_m: float | None
     ) -> None:
         self._doors, self._radius_m = doors, radius_m
+        if radius_m is None:
+            return
         self._shut = [door for door in doors if door.forbidden]
         self._apart = {(edge.source, edge.target) for edge in edges if edge.forbidden}
         self._open = self._allowed = _Ground.of(regions, radius_m)
@@ -68,6 +73,8 @@ class Roads:
 
     def route(self, start: Point, goal: Point) -> Route:
         """The cheapest route between two places of the map (x, y), metres."""
+        if self._radius_m is None:
+            return Route(why="nobody looked for ways when the map was made: build it again")
         ends = []
         for place in (start, goal):
             cell = self._allowed.beside(place)
@@ -99,7 +106,8 @@ class Roads:
             rooms = pairwise(_in_order(self._open.space, cells))
             pairs = [tuple(sorted(pair)) for pair in rooms]
             through += [f"the link {a}-{b}" for a, b in pairs if (a, b) in self._apart]
-            return f"it leads through what is forbidden: {', '.join(through)}"
+            what = ", ".join(through) or "too near to a forbidden door"
+            return f"it leads through what is forbidden: {what}"
         room = np.where(self._open.space.owner == NOBODY, 0.0, self._open.clearance)
         most = widest(room, tuple(start), tuple(goal))
         if most is None:
