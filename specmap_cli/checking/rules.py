@@ -34,7 +34,6 @@ from specmap_cli.core.toml import TomlFormat, UnfitError, choice, unless
 from specmap_cli.maps import filenames
 from specmap_cli.maps.comparison import ComparisonRecord
 from specmap_cli.maps.store import Map
-from specmap_cli.topology.topological_map import driven_m, starts_of
 
 Figures = Mapping[str, float | None]
 
@@ -87,10 +86,6 @@ def figures_of(stored: Map) -> dict[str, float | None]:
     run: Mapping[str, Any] = stored.run if written else {}
     counts = stored.counts if written else {}
     scans, lost, wall_s = counts.get("scans"), counts.get("lost"), _number(run.get("wall_s"))
-    duration_s = path_m = None
-    if stored.of_recording:  # a divided grid knows of no way
-        labels, starts = stored.labels, starts_of(stored.logs)
-        duration_s, path_m = labels.duration_s(starts), driven_m(stored.logs, labels)
     quality = stored.quality
     grave = [] if quality is None else [one for one in quality.findings if one.severity != "note"]
     return {
@@ -102,8 +97,8 @@ def figures_of(stored: Map) -> dict[str, float | None]:
         "wall_s": wall_s,
         "scans_per_s": scans / wall_s if scans is not None and wall_s else None,
         "memory_mb": _number(run.get("memory_mb")),
-        "duration_s": duration_s,
-        "path_m": path_m,
+        "duration_s": stored.duration_s if stored.of_recording else None,
+        "path_m": stored.driven_m if stored.of_recording else None,
         "submaps": len(stored.rooms),
         "edges": len(record.edges),
         "impassable": sum(edge.path is None for edge in record.edges),

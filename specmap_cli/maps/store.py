@@ -6,6 +6,7 @@ Whatever is missing or damaged is a MapError of one line that names the file.
 from __future__ import annotations
 
 import functools
+from base64 import b64encode
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -13,14 +14,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from pydantic import ValidationError
 
 from specmap_cli.core.arguments import path_of
 from specmap_cli.core.arrays import unchanging
 from specmap_cli.core.config import known_settings
 from specmap_cli.core.errors import MAP_MISSING, MapError
 from specmap_cli.core.files import sha256_of
-from specmap_cli.core.findings import Quality
+from specmap_cli.core.findings import Quality, Verdict
 from specmap_cli.core.records import NO_SUBMAP, Labels, Trajectory
 from specmap_cli.core.settings import Config, LimitsConfig
 from specmap_cli.core.text import counted
@@ -32,7 +32,7 @@ from specmap_cli.maps.features_file import Arrays, read_features
 from specmap_cli.maps.rooms import Grids, Room, RoomOrPlace, Rooms, composed
 from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.text_files import (
-    first_finding,
+    config_of,
     map_json,
     map_text,
     read_labels,
@@ -46,7 +46,9 @@ from specmap_cli.topology.topological_map import (
     LogInfo,
     Merge,
     TopologicalMap,
+    driven_m,
     fences_of,
+    starts_of,
 )
 
 if TYPE_CHECKING:
@@ -97,8 +99,9 @@ class Map:
         return overview.read_bytes() if overview.is_file() else None
 
     def _repr_html_(self) -> str:
-        """A table of its rooms, for notebooks."""
-        return self.rooms._repr_html_()
+        """The same with a table of its rooms."""
+        picture = b64encode(self._repr_png_() or b"").decode("ascii")
+        return f'<img src="data:image/png;base64,{picture}">{self.rooms._repr_html_()}'
 
     @property
     def frame(self) -> str:
@@ -109,6 +112,21 @@ class Map:
     def quality(self) -> Quality | None:
         """Verdict and findings; None where the map was not judged."""
         return self.record.graph.quality
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """In a word: good, doubtful or poor."""
+        return None if self.quality is None else self.quality.verdict
+
+    @property
+    def driven_m(self) -> float:
+        """Metres driven from keyframe to keyframe."""
+        return driven_m(self.logs, self.keyframes)
+
+    @property
+    def duration_s(self) -> float:
+        """Seconds from first keyframe to last, of each recording by itself."""
+        return self.keyframes.duration_s(starts_of(self.logs))
 
     @property
     def doors(self) -> tuple[Door, ...]:
@@ -186,7 +204,7 @@ class Map:
     def trajectory(self) -> Trajectory:
         """The pose at every scan: arrays, or one at a time by a loop; empty as `keyframes`."""
         path = self.path / filenames.TRAJECTORY
-        if not path.exists():
+        if not self.of_recording:
             return Trajectory(_NO_LABELS.stamps_ns, _NO_LABELS.poses)
         found = read_trajectory(path, self.limits)
         unchanging(found.stamps_ns, found.poses)
@@ -385,16 +403,7 @@ class Map:
 
         Settings that this version does not have are left out: `foreign_settings` names them.
         """
-        written = self.run.get("config")
-        try:
-            known = known_settings(written)[0] if isinstance(written, dict) else written
-            return Config.model_validate(known)
-        except ValidationError as error:
-            raise MapError(
-                f"config: {first_finding(error)}",
-                "build the map again",
-                where=self.path / filenames.RUN,
-            ) from None
+        return config_of(self.run.get("config"), self.path / filenames.RUN)
 
     @property
     def foreign_settings(self) -> list[str]:

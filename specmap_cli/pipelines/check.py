@@ -77,10 +77,8 @@ def check_map(
         against_it = figures_against(record)
         figures |= against_it
         details |= dict.fromkeys(against_it, reason) if record is None else _changes(record)
-    quality = map_.quality
-    verdict = None if quality is None else quality.verdict
     named = None if golden is None else str(golden.path)
-    return CheckReport(judged(str(map_.path), named, plain(figures), verdict, rules, details))
+    return CheckReport(judged(str(map_.path), named, plain(figures), map_.verdict, rules, details))
 
 
 def _told(stored: Map) -> Iterable[tuple[str, str]]:

@@ -35,7 +35,7 @@ from specmap_cli.maps.store import Map, opened_map
 from specmap_cli.pipelines.overlaps import stored_to_align
 from specmap_cli.recognition.closure.alignment import Alignment, align
 from specmap_cli.topology.differences import Crossing, Differences, Obstacle, differences
-from specmap_cli.topology.topological_map import default_name, driven_m, starts_of
+from specmap_cli.topology.topological_map import default_name
 
 COMPARISON, SUMMARY, PICTURE = "compare.json", "summary.txt", "compare.png"
 # Of a submap whose own place in the other map is believed: how well it fits, metres of wall, and
@@ -181,17 +181,16 @@ def _motion(alignment: Alignment) -> BentMotion:
 
 
 def _figures(stored: Map) -> MapFigures:
-    labels, quality = stored.labels, stored.quality
     return MapFigures(
         map=encodable(str(stored.path)),
         names={id_: room.name for id_, room in stored.rooms.items()},
         submaps=len(stored.rooms),
         edges=len(stored.record.edges),
-        keyframes=len(labels.stamps_ns),
-        path_m=driven_m(stored.logs, labels),
-        duration_s=labels.duration_s(starts_of(stored.logs)),
+        keyframes=len(stored.labels.stamps_ns),
+        path_m=stored.driven_m,
+        duration_s=stored.duration_s,
         area_m2=stored.record.area_m2,
-        verdict=None if quality is None else quality.verdict,
+        verdict=stored.verdict,
     )
 
 

@@ -204,13 +204,12 @@ def map_record(entry: Entry, step: Step | None) -> MapRecord:
     """A map as history.json has it; `step` is that from an earlier map to it."""
     stored = entry.stored
     start_ns, end_ns = span_ns(stored)
-    quality = stored.quality
     return MapRecord(
         number=entry.number,
         map=encodable(str(stored.path)),
         start=start_ns / _NS,
         end=end_ns / _NS,
-        verdict=None if quality is None else quality.verdict,
+        verdict=stored.verdict,
         submaps=len(stored.rooms),
         area_m2=stored.record.area_m2,
         compared_with=None if step is None else step.before.number,

@@ -37,7 +37,7 @@ def old_map(changes: Changes, map_: DrawnMap) -> dict[str, Any]:
     `walls` are its walls, `gone` the submaps that are no more, as path data; `was` says of submaps
     of the new map what they were in the old one.
     """
-    old, record, frame = DrawnMap(changes.old), changes.record, map_.frame
+    old, record, frame = changes.old, changes.record, map_.frame
 
     def carried(cells: BoolArray) -> str:
         """Cells of the old map as path data in the drawing of the new one."""

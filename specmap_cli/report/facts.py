@@ -20,7 +20,6 @@ from specmap_cli.report.evidence import Learned
 from specmap_cli.report.html import lasting
 from specmap_cli.report.layers import DrawnMap
 from specmap_cli.report.track import Track
-from specmap_cli.topology.topological_map import driven_m
 
 _THUMBNAIL = 240  # pixels of the longer side, at most
 _AROUND_M = 0.7  # shown round the outline of a submap
@@ -51,8 +50,7 @@ def headline(map_: DrawnMap) -> str:
 
 def facts_of(map_: DrawnMap, track: Track) -> list[tuple[str, str, str]]:
     """The figures at the top of the page, each with its unit and what it counts."""
-    record = map_.stored.record
-    doors, closures = record.graph.doors, record.graph.closures
+    record, doors = map_.stored.record, map_.stored.doors
     driven = sum(door.driven for door in doors)
     how_many = "all" if driven == len(doors) else f"{driven:,}"
     found = [
@@ -66,9 +64,10 @@ def facts_of(map_: DrawnMap, track: Track) -> list[tuple[str, str, str]]:
         ),
     ]
     if track.total:
-        way = driven_m(map_.stored.logs, map_.stored.keyframes)
-        found.append((f"{way:,.0f}", "m", f"driven in {lasting(track.duration_s)}"))
-        merged = sum(closure.merged for closure in closures)
+        found.append(
+            (f"{map_.stored.driven_m:,.0f}", "m", f"driven in {lasting(track.duration_s)}")
+        )
+        merged = sum(closure.merged for closure in record.graph.closures)
         found.append((f"{merged:,}", "", _plural(merged, "revisit") + " recognised"))
         lost = len(map_.lost)
         scans = sum(log.scans for log in record.graph.logs)

@@ -19,7 +19,7 @@ from specmap_cli.maps.flat import link_line
 from specmap_cli.maps.store import Map
 from specmap_cli.report.html import shown
 from specmap_cli.report.svg import Frame, fill_names, outlines, path_data
-from specmap_cli.topology.regions import NOBODY, Regions
+from specmap_cli.topology.regions import NOBODY
 from specmap_cli.topology.topological_map import starts_of
 
 MOST_REFUSED = 400  # refused closures that are drawn: those with the largest xi
@@ -36,11 +36,6 @@ class DrawnMap:
         self.stored = stored
 
     @cached_property
-    def regions(self) -> Regions:
-        """The map divided among the submaps."""
-        return self.stored.regions
-
-    @cached_property
     def lost(self) -> FloatArray:
         """(n, 2) where scans were taken that could not be registered: guesses."""
         trajectory = self.stored.trajectory
@@ -50,13 +45,13 @@ class DrawnMap:
     @cached_property
     def frame(self) -> Frame:
         """The part of the map to draw: what is known, and the way, which may lead out of it."""
-        low, high = extent_of(self.regions)
+        low, high = extent_of(self.stored.regions)
         return Frame.around(np.vstack([low, high, self.stored.keyframes.poses[:, :2], self.lost]))
 
     @cached_property
     def fills(self) -> dict[int, Colour]:
         """The colour of each submap."""
-        return colours_of(self.stored.topology, self.regions)
+        return colours_of(self.stored.topology, self.stored.regions)
 
     @property
     def starts(self) -> tuple[int, ...]:
@@ -71,17 +66,17 @@ class DrawnMap:
     @property
     def walls(self) -> str:
         """The walls as path data."""
-        return path_data(self.rings(self.regions.grid.occupied), closed=True)
+        return path_data(self.rings(self.stored.regions.grid.occupied), closed=True)
 
     @property
     def seen(self) -> str:
         """What was only seen and belongs to no submap, as path data."""
-        unowned = self.regions.grid.free & (self.regions.owner == NOBODY)
+        unowned = self.stored.regions.grid.free & (self.stored.regions.owner == NOBODY)
         return path_data(self.rings(unowned), closed=True)
 
     def rings(self, cells: BoolArray) -> list[IntArray]:
         """Outlines and holes of cells (H, W) of the whole grid, in the drawing."""
-        return [self.frame.places(ring) for ring in outlines(cells, self.regions.grid)]
+        return [self.frame.places(ring) for ring in outlines(cells, self.stored.regions.grid)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -116,7 +111,7 @@ def regions_of(map_: DrawnMap) -> list[Region]:
     names = fill_names(map_.fills.values())
     found = []
     for id_, room in map_.stored.rooms.items():
-        rings = map_.rings(map_.regions.owner == id_)
+        rings = map_.rings(map_.stored.regions.owner == id_)
         badge = map_.frame.place(room.place)
         points = np.vstack([np.array([badge]), *rings])
         (left, top), (right, bottom) = points.min(axis=0).tolist(), points.max(axis=0).tolist()

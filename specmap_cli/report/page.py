@@ -88,7 +88,7 @@ def _drawn(map_: DrawnMap, track: Track) -> dict[str, Any]:
         "links": layers.links_of(map_),
         "doors": doors,
         "any_driven": any(door.driven for door in doors),  # no robot drove through a floor plan
-        "cell_cm": round(map_.regions.grid.resolution * 100.0, 2),
+        "cell_cm": round(map_.stored.regions.grid.resolution * 100.0, 2),
         "track": track,
         "by_time": track.by_time(map_.frame),
         "by_fit": track.by_fit(map_.frame),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from base64 import b64encode
 from collections.abc import Sequence
 from dataclasses import FrozenInstanceError
 from pathlib import Path
@@ -155,6 +156,7 @@ def test_a_notebook_shows_the_picture_and_a_table(rooms: Map, tmp_path: Path) ->
     table = read_map(tmp_path / "named")._repr_html_()
     assert "&lt;script&gt;" in table
     assert "<script>" not in table
+    assert b64encode(picture)[:99].decode() in table, "browsers prefer it to the picture alone"
     assert table.count("<tr>") == len(rooms.rooms) + 1
     assert repr(rooms).endswith("/map': 4 rooms>")
     (tmp_path / "named" / "overview.png").unlink()
