@@ -78,7 +78,7 @@ dist: $(VENV)/installed-dist
 
 # The pictures of the documents, made of the sample logs.
 pictures: $(VENV)/installed
-	$(BIN)/python docs/pictures.py
+	$(BIN)/python -m docs.pictures
 
 sample-logs: $(VENV)/installed
 	$(BIN)/python sample_logs/draw_office.py

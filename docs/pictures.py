@@ -14,9 +14,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from benchmarks.making.recordings import write
+from benchmarks.making.spoiling import kidnapped
+from specmap_cli.core.settings import LogConfig
+from specmap_cli.logs import open_log
+from specmap_cli.logs.stream import SweepStream
+
 ROOT = Path(__file__).parent.parent
 SAMPLES, IMAGES = ROOT / "sample_logs", ROOT / "docs" / "images"
 WIDTH = 1400  # pixels at the most
+CARRIED_S = (120.0, 60.0)  # when the robot is carried off, and for how long
 SPLIT_TESTS = (5, 6, 7, 8)  # one region, a side that is too short, and two splits
 GAP = 24
 
@@ -73,6 +80,11 @@ def main() -> None:
         nodes = ["--explain", out / "nodes.png"]
         specmap("segment", SAMPLES / "office.yaml", "-o", out / "plan", *nodes)
         put(out / "nodes.png", "segmentation_nodes.png")
+        with open_log([SAMPLES / "office.mcap"]) as log:
+            sweeps = SweepStream(log, LogConfig())
+            write(sweeps, kidnapped(*CARRIED_S), out / "carried.mcap")
+        specmap("build", out / "carried.mcap", "-o", out / "doubtful")
+        put(out / "doubtful" / "overview.png", "doubtful.png")
 
 
 if __name__ == "__main__":

@@ -33,6 +33,7 @@ _ON_M = 0.1  # a return lies on a wall
 _MOST_VIEWS = 20  # scans in a view
 _SPACING = 0.25  # metres, or radians, between views
 _LEAST = 20  # returns, to lay a view
+_DETOUR = 1.5  # of a straight line, from which on a way there is another pass
 FITS = 0.5  # share of a view on walls: it was laid rightly
 
 
@@ -249,8 +250,10 @@ class Pass:
 def passes(
     seen: Seen, *, apart_m: float = 10.0, view_m: float = 2.0, most: int = 40
 ) -> Iterator[Pass]:
-    """Views along the way, each laid on what was seen more than so many metres of way apart.
+    """Views along the way, each laid on what was seen on another pass, so many metres of way apart.
 
+    It is another pass where the way there is half as long again as the straight line: on one pass
+    walls are in sight from afar, and facades and rows of trees look like themselves.
     A second pass is looked for within a fiftieth of the whole way: farther no map drifts that holds
     together at all, and farther off a corridor looks like itself.
     """
@@ -259,8 +262,10 @@ def passes(
     for k in np.flatnonzero(np.diff(np.floor(seen.way_m / every), prepend=-1.0) > 0).tolist():
         view = seen.view(k, view_m)
         reach = float(np.abs(view).max()) + drift_m if len(view) else 0.0
+        away = np.hypot(*(seen.poses[:, :2] - seen.poses[k, :2]).T)
         near = np.abs(seen.poses[:, :2] - seen.poses[k, :2]).max(axis=1) < 2 * reach
-        other = seen.walls(np.flatnonzero(near & (np.abs(seen.way_m - seen.way_m[k]) > apart_m)))
+        others = np.abs(seen.way_m - seen.way_m[k]) > np.maximum(apart_m, _DETOUR * away)
+        other = seen.walls(np.flatnonzero(near & others))
         pose = Pose2(*seen.poses[k])
         other = other[np.abs(other - (pose.x, pose.y)).max(axis=1) < reach]
         if len(other) < 10 * _LEAST or len(view) < _LEAST:

@@ -3,8 +3,8 @@
 A figure that the map does not hold is None: a map of `specmap segment`, say, lost no scans and read
 none. Figures that begin with `golden.` are of a comparison with another map.
 
-A file of rules is TOML. What it says goes over the rules that hold by default; an infinite bound
-takes a default away, and `defaults = false` all of them::
+A file of rules is TOML. What it says goes over `default_rules.toml` beside this file; an infinite
+bound takes a default away, and `defaults = false` all of them::
 
     verdict = "good"          # the worst verdict that passes
 
@@ -159,33 +159,6 @@ class Rules:
                 yield name, bound, limit
 
 
-# What a fleet wants of every map: nothing in doubt, and the building as it was. What is doubtful
-# is found while the map is made: docs/quality.md lists the codes and their limits.
-DEFAULTS = Rules(
-    verdict="doubtful",
-    most={
-        "lost_share": 0.05,
-        "damage": 0,
-        "parts": 1,
-        "findings.lost-scans": 0,
-        "findings.hole-in-log": 0,
-        "findings.unmeasured-way": 0,
-        "findings.odometry-disagrees": 0,
-        "findings.loose-part": 0,
-        "findings.walls-disagree": 0,
-        "findings.part-moved": 0,
-        "findings.rival-place": 0,
-        "findings.layout-refused": 0,
-        "findings.beyond-grid": 0,
-        "golden.gone": 0,
-        "golden.unseen": 0,
-        "golden.closed": 0,
-        "golden.off_m": 0.15,
-    },
-    least={"submaps": 1, "golden.aligned": 1, "golden.area_share": 0.9},
-)
-
-
 def _is_number(value: Any) -> bool:
     return type(value) in (int, float) and not math.isnan(value)
 
@@ -230,6 +203,8 @@ class _Written(BaseModel):
 
 
 _FORMAT = TomlFormat(model=_Written, error=UsageError, code=SETTING)
+_OWN = _FORMAT.read(Path(__file__).with_name("default_rules.toml"))
+DEFAULTS = Rules(_OWN.verdict or "poor", _OWN.most, _OWN.least)
 
 
 def read_rules(path: Path | None, *, against: bool) -> Rules:

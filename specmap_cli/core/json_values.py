@@ -26,8 +26,8 @@ from pydantic import (
     field_validator,
 )
 
-from specmap_cli.core.described import Described
 from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.schemas import Described
 from specmap_cli.core.text import nanoseconds, rounded, seconds
 
 

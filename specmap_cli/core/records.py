@@ -72,7 +72,8 @@ class PosedScan:
     before); `lost` marks a scan that could not be registered and must not enter a map; `restarted`
     marks the first scan after a run of lost ones, joined to what came before by a guess only;
     `bridge` is how far that guess may be off, metres and radians, None where nothing measured it.
-    `planar` is de-skewed. `blind`: neither walls nor odometry fix its place along some direction.
+    `planar` is de-skewed. Walls do not fix each motion in all directions: what was guessed on the
+    way up to it may be off by `guessed_m`, x and y in the map, a standard deviation.
     `odom_from_base` is the odometry at its stamp, None where there is none.
     `map_from_base_3d` (4, 4) keeps z, roll and pitch of a 3D lidar.
     """
@@ -87,7 +88,7 @@ class PosedScan:
     lost: bool = False
     restarted: bool = False
     bridge: tuple[float, float] | None = None
-    blind: bool = False
+    guessed_m: tuple[float, float] = (0.0, 0.0)
     odom_from_base: Pose2 | None = None
     map_from_base_3d: FloatArray | None = None
 
@@ -134,8 +135,7 @@ class Trajectory:
 
     `tilt` (n, 3) holds z, roll and pitch for a 3D lidar, None for planar logs. `lost` (n,) marks
     the scans that could not be registered: their poses are guesses. `odometry` (n, 3) are the poses
-    by odometry, NaN where there is none. `blind` (n,) marks scans whose place along some direction
-    neither walls nor odometry fix. Each is None where nothing is known of it.
+    by odometry, NaN where there is none. Each is None where nothing is known of it.
     """
 
     stamps_ns: IntArray
@@ -143,7 +143,6 @@ class Trajectory:
     tilt: FloatArray | None = None
     lost: BoolArray | None = None
     odometry: FloatArray | None = None
-    blind: BoolArray | None = None
 
     def __iter__(self) -> Iterator[tuple[int, Pose2]]:
         """Stamp and pose of each scan."""

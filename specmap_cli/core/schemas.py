@@ -3,24 +3,55 @@
 A schema is a file `NAME.schema.json` of the package: in `schemas/`, or beside the models that make
 it. That of the settings is made from the settings themselves. The `$id` of each ends with its
 version, which is the `schema_version` of what it describes.
+
+What a field means stands below it in the source of its class, which is `Described`.
 """
 
 from __future__ import annotations
 
+import ast
+import inspect
 import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel
+from pydantic import BaseModel, GetJsonSchemaHandler
 
 from specmap_cli.core.errors import UsageError
-from specmap_cli.core.settings import Config
 
 PACKAGE = Path(__file__).parents[1]
 ENDING = ".schema.json"
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 SETTINGS = "config"  # what `config` prints
+
+
+class Described:
+    """The base of a model, or of a dataclass in one, whose JSON Schema says what fields mean."""
+
+    __slots__ = ()
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: Any, handler: GetJsonSchemaHandler) -> Any:
+        made = handler(schema)
+        found = handler.resolve_ref_schema(made)
+        found["description"] = inspect.getdoc(cls)
+        for part, text in zip(found["properties"].values(), meanings(cls).values(), strict=True):
+            part |= {"description": text} if text else {}
+        return made
+
+
+def meanings(kind: type) -> dict[str, str]:
+    """What each field of a class means, in a line; empty where nothing stands below it."""
+    found: dict[str, str] = {}
+    last = ""
+    for part in ast.parse(inspect.getsource(kind)).body[0].body:  # type: ignore[attr-defined]
+        match part:
+            case ast.AnnAssign(target=ast.Name(id=last)):
+                found[last] = ""
+            case ast.Expr(value=ast.Constant(value=str(text))) if last:
+                found[last] = " ".join(text.split())
+    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +97,8 @@ def schema_files() -> dict[str, Path]:
 def read_schema(name: str) -> dict[str, Any]:
     """A schema (draft 2020-12). Raises UsageError for a name that there is none of."""
     if name == SETTINGS:
+        from specmap_cli.core.settings import Config  # which stands on this module
+
         return ModelSchema(Config, SETTINGS, 1, "specmap config").document()
     files = schema_files()
     if name not in files:

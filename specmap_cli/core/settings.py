@@ -12,7 +12,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from specmap_cli.core.described import Described
+from specmap_cli.core.schemas import Described
 
 
 class _Section(Described, BaseModel):

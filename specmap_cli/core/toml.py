@@ -17,8 +17,8 @@ from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ValidationError
 
-from specmap_cli.core.described import meanings
 from specmap_cli.core.errors import SpecmapError
+from specmap_cli.core.schemas import meanings
 
 Model = TypeVar("Model", bound=BaseModel)
 Keys = tuple[int | str, ...]  # the keys and numbers that lead to a value

@@ -1,7 +1,7 @@
 """Keyframes: which scans go on to mapping, their store on disk, and which a map can do without.
 
 Every scan is registered. Only those taken after the robot moved or turned are kept, and their
-readings go to a temporary file: in memory a keyframe takes 48 bytes, however many beams its scan
+readings go to a temporary file: in memory a keyframe takes 64 bytes, however many beams its scan
 has.
 
 A place is shown well by as many scans as it takes for every cell of a surface to be hit, as far as
@@ -112,13 +112,13 @@ class _Laser:
 class KeyframeStore:
     """Keyframes by number 0, 1, ...: scans on disk, poses in memory. Close it, or use `with`.
 
-    Memory grows by 48 bytes a keyframe, not by its beams.
+    Memory grows by 64 bytes a keyframe, not by its beams.
     """
 
     def __init__(self) -> None:
         with temporary_files():
             self._file = tempfile.TemporaryFile(prefix="specmap-")  # noqa: SIM115 (closed by close)
-        self._stamps_ns, self._poses = array("q"), array("d")
+        self._stamps_ns, self._poses, self._guessed = array("q"), array("d"), array("d")
         # readings of each in the file, bearings and then ranges: where they begin, and their bytes
         self._begins, self._bytes = array("q"), array("q")
         self._lasers: list[_Laser] = []
@@ -136,6 +136,7 @@ class KeyframeStore:
             self._file.flush()  # a process forked from this one must not write it again
         self._stamps_ns.append(scan.stamp_ns)
         self._poses.extend(scan.map_from_base)
+        self._guessed.extend(scan.guessed_m)
         self._bytes.append(readings.nbytes)
         if laser not in self._number_of:
             self._number_of[laser] = len(self._lasers)
@@ -157,6 +158,7 @@ class KeyframeStore:
         for column in (self._stamps_ns, self._begins, self._bytes, self._laser_of):
             column[:] = array(column.typecode, np.array(column)[numbers].tolist())
         self._poses = array("d", np.ascontiguousarray(poses).tobytes())
+        self._guessed = array("d", self.guessed_m[numbers].tobytes())
 
     def __len__(self) -> int:
         return len(self._stamps_ns)
@@ -165,6 +167,11 @@ class KeyframeStore:
     def poses(self) -> FloatArray:
         """(n, 3) map_from_base as registered, metres and radians."""
         return self.poses_of(range(len(self)))
+
+    @property
+    def guessed_m(self) -> FloatArray:
+        """(n, 2) how far off what was guessed up to each keyframe may be, see `PosedScan`."""
+        return np.array(self._guessed).reshape(-1, 2)
 
     @property
     def stamps_ns(self) -> tuple[int, ...]:
@@ -204,6 +211,7 @@ class KeyframeStore:
             map_from_base=self.pose(number),
             planar=self.scan(number),
             base_from_laser=self.base_from_laser(number),
+            guessed_m=(self._guessed[2 * number], self._guessed[2 * number + 1]),
         )
 
     def base_from_laser(self, number: int) -> Pose2:

@@ -12,8 +12,7 @@ Typical use, when the pose is known roughly (`search`) or not at all (`search_ev
 
 The search is the correlative scan matching of Olson (ICRA 2009), the refinement the Gauss-Newton
 step on an interpolated field of Kohlbrecher et al. (SSRR 2011). How sure a match is, its covariance
-says, and which directions the walls in sight fix at all, `observability`: along a bare corridor, no
-place is fixed.
+says, and how well walls fix a place at all, `weakest_direction`: along a bare corridor, not.
 """
 
 from __future__ import annotations
@@ -53,9 +52,12 @@ _LEAST_TURN_RAD, _MOST_TURN_RAD = 0.01, 0.05  # between two angles that are trie
 _SLACK = 1e-9  # scores and lengths this close are equal
 
 _DISTINCT_M = 1e-6  # between points of which the direction of a surface can be had
-# Of smoothed surfaces: pieces so long that 3 cm of noise turn their normals by less than 0.1 rad,
-# which makes a hundredth of the information; whoever stands in a room has ten times that.
-_PIECE_M, _SMOOTHED_GAP_M, _NOISE_SHARE = 0.25, 0.5, 0.02
+_PIECE_M, _SMOOTHED_GAP_M = 0.25, 0.5  # pieces of smoothed surfaces, and gaps that end these
+# Share of the points by which noise seems to fix a place: walls are never even, and hedges do.
+_LEAST_NOISE, _MOST_NOISE = 0.01, 0.02
+# Median size of what pieces are off the line between their neighbours, to the angle by which errors
+# of the same size turn normals, times its root of two: 1.48 sqrt(2 / 1.5) sqrt(2).
+_TURNED = 2.42
 _FEWEST_SURFACES = 3  # as many as unknowns
 
 
@@ -328,46 +330,63 @@ def observability(points: FloatArray, range_noise_m: float) -> FloatArray:
     """
     if len(points) < 3:
         return np.zeros((3, 3))
-    good, normal = _normals(points, SURFACE_GAP_M)
+    tangent = points[2:] - points[:-2]
+    length = np.hypot(tangent[:, 0], tangent[:, 1])
+    good = (length > _DISTINCT_M) & (length < 2 * SURFACE_GAP_M)
+    tangent = tangent[good] / length[good, None]
+    normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
     p = points[1:-1][good]
     rows = np.column_stack([normal, p[:, 0] * normal[:, 1] - p[:, 1] * normal[:, 0]])
     return product(rows.T, rows) / range_noise_m**2
 
 
 @dataclass(frozen=True, slots=True)
-class WeakestDirection:
-    """The direction in which the walls in sight fix a place least.
+class Weakest:
+    """The direction in which walls fix a place least: `heading`, in the frame of their points.
 
-    `share` of what they fix in all directions together is fixed in this one: 0 along a bare
-    corridor, 0.5 where all are alike. `heading` in radians, in the frame of the points.
+    As many points as `count` fix it in that direction, turned to it in full; noise is taken off. Of
+    walls of n points all alike around it is n / 2, and 0 along a bare corridor. `open`: nothing but
+    noise fixes it.
     """
 
-    share: float
     heading: float
+    count: float
+    open: bool = True
 
-    @property
-    def open(self) -> bool:
-        """Whether nothing but noise fixes the place in this direction."""
-        return self.share < _NOISE_SHARE
+    def precision_m(self, range_noise_m: float) -> float:
+        """The standard deviation of the place in that direction, from the error of a reading."""
+        return range_noise_m / math.sqrt(max(self.count, _SLACK))
 
 
-def weakest_direction(points: FloatArray) -> WeakestDirection:
-    """Of points (N, 2) in order of bearing.
+def weakest_direction(points: FloatArray, known: FloatArray | None = None) -> Weakest:
+    """Of points (N, 2) in order of bearing, which count as much as they are `known` (N,).
 
-    As `observability`, but of walls smoothed over some decimetres: the noise of single readings
-    turns the normals of dense points so much that a bare corridor would seem to have ends.
+    From the normals of the surfaces (Censi, "On achievable accuracy for range-finder localization",
+    ICRA 2007), smoothed over some decimetres: the noise of single readings turns the normals of
+    dense points so much that a bare corridor would seem to have ends. What noise they are seen to
+    have is taken off, twice.
     """
     if len(points) < _FEWEST_SURFACES:
-        return WeakestDirection(0.0, 0.0)
+        return Weakest(0.0, 0.0)
     steps = np.hypot(*np.diff(points, axis=0).T)
     apart = np.where(steps < _SMOOTHED_GAP_M, steps, 2.0 * _SMOOTHED_GAP_M)
     piece = np.floor(np.concatenate([[0.0], np.cumsum(apart)]) / _PIECE_M)
     _, start, count = np.unique(piece, return_index=True, return_counts=True)
     smooth = np.add.reduceat(points, start, axis=0) / count[:, None]
-    good, normals = _normals(smooth, _SMOOTHED_GAP_M)
-    places, counts = smooth[1:-1][good], count[1:-1][good].astype(np.float64)
-    if len(places) < _FEWEST_SURFACES:
-        return WeakestDirection(0.0, 0.0)
+    worth = count.astype(np.float64) if known is None else np.add.reduceat(known, start)
+    tangent = smooth[2:] - smooth[:-2]
+    length = np.hypot(tangent[:, 0], tangent[:, 1])
+    good = (length > _DISTINCT_M) & (length < 2 * _SMOOTHED_GAP_M)  # neighbours on one surface
+    if np.count_nonzero(good) < _FEWEST_SURFACES:
+        return Weakest(0.0, 0.0)
+    length, tangent = length[good], tangent[good] / length[good, None]
+    normals = np.column_stack([-tangent[:, 1], tangent[:, 0]])
+    places, counts = smooth[1:-1][good], worth[1:-1][good]
+    # how far pieces lie off the line between their neighbours tells how far these turn the normals
+    off = np.abs((((smooth[2:] + smooth[:-2])[good] / 2 - places) * normals).sum(axis=1))
+    turned = _TURNED * float(np.median(off)) / length
+    noise = _LEAST_NOISE * counts.sum() + float(counts @ (turned * turned))
+    noise = min(noise, _MOST_NOISE * float(counts.sum()))
     turns = places[:, 0] * normals[:, 1] - places[:, 1] * normals[:, 0]
     rows = np.column_stack([normals, turns])
     fisher = np.einsum("na,n,nb->ab", rows, counts, rows)
@@ -376,16 +395,5 @@ def weakest_direction(points: FloatArray) -> WeakestDirection:
     (xx, xy), (_, yy) = place.tolist()
     middle, half = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
     heading = 0.5 * math.atan2(2.0 * xy, xx - yy) + 0.5 * math.pi  # across the strongest one
-    return WeakestDirection(max(0.0, (middle - half) / (2.0 * middle)), heading)
-
-
-def _normals(points: FloatArray, gap_m: float) -> tuple[BoolArray, FloatArray]:
-    """Which inner ones (n - 2,) of points (n, 2) lie on one surface with both neighbours.
-
-    And the unit normals (k, 2) of the surface at these.
-    """
-    tangent = points[2:] - points[:-2]
-    length = np.hypot(tangent[:, 0], tangent[:, 1])
-    good = (length > _DISTINCT_M) & (length < 2 * gap_m)
-    tangent = tangent[good] / length[good, None]
-    return np.asarray(good), np.column_stack([-tangent[:, 1], tangent[:, 0]])
+    is_open = middle - half < _MOST_NOISE * 2.0 * middle
+    return Weakest(heading, max(0.0, middle - half - noise), is_open)

@@ -1,9 +1,9 @@
 """The path of the robot as a graph, and a layout of it in the making: the values of `relax`.
 
 Nodes are some of the keyframes. The motion from each to the next is that of the front end. Its
-covariance has two parts: noise in proportion to the motion, and what the walls in sight leave
+covariance has three parts: noise in proportion to the motion; what the walls in sight leave
 undetermined, from their normals (Censi, "On achievable accuracy for range-finder localization",
-ICRA 2007): along a bare corridor a scan fixes nothing.
+ICRA 2007); and what without odometry the motion before had to tell: in a bare corridor all.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from specmap_cli.core.arrays import runs
 from specmap_cli.core.geometry import (
     FloatArray,
     Pose2,
@@ -140,13 +141,15 @@ def motion_links(
     """
     poses, ends = store.poses[nodes], nodes[1:].tolist()
     steps = [Pose2(*motion) for motion in compose(invert(poses[:-1]), poses[1:]).tolist()]
+    guesses = np.diff(store.guessed_m[nodes], axis=0)
+    back = compose(invert(poses[1:] * (0.0, 0.0, 1.0)), np.pad(guesses, ((0, 0), (0, 1))))
     fisher = [
         np.zeros((3, 3))
         if end in breaks
         else observability(store.points(end, MATCH_RANGE_M), _RANGE_NOISE_M)
         for end in ends
     ]
-    informations = step_information(steps, np.array(fisher).reshape(-1, 3, 3))
+    informations = step_information(steps, np.array(fisher).reshape(-1, 3, 3), back[:, :2])
     links = []
     for k, (source, end) in enumerate(zip(nodes[:-1].tolist(), ends, strict=True)):
         kind: LinkKind = "odometry"
@@ -166,17 +169,26 @@ def motion_links(
     return tuple(links)
 
 
-def step_information(steps: Sequence[Pose2], fisher: FloatArray) -> FloatArray:
+def step_information(
+    steps: Sequence[Pose2], fisher: FloatArray, guessed_m: FloatArray
+) -> FloatArray:
     """Information (L, 3, 3) of motions `steps` (L,), each weighed in the frame it ends in.
 
-    `fisher` (L, 3, 3) is what the walls seen from its end tell of a place.
+    `fisher` (L, 3, 3) is what the walls seen from its end tell of a place. By `guessed_m` (L, 2)
+    each may be off as it was guessed. A guess that goes on errs in one way, so that errors add up,
+    and not their squares: each counts for more, the more there are in a row.
     """
     position = [_LEAST_M + _STEP_SHARE * step.distance for step in steps]
     angle = [_LEAST_RAD + _TURN_SHARE * abs(step.theta) for step in steps]
     sigmas = np.column_stack([position, position, angle])
-    noise = sigmas[:, :, None] ** 2 * np.eye(3)
-    unseen = inverse3(fisher + GUESS_INFORMATION)
-    return inverse3(noise + unseen)
+    noise = sigmas[:, :, None] ** 2 * np.eye(3) + inverse3(fisher + GUESS_INFORMATION)
+    sizes = np.hypot(guessed_m[:, 0], guessed_m[:, 1])
+    for start, end in runs(sizes > 0.0):
+        if sizes[start]:
+            way = guessed_m[start:end] / np.sqrt(sizes[start:end, None])
+            variance = sizes[start:end].sum() * way[:, :, None] * way[:, None, :]
+            noise[start:end, :2, :2] += variance
+    return inverse3(noise)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,7 +17,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_matrix
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
 from specmap_cli.core.errors import InputError
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, product, wrap_angles
@@ -170,8 +170,34 @@ def _cost(chi2: FloatArray, width: FloatArray) -> float:
     return float(np.where(plain, chi2, c2 * np.log1p(chi2 / c2)).sum())
 
 
+def spread_between(poses: FloatArray, edges: LinkArrays, a: int, b: int) -> FloatArray:
+    """Covariance (3, 3) of the pose of row `b` seen from that of row `a`, by all edges.
+
+    In the frame of row `b`, as the errors of edges.
+    """
+    pair = LinkArrays(
+        i=np.array([a]),
+        j=np.array([b]),
+        z=compose(invert(poses[[a]]), poses[[b]]),
+        w=np.eye(3)[None],
+        width=np.array([np.inf]),
+    )
+    by_a, by_b = _jacobians(poses, pair)
+    moved = np.zeros((len(poses), 3, 3))  # what moves the pair's error, transposed
+    moved[a], moved[b] = by_a[0].T, by_b[0].T
+    right = moved[1:].reshape(-1, 3)
+    factor, _ = _normal(poses, edges, 0.0)
+    return product(right.T, np.asarray(factor.solve(right), dtype=np.float64))
+
+
 def _step(poses: FloatArray, edges: LinkArrays, damping: float) -> FloatArray:
     """The Gauss-Newton step (n - 1, 3) of all poses but the first."""
+    factor, gradient = _normal(poses, edges, damping)
+    return np.asarray(factor.solve(-gradient[1:].ravel()), dtype=np.float64).reshape(-1, 3)
+
+
+def _normal(poses: FloatArray, edges: LinkArrays, damping: float) -> tuple[SuperLU, FloatArray]:
+    """The normal equations: factors of the matrix, without the first pose, and gradient (n, 3)."""
     e = errors(poses, edges.i, edges.j, edges.z)
     a, b = _jacobians(poses, edges)
     chi2 = np.einsum("ea,eab,eb->e", e, edges.w, e)
@@ -192,7 +218,7 @@ def _step(poses: FloatArray, edges: LinkArrays, damping: float) -> FloatArray:
     hessian = coo_matrix((values, (r.ravel(), c.ravel())), shape=(n, n)).tocsc()
     hessian.setdiag(hessian.diagonal() * (1.0 + damping) + _RIDGE)
     factor = splu(hessian, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-    return np.asarray(factor.solve(-gradient[1:].ravel()), dtype=np.float64).reshape(-1, 3)
+    return factor, gradient
 
 
 def _jacobians(poses: FloatArray, edges: LinkArrays) -> tuple[FloatArray, FloatArray]:

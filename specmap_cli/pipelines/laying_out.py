@@ -28,7 +28,7 @@ from specmap_cli.pipelines.exploration import Regions, in_own_frame, online_labe
 from specmap_cli.pipelines.map_in_making import Explored, LaidOut
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.tracking import Tracking
-from specmap_cli.quality.evidence import Evidence, holes_of
+from specmap_cli.quality.evidence import Evidence, holes_of, stretches_of
 from specmap_cli.quality.verdict import of_recording
 from specmap_cli.segmentation.division import regions_of, segment
 from specmap_cli.segmentation.visibility import LabelArray
@@ -72,15 +72,15 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
     submaps = _by_first_visit(submaps, layout.poses, least_m)
     with session.clock.stage("audit"):
         rows = rows_of(explored.trajectory, store.stamps_ns, store.poses)
-        breaks = tuple(explored.breaks)
         evidence = Evidence(
             trajectory=trajectory,
             keyframes_ns=store.stamps_ns,
-            breaks=breaks,
+            breaks=tuple(explored.breaks),
             layout=layout,
             beyond=beyond,
             warnings=tracking.warnings,
-            holes=holes_of(store, rows, trajectory, layout, breaks),
+            holes=holes_of(store, rows, trajectory, layout, explored.breaks),
+            stretches=stretches_of(store.guessed_m, layout),
         )
         findings = tuple(of_recording(evidence))
     stamps = np.array(store.stamps_ns, dtype=np.int64)

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -28,8 +29,10 @@ from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.store import Map, opened_map
 from specmap_cli.pipelines.localizer import LocalizedScan, Localizer
+from specmap_cli.recognition.localization.localizer import Where
 from specmap_cli.topology.topological_map import default_name
 
+_TELL_S = 10.0  # between lines while the place is not known: the whole map is searched then
 _NO_MISFIT = (
     "an older map, which does not say how well its own scans fit its walls; known places are told "
     "from unknown by what is usual elsewhere: build it again"
@@ -66,16 +69,19 @@ def localize_log(
         stream = SweepStream(log, localizer.config.log)
         progress.note(stream.selection.note)
         progress.start("localising", stream.expected)
-        found = list[LocalizedScan]()
-        for scan in localizer.located(stream):
-            found.append(scan)
+        found, told = list[Where](), monotonic()
+        for where in localizer.located(stream):
+            found.append(where)
             progress.advance()
+            if where.label.filtered_submap is None and monotonic() - told > _TELL_S:
+                progress.note(f"{counted(len(found), 'scan')} so far, the place is not known now")
+                told = monotonic()
         if not found:
             raise LogError("no usable scan in it", "see `specmap info`", mark=";", where=log.name)
         warnings = (*stream.warnings, *localizer.warnings)
         for warning in warnings:
             progress.warn(warning)
-        scans = tuple(localizer.smoothed() if offline else found)
+        scans = localizer.told(found, offline=offline)
         name = legible(Path(log.name).name)
         return LocalizationReport(log=name, scans=scans, warnings=warnings, names=stored.names)
 

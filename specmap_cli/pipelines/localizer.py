@@ -127,24 +127,24 @@ class Localizer:
             odom_from_base=None if scan.odometry is None else Pose2(*scan.odometry),
         )
         self._scans += 1
-        return self._placed(self._guide.add(self._front_end.register(sweep)))
+        return self.told([self._guide.add(self._front_end.register(sweep))])[0]
 
-    def located(self, sweeps: Iterable[Sweep]) -> Iterator[LocalizedScan]:
-        """The same of the sweeps of a recording, some of them read ahead."""
-        posed = (self._front_end.register(sweep) for sweep in sweeps)
-        return map(self._placed, self._guide.located(posed))
+    def located(self, sweeps: Iterable[Sweep]) -> Iterator[Where]:
+        """Where the sweeps of a recording were taken, some of them read ahead."""
+        return self._guide.located(self._front_end.register(sweep) for sweep in sweeps)
 
-    def smoothed(self) -> list[LocalizedScan]:
-        """All scans so far, each told by all of them, also by those that came later."""
-        return [self._placed(where) for where in self._guide.smoothed()]
-
-    def _placed(self, where: Where) -> LocalizedScan:
-        submap = where.label.filtered_submap
-        return LocalizedScan(
-            label=where.label,
-            track_from_base=where.track_from_base,
-            fix=where.fix if self._metric and submap is not None else None,
-            map_from_submap=IDENTITY if submap is None else self._frames[submap],
+    def told(self, found: Sequence[Where], *, offline: bool = False) -> tuple[LocalizedScan, ...]:
+        """What is known of scans; `offline` looks at all that were located, in hindsight."""
+        found = self._guide.smoothed(found) if offline else found
+        return tuple(
+            LocalizedScan(
+                label=where.label,
+                track_from_base=where.track_from_base,
+                fix=where.fix if self._metric and submap is not None else None,
+                map_from_submap=IDENTITY if submap is None else self._frames[submap],
+            )
+            for where in found
+            for submap in [where.label.filtered_submap]
         )
 
     @property

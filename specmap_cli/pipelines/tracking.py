@@ -28,7 +28,6 @@ class TrajectoryRecorder:
         self._poses = array("d")
         self._tilt = array("d")
         self._lost = array("b")
-        self._blind = array("b")
         self._odometry = array("d")
 
     def __len__(self) -> int:
@@ -39,7 +38,6 @@ class TrajectoryRecorder:
         self._stamps.append(scan.stamp_ns)
         self._poses.extend(scan.map_from_base)
         self._lost.append(scan.lost)
-        self._blind.append(scan.blind)
         self._odometry.extend(scan.odom_from_base or _NOWHERE)
         if scan.map_from_base_3d is not None:
             self._tilt.extend([0.0] * (3 * (len(self) - 1) - len(self._tilt)))
@@ -59,7 +57,6 @@ class TrajectoryRecorder:
             poses=np.array(self._poses, dtype=np.float64).reshape(-1, 3),
             tilt=tilt,
             lost=np.array(self._lost, dtype=np.bool_),
-            blind=np.array(self._blind, dtype=np.bool_),
             odometry=np.array(self._odometry, dtype=np.float64).reshape(-1, 3),
         )
 

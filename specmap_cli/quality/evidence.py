@@ -8,6 +8,7 @@ before; and places further on that the robot knew from before the hole.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Literal
@@ -15,10 +16,21 @@ from typing import Literal
 import numpy as np
 from scipy.spatial import cKDTree
 
+from specmap_cli.core.arrays import runs
 from specmap_cli.core.findings import Severity, Where
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, moved, step_lengths
+from specmap_cli.core.geometry import (
+    IDENTITY,
+    FloatArray,
+    Pose2,
+    compose,
+    invert,
+    moved,
+    path_length,
+    step_lengths,
+)
 from specmap_cli.core.records import BoolArray, IntArray, Trajectory
 from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.layout.pose_graph import LinkArrays, spread_between
 from specmap_cli.layout.result import Layout
 
 MOVED_M = 1.0  # a piece that the layout moved farther is told of
@@ -33,6 +45,8 @@ _HOLE_WALLS_M = 0.15  # walls this near to those seen before a hole are the same
 STILL_M = 0.15  # motion over a hole of a robot that stood: noise, and a first step
 STILL_RAD = 0.1  # turn over a hole of a robot that stood
 _USUAL_PERCENTILE = 95.0  # of the intervals of a log: a few scans are late in most
+_GUESSED = 0.01  # of a motion that may be off: more than walls leave open where they fix it
+_OFF_M = 0.1  # by which a stretch may be off before anybody asks
 _JUMP = 0.5  # share of a drive in one step that makes it a jump
 _BEFORE = 10  # keyframes before a hole that tell which walls stood around: one sees not all
 _RANGE_M = 12.0  # of walls that are compared: farther ones show every error of the heading
@@ -47,8 +61,8 @@ class Hole:
     Scans were `missing` meanwhile, or `lost`, or the map had the robot at `rest` while odometry
     drove on. `keyframe` is the first one after it. `measured` is the motion of the base by
     odometry, None where nothing measured it. `apart` is the motion by odometry seen from that of
-    the map, or without odometry that of a robot at rest. `alike` is the share of the walls seen
-    from the keyframe that lie where walls were seen before the hole.
+    the map, or without odometry that of a robot that stood or went on. `alike` is the share of the
+    walls seen from the keyframe that lie where walls were seen before the hole.
     """
 
     row: int
@@ -61,13 +75,26 @@ class Hole:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Stretch:
+    """A piece of the way, `way_m` long, that walls did not fix: how far it led was guessed.
+
+    Its end, seen from its start, may be off by `off_m`, two standard deviations; closures and
+    passes count. `keyframe` lies in its middle.
+    """
+
+    keyframe: int
+    way_m: float
+    off_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
     """What is known of a map besides the map.
 
     `trajectory` is that of all scans in the finished layout, `keyframes_ns` the stamps of the
     keyframes, `breaks` the numbers of those at which tracking started afresh. `beyond` of them did
     not fit into the largest grid allowed. `warnings` are of reading and registration, `holes` those
-    of the recording.
+    of the recording, `stretches` what of its way was guessed.
     """
 
     trajectory: Trajectory
@@ -77,6 +104,7 @@ class Evidence:
     beyond: int
     warnings: tuple[str, ...]
     holes: tuple[Hole, ...] = ()
+    stretches: tuple[Stretch, ...] = ()
 
     def at_keyframe(self, number: int) -> Where:
         """When a keyframe was seen, and where it lies in the map."""
@@ -109,6 +137,29 @@ def graded(value: float, doubtful: float, poor: float) -> tuple[Severity, float]
     return ("doubtful" if value > doubtful else "note"), doubtful
 
 
+def stretches_of(guessed_m: FloatArray, layout: Layout) -> tuple[Stretch, ...]:
+    """The stretches of a way that were guessed, up to each keyframe by `guessed_m` (n, 2)."""
+    nodes = layout.nodes if len(layout.nodes) else np.arange(len(layout.poses))
+    poses, rows = layout.poses[nodes], {number: row for row, number in enumerate(nodes.tolist())}
+    sizes = step_lengths(np.pad(guessed_m[nodes], ((0, 0), (0, 1))))
+    edges = LinkArrays.of([*layout.odometry, *layout.kept], rows, {})
+    found = []
+    for start, end in runs(sizes > _GUESSED * step_lengths(poses)):
+        off_m = 2.0 * float(sizes[start:end].sum())
+        if off_m < _OFF_M:
+            continue
+        if layout.kept:
+            spread = spread_between(poses, edges, start, end)
+            away = poses[end] - poses[start]
+            x, y, _ = compose(invert(poses[end] * (0.0, 0.0, 1.0)), away).tolist()
+            way = np.array([x, y]) / max(math.hypot(x, y), _OFF_M)
+            off_m = min(off_m, 2.0 * math.sqrt(float(way @ spread[:2, :2] @ way)))
+        way_m = path_length(poses[start : end + 1])
+        middle = int(nodes[(start + end) // 2])
+        found.append(Stretch(keyframe=middle, way_m=way_m, off_m=off_m))
+    return tuple(found)
+
+
 def holes_of(
     store: KeyframeStore,
     rows: IntArray,
@@ -136,7 +187,7 @@ def holes_of(
             keyframe=keyframe,
             seconds=float(trajectory.stamps_ns[after] - trajectory.stamps_ns[before]) * 1e-9,
             measured=None if around is None else _measured(trajectory, before, after),
-            apart=by_map.inverse() @ (IDENTITY if around is None else around),
+            apart=by_map.inverse() @ (around or _expected(trajectory, start, end)),
             alike=_alike(store, layout.poses, keyframe),
             kind=kind,
         )
@@ -195,6 +246,14 @@ def _measured(trajectory: Trajectory, before: int, after: int) -> Pose2 | None:
     if odometry is None or not np.isfinite(odometry[[before, after]]).all():
         return None
     return _motion(odometry, before, after)
+
+
+def _expected(trajectory: Trajectory, before: int, after: int) -> Pose2:
+    """The motion of a robot that stood, or went on as in as long a time before: as the map's."""
+    stamps_ns, poses = trajectory.stamps_ns, trajectory.poses
+    earlier = int(np.searchsorted(stamps_ns, 2 * stamps_ns[before] - stamps_ns[after]))
+    by_map, went_on = _motion(poses, before, after), _motion(poses, earlier, before)
+    return min((IDENTITY, went_on), key=lambda motion: (by_map.inverse() @ motion).distance)
 
 
 def _motion(poses: FloatArray, before: int, after: int) -> Pose2:

@@ -36,8 +36,8 @@ UNMEASURED, ODOMETRY = "unmeasured-way", "odometry-disagrees"
 
 _LOST_SHARE = 0.02  # share of lost scans above which a map is doubtful
 _LOST_SHARE_POOR = 0.2  # share of lost scans above which a map is poor
-_UNMEASURED_M = 2.0  # longest way that nothing measured; a quarter of it may be wrong
-_PACE_PERCENTILE = 75.0  # of the steps of a robot that moves: it slows down in turns and at doors
+# Metres by which a way may be longer or shorter: more than what a right map is off, and a room.
+_OFF_M, _OFF_M_POOR = 0.3, 1.0
 ODOMETRY_SHARE = 0.3  # share of the way by which both may differ in the median: wheels err less
 _HOLE_WALLS_SHARE = 0.6  # share of the walls around a robot that stood; the rest moved or is new
 _TIE_M = 10.0  # way after a hole from which on matches confirm it: out of a room
@@ -100,30 +100,23 @@ def breaks(evidence: Evidence) -> Iterator[Finding]:
 
 
 def unmeasured_way(evidence: Evidence) -> Iterator[Finding]:
-    """Stretches whose length is a guess: bare corridors that no odometry measures.
+    """Stretches that may be longer or shorter, since walls did not show how far the robot came.
 
-    Registration cannot tell there how far the robot came. As long as the scans lasted, the robot
-    is taken to have gone on as fast as elsewhere.
+    The gravest ones first. Where odometry measured the way it counts, as well as odometry does.
     """
-    blind = evidence.trajectory.blind
-    if blind is None or not blind.any():
-        return
-    steps = step_lengths(evidence.trajectory.poses)
-    seen = ~(blind[1:] | blind[:-1])
-    pace_m = float(np.percentile(steps[seen], _PACE_PERCENTILE)) if seen.any() else 0.0
-    for start, end in runs(blind):
-        way_m = pace_m * (end - start)
-        if not blind[start] or way_m <= _UNMEASURED_M:
+    for stretch in sorted(evidence.stretches, key=lambda one: -one.off_m):
+        severity, limit = graded(stretch.off_m, _OFF_M, _OFF_M_POOR)
+        if severity == "note":
             continue
-        where = evidence.at_scan(start)
+        where = evidence.at_keyframe(stretch.keyframe)
         yield Finding(
             code=UNMEASURED,
-            severity="doubtful",
-            message=f"from {told(where)} on, for {end - start:,} scans, the walls do not "
-            f"show how far the robot came, and no odometry does: about {way_m:.0f} m are a guess",
-            advice="record odometry",
-            value=way_m,
-            limit=_UNMEASURED_M,
+            severity=severity,
+            message=f"the way at {told(where)}, {stretch.way_m:.0f} m, may be "
+            f"{stretch.off_m:.1f} m longer or shorter: walls do not show how far the robot came",
+            advice="record odometry, or drive there a second time from another side",
+            value=stretch.off_m,
+            limit=limit,
             where=where,
         )
 
@@ -131,8 +124,8 @@ def unmeasured_way(evidence: Evidence) -> Iterator[Finding]:
 def odometry_disagrees(evidence: Evidence) -> Iterator[Finding]:
     """Odometry that tells another way than the map: everywhere, or in single places.
 
-    Everywhere: it is of another robot or clock, or the laser is not where the log says. In a single
-    place wheels slip, which is no fault of the map.
+    Everywhere that wheels turn: it is of another robot or clock, or the laser is not where the log
+    says. In a single place wheels slip, or the robot is carried, which is no fault of the map.
     """
     poses, odometry = evidence.trajectory.poses, evidence.trajectory.odometry
     if odometry is None or not evidence.measured.any():
@@ -150,7 +143,11 @@ def odometry_disagrees(evidence: Evidence) -> Iterator[Finding]:
     by_map, by_odometry = (compose(invert(p[starts]), p[ends]) for p in (poses, odometry))
     off = compose(invert(by_map), by_odometry)
     apart = np.hypot(off[:, 0], off[:, 1]) / ODOMETRY_WINDOW_M
-    usual, worst = float(np.median(apart)), int(apart.argmax())
+    # wheels that stand while the map moves tell of a robot that is carried, unless they mostly do
+    turned = np.nancumsum(step_lengths(odometry))
+    driven = turned[ends - 1] - turned[starts] > ODOMETRY_SHARE * ODOMETRY_WINDOW_M
+    usual = float(np.median(apart[driven] if driven.mean() > ODOMETRY_SHARE else apart))
+    worst = int(apart.argmax())
     everywhere = usual > ODOMETRY_SHARE
     share = usual if everywhere else float(apart[worst])
     limit = ODOMETRY_SHARE if everywhere else ODOMETRY_SLIP_SHARE

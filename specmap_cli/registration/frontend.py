@@ -20,25 +20,26 @@ from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, moved, produc
 from specmap_cli.core.records import PosedScan, Sweep
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.core.text import counted
-from specmap_cli.grids.matching import weakest_direction
 from specmap_cli.registration.aligner import SensorKind, aligner_factory
-from specmap_cli.registration.guess import MotionGuess, best_guess
-from specmap_cli.registration.judgement import Founding, Judgement, judge, looked_through
-from specmap_cli.registration.local_map import Fit, LocalMap, Scene
-from specmap_cli.registration.locating import locate
-from specmap_cli.registration.motion import (
+from specmap_cli.registration.guess import (
     UNKNOWN,
     ExpectedMotion,
+    MotionGuess,
     MotionModel,
     Reliance,
+    best_guess,
     fixed_directions,
 )
+from specmap_cli.registration.local_map import Fit, LocalMap, Scene
 from specmap_cli.registration.sweep_view import SweepView, view_of
+from specmap_cli.registration.trust import Founding, Judgement, judge, locate, looked_through
 
 _KEYFRAME_M = 0.3  # motion between keyframes of the local map
 _KEYFRAME_RAD = 0.25  # turn between keyframes of the local map
 _LOST_LIMIT = 5  # lost scans in a row that end a local map
 _REFUTING_SHARE = 0.5  # of a first sweep's walls that another one looks through: few can move
+_CARRIED = 0.2  # share of a motion that was carried on by which it may be off
+_GUESSED = 0.2  # share of a motion from which on it says little of the next: walls pull it back
 _STEADY = 15  # latest motions that walls fixed: the last few before a bare corridor are too short
 
 COUNTS: Mapping[str, str] = {
@@ -122,7 +123,7 @@ class FrontEnd:
         The first scans of a map are provisional, see `take`.
         """
         expected = self._motion.expect(sweep)
-        view = view_of(sweep, expected, self.config)
+        view = view_of(sweep, expected.during, expected.interval_s, self.config)
         if self._map is None:  # made for the sensor of the first sweep
             config, planar = self.config, sweep.cloud is None
             sensor = SensorKind(
@@ -152,12 +153,7 @@ class FrontEnd:
         if in_space and not judgement.lost:
             judgement = judgement.levelled(self.config.level_share)
         restarted = track.broken and not judgement.lost
-        # neither odometry nor walls fix the place along some direction
-        blind = (
-            sweep.odom_from_base is None
-            and weakest_direction(sweep.base_from_laser.apply(view.planar.hits())).open
-        )
-        self._conclude(judgement, view, local, walls=not sees_little, blind=blind)
+        self._conclude(judgement, view, local, walls=not sees_little)
         return PosedScan(
             index=sweep.index,
             stamp_ns=sweep.stamp_ns,
@@ -169,7 +165,7 @@ class FrontEnd:
             lost=judgement.lost,
             restarted=restarted,
             bridge=track.bridge if restarted else None,
-            blind=blind,
+            guessed_m=self._track.guessed_m,
             odom_from_base=sweep.odom_from_base,
             map_from_base_3d=judgement.fit.pose if in_space else None,
         )
@@ -207,7 +203,7 @@ class FrontEnd:
         return Judgement(fit=replace(judgement.fit, score=1.0))
 
     def _conclude(
-        self, judgement: Judgement, view: SweepView, local: LocalMap, *, walls: bool, blind: bool
+        self, judgement: Judgement, view: SweepView, local: LocalMap, *, walls: bool
     ) -> None:
         """Keep the pose, insert a keyframe when due, end the map after a run of lost sweeps.
 
@@ -220,8 +216,8 @@ class FrontEnd:
         lost_in_a_row = track.lost_in_a_row + 1 if judgement.lost else 0
         founded = track.founded or judgement.founds
         walls = walls and not judgement.lost
-        if walls and not blind:
-            track = replace(track, steady=(*track.steady, step)[-_STEADY:])
+        if not judgement.lost:
+            track = track.guessing(judgement, step if walls else None)
         track = replace(track, pose=fit.pose, lost_in_a_row=lost_in_a_row, founded=founded)
         if lost_in_a_row == _LOST_LIMIT and len(local):
             local.clear()
@@ -257,7 +253,8 @@ class Track:
     without a map; `by_motion` is the place that the expected motions alone lead to from there, all
     of them `measured` by odometry or not. `lost_in_a_row` sweeps were lost up to now; `broken` says
     that they ended the last map, whose last keyframe was at `left`. The map is `founded` when a
-    second sweep agrees with its first.
+    second sweep agrees with its first. `steady` are the latest motions that walls fixed. What was
+    guessed up to now, since walls do not fix it, may be off by `guessed_m`, in the map.
     """
 
     pose: FloatArray = field(default_factory=lambda: np.eye(4))
@@ -270,6 +267,7 @@ class Track:
     founded: bool = False
     reliance: Reliance = UNKNOWN
     steady: tuple[Pose2, ...] = ()
+    guessed_m: tuple[float, float] = (0.0, 0.0)
 
     @property
     def carried_on(self) -> Pose2:
@@ -279,6 +277,15 @@ class Track:
             return here
         x, y, _ = np.median(np.array(self.steady), axis=0).tolist()
         return here @ Pose2(x, y, 0.0)
+
+    def guessing(self, judgement: Judgement, step: Pose2 | None) -> Track:
+        """With what was guessed of one more motion, by a `step` that walls may have fixed."""
+        loose, steady = judgement.loose, self.steady
+        if step is not None and np.hypot(*loose) < _GUESSED:
+            steady = (*steady, step)[-_STEADY:]
+        way = (judgement.fit.pose - self.pose)[:2, 3]
+        x, y = (self.guessed_m + _CARRIED * float(loose @ way) * loose).tolist()
+        return replace(self, steady=steady, guessed_m=(x, y))
 
     @property
     def bridge(self) -> tuple[float, float] | None:

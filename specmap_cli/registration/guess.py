@@ -1,15 +1,43 @@
-"""Where a sweep is expected, how far a result may be from there, and where searches look."""
+"""Where a sweep is expected: the motion since the one before, how far it may be off, the searches.
+
+The motion is odometry's, or the motion before carried on. Registrations that are certain are
+compared with the motion that odometry measured: along the way, across it, and in turn. A deviation
+counts in shares of the slack that an unknown odometry has, which grows with the motion. So what
+short steps showed holds for long ones, too.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
 
-from specmap_cli.core.geometry import FloatArray, Pose2, product
+import numpy as np
+
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, product, wrap_angle
+from specmap_cli.core.records import PlanarScan, Sweep
 from specmap_cli.core.settings import RegistrationConfig
-from specmap_cli.grids.matching import Window
+from specmap_cli.grids.matching import Window, observability
 from specmap_cli.registration.local_map import Bounds, Fit, Scene
-from specmap_cli.registration.motion import UNKNOWN, ExpectedMotion, Reliance
+
+_S_PER_NS = 1e-9
+_FASTER = 1.5  # of the largest motion seen, and no more, may be carried on: robots speed up
+
+# What wheels on hard floors err at most, about twice what they do: metres and radians at rest, and
+# shares of the way and of the turn. The turn also errs with the way, as wheels of unequal size do.
+_LEAST_M, _LEAST_RAD = 0.05, 0.03
+_SHARE_OF_DISTANCE, _SHARE_OF_TURN, _TURN_PER_M = 0.2, 0.3, 0.03
+_REMEMBERED = 60  # latest deviations that count: some 20 m and more, so that a new floor shows
+_PRIOR = 12  # deviations that an unknown odometry is taken to have had: they wear off slowly
+_SIGMAS = 3.0  # of a deviation that still agrees
+_QUANTILE, _QUANTILE_SIGMAS = 0.8, 1.2816  # of |z| for a normal z: a fifth may be wrong
+_NARROWEST, _WIDEST = 0.5, 3.0  # slacks: registration itself errs by as much; a third is no measure
+_WORTHLESS = 1.5  # slacks from which on odometry is worth less than was supposed of it
+_STILL_M = 1e-3  # below it a motion has no direction, and the base's own counts
+
+# Information along a direction, beside the most in any. Noise of the ranges turns the normals of
+# bare walls by some 0.1 rad and makes 0.01 of it; a wall across a corridor makes more than this.
+_LEAST_SHARE = 0.05
+_UNIT_NOISE_M = 1.0  # only ratios count, and heading against place at this arm
 
 _GUESS_MARGIN = 0.05  # score by which steady motion must beat odometry as the guess
 # What alignments mend at any scan: half a voxel, and as much at the walls of a room.
@@ -19,7 +47,7 @@ BEYOND_DOUBT = 0.85  # score of a place that is right without odometry: most rig
 # How far a motion carried on may be off, by how much a robot speeds up and turns in from one scan
 # to the next: metres and radians, and shares of the motion.
 _CARRIED_M, _CARRIED_RAD = 0.1, 0.12
-_SHARE_OF_DISTANCE, _SHARE_OF_TURN = 0.2, 0.3
+_CARRIED_SHARE, _CARRIED_TURN_SHARE = 0.2, 0.3
 
 SEARCH_M = 0.25  # half width of the search: odometry's error
 _SEARCH_RAD = 0.35  # half angle of the search: a clock apart, in a turn
@@ -38,11 +66,204 @@ _WIDE_PER_M2, _WIDE_PER_RAD2 = 0.15, 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ExpectedMotion:
+    """The motion of the base expected since the sweep before, `interval_s` seconds.
+
+    `motion` is odometry's when it was `measured`, else `carried`: the motion before carried on.
+    `during` is the motion to de-skew with. `jumped` tells of an odometry increment too large to be
+    a motion, `shortened` of a motion before that was too large to be carried on as it was.
+    """
+
+    motion: Pose2
+    carried: Pose2
+    during: Pose2
+    interval_s: float
+    measured: bool
+    jumped: bool
+    shortened: bool
+
+
+class MotionModel:
+    """Expects the next motion; tell it by `conclude` what the motion turned out to be.
+
+    Increments are per sweep and never divided by time: stamps of some logs come in bursts or step
+    backwards.
+    """
+
+    def __init__(self, config: RegistrationConfig) -> None:
+        self._config = config
+        self._odometry: Pose2 | None = None
+        self._stamp_ns: int | None = None
+        self._last = self._before = IDENTITY
+        # forward, sideways and in turn the two largest confirmed motions: one may be an error
+        self._largest = [(0.0, 0.0)] * 3
+
+    def expect(self, sweep: Sweep) -> ExpectedMotion:
+        """The motion expected since the sweep before."""
+        config, before, now = self._config, self._odometry, sweep.odom_from_base
+        gap_ns = 0 if self._stamp_ns is None else sweep.stamp_ns - self._stamp_ns
+        interval_s = max(0.0, gap_ns * _S_PER_NS)
+        increment = None if before is None or now is None else before.inverse() @ now
+        self._odometry, self._stamp_ns = now, sweep.stamp_ns
+        farthest_m = config.odometry_jump_m + config.odometry_jump_mps * interval_s
+        jumped = increment is not None and not increment.distance <= farthest_m  # or it is NaN
+        # the settings limit what may be carried on until walls have confirmed larger motions
+        settings = config.carried_forward_m, config.carried_sideways_m, config.carried_rad
+        both = zip(settings, self._largest, strict=True)
+        limits = Pose2(*(max(limit, _FASTER * second) for limit, (_, second) in both))
+        # Odometry, whose clock may be apart from the laser's, draws walls double in turns. The last
+        # motion alone feeds each error back with its sign turned: a robot at rest would seem to
+        # swing, ever wider. The mean of the last two lets go of what alternates.
+        a, b = self._before, self._last
+        steady = Pose2((a.x + b.x) / 2, (a.y + b.y) / 2, (a.theta + b.theta) / 2)
+        # within limits: what is carried on must not grow from scan to scan by an error
+        carried, during = (
+            Pose2(*(max(-m, min(m, v)) for v, m in zip(motion, limits, strict=True)))
+            for motion in (self._last, steady)
+        )
+        measured = increment is not None and not jumped
+        timed = sweep.planar.beam_times_s is not None or sweep.cloud_times_s is not None
+        return ExpectedMotion(
+            motion=increment if increment is not None and measured else carried,
+            carried=carried,
+            during=during,
+            interval_s=interval_s,
+            measured=measured,
+            jumped=jumped,
+            shortened=(not measured and carried != self._last) or (timed and during != steady),
+        )
+
+    def conclude(self, motion: Pose2, *, confirmed: bool = False) -> None:
+        """Remember the motion since the sweep before; walls may have `confirmed` it."""
+        self._before, self._last = self._last, motion
+        if confirmed:
+            sizes = zip(self._largest, motion, strict=True)
+            ranked = [sorted((*pair, abs(value)), reverse=True) for pair, value in sizes]
+            self._largest = [(first, second) for first, second, _ in ranked]
+
+
+@dataclass(frozen=True, slots=True)
+class Slack:
+    """How far a motion may be from odometry's and still agree: metres, metres and radians."""
+
+    along_m: float
+    across_m: float
+    turn_rad: float
+
+    @property
+    def place_m(self) -> float:
+        """How far that is in the plane."""
+        return math.hypot(self.along_m, self.across_m)
+
+
+@dataclass(frozen=True, slots=True)
+class Reliance:
+    """The latest deviations from odometry, in slacks of an unknown odometry; never changed.
+
+    `limits` are the deviations that still agree, in the same slacks.
+    """
+
+    along: tuple[float, ...] = field(default=())
+    across: tuple[float, ...] = field(default=())
+    turn: tuple[float, ...] = field(default=())
+    limits: Slack = field(init=False)
+
+    def __post_init__(self) -> None:
+        sizes, usual = [], _QUANTILE_SIGMAS / _SIGMAS  # 1 for an odometry of which nothing is known
+        for deviations in (self.along, self.across, self.turn):
+            known = sorted((*(usual,) * _PRIOR, *deviations))
+            sigma = known[int(_QUANTILE * len(known))] / _QUANTILE_SIGMAS
+            sizes.append(min(_WIDEST, max(_NARROWEST, _SIGMAS * sigma)))
+        object.__setattr__(self, "limits", Slack(*sizes))
+
+    @property
+    def trusted(self) -> bool:
+        """Whether odometry is worth what is supposed of an unknown one, or more."""
+        return self.trusted_place and self.limits.turn_rad < _WORTHLESS
+
+    @property
+    def trusted_place(self) -> bool:
+        """The same of its way alone: wheels may measure that well and turns badly."""
+        return max(self.limits.along_m, self.limits.across_m) < _WORTHLESS
+
+    def slack(self, motion: Pose2) -> Slack:
+        """How far the truth can be from a motion that odometry measured."""
+        unknown = _unknown(motion)
+        return Slack(
+            along_m=self.limits.along_m * unknown.along_m,
+            across_m=self.limits.across_m * unknown.across_m,
+            turn_rad=self.limits.turn_rad * unknown.turn_rad,
+        )
+
+    def slacks(self, motion: Pose2, away: Pose2) -> float:
+        """How many slacks a result so far `away` from odometry's place is off, place or turn."""
+        turn = abs(away.theta) / self.slack(motion).turn_rad
+        return max(self.place_slacks(motion, away), turn)
+
+    def place_slacks(self, motion: Pose2, away: Pose2) -> float:
+        """How many slacks it is off in its place alone."""
+        slack, (along, across) = self.slack(motion), _parts(motion, away)
+        return math.hypot(along / slack.along_m, across / slack.across_m)
+
+    def after(self, motion: Pose2, away: Pose2, fixed: tuple[bool, bool]) -> Reliance:
+        """The reliance after a certain registration, so far `away` from the motion measured.
+
+        `fixed` says whether walls fix the place along the way, and whether across it. A direction
+        that they do not fix says nothing about odometry.
+        """
+        unknown, (along, across) = _unknown(motion), _parts(motion, away)
+        known = [self.along, self.across, self.turn]
+        turn = wrap_angle(away.theta) / unknown.turn_rad
+        latest = along / unknown.along_m, across / unknown.across_m, turn
+        for k, (deviation, counts) in enumerate(zip(latest, (*fixed, True), strict=True)):
+            if counts:
+                known[k] = (*known[k], abs(deviation))[-_REMEMBERED:]
+        return Reliance(*known)
+
+
+def direction_of(motion: Pose2) -> tuple[float, float]:
+    """The unit vector along a motion, in the frame in which the motion ends."""
+    if motion.distance < _STILL_M:
+        return 1.0, 0.0
+    c, s = math.cos(motion.theta), math.sin(motion.theta)
+    x, y = motion.x / motion.distance, motion.y / motion.distance
+    return c * x + s * y, c * y - s * x
+
+
+def _parts(motion: Pose2, away: Pose2) -> tuple[float, float]:
+    """A deviation, seen from the end of a motion, along and across the way."""
+    x, y = direction_of(motion)
+    return away.x * x + away.y * y, away.y * x - away.x * y
+
+
+def _unknown(motion: Pose2) -> Slack:
+    """The slack of an odometry of which nothing is known."""
+    metres = _LEAST_M + _SHARE_OF_DISTANCE * motion.distance
+    turn = _LEAST_RAD + _SHARE_OF_TURN * abs(motion.theta) + _TURN_PER_M * motion.distance
+    return Slack(along_m=metres, across_m=metres, turn_rad=turn)
+
+
+UNKNOWN = Reliance()  # nothing was compared yet
+
+
+def fixed_directions(scan: PlanarScan, base_from_laser: Pose2, motion: Pose2) -> tuple[bool, bool]:
+    """Whether a scan's walls fix the place along a motion that ends there, and across it."""
+    fisher = observability(base_from_laser.apply(scan.hits()), _UNIT_NOISE_M)
+    arm, moment = fisher[:2, 2], float(fisher[2, 2])
+    place = fisher[:2, :2] - np.outer(arm, arm) / moment if moment > 0.0 else fisher[:2, :2]
+    most = float(np.trace(place))
+    x, y = direction_of(motion)
+    along, across = np.array([x, y]), np.array([-y, x])
+    shares = [float(way @ place @ way) for way in (along, across)]
+    return shares[0] > _LEAST_SHARE * most, shares[1] > _LEAST_SHARE * most
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MotionGuess:
     """Where a sweep is expected: at `pose` (4, 4), after `before` (4, 4) and a motion.
 
-    `by_motion` is the place that the expected motions since the last keyframe lead to, `reliance`
-    what odometry has been worth.
+    `by_motion` is the place that the expected motions since the last keyframe lead to, or without
+    odometry the usual one. `reliance` is what odometry has been worth.
     """
 
     pose: FloatArray
@@ -89,9 +310,14 @@ class MotionGuess:
         motion, away = self.expected.motion, self.planar.inverse() @ fit.planar
         if self.expected.measured:
             return self.reliance.slacks(motion, away) < slacks
-        near = away.distance < slacks * (_CARRIED_M + _SHARE_OF_DISTANCE * motion.distance)
-        turn_rad = slacks * (_CARRIED_RAD + _SHARE_OF_TURN * abs(motion.theta))
+        near = away.distance < slacks * self.carried_slack_m
+        turn_rad = slacks * (_CARRIED_RAD + _CARRIED_TURN_SHARE * abs(motion.theta))
         return near and abs(away.theta) < turn_rad
+
+    @property
+    def carried_slack_m(self) -> float:
+        """How far the place can be from where a motion carried on leads."""
+        return _CARRIED_M + _CARRIED_SHARE * self.expected.motion.distance
 
     def denies(self, fit: Fit) -> bool:
         """Whether odometry that is worth its name, or at least its way, speaks against a result."""

@@ -19,7 +19,7 @@ import numpy as np
 from specmap_cli.core.geometry import FloatArray, Pose2, product
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap
-from specmap_cli.grids.matching import Window, search
+from specmap_cli.grids.matching import Weakest, Window, search, weakest_direction
 from specmap_cli.grids.score_field import PointCells, ScoreField, approach
 from specmap_cli.registration.aligner import (
     REBUILD_KEYFRAMES,
@@ -229,6 +229,17 @@ class Scene:
             return 0.0
         walls = self.local.field
         return float(walls.at(there[both]).mean() - walls.at(here[both]).mean())
+
+    def weakest(self, place: Pose2, *, known: bool) -> Weakest:
+        """How well walls, or the `known` ones alone, fix a place where they do so least.
+
+        Walls that are new at the place say nothing of it. The heading is of the base's frame.
+        """
+        view = self.view
+        if not known:
+            return weakest_direction(view.base_from_laser.apply(view.planar.hits()))
+        hits = view.base_from_laser.apply(view.planar.hits(view.reach_m))
+        return weakest_direction(hits, self.local.field.at(place.apply(hits)).astype(np.float64))
 
     def align(
         self, start: FloatArray, kernels: Sequence[float], bounds: Bounds | None = None

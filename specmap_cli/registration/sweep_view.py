@@ -19,7 +19,6 @@ from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan, Sweep
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.score_field import thinned
-from specmap_cli.registration.motion import ExpectedMotion
 
 _MAX_POINTS = 600  # a denser planar scan is thinned to this
 _MAX_CLOUD_POINTS = 2000  # a denser 3D cloud is thinned to this: alignments take most time
@@ -49,9 +48,11 @@ class SweepView:
     reach_m: float
 
 
-def view_of(sweep: Sweep, expected: ExpectedMotion, config: RegistrationConfig) -> SweepView:
-    """The points of a sweep, de-skewed with the motion expected during it."""
-    scan = deskewed(sweep.planar, sweep.base_from_laser, expected.during, expected.interval_s)
+def view_of(
+    sweep: Sweep, during: Pose2, interval_s: float, config: RegistrationConfig
+) -> SweepView:
+    """The points of a sweep, de-skewed with the motion expected during it, and its seconds."""
+    scan = deskewed(sweep.planar, sweep.base_from_laser, during, interval_s)
     reach_m = min(config.max_range_m, _BELOW_RANGE_MAX * sweep.planar.range_max)
     near = np.where(scan.ranges > config.min_range_m, scan.ranges, np.nan)
     hit = np.isfinite(near) & (near <= reach_m)
@@ -71,7 +72,7 @@ def view_of(sweep: Sweep, expected: ExpectedMotion, config: RegistrationConfig) 
         kept = kept[first_in_cells(points[kept], config.cloud_voxel_m / 2)]
         usable = usable_times(times_s, len(points))
         times_s = times_s[kept] if times_s is not None and usable else None
-        dense = moved_returns(points[kept], times_s, expected.during, expected.interval_s)
+        dense = moved_returns(points[kept], times_s, during, interval_s)
         cloud = _thinned_to(dense, config.cloud_voxel_m, _MAX_CLOUD_POINTS)
         sparse = _thinned_to(cloud, 2 * config.cloud_voxel_m, _MAX_CLOUD_POINTS // 2)
     return SweepView(

@@ -23,7 +23,7 @@ from specmap_cli.grids.keyframes import KeyframeStore, add_keyframes
 from specmap_cli.grids.occupancy import OccupancyGrid
 from specmap_cli.segmentation.cells import flooded_at
 from specmap_cli.segmentation.obstacles import small_obstacles
-from specmap_cli.segmentation.spectral import bisect, largest_eigenpairs, normalised, similarity
+from specmap_cli.segmentation.spectral import bisect, largest_of, normalised, similarity
 from specmap_cli.segmentation.visibility import (
     IndexArray,
     LabelArray,
@@ -285,7 +285,7 @@ def _spectrum(
         joined[newest] = True
         newest = np.flatnonzero((S[newest] > 0.0).any(axis=0) & ~joined)
     L, _ = normalised(S[np.ix_(joined, joined)])
-    return joined, *largest_eigenpairs(L, _SPLIT_EIGENPAIRS)
+    return joined, *largest_of(L, _SPLIT_EIGENPAIRS)
 
 
 def _dividing(

@@ -164,7 +164,7 @@ def split_again(
         pairs = np.searchsorted(members, graph.pairs[inside])
         part = VisibilityGraph(graph.nodes[members], pairs, graph.lengths[inside])
         S = similarity(part, neighbours, dense=True)  # Algorithm 2, line 1
-        values, vectors = two_largest(normalised(S)[0])  # Algorithm 2, lines 2 and 4
+        values, vectors = largest_of(normalised(S)[0], 2)  # Algorithm 2, lines 2 and 4
         if values[1] <= least and S.any(axis=1).all():
             continue  # of a graph in pieces the second eigenvalue is 1, or a node sees no other
         links = sparse.coo_array((np.ones(len(pairs)), pairs.T), S.shape)
@@ -258,10 +258,11 @@ def largest_eigenpairs(
     return values[::-1][:count], with_fixed_signs(vectors[:, ::-1][:, :count])
 
 
-def two_largest(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The two largest eigenvalues, falling, and eigenvectors (n, 2) of a dense matrix (n, n)."""
+def largest_of(matrix: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    """As `largest_eigenpairs`, exact: for some hundred rows of an array and few eigenpairs."""
     size = len(matrix)
-    values, vectors = eigh(matrix, subset_by_index=[size - 2, size - 1])
+    last = [max(0, size - count), size - 1]
+    values, vectors = eigh(matrix, subset_by_index=last, check_finite=False)
     return np.asarray(values[::-1]), with_fixed_signs(vectors[:, ::-1])
 
 

@@ -90,7 +90,8 @@ def visible(clearance: FloatArray, nodes: IndexArray, pairs: IndexArray, least: 
     A line is walked by the free distance it stands on, which cannot jump over an obstacle, and by
     one cell at least.
     """
-    width, flat = clearance.shape[1], clearance.ravel()
+    width, room = clearance.shape[1], clearance.ravel() - least
+    steps = np.where(room <= _SLACK, 0.0, np.maximum(room - 1.0, 1.0))  # 0: here a line ends
     seen = np.ones(len(pairs), dtype=bool)
     for first in range(0, len(pairs), _CHUNK):
         start, end = nodes[pairs[first : first + _CHUNK].T]
@@ -101,16 +102,19 @@ def visible(clearance: FloatArray, nodes: IndexArray, pairs: IndexArray, least: 
         gone = np.zeros(len(length))
         alive = first + np.arange(len(length))
         while len(alive):
-            blocked = np.zeros(len(alive), dtype=bool)
             # lines that have ended wait at their end, which is clear, until the next clearing out
             for _ in range(_STEPS):
-                at = np.rint(row_step * gone + row)
+                at, across = row_step * gone, column_step * gone
+                at += row
+                across += column
+                np.rint(at, out=at)
+                np.rint(across, out=across)
                 at *= width
-                at += np.rint(column_step * gone + column)
-                room = flat.take(at.astype(np.intp)) - least
-                blocked |= room <= _SLACK
-                gone += np.maximum(room - 1.0, 1.0)
+                at += across
+                step = steps.take(at.astype(np.intp))
+                gone += step
                 np.minimum(gone, length, out=gone)
+            blocked = step == 0.0
             seen[alive[blocked]] = False
             on = np.flatnonzero(~blocked & (gone < length))
             alive, gone, length = alive[on], gone[on], length[on]

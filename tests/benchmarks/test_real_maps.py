@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.localized import Localized, judged, nearest, scored
-from benchmarks.real.laying import Walls, lay, search, spaced, thinned
+from benchmarks.real.laying import Seen, Walls, lay, passes, search, spaced, thinned
 from benchmarks.real.reliability import Told, diagram, line, reliability
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import IntArray
@@ -104,3 +104,29 @@ def test_the_diagram_draws_what_is_right_beside_what_is_said() -> None:
 def label(submap: int | None, filtered: int | None) -> Label:
     sure = {"margin": 1.0, "filtered_probability": 0.4, "probability": 0.8}
     return Label(stamp_ns=0, submap=submap, runner_up=None, filtered_submap=filtered, **sure)
+
+
+class Drive(Seen):
+    """A drive past a facade that repeats itself each three metres, seen 12 m to either side."""
+
+    def __init__(self, x: FloatArray, off_m: FloatArray) -> None:
+        self.poses = np.column_stack([x + off_m, 0.0 * x, 0.0 * x])
+        self.way_m = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(x)))])
+        along = np.arange(-12.0, 72.0, 0.03)
+        bays = np.where(along % 3.0 < 1.0, 2.5, 2.0)
+        bays[along > 50.0] += 0.4 * (np.floor(along[along > 50.0]) % 4 == 0)
+        facade = np.column_stack([along, bays])
+        self._hits = [facade[np.abs(along - at) < 12.0] - (at, 0.0) for at in x.tolist()]
+
+
+def test_one_pass_along_a_facade_that_repeats_itself_is_no_second_pass() -> None:
+    once = np.arange(0.0, 60.0, 0.5)
+    assert not list(passes(Drive(once, 0.0 * once)))
+    there_and_back = np.concatenate([once, once[::-1]])
+    off_m = np.where(np.arange(240) < 120, 0.0, 0.5)
+    right = list(passes(Drive(there_and_back, 0.0 * off_m)))
+    assert len(right) > 10
+    assert not any(one.is_doubled for one in right)
+    wrong = [one for one in passes(Drive(there_and_back, off_m)) if one.is_doubled]
+    assert len(wrong) > 5
+    assert np.median([one.off_m for one in wrong]) == pytest.approx(0.5, abs=0.05)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from itertools import count
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
 from specmap_cli.core.config import load_config
@@ -125,6 +127,28 @@ def test_a_log_of_another_place_says_so_in_its_first_line_and_by_its_code(
     assert failed.out.splitlines()[0].endswith(
         "none of them known: the map does not show this place"
     )
+
+
+def test_while_the_place_is_not_known_a_line_says_so_every_ten_seconds(
+    tiny_log: Path, tiny_map: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a clock that goes on by 2.5 s each time that it is asked."""
+    told = "so far, the place is not known now"
+    for log, known in ((tiny_log, True), (SAMPLE_LOGS / "office_again.mcap", False)):
+        ticks = (2.5 * k for k in count())
+        monkeypatch.setattr("specmap_cli.pipelines.localize.monotonic", lambda t=ticks: next(t))
+        lines = [
+            line
+            for line in run("localize", log, "--map", tiny_map).err.splitlines()
+            if told in line
+        ]
+        if known:
+            assert len(lines) <= 1, "at its start it knows nothing"
+        else:
+            numbers = [int(line.split()[1].replace(",", "")) for line in lines]
+            assert len(numbers) > 5
+            assert min(np.diff(numbers)) >= 3
+            assert float(np.median(np.diff(numbers))) <= 5
 
 
 def test_a_hold_out_is_one_object_and_a_picture(tiny_log: Path, tmp_path: Path, run: Run) -> None:

@@ -21,8 +21,8 @@ from specmap_cli.core.config import (
     with_overrides,
     without_retired,
 )
-from specmap_cli.core.described import meanings
 from specmap_cli.core.errors import UsageError
+from specmap_cli.core.schemas import meanings
 from specmap_cli.core.settings import Config
 from specmap_cli.core.toml import to_toml
 

@@ -1,4 +1,4 @@
-"""The error tree, as its docstring draws it; and findings, from which a verdict follows."""
+"""The error tree as its docstring draws it, findings and their verdict; files, plugins, threads."""
 
 from __future__ import annotations
 
@@ -8,15 +8,23 @@ import itertools
 import os
 import pickle
 import re
+import subprocess
+import sys
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from specmap_cli.core import errors, findings
 from specmap_cli.core.config import load_config
-from specmap_cli.core.errors import is_of_the_machine, is_of_the_place, reason
+from specmap_cli.core.errors import UsageError, is_of_the_machine, is_of_the_place, reason
+from specmap_cli.core.files import is_nobody_s, lock, read_bytes, write_text, write_together
 from specmap_cli.core.findings import Finding, Quality, Severity, Where, summary
+from specmap_cli.core.plugins import with_plugins
+from specmap_cli.grids.map_server import write_png
+from tests.plugins import install
 
 ROOT = Path(__file__).parents[2]
 
@@ -190,3 +198,186 @@ def test_notes_about_the_result_are_no_warnings() -> None:
     quality = Quality.of((finding("doubtful", "a"), finding("note", "b"), finding("note", "input")))
     assert [one.code for one in quality.warnings] == ["a", "input"]
     assert [one.code for one in quality.notes] == ["b"]
+
+
+GROUP = "specmap.test"
+
+
+def test_plugins_follow_the_built_in_ones_by_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert with_plugins(GROUP, {"m": 13}) == {"m": 13}, "there is none"
+    install(tmp_path, monkeypatch, GROUP, {"z": "Z", "b": "B"}, "Z, B = 26, 2")
+    assert list(with_plugins(GROUP, {"m": 13}).items()) == [("m", 13), ("b", 2), ("z", 26)]
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "words"),
+    [
+        ("taken", "New = 1", r"^package stranger_\d+: offers 'taken' in specmap\.test"),
+        ("new", "1 / 0", "ZeroDivisionError.*mend or remove the package"),
+        ("new", "", "AttributeError.*mend or remove the package"),
+        ("new", "import no_such", "no_such.*mend or remove the package"),
+    ],
+)
+def test_a_plugin_that_cannot_be_taken_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, code: str, words: str
+) -> None:
+    install(tmp_path, monkeypatch, GROUP, {name: "New"}, code)
+    with pytest.raises(UsageError, match=words) as caught:
+        with_plugins(GROUP, {"taken": 0})
+    assert "\n" not in str(caught.value)
+
+
+PROGRAM = """
+import numpy, threadpoolctl
+from specmap_cli.core.process import one_blas_thread
+
+def threads():
+    pools = threadpoolctl.threadpool_info()
+    return {pool["filepath"]: pool["num_threads"] for pool in pools if pool["user_api"] == "blas"}
+
+@one_blas_thread()
+def work():
+    import scipy.linalg
+    with one_blas_thread():
+        inner = threads()
+    assert inner == threads(), "an inner call gave the threads back"
+    return inner
+
+threadpoolctl.ThreadpoolController().limit(limits=3)
+before, during, after = threads(), work(), threads()
+assert before and set(before.values()) == {3}, before
+assert len(during) > len(before) and set(during.values()) == {1}, during
+assert after == dict.fromkeys(during, 3), after
+"""
+
+UNDER_WAY = """
+import threadpoolctl
+import specmap_cli
+from specmap_cli.core.progress import Silent
+
+class Looking(Silent):
+    seen = set()
+    def advance(self, steps=1):
+        self.seen.update(pool["num_threads"] for pool in threadpoolctl.threadpool_info()
+                         if pool["user_api"] == "blas")
+
+looking = Looking()
+threadpoolctl.ThreadpoolController().limit(limits=3)
+little = {"recognition": {"rounds": 4}, "localization": {"augmentation": 20}}
+config = specmap_cli.load_config(overrides=little)
+specmap_cli.build_map("tiny.mcap", "map", config, progress=looking)
+assert looking.seen == {1}, looking.seen
+"""
+
+
+MISSING = """
+import sys
+sys.modules["threadpoolctl"] = None
+from specmap_cli.cli import main
+sys.exit(main(["--version"]))
+"""
+
+
+@pytest.mark.parametrize(
+    "program",
+    [PROGRAM, UNDER_WAY, MISSING],
+    ids=["given back, also of what is loaded", "while a map is built", "a package is missing"],
+)
+def test_threads_in_a_program(program: str, tiny_log: Path, tmp_path: Path) -> None:
+    """The last one tells the versions all the same."""
+    (tmp_path / "tiny.mcap").symlink_to(tiny_log)
+    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+    unset = {name: value for name, value in os.environ.items() if name not in names}
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, cwd=tmp_path, env=unset, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_file_is_replaced_whole(tmp_path: Path) -> None:
+    path = tmp_path / "labels.csv"
+    path.write_text("a longer text than the new one")
+    write_text(path, "für\n")
+    assert path.read_bytes() == "für\n".encode()
+    assert os.listdir(tmp_path) == ["labels.csv"]
+
+
+@pytest.mark.parametrize("place", ["gone/plot.png", "file/plot.png", "."])
+def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path, place: str) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UsageError) as caught:
+        write_png(tmp_path / place, np.zeros((2, 2), dtype=np.uint8))
+    assert "\n" not in str(caught.value)
+    assert sorted(os.listdir(tmp_path)) == ["file"]
+
+
+def test_a_failing_replacement_leaves_the_old_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.json"
+    path.write_text("old")
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(UsageError, match="No space left"):
+        write_text(path, "new")
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == ["run.json"]
+
+
+def test_two_files_appear_together_or_not_at_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The disk is full when the second one is written."""
+    calls: list[int] = []
+
+    def full(descriptor: int) -> None:
+        calls.append(descriptor)
+        if len(calls) == 2:
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(UsageError, match=r"b\.md: cannot be written: No space left"):
+        write_together({tmp_path / "a.xml": b"a", tmp_path / "b.md": b"b"})
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_file_is_read_up_to_its_bound_and_not_beyond(tmp_path: Path) -> None:
+    """And no more memory is taken than it needs."""
+    path = tmp_path / "labels.csv"
+    path.write_bytes(b"12345")
+    assert read_bytes(path, 5e-6) == b"12345"
+    with pytest.raises(OSError, match=r"larger than 4e-06 MB"):
+        read_bytes(path, 4e-6)
+    with pytest.raises(OSError, match=r"larger than 4e-06 MB; if it is meant, raise limits\.x"):
+        read_bytes(path, 4e-6, "limits.x")
+    tracemalloc.start()
+    assert read_bytes(path, 1000.0) == b"12345"
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 1_000_000
+
+
+def test_what_may_never_end_or_has_no_name_is_not_read(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", Path("/dev/zero"), tmp_path):
+        with pytest.raises(OSError, match=r"not a regular file|Is a directory"):
+            read_bytes(path, 100)
+    with pytest.raises(OSError, match="no name that a file can have"):
+        read_bytes(tmp_path / "map\0.png", 1.0)
+
+
+def test_what_a_killed_run_had_begun_is_removed_and_nothing_else(tmp_path: Path) -> None:
+    kept = ["labels.csv.partial-12", ".labels.csv.partial-x1", ".other.csv.partial-12"]
+    for name in [*kept, ".labels.csv.partial-12", ".labels.csv.partial-13"]:
+        (tmp_path / name).write_text("half")
+    with (tmp_path / ".labels.csv.partial-13").open() as living:
+        assert lock(living.fileno())
+        write_text(tmp_path / "labels.csv", "whole")
+        kept.append(".labels.csv.partial-13")
+        assert sorted(os.listdir(tmp_path)) == sorted(["labels.csv", *kept])
+    assert is_nobody_s(tmp_path / ".labels.csv.partial-13")
+    assert not is_nobody_s(tmp_path / "missing")

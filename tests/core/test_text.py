@@ -1,4 +1,4 @@
-"""Numbers, JSON and tables as text: the same bytes for the same values, and back without loss."""
+"""Numbers, JSON, YAML and tables as text: the same bytes for the same values, and back."""
 
 from __future__ import annotations
 
@@ -7,14 +7,20 @@ import io
 import json
 import math
 import re
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import Field, TypeAdapter, ValidationError
 
+from specmap_cli.core import json_values
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.json_values import Count, Measured, Number, Value, runs_of
 from specmap_cli.core.tables import Case, csv_text, junit, markdown_table, markdown_text
 from specmap_cli.core.text import (
     counted,
@@ -29,6 +35,8 @@ from specmap_cli.core.text import (
     to_exact_json,
     to_json,
 )
+from specmap_cli.core.yaml import read_yaml, yaml_text
+from tests.strategies import few
 
 VALUES = st.recursive(
     st.none() | st.booleans() | st.integers(-(10**9), 10**9) | st.floats(-1e6, 1e6) | st.text(),
@@ -210,3 +218,116 @@ def test_junit_counts_its_cases() -> None:
     assert failure.text == "because"
     assert suite.find("testcase[@name='later']/skipped") is not None
     assert "time" not in ElementTree.fromstring(junit("all", "x", [Case(name="a")]))[0].attrib
+
+
+_NO_YAML = [b"a: [1", b"a: b: c", b"a\n---\nb", b"{a, b: ]", b"? [1]\n: 2"]
+_KEYS = st.from_regex("[a-z_]{3,9}x", fullmatch=True)
+_PLAIN = st.text(st.characters(codec="utf-8"), max_size=12)
+_LEAVES = st.one_of(_PLAIN, st.booleans(), st.integers(), st.floats(-1e6, 1e6))
+_VALUES = st.recursive(
+    _LEAVES,
+    lambda inner: st.one_of(st.lists(inner, max_size=3), st.dictionaries(_KEYS, inner)),
+    max_leaves=8,
+)
+
+
+def test_words_stay_words() -> None:
+    text = "a: 010\nb: [on, 1:30, 1_0, 2001-01-01]\nc: ~\nd: !!python/name:os.system ''\n"
+    found = read_yaml(text.encode())
+    assert found == {"a": "010", "b": ["on", "1:30", "1_0", "2001-01-01"], "c": "~", "d": ""}
+    assert read_yaml(b"") is None
+    assert read_yaml("a: \u00fc".encode("utf-16")) == {"a": "\u00fc"}
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"a: &x [1]\nb: *x\n", "line 2: aliases (`*`) are not read"),
+        (b"a: &x [*x]\n", "line 1: aliases (`*`) are not read"),
+        (b"a: 1\nb: 2\na: 3\n", "line 1: a key comes twice in what begins here"),
+        (b"[" * 100_000, "line 1: nested too deeply"),
+        (b"- " * 100_000, "line 1: nested too deeply"),
+        (b"\xff\xfe\x00", "not a text file"),
+        (b"a: \x00", "not a text file"),
+        *((data, None) for data in _NO_YAML),
+    ],
+)
+def test_what_is_refused_or_no_yaml_is_told_in_one_line(data: bytes, said: str | None) -> None:
+    told = rf"^{re.escape(said)}$" if said else r"^line \d+: [^\n]+$"
+    with pytest.raises(ValueError, match=told):
+        read_yaml(data)
+
+
+@given(st.dictionaries(_KEYS, _VALUES))
+@few(40)
+def test_what_is_written_is_read_back(value: dict[str, object]) -> None:
+    text = yaml_text(value)
+    assert to_json(yaml.safe_load(text)) == to_json(value)  # which has six decimals, too
+    assert read_yaml(text.encode()) is not None
+
+
+@dataclass(frozen=True, slots=True)
+class Leg(Value):
+    """A piece of a way."""
+
+    may_lack = frozenset({"note"})
+
+    start_ns: Annotated[json_values.StampNs, Field(alias="start", description="seconds")]
+    motion: json_values.Motion | None = None
+    path: json_values.Corners | None = None
+    doubt: json_values.MaybeNan = math.nan
+    note: str | None = None
+
+
+LEGS: TypeAdapter[Leg] = TypeAdapter(Leg)
+FULL = {
+    "start": 1.5,
+    "motion": [1.0, 2.0, 0.5],
+    "path": [[0.0, 0.0], [1.0, 2.0]],
+    "doubt": 0.25,
+    "note": "n",
+}
+
+
+def test_a_value_is_read_and_written_by_itself() -> None:
+    leg = LEGS.validate_python(FULL)
+    assert (leg.start_ns, leg.motion, leg.doubt) == (1_500_000_000, Pose2(1.0, 2.0, 0.5), 0.25)
+    assert leg.path is not None
+    np.testing.assert_array_equal(leg.path, [[0.0, 0.0], [1.0, 2.0]])
+    assert leg.as_dict() == FULL
+    bare = Leg(7_000_000_000)
+    assert bare.as_dict() == dict.fromkeys(FULL) | {"start": 7.0}
+    assert math.isnan(LEGS.validate_python(bare.as_dict()).doubt)
+
+
+def test_what_is_read_is_whole_and_holds_nothing_else() -> None:
+    for key in FULL:
+        rest = {name: value for name, value in FULL.items() if name != key}
+        if key == "note":
+            assert LEGS.validate_python(rest).note is None
+            continue
+        with pytest.raises(ValidationError, match=key):
+            LEGS.validate_python(rest)
+    with pytest.raises(ValidationError, match="odd"):
+        LEGS.validate_python(FULL | {"odd": 1})
+    with pytest.raises(ValidationError, match="finite"):
+        LEGS.validate_python(FULL | {"start": math.nan})
+    with pytest.raises(ValidationError, match="no larger than"):
+        LEGS.validate_python(FULL | {"path": [[0.0, 1e12]]})
+
+
+def test_what_was_measured_has_six_decimals() -> None:
+    class Found(Measured):
+        """Two numbers."""
+
+        metres: Number
+        count: Count
+
+    assert Found(metres=1.23456789, count=3).model_dump() == {"metres": 1.234568, "count": 3}
+
+
+@given(st.sets(st.integers(0, 60)))
+def test_numbers_are_kept_as_runs(numbers: set[int]) -> None:
+    ascending = tuple(sorted(numbers))
+    runs = runs_of(ascending)
+    assert [n for first, last in runs for n in range(first, last + 1)] == list(ascending)

@@ -418,7 +418,7 @@ def box(length_m: float, width_m: float, range_m: float, noise_m: float) -> Floa
 def test_a_bare_corridor_is_open_along_itself(noise_m: float, width_m: float, turn: float) -> None:
     points = Pose2(0.0, 0.0, turn).apply(box(60.0, width_m, 8.0, noise_m))
     weakest = matching.weakest_direction(points)
-    assert weakest.open
+    assert weakest.count < 0.01 * len(points)
     assert abs(math.sin(weakest.heading - turn)) < 0.05
 
 
@@ -426,8 +426,24 @@ def test_a_bare_corridor_is_open_along_itself(noise_m: float, width_m: float, tu
 def test_an_end_in_sight_closes_it_and_a_square_room_fixes_all_directions_alike(
     noise_m: float,
 ) -> None:
-    assert not matching.weakest_direction(box(12.0, 2.5, 8.0, noise_m)).open
-    square = matching.weakest_direction(box(5.0, 5.0, 10.0, noise_m))
-    assert square.share == pytest.approx(0.5, abs=0.06)
+    ends = matching.weakest_direction(box(12.0, 2.5, 8.0, noise_m))
+    assert ends.count > 5.0
+    points = box(5.0, 5.0, 10.0, noise_m)
+    square = matching.weakest_direction(points)
+    assert square.count == pytest.approx(0.45 * len(points), rel=0.15)
+    assert square.precision_m(0.05) == pytest.approx(0.05 / math.sqrt(square.count))
+    assert ends.precision_m(0.05) > 1.8 * square.precision_m(0.05)
     for count in range(3):  # too few points fix nothing
-        assert matching.weakest_direction(np.ones((count, 2))).open
+        assert matching.weakest_direction(np.ones((count, 2))).count == 0.0
+
+
+def test_walls_that_are_not_known_fix_nothing() -> None:
+    """The ends of a corridor that only now come into sight do not say how far the robot came."""
+    points = box(12.0, 2.5, 8.0, 0.0)
+    known = (np.abs(points[:, 1]) > 1.2).astype(np.float64)
+    known[np.abs(points[:, 0]) > 5.9] = 0.0
+    assert matching.weakest_direction(points, known).count < 0.02 * len(points)
+    half = np.full(len(points), 0.5)
+    whole, less = (matching.weakest_direction(points, of) for of in (None, half))
+    assert less.count == pytest.approx(0.5 * whole.count)
+    assert less.heading == pytest.approx(whole.heading)

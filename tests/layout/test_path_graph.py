@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -25,6 +26,7 @@ from specmap_cli.layout.path_graph import (
     step_information,
 )
 from tests.layout.driving import between, chained
+from tests.maps.test_keyframe_log import posed
 from tests.strategies import angles, seeds
 from tests.turning import turned
 
@@ -87,10 +89,18 @@ def test_rows_to_look_around_at_are_the_first_past_each_stretch(
         assert path[k] - last < every_m
 
 
-def spread_of(step: Pose2, points: FloatArray) -> FloatArray:
-    """Covariance of one motion that ends where these points are seen."""
+def spread_of(
+    step: Pose2, points: FloatArray, guessed_m: tuple[float, float] = (0.0, 0.0)
+) -> FloatArray:
+    """Covariance of one motion that ends where these points are seen, some of it guessed."""
     fisher = observability(points, _RANGE_NOISE_M)[None]
-    return np.asarray(np.linalg.inv(step_information([step], fisher)[0]))
+    return np.asarray(np.linalg.inv(step_information([step], fisher, np.array([guessed_m]))[0]))
+
+
+def test_a_guess_is_told_along_its_own_direction() -> None:
+    step = Pose2(0.3, 0, 0)
+    guessed, measured = spread_of(step, outline(1), (0.3, 0.4)), spread_of(step, outline(1))
+    assert np.allclose((guessed - measured)[:2, :2], np.outer((0.3, 0.4), (0.3, 0.4)))
 
 
 def outline(seed: int) -> FloatArray:
@@ -152,6 +162,29 @@ def test_too_few_or_scattered_points_tell_nothing(points: FloatArray) -> None:
     guess = np.linalg.inv(GUESS_INFORMATION)
     least = np.diag([0.01**2, 0.01**2, 0.003**2])
     assert np.allclose(spread_of(Pose2(0.0, 0.0, 0.0), points), guess + least)
+
+
+@given(st.lists(st.floats(0.01, 1.0), min_size=1, max_size=8))
+def test_guesses_in_a_row_err_in_one_way_and_others_do_not(sizes: list[float]) -> None:
+    """The errors of a stretch add up; a motion that walls fixed ends it."""
+    row = [(size, 0.0) for size in sizes]
+    steps = [Pose2(0.3, 0, 0)] * (2 * len(row) + 1)
+    fisher = np.repeat(1e15 * np.eye(3)[None], len(steps), axis=0)
+    spread = np.linalg.inv(step_information(steps, fisher, np.array([*row, (0.0, 0.0), *row])))
+    grown = spread[:, 0, 0] - 0.019**2
+    for stretch in (grown[: len(row)], grown[-len(row) :]):
+        assert stretch.sum() == pytest.approx(sum(sizes) ** 2)
+    assert grown[len(row)] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_what_was_guessed_counts_in_the_frame_in_which_a_motion_ends() -> None:
+    with KeyframeStore() as store:
+        for k, (pose, guessed_m) in enumerate(
+            [(Pose2(0.0, 0.0, 0.0), (0.0, 0.0)), (Pose2(0.0, 1.0, np.pi / 2), (0.0, 0.5))]
+        ):
+            store.append(replace(posed(k), map_from_base=pose, guessed_m=guessed_m))
+        spread = np.linalg.inv(graph_of(store, [], {}).odometry[0].information)
+    assert spread[0, 0] > 0.2 > 0.1 > spread[1, 1]
 
 
 @given(st.floats(0, 5), st.floats(0, 5), st.floats(0, 3), st.floats(0, 3))

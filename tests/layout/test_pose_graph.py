@@ -8,7 +8,15 @@ from scipy.optimize import least_squares, minimize
 
 from specmap_cli.core.errors import InputError
 from specmap_cli.core.geometry import FloatArray, compose, invert, wrap_angles
-from specmap_cli.layout.pose_graph import Link, LinkArrays, errors, read_g2o, solve, squared
+from specmap_cli.layout.pose_graph import (
+    Link,
+    LinkArrays,
+    errors,
+    read_g2o,
+    solve,
+    spread_between,
+    squared,
+)
 from specmap_cli.layout.result import Layout
 from tests.layout.driving import chained, link
 from tests.strategies import pose_arrays, seeds
@@ -55,6 +63,30 @@ def robust_cost(poses: FloatArray, edges: LinkArrays) -> float:
     """Cauchy's kernel over the edges, as its textbook formula."""
     c = np.where(np.isinf(edges.width), 1e6, edges.width)
     return float((c**2 * np.log1p(squared(poses, edges) / c**2)).sum())
+
+
+@pytest.mark.parametrize(("a", "b"), [(0, 4), (2, 7), (7, 2)])
+def test_the_spread_between_two_poses_is_that_of_their_motion_under_the_noise_of_all_edges(
+    a: int, b: int
+) -> None:
+    """Against the derivatives of the motion and of all errors by differences."""
+    _, poses, links = random_graph(3, 8, 3, noise=0.01)
+    edges = arrays(links, 8)
+    poses = solve(poses, edges).poses
+    roots = np.linalg.cholesky(edges.w).transpose(0, 2, 1)
+    between = compose(invert(poses[[a]]), poses[[b]])
+
+    def missed(x: FloatArray) -> FloatArray:
+        moved = np.vstack([poses[:1], x.reshape(-1, 3)])
+        pair = errors(moved, np.array([a]), np.array([b]), between)[0]
+        all_of = errors(moved, edges.i, edges.j, edges.z)
+        return np.concatenate([pair, np.einsum("eab,eb->ea", roots, all_of).ravel()])
+
+    x = poses[1:].ravel()
+    steps = 1e-6 * np.eye(len(x))
+    by_x = np.array([(missed(x + step) - missed(x - step)) / 2e-6 for step in steps]).T
+    expected = by_x[:3] @ np.linalg.inv(by_x[3:].T @ by_x[3:]) @ by_x[:3].T
+    assert np.allclose(spread_between(poses, edges, a, b), expected, rtol=1e-3, atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -54,31 +54,6 @@ def test_stamps_are_used_while_they_say_when(
     assert choose_clock(glimpses(stamps, times), []).source == source
 
 
-def test_scans_by_order_are_stamped_by_the_rate_that_whole_seconds_tell() -> None:
-    whole = [t // SECOND * SECOND for t in tenths(41, 5 * SECOND)]
-    clock = choose_clock(glimpses(whole, whole), [])
-    assert (clock.source, clock.first_ns, clock.interval_ns) == ("order", 5 * SECOND, SECOND // 10)
-    assert [clock.scan_ns(n, 0, 0) for n in range(3)] == tenths(3, 5 * SECOND)
-    turn("logs", order_interval_s=0.5)
-    unknown = choose_clock(glimpses([7] * 5, [7] * 5), [])
-    assert (unknown.first_ns, unknown.interval_ns) == (7, SECOND // 2)
-
-
-@pytest.mark.parametrize(
-    ("step_m", "speed_mps", "interval_s"),
-    [(0.01, 0.5, 0.1), (1.0, 0.5, 2.0), (1.0, 2.0, 0.5), (1e6, 0.5, 60.0)],
-)
-def test_scans_by_order_leave_the_time_to_drive(
-    step_m: float, speed_mps: float, interval_s: float
-) -> None:
-    """Otherwise the odometry of a sparse log would seem to jump."""
-    zeros = [0] * 9
-    pairs = [StampPair((0, 0), (0, 0), (n * step_m, 0.0)) for n in range(3)]
-    turn("logs", order_speed_mps=speed_mps)
-    clock = choose_clock(glimpses(zeros, zeros), pairs)
-    assert clock.interval_ns == round(interval_s * SECOND)
-
-
 @pytest.mark.parametrize(
     ("apart_s", "limit_s", "shift_s"), [(1.5, 2.0, 0.0), (3.0, 2.0, 3.0), (-3.0, 5.0, 0.0)]
 )

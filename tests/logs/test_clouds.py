@@ -213,14 +213,6 @@ def test_the_times_of_the_usual_drivers(
     np.testing.assert_allclose(found.times_s, SWEEP_S + begin, atol=precision)
 
 
-@pytest.mark.parametrize("period_s", [0.01, 0.05, 1.0])
-@pytest.mark.parametrize("unit_ns", [1_000_000_000, 1_000_000, 1_000, 1])
-def test_every_unit_is_told_by_the_span(period_s: float, unit_ns: int) -> None:
-    sweep = np.linspace(0.0, period_s, 400)
-    found = points_of(cloud("time", "<f8", sweep * 1e9 / unit_ns))
-    np.testing.assert_allclose(found.times_s, sweep, atol=1e-8)  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize("since_s", [1234.5, STAMP / 1e9 - 3600.0])
 def test_times_of_another_clock_count_from_the_earliest(since_s: float) -> None:
     """Such as seconds since the lidar was switched on, under stamps of the computer."""

@@ -370,14 +370,6 @@ def test_spacing_and_what_is_blank_or_repeated_is_told(
     )
 
 
-def test_the_preview_in_json(path: Path) -> None:
-    write(path, EVERY_200_MS)
-    plain = summary_of(path).to_dict()["preview"]
-    assert plain["spacing"] == {"rate_hz": 5.0, "step_m": 0.1, "is_sparse": False}
-    assert plain["sensors"] == (("laser", 10),)
-    assert [faults["topic"] for faults in plain["stamps"]] == ["/scan", "/odom"]
-
-
 def test_gaps_are_told_with_their_places(path: Path) -> None:
     write(path, [0.0, 0.1, 0.2, 1.7, 1.8, 2.5, 2.6, 6.6, 6.7, 8.7, 8.8, 9.9])
     places = (

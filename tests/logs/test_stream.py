@@ -213,14 +213,6 @@ def test_the_settings_say_how_many_scans_wait(most: int) -> None:
     assert max(held) == most
 
 
-@pytest.mark.parametrize(("wait_s", "x"), [(0.5, None), (1.5, 0.25)])
-def test_the_settings_say_how_long_a_scan_waits(wait_s: float, x: float | None) -> None:
-    messages = [odometry(START, 0.0), scan(START + SECOND // 4), scan(START + SECOND)]
-    messages += [odometry(START + SECOND, 1.0, START + SECOND + 1)]
-    first = next(iter(stream_of(messages, odometry_wait_s=wait_s)))
-    assert first.odom_from_base == (None if x is None else pytest.approx((x, 0.0, 0.0)))
-
-
 @pytest.mark.parametrize(("longest_s", "counted"), [(10.0, 0), (0.05, 2)])
 def test_times_that_reach_too_far_are_counted_and_said(
     path: Path, longest_s: float, counted: int

@@ -87,6 +87,20 @@ def test_a_robot_that_stood_among_the_same_walls_is_found_there_again() -> None:
     assert not told(seen)
 
 
+@pytest.mark.parametrize(
+    ("on_m", "is_told"), [(1.2, False), (0.0, False), (0.6, True), (2.0, True)]
+)
+def test_a_robot_that_went_on_as_before_is_found_there_without_odometry(
+    on_m: float, is_told: bool
+) -> None:
+    """Six seconds without scans, at two decimetres a second."""
+    places = np.concatenate([np.arange(1.5, 2.8, 0.1), 2.7 + on_m + np.arange(0.0, 0.3, 0.1)])
+    times = np.concatenate([0.5 * np.arange(13), 12.0 + 0.5 * np.arange(3)])
+    (seen,) = found(*drive(places, times))
+    assert seen.measured is None
+    assert bool(told(seen)) == is_told
+
+
 def test_a_robot_in_another_room_sees_other_walls() -> None:
     scans, poses = drive([2.0, 2.1, 2.2, 11.0, 11.1], [0.0, 0.2, 0.4, 30.4, 30.6])
     believed = poses.copy()

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.findings import Finding, Severity, Where
+from specmap_cli.core.geometry import Pose2
 from specmap_cli.layout.audit import Agreement
-from specmap_cli.layout.result import PartMove
-from specmap_cli.quality.evidence import Evidence
+from specmap_cli.layout.path_graph import step_information
+from specmap_cli.layout.result import Layout, PartMove
+from specmap_cli.quality.evidence import Evidence, Stretch, stretches_of
 from tests.layout.driving import link
 from tests.quality.evidence import evidence_of, judged
 
@@ -120,20 +122,51 @@ def test_the_gravest_come_first_and_the_input_is_told() -> None:
     assert codes == ["beyond-grid", "lost-scans", "input"]
 
 
-def test_a_stretch_that_nothing_measures_makes_a_map_doubtful() -> None:
+@pytest.mark.parametrize(
+    ("off_m", "verdict"), [(0.25, "good"), (0.5, "doubtful"), (1.1, "poor"), (9.0, "poor")]
+)
+def test_a_stretch_that_may_be_longer_is_told_by_how_much(off_m: float, verdict: str) -> None:
     base = evidence(odometry=False)
-    blind = np.zeros(SCANS, dtype=np.bool_)
-    blind[10:12], blind[40:60] = True, True
-    poses = np.array(base.trajectory.poses)
-    poses[40:] -= (20.0, 0.0, 0.0)  # the robot seemed to stand still there
-    poses[40:60, 0] = poses[39, 0]
-    finding = only(travelled(base, poses=poses, blind=blind))
-    assert (finding.code, finding.severity) == ("unmeasured-way", "doubtful")
-    assert finding.value == pytest.approx(20.0)
+    short = Stretch(keyframe=80, way_m=2.0, off_m=0.1)
+    stretches = (short, Stretch(keyframe=50, way_m=14.2, off_m=off_m))
+    found = judged(replace(base, stretches=stretches))
+    assert found.verdict == verdict
+    if verdict == "good":
+        assert found.findings == ()
+        return
+    (finding,) = found.findings
+    assert (finding.code, finding.value) == ("unmeasured-way", off_m)
+    assert finding.where == base.at_keyframe(50)
     assert finding.message == (
-        "from 40.000 s on, for 20 scans, the walls do not show how far the robot came, and no "
-        "odometry does: about 20 m are a guess"
+        f"the way at 50.000 s, 14 m, may be {off_m:.1f} m longer or shorter: walls do not show "
+        "how far the robot came"
     )
+
+
+def corridor_of(loop: bool) -> Layout:
+    """Eleven nodes a metre apart, of which the way from 2 to 8 was guessed."""
+    poses = np.column_stack([np.arange(11.0), np.zeros(11), np.zeros(11)])
+    guesses = np.zeros((10, 2))
+    guesses[2:8, 0] = 0.1
+    fisher = np.repeat(1e6 * np.eye(3)[None], 10, axis=0)
+    information = step_information([Pose2(1.0, 0.0, 0.0)] * 10, fisher, guesses)
+    odometry = tuple(link(k, k + 1, [1.0, 0.0, 0.0], "odometry", information[k]) for k in range(10))
+    kept = (link(1, 9, [8.0, 0.0, 0.0], "nearby", np.eye(3) / 0.05**2),) if loop else ()
+    return Layout(poses=poses, nodes=np.arange(11), odometry=odometry, kept=kept)
+
+
+def test_what_was_guessed_in_a_row_adds_up_and_what_ties_its_ends_takes_it_away() -> None:
+    guessed = np.zeros((11, 2))
+    guessed[:, 0] = np.clip(np.arange(11) - 2, 0, 6) * 0.1
+    (alone,) = stretches_of(guessed, corridor_of(loop=False))
+    assert alone.keyframe == 5
+    assert alone.way_m == pytest.approx(6.0)
+    assert alone.off_m == pytest.approx(2 * 0.6)
+    (tied,) = stretches_of(guessed, corridor_of(loop=True))
+    assert 0.1 < tied.off_m < 0.25
+    (untied,) = stretches_of(guessed, Layout(poses=corridor_of(loop=False).poses))
+    assert untied == alone, "a layout without a graph"
+    assert stretches_of(np.zeros((11, 2)), corridor_of(loop=True)) == ()
 
 
 @pytest.mark.parametrize(("share", "count"), [(0.25, 0), (0.35, 1)])
@@ -157,6 +190,21 @@ def test_odometry_is_compared_where_there_is_some_and_a_slip_of_wheels_is_a_note
     assert finding.message.endswith("elsewhere by 0%")
     assert finding.place is not None
     assert 44.0 <= finding.place[0] <= 50.0
+
+
+@pytest.mark.parametrize(("end", "count"), [(70, 0), (90, 1)])
+def test_wheels_that_stand_say_nothing_of_odometry_elsewhere(end: int, count: int) -> None:
+    """A robot that is carried for most of a drive; one whose wheels hardly turn at all."""
+    base = evidence()
+    carried = np.array(base.trajectory.poses)
+    carried[10:end] = carried[10]
+    carried[end:] -= carried[end] - carried[10]
+    doubts = [
+        one
+        for one in judged(travelled(base, odometry=carried)).findings
+        if one.severity == "doubtful"
+    ]
+    assert len(doubts) == count
 
 
 @pytest.mark.parametrize(("votes", "severity"), [(1, "doubtful"), (2, "doubtful"), (3, "note")])

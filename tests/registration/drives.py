@@ -13,9 +13,8 @@ from specmap_cli.core.records import PlanarScan, PosedScan, Sweep
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.registration import Aligner, FrontEnd, SensorKind
-from specmap_cli.registration.guess import MotionGuess
+from specmap_cli.registration.guess import UNKNOWN, ExpectedMotion, MotionGuess, Reliance
 from specmap_cli.registration.local_map import LocalMap, Scene
-from specmap_cli.registration.motion import UNKNOWN, ExpectedMotion, Reliance
 from specmap_cli.registration.sweep_view import SweepView
 from tests.casting import ranges_at
 from tests.turning import configured

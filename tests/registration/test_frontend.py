@@ -13,6 +13,8 @@ from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.registration.frontend import Track
+from specmap_cli.registration.local_map import Fit
+from specmap_cli.registration.trust import Judgement
 from tests.registration.drives import (
     circle,
     path,
@@ -242,3 +244,16 @@ def test_the_motion_carried_on_is_the_usual_one_straight_on() -> None:
     track = dataclasses.replace(track, steady=tuple(steady))
     assert here.inverse() @ track.carried_on == pytest.approx(Pose2(0.5, 0.02, 0.0))
     assert Track().carried_on == IDENTITY
+
+
+def test_what_was_guessed_adds_up_and_says_little_of_the_next_motion() -> None:
+    """A metre at a time along x; walls fix two fifths of the first one, and nearly all later."""
+    track = Track()
+    for x, loose in ((1.0, 0.6), (2.0, 0.0), (3.0, 0.1)):
+        fit = Fit(pose=Pose2(x, 0.0, 0.0).matrix(), score=0.9)
+        judgement = Judgement(fit=fit, loose=np.array([loose, 0.0]))
+        track = track.guessing(judgement, Pose2(x, 0.0, 0.0))
+        track = dataclasses.replace(track, pose=fit.pose)
+    assert track.guessed_m == pytest.approx((0.2 * (0.36 + 0.01), 0.0))
+    assert track.steady == (Pose2(2.0, 0.0, 0.0), Pose2(3.0, 0.0, 0.0))
+    assert track.guessing(Judgement(fit=fit), None).steady == track.steady, "too few walls"

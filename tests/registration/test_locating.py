@@ -12,11 +12,10 @@ from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.registration.guess import best_guess
+from specmap_cli.registration.guess import UNKNOWN, ExpectedMotion, Reliance, best_guess
 from specmap_cli.registration.local_map import Fit, Scene
-from specmap_cli.registration.locating import FAIR_SCORE, GOOD_SCORE, Located
-from specmap_cli.registration.locating import locate as located_by
-from specmap_cli.registration.motion import UNKNOWN, ExpectedMotion, Reliance
+from specmap_cli.registration.trust import FAIR_SCORE, GOOD_SCORE, Located
+from specmap_cli.registration.trust import locate as located_by
 from tests.registration.aligners import ToldAligner
 from tests.registration.drives import expecting, guess_of, scene_in, scene_of, turned
 

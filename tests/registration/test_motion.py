@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import PlanarScan, Sweep
 from specmap_cli.core.settings import RegistrationConfig
-from specmap_cli.registration.local_map import Fit
-from specmap_cli.registration.motion import (
+from specmap_cli.registration.guess import (
     UNKNOWN,
     ExpectedMotion,
     MotionModel,
@@ -22,6 +21,7 @@ from specmap_cli.registration.motion import (
     direction_of,
     fixed_directions,
 )
+from specmap_cli.registration.local_map import Fit
 from tests.registration.drives import circle, expecting, guess_of
 from tests.strategies import poses
 

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose
 from specmap_cli.core.records import PlanarScan, Sweep
 from specmap_cli.core.settings import RegistrationConfig
-from specmap_cli.registration.motion import MotionModel
+from specmap_cli.registration.guess import MotionModel
 from specmap_cli.registration.sweep_view import (
     SweepView,
     deskewed,
@@ -33,7 +33,8 @@ def seen(sweep: Sweep, last: Pose2 | None = None, **settings: float) -> SweepVie
     model.expect(dataclasses.replace(sweep, stamp_ns=sweep.stamp_ns - 10**8))
     for _ in range(2 if last else 0):
         model.conclude(last or Pose2(0.0, 0.0, 0.0))
-    return view_of(sweep, model.expect(sweep), config)
+    expected = model.expect(sweep)
+    return view_of(sweep, expected.during, expected.interval_s, config)
 
 
 def rows(points: FloatArray) -> set[tuple[float, ...]]:

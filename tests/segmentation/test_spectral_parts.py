@@ -111,7 +111,7 @@ def test_eigenpairs_are_those_of_a_dense_solver(size: int) -> None:
         same_values, same_vectors = spectral.largest_eigenpairs(again, 5)
         np.testing.assert_array_equal(same_values, values)
         np.testing.assert_array_equal(same_vectors, vectors)
-    values, vectors = spectral.two_largest(dense)
+    values, vectors = spectral.largest_of(dense, 2)
     np.testing.assert_allclose(values, every[:2], atol=1e-9)
     np.testing.assert_allclose(matrix @ vectors, vectors * values, atol=1e-9)
     if size < 10:  # those asked for in excess are all there are

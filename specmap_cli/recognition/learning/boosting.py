@@ -293,6 +293,7 @@ class OneVsAll:
         if self.config.booster == "trees":
             quantiser = Quantiser.of(X)
             codes = quantiser.codes(X)
+            del X  # of many scans it is most of the memory
             boosters = boosted_trees(names, codes, quantiser, questions, rounds, rng)
         else:
             boosters = boosted(names, X, questions, rounds)

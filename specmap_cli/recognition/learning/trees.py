@@ -33,6 +33,7 @@ _TRIM_EVERY = 8
 _LIGHT_SHARE = 0.02
 _NO_EDGE = 1e300  # a threshold that no value reaches, as JSON knows no infinity
 _WHOLE = 2.0**52  # weights are whole multiples of 2^-52: sums of them below 2 are exact
+_ROWS_AT_ONCE = 64  # samples that all trees are asked about at once: bounds the memory
 _SAMPLES_AT_ONCE = 1 << 15  # about, of classifiers grown together: bounds the memory, some 10 MB
 
 
@@ -45,23 +46,21 @@ class Quantiser:
     @classmethod
     def of(cls, X: NDArray[Any]) -> Quantiser:
         """The quantiser of samples X (n, F)."""
-        ordered = np.sort(np.asarray(X, dtype=np.float64), axis=0)
-        at = np.linspace(0, len(ordered) - 1, BINS + 1)[1:-1]
-        low = ordered[np.floor(at).astype(np.intp)]
-        high = ordered[np.minimum(np.floor(at).astype(np.intp) + 1, len(ordered) - 1)]
-        cuts = 0.5 * (low + high).T
-        edges = np.full(cuts.shape, np.inf)
-        for row, values in zip(edges, cuts, strict=True):
-            distinct = np.unique(values)
+        at = np.linspace(0, len(X) - 1, BINS + 1)[1:-1]
+        low = np.floor(at).astype(np.intp)
+        high = np.minimum(low + 1, len(X) - 1)
+        edges = np.full((X.shape[1], len(at)), np.inf)
+        for row, values in zip(edges, X.T, strict=True):  # one by one: no second copy of all
+            ordered = np.sort(np.asarray(values, dtype=np.float64))
+            distinct = np.unique(0.5 * (ordered[low] + ordered[high]))
             row[: len(distinct)] = distinct
         return cls(edges)
 
     def codes(self, X: NDArray[Any]) -> CodeArray:
         """(F, n) bin of every value: how many edges it reaches."""
-        X = np.asarray(X, dtype=np.float64)
         codes = np.empty((X.shape[1], len(X)), dtype=np.uint8)
         for row, edges, values in zip(codes, self.edges, X.T, strict=True):
-            row[:] = np.searchsorted(edges, values, side="right")
+            row[:] = np.searchsorted(edges, np.asarray(values, dtype=np.float64), side="right")
         return codes
 
 
@@ -82,15 +81,17 @@ class Forest:
 
         Rounded as the votes are: so the order of summation does not show.
         """
-        trees = np.arange(len(self.votes))
-        upper = X[:, self.features[:, 0]] >= self.thresholds[:, 0]
-        node = trees * 3 + 1 + upper
-        feature = self.features.ravel()[node]
-        value = X[0][feature] if len(X) == 1 else np.take_along_axis(X, feature, axis=1)
-        above = value >= self.thresholds.ravel()[node]
-        votes = self.votes.ravel()[trees * 4 + 2 * upper + above]
-        sums = votes.reshape(len(X), classes, len(trees) // classes).sum(axis=2)
-        return np.asarray(np.round(sums, VOTE_DECIMALS))
+        trees, sums = np.arange(len(self.votes)), np.empty((len(X), classes))
+        for first in range(0, len(X), _ROWS_AT_ONCE):
+            some = X[first : first + _ROWS_AT_ONCE]
+            upper = some[:, self.features[:, 0]] >= self.thresholds[:, 0]
+            node = trees * 3 + 1 + upper
+            feature = self.features.ravel()[node]
+            value = X[0][feature] if len(X) == 1 else np.take_along_axis(some, feature, axis=1)
+            above = value >= self.thresholds.ravel()[node]
+            votes = self.votes.ravel()[trees * 4 + 2 * upper + above]
+            sums[first : first + len(some)] = votes.reshape(len(some), classes, -1).sum(axis=2)
+        return np.round(sums, VOTE_DECIMALS)
 
 
 @dataclass(frozen=True, slots=True)

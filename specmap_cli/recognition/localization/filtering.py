@@ -8,7 +8,7 @@ moving says nothing new. One more state, the last, is "unknown": outside of the 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -78,7 +78,6 @@ class ViewGrouping:
 
     `mean` of what is said of the scans of a view is what the view says, however many they are.
     `motion` is the `novelty` of the view after the one before, infinite for the first of a track.
-    `keep` stores the evidence of the view as it is known now.
     """
 
     def __init__(self) -> None:
@@ -86,24 +85,15 @@ class ViewGrouping:
         self.motion = math.inf
         self._sum: FloatArray = np.zeros(0)
         self._scans = 0  # of the view
-        self._tracks: list[list[FloatArray]] = [[]]  # of views, one for each unbroken track
-        self._view_of: list[int] = []  # each scan's, counted over all tracks
-
-    def restart(self) -> None:
-        """The next scan begins a track of its own."""
-        self._at = None
-        self._tracks.append([])
 
     def begins(self, posed: PosedScan) -> bool:
         """Whether the scan is a new view, which it then is; a lost one only if it is the first."""
-        first = not self._tracks[-1]
-        far = moved(self._at, posed.map_from_base, VIEW_M, VIEW_RAD)
-        if not first and (posed.lost or not far):
+        first = self._at is None
+        if not first and (posed.lost or not moved(self._at, posed.map_from_base, VIEW_M, VIEW_RAD)):
             return False
         self.motion = math.inf if self._at is None else novelty(self._at, posed.map_from_base)
         self._at = posed.map_from_base
         self._sum, self._scans = np.zeros(0), 0
-        self._tracks[-1].append(np.zeros(0))
         return True
 
     def mean(self, said: NDArray[Any]) -> FloatArray:
@@ -111,19 +101,6 @@ class ViewGrouping:
         self._sum = self._sum + said if self._scans else np.asarray(said, dtype=np.float64)
         self._scans += 1
         return np.asarray(self._sum / self._scans)
-
-    def keep(self, evidence: FloatArray) -> None:
-        """What this view says, with the scan that came last."""
-        self._tracks[-1][-1] = evidence
-        self._view_of.append(sum(len(track) for track in self._tracks) - 1)
-
-    def of_scans(self, smooth: Callable[[FloatArray], FloatArray]) -> list[FloatArray]:
-        """For each scan the row of its view, when the evidence (views, k) of a track is smoothed.
-
-        A loss of tracking ends a track: what comes after it says nothing of what was before.
-        """
-        rows = [row for track in self._tracks if track for row in smooth(np.array(track))]
-        return [rows[view] for view in self._view_of]
 
 
 class HiddenMarkovFilter:

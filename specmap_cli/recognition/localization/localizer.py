@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 
@@ -63,17 +63,20 @@ class Where:
     """What is known of the place of one scan: its label, and its pose in the map where one leads.
 
     `track_from_base` is where it was registered, `restarted` that this has nothing to do with the
-    scan before.
+    scan before. `evidence` (m + 1,) is what its view says of the submaps and of unknown, so far;
+    `again` that it is one more scan of that view.
     """
 
     label: Label
     fix: Fix | None
     track_from_base: Pose2
     restarted: bool
+    evidence: FloatArray
+    again: bool
 
 
 class Localizer:
-    """Tells where the scans of a log were taken, one after another, in a map.
+    """Tells where the scans of a log were taken, one after another, in a map; it keeps none.
 
     `adjacency` are the neighbours of its submaps. `with_walls` asks for poses even where walls do
     not count for the labels.
@@ -96,7 +99,6 @@ class Localizer:
         self._uses_walls = with_walls or config.unknown
         self._walls, self._looks = Clue(), Clue()
         self._views = ViewGrouping()
-        self._told: list[Where] = []
 
     @property
     def note(self) -> str:
@@ -118,7 +120,7 @@ class Localizer:
         """The places first, then the filter by what they and the classifiers say of the view."""
         if posed.restarted:
             self._walls, self._looks = Clue(), Clue()
-            self._views.restart()
+            self._views = ViewGrouping()
             self.filter.reset()
             self.places.restart()
         again = not self._views.begins(posed)
@@ -136,10 +138,7 @@ class Localizer:
             fix = self._fix(posed, belief[:-1])
             belief = np.append(self.places.mixed(belief[:-1]), belief[-1])
         label = self._filtered(self._raw_label(posed.stamp_ns, scan), belief)
-        where = Where(label, fix, posed.map_from_base, posed.restarted)
-        self._told.append(where)
-        self._views.keep(log_likelihoods)
-        return where
+        return Where(label, fix, posed.map_from_base, posed.restarted, log_likelihoods, again)
 
     def _worth(
         self, posed: PosedScan, scan: ClassifiedScan, belief: FloatArray, again: bool
@@ -173,15 +172,24 @@ class Localizer:
             float(chances.max()),
         )
 
-    def smoothed(self) -> list[Where]:
-        """All scans so far, with labels that are given the whole track that they belong to.
+    def smoothed(self, told: Sequence[Where]) -> list[Where]:
+        """What was told of all scans of a log, with labels that are given the whole of it.
 
-        And with the poses that the place tells which led there, or that leads later.
+        And with the poses that the place tells which led there, or that leads later. What comes
+        after a loss of tracking says nothing of what was before.
         """
-        beliefs = self._views.of_scans(self.filter.smooth)
+        tracks, view_of = list[list[FloatArray]](), list[int]()
+        for where in told:
+            if where.restarted or not tracks:
+                tracks.append([])
+            if where.again:
+                tracks[-1].pop()
+            tracks[-1].append(where.evidence)  # the last scan of a view knows all of it
+            view_of.append((view_of[-1] if view_of else -1) + (not where.again))
+        beliefs = [row for track in tracks for row in self.filter.smooth(np.array(track))]
         found = []
-        for where, belief, fix in zip(self._told, beliefs, self._looking_back(), strict=True):
-            led = belief
+        for where, view, fix in zip(told, view_of, _looking_back(told), strict=True):
+            led = belief = beliefs[view]
             if fix is not None:
                 led = (1.0 - fix.probability) * belief
                 owner = self.filter.ids.index(self.places.walls.owner(fix.pose))
@@ -189,26 +197,6 @@ class Localizer:
                 led[-1] = belief[-1]
             found.append(replace(where, label=self._filtered(where.label, led), fix=fix))
         return found
-
-    def _looking_back(self) -> list[Fix | None]:
-        """The pose of each scan; where none led, by the next that has one within a window of way.
-
-        What comes after a loss of tracking says nothing of what was before.
-        """
-        filled: list[Fix | None] = []
-        later: tuple[Where, Fix] | None = None
-        for where in reversed(self._told):
-            fix = where.fix
-            if fix is not None:
-                later = where, fix
-            elif later is not None:
-                back = later[0].track_from_base.inverse() @ where.track_from_base
-                before = Estimate(later[1].pose, later[1].covariance).moved(back)
-                if back.distance <= WINDOW_M:
-                    fix = replace(later[1], pose=before.pose, covariance=before.covariance)
-            filled.append(fix)
-            later = None if where.restarted else later
-        return filled[::-1]
 
     def _raw_label(self, stamp_ns: int, scan: ClassifiedScan) -> Label:
         """The label of the single scan by the most votes; nothing is filtered yet."""
@@ -238,3 +226,21 @@ class Localizer:
         submap = self.filter.ids[state] if state < unknown else None
         probability = float(belief[state])
         return replace(label, filtered_submap=submap, filtered_probability=probability)
+
+
+def _looking_back(told: Sequence[Where]) -> list[Fix | None]:
+    """The pose of each scan; where none led, by the next that has one within a window of way."""
+    filled: list[Fix | None] = []
+    later: tuple[Where, Fix] | None = None
+    for where in reversed(told):
+        fix = where.fix
+        if fix is not None:
+            later = where, fix
+        elif later is not None:
+            back = later[0].track_from_base.inverse() @ where.track_from_base
+            before = Estimate(later[1].pose, later[1].covariance).moved(back)
+            if back.distance <= WINDOW_M:
+                fix = replace(later[1], pose=before.pose, covariance=before.covariance)
+        filled.append(fix)
+        later = None if where.restarted else later
+    return filled[::-1]

@@ -170,10 +170,7 @@ class WeighedPlaces:
         self._at: Pose2 | None = None
         self._looked: Pose2 | None = None
         self._new = 1.0  # the share of a view that is new since the last look
-        self._driven, self._searched = (
-            0.0,
-            -math.inf,
-        )  # motion: of one all is new
+        self._driven, self._searched = 0.0, -math.inf  # motion, of one all is new
         self._scans, self._wait = 0, 1  # since the last search, and until one without motion
 
     def see(self, posed: PosedScan, seen: PlanarScan, belief: FloatArray) -> float | None:

@@ -21,7 +21,14 @@ from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, wrap_angle
 from specmap_cli.core.records import NO_SUBMAP, BoolArray, PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
-from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap, cast_rays, nearest_values
+from specmap_cli.grids.gridmap import (
+    FREE,
+    UNKNOWN,
+    GridMap,
+    cast_rays,
+    clearance_of,
+    nearest_values,
+)
 from specmap_cli.grids.matching import refine, search_everywhere
 from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.learning.misfit import FIT_RANGE_M, HeldOutMisfit, near_returns, pooled
@@ -38,6 +45,7 @@ _MOST_RAYS = 120  # of a scan, one every three degrees all round: what is cast c
 # What the pose of a match and the cells of a grid leave open, in heading and sideways. Along a wall
 # that moves the end of a ray by metres: so a ray may reach as far as any that passes so near.
 _SLANT_RAD, _SIDE_M = math.radians(3.0), 0.15
+_WALL_M = 0.15  # a wall is as thick: so near to its face there are cells that nobody saw
 _BEHIND_M = 0.3  # farther than a match is off, and than a wall is thick in a grid
 # Misfits of other places where they fit best, on average, and their standard deviation.
 _FOREIGN_MISFIT, _FOREIGN_MISFIT_SPREAD = 0.3, 0.12
@@ -120,7 +128,14 @@ class MapWalls:
 
     @cached_property
     def _distances(self) -> FloatArray:
-        return self.grid.obstacle_distance()
+        """(H, W) metres to the nearest wall that nobody sees through.
+
+        What has no unseen cell in it, nor beside it, is thinner than walls are built: a pane, a
+        railing, a leg of a table. The laser passes some of these.
+        """
+        unseen = clearance_of(self.grid.cells != UNKNOWN) * self.grid.resolution
+        cells = np.where(unseen <= _WALL_M, self.grid.cells, FREE)
+        return GridMap(cells, self.grid.resolution, self.grid.origin).obstacle_distance()
 
     @cached_property
     def _owners(self) -> NDArray[Any]:
@@ -200,7 +215,7 @@ class MapWalls:
         front = clear & (cells == FREE)
         front &= ~_is_long(placed, front)
         off[front] *= _FRONT_WEIGHT
-        off[clear & (cells == UNKNOWN)] *= _UNSEEN_WEIGHT
+        off[cells == UNKNOWN] = np.minimum(off[cells == UNKNOWN], _UNSEEN_WEIGHT)
         return float(np.mean(off)), float(np.mean(front))
 
     def _behind(self, posed: PosedScan, pose: Pose2) -> float:

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.recognition.localization.filtering import Clue, HiddenMarkovFilter, ViewGrouping
@@ -147,8 +146,6 @@ def test_a_view_begins_where_the_robot_moved_or_a_track_begins_though_lost_or_un
     views: ViewGrouping, scans: list[PosedScan], begins: list[bool]
 ) -> None:
     assert [views.begins(scan) for scan in scans] == begins
-    views.restart()
-    assert views.begins(scans[-1])
 
 
 @given(st.lists(st.floats(-50.0, 50.0), min_size=1, max_size=20))
@@ -160,25 +157,6 @@ def test_what_a_view_says_is_the_mean_of_its_scans(said: list[float]) -> None:
     for value in said:
         mean = views.mean(np.array([value, -value]))
     assert mean == pytest.approx([np.mean(said), -np.mean(said)], abs=1e-9)
-
-
-def test_every_scan_gets_the_row_of_its_view(views: ViewGrouping) -> None:
-    """Two tracks: one of two views, of three and one scans, and one of a single scan."""
-    for number, x in enumerate((0.0, 0.01, 0.02, 1.0)):
-        views.begins(at(x))
-        views.keep(np.array([float(number)]))
-    views.restart()
-    views.begins(at(1.0))
-    views.keep(np.array([4.0]))
-    tracks: list[FloatArray] = []
-
-    def smooth(track: FloatArray) -> FloatArray:
-        tracks.append(track)
-        return 10.0 * track
-
-    rows = views.of_scans(smooth)
-    assert [track.tolist() for track in tracks] == [[[2.0], [3.0]], [[4.0]]]
-    assert [row.tolist() for row in rows] == [[20.0]] * 3 + [[30.0], [40.0]]
 
 
 def worths(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 import re
 from collections.abc import Collection, Iterable, Mapping
 from contextlib import nullcontext
@@ -82,9 +83,10 @@ def told(guide: Localizer, scans: Iterable[PosedScan]) -> list[Label]:
     return [guide.add(scan).label for scan in scans]
 
 
-def hindsight(guide: Localizer) -> list[Label]:
-    """The labels that the whole log gives."""
-    return [where.label for where in guide.smoothed()]
+def both(guide: Localizer, scans: Iterable[PosedScan]) -> tuple[list[Label], list[Label]]:
+    """The labels of scans that come one by one, and those that the whole log gives."""
+    found = [guide.add(scan) for scan in scans]
+    return [each.label for each in found], [each.label for each in guide.smoothed(found)]
 
 
 def right(labels: list[Label], truth: np.ndarray[Any, Any]) -> float:
@@ -116,10 +118,8 @@ def test_another_tour_is_labelled_with_its_rooms_and_smoothing_changes_what_is_f
 ) -> None:
     truth = rooms_of(flat_rooms, again)
     guide = trained.localizer()
-    assert guide.smoothed() == []
-    labels = told(guide, again)
-    smoothed = hindsight(guide)
-    assert smoothed == hindsight(guide)
+    assert guide.smoothed([]) == []
+    labels, smoothed = both(guide, again)
     assert guide.note == ""
     assert np.mean([a.submap == b for a, b in zip(labels, truth, strict=True)]) > 0.8
     assert right(labels, truth) > 0.85
@@ -212,8 +212,45 @@ def test_after_a_restart_nothing_of_before_counts_nor_is_it_smoothed_by_what_com
     """Two tracks in one log are labelled and smoothed like two logs."""
     first, second = again[:20], [replace(again[60], restarted=True), *again[61:80]]
     whole, early, late = (trained.localizer() for _ in range(3))
-    assert told(whole, [*first, *second]) == told(early, first) + told(late, second)
-    assert hindsight(whole) == hindsight(early) + hindsight(late)
+    tracks = both(early, first), both(late, second)
+    assert both(whole, [*first, *second]) == tuple(a + b for a, b in zip(*tracks, strict=True))
+
+
+def test_all_scans_of_a_view_are_smoothed_alike_by_what_the_last_of_them_knows(
+    trained: Trained, again: list[PosedScan], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two tracks: one of two views, of three scans and one, and one of a single view."""
+    guide, seen = trained.localizer(), list[np.ndarray[Any, Any]]()
+    smooth = guide.filter.smooth
+
+    def smoothing(rows: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+        seen.append(rows)
+        return smooth(rows)
+
+    monkeypatch.setattr(guide.filter, "smooth", smoothing)
+    scans = [again[0], again[0], again[0], again[9], replace(again[30], restarted=True)]
+    found = [guide.add(scan) for scan in scans]
+    assert [where.again for where in found] == [False, True, True, False, False]
+    after = [replace(where, fix=None) for where in found]
+    chances = [where.label.filtered_probability for where in guide.smoothed(after)]
+    assert chances[0] == chances[1] == chances[2]
+    expected = [[found[2].evidence, found[3].evidence], [found[4].evidence]]
+    for rows, wanted in zip(seen, expected, strict=True):
+        np.testing.assert_array_equal(rows, wanted)
+
+
+def test_what_a_localizer_holds_does_not_grow_with_the_log(
+    trained: Trained, again: list[PosedScan]
+) -> None:
+    """A robot feeds it for days."""
+    guide = trained.localizer()
+
+    def held() -> int:
+        told(guide, (replace(scan, restarted=k == 0) for k, scan in enumerate(again[:40])))
+        return len(pickle.dumps((guide.places, guide.filter, guide._views, guide._classifier)))
+
+    first = held()
+    assert held() == pytest.approx(first, rel=0.01)
 
 
 def test_a_lost_scan_is_labelled_but_adds_nothing_to_the_window(
@@ -248,11 +285,9 @@ def test_a_robot_that_stands_in_its_room_is_found_however_long(
     rng = np.random.default_rng(place)
     noisy = scan.planar.ranges + rng.normal(0.0, 0.01, (30, len(scan.planar.ranges)))
     seen = [replace(scan, planar=replace(scan.planar, ranges=ranges)) for ranges in noisy]
-    labels = told(guide, seen)
+    labels, after = both(guide, seen)
     assert right(labels, rooms_of(flat_rooms, seen)) == 1.0
-    chances, smoothed = (
-        [label.filtered_probability for label in each] for each in (labels, hindsight(guide))
-    )
+    chances, smoothed = ([label.filtered_probability for label in each] for each in (labels, after))
     assert chances[-1] == pytest.approx(chances[0], abs=0.15)
     assert max(smoothed) - min(smoothed) < 1e-3
 

@@ -193,6 +193,32 @@ def test_the_far_wall_of_a_longer_room_is_behind_the_map_s_and_none_of_a_smaller
     assert behind(seen_in(3.5, 3.0, pose), pose) == 0.0
 
 
+@pytest.mark.parametrize(("unseen", "solid"), [(True, True), (False, False)])
+def test_walls_stop_the_laser_and_panes_that_were_seen_from_both_sides_do_not(
+    unseen: bool, solid: bool
+) -> None:
+    """A pane between two rooms has no inside that nobody saw; a wall has."""
+    pose, grid = Pose2(2.5, 2.0, 0.0), box(8.0, 4.0)
+    inside = grid.cells_of(np.array([[5.0, 2.0]]))[0, 1]
+    grid.cells[2:-2, inside : inside + 3] = OCCUPIED
+    if unseen:
+        grid.cells[2:-2, inside + 1] = UNKNOWN
+    scan = seen_in(8.0, 4.0, pose)
+    assert (walls_of(grid)._behind(scan, pose) > 0.3) == solid
+
+
+def test_a_return_in_space_that_the_map_never_saw_says_no_more_near_its_walls() -> None:
+    """The map saw one face of a wall, the scan the other."""
+    pose, grid = Pose2(2.5, 2.0, 0.0), box(5.0, 4.0)
+    ahead = grid.cells_of(np.array([[5.0, 2.0]]))[0, 1]
+    points = np.column_stack([np.linspace(2.35, 2.9, 60), np.zeros(60)])
+    grid.cells[:, ahead - 5 : ahead] = UNKNOWN
+    grid.cells[:, ahead + 2 :] = UNKNOWN
+    walls = walls_of(grid)
+    off = [walls._off_walls(each[None], pose)[0] for each in points]
+    assert 0.0 <= min(off) < 0.05 < max(off) <= walls_module._UNSEEN_WEIGHT
+
+
 def test_a_wall_beyond_reach_stops_nothing_and_without_a_return_nothing_is_behind_it() -> None:
     pose = Pose2(1.0, 2.0, 0.0)
     scan = seen_in(29.0, 4.0, pose)

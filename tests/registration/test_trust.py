@@ -16,9 +16,8 @@ from specmap_cli.core.records import PosedScan, Sweep
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.registration import FrontEnd
-from specmap_cli.registration.judgement import Founding, Judgement, judge, looked_through
 from specmap_cli.registration.local_map import Fit, Support
-from specmap_cli.registration.locating import Located
+from specmap_cli.registration.trust import Founding, Judgement, Located, judge, looked_through
 from tests.registration.drives import circle, expecting, guess_of, path, sweeps, with_ranges, worst
 
 GUESS = Pose2(2.0, 1.0, 0.5)
@@ -30,7 +29,7 @@ def judged(
     away: Pose2 = IDENTITY,
     *,
     measured: bool = True,
-    **found: bool,
+    **found: Any,
 ) -> Judgement:
     """What is thought of a result so far from its guess; by default all of it could be seen."""
     located = Located(

@@ -1,20 +1,25 @@
-"""Where a sweep was taken: from the guess to the best pose that can be found on the local map.
+"""The best pose found for a sweep, and whether it can be believed.
 
-Along a bare corridor how far the robot came is not for the walls to say: all places along it score
-alike, and registration stays behind, a little at every sweep. There odometry, or the motion before,
-tells how far.
+It is judged by its score, how well the sweep's walls lie on the local map's, together with whether
+it agrees with the expected motion. Neither alone will do: a robot that enters a room scores 0.35 to
+0.5 at the right pose, and a wrong pose in a corridor can score 0.8. Along a bare corridor how far
+the robot came is not for the walls to say at all, see `_carried_along`.
+
+A map is founded when a second sweep fits its first one; until then its scans are held back. A first
+sweep that was spoiled, by a person before the laser or a driver that starts, would else be the
+truth that all others are lost against.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import RegistrationConfig
-from specmap_cli.grids.matching import weakest_direction
 from specmap_cli.registration.guess import (
     BEYOND_DOUBT,
     MotionGuess,
@@ -43,12 +48,19 @@ _PER_SLACK = 0.05  # score that a place must have more for each slack away from 
 # Score that another place must have more to refute trusted odometry's: wheels that slip make 0.4.
 _REFUTES = 0.25
 
+_SIGMAS = 3.0  # of a motion carried on that still agrees
+_READING_M = 0.05  # error of a reading that is matched: neighbours err alike
+_LEAST_SHARE = 0.02  # of a motion expected that is worth a look
 _SLIP_M = 0.08  # a result this far behind odometry may have slipped in a corridor
 _ALIKE = 0.01  # scores this near speak for two places alike
+_SHARES = (1.0, 0.75, 0.5, 0.25)  # of the way to odometry's place, tried in this order
 # Score that walls lose at a place they object to; what noise of the last scan, seen again at the
 # same place, seems to prove is less.
 _OBJECTS = 0.05
-_SHARES = (1.0, 0.75, 0.5, 0.25)  # of the way to odometry's place, tried in this order
+
+_PROVES = 0.85  # score that proves a motion by itself: most right results have more
+_BEHIND_M = 0.3  # a beam that ends farther behind a wall has looked through it: noise is less
+_HOPELESS = 0.15  # below it no agreement helps: points thrown at random score as much
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,6 +69,8 @@ class Located:
 
     `agrees`: it agrees with the motion expected. `support` is what the walls say of it that could
     be seen there. `unaligned`: it is the guess itself, as the walls do not lead to a better pose.
+    `loose` (2,) points, in the map, where walls fix the place least. As long as it is, of 1, the
+    motion expected counts there, and not the walls.
     """
 
     fit: Fit
@@ -65,6 +79,7 @@ class Located:
     agrees: bool
     support: Support
     unaligned: bool = False
+    loose: FloatArray = field(default_factory=lambda: np.zeros(2))
 
 
 def locate(scene: Scene, guess: MotionGuess) -> Located:
@@ -95,11 +110,13 @@ def locate(scene: Scene, guess: MotionGuess) -> Located:
         if guess.trusted and _speaks_against(scene.support(fit.planar), config):
             window = replace(window, angle_rad=config.max_shift_rad)
         fit = fit.or_better(scene.search(guess.pose, window, _WIDER_KERNELS, reach))
-    if measured and not doubted:
-        fit = _slid(scene, fit, guess.by_motion)
-    elif not measured and not scene.local.sensor.in_space:
-        fit = _carried_along(scene, fit, guess.by_motion)
-    return _concluded(scene, guess, fit, searched=doubted, wide_searched=wide)
+    loose = np.zeros(2)
+    if not measured:
+        fit, loose = _carried_along(scene, guess, fit)
+    elif not doubted:
+        fit = _slid(scene, guess, fit)
+    located = _concluded(scene, guess, fit, searched=doubted, wide_searched=wide)
+    return located if located.unaligned else replace(located, loose=loose)
 
 
 def _concluded(
@@ -190,19 +207,19 @@ def _is_far(guess: MotionGuess, fit: Fit) -> bool:
     return away.distance >= _DOUBT_M or abs(away.theta) >= _DOUBT_RAD
 
 
-def _slid(scene: Scene, fit: Fit, by_motion: Pose2) -> Fit:
+def _slid(scene: Scene, guess: MotionGuess, fit: Fit) -> Fit:
     """The place nearest the one by odometry that the walls speak for as well as for `fit`.
 
     How far the robot came since the last keyframe is believed from odometry, as long as the score
     does not object. Heading and offset from the walls stay those of `fit`.
     """
-    here = fit.planar
+    here, by_motion = fit.planar, guess.by_motion
     forward = np.array([np.cos(here.theta), np.sin(here.theta)])
     behind = float(np.dot((by_motion.x - here.x, by_motion.y - here.y), forward))
     if abs(behind) < _SLIP_M:
         return fit
     if not scene.local.sensor.in_space:
-        along = _carried_along(scene, fit, by_motion)
+        along, _ = _carried_along(scene, guess, fit)
         if along is not fit:
             return along
     for share in _SHARES:
@@ -216,21 +233,150 @@ def _slid(scene: Scene, fit: Fit, by_motion: Pose2) -> Fit:
     return fit
 
 
-def _carried_along(scene: Scene, fit: Fit, by_motion: Pose2) -> Fit:
+def _carried_along(scene: Scene, guess: MotionGuess, fit: Fit) -> tuple[Fit, FloatArray]:
     """A result that comes as far as the motion expected, along what the walls do not fix.
 
-    Else the robot seems to stand still. The place is taken only if the sweep's walls fit as well
-    there.
+    Else the robot seems to stand still. Odometry counts there wholly, and where nothing but noise
+    fixes the place. A motion carried on counts as much as it is known better. The place is taken
+    unless walls object. Also what `Located.loose` says. A cloud shows more than its planar scan.
     """
-    view, here = scene.view, fit.planar
-    weakest = weakest_direction(view.base_from_laser.apply(view.planar.hits()))
-    if not weakest.open:
-        return fit
+    here, measured = fit.planar, guess.expected.measured
+    weakest = scene.weakest(fit.planar, known=not measured)
+    share = float(weakest.open)
+    if not (measured or scene.local.sensor.in_space):
+        spread_m = guess.carried_slack_m / _SIGMAS
+        share = 1.0 / (1.0 + (spread_m / weakest.precision_m(_READING_M)) ** 2)
+    if share < _LEAST_SHARE:
+        return fit, np.zeros(2)
     heading = here.theta + weakest.heading
-    x, y = math.cos(heading), math.sin(heading)
-    along = (by_motion.x - here.x) * x + (by_motion.y - here.y) * y
-    place = Pose2(here.x + along * x, here.y + along * y, here.theta)
+    way = np.array([math.cos(heading), math.sin(heading)])
+    if scene.local.sensor.in_space:
+        return fit, share * way
+    away = np.array([guess.by_motion.x - here.x, guess.by_motion.y - here.y])
+    x, y = (share * float(away @ way) * way).tolist()
+    place = Pose2(here.x + x, here.y + y, here.theta)
     score = scene.score(place)
     if score < fit.score - _OBJECTS and scene.gain(here, place) < -_OBJECTS:
-        return fit
-    return fit.moved_to(place, score)
+        return fit, np.zeros(2)
+    return fit.moved_to(place, score), share * way
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Judgement:
+    """The pose of a sweep and what is thought of it.
+
+    A `lost` sweep is at its guess. `agrees`: the result agrees with the expected motion. `certain`:
+    the walls alone prove it; `proven`: they do so for any motion. `founds`: it fits what was seen
+    before well enough to be one map with it; `refutes`: it does not, where it could. `loose` is as
+    of `Located`.
+    """
+
+    fit: Fit
+    agrees: bool = True
+    lost: bool = False
+    certain: bool = False
+    proven: bool = False
+    founds: bool = False
+    refutes: bool = False
+    loose: FloatArray = field(default_factory=lambda: np.zeros(2))
+
+    def levelled(self, share: float) -> Judgement:
+        """The same with `share` of the roll and pitch taken back, heading and place kept.
+
+        A lidar of few rings says little about its own tilt, whose drift would lift the robot off.
+        """
+        from scipy.spatial.transform import Rotation  # slow to load, and for 3D alone
+
+        yaw, pitch, roll = Rotation.from_matrix(self.fit.pose[:3, :3]).as_euler("ZYX")
+        level, kept = self.fit.pose.copy(), 1.0 - share
+        level[:3, :3] = Rotation.from_euler("ZYX", [yaw, kept * pitch, kept * roll]).as_matrix()
+        return replace(self, fit=replace(self.fit, pose=level))
+
+
+def judge(located: Located, guess: MotionGuess, config: RegistrationConfig) -> Judgement:
+    """What is thought of the pose found from a guess; a lost sweep is put back on it.
+
+    What agrees with odometry is lost only if the walls that could be seen contradict it.
+    """
+    fit, support, measured = located.fit, located.support, guess.expected.measured
+    if located.agrees and measured:
+        lost = support.count >= config.min_points and support.score < _HOPELESS
+    elif located.agrees:
+        lost = fit.score < _HOPELESS
+    else:
+        needed = POOR_SCORE
+        if located.searched:
+            needed = SURE_SCORE if measured or located.wide_searched else FAIR_SCORE
+        score = fit.score if measured or support.share < MOST else support.score
+        lost = score < needed
+    certain = not lost and not located.unaligned and support.share >= MOST
+    return Judgement(
+        fit=replace(fit, pose=guess.pose) if lost else fit,
+        agrees=located.agrees,
+        lost=lost,
+        loose=located.loose,
+        certain=certain and support.score > GOOD_SCORE,
+        proven=certain and support.score > _PROVES,
+        refutes=lost or (support.share >= ENOUGH and support.score < FAIR_SCORE),
+        founds=not lost and support.share >= ENOUGH and support.score >= FAIR_SCORE,
+    )
+
+
+class Founding:
+    """Holds back the scans of a map that is not founded yet, at most `most` of them."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._held: list[PosedScan] = []
+        self._refuted: tuple[PosedScan, ...] = ()
+        self._restarts = False
+
+    def refute(self) -> int:
+        """The map of the scans held is given up: they are lost. Returns how many were not before.
+
+        Where they restarted the map after a break, the next one does.
+        """
+        believed = sum(not scan.lost for scan in self._held)
+        self._restarts = self._restarts or any(scan.restarted for scan in self._held)
+        lost = (replace(scan, lost=True, restarted=False) for scan in self._held)
+        self._refuted, self._held = (*self._refuted, *lost), []
+        return believed
+
+    def handed_on(self, scan: PosedScan, *, founded: bool) -> tuple[PosedScan, ...]:
+        """The scans that are settled now that this one was registered, in their order."""
+        if self._restarts and not scan.lost:
+            scan, self._restarts = replace(scan, restarted=True), False
+        self._held.append(scan)
+        settled, self._refuted = self._refuted, ()
+        if founded or len(self._held) >= self._most:
+            settled = (*settled, *self.rest())
+        return settled
+
+    def rest(self) -> tuple[PosedScan, ...]:
+        """The scans that are held, which no later one will settle."""
+        held, self._held = tuple(self._held), []
+        return held
+
+
+def looked_through(walls: FloatArray, scan: PlanarScan, map_from_laser: Pose2) -> float:
+    """Share in [0, 1] of the walls (N, 2) of a map that a scan looks through, of those in its view.
+
+    Two neighbouring beams must end well behind a wall. A beam without a return says nothing.
+    """
+    seen = map_from_laser.inverse().apply(walls)
+    first = float(scan.bearings[0])
+    bearings = first + np.mod(np.arctan2(seen[:, 1], seen[:, 0]) - first, 2 * np.pi)
+    ranges = np.where(np.isfinite(scan.ranges), scan.ranges, 0.0)
+    after = np.searchsorted(scan.bearings, bearings)
+    if scan.full_circle:
+        between = after > 0
+        after = after % len(ranges)
+    else:
+        between = (after > 0) & (after < len(ranges))
+        after = np.minimum(after, len(ranges) - 1)
+    reach = np.minimum(ranges[after - 1], ranges[after])
+    in_view = between & (reach > 0.0)
+    if not in_view.any():
+        return 0.0
+    through = np.hypot(seen[:, 0], seen[:, 1]) + _BEHIND_M < reach
+    return float(np.count_nonzero(through & in_view) / np.count_nonzero(in_view))
