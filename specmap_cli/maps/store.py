@@ -193,10 +193,7 @@ class Map:
 
     @property
     def keyframes(self) -> Labels:
-        """The keyframes with their rooms: arrays, or one at a time by a loop.
-
-        None of a map that was not made of a recording.
-        """
+        """The keyframes with their rooms: arrays, or a loop; none of a finished grid."""
         return self.labels if self.of_recording else _NO_LABELS
 
     @cached_property
@@ -296,7 +293,9 @@ class Map:
     @cached_property
     def regions(self) -> Regions:
         """The free cells of the map divided among the submaps, as in overview.png."""
-        return Regions.of(*self.division)
+        grid, owner = self.division
+        unchanging(grid.cells, owner)
+        return Regions.of(grid, owner)
 
     @cached_property
     @_of_one_map
@@ -448,6 +447,7 @@ def read_map(directory: str | Path, limits: LimitsConfig | None = None) -> Map:
         )
     limits, as_read = LimitsConfig() if limits is None else limits, _stamp_of(topology)
     record, note = read_topology(topology, limits)
+    unchanging(*(edge.path for edge in record.edges if edge.path is not None))
     return Map(path, record, limits, note, as_read)
 
 

@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from specmap_cli.core.arrays import runs
+from specmap_cli.core.arrays import runs, unchanging
 from specmap_cli.core.geometry import FloatArray, path_length
 from specmap_cli.core.json_values import Point
 from specmap_cli.core.records import BoolArray, IntArray
@@ -86,6 +86,7 @@ class Roads:
         if cells is None:
             return Route(why=self._why_none(*ends))
         points, corners = self._allowed.line(cells, start, goal)
+        unchanging(points)
         legs = [cells_on(a, b) for a, b in pairwise(corners)]
         touched = np.concatenate([leg for leg, _ in legs] or [corners])
         crossed = np.concatenate([leg[lengths > 0.0] for leg, lengths in legs] or [corners])

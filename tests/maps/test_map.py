@@ -84,7 +84,10 @@ def test_nothing_of_a_map_can_be_changed(rooms: Map, flat_map: Map) -> None:
     with pytest.raises(TypeError):
         lab.properties["floor"] = 3  # type: ignore[index]
     keyframes, way = flat_map.keyframes, flat_map.trajectory
-    for array in (lab.outline, lab.grid.cells, keyframes.poses, keyframes.submaps, way.poses):
+    route, path = rooms.route("Lab", "Corridor"), rooms.record.edges[0].path
+    arrays: list[Any] = [lab.outline, lab.grid.cells, rooms.grid.cells, rooms.regions.owner]
+    for array in (*arrays, route.points, keyframes.poses, keyframes.submaps, way.poses, path):
+        assert array is not None
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0
 
