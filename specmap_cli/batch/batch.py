@@ -20,8 +20,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from specmap_cli.batch.outputs import taken, write_files
-from specmap_cli.batch.places import path_at
+from specmap_cli.batch.places import path_at, taken, write_files
 from specmap_cli.batch.records import Job, JobRecord, JobResult, Kind, Terms, Turn
 from specmap_cli.batch.running import may_retry
 from specmap_cli.batch.sources import bytes_of

@@ -19,8 +19,13 @@ from pathlib import Path
 
 import specmap_cli
 from specmap_cli import __version__
-from specmap_cli.batch.outputs import files_in, folder_at, write_record
-from specmap_cli.batch.places import PlaceError, scratch_directory
+from specmap_cli.batch.places import (
+    PlaceError,
+    files_in,
+    folder_at,
+    scratch_directory,
+    write_record,
+)
 from specmap_cli.batch.processes import Bounds, judged, run_process
 from specmap_cli.batch.records import (
     InputRecord,

@@ -256,11 +256,8 @@ class LocalWorkers(Workers):
         limits = self._terms.limits
         limits = replace(limits, memory_mb=self.alone_mb()) if turn.alone else limits
         terms = replace(self._terms, limits=limits)
-        job = self._threads.submit(run_job, turn, terms, self._is_wanted)
+        job = self._threads.submit(run_job, turn, terms, lambda: self._are_wanted)
         job.add_done_callback(lambda ended: self._results.put((turn, ended)))
-
-    def _is_wanted(self) -> bool:
-        return self._are_wanted
 
     def next_result(self) -> tuple[Turn, JobResult | None] | None:
         """The next result; None after a while."""

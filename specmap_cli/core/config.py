@@ -5,7 +5,7 @@ defaults of `core/settings.py`. Unknown keys are refused, retired ones have no e
 by a warning. `specmap config` prints what is in force.
 
 A retired setting is a constant now, since nobody needed to turn it. `retired.toml` has the last
-default of each, which is the value of the constant.
+default of each, which is the value of the constant; `paper.toml` is the preset of that name.
 """
 
 from __future__ import annotations
@@ -63,7 +63,9 @@ def load_config(
             where=path,
             code=SETTING,
         )
-    merged = _merge(_merge({} if name == "default" else _file_of(name), from_file), overrides or {})
+    merged = _merge(
+        _merge({} if name == "default" else tables_of(name), from_file), overrides or {}
+    )
     return _validated({**merged, "preset": name}, where, overrides or {})
 
 
@@ -135,14 +137,9 @@ class RetiredSetting(UserWarning):
 
 
 @cache
-def _file_of(name: str) -> dict[str, dict[str, Any]]:
-    """What a file of this package says, by section and key."""
+def tables_of(name: str) -> dict[str, dict[str, Any]]:
+    """What `paper.toml` says, or `retired.toml`, by section and key."""
     return tomllib.loads(Path(__file__).with_name(f"{name}.toml").read_text(encoding="utf-8"))
-
-
-def last_defaults() -> Mapping[str, Mapping[str, Any]]:
-    """The last default of each retired setting, by section and key."""
-    return _file_of("retired")
 
 
 def without_retired(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -153,7 +150,7 @@ def without_retired(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[s
     left: dict[str, Any] = {}
     retired: dict[str, Any] = {}
     for name, section in settings.items():
-        gone = last_defaults().get(name, {})
+        gone = tables_of("retired").get(name, {})
         if gone and isinstance(section, Mapping):
             retired |= {f"{name}.{key}": section[key] for key in section if key in gone}
             section = {key: value for key, value in section.items() if key not in gone}
@@ -178,4 +175,4 @@ def sentence(key: str, value: Any) -> str:
 
 def _last_default(key: str) -> Any:
     section, name = key.split(".")
-    return last_defaults()[section][name]
+    return tables_of("retired")[section][name]

@@ -32,7 +32,6 @@ from specmap_cli.segmentation.visibility import (
 )
 
 _TEST_METRES = 1.0  # travelled between two tests
-_LATER = 0.25  # of the least part that a test can split off a long way: so much later it may come
 
 _SPLIT_NODES = 250  # most nodes in a test: the blocks grow
 _SPLIT_EIGENPAIRS = 12  # looked at in a test: each room seen but not entered takes one
@@ -111,8 +110,8 @@ class OnlineSegmenter:
             self._since_test += driven
             self._way_m += driven
             # A test costs what the submap has grown to. In a long one, where only a part of many
-            # metres can be split off, it is made more seldom.
-            due = max(_TEST_METRES, _LATER * (self.config.split_share * self._way_m))
+            # metres can be split off, it is made once in that many.
+            due = max(_TEST_METRES, self.config.split_share * self._way_m)
         if self._since_test < due:
             return []
         self._since_test = 0.0

@@ -19,7 +19,7 @@ from pydantic import ValidationError
 
 from specmap_cli.batch import processes
 from specmap_cli.batch.jobs import jobs_of
-from specmap_cli.batch.outputs import folder_at
+from specmap_cli.batch.places import folder_at
 from specmap_cli.batch.records import Job, JobRecord, Limits, Plan, Step, Terms, Turn
 from specmap_cli.batch.running import failure, may_retry, run_job
 from specmap_cli.batch.sources import digest_of, inputs_of

@@ -20,8 +20,16 @@ import pytest
 
 from specmap_cli.batch import places
 from specmap_cli.batch.jobs import jobs_of
-from specmap_cli.batch.outputs import files_in, folder_at, write_record
-from specmap_cli.batch.places import PlaceError, path_at, reaching, scratch_directory, store_at
+from specmap_cli.batch.places import (
+    PlaceError,
+    files_in,
+    folder_at,
+    path_at,
+    reaching,
+    scratch_directory,
+    store_at,
+    write_record,
+)
 from specmap_cli.batch.records import Job, JobRecord, JobResult, Terms, Turn
 from specmap_cli.batch.running import run_job
 from specmap_cli.batch.sources import bytes_of, fetched

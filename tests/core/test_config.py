@@ -16,8 +16,8 @@ from specmap_cli.core.config import (
     RetiredSetting,
     is_fixed,
     known_settings,
-    last_defaults,
     load_config,
+    tables_of,
     with_overrides,
     without_retired,
 )
@@ -161,7 +161,7 @@ def test_every_description_can_be_read_alone() -> None:
 
 def test_no_setting_is_retired() -> None:
     now = Config().model_dump()
-    for section, keys in last_defaults().items():
+    for section, keys in tables_of("retired").items():
         assert not keys.keys() & now.get(section, {}).keys(), section
 
 
@@ -185,7 +185,7 @@ def test_a_section_that_is_gone_may_be_empty_and_an_unknown_key_in_it_is_refused
 def test_settings_that_an_older_version_wrote_down_are_read() -> None:
     """Retired ones at their last default are what the constants are: there is nothing to say."""
     old = Config().model_dump()
-    for section, keys in last_defaults().items():
+    for section, keys in tables_of("retired").items():
         old[section] = old.get(section, {}) | keys
     known, others = known_settings(old)
     assert others == []

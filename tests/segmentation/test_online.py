@@ -155,7 +155,7 @@ def test_tests_come_by_the_way_travelled_or_by_keyframes(two_room_tour: Keyframe
 
 
 def test_the_longer_the_way_in_one_submap_the_rarer_the_tests() -> None:
-    """With a share of 0.4, nothing shorter than 4 m is split off a way of 10 m."""
+    """With a share of 0.1, nothing shorter than 3 m is split off a way of 30 m."""
     grid = plan(30.6, 2.6, (0.3, 0.3, 30.3, 2.3))
     poses = waypoints_to_poses((1.0, 1.0), (29.0, 1.0), (1.0, 1.6))
 
@@ -165,8 +165,8 @@ def test_the_longer_the_way_in_one_submap_the_rarer_the_tests() -> None:
 
     with record(grid, poses) as store:
         # one a metre, as few metres are split off
-        assert len(ways_at_tests(store, 0.1)) == pytest.approx(50, abs=8)
-        rare = ways_at_tests(store, 0.4)
+        assert len(ways_at_tests(store, 0.02)) == pytest.approx(50, abs=8)
+        rare = ways_at_tests(store, 0.1)
     gaps = np.diff(rare)
     assert gaps[:4] == pytest.approx(1.0, abs=0.3)
     assert gaps[-1] == pytest.approx(0.1 * rare[-1], rel=0.15)

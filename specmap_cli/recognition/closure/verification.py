@@ -256,8 +256,11 @@ def tracks_overlap(
     if not len(old) or not len(new):
         return 0.0
     placed = old_from_new.apply(new[:, :2])
-    squared = ((old[:, None, :2] - placed[None]) ** 2).sum(axis=2)
-    near = squared <= reach * reach
+    low, high = placed.min(axis=0) - reach, placed.max(axis=0) + reach
+    if (old[:, :2].max(axis=0) < low).any() or (old[:, :2].min(axis=0) > high).any():
+        return 0.0  # as of most pairs of a large building
+    x, y = (old[:, axis, None] - placed[:, axis] for axis in (0, 1))
+    near = x * x + y * y <= reach * reach
     return float(min(near.any(axis=0).mean(), near.any(axis=1).mean()))
 
 
