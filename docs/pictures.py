@@ -1,6 +1,7 @@
 """Makes the pictures of the documents from the sample logs: `make pictures`.
 
-docs/images/compare.png is of a building that `benchmarks.keeping` simulates, and not made here.
+docs/images/compare.png is not made here: it is of the changed office that
+`benchmarks.simulated.comparison` simulates.
 """
 
 from __future__ import annotations

@@ -7,11 +7,14 @@ import importlib
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import get_args
 
 import typer
 
 from specmap_cli.cli.app import app
+from specmap_cli.core.findings import Finding, Quality, Severity
 from specmap_cli.core.settings import Config
+from specmap_cli.pipelines.reports import BuildReport
 
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "specmap_cli"
@@ -119,3 +122,18 @@ def test_settings_shown_exist() -> None:
             if not exists(f"{section}.{key}"):
                 unknown.append(f"{named(path)}: {section}.{key}")
     assert unknown == []
+
+
+def test_the_lines_that_the_tutorial_quotes_of_a_build_are_those_that_it_prints() -> None:
+    text = TEXTS[ROOT / "docs" / "tutorial.md"]
+    table = text[text.index("| it says |") :].split("\n\n")[0]
+    said = [found for row in table.splitlines() for found in quoted(row.split("|")[1])]
+    counts = {"submaps": 1, "edges": 0, "merges": 0, "scans": 9, "path_m": 3.0, "lost": 0}
+    printed = []
+    for severity in get_args(Severity):
+        finding = Finding(code="input", severity=severity, message="why")
+        report = BuildReport(out=Path("map"), run={"counts": counts}, quality=Quality.of([finding]))
+        printed += report.lines()
+    assert len(said) == 4
+    for line in said:
+        assert any(line in each for each in printed), line

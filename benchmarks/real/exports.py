@@ -23,10 +23,11 @@ from mcap.reader import make_reader
 
 from benchmarks.scoreboard.bench import Bench
 from benchmarks.scoreboard.rows import Figure, Figures, Row
-from specmap_cli.exports.routes import is_way, routes
+from specmap_cli.exports.routes import routes
 from specmap_cli.exports.table import export_map
 from specmap_cli.layout.pose_graph import read_g2o
 from specmap_cli.maps.store import Map, read_map
+from specmap_cli.topology.navigation import is_way
 from tests.exports.route_server import load
 
 _CLOSE_M = 1e-3  # of all ways together: each corner is rounded to a micrometre

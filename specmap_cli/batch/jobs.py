@@ -35,6 +35,7 @@ from specmap_cli.batch.records import Command, Job, Plan
 from specmap_cli.batch.sources import Found, logs_at
 from specmap_cli.batch.steps import steps_of
 from specmap_cli.core.errors import SETTING, UsageError
+from specmap_cli.core.text import quoted
 from specmap_cli.core.toml import TomlFormat, UnfitError, unless
 
 # Files that a batch writes beside the folders of its jobs.
@@ -90,7 +91,7 @@ class _Names:
                 "expected letters, digits, dots, dashes and underscores, a letter or digit first: "
                 "it names a folder"
             )
-            raise UsageError(f"name is {name!r:.60}", hint)
+            raise UsageError(f"name is {quoted(name)}", hint)
         if name.lower() in self._taken:
             whose = "a file of the batch's" if name.lower() in BESIDE_JOBS else "another job's"
             raise UsageError(f"name: {name} is {whose}, too", "choose another")

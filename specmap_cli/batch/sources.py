@@ -27,6 +27,7 @@ from specmap_cli.batch.places import PlaceError, path_at, reaching, store_at
 from specmap_cli.batch.records import InputRecord, Job
 from specmap_cli.batch.steps import JOB
 from specmap_cli.core.errors import LogError, SpecmapError, UsageError
+from specmap_cli.core.text import quoted
 from specmap_cli.maps.filenames import TOPOLOGY
 
 _SUFFIXES = {".mcap", ".bag", ".db3"}
@@ -301,7 +302,7 @@ def _files_in_store(url: str) -> Iterator[Source]:
             name = path.removeprefix(root).lstrip("/") or path.rsplit("/", 1)[-1]
             if ".." in name.split("/") or "\0" in name:  # a store allows what no directory does
                 raise LogError(
-                    f"{name!r:.60}: a name that leads out of the log", "rename it", where=url
+                    f"{quoted(name)}: a name that leads out of the log", "rename it", where=url
                 )
             tag = next((str(info[each]) for each in _TAGS if info.get(each)), None)
             identity = f"{info.get('size')} {tag or system.ukey(path)}"

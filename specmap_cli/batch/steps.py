@@ -8,6 +8,7 @@ from pathlib import Path
 
 from specmap_cli.batch.records import COMMANDS, Command, Meaning, Plan, Step
 from specmap_cli.core.errors import UsageError
+from specmap_cli.core.text import quoted
 from specmap_cli.core.toml import choice
 
 # What lies in the folder of a job.
@@ -40,7 +41,7 @@ def steps_of(plan: Plan, base: Path) -> tuple[Step, ...]:
     choices = f"choose from {', '.join(COMMANDS)}"
     for name in [*plan.steps, *plan.options]:
         if name not in COMMANDS:
-            raise UsageError(f"{name!r:.60}: no such step", choices)
+            raise UsageError(f"{quoted(name)}: no such step", choices)
     if not plan.steps:
         raise UsageError("steps: empty", choices)
     for place, command in enumerate(plan.steps):
@@ -109,7 +110,9 @@ def _made(command: Command, plan: Plan, base: Path) -> tuple[list[Step], list[st
     others = tuple(each for each in options if each not in formats)
     for each in formats:
         if not _FILE_NAME.fullmatch(each.removeprefix(_FORMAT)):
-            raise UsageError(f"no format has the name {each!r:.60}", where="options.export.format")
+            raise UsageError(
+                f"no format has the name {quoted(each)}", where="options.export.format"
+            )
     steps = [Step(command, (*others, each), inputs) for each in formats]
     return steps, [*map(_export_name, steps), *outputs]
 
@@ -129,13 +132,13 @@ def _given(command: Command, plan: Plan, base: Path) -> Iterator[tuple[str, Mean
         for each in value if several and isinstance(value, list) else [value]:
             if meaning == "flag":
                 if not isinstance(each, bool):
-                    raise UsageError(f"{place} is {each!r:.60}", "expected true or false")
+                    raise UsageError(f"{place} is {quoted(each)}", "expected true or false")
                 if each:
                     yield f"--{name}", meaning
                 continue
             if isinstance(each, bool) or not isinstance(each, str | int | float):
                 many = " or a list of them" if several else ""
-                raise UsageError(f"{place} is {each!r:.60}", f"expected a text or a number{many}")
+                raise UsageError(f"{place} is {quoted(each)}", f"expected a text or a number{many}")
             text = str(each)
             if meaning == "input":
                 path = base / text
@@ -144,7 +147,7 @@ def _given(command: Command, plan: Plan, base: Path) -> Iterator[tuple[str, Mean
                 text = str(path.absolute())
             elif meaning == "output" and not _FILE_NAME.fullmatch(text):
                 raise UsageError(
-                    f"{place} is {each!r:.60}",
+                    f"{place} is {quoted(each)}",
                     "expected the bare name of a file: it goes into the job's folder",
                 )
             yield f"--{name}={text}", meaning

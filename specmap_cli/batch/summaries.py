@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 from urllib.parse import quote
 
-from specmap_cli.batch.records import JobRecord
+from specmap_cli.batch.records import JobRecord, Kind
 from specmap_cli.batch.steps import LOG_TEXT, MAP, REPORT
 from specmap_cli.core.tables import Case, csv_text, junit, markdown_table, markdown_text
 from specmap_cli.core.text import counted
@@ -40,6 +40,19 @@ _HEADS = (
     ("MB", "number"),
     ("tries", "number"),
 )
+# What to do about a job that failed, by the kind of its failure.
+_ADVICE: Mapping[Kind, str] = {
+    "log": "see what `specmap info --check` says of the recording",
+    "no-result": "see what `specmap info` says of the recording: its scans do not fit together",
+    "rule": "look at the report; change the rule if the map is right",
+    "settings": "mend the option, and run the batch again",
+    "memory": "run the batch again with a larger --memory-limit",
+    "time": "run the batch again with a larger --time-limit",
+    "place": "make room, or bring the store within reach, and run the batch again",
+    "worker": "run the batch again: its worker was lost",
+    "bug": "report it, with the file log",
+}
+_FIRST = ("failed", "poor", "doubtful")  # results that somebody must look at, above all others
 
 Value = str | int | float | None
 Row = Mapping[str, Value]
@@ -216,7 +229,7 @@ def _section(title: str, rows: Sequence[Row], columns: Sequence[str]) -> list[st
 
 
 def as_html(rows: Sequence[Row], records: Mapping[str, JobRecord]) -> bytes:
-    """The page; links go to the folders beside it."""
+    """The page, what failed first; links go to the folders beside it."""
     entries = []
     for row in rows:
         record = records.get(str(row["name"]))
@@ -226,10 +239,13 @@ def as_html(rows: Sequence[Row], records: Mapping[str, JobRecord]) -> bytes:
             "row": row,
             "result": (row["state"] == "done" and row["verdict"]) or row["state"],
             "folder": f"{base}/{MAP}/" if has_map else None,
+            "advice": _ADVICE[record.kind] if record is not None and record.kind else None,
         }
         for part, name in (("picture", _OVERVIEW), ("report", REPORT), ("log", LOG_TEXT)):
             entry[part] = f"{base}/{quote(name)}" if name in files else None
         entries.append(entry)
+    ranks = {result: rank for rank, result in enumerate(_FIRST)}
+    entries.sort(key=lambda entry: ranks.get(entry["result"], len(ranks)))  # then by name
     states, verdicts = (Counter(row[column] for row in rows) for column in ("state", "verdict"))
     metres = total(rows, "path_m")
     context = {

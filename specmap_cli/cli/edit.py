@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from specmap_cli.cli.options import Common, MapDirectory, Overwrite, Settings, output, values_of
+from specmap_cli.cli.options import Bounds, Common, MapDirectory, Overwrite, output, values_of
 from specmap_cli.cli.targets import keep_inputs
 from specmap_cli.core.errors import UsageError
 
@@ -84,7 +84,7 @@ def edit(
     *,
     said: Said,
     changed: Changed,
-    settings: Settings,
+    settings: Bounds,
     common: Common,
 ) -> None:
     """Name submaps, move borders, forbid doors.

@@ -10,6 +10,7 @@ import typer
 
 from specmap_cli.cli.options import (
     WRITTEN,
+    Bounds,
     Common,
     Logs,
     LogSettings,
@@ -142,7 +143,7 @@ def check(
     ] = None,
     overwrite: Overwrite = False,
     *,
-    settings: Settings,
+    settings: Bounds,
     common: Common,
 ) -> None:
     """Check a map by rules; exit code 5 when it breaks one.
@@ -199,7 +200,7 @@ def history(
     ] = "UTC",
     overwrite: Overwrite = False,
     *,
-    settings: Settings,
+    settings: Bounds,
     common: Common,
 ) -> None:
     """Tell which rooms were visited how often, and what changed when.
@@ -239,7 +240,7 @@ def report(
     ] = None,
     overwrite: Overwrite = False,
     *,
-    settings: Settings,
+    settings: Bounds,
     common: Common,
 ) -> None:
     """Write a page about a map, for any browser.
@@ -282,7 +283,7 @@ def export(
     out: Annotated[Path, output("File to write.")],
     overwrite: Overwrite = False,
     *,
-    settings: Settings,
+    settings: Bounds,
     common: Common,
 ) -> None:
     """Write a map in the format of another tool.

@@ -118,16 +118,9 @@ class Common:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Settings:
-    """The settings of a run: flags over the file over the preset over the defaults."""
+class Bounds:
+    """The settings of a command for which only bounds of its inputs count, such as `limits`."""
 
-    preset: Annotated[
-        str | None,
-        typer.Option(
-            envvar="SPECMAP_PRESET",
-            help="default: what measures best; paper: the paper's own choices.",
-        ),
-    ] = None
     config: Annotated[
         Path | None,
         typer.Option(
@@ -149,13 +142,8 @@ class Settings:
         """The configuration in force; `flags` as for `overrides`. UsageError for a wrong one."""
         from specmap_cli.core.config import load_config
 
-        return load_config(self.config, self.preset, self.overrides(flags))
-
-    def of_map(self, stored: Map) -> Config:
-        """Those that a map was built with, changed by these; UsageError for a wrong one."""
-        from specmap_cli.pipelines.localizer import settings_for
-
-        return settings_for(stored, self.overrides(), self.config, self.preset)
+        preset = self.preset if isinstance(self, Settings) else None
+        return load_config(self.config, preset, self.overrides(flags))
 
     def overrides(self, flags: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """The settings of `--set` and of the flags, nested.
@@ -183,6 +171,25 @@ class Settings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Settings(Bounds):
+    """The settings of a run: flags over the file over the preset over the defaults."""
+
+    preset: Annotated[
+        str | None,
+        typer.Option(
+            envvar="SPECMAP_PRESET",
+            help="default: what measures best; paper: the paper's own choices.",
+        ),
+    ] = None
+
+    def of_map(self, stored: Map) -> Config:
+        """Those that a map was built with, changed by these; UsageError for a wrong one."""
+        from specmap_cli.pipelines.localizer import settings_for
+
+        return settings_for(stored, self.overrides(), self.config, self.preset)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LogSettings(Settings):
     """The settings of a run that reads a log: its topics and frames, too."""
 
@@ -207,7 +214,7 @@ class LogSettings(Settings):
             "log.base_frame": self.base_frame,
             "log.use_odometry": False if self.no_odometry else None,
         }
-        return Settings.overrides(self, {**own, **(flags or {})})
+        return Bounds.overrides(self, {**own, **(flags or {})})
 
 
 def cluster_of(workers: int | None, scheduler: str | None, common: Common) -> Cluster:

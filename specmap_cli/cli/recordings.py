@@ -10,12 +10,12 @@ import typer
 
 from specmap_cli.cli.options import (
     RECORDING,
+    Bounds,
     Common,
     Logs,
     LogSettings,
     Overwrite,
     Resolution,
-    Settings,
     output,
 )
 from specmap_cli.cli.targets import check_files
@@ -66,7 +66,7 @@ def convert(
     out: Annotated[Path | None, output("MCAP to write.")] = None,
     overwrite: Overwrite = False,
     *,
-    settings: Settings,
+    settings: Bounds,
     common: Common,
 ) -> None:
     """Convert a recording of another format to MCAP.
@@ -156,7 +156,7 @@ def simulate(
     *,
     laser: Laser,
     tour: Tour,
-    settings: Settings,
+    settings: Bounds,
     common: Common,
 ) -> None:
     """Record a simulated robot that tours a floor plan.

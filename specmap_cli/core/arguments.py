@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
+from specmap_cli.core.text import quoted
+
 Wanted = TypeVar("Wanted")
 
 Paths = Sequence[Path | str] | Path | str
@@ -15,7 +17,7 @@ Paths = Sequence[Path | str] | Path | str
 def path_of(value: Any, name: str) -> Path:
     """`value` as a path. Raises TypeError naming the argument `name` when it is none."""
     if not isinstance(value, str | os.PathLike):
-        raise TypeError(f"{name}: expected a path (str or Path), found {value!r:.60}")
+        raise TypeError(f"{name}: expected a path (str or Path), found {quoted(value)}")
     return Path(value)
 
 
@@ -24,12 +26,12 @@ def paths_of(value: Any, name: str) -> list[Path]:
     if isinstance(value, str | os.PathLike):
         return [Path(value)]
     if not isinstance(value, Sequence):
-        raise TypeError(f"{name}: expected a path or a sequence of paths, found {value!r:.60}")
+        raise TypeError(f"{name}: expected a path or a sequence of paths, found {quoted(value)}")
     return [path_of(each, name) for each in value]
 
 
 def instance_of(value: Any, kind: type[Wanted], name: str) -> Wanted:
     """`value` if it is of the kind. Raises TypeError naming the argument `name` otherwise."""
     if not isinstance(value, kind):
-        raise TypeError(f"{name}: expected {kind.__name__}, found {value!r:.60}")
+        raise TypeError(f"{name}: expected {kind.__name__}, found {quoted(value)}")
     return value

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from specmap_cli.core.geometry import FloatArray, Pose2, path_length
+from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.json_values import Count, MaybeNan, Motion, Value
 
 IntArray = NDArray[np.int64]
@@ -172,14 +172,10 @@ class Labels:
         for stamp_ns, pose, submap in zip(*columns, strict=True):
             yield stamp_ns, Pose2(*pose), None if submap == NO_SUBMAP else submap
 
-    def driven_m(self, starts: Sequence[int] = ()) -> float:
-        """Metres from keyframe to keyframe, of each recording by itself.
+    def duration_s(self, starts: Sequence[int] = ()) -> float:
+        """Seconds from first keyframe to last, of each recording by itself.
 
         `starts` are the keyframes with which further recordings begin, ascending.
         """
-        return sum(path_length(way) for way in np.split(self.poses, starts))
-
-    def duration_s(self, starts: Sequence[int] = ()) -> float:
-        """Seconds from first keyframe to last, of each recording by itself; `starts` as above."""
         recordings = np.split(self.stamps_ns, starts)
         return sum(float(np.ptp(own)) for own in recordings if len(own)) / _NS

@@ -24,6 +24,7 @@ PACKAGE = Path(__file__).parents[1]
 ENDING = ".schema.json"
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 SETTINGS = "config"  # what `config` prints
+_OF_COMMANDS = {"compare": "comparison"}  # what prints a file that has another name
 
 
 class Described:
@@ -100,7 +101,7 @@ def read_schema(name: str) -> dict[str, Any]:
         from specmap_cli.core.settings import Config  # which stands on this module
 
         return ModelSchema(Config, SETTINGS, 1, "specmap config").document()
-    files = schema_files()
+    name, files = _OF_COMMANDS.get(name, name), schema_files()
     if name not in files:
         raise UsageError(f"no schema {name!r}", f"choose from {', '.join(schema_names())}")
     found: dict[str, Any] = json.loads(files[name].read_text(encoding="utf-8"))

@@ -12,6 +12,7 @@ from typing import Any
 
 _NS = 1_000_000_000
 _DECIMALS = 6
+_QUOTED = 60  # characters of a value in an error
 # An innermost list of numbers over several lines; no string has a line break in JSON.
 _NUMBERS = re.compile(r"\[\n([-+.\deE,\s]+)\]")
 
@@ -119,6 +120,19 @@ def legible(text: str) -> str:
     turn the direction of writing, and what is no Unicode.
     """
     return encodable(_UNSHOWN.sub(lambda match: ascii(match[0])[1:-1], text))
+
+
+def quoted(value: object) -> str:
+    """`value` as Python writes it, at most 60 characters; of a long text the quotation is closed.
+
+    >>> quoted("a" * 99)[-6:]
+    "aa'..."
+    """
+    text = repr(value)
+    if len(text) <= _QUOTED:
+        return text
+    end = text[-1] if isinstance(value, str) else ""
+    return f"{text[: _QUOTED - 3 - len(end)]}{end}..."
 
 
 def encodable(text: str) -> str:

@@ -19,6 +19,7 @@ from pydantic import BaseModel, BeforeValidator, ValidationError
 
 from specmap_cli.core.errors import SpecmapError
 from specmap_cli.core.schemas import meanings
+from specmap_cli.core.text import quoted
 
 Model = TypeVar("Model", bound=BaseModel)
 Keys = tuple[int | str, ...]  # the keys and numbers that lead to a value
@@ -142,14 +143,14 @@ class TomlFormat(Generic[Model]):
             return key, ": is missing", ""
         unfit = finding.get("ctx", {}).get("error")
         if isinstance(unfit, UnfitError):
-            found = f": {unfit.found}" if unfit.found else f" is {value!r:.60}"
+            found = f": {unfit.found}" if unfit.found else f" is {quoted(value)}"
             return key, found, f": {unfit.hint}"
         if kind in self.plainly:
             told = self.plainly[kind]
         elif kind in ("dict_type", "model_type"):
-            return key, f" is {value!r:.60}", f": expected a table [{key}]"
+            return key, f" is {quoted(value)}", f": expected a table [{key}]"
         of_all = kind == "value_error" and isinstance(value, Mapping)  # of no single value in it
-        found = "" if of_all else f", found {value!r:.60}"
+        found = "" if of_all else f", found {quoted(value)}"
         return key, f": {told.removeprefix('Value error, ')}{found}", ""
 
 

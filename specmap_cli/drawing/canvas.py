@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
+import unicodedata
 from functools import cache
 from typing import Any, Literal
 
@@ -30,6 +31,9 @@ _ANGLES = np.linspace(0.0, 2.0 * math.pi, 64, endpoint=False)
 _WAY_ROUND = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
 _ROUND = np.sign(_WAY_ROUND) * np.abs(_WAY_ROUND) ** 0.75
 _FINE = 8
+# Kinds of characters by the names of Unicode: of both directions, numbers, what stands in numbers.
+_KINDS = {"L": "L", "R": "R", "AL": "R", "EN": "N", "AN": "N", "CS": ",", "ES": ","}
+_MIRRORED = str.maketrans("()[]{}<>", ")(][}{><")
 
 
 class Canvas:
@@ -94,6 +98,7 @@ class Canvas:
         bold: bool = False,
     ) -> None:
         """Words of capitals `height` pixels high, centred on `y`."""
+        words = in_visual_order(words)
         shift = {"left": 0.0, "centre": 0.5, "right": 1.0}[align] * text_width(words, height, bold)
         left, base = _near(x - shift), _near(y + height / 2)
         scale, thickness = height / _CAPITALS, text_weight(height, bold)
@@ -123,6 +128,45 @@ class Canvas:
         columns, own_columns = _overlap(left, turned.shape[1], self.image.shape[1])
         window = self.image[rows, columns]
         np.minimum(window, turned[own_rows, own_columns], out=window)
+
+
+def in_visual_order(words: str) -> str:
+    """Words as they stand on a line from its left end to its right, which OpenCV does not see to.
+
+    By the rules of Unicode for a line without marks of direction: what is written from right to
+    left is turned round, numbers and Latin words in it are not. Marks stay behind their letters.
+
+    >>> in_visual_order("lab \u05d0\u05d1 12") == "lab 12 \u05d1\u05d0"
+    True
+    """
+    letters: list[str] = []
+    for letter in words:
+        if letters and unicodedata.bidirectional(letter) == "NSM":
+            letters[-1] += letter
+        else:
+            letters.append(letter)
+    kinds = "".join(_KINDS.get(unicodedata.bidirectional(letter[0]), " ") for letter in letters)
+    if "R" not in kinds:
+        return words
+    line = kinds.replace("N", "").replace(",", "").strip()[0]  # the direction of the whole
+    kinds = re.sub("(?<=N),(?=N)", "N", kinds).replace(",", " ")
+    # numbers behind Latin words go with them, those in the other script keep their own order
+    kinds = re.sub("(?<=L)[ N]*N", lambda it: it[0].replace("N", "L"), f"{line}{kinds}{line}")
+    # what stands between two of one direction has it, too, and else that of the line
+    for at in re.finditer(" +", kinds):
+        before, after = (kinds[k].replace("N", "R") for k in (at.start() - 1, at.end()))
+        own = before if before == after else line
+        kinds = kinds[: at.start()] + own * len(at[0]) + kinds[at.end() :]
+    levels = [1 if kind == "R" else 2 * (kind == "N" or line == "R") for kind in kinds[1:-1]]
+    for place, level in enumerate(levels):
+        if level == 1:
+            letters[place] = letters[place].translate(_MIRRORED)
+    for least in (2, 1):
+        high = "".join("x" if level >= least else " " for level in levels)
+        for run in re.finditer("x+", high):
+            span = slice(run.start(), run.end())
+            letters[span], levels[span] = letters[span][::-1], levels[span][::-1]
+    return "".join(letters)
 
 
 @cache

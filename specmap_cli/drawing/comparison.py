@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,7 +37,7 @@ def render_comparison(
     names: tuple[str, str],
 ) -> Image:
     """What differs between two maps, in the frame of the old one; BGR (H, W, 3)."""
-    both = _laid_over(old, new, old_from_new)
+    both = _laid_over(old, new, old_from_new, found)
     signs: dict[str, tuple[object, Symbol]] = {
         "vanished": (found.vanished, _frame(OLD)),
         "appeared": (found.appeared, _frame(NEW)),
@@ -53,15 +54,15 @@ def render_comparison(
     fills = {_BOTH: _FLOOR, _OLD_ONLY: paler(OLD, _PALE), _NEW_ONLY: paler(NEW, _PALE)}
     sheet.floor(both, fills)
     _draw_walls(sheet, both.grid, old.grid, new.grid, old_from_new)
-    ids = [(outline.centroid, id_, QUIET) for id_, outline in sorted(old.outlines.items())]
+    ids = [(outline.centroid, str(id_), QUIET) for id_, outline in sorted(old.outlines.items())]
     for id_ in found.identity.new:
         centroid = new.outline(id_).centroid
         moved = None if centroid is None else old_from_new.apply(centroid[None])[0]
-        ids.append((moved, id_, NEW))
-    for place, id_, colour in ids:
+        ids.append((moved, f"new {id_}", NEW))  # the old map may have that number, too
+    for place, words, colour in ids:
         if place is not None:
             x, y = sheet.pixels(place[None])[0]
-            sheet.canvas.text(x, y, str(id_), _ID_LETTERS, colour, "centre", bold=True)
+            sheet.canvas.text(x, y, words, _ID_LETTERS, colour, "centre", bold=True)
     for things, colour in ((found.vanished, OLD), (found.appeared, NEW)):
         for one in things:  # in a box that leaves their walls to be seen
             away = one.corners - one.centre
@@ -75,8 +76,11 @@ def render_comparison(
     return sheet.canvas.image
 
 
-def _laid_over(old: Regions, new: Regions, old_from_new: BentMotion) -> Regions:
-    """Both maps on one grid in the frame of the old one; who saw each free cell is its owner."""
+def _laid_over(old: Regions, new: Regions, old_from_new: BentMotion, found: Differences) -> Regions:
+    """Both maps on one grid in the frame of the old one; who saw each free cell is its owner.
+
+    Under a thing that map has the cells which shows the thing: the floor there is in the other one.
+    """
     cell_m = old.grid.resolution
     corners = _corners(new.grid)
     reach = np.concatenate([_corners(old.grid), old_from_new.rigid.apply(corners)])
@@ -93,6 +97,15 @@ def _laid_over(old: Regions, new: Regions, old_from_new: BentMotion) -> Regions:
     owner[free_new & (one != UNKNOWN)] = _BOTH
     owner[free_old & (other == UNKNOWN)] = _OLD_ONLY
     owner[free_new & (one == UNKNOWN)] = _NEW_ONLY
+    for things, floor, thing in (
+        (found.vanished, _NEW_ONLY, _OLD_ONLY),
+        (found.appeared, _OLD_ONLY, _NEW_ONLY),
+    ):
+        for each in things:
+            under = np.zeros(owner.shape, dtype=np.uint8)
+            ring = canvas.cells_of(each.corners)[:, ::-1].astype(np.int32)
+            cv2.fillConvexPoly(under, ring, (1.0,))
+            owner[(under > 0) & (owner == floor)] = thing
     cells = np.where(owner != NOBODY, FREE, np.where((one | other) == UNKNOWN, UNKNOWN, OCCUPIED))
     return Regions(GridMap(cells.astype(np.uint8), cell_m, canvas.origin), owner, {})
 

@@ -53,12 +53,12 @@ def render_overview(
         away = np.linalg.norm(own - node, axis=1)
         if len(own) and away.min() > _STRAY_M:
             nodes[id_] = np.asarray(own[np.argmin(away)])
-    _draw_graph(sheet, topology, nodes, fills)
-    if len(places):
-        first, last = sheet.pixels(places[[0, -1]])
-        symbols.start(sheet.canvas, first)
-        symbols.end(sheet.canvas, last)
-    for place in sheet.pixels(np.array(warnings).reshape(-1, 2)):
+    ends = sheet.pixels(places[[0, -1]] if len(places) else places)
+    doubts = sheet.pixels(np.array(warnings).reshape(-1, 2))
+    _draw_graph(sheet, topology, nodes, fills, np.concatenate([ends, doubts]))
+    for place, mark in zip(ends, (symbols.start, symbols.end), strict=False):
+        mark(sheet.canvas, place)
+    for place in doubts:
         symbols.warning(sheet.canvas, place)
     scans = sum(log.scans for log in logs)
     way_m = driven_m(logs, labels)
@@ -110,13 +110,18 @@ def _draw_graph(
     topology: TopologicalMap,
     nodes: Mapping[int, FloatArray],
     fills: Mapping[int, Colour],
+    marks: FloatArray | None = None,
 ) -> None:
-    """Doors, links along their ways or through their crossings, then a badge on each submap."""
+    """Doors, links along their ways or through their crossings, then a badge on each submap.
+
+    Badges keep clear of `marks` (N, 2), pixels at which something else will be drawn.
+    """
     if not nodes:
         return
     driven = any(door.driven for door in topology.doors)  # nobody drove through a finished map
     ids = sorted(nodes)
-    centres = spread(sheet.pixels(np.array([nodes[id_] for id_ in ids])), symbols.BADGE_GAP)
+    centres = sheet.pixels(np.array([nodes[id_] for id_ in ids]))
+    centres = spread(centres, symbols.BADGE_GAP, marks)
     at = dict(zip(ids, centres, strict=True))
     for door in topology.doors:  # below the links, which lead through them, and the ids
         symbols.door(sheet.canvas, sheet.pixels(np.array(door.sides)), door.driven or not driven)
@@ -154,13 +159,18 @@ def drawn_as(topology: TopologicalMap, edge: Edge) -> symbols.LinkKind:
     return "narrow" if looked_for and edge.path is None else edge.kind
 
 
-def spread(centres: FloatArray, gap: float) -> FloatArray:
-    """`centres` (N, 2) moved apart, as little as it takes, until none are nearer than `gap`."""
-    moved = centres.copy()
+def spread(centres: FloatArray, gap: float, fixed: FloatArray | None = None) -> FloatArray:
+    """`centres` (N, 2) moved apart, as little as it takes, until none are nearer than `gap`.
+
+    Nor are they nearer to what is `fixed` (M, 2).
+    """
+    count = len(centres)
+    moved = np.concatenate([centres, np.zeros((0, 2)) if fixed is None else fixed])
     for _ in range(_ROUNDS):
         apart = moved[:, None] - moved[None]
         distance = np.linalg.norm(apart, axis=-1)
         np.fill_diagonal(distance, np.inf)
+        distance[count:, count:] = np.inf
         close = np.argwhere(np.triu(distance < gap - 1e-6))
         if not len(close):
             break
@@ -168,10 +178,11 @@ def spread(centres: FloatArray, gap: float) -> FloatArray:
             way = moved[i] - moved[j]
             length = float(np.linalg.norm(way))
             step = way / length if length > 1e-9 else np.array([0.0, 1.0])
-            push = 0.5 * max(0.0, gap - length) * step
-            moved[i] += push
-            moved[j] -= push
-    return moved
+            push = max(0.0, gap - length) * step
+            share = 1.0 if j >= count else 0.5
+            moved[i] += share * push
+            moved[j] -= (1.0 - share) * push
+    return moved[:count]
 
 
 def _headline(logs: Sequence[LogInfo], topology: TopologicalMap) -> str:

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from itertools import count, pairwise
 from typing import Literal
 
-import networkx as nx
 import numpy as np
 
 from specmap_cli.core.errors import MapError
@@ -22,7 +21,7 @@ from specmap_cli.core.progress import Progress
 from specmap_cli.core.text import counted
 from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.store import Map
-from specmap_cli.topology.navigation import crossing_of
+from specmap_cli.topology.navigation import crossing_of, is_way, parts
 from specmap_cli.topology.topological_map import Door, Edge
 
 WaypointKind = Literal["anchor", "door", "bend"]
@@ -58,20 +57,6 @@ class Routes:
 
     waypoints: tuple[Waypoint, ...]
     legs: tuple[Leg, ...]
-
-
-def is_way(edge: Edge) -> bool:
-    """Whether a robot can and may drive along a link."""
-    return edge.path is not None and len(edge.path) > 1 and not edge.forbidden
-
-
-def parts(record: TopologyRecord) -> list[list[int]]:
-    """Submap ids by the parts that ways join, the largest first, then the one with the least id."""
-    graph = nx.Graph()
-    graph.add_nodes_from(node.id for node in record.nodes)
-    graph.add_edges_from((edge.source, edge.target) for edge in record.edges if is_way(edge))
-    found = [sorted(part) for part in nx.connected_components(graph)]
-    return sorted(found, key=lambda part: (-len(part), part))
 
 
 def routes(record: TopologyRecord) -> Routes:
@@ -165,7 +150,7 @@ def check_routes(stored: Map, progress: Progress) -> None:
             why = "it has one submap: record a drive through more rooms, or cut it with "
             why += "`specmap edit --split`"
         elif any(edge.forbidden and edge.corners for edge in record.edges):
-            why = "those that there are were forbidden: allow one with `specmap edit`"
+            why = "those that there are were forbidden: allow one with `specmap edit --undo`"
         else:
             why = f"all are too narrow for a robot of {radius:g} m radius: build the map again "
             why += "with a smaller ways.robot_radius_m, if the robot is smaller"
@@ -192,7 +177,7 @@ def _warnings(record: TopologyRecord) -> list[str]:
     if unanchored:
         noun = "submap" if len(unanchored) == 1 else "submaps"
         found.append(f"no place to stand in {noun} {_few(unanchored)}: left out")
-    apart = parts(record)
+    apart = parts([node.id for node in record.nodes], record.edges)
     if len(apart) > 1:
         groups = "; ".join(map(_few, apart[:_MOST]))
         more = f"; and {len(apart) - _MOST} more" if len(apart) > _MOST else ""

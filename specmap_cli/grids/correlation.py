@@ -18,7 +18,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import scipy  # scipy.fft takes a fifth of a second to load: it is, when it is first used
 from numpy.typing import NDArray
 
 
@@ -40,19 +39,24 @@ class Target:
         Points that reach r cells to every side need 2 r of them.
         """
         _, height, width = layers.shape
-        shape = (
-            int(scipy.fft.next_fast_len(height + padding[0], real=True)),
-            int(scipy.fft.next_fast_len(width + padding[1], real=True)),
-        )
-        return cls(scipy.fft.rfft2(layers, shape), shape, (height, width))
+        shape = _fast(height + padding[0]), _fast(width + padding[1])
+        return cls(np.fft.rfft2(layers, shape), shape, (height, width))
 
     def correlate(self, pictures: NDArray[Any]) -> NDArray[Any]:
         """(shape) sum over the layers of the product with `pictures` (K, *shape), at every shift.
 
         Row and column of the result are the shift in cells, modulo `shape`.
         """
-        product = self.spectrum * np.conj(scipy.fft.rfft2(pictures))
-        return np.asarray(scipy.fft.irfft2(product.sum(axis=0), self.shape))
+        product = self.spectrum * np.conj(np.fft.rfft2(pictures))
+        sums = np.fft.irfft2(product.sum(axis=0), self.shape, norm="forward")
+        return np.asarray(sums * (1.0 / (self.shape[0] * self.shape[1])))
+
+
+def _fast(length: int) -> int:
+    """The next length that is a product of 2, 3 and 5: of these a transform is quick."""
+    while 30**32 % length:  # no picture is so long that it had more than 32 of one of them
+        length += 1
+    return length
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,6 @@ from pydantic import Field
 
 from specmap_cli.core.arrays import runs
 from specmap_cli.core.errors import UsageError
-from specmap_cli.core.geometry import path_length
 from specmap_cli.core.json_values import Amount, Count, Measured, Number, Stamp
 from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels
 from specmap_cli.core.schemas import ModelSchema
@@ -148,12 +147,11 @@ class Tour:
     visits: tuple[Visit, ...]
 
 
-def tour_of(keyframes: Labels, rooms: IntArray, driven_m: float | None = None) -> Tour:
+def tour_of(keyframes: Labels, rooms: IntArray, driven_m: float) -> Tour:
     """The tour of one recording's keyframes, of which `rooms` (n,) holds the room of each.
 
     A keyframe in no room has NO_SUBMAP. A visit lasts until the scan with which the next begins, so
-    that no time is lost between two rooms. `driven_m` is known of a recording some of whose
-    keyframes were dropped.
+    that no time is lost between two rooms.
     """
     stamps = keyframes.stamps_ns.tolist()
     spans = runs(rooms)
@@ -162,7 +160,6 @@ def tour_of(keyframes: Labels, rooms: IntArray, driven_m: float | None = None) -
         for start, end in spans
         if rooms[start] != NO_SUBMAP
     )
-    driven_m = path_length(keyframes.poses) if driven_m is None else driven_m
     return Tour(stamps[0], stamps[-1], driven_m, visits)
 
 

@@ -108,7 +108,8 @@ class Heard(NamedTuple):
 class OdometryListener:
     """The odometry of one pass over a log: messages in, the base at the stamps of scans out.
 
-    `poses` is what was heard so far, `heard` how many poses that were, `last` the last of them.
+    `poses` is what was heard so far, `heard` how many poses that were, `last` the last of them,
+    `renamed` how many had other frames than the first, which no transform joins.
     """
 
     def __init__(self, selection: Selection) -> None:
@@ -116,6 +117,8 @@ class OdometryListener:
         self.poses = OdometryBuffer()
         self.heard = 0
         self.last: Heard | None = None
+        self.renamed = 0
+        self._frames: list[tuple[str, str]] = []  # (parent, child) of the first, and of another
         self._tree = selection.tree.copy()
         self._chain = frozenset(self._tree.ancestors(selection.base_frame))
 
@@ -127,11 +130,13 @@ class OdometryListener:
         absurd: list[str] = []
         if selection.odometry == "topic":
             record = decode_odometry(message)
-            odom_from_base: FloatArray | None = record.parent_from_child
+            odom_from_base, child_from_base = record.parent_from_child, None
             if record.child and record.child != base:
                 child_from_base = self._tree.lookup(record.child, base)
-                if child_from_base is not None:
-                    odom_from_base = record.parent_from_child @ child_from_base
+            if child_from_base is not None:
+                odom_from_base = record.parent_from_child @ child_from_base
+            joined = record.child == base or child_from_base is not None
+            self._compare((record.parent, record.child), joined=joined)
             heard.append((record.stamp_ns, odom_from_base))
         else:
             transforms = decode_transforms(message)
@@ -149,6 +154,24 @@ class OdometryListener:
                 self.poses.add(known_ns, self.last.pose)
         if absurd:
             raise BadMessageError(f"the transform of {absurd[0]!r} is not finite or absurd")
+
+    def _compare(self, frames: tuple[str, str], *, joined: bool) -> None:
+        """Count odometry between other frames than those of the first message."""
+        self._frames = self._frames or [frames]
+        if frames != (first := self._frames[0]) and not (joined and frames[0] == first[0]):
+            self._frames = [first, *self._frames[1:], frames][:2]
+            self.renamed += 1
+
+    @property
+    def notes(self) -> list[str]:
+        """What to know of the frames of the odometry; nothing where they stay the same."""
+        if not self.renamed:
+            return []
+        first, other = (f"{parent!r} -> {child!r}" for parent, child in self._frames)
+        return [
+            f"the odometry moves {legible(first)}, but in {self.renamed:,} later messages other "
+            f"frames, such as {legible(other)}: they are taken to be the same"
+        ]
 
     def own(self, stamp_ns: int, time_ns: int) -> Pose2 | None:
         """odom_from_base of a scan with these header and recorder's times, by the order of the log.
@@ -216,6 +239,7 @@ class SweepStream:
         self.selection: Selection = select(log, config)
         self.counts = dict.fromkeys(_COUNTED, 0)
         self.ceiling, self.own_body = Ceiling(), OwnBody()
+        self._odometry = OdometryListener(self.selection)
 
     @property
     def expected(self) -> int:
@@ -231,12 +255,14 @@ class SweepStream:
             if self.counts[key] > _LEAST_SHARE.get(key, 0.0) * self.counts["scans"]
         ]
         assumed = [legible(line) for line in self.selection.warnings]
+        found += self._odometry.notes
         return [*self.log.damage, *assumed, *found, *self.ceiling.notes, *self.own_body.notes]
 
     def __iter__(self) -> Iterator[Sweep]:
         """The sweeps in the order of the log."""
         self.counts = counts = dict.fromkeys(_COUNTED, 0)
-        chosen, odometry = self.selection, OdometryListener(self.selection)
+        chosen = self.selection
+        self._odometry = odometry = OdometryListener(chosen)
         self.ceiling, self.own_body = Ceiling(chosen.ceilings_m), OwnBody()
         leveller = ScanLeveller(chosen.base_from_laser, self.ceiling, self.own_body)
         sweeps = _SweepMaker(chosen, self.config, counts, leveller)

@@ -28,6 +28,7 @@ from specmap_cli.core.errors import MapError
 from specmap_cli.core.files import read_bytes
 from specmap_cli.core.json_values import PropertyValue, Record, point
 from specmap_cli.core.settings import LimitsConfig
+from specmap_cli.core.text import quoted
 from specmap_cli.core.toml import Keys, TomlFormat, toml_value
 from specmap_cli.maps import filenames
 from specmap_cli.topology.topological_map import BorderEdit, Merge, Said, Split, SubmapKind
@@ -54,7 +55,7 @@ def _by_id(tables: Any) -> Any:
         raise ValueError("must be tables such as [submaps.3]")
     for key in tables:
         if not _is_id(key) and re.fullmatch(r"0|[1-9]\d{0,8}", str(key)) is None:
-            raise ValueError(f"{key!r:.60} is no id of a submap: expected a number, as in 3")
+            raise ValueError(f"{quoted(key)} is no id of a submap: expected a number, as in 3")
     return {int(key): table for key, table in tables.items()}
 
 

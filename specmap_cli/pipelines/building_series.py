@@ -20,6 +20,7 @@ from specmap_cli.maps.schema import NodeRecord
 from specmap_cli.maps.store import Map
 from specmap_cli.pipelines.compare import Comparison, compare_maps
 from specmap_cli.topology.graph import settle_labels
+from specmap_cli.topology.topological_map import ways_m
 
 _MOST = 0.5  # of the keyframes of a submap
 
@@ -148,7 +149,7 @@ class BuildingSeries:
     def _tours(self, stored: Map, labels: Labels, rooms: IntArray) -> None:
         """Count the recordings that no earlier map of the building was made of."""
         least_m = stored.config.segmentation.region_min_m
-        for log in stored.logs:
+        for log, way_m in zip(stored.logs, ways_m(stored.logs, labels), strict=True):
             recording = log.name, log.start_ns, log.end_ns
             if log.keyframes is None or recording in self._seen:
                 continue
@@ -161,7 +162,7 @@ class BuildingSeries:
             )
             if len(part.stamps_ns):
                 settled = settle_labels(rooms[own], part.poses, least_m)
-                self.tours.append(tour_of(part, settled, log.path_m))
+                self.tours.append(tour_of(part, settled, way_m))
 
 
 def _fits(old: Map, new: Map) -> Comparison | None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import errno
 import os
 import shutil
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -47,6 +47,7 @@ from specmap_cli.pipelines.map_in_making import laid_out_of_stored, quality_of_s
 from specmap_cli.pipelines.reports import EditReport
 from specmap_cli.pipelines.session import Session
 from specmap_cli.segmentation.division import unentered
+from specmap_cli.topology.navigation import parts
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.shapes import kind_of
 from specmap_cli.topology.topological_map import TopologicalMap, default_name
@@ -105,6 +106,8 @@ def edit_map(
         _refuse_unapplied(unapplied, found, requested)
     for line in unapplied:
         progress.note(f"{filenames.EDITS}: not applied: {line}")
+    for line in _surprises(stored.record, topology):
+        progress.warn(line)
     submaps, edges = topology.submaps, topology.edges
     return EditReport(
         out=target,
@@ -114,6 +117,25 @@ def edit_map(
         forbidden=tuple(pair for pair, edge in sorted(edges.items()) if edge.forbidden),
         remade=anew,
     )
+
+
+def _surprises(before: TopologyRecord, after: TopologicalMap) -> Iterator[str]:
+    """What a person may not have meant, where it is new: rooms cut off, one name given twice."""
+    edges = after.edges
+    known = {(edge.source, edge.target) for edge in before.edges if edge.forbidden}
+    if any(edge.forbidden and pair not in known for pair, edge in edges.items()):
+        allowed = parts(after.submaps, [replace(edge, forbidden=False) for edge in edges.values()])
+        cut = [part for part in parts(after.submaps, edges.values())[1:] if part not in allowed]
+        if cut:
+            noun = "submap" if sum(map(len, cut)) == 1 else "submaps"
+            which = "; ".join(", ".join(map(str, part)) for part in cut)
+            yield f"no route leads to {noun} {which} any more: every way there is forbidden"
+    names = {id_: submap.name or default_name(id_) for id_, submap in after.submaps.items()}
+    was = {node.id: node.name for node in before.nodes}
+    for name in dict.fromkeys(names[id_] for id_ in sorted(names) if names[id_] != was.get(id_)):
+        of = [id_ for id_ in sorted(names) if names[id_] == name]
+        if len(of) > 1:
+            yield f"{len(of)} submaps are called {name!r}: {', '.join(map(str, of))}"
 
 
 def _drawn(stored: Map, edits: Edits) -> Drawn:

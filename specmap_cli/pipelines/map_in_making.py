@@ -16,7 +16,7 @@ import numpy as np
 
 from specmap_cli.core.errors import InputError, MapError
 from specmap_cli.core.findings import UNDOUBTED, Finding, Quality
-from specmap_cli.core.geometry import FloatArray, path_length
+from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import BoolArray, Closure, IntArray, Labels, Trajectory
 from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import GridMap
@@ -41,6 +41,7 @@ from specmap_cli.topology.topological_map import (
     BorderEdit,
     LogInfo,
     TopologicalMap,
+    driven_m,
     fences_of,
     starts_of,
 )
@@ -129,26 +130,6 @@ class LaidOut:
         return starts_of(self.logs)
 
     @property
-    def ways_m(self) -> list[float]:
-        """Metres driven in each recording, over its keyframes and over lost scans.
-
-        Between keyframes a robot at rest would seem to move: its poses shiver.
-        """
-        way = self.trajectory
-        counts = np.isin(way.stamps_ns, self.labels.stamps_ns)
-        if way.lost is not None:
-            counts |= way.lost
-        starts = np.cumsum([log.scans for log in self.logs])[:-1]
-        parts = np.split(np.arange(len(counts)), starts)
-        return [path_length(way.poses[part][counts[part]]) for part in parts]
-
-    @property
-    def path_m(self) -> float:
-        """Metres driven in all recordings; of one that lost keyframes it is known from before."""
-        pairs = zip(self.ways_m, self.logs, strict=True)
-        return sum(way if log.path_m is None else log.path_m for way, log in pairs)
-
-    @property
     def quality(self) -> Quality:
         """What is thought of the map."""
         evidence = Evidence(
@@ -189,7 +170,7 @@ class FinishedMap:
             "edges": len(topology.edges),
             "doors": len(topology.doors),
             "merges": sum(closure.merged for closure in topology.closures),
-            "path_m": round(laid.path_m, 3),
+            "path_m": round(driven_m(laid.logs, laid.labels), 3),
         }
 
     @property

@@ -28,7 +28,7 @@ from specmap_cli.layout.joining import tracked_over_gaps, without_keyframes
 from specmap_cli.layout.trajectory import propagated_places
 from specmap_cli.pipelines.map_in_making import LaidOut, gaps_in
 from specmap_cli.pipelines.session import Session
-from specmap_cli.topology.topological_map import Merge, heirs
+from specmap_cli.topology.topological_map import Merge, heirs, ways_m
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,11 +125,11 @@ def _without(store: KeyframeStore, laid: LaidOut, of: IntArray, gone: BoolArray)
     breaks = {row[number]: bridge for number, bridge in laid.breaks.items()}
     labels, placed = laid.labels, laid.layout.poses
     logs = []
-    for log, way_m in zip(laid.logs, laid.ways_m, strict=True):
+    for log, way_m in zip(laid.logs, ways_m(laid.logs, laid.labels), strict=True):
         if log.keyframes is not None:
             first, last = (row[one] for one in log.keyframes)
             whole = last - first == log.keyframes[1] - log.keyframes[0]
-            path_m = log.path_m if whole else log.path_m or way_m
+            path_m = log.path_m if whole else way_m
             log = replace(log, keyframes=(first, last), path_m=path_m)
         logs.append(log)
     gaps = gaps_in(placed[numbers], logs)

@@ -73,7 +73,7 @@ def html_page(
         lstrip_blocks=True,
     )
     environment.policies["json.dumps_kwargs"] = {"sort_keys": True, "separators": (",", ":")}
-    usual = (clock, lasting, moment, stamp, percent, figure, feature_words)
+    usual = (clock, lasting, moment, stamp, percent, figure, letter, feature_words)
     environment.filters.update({each.__name__: each for each in usual}, **(filters or {}))
     script = _joined(package, "scripts", scripts)
     digest = hashlib.sha256(script.encode("utf-8")).digest()
@@ -129,6 +129,12 @@ def moment(stamp_s: float | None) -> str:
 def stamp(stamp_ns: int) -> str:
     """A stamp in nanoseconds as `moment` says it."""
     return moment(stamp_seconds(stamp_ns))
+
+
+def letter(number: int) -> str:
+    """`A` for 1, `Z` for 26, `AA` for 27: the sign of a finding, where submaps have numbers."""
+    rest, last = divmod(number - 1, 26)
+    return (letter(rest) if rest else "") + chr(ord("A") + last)
 
 
 def percent(share: float | None) -> str:

@@ -10,6 +10,7 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
+import networkx as nx
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2
@@ -148,6 +149,20 @@ def walled(regions: Regions, lines: Iterable[Line]) -> Regions:
     cells = np.where(walls, np.uint8(OCCUPIED), regions.grid.cells)
     owner = np.where(walls, NOBODY, regions.owner)
     return Regions(replace(regions.grid, cells=cells), owner, regions.outlines)
+
+
+def is_way(edge: Edge) -> bool:
+    """Whether a robot can and may drive along a link."""
+    return edge.path is not None and len(edge.path) > 1 and not edge.forbidden
+
+
+def parts(ids: Iterable[int], edges: Iterable[Edge]) -> list[list[int]]:
+    """Submap ids by the parts that ways join, the largest first, then the one with the least id."""
+    graph = nx.Graph()
+    graph.add_nodes_from(ids)
+    graph.add_edges_from((edge.source, edge.target) for edge in edges if is_way(edge))
+    found = [sorted(part) for part in nx.connected_components(graph)]
+    return sorted(found, key=lambda part: (-len(part), part))
 
 
 _AT_M = 2.0  # a person who points at a door points beside it

@@ -11,7 +11,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
-import numpy as np
 from pydantic import Field
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, path_length
@@ -306,16 +305,20 @@ def starts_of(logs: Sequence[LogInfo]) -> tuple[int, ...]:
     return tuple(log.keyframes[0] for log in logs[1:] if log.keyframes is not None)
 
 
+def ways_m(logs: Sequence[LogInfo], labels: Labels) -> list[float]:
+    """Metres driven in each recording, from keyframe to keyframe; of dropped ones, as was known."""
+    spans = [(0, 0) if log.keyframes is None else log.keyframes for log in logs]
+    return [
+        path_length(labels.poses[first : last + 1]) if log.path_m is None else log.path_m
+        for log, (first, last) in zip(logs, spans, strict=True)
+    ]
+
+
 def driven_m(logs: Sequence[LogInfo], labels: Labels) -> float:
-    """Metres driven from keyframe to keyframe, each recording by itself."""
-    ways = np.split(labels.poses, starts_of(logs))
-    known = [log.path_m for log in logs if log.keyframes is not None]
-    if len(known) != len(ways):
-        return labels.driven_m(starts_of(logs))
-    return sum(
-        path_length(way) if driven is None else driven
-        for way, driven in zip(ways, known, strict=True)
-    )
+    """Metres driven in all recordings: the figure that every command tells of a map."""
+    if any(log.keyframes is not None for log in logs):
+        return sum(ways_m(logs, labels))
+    return path_length(labels.poses)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -331,6 +331,13 @@ def test_the_page_links_what_there_is_and_needs_no_other_file() -> None:
     assert "default-src 'none'" in text
 
 
+def test_what_needs_somebody_stands_first_with_what_to_do() -> None:
+    text = page(result("a"), failed("z"), waiting="b")
+    assert re.findall('<tr data-name="(.)"', text) == ["z", "a", "b"]
+    assert text.count("What to do:") == 1
+    assert "see what `specmap info --check` says of the recording" in text
+
+
 def test_names_reasons_and_warnings_are_text() -> None:
     text = page(result("50% #1?"), failed("b", reason="<script>alert(1)</script>"))
     assert "<script>alert" not in text

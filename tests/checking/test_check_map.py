@@ -85,6 +85,12 @@ def test_the_figures_are_those_of_the_map(house: House) -> None:
     assert figures["area_m2"] > 10.0
 
 
+@pytest.mark.parametrize("damage", [0, 2])
+def test_a_map_of_a_damaged_recording_breaks_a_default_rule(house: House, damage: int) -> None:
+    path = house({**RUN, "counts": {"scans": 80, "lost": 0, "breaks": 0, "damage": damage}})
+    assert ("damage" in broken(path, read_rules(None, against=False))) == (damage > 0)
+
+
 def test_a_figure_that_is_not_known_breaks_its_rule(house: House) -> None:
     path = house({"wall_s": "soon", "memory_mb": None, "counts": {"scans": "many", "lost": 2}})
     rules = Rules("poor", {"lost_share": 1, "memory_mb": 1e9, "breaks": 9}, {"scans_per_s": 0})

@@ -110,6 +110,7 @@ def test_every_schema_is_of_a_command_or_a_file_and_parts_are_the_same_in_all_of
 
 
 def test_a_schema_that_there_is_none_of_and_what_is_not_in_one_are_told(run: Run) -> None:
+    assert run("schema", "compare").out == run("schema", "comparison").out
     said = run("schema", "biuld")
     assert said.code == UsageError.exit_code
     assert said.error.startswith("no schema 'biuld': choose from batch, build, check, ")

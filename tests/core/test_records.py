@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from specmap_cli.core import geometry, records
 from specmap_cli.core.arrays import evenly, first_in_cells, neighbours, runs
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, moved, product, wrap_angle
-from specmap_cli.core.records import Labels, PlanarScan
+from specmap_cli.core.records import PlanarScan
 from tests.casting import keyframe
 from tests.strategies import planar_scans, pose_arrays, poses, seeds
 
@@ -96,17 +96,6 @@ def test_the_laser_stands_where_its_mounting_says(base: Pose2, mounting: Pose2) 
     assert posed.map_from_laser == base @ mounting
     with pytest.raises(FrozenInstanceError):
         posed.lost = True  # type: ignore[misc]
-
-
-@given(pose_arrays())
-def test_the_way_of_keyframes_is_that_from_each_to_the_next(track: np.ndarray) -> None:
-    labels = Labels(
-        stamps_ns=np.arange(len(track)), poses=track, submaps=np.zeros(len(track), dtype=np.int64)
-    )
-    steps = [float(np.linalg.norm(b[:2] - a[:2])) for a, b in itertools.pairwise(track)]
-    assert labels.driven_m() == pytest.approx(sum(steps))
-    if steps:  # nobody drove from one recording to the next
-        assert labels.driven_m([len(track) - 1]) == pytest.approx(sum(steps[:-1]))
 
 
 any_angle = st.floats(-1e4, 1e4, allow_nan=False)

@@ -28,6 +28,7 @@ from specmap_cli.core.text import (
     legible,
     nanoseconds,
     plain,
+    quoted,
     rounded,
     seconds,
     stamp_ns,
@@ -37,6 +38,21 @@ from specmap_cli.core.text import (
 )
 from specmap_cli.core.yaml import read_yaml, yaml_text
 from tests.strategies import few
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [
+        ("short", "'short'"),
+        ("x" * 58, f"'{'x' * 58}'"),
+        ("x" * 59, f"'{'x' * 55}'..."),
+        ("it's " * 20, '"' + ("it's " * 20)[:55] + '"...'),
+        (list(range(99)), repr(list(range(99)))[:57] + "..."),
+    ],
+)
+def test_a_quotation_that_is_cut_is_closed(value: object, shown: str) -> None:
+    assert quoted(value) == shown
+
 
 VALUES = st.recursive(
     st.none() | st.booleans() | st.integers(-(10**9), 10**9) | st.floats(-1e6, 1e6) | st.text(),

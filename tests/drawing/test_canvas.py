@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.drawing.canvas import Alignment, Canvas, text_weight, text_width
+from specmap_cli.drawing.canvas import Alignment, Canvas, in_visual_order, text_weight, text_width
 from specmap_cli.drawing.palette import CLOSURE, INK, TRAVERSED
 from tests.drawing.looking import bounds, inked, near, of_colour
 
@@ -98,6 +98,36 @@ def test_words_are_anchored_where_asked_and_as_wide_as_measured(
     width = text_width(words, 20)  # from pen to pen: the ink keeps a bearing off both, a 1 the most
     assert width - 12 <= right - left <= width + 2
     assert left == pytest.approx(300 - share * width, abs=6)
+
+
+@pytest.mark.parametrize(
+    ("words", "shown"),  # A and B stand for letters that are written from right to left
+    [
+        ("lab 12", "lab 12"),
+        ("AB", "BA"),
+        ("AB 12", "12 BA"),
+        ("lab AB 12", "lab 12 BA"),
+        ("AB lab 3", "lab 3 BA"),
+        ("lab 3 AB", "lab 3 BA"),
+        ("5 A", "A 5"),
+        ("A (2.5)", "(2.5) A"),
+        ("A, B!", "!B ,A"),
+        ("x (AB) y", "x (BA) y"),
+        ("A*B", "BA*"),  # a mark stays behind its letter
+    ],
+)
+@pytest.mark.parametrize("script", [("\u05d0", "\u05d1", "\u05b0"), ("\u0645", "\u0644", "\u064e")])
+def test_words_of_scripts_from_right_to_left_stand_in_their_order(
+    words: str, shown: str, script: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table = str.maketrans(dict(zip("AB*", script, strict=True)))
+    words, shown = words.translate(table), shown.translate(table)
+    assert in_visual_order(words) == shown
+    canvas, as_shown = Canvas(200, 40), Canvas(200, 40)
+    canvas.text(10, 20, words, 12)
+    monkeypatch.setattr("specmap_cli.drawing.canvas.in_visual_order", lambda given: given)
+    as_shown.text(10, 20, shown, 12)
+    np.testing.assert_array_equal(canvas.image, as_shown.image)
 
 
 def test_upright_words_are_lying_ones_turned_about_their_first_letter() -> None:

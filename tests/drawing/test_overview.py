@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import tracemalloc
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -207,6 +208,31 @@ def test_badges_do_not_overlap(count: int, seed: int) -> None:
     np.testing.assert_allclose(moved.mean(axis=0), centres.mean(axis=0), atol=1e-6)
     roomy = np.array([(symbols.BADGE_GAP * k, 5.0 * k) for k in range(count)])
     np.testing.assert_array_equal(spread(roomy, symbols.BADGE_GAP), roomy)
+
+
+@given(st.integers(1, 6), seeds)
+def test_badges_keep_clear_of_marks_which_stay(count: int, seed: int) -> None:
+    centres, marks = np.split(np.random.default_rng(seed).uniform(0, 300, (count + 2, 2)), [count])
+    moved = spread(centres, symbols.BADGE_GAP, marks)
+    gaps = np.linalg.norm(moved[:, None] - marks[None], axis=-1)
+    assert moved.shape == centres.shape
+    if np.linalg.norm(marks[0] - marks[1]) > 2.0 * symbols.BADGE_GAP:  # else one pushes to another
+        assert gaps.min() > symbols.BADGE_RADIUS + 9.0  # half the width of a mark
+
+
+def test_the_number_of_a_submap_is_not_hidden_by_the_end_of_the_way(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    badge = Mock()
+    monkeypatch.setattr(symbols, "badge", badge)
+    driven(np.linspace((1.0, 1.0), (5.0, 1.0), 60))
+    drawn_at = badge.call_args.args[1]
+    place = REGIONS.outline(0).centroid
+    assert place is not None
+    driven(np.array([(1.0, 1.0), place]))  # ends where the number would stand
+    end = places_on(REGIONS, [(float(place[0]), float(place[1]))])[0]
+    assert np.linalg.norm(drawn_at - end) < 2.0
+    assert np.linalg.norm(badge.call_args.args[1] - end) > symbols.BADGE_RADIUS + 9.0
 
 
 def test_a_doubtful_place_is_marked_and_the_title_says_why() -> None:

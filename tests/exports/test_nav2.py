@@ -14,11 +14,11 @@ from scipy.ndimage import distance_transform_edt
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.findings import Finding, Quality
 from specmap_cli.core.progress import Silent
-from specmap_cli.exports.routes import parts
 from specmap_cli.exports.table import export_map
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.store import Map
 from specmap_cli.maps.writing import MapResult
+from specmap_cli.topology.navigation import parts
 from tests.exports.conftest import written
 from tests.exports.route_server import load
 
@@ -107,7 +107,7 @@ def test_narrow_and_forbidden_links_are_left_out_and_told(
     graph = load(tmp_path / "x.geojson")
     assert nx.has_path(graph, 0, 1)
     assert not nx.has_path(graph, 0, 2)
-    assert parts(stored.record) == [[0, 1], [2]]
+    assert parts(stored.ids, stored.record.edges) == [[0, 1], [2]]
 
 
 def test_what_would_mislead_is_a_warning(lived_in: MapResult, tmp_path: Path) -> None:

@@ -149,6 +149,37 @@ def test_odometry_of_another_frame_is_carried_to_the_base(path: Path) -> None:
     assert sweep.odom_from_base == pytest.approx((0.0, -0.5, math.pi / 2))
 
 
+@pytest.mark.parametrize(
+    ("later", "told"),
+    [
+        (("odom", "wheel"), None),  # which a transform joins: it is carried over
+        (("odom", "base_2"), "'odom' -> 'base_2'"),
+        (("odom_2", "base_link"), "'odom_2' -> 'base_link'"),
+    ],
+)
+def test_odometry_that_changes_its_frames_in_the_middle_is_told(
+    path: Path, later: tuple[str, str], told: str | None
+) -> None:
+    with LogWriter(path) as log:
+        log.static_transform("base_link", "wheel", (0.0, 0.0, 0.0), stamp_ns=START)
+        log.static_transform("base_link", "laser", (0.2, 0.0, 0.0), stamp_ns=START)
+        for number in range(6):
+            frames = ("odom", "base_link") if number < 4 else later
+            log.odometry("/odom", *frames, START + number, Pose2(0.0, 0.0, 0.0))
+            log.scan("/scan", "laser", START + number, -1.0, 0.2, np.full(10, 2.0), range_max=8.0)
+    sweeps, stream = sweeps_of(path)
+    assert len(sweeps) == 6
+    said = [line for line in stream.warnings if "other frames" in line]
+    assert said == (
+        [
+            "the odometry moves 'odom' -> 'base_link', but in 2 later messages other frames, "
+            f"such as {told}: they are taken to be the same"
+        ]
+        if told
+        else []
+    )
+
+
 def test_strange_stamps_and_scans_are_survived_and_counted() -> None:
     """Of a topic that changed its type, as when a driver was exchanged, as well."""
     stamps = [1, 2, 2, 5, 4, 6]

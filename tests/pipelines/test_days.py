@@ -123,6 +123,8 @@ def test_the_command_writes_all_of_a_history(
         assert f">{room.name}</th>" in page
     assert page.count('class="room"') == len(building.rooms)
     assert "door closed between" in page
+    for day in building.days:
+        assert f"<small>{day.day[:4]}</small> {day.day[5:]}</th>" in page
     assert "<script" not in page
     assert main(["history", str(week), "-o", str(out), "-q"]) == 2  # only with --overwrite
 

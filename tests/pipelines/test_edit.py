@@ -133,6 +133,16 @@ class TestNames:
         with pytest.raises(UsageError, match=told):
             edit_map(own, RequestedEdits(names={1: "Lab"}), tmp_path / "out")
 
+    def test_one_name_for_two_rooms_is_told_once(self, own: Path) -> None:
+        for names, told in (
+            ({0: "Lab", 1: "Lab"}, [call("2 submaps are called 'Lab': 0, 1")]),
+            ({0: "Lab", 2: "Hall"}, []),
+            ({0: "submap 1", 1: ""}, [call("2 submaps are called 'submap 1': 0, 1")]),
+        ):
+            progress = Mock(Silent)
+            edit_map(own, RequestedEdits(names=names), progress=progress)
+            assert progress.warn.mock_calls == told
+
     def test_a_name_written_into_topology_json_is_a_person_s(self, own: Path) -> None:
         """And edits that the map shows must not be lost unsaid."""
         document = json.loads((own / "topology.json").read_text(encoding="utf-8"))
@@ -247,7 +257,11 @@ class TestForbiddenDoors:
         """And it holds for what the submaps become."""
         room, other = built.rooms[:2]
         pair = tuple(sorted((room, built.corridor)))
-        shut = edit(built.map, {"forbid": [room, built.corridor]}, out=tmp_path / "shut")
+        requested = RequestedEdits(changes=({"forbid": [room, built.corridor]},))
+        progress = Mock(Silent)
+        shut = edit_map(built.map, requested, tmp_path / "shut", progress=progress)
+        told = f"no route leads to submap {room} any more: every way there is forbidden"
+        assert progress.warn.mock_calls == [call(told)]
         stored = read_map(shut.out)
         assert shut.forbidden == (pair,)
         assert not shut.remade

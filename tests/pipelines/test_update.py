@@ -27,6 +27,7 @@ from specmap_cli.pipelines.update import update_map
 from specmap_cli.simulation.simulator import SimulationOptions
 from specmap_cli.topology.identity import BorderChange
 from specmap_cli.topology.regions import NOBODY
+from specmap_cli.topology.topological_map import driven_m
 from tests.flats import QUICK, Mapped, forget_digests
 from tests.pipelines.conftest import day
 
@@ -108,6 +109,8 @@ def test_what_the_second_recording_shows_again_is_let_go_and_said(kept: Kept) ->
     assert any("older keyframes dropped" in line for line in kept.report.lines())
     before, after = kept.old.logs[0], kept.new.logs[0]
     assert after.path_m == pytest.approx(kept.old.run["counts"]["path_m"], abs=0.1)
+    way_m = driven_m(kept.new.logs, kept.new.labels)  # what history, compare and check tell
+    assert kept.new.run["counts"]["path_m"] == pytest.approx(way_m, abs=0.001)
     when = [(log.start_ns, log.end_ns, log.scans) for log in (before, after)]
     assert when[0] == when[1]
 

@@ -131,6 +131,9 @@ def test_submaps_doors_and_findings_are_told_of_wherever_they_are(page: str, rea
     assert "severity-doubtful" in (mark["class"] or "")
     (link,) = (each for each in read.of("button") if each.get("data-finding"))
     assert link["data-finding"] == mark["data-finding"] == "1"  # the gravest comes first
+    assert (mark["aria-label"] or "").startswith("Finding A: ")  # numbers are those of submaps
+    for told in ("A doubtful", "told right : of some of its own scans", "it could be confused."):
+        assert told in read.words
     assert "doubtful" in page
 
 

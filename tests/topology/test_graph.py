@@ -32,14 +32,18 @@ from specmap_cli.topology.regions import divide
 from specmap_cli.topology.topological_map import (
     BorderEdit,
     Break,
+    LogInfo,
     Merge,
     Split,
     Stay,
     TopologicalMap,
+    driven_m,
     fences_of,
     heirs,
+    ways_m,
 )
 from tests.house import closure
+from tests.strategies import pose_arrays
 
 LABELS = st.lists(st.integers(0, 4), min_size=1, max_size=30)
 PAIRS = st.lists(st.tuples(st.integers(0, 12), st.integers(0, 12)), max_size=20)
@@ -459,3 +463,23 @@ def test_heirs_are_what_a_submap_became() -> None:
     assert heirs(5, borders) == {3, 7}
     assert heirs(3, borders) == {3}
     assert heirs(5, borders[1:]) == {3}
+
+
+@given(st.lists(pose_arrays(), min_size=1, max_size=3), st.booleans())
+def test_the_way_of_a_map_is_that_of_its_recordings_from_keyframe_to_keyframe(
+    tracks: list[np.ndarray], dropped: bool
+) -> None:
+    """Nobody drove from one to the next; of a recording that lost keyframes it was kept."""
+    poses, ends = np.concatenate(tracks), np.cumsum([len(track) for track in tracks])
+    labels = Labels(
+        stamps_ns=np.arange(len(poses)), poses=poses, submaps=np.zeros(len(poses), dtype=np.int64)
+    )
+    logs = [
+        LogInfo(f"{end}.bag", keyframes=(end - len(track), end - 1) if len(track) else None)
+        for track, end in zip(tracks, ends.tolist(), strict=True)
+    ]
+    steps = [[float(np.linalg.norm(b[:2] - a[:2])) for a, b in pairwise(track)] for track in tracks]
+    if dropped and len(tracks[0]):
+        logs[0], steps[0] = replace(logs[0], path_m=99.0), [99.0]
+    assert ways_m(logs, labels) == pytest.approx([sum(own) for own in steps])
+    assert driven_m(logs, labels) == pytest.approx(sum(map(sum, steps)))

@@ -46,6 +46,7 @@ ODOM_TOPIC = "/odom"
 
 _KEYWORDS = frozenset({b"FLASER", b"RLASER", b"ROBOTLASER1", b"ODOM"})
 _INSIDE = re.compile(rb"(?:[FR]LASER|ROBOTLASER1|ODOM)(?= [-0-9])")
+_NUMBER = tuple(bytes([byte]) for byte in b"-0123456789")  # what one begins with
 _PARTS = (b"LASER", b"ODOM")  # one of them is in each keyword
 _KEYWORD_BYTES = 12  # of the longest keyword and what ends it
 _FLASER_RANGE_MAX_M = 80.0  # lines do not say: the SICK LMS of these logs gives 81.83 for no return
@@ -85,9 +86,17 @@ class CarmenLine:
 def damaged_keyword(line: bytes) -> str | None:
     """The keyword that a line started with before a byte of it was damaged; None for another line.
 
-    Another digit at the end is no damage: there are more lasers than those read.
+    Another digit at the end is no damage: there are more lasers than those read. Nor is a word that
+    lacks a byte, or has one more, without a number behind it.
     """
+    first, _, rest = line.partition(b" ")
     for keyword in sorted(_KEYWORDS):
+        if abs(len(first) - len(keyword)) == 1 and rest[:1] in _NUMBER:
+            longer, shorter = sorted((first, keyword), key=len, reverse=True)
+            spare = (at for at in range(len(longer)) if longer[:at] + longer[at + 1 :] == shorter)
+            at = next(spare, None)
+            if at is not None and (len(first) < len(keyword) or not first[at : at + 1].isdigit()):
+                return keyword.decode("ascii")
         word = line[: len(keyword)]
         wrong = [old for old, new in zip(keyword, word, strict=False) if old != new]
         if len(word) == len(keyword) and len(wrong) <= 1 and not bytes(wrong).isdigit():

@@ -21,6 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, with_config
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import RecognitionConfig
+from specmap_cli.core.text import quoted
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.trees import (
     CodeArray,
@@ -204,7 +205,7 @@ def booster_of(part: TreesPart | StumpsPart, names: Sequence[str], where: str) -
     for k, splits in enumerate(asked):
         for split in splits:
             if split.feature not in column:
-                what = f"{split.feature!r:.60} is no feature of the set"
+                what = f"{quoted(split.feature)} is no feature of the set"
                 raise WrongPartError(f"{where}.rounds.{k}: {what}")
     if isinstance(part, StumpsPart):
         stumps = StumpBoost(names, len(part.rounds))

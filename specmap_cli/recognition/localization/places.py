@@ -144,11 +144,8 @@ class Place:
         At the `least` share of the view stands in front of walls: so much is somebody anywhere.
         """
         share = share if fitted.fits == self.fits else 1.0
-        near = is_near(fitted.pose, self.estimate.pose, SAME)
-        covariance = self.estimate.covariance if near else Estimate.found(fitted.pose).covariance
         return replace(
             self,
-            estimate=Estimate(fitted.pose, covariance),
             weight=self.weight - share * (fitted.against + _FRONT_GAIN * (fitted.front - least)),
             against=fitted.against,
         )
@@ -201,10 +198,10 @@ class WeighedPlaces:
         fitted = [self.walls.near(view, each.estimate.pose) for each in there]
         least = min((each.front for each in fitted), default=0.0)
         pairs = zip(there, fitted, strict=True)
-        self._keep([place.seen(fit, share, least) for place, fit in pairs], belief)
-        told = min((each.against for each in self.places), default=None)
-        told = told if told is None or told < 0.0 else None
-        if self._is_due(fits and told is None, belief):
+        now = [self._matched(place, fit, view).seen(fit, share, least) for place, fit in pairs]
+        self._keep(now, belief)
+        told = min((each.against for each in self.places), default=math.inf)
+        if self._is_due(fits and told >= 0.0, belief):
             found = self.walls.anywhere(view)
             least = min(each.front for each in found)
             born = [
@@ -215,8 +212,15 @@ class WeighedPlaces:
             self._searched, self._scans = self._driven, 0
             self._wait = 1 if born else 2 * self._wait
             self._keep([*self.places, *born], belief)
-            told = min([each.against for each in found] + ([] if told is None else [told]))
-        return told
+            return min([told, *(each.against for each in found)])
+        return told if told < 0.0 else None  # what fits nowhere else was not asked
+
+    def _matched(self, place: Place, fitted: Fitted, view: View) -> Place:
+        """A place with the pose at which a view fits it; along a bare wall motion alone counts."""
+        if not is_near(fitted.pose, place.estimate.pose, SAME):
+            return replace(place, estimate=Estimate.found(fitted.pose))
+        told = information(self.walls.field, view.own, fitted.pose)
+        return replace(place, estimate=place.estimate.corrected(fitted.pose, told))
 
     def _is_due(self, at_once: bool, belief: FloatArray) -> bool:
         """Whether the map is to be searched: the sooner again if nothing fits."""
@@ -228,14 +232,16 @@ class WeighedPlaces:
         return not lead and self._driven - self._searched >= WINDOW_M
 
     def follow(self, posed: PosedScan, belief: FloatArray) -> Place | None:
-        """The place that leads, with its pose at a scan; None where none does, or fits."""
+        """The place that leads, with its pose at a scan; None where none does."""
         chances = self.chances(belief)
         if posed.lost or not len(chances):
             return None
         best = int(chances.argmax())
         leader = self.places[best]
-        if chances[best] < self.config.lead or not leader.fits:
-            return None
+        lead, least = self.config.lead, min(each.against for each in self.places)
+        doubted = leader.against > least or leader.against >= math.log(lead / (1.0 - lead))
+        if chances[best] < lead or (doubted and not leader.fits):
+            return None  # none leads, or the last view is from another place, or from elsewhere
         leader = leader.moved(posed.map_from_base)
         points = posed.base_from_laser.apply(evenly(posed.planar.hits(), _MOST_POINTS))
         match = refine(self.walls.field, points, leader.estimate.pose)

@@ -52,6 +52,19 @@ function redraw() {
   map.setAttribute("viewBox", `${view.x} ${view.y} ${view.width} ${view.height}`);
   map.style.setProperty("--px", (view.width / stage.clientWidth) * badgeScale());
   map.classList.toggle("crowded", badgeScale() < 0.7);
+  uncover();
+}
+
+function uncover() {
+  // of names that would lie on another name or number the first alone is shown
+  const taken = all(".badge circle", map).map((circle) => [circle.parentNode, circle.getBoundingClientRect()]);
+  for (const name of all(".badge .name", map)) {
+    const own = name.getBoundingClientRect();
+    const meets = ([badge, box]) => badge !== name.parentNode && own.left < box.right && box.left < own.right && own.top < box.bottom && box.top < own.bottom;
+    const covered = taken.some(meets);
+    name.classList.toggle("covered", covered);
+    if (!covered) taken.push([name.parentNode, own]);
+  }
 }
 
 function badgeScale() {

@@ -213,6 +213,17 @@ def test_a_keyword_that_damage_joined_with_what_follows_is_told(path: Path) -> N
     ]
 
 
+@pytest.mark.parametrize("word", ["ROBOLASER1", "ROBOTLASER", "ROBOTTLASER1", "ROBOTLASER1x"])
+def test_a_keyword_that_lacks_a_byte_or_has_one_more_is_told(path: Path, word: str) -> None:
+    sound = robotlaser(0.5)
+    path.write_text(sound + sound.replace("ROBOTLASER1", word))
+    sweeps, stream = sweeps_of(path)
+    assert len(sweeps) == 1
+    assert stream.log.damage == [
+        f"{path}: line 2 (byte {len(sound)}) is damaged: one ROBOTLASER1 after 0.500 s is lost"
+    ]
+
+
 @pytest.mark.parametrize("cut", [3, 5, 16])
 def test_a_log_cut_inside_its_last_stamp_has_no_scan_of_another_time(path: Path, cut: int) -> None:
     sound, behind = flaser(1_700_000_000.5, AHEAD), len(" nohost 1700000000.500000\n")

@@ -207,16 +207,19 @@ def test_walls_stop_the_laser_and_panes_that_were_seen_from_both_sides_do_not(
     assert (walls_of(grid)._behind(scan, pose) > 0.3) == solid
 
 
-def test_a_return_in_space_that_the_map_never_saw_says_no_more_near_its_walls() -> None:
-    """The map saw one face of a wall, the scan the other."""
-    pose, grid = Pose2(2.5, 2.0, 0.0), box(5.0, 4.0)
-    ahead = grid.cells_of(np.array([[5.0, 2.0]]))[0, 1]
-    points = np.column_stack([np.linspace(2.35, 2.9, 60), np.zeros(60)])
-    grid.cells[:, ahead - 5 : ahead] = UNKNOWN
-    grid.cells[:, ahead + 2 :] = UNKNOWN
+def test_who_stands_where_the_map_saw_nothing_sees_its_walls_from_the_other_side() -> None:
+    """A decimetre off a face that the map has, in cells that it never saw."""
+    grid = box(5.0, 4.0)
+    wall = grid.cells_of(np.array([[3.0, 2.0]]))[0, 1]
+    grid.cells[:, wall : wall + 2], grid.cells[:, wall + 2 :] = OCCUPIED, UNKNOWN
     walls = walls_of(grid)
-    off = [walls._off_walls(each[None], pose)[0] for each in points]
-    assert 0.0 <= min(off) < 0.05 < max(off) <= walls_module._UNSEEN_WEIGHT
+    face = np.column_stack([np.full(40, 3.2), np.linspace(1.0, 3.0, 40)])
+    off = []
+    for x in (2.0, 4.0):
+        pose = Pose2(x, 2.0, 0.4)
+        off.append(walls._off_walls(pose.inverse().apply(face), pose)[0])
+    assert off[0] > 0.4
+    assert off[1] <= walls_module._UNSEEN_WEIGHT
 
 
 def test_a_wall_beyond_reach_stops_nothing_and_without_a_return_nothing_is_behind_it() -> None:
