@@ -15,7 +15,7 @@ from benchmarks.cost.processes import SPECMAP
 from benchmarks.cost.processes import measure as measured
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import IntArray
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import Map
 
 UNKNOWN = -1
 RIGHT_M, RIGHT_RAD = 0.1, math.radians(1.0)
@@ -34,7 +34,7 @@ class Localized:
     poses: FloatArray
 
 
-def localized(map_: StoredMap, log: Path, folder: Path, *options: str) -> Localized | None:
+def localized(map_: Map, log: Path, folder: Path, *options: str) -> Localized | None:
     """Localise a log in a map as a user would; None where the map refuses its laser."""
     out = folder / "labels.csv"
     command = [SPECMAP, "localize", str(log.resolve()), "--map", str(map_.path), "-o", str(out)]
@@ -86,7 +86,7 @@ HEADER = "scans  right    raw  unkn.  poses  wrong"
 NOTHING = Found(0, 0.0, 0.0, 1.0, 0.0, 0.0)
 
 
-def scored(map_: StoredMap, said: Localized, true: FloatArray) -> Found:
+def scored(map_: Map, said: Localized, true: FloatArray) -> Found:
     """Hold what was said of scans against true poses (n, 3) in the map, NaN where unknown."""
     has = np.isfinite(true[:, 0])
     if not has.any():
@@ -109,7 +109,7 @@ def judged(poses: FloatArray, true: FloatArray) -> tuple[np.ndarray, np.ndarray]
     return (away <= RIGHT_M) & (turned <= RIGHT_RAD), (away > WRONG_M) | (turned > WRONG_RAD)
 
 
-def lies_in(map_: StoredMap, places: FloatArray, submaps: IntArray) -> np.ndarray:
+def lies_in(map_: Map, places: FloatArray, submaps: IntArray) -> np.ndarray:
     """(n,) whether each place (n, 3) lies in the submap (n,) or beside it."""
     regions = map_.regions
     cells = regions.grid.cells_of(places[:, :2])

@@ -21,7 +21,7 @@ from specmap_cli.exports.table import export_map, exporters
 from specmap_cli.logs import open_log
 from specmap_cli.logs.readers.encoding import SCAN_TYPES
 from specmap_cli.logs.stream import SweepStream
-from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.store import Map, read_map
 from specmap_cli.pipelines.map_in_making import laid_out_of_stored
 from specmap_cli.pipelines.overlaps import stored_to_align
 
@@ -310,23 +310,23 @@ def _check_contents(folder: Path) -> Iterator[Failure]:
             yield _bug(error, name)
 
 
-def _in_topology(stored: StoredMap) -> int:
+def _in_topology(stored: Map) -> int:
     _ = stored.topology
     return len(stored.labels.stamps_ns)
 
 
-def _in_keyframes(stored: StoredMap) -> int:
-    with stored.keyframes() as keyframes:
+def _in_keyframes(stored: Map) -> int:
+    with stored.scans() as keyframes:
         return len([keyframes.scan(number) for number in range(len(keyframes))])
 
 
-def _in_layout(stored: StoredMap) -> int:
+def _in_layout(stored: Map) -> int:
     stored_to_align(stored)
     return len(laid_out_of_stored(stored).layout.poses)
 
 
 # What a map is read for, and how many keyframes that tells of.
-_CONTENTS: Mapping[str, Callable[[StoredMap], int]] = {
+_CONTENTS: Mapping[str, Callable[[Map], int]] = {
     "topology": _in_topology,
     "keyframes": _in_keyframes,
     "layout": _in_layout,

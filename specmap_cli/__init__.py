@@ -4,12 +4,13 @@ What a program needs is here; docs/library.md shows it at work::
 
     from specmap_cli import build_map, read_map
 
-    report = build_map("log.mcap", "out")
-    print(read_map("out").ids)
+    build_map("log.mcap", "out")
+    print(read_map("out").route("kitchen", "lab").length_m)
 
 `build_map`, `localize_log` and `segment_map` do what the commands of the same names do. `read_map`
-opens a map directory, `open_log` a recording. `load_config` makes the settings. Whatever goes wrong
-with the input is a `SpecmapError`.
+opens a map directory, which is a `Map`, `open_log` a recording. A `Localizer` is fed one `Scan`
+after another. `load_config` makes the settings. Whatever goes wrong with the input is a
+`SpecmapError`.
 """
 
 from __future__ import annotations
@@ -21,14 +22,18 @@ if TYPE_CHECKING:
     from specmap_cli.core.config import load_config
     from specmap_cli.core.errors import SpecmapError
     from specmap_cli.logs.opening import open_log
-    from specmap_cli.maps.store import read_map
+    from specmap_cli.maps.store import Map, read_map
     from specmap_cli.pipelines.build import build_map
     from specmap_cli.pipelines.localize import localize_log
+    from specmap_cli.pipelines.localizer import Localizer, Scan
     from specmap_cli.pipelines.segment import segment_map
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "Localizer",
+    "Map",
+    "Scan",
     "SpecmapError",
     "build_map",
     "load_config",
@@ -40,6 +45,9 @@ __all__ = [
 
 # Loaded when first asked for: `specmap --help` needs none of them.
 _HOMES = {
+    "Localizer": "pipelines.localizer",
+    "Map": "maps.store",
+    "Scan": "pipelines.localizer",
     "SpecmapError": "core.errors",
     "build_map": "pipelines.build",
     "load_config": "core.config",

@@ -20,7 +20,7 @@ from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.records import Sweep
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.map_server import read_grid, write_grid
-from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.store import Map, read_map
 from specmap_cli.pipelines.build import build_map
 from specmap_cli.pipelines.simulate import SimulationResult, simulate
 from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
@@ -141,7 +141,7 @@ def flat_built(flat_log: SimulationResult, tmp_path_factory: pytest.TempPathFact
 
 
 @pytest.fixture(scope="session")
-def flat_map(flat_built: Explained) -> StoredMap:
+def flat_map(flat_built: Explained) -> Map:
     """The map of `flat_log`."""
     return read_map(flat_built.report.out)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from specmap_cli.core.config import load_config
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.filenames import TOPOLOGY
-from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.store import Map, read_map
 from specmap_cli.pipelines.build import build_map
 from specmap_cli.pipelines.reports import BuildReport
 from specmap_cli.pipelines.simulate import SimulationResult, simulate
@@ -47,7 +47,7 @@ class Mapped:
     map: Path
 
     @property
-    def stored(self) -> StoredMap:
+    def stored(self) -> Map:
         """The map, read anew."""
         return read_map(self.map)
 

@@ -26,7 +26,7 @@ from benchmarks.scoreboard.rows import Figure, Figures, Row
 from specmap_cli.exports.routes import routes
 from specmap_cli.exports.table import export_map
 from specmap_cli.layout.pose_graph import read_g2o
-from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.store import Map, read_map
 from specmap_cli.topology.navigation import is_way
 from tests.exports.route_server import load
 
@@ -50,17 +50,17 @@ class Counts:
         return f"{self.nodes:6,} nodes {self.edges:7,} edges {self.length_m:10.3f} m"
 
 
-Compare = Callable[[StoredMap, Path], tuple[Counts, Counts]]
+Compare = Callable[[Map, Path], tuple[Counts, Counts]]
 
 
-def of_graph(stored: StoredMap) -> Counts:
+def of_graph(stored: Map) -> Counts:
     """All submaps, all links, the metres of the ways."""
     edges = stored.record.edges
     length = sum(edge.length_m or 0.0 for edge in edges)
     return Counts(len(stored.record.nodes), len(edges), length)
 
 
-def of_routes(stored: StoredMap, *, bends: bool) -> Counts:
+def of_routes(stored: Map, *, bends: bool) -> Counts:
     """The stops of the ways, and twice the metres: there and back."""
     ways = [edge for edge in stored.record.edges if is_way(edge)]
     found = routes(stored.record)
@@ -69,14 +69,14 @@ def of_routes(stored: StoredMap, *, bends: bool) -> Counts:
     return Counts(len(stops), 2 * legs, 2 * sum(way.length_m or 0.0 for way in ways))
 
 
-def nav2(stored: StoredMap, path: Path) -> tuple[Counts, Counts]:
+def nav2(stored: Map, path: Path) -> tuple[Counts, Counts]:
     graph = load(path)
     length = sum(cost for _, _, cost in graph.edges(data="cost"))
     found = Counts(len(graph), graph.number_of_edges(), length)
     return found, of_routes(stored, bends=True)
 
 
-def tmap2(stored: StoredMap, path: Path) -> tuple[Counts, Counts]:
+def tmap2(stored: Map, path: Path) -> tuple[Counts, Counts]:
     import yaml
 
     nodes = [entry["node"] for entry in yaml.safe_load(path.read_text())["nodes"]]
@@ -85,7 +85,7 @@ def tmap2(stored: StoredMap, path: Path) -> tuple[Counts, Counts]:
     return Counts(len(nodes), len(edges), length), of_routes(stored, bends=False)
 
 
-def geojson(stored: StoredMap, path: Path) -> tuple[Counts, Counts]:
+def geojson(stored: Map, path: Path) -> tuple[Counts, Counts]:
     from shapely.geometry import shape
 
     features = json.loads(path.read_text())["features"]
@@ -100,13 +100,13 @@ def geojson(stored: StoredMap, path: Path) -> tuple[Counts, Counts]:
     return found, Counts(owning, expected.edges, expected.length_m)
 
 
-def graphml(stored: StoredMap, path: Path) -> tuple[Counts, Counts]:
+def graphml(stored: Map, path: Path) -> tuple[Counts, Counts]:
     graph = nx.read_graphml(path)
     length = sum(metres or 0.0 for _, _, metres in graph.edges(data="length_m"))
     return Counts(len(graph), graph.number_of_edges(), length), of_graph(stored)
 
 
-def tables(stored: StoredMap, path: Path) -> tuple[Counts, Counts]:
+def tables(stored: Map, path: Path) -> tuple[Counts, Counts]:
     with zipfile.ZipFile(path) as archive:
         nodes, edges = (
             list(csv.DictReader(io.StringIO(archive.read(name).decode())))
@@ -116,7 +116,7 @@ def tables(stored: StoredMap, path: Path) -> tuple[Counts, Counts]:
     return Counts(len(nodes), len(edges), length), of_graph(stored)
 
 
-def pose_graph(stored: StoredMap, path: Path) -> tuple[Counts, Counts]:
+def pose_graph(stored: Map, path: Path) -> tuple[Counts, Counts]:
     """Metres are those that all edges measure."""
     import gtsam
 
@@ -131,7 +131,7 @@ def pose_graph(stored: StoredMap, path: Path) -> tuple[Counts, Counts]:
     )
 
 
-def foxglove(stored: StoredMap, path: Path) -> tuple[Counts, Counts]:
+def foxglove(stored: Map, path: Path) -> tuple[Counts, Counts]:
     from mcap_protobuf.decoder import DecoderFactory
 
     entities: list[Any] = []
@@ -174,7 +174,7 @@ def measure(bench: Bench) -> Figures:
     return {"equal": Figure(sum(same) / len(same), note=f"{sum(same)} of {len(same)}")}
 
 
-def compare(stored: StoredMap, name: str, folder: Path) -> bool | None:
+def compare(stored: Map, name: str, folder: Path) -> bool | None:
     """Whether a format of a map holds its figures; None where its consumer is not installed."""
     path, label = folder / name, f"{stored.path.name:20} {name:10}"
     try:

@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 from specmap_cli.core.geometry import FloatArray, Pose2, travelled
 from specmap_cli.core.records import IntArray
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import Map
 
 _FINE_M, _VIEW_M = 0.02, 0.05  # cells that keep one point: of walls, of a view
 _NEIGHBOURS, _AROUND_M = 12, 0.25  # points that tell which way a wall runs
@@ -139,12 +139,12 @@ def search(
 class Seen:
     """The keyframes of a map: their poses and what each saw."""
 
-    def __init__(self, stored: StoredMap) -> None:
+    def __init__(self, stored: Map) -> None:
         self.stored = stored
         self.poses = stored.labels.poses
         self.stamps_ns: IntArray = stored.labels.stamps_ns
         self.way_m = travelled(self.poses)
-        with stored.keyframes() as store:
+        with stored.scans() as store:
             self._hits = [_hits(store, number) for number in range(len(store))]
 
     def walls(self, rows: IntArray | None = None) -> FloatArray:

@@ -20,7 +20,7 @@ from benchmarks.data import plan, rooms_of
 from benchmarks.scoreboard.bench import Bench
 from benchmarks.scoreboard.rows import Figures, Row
 from benchmarks.scores import overlap_table
-from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.store import Map, read_map
 
 PLAN = "Freiburg79_scan"
 _COARSE, _FINE = 8, 2  # cells of the map in one of the search
@@ -73,7 +73,7 @@ def measure(bench: Bench) -> Figures:
     }
 
 
-def drawn_on(stored: StoredMap, free: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, float]:
+def drawn_on(stored: Map, free: np.ndarray, labels: np.ndarray) -> tuple[np.ndarray, float]:
     """(H, W) the room of each cell of a map, 0 for none, and the overlap of its free space.
 
     `free` and `labels` (h, w) are the plan's; all with y down.

@@ -23,7 +23,7 @@ from benchmarks.scoreboard.bench import Bench
 from benchmarks.scoreboard.rows import Figures, Row
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.core.records import IntArray
-from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.store import Map, read_map
 from specmap_cli.maps.text_files import read_tum
 
 # (session, in the map of)
@@ -98,7 +98,7 @@ def measure(bench: Bench) -> Figures:
     }
 
 
-def located(map_: StoredMap, here: Seen, log: str, truth: Placed, folder: Path) -> Found:
+def located(map_: Map, here: Seen, log: str, truth: Placed, folder: Path) -> Found:
     """Localise a session in a map and hold every scan against the truth."""
     said = localized(map_, recording(log), folder, "--metric")
     if said is None:

@@ -21,7 +21,7 @@ from benchmarks.scoreboard.bench import Bench
 from benchmarks.scoreboard.rows import Figure, Figures, Row
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.grids.gridmap import BoolArray
-from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.store import Map, read_map
 
 SAME = 0.5  # IoU above which two submaps are one: each submap has one such partner at the most
 BUILDINGS = {
@@ -87,7 +87,7 @@ def measure(bench: Bench) -> Figures:
     return {**figures, "sessions": Figure(float(np.mean(pairs)), note=worst)}
 
 
-def _told(first: StoredMap, second: StoredMap, name: str, other: str) -> float:
+def _told(first: Map, second: Map, name: str, other: str) -> float:
     """The share of submaps that are found again, told in a line."""
     one = agreement(first, second, whole(Seen(first), Seen(second)).pose)
     print(
@@ -98,7 +98,7 @@ def _told(first: StoredMap, second: StoredMap, name: str, other: str) -> float:
     return one.share
 
 
-def agreement(first: StoredMap, second: StoredMap, first_from_second: Pose2) -> Agreement:
+def agreement(first: Map, second: Map, first_from_second: Pose2) -> Agreement:
     """The submaps of two maps against each other, over the cells that belong to one in both."""
     one, other = first.regions, second.regions
     cells = np.argwhere(one.owner >= 0)

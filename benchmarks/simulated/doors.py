@@ -22,7 +22,7 @@ from specmap_cli.core.geometry import FloatArray, Pose2, nearest_motion
 from specmap_cli.core.settings import WaysConfig
 from specmap_cli.evaluation.trajectories import associate
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import Map
 from specmap_cli.maps.text_files import read_tum
 from specmap_cli.topology.navigation import PLACE_MARGIN_M
 from specmap_cli.topology.regions import Regions
@@ -72,7 +72,7 @@ class Truth:
     map_from_plan: Pose2
 
 
-def map_from_plan(stored: StoredMap, truth: Path) -> Pose2:
+def map_from_plan(stored: Map, truth: Path) -> Pose2:
     """Where the plan lies in the map: by the true poses of the keyframes."""
     true = read_tum(truth)
     keyframes, rows = associate(true.stamps_ns, stored.labels.stamps_ns)

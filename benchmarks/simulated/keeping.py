@@ -26,7 +26,7 @@ from benchmarks.scoreboard.bench import Bench, build
 from benchmarks.scoreboard.rows import Figure, Figures, Row
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.evaluation.trajectories import read_relations, reference_errors, relation_errors
-from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.store import Map, read_map
 from specmap_cli.maps.text_files import read_tum
 from specmap_cli.topology.identity import BorderChange, border_changes
 
@@ -124,7 +124,7 @@ def update(folder: Path, number: int, log: Path, error: Error) -> Updated:
     return Updated(len(kept), len(before.ids), min(ious), min(apart), cost)
 
 
-def moved_by(before: StoredMap, after: StoredMap) -> FloatArray:
+def moved_by(before: Map, after: Map) -> FloatArray:
     """Metres by which the keyframes of a map moved in an update, of those that it left."""
     logs = len(before.logs)
     old, new = places(before, logs), places(after, logs)
@@ -132,7 +132,7 @@ def moved_by(before: StoredMap, after: StoredMap) -> FloatArray:
     return np.array([math.hypot(*(old[key] - new[key])[:2]) for key in left])
 
 
-def places(map_: StoredMap, logs: int) -> dict[tuple[int, int], FloatArray]:
+def places(map_: Map, logs: int) -> dict[tuple[int, int], FloatArray]:
     """The poses of the keyframes of the first `logs` recordings, by recording and stamp."""
     found = {}
     for number, log in enumerate(map_.logs[:logs]):

@@ -26,7 +26,7 @@ from benchmarks.scoreboard.rows import Figure, Figures, Row
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, nearest_motion, travelled
 from specmap_cli.core.records import IntArray, Sweep
 from specmap_cli.evaluation.trajectories import associate
-from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.store import Map, read_map
 from specmap_cli.simulation.simulator import SimulatedTour, SimulationOptions, simulated_tour
 
 CASES = (("Freiburg79_scan_furnitures", 180.0), ("lab_c_scan_furnitures", 180.0))
@@ -109,7 +109,7 @@ def of_tour(tour: SimulatedTour) -> Driven:
     return Driven([sweep for sweep, _ in scans], stamps, np.array([pose for _, pose in scans]))
 
 
-def laid(map_: StoredMap, first: Driven) -> Pose2:
+def laid(map_: Map, first: Driven) -> Pose2:
     """Where the plan lies in the map, by the true poses of the keyframes."""
     keyframes, rows = associate(first.stamps_ns, map_.labels.stamps_ns)
     return nearest_motion(first.truth[rows, :2], map_.labels.poses[keyframes, :2])
@@ -121,7 +121,7 @@ def truth_of(said: Localized, tour: Driven, map_from_plan: Pose2) -> FloatArray:
     return compose(np.array(map_from_plan), tour.truth[rows])
 
 
-def _localized(map_: StoredMap, sweeps: Sequence[Sweep], folder: Path) -> Localized:
+def _localized(map_: Map, sweeps: Sequence[Sweep], folder: Path) -> Localized:
     log = folder / "again.mcap"
     write(sweeps, iter, log)
     said = localized(map_, log, folder, "--metric")

@@ -22,7 +22,7 @@ from benchmarks.scoreboard.bench import Bench
 from benchmarks.scoreboard.rows import Figures, Row
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Sweep
-from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.store import Map, read_map
 from specmap_cli.simulation.simulator import simulate_sweeps
 
 WORLDS = {"row-1-11": 270.0, "row-2-10": 360.0, "row-4-10": 180.0, "office": 180.0}
@@ -80,7 +80,7 @@ def _tour(
     return [sweep for sweep, _ in simulate_sweeps(world_of(name)[0], options)]
 
 
-def _share(map_: StoredMap, sweeps: list[Sweep], folder: Path) -> float:
+def _share(map_: Map, sweeps: list[Sweep], folder: Path) -> float:
     """The share of scans whose filtered label is a submap."""
     log = folder / "log.mcap"
     write(sweeps, iter, log)

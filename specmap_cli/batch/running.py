@@ -220,9 +220,7 @@ def work_on(
     reason = None if kind is None else reasons[0] if kind == "rule" else reasons[-1]
     try:
         stored = read_map(directory / MAP)
-        quality = stored.record.graph.quality
-        verdict = None if quality is None else quality.verdict
-        figures: dict[str, float | str | None] = {**figures_of(stored), "verdict": verdict}
+        figures: dict[str, float | str | None] = {**figures_of(stored), "verdict": stored.verdict}
     except MapError:
         figures = {}
     return _Work(tuple(outcomes), kind, reason, figures)

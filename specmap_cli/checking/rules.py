@@ -33,8 +33,7 @@ from specmap_cli.core.findings import VERDICTS, Verdict, at_least_as_bad
 from specmap_cli.core.toml import TomlFormat, UnfitError, choice, unless
 from specmap_cli.maps import filenames
 from specmap_cli.maps.comparison import ComparisonRecord
-from specmap_cli.maps.store import StoredMap
-from specmap_cli.topology.topological_map import driven_m, starts_of
+from specmap_cli.maps.store import Map
 
 Figures = Mapping[str, float | None]
 
@@ -79,21 +78,15 @@ _CODES = (
 BOUNDED = (*MEANINGS, *(FINDINGS + code for code in _CODES))  # what a rule can bound
 
 
-def figures_of(stored: StoredMap) -> dict[str, float | None]:
+def figures_of(stored: Map) -> dict[str, float | None]:
     """The figures of a map. Raises MapError when a file of it is damaged."""
     record = stored.record
-    graph = nx.Graph([(edge.source, edge.target) for edge in record.edges])
-    graph.add_nodes_from(stored.ids)
     # what the command that made the map wrote down about its run, if it did
     written = (stored.path / filenames.RUN).exists()
     run: Mapping[str, Any] = stored.run if written else {}
     counts = stored.counts if written else {}
     scans, lost, wall_s = counts.get("scans"), counts.get("lost"), _number(run.get("wall_s"))
-    duration_s = path_m = None
-    if (stored.path / filenames.LABELS).exists():  # a divided grid knows of no way
-        labels, starts = stored.labels, starts_of(stored.logs)
-        duration_s, path_m = labels.duration_s(starts), driven_m(stored.logs, labels)
-    quality = record.graph.quality
+    quality = stored.quality
     grave = [] if quality is None else [one for one in quality.findings if one.severity != "note"]
     return {
         "scans": scans,
@@ -104,13 +97,13 @@ def figures_of(stored: StoredMap) -> dict[str, float | None]:
         "wall_s": wall_s,
         "scans_per_s": scans / wall_s if scans is not None and wall_s else None,
         "memory_mb": _number(run.get("memory_mb")),
-        "duration_s": duration_s,
-        "path_m": path_m,
-        "submaps": len(record.nodes),
+        "duration_s": stored.duration_s if stored.of_recording else None,
+        "path_m": stored.driven_m if stored.of_recording else None,
+        "submaps": len(stored.rooms),
         "edges": len(record.edges),
         "impassable": sum(edge.path is None for edge in record.edges),
-        "parts": nx.number_connected_components(graph),
-        "doors": len(record.graph.doors),
+        "parts": nx.number_connected_components(stored.to_networkx()),
+        "doors": len(stored.doors),
         "area_m2": record.area_m2,
         **{
             f"{FINDINGS}{code}": sum(one.code == code for one in grave)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from specmap_cli.cli.options import Bounds, Common, Map, Overwrite, output, values_of
+from specmap_cli.cli.options import Bounds, Common, MapDirectory, Overwrite, output, values_of
 from specmap_cli.cli.targets import keep_inputs
 from specmap_cli.core.errors import UsageError
 
@@ -76,7 +76,7 @@ class Changed:
 
 
 def edit(
-    map_: Map,
+    map_: MapDirectory,
     out: Annotated[
         Path | None, output("Map directory to write; without it MAP itself is changed.")
     ] = None,

@@ -14,7 +14,7 @@ from specmap_cli.cli.options import (
     Common,
     Logs,
     LogSettings,
-    Map,
+    MapDirectory,
     Overwrite,
     Settings,
     output,
@@ -125,7 +125,7 @@ def compare(
 
 
 def check(
-    map_: Map,
+    map_: MapDirectory,
     rules: Annotated[
         Path | None, typer.Option("--rules", help="TOML file of rules; they go over the defaults.")
     ] = None,
@@ -229,7 +229,7 @@ def history(
 
 
 def report(
-    map_: Map,
+    map_: MapDirectory,
     out: Annotated[Path, output("HTML file to write.")] = Path("report.html"),
     compare: Annotated[
         Path | None,
@@ -269,14 +269,14 @@ def report(
         "map": str(map_),
         "compare": None if compare is None else str(compare),
         "out": str(out),
-        "submaps": len(stored.record.nodes),
+        "submaps": len(stored.rooms),
         "bytes": len(page.encode("utf-8")),
     }
     common.show(result, [f"{out}: {size_mb:.1f} MB: open it in a browser"])
 
 
 def export(
-    map_: Map,
+    map_: MapDirectory,
     format_: Annotated[
         str, typer.Option("--format", "-f", help="One of those above, or of an installed package.")
     ],
@@ -318,7 +318,7 @@ def export(
         "map": str(map_),
         "out": str(out),
         "format": format_,
-        "submaps": len(stored.record.nodes),
+        "submaps": len(stored.rooms),
         "edges": len(stored.record.edges),
         "warnings": warnings,
     }

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from specmap_cli.batch.workers import Cluster
     from specmap_cli.cli.console import ConsoleProgress
     from specmap_cli.core.settings import Config
-    from specmap_cli.maps.store import StoredMap
+    from specmap_cli.maps.store import Map
 
 RECORDING = (
     "Recording: .mcap, rosbag2 directory or .db3, ROS 1 .bag, CARMEN .log; "
@@ -53,7 +53,7 @@ RECORDING = (
 WRITTEN = "written"  # beside the option in its annotation; another option of a path is an input
 
 Logs = Annotated[list[Path], typer.Argument(metavar="LOG", help=RECORDING, show_default=False)]
-Map = Annotated[
+MapDirectory = Annotated[
     Path, typer.Argument(metavar="MAP", help="Map directory written by `specmap build`.")
 ]
 Resolution = Annotated[
@@ -182,9 +182,9 @@ class Settings(Bounds):
         ),
     ] = None
 
-    def of_map(self, stored: StoredMap) -> Config:
+    def of_map(self, stored: Map) -> Config:
         """Those that a map was built with, changed by these; UsageError for a wrong one."""
-        from specmap_cli.pipelines.localize import settings_for
+        from specmap_cli.pipelines.localizer import settings_for
 
         return settings_for(stored, self.overrides(), self.config, self.preset)
 

@@ -37,6 +37,12 @@ def neighbours(ids: Iterable[int], pairs: Iterable[tuple[int, int]]) -> Neighbou
     return {id_: frozenset(near) for id_, near in found.items()}
 
 
+def unchanging(*arrays: NDArray[Any]) -> None:
+    """Let nobody write to these arrays any more."""
+    for values in arrays:
+        values.setflags(write=False)
+
+
 def evenly(items: NDArray[Any], most: int) -> NDArray[Any]:
     """At most `most` of the items (n, ...), evenly spread, in their order."""
     if len(items) <= most:

@@ -6,7 +6,7 @@ Stamps are header stamps in integer nanoseconds; lengths are metres, angles radi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -144,6 +144,16 @@ class Trajectory:
     lost: BoolArray | None = None
     odometry: FloatArray | None = None
 
+    def __iter__(self) -> Iterator[tuple[int, Pose2]]:
+        """Stamp and pose of each scan."""
+        for stamp_ns, pose in zip(self.stamps_ns.tolist(), self.poses.tolist(), strict=True):
+            yield stamp_ns, Pose2(*pose)
+
+    @property
+    def driven(self) -> FloatArray:
+        """(m, 3) the poses of the scans that could be registered."""
+        return self.poses if self.lost is None else self.poses[~self.lost]
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Labels:
@@ -155,6 +165,12 @@ class Labels:
     stamps_ns: IntArray
     poses: FloatArray
     submaps: IntArray
+
+    def __iter__(self) -> Iterator[tuple[int, Pose2, int | None]]:
+        """Stamp, pose and submap of each keyframe; None for one in no submap."""
+        columns = (self.stamps_ns.tolist(), self.poses.tolist(), self.submaps.tolist())
+        for stamp_ns, pose, submap in zip(*columns, strict=True):
+            yield stamp_ns, Pose2(*pose), None if submap == NO_SUBMAP else submap
 
     def duration_s(self, starts: Sequence[int] = ()) -> float:
         """Seconds from first keyframe to last, of each recording by itself.

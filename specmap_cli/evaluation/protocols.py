@@ -24,7 +24,7 @@ from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.filenames import TOPOLOGY
-from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.store import Map, read_map
 from specmap_cli.maps.text_files import read_tum
 from specmap_cli.pipelines.build import build_map, map_log
 from specmap_cli.pipelines.localize import localize_log
@@ -357,7 +357,7 @@ def revisit_logs(
 
 
 def _revisit_map(
-    stored: StoredMap,
+    stored: Map,
     second: Path,
     references: tuple[str | Path, str | Path],
     config: Config,

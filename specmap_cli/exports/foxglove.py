@@ -21,7 +21,6 @@ from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.json_values import Point
 from specmap_cli.core.progress import Progress
 from specmap_cli.drawing.palette import darker
-from specmap_cli.exports.flat_formats import Fields, centre_of, known, told_of
 from specmap_cli.exports.foxglove_schemas import (
     LINE_LOOP,
     LINE_STRIP,
@@ -36,7 +35,6 @@ from specmap_cli.exports.layers import (
     Layer,
     Rgb,
     colours,
-    driven,
     graph_lines,
     layers,
     scans_of,
@@ -44,8 +42,8 @@ from specmap_cli.exports.layers import (
 )
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps.even_bearings import EvenSpacing
-from specmap_cli.maps.schema import TopologyRecord
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.flat import Fields, known, told_of
+from specmap_cli.maps.store import Map
 
 BASE_FRAME = "base_link"
 _CHUNK_BYTES = 512 * 1024
@@ -58,18 +56,18 @@ class Foxglove:
 
     description = "MCAP: map, submaps, graph, trajectory and scans, for Foxglove"
 
-    def write(self, stored: StoredMap, target: IO[bytes], progress: Progress) -> None:
+    def write(self, stored: Map, target: IO[bytes], progress: Progress) -> None:
         """Write a map; one without scans has no topics over time."""
-        start_ns, frame = start_of(stored), stored.record.graph.frame
+        start_ns, frame = start_of(stored), stored.frame
         log = _Log(target, start_ns)
         fills = colours(stored)
         for number, layer in enumerate(layers(stored, fills)):
             log.add(f"/{layer.name}", "Grid", _grid(layer, frame, number, log.stamp))
-        log.add("/submaps", "SceneUpdate", submap_scene(stored.record, log.stamp, fills))
-        log.add("/graph", "SceneUpdate", graph_scene(stored.record, log.stamp))
+        log.add("/submaps", "SceneUpdate", submap_scene(stored, log.stamp, fills))
+        log.add("/graph", "SceneUpdate", graph_scene(stored, log.stamp))
         with scans_of(stored, progress) as scans:
             if scans is not None:
-                poses = [_pose(Pose2(*pose)) for pose in driven(stored).tolist()]
+                poses = [_pose(Pose2(*pose)) for pose in stored.trajectory.driven.tolist()]
                 path = {"timestamp": log.stamp, "frame_id": frame, "poses": poses}
                 log.add("/trajectory", "PosesInFrame", path)
                 _write_scans(log, scans, stored.labels.poses, frame, progress)
@@ -187,38 +185,38 @@ _ANCHOR_M = 0.25
 _OUTLINE_Z, _WAY_Z, _ANCHOR_Z, _TEXT_Z = 0.02, 0.04, 0.06, 0.5
 
 
-def submap_scene(record: TopologyRecord, stamp: Fields, fills: Mapping[int, Rgb]) -> dict[str, Any]:
+def submap_scene(stored: Map, stamp: Fields, fills: Mapping[int, Rgb]) -> dict[str, Any]:
     """The outline and the name of each submap."""
     entities = []
-    for node in record.nodes:
+    for node in stored.rooms.values():
         colour = darker(fills[node.id])
-        outline = [_line(node.polygon, colour, _OUTLINE_PX, _OUTLINE_Z, LINE_LOOP)]
+        outline = [_line(node.outline.tolist(), colour, _OUTLINE_PX, _OUTLINE_Z, LINE_LOOP)]
         name = {
-            "pose": _at(node.anchor or centre_of(node), _TEXT_Z),
+            "pose": _at(node.place, _TEXT_Z),
             "billboard": True,
             "font_size": _TEXT_PX,
             "scale_invariant": True,
             "color": _colour(colour),
             "text": node.name,
         }
-        entity = _entity(f"submap {node.id}", record.graph.frame, stamp, told_of(node))
-        entities.append({**entity, "lines": outline if node.polygon else [], "texts": [name]})
+        entity = _entity(f"submap {node.id}", stored.frame, stamp, told_of(node))
+        entities.append({**entity, "lines": outline if len(node.outline) else [], "texts": [name]})
     return {"entities": entities}
 
 
-def graph_scene(record: TopologyRecord, stamp: Fields) -> dict[str, Any]:
+def graph_scene(stored: Map, stamp: Fields) -> dict[str, Any]:
     """Anchors, ways and doors; a link without a way is thin."""
-    frame = record.graph.frame
+    frame = stored.frame
     size = {"x": _ANCHOR_M, "y": _ANCHOR_M, "z": 0.01}
     entities = []
-    for node in record.nodes:
+    for node in stored.rooms.values():
         if node.anchor is not None:
             pose = _at(node.anchor, _ANCHOR_Z)
             sphere = {"pose": pose, "size": size, "color": _colour(WAY)}
             told = {"clearance_m": node.anchor_clearance_m}
             entity = _entity(f"anchor {node.id}", frame, stamp, told)
             entities.append({**entity, "spheres": [sphere]})
-    for one in graph_lines(record):
+    for one in graph_lines(stored):
         width_px = _LINE_PX if one.is_way else _NO_WAY_PX
         if one.kind == "door":
             width_px = 2.0 * _LINE_PX

@@ -10,7 +10,6 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.json_values import Point
 from specmap_cli.core.progress import Progress
 from specmap_cli.drawing.palette import (
@@ -23,14 +22,12 @@ from specmap_cli.drawing.palette import (
     Colour,
     colours_of,
 )
-from specmap_cli.exports.flat_formats import DOOR as DOOR_FIELDS
-from specmap_cli.exports.flat_formats import LINK, Fields, fields_of, link_line
 from specmap_cli.grids.gridmap import FREE, OCCUPIED
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps import filenames
-from specmap_cli.maps.schema import TopologyRecord
-from specmap_cli.maps.store import StoredMap
-from specmap_cli.maps.text_files import read_trajectory
+from specmap_cli.maps.flat import DOOR as DOOR_FIELDS
+from specmap_cli.maps.flat import LINK, Fields, fields_of, link_line
+from specmap_cli.maps.store import Map
 
 RgbaArray = NDArray[np.uint8]
 Rgb = tuple[int, int, int]
@@ -57,13 +54,13 @@ class Layer:
     origin: tuple[float, float]
 
 
-def colours(stored: StoredMap) -> dict[int, Rgb]:
+def colours(stored: Map) -> dict[int, Rgb]:
     """The colour of each submap: those of overview.png."""
     found = colours_of(stored.topology, stored.regions)
     return {id_: _rgb(colour) for id_, colour in found.items()}
 
 
-def layers(stored: StoredMap, fills: Mapping[int, Rgb]) -> Iterator[Layer]:
+def layers(stored: Map, fills: Mapping[int, Rgb]) -> Iterator[Layer]:
     """The grid of the whole map, and its regions."""
     grid, owner = stored.regions.grid, stored.regions.owner
     whole, regions = (np.zeros((*owner.shape, 4), dtype=np.uint8) for _ in range(2))
@@ -86,46 +83,35 @@ class GraphLine(NamedTuple):
     is_way: bool = True
 
 
-def graph_lines(record: TopologyRecord) -> Iterator[GraphLine]:
+def graph_lines(stored: Map) -> Iterator[GraphLine]:
     """The links, then the doors. A link without a way leads straight over its crossing.
 
     Blue where the robot drove, grey where it did not, or cannot; doors are brown; red is forbidden.
     """
-    nodes = {node.id: node for node in record.nodes}
-    for edge in record.edges:
+    for edge in stored.record.edges:
         colour = WAY if edge.corners and edge.traversals else _UNDRIVEN
         yield GraphLine(
             "link",
             f"{edge.source}-{edge.target}",
-            link_line(edge, nodes),
+            link_line(edge, stored.rooms),
             _FORBIDDEN if edge.forbidden else colour,
             fields_of(edge, LINK),
             is_way=bool(edge.corners),
         )
-    for door in record.graph.doors:
+    for door in stored.doors:
         colour = _FORBIDDEN if door.forbidden else _DOOR
         yield GraphLine("door", str(door.id), door.sides, colour, fields_of(door, DOOR_FIELDS))
 
 
-def driven(stored: StoredMap) -> FloatArray:
-    """(N, 3) the poses of all scans that could be registered; none of a map without a recording."""
-    path = stored.path / filenames.TRAJECTORY
-    if not path.exists():
-        return np.zeros((0, 3))
-    trajectory = stored.checked(read_trajectory(path, stored.limits), path.name)
-    return trajectory.poses if trajectory.lost is None else trajectory.poses[~trajectory.lost]
-
-
-def scans_of(stored: StoredMap, progress: Progress) -> AbstractContextManager[KeyframeStore | None]:
+def scans_of(stored: Map, progress: Progress) -> AbstractContextManager[KeyframeStore | None]:
     """The keyframes of a map, one in memory at a time; None, and a note, for one without."""
     if (stored.path / filenames.KEYFRAMES).exists():
-        return stored.keyframes()
+        return stored.scans()
     progress.note(f"{stored.path}: has no {filenames.KEYFRAMES}: written without scans")
     return nullcontext()
 
 
-def start_of(stored: StoredMap) -> int:
+def start_of(stored: Map) -> int:
     """The stamp of the first keyframe, nanoseconds; 0 without any."""
-    if not (stored.path / filenames.LABELS).exists() or not len(stored.labels.stamps_ns):
-        return 0
-    return max(int(stored.labels.stamps_ns[0]), 0)
+    stamps_ns = stored.keyframes.stamps_ns
+    return max(int(stamps_ns[0]), 0) if len(stamps_ns) else 0

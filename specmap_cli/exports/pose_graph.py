@@ -11,7 +11,7 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.progress import Progress
 from specmap_cli.layout.pose_graph import Link, graph_text, read_g2o
 from specmap_cli.maps import filenames
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import Map
 from specmap_cli.maps.text_files import map_text
 
 
@@ -24,7 +24,7 @@ class PoseGraph:
 
     description = "g2o: the pose graph of the layout, for GTSAM and g2o"
 
-    def write(self, stored: StoredMap, target: IO[bytes], progress: Progress) -> None:
+    def write(self, stored: Map, target: IO[bytes], progress: Progress) -> None:
         """Write trajectory.g2o of a map. MapError for a map without a trajectory."""
         poses, links = _read(stored)
         graph = nx.Graph()
@@ -39,7 +39,7 @@ class PoseGraph:
         target.write(graph_text(poses, links, starts).encode())
 
 
-def _read(stored: StoredMap) -> tuple[dict[int, FloatArray], list[Link]]:
+def _read(stored: Map) -> tuple[dict[int, FloatArray], list[Link]]:
     path = stored.path / filenames.POSE_GRAPH
     if not path.exists():
         raise MapError(

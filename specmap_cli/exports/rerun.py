@@ -21,18 +21,17 @@ from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.text import encodable
 from specmap_cli.drawing.palette import darker
-from specmap_cli.exports.flat_formats import Fields, centre_of, known, told_of
 from specmap_cli.exports.layers import (
     LAYER_STEP_M,
     Layer,
     Rgb,
     colours,
-    driven,
     graph_lines,
     layers,
     scans_of,
 )
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.flat import Fields, known, told_of
+from specmap_cli.maps.store import Map
 
 _TRAJECTORY: Rgb = (150, 60, 150)
 _OUTLINE_Z, _WAY_Z, _NAME_Z = 0.02, 0.04, 0.06  # above the map, metres
@@ -43,7 +42,7 @@ class Rerun:
 
     description = "RRD: map, submaps, graph, trajectory and scans, for the Rerun viewer"
 
-    def write(self, stored: StoredMap, target: IO[bytes], progress: Progress) -> None:
+    def write(self, stored: Map, target: IO[bytes], progress: Progress) -> None:
         """Write a map. Raises UsageError when rerun-sdk is not installed."""
         sdk = _sdk()
         with temporary_files():
@@ -56,24 +55,24 @@ class Rerun:
                 shutil.copyfileobj(file, target)
 
 
-def _write(recording: _Recording, stored: StoredMap, progress: Progress) -> None:
+def _write(recording: _Recording, stored: Map, progress: Progress) -> None:
     fills = colours(stored)
     for number, layer in enumerate(layers(stored, fills)):
         recording.grid(layer, number * LAYER_STEP_M)
-    for node in stored.record.nodes:
+    for node in stored.rooms.values():
         colour, entity = darker(fills[node.id]), f"submaps/{node.id}"
-        if node.polygon:
-            ring = [*node.polygon, node.polygon[0]]
+        if len(node.outline):
+            ring = node.outline[[*range(len(node.outline)), 0]].tolist()
             recording.line(f"{entity}/outline", ring, colour, _OUTLINE_Z, {})
-        place = node.anchor or centre_of(node)
+        place = node.place
         recording.point(entity, place, colour, encodable(node.name), told_of(node))
-    for one in graph_lines(stored.record):
+    for one in graph_lines(stored):
         entity = f"graph/{one.kind}s/{one.ids}"
         recording.line(entity, one.points, one.colour, _WAY_Z, one.told)
     with scans_of(stored, progress) as scans:
         if scans is None:
             return
-        recording.line("trajectory", driven(stored)[:, :2], _TRAJECTORY, _WAY_Z, {})
+        recording.line("trajectory", stored.trajectory.driven[:, :2], _TRAJECTORY, _WAY_Z, {})
         progress.start("writing scans", len(scans))
         for number, pose in enumerate(stored.labels.poses.tolist()):  # in the finished map
             scan = scans.scan(number)

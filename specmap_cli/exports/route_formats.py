@@ -22,10 +22,11 @@ from typing import IO
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.text import counted, seconds, to_json
 from specmap_cli.core.yaml import yaml_text
-from specmap_cli.exports.flat_formats import Fields, collection, feature, known
+from specmap_cli.exports.flat_formats import collection
 from specmap_cli.exports.routes import Leg, Routes, check_routes, routes, without_bends
+from specmap_cli.maps.flat import Fields, feature, known
 from specmap_cli.maps.schema import TopologyRecord
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import Map
 
 
 class Nav2:
@@ -33,7 +34,7 @@ class Nav2:
 
     description = "GeoJSON for Nav2's route server: nodes at anchors, doors and bends"
 
-    def write(self, stored: StoredMap, target: IO[bytes], progress: Progress) -> None:
+    def write(self, stored: Map, target: IO[bytes], progress: Progress) -> None:
         """Write the routes of a map; `frame` is the map's. MapError for a map without ways."""
         check_routes(stored, progress)
         found = routes(stored.record)
@@ -110,7 +111,7 @@ class Tmap2:
 
     description = "YAML: a topological map (tmap2) for LCAS topological_navigation"
 
-    def write(self, stored: StoredMap, target: IO[bytes], progress: Progress) -> None:
+    def write(self, stored: Map, target: IO[bytes], progress: Progress) -> None:
         """Write the routes of a map. Raises MapError for a map without ways."""
         check_routes(stored, progress)
         record, name = stored.record, stored.path.resolve().name

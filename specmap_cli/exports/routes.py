@@ -20,7 +20,7 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.text import counted
 from specmap_cli.maps.schema import TopologyRecord
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import Map
 from specmap_cli.topology.navigation import crossing_of, is_way, parts
 from specmap_cli.topology.topological_map import Door, Edge
 
@@ -136,7 +136,7 @@ def _point(path: FloatArray, place: float) -> FloatArray:
 _MOST = 5  # submaps, links or parts that a message names
 
 
-def check_routes(stored: StoredMap, progress: Progress) -> None:
+def check_routes(stored: Map, progress: Progress) -> None:
     """Tell what would mislead a robot that follows the ways of a map.
 
     Raises MapError for a map without any way: nothing could be planned with it.

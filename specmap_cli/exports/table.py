@@ -6,7 +6,7 @@ by an entry point of the group `specmap.exporters`; the entry point's name is th
     class Names:
         description = "the names of the submaps, a line each"
 
-        def write(self, stored: StoredMap, target: IO[bytes], progress: Progress) -> None:
+        def write(self, stored: Map, target: IO[bytes], progress: Progress) -> None:
             for node in stored.record.nodes:
                 target.write(f"{node.name}\\n".encode())
 
@@ -30,7 +30,7 @@ from specmap_cli.exports.foxglove import Foxglove
 from specmap_cli.exports.pose_graph import PoseGraph
 from specmap_cli.exports.rerun import Rerun
 from specmap_cli.exports.route_formats import Nav2, Tmap2
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import Map
 
 GROUP = "specmap.exporters"
 
@@ -40,7 +40,7 @@ class Exporter(Protocol):
 
     description: str
 
-    def write(self, stored: StoredMap, target: IO[bytes], progress: Progress, /) -> None:
+    def write(self, stored: Map, target: IO[bytes], progress: Progress, /) -> None:
         """Write the map to an open file. Raises MapError when it is damaged, or lacks too much."""
 
 
@@ -61,7 +61,7 @@ def exporters() -> dict[str, Exporter]:
 
 
 def export_map(
-    stored: StoredMap,
+    stored: Map,
     name: str,
     out: Path | str,
     *,

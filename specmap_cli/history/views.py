@@ -20,7 +20,7 @@ from specmap_cli.history.record import (
     HistoryRecord,
     room_name,
 )
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import Map
 from specmap_cli.report import layers
 from specmap_cli.report.html import html_page, shown
 from specmap_cli.report.layers import DrawnMap
@@ -129,7 +129,7 @@ def words_of(change: ChangeRecord, names: Mapping[int, str]) -> str:
     return f"{_WORDS[change.kind]}{place}{size}{at} (since {change.since})"
 
 
-def render_history(record: HistoryRecord, plans: Sequence[StoredMap], folder: Path) -> str:
+def render_history(record: HistoryRecord, plans: Sequence[Map], folder: Path) -> str:
     """The page as text; `plans` are the first maps of the buildings, `folder` is where it lies.
 
     Raises MapError when a file of a map is missing or damaged.
@@ -165,7 +165,7 @@ def render_history(record: HistoryRecord, plans: Sequence[StoredMap], folder: Pa
     return html_page(_PACKAGE, "history.html", context, _STYLES)
 
 
-def _plan(building: BuildingRecord, stored: StoredMap) -> dict[str, Any]:
+def _plan(building: BuildingRecord, stored: Map) -> dict[str, Any]:
     """The first map of a building: path data, and the rooms with what share of time each had.
 
     The sign of a room is the name that a person gave, or the number alone: rooms may be small.

@@ -31,7 +31,7 @@ from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.maps.filenames import EDITS, TOPOLOGY, is_of_a_map
 
 if TYPE_CHECKING:  # slow to load
-    from specmap_cli.maps.store import StoredMap
+    from specmap_cli.maps.store import Map
 
 _EXCHANGE = 2  # RENAME_EXCHANGE of renameat2
 
@@ -70,7 +70,7 @@ class OutputDirectory:
         *,
         marker: str = TOPOLOGY,
         ours: Callable[[str], bool] = is_of_a_map,
-        made_of: Sequence[StoredMap] = (),
+        made_of: Sequence[Map] = (),
     ) -> None:
         self.path = Path(path)
         self.overwrite = overwrite

@@ -6,49 +6,65 @@ Whatever is missing or damaged is a MapError of one line that names the file.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator, Mapping
+from base64 import b64encode
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from pydantic import ValidationError
 
 from specmap_cli.core.arguments import path_of
+from specmap_cli.core.arrays import unchanging
 from specmap_cli.core.config import known_settings
-from specmap_cli.core.errors import MAP_MISSING, TOO_LARGE, MapError
+from specmap_cli.core.errors import MAP_MISSING, MapError
 from specmap_cli.core.files import sha256_of
-from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.records import NO_SUBMAP, Labels
+from specmap_cli.core.findings import Quality, Verdict
+from specmap_cli.core.records import NO_SUBMAP, Labels, Trajectory
 from specmap_cli.core.settings import Config, LimitsConfig
 from specmap_cli.core.text import counted
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, GridMap
+from specmap_cli.grids.gridmap import GridMap, slices_near
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.map_server import read_grid, read_picture
 from specmap_cli.maps import filenames
 from specmap_cli.maps.features_file import Arrays, read_features
-from specmap_cli.maps.schema import NodeRecord, TopologyRecord
-from specmap_cli.maps.text_files import first_finding, map_json, map_text, read_labels
+from specmap_cli.maps.rooms import Grids, Room, RoomOrPlace, Rooms, composed
+from specmap_cli.maps.schema import TopologyRecord
+from specmap_cli.maps.text_files import (
+    config_of,
+    map_json,
+    map_text,
+    read_labels,
+    read_trajectory,
+)
 from specmap_cli.maps.topology_file import read_topology
 from specmap_cli.topology.regions import NOBODY, OwnerArray, Regions, divide
+from specmap_cli.topology.routing import Roads, Route
 from specmap_cli.topology.topological_map import (
+    Door,
     LogInfo,
     Merge,
     TopologicalMap,
-    default_name,
+    driven_m,
     fences_of,
+    starts_of,
 )
+
+if TYPE_CHECKING:
+    import networkx as nx
 
 Value = TypeVar("Value")
 
-_FINEST_M, _COARSEST_M = 0.002, 10.0  # a cell of a map; matching scans in finer ones takes forever
+_NOTHING = np.zeros(0, dtype=np.int64)
+_NO_LABELS = Labels(stamps_ns=_NOTHING, poses=np.zeros((0, 3)), submaps=_NOTHING)
 
 
-def _of_one_map(read: Callable[[StoredMap], Value]) -> Callable[[StoredMap], Value]:
+def _of_one_map(read: Callable[[Map], Value]) -> Callable[[Map], Value]:
     """A reader of a file that says where what is wrong is only that the map was replaced."""
 
     @functools.wraps(read)
-    def reader(stored: StoredMap) -> Value:
+    def reader(stored: Map) -> Value:
         try:
             return read(stored)
         except MapError:
@@ -58,29 +74,142 @@ def _of_one_map(read: Callable[[StoredMap], Value]) -> Callable[[StoredMap], Val
     return reader
 
 
-class StoredMap:
-    """A map directory: `record` is its topology.json, the other files are read when asked for.
+@dataclass(frozen=True, eq=False, repr=False)
+class Map:
+    """A map that a program can hold: nothing of it can be changed.
 
+    `record` is its topology.json, the other files of its directory `path` are read when asked for.
     `limits` bound the size of these files; `note` is what a user should know of the map, if any.
-    Every property raises MapError when its file is missing or damaged.
+    Lengths are metres, angles radians, stamps nanoseconds, places in the frame of the map. Every
+    property raises MapError when its file is missing or damaged.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        record: TopologyRecord,
-        limits: LimitsConfig | None = None,
-        note: str = "",
-    ) -> None:
-        self.path = path
-        self.record = record
-        self.limits = LimitsConfig() if limits is None else limits
-        self.note = note
-        self.as_read = _stamp_of(path / filenames.TOPOLOGY)
+    path: Path
+    record: TopologyRecord
+    limits: LimitsConfig = field(default_factory=LimitsConfig)
+    note: str = ""
+    as_read: tuple[int, ...] | None = None  # what changes when another map takes its place
+
+    def __repr__(self) -> str:
+        return f"<Map {str(self.path)!r}: {counted(len(self.record.nodes), 'room')}>"
+
+    def _repr_png_(self) -> bytes | None:
+        """Its picture, for notebooks."""
+        overview = self.path / filenames.OVERVIEW
+        return overview.read_bytes() if overview.is_file() else None
+
+    def _repr_html_(self) -> str:
+        """The same with a table of its rooms."""
+        picture = b64encode(self._repr_png_() or b"").decode("ascii")
+        return f'<img src="data:image/png;base64,{picture}">{self.rooms._repr_html_()}'
+
+    @property
+    def frame(self) -> str:
+        """The name of the frame that all places are in."""
+        return self.record.graph.frame
+
+    @property
+    def quality(self) -> Quality | None:
+        """Verdict and findings; None where the map was not judged."""
+        return self.record.graph.quality
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """In a word: good, doubtful or poor."""
+        return None if self.quality is None else self.quality.verdict
+
+    @property
+    def driven_m(self) -> float:
+        """Metres driven from keyframe to keyframe."""
+        return driven_m(self.logs, self.keyframes)
+
+    @property
+    def duration_s(self) -> float:
+        """Seconds from first keyframe to last, of each recording by itself."""
+        return self.keyframes.duration_s(starts_of(self.logs))
+
+    @property
+    def doors(self) -> tuple[Door, ...]:
+        """Every door between two rooms, by id."""
+        return self.record.graph.doors
+
+    @property
+    def grid(self) -> GridMap:
+        """The grid of the whole map."""
+        return self.division[0]
+
+    @cached_property
+    def rooms(self) -> Rooms:
+        """The rooms, by id or by name."""
+        return Rooms(self.record.nodes, self.doors, self.grids)
+
+    def room_at(self, x: float, y: float) -> Room | None:
+        """The room that a place is in, or None. A robot beside a wall of a room is still in it."""
+        place = np.array([self.rooms.place_of((x, y))])
+        grid, owner = self.regions.grid, self.regions.owner
+        rows, columns = slices_near(place, 1.0, grid.origin, grid.resolution, owner.shape)
+        part = Regions(grid.window(rows, columns), owner[rows, columns], {})
+        found = part.owners(place)[0] if part.owner.size else NOBODY
+        return None if found == NOBODY else self.rooms[int(found)]
+
+    def route(self, start: RoomOrPlace, goal: RoomOrPlace) -> Route:
+        """How a robot gets from one room or place to another, through no forbidden door.
+
+        Rooms are given by id or name, or as they are; places as x and y, or as a pose. To a room
+        leads the way to its anchor. Where there is none, `route.why` says the reason. Raises
+        KeyError for an unknown room.
+        """
+        return self._roads.route(self.rooms.place_of(start), self.rooms.place_of(goal))
+
+    @cached_property
+    def _roads(self) -> Roads:
+        graph = self.record.graph
+        return Roads(self.regions, graph.doors, self.record.edges, graph.robot_radius_m)
+
+    def to_networkx(self) -> nx.Graph:
+        """A graph: nodes are rooms by id, edges the links between them, both with their figures.
+
+        A figure that is unknown is None, such as `length_m` of a link without a way, which
+        shortest paths by that weight pass over. Those of a forbidden link are there: `forbidden`.
+        """
+        from specmap_cli.maps import flat
+
+        return flat.graph_of(self)
+
+    def to_geopandas(self) -> Any:
+        """A GeoDataFrame in metres: `kind` is submap, anchor or door, or that of a link.
+
+        Rows are the features of `specmap export --format geojson`. Raises UsageError where
+        geopandas is not installed.
+        """
+        from specmap_cli.maps import flat
+
+        return flat.geodataframe_of(self)
+
+    @property
+    def of_recording(self) -> bool:
+        """Whether it was made of a recording; one of a finished grid has no keyframes."""
+        return (self.path / filenames.LABELS).exists()
+
+    @property
+    def keyframes(self) -> Labels:
+        """The keyframes with their rooms: arrays, or a loop; none of a finished grid."""
+        return self.labels if self.of_recording else _NO_LABELS
+
+    @cached_property
+    @_of_one_map
+    def trajectory(self) -> Trajectory:
+        """The pose at every scan: arrays, or one at a time by a loop; empty as `keyframes`."""
+        path = self.path / filenames.TRAJECTORY
+        if not self.of_recording:
+            return Trajectory(_NO_LABELS.stamps_ns, _NO_LABELS.poses)
+        found = read_trajectory(path, self.limits)
+        unchanging(found.stamps_ns, found.poses)
+        return self.checked(found, path.name)
 
     def refuse_changed(self) -> None:
         """Raise MapError when another run or a person has replaced the map since it was read."""
-        if _stamp_of(self.path / filenames.TOPOLOGY) != self.as_read:
+        if self.as_read not in (None, _stamp_of(self.path / filenames.TOPOLOGY)):
             raise MapError("was replaced meanwhile", "run the command again", where=self.path)
 
     def checked(self, value: Value, *names: str) -> Value:
@@ -98,30 +227,27 @@ class StoredMap:
 
     @property
     def ids(self) -> list[int]:
-        """Submap ids, ascending."""
-        return sorted(node.id for node in self.record.nodes)
+        """The ids of the rooms, ascending."""
+        return list(self.rooms)
 
     @property
     def names(self) -> dict[int, str]:
         """The names that a person gave, by submap id."""
-        named = {node.id: node.name for node in self.record.nodes}
-        return {id_: name for id_, name in sorted(named.items()) if name != default_name(id_)}
-
-    def grid(self, submap: int) -> GridMap:
-        """The grid of one submap, in its own frame. Raises KeyError for an id that is none."""
-        return self.grids[submap]
+        return {id_: one.given_name for id_, one in self.rooms.items() if one.given_name}
 
     @cached_property
     def grids(self) -> Mapping[int, GridMap]:
         """The grids of all submaps in their own frames, each read when asked for."""
-        return _Grids(self)
+        return Grids(self)
 
     @cached_property
     @_of_one_map
     def map_grid(self) -> GridMap:
         """The grid of the whole map."""
         names = [f"{filenames.MAP_GRID}{end}" for end in (".yaml", ".png")]
-        return self.checked(read_grid(self._of_recording(names[0]), limits=self.limits), *names)
+        grid = read_grid(self._of_recording(names[0]), limits=self.limits)
+        unchanging(grid.cells)
+        return self.checked(grid, *names)
 
     @cached_property
     @_of_one_map
@@ -155,7 +281,7 @@ class StoredMap:
             divided = divide(self.map_grid, self.labels, fences_of(borders))
             return divided.grid, divided.owner
         if not (self.path / f"{filenames.MAP_GRID}.yaml").exists():
-            return _composed(self)  # an earlier version divided it
+            return composed(self)  # an earlier version divided it
         owner = read_picture(of_grid, self.limits)[..., 0].astype(np.int64) - 1
         known = set(np.unique(owner).tolist()) <= {NOBODY, *self.ids}
         if owner.shape != self.map_grid.cells.shape or not known:
@@ -167,7 +293,9 @@ class StoredMap:
     @cached_property
     def regions(self) -> Regions:
         """The free cells of the map divided among the submaps, as in overview.png."""
-        return Regions.of(*self.division)
+        grid, owner = self.division
+        unchanging(grid.cells, owner)
+        return Regions.of(grid, owner)
 
     @cached_property
     @_of_one_map
@@ -182,10 +310,11 @@ class StoredMap:
                 "build the map again",
                 where=path,
             )
+        unchanging(labels.stamps_ns, labels.poses, labels.submaps)
         return self.checked(labels, path.name)
 
     @_of_one_map
-    def keyframes(self) -> KeyframeStore:
+    def scans(self) -> KeyframeStore:
         """The scans of the keyframes and their poses as registered: close the store after use."""
         from specmap_cli.maps.keyframe_log import read_keyframes  # loads the readers of recordings
 
@@ -273,16 +402,7 @@ class StoredMap:
 
         Settings that this version does not have are left out: `foreign_settings` names them.
         """
-        written = self.run.get("config")
-        try:
-            known = known_settings(written)[0] if isinstance(written, dict) else written
-            return Config.model_validate(known)
-        except ValidationError as error:
-            raise MapError(
-                f"config: {first_finding(error)}",
-                "build the map again",
-                where=self.path / filenames.RUN,
-            ) from None
+        return config_of(self.run.get("config"), self.path / filenames.RUN)
 
     @property
     def foreign_settings(self) -> list[str]:
@@ -305,85 +425,12 @@ def _foreign(path: Path) -> MapError:
     return MapError(what, "put that one back, or build the map again", where=path)
 
 
-def _composed(stored: StoredMap) -> tuple[GridMap, OwnerArray]:
-    """The grids of all submaps laid out in the map, each the owner of what is free in it.
-
-    Earlier versions kept no more of a grid that they divided. Raises MapError when the whole would
-    be beyond all bounds.
-    """
-    pieces = [(node, stored.grid(node.id)) for node in stored.record.nodes]
-    points = np.vstack(
-        [np.zeros((0, 2)), *(_placed(node, grid, grid.cells != UNKNOWN) for node, grid in pieces)]
-    )
-    if not len(points):
-        points = np.zeros((1, 2))
-    low, high = points.min(axis=0), points.max(axis=0)
-    cell_m = min((grid.resolution for _, grid in pieces), default=1.0)
-    width, height = (int(side) + 2 for side in np.ceil((high - low) / cell_m))
-    if width * height > stored.limits.picture_max_mpixel * 1e6:
-        raise MapError(
-            f"its submaps lie so far apart that a picture of them has {width:,} x {height:,} cells",
-            "if it is meant, raise limits.picture_max_mpixel",
-            mark=";",
-            where=stored.path,
-            code=TOO_LARGE,
-        )
-    left, bottom = (low - 0.5 * cell_m).tolist()
-    unknown = np.full((height, width), UNKNOWN, dtype=np.uint8)
-    whole = GridMap(unknown, cell_m, (left, bottom))
-    owner = np.full(whole.cells.shape, NOBODY, dtype=np.int64)
-    for value in (FREE, OCCUPIED):
-        for node, grid in pieces:
-            rows, columns = whole.cells_of(_placed(node, grid, grid.cells == value)).T
-            whole.cells[rows, columns] = value
-            owner[rows, columns] = node.id if value == FREE else NOBODY
-    return whole, owner
-
-
-def _placed(node: NodeRecord, grid: GridMap, cells: BoolArray) -> FloatArray:
-    """(n, 2) centres in the map of some cells of a submap's grid."""
-    return node.frame.apply(grid.centres_of(np.argwhere(cells)))
-
-
-class _Grids(Mapping[int, GridMap]):
-    """Grids by submap id, each read from its file when it is first asked for."""
-
-    def __init__(self, stored: StoredMap) -> None:
-        self._stored = stored
-        self._images = {node.id: Path(node.image) for node in stored.record.nodes}
-        self._read: dict[int, GridMap] = {}
-
-    def __getitem__(self, submap: int) -> GridMap:
-        if submap not in self._read:
-            image, stored = self._images[submap], self._stored
-            path = stored.path / image.with_suffix(".yaml")
-            grid = read_grid(path, limits=stored.limits)
-            if not _FINEST_M <= grid.resolution <= _COARSEST_M:
-                raise MapError(
-                    f"resolution is {grid.resolution:g}",
-                    f"expected {_FINEST_M:g} to {_COARSEST_M:g} metres a cell: build the map again",
-                    where=path,
-                )
-            names = (image.as_posix(), image.with_suffix(".yaml").as_posix())
-            self._read[submap] = stored.checked(grid, *names)
-        return self._read[submap]
-
-    def __contains__(self, submap: object) -> bool:
-        return submap in self._images
-
-    def __iter__(self) -> Iterator[int]:
-        return iter(sorted(self._images))
-
-    def __len__(self) -> int:
-        return len(self._images)
-
-
-def read_map(path: str | Path, limits: LimitsConfig | None = None) -> StoredMap:
+def read_map(directory: str | Path, limits: LimitsConfig | None = None) -> Map:
     """Open a map directory whose files are within `limits`.
 
     Raises MapError in one line when it is none, or damaged.
     """
-    path = path_of(path, "path")
+    path = path_of(directory, "directory")
     if not path.exists():
         raise MapError(
             "no such map directory", "make one with `specmap build`", where=path, code=MAP_MISSING
@@ -400,16 +447,13 @@ def read_map(path: str | Path, limits: LimitsConfig | None = None) -> StoredMap:
         )
     limits, as_read = LimitsConfig() if limits is None else limits, _stamp_of(topology)
     record, note = read_topology(topology, limits)
-    stored = StoredMap(path, record, limits, note)
-    stored.as_read = as_read  # not what it may be by now
-    return stored
+    unchanging(*(edge.path for edge in record.edges if edge.path is not None))
+    return Map(path, record, limits, note, as_read)
 
 
-def opened_map(
-    given: StoredMap | Path | str, name: str, limits: LimitsConfig | None = None
-) -> StoredMap:
+def opened_map(given: Map | Path | str, name: str, limits: LimitsConfig | None = None) -> Map:
     """A map that is read already, or the directory of one, which the caller's argument `name` has.
 
     Raises MapError as `read_map` does, TypeError for what is neither.
     """
-    return given if isinstance(given, StoredMap) else read_map(path_of(given, name), limits)
+    return given if isinstance(given, Map) else read_map(path_of(given, name), limits)

@@ -16,6 +16,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from specmap_cli.core.arrays import runs
+from specmap_cli.core.config import known_settings
 from specmap_cli.core.errors import InputError, MapError
 from specmap_cli.core.files import read_bytes
 from specmap_cli.core.geometry import (
@@ -25,7 +26,7 @@ from specmap_cli.core.geometry import (
     yaw_of,
 )
 from specmap_cli.core.records import NO_SUBMAP, Labels, Trajectory
-from specmap_cli.core.settings import LimitsConfig
+from specmap_cli.core.settings import Config, LimitsConfig
 from specmap_cli.core.tables import csv_text
 from specmap_cli.core.text import counted, decimal, stamp_ns, stamp_text
 
@@ -92,6 +93,16 @@ def first_finding(error: ValidationError) -> str:
     finding = error.errors()[0]
     key = ".".join(str(part) for part in finding["loc"])
     return f"{key}: {finding['msg']}" if key else str(finding["msg"])
+
+
+def config_of(written: Any, path: Path) -> Config:
+    """The settings `written` in a file, without those that this version does not have."""
+    try:
+        known = known_settings(written)[0] if isinstance(written, dict) else written
+        return Config.model_validate(known)
+    except ValidationError as error:
+        what = f"config: {first_finding(error)}"
+        raise MapError(what, "build the map again", where=path) from None
 
 
 def labels_text(labels: Labels) -> str:

@@ -17,7 +17,7 @@ from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels
 from specmap_cli.grids.bent import BentMotion
 from specmap_cli.history.record import Tour, room_name, tour_of
 from specmap_cli.maps.schema import NodeRecord
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import Map
 from specmap_cli.pipelines.compare import Comparison, compare_maps
 from specmap_cli.topology.graph import settle_labels
 from specmap_cli.topology.topological_map import ways_m
@@ -45,7 +45,7 @@ class Entry:
     """
 
     number: int
-    stored: StoredMap
+    stored: Map
     steps: tuple[BentMotion, ...] = ()
     room_of: Mapping[int, int] = field(default_factory=dict)
     added: tuple[Room, ...] = ()
@@ -82,7 +82,7 @@ class BuildingSeries:
     Only the last map and those that showed rooms first (`_plans`) are held, never all of a series.
     """
 
-    def __init__(self, number: int, first: StoredMap) -> None:
+    def __init__(self, number: int, first: Map) -> None:
         self.rooms: list[Room] = []
         self.tours: list[Tour] = []
         self._plans: list[Entry] = []
@@ -90,7 +90,7 @@ class BuildingSeries:
         self._seen: set[Recording] = set()
         self.last = self._take(Entry(number, first))
 
-    def add(self, number: int, stored: StoredMap) -> Step | None:
+    def add(self, number: int, stored: Map) -> Step | None:
         """Take in the next map, or None where it fits to none of the building.
 
         It is compared with the newest map that it fits to, and laid out in the oldest, so that
@@ -146,7 +146,7 @@ class BuildingSeries:
                 self._names[entry.room_of[id_]] = name
         return entry
 
-    def _tours(self, stored: StoredMap, labels: Labels, rooms: IntArray) -> None:
+    def _tours(self, stored: Map, labels: Labels, rooms: IntArray) -> None:
         """Count the recordings that no earlier map of the building was made of."""
         least_m = stored.config.segmentation.region_min_m
         for log, way_m in zip(stored.logs, ways_m(stored.logs, labels), strict=True):
@@ -165,7 +165,7 @@ class BuildingSeries:
                 self.tours.append(tour_of(part, settled, way_m))
 
 
-def _fits(old: StoredMap, new: StoredMap) -> Comparison | None:
+def _fits(old: Map, new: Map) -> Comparison | None:
     try:
         return compare_maps(old, new)
     except NoResultError:

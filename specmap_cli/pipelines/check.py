@@ -24,7 +24,7 @@ from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.text import plain
 from specmap_cli.maps.comparison import ComparisonRecord
-from specmap_cli.maps.store import StoredMap, opened_map
+from specmap_cli.maps.store import Map, opened_map
 from specmap_cli.pipelines.compare import compare_maps
 
 _GRAVITY: tuple[Severity, ...] = ("note", "doubtful", "poor")
@@ -52,9 +52,9 @@ class CheckReport:
 
 @one_blas_thread()
 def check_map(
-    stored: StoredMap | Path | str,
+    stored: Map | Path | str,
     rules: Rules | None = None,
-    against: StoredMap | Path | str | None = None,
+    against: Map | Path | str | None = None,
     progress: Progress | None = None,
 ) -> CheckReport:
     """Whether a map keeps rules; `against` is a golden map of the same building.
@@ -77,15 +77,13 @@ def check_map(
         against_it = figures_against(record)
         figures |= against_it
         details |= dict.fromkeys(against_it, reason) if record is None else _changes(record)
-    quality = map_.record.graph.quality
-    verdict = None if quality is None else quality.verdict
     named = None if golden is None else str(golden.path)
-    return CheckReport(judged(str(map_.path), named, plain(figures), verdict, rules, details))
+    return CheckReport(judged(str(map_.path), named, plain(figures), map_.verdict, rules, details))
 
 
-def _told(stored: StoredMap) -> Iterable[tuple[str, str]]:
+def _told(stored: Map) -> Iterable[tuple[str, str]]:
     """What the findings say, by the figure that counts them, and those that made the verdict."""
-    quality = stored.record.graph.quality
+    quality = stored.quality
     if quality is None:
         return
     by_code: dict[str, list[Finding]] = {}

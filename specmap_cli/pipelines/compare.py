@@ -31,11 +31,11 @@ from specmap_cli.maps.comparison import (
     ThingsRecord,
 )
 from specmap_cli.maps.directory import OutputDirectory
-from specmap_cli.maps.store import StoredMap, opened_map
+from specmap_cli.maps.store import Map, opened_map
 from specmap_cli.pipelines.overlaps import stored_to_align
 from specmap_cli.recognition.closure.alignment import Alignment, align
 from specmap_cli.topology.differences import Crossing, Differences, Obstacle, differences
-from specmap_cli.topology.topological_map import default_name, driven_m, starts_of
+from specmap_cli.topology.topological_map import default_name
 
 COMPARISON, SUMMARY, PICTURE = "compare.json", "summary.txt", "compare.png"
 # Of a submap whose own place in the other map is believed: how well it fits, metres of wall, and
@@ -47,8 +47,8 @@ _LEAST_FIT, _LEAST_WALLS_M, _LEAST_SHARE = 0.7, 5.0, 0.5
 class Comparison:
     """Two stored maps, where the new one lies in the old one, and what differs."""
 
-    old: StoredMap
-    new: StoredMap
+    old: Map
+    new: Map
     alignment: Alignment
     old_from_new: BentMotion
     differences: Differences
@@ -96,8 +96,8 @@ class Comparison:
 
 @one_blas_thread()
 def compare_maps(
-    old: StoredMap | Path | str,
-    new: StoredMap | Path | str,
+    old: Map | Path | str,
+    new: Map | Path | str,
     config: Config | None = None,
     progress: Progress | None = None,
 ) -> Comparison:
@@ -180,18 +180,17 @@ def _motion(alignment: Alignment) -> BentMotion:
     return BentMotion(alignment.old_from_new, local)
 
 
-def _figures(stored: StoredMap) -> MapFigures:
-    labels, quality = stored.labels, stored.record.graph.quality
+def _figures(stored: Map) -> MapFigures:
     return MapFigures(
         map=encodable(str(stored.path)),
-        names={node.id: node.name for node in stored.record.nodes},
-        submaps=len(stored.record.nodes),
+        names={id_: room.name for id_, room in stored.rooms.items()},
+        submaps=len(stored.rooms),
         edges=len(stored.record.edges),
-        keyframes=len(labels.stamps_ns),
-        path_m=driven_m(stored.logs, labels),
-        duration_s=labels.duration_s(starts_of(stored.logs)),
+        keyframes=len(stored.labels.stamps_ns),
+        path_m=stored.driven_m,
+        duration_s=stored.duration_s,
         area_m2=stored.record.area_m2,
-        verdict=None if quality is None else quality.verdict,
+        verdict=stored.verdict,
     )
 
 

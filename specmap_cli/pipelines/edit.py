@@ -29,8 +29,7 @@ from specmap_cli.maps import filenames
 from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.edits import Edits, borders_in, edits_text, in_words, written
 from specmap_cli.maps.schema import EditsRecord, TopologyRecord, placed
-from specmap_cli.maps.store import StoredMap, opened_map
-from specmap_cli.maps.text_files import read_trajectory
+from specmap_cli.maps.store import Map, opened_map
 from specmap_cli.pipelines.edits import (
     Drawn,
     RequestedEdits,
@@ -43,7 +42,7 @@ from specmap_cli.pipelines.edits import (
 from specmap_cli.pipelines.finishing import finish, write_finished
 from specmap_cli.pipelines.laying_out import with_grid
 from specmap_cli.pipelines.learning import Prior, training_data_of_stored, valid_training_data
-from specmap_cli.pipelines.localize import settings_for
+from specmap_cli.pipelines.localizer import settings_for
 from specmap_cli.pipelines.map_in_making import laid_out_of_stored, quality_of_stored
 from specmap_cli.pipelines.reports import EditReport
 from specmap_cli.pipelines.session import Session
@@ -63,7 +62,7 @@ Edited = tuple[TopologicalMap, tuple[str, ...]]  # as it was written, and what d
 
 @one_blas_thread()
 def edit_map(
-    map_: StoredMap | Path | str,
+    map_: Map | Path | str,
     requested: RequestedEdits | None = None,
     out: Path | str | None = None,
     config: Config | None = None,
@@ -139,7 +138,7 @@ def _surprises(before: TopologyRecord, after: TopologicalMap) -> Iterator[str]:
             yield f"{len(of)} submaps are called {name!r}: {', '.join(map(str, of))}"
 
 
-def _drawn(stored: StoredMap, edits: Edits) -> Drawn:
+def _drawn(stored: Map, edits: Edits) -> Drawn:
     """The keyframes with the borders of the edits; a finished grid has none that could be moved."""
     graph = stored.record.graph
     if not borders_in(edits) and not graph.edits.borders:
@@ -165,10 +164,9 @@ def _refuse_unapplied(unapplied: Sequence[str], found: Drawn, requested: Request
                 raise UsageError(f"cannot {in_words(found.edits.changes[place])}: {why}")
 
 
-def _relabelled(stored: StoredMap, found: Drawn, directory: Path) -> Edited:
+def _relabelled(stored: Map, found: Drawn, directory: Path) -> Edited:
     """The map with its borders as they are."""
     bordered = replace(stored.topology, borders=found.borders, next_id=found.next_id)
-    of_recording = (stored.path / filenames.LABELS).exists()
     regions = stored.regions
     topology, unapplied = named(bordered, regions, found.edits, found.skipped)
     edits = written(found.edits, edits_text(stored.path, stored.limits))
@@ -176,12 +174,10 @@ def _relabelled(stored: StoredMap, found: Drawn, directory: Path) -> Edited:
     record = _record_with(stored.record, topology, regions)
     (directory / filenames.TOPOLOGY).write_text(record.text(), encoding="utf-8")
     logs = stored.record.graph.logs
-    if not of_recording:
+    if not stored.of_recording:
         picture = render_segmentation(topology, regions, logs[0])
     else:
-        way = read_trajectory(stored.path / filenames.TRAJECTORY, stored.limits)
-        stored.checked(way, filenames.TRAJECTORY)
-        quality = quality_of_stored(stored)
+        way, quality = stored.trajectory, quality_of_stored(stored)
         picture = render_overview(topology, regions, way, stored.labels, logs, quality)
     write_png(directory / filenames.OVERVIEW, picture)
     if edits:
@@ -190,7 +186,7 @@ def _relabelled(stored: StoredMap, found: Drawn, directory: Path) -> Edited:
 
 
 def _made_anew(
-    stored: StoredMap, found: Drawn, config: Config | None, progress: Progress, directory: Path
+    stored: Map, found: Drawn, config: Config | None, progress: Progress, directory: Path
 ) -> Edited:
     """The map with other borders, made of its keyframes; what is thought of its layout stays."""
     config = settings_for(stored, {}) if config is None else config
@@ -202,7 +198,7 @@ def _made_anew(
         np.arange(len(laid)),
         config.grid.resolution_m,
     )
-    with stored.keyframes() as store:
+    with stored.scans() as store:
         session = Session(config, store, progress)
         laid = with_grid(session, replace(laid, edits=found.edits))
         prior = Prior.of(session, kept)

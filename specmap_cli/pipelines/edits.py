@@ -27,7 +27,7 @@ from specmap_cli.maps.edits import (
     read_edits,
     said_in,
 )
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import Map
 from specmap_cli.topology.navigation import Forbidden, Shut, shut_by, with_detours, with_shut
 from specmap_cli.topology.redrawing import redrawn
 from specmap_cli.topology.regions import Regions
@@ -120,7 +120,7 @@ class Drawn:
     skipped: Mapping[int, str] = field(default_factory=dict)
 
 
-def edits_of_stored(stored: StoredMap) -> Edits:
+def edits_of_stored(stored: Map) -> Edits:
     """The edits.toml of a map, with the names and properties written into topology.json by hand.
 
     Raises MapError when the file is damaged, and when it is gone though the map shows edits.

@@ -34,7 +34,7 @@ from specmap_cli.history.views import TABLES, lines_of, render_history
 from specmap_cli.maps import filenames
 from specmap_cli.maps.comparison import ThingRecord
 from specmap_cli.maps.directory import OutputDirectory
-from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.store import Map, read_map
 from specmap_cli.pipelines.building_series import BuildingSeries, Entry, Room, Step
 from specmap_cli.pipelines.overlaps import stored_to_align
 
@@ -180,7 +180,7 @@ def _dated(
     for path in dict.fromkeys(paths):
         try:
             stored = read_map(path, limits)
-            if not (path / filenames.LABELS).exists() or not len(stored.labels.stamps_ns):
+            if not len(stored.keyframes.stamps_ns):
                 raise MapError("was not made of a recording: it knows no visits", where=path)
             stored_to_align(stored)  # all that a comparison needs
             dated.append((span_ns(stored)[1], str(path), path))
@@ -194,7 +194,7 @@ def _dated(
 _NS = 1_000_000_000
 
 
-def span_ns(stored: StoredMap) -> tuple[int, int]:
+def span_ns(stored: Map) -> tuple[int, int]:
     """The stamps of a map's first and last keyframe."""
     stamps = stored.labels.stamps_ns
     return int(stamps.min()), int(stamps.max())
@@ -204,14 +204,13 @@ def map_record(entry: Entry, step: Step | None) -> MapRecord:
     """A map as history.json has it; `step` is that from an earlier map to it."""
     stored = entry.stored
     start_ns, end_ns = span_ns(stored)
-    quality = stored.record.graph.quality
     return MapRecord(
         number=entry.number,
         map=encodable(str(stored.path)),
         start=start_ns / _NS,
         end=end_ns / _NS,
-        verdict=None if quality is None else quality.verdict,
-        submaps=len(stored.record.nodes),
+        verdict=stored.verdict,
+        submaps=len(stored.rooms),
         area_m2=stored.record.area_m2,
         compared_with=None if step is None else step.before.number,
         residual_m=None if step is None else step.comparison.record.alignment.residual_m,

@@ -16,7 +16,7 @@ from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import integrate_keyframes
 from specmap_cli.maps.features_file import KEYFRAMES_OF, KINDS
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import Map
 from specmap_cli.pipelines.map_in_making import submaps_of
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.worker import ahead
@@ -188,7 +188,7 @@ def arrays_of(data: TrainingData) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-def training_data_of_stored(stored: StoredMap, config: Config) -> TrainingData:
+def training_data_of_stored(stored: Map, config: Config) -> TrainingData:
     """The training data of a map directory; none where it would not be the same by these settings.
 
     Nor are there any of another version, which may find other features. Scans that were cast in
@@ -219,7 +219,7 @@ def training_data_of_stored(stored: StoredMap, config: Config) -> TrainingData:
 
 
 def comparable(
-    classifiers: ClassifierSet | None, stored: StoredMap, config: Config
+    classifiers: ClassifierSet | None, stored: Map, config: Config
 ) -> ClassifierSet | None:
     """The classifiers of a map where they are of the kind that these settings make, else None.
 
@@ -264,7 +264,7 @@ def valid_training_data(
     return training_data.left(left).cast_near(unchanged).numbered_from(first)
 
 
-def _of_this_version(stored: StoredMap) -> bool:
+def _of_this_version(stored: Map) -> bool:
     """Whether this version of specmap made the map, as far as it says so."""
     versions = stored.run.get("versions")
     return isinstance(versions, dict) and versions.get("specmap") == __version__

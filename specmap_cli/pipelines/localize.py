@@ -14,35 +14,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.arguments import Paths, instance_of, path_of, paths_of
-from specmap_cli.core.arrays import neighbours
-from specmap_cli.core.config import SETTINGS, load_config, with_overrides
-from specmap_cli.core.errors import LogError, MapError
+from specmap_cli.core.arguments import Paths, instance_of, paths_of
+from specmap_cli.core.errors import LogError
 from specmap_cli.core.files import write_together
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, product
+from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import NO_SUBMAP
-from specmap_cli.core.settings import Config, LogConfig
+from specmap_cli.core.settings import Config
 from specmap_cli.core.tables import csv_text
 from specmap_cli.core.text import counted, legible, stamp_text
 from specmap_cli.grids.map_server import png_bytes
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
-from specmap_cli.maps.filenames import CLASSIFIERS
-from specmap_cli.maps.store import StoredMap, opened_map
-from specmap_cli.recognition.features.sets import check_feature_sets
-from specmap_cli.recognition.learning.classifiers import ClassifierSet
-from specmap_cli.recognition.localization.localizer import Fix, Label, Localizer, Where
-from specmap_cli.recognition.localization.walls import MapWalls
-from specmap_cli.registration.frontend import FrontEnd
+from specmap_cli.maps.store import Map, opened_map
+from specmap_cli.pipelines.localizer import LocalizedScan, Localizer
+from specmap_cli.recognition.localization.localizer import Where
 from specmap_cli.topology.topological_map import default_name
 
 _TELL_S = 10.0  # between lines while the place is not known: the whole map is searched then
-_NO_CALIBRATION = (
-    "an older map, which does not say how sure its classifiers are: probabilities are those that "
-    "are usual elsewhere; build it again"
-)
 _NO_MISFIT = (
     "an older map, which does not say how well its own scans fit its walls; known places are told "
     "from unknown by what is usual elsewhere: build it again"
@@ -52,7 +42,7 @@ _NO_MISFIT = (
 @one_blas_thread()
 def localize_log(
     logs: Paths,
-    map_: StoredMap | Path | str,
+    map_: Map | Path | str,
     config: Config | None = None,
     *,
     offline: bool = False,
@@ -72,17 +62,15 @@ def localize_log(
     if config is not None:
         instance_of(config, Config, "config")
     stored = _opened(map_, config, progress)
-    config = settings_for(stored, {}) if config is None else config
-    check_feature_sets(config)
-    localizer = localizer_of(stored, config, with_walls=metric)
-    if config.localization.unknown and localizer.classifiers.misfit is None:
+    localizer = Localizer(stored, config, metric=metric)
+    if localizer.config.localization.unknown and not localizer.knows_its_walls:
         progress.note(f"{stored.path}: {_NO_MISFIT}")
-    with open_log(given, config.log) as log:
-        stream, front_end = SweepStream(log, config.log), FrontEnd(config.registration)
+    with open_log(given, localizer.config.log) as log:
+        stream = SweepStream(log, localizer.config.log)
         progress.note(stream.selection.note)
         progress.start("localising", stream.expected)
         found, told = list[Where](), monotonic()
-        for where in localizer.located(front_end.register(sweep) for sweep in stream):
+        for where in localizer.located(stream):
             found.append(where)
             progress.advance()
             if where.label.filtered_submap is None and monotonic() - told > _TELL_S:
@@ -90,20 +78,15 @@ def localize_log(
                 told = monotonic()
         if not found:
             raise LogError("no usable scan in it", "see `specmap info`", mark=";", where=log.name)
-        found = localizer.smoothed(found) if offline else found
-        frames = {id_: one.map_from_submap for id_, one in stored.topology.submaps.items()}
-        scans = tuple(LocalizedScan.of(where, frames, metric) for where in found)
-        notes = [localizer.note] if localizer.note else []
-        if localizer.classifiers.calibration is None:
-            notes.append(f"{stored.path}: {_NO_CALIBRATION}")
-        warnings = (*stream.warnings, *front_end.warnings, *notes)
+        warnings = (*stream.warnings, *localizer.warnings)
         for warning in warnings:
             progress.warn(warning)
+        scans = localizer.told(found, offline=offline)
         name = legible(Path(log.name).name)
         return LocalizationReport(log=name, scans=scans, warnings=warnings, names=stored.names)
 
 
-def _opened(map_: StoredMap | Path | str, config: Config | None, progress: Progress) -> StoredMap:
+def _opened(map_: Map | Path | str, config: Config | None, progress: Progress) -> Map:
     """The map; what it lacks is noted, and settings that only the version that built it knows."""
     limits = None if config is None else config.limits
     stored = opened_map(map_, "map_", limits)
@@ -115,98 +98,10 @@ def _opened(map_: StoredMap | Path | str, config: Config | None, progress: Progr
     return stored
 
 
-def settings_for(
-    stored: StoredMap,
-    overrides: dict[str, Any],
-    file: Path | str | None = None,
-    preset: str | None = None,
-) -> Config:
-    """The settings for a log: `overrides` over those of `file` (TOML) over those of the map.
-
-    A `preset`, or one that the file names, takes the place of the map's settings. Topics and frames
-    are never the map's: they are the log's own. Raises UsageError as `load_config` does.
-    """
-    from_file = {} if file is None else SETTINGS.tables(path_of(file, "file"))
-    if preset is not None or "preset" in from_file:
-        return load_config(file, preset, overrides)
-    built_with = Config(**{**dict(stored.config), "log": LogConfig()})
-    config = with_overrides(built_with, from_file, f"{file}: ")
-    return with_overrides(config, overrides)
-
-
-def localizer_of(stored: StoredMap, config: Config, *, with_walls: bool = False) -> Localizer:
-    """The localizer of a stored map: its classifiers, the neighbours of its submaps, its walls."""
-    classifiers, settings = classifiers_of(stored), config.localization
-    walls = MapWalls(*stored.division, classifiers.misfit, settings)
-    adjacency = neighbours(stored.ids, stored.topology.joined)
-    return Localizer(classifiers, adjacency, walls, settings, with_walls=with_walls)
-
-
-def classifiers_of(stored: StoredMap) -> ClassifierSet:
-    """The classifiers of a stored map, one a submap; MapError naming the file otherwise."""
-    path, text = stored.path / CLASSIFIERS, stored.classifiers
-    try:
-        classifiers = ClassifierSet.from_json(text)
-    except MapError as error:
-        raise MapError(
-            error.found, error.hint, mark=error.mark, where=path, code=error.code
-        ) from None
-    if classifiers.ids != stored.ids:
-        raise MapError(
-            f"classifiers of the submaps {classifiers.ids}, but the map has {stored.ids}",
-            "build the map again",
-            where=path,
-        )
-    return classifiers
-
-
 HEADER = "stamp,submap,margin,runner_up,filtered_submap,name,filtered_probability,probability"
 METRIC_HEADER = (
     ",x,y,theta,score,var_x,cov_xy,cov_xtheta,var_y,cov_ytheta,var_theta,map_x,map_y,map_theta"
 )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LocalizedScan:
-    """The label of one scan, its place as registered, and within the map where one is known.
-
-    `map_from_submap` is the frame of the submap of the filtered label.
-    """
-
-    label: Label
-    track_from_base: Pose2
-    fix: Fix | None = None
-    map_from_submap: Pose2 = IDENTITY
-
-    @classmethod
-    def of(cls, where: Where, frames: Mapping[int, Pose2], metric: bool) -> LocalizedScan:
-        """What is known of a scan; `frames` are those of the submaps."""
-        submap = where.label.filtered_submap
-        return cls(
-            label=where.label,
-            track_from_base=where.track_from_base,
-            fix=where.fix if metric and submap is not None else None,
-            map_from_submap=IDENTITY if submap is None else frames[submap],
-        )
-
-    @property
-    def map_from_base(self) -> Pose2 | None:
-        """The pose in the map, None where it is not known."""
-        return None if self.fix is None else self.fix.pose
-
-    @property
-    def submap_from_base(self) -> Pose2 | None:
-        """The pose in the submap of the filtered label, None where it is not known."""
-        return None if self.fix is None else self.map_from_submap.inverse() @ self.fix.pose
-
-    @property
-    def covariance(self) -> FloatArray | None:
-        """(3, 3) of x, y and angle of the pose in the submap: square metres and radians."""
-        if self.fix is None:
-            return None
-        turn = np.eye(3)
-        turn[:2, :2] = self.map_from_submap.rotation().T
-        return product(product(turn, self.fix.covariance), turn.T)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -267,7 +162,7 @@ class LocalizationReport:
 
 def write_report(
     report: LocalizationReport,
-    stored: StoredMap,
+    stored: Map,
     *,
     metric: bool,
     csv: Path | None = None,
@@ -318,7 +213,7 @@ def _cells(report: LocalizationReport, scan: LocalizedScan, metric: bool) -> lis
     ]
 
 
-def picture_of(report: LocalizationReport, stored: StoredMap, metric: bool) -> NDArray[np.uint8]:
+def picture_of(report: LocalizationReport, stored: Map, metric: bool) -> NDArray[np.uint8]:
     """The predicted submap along the trajectory, over the map where scans were matched in it.
 
     The colours are those of the map's overview. Without a pose the way is as it was tracked.

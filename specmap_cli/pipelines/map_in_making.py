@@ -27,8 +27,8 @@ from specmap_cli.layout.result import Layout
 from specmap_cli.layout.trajectory import rows_of
 from specmap_cli.maps import filenames
 from specmap_cli.maps.edits import Edits, edits_text
-from specmap_cli.maps.store import StoredMap
-from specmap_cli.maps.text_files import map_text, read_trajectory
+from specmap_cli.maps.store import Map
+from specmap_cli.maps.text_files import map_text
 from specmap_cli.pipelines.edits import edits_of_stored
 from specmap_cli.quality.evidence import Evidence
 from specmap_cli.quality.verdict import LAYOUT_CODES, of_layout, quality_of
@@ -201,7 +201,7 @@ def gaps_in(poses: FloatArray, logs: Sequence[LogInfo]) -> dict[int, Bridge]:
     return gaps_of(poses, np.where(np.array(whole)[recordings], -1, recordings))
 
 
-def laid_out_of_stored(stored: StoredMap) -> LaidOut:
+def laid_out_of_stored(stored: Map) -> LaidOut:
     """A map directory. Raises MapError when a file that it takes is missing or damaged."""
     topology = stored.topology
     return LaidOut(
@@ -236,13 +236,13 @@ def laid_out_of_stored(stored: StoredMap) -> LaidOut:
     )
 
 
-def quality_of_stored(stored: StoredMap) -> Quality:
+def quality_of_stored(stored: Map) -> Quality:
     """What was thought of a map when it was made."""
-    quality = stored.record.graph.quality
+    quality = stored.quality
     return UNDOUBTED if quality is None else quality_of(quality.findings)
 
 
-def _layout(stored: StoredMap) -> Layout:
+def _layout(stored: Map) -> Layout:
     """The layout of a map directory, with the links that are more than the way between nodes."""
     path, labels = stored.path / filenames.POSE_GRAPH, stored.labels
     text = map_text(path, stored.limits)
@@ -268,10 +268,10 @@ def _layout(stored: StoredMap) -> Layout:
     )
 
 
-def _trajectory(stored: StoredMap) -> Trajectory:
+def _trajectory(stored: Map) -> Trajectory:
     """The trajectory of a map directory, which leads through its keyframes."""
     path, labels = stored.path / filenames.TRAJECTORY, stored.labels
-    trajectory = read_trajectory(path, stored.limits)
+    trajectory = stored.trajectory
     found = rows_of(trajectory, labels.stamps_ns.tolist(), labels.poses)
     if len(found) != len(labels.stamps_ns) or len(trajectory.stamps_ns) != sum(
         log.scans for log in stored.logs
@@ -282,4 +282,4 @@ def _trajectory(stored: StoredMap) -> Trajectory:
             "build the map again",
             where=path,
         )
-    return stored.checked(trajectory, path.name)
+    return trajectory

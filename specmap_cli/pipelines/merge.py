@@ -24,12 +24,12 @@ from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps.directory import OutputDirectory
-from specmap_cli.maps.store import StoredMap, opened_map
+from specmap_cli.maps.store import Map, opened_map
 from specmap_cli.pipelines.finishing import finish, with_borders, write_made
 from specmap_cli.pipelines.joining import closures_between, join, place_apart
 from specmap_cli.pipelines.laying_out import with_grid
 from specmap_cli.pipelines.learning import Prior, training_data_of_stored, valid_training_data
-from specmap_cli.pipelines.localize import settings_for
+from specmap_cli.pipelines.localizer import settings_for
 from specmap_cli.pipelines.map_in_making import LaidOut, laid_out_of_stored
 from specmap_cli.pipelines.overlaps import (
     Overlaps,
@@ -47,7 +47,7 @@ from specmap_cli.recognition.learning.training_data import TrainingData
 
 @one_blas_thread()
 def merge_maps(
-    maps: Sequence[StoredMap | Path | str],
+    maps: Sequence[Map | Path | str],
     out: Path | str,
     config: Config | None = None,
     *,
@@ -107,14 +107,14 @@ def merge_maps(
     )
 
 
-def oldest(maps: Sequence[StoredMap]) -> StoredMap:
+def oldest(maps: Sequence[Map]) -> Map:
     """The map whose frame, ids and settings the merged one has. UsageError for fewer than two."""
     if len(maps) < 2:
         raise UsageError(f"{counted(len(maps), 'map')} to merge", "give two or more")
     return min(maps, key=_age)
 
 
-def _age(stored: StoredMap) -> tuple[int, int, int, str]:
+def _age(stored: Map) -> tuple[int, int, int, str]:
     """What orders maps whatever the order they are given in."""
     logs = stored.record.graph.logs
     start = min((log.start_ns for log in logs if log.start_ns is not None), default=0)
@@ -122,7 +122,7 @@ def _age(stored: StoredMap) -> tuple[int, int, int, str]:
     return start, end, len(stored.labels.stamps_ns), stored.classifiers
 
 
-def _refuse_twice(maps: Sequence[StoredMap]) -> None:
+def _refuse_twice(maps: Sequence[Map]) -> None:
     """Refuse maps that hold the same recording: its walls would count twice."""
     for one, other in combinations(maps, 2):
         known = {(log.name, log.start_ns, log.scans) for log in one.record.graph.logs}
@@ -144,14 +144,14 @@ class _Merging:
     def __init__(
         self,
         session: Session,
-        maps: Sequence[StoredMap],
+        maps: Sequence[Map],
         parts: Sequence[LaidOut],
         overlaps: Overlaps,
     ) -> None:
         self.session, self.maps, self.parts, self.overlaps = session, maps, parts, overlaps
         self._firsts: dict[int, tuple[int, int]] = {}  # first keyframe and stay of each map
         for parent, child in steps_of(len(parts), overlaps):
-            with maps[child].keyframes() as own:
+            with maps[child].scans() as own:
                 session.store.extend(own)
             if self._firsts:
                 joint = with_grid(session, self._joined(parent, child))

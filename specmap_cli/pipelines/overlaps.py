@@ -11,7 +11,7 @@ import networkx as nx
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.settings import Config
-from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.store import Map, read_map
 from specmap_cli.pipelines.learning import submap_grids
 from specmap_cli.pipelines.map_in_making import LaidOut, submaps_of
 from specmap_cli.pipelines.session import Session
@@ -26,7 +26,7 @@ PairOfMaps = tuple[Path, Path, Config]
 Spread = Callable[[Callable[[PairOfMaps], Alignment], Sequence[PairOfMaps]], Iterable[Alignment]]
 
 
-def stored_to_align(stored: StoredMap) -> MapToAlign:
+def stored_to_align(stored: Map) -> MapToAlign:
     """A stored map as the alignment takes it. Raises MapError for a damaged map."""
     return MapToAlign(
         whole=stored.map_grid,
@@ -56,7 +56,7 @@ def align_pair(pair: PairOfMaps) -> Alignment:
 
 
 def overlaps_of(
-    maps: Sequence[StoredMap], to_align: Sequence[MapToAlign], config: Config, spread: Spread | None
+    maps: Sequence[Map], to_align: Sequence[MapToAlign], config: Config, spread: Spread | None
 ) -> Overlaps:
     """The pairs of maps that can be aligned: here, or wherever `spread` has it done."""
     pairs = list(combinations(range(len(maps)), 2))

@@ -14,9 +14,9 @@ from specmap_cli.core.records import IntArray
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps import filenames
-from specmap_cli.maps.store import StoredMap, opened_map
+from specmap_cli.maps.store import Map, opened_map
 from specmap_cli.pipelines.compare import compare_maps, lines_of
-from specmap_cli.pipelines.localize import classifiers_of
+from specmap_cli.pipelines.localizer import classifiers_of
 from specmap_cli.recognition.features.sets import KeyframeFeatures, feature_names
 from specmap_cli.recognition.learning.boosting import feature_shares
 from specmap_cli.recognition.learning.classifiers import Recogniser
@@ -28,8 +28,8 @@ from specmap_cli.segmentation.online import Occasion, OnlineSegmenter, SplitTest
 
 @one_blas_thread()
 def report_map(
-    map_: StoredMap | Path | str,
-    compare: StoredMap | Path | str | None = None,
+    map_: Map | Path | str,
+    compare: Map | Path | str | None = None,
     limits: LimitsConfig | None = None,
     progress: Progress | None = None,
 ) -> str:
@@ -62,7 +62,7 @@ _LEAST_SPREAD = 1e-9  # of votes that are always the same
 _LEAST_SHARE = 0.01  # of the votes, or of the scans: less is not worth a word
 
 
-def evidence_of(stored: StoredMap, progress: Progress) -> Evidence:
+def evidence_of(stored: Map, progress: Progress) -> Evidence:
     """What a map's scans and classifiers tell, as far as it has them.
 
     Raises MapError for a file that is damaged.
@@ -80,7 +80,7 @@ def evidence_of(stored: StoredMap, progress: Progress) -> Evidence:
             "its walls, and its split tests are not known."
         )
         return Evidence(learned=learned, notes=tuple(notes))
-    with stored.keyframes() as store:
+    with stored.scans() as store:
         progress.start("looking at scans", len(store))
         return Evidence(
             learned={} if recogniser is None else _learned(stored, recogniser, store),
@@ -106,7 +106,7 @@ def _features_of(recogniser: Recogniser) -> dict[int, tuple[FeatureShare, ...]]:
     return found
 
 
-def _learned(stored: StoredMap, recogniser: Recogniser, store: KeyframeStore) -> dict[int, Learned]:
+def _learned(stored: Map, recogniser: Recogniser, store: KeyframeStore) -> dict[int, Learned]:
     """What each classifier looks at, and which submaps a submap's scans fit next best."""
     scans = KeyframeFeatures(store, recogniser.feature_set, most=0)
     shares, submaps = _features_of(recogniser), stored.labels.submaps
@@ -159,7 +159,7 @@ def _told(
     return Learned(features=features, scans=len(margins), right=right, alike=alike)
 
 
-def _fit(stored: StoredMap, store: KeyframeStore) -> FloatArray:
+def _fit(stored: Map, store: KeyframeStore) -> FloatArray:
     """(n,) share of the returns of each keyframe that lie on walls of the map; NaN without any."""
     grid = stored.map_grid
     near = grid.obstacle_distance() <= max(_NEAR_M, _NEAR_CELLS * grid.resolution)
@@ -172,7 +172,7 @@ def _fit(stored: StoredMap, store: KeyframeStore) -> FloatArray:
     return fit
 
 
-def _tests(stored: StoredMap, store: KeyframeStore, progress: Progress) -> tuple[SplitTrial, ...]:
+def _tests(stored: Map, store: KeyframeStore, progress: Progress) -> tuple[SplitTrial, ...]:
     """The tests that the way of the map led to, made again with its settings."""
     found: list[SplitTrial] = []
 

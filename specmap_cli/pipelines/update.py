@@ -24,7 +24,7 @@ from specmap_cli.layout.joining import placed
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.directory import OutputDirectory
-from specmap_cli.maps.store import StoredMap, opened_map
+from specmap_cli.maps.store import Map, opened_map
 from specmap_cli.pipelines.build import survey
 from specmap_cli.pipelines.finishing import finish, write_made
 from specmap_cli.pipelines.joining import (
@@ -41,7 +41,7 @@ from specmap_cli.pipelines.learning import (
     training_data_of_stored,
     valid_training_data,
 )
-from specmap_cli.pipelines.localize import classifiers_of, settings_for
+from specmap_cli.pipelines.localizer import classifiers_of, settings_for
 from specmap_cli.pipelines.map_in_making import LaidOut, laid_out_of_stored
 from specmap_cli.pipelines.overlaps import laid_out_to_align, stored_to_align
 from specmap_cli.pipelines.reports import BuildReport, UpdateRecord, UpdateReport
@@ -60,7 +60,7 @@ _SAME_SHARE = 0.5  # of the readings; those of a scan in motion stand at other b
 
 @one_blas_thread()
 def update_map(
-    map_: StoredMap | Path | str,
+    map_: Map | Path | str,
     logs: Paths,
     out: Path | str,
     config: Config | None = None,
@@ -84,7 +84,7 @@ def update_map(
     with (
         open_log(given, config.log) as log,
         OutputDirectory(target, overwrite, progress, made_of=[stored]) as partial,
-        stored.keyframes() as store,
+        stored.scans() as store,
     ):
         session, old = Session(config, store, progress), laid_out_of_stored(stored)
         stream = SweepStream(log, config.log)
@@ -116,7 +116,7 @@ def update_map(
 
 
 def _updated(
-    session: Session, stored: StoredMap, old: LaidOut, stream: SweepStream, *, allow_apart: bool
+    session: Session, stored: Map, old: LaidOut, stream: SweepStream, *, allow_apart: bool
 ) -> tuple[Thinned, Prior, Alignment]:
     """The map with the recording; its keyframes are added to those of the map in the store.
 
@@ -152,7 +152,7 @@ def _updated(
 @one_blas_thread()
 def build_like(
     logs: Paths,
-    like: StoredMap | Path | str,
+    like: Map | Path | str,
     out: Path | str,
     config: Config | None = None,
     *,

@@ -11,7 +11,7 @@ import numpy as np
 from specmap_cli.core.records import BoolArray
 from specmap_cli.grids.bent import BentMotion
 from specmap_cli.maps.comparison import ComparisonRecord
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import Map
 from specmap_cli.report.layers import DrawnMap
 from specmap_cli.report.svg import Frame, outlines, path_data
 
@@ -25,7 +25,7 @@ class Changes:
     `new_from_old` places the old map in the one that the report is about.
     """
 
-    old: StoredMap
+    old: Map
     record: ComparisonRecord
     lines: tuple[str, ...]
     new_from_old: BentMotion
@@ -37,7 +37,7 @@ def old_map(changes: Changes, map_: DrawnMap) -> dict[str, Any]:
     `walls` are its walls, `gone` the submaps that are no more, as path data; `was` says of submaps
     of the new map what they were in the old one.
     """
-    old, record, frame = DrawnMap(changes.old), changes.record, map_.frame
+    old, record, frame = changes.old, changes.record, map_.frame
 
     def carried(cells: BoolArray) -> str:
         """Cells of the old map as path data in the drawing of the new one."""

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.findings import Finding, Verdict
-from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted, seconds
 from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap
@@ -21,7 +20,6 @@ from specmap_cli.report.evidence import Learned
 from specmap_cli.report.html import lasting
 from specmap_cli.report.layers import DrawnMap
 from specmap_cli.report.track import Track
-from specmap_cli.topology.topological_map import default_name, driven_m
 
 _THUMBNAIL = 240  # pixels of the longer side, at most
 _AROUND_M = 0.7  # shown round the outline of a submap
@@ -36,7 +34,7 @@ _VERDICTS: Mapping[Verdict, str] = {
 
 def judgement_of(map_: DrawnMap) -> tuple[str, str, list[Finding]]:
     """The verdict in a word and in a sentence, and all findings, the gravest first."""
-    quality = map_.stored.record.graph.quality
+    quality = map_.stored.quality
     if quality is None:
         return "not judged", "nobody checked this map against itself", []
     gravity = ("poor", "doubtful", "note")
@@ -52,8 +50,7 @@ def headline(map_: DrawnMap) -> str:
 
 def facts_of(map_: DrawnMap, track: Track) -> list[tuple[str, str, str]]:
     """The figures at the top of the page, each with its unit and what it counts."""
-    record = map_.stored.record
-    doors, closures = record.graph.doors, record.graph.closures
+    record, doors = map_.stored.record, map_.stored.doors
     driven = sum(door.driven for door in doors)
     how_many = "all" if driven == len(doors) else f"{driven:,}"
     found = [
@@ -67,9 +64,10 @@ def facts_of(map_: DrawnMap, track: Track) -> list[tuple[str, str, str]]:
         ),
     ]
     if track.total:
-        way = driven_m(map_.stored.logs, map_.labels)
-        found.append((f"{way:,.0f}", "m", f"driven in {lasting(track.duration_s)}"))
-        merged = sum(closure.merged for closure in closures)
+        found.append(
+            (f"{map_.stored.driven_m:,.0f}", "m", f"driven in {lasting(track.duration_s)}")
+        )
+        merged = sum(closure.merged for closure in record.graph.closures)
         found.append((f"{merged:,}", "", _plural(merged, "revisit") + " recognised"))
         lost = len(map_.lost)
         scans = sum(log.scans for log in record.graph.logs)
@@ -139,26 +137,24 @@ def sheets_of(map_: DrawnMap, learned: Mapping[int, Learned]) -> list[dict[str, 
     `doors` and open borders to `open_to` are its neighbours. `visits` are start and length in
     seconds. `thumbnail` is a PNG as a data URL.
     """
-    record = map_.stored.record
-    ends = [(edge.source, edge.target) for edge in record.edges if not edge.doors]
+    edges = map_.stored.record.edges
+    ends = [(edge.source, edge.target) for edge in edges if not edge.doors]
     sheets = []
-    for id_, node in sorted(map_.nodes.items()):
-        grid = map_.stored.grid(id_)
+    for id_, room in map_.stored.rooms.items():
+        grid = room.grid
         sides_m = [0.0, 0.0]  # of the smallest upright box round its outline
-        if node.polygon:  # the grid shows far more than the part round it, seen through doors
-            corners = np.array(node.polygon)
-            sides_m = np.ptp(corners, axis=0).tolist()
-            frame = Pose2(node.x, node.y, node.theta)
-            part = grid.near(frame.inverse().apply(corners), _AROUND_M)
+        if len(room.outline):  # the grid shows far more than the part round it, through doors
+            sides_m = np.ptp(room.outline, axis=0).tolist()
+            part = grid.near(room.map_from_room.inverse().apply(room.outline), _AROUND_M)
             grid = part if part.cells.size else grid
         thumbnail, size = _thumbnail(grid)
-        spans = [(seconds(visit.start_ns), seconds(visit.end_ns)) for visit in node.visits]
+        spans = [(seconds(visit.start_ns), seconds(visit.end_ns)) for visit in room.visits]
         visits = [(start, end - start) for start, end in spans]
         sheets.append(
             {
-                "node": node,
-                "named": node.name != default_name(id_),
-                "doors": [door for door in record.graph.doors if id_ in door.between],
+                "node": room,
+                "named": bool(room.given_name),
+                "doors": room.doors,
                 "open_to": sorted(b if a == id_ else a for a, b in ends if id_ in (a, b)),
                 "visits": visits,
                 "stayed_s": sum(length for _, length in visits),

@@ -11,27 +11,19 @@ import numpy as np
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.records import BoolArray, Closure, IntArray, Labels
+from specmap_cli.core.records import BoolArray, Closure, IntArray
 from specmap_cli.drawing.overview import drawn_as
 from specmap_cli.drawing.palette import Colour, colours_of
 from specmap_cli.drawing.sheet import extent_of
-from specmap_cli.maps import filenames
-from specmap_cli.maps.schema import NodeRecord
-from specmap_cli.maps.store import StoredMap
-from specmap_cli.maps.text_files import read_trajectory
+from specmap_cli.maps.flat import link_line
+from specmap_cli.maps.store import Map
 from specmap_cli.report.html import shown
 from specmap_cli.report.svg import Frame, fill_names, outlines, path_data
-from specmap_cli.topology.regions import NOBODY, Regions
+from specmap_cli.topology.regions import NOBODY
 from specmap_cli.topology.topological_map import starts_of
 
 MOST_REFUSED = 400  # refused closures that are drawn: those with the largest xi
 _MOST_LOST = 500  # places of lost scans that are drawn
-
-_NO_LABELS = Labels(
-    stamps_ns=np.zeros(0, dtype=np.int64),
-    poses=np.zeros((0, 3)),
-    submaps=np.zeros(0, dtype=np.int64),
-)
 
 
 class DrawnMap:
@@ -40,41 +32,26 @@ class DrawnMap:
     Every property raises MapError when a file is damaged.
     """
 
-    def __init__(self, stored: StoredMap) -> None:
+    def __init__(self, stored: Map) -> None:
         self.stored = stored
-
-    @cached_property
-    def labels(self) -> Labels:
-        """The keyframes; none of a divided floor plan."""
-        known = (self.stored.path / filenames.LABELS).exists()
-        return self.stored.labels if known else _NO_LABELS
-
-    @cached_property
-    def regions(self) -> Regions:
-        """The map divided among the submaps."""
-        return self.stored.regions
 
     @cached_property
     def lost(self) -> FloatArray:
         """(n, 2) where scans were taken that could not be registered: guesses."""
-        path = self.stored.path / filenames.TRAJECTORY
-        if not path.exists():
-            return np.zeros((0, 2))
-        trajectory = read_trajectory(path, self.stored.limits)
-        self.stored.checked(trajectory, path.name)
+        trajectory = self.stored.trajectory
         lost = trajectory.lost
         return np.zeros((0, 2)) if lost is None else trajectory.poses[lost, :2]
 
     @cached_property
     def frame(self) -> Frame:
         """The part of the map to draw: what is known, and the way, which may lead out of it."""
-        low, high = extent_of(self.regions)
-        return Frame.around(np.vstack([low, high, self.labels.poses[:, :2], self.lost]))
+        low, high = extent_of(self.stored.regions)
+        return Frame.around(np.vstack([low, high, self.stored.keyframes.poses[:, :2], self.lost]))
 
     @cached_property
     def fills(self) -> dict[int, Colour]:
         """The colour of each submap."""
-        return colours_of(self.stored.topology, self.regions)
+        return colours_of(self.stored.topology, self.stored.regions)
 
     @property
     def starts(self) -> tuple[int, ...]:
@@ -82,34 +59,24 @@ class DrawnMap:
         return starts_of(self.stored.logs)
 
     @cached_property
-    def nodes(self) -> dict[int, NodeRecord]:
-        """The submaps by id."""
-        return {node.id: node for node in self.stored.record.nodes}
-
-    @cached_property
     def names(self) -> dict[int, str]:
         """What the submaps are called: by a person, or by their numbers."""
-        return {id_: shown(node.name) for id_, node in self.nodes.items()}
+        return {id_: shown(node.name) for id_, node in self.stored.rooms.items()}
 
     @property
     def walls(self) -> str:
         """The walls as path data."""
-        return path_data(self.rings(self.regions.grid.occupied), closed=True)
+        return path_data(self.rings(self.stored.regions.grid.occupied), closed=True)
 
     @property
     def seen(self) -> str:
         """What was only seen and belongs to no submap, as path data."""
-        unowned = self.regions.grid.free & (self.regions.owner == NOBODY)
+        unowned = self.stored.regions.grid.free & (self.stored.regions.owner == NOBODY)
         return path_data(self.rings(unowned), closed=True)
 
     def rings(self, cells: BoolArray) -> list[IntArray]:
         """Outlines and holes of cells (H, W) of the whole grid, in the drawing."""
-        return [self.frame.places(ring) for ring in outlines(cells, self.regions.grid)]
-
-
-def middle_of(node: NodeRecord) -> tuple[float, float]:
-    """Where the badge of a submap stands in the map."""
-    return node.anchor or node.centroid or (node.x, node.y)
+        return [self.frame.places(ring) for ring in outlines(cells, self.stored.regions.grid)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,9 +110,9 @@ def regions_of(map_: DrawnMap) -> list[Region]:
     """The submaps on the map, by id."""
     names = fill_names(map_.fills.values())
     found = []
-    for id_, node in sorted(map_.nodes.items()):
-        rings = map_.rings(map_.regions.owner == id_)
-        badge = map_.frame.place(middle_of(node))
+    for id_, room in map_.stored.rooms.items():
+        rings = map_.rings(map_.stored.regions.owner == id_)
+        badge = map_.frame.place(room.place)
         points = np.vstack([np.array([badge]), *rings])
         (left, top), (right, bottom) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
         found.append(
@@ -153,7 +120,7 @@ def regions_of(map_: DrawnMap) -> list[Region]:
                 id=id_,
                 fill=names[map_.fills[id_]],
                 outline=path_data(rings, closed=True),
-                rim=map_.frame.line(node.polygon, closed=True),
+                rim=map_.frame.line(room.outline, closed=True),
                 badge=badge,
                 box=(left, top, right - left, bottom - top),
             )
@@ -169,18 +136,15 @@ def links_of(map_: DrawnMap) -> list[dict[str, Any]]:
     edges = map_.stored.topology.edges
     found = []
     for record in map_.stored.record.edges:
-        ends = [middle_of(map_.nodes[id_]) for id_ in (record.source, record.target)]
-        crossing = [] if record.x is None or record.y is None else [(record.x, record.y)]
-        line = record.corners or [ends[0], *crossing, ends[1]]
         kind = drawn_as(map_.stored.topology, edges[record.source, record.target])
-        drawn = map_.frame.line(line)
+        drawn = map_.frame.line(link_line(record, map_.stored.rooms))
         found.append({"kind": kind, "line": drawn, "forbidden": record.forbidden})
     return found
 
 
 def closures_of(map_: DrawnMap) -> Closures:
     """The closures that were accepted, and those refused with the largest xi."""
-    poses = map_.labels.poses
+    poses = map_.stored.keyframes.poses
     places = {}  # where the robot was in the middle of each stay
     for stay in map_.stored.record.graph.stays:
         left = sum(last - first + 1 for first, last in stay.runs) // 2
@@ -193,7 +157,7 @@ def closures_of(map_: DrawnMap) -> Closures:
             places[stay.number] = poses[middle, :2]
 
     def mark(closure: Closure) -> dict[str, Any]:
-        line = map_.frame.line([places[closure.new], places[closure.old]])
+        line = map_.frame.line(np.array([places[closure.new], places[closure.old]]))
         xi = None if math.isnan(closure.xi) else closure.xi
         return {"line": line, "xi": xi, "reason": closure.reason}
 

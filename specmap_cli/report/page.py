@@ -10,7 +10,7 @@ from collections import Counter
 from typing import Any
 
 from specmap_cli.core.text import counted
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import Map
 from specmap_cli.report import facts, layers
 from specmap_cli.report.changes import Changes, old_map
 from specmap_cli.report.evidence import Evidence, Spectra, spectra_of
@@ -43,14 +43,14 @@ _DRIVEN_COLUMNS = (("visits", "number"), ("time there", "number"))
 _LEARNED_COLUMNS = (("told right", "number"), ("most like", "text"))
 
 
-def render(stored: StoredMap, evidence: Evidence, changes: Changes | None = None) -> str:
+def render(stored: Map, evidence: Evidence, changes: Changes | None = None) -> str:
     """The report on a stored map as the text of one HTML page.
 
     Raises MapError when a file of the map is missing or damaged.
     """
     map_ = DrawnMap(stored)
-    track = Track.of(map_.labels, map_.starts, evidence.fit)
-    seconds = running_seconds(map_.labels.stamps_ns, map_.starts).tolist()
+    track = Track.of(stored.keyframes, map_.starts, evidence.fit)
+    seconds = running_seconds(stored.keyframes.stamps_ns, map_.starts).tolist()
     spectra = spectra_of(evidence, seconds, map_.frame)
     closures = layers.closures_of(map_)
     context = {
@@ -75,7 +75,7 @@ def render(stored: StoredMap, evidence: Evidence, changes: Changes | None = None
 
 def _drawn(map_: DrawnMap, track: Track) -> dict[str, Any]:
     """What is drawn of the map, and of the robot's way."""
-    doors = map_.stored.record.graph.doors
+    doors = map_.stored.doors
     fills = fill_names(map_.fills.values())
     visits = track.visits()
     return {
@@ -88,7 +88,7 @@ def _drawn(map_: DrawnMap, track: Track) -> dict[str, Any]:
         "links": layers.links_of(map_),
         "doors": doors,
         "any_driven": any(door.driven for door in doors),  # no robot drove through a floor plan
-        "cell_cm": round(map_.regions.grid.resolution * 100.0, 2),
+        "cell_cm": round(map_.stored.regions.grid.resolution * 100.0, 2),
         "track": track,
         "by_time": track.by_time(map_.frame),
         "by_fit": track.by_fit(map_.frame),
@@ -96,7 +96,7 @@ def _drawn(map_: DrawnMap, track: Track) -> dict[str, Any]:
         "visits": visits,
         "visits_of": {
             id_: [(start, end) for start, end, submap in visits if submap == id_]
-            for id_ in map_.nodes
+            for id_ in map_.stored.rooms
         },
     }
 

@@ -55,7 +55,7 @@ class Frame:
         ((x, y),) = self.places(np.array([*point])).tolist()
         return x, y
 
-    def line(self, points: Sequence[Sequence[float] | FloatArray], *, closed: bool = False) -> str:
+    def line(self, points: Sequence[Sequence[float]] | FloatArray, *, closed: bool = False) -> str:
         """A polyline through points of the map, as path data in the drawing."""
         return path_data([self.places(np.array(points))], closed=closed)
 

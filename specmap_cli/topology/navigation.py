@@ -23,6 +23,7 @@ from specmap_cli.topology.topological_map import (
     Door,
     Edge,
     EdgeKind,
+    Line,
     TopologicalMap,
     edge_between,
     heirs,
@@ -130,11 +131,8 @@ def with_detours(
         id_: Anchor((row, column), 0.0) for id_, (row, column) in zip(places, rows, strict=True)
     }
     open_ways = ways(Space.of(regions), anchors, pairs, radius_m)
-    walls = drawn([door.sides for door in topology.doors if door.id in shut], grid)
-    cells = np.where(walls, np.uint8(OCCUPIED), grid.cells)
-    owner = np.where(walls, NOBODY, regions.owner)
-    walled = Regions(replace(grid, cells=cells), owner, regions.outlines)
-    detours = ways(Space.of(walled), anchors, pairs, radius_m)
+    closed = walled(regions, [door.sides for door in topology.doors if door.id in shut])
+    detours = ways(Space.of(closed), anchors, pairs, radius_m)
     left = [door for door in topology.doors if door.id not in shut]
     edges = dict(topology.edges)
     for pair in pairs:
@@ -143,6 +141,14 @@ def with_detours(
         else:
             edges[pair] = _with_way(edges[pair], detours[pair], left)
     return replace(topology, edges=edges)
+
+
+def walled(regions: Regions, lines: Iterable[Line]) -> Regions:
+    """The regions with walls along some lines of the map."""
+    walls = drawn(lines, regions.grid)
+    cells = np.where(walls, np.uint8(OCCUPIED), regions.grid.cells)
+    owner = np.where(walls, NOBODY, regions.owner)
+    return Regions(replace(regions.grid, cells=cells), owner, regions.outlines)
 
 
 def is_way(edge: Edge) -> bool:

@@ -54,11 +54,8 @@ def ways(
     A way leads through the two submaps only, in a straight line where that is no nearer to walls.
     The time is that of one search over the cells of each submap: linear in the area.
     """
-    clearance, most = space.clearance, _COMFORT * radius_m
-    price = np.minimum(clearance, most)
-    with np.errstate(divide="ignore"):
-        np.divide(most, price, out=price)
-    price[clearance < radius_m] = np.inf
+    clearance = space.clearance
+    price = prices_of(clearance, radius_m)
     windows, trees, wanted = windows_of(space.owner), {}, list(pairs)
     for submap in {submap for pair in wanted for submap in pair} & windows.keys():
         window = windows[submap]
@@ -69,6 +66,16 @@ def ways(
         borders.setdefault(border.pair, []).append(border)
     land = _Land(space, clearance, price, anchors, windows, trees, borders)
     return {pair: _way(land, pair) for pair in wanted}
+
+
+def prices_of(clearance: FloatArray, radius_m: float) -> FloatArray:
+    """(H, W) the price of a step in cells of that clearance, infinite below `radius_m`."""
+    most = _COMFORT * radius_m
+    price = np.minimum(clearance, most)
+    with np.errstate(divide="ignore"):
+        np.divide(most, price, out=price)
+    price[clearance < radius_m] = np.inf
+    return price
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,20 +120,20 @@ def _way(land: _Land, pair: Pair) -> Way:
         start, end = (np.array(land.anchors[submap].cell) for submap in pair)
         corner = (rows.start, columns.start)
         room = np.where(mine, land.clearance[window], 0.0)
-        widest = _widest(room, tuple(start - corner), tuple(end - corner))
-        if widest is None:
+        most = widest(room, tuple(start - corner), tuple(end - corner))
+        if most is None:
             return NO_WAY
         price = land.price[window]
         found = tree(mine & np.isfinite(price), price, window, land.anchors[pair[0]].cell)
         if not np.isfinite(found.cost_to(end[None])[0]):
-            return Way(None, widest)
+            return Way(None, most)
         cells = found.way_to(end)
     corners = straightened(cells, land.price)
     under = np.concatenate([cells_on(a, b)[0] for a, b in pairwise(corners)])
     return Way(land.space.grid.centres_of(corners), float(land.clearance[tuple(under.T)].min()))
 
 
-def _widest(room: FloatArray, start: tuple[int, ...], end: tuple[int, ...]) -> float | None:
+def widest(room: FloatArray, start: tuple[int, ...], end: tuple[int, ...]) -> float | None:
     """The clearance of the widest way between two cells of some `room` (h, w), or None."""
     levels = np.unique(room[room > 0.0])
     low, high = 0, len(levels)  # joined at levels below `low`, apart from `high` on

@@ -11,15 +11,15 @@ import pytest
 
 from specmap_cli.core.config import load_config
 from specmap_cli.core.settings import Config, LogConfig
-from specmap_cli.maps.store import StoredMap, read_map
-from specmap_cli.pipelines.localize import settings_for
+from specmap_cli.maps.store import Map, read_map
+from specmap_cli.pipelines.localizer import settings_for
 from tests.cli.conftest import QUICK, Run
 from tests.conftest import SAMPLE_LOGS
 from tests.flats import rows
 
 
 @pytest.fixture
-def stored(tiny_map: Path) -> StoredMap:
+def stored(tiny_map: Path) -> Map:
     """The tiny map, which was built with settings of its own."""
     found = read_map(tiny_map)
     assert found.config != Config()
@@ -36,12 +36,12 @@ def settings_file(folder: Path, text: str) -> Path:
 class TestWhoseSettings:
     """Those of the map, unless something else is said."""
 
-    def test_the_map_s_but_for_topics_and_frames(self, stored: StoredMap) -> None:
+    def test_the_map_s_but_for_topics_and_frames(self, stored: Map) -> None:
         found = settings_for(stored, {})
         assert found.log == LogConfig()
         assert found == stored.config.model_copy(update={"log": LogConfig()})
 
-    def test_a_file_changes_some_of_them(self, stored: StoredMap, tmp_path: Path) -> None:
+    def test_a_file_changes_some_of_them(self, stored: Map, tmp_path: Path) -> None:
         text = "[localization]\nstay = 0.9\nunknown = false\n[log]\nbase_frame = 'b'"
         path = settings_file(tmp_path, text)
         found = settings_for(stored, {}, path)
@@ -53,7 +53,7 @@ class TestWhoseSettings:
 
     @pytest.mark.parametrize("preset", ["default", "paper"])
     def test_a_preset_takes_the_place_of_all(
-        self, preset: str, stored: StoredMap, tmp_path: Path
+        self, preset: str, stored: Map, tmp_path: Path
     ) -> None:
         assert settings_for(stored, {}, preset=preset) == load_config(preset=preset)
         path = settings_file(tmp_path, f"preset = '{preset}'\n[localization]\nstay = 0.9\n")

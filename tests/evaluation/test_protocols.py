@@ -23,7 +23,7 @@ from specmap_cli.evaluation import protocols, semantic, trajectories
 from specmap_cli.evaluation.protocols import HoldOut, classification_scores, revisit_logs
 from specmap_cli.evaluation.semantic import HALLWAY, ROOM, Labelled, SemanticResult, room_hallway
 from specmap_cli.evaluation.trajectories import Relations, read_relations
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import Map
 from specmap_cli.maps.text_files import read_tum
 from specmap_cli.pipelines.simulate import SimulationResult
 from specmap_cli.recognition.localization.localizer import Label
@@ -120,7 +120,7 @@ def test_nothing_scored_scores_nought_and_figures_have_six_decimals(ids: list[in
 
 
 def test_another_tour_is_labelled_right_and_a_truth_that_is_not_its_own_doubted(
-    flat_map: StoredMap, flat_log: SimulationResult, second_tour: Mapped
+    flat_map: Map, flat_log: SimulationResult, second_tour: Mapped
 ) -> None:
     again, progress = second_tour.log, Silent()
     truths = (flat_log.truth, again.truth)
@@ -221,7 +221,7 @@ def test_the_lines_of_relations_and_of_a_reference(lengths: tuple[float, ...]) -
 
 
 def test_a_map_of_the_first_log_is_built_for_the_purpose_and_removed(
-    flat_map: StoredMap, second_tour: Mapped, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    flat_map: Map, second_tour: Mapped, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A log in place of a map, the paths as text; here the map is copied, not built."""
     built: list[tuple[list[Path], Path]] = []

@@ -13,7 +13,7 @@ from specmap_cli.core.records import PlanarScan
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.map_server import write_grid
-from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.store import Map, read_map
 from specmap_cli.maps.writing import MapResult, write_map
 from specmap_cli.pipelines.segment import segment_map
 from specmap_cli.topology.topological_map import Door, Edge
@@ -31,14 +31,14 @@ FIX 0
 """
 
 
-def written(out: Path, result: MapResult, scans: KeyframeStore | None = None) -> StoredMap:
+def written(out: Path, result: MapResult, scans: KeyframeStore | None = None) -> Map:
     out.mkdir()
     write_map(out, result, scans)
     return read_map(out)
 
 
 @pytest.fixture
-def stored(tmp_path: Path, result: MapResult) -> StoredMap:
+def stored(tmp_path: Path, result: MapResult) -> Map:
     """The house: no doors, no ways, no scans."""
     return written(tmp_path / "house", result)
 
@@ -76,7 +76,7 @@ def lived_in(result: MapResult) -> MapResult:
 
 
 @pytest.fixture
-def home(tmp_path: Path, lived_in: MapResult) -> StoredMap:
+def home(tmp_path: Path, lived_in: MapResult) -> Map:
     """The house as it is lived in, and its scans.
 
     They are of half a circle and grow, with one beam that is lost and one without return.
@@ -92,7 +92,7 @@ def home(tmp_path: Path, lived_in: MapResult) -> StoredMap:
 
 
 @pytest.fixture(scope="session")
-def rooms(flat: GridMap, tmp_path_factory: pytest.TempPathFactory) -> StoredMap:
+def rooms(flat: GridMap, tmp_path_factory: pytest.TempPathFactory) -> Map:
     """The flat divided into rooms, its doors and ways found; not to be changed."""
     folder = tmp_path_factory.mktemp("rooms")
     write_grid(folder / "flat", flat)

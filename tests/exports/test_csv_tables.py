@@ -12,14 +12,14 @@ import pytest
 
 from specmap_cli.core.errors import UsageError
 from specmap_cli.exports.table import export_map
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import Map
 from specmap_cli.maps.writing import MapResult
 from tests.exports.conftest import written
 
 Rows = list[dict[str, str]]
 
 
-def tables(stored: StoredMap, out: Path) -> dict[str, Rows]:
+def tables(stored: Map, out: Path) -> dict[str, Rows]:
     assert export_map(stored, "csv", out) == []
     with zipfile.ZipFile(out) as archive:
         assert archive.testzip() is None
@@ -27,7 +27,7 @@ def tables(stored: StoredMap, out: Path) -> dict[str, Rows]:
     return {name: list(csv.DictReader(io.StringIO(text))) for name, text in texts.items()}
 
 
-def test_the_rows_are_the_map_s(home: StoredMap, tmp_path: Path) -> None:
+def test_the_rows_are_the_map_s(home: Map, tmp_path: Path) -> None:
     found = tables(home, tmp_path / "home.zip")
     record = home.record
     nodes, edges, doors = (found[f"{name}.csv"] for name in ("nodes", "edges", "doors"))
@@ -55,7 +55,7 @@ def test_what_a_person_noted_is_no_formula(lived_in: MapResult, tmp_path: Path) 
 
 
 def test_empty_tables_keep_their_headings_and_a_zip_is_not_called_csv(
-    stored: StoredMap, tmp_path: Path
+    stored: Map, tmp_path: Path
 ) -> None:
     tables(stored, tmp_path / "house.zip")
     with zipfile.ZipFile(tmp_path / "house.zip") as archive:

@@ -13,25 +13,25 @@ import pytest
 
 from specmap_cli.core.errors import UsageError
 from specmap_cli.exports.table import GROUP, export_map, exporters
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import Map
 from tests.exports.consumers import consumer
 from tests.plugins import install
 
 
-def graphml(stored: StoredMap, folder: Path) -> nx.Graph:
+def graphml(stored: Map, folder: Path) -> nx.Graph:
     out = folder / f"{stored.path.name}.graphml"
     export_map(stored, "graphml", out)
     return nx.read_graphml(out, node_type=int)
 
 
-def geojson(stored: StoredMap, folder: Path) -> Any:
+def geojson(stored: Map, folder: Path) -> Any:
     out = folder / f"{stored.path.name}.geojson"
     export_map(stored, "geojson", out)
     return json.loads(out.read_text())
 
 
 def test_graphml_is_the_graph_that_networkx_reads_also_from_topology_json(
-    stored: StoredMap, home: StoredMap, rooms: StoredMap, tmp_path: Path
+    stored: Map, home: Map, rooms: Map, tmp_path: Path
 ) -> None:
     for each in (home, rooms, stored):
         record, graph = each.record, graphml(each, tmp_path)
@@ -66,7 +66,7 @@ def test_graphml_is_the_graph_that_networkx_reads_also_from_topology_json(
 
 
 def test_geojson_has_outlines_links_doors_from_wall_to_wall_anchors_and_ways(
-    stored: StoredMap, home: StoredMap, tmp_path: Path
+    stored: Map, home: Map, tmp_path: Path
 ) -> None:
     document = geojson(stored, tmp_path)
     assert document["type"] == "FeatureCollection"
@@ -94,7 +94,7 @@ def test_geojson_has_outlines_links_doors_from_wall_to_wall_anchors_and_ways(
     assert (way["passable"], by_kind["seen"]["properties"]["passable"]) == (True, False)
 
 
-def test_the_same_map_gives_the_same_bytes(home: StoredMap, tmp_path: Path) -> None:
+def test_the_same_map_gives_the_same_bytes(home: Map, tmp_path: Path) -> None:
     for name in exporters().keys() - {"rerun"}:  # whose files hold random numbers
         for out in ("a", "b"):
             export_map(home, name, tmp_path / out, overwrite=True)
@@ -121,7 +121,7 @@ class Broken:
 
 
 def test_another_package_adds_a_format_and_one_that_fails_leaves_nothing(
-    stored: StoredMap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    stored: Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     install(tmp_path, monkeypatch, GROUP, {"names": "Names", "broken": "Broken"}, NAMES)
     assert exporters()["names"].description == "the names of the submaps"
@@ -134,9 +134,7 @@ def test_another_package_adds_a_format_and_one_that_fails_leaves_nothing(
     assert (place / "names.txt").read_text() == "submap 0\nsubmap 1\nsubmap 2\n"
 
 
-def test_gis_tools_measure_shapes_in_metres(
-    home: StoredMap, rooms: StoredMap, tmp_path: Path
-) -> None:
+def test_gis_tools_measure_shapes_in_metres(home: Map, rooms: Map, tmp_path: Path) -> None:
     shapely = consumer("shapely.geometry")
     for stored in (home, rooms):
         document = geojson(stored, tmp_path)
@@ -151,7 +149,7 @@ def test_gis_tools_measure_shapes_in_metres(
             assert shape.length == pytest.approx(facts["length_m"], abs=1e-5)
 
 
-def test_evo_reads_the_trajectory(home: StoredMap) -> None:
+def test_evo_reads_the_trajectory(home: Map) -> None:
     interface = consumer("evo.tools.file_interface")
     found = interface.read_tum_trajectory_file(str(home.path / "trajectory.tum"))
     assert found.check()[0]

@@ -17,7 +17,7 @@ from specmap_cli.core.records import PlanarScan
 from specmap_cli.exports.table import export_map
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import Map
 from tests.exports.conftest import BEARINGS
 from tests.exports.consumers import consumer
 
@@ -27,7 +27,7 @@ OVER_TIME = ("/tf", "/pose", "/scan")
 Found = dict[str, list[tuple[int, Any]]]
 
 
-def messages(stored: StoredMap, out: Path) -> Found:
+def messages(stored: Map, out: Path) -> Found:
     """The decoded messages of each topic, in the order of their log times."""
     support = consumer("mcap_protobuf.decoder")
     export_map(stored, "foxglove", out)
@@ -43,7 +43,7 @@ def messages(stored: StoredMap, out: Path) -> Found:
 
 
 @pytest.fixture
-def found(home: StoredMap, tmp_path: Path) -> Found:
+def found(home: Map, tmp_path: Path) -> Found:
     """What the house gives."""
     return messages(home, tmp_path / "home.mcap")
 
@@ -57,7 +57,7 @@ def points(line: Any) -> list[tuple[float, float]]:
     return [(point.x, point.y) for point in line.points]
 
 
-def test_grids_have_the_cells_and_the_colours_of_the_map(home: StoredMap, found: Found) -> None:
+def test_grids_have_the_cells_and_the_colours_of_the_map(home: Map, found: Found) -> None:
     whole, owner = home.map_grid, home.regions.owner
     layers = {}
     for topic in ("/map", "/regions"):
@@ -77,7 +77,7 @@ def test_grids_have_the_cells_and_the_colours_of_the_map(home: StoredMap, found:
     assert (layers["/regions"][owner < 0] == 0).all()
 
 
-def test_submaps_and_graph_are_the_map_s(home: StoredMap, found: Found) -> None:
+def test_submaps_and_graph_are_the_map_s(home: Map, found: Found) -> None:
     ((_, submaps),), ((_, graph),) = found["/submaps"], found["/graph"]
     record = home.record
     for entity, node in zip(submaps.entities, record.nodes, strict=True):
@@ -100,7 +100,7 @@ def test_submaps_and_graph_are_the_map_s(home: StoredMap, found: Found) -> None:
     assert math.dist(*points(door)) == pytest.approx(0.9)
 
 
-def test_every_keyframe_has_its_pose_and_its_scan(home: StoredMap, found: Found) -> None:
+def test_every_keyframe_has_its_pose_and_its_scan(home: Map, found: Found) -> None:
     labels = home.labels
     for topic in OVER_TIME:
         stamps = [message.timestamp.ToNanoseconds() for _, message in found[topic]]
@@ -128,7 +128,7 @@ def test_every_keyframe_has_its_pose_and_its_scan(home: StoredMap, found: Found)
 
 
 def test_a_divided_plan_is_whole_and_has_nothing_over_time(
-    rooms: StoredMap, flat: GridMap, tmp_path: Path
+    rooms: Map, flat: GridMap, tmp_path: Path
 ) -> None:
     found = messages(rooms, tmp_path / "rooms.mcap")
     assert not {*OVER_TIME, "/trajectory"} & found.keys()
@@ -139,7 +139,7 @@ def test_a_divided_plan_is_whole_and_has_nothing_over_time(
 
 
 def test_scans_are_read_one_by_one(
-    home: StoredMap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    home: Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     taken: list[weakref.ref[np.ndarray]] = []
     alive: list[int] = []

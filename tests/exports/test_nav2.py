@@ -16,19 +16,19 @@ from specmap_cli.core.findings import Finding, Quality
 from specmap_cli.core.progress import Silent
 from specmap_cli.exports.table import export_map
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import Map
 from specmap_cli.maps.writing import MapResult
 from specmap_cli.topology.navigation import parts
 from tests.exports.conftest import written
 from tests.exports.route_server import load
 
 
-def exported(stored: StoredMap, out: Path) -> nx.DiGraph:
+def exported(stored: Map, out: Path) -> nx.DiGraph:
     export_map(stored, "nav2", out)
     return load(out)
 
 
-def test_the_server_reads_anchors_doors_and_bends(home: StoredMap, tmp_path: Path) -> None:
+def test_the_server_reads_anchors_doors_and_bends(home: Map, tmp_path: Path) -> None:
     graph = exported(home, tmp_path / "home.geojson")
     kinds = nx.get_node_attributes(graph, "metadata")
     for metadata in (*kinds.values(), *nx.get_edge_attributes(graph, "metadata").values()):
@@ -47,7 +47,7 @@ def test_the_server_reads_anchors_doors_and_bends(home: StoredMap, tmp_path: Pat
 
 
 def test_a_way_is_driven_both_ways_and_is_as_long_as_in_the_map(
-    home: StoredMap, rooms: StoredMap, tmp_path: Path
+    home: Map, rooms: Map, tmp_path: Path
 ) -> None:
     for stored in (home, rooms):
         graph = exported(stored, tmp_path / f"{stored.path.name}.geojson")
@@ -65,7 +65,7 @@ def test_a_way_is_driven_both_ways_and_is_as_long_as_in_the_map(
 
 
 def test_edges_run_through_free_cells_and_doors_stand_in_their_openings(
-    rooms: StoredMap, flat: GridMap, tmp_path: Path
+    rooms: Map, flat: GridMap, tmp_path: Path
 ) -> None:
     """Straight from node to node, as the server drives, at the clearance of the map's ways."""
     graph, record = exported(rooms, tmp_path / "rooms.geojson"), rooms.record
@@ -128,9 +128,7 @@ def test_what_would_mislead_is_a_warning(lived_in: MapResult, tmp_path: Path) ->
     assert sorted(load(tmp_path / "x.geojson"))[:3] == [0, 1, old.next_id]
 
 
-def test_a_map_without_ways_is_refused(
-    stored: StoredMap, lived_in: MapResult, tmp_path: Path
-) -> None:
+def test_a_map_without_ways_is_refused(stored: Map, lived_in: MapResult, tmp_path: Path) -> None:
     old, changed = lived_in.topology, dataclasses.replace
     one = changed(old, submaps={0: old.submaps[0]}, edges={}, doors=(), stays=(), closures=())
     narrow = {pair: changed(each, path=None) for pair, each in old.edges.items()}

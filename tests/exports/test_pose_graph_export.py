@@ -10,13 +10,13 @@ import pytest
 
 from specmap_cli.core.errors import MapError
 from specmap_cli.exports.table import export_map
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import Map
 from specmap_cli.maps.writing import MapResult
 from tests.exports.conftest import POSE_GRAPH, written
 from tests.exports.consumers import consumer
 
 
-def with_graph(directory: Path, result: MapResult, text: str) -> StoredMap:
+def with_graph(directory: Path, result: MapResult, text: str) -> Map:
     return written(directory, dataclasses.replace(result, pose_graph=text))
 
 
@@ -31,9 +31,7 @@ def test_the_fixed_vertex_stands_last_whatever_the_map_has(
         assert (tmp_path / f"{number}.g2o").read_text() == POSE_GRAPH
 
 
-def test_gtsam_reads_every_vertex_and_every_edge_and_solves_it(
-    home: StoredMap, tmp_path: Path
-) -> None:
+def test_gtsam_reads_every_vertex_and_every_edge_and_solves_it(home: Map, tmp_path: Path) -> None:
     """Three springs: each takes a third of the 0.3 m, give or take what the angles take."""
     gtsam = consumer("gtsam")
     out = tmp_path / "home.g2o"
@@ -60,7 +58,7 @@ def test_a_vertex_of_each_part_is_fixed(lived_in: MapResult, tmp_path: Path) -> 
 
 
 def test_a_map_without_one_is_refused_in_a_line(
-    stored: StoredMap, rooms: StoredMap, lived_in: MapResult, tmp_path: Path
+    stored: Map, rooms: Map, lived_in: MapResult, tmp_path: Path
 ) -> None:
     lone = "EDGE_SE2 0 9 1 0 0 1 0 0 1 0 1\n"
     built = "a pose graph needs one that `specmap build` made of a recording"

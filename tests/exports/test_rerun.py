@@ -12,13 +12,13 @@ import pytest
 
 from specmap_cli.core.errors import UsageError
 from specmap_cli.exports.table import export_map
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import Map
 from tests.exports.consumers import consumer
 
 Rows = dict[str, list[dict[str, Any]]]
 
 
-def rows(stored: StoredMap, out: Path) -> Rows:
+def rows(stored: Map, out: Path) -> Rows:
     """The rows of each entity, their columns by name."""
     consumer("rerun")
     chunks = consumer("rerun.chunk")
@@ -29,7 +29,7 @@ def rows(stored: StoredMap, out: Path) -> Rows:
     return found
 
 
-def test_graph_submaps_poses_and_scans_are_the_map_s(home: StoredMap, tmp_path: Path) -> None:
+def test_graph_submaps_poses_and_scans_are_the_map_s(home: Map, tmp_path: Path) -> None:
     found = rows(home, tmp_path / "home.rrd")
     record = home.record
     links = [entity for entity in found if entity.startswith("graph/links/")]
@@ -55,14 +55,14 @@ def test_graph_submaps_poses_and_scans_are_the_map_s(home: StoredMap, tmp_path: 
     assert points == [17] * 30  # of 19, two without return
 
 
-def test_a_divided_plan_has_no_scans(rooms: StoredMap, tmp_path: Path) -> None:
+def test_a_divided_plan_has_no_scans(rooms: Map, tmp_path: Path) -> None:
     found = rows(rooms, tmp_path / "rooms.rrd")
     assert {"map", "regions"} <= set(found)
     assert "robot" not in found
 
 
 def test_without_the_sdk_the_line_says_what_to_install(
-    home: StoredMap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    home: Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(UsageError, match=r"pip install 'specmap-cli\[rerun\]'"):

@@ -14,7 +14,7 @@ import yaml
 
 from specmap_cli.core.yaml import yaml_text
 from specmap_cli.exports.table import export_map
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import Map
 
 TEXT, OBJECT = {"type": "string"}, {"type": "object"}
 # What the consumer's schema asks for, in our words.
@@ -39,7 +39,7 @@ RULES = {
 }
 
 
-def document(stored: StoredMap, out: Path) -> Any:
+def document(stored: Map, out: Path) -> Any:
     export_map(stored, "tmap2", out, overwrite=True)
     return yaml.safe_load(out.read_text(encoding="utf-8"))
 
@@ -66,7 +66,7 @@ def graph_of(found: Any) -> nx.DiGraph:
 
 
 def test_the_manager_reads_it_and_its_figures_are_the_map_s(
-    home: StoredMap, rooms: StoredMap, tmp_path: Path
+    home: Map, rooms: Map, tmp_path: Path
 ) -> None:
     for stored in (home, rooms):
         found = document(stored, tmp_path / "map.tmap2")
@@ -84,9 +84,7 @@ def test_the_manager_reads_it_and_its_figures_are_the_map_s(
                 assert length == pytest.approx(way.length_m, abs=1e-5)
 
 
-def test_a_zone_is_the_outline_of_its_submap_seen_from_the_node(
-    home: StoredMap, tmp_path: Path
-) -> None:
+def test_a_zone_is_the_outline_of_its_submap_seen_from_the_node(home: Map, tmp_path: Path) -> None:
     found = document(home, tmp_path / "home.tmap2")
     nodes = {entry["node"]["name"]: entry["node"] for entry in found["nodes"]}
     kitchen, record = nodes["Submap1"], home.record.nodes[1]

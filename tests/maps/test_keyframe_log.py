@@ -194,7 +194,7 @@ def test_the_keyframes_of_a_map_are_those_of_its_labels(
     stored: Path, tmp_path: Path, result: MapResult
 ) -> None:
     with pytest.raises(MapError, match=r"has no keyframes\.mcap: .*build the map again") as caught:
-        read_map(stored).keyframes()
+        read_map(stored).scans()
     assert caught.value.found == "has no keyframes.mcap"
     stamps, pose = result.labels.stamps_ns.tolist(), Pose2(0.0, 0.0, 0.0)
     scans = [keyframe(replace(planar(0), stamp_ns=stamp), pose) for stamp in stamps]
@@ -203,10 +203,10 @@ def test_the_keyframes_of_a_map_are_those_of_its_labels(
         (tmp_path / name).mkdir()
         with store_of(scans) as store:
             write_map(tmp_path / name, replace(result, labels=labels), store)
-    with read_map(tmp_path / "own").keyframes() as read:
+    with read_map(tmp_path / "own").scans() as read:
         assert read.stamps_ns == tuple(stamps)
     with pytest.raises(MapError, match=r"its 30 scans are not the 30 keyframes of labels\.csv"):
-        read_map(tmp_path / "others").keyframes()
+        read_map(tmp_path / "others").scans()
 
 
 CIRCLE = 2 * math.pi

@@ -21,7 +21,7 @@ from specmap_cli.core.files import write_text
 from specmap_cli.maps import directory as module
 from specmap_cli.maps.directory import OutputDirectory, put_right
 from specmap_cli.maps.filenames import EDITS, TOPOLOGY
-from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.store import Map, read_map
 from specmap_cli.maps.writing import MapResult, write_map
 from specmap_cli.pipelines.map_in_making import laid_out_of_stored
 
@@ -230,16 +230,16 @@ def test_a_neighbour_s_directory_is_not_taken_for_a_map_that_was_moved_away(
     assert not (tmp_path / "new").exists()
 
 
-READERS: dict[str, Callable[[StoredMap], object]] = {
+READERS: dict[str, Callable[[Map], object]] = {
     "map.png": lambda map_: map_.map_grid,
     "map.yaml": lambda map_: map_.map_grid,
     "labels.png": lambda map_: map_.regions,
     "labels.csv": lambda map_: map_.labels,
     "classifiers.json": lambda map_: map_.classifiers,
     "features.npz": lambda map_: map_.features,
-    "keyframes.mcap": lambda map_: map_.keyframes().close(),
+    "keyframes.mcap": lambda map_: map_.scans().close(),
     "run.json": lambda map_: map_.run,
-    "submaps/000.png": lambda map_: map_.grid(0),
+    "submaps/000.png": lambda map_: map_.grids[0],
     "submaps/000.yaml": lambda map_: map_.topology,
     "trajectory.tum": laid_out_of_stored,
     "trajectory.g2o": laid_out_of_stored,
@@ -247,7 +247,7 @@ READERS: dict[str, Callable[[StoredMap], object]] = {
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_files_of_another_map_are_refused(name: str, flat_map: StoredMap, tmp_path: Path) -> None:
+def test_files_of_another_map_are_refused(name: str, flat_map: Map, tmp_path: Path) -> None:
     """They would be read well, and teach wrong classifiers in silence."""
     mine = tmp_path / "mine"
     shutil.copytree(flat_map.path, mine)

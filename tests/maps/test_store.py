@@ -135,15 +135,15 @@ def test_grids_are_a_mapping_and_read_when_asked_for(stored: Path) -> None:
     read = read_map(stored)
     assert (list(read.grids), len(read.grids)) == ([0, 1, 2], 3)
     assert 1 in read.grids
-    assert read.grid(0).free_area_m2 == pytest.approx(24.0)
-    assert read.grid(0) is read.grid(0) is read.grids[0]
+    assert read.grids[0].free_area_m2 == pytest.approx(24.0)
+    assert read.grids[0] is read.grids[0]
     with pytest.raises(MapError, match=r"001\.png"):
-        read.grid(1)
+        read.grids[1]
     for stranger in (3, -1):
         assert stranger not in read.grids
         assert read.grids.get(stranger) is None
     with pytest.raises(KeyError):
-        read.grid(99)
+        read.grids[99]
 
 
 def test_ids_are_ascending_whatever_the_order_of_the_nodes(stored: Path) -> None:
@@ -152,7 +152,7 @@ def test_ids_are_ascending_whatever_the_order_of_the_nodes(stored: Path) -> None
     read = read_map(stored)
     assert read.ids == [0, 1, 2]
     assert list(read.grids) == [0, 1, 2]
-    assert read.grid(1).cells.shape == read_map(stored).topology.submaps[1].grid.cells.shape
+    assert read.grids[1].cells.shape == read_map(stored).topology.submaps[1].grid.cells.shape
 
 
 def test_a_file_is_read_once_and_not_before_it_is_asked_for(stored: Path) -> None:
@@ -310,7 +310,7 @@ def test_grids_of_absurd_cells(stored: Path, resolution: str) -> None:
     path = stored / "submaps" / "000.yaml"
     path.write_text(path.read_text().replace("resolution: 0.1", f"resolution: {resolution}"))
     with pytest.raises(MapError, match=r"000\.yaml: resolution is "):
-        _ = read_map(stored).grid(0)
+        _ = read_map(stored).grids[0]
 
 
 @pytest.mark.parametrize(
@@ -426,7 +426,7 @@ def test_it_is_a_map_like_any_other(old: Path, tmp_path: Path) -> None:
         with pytest.raises(MapError, match="nobody looked for ways when it was made: build"):
             export_map(stored, name, tmp_path / name)
     with pytest.raises(MapError, match=r"has no keyframes\.mcap"):
-        stored.keyframes()
+        stored.scans()
 
 
 def test_a_line_says_what_it_lacks_and_the_first_maps_held_no_verdict(stored: Path) -> None:

@@ -24,7 +24,7 @@ from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
 from specmap_cli.layout.main_direction import along_walls
 from specmap_cli.layout.relaxation import relax
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import Map
 from specmap_cli.pipelines import laying_out
 from specmap_cli.pipelines.build import explore
 from specmap_cli.pipelines.exploration import Exploration, online_labels
@@ -124,11 +124,11 @@ def test_ids_follow_the_first_visits_and_grids_hold_the_places_driven(
         assert (submap.grid.values_at(inside) == 0).mean() > 0.99
 
 
-def test_a_map_can_be_laid_out_again_from_its_directory_alone(flat_map: StoredMap) -> None:
+def test_a_map_can_be_laid_out_again_from_its_directory_alone(flat_map: Map) -> None:
     """Keyframes, stays, closures and breaks say all that the layout was made of."""
     topology, config = flat_map.topology, Config().relaxation
     assert any(closure.merged for closure in topology.closures)
-    with flat_map.keyframes() as store:
+    with flat_map.scans() as store:
         regions = laid_out_of_stored(flat_map).stays
         assert all(regions[stay.number][0] == stay.origin for stay in topology.stays)
         assert sorted(k for ks in regions.values() for k in ks) == list(range(len(store)))
@@ -265,7 +265,7 @@ class TestBuildMap:
         assert report.lines()[0].startswith(f"{out}: {len(stored.ids)} submaps, ")
         assert report.lines()[1] == "quality: good"
         assert report.as_dict()["quality"] == stored.run["quality"]
-        with stored.keyframes() as kept:  # all that a layout needs, without the log
+        with stored.scans() as kept:  # all that a layout needs, without the log
             assert len(kept) == report.run["counts"]["keyframes"]
         assert report.run["counts"]["doors"] == len(stored.topology.doors) > 0
         for edge in stored.topology.edges.values():

@@ -20,7 +20,7 @@ from specmap_cli.core.progress import Silent
 from specmap_cli.core.records import Trajectory
 from specmap_cli.core.settings import Config
 from specmap_cli.exports.table import export_map
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import Map
 from specmap_cli.maps.writing import MapResult, write_map
 from specmap_cli.pipelines.edit import edit_map
 from specmap_cli.pipelines.edits import RequestedEdits
@@ -53,7 +53,7 @@ def built(first_tour: Mapped, second_tour: Mapped) -> Built:
     return Built(first_tour.map, second_tour, corridor, rooms)
 
 
-def corridor_of(stored: StoredMap) -> int:
+def corridor_of(stored: Map) -> int:
     """The submap that most links lead to."""
     ends = [end for edge in stored.record.edges for end in (edge.source, edge.target)]
     return max(set(ends), key=ends.count)
@@ -65,7 +65,7 @@ def own(built: Built, tmp_path: Path) -> Path:
     return Path(shutil.copytree(built.map, tmp_path / "own"))
 
 
-def split(stored: StoredMap, submap: int) -> dict[str, Any]:
+def split(stored: Map, submap: int) -> dict[str, Any]:
     """At a line across a submap, through the middle keyframe of the way in it."""
     poses = stored.labels.poses[stored.labels.submaps == submap]
     place, theta = poses[len(poses) // 2, :2], float(poses[len(poses) // 2, 2])
@@ -78,7 +78,7 @@ def bytes_of(directory: Path, name: str) -> bytes:
 
 
 def edit(
-    map_: StoredMap | Path, *changes: dict[str, Any], out: Path | None = None, **said: Any
+    map_: Map | Path, *changes: dict[str, Any], out: Path | None = None, **said: Any
 ) -> EditReport:
     """What `edit_map` tells of some changes and of what is said of submaps."""
     return edit_map(map_, RequestedEdits(changes=changes, **said), out)

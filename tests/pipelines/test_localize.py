@@ -22,9 +22,10 @@ from specmap_cli.drawing.palette import colours_of, vivid
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.filenames import CLASSIFIERS
 from specmap_cli.maps.schema import TopologyRecord
-from specmap_cli.maps.store import StoredMap
-from specmap_cli.pipelines import localize
-from specmap_cli.pipelines.localize import HEADER, METRIC_HEADER, LocalizationReport, LocalizedScan
+from specmap_cli.maps.store import Map
+from specmap_cli.pipelines import localize, localizer
+from specmap_cli.pipelines.localize import HEADER, METRIC_HEADER, LocalizationReport
+from specmap_cli.pipelines.localizer import LocalizedScan
 from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.recognition.localization.localizer import Fix, Label
 from specmap_cli.simulation.simulator import SimulationOptions
@@ -41,7 +42,7 @@ def own_log(
 
 
 @pytest.fixture(scope="module")
-def metric(own_log: Path, flat_map: StoredMap) -> LocalizationReport:
+def metric(own_log: Path, flat_map: Map) -> LocalizationReport:
     """It, localised in the map, with poses."""
     return localize_log(own_log, flat_map.path, metric=True)
 
@@ -59,7 +60,7 @@ def labelled(submaps: Sequence[int | None], poses: Sequence[Pose2 | None]) -> Lo
 
 
 def test_the_map_s_own_log_is_found_where_it_was_taken(
-    flat_map: StoredMap, metric: LocalizationReport
+    flat_map: Map, metric: LocalizationReport
 ) -> None:
     """Labels of keyframes are the map's, and poses within submaps meet those of the map."""
     rows = {stamp: k for k, stamp in enumerate(flat_map.labels.stamps_ns.tolist())}
@@ -79,7 +80,7 @@ def test_the_map_s_own_log_is_found_where_it_was_taken(
 
 
 def test_offline_poses_are_in_the_frames_of_the_submaps_that_smoothing_gives(
-    own_log: Path, flat_map: StoredMap, metric: LocalizationReport
+    own_log: Path, flat_map: Map, metric: LocalizationReport
 ) -> None:
     """A scan has a pose in the submap that smoothing gives it, also before a place led."""
     offline = localize_log(own_log, flat_map, offline=True, metric=True)
@@ -101,11 +102,11 @@ def test_offline_poses_are_in_the_frames_of_the_submaps_that_smoothing_gives(
     assert given >= sum(scan.submap_from_base is not None for scan in metric.scans)
 
 
-def test_classifiers_of_other_submaps_are_refused(own_log: Path, flat_map: StoredMap) -> None:
+def test_classifiers_of_other_submaps_are_refused(own_log: Path, flat_map: Map) -> None:
     record = flat_map.record
     fewer = record.model_copy(update={"nodes": record.nodes[:-1]})
     with pytest.raises(MapError, match=r"classifiers\.json: classifiers of the submaps"):
-        localize_log(own_log, StoredMap(flat_map.path, fewer))
+        localize_log(own_log, Map(flat_map.path, fewer))
 
 
 def without_digests(record: TopologyRecord) -> TopologyRecord:
@@ -113,19 +114,17 @@ def without_digests(record: TopologyRecord) -> TopologyRecord:
     return record.model_copy(update={"graph": record.graph.with_files({})})
 
 
-def test_damaged_classifiers_keep_what_to_do_about_them(
-    flat_map: StoredMap, tmp_path: Path
-) -> None:
+def test_damaged_classifiers_keep_what_to_do_about_them(flat_map: Map, tmp_path: Path) -> None:
     (tmp_path / CLASSIFIERS).write_text("{}")
     with pytest.raises(MapError, match=r"classifiers\.json: .*; build the map again") as caught:
-        localize.classifiers_of(StoredMap(tmp_path, without_digests(flat_map.record)))
+        localizer.classifiers_of(Map(tmp_path, without_digests(flat_map.record)))
     assert caught.value.where == str(tmp_path / CLASSIFIERS)
     assert caught.value.hint == "build the map again"
 
 
 def test_an_older_map_is_used_offline_without_poses_and_what_it_lacks_is_told(
     own_log: Path,
-    flat_map: StoredMap,
+    flat_map: Map,
     metric: LocalizationReport,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -138,7 +137,7 @@ def test_an_older_map_is_used_offline_without_poses_and_what_it_lacks_is_told(
     (older / CLASSIFIERS).write_text(json.dumps(data))
     progress, notes = Silent(), list[str]()
     monkeypatch.setattr(progress, "note", notes.append)
-    old = StoredMap(older, without_digests(flat_map.record), note="it lacks keyframes")
+    old = Map(older, without_digests(flat_map.record), note="it lacks keyframes")
     report = localize_log(own_log, old, offline=True, progress=progress)
     assert notes[0] == "it lacks keyframes"
     assert [note for note in notes if "fit its walls" in note] == [
@@ -203,7 +202,7 @@ class TestReport:
         assert None not in second
 
     def test_where_nothing_is_known_it_says_so_and_its_picture_shows_the_way_as_it_was_tracked(
-        self, flat_map: StoredMap
+        self, flat_map: Map
     ) -> None:
         report = labelled([None] * 40, [None] * 40)
         assert report.lines()[0] == (
@@ -220,9 +219,7 @@ class TestReport:
         motion = Pose2(1.9, 0.0, 0.0).inverse() @ Pose2(3.9, 0.0, 0.0)
         assert places[-1] == pytest.approx((Pose2(0.0, 1.9, 1.0) @ motion)[:2])
 
-    def test_its_picture_without_a_map_shows_the_track(
-        self, flat_map: StoredMap, tmp_path: Path
-    ) -> None:
+    def test_its_picture_without_a_map_shows_the_track(self, flat_map: Map, tmp_path: Path) -> None:
         report = labelled([0] * 20 + [1] * 20, [None] * 40)
         localize.write_report(report, flat_map, metric=False, plot=tmp_path / "track.png")
         picture = cv2.imread(str(tmp_path / "track.png"))
@@ -230,9 +227,7 @@ class TestReport:
         assert colours_in(picture) > 3
 
     @pytest.mark.parametrize("with_poses", [False, True])
-    def test_its_picture_has_the_colours_of_the_map(
-        self, flat_map: StoredMap, with_poses: bool
-    ) -> None:
+    def test_its_picture_has_the_colours_of_the_map(self, flat_map: Map, with_poses: bool) -> None:
         fills = colours_of(flat_map.topology, flat_map.regions)
         at = [Pose2(0.05 * k, 0.0, 0.0) for k in range(40)]
         for id_ in sorted(fills)[-2:]:
@@ -241,7 +236,7 @@ class TestReport:
             assert max(seen, key=seen.__getitem__) == fills[id_]
 
     def test_the_table_and_the_picture_are_written_together(
-        self, flat_map: StoredMap, tmp_path: Path
+        self, flat_map: Map, tmp_path: Path
     ) -> None:
         """When the second one cannot be written there is no first one, and nothing half-written."""
         report = labelled([0] * 20, [None] * 20)

@@ -15,7 +15,7 @@ from specmap_cli import read_map
 from specmap_cli.core.errors import InputError, NoResultError, UsageError
 from specmap_cli.evaluation.trajectories import reference_errors
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import Map
 from specmap_cli.maps.text_files import read_tum
 from specmap_cli.pipelines.merge import merge_maps
 from specmap_cli.pipelines.overlaps import PairOfMaps
@@ -51,9 +51,9 @@ def building(closed: str) -> GridMap:
 class Parts:
     """Maps of the building with one of two rooms closed, of another building, and their logs."""
 
-    third_closed: StoredMap
-    first_closed: StoredMap
-    other: StoredMap
+    third_closed: Map
+    first_closed: Map
+    other: Map
     logs: dict[str, SimulationResult]
 
 

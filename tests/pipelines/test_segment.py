@@ -46,7 +46,7 @@ def test_the_rooms_of_the_flat_are_found_with_the_settings_given(
     assert set(np.unique(labels).tolist()) == {0, 1, 2, 3, 4}
     # one area everywhere: that of the free cells of the submaps, without the desk
     area_m2 = np.count_nonzero((labels > 0) & (grid == 254)) * 0.05**2
-    grids = sum(stored.grid(i).free_area_m2 for i in stored.ids)
+    grids = sum(stored.grids[i].free_area_m2 for i in stored.ids)
     assert [found["area_m2"], stored.record.area_m2, grids] == pytest.approx([area_m2] * 3)
     assert (labels[grid == 0] == 0).mean() > 0.9  # walls belong to nobody; the desk to its room
     config = load_config(overrides={"segmentation": {"eigenvalue_min": 0.999, "halve": False}})

@@ -13,9 +13,9 @@ import pytest
 from specmap_cli import build_map, read_map
 from specmap_cli.core.records import IntArray, Labels
 from specmap_cli.core.settings import Config
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import Map
 from specmap_cli.pipelines import learning
-from specmap_cli.pipelines.localize import classifiers_of
+from specmap_cli.pipelines.localizer import classifiers_of
 from specmap_cli.recognition.learning.training_data import Samples, TrainingData
 from tests.flats import QUICK
 
@@ -40,13 +40,13 @@ def changed(config: Config, section: str, **settings: Any) -> Config:
     return Config.model_validate(values)
 
 
-def learned_from(stored: StoredMap, config: Config) -> int:
+def learned_from(stored: Map, config: Config) -> int:
     """How many scans of a map are learned from with these settings without being made anew."""
     return len(learning.training_data_of_stored(stored, config).raw.keyframes)
 
 
 def test_a_map_keeps_what_it_learned_from_and_other_settings_or_no_file_learn_anew(
-    flat_map: StoredMap, tmp_path: Path
+    flat_map: Map, tmp_path: Path
 ) -> None:
     config = flat_map.config
     data = learning.training_data_of_stored(flat_map, config)
@@ -74,7 +74,7 @@ def test_a_map_without_some_kind_of_scans_keeps_the_others(
 
 @pytest.mark.parametrize("footprint_m", [None, 7], ids=["known settings", "unknown settings"])
 def test_a_map_of_another_version_learns_anew(
-    footprint_m: float | None, flat_map: StoredMap, tmp_path: Path
+    footprint_m: float | None, flat_map: Map, tmp_path: Path
 ) -> None:
     shutil.copytree(flat_map.path, tmp_path / "other")
     run = json.loads((tmp_path / "other" / "run.json").read_text(encoding="utf-8"))
@@ -87,7 +87,7 @@ def test_a_map_of_another_version_learns_anew(
     assert learning.comparable(classifiers_of(other), other, flat_map.config) is None
 
 
-def test_classifiers_of_other_settings_are_no_test(flat_map: StoredMap) -> None:
+def test_classifiers_of_other_settings_are_no_test(flat_map: Map) -> None:
     classifiers = classifiers_of(flat_map)
     assert learning.comparable(classifiers, flat_map, flat_map.config) is classifiers
     more = changed(flat_map.config, "recognition", rounds=1 + flat_map.config.recognition.rounds)

@@ -19,7 +19,7 @@ from specmap_cli.core.settings import UpdateConfig
 from specmap_cli.evaluation.trajectories import reference_errors
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.features_file import write_features
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import Map
 from specmap_cli.maps.text_files import read_tum
 from specmap_cli.pipelines.reports import UpdateReport
 from specmap_cli.pipelines.simulate import SimulationResult, simulate
@@ -41,8 +41,8 @@ class Kept:
 
     first: SimulationResult
     second: SimulationResult
-    old: StoredMap
-    new: StoredMap
+    old: Map
+    new: Map
     report: UpdateReport
 
     @property
@@ -193,7 +193,7 @@ def test_both_logs_are_in_the_map_and_nobody_drove_from_one_to_the_next(kept: Ke
     assert logs[1].keyframes == (count, len(kept.new.labels.submaps) - 1)
     total = kept.first.scans + kept.second.scans
     assert kept.report.run["counts"]["scans"] == total == sum(log.scans for log in logs)
-    with kept.new.keyframes() as store:
+    with kept.new.scans() as store:
         assert len(store) == len(kept.new.labels.submaps)
     assert kept.report.quality.verdict == "good"
     first_new_ns = int(kept.new.labels.stamps_ns[count])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.findings import Finding, Quality, Where
-from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.store import Map, read_map
 from specmap_cli.maps.writing import MapResult, write_map
 from specmap_cli.pipelines.report import report_map
 from specmap_cli.report.evidence import Evidence, FeatureShare, Learned, Likeness, SplitTrial
@@ -24,7 +24,7 @@ HOSTILE = "\"'><script>alert(1)</script>&"
 
 
 @pytest.fixture
-def house(tmp_path: Path, result: MapResult) -> StoredMap:
+def house(tmp_path: Path, result: MapResult) -> Map:
     """The map directory of the small house: hostile texts, two doors, findings."""
     topology = result.topology
     submaps = dict(topology.submaps)
@@ -70,13 +70,13 @@ def evidence() -> Evidence:
 
 
 @pytest.fixture
-def page(house: StoredMap, evidence: Evidence) -> str:
+def page(house: Map, evidence: Evidence) -> str:
     """The page of the house."""
     return render(house, evidence)
 
 
 @pytest.fixture(scope="session")
-def flat_page(flat_map: StoredMap, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def flat_page(flat_map: Map, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Its page as a file."""
 
     def make(folder: Path) -> Path:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from specmap_cli.maps.store import StoredMap
+from specmap_cli.maps.store import Map
 from tests.report.browser import Browser
 
 
@@ -79,7 +79,7 @@ def test_names_on_the_map_do_not_lie_on_one_another(browser: Browser) -> None:
     assert hidden in browser.run(shown)
 
 
-def test_the_table_sorts_both_ways(browser: Browser, flat_map: StoredMap) -> None:
+def test_the_table_sorts_both_ways(browser: Browser, flat_map: Map) -> None:
     areas = {str(node.id): node.area_m2 for node in flat_map.record.nodes}
     press = "all('#submaps thead button')[3].click()"
     rows = "all('#submaps tbody tr').map((row) => row.dataset.submap)"
@@ -90,7 +90,7 @@ def test_the_table_sorts_both_ways(browser: Browser, flat_map: StoredMap) -> Non
     assert browser.run("all('#submaps th')[3].getAttribute('aria-sort')") == "descending"
 
 
-def test_the_slider_moves_the_robot_to_where_it_was(browser: Browser, flat_map: StoredMap) -> None:
+def test_the_slider_moves_the_robot_to_where_it_was(browser: Browser, flat_map: Map) -> None:
     stamps, poses = flat_map.labels.stamps_ns, flat_map.labels.poses
     places = [middle(browser, "#robot path")]  # where it began
     left, top = browser.run("[placeAt(0).x, placeAt(0).y]")
@@ -213,7 +213,7 @@ def test_day_and_night(browser: Browser) -> None:
     assert browser.run(ground) == day
 
 
-def test_on_paper_are_all_submaps_and_no_buttons(browser: Browser, flat_map: StoredMap) -> None:
+def test_on_paper_are_all_submaps_and_no_buttons(browser: Browser, flat_map: Map) -> None:
     browser.run("choose('1'); zoomBy(4)")
     browser.prefers(media="print", color_scheme="dark")
     assert sorted(map(int, chosen(browser))) == flat_map.ids

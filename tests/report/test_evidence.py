@@ -13,7 +13,7 @@ from specmap_cli.core.errors import MapError
 from specmap_cli.core.progress import Silent
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.map_server import write_grid
-from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.store import Map, read_map
 from specmap_cli.pipelines.report import evidence_of, report_map
 from specmap_cli.pipelines.segment import segment_map
 from specmap_cli.recognition.learning.boosting import StumpBoost, TreeBoost, feature_shares
@@ -23,18 +23,18 @@ from tests.flats import Explained
 
 
 @pytest.fixture(scope="module")
-def found(flat_map: StoredMap) -> Evidence:
+def found(flat_map: Map) -> Evidence:
     return evidence_of(flat_map, Silent())
 
 
-def test_scans_fit_the_walls_that_they_made(found: Evidence, flat_map: StoredMap) -> None:
+def test_scans_fit_the_walls_that_they_made(found: Evidence, flat_map: Map) -> None:
     assert found.fit is not None
     assert len(found.fit) == len(flat_map.labels.stamps_ns)
     assert np.nanmedian(found.fit) > 0.9
     assert np.nanmax(found.fit) <= 1.0
 
 
-def test_every_submap_is_told_and_likened_to_others(found: Evidence, flat_map: StoredMap) -> None:
+def test_every_submap_is_told_and_likened_to_others(found: Evidence, flat_map: Map) -> None:
     assert sorted(found.learned) == flat_map.ids
     for id_, learned in found.learned.items():
         assert learned.right > 0.8
@@ -47,7 +47,7 @@ def test_every_submap_is_told_and_likened_to_others(found: Evidence, flat_map: S
 
 
 def test_the_tests_are_those_of_the_build(
-    found: Evidence, flat_map: StoredMap, flat_built: Explained
+    found: Evidence, flat_map: Map, flat_built: Explained
 ) -> None:
     assert len(found.tests) == len(list(flat_built.pictures.iterdir()))
     assert any(one.split for one in found.tests)
@@ -58,7 +58,7 @@ def test_the_tests_are_those_of_the_build(
         assert grid.inside(grid.cells_of(one.nodes)).all()  # in the map, not as registered
 
 
-def test_a_map_without_scans_says_so(flat_map: StoredMap, tmp_path: Path) -> None:
+def test_a_map_without_scans_says_so(flat_map: Map, tmp_path: Path) -> None:
     own = Path(shutil.copytree(flat_map.path, tmp_path / "own"))
     (own / "keyframes.mcap").unlink()
     found = evidence_of(read_map(own), Silent())
@@ -87,7 +87,7 @@ def test_a_divided_plan_has_a_page_unless_it_is_torn_apart(flat: GridMap, tmp_pa
         report_map(rooms)
 
 
-def test_the_older_map_is_drawn(flat_map: StoredMap) -> None:
+def test_the_older_map_is_drawn(flat_map: Map) -> None:
     page = report_map(flat_map, flat_map)
     assert 'class="old-walls"' in page
     assert "map: identical to map" in page

@@ -17,7 +17,7 @@ import pytest
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.grids.bent import BentMotion
-from specmap_cli.maps.store import StoredMap, read_map
+from specmap_cli.maps.store import Map, read_map
 from specmap_cli.report.changes import Changes
 from specmap_cli.report.evidence import MOST_TESTS, Evidence
 from specmap_cli.report.layers import MOST_REFUSED
@@ -114,7 +114,7 @@ def test_nothing_comes_from_elsewhere_and_the_browser_runs_no_script_but_ours(
     assert policy.startswith("default-src 'none'")
 
 
-def test_the_same_map_gives_the_same_bytes(house: StoredMap, evidence: Evidence, page: str) -> None:
+def test_the_same_map_gives_the_same_bytes(house: Map, evidence: Evidence, page: str) -> None:
     assert render(read_map(house.path), evidence) == page
     assert len(page.encode()) < 150_000
 
@@ -148,7 +148,7 @@ def test_headings_and_names_for_those_who_hear_the_page(read: Read) -> None:
 
 
 def test_what_differs_from_an_older_map_is_drawn_where_it_is(
-    house: StoredMap, evidence: Evidence
+    house: Map, evidence: Evidence
 ) -> None:
     """The house against one that lies a metre beside it, with a thing gone and a way closed."""
     record = comparison(
@@ -181,7 +181,7 @@ def test_what_differs_from_an_older_map_is_drawn_where_it_is(
 
 
 def test_a_map_of_schema_1_without_evidence_has_a_page_without_these_parts(
-    house: StoredMap,
+    house: Map,
 ) -> None:
     old = Path(__file__).parents[1] / "maps" / "topology_1.json"
     for schema_1 in (False, True):
@@ -198,7 +198,7 @@ def test_a_map_of_schema_1_without_evidence_has_a_page_without_these_parts(
 
 
 def test_a_run_that_somebody_changed_is_shown_as_far_as_it_is_one_and_lost_scans_are_marked(
-    house: StoredMap, evidence: Evidence
+    house: Map, evidence: Evidence
 ) -> None:
     run = {"counts": {"scans": 30, "odd": "x"}, "seconds": {"a": "b"}, "inputs": 4, "config": {}}
     forget_digests(house.path)
@@ -214,7 +214,7 @@ def test_a_run_that_somebody_changed_is_shown_as_far_as_it_is_one_and_lost_scans
 
 
 def test_of_many_split_tests_and_refused_closures_some_are_drawn_and_how_many_is_said(
-    house: StoredMap, evidence: Evidence, read: Read
+    house: Map, evidence: Evidence, read: Read
 ) -> None:
     """Of closures those with the largest xi."""
     many_tests = replace(evidence, tests=evidence.tests * MOST_TESTS)

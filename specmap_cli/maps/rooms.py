@@ -1,0 +1,239 @@
+"""The rooms of a map, by id or by name, and their grids.
+
+A room is a submap, as it is in the finished map: in its frame, unless it says otherwise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from html import escape
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from specmap_cli.core.arrays import unchanging
+from specmap_cli.core.errors import TOO_LARGE, MapError
+from specmap_cli.core.geometry import FloatArray, Pose2, product
+from specmap_cli.core.json_values import Point, PropertyValue
+from specmap_cli.core.text import legible
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, GridMap
+from specmap_cli.grids.map_server import read_grid
+from specmap_cli.maps.schema import NodeRecord
+from specmap_cli.topology.regions import NOBODY, OwnerArray
+from specmap_cli.topology.topological_map import Door, SubmapKind, Visit, default_name
+
+if TYPE_CHECKING:
+    from specmap_cli.maps.store import Map
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Room:
+    """A room of a map; lengths are metres, places are in the frame of the map.
+
+    `outline` (N, 2) is the border of its largest part, counter-clockwise, not closed; empty where
+    it owns no cell. `centroid` is the free cell nearest to its middle, `anchor` a place in it where
+    a robot can stand, so far from everything; each is None without a cell. `kind` is None where
+    nobody said it and its shape does not. `scans` counts its keyframes, `visits` are when the robot
+    was in it, and `doors` lead out of it. `map_from_room` is the pose of its frame.
+    """
+
+    id: int
+    name: str
+    kind: SubmapKind | None
+    properties: Mapping[str, PropertyValue]
+    area_m2: float
+    outline: FloatArray = field(repr=False)
+    centroid: Point | None
+    anchor: Point | None
+    anchor_clearance_m: float | None
+    map_from_room: Pose2
+    scans: int
+    visits: tuple[Visit, ...] = field(repr=False)
+    doors: tuple[Door, ...] = field(repr=False)
+    grids: Mapping[int, GridMap] = field(repr=False)
+
+    @property
+    def centre(self) -> Point:
+        """A place in it: its centroid, or the origin of its frame when it owns no cell."""
+        return self.centroid or self.map_from_room[:2]
+
+    @property
+    def place(self) -> Point:
+        """Where to point at it: its anchor, else its centre."""
+        return self.anchor or self.centre
+
+    @property
+    def given_name(self) -> str:
+        """The name that a person gave it; empty without one."""
+        return "" if self.name == default_name(self.id) else self.name
+
+    @property
+    def grid(self) -> GridMap:
+        """Its grid, in its own frame: `cells` (H, W) are 0 free, 1 occupied, 2 unknown.
+
+        It shows all that was seen from the room. Raises MapError when its file is damaged.
+        """
+        return self.grids[self.id]
+
+    @property
+    def transform(self) -> FloatArray:
+        """(3, 3): takes (column, row, 1) of a cell's lower left corner to (x, y, 1) in the map."""
+        grid, x_y = self.grid, np.eye(3)
+        x_y[:2, :2] *= grid.resolution
+        x_y[:2, 2] = grid.origin
+        motion = np.eye(3)
+        motion[:2, :2], motion[:2, 2] = self.map_from_room.rotation(), self.map_from_room[:2]
+        return product(motion, x_y)
+
+
+RoomOrPlace = Room | int | str | Sequence[float]  # a room by id or name, x and y, or a pose
+
+
+class Rooms(Mapping[int, Room]):
+    """The rooms of a map in the order of their ids. `rooms[3]` or `rooms["kitchen"]` is one.
+
+    Raises KeyError for what is neither the id nor the name of a room, or the name of several.
+    """
+
+    def __init__(
+        self, nodes: tuple[NodeRecord, ...], doors: tuple[Door, ...], grids: Mapping[int, GridMap]
+    ) -> None:
+        outlines = {node.id: np.array(node.polygon).reshape(-1, 2) for node in nodes}
+        unchanging(*outlines.values())
+        self._rooms = {
+            node.id: Room(
+                **{name: getattr(node, name) for name in _SAME},
+                properties=MappingProxyType(node.properties),
+                outline=outlines[node.id],
+                map_from_room=node.frame,
+                doors=tuple(door for door in doors if node.id in door.between),
+                grids=grids,
+            )
+            for node in sorted(nodes, key=lambda one: one.id)
+        }
+
+    def __getitem__(self, room: int | str) -> Room:
+        if isinstance(room, str):
+            found = [one for one in self._rooms.values() if one.name == room]
+            if len(found) == 1:
+                return found[0]
+            if found:
+                ids = ", ".join(str(one.id) for one in found)
+                raise KeyError(f"several rooms are called {room!r}: take the id, one of {ids}")
+        elif room in self._rooms:
+            return self._rooms[room]
+        there = ", ".join(f"{one.id} {one.given_name!r}" for one in self._rooms.values())
+        raise KeyError(f"no room {room!r}; there are {there}")
+
+    def place_of(self, given: RoomOrPlace) -> Point:
+        """The place that is meant; ValueError for one that is nowhere, KeyError for no room."""
+        room = self[given] if isinstance(given, int | str) else given
+        if isinstance(room, Room):
+            return room.place
+        x, y = map(float, room[:2])
+        if not math.isfinite(x + y):
+            raise ValueError(f"expected a room, or x and y in metres, found {given!r:.60}")
+        return x, y
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._rooms)
+
+    def _repr_html_(self) -> str:
+        """A table, for notebooks."""
+        rows = [("id", "name", "kind", "area, m²", "doors")]
+        rows += [
+            (f"{one.id}", one.name, one.kind or "", f"{one.area_m2:.1f}", f"{len(one.doors)}")
+            for one in self.values()
+        ]
+        cells = ["".join(f"<td>{escape(legible(cell))}</td>" for cell in row) for row in rows]
+        return f"<table>{''.join(f'<tr>{row}</tr>' for row in cells)}</table>"
+
+    def __len__(self) -> int:
+        return len(self._rooms)
+
+
+_SAME = (
+    *("id", "name", "kind", "area_m2", "centroid", "anchor", "anchor_clearance_m"),
+    *("scans", "visits"),
+)
+
+
+_FINEST_M, _COARSEST_M = 0.002, 10.0  # a cell of a map; matching scans in finer ones takes forever
+
+
+class Grids(Mapping[int, GridMap]):
+    """Grids by submap id, each read from its file when it is first asked for."""
+
+    def __init__(self, stored: Map) -> None:
+        self._stored = stored
+        self._images = {node.id: Path(node.image) for node in stored.record.nodes}
+        self._read: dict[int, GridMap] = {}
+
+    def __getitem__(self, submap: int) -> GridMap:
+        if submap not in self._read:
+            image, stored = self._images[submap], self._stored
+            path = stored.path / image.with_suffix(".yaml")
+            grid = read_grid(path, limits=stored.limits)
+            if not _FINEST_M <= grid.resolution <= _COARSEST_M:
+                raise MapError(
+                    f"resolution is {grid.resolution:g}",
+                    f"expected {_FINEST_M:g} to {_COARSEST_M:g} metres a cell: build the map again",
+                    where=path,
+                )
+            names = (image.as_posix(), image.with_suffix(".yaml").as_posix())
+            unchanging(grid.cells)
+            self._read[submap] = stored.checked(grid, *names)
+        return self._read[submap]
+
+    def __contains__(self, submap: object) -> bool:
+        return submap in self._images
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(sorted(self._images))
+
+    def __len__(self) -> int:
+        return len(self._images)
+
+
+def composed(stored: Map) -> tuple[GridMap, OwnerArray]:
+    """The grids of all submaps laid out in the map, each the owner of what is free in it.
+
+    Earlier versions kept no more of a grid that they divided. Raises MapError when the whole would
+    be beyond all bounds.
+    """
+    pieces = [(node, stored.grids[node.id]) for node in stored.record.nodes]
+    points = np.vstack(
+        [np.zeros((0, 2)), *(_placed(node, grid, grid.cells != UNKNOWN) for node, grid in pieces)]
+    )
+    if not len(points):
+        points = np.zeros((1, 2))
+    low, high = points.min(axis=0), points.max(axis=0)
+    cell_m = min((grid.resolution for _, grid in pieces), default=1.0)
+    width, height = (int(side) + 2 for side in np.ceil((high - low) / cell_m))
+    if width * height > stored.limits.picture_max_mpixel * 1e6:
+        raise MapError(
+            f"its submaps lie so far apart that a picture of them has {width:,} x {height:,} cells",
+            "if it is meant, raise limits.picture_max_mpixel",
+            mark=";",
+            where=stored.path,
+            code=TOO_LARGE,
+        )
+    left, bottom = (low - 0.5 * cell_m).tolist()
+    unknown = np.full((height, width), UNKNOWN, dtype=np.uint8)
+    whole = GridMap(unknown, cell_m, (left, bottom))
+    owner = np.full(whole.cells.shape, NOBODY, dtype=np.int64)
+    for value in (FREE, OCCUPIED):
+        for node, grid in pieces:
+            rows, columns = whole.cells_of(_placed(node, grid, grid.cells == value)).T
+            whole.cells[rows, columns] = value
+            owner[rows, columns] = node.id if value == FREE else NOBODY
+    return whole, owner
+
+
+def _placed(node: NodeRecord, grid: GridMap, cells: BoolArray) -> FloatArray:
+    """(n, 2) centres in the map of some cells of a submap's grid."""
+    return node.frame.apply(grid.centres_of(np.argwhere(cells)))

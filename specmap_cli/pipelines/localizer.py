@@ -1,0 +1,235 @@
+"""Where scans are taken in a finished map, one after another as they come. (Section IV-B)"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from specmap_cli.core.arguments import instance_of, path_of
+from specmap_cli.core.arrays import neighbours
+from specmap_cli.core.config import SETTINGS, load_config, with_overrides
+from specmap_cli.core.errors import InputError, MapError
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, product
+from specmap_cli.core.records import Sweep
+from specmap_cli.core.settings import Config, LogConfig
+from specmap_cli.logs.messages import BadMessageError, ScanLayout, ScanRecord
+from specmap_cli.logs.planar import ScanLeveller
+from specmap_cli.maps.filenames import CLASSIFIERS
+from specmap_cli.maps.store import Map, opened_map
+from specmap_cli.recognition.features.sets import check_feature_sets
+from specmap_cli.recognition.learning.classifiers import ClassifierSet
+from specmap_cli.recognition.localization.localizer import Fix, Label, Where
+from specmap_cli.recognition.localization.localizer import Localizer as Guide
+from specmap_cli.recognition.localization.walls import MapWalls
+from specmap_cli.registration.frontend import FrontEnd
+
+_MOST_BEAMS = 100_000  # of a scan; the densest lasers have some thousands
+_NO_CALIBRATION = (
+    "an older map, which does not say how sure its classifiers are: probabilities are those that "
+    "are usual elsewhere; build it again"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """What a planar laser saw at one moment, from `stamp_ns` on, in nanoseconds.
+
+    `ranges` (B,) are metres along `angles` (B,) in radians, counter-clockwise from the x axis of
+    the laser, ascending or descending, at even steps: readings at others go to the nearest step.
+    Infinite, 0 and `range_max` mean that nothing was met; NaN and less than `range_min` that
+    nothing is known. From beam to beam it takes `beam_s` seconds. `laser` is the pose of the laser
+    on the robot, and `odometry` that of the robot by its wheels, in a frame that stays: x and y in
+    metres, angle in radians.
+    """
+
+    stamp_ns: int
+    ranges: Sequence[float] | NDArray[Any]
+    angles: Sequence[float] | NDArray[Any]
+    range_min: float = 0.0
+    range_max: float = math.inf
+    beam_s: float = 0.0
+    laser: tuple[float, float, float] = IDENTITY
+    odometry: tuple[float, float, float] | None = None
+
+    def record(self) -> ScanRecord:
+        """The scan as a recording has it. Raises InputError for one that cannot be used."""
+        ranges, angles = (np.asarray(each, dtype=np.float64) for each in (self.ranges, self.angles))
+        usable = ranges.ndim == 1 and ranges.shape == angles.shape and len(angles) > 1
+        if not (usable and np.isfinite(angles).all() and (step := np.median(np.diff(angles)))):
+            what = f"a scan of {ranges.size} ranges at {angles.size} angles"
+            raise InputError(what, "expected as many of both, two or more, angles in order")
+        places = np.rint((angles - angles[0]) / step).astype(np.int64)
+        first = places.min()
+        places -= first
+        even = np.full(min(int(places.max()), _MOST_BEAMS) + 1, np.nan)
+        even[np.minimum(places, _MOST_BEAMS)] = ranges
+        layout = ScanLayout(
+            angle_min=float(angles[0] + first * step),
+            angle_max=float(angles[0] + (first + len(even) - 1) * step),
+            angle_increment=float(step),
+            time_increment=self.beam_s,
+            beams=len(even),
+        )
+        return ScanRecord(
+            stamp_ns=self.stamp_ns,
+            frame="laser",
+            layout=layout,
+            range_min=self.range_min,
+            range_max=self.range_max,
+            ranges=even.astype(np.float32),
+        )
+
+
+class Localizer:
+    """Tells where scans were taken in a map, one after another as they come.
+
+    `map_` is a map directory, or one that was read. The settings are those that it was built with,
+    or `config`. Without `metric` it need not find poses, only rooms. One localizer is for one robot
+    with one laser. Raises MapError for a map without classifiers.
+    """
+
+    def __init__(
+        self, map_: Map | Path | str, config: Config | None = None, *, metric: bool = True
+    ) -> None:
+        stored = opened_map(map_, "map_", None if config is None else config.limits)
+        self.config = settings_for(stored, {}) if config is None else config
+        check_feature_sets(self.config)
+        classifiers, settings = classifiers_of(stored), self.config.localization
+        walls = MapWalls(*stored.division, classifiers.misfit, settings)
+        adjacency = neighbours(stored.ids, stored.topology.joined)
+        self._guide = Guide(classifiers, adjacency, walls, settings, with_walls=metric)
+        self._front_end = FrontEnd(self.config.registration)
+        self._metric, self._path = metric, stored.path
+        self._frames = {id_: room.map_from_room for id_, room in stored.rooms.items()}
+        self._leveller: ScanLeveller | None = None
+        self._scans = 0
+
+    def add(self, scan: Scan) -> LocalizedScan:
+        """Where the next scan was taken. Raises InputError for one that cannot be used."""
+        record = instance_of(scan, Scan, "scan").record()
+        if self._leveller is None:
+            self._leveller = ScanLeveller(Pose2(*scan.laser).matrix())
+        try:
+            planar = self._leveller.level(record, scan.stamp_ns)
+        except BadMessageError as error:
+            raise InputError(error) from None
+        sweep = Sweep(
+            index=self._scans,
+            stamp_ns=scan.stamp_ns,
+            planar=planar,
+            base_from_laser=self._leveller.mount,
+            odom_from_base=None if scan.odometry is None else Pose2(*scan.odometry),
+        )
+        self._scans += 1
+        return self.told([self._guide.add(self._front_end.register(sweep))])[0]
+
+    def located(self, sweeps: Iterable[Sweep]) -> Iterator[Where]:
+        """Where the sweeps of a recording were taken, some of them read ahead."""
+        return self._guide.located(self._front_end.register(sweep) for sweep in sweeps)
+
+    def told(self, found: Sequence[Where], *, offline: bool = False) -> tuple[LocalizedScan, ...]:
+        """What is known of scans; `offline` looks at all that were located, in hindsight."""
+        found = self._guide.smoothed(found) if offline else found
+        return tuple(
+            LocalizedScan(
+                label=where.label,
+                track_from_base=where.track_from_base,
+                fix=where.fix if self._metric and submap is not None else None,
+                map_from_submap=IDENTITY if submap is None else self._frames[submap],
+            )
+            for where in found
+            for submap in [where.label.filtered_submap]
+        )
+
+    @property
+    def knows_its_walls(self) -> bool:
+        """Whether the map tells how well its own scans fit its walls."""
+        return self._guide.classifiers.misfit is not None
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What to know of the scans so far, and of the map."""
+        notes = [self._guide.note] if self._guide.note else []
+        if self._guide.classifiers.calibration is None:
+            notes.append(f"{self._path}: {_NO_CALIBRATION}")
+        return (*self._front_end.warnings, *notes)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LocalizedScan:
+    """The label of one scan, its place as registered, and within the map where one is known.
+
+    `map_from_submap` is the frame of the submap of the filtered label.
+    """
+
+    label: Label
+    track_from_base: Pose2
+    fix: Fix | None = None
+    map_from_submap: Pose2 = IDENTITY
+
+    @property
+    def room(self) -> int | None:
+        """The id of the room that it was taken in, by all scans so far; None where none fits."""
+        return self.label.filtered_submap
+
+    @property
+    def map_from_base(self) -> Pose2 | None:
+        """The pose in the map, None where it is not known."""
+        return None if self.fix is None else self.fix.pose
+
+    @property
+    def submap_from_base(self) -> Pose2 | None:
+        """The pose in the submap of the filtered label, None where it is not known."""
+        return None if self.fix is None else self.map_from_submap.inverse() @ self.fix.pose
+
+    @property
+    def covariance(self) -> FloatArray | None:
+        """(3, 3) of x, y and angle of the pose in the submap: square metres and radians."""
+        if self.fix is None:
+            return None
+        turn = np.eye(3)
+        turn[:2, :2] = self.map_from_submap.rotation().T
+        return product(product(turn, self.fix.covariance), turn.T)
+
+
+def settings_for(
+    stored: Map,
+    overrides: dict[str, Any],
+    file: Path | str | None = None,
+    preset: str | None = None,
+) -> Config:
+    """The settings for a log: `overrides` over those of `file` (TOML) over those of the map.
+
+    A `preset`, or one that the file names, takes the place of the map's settings. Topics and frames
+    are never the map's: they are the log's own. Raises UsageError as `load_config` does.
+    """
+    from_file = {} if file is None else SETTINGS.tables(path_of(file, "file"))
+    if preset is not None or "preset" in from_file:
+        return load_config(file, preset, overrides)
+    built_with = Config(**{**dict(stored.config), "log": LogConfig()})
+    config = with_overrides(built_with, from_file, f"{file}: ")
+    return with_overrides(config, overrides)
+
+
+def classifiers_of(stored: Map) -> ClassifierSet:
+    """The classifiers of a stored map, one a submap; MapError naming the file otherwise."""
+    path, text = stored.path / CLASSIFIERS, stored.classifiers
+    try:
+        classifiers = ClassifierSet.from_json(text)
+    except MapError as error:
+        raise MapError(
+            error.found, error.hint, mark=error.mark, where=path, code=error.code
+        ) from None
+    if classifiers.ids != stored.ids:
+        raise MapError(
+            f"classifiers of the submaps {classifiers.ids}, but the map has {stored.ids}",
+            "build the map again",
+            where=path,
+        )
+    return classifiers
