@@ -189,6 +189,12 @@ def clearance_of(free: BoolArray) -> LengthArray:
     return cell_distances(np.pad(free.astype(np.uint8), 1))[1:-1, 1:-1]
 
 
+def exact(distances: LengthArray) -> FloatArray:
+    """(H, W) distances in cells, as `cell_distances` gives them, in double precision."""
+    squares = np.square(distances, dtype=np.float64)
+    return np.asarray(np.sqrt(np.rint(squares, out=squares), out=squares))
+
+
 def joined(cells: BoolArray, seeds: BoolArray) -> BoolArray:
     """(H, W) the parts of `cells` that hold one of the `seeds`; cells join over their sides."""
     _, parts = cv2.connectedComponents(cells.astype(np.uint8), connectivity=4)

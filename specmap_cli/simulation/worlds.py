@@ -21,6 +21,8 @@ from specmap_cli.grids.gridmap import (
     GridMap,
     LengthArray,
     cast_rays,
+    clearance_of,
+    exact,
     nearest_values,
 )
 
@@ -42,14 +44,15 @@ class World:
 
     plan: GridMap
     distance: LengthArray
-    clearance: LengthArray
+    clearance: FloatArray
 
     @classmethod
     def of(cls, plan: GridMap) -> World:
         """The world of a plan: unknown cells, outside the building or never seen, stop a beam."""
         cells = np.where(plan.free, FREE, OCCUPIED).astype(np.uint8)
         solid = GridMap(cells, plan.resolution, plan.origin)
-        return cls(solid, solid.obstacle_distance(), solid.clearance())
+        clearance = exact(clearance_of(plan.free)) * plan.resolution
+        return cls(solid, solid.obstacle_distance(), clearance)
 
     def clearance_at(self, points: NDArray[Any]) -> FloatArray:
         """(N,) metres from each point (N, 2) to the next wall, half a cell on the safe side."""

@@ -23,6 +23,7 @@ from specmap_cli.grids.gridmap import (
     LengthArray,
     clearance_of,
     contacts,
+    exact,
     joined,
     slices_near,
     window_of,
@@ -234,8 +235,7 @@ class Space:
 
         Zero for cells that are not free.
         """
-        inside = np.square(self.away, dtype=np.float64)  # whole numbers: their roots are exact
-        np.sqrt(np.rint(inside, out=inside), out=inside)
+        inside = exact(self.away)
         inside -= 0.5
         np.maximum(inside, 0.0, out=inside)
         return np.asarray(np.multiply(inside, self.grid.resolution, out=inside))
