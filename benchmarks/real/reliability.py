@@ -67,7 +67,7 @@ def of_held_out(built: Built) -> Told:
     finished, held_out = built.finished, built.held_out
     keyframes = finished.labels.poses, finished.labels.submaps
     truth = nearest_labels(poses_at(finished, held_out.stamps_ns), *keyframes)
-    return Told.of(labels_of(finished, held_out, built.config), truth)
+    return Told.of(labels_of(finished, built.store, held_out, built.config), truth)
 
 
 def line(name: str, told: Told) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -33,7 +34,7 @@ from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.localization.localizer import Label, Localizer
-from specmap_cli.recognition.localization.walls import MapWalls
+from specmap_cli.recognition.localization.walls import MapWalls, along_way
 
 Split = Literal["random", "blocks"]
 
@@ -248,7 +249,7 @@ def score_hold_out(
     truth = nearest_labels(poses, finished.labels.poses, finished.labels.submaps)
     train = raw_labels(classifiers, store)
     test = raw_labels(classifiers, held_out)
-    filtered = [label.filtered_submap for label in labels_of(finished, held_out, config)]
+    filtered = [label.filtered_submap for label in labels_of(finished, store, held_out, config)]
     return HoldOutResult(
         classification_scores(finished.labels.submaps, train, ids),
         classification_scores(truth, test, ids),
@@ -256,13 +257,18 @@ def score_hold_out(
     )
 
 
-def labels_of(finished: FinishedMap, held_out: KeyframeStore, config: Config) -> list[Label]:
-    """The labels of held-out scans in turn; the filter starts afresh after every gap."""
+def labels_of(
+    finished: FinishedMap, store: KeyframeStore, held_out: KeyframeStore, config: Config
+) -> list[Label]:
+    """The labels of held-out scans in turn, by the map of `store`; the filter starts afresh after
+    a gap.
+    """
     poses = poses_at(finished, held_out.stamps_ns)
     classifiers = finished.classifiers
     adjacency = neighbours(classifiers.ids, finished.topology.joined)
     divided, settings = finished.regions, config.localization
-    walls = MapWalls(divided.grid, divided.owner, classifiers.misfit, settings)
+    own = partial(along_way, store, finished.labels.poses)
+    walls = MapWalls(divided.grid, divided.owner, classifiers.misfit, settings, own)
     localizer = Localizer(classifiers, adjacency, walls, settings)
     labels: list[Label] = []
     for k in range(len(held_out)):

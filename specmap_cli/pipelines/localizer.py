@@ -16,7 +16,7 @@ from specmap_cli.core.arrays import neighbours
 from specmap_cli.core.config import SETTINGS, load_config, with_overrides
 from specmap_cli.core.errors import InputError, MapError
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, product
-from specmap_cli.core.records import Sweep
+from specmap_cli.core.records import PosedScan, Sweep
 from specmap_cli.core.settings import Config, LogConfig
 from specmap_cli.logs.messages import BadMessageError, ScanLayout, ScanRecord
 from specmap_cli.logs.planar import ScanLeveller
@@ -26,7 +26,7 @@ from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.localization.localizer import Fix, Label, Where
 from specmap_cli.recognition.localization.localizer import Localizer as Guide
-from specmap_cli.recognition.localization.walls import MapWalls
+from specmap_cli.recognition.localization.walls import MapWalls, along_way
 from specmap_cli.registration.frontend import FrontEnd
 
 _MOST_BEAMS = 100_000  # of a scan; the densest lasers have some thousands
@@ -101,7 +101,7 @@ class Localizer:
         self.config = settings_for(stored, {}) if config is None else config
         check_feature_sets(self.config)
         classifiers, settings = classifiers_of(stored), self.config.localization
-        walls = MapWalls(*stored.division, classifiers.misfit, settings)
+        walls = MapWalls(*stored.division, classifiers.misfit, settings, lambda: _own(stored))
         adjacency = neighbours(stored.ids, stored.topology.joined)
         self._guide = Guide(classifiers, adjacency, walls, settings, with_walls=metric)
         self._front_end = FrontEnd(self.config.registration)
@@ -159,6 +159,12 @@ class Localizer:
         if self._guide.classifiers.calibration is None:
             notes.append(f"{self._path}: {_NO_CALIBRATION}")
         return (*self._front_end.warnings, *notes)
+
+
+def _own(stored: Map) -> Iterator[PosedScan]:
+    """The scans of a map along its way, at their poses in it."""
+    with stored.scans() as store:
+        yield from along_way(store, stored.labels.poses)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,18 +8,19 @@ that was moved, and one in space that the map never saw is new: either says litt
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import attrgetter
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.arrays import evenly
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, wrap_angle
-from specmap_cli.core.records import NO_SUBMAP, BoolArray, PlanarScan, PosedScan
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, travelled, wrap_angle
+from specmap_cli.core.records import NO_SUBMAP, BoolArray, IntArray, PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import (
     FREE,
@@ -27,9 +28,9 @@ from specmap_cli.grids.gridmap import (
     GridMap,
     LengthArray,
     cast_rays,
-    clearance_of,
     nearest_values,
 )
+from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.matching import refine, search_everywhere
 from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.learning.misfit import FIT_RANGE_M, HeldOutMisfit, near_returns, pooled
@@ -46,7 +47,7 @@ _MOST_RAYS = 120  # of a scan, one every three degrees all round: what is cast c
 # What the pose of a match and the cells of a grid leave open, in heading and sideways. Along a wall
 # that moves the end of a ray by metres: so a ray may reach as far as any that passes so near.
 _SLANT_RAD, _SIDE_M = math.radians(3.0), 0.15
-_WALL_M = 0.15  # a wall is as thick: so near to its face there are cells that nobody saw
+_OWN_M = 1.0  # of way between two of the map's own scans that are asked what they look through
 _BEHIND_M = 0.3  # farther than a match is off, and than a wall is thick in a grid
 # Misfits of other places where they fit best, on average, and their standard deviation.
 _FOREIGN_MISFIT, _FOREIGN_MISFIT_SPREAD = 0.3, 0.12
@@ -108,7 +109,8 @@ class Fitted:
 class MapWalls:
     """The walls of a map, `grid`, and which submap each cell is of: `owner` (H, W), or NO_SUBMAP.
 
-    `misfit` is how well the map's own scans fit its walls.
+    `misfit` is how well the map's own scans fit its walls; `own` gives these scans, at their poses
+    in the map, when it is first asked what they look through.
     """
 
     def __init__(
@@ -117,10 +119,12 @@ class MapWalls:
         owner: NDArray[Any],
         misfit: HeldOutMisfit | None,
         config: LocalizationConfig,
+        own: Callable[[], Iterable[PosedScan]] = tuple,
     ) -> None:
         self.grid = grid
         self._owner = owner
         self._known = pooled(misfit, config)
+        self._own = own
 
     @cached_property
     def field(self) -> ScoreField:
@@ -129,14 +133,23 @@ class MapWalls:
 
     @cached_property
     def _distances(self) -> LengthArray:
-        """(H, W) metres to the nearest wall that nobody sees through.
+        """(H, W) metres to the nearest wall."""
+        return self.grid.obstacle_distance()
 
-        What has no unseen cell in it, nor beside it, is thinner than walls are built: a pane, a
-        railing, a leg of a table. The laser passes some of these.
+    @cached_property
+    def _open(self) -> NDArray[Any]:
+        """(H, W) the share of the own scans' rays that go on behind a wall, where they meet it.
+
+        Those of panes and railings do, and of thin things between which a laser looks.
         """
-        unseen = clearance_of(self.grid.cells != UNKNOWN) * np.float64(self.grid.resolution)
-        cells = np.where(unseen <= _WALL_M, self.grid.cells, FREE)
-        return GridMap(cells, self.grid.resolution, self.grid.origin).obstacle_distance()
+        met = np.zeros((2, *self.grid.cells.shape), dtype=np.float32)  # all rays; those that go on
+        for scan in self._own():
+            past, cells, walled = self._met(scan, scan.map_from_base)
+            for counts, some in zip(met, (walled, past), strict=True):
+                np.add.at(counts, tuple(cells[some].T), 1.0)
+        side = 2 * round(_SIDE_M / self.grid.resolution) + 1
+        rays, past = (cv2.boxFilter(each, -1, (side, side), normalize=False) for each in met)
+        return np.asarray(past / (rays + np.float32(1.0)))  # one more that a wall stops
 
     @cached_property
     def _owners(self) -> NDArray[Any]:
@@ -164,7 +177,8 @@ class MapWalls:
             pose, (alone, front) = poses[k], told[k]
             late = self._off_walls(view.points, pose)[0]
             off = min(0.5 * (alone + late), alone + _LATE_MOST)
-        misfit = min(1.0, off + self._behind(view.posed, pose))
+        behind = self._behind(view.posed, pose)
+        misfit = min(1.0, off + behind)
         # Misfits in known places are exponential, of the mean that the map's own views had; in
         # others, where they fit best, normal. What fits worse than those is no more of them for it.
         off = (min(misfit, _FOREIGN_MISFIT) - _FOREIGN_MISFIT) / _FOREIGN_MISFIT_SPREAD
@@ -224,15 +238,25 @@ class MapWalls:
         return float(np.mean(off)), float(np.mean(front))
 
     def _behind(self, posed: PosedScan, pose: Pose2) -> float:
-        """Share of a scan's returns that lie behind walls within reach; 0 without returns.
+        """Share of a scan's returns behind walls within reach, beyond what the own scans had there.
+
+        0 without returns.
+        """
+        past, cells, walled = self._met(posed, pose)
+        behind = float(past.sum()) / max(len(past), 1)
+        if behind > self._known:  # so many are rare, but where there are panes
+            behind -= float(self._open[tuple(cells[walled].T)].sum()) / len(past)
+        return max(0.0, behind)
+
+    def _met(self, posed: PosedScan, pose: Pose2) -> tuple[BoolArray, IntArray, BoolArray]:
+        """Which returns (n,) of a scan lie behind a wall, its cells (n, 2), which rays met one.
 
         A wall counts when the rays beside it meet walls, too: one that ends there may be passed.
         """
         planar = posed.planar
         returned = np.isfinite(planar.ranges)
         bearings = evenly(planar.bearings[returned], _MOST_RAYS)
-        if not len(bearings):
-            return 0.0
+        measured = evenly(planar.ranges[returned], _MOST_RAYS)
         laser = pose @ posed.base_from_laser
         origins = np.tile([laser.x, laser.y], (len(bearings), 1))
         angles = bearings + laser.theta
@@ -241,7 +265,19 @@ class MapWalls:
         first = np.searchsorted(bearings, bearings - around)
         last = np.searchsorted(bearings, bearings + around, side="right")
         farthest = np.array([ranges[a:b].max() for a, b in zip(first, last, strict=True)])
-        return float(np.mean(evenly(planar.ranges[returned], _MOST_RAYS) > farthest + _BEHIND_M))
+        within = np.minimum(ranges, FIT_RANGE_M) + 0.5 * self.grid.resolution
+        ends = origins + within[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+        cells = self.grid.cells_of(ends)
+        walled = np.isfinite(ranges) & self.grid.inside(cells)
+        walled &= measured > ranges - _BEHIND_M  # not those that somebody stopped before
+        return (measured > farthest + _BEHIND_M) & walled, cells, walled
+
+
+def along_way(store: KeyframeStore, poses: FloatArray) -> Iterator[PosedScan]:
+    """Keyframes of a map every metre of its way, at their `poses` (n, 3) in it."""
+    _, numbers = np.unique(np.floor(travelled(poses) / _OWN_M), return_index=True)
+    for k in numbers.tolist():
+        yield replace(store.posed(k), map_from_base=Pose2(*poses[k].tolist()))
 
 
 def _is_long(points: FloatArray, chosen: BoolArray) -> BoolArray:
