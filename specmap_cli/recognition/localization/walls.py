@@ -232,9 +232,6 @@ class MapWalls:
         off[front] *= _FRONT_WEIGHT
         unseen = cells == UNKNOWN
         off[clear & unseen] *= _UNSEEN_WEIGHT
-        if self.grid.values_at(np.array([[pose.x, pose.y]]))[0] == UNKNOWN:
-            # who stands where the map saw nothing sees its walls from the other side
-            off[unseen] = np.minimum(off[unseen], _UNSEEN_WEIGHT)
         return float(np.mean(off)), float(np.mean(front))
 
     def _behind(self, posed: PosedScan, pose: Pose2) -> float:
