@@ -21,11 +21,13 @@ from scipy.linalg import eigh
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import ArpackNoConvergence, eigsh
 
+from specmap_cli.core.errors import NoResultError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import BoolArray
 from specmap_cli.segmentation.visibility import IndexArray, LabelArray, VisibilityGraph
 
+MOST_REGIONS = (1 << 15) - 2  # labels of cells have 16 bits
 _NARROW = 1 << 16  # nodes whose numbers fit 16 bits: numpy sorts such numbers in linear time
 
 _DENSE = 160  # rows up to which solving for all eigenpairs is quicker than iterating
@@ -87,12 +89,17 @@ def clusters_of(L: Any, degrees: FloatArray, parts: Sequence[IndexArray], least:
     """
     labels = np.full(len(degrees), -1, dtype=np.int16)
     eigenvalues, used = [np.zeros(0)], 0
-    for part in parts:
+    for later, part in zip(range(len(parts) - 1, -1, -1), parts, strict=True):
         values, vectors = eigenpairs_above(L[part][:, part], least)
         k = max(1, int((values > least).sum()))  # Algorithm 2, line 3
         X = vectors[:, :k]  # Algorithm 2, line 4
         Y = unit_rows(X)  # Algorithm 2, line 5
         starts = [int(degrees[part].argmax()), int(degrees[part].argmin())]
+        if used + k + later > MOST_REGIONS:
+            raise NoResultError(
+                f"more than {MOST_REGIONS:,} pieces of free space apart from each other",
+                "check the resolution and the thresholds: is it the map of a building?",
+            )
         labels[part] = used + kmeans_unit(Y, k, starts)  # Algorithm 2, lines 6 and 7
         eigenvalues.append(values)
         used += k

@@ -193,33 +193,18 @@ def test_the_far_wall_of_a_longer_room_is_behind_the_map_s_and_none_of_a_smaller
     assert behind(seen_in(3.5, 3.0, pose), pose) == 0.0
 
 
-@pytest.mark.parametrize(("unseen", "solid"), [(True, True), (False, False)])
-def test_walls_stop_the_laser_and_panes_that_were_seen_from_both_sides_do_not(
-    unseen: bool, solid: bool
-) -> None:
-    """A pane between two rooms has no inside that nobody saw; a wall has."""
+@pytest.mark.parametrize("own_width_m", [5.0, 8.0])
+def test_what_the_maps_own_scans_look_through_speaks_against_no_place(own_width_m: float) -> None:
+    """A pane is a wall of the map, behind which its own scans saw what is there."""
     pose, grid = Pose2(2.5, 2.0, 0.0), box(8.0, 4.0)
     inside = grid.cells_of(np.array([[5.0, 2.0]]))[0, 1]
     grid.cells[2:-2, inside : inside + 3] = OCCUPIED
-    if unseen:
-        grid.cells[2:-2, inside + 1] = UNKNOWN
-    scan = seen_in(8.0, 4.0, pose)
-    assert (walls_of(grid)._behind(scan, pose) > 0.3) == solid
-
-
-def test_who_stands_where_the_map_saw_nothing_sees_its_walls_from_the_other_side() -> None:
-    """A decimetre off a face that the map has, in cells that it never saw."""
-    grid = box(5.0, 4.0)
-    wall = grid.cells_of(np.array([[3.0, 2.0]]))[0, 1]
-    grid.cells[:, wall : wall + 2], grid.cells[:, wall + 2 :] = OCCUPIED, UNKNOWN
-    walls = walls_of(grid)
-    face = np.column_stack([np.full(40, 3.2), np.linspace(1.0, 3.0, 40)])
-    off = []
-    for x in (2.0, 4.0):
-        pose = Pose2(x, 2.0, 0.4)
-        off.append(walls._off_walls(pose.inverse().apply(face), pose)[0])
-    assert off[0] > 0.4
-    assert off[1] <= walls_module._UNSEEN_WEIGHT
+    at = [Pose2(2.5, y, 0.0) for y in (1.0, 1.5, 2.0, 2.5, 3.0)]
+    own = [replace(seen_in(own_width_m, 4.0, each), map_from_base=each) for each in at]
+    walls = MapWalls(grid, np.zeros(grid.cells.shape), None, CONFIG, lambda: own)
+    behind = walls._behind(seen_in(8.0, 4.0, pose), pose)
+    assert (behind > 0.3) == (own_width_m == 5.0)
+    assert behind < 0.1 or own_width_m == 5.0
 
 
 def test_a_wall_beyond_reach_stops_nothing_and_without_a_return_nothing_is_behind_it() -> None:
