@@ -20,7 +20,7 @@ from specmap_cli.core.records import PosedScan, Sweep
 from specmap_cli.core.settings import Config, LogConfig
 from specmap_cli.logs.messages import BadMessageError, ScanLayout, ScanRecord
 from specmap_cli.logs.planar import ScanLeveller
-from specmap_cli.maps.filenames import CLASSIFIERS
+from specmap_cli.maps.filenames import CLASSIFIERS, KEYFRAMES
 from specmap_cli.maps.store import Map, opened_map
 from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
@@ -162,9 +162,10 @@ class Localizer:
 
 
 def _own(stored: Map) -> Iterator[PosedScan]:
-    """The scans of a map along its way, at their poses in it."""
-    with stored.scans() as store:
-        yield from along_way(store, stored.labels.poses)
+    """The scans of a map along its way, at their poses in it; an older map keeps none."""
+    if (stored.path / KEYFRAMES).exists():
+        with stored.scans() as store:
+            yield from along_way(store, stored.labels.poses)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

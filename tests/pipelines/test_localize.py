@@ -22,10 +22,10 @@ from specmap_cli.drawing.palette import colours_of, vivid
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.filenames import CLASSIFIERS
 from specmap_cli.maps.schema import TopologyRecord
-from specmap_cli.maps.store import Map
+from specmap_cli.maps.store import Map, read_map
 from specmap_cli.pipelines import localize, localizer
 from specmap_cli.pipelines.localize import HEADER, METRIC_HEADER, LocalizationReport
-from specmap_cli.pipelines.localizer import LocalizedScan
+from specmap_cli.pipelines.localizer import LocalizedScan, _own
 from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.recognition.localization.localizer import Fix, Label
 from specmap_cli.simulation.simulator import SimulationOptions
@@ -247,3 +247,13 @@ class TestReport:
                     report, flat_map, metric=False, csv=tmp_path / "labels.csv", plot=plot
                 )
             assert [path.name for path in tmp_path.iterdir()] == ["pictures"]
+
+
+def test_an_older_map_that_keeps_no_scans_is_asked_without_them(
+    flat_map: Map, tmp_path: Path
+) -> None:
+    older = tmp_path / "map"
+    shutil.copytree(flat_map.path, older)
+    assert len(list(_own(read_map(older)))) > 5
+    (older / "keyframes.mcap").unlink()
+    assert list(_own(read_map(older))) == []

@@ -177,8 +177,7 @@ class MapWalls:
             pose, (alone, front) = poses[k], told[k]
             late = self._off_walls(view.points, pose)[0]
             off = min(0.5 * (alone + late), alone + _LATE_MOST)
-        behind = self._behind(view.posed, pose)
-        misfit = min(1.0, off + behind)
+        misfit = min(1.0, off + self._behind(view.posed, pose))
         # Misfits in known places are exponential, of the mean that the map's own views had; in
         # others, where they fit best, normal. What fits worse than those is no more of them for it.
         off = (min(misfit, _FOREIGN_MISFIT) - _FOREIGN_MISFIT) / _FOREIGN_MISFIT_SPREAD
@@ -230,8 +229,7 @@ class MapWalls:
         front = clear & (cells == FREE)
         front &= ~_is_long(placed, front)
         off[front] *= _FRONT_WEIGHT
-        unseen = cells == UNKNOWN
-        off[clear & unseen] *= _UNSEEN_WEIGHT
+        off[clear & (cells == UNKNOWN)] *= _UNSEEN_WEIGHT
         return float(np.mean(off)), float(np.mean(front))
 
     def _behind(self, posed: PosedScan, pose: Pose2) -> float:
