@@ -122,6 +122,18 @@ def partial_of(target: Path) -> Path:
     return target.with_name(f".{target.name}.partial-{os.urandom(8).hex()}")
 
 
+def continued(path: Path) -> IO[str]:
+    """A file to write more lines to, made where there is none.
+
+    Raises OSError, also for a link, by which a neighbour may have another file written, and for a
+    pipe or a device.
+    """
+    flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | _AT_ONCE | getattr(os, "O_NOFOLLOW", 0)
+    if os.path.lexists(path) and not stat.S_ISREG(path.lstat().st_mode):
+        raise OSError(errno.EINVAL, "is a link or no regular file", str(path))
+    return os.fdopen(os.open(path, flags, 0o666), "a", buffering=1, encoding="utf-8")
+
+
 def made(path: Path) -> IO[bytes]:
     """A new file to write, locked by this run. FileExistsError where there is one, or a link."""
     file = path.open("xb")
