@@ -133,8 +133,17 @@ def read_grid(
                 size = f"larger than {_LARGEST_YAML_MB * 1000:g} kB"
                 raise MapError(size, _EXPECTED, where=path) from None
             raise MapError.of_system(error, "cannot read the map", where=path) from None
-        entries = (found if isinstance(found, dict) else {}) | scale
+        entries = found if isinstance(found, dict) else {}
+        with suppress(TypeError, ValueError):  # of a file that says none
+            own = float(entries.get("resolution", "none"))
+            if progress is not None and resolution not in (None, own):
+                told = f"{resolution:g} m a pixel, as you say; the file says {own:g}"
+                progress.note(f"{path}: {told}")
+        entries |= scale
+    elif path.is_dir():
+        raise MapError("is a directory", "name the .yaml or the picture in it", where=path)
     elif resolution is None:
+        read_picture(path, limits)  # what is no picture is told first
         raise MapError(
             "a picture has no scale", "give metres a pixel with --resolution", where=path
         )
