@@ -124,16 +124,7 @@ def read_grid(
     bare = path.suffix.lower() not in (".yaml", ".yml")
     scale = {} if resolution is None else {"resolution": resolution}
     if not bare:
-        try:
-            found = read_yaml(read_bytes(path, _LARGEST_YAML_MB))
-        except ValueError as error:
-            raise MapError(error, _EXPECTED, where=path) from None
-        except OSError as error:
-            if error.errno == errno.EFBIG:
-                size = f"larger than {_LARGEST_YAML_MB * 1000:g} kB"
-                raise MapError(size, _EXPECTED, where=path) from None
-            raise MapError.of_system(error, "cannot read the map", where=path) from None
-        entries = found if isinstance(found, dict) else {}
+        entries = _entries(path)
         with suppress(TypeError, ValueError):  # of a file that says none
             own = float(entries.get("resolution", "none"))
             if progress is not None and resolution not in (None, own):
@@ -166,6 +157,20 @@ def read_grid(
     if bare:
         cells = _with_outlines(cells, picture)
     return GridMap(cells, about.resolution, (about.origin[0], about.origin[1]))
+
+
+def _entries(path: Path) -> dict[str, Any]:
+    """What a YAML file of map_server says. Raises MapError."""
+    try:
+        found = read_yaml(read_bytes(path, _LARGEST_YAML_MB))
+    except ValueError as error:
+        raise MapError(error, _EXPECTED, where=path) from None
+    except OSError as error:
+        if error.errno == errno.EFBIG:
+            size = f"larger than {_LARGEST_YAML_MB * 1000:g} kB"
+            raise MapError(size, _EXPECTED, where=path) from None
+        raise MapError.of_system(error, "cannot read the map", where=path) from None
+    return found if isinstance(found, dict) else {}
 
 
 def _with_outlines(cells: CellArray, picture: NDArray[Any]) -> CellArray:
