@@ -207,7 +207,7 @@ def joined(cells: BoolArray, seeds: BoolArray) -> BoolArray:
     return looked_up(held, parts)
 
 
-def looked_up(table: NDArray[_Value], numbers: NDArray[np.integer[Any]]) -> NDArray[_Value]:
+def looked_up(table: NDArray[_Value], numbers: NDArray[Any]) -> NDArray[_Value]:
     """(H, W) the value in a table (n,) of each of the `numbers` (H, W), some rows at once.
 
     All at once they would be copied to eight bytes each.
@@ -249,9 +249,7 @@ def nearest_values(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.float
     )
     of_source = np.zeros(int(source.max(initial=0)) + 1, dtype=values.dtype)
     of_source[source[zero == 0]] = values[zero == 0]
-    return looked_up(of_source, np.asarray(source, dtype=np.int32)), np.asarray(
-        away, dtype=np.float32
-    )
+    return looked_up(of_source, source), np.asarray(away, dtype=np.float32)
 
 
 def cast_ranges(

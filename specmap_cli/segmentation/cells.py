@@ -130,7 +130,7 @@ def _held(free: BoolArray, seeds: Any) -> BoolArray:
     held = np.zeros(count, dtype=bool)
     held[piece[seeds]] = True
     held[0] = False
-    return looked_up(held, np.asarray(piece, dtype=np.int32))
+    return looked_up(held, piece)
 
 
 def nearest_labels(free: BoolArray, nodes: IndexArray, labels: LabelArray) -> LabelArray:
