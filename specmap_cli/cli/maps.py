@@ -293,6 +293,9 @@ def export(
 
     \b
     nav2        the ways as a graph for Nav2's route server
+    nav2-masks  keepout and speed masks for Nav2's costmap filters, in a zip
+    rmf         building map and nav graph for Open-RMF, in a zip
+    lif         a layout (LIF) for VDA 5050 fleets
     tmap2       the ways as a topological map for LCAS topological_navigation
     geojson     outlines, doors and ways in metres of the map, for QGIS
     graphml     the graph alone, for yEd, Gephi and networkx
