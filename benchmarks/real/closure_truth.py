@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from specmap_cli.core.config import load_config
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angle, wrap_angles
 from specmap_cli.evaluation.trajectories import associate
 from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.grids.matching import refine
 from specmap_cli.layout.path_graph import Graph, graph_of
 from specmap_cli.layout.pose_graph import Link
-from specmap_cli.layout.relaxation import CLOSURE_OFF_M, measured
+from specmap_cli.layout.relaxation import measured
 from specmap_cli.layout.wall_matching import Place
 from specmap_cli.layout.walls import PLACE_NODES, Walls
 from specmap_cli.maps.text_files import read_tum
@@ -28,7 +28,7 @@ REVISIT = 0.4  # share of both tracks within a metre of each other: a region com
 STEADY = 10  # keyframes on either side of one that steady its pose, which others' SLAM made
 _RIGHT = 0.25  # the same, of a merge that is no mistake
 _BESIDE = Pose2(0.05, -0.05, 0.01)  # from where a constraint is found again
-_SETTINGS = load_config().relaxation
+_STEPS = 20  # to the optimum nearby
 _WRONG_M, _WRONG_DEG = 0.6, 7.0  # off the truth: another transform, not a bad one
 
 
@@ -156,8 +156,9 @@ def _repeats(graph: Graph, walls: Walls, constraints: Iterable[Link]) -> FloatAr
         halves = []
         for which in (0, 1):
             old, new = (_half(graph, walls, row, which) for row in rows)
-            fit = Place.of(old).match(new, guess, CLOSURE_OFF_M)
-            halves.append(guess if fit is None else fit.target_from_source)
+            field = Place.of(old).walls
+            near = refine(field, new, guess, _STEPS)
+            halves.append(refine(field.sharper(), new, near.pose, _STEPS).pose)
         apart.append(_off(*halves))
     return np.array(apart).reshape(-1, 2)
 
