@@ -1,7 +1,8 @@
 """Maps of every version that wrote another format: read, checked, localised in, edited, exported.
 
 Each archive of `tests/maps/earlier` is a map that the code of that hour made of one simulated log
-of two rooms, with few rounds of training; `again.mcap` is another tour. Its picture and its features are left out.
+of two rooms, with few rounds of training, without its picture and its features. `again.mcap` is
+another tour.
 """
 
 from __future__ import annotations
