@@ -8,7 +8,6 @@ import re
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
-from xml.etree import ElementTree
 
 from specmap_cli.core.text import legible
 
@@ -86,6 +85,8 @@ class Case:
 
 def junit(suite: str, group: str, cases: Sequence[Case]) -> bytes:
     """A test suite as CI servers read it; `group` is the class that they show its cases under."""
+    from xml.etree import ElementTree  # seldom wanted
+
     root = ElementTree.Element("testsuites")
     counts = {
         "name": _xml_text(suite),

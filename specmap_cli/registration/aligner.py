@@ -91,8 +91,7 @@ class KissIcpAligner:
 
     def __init__(self, _config: RegistrationConfig, sensor: SensorKind) -> None:
         try:
-            from kiss_icp.mapping import VoxelHashMap
-            from kiss_icp.registration import Registration
+            from kiss_icp.pybind import kiss_icp_pybind as kiss_icp  # its settings load slowly
         except ImportError as error:
             raise UsageError(
                 f"registration.method 'kiss-icp' needs the package kiss-icp: {error}",
@@ -102,11 +101,12 @@ class KissIcpAligner:
             ) from error
         # one thread: the sums of several would come in another order at every run
         converged = _CONVERGED_IN_SPACE if sensor.in_space else _CONVERGED
-        self._fine = Registration(_ITERATIONS, converged, max_num_threads=1)
-        self._coarse = Registration(_ITERATIONS, _NEARLY_CONVERGED, max_num_threads=1)
+        self._fine = kiss_icp._Registration(_ITERATIONS, converged, 1)
+        self._coarse = kiss_icp._Registration(_ITERATIONS, _NEARLY_CONVERGED, 1)
         reach_m = _KEPT_RANGES * sensor.range_m
         most = _CLOUD_POINTS_PER_VOXEL if sensor.in_space else _POINTS_PER_VOXEL
-        self._voxels = VoxelHashMap(sensor.voxel_m, reach_m, most)
+        self._voxels = kiss_icp._VoxelHashMap(sensor.voxel_m, reach_m, most)
+        self._vectors = kiss_icp._Vector3dVector
         self._clouds: deque[FloatArray] = deque(maxlen=WINDOW_KEYFRAMES)
         self._inserted = 0
 
@@ -115,15 +115,15 @@ class KissIcpAligner:
         placed = product(points, map_from_base[:3, :3].T) + map_from_base[:3, 3]
         self._clouds.appendleft(placed)
         if self._inserted % REBUILD_KEYFRAMES == 0:
-            self._voxels.clear()
+            self._voxels._clear()
             placed = np.concatenate(self._clouds)  # the newest first: a full voxel takes no more
-        self._voxels.add_points(placed)
+        self._voxels._add_points(self._vectors(placed))
         self._inserted += 1
 
     def clear(self) -> None:
         """Forget all keyframes."""
         self._clouds.clear()
-        self._voxels.clear()
+        self._voxels._clear()
         self._inserted = 0
 
     def align(
@@ -132,7 +132,9 @@ class KissIcpAligner:
         """The pose (4, 4) near a guess at which points (N, 3) fit the map."""
         method = self._coarse if coarse else self._fine
         gate_m = _GATE_KERNELS * kernel_m
-        pose: FloatArray = method.align_points_to_map(points, self._voxels, guess, gate_m, kernel_m)
+        pose: FloatArray = method._align_points_to_map(
+            self._vectors(points), self._voxels, guess, gate_m, kernel_m
+        )
         return pose
 
 

@@ -10,7 +10,6 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
-import networkx as nx
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2
@@ -158,6 +157,8 @@ def is_way(edge: Edge) -> bool:
 
 def parts(ids: Iterable[int], edges: Iterable[Edge]) -> list[list[int]]:
     """Submap ids by the parts that ways join, the largest first, then the one with the least id."""
+    import networkx as nx  # slow to load: whoever asks for a place need not wait for it
+
     graph = nx.Graph()
     graph.add_nodes_from(ids)
     graph.add_edges_from((edge.source, edge.target) for edge in edges if is_way(edge))

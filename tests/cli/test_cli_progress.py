@@ -9,9 +9,9 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from rich.progress import Progress
+from rich.progress import ProgressColumn
 
-from specmap_cli.cli.console import ConsoleProgress, Rate
+from specmap_cli.cli.console import ConsoleProgress, bars
 from specmap_cli.core.progress import Level
 from tests.cli.conftest import QUICK, Run, spawn
 
@@ -44,12 +44,14 @@ def test_a_terminal_shows_steps_and_time_left(tiny_log: Path, tmp_path: Path) ->
 
 def test_a_bar_tells_the_rate_once_it_is_known() -> None:
     seconds = iter([0.0, 1.0, 2.0])
-    bars = Progress(Rate(), get_time=lambda: next(seconds, 3.0))
-    number = bars.add_task("mapping", total=4_000)
-    assert Rate().render(bars.tasks[0]).plain == "0/4,000 "
+    shown = bars()
+    shown.get_time = lambda: next(seconds, 3.0)
+    number, rate = shown.add_task("mapping", total=4_000), shown.columns[2]
+    assert isinstance(rate, ProgressColumn)
+    assert str(rate(shown.tasks[0])) == "0/4,000 "
     for _ in range(2):
-        bars.advance(number, 1_000)
-    assert Rate().render(bars.tasks[0]).plain == "2,000/4,000 1,000/s"
+        shown.advance(number, 1_000)
+    assert str(rate(shown.tasks[0])) == "2,000/4,000 1,000/s"
 
 
 def test_a_quiet_command_leaves_a_terminal_alone(tiny_log: Path, tmp_path: Path) -> None:

@@ -66,6 +66,19 @@ def test_the_help_of_a_command_has_an_example_and_the_exit_codes(name: str, run:
 
 @pytest.mark.parametrize("arguments", [["--help"], ["build", "--help"], ["frobnicate"]])
 def test_help_and_usage_errors_load_nothing_heavy(arguments: list[str]) -> None:
+    loaded = HEAVY & loaded_by(*arguments)
+    assert loaded <= (set() if arguments == ["--help"] else {"pydantic"})
+
+
+def test_localize_waits_for_nothing_that_it_does_not_need(tiny_log: Path, tiny_map: Path) -> None:
+    loaded = loaded_by("localize", str(tiny_log), "--map", str(tiny_map), "--metric")
+    assert {"numpy", "kiss_icp"} <= loaded
+    idle = {"networkx", "scipy", "rich", "pydantic_settings", "asyncio", "xml", "PIL"}
+    assert loaded & idle == set()
+
+
+def loaded_by(*arguments: str) -> set[str]:
+    """The packages that a process has loaded after a command."""
     code = (
         "import sys; from specmap_cli.cli import main; main(sys.argv[1:]);"
         "print(*sorted({m.split('.')[0] for m in sys.modules}), file=sys.stderr)"
@@ -77,8 +90,7 @@ def test_help_and_usage_errors_load_nothing_heavy(arguments: list[str]) -> None:
         check=True,
         cwd=ROOT,
     )
-    loaded = HEAVY & set(found.stderr.splitlines()[-1].split())
-    assert loaded <= (set() if arguments == ["--help"] else {"pydantic"})
+    return set(found.stderr.splitlines()[-1].split())
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
