@@ -14,7 +14,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # A file of tests stays with one worker, which makes once what its tests share.
 PYTEST := -m pytest -n 2 --dist loadfile
 
-.PHONY: demo paper pictures docs dist test test-lowest lint format scoreboard fuzz sample-logs constraints-lowest clean
+.PHONY: demo paper pictures docs dist release test test-lowest lint format scoreboard fuzz sample-logs constraints-lowest clean
 
 demo: $(VENV)/installed
 	$(BIN)/specmap build sample_logs/office.mcap --out demo/map --overwrite
@@ -75,6 +75,14 @@ dist: $(VENV)/installed-dist
 	dist/.try/bin/python -m pip install --quiet --constraint constraints.txt dist/*.whl
 	cd dist && .try/bin/specmap --version && .try/bin/specmap info ../sample_logs/office.mcap
 	rm -rf dist/.try
+
+# All that a release needs, and at the end what was checked and what was not. Nothing is uploaded.
+release: $(VENV)/installed-dist
+	$(BIN)/python -m benchmarks.release check
+	$(MAKE) test
+	$(MAKE) docs
+	$(MAKE) dist
+	@$(BIN)/python -m benchmarks.release try && echo "  lint, tests, site (make docs), source archive: checked"
 
 # The pictures of the documents, made of the sample logs.
 pictures: $(VENV)/installed

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from specmap_cli.pipelines.localizer import Localizer, Scan
     from specmap_cli.pipelines.segment import segment_map
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 
 __all__ = [
     "Localizer",

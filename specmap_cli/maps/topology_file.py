@@ -1,8 +1,8 @@
 """topology.json read and checked: its values by the schema, and what refers to what in it.
 
-A map of schema 1 is read as one of schema 2: what it lacks is null or empty. Its document is
-changed before anything is checked: a part of another shape than expected is left as it is, for the
-check of schema 2 to refuse.
+A map of schema 1 is read as one of schema 2, and so is one of the first versions of schema 2, which
+had no doors, ways or edits: what it lacks is null or empty. Its document is changed before anything
+is checked: a part of another shape than expected is left as it is, for the check to refuse.
 """
 
 from __future__ import annotations
@@ -28,9 +28,12 @@ def read_topology(path: Path, limits: LimitsConfig) -> tuple[TopologyRecord, str
     """
     document = map_json(path, limits)
     graph = document.get("graph") if isinstance(document, dict) else None
-    version, note = graph.get("schema_version") if isinstance(graph, dict) else None, ""
+    graph = graph if isinstance(graph, dict) else {}
+    version, note = graph.get("schema_version"), ""
     if version == 1:
         document, note = upgraded(document), f"{path.parent}: {MISSING}"
+    elif version == SCHEMA_VERSION and graph.keys().isdisjoint(_NOT_AT_FIRST):
+        document, note = upgraded(document), f"{path.parent}: {WITHOUT_DOORS}"
     elif version != SCHEMA_VERSION:
         raise MapError(
             f"graph.schema_version is {version!r}: this version reads 1 and {SCHEMA_VERSION}",
@@ -107,9 +110,15 @@ MISSING = (
     "or ways, and cannot be updated, merged or divided anew; build it again to have these"
 )
 
+WITHOUT_DOORS = (
+    "a map of an earlier version: it keeps no doors or ways; update it, or build it again to have "
+    "these"
+)
+_NOT_AT_FIRST = {"doors", "robot_radius_m", "edits"}  # of the graph, in any version since
+
 
 def upgraded(document: dict[str, Any]) -> dict[str, Any]:
-    """A document of schema 1 as one of schema 2."""
+    """A document of schema 1, or of the first versions of schema 2, as one of schema 2."""
     graph, nodes = document["graph"], document.get("nodes")
     objects = [node for node in nodes if isinstance(node, dict)] if isinstance(nodes, list) else []
     ids = [node["id"] for node in objects if isinstance(node.get("id"), int)]
@@ -117,15 +126,15 @@ def upgraded(document: dict[str, Any]) -> dict[str, Any]:
         **document,
         "graph": {
             "quality": None,  # the first maps were not judged
-            **{key: value for key, value in graph.items() if key != "log"},
-            "schema_version": SCHEMA_VERSION,
             "next_id": 1 + max(ids, default=-1),
             "logs": _each([graph.get("log")], keyframes=None),
-            "stays": [],
             "breaks": [],
             "doors": [],
             "robot_radius_m": None,
             "edits": {"submaps": [], "borders": []},
+            **{key: value for key, value in graph.items() if key != "log"},
+            "schema_version": SCHEMA_VERSION,
+            "stays": _with_origins(graph.get("stays", [])),
             "closures": _each(graph.get("closures"), new_submap=None, old_submap=None),
         },
         "nodes": _each(nodes, kind=None, properties={}, anchor=None, anchor_clearance_m=None),
@@ -138,6 +147,18 @@ def upgraded(document: dict[str, Any]) -> dict[str, Any]:
             forbidden=False,
         ),
     }
+
+
+def _with_origins(stays: Any) -> Any:
+    """Stays of versions that did not tell their frame: it was that of the first keyframe."""
+    made = []
+    for stay in stays if isinstance(stays, list) else ():
+        match stay:
+            case {"keyframes": [[first, _], *_]}:
+                made.append({"origin": first, **stay})
+            case _:
+                made.append(stay)
+    return made if isinstance(stays, list) else stays
 
 
 def _each(values: Any, **lacking: Any) -> Any:

@@ -149,6 +149,8 @@ def _drawn(stored: Map, edits: Edits) -> Drawn:
             "that this version of `specmap build` made of a recording",
             where=stored.path,
         )
+    if not graph.stays:
+        raise MapError("keeps no stays: its borders are fixed", "build it again", where=stored.path)
     whole, labels = stored.map_grid, stored.labels
     nobodys = unentered(whole, stored.regions.owner, labels.poses)
     return drawn(whole, labels, graph.edits.borders, edits, graph.next_id, nobodys)
