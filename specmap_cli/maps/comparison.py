@@ -38,7 +38,8 @@ class AlignmentRecord(Measured):
 
     `submaps` of either map match under it, in `votes` pairs: a submap may match several of the
     other map. `rival` is the part of what speaks for it that speaks for the next best transform.
-    `residual_m` is how far submaps lie off.
+    `residual_m` is how far submaps lie off. By `longer_m` the stretch of the new map whose length
+    was guessed is longer in the old one; what lies beyond it is not at `old_from_new`.
     """
 
     old_from_new: Transform
@@ -48,6 +49,7 @@ class AlignmentRecord(Measured):
     walls_m: Amount = Field(description="walls that agree")
     residual_m: Amount
     rival: float
+    longer_m: Number = 0.0
 
 
 class DoorRecord(Measured):

@@ -32,8 +32,10 @@ from specmap_cli.maps.comparison import (
 )
 from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.store import Map, opened_map
+from specmap_cli.pipelines.map_in_making import quality_of_stored
 from specmap_cli.pipelines.overlaps import stored_to_align
-from specmap_cli.recognition.closure.alignment import Alignment, align
+from specmap_cli.pipelines.stretches import stretch_of_stored, told_m, with_other_lengths
+from specmap_cli.recognition.closure.alignment import Alignment, align, told_length
 from specmap_cli.topology.differences import Crossing, Differences, Obstacle, differences
 from specmap_cli.topology.topological_map import default_name
 
@@ -73,6 +75,7 @@ class Comparison:
                 walls_m=0.0 if ground is None else ground.confirmed_m,
                 residual_m=0.0 if ground is None else ground.residual_m,
                 rival=alignment.rival,
+                longer_m=alignment.longer_m,
             ),
             submaps=found.identity,
             doors=DoorsRecord(
@@ -119,7 +122,7 @@ def compare_maps(
         and np.array_equal(grids[0].cells, grids[1].cells)
     )
     progress.start("comparing", None)
-    alignment = align(stored_to_align(one), stored_to_align(other))
+    stretch, alignment = stretch_of_stored(other), _aligned(one, other)
     if alignment.old_from_new is None and not identical:
         raise NoResultError(
             f"not aligned with {one.path}: {alignment.reason}", where=other.path, code=NOT_ALIGNED
@@ -128,6 +131,8 @@ def compare_maps(
         alignment = Alignment(old_from_new=IDENTITY, reason="the maps are identical")
     motion = _motion(alignment)
     tracks = one.labels.poses, other.labels.poses
+    if stretch is not None and alignment.longer_m:
+        motion = stretch.motion(motion, tracks[1], alignment.longer_m)
     found = differences(one.regions, other.regions, tracks, motion)
     return Comparison(
         old=one,
@@ -164,6 +169,17 @@ def write_comparison(
         (partial / SUMMARY).write_text(summary, encoding="utf-8")
         (partial / COMPARISON).write_text(to_json(comparison.as_dict()), encoding="utf-8")
         write_png(partial / PICTURE, picture)
+
+
+def _aligned(old: Map, new: Map) -> Alignment:
+    """Where one stored map lies in another; a stretch whose length was guessed may be another's."""
+    stretch, given = stretch_of_stored(new), (stored_to_align(old), stored_to_align(new))
+    if stretch is None:
+        return align(*given)
+    off_m, labels = told_m(quality_of_stored(old).findings), new.labels
+    with new.scans() as store:
+        at = labels.poses, labels.submaps
+        return align(*given, with_other_lengths(stretch, off_m, store, *at, new.config))
 
 
 def _motion(alignment: Alignment) -> BentMotion:
@@ -204,7 +220,7 @@ def lines_of(record: ComparisonRecord, called: tuple[str, str] | None = None) ->
     return [
         f"{new} against {old}: "
         f"aligned by {counted(at.submaps, 'submap')} of either map, "
-        f"{at.area_m2:.0f} m2 are in both, off by {at.residual_m:.2f} m",
+        f"{at.area_m2:.0f} m2 are in both, off by {at.residual_m:.2f} m{told_length(at.longer_m)}",
         *_of_submaps(record),
         *(f"way closed: {_where(door, record.old.names)}" for door in doors.closed),
         *(

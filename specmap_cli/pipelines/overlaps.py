@@ -51,8 +51,8 @@ def laid_out_to_align(session: Session, laid: LaidOut) -> MapToAlign:
 def align_pair(pair: PairOfMaps) -> Alignment:
     """Where the map of one directory lies in that of another. Raises MapError for a damaged map."""
     old, new, config = pair
-    maps = (stored_to_align(read_map(path, config.limits)) for path in (old, new))
-    return align(*maps)
+    one, other = (stored_to_align(read_map(path, config.limits)) for path in (old, new))
+    return align(one, other)
 
 
 def overlaps_of(

@@ -8,6 +8,7 @@ borders. Only new space is divided afresh.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -46,6 +47,12 @@ from specmap_cli.pipelines.map_in_making import LaidOut, laid_out_of_stored
 from specmap_cli.pipelines.overlaps import laid_out_to_align, stored_to_align
 from specmap_cli.pipelines.reports import BuildReport, UpdateRecord, UpdateReport
 from specmap_cli.pipelines.session import Session
+from specmap_cli.pipelines.stretches import (
+    lengthened,
+    stretch_of,
+    told_m,
+    with_other_lengths,
+)
 from specmap_cli.pipelines.thinning import Thinned, thinned
 from specmap_cli.recognition.closure.alignment import Alignment, MapToAlign, align
 from specmap_cli.recognition.features.sets import check_feature_sets
@@ -130,8 +137,16 @@ def _updated(
         new, prior = survey(alone, stream)
         new_to_align = laid_out_to_align(alone, new)
         _refuse_repeated(old, new, store, own)
+        stretch, bent = stretch_of(new.findings, new.labels.stamps_ns), None
+        if stretch is not None:
+            old_off_m, at = told_m(old.findings), (new.labels.poses, new.labels.submaps)
+            bent = with_other_lengths(stretch, old_off_m, own, *at, config)
+        alignment = _aligned(session, old_to_align, new_to_align, bent or ())
+        if stretch is not None and alignment.old_from_new is not None and alignment.longer_m:
+            registered = stretch.longer(own.poses, alignment.longer_m)
+            own.keep(np.arange(len(own)), registered)
+            new = with_grid(alone, lengthened(new, stretch, alignment.longer_m))
         store.extend(own)
-    alignment = _aligned(session, old_to_align, new_to_align)
     if alignment.old_from_new is None and not allow_apart:
         raise NoResultError(
             f"fits nowhere in {stored.path}: {alignment.reason}",
@@ -193,11 +208,13 @@ def build_like(
     return BuildReport(out=target, run=run, quality=finished.quality, unapplied=finished.unapplied)
 
 
-def _aligned(session: Session, old: MapToAlign, new: MapToAlign) -> Alignment:
-    """Where the recording lies in the map."""
+def _aligned(
+    session: Session, old: MapToAlign, new: MapToAlign, bent: Iterable[MapToAlign] = ()
+) -> Alignment:
+    """Where the recording lies in the map; `bent` are its other lengths."""
     session.progress.start("aligning", None)
     with session.clock.stage("alignment"):
-        return align(old, new)
+        return align(old, new, bent)
 
 
 def _joined(

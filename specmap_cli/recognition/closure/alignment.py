@@ -3,12 +3,15 @@
 One argument: the walls of the one map are laid on those of the other wherever they may fit; what
 both maps saw speaks for a place or against it, metre by metre; and a place is believed when enough
 speaks for it and no other place, turned, elsewhere or slid along its walls, has nearly as much.
+
+A map may come with others of the same recording, in which a stretch whose length was guessed is
+longer or shorter: the place is looked for with each of them, and the places of all are rivals.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -71,12 +74,20 @@ _SAME_WALL_M = 0.3  # between walls of two submaps that are one
 class MapToAlign:
     """A finished map: its `whole` grid, and the grids of its submaps by id.
 
-    `frames` are those of the submaps in the map.
+    `frames` are those of the submaps in the map. In a map whose stretch was made longer, what lies
+    beyond is `longer_m` farther on towards `heading`, metres and radians.
     """
 
     whole: GridMap
     grids: Mapping[int, GridMap]
     frames: Mapping[int, Pose2]
+    longer_m: float = 0.0
+    heading: float = 0.0
+
+    @property
+    def shift(self) -> FloatArray:
+        """(2,) by which what lies beyond the stretch was moved."""
+        return self.longer_m * np.array([math.cos(self.heading), math.sin(self.heading)])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,7 +161,8 @@ class Alignment:
     `old_from_new` is between the map frames, None when it is not sure; `reason` says why, in words.
     `joints` are the pairs of submaps that match under it. `evidence_m` metres of wall speak for the
     best transform there was, `rival` is the share of it that the next best has, `ground` what both
-    maps saw under it, `area_m2` the free space that both saw.
+    maps saw under it, `area_m2` the free space that both saw. The stretch of the new map whose
+    length was guessed is `longer_m` longer in that transform than in the map.
     """
 
     old_from_new: Pose2 | None
@@ -160,6 +172,7 @@ class Alignment:
     evidence_m: float = 0.0
     area_m2: float = 0.0
     rival: float = 0.0
+    longer_m: float = 0.0
 
     @property
     def submaps(self) -> int:
@@ -168,15 +181,25 @@ class Alignment:
         return min(len({joint.old for joint in joints}), len({joint.new for joint in joints}))
 
 
-def align(old: MapToAlign, new: MapToAlign) -> Alignment:
-    """The transform between two maps, or the reason why there is none."""
+def align(old: MapToAlign, new: MapToAlign, bent: Iterable[MapToAlign] = ()) -> Alignment:
+    """The transform between two maps, or the reason why there is none.
+
+    `bent` are the new map with other lengths of a stretch: most wall speaks for the right one.
+    """
     wholes = [prepared(map_.whole) for map_ in (old, new)]
     if wholes[0] is None or wholes[1] is None:
         return Alignment(old_from_new=None, reason="a map shows too few walls to match")
-    one, other = _Map(old, wholes[0]), _Map(new, wholes[1])
-    best, *rivals = _Search(one.whole, other.whole).ranked()
-    ground = _common_ground(one, other, best.old_from_new)
-    found = Alignment(
+    one, centre = _Map(old, wholes[0]), wholes[1].walls.mean(axis=0)
+    found = _Search(one.whole, wholes[1], new).ranked()
+    for map_ in bent:
+        whole = prepared(map_.whole)
+        if whole is not None:
+            found += _Search(one.whole, whole, map_).ranked()
+    best, *rivals = _different(found, centre)
+    taken = prepared(best.new.whole)
+    assert taken is not None  # a place was found for it
+    ground = _common_ground(one, _Map(best.new, taken), best.old_from_new)
+    alignment = Alignment(
         old_from_new=best.old_from_new,
         reason="",
         joints=_joints(ground),
@@ -184,31 +207,60 @@ def align(old: MapToAlign, new: MapToAlign) -> Alignment:
         evidence_m=best.evidence_m,
         area_m2=best.area_m2,
         rival=max(0.0, rivals[0].evidence_m / best.evidence_m) if best.evidence_m > 0.0 else 1.0,
+        longer_m=best.new.longer_m,
     )
-    why_not = _why_not(found, rivals[0].old_from_new)
+    why_not = _why_not(alignment, best, rivals[0])
     if why_not:
-        return replace(found, old_from_new=None, reason=why_not, joints=())
+        return replace(alignment, old_from_new=None, reason=why_not, joints=())
     reason = (
-        f"aligned: {found.evidence_m:.0f} m of wall speak for it, "
-        f"{found.area_m2:.0f} m2 are in both maps"
+        f"aligned: {best.evidence_m:.0f} m of wall speak for it, "
+        f"{best.area_m2:.0f} m2 are in both maps"
     )
-    return replace(found, reason=reason)
+    return replace(alignment, reason=reason + told_length(best.new.longer_m))
+
+
+def told_length(longer_m: float) -> str:
+    """What is said of a stretch that was made longer, behind a sentence; empty for none."""
+    how = f"{abs(longer_m):.1f} m {'longer' if longer_m > 0.0 else 'shorter'}"
+    told = f"; the stretch whose length was guessed was made {how}, as it is in the old map"
+    return told if longer_m else ""
 
 
 @dataclass(frozen=True, slots=True)
 class _Candidate:
-    """A transform, the metres of wall that speak for it, and the free space that both maps saw."""
+    """A transform of a map `new`, the metres of wall for it, and the free space that both saw."""
 
     old_from_new: Pose2
     evidence_m: float
     area_m2: float
+    new: MapToAlign
+
+    @property
+    def ends(self) -> tuple[Pose2, Pose2]:
+        """Where it puts what lies before and beyond a stretch, from the map as it was made."""
+        x, y = self.new.shift.tolist()
+        return self.old_from_new, self.old_from_new @ Pose2(x, y, 0.0)
+
+
+def _different(found: Iterable[_Candidate], centre: FloatArray) -> list[_Candidate]:
+    """The best of some transforms, the best of those that truly differ from it, and so on.
+
+    One differs that puts either end of the new map, whose walls have the `centre`, elsewhere.
+    """
+    kept: list[_Candidate] = []
+    for one in sorted(found, key=lambda one: -one.evidence_m):
+        pairs = [zip(one.ends, other.ends, strict=True) for other in kept]
+        if all(any(differ(a, b, centre, RIVAL_M, RIVAL_RAD) for a, b in ends) for ends in pairs):
+            kept.append(one)
+    return kept
 
 
 class _Search:
     """Where the walls of a new map may lie on those of an old one."""
 
-    def __init__(self, old: PreparedGrid, new: PreparedGrid) -> None:
-        self.old, self.new = old, new
+    def __init__(self, old: PreparedGrid, new: PreparedGrid, map_: MapToAlign) -> None:
+        self.old, self.new, self.map = old, new, map_
+        self._centre = new.walls.mean(axis=0)
         free = new.grid.centres_of(np.argwhere(new.grid.free))
         self._floor = evenly(free, _FLOOR_POINTS)
 
@@ -218,24 +270,14 @@ class _Search:
         Among them are those slid along the walls: where a corridor shows nothing else, they fit.
         """
         rough = [self._measured(self._refined(pose, rough=True)) for pose in self._places()]
-        likely = self._different(rough)[:_FOLLOWED]
+        likely = _different(rough, self._centre)[:_FOLLOWED]
         found = [self._measured(self._refined(one.old_from_new)) for one in likely]
         best = max(found, key=lambda one: one.evidence_m)
         for k in range(4):  # as they are: refined, they would slide back
             along = self.old.direction + k * math.pi / 2
             slid = Pose2(_SLID_M * math.cos(along), _SLID_M * math.sin(along), 0.0)
             found.append(self._measured(slid @ best.old_from_new))
-        return self._different(found)
-
-    def _different(self, found: list[_Candidate]) -> list[_Candidate]:
-        """The best of some transforms, the best of those that truly differ from it, and so on."""
-        kept: list[_Candidate] = []
-        centre = self.new.walls.mean(axis=0)
-        for one in sorted(found, key=lambda one: -one.evidence_m):
-            motions = [other.old_from_new for other in kept]
-            if all(differ(one.old_from_new, m, centre, RIVAL_M, RIVAL_RAD) for m in motions):
-                kept.append(one)
-        return kept
+        return _different(found, self._centre)
 
     def _places(self) -> Iterator[Pose2]:
         """Where the walls of the new map, or of one of its tiles, lie on walls of the old one."""
@@ -278,14 +320,13 @@ class _Search:
         floor = self.old.grid.values_at(pose.apply(self._floor))
         share = float(np.mean(floor == FREE)) if len(floor) else 0.0
         area_m2 = share * self.new.grid.free_area_m2
-        return _Candidate(pose, min(*known, _WALLS_PER_M2 * area_m2), area_m2)
+        return _Candidate(pose, min(*known, _WALLS_PER_M2 * area_m2), area_m2, self.map)
 
 
-def _why_not(found: Alignment, rival: Pose2) -> str:
+def _why_not(found: Alignment, best: _Candidate, rival: _Candidate) -> str:
     """Why a transform is not to be believed; empty when it is."""
     ground = found.ground
     assert ground is not None
-    assert found.old_from_new is not None
     if ground.score < _LEAST_SCORE or ground.residual_m > _MOST_RESIDUAL_M:
         return (
             f"what both maps saw does not agree: where they fit best, {ground.confirmed:.0%} of "
@@ -302,7 +343,8 @@ def _why_not(found: Alignment, rival: Pose2) -> str:
             f"{found.area_m2:.0f} m2: a few rooms that look alike may be of two buildings"
         )
     if found.rival > _MOST_RIVAL:
-        away = found.old_from_new.inverse() @ rival
+        ends = zip(best.ends, rival.ends, strict=True)
+        away = max((a.inverse() @ b for a, b in ends), key=lambda motion: motion.distance)
         turn = math.degrees(abs(wrap_angle(away.theta)))
         return (
             f"ambiguous: the maps fit in more than one way, {away.distance:.1f} m "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -240,3 +240,51 @@ def test_maps_without_walls_say_so() -> None:
     assert "too few walls" in refused(bare, bare).reason
     unknown = GridMap(np.full((1, 1), UNKNOWN, dtype=np.uint8), CELL_M)
     refused(MapToAlign(whole=unknown, grids={}, frames={}), seen(ALIKE, [0]))
+
+
+_ENDS = (0, 1, 3, 4, 5)  # the rooms of a hallway, and its corridor
+_STEPS = [k * 0.5 for k in range(-6, 7) if k]
+
+
+def hallway(bare_m: float) -> Floor:
+    """Two rooms at either end of a corridor that is bare between them."""
+    sizes = [(4.0, 5.0), (3.0, 4.0), (bare_m, 3.0), (5.0, 3.5), (3.5, 5.5)]
+    made = floor(sizes, [0.2, 0.6, 0.5, 0.8, 0.3])
+    left, low, right, high = made.rooms[2]
+    return made.with_boxes((left, low - _WALL_M, right, high))
+
+
+def of_length(bare_m: float, longer_m: float = 0.0) -> MapToAlign:
+    """The map of a hallway with a stretch that was made longer."""
+    return replace(seen(hallway(bare_m + longer_m), _ENDS), longer_m=longer_m)
+
+
+@pytest.mark.parametrize("longer_m", [-1.5, 1.5])
+def test_a_hallway_whose_length_was_guessed_is_found_by_another_length(longer_m: float) -> None:
+    old, guessed_m = of_length(10.0), 10.0 - longer_m
+    refused(old, of_length(guessed_m))
+    found = align(old, of_length(guessed_m), [of_length(guessed_m, step) for step in _STEPS])
+    assert_right(found, IDENTITY)
+    assert found.longer_m == longer_m
+    assert f"was made 1.5 m {'longer' if longer_m > 0 else 'shorter'}" in found.reason
+
+
+def test_a_map_that_is_right_keeps_its_length() -> None:
+    found = align(of_length(10.0), of_length(10.0), [of_length(10.0, step) for step in _STEPS])
+    assert_right(found, IDENTITY)
+    assert found.longer_m == 0.0
+
+
+def test_with_other_lengths_a_hallway_of_another_building_stays_refused() -> None:
+    bent = [of_length(10.0, step) for step in _STEPS]
+    assert align(seen(random_floor(7)), of_length(10.0), bent).old_from_new is None
+
+
+def test_what_fits_with_two_lengths_is_refused() -> None:
+    """The rival lies at the same place: only what is beyond the stretch is elsewhere."""
+    old = new = of_length(10.0)
+    found = align(old, new, [replace(new, longer_m=3.0)])
+    assert found.old_from_new is None
+    assert found.reason == (
+        "ambiguous: the maps fit in more than one way, 3.0 m and 0 degrees apart"
+    )
