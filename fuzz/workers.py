@@ -27,8 +27,6 @@ from fuzz.seeds import Seeds, settings, write_intact
 
 _FILE_BYTES = 2 << 30  # the largest file a case may write
 _POLL_S = 0.2
-_TICKS = os.sysconf("SC_CLK_TCK")  # of the kernel's count of processor time, a second
-_WAITING = 0.1  # a process that computes less of the time waits for something
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,28 +63,24 @@ class _Worker:
 
     def give(self, number: int) -> None:
         """Let it run a case."""
-        self.number, self.since_s, self.before_s = number, time.monotonic(), self._cpu_s()
+        self.number, self.since_s, self.before_s = number, time.monotonic(), self._queued_s()
         with suppress(BrokenPipeError):  # it died: seen when its answer is waited for
             self.pipe.send(number)
 
     def hangs(self, limit_s: float) -> bool:
         """Whether its case takes too long: it computes on, or waits for what never comes.
 
-        One that shares its processor with others has more time, up to three times as much.
+        The time in which others had its processor does not count.
         """
-        wall, computed = time.monotonic() - self.since_s, self._cpu_s() - self.before_s
-        if wall <= limit_s:
-            return False
-        waits = computed < _WAITING * wall
-        return waits or computed > limit_s or wall > 3.0 * limit_s
+        queued_s = self._queued_s() - self.before_s
+        return time.monotonic() - self.since_s - queued_s > limit_s
 
-    def _cpu_s(self) -> float:
-        """Processor time of the process so far; 0 when it is no more."""
+    def _queued_s(self) -> float:
+        """Seconds that the process waited for a processor so far; 0 where the system keeps none."""
         try:
-            fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
-        except OSError:
+            return int(Path(f"/proc/{self.process.pid}/schedstat").read_text().split()[1]) / 1e9
+        except (OSError, IndexError):
             return 0.0
-        return (int(fields[11]) + int(fields[12])) / _TICKS
 
     def end(self) -> None:
         """End the process, whatever it does."""

@@ -27,7 +27,11 @@ from specmap_cli.exports.routes import routes
 from specmap_cli.exports.table import export_map
 from specmap_cli.layout.pose_graph import read_g2o
 from specmap_cli.maps.store import Map, read_map
+from specmap_cli.pipelines.edit import edit_map
+from specmap_cli.pipelines.edits import RequestedEdits
 from specmap_cli.topology.navigation import is_way
+from specmap_cli.topology.regions import NOBODY, borders_of
+from tests.exports import costmap_filters, layout, open_rmf
 from tests.exports.route_server import load
 
 _CLOSE_M = 1e-3  # of all ways together: each corner is rounded to a micrometre
@@ -81,7 +85,7 @@ def tmap2(stored: Map, path: Path) -> tuple[Counts, Counts]:
 
     nodes = [entry["node"] for entry in yaml.safe_load(path.read_text())["nodes"]]
     edges = [edge for node in nodes for edge in node["edges"]]
-    length = sum(edge["properties"]["weight"] for edge in edges)
+    length = sum(edge["properties"]["length_m"] for edge in edges)
     return Counts(len(nodes), len(edges), length), of_routes(stored, bends=False)
 
 
@@ -121,14 +125,17 @@ def pose_graph(stored: Map, path: Path) -> tuple[Counts, Counts]:
     import gtsam
 
     graph, values = gtsam.readG2o(str(path), False)
-    moved = [graph.at(number).measured() for number in range(graph.size())]
-    length = sum(float(np.hypot(pose.x(), pose.y())) for pose in moved)
+    motions = [graph.at(number).measured() for number in range(graph.size())]
+    length = sum(float(np.hypot(pose.x(), pose.y())) for pose in motions)
+    graph.addPriorPose2(0, values.atPose2(0), gtsam.noiseModel.Isotropic.Sigma(3, 1e-6))
+    solved = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
     poses, links = read_g2o((stored.path / "trajectory.g2o").read_text())
+    places = [solved.atPose2(number).translation() for number in poses]
+    apart = np.hypot(*(np.array(places) - np.array([*poses.values()])[:, :2]).T)
+    print(f"{stored.path.name:20} GTSAM moves poses by up to {1e3 * apart.max():.1f} mm")
     measured = sum(float(np.hypot(*link.source_from_target[:2])) for link in links)
-    return (
-        Counts(values.size(), graph.size(), length),
-        Counts(len(poses), len(links), measured),
-    )
+    found = Counts(values.size(), graph.size() - 1, length)  # less the prior
+    return found, Counts(len(poses), len(links), measured)
 
 
 def foxglove(stored: Map, path: Path) -> tuple[Counts, Counts]:
@@ -147,9 +154,50 @@ def foxglove(stored: Map, path: Path) -> tuple[Counts, Counts]:
     return Counts(submaps, len(links), float(length)), of_graph(stored)
 
 
+def rmf(stored: Map, path: Path) -> tuple[Counts, Counts]:
+    """What a fleet adapter makes of the nav graph; the generator makes as many of the building."""
+    building, nav_graph = open_rmf.parts(path)
+    graph, made = open_rmf.graph_of(nav_graph), open_rmf.graph_of(open_rmf.generated(building))
+    length = sum(metres for _, _, metres in graph.edges(data="length_m"))
+    if graph.number_of_edges() != made.number_of_edges():
+        print(f"{path}: the building makes another nav graph", file=sys.stderr)
+    straight = sum(one.kind == "door" and one.straight for one in routes(stored.record).waypoints)
+    expected = of_routes(stored, bends=True)
+    stops, lanes = expected.nodes - straight, expected.edges - 2 * straight
+    return Counts(len(graph), graph.number_of_edges(), length), Counts(
+        stops, lanes, expected.length_m
+    )
+
+
+def lif(stored: Map, path: Path) -> tuple[Counts, Counts]:
+    graph = layout.load(path)
+    length = sum(metres for _, _, metres in graph.edges(data="length_m"))
+    found = Counts(len(graph), graph.number_of_edges(), length)
+    return found, of_routes(stored, bends=True)
+
+
+def masks(stored: Map, path: Path) -> tuple[Counts, Counts]:
+    """Nodes are cells with a limit, edges pairs of submaps that touch; metres are a second's."""
+    found, owner = costmap_filters.load(path), stored.regions.owner
+    left = {border.pair for border in borders_of(np.where(found.shut, NOBODY, owner))}
+    limits = {node.id: node.properties.get("speed_limit") for node in stored.record.nodes}
+    limited = {id_: float(limit) for id_, limit in limits.items() if limit is not None}
+    shut = {(edge.source, edge.target) for edge in stored.record.edges if edge.forbidden}
+    touching = {border.pair for border in borders_of(owner)} - shut
+    cells = int(np.isin(owner, list(limited)).sum())
+    slowest = min(limited.values(), default=0.0)
+    fastest = float(found.limits.max())
+    return Counts(int((found.limits > 0.0).sum()), len(left), fastest), Counts(
+        cells, len(touching), slowest
+    )
+
+
 FORMATS: dict[str, Compare] = {
     "nav2": nav2,
+    "nav2-masks": masks,
     "tmap2": tmap2,
+    "rmf": rmf,
+    "lif": lif,
     "geojson": geojson,
     "graphml": graphml,
     "csv": tables,
@@ -162,9 +210,9 @@ ROWS = (Row("equal", "files whose nodes, edges and lengths are those of the map"
 
 
 def measure(bench: Bench) -> Figures:
-    """Every format of the maps of two real recordings."""
-    maps = [bench.recorded("fr079"), bench.recorded("mit_csail")]
+    """Every format of the maps of two real recordings, a person's word in each."""
     with bench.scratch("exports") as folder:
+        maps = [edited(bench.recorded(name), folder) for name in ("fr079", "mit_csail")]
         same = [
             equal
             for map_ in maps
@@ -172,6 +220,18 @@ def measure(bench: Bench) -> Figures:
             if (equal := compare(read_map(map_), name, folder)) is not None
         ]
     return {"equal": Figure(sum(same) / len(same), note=f"{sum(same)} of {len(same)}")}
+
+
+def edited(map_: Path, folder: Path) -> Path:
+    """A copy with a speed limit in a submap, and with a link that is forbidden."""
+    first = read_map(map_).record.edges[0]
+    said = RequestedEdits(
+        properties={first.source: {"speed_limit": 0.5}},
+        changes=({"forbid": [first.source, first.target]},),
+    )
+    out = folder / map_.name
+    edit_map(map_, said, out)
+    return out
 
 
 def compare(stored: Map, name: str, folder: Path) -> bool | None:

@@ -2,9 +2,10 @@
 
 Real recordings have no true poses. But the walls of two sessions in one building are the same
 walls. So the one map is laid on the other: as a whole, by a search over all turns and shifts, and
-then view by view, each from where the one before was found. What comes out is good to some
-centimetres where walls show it, and follows a map that is bent. A view is what the robot saw along
-a few metres of its way.
+then view by view, each from where the one before was found, or from the best place near there.
+What comes out is good to some centimetres where walls show it, and follows a map that is bent.
+Where a view fits as well half a metre on, as along a bare corridor, nothing is said. A view is what
+the robot saw along a few metres of its way.
 """
 
 from __future__ import annotations
@@ -35,6 +36,10 @@ _SPACING = 0.25  # metres, or radians, between views
 _LEAST = 20  # returns, to lay a view
 _DETOUR = 1.5  # of a straight line, from which on a way there is another pass
 FITS = 0.5  # share of a view on walls: it was laid rightly
+_SURE = 0.7  # from which on it is looked for nowhere else
+_BENT_M, _BENT_DEG = 3.0, 10.0  # of a map between two views: a bare hallway, no odometry
+_SLID_M = 0.5  # a pose that far off is wrong
+_HELD = 0.05  # share of a view that walls must lose when it is slid so far, to hold it there
 
 
 class Walls:
@@ -184,8 +189,9 @@ class Placed:
     """Keyframes of one session as they lie on the walls of another.
 
     `rows` (n,) are the keyframes that were looked at, one every quarter of a metre; `poses` (n, 3)
-    theirs, NaN where the view does not fit; `off_m` (n,) from where the rigid motion of the whole
-    map puts them, `off_deg` (n,) the same in degrees: how much the two maps differ.
+    theirs, NaN where the view does not fit or walls do not hold it in all directions; `off_m` (n,)
+    from where the rigid motion of the whole map puts them, `off_deg` (n,) the same in degrees: how
+    much the two maps differ.
     """
 
     whole: Laid
@@ -209,12 +215,24 @@ def placed(there: Seen, here: Seen) -> Placed:
     for k, row in enumerate(rows.tolist()):
         own = Pose2(*here.poses[row].tolist())
         guess = base.pose @ own if last is None else last[1] @ last[0].inverse() @ own
-        laid = lay(here.view(row), walls, guess, _NEAR_GATES_M)
-        if laid.share >= FITS:
+        view = here.view(row)
+        laid = lay(view, walls, guess, _NEAR_GATES_M)
+        if laid.share < _SURE:
+            found = search(view, walls, guess, reach_m=_BENT_M, turn_deg=_BENT_DEG)
+            laid = max(laid, lay(view, walls, found, _NEAR_GATES_M), key=lambda one: one.share)
+        if laid.share >= FITS and held(view, walls, laid):
             last, poses[k] = (own, laid.pose), laid.pose
             moved = (base.pose @ own).inverse() @ laid.pose
             off[k] = moved.distance, abs(math.degrees(moved.theta))
     return Placed(base, rows, poses, off[:, 0], off[:, 1])
+
+
+def held(view: FloatArray, walls: Walls, laid: Laid) -> bool:
+    """Whether a view fits worse half a metre on, whichever way: else its place is not known."""
+    at = laid.pose.apply(view)
+    ways = np.arange(0.0, 2 * np.pi, np.pi / 8)
+    slid = (walls.share_on(at + _SLID_M * np.array([np.cos(w), np.sin(w)])) for w in ways)
+    return max(slid) <= laid.share - _HELD
 
 
 def spaced(poses: FloatArray) -> IntArray:

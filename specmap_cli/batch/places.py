@@ -22,7 +22,7 @@ from pydantic import ValidationError
 from specmap_cli.batch.records import JobRecord
 from specmap_cli.batch.steps import JOB, MAP
 from specmap_cli.core.errors import MACHINE, PACKAGE, SpecmapError, UsageError
-from specmap_cli.core.files import lock, read_bytes, write_together
+from specmap_cli.core.files import continued, lock, read_bytes, write_together
 from specmap_cli.core.text import to_json
 from specmap_cli.maps import filenames
 from specmap_cli.maps.directory import OutputDirectory
@@ -132,7 +132,7 @@ def _locked(parent: Path) -> tuple[Path, int]:
     raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN), str(parent))
 
 
-_JOURNAL, _LOCK = "events.jsonl", ".specmap-batch.lock"
+_JOURNAL = "events.jsonl"
 _EDITS = f"{MAP}/{filenames.EDITS}"
 _MOST_MB = 16.0  # of a job.json: some hundred thousand files
 # Without directories: to make one could only make a whole bucket.
@@ -317,8 +317,9 @@ def taken(output: str) -> Iterator[Callable[[str], object]]:
     """The output of a batch made ready, nobody else's while the block lasts; what keeps a line.
 
     The lines are those of the journal of events. A directory of this machine is made where there is
-    none, and held by a lock. A store has no locks; there the journal is written when the block
-    ends. Raises UsageError for a directory that another batch holds or that cannot be made.
+    none, and held by a lock of its journal. A store has no locks; there the journal is written when
+    the block ends. Raises UsageError for a directory that another batch holds or that cannot be
+    made.
     """
     directory = path_at(output)
     if directory is None:
@@ -336,18 +337,15 @@ def taken(output: str) -> Iterator[Callable[[str], object]]:
         return
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        holder = os.open(directory / _LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+        file = continued(directory / _JOURNAL)
     except OSError as error:
-        advice = "choose another place"
-        raise UsageError.of_system(error, "cannot be written", advice, where=directory) from None
-    try:
-        if lock(holder) is not True:
+        where, advice = error.filename or directory, "choose another place"
+        raise UsageError.of_system(error, "cannot be written", advice, where=where) from None
+    with file:
+        if lock(file.fileno()) is not True:
             raise UsageError(
                 "another batch is writing there",
                 "wait for it, or choose another directory",
                 where=directory,
             )
-        with (directory / _JOURNAL).open("a", buffering=1, encoding="utf-8") as file:
-            yield file.write
-    finally:
-        os.close(holder)
+        yield file.write

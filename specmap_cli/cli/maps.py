@@ -110,7 +110,8 @@ def compare(
     specmap compare monday friday -o changes --json
     """
     from specmap_cli.maps.store import read_map
-    from specmap_cli.pipelines.compare import compare_maps, write_comparison
+    from specmap_cli.pipelines.compare import PICTURE, compare_maps, write_comparison
+    from specmap_cli.pipelines.history import span_ns
 
     if out is not None:
         keep_inputs([out], [old, new])
@@ -121,7 +122,9 @@ def compare(
         found = compare_maps(one, other, effective, progress)
         if out is not None:
             write_comparison(found, out, overwrite, progress)
-    common.show(found.as_dict(), found.lines())
+        if span_ns(one)[1] > span_ns(other)[1]:
+            progress.note(f"{new}: its last scan is older than that of {old}: are they swapped?")
+    common.show(found.as_dict(), [*found.lines(), *([f"look at {out / PICTURE}"] if out else [])])
 
 
 def check(
@@ -214,7 +217,7 @@ def history(
     specmap history monday tuesday wednesday
     specmap history maps/ -o week --timezone Europe/Berlin
     """
-    from specmap_cli.pipelines.history import history_of, write_history
+    from specmap_cli.pipelines.history import PAGE, history_of, write_history
 
     if out is not None:
         keep_inputs([out], maps)
@@ -223,7 +226,7 @@ def history(
         report = history_of(maps, timezone, limits, progress)
         if out is not None:
             write_history(report, out, overwrite, limits, progress)
-    common.show(report.as_dict(), report.lines())
+    common.show(report.as_dict(), [*report.lines(), *([f"look at {out / PAGE}"] if out else [])])
     if not report.whole:
         raise typer.Exit(MapError.exit_code)
 
@@ -290,6 +293,9 @@ def export(
 
     \b
     nav2        the ways as a graph for Nav2's route server
+    nav2-masks  keepout and speed masks for Nav2's costmap filters, in a zip
+    rmf         building map and nav graph for Open-RMF, in a zip
+    lif         a layout (LIF) for VDA 5050 fleets
     tmap2       the ways as a topological map for LCAS topological_navigation
     geojson     outlines, doors and ways in metres of the map, for QGIS
     graphml     the graph alone, for yEd, Gephi and networkx

@@ -11,6 +11,7 @@ import os
 import re
 import stat
 import tempfile
+import zipfile
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
@@ -78,6 +79,19 @@ def write_together(contents: Mapping[Path, bytes]) -> None:
             os.fsync(file.fileno())  # a full disk is told before any takes its name
 
 
+_SAME_DAY = (1980, 1, 1, 0, 0, 0)  # the first a zip knows: the same files give the same bytes
+_FOR_ALL = 0o644 << 16  # readable, once unpacked
+
+
+def write_zip(target: IO[bytes], files: Mapping[str, bytes]) -> None:
+    """Write files by their names into one zip."""
+    with zipfile.ZipFile(target, "w") as archive:
+        for name, data in files.items():
+            entry = zipfile.ZipInfo(name, _SAME_DAY)
+            entry.external_attr = _FOR_ALL
+            archive.writestr(entry, data, zipfile.ZIP_DEFLATED)
+
+
 @contextmanager
 def temporary_files() -> Iterator[None]:
     """A block in which temporary files are made or written: UsageError when they cannot be."""
@@ -120,6 +134,18 @@ def complete_file(path: Path | str) -> Iterator[IO[bytes]]:
 def partial_of(target: Path) -> Path:
     """A hidden neighbour of a file in which to write it; nobody can know its name before."""
     return target.with_name(f".{target.name}.partial-{os.urandom(8).hex()}")
+
+
+def continued(path: Path) -> IO[str]:
+    """A file to write more lines to, made where there is none.
+
+    Raises OSError, also for a link, by which a neighbour may have another file written, and for a
+    pipe or a device.
+    """
+    flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | _AT_ONCE | getattr(os, "O_NOFOLLOW", 0)
+    if os.path.lexists(path) and not stat.S_ISREG(path.lstat().st_mode):
+        raise OSError(errno.EINVAL, "is a link or no regular file", str(path))
+    return os.fdopen(os.open(path, flags, 0o666), "a", buffering=1, encoding="utf-8")
 
 
 def made(path: Path) -> IO[bytes]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
 
 import numpy as np
 
@@ -29,10 +30,12 @@ def render_overview(
     labels: Labels,
     logs: Sequence[LogInfo],
     quality: Quality = UNDOUBTED,
+    frame: str = "map",
 ) -> Image:
     """The map of a build: regions, walls, trajectory, and the graph over them; BGR (H, W, 3).
 
-    Where it may be wrong, a mark says so, and the title what it is.
+    Where it may be wrong, a mark says so, and the title what it is. In the margin stand the days of
+    the recordings (UTC), the frame of the map, and what is thought of it.
     """
     fills = colours_of(topology, regions)
     places = trajectory.poses[:, :2]
@@ -67,10 +70,13 @@ def render_overview(
     figures = [counted(scans, "scan"), f"{way_m:,.0f} m driven", size]
     doubtful = [f"{quality.verdict}: {quality.worst[0].message}"] if quality.worst else []
     sheet.title(_headline(logs, topology), ",  ".join([*figures, *doubtful]))
+    sheet.margin(",  ".join([*_dates(logs), f"frame {frame}", f"quality: {quality.verdict}"]))
     return sheet.canvas.image
 
 
-def render_segmentation(topology: TopologicalMap, regions: Regions, log: LogInfo) -> Image:
+def render_segmentation(
+    topology: TopologicalMap, regions: Regions, log: LogInfo, frame: str = "map"
+) -> Image:
     """A finished map cut into regions, with their ids and the doorways between them."""
     fills = colours_of(topology, regions)
     low, high = extent_of(regions)
@@ -83,6 +89,7 @@ def render_segmentation(topology: TopologicalMap, regions: Regions, log: LogInfo
     seen = f", {regions.seen_m2:,.0f} m2 only seen" if regions.seen else ""
     area = f"{regions.area_m2:,.0f} m2 in submaps{seen}"
     sheet.title(_headline([log], topology), f"{area},  {size}")
+    sheet.margin(",  ".join([*_dates([log]), f"frame {frame}"]))
     return sheet.canvas.image
 
 
@@ -183,6 +190,21 @@ def spread(centres: FloatArray, gap: float, fixed: FloatArray | None = None) -> 
             moved[i] += share * push
             moved[j] -= (1.0 - share) * push
     return moved[:count]
+
+
+_A_YEAR_NS = 365 * 24 * 3600 * 10**9  # stamps before it were counted from a start, not a date
+
+
+def _dates(logs: Sequence[LogInfo]) -> list[str]:
+    """The days (UTC) from the first recording to the last; none without a clock."""
+    stamps = [stamp for log in logs for stamp in (log.start_ns, log.end_ns) if stamp is not None]
+    if min(stamps, default=0) < _A_YEAR_NS:
+        return []
+    days = [
+        datetime.fromtimestamp(stamp / 1e9, UTC).date().isoformat()
+        for stamp in (min(stamps), max(stamps))
+    ]
+    return [" to ".join(dict.fromkeys(days))]
 
 
 def _headline(logs: Sequence[LogInfo], topology: TopologicalMap) -> str:

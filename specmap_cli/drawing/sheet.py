@@ -90,6 +90,14 @@ class Sheet:
             fitting = fitting_height(text, height, width, bold)
             self.canvas.text(MARGIN, y, text, fitting, colour, bold=bold)
 
+    def margin(self, words: str) -> None:
+        """A line at the right below the map, beside the scale bar."""
+        width = self.canvas.image.shape[1]
+        room = width - 3 * MARGIN - _SCALE_BAR - text_width("0 m", _LETTERS)
+        height = fitting_height(words, _LETTERS, room)
+        y = TITLE + self.map_height + _BELOW + _FIGURES / 2
+        self.canvas.text(width - MARGIN, y, words, height, QUIET, "right")
+
     def ground(self, regions: Regions, fills: Mapping[int, Colour]) -> None:
         """Paint regions in their colours with borders, what was only seen grey, walls dark."""
         self.floor(regions, fills)

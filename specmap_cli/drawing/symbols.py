@@ -45,7 +45,7 @@ _LINK, _LINK_HALO = 3, 7  # width of a link, and of the paper under it
 _DASH, _DASH_GAP = 16.0, 10.0  # of a closure
 _DOT, _DOT_GAP = 5, 12.0  # of a guess
 _SEEN_DASH, _SEEN_GAP = 6.0, 7.0  # of a way that was only seen
-_DOOR, _TICK = 6, 8.0  # width of the bar of a door, and half the length of a tick at its jamb
+_DOOR, _TICK = 6, 9.0  # width of a tick at the jamb of a door, and half its length
 _SHORTEST_DOOR = 16.0  # on a sheet of a large building
 _REACH, _DOOR_REACH = 20, 16  # half the width of a line in the legend, and of a door
 
@@ -70,23 +70,22 @@ def edge(canvas: Canvas, points: NDArray[Any], kind: LinkKind) -> None:
 
 
 def door(canvas: Canvas, sides: NDArray[Any], driven: bool) -> None:
-    """A passage as wide as it is: a tick at each of its jambs (2, 2), and a bar between them.
+    """A passage as wide as it is: a tick at each of its jambs (2, 2), and nothing between them.
 
-    The bar is full if the robot drove through, hollow if the passage was only seen.
+    Dots cross one that was only seen: the robot never drove through.
     """
     middle, half = sides.mean(axis=0), (sides[1] - sides[0]) / 2.0
     length = max(1.0, float(np.linalg.norm(half)))
     tick = np.array([half[1], -half[0]]) * _TICK / length
     half *= max(1.0, _SHORTEST_DOOR / 2.0 / length)
-    bar = np.array([middle - half, middle + half])
-    jambs = [np.array([end - tick, end + tick]) for end in bar]
-    for line in (*jambs, bar):
+    opening = np.array([middle - half, middle + half])
+    jambs = [np.array([end - tick, end + tick]) for end in opening]
+    for line in (*jambs, opening):
         canvas.line(line, PAPER, _DOOR + 4)
-    canvas.line(bar, DOOR, _DOOR)
     if not driven:
-        canvas.line(bar, PAPER, _DOOR - 4)
+        canvas.dashes(opening, DOOR, _DOOR - 2, 0.0, 2.0 * _DOOR)
     for jamb in jambs:
-        canvas.line(jamb, DOOR, _DOOR - 2)
+        canvas.line(jamb, DOOR, _DOOR)
 
 
 def badge(canvas: Canvas, centre: NDArray[Any], name: str, fill: Colour) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from operator import attrgetter
@@ -10,6 +9,7 @@ from typing import IO, Any
 
 import networkx as nx
 
+from specmap_cli.core.files import write_zip
 from specmap_cli.core.json_values import PropertyValue
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.tables import csv_text
@@ -25,9 +25,6 @@ from specmap_cli.maps.flat import (
 )
 from specmap_cli.maps.rooms import Room
 from specmap_cli.maps.store import Map
-
-_SAME_DAY = (1980, 1, 1, 0, 0, 0)  # the first a zip knows: the same map gives the same bytes
-_FOR_ALL = 0o644 << 16  # readable, once unpacked
 
 _ENDS: Mapping[str, Callable[[Any], Any]] = {
     "source": attrgetter("source"),
@@ -58,11 +55,7 @@ class CsvTables:
             "edges.csv": _table(stored.record.edges, {**_ENDS, **LINK}),
             "doors.csv": _table(stored.doors, {**_PLACE, **DOOR}),
         }
-        with zipfile.ZipFile(target, "w") as archive:
-            for name, text in tables.items():
-                entry = zipfile.ZipInfo(name, _SAME_DAY)
-                entry.external_attr = _FOR_ALL
-                archive.writestr(entry, text, zipfile.ZIP_DEFLATED)
+        write_zip(target, {name: text.encode() for name, text in tables.items()})
 
 
 def _noted(key: str, room: Room) -> PropertyValue | None:

@@ -6,7 +6,8 @@ lines for edges, and metadata that has neither null nor lists in lists: an outli
 x and of y.
 
 topological_navigation (`tmap2`, YAML) leaves the way from node to node to the robot's own planner,
-so a bend of a way needs no node; `weight` and `length_m` of an edge are the length along the way.
+so a bend of a way needs no node; `length_m` of an edge is the length along the way, and `weight`
+what its graph adds up: the same where nobody noted a speed limit or a penalty.
 The influence zone of an anchor's node is the outline of its submap: a robot is located in its
 room.
 """
@@ -20,10 +21,19 @@ from itertools import count
 from typing import IO
 
 from specmap_cli.core.progress import Progress
-from specmap_cli.core.text import counted, seconds, to_json
+from specmap_cli.core.text import counted, to_json
 from specmap_cli.core.yaml import yaml_text
 from specmap_cli.exports.flat_formats import collection
-from specmap_cli.exports.routes import Leg, Routes, check_routes, routes, without_bends
+from specmap_cli.exports.routes import (
+    PENALTY,
+    SPEED_LIMIT,
+    Leg,
+    Routes,
+    Waypoint,
+    check_routes,
+    ended,
+    routes,
+)
 from specmap_cli.maps.flat import Fields, feature, known
 from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.store import Map
@@ -82,8 +92,10 @@ def _nav2_edges(found: Routes) -> Iterator[Fields]:
         link, ends = leg.link, (waypoints[leg.start], waypoints[leg.end])
         metadata = known(
             {
+                "class": link.kind,
                 "submaps": [link.source, link.target],
-                "link": link.kind,
+                SPEED_LIMIT: leg.speed_limit,
+                PENALTY: leg.penalty or None,
                 "driven": bool(link.traversals),
                 "clearance_m": link.clearance_m,
                 "width_m": link.width_m,
@@ -115,9 +127,7 @@ class Tmap2:
         """Write the routes of a map. Raises MapError for a map without ways."""
         check_routes(stored, progress)
         record, name = stored.record, stored.path.resolve().name
-        # when the last of the recordings ended (UTC): the same map gives the same text
-        end = max((seconds(log.end_ns or 0) for log in record.graph.logs), default=0.0)
-        updated = datetime.fromtimestamp(max(end, 0.0), UTC).strftime("%Y-%m-%d_%H-%M-%S")
+        updated = datetime.fromtimestamp(ended(record), UTC).strftime("%Y-%m-%d_%H-%M-%S")
         document = {
             "meta": {"last_updated": updated},
             "metric_map": name,
@@ -130,17 +140,17 @@ class Tmap2:
                 "rotation": _IDENTITY,
                 "translation": {"x": 0.0, "y": 0.0, "z": 0.0},
             },
-            "nodes": list(_tmap2_nodes(without_bends(routes(record)), record, name)),
+            "nodes": list(_tmap2_nodes(routes(record).without(_is_bend), record, name)),
         }
         target.write(yaml_text(document).encode())
 
 
+def _is_bend(waypoint: Waypoint) -> bool:
+    return waypoint.kind == "bend"
+
+
 def _tmap2_nodes(found: Routes, record: TopologyRecord, name: str) -> Iterator[Fields]:
-    # names are ids, so that they stay different; what people call a submap is a property
-    names = {
-        one.id: f"Door{one.door}" if one.submap is None else f"Submap{one.submap}"
-        for one in found.waypoints
-    }
+    names = {one.id: one.name for one in found.waypoints}  # people's are properties
     submaps = {node.id: node for node in record.nodes}
     widths = {door.id: door.width_m for door in record.graph.doors}
     edges: dict[int, list[Fields]] = {waypoint.id: [] for waypoint in found.waypoints}
@@ -202,8 +212,10 @@ def _tmap2_edge(start: str, end: str, leg: Leg) -> Fields:
         "node": end,
         "properties": known(
             {
-                "weight": leg.length_m,
+                "weight": leg.cost,
                 "length_m": leg.length_m,
+                SPEED_LIMIT: leg.speed_limit,
+                PENALTY: leg.penalty or None,
                 "clearance_m": leg.link.clearance_m,
                 "driven": bool(leg.link.traversals),
             }

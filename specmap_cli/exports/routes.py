@@ -4,21 +4,25 @@ Waypoints stand at the anchors of submaps, where ways go through doors, and wher
 leg is a straight line through free cells, and the legs of a way are as long as the way. Links
 without a way and forbidden ones have no legs. A waypoint belongs to one way, an anchor to all of
 its submap. What would mislead a robot that follows the graph is told before it is written.
+
+Two properties that a person notes of a submap hold for the legs in it: `speed_limit`, metres a
+second, and `penalty`, which makes a route through it cost more.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count, pairwise
-from typing import Literal
+from typing import Literal, TypeGuard
 
 import numpy as np
 
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.progress import Progress
-from specmap_cli.core.text import counted
+from specmap_cli.core.text import counted, seconds
 from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.store import Map
 from specmap_cli.topology.navigation import crossing_of, is_way, parts
@@ -31,7 +35,10 @@ _SAME_M = 1e-3  # a corner of a way this near to a door's line lies on it
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Waypoint:
-    """A place on the ways: the anchor of `submap`, the passage of `door`, or a bend, of neither."""
+    """A place on the ways: the anchor of `submap`, the passage of `door`, or a bend, of neither.
+
+    A way goes `straight` through most doors.
+    """
 
     id: int
     kind: WaypointKind
@@ -39,16 +46,35 @@ class Waypoint:
     y: float
     submap: int | None = None
     door: int | None = None
+    straight: bool = False
+
+    @property
+    def name(self) -> str:
+        """Its name in files, where names are ids: people call submaps what they like."""
+        of = self.submap if self.kind == "anchor" else self.door if self.kind == "door" else self.id
+        return f"{'Submap' if self.kind == 'anchor' else self.kind.capitalize()}{of}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Leg:
-    """A straight line from one waypoint to another, by their ids, along the way of a link."""
+    """A straight line from one waypoint to another, by their ids, along the way of a link.
+
+    It lies in `submaps`, and touches or crosses `doors`, ids. `speed_limit` is metres a second.
+    """
 
     start: int
     end: int
     length_m: float
     link: Edge
+    submaps: frozenset[int]
+    doors: tuple[int, ...]
+    speed_limit: float | None
+    penalty: float = 0.0
+
+    @property
+    def cost(self) -> float:
+        """What Nav2's scorers of distance and penalty make of it together."""
+        return self.length_m / (self.speed_limit or 1.0) + self.penalty
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +83,27 @@ class Routes:
 
     waypoints: tuple[Waypoint, ...]
     legs: tuple[Leg, ...]
+
+    def without(self, left_out: Callable[[Waypoint], bool]) -> Routes:
+        """The same without some waypoints between anchors: legs are as long as their ways."""
+        gone = {one.id: one for one in self.waypoints if left_out(one)}
+        legs: list[Leg] = []
+        for leg in self.legs:
+            legs.append(_joined(legs.pop(), leg) if leg.start in gone else leg)
+        return Routes(tuple(one for one in self.waypoints if one.id not in gone), tuple(legs))
+
+
+def _joined(one: Leg, other: Leg) -> Leg:
+    limits = [leg.speed_limit for leg in (one, other) if leg.speed_limit is not None]
+    return replace(
+        one,
+        end=other.end,
+        length_m=one.length_m + other.length_m,
+        submaps=one.submaps | other.submaps,
+        doors=tuple(dict.fromkeys([*one.doors, *other.doors])),
+        speed_limit=min(limits, default=None),
+        penalty=one.penalty + other.penalty,
+    )
 
 
 def routes(record: TopologyRecord) -> Routes:
@@ -71,6 +118,7 @@ def routes(record: TopologyRecord) -> Routes:
         for x, y in ([node.anchor] if node.anchor is not None else [])
     }
     doors = {door.id: door for door in record.graph.doors}
+    limits, penalties = noted(record, SPEED_LIMIT), noted(record, PENALTY)
     waypoints, legs, ids = list(anchors.values()), list[Leg](), count(record.graph.next_id)
     for edge in record.edges:
         if not is_way(edge) or not {edge.source, edge.target} <= anchors.keys():
@@ -78,24 +126,71 @@ def routes(record: TopologyRecord) -> Routes:
         between = list(_between(edge, doors, ids))
         chain = [anchors[edge.source], *between, anchors[edge.target]]
         waypoints += between
-        for start, end in pairwise(chain):
-            length = float(np.hypot(end.x - start.x, end.y - start.y))
-            legs.append(Leg(start=start.id, end=end.id, length_m=length, link=edge))
+        legs += _legs(edge, chain, limits, penalties)
     return Routes(tuple(waypoints), tuple(legs))
 
 
-def without_bends(found: Routes) -> Routes:
-    """The same for who plans around corners: legs from anchors to doors, as long as their ways."""
-    bends = {waypoint.id for waypoint in found.waypoints if waypoint.kind == "bend"}
-    legs: list[Leg] = []
-    for leg in found.legs:
-        if leg.start in bends:  # goes on where the leg before ended
-            before = legs.pop()
-            leg = replace(before, end=leg.end, length_m=before.length_m + leg.length_m)
+def _legs(
+    edge: Edge,
+    chain: Sequence[Waypoint],
+    limits: Mapping[int, float],
+    penalties: Mapping[int, float],
+) -> list[Leg]:
+    """The legs of a way. Before its first door it is in one submap, behind the last in the other.
+
+    The legs of a way in a submap share its penalty by their lengths.
+    """
+    passed = [number for number, one in enumerate(chain) if one.door is not None]
+    whole = frozenset({edge.source, edge.target})
+    legs, metres = list[Leg](), defaultdict[frozenset[int], float](float)
+    for number, (start, end) in enumerate(pairwise(chain)):
+        here = whole
+        if passed and not passed[0] <= number < passed[-1]:
+            here = frozenset({edge.source if number < passed[0] else edge.target})
+        leg = Leg(
+            start=start.id,
+            end=end.id,
+            length_m=float(np.hypot(end.x - start.x, end.y - start.y)),
+            link=edge,
+            submaps=here,
+            doors=tuple(one.door for one in (start, end) if one.door is not None),
+            speed_limit=min((limits[id_] for id_ in here & limits.keys()), default=None),
+        )
         legs.append(leg)
-    return Routes(
-        tuple(waypoint for waypoint in found.waypoints if waypoint.id not in bends), tuple(legs)
-    )
+        metres[here] += leg.length_m
+    prices = {here: sum(penalties.get(id_, 0.0) for id_ in here) for here in metres}
+    return [
+        replace(leg, penalty=prices[leg.submaps] * leg.length_m / (metres[leg.submaps] or 1.0))
+        for leg in legs
+    ]
+
+
+SPEED_LIMIT, PENALTY = "speed_limit", "penalty"  # properties of submaps
+
+
+def noted(record: TopologyRecord, key: str) -> dict[int, float]:
+    """What a person noted of submaps under `key`, by id, where it is a number above zero."""
+    values = {node.id: node.properties.get(key) for node in record.nodes}
+    return {id_: float(value) for id_, value in values.items() if _is_amount(value)}
+
+
+def _is_amount(value: object) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool) and value > 0.0
+
+
+def misnoted(record: TopologyRecord) -> list[str]:
+    """A warning for each speed limit and penalty that is none."""
+    return [
+        f"submap {node.id}: {key} is {node.properties[key]!r}, not a number above 0: left out"
+        for node in record.nodes
+        for key in (SPEED_LIMIT, PENALTY)
+        if key in node.properties and not _is_amount(node.properties[key])
+    ]
+
+
+def ended(record: TopologyRecord) -> float:
+    """When the last of the recordings ended, seconds (UTC): the same map gives the same date."""
+    return max([0.0, *(seconds(log.end_ns) for log in record.graph.logs if log.end_ns)])
 
 
 def _between(edge: Edge, doors: Mapping[int, Door], ids: Iterator[int]) -> Iterator[Waypoint]:
@@ -112,7 +207,8 @@ def _between(edge: Edge, doors: Mapping[int, Door], ids: Iterator[int]) -> Itera
         if 0.0 < place < len(path) - 1:  # at an end stands an anchor
             x, y = _point(path, place).tolist()
             kind: WaypointKind = "bend" if passed is None else "door"
-            yield Waypoint(id=next(ids), kind=kind, x=x, y=y, door=passed)
+            straight = not place.is_integer()
+            yield Waypoint(id=next(ids), kind=kind, x=x, y=y, door=passed, straight=straight)
 
 
 def _nearest(path: FloatArray, door: Door) -> float:
@@ -167,7 +263,7 @@ def check_routes(stored: Map, progress: Progress) -> None:
 
 def _warnings(record: TopologyRecord) -> list[str]:
     """What is in the file, or missing in it, and would mislead."""
-    found = []
+    found = misnoted(record)
     quality = record.graph.quality
     if quality is not None and quality.verdict != "good":
         found.append(

@@ -26,7 +26,9 @@ from specmap_cli.core.files import complete_file
 from specmap_cli.core.plugins import with_plugins
 from specmap_cli.core.progress import Progress, Remembering, Silent
 from specmap_cli.exports.flat_formats import CsvTables, GeoJson, GraphMl
+from specmap_cli.exports.fleet_formats import Lif, Rmf
 from specmap_cli.exports.foxglove import Foxglove
+from specmap_cli.exports.masks import Masks
 from specmap_cli.exports.pose_graph import PoseGraph
 from specmap_cli.exports.rerun import Rerun
 from specmap_cli.exports.route_formats import Nav2, Tmap2
@@ -51,9 +53,12 @@ def exporters() -> dict[str, Exporter]:
         "foxglove": Foxglove(),
         "geojson": GeoJson(),
         "graphml": GraphMl(),
+        "lif": Lif(),
         "nav2": Nav2(),
+        "nav2-masks": Masks(),
         "pose-graph": PoseGraph(),
         "rerun": Rerun(),
+        "rmf": Rmf(),
         "tmap2": Tmap2(),
     }
     offered = with_plugins(GROUP, built_in)

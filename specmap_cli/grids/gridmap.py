@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -24,8 +25,11 @@ FREE, OCCUPIED, UNKNOWN = 0, 1, 2
 NO_OBSTACLE_M = 1e3  # the distance to an obstacle where there is none: beyond any laser's range
 CellArray = NDArray[np.uint8]
 LengthArray = NDArray[np.floating[Any]]  # of cells float32: exact enough, and half the memory
+_Value = TypeVar("_Value", bound=np.generic)
 
 _RAYS_AT_ONCE = 1 << 16  # bounds the memory: some 10 MB
+_CELLS_AT_ONCE = 1 << 20  # bounds the memory: of a whole map it would be a hundred times as much
+_NEARLY = 1e-3  # cells: more than OpenCV errs by, less than from one distance to the next
 _BORDER = 1e-6  # cells a ray steps past a border, to stand in the next cell
 _TINY = 1e-12  # takes the place of a direction of 0, so that its borders are far away
 _DIAGONAL = math.sqrt(2.0)  # cells between two points, each half a diagonal off its cell's centre
@@ -200,7 +204,38 @@ def joined(cells: BoolArray, seeds: BoolArray) -> BoolArray:
     _, parts = cv2.connectedComponents(cells.astype(np.uint8), connectivity=4)
     held = np.zeros(int(parts.max(initial=0)) + 1, dtype=np.bool_)
     held[parts[seeds & cells]] = True
-    return np.asarray(held[parts])
+    return looked_up(held, parts)
+
+
+def looked_up(table: NDArray[_Value], numbers: NDArray[Any]) -> NDArray[_Value]:
+    """(H, W) the value in a table (n,) of each of the `numbers` (H, W), some rows at once.
+
+    All at once they would be copied to eight bytes each.
+    """
+    found = np.empty(numbers.shape, dtype=table.dtype)
+    for rows in bands_of(numbers.shape):
+        found[rows] = table[numbers[rows]]
+    return found
+
+
+def within(picture: CellArray, reach: float) -> BoolArray:
+    """(H, W) the cells no farther than `reach` cells from a zero of a picture (H, W).
+
+    Distances are looked at some rows at once, with the rows that have a say in them.
+    """
+    found, beyond = np.empty(picture.shape, dtype=np.bool_), math.ceil(reach) + 1
+    for rows in bands_of(picture.shape, beyond):
+        low = max(rows.start - beyond, 0)
+        some = np.ascontiguousarray(picture[low : rows.stop + beyond])
+        away = cv2.distanceTransform(some, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        found[rows] = away[rows.start - low : rows.stop - low] <= reach + _NEARLY
+    return found
+
+
+def bands_of(shape: tuple[int, ...], least: int = 1) -> Iterator[slice]:
+    """The rows of a grid of some shape, a band after the other, each of `least` rows or more."""
+    rows = max(least, _CELLS_AT_ONCE // max(shape[1], 1), 1)
+    return (slice(first, min(first + rows, shape[0])) for first in range(0, shape[0], rows))
 
 
 def nearest_values(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.float32]]:
@@ -214,7 +249,7 @@ def nearest_values(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.float
     )
     of_source = np.zeros(int(source.max(initial=0)) + 1, dtype=values.dtype)
     of_source[source[zero == 0]] = values[zero == 0]
-    return of_source[source], np.asarray(away, dtype=np.float32)
+    return looked_up(of_source, source), np.asarray(away, dtype=np.float32)
 
 
 def cast_ranges(

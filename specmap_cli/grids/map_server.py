@@ -124,17 +124,17 @@ def read_grid(
     bare = path.suffix.lower() not in (".yaml", ".yml")
     scale = {} if resolution is None else {"resolution": resolution}
     if not bare:
-        try:
-            found = read_yaml(read_bytes(path, _LARGEST_YAML_MB))
-        except ValueError as error:
-            raise MapError(error, _EXPECTED, where=path) from None
-        except OSError as error:
-            if error.errno == errno.EFBIG:
-                size = f"larger than {_LARGEST_YAML_MB * 1000:g} kB"
-                raise MapError(size, _EXPECTED, where=path) from None
-            raise MapError.of_system(error, "cannot read the map", where=path) from None
-        entries = (found if isinstance(found, dict) else {}) | scale
+        entries = _entries(path)
+        with suppress(TypeError, ValueError):  # of a file that says none
+            own = float(entries.get("resolution", "none"))
+            if progress is not None and resolution not in (None, own):
+                told = f"{resolution:g} m a pixel, as you say; the file says {own:g}"
+                progress.note(f"{path}: {told}")
+        entries |= scale
+    elif path.is_dir():
+        raise MapError("is a directory", "name the .yaml or the picture in it", where=path)
     elif resolution is None:
+        read_picture(path, limits)  # what is no picture is told first
         raise MapError(
             "a picture has no scale", "give metres a pixel with --resolution", where=path
         )
@@ -157,6 +157,20 @@ def read_grid(
     if bare:
         cells = _with_outlines(cells, picture)
     return GridMap(cells, about.resolution, (about.origin[0], about.origin[1]))
+
+
+def _entries(path: Path) -> dict[str, Any]:
+    """What a YAML file of map_server says. Raises MapError."""
+    try:
+        found = read_yaml(read_bytes(path, _LARGEST_YAML_MB))
+    except ValueError as error:
+        raise MapError(error, _EXPECTED, where=path) from None
+    except OSError as error:
+        if error.errno == errno.EFBIG:
+            size = f"larger than {_LARGEST_YAML_MB * 1000:g} kB"
+            raise MapError(size, _EXPECTED, where=path) from None
+        raise MapError.of_system(error, "cannot read the map", where=path) from None
+    return found if isinstance(found, dict) else {}
 
 
 def _with_outlines(cells: CellArray, picture: NDArray[Any]) -> CellArray:

@@ -111,7 +111,7 @@ def lines_of(record: HistoryRecord) -> list[str]:
         lines += [f"  {change.day}: {words_of(change, names)}" for change in building.changes]
         if len(building.maps) > 1 and not building.changes:
             lines.append("  no change found")
-    return [*lines, *(f"left out: {one.map}: {one.reason}" for one in record.left_out)]
+    return [*lines, *(f"left out: {one.reason}" for one in record.left_out)]
 
 
 def names_of(building: BuildingRecord) -> dict[int, str]:

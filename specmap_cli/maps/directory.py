@@ -201,9 +201,10 @@ class OutputDirectory:
         if self._made_of and not finished:  # what the new one says is known when it is finished
             return
         if not new.exists() or new.read_bytes() != old.read_bytes():
+            keep = "" if self._made_of else f"`build --like {self.path}` keeps them; or "
             raise UsageError(
                 f"its {EDITS} holds a person's decisions, which a new map would lose",
-                f"keep them with `build --like {self.path}`, or move the file away",
+                f"{keep}choose another --out, or move the file away",
                 where=self.path,
             )
 

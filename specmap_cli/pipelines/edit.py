@@ -177,10 +177,11 @@ def _relabelled(stored: Map, found: Drawn, directory: Path) -> Edited:
     (directory / filenames.TOPOLOGY).write_text(record.text(), encoding="utf-8")
     logs = stored.record.graph.logs
     if not stored.of_recording:
-        picture = render_segmentation(topology, regions, logs[0])
+        picture = render_segmentation(topology, regions, logs[0], stored.frame)
     else:
         way, quality = stored.trajectory, quality_of_stored(stored)
-        picture = render_overview(topology, regions, way, stored.labels, logs, quality)
+        labels = stored.labels
+        picture = render_overview(topology, regions, way, labels, logs, quality, stored.frame)
     write_png(directory / filenames.OVERVIEW, picture)
     if edits:
         (directory / filenames.EDITS).write_text(edits, encoding="utf-8")

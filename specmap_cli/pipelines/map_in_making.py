@@ -250,7 +250,6 @@ def _layout(stored: Map) -> Layout:
         poses, links = read_g2o(text)
     except InputError as error:
         raise MapError(error, "build the map again", where=path) from None
-    nodes = np.array(sorted(poses), dtype=np.int64)
     ends = {end for link in links for end in (link.source, link.target)}
     if not ends <= poses.keys() <= set(range(len(labels.poses))):
         raise MapError(
@@ -259,7 +258,7 @@ def _layout(stored: Map) -> Layout:
             "build the map again",
             where=path,
         )
-    stored.checked(nodes, path.name)
+    nodes = stored.checked(np.array(sorted(poses), dtype=np.int64), path.name)
     after = dict(pairwise(nodes.tolist()))
     return Layout(
         poses=labels.poses,

@@ -18,7 +18,14 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.grids.gridmap import BoolArray, LengthArray, contacts, nearest_values, window_of
+from specmap_cli.grids.gridmap import (
+    BoolArray,
+    LengthArray,
+    contacts,
+    looked_up,
+    nearest_values,
+    window_of,
+)
 from specmap_cli.segmentation.visibility import IndexArray, LabelArray
 
 Pair = tuple[int, int]
@@ -123,7 +130,7 @@ def _held(free: BoolArray, seeds: Any) -> BoolArray:
     held = np.zeros(count, dtype=bool)
     held[piece[seeds]] = True
     held[0] = False
-    return np.asarray(held[piece])
+    return looked_up(held, piece)
 
 
 def nearest_labels(free: BoolArray, nodes: IndexArray, labels: LabelArray) -> LabelArray:
@@ -215,7 +222,7 @@ def without_dead_ends(
     ends = [(one, *near) for one, near in around.items() if len(near) == 1]
     joins = [(one, other) for one, other in ends if size[one] < smallest]
     names = components(len(size), joins)
-    return np.where(labels < 0, np.int16(-1), names[labels])
+    return looked_up(np.append(names, np.int16(-1)), labels)  # the last is that of no region
 
 
 def components(count: int, pairs: Sequence[Pair]) -> LabelArray:

@@ -25,6 +25,7 @@ from specmap_cli.grids.gridmap import (
     GridMap,
     LengthArray,
     clearance_of,
+    looked_up,
 )
 from specmap_cli.segmentation.cells import (
     border_widths,
@@ -116,7 +117,7 @@ def segment(grid: GridMap, config: SegmentationConfig, *, rooms: bool = False) -
     names = np.full(len(sizes) + 1, -1, dtype=np.int16)  # the last is that of no region
     names[np.argsort(-sizes, kind="stable")] = np.arange(len(sizes))
     return Segmentation(
-        labels=names[fine],
+        labels=looked_up(names, fine),
         nodes=upright.places(grid, graph.nodes),
         node_labels=names[cells[tuple(graph.nodes.T)]],
         pairs=graph.pairs,
@@ -138,17 +139,19 @@ def _divided(
         opened, narrowed = with_narrow_doors(work.free, small, cell_m, config.wide_door_m)
     clearance = clearance_of(narrowed)
     space = clearance > 0.0
-    placements = [  # step 2
-        _placement(clearance, space, cell_m, config, block, number)
-        for number in range(config.placements)
+    others = [  # step 2, and nothing is kept of their graphs
+        _placement(clearance, space, cell_m, config, block, number)[0]
+        for number in range(1, config.placements)
     ]
+    first, graph, spectrum = _placement(clearance, space, cell_m, config, block, 0)
     cells = np.full(space.shape, -1, dtype=np.int16)
-    cells[space] = consensus([found for found, _, _ in placements])  # step 3
+    cells[space] = consensus([first, *others])  # step 3
+    del first, others
     if config.merge:  # step 4
         cells = without_rings(cells)
         least, alcove = config.clearance_m / cell_m, _ALCOVE_M2 / cell_m**2
         cells = without_dead_ends(cells, clearance, least, alcove)
-    return spread_labels(cells, opened), *placements[0][1:]
+    return spread_labels(cells, opened), graph, spectrum
 
 
 def _placement(

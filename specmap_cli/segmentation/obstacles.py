@@ -19,14 +19,13 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.records import IntArray
 from specmap_cli.core.settings import SegmentationConfig
-from specmap_cli.grids.gridmap import UNKNOWN, BoolArray, CellArray, GridMap
+from specmap_cli.grids.gridmap import UNKNOWN, BoolArray, GridMap, looked_up, within
 from specmap_cli.segmentation.visibility import LabelArray
 
 # Solid furniture is thicker than this across: walls are thinner than tables.
 FURNITURE_THICK_M = 0.4
 _SLACK = 1e-9  # sizes that are equal on paper stay equal in floating point
 _SLIT_M = 0.15  # free space narrower than this between two pieces of a wall is noise
-_ROUNDING = 1e-3  # cells: more than OpenCV errs by, less than from one distance to the next
 _SOLID = 0.5  # share of its rectangle: furniture fills three quarters, corners of walls a third
 
 _LONGEST_M = 4.0  # a row of cupboards; larger is what was never seen, and thick walls
@@ -100,18 +99,19 @@ def pieces_at_walls(grid: GridMap, thick_m: float) -> NDArray[np.int32]:
     framed = np.pad(grid.cells, 1, constant_values=UNKNOWN) == UNKNOWN
     piece, large = _pieces(framed, grid.resolution)
     large[piece[0, 0]] = True  # joined to what is beyond the map
-    outside = (large[piece] & framed)[1:-1, 1:-1]
+    outside = (looked_up(large, piece) & framed)[1:-1, 1:-1]
     # cells that a disc covers which is so wide and fits in
     blocked = np.pad(~grid.free & ~outside, radius + 1).astype(np.uint8)
-    middle = ~_near(blocked, radius)
+    middle = ~within(blocked, radius)
     if not middle.any():
         return nowhere
-    covered = _near((~middle).astype(np.uint8), radius)
+    covered = within((~middle).astype(np.uint8), radius)
     thick = covered[radius + 1 : -radius - 1, radius + 1 : -radius - 1]
     pieces, large = _pieces(thick, grid.resolution)
     for edge in (pieces[0], pieces[-1], pieces[:, 0], pieces[:, -1]):
         large[edge] = True
-    return np.where(large[pieces] | ~thick, np.int32(0), pieces)
+    pieces[looked_up(large, pieces) | ~thick] = 0
+    return pieces
 
 
 def fill_cupboards(labels: LabelArray, pieces: NDArray[np.int32], resolution: float) -> LabelArray:
@@ -130,12 +130,7 @@ def fill_cupboards(labels: LabelArray, pieces: NDArray[np.int32], resolution: fl
     np.add.at(votes, (around[ring], labels[ring]), 1)
     sure = 2 * votes.max(axis=1) > votes.sum(axis=1)
     best = np.where(sure, votes.argmax(axis=1), -1).astype(np.int16)
-    return np.where((pieces > 0) & (labels < 0), best[pieces], labels)
-
-
-def _near(picture: CellArray, radius: int) -> BoolArray:
-    """(H, W) the cells no farther than `radius` cells from a zero of a picture (H, W)."""
-    return cv2.distanceTransform(picture, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) <= radius + _ROUNDING
+    return np.where((pieces > 0) & (labels < 0), looked_up(best, pieces), labels)
 
 
 def _pieces(mask: BoolArray, resolution: float) -> tuple[NDArray[np.int32], BoolArray]:

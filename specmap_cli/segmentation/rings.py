@@ -7,7 +7,7 @@ import numpy as np
 from scipy import ndimage
 
 from specmap_cli.core.records import IntArray
-from specmap_cli.grids.gridmap import BoolArray
+from specmap_cli.grids.gridmap import BoolArray, looked_up
 from specmap_cli.segmentation.cells import spread_labels
 from specmap_cli.segmentation.visibility import LabelArray
 
@@ -31,7 +31,7 @@ def without_rings(labels: LabelArray) -> LabelArray:
                 large[[0, around[0, 0]]] = False, True
                 rows = slice(max(0, top - high), top + 2 * high)
                 near = rows, slice(max(0, left - wide), left + 2 * wide)
-                _cut_round(around[near] == number, large[around[near]], cuts[near])
+                _cut_round(around[near] == number, looked_up(large, around[near]), cuts[near])
         cuts &= region
         if not cuts.any():
             continue

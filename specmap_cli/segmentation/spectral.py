@@ -36,6 +36,7 @@ _ROUGH = 1e-3  # tolerance where an order of the nodes is looked for, not their 
 _FIRST, _NODES_A_CLUSTER = 12, 80  # eigenpairs asked for at first: a guess that is seldom short
 _START_SEED, _START_RANGE = 0, (0.5, 1.5)  # positive, so never at right angles to the first vector
 
+_EVENED = 2  # times: nodes of two groups that see each other stand in the order of what they see
 _LEAST_SHARE = 0.2  # of the degrees on either side: every cut leaves much smaller parts
 _FEWEST_NODES = 4  # nodes of a cluster that is looked at: two for each half
 
@@ -64,9 +65,8 @@ def spectral_clusters(graph: VisibilityGraph, config: SegmentationConfig) -> Spe
     cut: there they end where others do, and not at the cut.
     """
     S = similarity(graph, config.neighbours)  # Algorithm 2, line 1
-    L, degrees = normalised(S)  # Algorithm 2, line 2
     parts = parts_of(S, config.part_nodes)
-    found = clusters_of(L, degrees, parts, config.eigenvalue_min)
+    found = clusters_of(S, parts, config.eigenvalue_min)
     labels, part_of = found.labels, np.zeros(len(graph.nodes), dtype=np.intp)
     for number, part in enumerate(parts):
         part_of[part] = number
@@ -74,23 +74,25 @@ def spectral_clusters(graph: VisibilityGraph, config: SegmentationConfig) -> Spe
     cut = np.flatnonzero(np.isin(labels, labels[ends]))
     if len(cut):
         again = [cut[part] for part in parts_of(S[cut][:, cut], config.part_nodes)]
-        new = clusters_of(L, degrees, again, config.eigenvalue_min).labels
+        new = clusters_of(S, again, config.eigenvalue_min).labels
         labels = np.where(new < 0, labels, labels.max() + 1 + new)
     return replace(found, labels=numbered(labels))
 
 
-def clusters_of(L: Any, degrees: FloatArray, parts: Sequence[IndexArray], least: float) -> Spectrum:
-    """Lines 3 to 7 of Algorithm 2 for each of some parts of a graph; label -1 outside them.
+def clusters_of(S: Any, parts: Sequence[IndexArray], least: float) -> Spectrum:
+    """Lines 2 to 7 of Algorithm 2 for each of some parts of a graph; label -1 outside them.
 
-    L (n, n) sparse and its D_ii `degrees` (n,) are those of the whole graph: what a cut takes from
-    the row of a node stays in its degree, as it goes to a neighbour elsewhere. k is the number of
-    eigenvalues above `least`. k-means starts at the row of the best and of the least connected
-    node, so it needs no random numbers.
+    The D_ii are those of the whole graph S (n, n), sparse: what a cut takes from the row of a node
+    stays in its degree, as it goes to a neighbour elsewhere. k is the number of eigenvalues above
+    `least`. k-means starts at the row of the best and of the least connected node, so it needs no
+    random numbers.
     """
+    degrees = np.asarray(S.sum(axis=1)).ravel()
     labels = np.full(len(degrees), -1, dtype=np.int16)
     eigenvalues, used = [np.zeros(0)], 0
     for later, part in zip(range(len(parts) - 1, -1, -1), parts, strict=True):
-        values, vectors = eigenpairs_above(L[part][:, part], least)
+        L, _ = normalised(S[part][:, part], degrees[part])  # Algorithm 2, line 2
+        values, vectors = eigenpairs_above(L, least)
         k = max(1, int((values > least).sum()))  # Algorithm 2, line 3
         X = vectors[:, :k]  # Algorithm 2, line 4
         Y = unit_rows(X)  # Algorithm 2, line 5
@@ -113,33 +115,42 @@ def parts_of(S: Any, most: int) -> list[IndexArray]:
     S (n, n) sparse is the similarity of eq. 1. A part is connected. One with more than `most` nodes
     is cut in two.
     """
-    parts, pending = [], [np.arange(S.shape[0])]
+    parts, pending = [], [(S, np.arange(S.shape[0]))]
     while pending:
-        nodes = pending.pop()
-        count, piece = connected_components(S[nodes][:, nodes], directed=False)
-        for part in (nodes[piece == number] for number in range(count)):
-            if len(part) <= most:
-                parts.append(part)
-            else:
-                beyond = _beyond_the_neck(S[part][:, part])
-                pending += [part[beyond], part[~beyond]]
+        S, nodes = pending.pop()
+        count, piece = connected_components(S, directed=False)
+        for mine in (np.flatnonzero(piece == number) for number in range(count)):
+            if len(mine) <= most:
+                parts.append(nodes[mine])
+                continue
+            part = S if count == 1 else S[mine][:, mine]
+            beyond = _beyond_the_neck(part)
+            for side in (np.flatnonzero(beyond), np.flatnonzero(~beyond)):
+                pending.append((part[side][:, side], nodes[mine[side]]))
     return sorted(parts, key=lambda part: int(part[0]))
 
 
 def _beyond_the_neck(S: Any) -> BoolArray:
     """(n,) the nodes on one side of the best cut of a connected graph S (n, n).
 
-    The nodes stand in the order of the second eigenvector. Of all cuts of this order the one with
-    the smallest normalised cut is taken (Shi and Malik, "Normalized Cuts and Image Segmentation",
-    PAMI 2000): similarity lost, over the sum of the degrees of either side.
+    The nodes stand in the order of the second eigenvector, which is that of the graph of groups of
+    like nodes, evened out: many times smaller, this shows the same necks. Of all cuts of this order
+    the one with the smallest normalised cut is taken (Shi and Malik, "Normalized Cuts and Image
+    Segmentation", PAMI 2000): similarity lost, over the sum of the degrees of either side.
     """
-    L, degrees = normalised(S)
+    degrees, group = np.asarray(S.sum(axis=1)).ravel(), _groups(S)
+    ones = sparse.csr_array((np.ones(len(group)), (np.arange(len(group)), group)))
+    L, of_groups = normalised((ones.T @ S @ ones).tocsr())
     _, vectors = largest_eigenpairs(L, 2, _ROUGH)
-    order = np.argsort(vectors[:, 1] / np.sqrt(degrees), kind="stable")
-    edges = S[order][:, order].tocoo()
-    ends = np.minimum(edges.row, edges.col), np.maximum(edges.row, edges.col)
-    begun, ended = (np.bincount(each, edges.data, len(order)) for each in ends)
-    lost = np.cumsum(begun - ended)[:-1] / 2.0  # each edge stands in S twice
+    height = (vectors[:, 1] / np.sqrt(of_groups))[group]
+    for _ in range(_EVENED):
+        height = (S @ height) / degrees
+    order = np.argsort(height, kind="stable")
+    place = np.empty(len(order), dtype=np.int32)
+    place[order] = np.arange(len(order), dtype=np.int32)
+    later = place[S.indices] > np.repeat(place, np.diff(S.indptr))
+    begun = np.add.reduceat(np.where(later, S.data, -S.data), S.indptr[:-1])
+    lost = np.cumsum(begun[order])[:-1]
     before = np.cumsum(degrees[order])[:-1]
     after = degrees.sum() - before
     cost = lost / before + lost / after
@@ -147,6 +158,27 @@ def _beyond_the_neck(S: Any) -> BoolArray:
     beyond = np.zeros(len(order), dtype=np.bool_)
     beyond[order[int(cost.argmin()) + 1 :]] = True
     return beyond
+
+
+def _groups(S: Any) -> IndexArray:
+    """(n,) the number of the group of like nodes that each node of a connected graph is in.
+
+    Nodes have heights between 0 and 1, which are the same in every run. Each goes with the one it
+    sees whose height times their similarity is the largest, up to the nodes that have none above
+    them: these are far apart, and what they see is a group.
+    """
+    size = S.shape[0]
+    heights = np.random.default_rng(_START_SEED).uniform(size=size)
+    drawn = S.data * heights[S.indices]
+    most = np.maximum.reduceat(drawn, S.indptr[:-1])
+    best = np.flatnonzero(drawn == np.repeat(most, np.diff(S.indptr)))
+    above = np.arange(size)
+    above[np.searchsorted(S.indptr, best, side="right") - 1] = S.indices[best]
+    above = np.where(most > heights, above, np.arange(size))
+    while (above != above[above]).any():
+        above = above[above]
+    groups = np.unique(above, return_inverse=True)[1]
+    return groups if groups.max() > 1 else np.arange(size)  # of two groups one may be nearly all
 
 
 def split_again(
@@ -229,12 +261,13 @@ def similarity(
     return (half + half.T).tocsr()
 
 
-def normalised(S: Any) -> tuple[Any, FloatArray]:
+def normalised(S: Any, degrees: FloatArray | None = None) -> tuple[Any, FloatArray]:
     """L = D^-1/2 S D^-1/2 (n, n), and the degrees D_ii (n,); rows of zeros stay zero.
 
-    S is sparse, or an array, and L is like it.
+    S is sparse, or an array, and L is like it. `degrees` are given for a part of a graph.
     """
-    degrees = np.asarray(S.sum(axis=1), dtype=np.float64).ravel()  # Algorithm 2, line 2
+    if degrees is None:
+        degrees = np.asarray(S.sum(axis=1), dtype=np.float64).ravel()  # Algorithm 2, line 2
     inverse = np.zeros(len(degrees))
     inverse[degrees > 0] = degrees[degrees > 0] ** -0.5
     if not sparse.issparse(S):

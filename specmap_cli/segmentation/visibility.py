@@ -81,8 +81,11 @@ def near_pairs(nodes: IndexArray, reach: float) -> IndexArray:
     if reach >= np.hypot(*np.ptp(nodes, axis=0)):
         return np.column_stack(np.triu_indices(len(nodes), 1))
     pairs = cKDTree(nodes).query_pairs(reach + _SLACK, output_type="ndarray")
-    pairs = np.sort(pairs, axis=1)
-    return np.asarray(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))], dtype=np.intp)
+    pairs.sort(axis=1)
+    order = pairs[:, 0] * len(nodes) + pairs[:, 1]
+    order.sort()
+    np.divmod(order, len(nodes), out=(pairs[:, 0], pairs[:, 1]))
+    return np.asarray(pairs, dtype=np.intp)
 
 
 def visible(

@@ -27,6 +27,7 @@ from specmap_cli.grids.gridmap import (
     joined,
     slices_near,
     window_of,
+    within,
 )
 from specmap_cli.topology.shapes import NOTHING, Outline, outline_of
 from specmap_cli.topology.topological_map import Line, Seen
@@ -142,40 +143,58 @@ def divide(
     inside = whole.inside(places) & (labels.submaps != NO_SUBMAP)
     rows, columns = places[inside].T
     passable = whole.free if unentered is None else whole.free & ~unentered
-    roomy = passable & (whole.clearance() >= _ROBOT_RADIUS_M)
+    narrow = within(
+        np.pad(whole.free.astype(np.uint8), 1), _ROBOT_RADIUS_M / whole.resolution - _SLACK
+    )
+    entered = passable & ~narrow[1:-1, 1:-1]
+    del narrow
     passable[rows, columns] = True  # where the robot stood, whatever was found there later
-    markers = np.zeros(passable.shape, dtype=np.int32)
-    markers[rows, columns] = labels.submaps[inside] + 1
+    submaps = labels.submaps[inside]
+    markers = np.zeros(passable.shape, dtype=_small(submaps.max(initial=0) + 2))
+    markers[rows, columns] = submaps + 1
     fence = drawn(fences, whole) if fences else None
-    entered = joined(roomy | (markers > 0), markers > 0)
-    nearest = np.where(entered, flood(entered, markers, fence), 0).astype(np.int32)
-    owner = flood(passable, nearest, fence) - 1
-    away = cv2.distanceTransform((~entered).astype(np.uint8), cv2.DIST_L2, 5)
-    within_reach = joined((away * whole.resolution <= _REACH_M) & passable, entered)
-    owner[~whole.free | ~within_reach | (owner < 0)] = NOBODY
+    entered |= markers > 0
+    entered = joined(entered, markers > 0)
+    markers = np.where(entered, flood(entered, markers, fence), 0)
+    owner = flood(passable, markers, fence)
+    del markers
+    owner -= 1
+    beside = within((~entered).astype(np.uint8), _REACH_M / whole.resolution)
+    beside &= passable
+    beside = joined(beside, entered)
+    beside &= whole.free & (owner >= 0)
+    owner[~beside] = NOBODY
     return Regions.of(whole, owner)
 
 
-_CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+def _small(most: int) -> type[np.signedinteger[Any]]:
+    """The small kind of numbers in which ids of cells fit, up to the largest of some."""
+    return np.int16 if most <= np.iinfo(np.int16).max else np.int32
+
+
+_CROSS = np.array([(0, 0), (-1, 0), (1, 0), (0, -1), (0, 1)])
+_SLACK = 0.01  # cells: less than from one distance to the next where a robot has hardly room
 _CELL = 0.7072  # of the side of a cell: from its centre to its corner, and no less
 
 
-def flood(
-    passable: BoolArray, markers: NDArray[np.int32], fences: BoolArray | None = None
-) -> NDArray[np.int32]:
-    """(H, W) the marker that reaches each cell first.
+def flood(passable: BoolArray, markers: OwnerArray, fences: BoolArray | None = None) -> OwnerArray:
+    """(H, W) the marker that reaches each cell first, of the kind of the `markers` (H, W).
 
     The watershed grows all markers a ring at a time over equal cells, and crosses an edge of the
     picture only when nothing else is left. It leaves lines one cell wide where fronts meet.
     """
     entered = passable if fences is None else passable & ~fences
-    picture = np.pad(np.where(entered, np.uint8(0), np.uint8(255)), 1, constant_values=255)
-    flooded = np.pad(markers, 1)
-    cv2.watershed(cv2.merge([picture] * 3), flooded)
-    fronts = (flooded < 0) & np.pad(passable, 1)
-    ids = flooded.astype(np.float32)  # exact in single precision
-    flooded[fronts] = cv2.dilate(ids, _CROSS)[fronts]
-    return flooded[1:-1, 1:-1]
+    rows, columns = passable.shape
+    picture = np.full((rows + 2, columns + 2, 3), 255, dtype=np.uint8)
+    picture[1:-1, 1:-1][entered] = 0
+    flooded = np.zeros((rows + 2, columns + 2), dtype=np.int32)
+    flooded[1:-1, 1:-1] = markers
+    cv2.watershed(picture, flooded)
+    del picture
+    fronts = np.argwhere((flooded[1:-1, 1:-1] < 0) & passable) + 1
+    reached = flooded[tuple((fronts[:, None] + _CROSS).reshape(-1, 2).T)].reshape(-1, len(_CROSS))
+    flooded[tuple(fronts.T)] = reached.max(axis=1)
+    return flooded[1:-1, 1:-1].astype(markers.dtype)
 
 
 def drawn(fences: Iterable[Line], grid: GridMap) -> BoolArray:
@@ -229,13 +248,13 @@ class Space:
         owner = np.where(free, regions.owner, NOBODY)
         return cls(regions.grid, owner, away, 0.5 if scanned else 0.0)
 
-    @property
-    def clearance(self) -> FloatArray:
+    def clearance(self, part: Any = ...) -> FloatArray:
         """(H, W) metres from the centre of a free cell to the side of the nearest one that is not.
 
-        Zero for cells that are not free.
+        Zero for cells that are not free. Only a `part` of the cells is looked at: those of an index
+        into the map.
         """
-        inside = exact(self.away)
+        inside = exact(self.away[part])
         inside -= 0.5
         np.maximum(inside, 0.0, out=inside)
         return np.asarray(np.multiply(inside, self.grid.resolution, out=inside))

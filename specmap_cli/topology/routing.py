@@ -128,7 +128,7 @@ class _Ground:
     @classmethod
     def of(cls, regions: Regions, radius_m: float) -> _Ground:
         space = Space.of(regions)
-        clearance = space.clearance
+        clearance = space.clearance()
         price = prices_of(clearance, radius_m)
         price[space.owner == NOBODY] = np.inf
         return cls(space, clearance, price)

@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import cv2
 import numpy as np
@@ -54,17 +55,16 @@ def ways(
     A way leads through the two submaps only, in a straight line where that is no nearer to walls.
     The time is that of one search over the cells of each submap: linear in the area.
     """
-    clearance = space.clearance
-    price = prices_of(clearance, radius_m)
     windows, trees, wanted = windows_of(space.owner), {}, list(pairs)
     for submap in {submap for pair in wanted for submap in pair} & windows.keys():
         window = windows[submap]
-        mine = (space.owner[window] == submap) & np.isfinite(price[window])
-        trees[submap] = tree(mine, price[window], window, anchors[submap].cell)
+        price = prices_of(space.clearance(window), radius_m)
+        mine = (space.owner[window] == submap) & np.isfinite(price)
+        trees[submap] = tree(mine, price, window, anchors[submap].cell)
     borders: dict[Pair, list[Border]] = {}
     for border in borders_of(space.owner):
         borders.setdefault(border.pair, []).append(border)
-    land = _Land(space, clearance, price, anchors, windows, trees, borders)
+    land = _Land(space, radius_m, anchors, windows, trees, borders)
     return {pair: _way(land, pair) for pair in wanted}
 
 
@@ -80,18 +80,21 @@ def prices_of(clearance: FloatArray, radius_m: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class _Land:
-    """What every search needs: prices of cells (H, W), and the cheapest ways in each submap.
+    """What every search needs: the space, and the cheapest ways in each submap.
 
     `borders` are the stretches along which two submaps touch.
     """
 
     space: Space
-    clearance: FloatArray
-    price: FloatArray
+    radius_m: float
     anchors: Mapping[int, Anchor]
     windows: Mapping[int, Window]
     trees: Mapping[int, Tree]
     borders: Mapping[Pair, Sequence[Border]]
+
+    def price(self, part: Any) -> FloatArray:
+        """The prices of a part of the cells, by their index into the map."""
+        return prices_of(self.space.clearance(part), self.radius_m)
 
 
 def _way(land: _Land, pair: Pair) -> Way:
@@ -105,7 +108,7 @@ def _way(land: _Land, pair: Pair) -> Way:
     beside = np.concatenate([border.low for border in land.borders[pair]])
     beyond = np.concatenate([border.high for border in land.borders[pair]])
     low, high = (land.trees[submap] for submap in pair)
-    step = (land.price[tuple(beside.T)] + land.price[tuple(beyond.T)]) / 2.0
+    step = (land.price(tuple(beside.T)) + land.price(tuple(beyond.T))) / 2.0
     cost = low.cost_to(beside) + step + high.cost_to(beyond)
     best = int(np.argmin(cost))
     if np.isfinite(cost[best]):
@@ -119,18 +122,21 @@ def _way(land: _Land, pair: Pair) -> Way:
         window, mine = (rows, columns), np.isin(land.space.owner[rows, columns], pair)
         start, end = (np.array(land.anchors[submap].cell) for submap in pair)
         corner = (rows.start, columns.start)
-        room = np.where(mine, land.clearance[window], 0.0)
+        room = np.where(mine, land.space.clearance(window), 0.0)
         most = widest(room, tuple(start - corner), tuple(end - corner))
         if most is None:
             return NO_WAY
-        price = land.price[window]
+        price = land.price(window)
         found = tree(mine & np.isfinite(price), price, window, land.anchors[pair[0]].cell)
         if not np.isfinite(found.cost_to(end[None])[0]):
             return Way(None, most)
         cells = found.way_to(end)
-    corners = straightened(cells, land.price)
+    low, high = cells.min(axis=0), cells.max(axis=0) + 1  # a line between them leaves no such box
+    box = slice(low[0], high[0]), slice(low[1], high[1])
+    corners = low + straightened(cells - low, land.price(box))
     under = np.concatenate([cells_on(a, b)[0] for a, b in pairwise(corners)])
-    return Way(land.space.grid.centres_of(corners), float(land.clearance[tuple(under.T)].min()))
+    clearance_m = float(land.space.clearance(tuple(under.T)).min())
+    return Way(land.space.grid.centres_of(corners), clearance_m)
 
 
 def widest(room: FloatArray, start: tuple[int, ...], end: tuple[int, ...]) -> float | None:
@@ -172,27 +178,28 @@ def anchors_of(
     (k, 2). Nor is what is far from the robot's way a place to stand, such as the floor behind a
     railing or glass.
     """
-    clearance = space.clearance
-    visits = np.zeros(space.owner.shape, dtype=np.int32)
-    np.add.at(visits, tuple(stood.T), 1)
     anchors = {}
     for submap, window in windows_of(space.owner).items():
-        mine, room = space.owner[window] == submap, clearance[window]
+        mine, room = space.owner[window] == submap, space.clearance(window)
         wide = mine & (room >= radius_m)
         roomy = wide if wide.any() else mine
-        count, parts = cv2.connectedComponents(roomy.astype(np.uint8), connectivity=4)
-        size = np.bincount(parts.ravel(), minlength=count)
-        often = np.bincount(parts.ravel(), weights=visits[window].ravel(), minlength=count)
+        count, parts, stats, _ = cv2.connectedComponentsWithStats(
+            roomy.astype(np.uint8), connectivity=4
+        )
+        here = stood - [part.start for part in window]
+        here = here[((here >= 0) & (here < mine.shape)).all(axis=1)]
+        often, size = np.bincount(parts[tuple(here.T)], minlength=count), stats[:, cv2.CC_STAT_AREA]
         size[0] = often[0] = -1
         piece = np.asarray(parts == np.lexsort([size, often])[-1])
-        near = piece & (visits[window] > 0)  # where the robot stood; all counts where it never did
+        near = np.zeros_like(piece)  # where the robot stood; all counts where it never did
+        near[tuple(here.T)] = piece[tuple(here.T)]
         if near.any():  # ways within the piece, as long as around an octagon: at most a tenth off
             for step in range(int(_OFF_TRACK_M / space.grid.resolution)):
                 square = _SQUARE if step % 2 else _CROSS
                 near = piece & (cv2.dilate(near.astype(np.uint8), square) > 0)
             piece = near
-        kept = np.where(piece, room, -1.0)
-        cells = np.argwhere(kept >= min(radius_m + margin_m, float(kept.max())))
+        most = float(room[piece].max())
+        cells = np.argwhere(piece & (room >= min(radius_m + margin_m, most)))
         middle = np.argwhere(piece).mean(axis=0)
         cell = cells[np.argmin(np.sum((cells - middle) ** 2, axis=1))]
         row, column = (cell + [window[0].start, window[1].start]).tolist()

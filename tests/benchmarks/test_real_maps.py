@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.localized import Localized, judged, nearest, scored
-from benchmarks.real.laying import Seen, Walls, lay, passes, search, spaced, thinned
+from benchmarks.real.laying import Seen, Walls, lay, passes, placed, search, spaced, thinned
 from benchmarks.real.reliability import Told, diagram, line, reliability
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import IntArray
@@ -50,6 +50,30 @@ def test_a_search_finds_nothing_beyond_its_reach_and_a_view_of_another_room_does
     circle = 2.2 * np.column_stack([np.cos(angles), np.sin(angles)])
     assert lay(circle, walls, search(circle, walls)).share < 0.5
     assert lay(circle + 100.0, walls, Pose2(0, 0, 0)).share == 0.0
+
+
+class Hallway(Seen):
+    """A map of a bare hallway between two rooms, driven along; the laser reaches 4 m."""
+
+    def __init__(self, long_m: float) -> None:
+        far = room() * (-1.0, 1.0) * 0.8 + (long_m + 8.0, 0.0)  # no mirror image of the near one
+        bare = np.arange(6.0, long_m + 3.2, 0.02)
+        sides = [np.column_stack([bare, np.full(len(bare), y)]) for y in (0.0, 2.0)]
+        walls = np.concatenate([room(), far, *sides])
+        self.poses = np.column_stack([np.arange(3.0, long_m + 6.0, 0.25)] * 3) * (1.0, 0.0, 0.0)
+        self.poses[:, 1] = 1.0
+        self.way_m = self.poses[:, 0] - 3.0
+        self._hits = [near[np.hypot(*near.T) < 4.0] for near in (walls - p[:2] for p in self.poses)]
+
+
+def test_a_map_is_laid_where_its_hallway_is_longer_and_nothing_is_said_within() -> None:
+    there, here = Hallway(18.0), Hallway(16.4)
+    truth = placed(there, here)
+    x, found = here.poses[truth.rows, 0], truth.poses[:, 0]
+    near, far, bare = x < 8.0, x > 19.5, (x > 12.0) & (x < 14.0)
+    assert np.abs(found[near] - x[near]).max() < 0.1
+    assert np.abs(found[far] - x[far] - 1.6).max() < 0.1
+    assert np.isnan(found[bare]).all()
 
 
 def test_keyframes_are_looked_at_every_quarter_of_a_metre_or_radian() -> None:

@@ -17,7 +17,7 @@ import pytest
 from specmap_cli.grids.gridmap import OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.map_server import write_grid
 from tests.cli.conftest import QUICK, Outcome, Run
-from tests.flats import forget_digests, record_tour
+from tests.flats import Mapped, forget_digests, record_tour
 
 Damage = Callable[[Path], object]
 Change = Callable[[dict[str, Any]], Any]
@@ -194,11 +194,37 @@ def test_finished_maps_that_are_none(plan: Path, tmp_path: Path, run: Run) -> No
     for line, told in (
         (("none.yaml",), "none.yaml: cannot read the map: No such file"),
         ((picture,), "a picture has no scale: give metres a pixel with --reso"),
+        ((plan.parent,), "is a directory: name the .yaml or the picture in it"),
+        ((Path(__file__),), "not an image that can be read"),
+        ((tmp_path / "none.png",), "none.png: cannot read the image: No such file"),
         ((picture, "--resolution", "-1"), "resolution is -1"),
         ((Path(__file__), "--resolution", "0.05"), "not an image that can be read"),
     ):
         run("segment", *line, "-o", tmp_path / "rooms").fails(3, told)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_scale_that_is_not_the_file_s_is_told(plan: Path, tmp_path: Path, run: Run) -> None:
+    """A building of four times the area went out without a word."""
+    line = ("segment", plan, "-o", tmp_path / "rooms", "--overwrite")
+    assert run(*line, "--resolution", "0.05").err == ""
+    told = run(*line, "--resolution", "0.06").err
+    assert told == f"specmap: {plan}: 0.06 m a pixel, as you say; the file says 0.05\n"
+
+
+def test_results_say_where_to_look_and_what_may_be_swapped(
+    first_tour: Mapped, second_tour: Mapped, tmp_path: Path, run: Run
+) -> None:
+    old, new = first_tour.map, second_tour.map  # the first ends earlier
+    for one, other, swapped in ((old, new, ""), (new, old, "are they swapped?")):
+        said = run("compare", one, other, "-o", tmp_path / "changes", "--overwrite")
+        assert said.out.endswith(f"look at {tmp_path / 'changes' / 'compare.png'}\n")
+        assert said.err.strip().endswith(swapped)
+        assert ("swapped" in said.err) == bool(swapped)
+    said = run("history", old, "none", "-o", tmp_path / "week")
+    reason = "left out: none: no such map directory: make one with `specmap build`"
+    page = tmp_path / "week" / "history.html"
+    assert said.out.splitlines()[-2:] == [reason, f"look at {page}"]
 
 
 def test_a_map_of_nav2_is_divided_without_its_unknown_and_told_so(
@@ -255,6 +281,11 @@ GRAPH, WAY, RUN = "trajectory.g2o", "trajectory.tum", "run.json"
         (
             GRAPH,
             replaced(r"VERTEX_SE2 \d+", "VERTEX_SE2 99999"),
+            r"trajectory\.g2o: its vertices are not among the \d+ keyframes of labels\.csv",
+        ),
+        (
+            GRAPH,
+            replaced(r"VERTEX_SE2 \d+", f"VERTEX_SE2 -{10**20}"),  # in no 64 bits
             r"trajectory\.g2o: its vertices are not among the \d+ keyframes of labels\.csv",
         ),
         (GRAPH, DAMAGES["empty"], None),  # nothing but the way from keyframe to keyframe

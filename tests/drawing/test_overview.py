@@ -124,6 +124,18 @@ def test_a_badge_stays_near_the_way_of_the_robot() -> None:
         assert (pixel(image, rim) == palette.FILLS[0]) is not is_near, corner
 
 
+def test_the_margin_tells_days_frame_and_verdict(monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    monkeypatch.setattr(Sheet, "margin", lambda _, words: said.append(words))
+    day_ns = 24 * 3600 * 10**9
+    doubt = Quality.of([Finding(code="walls", severity="poor", message="walls stand twice")])
+    for start_ns, end_ns in ((20_000 * day_ns, 20_001 * day_ns), (5, day_ns), (None, None)):
+        log = LogInfo("log", start_ns=start_ns, end_ns=end_ns)
+        render_overview(ROOM, REGIONS, NOWHERE, UNLABELLED, [log], doubt, "floor_2")
+    of_no_date = "frame floor_2,  quality: poor"
+    assert said == [f"2024-10-04 to 2024-10-05,  {of_no_date}", of_no_date, of_no_date]
+
+
 @pytest.mark.parametrize(("cells", "said"), [(0, False), (300, False), (500, True)])
 def test_what_was_only_seen_is_explained_when_it_is_worth_a_word(cells: int, said: bool) -> None:
     """From a square metre on; the picture of a finished map tells its area, too."""
@@ -161,7 +173,7 @@ def test_a_link_leads_through_its_crossing_or_along_its_way_and_its_door_is_draw
             bare,
             dataclasses.replace(bare, edges={(0, 1): crossed}),
             dataclasses.replace(bare, edges={(0, 1): way}, doors=(door,)),
-            dataclasses.replace(bare, doors=(dataclasses.replace(door, x=2.0),)),
+            dataclasses.replace(bare, doors=(dataclasses.replace(door, x=2.0, width_m=0.2),)),
         )
     )
     for image, place, colour in (
@@ -172,7 +184,7 @@ def test_a_link_leads_through_its_crossing_or_along_its_way_and_its_door_is_draw
         assert near(around(image, places_on(regions, [place])[0], 9), colour) > 4
         assert near(without[TITLE:-120], colour) == 0
     (badge,) = places_on(regions, [(2.0, 2.0)])
-    assert near(around(under, badge, 30), palette.DOOR) > 4
+    assert near(around(under, badge, 40), palette.DOOR) > 4
     assert np.array_equal(around(under, badge, 10), around(without, badge, 10)), "the id is on top"
 
 

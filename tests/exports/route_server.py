@@ -4,6 +4,9 @@ Its loader takes points for nodes and lines for edges and passes over other shap
 least one of both, whole numbers of 32 bits as ids, all different, edges between nodes that exist,
 and metadata of numbers, booleans, text, lists of these, and objects of all that: null and lists in
 lists make it fail. Scorers read numbers of single precision: a whole number is of another type.
+
+Of navigation2: geojson_graph_file_loader.cpp (1293655); distance, penalty and semantic scorers
+(08718d0).
 """
 
 from __future__ import annotations

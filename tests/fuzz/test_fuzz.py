@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -18,7 +19,7 @@ from fuzz.cases import KEEPERS, LogCase, MapCase, case_of
 from fuzz.judging import Failure, judge
 from fuzz.report import Tally
 from fuzz.seeds import Seeds, make_seeds, write_intact
-from fuzz.workers import Limits, Outcome, Pool
+from fuzz.workers import Limits, Outcome, Pool, _Worker
 from specmap_cli.core.errors import UsageError
 from specmap_cli.logs.readers.chunked import ChunkedFile
 from specmap_cli.logs.readers.recording import Message
@@ -109,6 +110,17 @@ def test_a_planted_fault_is_noticed(
     assert kind in kinds(after)
     said = [failure.what for failure in after[0].failures if failure.kind == kind]
     assert any(what in text for text in said), said
+
+
+def test_the_time_in_which_others_have_the_processor_is_no_hang() -> None:
+    """On a busy machine cases failed of which each takes less than a second."""
+    worker = _Worker(Mock(pid=os.getpid()), Mock())
+    worker.give(0)
+    assert not worker.hangs(20.0)
+    worker.since_s -= 30.0
+    assert worker.hangs(20.0)
+    worker.before_s -= 25.0
+    assert not worker.hangs(20.0)
 
 
 def test_a_worker_that_dies_is_replaced(seeds: Seeds, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -101,8 +101,10 @@ def test_decisions_are_replaced_by_maps_that_say_them_too_and_by_no_others(
     other, said = tmp_path / "other", replace(result, edits="# decided\n")
     other.mkdir()
     write_map(other, said)
-    for made_of in ([], [read_map(out)]):
-        with pytest.raises(UsageError, match="holds a person's decisions"):
+    of_new = f"`build --like {re.escape(str(other))}` keeps them; or "
+    for made_of, keep in ([], of_new), ([read_map(out)], ""):  # an edit of one keeps no other's
+        told = f"holds a person's decisions, which a new map would lose: {keep}choose another --out"
+        with pytest.raises(UsageError, match=told):
             anew(other, result, "new", made_of=made_of)
     assert frame_of(other) == "map"
     anew(other, said, "same words", made_of=[read_map(out)])

@@ -193,14 +193,15 @@ def test_nodes_that_see_nothing_are_clusters_of_their_own() -> None:
 @pytest.mark.parametrize("used", [1, 2, 5, 24])
 def test_k_is_the_number_of_eigenvalues_above_the_level(used: int) -> None:
     graph = blobs(0, clusters=2, each=12)
-    L, degrees = spectral.normalised(spectral.similarity(graph, 0))
+    S = spectral.similarity(graph, 0)
+    L, _ = spectral.normalised(S)
     every = np.append(np.linalg.eigvalsh(L.toarray())[::-1], -2.0)
     whole, level = [np.arange(24)], float(every[used - 1] + every[used]) / 2.0
-    found = spectral.clusters_of(L, degrees, whole, level)
+    found = spectral.clusters_of(S, whole, level)
     assert found.used == used
     assert len(np.unique(found.labels)) <= used
     assert len(found.eigenvalues) >= min(used + 1, 24)  # one below, where there is one
-    none = spectral.clusters_of(L, degrees, whole, 1.0 + 1e-6)
+    none = spectral.clusters_of(S, whole, 1.0 + 1e-6)
     assert none.used == 1
     assert not none.labels.any()
 
@@ -372,6 +373,34 @@ def test_the_cut_goes_where_least_is_lost() -> None:
         S[i, j] = S[j, i] = 5.0
     parts = parts_of(sparse.csr_array(S), 60)
     assert [part.tolist() for part in parts] == [list(range(60)), list(range(60, 120))]
+
+
+def test_a_neck_is_found_among_groups_of_nodes_as_among_all(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Two halls of 30 by 20 m, joined by a corridor of one node across."""
+    places = [(row, column) for row in range(20) for column in range(64)]
+    nodes = np.array([(r, c) for r, c in places if not 30 <= c < 34 or r == 6])
+    pairs = near_pairs(nodes, 4.0)
+    ends = nodes[pairs]
+    walled = (((ends[:, :, 1] >= 30) & (ends[:, :, 1] < 34)) | (ends[:, :, 0] == 6)).all(axis=1)
+    across = (ends[:, :, 1] < 32).sum(axis=1) == 1
+    pairs = pairs[~across | walled]
+    lengths = np.hypot(*(nodes[pairs[:, 0]] - nodes[pairs[:, 1]]).T)
+    S = spectral.similarity(VisibilityGraph(nodes, pairs, lengths), 0)
+    sizes = []
+
+    def counted(L: Any, *rest: Any) -> tuple[FloatArray, FloatArray]:
+        sizes.append(L.shape[0])
+        return spectral.largest_of(L.toarray(), rest[0])
+
+    monkeypatch.setattr(spectral, "largest_eigenpairs", counted)
+    parts = parts_of(S, 700)
+    assert len(parts) == 2
+    assert max(sizes) < len(nodes) / 3
+    for part, end in zip(parts, (0, 63), strict=True):
+        columns = nodes[part][:, 1]
+        assert (np.abs(columns - end) <= 34).all()
 
 
 def test_rooms_are_the_same_whether_the_graph_is_cut_or_not(

@@ -198,9 +198,9 @@ def cluttered(seed: int) -> Regions:
 
 def test_clearance_is_measured_to_the_side_of_what_is_not_free() -> None:
     space = Space.of(two_rooms((5.3, 2.5, 5.5, 3.4)))
-    np.testing.assert_allclose(space.clearance, np.maximum(room_of(space.grid), 0.0))
+    np.testing.assert_allclose(space.clearance(), np.maximum(room_of(space.grid), 0.0))
     corridor = Space.of(regions_of((4.0, 1.0), {0: [(0.2, 0.2, 3.8, 0.75)]}))  # 11 cells wide
-    assert corridor.clearance.max() == pytest.approx(0.55 / 2)
+    assert corridor.clearance().max() == pytest.approx(0.55 / 2)
 
 
 def test_an_anchor_is_in_the_middle_of_a_room_but_keeps_off_a_table_there() -> None:

@@ -237,7 +237,7 @@ ODOM_FRAME, BASE_FRAME, TF_STATIC = "odom", "base_link", "/tf_static"
 
 _SEARCH_BYTES = 1 << 22  # comments and PARAM lines come first: some hundred kilobytes at the most
 _MAX_LINE_BYTES = 1 << 20  # a line of 1,081 beams has 10 kB: a longer one is damaged
-_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")  # in no text, and in no encoding of one
+_CONTROLS = bytes([*range(9), *range(14, 32)])  # in no text, and in no encoding of one
 _NO_TEXT = "piece that is no text"  # such as zeros, as a disk leaves them after a crash
 _SOME_LASER = "laser line"  # its keyword is lost, so that nothing says which laser it was
 _SAME_MOUNT_M, _SAME_MOUNT_RAD = 0.01, 0.01  # poses are written with rounded digits
@@ -368,9 +368,10 @@ def _read(text: bytes) -> tuple[CarmenLine | None, list[str]]:
         return None, [*lost, damaged]
     if lost_laser(words):
         return None, [*lost, _SOME_LASER]
+    no_text = len(text.translate(None, _CONTROLS)) < len(text) and text.strip(b"\0\r\n")
+    lost = lost or [_NO_TEXT] * bool(no_text)  # all zeros is padding
     if keyword is None:
-        no_text = _CONTROL.search(text) and text.strip(b"\0\r\n")  # all zeros is padding
-        return None, lost or ([_NO_TEXT] if no_text else [])
+        return None, lost
     cut = not text.endswith(b"\n") and text.endswith(words[-1])  # who knows what its end was
     try:
         return parse_line(keyword, words[:-1] if cut else words), lost

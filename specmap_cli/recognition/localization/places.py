@@ -173,9 +173,9 @@ class WeighedPlaces:
     def see(self, posed: PosedScan, seen: PlanarScan, belief: FloatArray) -> float | None:
         """Weigh all places by one more scan: log likelihood of unknown, None where nothing is told.
 
-        `belief` (m,) are the chances of the submaps by the classifiers. What fits where the motion
-        leads is looked at again only after some motion. While no place fits all of the map is
-        searched, but not at every scan: a search takes longer than the rest.
+        Places count by their chances before it; `belief` (m,) are those of the submaps by the
+        classifiers. What fits where the motion leads is looked at again only after some motion.
+        While no place fits all of the map is searched, but not at every scan: that takes long.
         """
         here = posed.map_from_base
         self._scans += 1
@@ -194,26 +194,26 @@ class WeighedPlaces:
             return None
         self._looked = here
         share, self._new = min(1.0, self._new), 0.0
-        there = [each.moved(here) for each in self.places]
+        led, there = self.chances(belief), [each.moved(here) for each in self.places]
         fitted = [self.walls.near(view, each.estimate.pose) for each in there]
         least = min((each.front for each in fitted), default=0.0)
         pairs = zip(there, fitted, strict=True)
         now = [self._matched(place, fit, view).seen(fit, share, least) for place, fit in pairs]
+        told, rest = float(led @ np.exp([-each.against for each in fitted])), 1.0 - float(led.sum())
         self._keep(now, belief)
-        told = min((each.against for each in self.places), default=math.inf)
-        if self._is_due(fits and told >= 0.0, belief):
-            found = self.walls.anywhere(view)
-            least = min(each.front for each in found)
-            born = [
-                Place(Estimate.found(each.pose), here, 0.0, each.against).seen(each, 1.0, least)
-                for each in found
-                if each.fits
-            ]
-            self._searched, self._scans = self._driven, 0
-            self._wait = 1 if born else 2 * self._wait
-            self._keep([*self.places, *born], belief)
-            return min([told, *(each.against for each in found)])
-        return told if told < 0.0 else None  # what fits nowhere else was not asked
+        astray = not any(each.fits for each in self.places)
+        if not self._is_due(fits and astray, belief):
+            return None if astray else -math.log(told + rest)  # what fits elsewhere was not asked
+        found = self.walls.anywhere(view)
+        least, best = (min(map(attrgetter(name), found)) for name in ("front", "against"))
+        new = [Place(Estimate.found(each.pose), here, 0.0, each.against) for each in found]
+        born = [
+            each.seen(fit, 1.0, least) for each, fit in zip(new, found, strict=True) if fit.fits
+        ]
+        self._searched, self._scans = self._driven, 0
+        self._wait = 1 if born else 2 * self._wait
+        self._keep([*self.places, *born], belief)
+        return -math.log(told + rest * math.exp(-best))
 
     def _matched(self, place: Place, fitted: Fitted, view: View) -> Place:
         """A place with the pose at which a view fits it; along a bare wall motion alone counts."""

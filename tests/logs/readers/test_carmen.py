@@ -305,3 +305,12 @@ def test_zeros_inside_a_line_are_told(path: Path, start: str) -> None:
     assert sum(m.topic == "/flaser" for m in found) == 2
     assert "line 2 (byte " in told
     assert "one piece that is no text after 1.500 s is lost" in told
+
+
+def test_zeros_over_a_line_break_behind_a_whole_line_are_told(path: Path) -> None:
+    """They took the first letters of the next line, too: a scan was lost in silence."""
+    odometry, lost = "ODOM 0 0 0 0 0 0 2.0 fuzz 2.0", "\0\0\0\0" + robotlaser(2.5)[3:]
+    path.write_text(robotlaser(1.5) + odometry + lost)
+    found, (told,) = read_rest(path)
+    assert sum(m.topic == "/robotlaser1" for m in found) == 1
+    assert "one piece that is no text after 1.500 s is lost" in told

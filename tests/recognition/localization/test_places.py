@@ -184,6 +184,23 @@ def test_a_robot_that_is_carried_away_has_no_pose_and_then_the_right_one() -> No
     assert belief.argmax() == 2
 
 
+def test_a_place_found_where_a_likely_one_fails_speaks_for_the_map_when_it_goes_on() -> None:
+    """Of another building every view may fit somewhere: that it goes on to fit there tells."""
+    home = Home()
+    for step in range(8):
+        home.see(2, ASIDE @ Pose2(0.0, 0.0, 0.3 * step))
+    assert home.told is not None
+    assert home.told < -1.0
+    told = []
+    for step in range(6):
+        pose = Pose2(-0.8 + 0.1 * step, 1.5 - 0.3 * step, -1.4)
+        home.see(0, pose, track=ASIDE @ Pose2(0.0, 0.0, 2.4) @ Pose2(0.3 * step, 0.0, 0.0))
+        told += [home.told] if home.told is not None else []
+    assert any(each.fits for each in home.places.places), "it was found"
+    assert told[0] > 1.0
+    assert told[-1] < 0.0
+
+
 def test_what_fits_is_not_sought_and_elsewhere_ever_more_rarely_standing_and_by_the_way_driving(
     building: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

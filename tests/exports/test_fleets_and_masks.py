@@ -1,0 +1,200 @@
+"""Open-RMF, LIF and Nav2's masks, read by their rules; speed limits and penalties everywhere."""
+
+from __future__ import annotations
+
+import dataclasses
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import networkx as nx
+import numpy as np
+import pytest
+import yaml
+from scipy.ndimage import label
+
+from specmap_cli.exports.table import export_map
+from specmap_cli.maps.store import Map
+from specmap_cli.maps.writing import MapResult
+from tests.exports import costmap_filters, layout, open_rmf
+from tests.exports.conftest import written
+from tests.exports.route_server import load
+
+
+def told(result: MapResult, out: Path, **properties: Any) -> Map:
+    """The house, something noted of its first submap."""
+    old = result.topology
+    first = dataclasses.replace(old.submaps[0], properties=properties)
+    topology = dataclasses.replace(old, submaps={**old.submaps, 0: first})
+    return written(out, dataclasses.replace(result, topology=topology))
+
+
+def lengths_are_the_map_s(graph: nx.DiGraph, stored: Map, names: dict[int, Any]) -> None:
+    ways = [edge for edge in stored.record.edges if edge.corners]
+    assert len(ways) >= 2
+    for way in ways:
+        for start, end in ((way.source, way.target), (way.target, way.source)):
+            found = nx.shortest_path_length(graph, names[start], names[end], weight="length_m")
+            assert found == pytest.approx(way.length_m, abs=1e-5)
+
+
+def test_a_fleet_adapter_reads_the_nav_graph_that_the_generator_makes_of_the_building(
+    home: Map, rooms: Map, tmp_path: Path
+) -> None:
+    for stored in (home, rooms):
+        out = tmp_path / f"{stored.path.name}.zip"
+        (warning,) = export_map(stored, "rmf", out)
+        assert warning.startswith(f"{len(stored.doors)} doors: Open-RMF waits at a door until ")
+        building, nav_graph = open_rmf.parts(out)
+        graph = open_rmf.graph_of(nav_graph)
+        made = open_rmf.graph_of(open_rmf.generated(building))
+        by_place = nx.get_node_attributes(graph, "at")
+        of_made = nx.get_node_attributes(made, "at")
+        lanes = {(by_place[a], by_place[b], str(told)) for a, b, told in graph.edges(data=True)}
+        assert lanes == {(of_made[a], of_made[b], str(t)) for a, b, t in made.edges(data=True)}
+        names = {name: node for node, name in graph.nodes(data="name") if name}
+        assert sorted(names) == sorted(node.name for node in stored.record.nodes)
+        lengths_are_the_map_s(
+            graph, stored, {room.id: names[room.name] for room in stored.rooms.values()}
+        )
+        through = {name for _, _, name in graph.edges(data="door_name") if name}
+        ways = [edge for edge in stored.record.edges if edge.corners]
+        assert through == {f"Door{door}" for edge in ways for door in edge.doors}
+        waits = {node for node, may in graph.nodes(data="is_holding_point") if may}
+        assert waits == set(names.values())
+
+
+def test_names_that_come_twice_are_told_apart(lived_in: MapResult, tmp_path: Path) -> None:
+    old = lived_in.topology
+    both = {id_: dataclasses.replace(each, name="Lab") for id_, each in old.submaps.items()}
+    topology = dataclasses.replace(old, submaps=both)
+    stored = written(tmp_path / "map", dataclasses.replace(lived_in, topology=topology))
+    export_map(stored, "rmf", tmp_path / "x.zip")
+    graph = open_rmf.graph_of(open_rmf.parts(tmp_path / "x.zip")[1])
+    assert {name for _, name in graph.nodes(data="name") if name} == {
+        "Lab (0)", "Lab (1)", "Lab (2)"
+    }  # fmt: skip
+
+
+def test_a_layout_has_a_station_for_each_room_and_edges_as_long_as_the_ways(
+    home: Map, rooms: Map, tmp_path: Path
+) -> None:
+    for stored in (home, rooms):
+        out = tmp_path / f"{stored.path.name}.json"
+        export_map(stored, "lif", out)
+        graph = layout.load(out)
+        stations = graph.graph["stations"]
+        names = {room.id: f"Submap{room.id}" for room in stored.rooms.values() if room.anchor}
+        assert stations.keys() == set(names.values())
+        assert {one["stationName"] for one in stations.values()} == {
+            room.name for room in stored.rooms.values()
+        }
+        lengths_are_the_map_s(graph, stored, names)
+        assert {speed for _, _, speed in graph.edges(data="max_speed")} == {None}
+
+
+def test_a_speed_limit_and_a_penalty_stand_where_each_planner_looks(
+    lived_in: MapResult, tmp_path: Path
+) -> None:
+    stored = told(
+        lived_in, tmp_path / "map", speed_limit=1, penalty=3
+    )  # whole: scorers want floats
+    plain = told(lived_in, tmp_path / "plain")
+    files = {name: tmp_path / name for name in ("nav2", "tmap2", "lif")}
+    for name, path in files.items():
+        export_map(stored, name, path)
+    export_map(stored, "rmf", tmp_path / "rmf.zip")
+    graph = load(files["nav2"])
+    door = next(node for node, of in graph.nodes(data="metadata") if of.get("door") == 0)
+    assert [graph.nodes[door]["metadata"]["class"], graph.edges[door, 1]["metadata"]["class"]] == [
+        "door", "traversed"
+    ]  # fmt: skip
+    path = nx.shortest_path(graph, 0, door)
+    inside = [graph.edges[pair]["metadata"] for pair in pairwise(path)]
+    assert len(inside) == 2, "a bend lies between"
+    for metadata in inside:
+        assert (metadata["speed_limit"], type(metadata["speed_limit"])) == (1.0, float)
+    assert sum(metadata["penalty"] for metadata in inside) == pytest.approx(3.0)
+    beyond = graph.edges[door, 1]["metadata"]
+    assert not {"speed_limit", "penalty"} & beyond.keys()
+    speeds = {(a, b): speed for a, b, speed in layout.load(files["lif"]).edges(data="max_speed")}
+    to_bend = next(speed for (a, b), speed in speeds.items() if a == "Submap0" and "Bend" in b)
+    assert (to_bend, speeds["Door0", "Submap1"]) == (1.0, None)
+    lanes = open_rmf.graph_of(open_rmf.parts(tmp_path / "rmf.zip")[1])
+    assert {speed for _, _, speed in lanes.edges(data="speed_limit")} == {1.0, None}
+    export_map(plain, "tmap2", tmp_path / "plain.tmap2")
+    weights = [weights_of(path) for path in (files["tmap2"], tmp_path / "plain.tmap2")]
+    more = {pair: weights[0][pair] - weights[1][pair] for pair in weights[0]}
+    assert more["Submap0", "Door0"] == pytest.approx(3.0)
+    assert more["Door0", "Submap1"] == pytest.approx(0.0)
+
+
+def weights_of(path: Path) -> dict[tuple[str, str], float]:
+    nodes = [entry["node"] for entry in yaml.safe_load(path.read_text())["nodes"]]
+    return {
+        (node["name"], edge["node"]): edge["properties"]["weight"]
+        for node in nodes
+        for edge in node["edges"]
+    }
+
+
+def test_a_limit_that_is_none_is_left_out_with_a_warning(
+    lived_in: MapResult, tmp_path: Path
+) -> None:
+    stored = told(lived_in, tmp_path / "map", speed_limit="slow", penalty=True)
+    for name in ("nav2", "nav2-masks"):
+        assert export_map(stored, name, tmp_path / f"{name}.zip") == [
+            "submap 0: speed_limit is 'slow', not a number above 0: left out",
+            "submap 0: penalty is True, not a number above 0: left out",
+        ]
+    assert not costmap_filters.load(tmp_path / "nav2-masks.zip").limits.any()
+
+
+def test_masks_lie_on_the_map_s_grid_and_limit_a_room(
+    home: Map, rooms: Map, tmp_path: Path
+) -> None:
+    for stored in (home, rooms):
+        export_map(stored, "nav2-masks", tmp_path / "masks.zip", overwrite=True)
+        found = costmap_filters.load(tmp_path / "masks.zip")
+        assert found.shut.shape == stored.regions.grid.cells.shape
+        assert (found.resolution, found.origin) == (stored.grid.resolution, stored.grid.origin)
+        assert not found.shut.any()
+        assert not found.limits.any()
+
+
+def test_a_mask_is_never_faster_than_was_said(lived_in: MapResult, tmp_path: Path) -> None:
+    old = lived_in.topology
+    said = {0: 1.5, 1: 0.3, 2: 0.4}
+    submaps = {
+        id_: dataclasses.replace(each, properties={"speed_limit": said[id_]})
+        for id_, each in old.submaps.items()
+    }
+    topology = dataclasses.replace(old, submaps=submaps)
+    stored = written(tmp_path / "map", dataclasses.replace(lived_in, topology=topology))
+    export_map(stored, "nav2-masks", tmp_path / "masks.zip")
+    limits, owner = costmap_filters.load(tmp_path / "masks.zip").limits, stored.regions.owner
+    for id_, limit in said.items():
+        (found,) = np.unique(limits[owner == id_])
+        assert limit - 0.015 < found <= limit + 1e-9
+    assert not limits[owner < 0].any()
+
+
+def test_a_forbidden_link_and_a_forbidden_door_are_shut(rooms: Map, tmp_path: Path) -> None:
+    """The link without its doors, so that it is the border that is shut; the door by itself."""
+    record, regions = rooms.record, rooms.regions
+    link, door = record.edges[0], record.graph.doors[-1]
+    assert door.id not in link.doors
+    doors = (*record.graph.doors[:-1], dataclasses.replace(door, forbidden=True))
+    graph = record.graph.model_copy(update={"doors": doors})
+    edges = (dataclasses.replace(link, forbidden=True), *record.edges[1:])
+    changed = record.model_copy(update={"graph": graph, "edges": edges})
+    export_map(dataclasses.replace(rooms, record=changed), "nav2-masks", tmp_path / "masks.zip")
+    shut = costmap_filters.load(tmp_path / "masks.zip").shut
+    for place in (*door.sides, (door.x, door.y)):
+        assert shut[tuple(regions.grid.cells_of(np.array([place]))[0])]
+    for pair in ((link.source, link.target), door.between):
+        anchors = np.array([rooms.rooms[id_].anchor for id_ in pair])
+        cells = tuple(regions.grid.cells_of(anchors).T)
+        for free, ways in ((np.isin(regions.owner, pair), 1), (~shut, 2)):
+            parts, _ = label(free & np.isin(regions.owner, pair), np.ones((3, 3)))
+            assert len(set(parts[cells])) == ways
