@@ -169,13 +169,13 @@ class ScoreField:
 
     def at(self, points: NDArray[Any]) -> FieldArray:
         """(N,) values under points (N, 2) of the field's frame; 0 outside."""
-        cells = np.floor((points - np.asarray(self.origin)) / self.resolution).astype(np.intp)
-        columns, rows = cells[:, 0], cells[:, 1]
+        x, y = self.origin
         height, width = self.values.shape
-        inside = (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
-        values = np.zeros(len(cells), dtype=np.float32)
-        values[inside] = self.values[rows[inside], columns[inside]]
-        return values
+        columns = np.floor((points[:, 0] - x) / self.resolution)
+        rows = np.floor((points[:, 1] - y) / self.resolution)
+        inside = (columns >= 0.0) & (rows >= 0.0) & (columns < width) & (rows < height)
+        cells = (rows * width + columns).astype(np.intp)
+        return np.asarray(self.values.ravel().take(cells, mode="clip") * inside, dtype=np.float32)
 
     def score(self, points: NDArray[Any], pose: Pose2) -> float:
         """Mean value in [0, 1] of points (N, 2) placed at `pose`; 0 without points."""
@@ -318,18 +318,22 @@ class Sample:
         cell_m, (x, y) = field.resolution, field.origin
         height, width = field.values.shape
         turned = product(pose.rotation(), points)
-        u = turned / cell_m
-        u += [[(pose.x - x) / cell_m - 0.5], [(pose.y - y) / cell_m - 0.5]]
-        last = np.array([[width - 1.0], [height - 1.0]])
-        on = (u >= 0.0) & (u < last)  # nothing is, where nothing lies between the centres of cells
-        base = np.maximum(np.minimum(np.floor(u), last - 1.0), 0.0)
-        fx, fy = np.minimum(np.maximum(u - base, 0.0), 1.0)
-        start = (base[1] * width + base[0]).astype(np.intp)
+        u, v = turned / cell_m
+        u += (pose.x - x) / cell_m - 0.5
+        v += (pose.y - y) / cell_m - 0.5
+        # nothing is, where nothing lies between the centres of cells
+        inside = (u >= 0.0) & (u < width - 1.0) & (v >= 0.0) & (v < height - 1.0)
+        left = np.maximum(np.minimum(np.floor(u), width - 2.0), 0.0)
+        below = np.maximum(np.minimum(np.floor(v), height - 2.0), 0.0)
+        fx = np.minimum(np.maximum(u - left, 0.0), 1.0)
+        fy = np.minimum(np.maximum(v - below, 0.0), 1.0)
+        start = (below * width + left).astype(np.intp)
         corners = field.values.ravel().take(start + _cell_corners(width), mode="clip")
         rise = corners[2:] - corners[:2]
         low, high = corners[:2] + rise * fx
-        slopes = np.stack([rise[0] + (rise[1] - rise[0]) * fy, high - low])
-        inside = on[0] & on[1]
+        slopes = np.empty((2, len(u)))
+        np.add(rise[0], (rise[1] - rise[0]) * fy, out=slopes[0])
+        np.subtract(high, low, out=slopes[1])
         values = (low + slopes[1] * fy) * inside
         slopes *= inside / cell_m
         return cls(values=values, slopes=slopes, turned=turned)

@@ -6,7 +6,7 @@ at all.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -59,22 +59,30 @@ class MapResult:
     features: Arrays | None = None
 
 
+def write_scans(directory: Path, keyframes: KeyframeStore, labels: Labels) -> None:
+    """Write the scans of all keyframes of a map into its directory, unless they are there.
+
+    A map without them cannot be made anew from its directory.
+    """
+    from specmap_cli.maps.keyframe_log import write_keyframes  # loads what writes recordings
+
+    path = directory / filenames.KEYFRAMES
+    if path.exists():
+        return
+    try:
+        write_keyframes(path, keyframes, labels.poses)
+    except UsageError as error:  # as of the other files: the directory has the word
+        raise error.__context__ or error from None
+
+
 def write_map(
-    directory: str | Path, result: MapResult, keyframes: KeyframeStore | None = None
+    directory: str | Path, result: MapResult, scans: Callable[[], object] | None = None
 ) -> None:
     """Write all files of a map into an existing directory; scans and ways that are there stay.
 
-    `keyframes` are those of `labels`. A map without them cannot be made anew from its directory.
+    After a call of `scans` those of the keyframes are there, too: see `write_scans`.
     """
     directory = Path(directory)
-    if keyframes is not None and not (directory / filenames.KEYFRAMES).exists():
-        from specmap_cli.maps.keyframe_log import write_keyframes  # loads what writes recordings
-
-        path = directory / filenames.KEYFRAMES
-        try:
-            write_keyframes(path, keyframes, result.labels.poses, result.frame)
-        except UsageError as error:  # as of the other files: the directory has the word
-            raise error.__context__ or error from None
     write_grid(directory / filenames.MAP_GRID, result.regions.grid)
     _write_labels(directory, (result.regions.owner + 1).astype(np.uint16))
     write_png(directory / filenames.OVERVIEW, result.overview)
@@ -93,6 +101,8 @@ def write_map(
     record = TopologyRecord.of(
         result.topology, result.regions, result.logs, result.frame, result.quality
     )
+    if scans is not None:
+        scans()
     files = _write_topology(directory, result.topology, record)
     run = {**result.run, OF_LABELS: files[filenames.LABELS]}
     (directory / filenames.RUN).write_text(to_json(run), encoding="utf-8")

@@ -112,7 +112,9 @@ def survey(
     session.progress.note(stream.selection.note)
     session.progress.start("mapping", stream.expected)
     with ahead(lambda: track(stream, config.registration)) as scans:
-        from specmap_cli.pipelines.exploration import Exploration  # loaded meanwhile
+        from specmap_cli.pipelines.exploration import Exploration  # all are loaded meanwhile
+        from specmap_cli.pipelines.laying_out import lay_out
+        from specmap_cli.pipelines.learning import Prior
 
         accepts = accepts or KeyframeSelector(config.keyframes).accepts
         explored = explore(scans, Exploration(session, observer), accepts)
@@ -125,9 +127,6 @@ def survey(
             "look at them with `specmap info`",
             where=stream.log.name,
         )
-    from specmap_cli.pipelines.laying_out import lay_out
-    from specmap_cli.pipelines.learning import Prior
-
     return lay_out(session, explored, tracking, stream.log.name), Prior(explored.features)
 
 

@@ -6,7 +6,7 @@ ways lead through their doors, and a person's names hold. Then all of it is writ
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,12 +16,13 @@ from specmap_cli.drawing.overview import render_overview
 from specmap_cli.logs.selection import Selection
 from specmap_cli.maps import filenames
 from specmap_cli.maps.edits import written
-from specmap_cli.maps.writing import MapResult, write_map
+from specmap_cli.maps.writing import MapResult, write_map, write_scans
 from specmap_cli.pipelines.edits import drawn, named
 from specmap_cli.pipelines.learning import Prior, arrays_of, learn
 from specmap_cli.pipelines.map_in_making import FinishedMap, LaidOut
 from specmap_cli.pipelines.reports import RunRecord
 from specmap_cli.pipelines.session import Session
+from specmap_cli.pipelines.worker import ahead
 from specmap_cli.topology.graph import build_topology, stays_of
 from specmap_cli.topology.navigation import with_ways
 from specmap_cli.topology.topological_map import Break
@@ -122,23 +123,35 @@ def write_finished(
     The picture is drawn before that is asked: it takes memory, which run.json counts.
     """
     laid = finished.laid
-    overview = render_overview(
-        finished.topology, laid.regions, laid.trajectory, laid.labels, laid.logs, finished.quality
-    )
-    run = run_of()
-    result = MapResult(
-        topology=finished.topology,
-        regions=laid.regions,
-        trajectory=laid.trajectory,
-        labels=laid.labels,
-        classifiers=finished.classifiers.to_json(),
-        features=arrays_of(finished.training_data),
-        logs=laid.logs,
-        run=run,
-        quality=finished.quality,
-        pose_graph=laid.layout.g2o(),
-        edits=written(laid.edits, laid.edits_text),
-        overview=overview,
-    )
-    write_map(directory, result, session.store)
+    with ahead(lambda: _scans(session, directory, laid)) as scans:
+        overview = render_overview(
+            finished.topology,
+            laid.regions,
+            laid.trajectory,
+            laid.labels,
+            laid.logs,
+            finished.quality,
+        )
+        run = run_of()
+        result = MapResult(
+            topology=finished.topology,
+            regions=laid.regions,
+            trajectory=laid.trajectory,
+            labels=laid.labels,
+            classifiers=finished.classifiers.to_json(),
+            features=arrays_of(finished.training_data),
+            logs=laid.logs,
+            run=run,
+            quality=finished.quality,
+            pose_graph=laid.layout.g2o(),
+            edits=written(laid.edits, laid.edits_text),
+            overview=overview,
+        )
+        write_map(directory, result, lambda: scans.result)
     return run
+
+
+def _scans(session: Session, directory: Path, laid: LaidOut) -> Generator[None, None, None]:
+    """Write the scans of the keyframes; nothing is told on the way."""
+    yield from ()
+    write_scans(directory, session.store, laid.labels)

@@ -14,7 +14,7 @@ from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.map_server import write_grid
 from specmap_cli.maps.store import Map, read_map
-from specmap_cli.maps.writing import MapResult, write_map
+from specmap_cli.maps.writing import MapResult, write_map, write_scans
 from specmap_cli.pipelines.segment import segment_map
 from specmap_cli.topology.topological_map import Door, Edge
 from tests.casting import keyframe
@@ -33,7 +33,9 @@ FIX 0
 
 def written(out: Path, result: MapResult, scans: KeyframeStore | None = None) -> Map:
     out.mkdir()
-    write_map(out, result, scans)
+    if scans is not None:
+        write_scans(out, scans, result.labels)
+    write_map(out, result)
     return read_map(out)
 
 

@@ -29,7 +29,7 @@ from specmap_cli.logs.writer import LogWriter
 from specmap_cli.maps.even_bearings import EvenBeams, EvenSpacing
 from specmap_cli.maps.keyframe_log import read_keyframes, write_keyframes
 from specmap_cli.maps.store import read_map
-from specmap_cli.maps.writing import MapResult, write_map
+from specmap_cli.maps.writing import MapResult, write_map, write_scans
 from specmap_cli.registration.sweep_view import deskewed
 from tests.casting import keyframe, store_of
 from tests.strategies import planar_scans, poses
@@ -202,7 +202,8 @@ def test_the_keyframes_of_a_map_are_those_of_its_labels(
     for name, labels in (("own", result.labels), ("others", shifted)):
         (tmp_path / name).mkdir()
         with store_of(scans) as store:
-            write_map(tmp_path / name, replace(result, labels=labels), store)
+            write_scans(tmp_path / name, store, labels)
+        write_map(tmp_path / name, replace(result, labels=labels))
     with read_map(tmp_path / "own").scans() as read:
         assert read.stamps_ns == tuple(stamps)
     with pytest.raises(MapError, match=r"its 30 scans are not the 30 keyframes of labels\.csv"):

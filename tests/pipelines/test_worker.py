@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Generator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
 import cv2
@@ -23,6 +24,8 @@ import pytest
 
 from specmap_cli.core.errors import InputError, LogError, SpecmapError
 from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.maps.writing import write_scans
+from specmap_cli.pipelines import finishing
 from specmap_cli.pipelines import worker as module
 from specmap_cli.pipelines.build import build_map
 from specmap_cli.pipelines.worker import ahead
@@ -225,6 +228,8 @@ def test_small_items_travel_together_and_large_ones_alone() -> None:
 def test_a_killed_parent_leaves_no_child() -> None:
     code = """
 import os
+from specmap_cli.maps.writing import write_scans
+from specmap_cli.pipelines import finishing
 from specmap_cli.pipelines import worker as module
 module._processors = lambda: 2
 def work():
@@ -260,10 +265,18 @@ def alive(pid: int) -> bool:
 def test_a_map_is_the_same_with_and_without_the_child(
     flat: GridMap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    def written(*given: Any) -> None:
+        with (tmp_path / "writers").open("a", encoding="ascii") as writers:
+            writers.write(f"{os.getpid()} ")
+        write_scans(*given)
+
+    monkeypatch.setattr(finishing, "write_scans", written)
     log = record_tour(flat, tmp_path / "tour.mcap", rate_hz=3, max_duration_s=50)
     for processors, name in ((1, "one"), (2, "two")):
         monkeypatch.setattr(module, "_processors", lambda n=processors: n)
         build_map(log, tmp_path / name, QUICK)
+    alone, beside = (tmp_path / "writers").read_text(encoding="ascii").split()
+    assert int(alone) == os.getpid() != int(beside)
     files = [path for path in sorted((tmp_path / "one").rglob("*")) if path.is_file()]
     assert len(files) > 5
     for path in files:
