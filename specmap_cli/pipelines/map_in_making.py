@@ -204,6 +204,8 @@ def gaps_in(poses: FloatArray, logs: Sequence[LogInfo]) -> dict[int, Bridge]:
 def laid_out_of_stored(stored: Map) -> LaidOut:
     """A map directory. Raises MapError when a file that it takes is missing or damaged."""
     topology = stored.topology
+    if not topology.stays:
+        raise MapError("keeps no stays of the robot", "build the map again", where=stored.path)
     return LaidOut(
         layout=_layout(stored),
         labels=stored.labels,
