@@ -1,4 +1,4 @@
-"""What each step of the division of a finished map is worth: the table of docs/segmentation.md.
+"""What each step of the division of a finished map is worth.
 
 `python -m benchmarks.segmentation_steps` leaves out one step at a time, and divides the real floors
 of data/cold, the ten drawn plans, plain and furnished, and 24 furnished random plans. The last
