@@ -73,7 +73,7 @@ def measure(bench: Bench) -> Figures:
             truth = placed(seen[other], seen[name])
             one = located(seen[other].stored, seen[name], name, truth, folder)
             found.append(one)
-            compared.append(comparison(maps[other], maps[name], truth, folder))
+            compared.append(comparison(maps[other], maps[name], seen[name], truth, folder))
             if number in JOINED:
                 updated.append(update(seen[other], seen[name], name, truth, folder))
             also = f"; {updated[-1]}" if number in JOINED else ""
@@ -118,8 +118,11 @@ def true_poses(here: Seen, truth: Placed, stamps_ns: IntArray) -> FloatArray:
     return compose(truth.poses[near], compose(invert(here.poses[truth.rows[near]]), own))
 
 
-def comparison(old: Path, new: Path, truth: Placed, folder: Path) -> str:
-    """Whether `compare` aligns two maps of a place, and rightly."""
+def comparison(old: Path, new: Path, here: Seen, truth: Placed, folder: Path) -> str:
+    """Whether `compare` aligns two maps of a place, and rightly.
+
+    Where it made a stretch longer, what it tells holds for the beginning of the new map.
+    """
     out = folder / "comparison"
     command = [SPECMAP, "compare", str(old), str(new), "-o", str(out), "--overwrite", "-q"]
     try:
@@ -127,7 +130,12 @@ def comparison(old: Path, new: Path, truth: Placed, folder: Path) -> str:
     except RuntimeError as error:
         return f"refused ({str(error).rpartition(': ')[2]})"
     told = json.loads(next(out.glob("*.json")).read_text(encoding="utf-8"))
-    off = truth.whole.pose.inverse() @ Pose2(*told["alignment"]["old_from_new"])
+    right = truth.whole.pose
+    if told["alignment"]["longer_m"]:
+        first = int(np.flatnonzero(truth.known)[0])
+        own = Pose2(*here.poses[truth.rows[first]].tolist())
+        right = Pose2(*truth.poses[first].tolist()) @ own.inverse()
+    off = right.inverse() @ Pose2(*told["alignment"]["old_from_new"])
     turned = abs(math.remainder(off.theta, 2 * math.pi))
     is_right = off.distance <= _ALIGNED_M and turned <= _ALIGNED_RAD
     return (

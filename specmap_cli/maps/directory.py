@@ -127,14 +127,16 @@ class OutputDirectory:
         finally:
             self._clean_up()
         # where the system refused to write what belongs into the directory, and no other file
+        inside = isinstance(error, UsageError) and str(error.where).startswith(str(self._partial))
+        refused = error.__context__ if error is not None and inside else error
         if (
-            isinstance(error, OSError)
-            and is_of_the_place(error)
-            and (error.filename is None or str(error.filename).startswith(str(self._partial)))
+            isinstance(refused, OSError)
+            and is_of_the_place(refused)
+            and (refused.filename is None or str(refused.filename).startswith(str(self._partial)))
         ):
             advice = "choose another output directory"
             raise UsageError.of_system(
-                error, "cannot be written", advice, where=self.path, code=OUTPUT
+                refused, "cannot be written", advice, where=self.path, code=OUTPUT
             ) from None
 
     def _clean_up(self) -> None:

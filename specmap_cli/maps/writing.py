@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.errors import UsageError
 from specmap_cli.core.files import sha256_of
 from specmap_cli.core.findings import UNDOUBTED, Quality
 from specmap_cli.core.records import Labels, Trajectory
@@ -67,12 +66,8 @@ def write_scans(directory: Path, keyframes: KeyframeStore, labels: Labels) -> No
     from specmap_cli.maps.keyframe_log import write_keyframes  # loads what writes recordings
 
     path = directory / filenames.KEYFRAMES
-    if path.exists():
-        return
-    try:
+    if not path.exists():
         write_keyframes(path, keyframes, labels.poses)
-    except UsageError as error:  # as of the other files: the directory has the word
-        raise error.__context__ or error from None
 
 
 def write_map(

@@ -203,12 +203,12 @@ def gaps_in(poses: FloatArray, logs: Sequence[LogInfo]) -> dict[int, Bridge]:
 
 def laid_out_of_stored(stored: Map) -> LaidOut:
     """A map directory. Raises MapError when a file that it takes is missing or damaged."""
-    topology = stored.topology
+    topology, labels = stored.topology, stored.labels
     if not topology.stays:
         raise MapError("keeps no stays of the robot", "build the map again", where=stored.path)
     return LaidOut(
         layout=_layout(stored),
-        labels=stored.labels,
+        labels=labels,
         trajectory=_trajectory(stored),
         stays={  # that of its frame first, though the robot came back and earlier ones were added
             stay.number: (stay.origin, *(k for k in stay.keyframes if k != stay.origin))

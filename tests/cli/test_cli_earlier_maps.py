@@ -87,3 +87,13 @@ def test_an_update_of_a_map_that_keeps_no_scans_says_what_to_do(
     assert told.code == 3
     assert f"has no {KEYFRAMES}" in told.error
     assert told.error.endswith("build the map again")
+
+
+def test_a_log_is_added_if_it_tells_its_stays(earlier: Path, tmp_path: Path, run: Run) -> None:
+    told = run("update", earlier, AGAIN, "-o", tmp_path / "updated", "--allow-apart")
+    if (earlier / KEYFRAMES).exists() and "schema 1" not in read_map(earlier).note:
+        assert told.code == 0, told.err
+        assert {0, 1} <= set(read_map(tmp_path / "updated").rooms)
+    else:
+        assert told.code == 3
+        assert told.error.endswith("build the map again")
