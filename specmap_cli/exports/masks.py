@@ -42,8 +42,13 @@ class Masks:
         keepout, speed = np.zeros((2, *grid.cells.shape), dtype=np.uint8)
         keepout[_forbidden(stored)] = _FULL
         multiplier = max(limits.values(), default=float(_FULL)) / _FULL
-        for id_, limit in limits.items():  # never faster than was said
+        for id_, limit in limits.items():  # never faster than was said, if it can be
             value = math.floor(limit / multiplier + 1e-9)
+            if value < 1:
+                progress.warn(
+                    f"submap {id_}: {SPEED_LIMIT} {limit:g} is written as {multiplier:g}, "
+                    "a hundredth of the largest one: a mask holds nothing smaller"
+                )
             speed[stored.regions.owner == id_] = max(value, 1)
         progress.note(
             f"{counted(int(np.count_nonzero(keepout)), 'cell')} shut, "

@@ -34,7 +34,13 @@ from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.store import Map, opened_map
 from specmap_cli.pipelines.map_in_making import quality_of_stored
 from specmap_cli.pipelines.overlaps import stored_to_align
-from specmap_cli.pipelines.stretches import stretch_of_stored, told_m, with_other_lengths
+from specmap_cli.pipelines.stretches import (
+    GuessedStretch,
+    aligned,
+    stretch_of_stored,
+    told_m,
+    with_other_lengths,
+)
 from specmap_cli.recognition.closure.alignment import Alignment, align, told_length
 from specmap_cli.topology.differences import Crossing, Differences, Obstacle, differences
 from specmap_cli.topology.topological_map import default_name
@@ -122,7 +128,8 @@ def compare_maps(
         and np.array_equal(grids[0].cells, grids[1].cells)
     )
     progress.start("comparing", None)
-    stretch, alignment = stretch_of_stored(other), _aligned(one, other)
+    stretch = stretch_of_stored(other)
+    alignment = _aligned(one, other, stretch)
     if alignment.old_from_new is None and not identical:
         raise NoResultError(
             f"not aligned with {one.path}: {alignment.reason}", where=other.path, code=NOT_ALIGNED
@@ -171,15 +178,15 @@ def write_comparison(
         write_png(partial / PICTURE, picture)
 
 
-def _aligned(old: Map, new: Map) -> Alignment:
-    """Where one stored map lies in another; a stretch whose length was guessed may be another's."""
-    stretch, given = stretch_of_stored(new), (stored_to_align(old), stored_to_align(new))
+def _aligned(old: Map, new: Map, stretch: GuessedStretch | None) -> Alignment:
+    """Where one stored map lies in another; a stretch of the new one may be longer or shorter."""
+    given = stored_to_align(old), stored_to_align(new)
     if stretch is None:
         return align(*given)
     off_m, labels = told_m(quality_of_stored(old).findings), new.labels
     with new.scans() as store:
         at = labels.poses, labels.submaps
-        return align(*given, with_other_lengths(stretch, off_m, store, *at, new.config))
+        return aligned(*given, with_other_lengths(stretch, off_m, store, *at, new.config))
 
 
 def _motion(alignment: Alignment) -> BentMotion:

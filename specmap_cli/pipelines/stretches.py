@@ -1,13 +1,13 @@
 """A stretch of the way whose length was guessed: what a map would be if it were longer or shorter.
 
 Along a bare corridor without odometry a map may be wrong by metres, and says so. Two maps of it
-then differ in length: no rigid motion lays one on the other. So the new one is tried with other
-lengths, too, and where one of them is right, it is given the length of the old map.
+then differ in length: no rigid motion lays one on the other. So a new one that fits nowhere as it
+is is tried with other lengths, and where one of them is right, it is given that of the old map.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,10 +19,11 @@ from specmap_cli.core.settings import Config
 from specmap_cli.grids.bent import BentMotion, LocalMotion
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.layout.trajectory import propagated, rows_of
+from specmap_cli.maps.filenames import KEYFRAMES
 from specmap_cli.maps.store import Map
 from specmap_cli.pipelines.map_in_making import LaidOut, quality_of_stored, submaps_of
 from specmap_cli.quality.recording import UNMEASURED
-from specmap_cli.recognition.closure.alignment import MapToAlign
+from specmap_cli.recognition.closure.alignment import Alignment, MapToAlign, align
 
 _STEP_M = 0.5  # between lengths that are tried: submaps that lie off by half of it still match
 _TOLD = 2.0  # times what both maps tell: four standard deviations
@@ -87,8 +88,11 @@ def stretch_of(findings: Sequence[Finding], stamps_ns: IntArray) -> GuessedStret
 
 
 def stretch_of_stored(stored: Map) -> GuessedStretch | None:
-    """The same of a stored map of one recording: of several nobody knows what lies beyond."""
-    if len(stored.logs) != 1:
+    """The same of a stored map of one recording: of several nobody knows what lies beyond.
+
+    None of a map without its scans, too: it cannot be drawn with another length.
+    """
+    if len(stored.logs) != 1 or not (stored.path / KEYFRAMES).exists():
         return None
     return stretch_of(quality_of_stored(stored).findings, stored.labels.stamps_ns)
 
@@ -96,6 +100,12 @@ def stretch_of_stored(stored: Map) -> GuessedStretch | None:
 def told_m(findings: Sequence[Finding]) -> float:
     """By how much the length of a stretch may be off, the most that findings tell; 0 for none."""
     return max((one.value or 0.0 for one in findings if one.code == UNMEASURED), default=0.0)
+
+
+def aligned(old: MapToAlign, new: MapToAlign, bent: Iterable[MapToAlign]) -> Alignment:
+    """Where one map lies in another: with its other lengths, `bent`, if it fits nowhere as is."""
+    found = align(old, new)
+    return align(old, new, bent) if found.old_from_new is None and bent else found
 
 
 def with_other_lengths(

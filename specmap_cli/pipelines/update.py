@@ -48,13 +48,14 @@ from specmap_cli.pipelines.overlaps import laid_out_to_align, stored_to_align
 from specmap_cli.pipelines.reports import BuildReport, UpdateRecord, UpdateReport
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.stretches import (
+    aligned,
     lengthened,
     stretch_of,
     told_m,
     with_other_lengths,
 )
 from specmap_cli.pipelines.thinning import Thinned, thinned
-from specmap_cli.recognition.closure.alignment import Alignment, MapToAlign, align
+from specmap_cli.recognition.closure.alignment import Alignment, MapToAlign
 from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.segmentation.division import regions_of
 from specmap_cli.topology.graph import Heritage, inherited
@@ -214,7 +215,7 @@ def _aligned(
     """Where the recording lies in the map; `bent` are its other lengths."""
     session.progress.start("aligning", None)
     with session.clock.stage("alignment"):
-        return align(old, new, bent)
+        return aligned(old, new, bent)
 
 
 def _joined(

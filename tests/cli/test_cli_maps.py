@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -225,6 +226,34 @@ def test_results_say_where_to_look_and_what_may_be_swapped(
     reason = "left out: none: no such map directory: make one with `specmap build`"
     page = tmp_path / "week" / "history.html"
     assert said.out.splitlines()[-2:] == [reason, f"look at {page}"]
+
+
+def test_a_map_without_scans_whose_length_was_guessed_is_compared_as_it_is(
+    second_tour: Mapped, first_tour: Mapped, tmp_path: Path, run: Run
+) -> None:
+    new = tmp_path / "new"
+    shutil.copytree(second_tour.map, new)
+    path = new / "topology.json"
+    document = json.loads(path.read_text())
+    guessed = {
+        "code": "unmeasured-way",
+        "severity": "doubtful",
+        "message": "its length was guessed",
+        "advice": "",
+        "value": 0.3,
+        "limit": 0.3,
+        "where": {"stamp": document["graph"]["logs"][0]["start"], "x": 0.0, "y": 0.0},
+    }
+    document["graph"]["quality"] = {"verdict": "doubtful", "findings": [guessed]}
+    path.write_text(json.dumps(document))
+    forget_digests(new)
+    line = ("compare", first_tour.map, new, "-o", tmp_path / "changes", "--overwrite", "--json")
+    for has_scans in (True, False):
+        if not has_scans:
+            (new / "keyframes.mcap").unlink()
+        said = run(*line)
+        assert said.code == 0, said.err
+        assert said.result["alignment"]["longer_m"] == 0.0
 
 
 def test_a_map_of_nav2_is_divided_without_its_unknown_and_told_so(

@@ -150,6 +150,19 @@ def test_a_limit_that_is_none_is_left_out_with_a_warning(
     assert not costmap_filters.load(tmp_path / "nav2-masks.zip").limits.any()
 
 
+def test_a_limit_that_a_mask_cannot_hold_is_told(lived_in: MapResult, tmp_path: Path) -> None:
+    old = lived_in.topology
+    submaps = {
+        id_: dataclasses.replace(each, properties={"speed_limit": 0.01 if id_ else 2.0})
+        for id_, each in old.submaps.items()
+        if id_ < 2
+    } | {id_: each for id_, each in old.submaps.items() if id_ > 1}
+    topology = dataclasses.replace(old, submaps=submaps)
+    stored = written(tmp_path / "map", dataclasses.replace(lived_in, topology=topology))
+    (warning,) = export_map(stored, "nav2-masks", tmp_path / "masks.zip")
+    assert warning.startswith("submap 1: speed_limit 0.01 is written as 0.02, ")
+
+
 def test_masks_lie_on_the_map_s_grid_and_limit_a_room(
     home: Map, rooms: Map, tmp_path: Path
 ) -> None:

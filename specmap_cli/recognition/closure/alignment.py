@@ -196,7 +196,7 @@ def align(old: MapToAlign, new: MapToAlign, bent: Iterable[MapToAlign] = ()) -> 
         if whole is not None:
             found += _Search(one.whole, whole, map_).ranked()
     best, *rivals = _different(found, centre)
-    taken = prepared(best.new.whole)
+    taken = wholes[1] if best.new is new else prepared(best.new.whole)
     assert taken is not None  # a place was found for it
     ground = _common_ground(one, _Map(best.new, taken), best.old_from_new)
     alignment = Alignment(
