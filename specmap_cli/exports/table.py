@@ -25,13 +25,11 @@ from specmap_cli.core.errors import OUTPUT_EXISTS, UsageError
 from specmap_cli.core.files import complete_file
 from specmap_cli.core.plugins import with_plugins
 from specmap_cli.core.progress import Progress, Remembering, Silent
-from specmap_cli.exports.flat_formats import CsvTables, GeoJson, GraphMl
+from specmap_cli.exports.flat_formats import CsvTables, GeoJson, GraphMl, PoseGraph
 from specmap_cli.exports.fleet_formats import Lif, Rmf
 from specmap_cli.exports.foxglove import Foxglove
-from specmap_cli.exports.masks import Masks
-from specmap_cli.exports.pose_graph import PoseGraph
 from specmap_cli.exports.rerun import Rerun
-from specmap_cli.exports.route_formats import Nav2, Tmap2
+from specmap_cli.exports.route_formats import Masks, Nav2, Tmap2
 from specmap_cli.maps.store import Map
 
 GROUP = "specmap.exporters"
