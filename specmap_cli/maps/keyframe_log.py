@@ -35,7 +35,6 @@ from specmap_cli.logs.planar import covers_circle, increment
 from specmap_cli.logs.readers.encoding import (
     LASER_SCAN,
     TF_MESSAGE,
-    AlikeTransforms,
     Transform,
     in_space,
     scan_cdr,
@@ -50,7 +49,6 @@ ODOM_FRAME, BASE_FRAME, LASER_FRAME = "odom", "base_link", "laser"
 # Poses are kept to a micrometre and a quarter of a microradian, in powers of two, of which most
 # bytes are zero and cost nothing. Ranges are kept to a millimetre: no laser of a robot is finer.
 _PER_UNIT, _MM_PER_M = np.array([2.0**20, 2.0**20, 2.0**22]), 1000.0
-_FAR_M = 1e6  # of a pose that is read without further questions
 
 
 def write_keyframes(
@@ -62,7 +60,7 @@ def write_keyframes(
     """
     odom_from_base = _cut(store.poses)
     map_from_odom = _cut(compose(poses, invert(odom_from_base)))
-    form = AlikeTransforms([(map_frame, ODOM_FRAME), (ODOM_FRAME, BASE_FRAME)])
+    links = (map_frame, ODOM_FRAME), (ODOM_FRAME, BASE_FRAME)
     chains = zip(_in_space(map_from_odom), _in_space(odom_from_base), strict=True)
     lasers: dict[Pose2, tuple[str, EvenSpacing]] = {}  # each has a frame of its own
     with LogWriter(path) as log:
@@ -76,7 +74,8 @@ def write_keyframes(
         time_ns = -1
         for number, (stamp_ns, chain) in enumerate(zip(store.stamps_ns, chains, strict=True)):
             time_ns = max(stamp_ns, time_ns + 1)
-            log.raw(TF, TF_MESSAGE, form.encoded(stamp_ns, chain), time_ns)
+            moved = [Transform(*link, *motion) for link, motion in zip(links, chain, strict=True)]
+            log.raw(TF, TF_MESSAGE, transforms_cdr(stamp_ns, moved), time_ns)
             frame, spacing = lasers[store.base_from_laser(number)]
             scan = store.scan(number)
             even = spacing.beams(scan)
@@ -96,13 +95,10 @@ def _cut(poses: FloatArray) -> FloatArray:
     return np.asarray(np.round(poses * _PER_UNIT) / _PER_UNIT)
 
 
-def _in_space(poses: FloatArray) -> list[list[float]]:
+def _in_space(poses: FloatArray) -> list[tuple[list[float], list[float]]]:
     """Places and quaternions of poses (n, 3), these in single precision: half as many bytes."""
     placed = [in_space(Pose2(*pose)) for pose in poses.tolist()]
-    turns = np.array([turn for _, turn in placed], dtype=np.float32).reshape(-1, 4)
-    places = np.array([place for place, _ in placed], dtype=np.float64).reshape(-1, 3)
-    rows: list[list[float]] = np.hstack([places, turns]).tolist()
-    return rows
+    return [(list(place), np.array(turn, dtype=np.float32).tolist()) for place, turn in placed]
 
 
 def _mounting(pose: Pose2) -> Pose2:
@@ -166,18 +162,17 @@ class _Reader:
     def __init__(self) -> None:
         self._lasers: dict[str, Pose2] = {}
         self._pose: tuple[int, Pose2] | None = None  # with its stamp
-        self._form: AlikeTransforms | None = None
-        self._place = 0  # of the pose of the base among the transforms of a message
         self._count = 0
 
     def take(self, message: Message) -> PosedScan | None:
         """Take in a message; the keyframe that it completes, if any. Raises BadMessageError."""
-        if message.topic == TF:
-            self._take_pose(message)
-            return None
         if message.topic != SCAN_TOPIC:
             for each in decode_transforms(message).records:
-                self._lasers[each.child] = _mounting(Pose2.from_matrix(each.parent_from_child))
+                pose = Pose2.from_matrix(each.parent_from_child)
+                if message.topic != TF:
+                    self._lasers[each.child] = _mounting(pose)
+                elif each.child == BASE_FRAME:
+                    self._pose = each.stamp_ns, pose
             return None
         record = decode_scan(message)
         if isinstance(record, CloudRecord):
@@ -188,11 +183,11 @@ class _Reader:
             raise BadMessageError(f"scan {self._count} is of no known laser: {record.frame!r}")
         self._count += 1
         beams, step = record.layout.beams, increment(record.layout)
-        pose = _cut(np.array(self._pose[1]))  # as it was before its quaternion was cut
+        placed = _cut(np.array(self._pose[1]))  # as it was before its quaternion was cut
         return PosedScan(
             index=self._count - 1,
             stamp_ns=record.stamp_ns,
-            map_from_base=Pose2(*pose.tolist()),
+            map_from_base=Pose2(*placed.tolist()),
             planar=PlanarScan(  # the ranges mean what they do in the message
                 stamp_ns=record.stamp_ns,
                 bearings=record.layout.angle_min + step * np.arange(beams, dtype=np.float64),
@@ -202,25 +197,6 @@ class _Reader:
             ),
             base_from_laser=self._lasers[record.frame],
         )
-
-    def _take_pose(self, message: Message) -> None:
-        """Take the pose of the base; most messages are of the same frames as the last one."""
-        form = self._form if message.type == TF_MESSAGE else None
-        found = None if form is None else form.decoded(message.data, self._place)
-        if found is not None:
-            x, y, _, x_turn, y_turn, z_turn, w_turn = found[1]
-            square = z_turn * z_turn + w_turn * w_turn
-            level = x_turn == y_turn == 0.0 and 0.5 < square < 2.0  # as it is written here
-            if level and max(abs(x), abs(y)) <= _FAR_M:
-                theta = math.atan2(2.0 * w_turn * z_turn, w_turn * w_turn - z_turn * z_turn)
-                self._pose = found[0], Pose2(x, y, theta)
-                return
-        records = decode_transforms(message).records
-        for place, record in enumerate(records):
-            if record.child == BASE_FRAME:
-                self._pose = record.stamp_ns, Pose2.from_matrix(record.parent_from_child)
-                self._place = place
-                self._form = AlikeTransforms([(each.parent, each.child) for each in records])
 
 
 _FULL_CIRCLE = 2.0 * math.pi

@@ -37,7 +37,6 @@ from specmap_cli.logs.readers.encoding import (
     POINT_CLOUD,
     SUPPORTED_TYPES,
     TF_MESSAGE,
-    AlikeTransforms,
     Transform,
     cloud_cdr,
     in_space,
@@ -215,36 +214,6 @@ def test_a_definition_is_enough_to_read_its_type(kind: str) -> None:
 )
 def test_types_of_any_ros_get_their_ros_2_name(name: str, full: str) -> None:
     assert normalized_type(name) == full
-
-
-names = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=9)
-links = st.lists(st.tuples(names, names), min_size=1, max_size=3)
-numbers = st.lists(st.floats(allow_nan=False), min_size=7, max_size=7)
-stamps = st.integers(0, 2**60) | st.integers(-(2**62), 2**62)
-
-
-@given(links, stamps, st.data())
-def test_the_bytes_are_those_of_the_general_serialiser_and_are_read_at_their_place(
-    frames: list[tuple[str, str]], stamp_ns: int, data: st.DataObject
-) -> None:
-    form, rows = AlikeTransforms(frames), [data.draw(numbers) for _ in frames]
-    pairs = zip(frames, rows, strict=True)
-    general = transforms_cdr(stamp_ns, [Transform(*link, row[:3], row[3:]) for link, row in pairs])
-    assert form.encoded(stamp_ns, rows) == general
-    if 0 <= stamp_ns <= 2**60:
-        for place, row in enumerate(rows):
-            assert form.decoded(general, place) == (stamp_ns, tuple(row))
-
-
-def test_a_message_of_other_frames_is_not_read() -> None:
-    form = AlikeTransforms([("odom", "base")])
-    level = [1.0, 2.0, 0.0, 0.0, 0.0, math.sin(0.5), math.cos(0.5)]
-    mine = form.encoded(5, [level])
-    for frames in ([("odom", "bass")], [("odom", "base_link")], [("odom", "base")] * 2):
-        other = AlikeTransforms(frames).encoded(5, [level] * len(frames))
-        assert form.decoded(other, 0) is None
-    assert form.decoded(mine[:-1], 0) is None
-    assert form.decoded(b"\0\2" + mine[2:], 0) is None  # another encoding
 
 
 def write_small(path: Path) -> None:
