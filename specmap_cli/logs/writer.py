@@ -18,8 +18,7 @@ from numpy.typing import ArrayLike
 
 from specmap_cli import __version__
 from specmap_cli.core.arguments import Paths, path_of, paths_of
-from specmap_cli.core.errors import OUTPUT_EXISTS, UsageError
-from specmap_cli.core.files import complete_file
+from specmap_cli.core.files import complete_file, refuse_existing
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import LogConfig
@@ -200,9 +199,8 @@ def convert(
     holds nothing to convert, TypeError for what is no path.
     """
     given, target = paths_of(paths, "paths"), path_of(out, "out")
-    if target.exists() and not overwrite:
-        hint = "use --overwrite to replace it"
-        raise UsageError("exists already", hint, mark=";", where=target, code=OUTPUT_EXISTS)
+    if not overwrite:
+        refuse_existing(target)
     with open_log(given, config) as log:
         topics = log.topics()
         wanted = [t for t in topics if t.type in SUPPORTED_TYPES and t.count]

@@ -321,7 +321,7 @@ def test_a_bag_is_converted_and_reads_the_same(
     result = convert(bag, out)
     assert {t.name: t.count for t in result.written} == COUNTS
     assert result.skipped == ()
-    with pytest.raises(UsageError, match="exists already; use --overwrite"):
+    with pytest.raises(UsageError, match="exists already: choose another name"):
         convert(bag, out)
     first = out.read_bytes()
     convert(bag, out, overwrite=True)
