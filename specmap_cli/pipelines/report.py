@@ -19,8 +19,8 @@ from specmap_cli.pipelines.compare import compare_maps, lines_of
 from specmap_cli.pipelines.localizer import classifiers_of
 from specmap_cli.recognition.features.sets import KeyframeFeatures, feature_names
 from specmap_cli.recognition.learning.boosting import OneVsAll, feature_shares
-from specmap_cli.report.changes import Changes
 from specmap_cli.report.evidence import Evidence, FeatureShare, Learned, Likeness, SplitTrial
+from specmap_cli.report.layers import Changes
 from specmap_cli.report.page import render
 from specmap_cli.segmentation.online import Occasion, OnlineSegmenter, SplitTest
 
