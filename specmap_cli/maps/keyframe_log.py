@@ -118,7 +118,7 @@ def read_keyframes(path: Path, most: int, limits: LimitsConfig | None = None) ->
     except OSError as error:
         raise MapError.of_system(error, "cannot read the keyframes", where=path) from None
     if not regular:
-        raise MapError("not a regular file", "build the map again", where=path)
+        raise MapError.damaged("not a regular file", path)
     if size > most_mb * 1e6:
         raise MapError(
             f"larger than {most_mb:g} MB",
@@ -131,7 +131,7 @@ def read_keyframes(path: Path, most: int, limits: LimitsConfig | None = None) ->
     try:
         for scan in _scans(path):
             if len(store) == most:
-                raise MapError(f"has more than {most:,} scans", "build the map again", where=path)
+                raise MapError.damaged(f"has more than {most:,} scans", path)
             store.append(scan)
     except BaseException:
         store.close()
@@ -150,10 +150,10 @@ def _scans(path: Path) -> Iterator[PosedScan]:
                     yield scan
             if recording.damage:
                 found = recording.damage[0].removeprefix(f"{path}: ")
-                raise MapError(found, "build the map again", where=path)
+                raise MapError.damaged(found, path)
     except (LogError, BadMessageError) as error:
         found = str(error).removeprefix(f"{path}: ")
-        raise MapError(found, "build the map again", where=path) from None
+        raise MapError.damaged(found, path) from None
 
 
 class _Reader:
