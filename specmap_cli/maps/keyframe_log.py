@@ -13,7 +13,7 @@ those it never looked at.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +22,7 @@ import numpy as np
 
 from specmap_cli.core.errors import TOO_LARGE, LogError, MapError
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
-from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.records import IntArray, PlanarScan, PosedScan
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.logs.messages import (
@@ -106,11 +106,17 @@ def _mounting(pose: Pose2) -> Pose2:
     return Pose2(pose.x, pose.y, round(pose.theta, 12))
 
 
-def read_keyframes(path: Path, most: int, limits: LimitsConfig | None = None) -> KeyframeStore:
+def read_keyframes(
+    path: Path,
+    most: int,
+    limits: LimitsConfig | None = None,
+    wanted: IntArray | None = None,
+) -> KeyframeStore:
     """The keyframes of a map, `most` or fewer, with poses as registered: close the store after use.
 
-    They pass through a temporary file, as in a build. Raises MapError for a file that is missing,
-    damaged or beyond its limits, UsageError when there is no room for the temporary file.
+    Of the numbers `wanted` alone, if given: the others are not decoded. They pass through a
+    temporary file, as in a build. Raises MapError for a file that is missing, damaged or beyond its
+    limits, UsageError when there is no room for the temporary file.
     """
     most_mb = (LimitsConfig() if limits is None else limits).keyframes_max_mb
     try:
@@ -129,7 +135,7 @@ def read_keyframes(path: Path, most: int, limits: LimitsConfig | None = None) ->
         )
     store = KeyframeStore()
     try:
-        for scan in _scans(path):
+        for scan in _scans(path, None if wanted is None else set(wanted.tolist())):
             if len(store) == most:
                 raise MapError.damaged(f"has more than {most:,} scans", path)
             store.append(scan)
@@ -139,11 +145,11 @@ def read_keyframes(path: Path, most: int, limits: LimitsConfig | None = None) ->
     return store
 
 
-def _scans(path: Path) -> Iterator[PosedScan]:
+def _scans(path: Path, wanted: Collection[int] | None) -> Iterator[PosedScan]:
     """The keyframes in a file, one in memory at a time; MapError for what is not whole."""
     try:
         with closing(McapFile(path)) as recording:
-            reader = _Reader()
+            reader = _Reader(wanted)
             for message in recording.messages([TF_STATIC, TF, SCAN_TOPIC]):
                 scan = reader.take(message)
                 if scan is not None:
@@ -159,33 +165,40 @@ def _scans(path: Path) -> Iterator[PosedScan]:
 class _Reader:
     """Puts scans, poses and mountings together, which come in messages of their own."""
 
-    def __init__(self) -> None:
+    def __init__(self, wanted: Collection[int] | None) -> None:
+        self._wanted = wanted
         self._lasers: dict[str, Pose2] = {}
+        self._moved: Message | None = None  # the transforms before a scan
         self._pose: tuple[int, Pose2] | None = None  # with its stamp
         self._count = 0
 
     def take(self, message: Message) -> PosedScan | None:
         """Take in a message; the keyframe that it completes, if any. Raises BadMessageError."""
+        if message.topic == TF:
+            self._moved = message
+            return None
         if message.topic != SCAN_TOPIC:
             for each in decode_transforms(message).records:
-                pose = Pose2.from_matrix(each.parent_from_child)
-                if message.topic != TF:
-                    self._lasers[each.child] = _mounting(pose)
-                elif each.child == BASE_FRAME:
-                    self._pose = each.stamp_ns, pose
+                self._lasers[each.child] = _mounting(Pose2.from_matrix(each.parent_from_child))
             return None
+        number, self._count = self._count, self._count + 1
+        if self._wanted is not None and number not in self._wanted:
+            return None
+        for each in decode_transforms(self._moved).records if self._moved is not None else ():
+            if each.child == BASE_FRAME:
+                self._pose = each.stamp_ns, Pose2.from_matrix(each.parent_from_child)
+        self._moved = None
         record = decode_scan(message)
         if isinstance(record, CloudRecord):
-            raise BadMessageError(f"scan {self._count} is a cloud")
+            raise BadMessageError(f"scan {number} is a cloud")
         if self._pose is None or self._pose[0] != record.stamp_ns:
-            raise BadMessageError(f"scan {self._count} has no pose")
+            raise BadMessageError(f"scan {number} has no pose")
         if record.frame not in self._lasers:
-            raise BadMessageError(f"scan {self._count} is of no known laser: {record.frame!r}")
-        self._count += 1
+            raise BadMessageError(f"scan {number} is of no known laser: {record.frame!r}")
         beams, step = record.layout.beams, increment(record.layout)
         placed = _cut(np.array(self._pose[1]))  # as it was before its quaternion was cut
         return PosedScan(
-            index=self._count - 1,
+            index=number,
             stamp_ns=record.stamp_ns,
             map_from_base=Pose2(*placed.tolist()),
             planar=PlanarScan(  # the ranges mean what they do in the message
