@@ -143,10 +143,10 @@ def _read(stored: Map) -> tuple[dict[int, FloatArray], list[Link]]:
     try:
         poses, links = read_g2o(stored.checked(map_text(path, stored.limits), path.name))
     except InputError as error:
-        raise MapError(error.found, "build the map again", where=path) from None
+        raise MapError.damaged(error.found, path) from None
     strangers = {end for link in links for end in (link.source, link.target)} - poses.keys()
     if strangers:
-        raise MapError(f"there is no vertex {min(strangers)}", "build the map again", where=path)
+        raise MapError.damaged(f"there is no vertex {min(strangers)}", path)
     if not poses:
-        raise MapError("has no vertices", "build the map again", where=path)
+        raise MapError.damaged("has no vertices", path)
     return poses, links

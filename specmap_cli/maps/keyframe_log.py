@@ -124,7 +124,7 @@ def read_keyframes(
     except OSError as error:
         raise MapError.of_system(error, "cannot read the keyframes", where=path) from None
     if not regular:
-        raise MapError("not a regular file", "build the map again", where=path)
+        raise MapError.damaged("not a regular file", path)
     if size > most_mb * 1e6:
         raise MapError(
             f"larger than {most_mb:g} MB",
@@ -137,7 +137,7 @@ def read_keyframes(
     try:
         for scan in _scans(path, None if wanted is None else set(wanted.tolist())):
             if len(store) == most:
-                raise MapError(f"has more than {most:,} scans", "build the map again", where=path)
+                raise MapError.damaged(f"has more than {most:,} scans", path)
             store.append(scan)
     except BaseException:
         store.close()
@@ -156,10 +156,10 @@ def _scans(path: Path, wanted: Collection[int] | None) -> Iterator[PosedScan]:
                     yield scan
             if recording.damage:
                 found = recording.damage[0].removeprefix(f"{path}: ")
-                raise MapError(found, "build the map again", where=path)
+                raise MapError.damaged(found, path)
     except (LogError, BadMessageError) as error:
         found = str(error).removeprefix(f"{path}: ")
-        raise MapError(found, "build the map again", where=path) from None
+        raise MapError.damaged(found, path) from None
 
 
 class _Reader:
@@ -184,7 +184,7 @@ class _Reader:
         number, self._count = self._count, self._count + 1
         if self._wanted is not None and number not in self._wanted:
             return None
-        for each in decode_transforms(self._moved).records if self._moved else ():
+        for each in decode_transforms(self._moved).records if self._moved is not None else ():
             if each.child == BASE_FRAME:
                 self._pose = each.stamp_ns, Pose2.from_matrix(each.parent_from_child)
         self._moved = None

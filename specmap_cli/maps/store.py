@@ -260,11 +260,10 @@ class Map:
         if lasts:  # of keyframes that there are, none of them in two stays
             known = len(self.labels.stamps_ns)
             if max(lasts) >= known or sum(end - start + 1 for start, end in runs) > known:
-                raise MapError(
+                raise MapError.damaged(
                     "graph.stays, breaks or edits do not fit to the "
                     f"{counted(known, 'keyframe')} of {filenames.LABELS}",
-                    "build the map again",
-                    where=self.path / filenames.TOPOLOGY,
+                    self.path / filenames.TOPOLOGY,
                 )
         return self.record.topology(
             lambda node: self.grids[node.id],
@@ -305,11 +304,7 @@ class Map:
         labels = read_labels(path, self.limits)
         strangers = set(labels.submaps.tolist()) - {NO_SUBMAP, *self.ids}
         if strangers:
-            raise MapError(
-                f"submap {min(strangers)} is not in {filenames.TOPOLOGY}",
-                "build the map again",
-                where=path,
-            )
+            raise MapError.damaged(f"submap {min(strangers)} is not in {filenames.TOPOLOGY}", path)
         unchanging(labels.stamps_ns, labels.poses, labels.submaps)
         return self.checked(labels, path.name)
 
@@ -330,11 +325,10 @@ class Map:
         try:
             some = slice(None) if numbers is None else numbers
             if list(store.stamps_ns) != stamps_ns[some].tolist():
-                raise MapError(
+                raise MapError.damaged(
                     f"its {counted(len(store), 'scan')} are not the "
                     f"{counted(len(stamps_ns), 'keyframe')} of {filenames.LABELS}",
-                    "build the map again",
-                    where=path,
+                    path,
                 )
             return self.checked(store, path.name)
         except MapError:
@@ -364,9 +358,7 @@ class Map:
         """The contents of run.json."""
         run = map_json(self._of_recording(filenames.RUN), self.limits)
         if not isinstance(run, dict):
-            raise MapError(
-                "not a JSON object", "build the map again", where=self.path / filenames.RUN
-            )
+            raise MapError.damaged("not a JSON object", self.path / filenames.RUN)
         wanted = self.record.graph.files.get(filenames.LABELS)
         if wanted is not None and run.get(filenames.OF_LABELS, wanted) != wanted:
             raise _foreign(self.path / filenames.RUN)
