@@ -70,14 +70,13 @@ class ClassifiedScan:
     `raw` (m,) log probabilities of the submaps by the single scan, `margins` (m,) its votes, `all`
     (m,) log probabilities with the virtual scan.
     `seen` is what is matched with walls: the scan of a laser that sees all round, else the virtual
-    one; `shown` in [0, 1] is how much of the robot's surroundings the virtual one holds.
+    one.
     """
 
     margins: FloatArray
     raw: FloatArray
     all: FloatArray
     seen: PlanarScan
-    shown: float
 
 
 class ScanClassifier:
@@ -110,11 +109,10 @@ class ScanClassifier:
         alone = self._calibration.alone(margins)
         virtual = self.classifiers.virtual
         if virtual is None or not self.config.virtual:
-            both, shown = alone, [1.0] * len(scans)
-            seen = [posed.planar for posed in scans]
+            both, seen = alone, [posed.planar for posed in scans]
         else:
-            # what a full circle would have seen from each, of the last metres; how full these are
-            windows, filled = list[PlanarScan](), list[float]()
+            # what a full circle would have seen from each, of the last metres
+            windows = list[PlanarScan]()
             for posed in scans:
                 if posed.restarted:  # this pose has nothing to do with the last one
                     self._recent.clear()
@@ -122,22 +120,13 @@ class ScanClassifier:
                     scan = partial(getattr, posed, "planar")
                     self._recent.add(posed.map_from_base, posed.base_from_laser, scan)
                 windows.append(self._recent.scan(posed.stamp_ns, posed.map_from_laser))
-                filled.append(self._recent.filled)
             features = scans_features(windows, virtual.feature_set)
             both = self._calibration.together(margins, virtual.margins(features))
-            view = self.classifiers.sensor.field_of_view / (2.0 * math.pi)
-            shown = [max(share, view) for share in filled]
             seen = [
                 posed.planar if posed.planar.full_circle else window
                 for posed, window in zip(scans, windows, strict=True)
             ]
         return [
-            ClassifiedScan(
-                margins=margins[k],
-                raw=alone[k],
-                all=both[k],
-                seen=seen[k],
-                shown=shown[k],
-            )
+            ClassifiedScan(margins=margins[k], raw=alone[k], all=both[k], seen=seen[k])
             for k in range(len(scans))
         ]
