@@ -8,7 +8,7 @@ scan is keyframe i. Log times rise from scan to scan, whatever the stamps do, to
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import closing
 from pathlib import Path
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from specmap_cli.core.errors import TOO_LARGE, LogError, MapError
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
-from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.records import IntArray, PlanarScan, PosedScan
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.logs.messages import (
@@ -105,11 +105,17 @@ def _mounting(pose: Pose2) -> Pose2:
     return Pose2(pose.x, pose.y, round(pose.theta, 12))
 
 
-def read_keyframes(path: Path, most: int, limits: LimitsConfig | None = None) -> KeyframeStore:
+def read_keyframes(
+    path: Path,
+    most: int,
+    limits: LimitsConfig | None = None,
+    wanted: IntArray | None = None,
+) -> KeyframeStore:
     """The keyframes of a map, `most` or fewer, with poses as registered: close the store after use.
 
-    They pass through a temporary file, as in a build. Raises MapError for a file that is missing,
-    damaged or beyond its limits, UsageError when there is no room for the temporary file.
+    Of the numbers `wanted` alone, if given: the others are not decoded. They pass through a
+    temporary file, as in a build. Raises MapError for a file that is missing, damaged or beyond its
+    limits, UsageError when there is no room for the temporary file.
     """
     most_mb = (LimitsConfig() if limits is None else limits).keyframes_max_mb
     try:
@@ -128,7 +134,7 @@ def read_keyframes(path: Path, most: int, limits: LimitsConfig | None = None) ->
         )
     store = KeyframeStore()
     try:
-        for scan in _scans(path):
+        for scan in _scans(path, None if wanted is None else set(wanted.tolist())):
             if len(store) == most:
                 raise MapError(f"has more than {most:,} scans", "build the map again", where=path)
             store.append(scan)
@@ -138,11 +144,11 @@ def read_keyframes(path: Path, most: int, limits: LimitsConfig | None = None) ->
     return store
 
 
-def _scans(path: Path) -> Iterator[PosedScan]:
+def _scans(path: Path, wanted: Collection[int] | None) -> Iterator[PosedScan]:
     """The keyframes in a file, one in memory at a time; MapError for what is not whole."""
     try:
         with closing(McapFile(path)) as recording:
-            reader = _Reader()
+            reader = _Reader(wanted)
             for message in recording.messages([TF_STATIC, TF, SCAN_TOPIC]):
                 scan = reader.take(message)
                 if scan is not None:
@@ -158,8 +164,10 @@ def _scans(path: Path) -> Iterator[PosedScan]:
 class _Reader:
     """Puts scans, poses and mountings together, which come in messages of their own."""
 
-    def __init__(self) -> None:
+    def __init__(self, wanted: Collection[int] | None) -> None:
+        self._wanted = wanted
         self._lasers: dict[str, Pose2] = {}
+        self._moved: Message | None = None  # the transforms before a scan
         self._pose: tuple[int, Pose2] | None = None  # with its stamp
         self._form: AlikeTransforms | None = None
         self._place = 0  # of the pose of the base among the transforms of a message
@@ -168,24 +176,29 @@ class _Reader:
     def take(self, message: Message) -> PosedScan | None:
         """Take in a message; the keyframe that it completes, if any. Raises BadMessageError."""
         if message.topic == TF:
-            self._take_pose(message)
+            self._moved = message
             return None
         if message.topic != SCAN_TOPIC:
             for each in decode_transforms(message).records:
                 self._lasers[each.child] = _mounting(Pose2.from_matrix(each.parent_from_child))
             return None
+        number, self._count = self._count, self._count + 1
+        if self._wanted is not None and number not in self._wanted:
+            return None
+        if self._moved is not None:
+            self._take_pose(self._moved)
+            self._moved = None
         record = decode_scan(message)
         if isinstance(record, CloudRecord):
-            raise BadMessageError(f"scan {self._count} is a cloud")
+            raise BadMessageError(f"scan {number} is a cloud")
         if self._pose is None or self._pose[0] != record.stamp_ns:
-            raise BadMessageError(f"scan {self._count} has no pose")
+            raise BadMessageError(f"scan {number} has no pose")
         if record.frame not in self._lasers:
-            raise BadMessageError(f"scan {self._count} is of no known laser: {record.frame!r}")
-        self._count += 1
+            raise BadMessageError(f"scan {number} is of no known laser: {record.frame!r}")
         beams, step = record.layout.beams, increment(record.layout)
         pose = _cut(np.array(self._pose[1]))  # as it was before its quaternion was cut
         return PosedScan(
-            index=self._count - 1,
+            index=number,
             stamp_ns=record.stamp_ns,
             map_from_base=Pose2(*pose.tolist()),
             planar=PlanarScan(  # the ranges mean what they do in the message
