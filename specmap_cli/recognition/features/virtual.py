@@ -55,11 +55,18 @@ class RecentScans:
     def __init__(self) -> None:
         self._kept: deque[tuple[float, Pose2, FloatArray]] = deque()
         self._travelled = 0.0
+        self._started = 0.0
         self._last: Pose2 | None = None
+
+    @property
+    def filled(self) -> float:
+        """Share of the window that has been driven, in [0, 1]."""
+        return min(1.0, (self._travelled - self._started) / WINDOW_M)
 
     def clear(self) -> None:
         """Forget all scans: the next pose has nothing to do with the last one."""
         self._kept.clear()
+        self._started = self._travelled
         self._last = None
 
     def add(

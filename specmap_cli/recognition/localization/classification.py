@@ -1,4 +1,4 @@
-"""What the classifiers of a map say of each scan of a log."""
+"""What the classifiers and the exemplars of a map say of each scan of a log."""
 
 from __future__ import annotations
 
@@ -68,15 +68,18 @@ class ClassifiedScan:
     """What is said of one scan, and of the virtual one of the window before it.
 
     `raw` (m,) log probabilities of the submaps by the single scan, `margins` (m,) its votes, `all`
-    (m,) log probabilities with the virtual scan.
+    (m,) log probabilities with the virtual scan; `strange` is how little it looks like any place of
+    the map: above one where nothing fits, -inf when not known.
     `seen` is what is matched with walls: the scan of a laser that sees all round, else the virtual
-    one.
+    one; `shown` in [0, 1] is how much of the robot's surroundings the virtual one holds.
     """
 
     margins: FloatArray
     raw: FloatArray
     all: FloatArray
+    strange: float
     seen: PlanarScan
+    shown: float
 
 
 class ScanClassifier:
@@ -105,14 +108,15 @@ class ScanClassifier:
             self.note = self._sampler.note
         resampled = [self._sampler.apply(posed.planar) for posed in scans]
         features = scans_features(resampled, raw.feature_set)
-        margins = raw.margins(features)
+        margins, strange = raw.margins(features), raw.strangeness(features)
         alone = self._calibration.alone(margins)
         virtual = self.classifiers.virtual
         if virtual is None or not self.config.virtual:
-            both, seen = alone, [posed.planar for posed in scans]
+            both, shown = alone, [1.0] * len(scans)
+            seen = [posed.planar for posed in scans]
         else:
-            # what a full circle would have seen from each, of the last metres
-            windows = list[PlanarScan]()
+            # what a full circle would have seen from each, of the last metres; how full these are
+            windows, filled = list[PlanarScan](), list[float]()
             for posed in scans:
                 if posed.restarted:  # this pose has nothing to do with the last one
                     self._recent.clear()
@@ -120,13 +124,25 @@ class ScanClassifier:
                     scan = partial(getattr, posed, "planar")
                     self._recent.add(posed.map_from_base, posed.base_from_laser, scan)
                 windows.append(self._recent.scan(posed.stamp_ns, posed.map_from_laser))
+                filled.append(self._recent.filled)
             features = scans_features(windows, virtual.feature_set)
             both = self._calibration.together(margins, virtual.margins(features))
+            if virtual.familiarity is not None:
+                strange = virtual.strangeness(features)
+            view = self.classifiers.sensor.field_of_view / (2.0 * math.pi)
+            shown = [max(share, view) for share in filled]
             seen = [
                 posed.planar if posed.planar.full_circle else window
                 for posed, window in zip(scans, windows, strict=True)
             ]
         return [
-            ClassifiedScan(margins=margins[k], raw=alone[k], all=both[k], seen=seen[k])
+            ClassifiedScan(
+                margins=margins[k],
+                raw=alone[k],
+                all=both[k],
+                strange=float(strange[k]),
+                seen=seen[k],
+                shown=shown[k],
+            )
             for k in range(len(scans))
         ]

@@ -94,6 +94,7 @@ def test_a_share_of_the_window_is_what_was_seen_last(share: float, far_m: float)
     """What lies farther back is forgotten."""
     recent = recent_scans(virtual_beams=360)
     here = drive(recent, 7.25)
+    assert recent.filled == 1.0
     seen = recent.scan(0, here, share).ranges
     assert seen.min() == pytest.approx(1.0)
     assert seen[np.isfinite(seen)].max() == pytest.approx(math.hypot(far_m, 1.0))
@@ -105,6 +106,7 @@ def test_scans_too_near_to_the_last_are_left_out_but_their_way_counts() -> None:
     for k in range(5):  # 0.1 m apart, each with another point
         point = np.array([[0.0, 1.0 + k]])
         add(recent, point, Pose2(0.1 * k, 0.0, 0.0))
+    assert recent.filled == pytest.approx(0.2)
     ranges = recent.scan(0, IDENTITY).ranges
     assert np.isfinite(ranges).sum() == 1
     add(recent, np.array([[1.0, 0.0]]), Pose2(0.5, 0.0, 0.0))
@@ -117,15 +119,18 @@ def test_a_turn_on_the_spot_is_worth_a_scan() -> None:
         add(recent, np.array([[2.0, 0.0]]), Pose2(0.0, 0.0, theta))
     seen = np.isfinite(recent.scan(0, IDENTITY).ranges)
     assert seen.sum() == 2  # straight ahead, and at 0.4 rad; the turn of 0.2 added nothing
+    assert recent.filled == 0.0
 
 
-def test_after_a_restart_nothing_of_before_is_seen() -> None:
+def test_after_a_restart_nothing_of_before_is_seen_and_the_window_fills_anew() -> None:
     recent = recent_scans()
-    here = drive(recent, 3.0)
+    drive(recent, 3.0)
     recent.clear()
-    assert np.isinf(recent.scan(0, here).ranges).all()
+    assert recent.filled == 0.0
     add(recent, WALL, Pose2(100.0, 0.0, 0.0))
-    assert np.isfinite(recent.scan(0, Pose2(100.0, 0.0, 0.0)).ranges).any()
+    assert recent.filled == 0.0  # the leap between the two poses is no way driven
+    add(recent, WALL, Pose2(101.0, 0.0, 0.0))
+    assert recent.filled == pytest.approx(0.5)
 
 
 def test_a_cast_scan_is_what_the_walls_of_the_grid_show(flat: GridMap) -> None:
