@@ -17,12 +17,14 @@ from specmap_cli.core.records import IntArray
 from specmap_cli.evaluation.semantic import (
     HALLWAY,
     ROOM,
-    RoomHallway,
     SemanticResult,
     hallways,
+    kinds_by,
     kinds_of,
+    room_hallway_model,
     semantic_scores,
 )
+from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.learning.classifiers import Sensor
 
 _RATE_HZ = 2.0  # of the scans to learn from: enough of every place
@@ -64,8 +66,8 @@ def _predicted(drawing: Drawing, built: Built) -> IntArray:
         drawing.rooms.at(np.array([scan.map_from_base for scan in tour])), hallways(drawing.rooms)
     )
     known = [scan.planar for scan, kind in zip(tour, kinds, strict=True) if kind >= 0]
-    model = RoomHallway().fit(known, kinds[kinds >= 0])
-    return model.predict(built.store.scan(k) for k in range(len(built.store)))
+    model = room_hallway_model(scans_features(known, "table1"), kinds[kinds >= 0])
+    return kinds_by(model, (built.store.scan(k) for k in range(len(built.store))))
 
 
 def _scores(case: Case, built: Built, predicted: IntArray) -> SemanticResult:

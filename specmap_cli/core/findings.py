@@ -73,10 +73,13 @@ class Quality(Value):
 
     @classmethod
     def of(cls, findings: Iterable[Finding]) -> Quality:
-        """The worst of the findings decides the verdict."""
-        all_ = tuple(findings)
-        verdicts = [_verdict(finding) for finding in all_]
-        return cls(verdict=max(verdicts, key=VERDICTS.index, default=VERDICTS[0]), findings=all_)
+        """The findings, the gravest first, what reading had to say last of its kind.
+
+        The worst of them decides the verdict.
+        """
+        told = [(-VERDICTS.index(_verdict(one)), one.code == INPUT, one) for one in findings]
+        all_ = tuple(one for *_, one in sorted(told, key=lambda each: each[:2]))
+        return cls(verdict=_verdict(all_[0]) if all_ else VERDICTS[0], findings=all_)
 
     @property
     def warnings(self) -> tuple[Finding, ...]:

@@ -60,25 +60,15 @@ class SemanticResult:
         }
 
 
-class RoomHallway:
-    """AdaBoost on stumps over Table I: positive margins are hallways."""
+def room_hallway_model(X: FloatArray, kinds: IntArray, rounds: int = 100) -> StumpBoost:
+    """What features (n, F) of Table I of scans of known kind (n,) teach: hallways are claimed."""
+    model = StumpBoost(feature_names(_FEATURES), rounds)
+    return model.fit(X, np.where(kinds == HALLWAY, 1.0, -1.0))
 
-    def __init__(self, rounds: int = 100) -> None:
-        self.booster_ = StumpBoost(feature_names(_FEATURES), rounds)
 
-    def fit(self, scans: Iterable[PlanarScan], kinds: IntArray) -> RoomHallway:
-        """Learn from scans of known kind (n,), ROOM or HALLWAY; returns self."""
-        return self.fit_features(scans_features(scans, _FEATURES), kinds)
-
-    def fit_features(self, X: FloatArray, kinds: IntArray) -> RoomHallway:
-        """Learn from features (n, F) of scans of known kind (n,); returns self."""
-        self.booster_.fit(X, np.where(kinds == HALLWAY, 1.0, -1.0))
-        return self
-
-    def predict(self, scans: Iterable[PlanarScan]) -> IntArray:
-        """(n,) kind of every scan."""
-        margins = self.booster_.margins(scans_features(scans, _FEATURES))
-        return (margins > 0.0).astype(np.int64)
+def kinds_by(model: StumpBoost, scans: Iterable[PlanarScan]) -> IntArray:
+    """(n,) kind of every scan, ROOM or HALLWAY."""
+    return (model.margins(scans_features(scans, _FEATURES)) > 0.0).astype(np.int64)
 
 
 def hallways(rooms: RoomTruth) -> set[int]:
@@ -149,12 +139,12 @@ def room_hallway(
     model = _trained(learned, config, progress)
     with open_log(asked.log, config.log) as log, KeyframeStore() as store:
         finished = map_log(Session(config, store, progress), SweepStream(log, config.log))
-        predicted = model.predict(store.scan(k) for k in range(len(store)))
+        predicted = kinds_by(model, (store.scan(k) for k in range(len(store))))
         truth = asked.kinds(np.array(store.stamps_ns, dtype=np.int64))
     return semantic_scores(predicted, truth, finished.labels.submaps, finished.topology.joined)
 
 
-def _trained(learned: Labelled, config: Config, progress: Progress) -> RoomHallway:
+def _trained(learned: Labelled, config: Config, progress: Progress) -> StumpBoost:
     stamps: list[int] = []
     features = scans_features(_scans_of(learned.log, config, progress, stamps), _FEATURES)
     kinds = learned.kinds(np.array(stamps, dtype=np.int64))
@@ -164,7 +154,7 @@ def _trained(learned: Labelled, config: Config, progress: Progress) -> RoomHallw
             "hallways: is the picture that of its building, in the frame of the poses?",
             where=learned.log,
         )
-    return RoomHallway().fit_features(features[kinds >= 0], kinds[kinds >= 0])
+    return room_hallway_model(features[kinds >= 0], kinds[kinds >= 0])
 
 
 def _scans_of(

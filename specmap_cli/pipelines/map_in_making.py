@@ -31,7 +31,7 @@ from specmap_cli.maps.store import Map
 from specmap_cli.maps.text_files import map_text
 from specmap_cli.pipelines.edits import edits_of_stored
 from specmap_cli.quality.evidence import Evidence
-from specmap_cli.quality.verdict import LAYOUT_CODES, of_layout, quality_of
+from specmap_cli.quality.laid_out import LAYOUT_CODES, of_layout
 from specmap_cli.recognition.features.sets import KeyframeFeatures
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.learning.training_data import TrainingData
@@ -140,7 +140,7 @@ class LaidOut:
             beyond=self.beyond,
             warnings=(),
         )
-        return quality_of([*self.findings, *of_layout(evidence)])
+        return Quality.of([*self.findings, *of_layout(evidence)])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -241,7 +241,7 @@ def laid_out_of_stored(stored: Map) -> LaidOut:
 def quality_of_stored(stored: Map) -> Quality:
     """What was thought of a map when it was made."""
     quality = stored.quality
-    return UNDOUBTED if quality is None else quality_of(quality.findings)
+    return UNDOUBTED if quality is None else Quality.of(quality.findings)
 
 
 def _layout(stored: Map) -> Layout:

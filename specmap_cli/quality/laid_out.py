@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from specmap_cli.quality.evidence import (
 
 LOOSE, MOVED, RIVAL, LAYOUT = "loose-part", "part-moved", "rival-place", "layout-refused"
 WALLS, REFUTED, BEYOND = "walls-disagree", "closures-refuted", "beyond-grid"
-CODES = frozenset({LOOSE, MOVED, RIVAL, LAYOUT, WALLS, REFUTED, BEYOND})
+LAYOUT_CODES = frozenset({LOOSE, MOVED, RIVAL, LAYOUT, WALLS, REFUTED, BEYOND})
 
 _LOOSE_SHARE_POOR = 0.1  # share of the way that a guess places, above which a map is poor
 _CONTRADICTED_POOR = 0.1  # share of the walls that two passes saw
@@ -190,12 +190,10 @@ def _most_agreed(links: Sequence[Link], poses: FloatArray) -> tuple[int, FloatAr
     return best, motion
 
 
-CHECKS: tuple[Callable[[Evidence], Iterator[Finding]], ...] = (
-    loose_parts,
-    moved_parts,
-    rival_places,
-    refused_layout,
-    walls,
-    refuted,
-    beyond_grid,
-)
+def of_layout(evidence: Evidence) -> list[Finding]:
+    """What is to be said of a layout, of one recording or of several."""
+    checks = (
+        *(loose_parts, moved_parts, rival_places, refused_layout),
+        *(walls, refuted, beyond_grid),
+    )
+    return [finding for check in checks for finding in check(evidence)]

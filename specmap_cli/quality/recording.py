@@ -1,16 +1,19 @@
-"""Findings about a recording: scans that were lost, breaks, what nothing measured, and holes."""
+"""Findings about a recording: scans that were lost, breaks, what nothing measured, and holes.
+
+Every finding has a code that stays the same from version to version; docs/quality.md lists them.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from specmap_cli.core.arrays import runs
-from specmap_cli.core.findings import Finding
+from specmap_cli.core.findings import INPUT, Finding
 from specmap_cli.core.geometry import compose, invert, step_lengths, travelled
 from specmap_cli.core.records import IntArray
 from specmap_cli.core.text import counted
@@ -256,11 +259,8 @@ def _joined(layout: Layout, starts: IntArray) -> IntArray:
     return np.asarray(groups, dtype=np.int64)
 
 
-CHECKS: tuple[Callable[[Evidence], Iterator[Finding]], ...] = (
-    lost_scans,
-    breaks,
-    unwatched,
-    sessions,
-    unmeasured_way,
-    odometry_disagrees,
-)
+def of_recording(evidence: Evidence) -> list[Finding]:
+    """What is to be said of a recording, wherever its map is laid into another one."""
+    checks = (lost_scans, breaks, unwatched, sessions, unmeasured_way, odometry_disagrees)
+    inputs = [Finding(code=INPUT, severity="note", message=text) for text in evidence.warnings]
+    return [finding for check in checks for finding in check(evidence)] + inputs

@@ -12,7 +12,8 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import Trajectory
 from specmap_cli.layout.result import Layout
 from specmap_cli.quality.evidence import Evidence
-from specmap_cli.quality.verdict import of_layout, of_recording, quality_of
+from specmap_cli.quality.laid_out import of_layout
+from specmap_cli.quality.recording import of_recording
 
 
 def evidence_of(
@@ -37,4 +38,4 @@ def evidence_of(
 
 def judged(evidence: Evidence) -> Quality:
     """The verdict on a recording and its layout."""
-    return quality_of([*of_recording(evidence), *of_layout(evidence)])
+    return Quality.of([*of_recording(evidence), *of_layout(evidence)])

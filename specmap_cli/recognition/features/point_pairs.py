@@ -123,5 +123,9 @@ def _bins(first: FloatArray, second: FloatArray) -> NDArray[np.uint8]:
 
 
 GROUPS: tuple[BatchGroup, ...] = (
-    BatchGroup(point_pair_histogram, (*PAIR_COLUMNS, "boundary_length", "boundary_points")),
+    BatchGroup(
+        point_pair_histogram,
+        (*PAIR_COLUMNS, "boundary_length", "boundary_points"),
+        histogram=PAIR_COLUMNS,
+    ),
 )
