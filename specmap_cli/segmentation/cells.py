@@ -131,7 +131,7 @@ def _watershed(
 
 
 def _held(free: BoolArray, seeds: IndexArray) -> BoolArray:
-    """(h, w) the pieces of `free`, joined over edges and corners, that hold one of the cells (n, 2)."""
+    """(h, w) the pieces of `free` that hold a seed (n, 2); cells join over sides and corners."""
     count, piece = cv2.connectedComponents(free.view(np.uint8), connectivity=8)
     held = np.zeros(count, dtype=bool)
     held[piece[tuple(seeds.T)]] = True
