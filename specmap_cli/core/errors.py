@@ -129,6 +129,11 @@ class MapError(InputError):
 
     code = MAP
 
+    @classmethod
+    def damaged(cls, found: object, path: object) -> Self:
+        """A file of a map is not as it was written."""
+        return cls(found, "build the map again", where=path)
+
 
 class NoResultError(SpecmapError):
     """The run finished without a result."""

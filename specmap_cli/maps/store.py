@@ -21,7 +21,7 @@ from specmap_cli.core.config import known_settings
 from specmap_cli.core.errors import MAP_MISSING, MapError
 from specmap_cli.core.files import sha256_of
 from specmap_cli.core.findings import Quality, Verdict
-from specmap_cli.core.records import NO_SUBMAP, Labels, Trajectory
+from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels, Trajectory
 from specmap_cli.core.settings import Config, LimitsConfig
 from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import GridMap, slices_near
@@ -60,13 +60,13 @@ _NOTHING = np.zeros(0, dtype=np.int64)
 _NO_LABELS = Labels(stamps_ns=_NOTHING, poses=np.zeros((0, 3)), submaps=_NOTHING)
 
 
-def _of_one_map(read: Callable[[Map], Value]) -> Callable[[Map], Value]:
+def _of_one_map(read: Callable[..., Value]) -> Callable[..., Value]:
     """A reader of a file that says where what is wrong is only that the map was replaced."""
 
     @functools.wraps(read)
-    def reader(stored: Map) -> Value:
+    def reader(stored: Map, *args: Any) -> Value:
         try:
-            return read(stored)
+            return read(stored, *args)
         except MapError:
             stored.refuse_changed()
             raise
@@ -260,11 +260,10 @@ class Map:
         if lasts:  # of keyframes that there are, none of them in two stays
             known = len(self.labels.stamps_ns)
             if max(lasts) >= known or sum(end - start + 1 for start, end in runs) > known:
-                raise MapError(
+                raise MapError.damaged(
                     "graph.stays, breaks or edits do not fit to the "
                     f"{counted(known, 'keyframe')} of {filenames.LABELS}",
-                    "build the map again",
-                    where=self.path / filenames.TOPOLOGY,
+                    self.path / filenames.TOPOLOGY,
                 )
         return self.record.topology(
             lambda node: self.grids[node.id],
@@ -305,20 +304,16 @@ class Map:
         labels = read_labels(path, self.limits)
         strangers = set(labels.submaps.tolist()) - {NO_SUBMAP, *self.ids}
         if strangers:
-            raise MapError(
-                f"submap {min(strangers)} is not in {filenames.TOPOLOGY}",
-                "build the map again",
-                where=path,
-            )
+            raise MapError.damaged(f"submap {min(strangers)} is not in {filenames.TOPOLOGY}", path)
         unchanging(labels.stamps_ns, labels.poses, labels.submaps)
         return self.checked(labels, path.name)
 
     @_of_one_map
-    def scans(self) -> KeyframeStore:
-        """The scans of the keyframes and their poses as registered: close the store after use."""
+    def scans(self, numbers: IntArray | None = None) -> KeyframeStore:
+        """The scans of all keyframes, or of some `numbers` (n,), in order: close it after use."""
         from specmap_cli.maps.keyframe_log import read_keyframes  # loads the readers of recordings
 
-        path, stamps_ns = self.path / filenames.KEYFRAMES, self.labels.stamps_ns.tolist()
+        path, stamps_ns = self.path / filenames.KEYFRAMES, self.labels.stamps_ns
         if not path.exists():
             raise MapError(
                 f"has no {path.name}",
@@ -326,16 +321,15 @@ class Map:
                 "scans: build the map again",
                 where=self.path,
             )
-        store = read_keyframes(path, len(stamps_ns), self.limits)
-        if list(store.stamps_ns) != stamps_ns:
-            store.close()
-            raise MapError(
-                f"its {counted(len(store), 'scan')} are not the "
-                f"{counted(len(stamps_ns), 'keyframe')} of {filenames.LABELS}",
-                "build the map again",
-                where=path,
-            )
+        store = read_keyframes(path, len(stamps_ns), self.limits, numbers)
         try:
+            some = slice(None) if numbers is None else numbers
+            if list(store.stamps_ns) != stamps_ns[some].tolist():
+                raise MapError.damaged(
+                    f"its {counted(len(store), 'scan')} are not the "
+                    f"{counted(len(stamps_ns), 'keyframe')} of {filenames.LABELS}",
+                    path,
+                )
             return self.checked(store, path.name)
         except MapError:
             store.close()
@@ -364,9 +358,7 @@ class Map:
         """The contents of run.json."""
         run = map_json(self._of_recording(filenames.RUN), self.limits)
         if not isinstance(run, dict):
-            raise MapError(
-                "not a JSON object", "build the map again", where=self.path / filenames.RUN
-            )
+            raise MapError.damaged("not a JSON object", self.path / filenames.RUN)
         wanted = self.record.graph.files.get(filenames.LABELS)
         if wanted is not None and run.get(filenames.OF_LABELS, wanted) != wanted:
             raise _foreign(self.path / filenames.RUN)

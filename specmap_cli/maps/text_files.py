@@ -37,32 +37,16 @@ _DECIMAL = re.compile(r"[0-9]+(\.[0-9]*)?")  # seconds without a sign or an expo
 _FARTHEST = 1e8  # metres: twice around the earth, farther than any place in a map
 
 
-def read_text(path: Path, limits: LimitsConfig | None = None) -> str:
-    """A text file of a map; OSError as in `read_bytes`, UnicodeDecodeError for no UTF-8."""
+def map_text(path: Path, limits: LimitsConfig | None = None) -> str:
+    """The text of a file of a map."""
     most_mb = (LimitsConfig() if limits is None else limits).text_max_mb
-    return read_bytes(path, most_mb, "limits.text_max_mb").decode("utf-8")
-
-
-def map_text(path: Path, limits: LimitsConfig) -> str:
-    """The text of a file."""
     try:
-        return read_text(path, limits)
+        return read_bytes(path, most_mb, "limits.text_max_mb").decode("utf-8")
     except OSError as error:
-        raise MapError.of_system(
-            error, "cannot be read", "build the map again", where=path
-        ) from None
+        advice = "build the map again"
+        raise MapError.of_system(error, "cannot be read", advice, where=path) from None
     except UnicodeDecodeError:
-        raise MapError("not UTF-8 text", "build the map again", where=path) from None
-
-
-def _lines(path: Path, limits: LimitsConfig | None, what: str) -> list[str]:
-    """The lines of a table of numbers."""
-    try:
-        return read_text(path, limits).splitlines()
-    except OSError as error:
-        raise MapError.of_system(error, f"cannot read the {what}", where=path) from None
-    except UnicodeDecodeError:
-        raise MapError("not a text file", "build the map again", where=path) from None
+        raise MapError.damaged("not UTF-8 text", path) from None
 
 
 def _numbers(words: Sequence[str], count: int) -> list[float]:
@@ -79,13 +63,11 @@ def map_json(path: Path, limits: LimitsConfig) -> Any:
     try:
         return json.loads(map_text(path, limits))
     except json.JSONDecodeError as error:
-        raise MapError(
-            f"damaged JSON at line {error.lineno}: {error.msg}", "build the map again", where=path
-        ) from None
+        raise MapError.damaged(f"damaged JSON at line {error.lineno}: {error.msg}", path) from None
     except RecursionError:
-        raise MapError("JSON nested too deeply", "build the map again", where=path) from None
+        raise MapError.damaged("JSON nested too deeply", path) from None
     except ValueError:  # Python reads no integer of thousands of digits
-        raise MapError("a number of too many digits", "build the map again", where=path) from None
+        raise MapError.damaged("a number of too many digits", path) from None
 
 
 def first_finding(error: ValidationError) -> str:
@@ -102,7 +84,7 @@ def config_of(written: Any, path: Path) -> Config:
         return Config.model_validate(known)
     except ValidationError as error:
         what = f"config: {first_finding(error)}"
-        raise MapError(what, "build the map again", where=path) from None
+        raise MapError.damaged(what, path) from None
 
 
 def labels_text(labels: Labels) -> str:
@@ -120,9 +102,9 @@ def labels_text(labels: Labels) -> str:
 def read_labels(path: str | Path, limits: LimitsConfig | None = None) -> Labels:
     """labels.csv back. Raises MapError naming the line at fault."""
     path = Path(path)
-    lines = _lines(path, limits, "keyframes")
+    lines = map_text(path, limits).splitlines()
     if not lines or lines[0] != LABELS_HEADER:
-        raise MapError(f"line 1 is not {LABELS_HEADER!r}", "build the map again", where=path)
+        raise MapError.damaged(f"line 1 is not {LABELS_HEADER!r}", path)
     stamps, poses, submaps = [], [], []
     for number, line in enumerate(lines[1:], start=2):
         try:
@@ -193,7 +175,7 @@ def read_trajectory(path: str | Path, limits: LimitsConfig | None = None) -> Tra
     Raises MapError naming the line at fault.
     """
     path = Path(path)
-    lines = _lines(path, limits, "trajectory")
+    lines = map_text(path, limits).splitlines()
     stamps: list[int] = []
     found: list[list[float]] = []
     lost: list[bool] = []

@@ -35,17 +35,15 @@ def read_topology(path: Path, limits: LimitsConfig) -> tuple[TopologyRecord, str
     elif version == SCHEMA_VERSION and graph.keys().isdisjoint(_NOT_AT_FIRST):
         document, note = upgraded(document), f"{path.parent}: {WITHOUT_DOORS}"
     elif version != SCHEMA_VERSION:
-        raise MapError(
-            f"graph.schema_version is {version!r}: this version reads 1 and {SCHEMA_VERSION}",
-            "build the map again",
-            where=path,
+        raise MapError.damaged(
+            f"graph.schema_version is {version!r}: this version reads 1 and {SCHEMA_VERSION}", path
         )
     try:
         record = TopologyRecord.model_validate(document)
     except ValidationError as error:
-        raise MapError(first_finding(error), "build the map again", where=path) from None
+        raise MapError.damaged(first_finding(error), path) from None
     for fault in _faults(record):
-        raise MapError(fault, "build the map again", where=path)
+        raise MapError.damaged(fault, path)
     return record, note
 
 

@@ -318,8 +318,8 @@ GRAPH, WAY, RUN = "trajectory.g2o", "trajectory.tum", "run.json"
             r"trajectory\.g2o: its vertices are not among the \d+ keyframes of labels\.csv",
         ),
         (GRAPH, DAMAGES["empty"], None),  # nothing but the way from keyframe to keyframe
-        (WAY, DAMAGES["gone"], r"trajectory\.tum: cannot read the trajectory: "),
-        (WAY, DAMAGES["binary"], r"trajectory\.tum: not a text file: build the map again"),
+        (WAY, DAMAGES["gone"], r"trajectory\.tum: cannot be read: "),
+        (WAY, DAMAGES["binary"], r"trajectory\.tum: not UTF-8 text: build the map again"),
         (WAY, DAMAGES["empty"], r"trajectory\.tum: .*: build the map again"),
         (
             WAY,

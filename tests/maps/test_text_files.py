@@ -88,13 +88,13 @@ HEADER_TOLD = "line 1 is not 'stamp,x,y,theta,submap': build the map"
     ("name", "content", "complaint"),
     [
         *(("labels.csv", text.encode(), HEADER_TOLD) for text in HEADERS),
-        ("labels.csv", None, "cannot read the keyframes: No such file"),
-        ("labels.csv", b"\xff\xfe", "not a text file"),
+        ("labels.csv", None, "cannot be read: No such file"),
+        ("labels.csv", b"\xff\xfe", "not UTF-8 text"),
         ("trajectory.tum", b"1.0 0 0 0 0 0 1\n", "line 1 is"),
         ("trajectory.tum", b"1.0 0 0 0 0 0 0 1\n2.0 0 0 0 0 0 nan 1\n", "line 2 is"),
         ("trajectory.tum", b"x 0 0 0 0 0 0 1\n", "line 1 is"),
-        ("trajectory.tum", b"\xff\xfe", "not a text file"),
-        ("trajectory.tum", None, "cannot read"),
+        ("trajectory.tum", b"\xff\xfe", "not UTF-8 text"),
+        ("trajectory.tum", None, "cannot be read"),
     ],
 )
 def test_files_that_cannot_be_read(
