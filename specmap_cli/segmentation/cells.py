@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import product
-from typing import Any
 
 import cv2
 import numpy as np
@@ -21,6 +20,7 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.grids.gridmap import (
     BoolArray,
     LengthArray,
+    bands_of,
     contacts,
     looked_up,
     nearest_values,
@@ -33,7 +33,10 @@ Pair = tuple[int, int]
 _RINGS = 3  # cells by which labels creep: the fringe of free cells beside a wall of 0.1 m cells
 _LEVELS = 126  # heights of the relief that is flooded: the sum of two of them, and one, fit a byte
 _AROUND = np.array([(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1)])
+_AT_ONCE = 1 << 16  # cells that are looked round at in one go: bounds the memory
+_BESIDE = 1.5  # cells, from one to those round it
 _TILE, _AROUND_TILE = 2048, 128  # cells, both even: a tile is flooded with what is around it
+_NEAR_TILE, _NEAR = 256, 32  # cells looked at together for the nearest label, and how far at first
 _TINY = 1e-9  # cells; keeps a grid without free space from dividing by zero
 
 _RATIO_SLACK = 1e-9  # a border of just the ratio asked for joins, whatever the last digit
@@ -66,7 +69,8 @@ def flood_labels(clearance: LengthArray, nodes: IndexArray, labels: LabelArray) 
                 for shift in (low, np.zeros(2, dtype=np.intp))
             )
             found[there] = flooded[own]
-    return spread_labels(found, clearance > 0.0)
+    spread_labels(found, clearance > 0.0)
+    return found
 
 
 def flooded_at(
@@ -83,11 +87,11 @@ def flooded_at(
     flooded, cells = _watershed(clearance, nodes, labels, top), cells - low
     found = np.asarray(flooded[tuple(cells.T)])
     lines = np.flatnonzero((found < 0) & (clearance[tuple(cells.T)] > 0.0))
-    around = np.clip(cells[lines, None] + _AROUND, 0, np.array(clearance.shape) - 1)
-    found[lines] = flooded[tuple(around.reshape(-1, 2).T)].reshape(-1, 9).max(axis=1)
+    found[lines] = flooded[_around(cells[lines], flooded.shape)].max(axis=1)
     if (found[lines] >= 0).all():
         return found
-    return np.asarray(spread_labels(flooded, clearance > 0.0)[tuple(cells.T)])
+    spread_labels(flooded, clearance > 0.0)
+    return np.asarray(flooded[tuple(cells.T)])
 
 
 def _watershed(
@@ -102,33 +106,35 @@ def _watershed(
     It floods walls, too, and free cells behind them.
     """
     rows, columns = clearance.shape
-    share = np.divide(clearance, max(top, _TINY), dtype=np.float64)
-    height = np.rint((1.0 - share) * _LEVELS).astype(np.uint8)
-    relief = height + np.uint8(_LEVELS + 2)
-    for some in (np.s_[::2, ::2], np.s_[1::2, 1::2]):
-        relief[some] = np.uint8(_LEVELS + 1) - height[some]
-    wall = clearance <= 0.0
-    relief[wall] = 0
-    picture = np.zeros((rows + 2, columns + 2, 3), dtype=np.uint8)
-    picture[:, :, 1] = 255
-    picture[1:-1, 1:-1, 0], picture[1:-1, 1:-1, 1] = relief, np.uint8(255) * wall
+    picture = np.full((rows + 2, columns + 2, 3), (0, 255, 0), dtype=np.uint8)
+    for some in bands_of((rows, columns * 16)):
+        ground = clearance[some]
+        height = np.divide(ground, -max(top, _TINY), dtype=np.float64)
+        height += 1.0
+        height *= _LEVELS
+        relief = np.rint(height, out=height).astype(np.uint8)
+        odd = (np.arange(some.start, some.stop)[:, None] + np.arange(columns)) % 2 == 1
+        relief = np.where(odd, relief + np.uint8(_LEVELS + 2), np.uint8(_LEVELS + 1) - relief)
+        wall = ground <= 0.0
+        relief[wall] = 0
+        inner = picture[some.start + 1 : some.stop + 1, 1:-1]
+        inner[:, :, 0], inner[:, :, 1] = relief, np.uint8(255) * wall
     markers = np.zeros(picture.shape[:2], dtype=np.int32)
     markers[nodes[:, 0] + 1, nodes[:, 1] + 1] = labels + 1
     cv2.watershed(picture, markers)
+    del picture
     flooded = markers[1:-1, 1:-1].astype(np.int16)
+    del markers
     flooded -= 1
-    flooded[(flooded < 0) | ~_held(~wall, tuple(nodes.T))] = -1
+    flooded[(flooded < 0) | ~_held(clearance > 0.0, nodes)] = -1
     return flooded
 
 
-def _held(free: BoolArray, seeds: Any) -> BoolArray:
-    """(h, w) the cells of the pieces of `free` that hold a seed, joined over edges and corners.
-
-    `seeds` is an index of cells.
-    """
-    count, piece = cv2.connectedComponents(free.astype(np.uint8), connectivity=8)
+def _held(free: BoolArray, seeds: IndexArray) -> BoolArray:
+    """(h, w) the pieces of `free` that hold a seed (n, 2); cells join over sides and corners."""
+    count, piece = cv2.connectedComponents(free.view(np.uint8), connectivity=8)
     held = np.zeros(count, dtype=bool)
-    held[piece[seeds]] = True
+    held[piece[tuple(seeds.T)]] = True
     held[0] = False
     return looked_up(held, piece)
 
@@ -144,26 +150,65 @@ def nearest_labels(free: BoolArray, nodes: IndexArray, labels: LabelArray) -> La
 
 def spread_labels(
     labels: LabelArray, free: BoolArray, rings: int = _RINGS, *, everywhere: bool = True
-) -> LabelArray:
-    """Fill what is unlabelled (-1) of every piece of `free` (H, W) that holds a label.
+) -> None:
+    """Fill, in place, what is unlabelled (-1) of every piece of `free` (H, W) that holds a label.
 
     Labels creep `rings` cells through free space, so that none crosses a thin wall; what is left
-    takes the nearest label of all, if they are to go `everywhere`.
+    takes the nearest label of all, if they are to go `everywhere`. Time and memory go with the
+    cells to fill, which are few, and not with the map.
     """
-    missing = free & (labels < 0)
-    if not missing.any():
-        return labels
-    spread, around = labels.astype(np.int16), np.ones((3, 3), dtype=np.uint8)
+    lacking = [np.argwhere(free[rows] & (labels[rows] < 0)) for rows in bands_of(labels.shape)]
+    for rows, some in zip(bands_of(labels.shape), lacking, strict=True):
+        some[:, 0] += rows.start
+    cells = np.concatenate([np.zeros((0, 2), dtype=np.intp), *lacking])
     for _ in range(rings):
-        bigger = cv2.dilate(spread, around)
-        open_cells = missing & (spread < 0)
-        spread[open_cells] = bigger[open_cells]
-    missing &= (spread < 0) & everywhere
-    if missing.any():
-        missing &= _held(free, spread >= 0)
-    if missing.any():
-        spread[missing] = nearest_values(spread + np.int16(1))[0][missing] - np.int16(1)
-    return spread
+        highest = [labels[_around(some, labels.shape)].max(axis=1) for some in _chunks(cells)]
+        found = np.concatenate(highest)
+        labels[tuple(cells.T)] = found
+        cells = cells[found < 0]
+    if everywhere and len(cells):
+        joins = cKDTree(cells).query_pairs(_BESIDE, output_type="ndarray")
+        piece = _joined(len(cells), joins)
+        held = np.zeros(len(cells), dtype=np.bool_)
+        for some, numbers in zip(_chunks(cells), _chunks(piece), strict=True):
+            around = _around(some, labels.shape)
+            held[numbers[(free[around] & (labels[around] >= 0)).any(axis=1)]] = True
+        cells = cells[held[piece]]
+        if len(cells):
+            labels[tuple(cells.T)] = _nearest(labels, cells)
+
+
+def _around(cells: IndexArray, shape: tuple[int, ...]) -> tuple[IndexArray, ...]:
+    """Rows and columns (n, 9) of each of some cells (n, 2) of a grid and of those around it."""
+    around = np.clip(cells[:, None] + _AROUND, 0, np.array(shape) - 1)
+    return around[:, :, 0], around[:, :, 1]
+
+
+def _chunks(rows: IndexArray) -> list[IndexArray]:
+    """Some rows (n, ...) in parts of a bounded size, at least one."""
+    return [rows[first : first + _AT_ONCE] for first in range(0, max(len(rows), 1), _AT_ONCE)]
+
+
+def _nearest(labels: LabelArray, cells: IndexArray) -> LabelArray:
+    """(n,) the label of the cell that is nearest to each of some cells (n, 2) and has one.
+
+    Only what is round the cells is looked at, wider where no label is as near.
+    """
+    found, tiles = np.empty(len(cells), dtype=labels.dtype), cells // _NEAR_TILE
+    order = np.lexsort(tiles.T)
+    ends = np.flatnonzero(np.diff(tiles[order], axis=0).any(axis=1)) + 1
+    for own in np.split(order, ends):
+        low, high, reach = cells[own].min(axis=0), cells[own].max(axis=0) + 1, _NEAR
+        while True:
+            first = np.maximum(low - reach, 0)
+            look = labels[first[0] : high[0] + reach, first[1] : high[1] + reach]
+            values, away = nearest_values(look + np.int16(1))
+            at = tuple((cells[own] - first).T)
+            if look.shape == labels.shape or away[at].max() <= reach:
+                break
+            reach *= 4
+        found[own] = values[at] - np.int16(1)
+    return found
 
 
 def local_widths(
@@ -227,9 +272,13 @@ def without_dead_ends(
 
 def components(count: int, pairs: Sequence[Pair]) -> LabelArray:
     """(count,) numbers 0, 1, ... that are the same for what the pairs join."""
-    ends = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
-    graph = csr_array((np.ones(ends.shape[1]), (ends[0], ends[1])), (count, count))
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int16)
+    return _joined(count, np.array(pairs, dtype=np.intp).reshape(-1, 2)).astype(np.int16)
+
+
+def _joined(count: int, pairs: IndexArray) -> IndexArray:
+    """(count,) as `components`, for pairs (m, 2) of whatever number."""
+    graph = csr_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (count, count))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.intp)
 
 
 def consensus(divisions: Sequence[LabelArray]) -> LabelArray:
@@ -240,36 +289,54 @@ def consensus(divisions: Sequence[LabelArray]) -> LabelArray:
     another division is the one with which it shares more than `_SAME`. Deterministic: of equals
     that division counts, then the first.
     """
-    some = np.any([division >= 0 for division in divisions], axis=0)
-    others = [division[some] + np.int16(1) for division in divisions]  # 0: no label
-    likeness = [math.fsum(_alike(one, other)[1] for other in others) for one in others]
+    # cells that have the same labels in all divisions are of one kind; a run of a kind is looked at
+    # once
+    flat = [division.ravel() for division in divisions]
+    begins = np.ones(flat[0].size, dtype=np.bool_)
+    begins[1:] = False
+    for division in flat:
+        begins[1:] |= division[1:] != division[:-1]
+    runs = np.flatnonzero(begins)
+    lengths = np.diff(runs, append=begins.size)
+    table = np.column_stack([division[runs] for division in flat]) + np.int16(1)  # 0: no label
+    kinds, of_run = np.unique(table, axis=0, return_inverse=True)
+    of_run = of_run.ravel()
+    cells = np.bincount(of_run, lengths, len(kinds))
+    named = _agreed([kind.copy() for kind in kinds.T], np.where(kinds.any(axis=1), cells, 0.0))
+    return np.repeat(named[of_run], lengths).reshape(divisions[0].shape)
+
+
+def _agreed(others: list[LabelArray], cells: FloatArray) -> LabelArray:
+    """(k,) `consensus` of kinds of cells, of each of which there are so many `cells` (k,).
+
+    `others` (k,) are their labels from 1 on, 0 for none.
+    """
+    likeness = [math.fsum(_alike(one, other, cells)[1] for other in others) for one in others]
     middle = others.pop(int(np.argmax(likeness)))
     for other in others:
         new = (middle == 0) & (other > 0)
         middle = np.where(new, middle.max(initial=0) + other, middle)
     votes = [middle]
     for other in others:
-        iou = _alike(middle, other)[0]
+        iou = _alike(middle, other, cells)[0]
         same = np.where(iou.max(axis=0) > _SAME, iou.argmax(axis=0), 0).astype(np.int16)
         votes.append(same[other])
     cast = np.array(votes)
-    split = (cast != middle).any(axis=0)
-    cast = cast[:, split]
     count = np.where(cast > 0, (cast[:, None] == cast).sum(axis=1), 0)
-    middle[split] = np.take_along_axis(cast, count.argmax(axis=0)[None], axis=0)[0]
-    labels = np.full(some.shape, -1, dtype=np.int16)
-    labels[some] = np.cumsum(np.bincount(middle, minlength=1)[1:] > 0)[middle - 1] - 1
-    return labels
+    agreed = np.take_along_axis(cast, count.argmax(axis=0)[None], axis=0)[0]
+    names = np.cumsum(np.bincount(agreed, minlength=1)[1:] > 0)
+    return np.asarray(np.append(-1, names - 1).astype(np.int16)[agreed])
 
 
-def _alike(one: LabelArray, other: LabelArray) -> tuple[FloatArray, float]:
+def _alike(one: LabelArray, other: LabelArray, cells: FloatArray) -> tuple[FloatArray, float]:
     """Intersection over union (k, l) of the regions 1, 2, ... of two divisions (n,); 0: no region.
 
-    Also the mean, over the regions of both that have cells, of the best of each.
+    Each of the n stands for so many `cells`. Also the mean, over the regions of both that have
+    cells, of the best of each.
     """
     shape = int(one.max(initial=0)) + 1, int(other.max(initial=0)) + 1
     pairs = np.multiply(one, shape[1], dtype=np.intp) + other
-    shared = np.bincount(pairs, minlength=shape[0] * shape[1]).reshape(shape)
+    shared = np.bincount(pairs, cells, shape[0] * shape[1]).reshape(shape)
     mine, theirs = shared.sum(axis=1), shared.sum(axis=0)
     iou = shared / np.maximum(mine[:, None] + theirs - shared, 1)
     iou[0], iou[:, 0] = 0.0, 0.0

@@ -112,7 +112,7 @@ def segment(grid: GridMap, config: SegmentationConfig, *, rooms: bool = False) -
         cells = np.where(work.free, cells, np.int16(-1))
     fine = upright.cells_in(grid, cells, -1)
     fine[~grid.free & upright.cells_in(grid, work.free, False)] = -1  # furniture alone has a label
-    fine = spread_labels(fine, grid.free, upright.step + 1, everywhere=not rooms)
+    spread_labels(fine, grid.free, upright.step + 1, everywhere=not rooms)
     sizes = np.bincount(fine[fine >= 0], minlength=int(cells.max(initial=0)) + 1)
     names = np.full(len(sizes) + 1, -1, dtype=np.int16)  # the last is that of no region
     names[np.argsort(-sizes, kind="stable")] = np.arange(len(sizes))
@@ -138,6 +138,7 @@ def _divided(
     if config.wide_door_m:
         opened, narrowed = with_narrow_doors(work.free, small, cell_m, config.wide_door_m)
     clearance = clearance_of(narrowed)
+    del small, narrowed
     space = clearance > 0.0
     others = [  # step 2, and nothing is kept of their graphs
         _placement(clearance, space, cell_m, config, block, number)[0]
@@ -151,7 +152,8 @@ def _divided(
         cells = without_rings(cells)
         least, alcove = config.clearance_m / cell_m, _ALCOVE_M2 / cell_m**2
         cells = without_dead_ends(cells, clearance, least, alcove)
-    return spread_labels(cells, opened), graph, spectrum
+    spread_labels(cells, opened)
+    return cells, graph, spectrum
 
 
 def _placement(

@@ -35,16 +35,22 @@ def without_rings(labels: LabelArray) -> LabelArray:
         cuts &= region
         if not cuts.any():
             continue
-        rest = (region & ~cuts).astype(np.uint8)
-        _, piece, stats, _ = cv2.connectedComponentsWithStats(rest, connectivity=8)
-        beside = np.unique(piece[(cv2.dilate(cuts.astype(np.uint8), _BESIDE) > 0) & (piece > 0)])
+        del around, beyond
+        rest = (region & ~cuts).view(np.uint8)
+        pieces, piece, stats, _ = cv2.connectedComponentsWithStats(rest, connectivity=8)
+        near = cv2.dilate(cuts.view(np.uint8), _BESIDE) & rest
+        beside = np.unique(piece[near > 0])
         scrap = stats[beside, cv2.CC_STAT_AREA] <= np.count_nonzero(cuts)
-        here, piece = sides[window], piece[1:-1, 1:-1]
-        here[cuts[1:-1, 1:-1] | np.isin(piece, beside[scrap])] = -1
-        for number in beside[~scrap][1:]:
-            here[piece == number] = count
-            count += 1
-    return spread_labels(sides, labels >= 0)
+        names = np.full(pieces, label, dtype=sides.dtype)
+        names[beside[scrap]] = -1
+        more = beside[~scrap][1:]
+        names[more] = count + np.arange(len(more))
+        count += len(more)
+        named = looked_up(names, piece)
+        named[cuts] = -1
+        np.copyto(sides[window], named[1:-1, 1:-1], where=region[1:-1, 1:-1])
+    spread_labels(sides, labels >= 0)
+    return sides
 
 
 def _cut_round(hole: BoolArray, solid: BoolArray, cuts: BoolArray) -> None:
@@ -76,8 +82,9 @@ def _cut(hole: BoolArray, solid: BoolArray) -> tuple[int, int, int]:
     first, last = _extent(hole.sum(axis=1))
     rows = np.arange(first, (first + last) // 2 + 1)
     stops = hole[rows].argmax(axis=1)
-    columns = np.arange(hole.shape[1])
-    beyond = np.where(solid[rows] & (columns < stops[:, None]), columns, -1).max(axis=1)
+    before = solid[rows] & (np.arange(hole.shape[1]) < stops[:, None])
+    last = hole.shape[1] - 1 - before[:, ::-1].argmax(axis=1)
+    beyond = np.where(before.any(axis=1), last, -1)
     best = int((stops - beyond + rows).argmin())
     return int(rows[best]), int(beyond[best]) + 1, int(stops[best])
 

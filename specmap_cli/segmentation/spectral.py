@@ -115,18 +115,18 @@ def parts_of(S: Any, most: int) -> list[IndexArray]:
     S (n, n) sparse is the similarity of eq. 1. A part is connected. One with more than `most` nodes
     is cut in two.
     """
-    parts, pending = [], [(S, np.arange(S.shape[0]))]
+    parts, pending = [], [np.arange(S.shape[0])]
     while pending:
-        S, nodes = pending.pop()
-        count, piece = connected_components(S, directed=False)
+        nodes = pending.pop()
+        some = S if len(nodes) == S.shape[0] else S[nodes][:, nodes]
+        # of a symmetric graph these are the pieces, found without a copy of it turned over
+        count, piece = connected_components(some, connection="strong")
         for mine in (np.flatnonzero(piece == number) for number in range(count)):
             if len(mine) <= most:
                 parts.append(nodes[mine])
                 continue
-            part = S if count == 1 else S[mine][:, mine]
-            beyond = _beyond_the_neck(part)
-            for side in (np.flatnonzero(beyond), np.flatnonzero(~beyond)):
-                pending.append((part[side][:, side], nodes[mine[side]]))
+            beyond = _beyond_the_neck(some if count == 1 else some[mine][:, mine])
+            pending += [nodes[mine[beyond]], nodes[mine[~beyond]]]
     return sorted(parts, key=lambda part: int(part[0]))
 
 

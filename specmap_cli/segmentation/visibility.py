@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -96,8 +97,10 @@ def visible(
     A line is walked by the free distance it stands on, which cannot jump over an obstacle, and by
     one cell at least.
     """
-    width, room = clearance.shape[1], clearance.ravel() - least
-    steps = np.where(room <= _SLACK, 0.0, np.maximum(room - 1.0, 1.0))  # 0: here a line ends
+    # cells from the first one on as they lie in memory, be they a window of a larger grid
+    width, size = clearance.strides[0] // clearance.itemsize, clearance.itemsize
+    lying = max((clearance.shape[0] - 1) * width + clearance.shape[1], 0)
+    cells = as_strided(clearance, (lying,), (size,), writeable=False)
     seen = np.ones(len(pairs), dtype=bool)
     for first in range(0, len(pairs), _CHUNK):
         start, end = nodes[pairs[first : first + _CHUNK].T]
@@ -117,10 +120,14 @@ def visible(
                 np.rint(across, out=across)
                 at *= width
                 at += across
-                step = steps.take(at.astype(np.intp))
+                step = cells.take(at.astype(np.intp))
+                step -= least
+                blocked = step <= _SLACK
+                step -= 1.0
+                np.maximum(step, 1.0, out=step)
+                step[blocked] = 0.0  # here a line ends
                 gone += step
                 np.minimum(gone, length, out=gone)
-            blocked = step == 0.0
             seen[alive[blocked]] = False
             on = np.flatnonzero(~blocked & (gone < length))
             alive, gone, length = alive[on], gone[on], length[on]

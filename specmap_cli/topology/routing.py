@@ -154,14 +154,14 @@ class _Ground:
 
     def way(self, start: IntArray, goal: IntArray) -> IntArray | None:
         """(k, 2) the cells of the cheapest way between two cells; None for none."""
-        whole = (slice(0, self.price.shape[0]), slice(0, self.price.shape[1]))
         row, column = start.tolist()
-        found = tree(np.isfinite(self.price), self.price, whole, (row, column))
+        cells = np.argwhere(np.isfinite(self.price))
+        found = tree(cells, self.price[tuple(cells.T)], (row, column))
         return found.way_to(goal) if np.isfinite(found.cost_to(goal[None])[0]) else None
 
     def line(self, cells: IntArray, start: Point, goal: Point) -> tuple[FloatArray, IntArray]:
         """The points (n, 2) of a straightened way from place to place, and its corners (m, 2)."""
-        corners, grid = straightened(cells, self.price), self.space.grid
+        corners, grid = straightened(cells, self.price.__getitem__), self.space.grid
         points = grid.centres_of(corners)
         first, last = (  # a place is in its cell, or aside of where the robot can stand
             [place] if math.dist(place, end) < grid.resolution else [place, end]

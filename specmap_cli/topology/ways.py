@@ -7,7 +7,7 @@ cells, drawn as a line with few corners.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import BoolArray, IntArray
 from specmap_cli.topology.regions import Border, Pair, Space, Window, borders_of, windows_of
+
+Price = Callable[[Any], FloatArray]  # of a step in some cells, by their index into the map
 
 # Out to so many radii from a wall each step is the cheaper the more room there is: a way keeps to
 # the middle of a door and of a corridor, and does not go round through a hall for it.
@@ -57,10 +59,9 @@ def ways(
     """
     windows, trees, wanted = windows_of(space.owner), {}, list(pairs)
     for submap in {submap for pair in wanted for submap in pair} & windows.keys():
-        window = windows[submap]
-        price = prices_of(space.clearance(window), radius_m)
-        mine = (space.owner[window] == submap) & np.isfinite(price)
-        trees[submap] = tree(mine, price, window, anchors[submap].cell)
+        cells = _within(windows[submap], space.owner[windows[submap]] == submap)
+        price = prices_of(space.clearance(tuple(cells.T)), radius_m)
+        trees[submap] = tree(cells, price, anchors[submap].cell)
     borders: dict[Pair, list[Border]] = {}
     for border in borders_of(space.owner):
         borders.setdefault(border.pair, []).append(border)
@@ -68,8 +69,13 @@ def ways(
     return {pair: _way(land, pair) for pair in wanted}
 
 
+def _within(window: Window, mask: BoolArray) -> IntArray:
+    """(n, 2) rows and columns on the map of the set cells of a window of it, row by row."""
+    return np.asarray(np.argwhere(mask) + [part.start for part in window])
+
+
 def prices_of(clearance: FloatArray, radius_m: float) -> FloatArray:
-    """(H, W) the price of a step in cells of that clearance, infinite below `radius_m`."""
+    """(H, W) or (n,) the price of a step in cells of that clearance, infinite below `radius_m`."""
     most = _COMFORT * radius_m
     price = np.minimum(clearance, most)
     with np.errstate(divide="ignore"):
@@ -126,14 +132,12 @@ def _way(land: _Land, pair: Pair) -> Way:
         most = widest(room, tuple(start - corner), tuple(end - corner))
         if most is None:
             return NO_WAY
-        price = land.price(window)
-        found = tree(mine & np.isfinite(price), price, window, land.anchors[pair[0]].cell)
+        cells = _within(window, mine)
+        found = tree(cells, land.price(tuple(cells.T)), land.anchors[pair[0]].cell)
         if not np.isfinite(found.cost_to(end[None])[0]):
             return Way(None, most)
         cells = found.way_to(end)
-    low, high = cells.min(axis=0), cells.max(axis=0) + 1  # a line between them leaves no such box
-    box = slice(low[0], high[0]), slice(low[1], high[1])
-    corners = low + straightened(cells - low, land.price(box))
+    corners = straightened(cells, land.price)
     under = np.concatenate([cells_on(a, b)[0] for a, b in pairwise(corners)])
     clearance_m = float(land.space.clearance(tuple(under.T)).min())
     return Way(land.space.grid.centres_of(corners), clearance_m)
@@ -209,69 +213,76 @@ def anchors_of(
 
 _STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))  # to half of the eight neighbours
 _NO_NODE = -1
+_ROW = 1 << 32  # more than any map has columns
 
 
 @dataclass(frozen=True, slots=True)
 class Tree:
-    """The cheapest ways from one cell over the cells of a window of the map.
+    """The cheapest ways from one cell over some cells of the map, its nodes.
 
-    `corner` is the row and column on the map of its first cell; `number` (h, w) the node of each
-    cell, or -1; `cells` (n, 2) the row and column on the map of each node; `cost` (n + 1,) that of
-    the way, infinite where there is none and for node -1; `before` (n,) the node that comes before
-    it on the way, negative for the first.
+    `cells` (n, 2) are the row and column on the map of each node, row by row; `cost` (n + 1,) that
+    of the way, infinite where there is none and for node -1; `before` (n,) the node that comes
+    before it on the way, negative for the first.
     """
 
-    corner: IntArray
-    number: NDArray[np.int32]
     cells: IntArray
     cost: FloatArray
     before: NDArray[np.int32]
 
     def cost_to(self, cells: IntArray) -> FloatArray:
-        """(m,) the cost of the way to cells (m, 2) of the window, infinite where there is none."""
-        rows, columns = (cells - self.corner).T
-        return np.asarray(self.cost[self.number[rows, columns]])
+        """(m,) the cost of the way to cells (m, 2) of the map, infinite where there is none."""
+        return np.asarray(self.cost[_numbers(_keys(self.cells), _keys(cells))])
 
     def way_to(self, cell: IntArray) -> IntArray:
         """(k, 2) the cells of the way to one that can be reached, from the first on."""
-        way, node = [], int(self.number[tuple(cell - self.corner)])
+        way, node = [], int(_numbers(_keys(self.cells), _keys(cell[None]))[0])
         while node >= 0:
             way.append(node)
             node = int(self.before[node])
         return np.asarray(self.cells[way[::-1]])
 
 
-def tree(open_cells: BoolArray, price: FloatArray, window: Window, start: tuple[int, int]) -> Tree:
-    """The cheapest ways from `start`, a row and column of the map, over `open_cells` (h, w).
+def tree(cells: IntArray, price: FloatArray, start: tuple[int, int]) -> Tree:
+    """The cheapest ways from `start`, a row and column of the map, over cells (n, 2), row by row.
 
-    `price` (h, w) is that of a step of one cell, also across corners. Both are of a `window` of
-    the map. Takes n log n for n open cells.
+    `price` (n,) is that of a step of one cell, also across corners, and infinite where nobody can
+    go. Takes n log n, and nothing for the rest of the map.
     """
     from scipy.sparse import csr_matrix  # take a fifth of a second to load
     from scipy.sparse.csgraph import dijkstra
 
-    number = np.full(open_cells.shape, _NO_NODE, dtype=np.int32)
-    cells = np.argwhere(open_cells)
-    number[open_cells] = np.arange(len(cells))
+    cells, price = cells[np.isfinite(price)], price[np.isfinite(price)]
+    keys = _keys(cells)
     ends, prices = [], []
-    height, width = open_cells.shape
     for down, right in _STEPS:
-        here = slice(0, height - down), slice(max(0, -right), width - max(0, right))
-        there = slice(down, height), slice(max(0, right), width - max(0, -right))
-        both = (number[here] != _NO_NODE) & (number[there] != _NO_NODE)
+        there = _numbers(keys, keys + (down * _ROW + right))
+        both = there != _NO_NODE
         if down and right:  # a line across a corner touches the cells on both sides of it
-            both &= number[there[0], here[1]] != _NO_NODE
-            both &= number[here[0], there[1]] != _NO_NODE
-        ends.append(np.stack([number[here][both], number[there][both]]))
-        prices.append((price[here][both] + price[there][both]) * (0.5 * np.hypot(down, right)))
+            both &= _numbers(keys, keys + right) != _NO_NODE
+            both &= _numbers(keys, keys + down * _ROW) != _NO_NODE
+        here, there = np.flatnonzero(both).astype(np.int32), there[both]
+        ends.append(np.stack([here, there]))
+        prices.append((price[here] + price[there]) * (0.5 * np.hypot(down, right)))
     steps = np.concatenate(prices), np.concatenate(ends, axis=1)
     graph = csr_matrix(steps, shape=(len(cells), len(cells)))
-    corner = np.array([part.start for part in window])
-    first = int(number[tuple(np.array(start) - corner)])
+    first = int(_numbers(keys, _keys(np.array([start])))[0])
     cost, before = np.full(len(cells), np.inf), np.full(len(cells), _NO_NODE, dtype=np.int32)
     if first != _NO_NODE:
         cost, before = dijkstra(graph, directed=False, indices=first, return_predecessors=True)
-    return Tree(corner, number, cells + corner, np.append(cost, np.inf), before)
+    return Tree(cells, np.append(cost, np.inf), before)
+
+
+def _keys(cells: IntArray) -> IntArray:
+    """(n,) one number for each of some cells (n, 2): it rises row by row."""
+    return np.asarray(cells[:, 0] * _ROW + cells[:, 1], dtype=np.int64)
+
+
+def _numbers(keys: IntArray, asked: IntArray) -> NDArray[np.int32]:
+    """(m,) where each of the keys asked for is among some that rise, `_NO_NODE` where it is not."""
+    if not len(keys):
+        return np.full(len(asked), _NO_NODE, dtype=np.int32)
+    at = np.minimum(np.searchsorted(keys, asked), len(keys) - 1)
+    return np.where(keys[at] == asked, at, _NO_NODE).astype(np.int32)
 
 
 _DEVIATION_CELLS = 2.0  # how far a straight piece may leave the cells that it stands for
@@ -279,10 +290,10 @@ _HAIRS = 1e-6 * np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])  
 _SLACK = 1e-9  # of prices that are equal but for the last digit
 
 
-def straightened(way: IntArray, price: FloatArray) -> IntArray:
+def straightened(way: IntArray, price: Price) -> IntArray:
     """The corners (k, 2) of a line from the first to the last cell of a way (n, 2).
 
-    Cells that a line must not enter have an infinite `price` (H, W). A piece of the line costs no
+    Cells that a line must not enter have an infinite `price`. A piece of the line costs no
     more than the corners that it replaces: so it keeps off walls as the way does.
     """
     corners = way[_corners(way, price)]
@@ -302,7 +313,7 @@ def straightened(way: IntArray, price: FloatArray) -> IntArray:
     return corners[kept]
 
 
-def _corners(way: IntArray, price: FloatArray) -> list[int]:
+def _corners(way: IntArray, price: Price) -> list[int]:
     """Rows of a way between which a straight line may be drawn: Douglas and Peucker (1973)."""
     kept, waiting = {0, len(way) - 1}, [(0, len(way) - 1)]
     while waiting:
@@ -324,10 +335,10 @@ def _corners(way: IntArray, price: FloatArray) -> list[int]:
     return sorted(kept)
 
 
-def line_price(start: IntArray, end: IntArray, price: FloatArray) -> float:
+def line_price(start: IntArray, end: IntArray, price: Price) -> float:
     """The price of a straight line between the centres of two cells."""
     cells, lengths = cells_on(start, end)
-    prices = price[tuple(cells.T)]
+    prices = price(tuple(cells.T))
     return float(np.sum(prices * lengths)) if np.isfinite(prices).all() else math.inf
 
 

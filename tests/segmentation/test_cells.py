@@ -118,12 +118,13 @@ def test_labels_spread_to_their_whole_piece_and_change_nothing_that_is_there(
     free = rng.random((20, 20)) < 0.6
     labels = np.where(free & (rng.random(free.shape) < 0.05), 7, -1).astype(np.int32)
     labels[(labels == 7) & (rng.random(free.shape) < 0.5)] = 2
-    spread = spread_labels(labels.copy(), free, rings)
+    spread, crept = labels.copy(), labels.copy()
+    spread_labels(spread, free, rings)
+    spread_labels(crept, free, rings, everywhere=False)
     piece, _ = ndimage.label(free, np.ones((3, 3)))
     held = np.isin(piece, np.unique(piece[labels >= 0])) & free
     np.testing.assert_array_equal(spread >= 0, held)
     np.testing.assert_array_equal(spread[labels >= 0], labels[labels >= 0])
-    crept = spread_labels(labels.copy(), free, rings, everywhere=False)
     near = ndimage.binary_dilation(labels >= 0, np.ones((3, 3)), rings, mask=free)
     np.testing.assert_array_equal(crept >= 0, near | (labels >= 0))
     np.testing.assert_array_equal(crept[near], spread[near])
@@ -139,8 +140,29 @@ def test_labels_creep_round_a_wall_as_far_as_they_are_told() -> None:
     free[0, 10] = True  # the two halves hang together at the top
     labels = np.full(free.shape, -1, dtype=np.int32)
     labels[5:, 9], labels[:, 20] = 1, 2  # on the wall's left side; far on its right
-    np.testing.assert_array_equal(spread_labels(labels, free, 9)[5:, 11:], 2)
-    assert (spread_labels(labels, free, 1)[5:, 12] == 1).all()  # nearer, through the wall
+    round_it, through_it = labels.copy(), labels.copy()
+    spread_labels(round_it, free, 9)
+    spread_labels(through_it, free, 1)
+    np.testing.assert_array_equal(round_it[5:, 11:], 2)
+    assert (through_it[5:, 12] == 1).all()  # nearer, through the wall
+
+
+@given(seed=seeds)
+@few(8)
+def test_labels_come_from_as_far_as_they_must(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    free = np.ones((300, 700), dtype=bool)  # more than is looked at together
+    labels = np.full(free.shape, -1, dtype=np.int16)
+    spots = rng.integers((0, 0), free.shape, (4, 2))
+    labels[tuple(spots.T)] = np.arange(4)
+    free[rng.random(free.shape) < 0.05] = False
+    nearest = nearest_values(labels + np.int16(1))[0] - np.int16(1)
+    missing = free & (labels < 0)
+    free[tuple(spots.T)] = True
+    spread_labels(labels, free, 0)
+    piece, _ = ndimage.label(free, np.ones((3, 3)))
+    held = missing & np.isin(piece, piece[tuple(spots.T)])
+    np.testing.assert_array_equal(labels[held], nearest[held])
 
 
 @given(seed=seeds)
