@@ -56,7 +56,7 @@ def tried_on(python: str, wheel: Path) -> str:
         site = next((place / "venv" / "lib").glob("python*/site-packages"))
         parts = [path for path in site.iterdir() if path.name.split("-")[0] not in {"pip"}]
         files = [file for part in parts for file in [part, *part.rglob("*")] if file.is_file()]
-        size = sum(file.stat().st_size for file in files if file.suffix != ".pyc") / 1e6
+        size = sum(file.stat().st_size for file in files) / 1e6
         command = (binary / "specmap",)
         second = ("localize", SAMPLE, "--map", "map", "--out", "where.csv")
         for arguments in (("build", SAMPLE, "-o", "map"), second, ("check", "map")):

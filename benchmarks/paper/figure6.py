@@ -31,7 +31,7 @@ from specmap_cli.evaluation.trajectories import associate
 from specmap_cli.maps.text_files import read_tum
 from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.localization.localizer import Label, Localizer
-from specmap_cli.recognition.localization.walls import MapWalls, along_way
+from specmap_cli.recognition.localization.walls import MapWalls, along_way, placed
 
 _HEAD = ("tour", "choices", "labels", "submaps", "recall", "precision", "right")
 
@@ -143,7 +143,8 @@ def _classifiers_alone(
 def _localizer(built: Built) -> Localizer:
     finished, settings = built.finished, built.config.localization
     divided, classifiers = finished.regions, finished.classifiers
-    own = partial(along_way, built.store, finished.labels.poses)
+    numbers = along_way(finished.labels.poses)
+    own = partial(placed, built.store, numbers.tolist(), finished.labels.poses[numbers])
     walls = MapWalls(divided.grid, divided.owner, classifiers.misfit, settings, own)
     adjacency = neighbours(classifiers.ids, finished.topology.joined)
     return Localizer(classifiers, adjacency, walls, settings)

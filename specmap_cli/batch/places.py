@@ -19,8 +19,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from specmap_cli.batch.records import JobRecord
-from specmap_cli.batch.steps import JOB, MAP
+from specmap_cli.batch.records import JOB, MAP, JobRecord
 from specmap_cli.core.errors import MACHINE, PACKAGE, SpecmapError, UsageError
 from specmap_cli.core.files import continued, lock, read_bytes, write_together
 from specmap_cli.core.text import to_json

@@ -33,6 +33,10 @@ COMMANDS: tuple[Command, ...] = get_args(Command)
 #   bug       a bug of the program (1)
 Kind = Literal["log", "no-result", "rule", "settings", "memory", "time", "place", "worker", "bug"]
 
+# What lies in the folder of a job.
+MAP, REPORT, LABELS, CONFUSION = "map", "report.html", "labels.csv", "confusion.png"
+JOB, LOG_TEXT = "job.json", "log.txt"
+
 OptionValue = str | int | float | bool | list[Any]
 Meaning = Literal["flag", "text", "input", "output"]
 

@@ -19,6 +19,7 @@ from pathlib import Path
 
 import specmap_cli
 from specmap_cli import __version__
+from specmap_cli.batch.jobs import arguments_of
 from specmap_cli.batch.places import (
     PlaceError,
     files_in,
@@ -28,6 +29,8 @@ from specmap_cli.batch.places import (
 )
 from specmap_cli.batch.processes import Bounds, judged, run_process
 from specmap_cli.batch.records import (
+    LOG_TEXT,
+    MAP,
     InputRecord,
     Job,
     JobRecord,
@@ -40,7 +43,6 @@ from specmap_cli.batch.records import (
     Turn,
 )
 from specmap_cli.batch.sources import digest_of, fetched, inputs_of
-from specmap_cli.batch.steps import LOG_TEXT, MAP, arguments_of
 from specmap_cli.checking.rules import figures_of
 from specmap_cli.core.errors import LogError, MapError, SpecmapError, UsageError
 from specmap_cli.core.text import legible

@@ -24,8 +24,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
 from specmap_cli.batch.places import PlaceError, path_at, reaching, store_at
-from specmap_cli.batch.records import InputRecord, Job
-from specmap_cli.batch.steps import JOB
+from specmap_cli.batch.records import JOB, InputRecord, Job
 from specmap_cli.core.errors import LogError, SpecmapError, UsageError
 from specmap_cli.core.text import quoted
 from specmap_cli.maps.filenames import TOPOLOGY

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 from urllib.parse import quote
 
-from specmap_cli.batch.records import JobRecord, Kind
-from specmap_cli.batch.steps import LOG_TEXT, MAP, REPORT
+from specmap_cli.batch.records import LOG_TEXT, MAP, REPORT, JobRecord, Kind
 from specmap_cli.core.tables import Case, csv_text, junit, markdown_table, markdown_text
 from specmap_cli.core.text import counted
 from specmap_cli.report.html import html_page, lasting

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import typer
 
@@ -18,39 +17,19 @@ if TYPE_CHECKING:
     from specmap_cli.evaluation.protocols import ClassificationScores
 
 
-class Protocol(StrEnum):
-    """What is held against the truth."""
-
-    HOLDOUT = "holdout"
-    REVISIT = "revisit"
-
-
-class Baseline(StrEnum):
-    """What the method is compared with."""
-
-    ROOM_HALLWAY = "room-hallway"
-
-
-class Split(StrEnum):
-    """How scans are held out."""
-
-    RANDOM = "random"
-    BLOCKS = "blocks"
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
     """What is evaluated: one of these."""
 
     protocol: Annotated[
-        Protocol | None,
+        Literal["holdout", "revisit"] | None,
         typer.Option(
             help="holdout: label scans held out of the map (Table II of the paper); "
             "revisit: label another log (Figure 6)."
         ),
     ] = None
     baseline: Annotated[
-        Baseline | None,
+        Literal["room-hallway"] | None,
         typer.Option(help="room-hallway: kinds of places instead of places (Figure 5c)."),
     ] = None
     trajectory: Annotated[
@@ -101,14 +80,15 @@ class Truth:
 class Drawing:
     """How the scans of a hold-out are drawn, named as in `HoldOut`."""
 
-    split: Annotated[Split, typer.Option(help="How scans are held out.")] = Split.RANDOM
+    split: Annotated[Literal["random", "blocks"], typer.Option(help="How scans are held out.")] = (
+        "random"
+    )
     share: Annotated[float, typer.Option(min=0.01, max=0.9, help="Share held out.")] = 0.2
     block: Annotated[int, typer.Option(min=1, help="Scans of a block.")] = 100
     seed: Annotated[int, typer.Option(min=0, help="Seed of the split.")] = 0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Found:
+class Found(NamedTuple):
     """The result of an evaluation; the scores of labels can be drawn."""
 
     figures: dict[str, Any]
@@ -158,7 +138,7 @@ def evaluate(
         found = _score_trajectory(task.trajectory, truth)
     elif task.baseline is not None:
         found = _name_places(logs or [], truth, effective, common)
-    elif task.protocol is Protocol.HOLDOUT:
+    elif task.protocol == "holdout":
         found = _hold_out(logs or [], drawing, effective, common)
     else:
         found = _revisit(logs or [], truth, effective, common)
@@ -198,21 +178,18 @@ def _score_trajectory(trajectory: Path, truth: Truth) -> Found:
     poses = read_tum(trajectory)
     if truth.relations is not None:
         errors = relation_errors(poses, read_relations(truth.relations))
-        return Found(figures=asdict(errors), lines=relation_lines(errors))
+        return Found(asdict(errors), relation_lines(errors))
     found = reference_errors(poses, read_tum(truth.references[0]))
-    return Found(figures=found.as_dict(), lines=reference_lines(found))
+    return Found(found.as_dict(), reference_lines(found))
 
 
 def _hold_out(logs: list[Path], drawing: Drawing, config: Config, common: Common) -> Found:
     from specmap_cli.evaluation.protocols import HoldOut, hold_out, hold_out_lines
 
     _need(len(logs) == 1, "--protocol holdout needs one log: specmap evaluate LOG --protocol ...")
-    choice = HoldOut(
-        split=drawing.split.value, share=drawing.share, block=drawing.block, seed=drawing.seed
-    )
     with common.progress() as progress:
-        result = hold_out(logs, config, choice, progress)
-    return Found(figures=result.as_dict(), lines=hold_out_lines(result), scores=result.test)
+        result = hold_out(logs, config, HoldOut(**asdict(drawing)), progress)
+    return Found(result.as_dict(), hold_out_lines(result), result.test)
 
 
 def _revisit(logs: list[Path], truth: Truth, config: Config, common: Common) -> Found:
@@ -225,7 +202,7 @@ def _revisit(logs: list[Path], truth: Truth, config: Config, common: Common) -> 
     )
     with common.progress() as progress:
         result = revisit_logs(logs[0], logs[1], (references[0], references[1]), config, progress)
-    return Found(figures=result.as_dict(), lines=revisit_lines(result), scores=result.filtered)
+    return Found(result.as_dict(), revisit_lines(result), result.filtered)
 
 
 def _name_places(logs: list[Path], truth: Truth, config: Config, common: Common) -> Found:
@@ -242,4 +219,4 @@ def _name_places(logs: list[Path], truth: Truth, config: Config, common: Common)
     asked = Labelled(logs[1], truth.references[1], plans[-1])
     with common.progress() as progress:
         result = room_hallway(learned, asked, config, progress)
-    return Found(figures=result.as_dict(), lines=semantic_lines(result))
+    return Found(result.as_dict(), semantic_lines(result))

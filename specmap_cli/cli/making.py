@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -27,13 +26,6 @@ if TYPE_CHECKING:
     from specmap_cli.pipelines.overlaps import Spread
 
 
-class FailingVerdict(StrEnum):
-    """The verdicts that a build can be asked to fail on."""
-
-    doubtful = "doubtful"
-    poor = "poor"
-
-
 def build(
     logs: Logs,
     out: NewMap = Path("out"),
@@ -54,7 +46,7 @@ def build(
     ] = None,
     overwrite: Overwrite = False,
     fail_on: Annotated[
-        FailingVerdict | None,
+        Literal["doubtful", "poor"] | None,
         typer.Option(
             help="Exit with code 5 when the map is doubtful, or poor. It is written anyway."
         ),
@@ -91,7 +83,7 @@ def build(
 
             report = build_like(logs, like, out, effective, overwrite=overwrite, progress=progress)
     common.show(report.as_dict(), report.lines())
-    if fail_on is not None and at_least_as_bad(report.quality.verdict, fail_on.value):
+    if fail_on is not None and at_least_as_bad(report.quality.verdict, fail_on):
         raise typer.Exit(BROKEN_RULE)
 
 

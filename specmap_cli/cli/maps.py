@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -24,12 +23,6 @@ from specmap_cli.cli.targets import check_files, keep_inputs
 from specmap_cli.core.errors import BROKEN_RULE, MapError
 
 _MOST_SCANS = 0.5  # share of the scans that makes most of them
-
-
-class Failing(StrEnum):
-    """What `localize` can be asked to fail on."""
-
-    unknown = "unknown"
 
 
 def localize(
@@ -51,7 +44,7 @@ def localize(
     ] = False,
     overwrite: Overwrite = False,
     fail_on: Annotated[
-        Failing | None,
+        Literal["unknown"] | None,
         typer.Option(help="Exit with code 5 when most scans are unknown. All is written anyway."),
     ] = None,
     *,
@@ -168,8 +161,7 @@ def check(
     specmap check map --rules rules.toml --junit check.xml
     specmap check tonight --against golden --markdown summary.md
     """
-    from specmap_cli.checking.record import FORMATS
-    from specmap_cli.checking.rules import read_rules
+    from specmap_cli.checking.rules import FORMATS, read_rules
     from specmap_cli.core.files import write_together
     from specmap_cli.maps.store import read_map
     from specmap_cli.pipelines.check import check_map

@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from specmap_cli.core.errors import OUTPUT, OUTPUT_EXISTS, UsageError
+from specmap_cli.core.errors import OUTPUT, UsageError
 
 if TYPE_CHECKING:
     from specmap_cli.cli.options import Common
@@ -27,19 +27,16 @@ def check_files(
     What runs that were killed had begun to write in their places is removed, and told of. Raises
     UsageError naming the first file at fault; None stands for an output not asked for.
     """
+    from specmap_cli.core.files import refuse_existing, remove_leftovers
+
     wanted = [path for path in outputs if path is not None]
     for path in wanted:
         if path.is_dir():
             raise UsageError("is a directory", "name the file to write", where=path)
         if os.path.lexists(path) and not path.is_file():
             raise UsageError("is no regular file", "choose another place", where=path, code=OUTPUT)
-        if os.path.lexists(path) and not overwrite:
-            raise UsageError(
-                "exists already",
-                "choose another name or say --overwrite",
-                where=path,
-                code=OUTPUT_EXISTS,
-            )
+        if not overwrite:
+            refuse_existing(path)
         if not path.parent.is_dir():
             raise UsageError(
                 f"there is no directory {path.parent}", "make it first", where=path, code=OUTPUT
@@ -51,8 +48,6 @@ def check_files(
     if len({path.resolve() for path in wanted}) < len(wanted):
         raise UsageError("given for two outputs: each needs a file of its own", where=wanted[0])
     keep_inputs(wanted, inputs)
-    from specmap_cli.core.files import remove_leftovers
-
     for output in wanted:
         with suppress(OSError):  # whoever writes the file is told of it
             for left in remove_leftovers(output):

@@ -110,7 +110,11 @@ def _validated(
     left, retired = without_retired(settings)
     for key, value in retired.items():
         warnings.warn(sentence(key, value), RetiredSetting, stacklevel=1)
-    return SETTINGS.value(left, lambda place: "" if _holds(given, place) else where)
+    found = SETTINGS.value(left, lambda place: "" if _holds(given, place) else where)
+    if found.localization.false_unknown != Config().localization.false_unknown:
+        told = "localization.false_unknown has no effect any more: see localization.least_misfit"
+        warnings.warn(told, RetiredSetting, stacklevel=1)
+    return found
 
 
 def _holds(tree: Mapping[str, Any], keys: tuple[int | str, ...]) -> bool:

@@ -18,7 +18,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
-from specmap_cli.core.errors import MACHINE, OUTPUT, UsageError
+from specmap_cli.core.errors import MACHINE, OUTPUT, OUTPUT_EXISTS, UsageError
 
 # A pipe does not keep the opening waiting for a writer. Not every system has such pipes.
 _AT_ONCE = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
@@ -47,6 +47,13 @@ def read_bytes(path: Path | str, most_mb: float, setting: str | None = None) -> 
         more = f"; if it is meant, raise {setting}" if setting is not None else ""
         raise OSError(errno.EFBIG, f"larger than {most_mb:g} MB{more}", str(path))
     return data
+
+
+def refuse_existing(path: Path) -> None:
+    """Refuse an output that is there already, and that nobody said to replace: UsageError."""
+    if os.path.lexists(path):
+        hint = "choose another name or say --overwrite"
+        raise UsageError("exists already", hint, where=path, code=OUTPUT_EXISTS)
 
 
 def sha256_of(path: Path) -> str:

@@ -249,7 +249,7 @@ class LocalizationConfig(_Section):
     unknown: bool = True
     """Whether scans may get the label unknown."""
     false_unknown: float = Field(0.05, gt=0, lt=1)
-    """Share of the scans of known places that are given up."""
+    """Without effect: walls alone tell what is unknown, see `least_misfit`."""
     least_misfit: float = Field(0.05, gt=0, le=1)
     """Share of returns off the walls that is usual in known places: people pass, doors move."""
     lead: float = Field(0.95, gt=0.5, lt=1)

@@ -34,7 +34,7 @@ from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.localization.localizer import Label, Localizer
-from specmap_cli.recognition.localization.walls import MapWalls, along_way
+from specmap_cli.recognition.localization.walls import MapWalls, along_way, placed
 
 Split = Literal["random", "blocks"]
 
@@ -267,7 +267,8 @@ def labels_of(
     classifiers = finished.classifiers
     adjacency = neighbours(classifiers.ids, finished.topology.joined)
     divided, settings = finished.regions, config.localization
-    own = partial(along_way, store, finished.labels.poses)
+    numbers = along_way(finished.labels.poses)
+    own = partial(placed, store, numbers.tolist(), finished.labels.poses[numbers])
     walls = MapWalls(divided.grid, divided.owner, classifiers.misfit, settings, own)
     localizer = Localizer(classifiers, adjacency, walls, settings)
     labels: list[Label] = []

@@ -41,8 +41,8 @@ from specmap_cli.exports.layers import (
     start_of,
 )
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.maps.even_bearings import EvenSpacing
 from specmap_cli.maps.flat import Fields, known, told_of
+from specmap_cli.maps.keyframe_log import EvenSpacing
 from specmap_cli.maps.store import Map
 
 BASE_FRAME = "base_link"

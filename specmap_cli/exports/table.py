@@ -17,21 +17,18 @@ all is a MapError.
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import IO, Protocol
 
-from specmap_cli.core.errors import OUTPUT_EXISTS, UsageError
-from specmap_cli.core.files import complete_file
+from specmap_cli.core.errors import UsageError
+from specmap_cli.core.files import complete_file, refuse_existing
 from specmap_cli.core.plugins import with_plugins
 from specmap_cli.core.progress import Progress, Remembering, Silent
-from specmap_cli.exports.flat_formats import CsvTables, GeoJson, GraphMl
+from specmap_cli.exports.flat_formats import CsvTables, GeoJson, GraphMl, PoseGraph
 from specmap_cli.exports.fleet_formats import Lif, Rmf
 from specmap_cli.exports.foxglove import Foxglove
-from specmap_cli.exports.masks import Masks
-from specmap_cli.exports.pose_graph import PoseGraph
 from specmap_cli.exports.rerun import Rerun
-from specmap_cli.exports.route_formats import Nav2, Tmap2
+from specmap_cli.exports.route_formats import Masks, Nav2, Tmap2
 from specmap_cli.maps.store import Map
 
 GROUP = "specmap.exporters"
@@ -85,13 +82,8 @@ def export_map(
     ending = getattr(known[name], "ending", target.suffix)
     if target.suffix not in {"", ending}:
         raise UsageError(known[name].description, f"name it {target.stem}{ending}", where=target)
-    if os.path.lexists(target) and not overwrite:
-        raise UsageError(
-            "exists already",
-            "choose another name or say --overwrite",
-            where=target,
-            code=OUTPUT_EXISTS,
-        )
+    if not overwrite:
+        refuse_existing(target)
     heard = Remembering(Silent() if progress is None else progress)
     with complete_file(target) as file:
         known[name].write(stored, file, heard)

@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2, product, wrap_angle
 from specmap_cli.core.records import BoolArray
-from specmap_cli.grids.correlation import Target, cell_counts, local_maxima, peaks
 from specmap_cli.grids.occupancy import SURFACE_GAP_M
 from specmap_cli.grids.score_field import ScoreField, descend
 
@@ -124,19 +123,40 @@ def search_everywhere(
     middle = np.asarray(points).mean(axis=0)
     local = points - middle
     reach = math.ceil(float(np.sqrt((local**2).sum(axis=1)).max()) / cell) + 1
-    target = Target.of(coarse.values.astype(np.float64)[None], (2 * reach, 2 * reach))
+    # periodic, and so wide that what reaches over one end does not meet what is at the other
+    shape = tuple(cv2.getOptimalDFTSize(side + 2 * reach) for side in coarse.values.shape)
+    spectrum = np.fft.rfft2(coarse.values.astype(np.float64), shape)
     x, y = coarse.origin
     found: list[tuple[float, float, float, float]] = []
     for angle in angles:
         turned = Pose2(0.0, 0.0, angle).apply(local)
-        picture = cell_counts(turned, cell, target.shape) / len(local)
-        maxima = local_maxima(target.correlate(picture[None]))
-        best = peaks(maxima, target.size, cell, count)
-        found.extend((-peak.value, peak.x + x, peak.y + y, angle) for peak in best)
+        # points in cells that are centred on the middle; those before it come in at the far ends
+        columns, rows = np.floor(turned / cell + 0.5).astype(np.intp).T
+        cells = (rows % shape[0]) * shape[1] + columns % shape[1]
+        picture = np.bincount(cells, minlength=math.prod(shape)).reshape(shape) / len(local)
+        sums = np.fft.irfft2(spectrum * np.conj(np.fft.rfft2(picture)), shape, norm="forward")
+        sums *= 1.0 / math.prod(shape)
+        for row, column in _peaks(sums, count):
+            value = float(sums[row, column])
+            # shifts past the field are negative ones
+            row -= shape[0] if row > (shape[0] + coarse.values.shape[0]) // 2 else 0
+            column -= shape[1] if column > (shape[1] + coarse.values.shape[1]) // 2 else 0
+            found.append((-value, (column + 0.5) * cell + x, (row + 0.5) * cell + y, angle))
     places = (
         (min(1.0, -worse), Pose2(x, y, wrap_angle(angle))) for worse, x, y, angle in sorted(found)
     )
     return different_places(places, middle, count)
+
+
+def _peaks(picture: FloatArray, count: int) -> list[tuple[int, int]]:
+    """Rows and columns of the highest cells (H, W) with no higher neighbour, the highest first.
+
+    Neighbours are told apart in single precision. Ties go to the first row, then column.
+    """
+    single = picture.astype(np.float32)
+    cells = np.flatnonzero(single >= cv2.dilate(single, np.ones((3, 3), dtype=np.uint8)))
+    best = cells[np.argsort(-picture.ravel()[cells], kind="stable")[:count]]
+    return [divmod(cell, picture.shape[1]) for cell in best.tolist()]
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,23 +6,19 @@ and renamed when complete, so that an interrupted run leaves nothing that looks 
 
 from __future__ import annotations
 
-import os
-import weakref
 from collections import Counter
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import IO
+from typing import Any
 
 from mcap.writer import CompressionType, Writer
 from numpy.typing import ArrayLike
 
 from specmap_cli import __version__
 from specmap_cli.core.arguments import Paths, path_of, paths_of
-from specmap_cli.core.errors import OUTPUT, OUTPUT_EXISTS, UsageError
-from specmap_cli.core.files import made, partial_of, remove_leftovers, to_disk
+from specmap_cli.core.files import complete_file, refuse_existing
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import LogConfig
@@ -68,21 +64,12 @@ class LogWriter:
 
     def __init__(self, path: Path | str) -> None:
         self.path = path_of(path, "path")
-        if self.path.is_dir():
-            raise UsageError(
-                "is a directory", "name the MCAP file to write", mark=";", where=self.path
-            )
-        self._part = partial_of(self.path)
         self._channels: dict[tuple[str, str], int] = {}
         self._schemas: dict[str, int] = {}
-        try:
-            remove_leftovers(self.path)
-            self._file: IO[bytes] | None = made(self._part)
-        except OSError as error:
-            raise self._unwritable(error) from None
-        # Also runs at the exit of the interpreter: no interruption leaves the part behind.
-        self._clean_up = weakref.finalize(self, self._part.unlink, missing_ok=True)
-        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._is_open = True
+        self._held = ExitStack()
+        file = self._held.enter_context(complete_file(self.path))
+        self._writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile="ros2", library=f"specmap {__version__}")
 
     def static_transform(
@@ -145,65 +132,35 @@ class LogWriter:
 
     def raw(self, topic: str, msgtype: str, cdr: bytes, log_time_ns: int) -> None:
         """A message already serialised as CDR; `msgtype` is a ROS 2 name, or ValueError says so."""
-        if self._file is None:
+        if not self._is_open:
             raise ValueError(f"{self.path}: is closed: it takes no more messages")
+        key = (topic, msgtype)
+        if key not in self._channels:
+            if msgtype not in self._schemas:
+                definition = message_definition(msgtype)
+                number = self._writer.register_schema(msgtype, "ros2msg", definition)
+                self._schemas[msgtype] = number
+            schema = self._schemas[msgtype]
+            latched = {"offered_qos_profiles": _LATCHED} if topic == TF_STATIC else {}
+            self._channels[key] = self._writer.register_channel(topic, "cdr", schema, latched)
         time_ns = max(int(log_time_ns), 0)  # the format has no times before 1970
-        try:
-            key = (topic, msgtype)
-            if key not in self._channels:
-                if msgtype not in self._schemas:
-                    text = message_definition(msgtype)
-                    number = self._writer.register_schema(msgtype, "ros2msg", text)
-                    self._schemas[msgtype] = number
-                schema = self._schemas[msgtype]
-                latched = {"offered_qos_profiles": _LATCHED} if topic == TF_STATIC else {}
-                number = self._writer.register_channel(topic, "cdr", schema, latched)
-                self._channels[key] = number
-            self._writer.add_message(self._channels[key], time_ns, cdr, time_ns)
-        except OSError as error:
-            raise self._unwritable(error) from None
+        self._writer.add_message(self._channels[key], time_ns, cdr, time_ns)
 
     def close(self) -> None:
         """Complete the file and give it its name."""
-        if self._file is None:
-            return
-        try:
-            self._writer.finish()  # type: ignore[no-untyped-call]
-            self._file.close()
-            to_disk(self._part)
-            os.replace(self._part, self.path)
-            to_disk(self.path.parent)
-        except OSError as error:
-            self.discard()
-            raise self._unwritable(error) from None
-        self._file = None
-        self._clean_up.detach()
-
-    def discard(self) -> None:
-        """Give up: nothing is left of the file."""
-        if self._file is not None:
-            with suppress(OSError):  # a full disk refuses the last bytes
-                self._file.close()
-            self._file = None
-        self._clean_up()
+        if self._is_open:
+            self._is_open = False
+            with self._held:
+                self._writer.finish()  # type: ignore[no-untyped-call]
 
     def __enter__(self) -> LogWriter:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if kind is None:
+    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
+        if error is None:
             self.close()
-        else:
-            self.discard()
-
-    def _unwritable(self, error: OSError) -> UsageError:
-        advice = "choose another place"
-        return UsageError.of_system(error, "cannot write", advice, where=self.path, code=OUTPUT)
+        self._is_open = False
+        self._held.__exit__(kind, error, trace)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -242,9 +199,8 @@ def convert(
     holds nothing to convert, TypeError for what is no path.
     """
     given, target = paths_of(paths, "paths"), path_of(out, "out")
-    if target.exists() and not overwrite:
-        hint = "use --overwrite to replace it"
-        raise UsageError("exists already", hint, mark=";", where=target, code=OUTPUT_EXISTS)
+    if not overwrite:
+        refuse_existing(target)
     with open_log(given, config) as log:
         topics = log.topics()
         wanted = [t for t in topics if t.type in SUPPORTED_TYPES and t.count]

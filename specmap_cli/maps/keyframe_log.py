@@ -3,20 +3,26 @@
 It is an ordinary recording in the frames of ROS's REP 105, so that any tool opens it. `odom` ->
 `base_link` is each pose as registered, `map` -> `odom` what the layout corrects of it. The i-th
 scan is keyframe i. Log times rise from scan to scan, whatever the stamps do, to keep that order.
+
+A message has evenly spaced beams. A laser's own scans have them already. Those taken in motion do
+not once they are de-skewed: each beam of the message then takes the reading nearest to its bearing.
+A scan that has all bearings of a circle, but whose sensor does not look all around, goes without
+those it never looked at.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from specmap_cli.core.errors import TOO_LARGE, LogError, MapError
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
-from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.records import IntArray, PlanarScan, PosedScan
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.logs.messages import (
@@ -29,7 +35,6 @@ from specmap_cli.logs.planar import covers_circle, increment
 from specmap_cli.logs.readers.encoding import (
     LASER_SCAN,
     TF_MESSAGE,
-    AlikeTransforms,
     Transform,
     in_space,
     scan_cdr,
@@ -38,14 +43,12 @@ from specmap_cli.logs.readers.encoding import (
 from specmap_cli.logs.readers.mcap import McapFile
 from specmap_cli.logs.readers.recording import Message
 from specmap_cli.logs.writer import TF_STATIC, LogWriter
-from specmap_cli.maps.even_bearings import EvenSpacing
 
 SCAN_TOPIC, TF = "/scan", "/tf"
 ODOM_FRAME, BASE_FRAME, LASER_FRAME = "odom", "base_link", "laser"
 # Poses are kept to a micrometre and a quarter of a microradian, in powers of two, of which most
 # bytes are zero and cost nothing. Ranges are kept to a millimetre: no laser of a robot is finer.
 _PER_UNIT, _MM_PER_M = np.array([2.0**20, 2.0**20, 2.0**22]), 1000.0
-_FAR_M = 1e6  # of a pose that is read without further questions
 
 
 def write_keyframes(
@@ -57,7 +60,7 @@ def write_keyframes(
     """
     odom_from_base = _cut(store.poses)
     map_from_odom = _cut(compose(poses, invert(odom_from_base)))
-    form = AlikeTransforms([(map_frame, ODOM_FRAME), (ODOM_FRAME, BASE_FRAME)])
+    links = (map_frame, ODOM_FRAME), (ODOM_FRAME, BASE_FRAME)
     chains = zip(_in_space(map_from_odom), _in_space(odom_from_base), strict=True)
     lasers: dict[Pose2, tuple[str, EvenSpacing]] = {}  # each has a frame of its own
     with LogWriter(path) as log:
@@ -71,7 +74,8 @@ def write_keyframes(
         time_ns = -1
         for number, (stamp_ns, chain) in enumerate(zip(store.stamps_ns, chains, strict=True)):
             time_ns = max(stamp_ns, time_ns + 1)
-            log.raw(TF, TF_MESSAGE, form.encoded(stamp_ns, chain), time_ns)
+            moved = [Transform(*link, *motion) for link, motion in zip(links, chain, strict=True)]
+            log.raw(TF, TF_MESSAGE, transforms_cdr(stamp_ns, moved), time_ns)
             frame, spacing = lasers[store.base_from_laser(number)]
             scan = store.scan(number)
             even = spacing.beams(scan)
@@ -91,13 +95,10 @@ def _cut(poses: FloatArray) -> FloatArray:
     return np.asarray(np.round(poses * _PER_UNIT) / _PER_UNIT)
 
 
-def _in_space(poses: FloatArray) -> list[list[float]]:
+def _in_space(poses: FloatArray) -> list[tuple[list[float], list[float]]]:
     """Places and quaternions of poses (n, 3), these in single precision: half as many bytes."""
     placed = [in_space(Pose2(*pose)) for pose in poses.tolist()]
-    turns = np.array([turn for _, turn in placed], dtype=np.float32).reshape(-1, 4)
-    places = np.array([place for place, _ in placed], dtype=np.float64).reshape(-1, 3)
-    rows: list[list[float]] = np.hstack([places, turns]).tolist()
-    return rows
+    return [(list(place), np.array(turn, dtype=np.float32).tolist()) for place, turn in placed]
 
 
 def _mounting(pose: Pose2) -> Pose2:
@@ -105,11 +106,17 @@ def _mounting(pose: Pose2) -> Pose2:
     return Pose2(pose.x, pose.y, round(pose.theta, 12))
 
 
-def read_keyframes(path: Path, most: int, limits: LimitsConfig | None = None) -> KeyframeStore:
+def read_keyframes(
+    path: Path,
+    most: int,
+    limits: LimitsConfig | None = None,
+    wanted: IntArray | None = None,
+) -> KeyframeStore:
     """The keyframes of a map, `most` or fewer, with poses as registered: close the store after use.
 
-    They pass through a temporary file, as in a build. Raises MapError for a file that is missing,
-    damaged or beyond its limits, UsageError when there is no room for the temporary file.
+    Of the numbers `wanted` alone, if given: the others are not decoded. They pass through a
+    temporary file, as in a build. Raises MapError for a file that is missing, damaged or beyond its
+    limits, UsageError when there is no room for the temporary file.
     """
     most_mb = (LimitsConfig() if limits is None else limits).keyframes_max_mb
     try:
@@ -128,7 +135,7 @@ def read_keyframes(path: Path, most: int, limits: LimitsConfig | None = None) ->
         )
     store = KeyframeStore()
     try:
-        for scan in _scans(path):
+        for scan in _scans(path, None if wanted is None else set(wanted.tolist())):
             if len(store) == most:
                 raise MapError(f"has more than {most:,} scans", "build the map again", where=path)
             store.append(scan)
@@ -138,11 +145,11 @@ def read_keyframes(path: Path, most: int, limits: LimitsConfig | None = None) ->
     return store
 
 
-def _scans(path: Path) -> Iterator[PosedScan]:
+def _scans(path: Path, wanted: Collection[int] | None) -> Iterator[PosedScan]:
     """The keyframes in a file, one in memory at a time; MapError for what is not whole."""
     try:
         with closing(McapFile(path)) as recording:
-            reader = _Reader()
+            reader = _Reader(wanted)
             for message in recording.messages([TF_STATIC, TF, SCAN_TOPIC]):
                 scan = reader.take(message)
                 if scan is not None:
@@ -158,36 +165,42 @@ def _scans(path: Path) -> Iterator[PosedScan]:
 class _Reader:
     """Puts scans, poses and mountings together, which come in messages of their own."""
 
-    def __init__(self) -> None:
+    def __init__(self, wanted: Collection[int] | None) -> None:
+        self._wanted = wanted
         self._lasers: dict[str, Pose2] = {}
+        self._moved: Message | None = None  # the transforms before a scan
         self._pose: tuple[int, Pose2] | None = None  # with its stamp
-        self._form: AlikeTransforms | None = None
-        self._place = 0  # of the pose of the base among the transforms of a message
         self._count = 0
 
     def take(self, message: Message) -> PosedScan | None:
         """Take in a message; the keyframe that it completes, if any. Raises BadMessageError."""
         if message.topic == TF:
-            self._take_pose(message)
+            self._moved = message
             return None
         if message.topic != SCAN_TOPIC:
             for each in decode_transforms(message).records:
                 self._lasers[each.child] = _mounting(Pose2.from_matrix(each.parent_from_child))
             return None
+        number, self._count = self._count, self._count + 1
+        if self._wanted is not None and number not in self._wanted:
+            return None
+        for each in decode_transforms(self._moved).records if self._moved else ():
+            if each.child == BASE_FRAME:
+                self._pose = each.stamp_ns, Pose2.from_matrix(each.parent_from_child)
+        self._moved = None
         record = decode_scan(message)
         if isinstance(record, CloudRecord):
-            raise BadMessageError(f"scan {self._count} is a cloud")
+            raise BadMessageError(f"scan {number} is a cloud")
         if self._pose is None or self._pose[0] != record.stamp_ns:
-            raise BadMessageError(f"scan {self._count} has no pose")
+            raise BadMessageError(f"scan {number} has no pose")
         if record.frame not in self._lasers:
-            raise BadMessageError(f"scan {self._count} is of no known laser: {record.frame!r}")
-        self._count += 1
+            raise BadMessageError(f"scan {number} is of no known laser: {record.frame!r}")
         beams, step = record.layout.beams, increment(record.layout)
-        pose = _cut(np.array(self._pose[1]))  # as it was before its quaternion was cut
+        placed = _cut(np.array(self._pose[1]))  # as it was before its quaternion was cut
         return PosedScan(
-            index=self._count - 1,
+            index=number,
             stamp_ns=record.stamp_ns,
-            map_from_base=Pose2(*pose.tolist()),
+            map_from_base=Pose2(*placed.tolist()),
             planar=PlanarScan(  # the ranges mean what they do in the message
                 stamp_ns=record.stamp_ns,
                 bearings=record.layout.angle_min + step * np.arange(beams, dtype=np.float64),
@@ -198,21 +211,80 @@ class _Reader:
             base_from_laser=self._lasers[record.frame],
         )
 
-    def _take_pose(self, message: Message) -> None:
-        """Take the pose of the base; most messages are of the same frames as the last one."""
-        form = self._form if message.type == TF_MESSAGE else None
-        found = None if form is None else form.decoded(message.data, self._place)
-        if found is not None:
-            x, y, _, x_turn, y_turn, z_turn, w_turn = found[1]
-            square = z_turn * z_turn + w_turn * w_turn
-            level = x_turn == y_turn == 0.0 and 0.5 < square < 2.0  # as it is written here
-            if level and max(abs(x), abs(y)) <= _FAR_M:
-                theta = math.atan2(2.0 * w_turn * z_turn, w_turn * w_turn - z_turn * z_turn)
-                self._pose = found[0], Pose2(x, y, theta)
-                return
-        records = decode_transforms(message).records
-        for place, record in enumerate(records):
-            if record.child == BASE_FRAME:
-                self._pose = record.stamp_ns, Pose2.from_matrix(record.parent_from_child)
-                self._place = place
-                self._form = AlikeTransforms([(each.parent, each.child) for each in records])
+
+_FULL_CIRCLE = 2.0 * math.pi
+_EVEN_RAD = 1e-5  # a fifth of a millimetre at 20 m; single precision alone takes a thirtieth of it
+
+
+@dataclass(frozen=True, slots=True)
+class EvenBeams:
+    """Beams from `angle_min` on, `increment` apart, radians, and what each met, `ranges` (B,).
+
+    The angles are of single precision, as in a message.
+    """
+
+    angle_min: float
+    increment: float
+    ranges: FloatArray
+
+
+class EvenSpacing:
+    """Evenly spaced beams for the scans of one laser, one after the other.
+
+    A scan that is not evenly spaced is put on the bearings of the last one with as many beams that
+    was, so that the laser's field of view stays what it is while the robot turns.
+    """
+
+    def __init__(self) -> None:
+        self._known: dict[int, FloatArray] = {}  # evenly spaced bearings by their number
+
+    def beams(self, scan: PlanarScan) -> EvenBeams:
+        """The scan with evenly spaced beams."""
+        bearings, ranges = scan.bearings, scan.ranges
+        count, step = len(bearings), _step(bearings)
+        known = self._known.get(count)
+        if known is None or not np.array_equal(known, bearings):
+            first, numbers = float(bearings[0]), np.arange(count, dtype=np.float64)
+            if np.abs(bearings - (first + step * numbers)).max() <= _EVEN_RAD:
+                self._known[count] = bearings
+            else:
+                over_view = _FULL_CIRCLE / count if scan.full_circle else step
+                bearings = first + over_view * numbers if known is None else known
+                ranges, step = _nearest(scan, bearings), _step(bearings)
+        if not scan.full_circle and covers_circle(count, step):
+            bearings, ranges = _looked_at(bearings, ranges)
+        return EvenBeams(float(np.float32(bearings[0])), float(np.float32(step)), ranges)
+
+
+def _step(bearings: FloatArray) -> float:
+    """The angle from beam to beam; 0 for a single one."""
+    return float(bearings[-1] - bearings[0]) / max(len(bearings) - 1, 1)
+
+
+def _nearest(scan: PlanarScan, bearings: FloatArray) -> FloatArray:
+    """The reading nearest to each of evenly spaced bearings, NaN where none is within a beam."""
+    known, ranges = scan.bearings, scan.ranges
+    if scan.full_circle:
+        known = np.concatenate([known[-1:] - _FULL_CIRCLE, known, known[:1] + _FULL_CIRCLE])
+        ranges = np.concatenate([ranges[-1:], ranges, ranges[:1]])
+    after = np.clip(np.searchsorted(known, bearings), 1, max(len(known) - 1, 1))
+    after -= np.abs(known[after - 1] - bearings) <= np.abs(known[after] - bearings)
+    within = np.abs(known[after] - bearings) <= _step(bearings)
+    return np.where(within, ranges[after], np.nan)
+
+
+def _looked_at(bearings: FloatArray, ranges: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """A circle of beams without the longest run of those that saw nothing, the first of equals.
+
+    Two beams go at the least.
+    """
+    count, seen = len(ranges), np.flatnonzero(~np.isnan(ranges))
+    start, length = 0, count
+    if len(seen):
+        lengths = np.diff(seen, append=seen[0] + count) - 1
+        longest = int(np.argmax(lengths))
+        start, length = int(seen[longest] + 1) % count, int(lengths[longest])
+    kept = max(count - max(length, 2), 1)
+    order = np.roll(np.arange(count), -(start + length))[:kept]
+    turned = np.where(order < order[0], bearings[order] + _FULL_CIRCLE, bearings[order])
+    return turned, ranges[order]

@@ -21,7 +21,7 @@ from specmap_cli.core.config import known_settings
 from specmap_cli.core.errors import MAP_MISSING, MapError
 from specmap_cli.core.files import sha256_of
 from specmap_cli.core.findings import Quality, Verdict
-from specmap_cli.core.records import NO_SUBMAP, Labels, Trajectory
+from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels, Trajectory
 from specmap_cli.core.settings import Config, LimitsConfig
 from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import GridMap, slices_near
@@ -60,13 +60,13 @@ _NOTHING = np.zeros(0, dtype=np.int64)
 _NO_LABELS = Labels(stamps_ns=_NOTHING, poses=np.zeros((0, 3)), submaps=_NOTHING)
 
 
-def _of_one_map(read: Callable[[Map], Value]) -> Callable[[Map], Value]:
+def _of_one_map(read: Callable[..., Value]) -> Callable[..., Value]:
     """A reader of a file that says where what is wrong is only that the map was replaced."""
 
     @functools.wraps(read)
-    def reader(stored: Map) -> Value:
+    def reader(stored: Map, *args: Any) -> Value:
         try:
-            return read(stored)
+            return read(stored, *args)
         except MapError:
             stored.refuse_changed()
             raise
@@ -314,11 +314,11 @@ class Map:
         return self.checked(labels, path.name)
 
     @_of_one_map
-    def scans(self) -> KeyframeStore:
-        """The scans of the keyframes and their poses as registered: close the store after use."""
+    def scans(self, numbers: IntArray | None = None) -> KeyframeStore:
+        """The scans of all keyframes, or of some `numbers` (n,), in order: close it after use."""
         from specmap_cli.maps.keyframe_log import read_keyframes  # loads the readers of recordings
 
-        path, stamps_ns = self.path / filenames.KEYFRAMES, self.labels.stamps_ns.tolist()
+        path, stamps_ns = self.path / filenames.KEYFRAMES, self.labels.stamps_ns
         if not path.exists():
             raise MapError(
                 f"has no {path.name}",
@@ -326,16 +326,16 @@ class Map:
                 "scans: build the map again",
                 where=self.path,
             )
-        store = read_keyframes(path, len(stamps_ns), self.limits)
-        if list(store.stamps_ns) != stamps_ns:
-            store.close()
-            raise MapError(
-                f"its {counted(len(store), 'scan')} are not the "
-                f"{counted(len(stamps_ns), 'keyframe')} of {filenames.LABELS}",
-                "build the map again",
-                where=path,
-            )
+        store = read_keyframes(path, len(stamps_ns), self.limits, numbers)
         try:
+            some = slice(None) if numbers is None else numbers
+            if list(store.stamps_ns) != stamps_ns[some].tolist():
+                raise MapError(
+                    f"its {counted(len(store), 'scan')} are not the "
+                    f"{counted(len(stamps_ns), 'keyframe')} of {filenames.LABELS}",
+                    "build the map again",
+                    where=path,
+                )
             return self.checked(store, path.name)
         except MapError:
             store.close()

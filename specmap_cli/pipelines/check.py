@@ -7,14 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from specmap_cli.checking.record import CheckRecord, lines_of
 from specmap_cli.checking.rules import (
     FINDINGS,
     VERDICT,
+    CheckRecord,
     Rules,
     figures_against,
     figures_of,
     judged,
+    lines_of,
     read_rules,
 )
 from specmap_cli.core.arguments import instance_of
@@ -42,7 +43,7 @@ class CheckReport:
         return self.record.passed
 
     def as_dict(self) -> dict[str, Any]:
-        """The same for a machine, as `checking.record` has it."""
+        """The same for a machine, as `checking.rules` has it."""
         return self.record.model_dump()
 
     def lines(self) -> list[str]:

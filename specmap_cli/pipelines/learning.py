@@ -21,8 +21,9 @@ from specmap_cli.pipelines.map_in_making import submaps_of
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.worker import ahead
 from specmap_cli.recognition.features.sets import KeyframeFeatures, feature_names
+from specmap_cli.recognition.learning.boosting import OneVsAll
 from specmap_cli.recognition.learning.calibration import HeldOutMargins, calibrated
-from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
+from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.learning.misfit import HeldOutMisfit, held_out_misfit
 from specmap_cli.recognition.learning.sampling import (
     augmented_samples,
@@ -44,7 +45,7 @@ Submaps = Mapping[int, Sequence[int]]
 OfSubmaps = Mapping[int, Samples]
 # By raw scans: the classifiers, how they told held-out scans, their misfit; the scans that were
 # seen, and those that were made up.
-Taught = tuple[Recogniser, HeldOutMargins, HeldOutMisfit, OfSubmaps, OfSubmaps]
+Taught = tuple[OneVsAll, HeldOutMargins, HeldOutMisfit, OfSubmaps, OfSubmaps]
 
 
 @dataclass(frozen=True, slots=True)

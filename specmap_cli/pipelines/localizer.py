@@ -26,7 +26,7 @@ from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.localization.localizer import Fix, Label, Where
 from specmap_cli.recognition.localization.localizer import Localizer as Guide
-from specmap_cli.recognition.localization.walls import MapWalls, along_way
+from specmap_cli.recognition.localization.walls import MapWalls, along_way, placed
 from specmap_cli.registration.frontend import FrontEnd
 
 _MOST_BEAMS = 100_000  # of a scan; the densest lasers have some thousands
@@ -164,8 +164,10 @@ class Localizer:
 def _own(stored: Map) -> Iterator[PosedScan]:
     """The scans of a map along its way, at their poses in it; an older map keeps none."""
     if (stored.path / KEYFRAMES).exists():
-        with stored.scans() as store:
-            yield from along_way(store, stored.labels.poses)
+        poses = stored.labels.poses
+        numbers = along_way(poses)
+        with stored.scans(numbers) as store:
+            yield from placed(store, range(len(store)), poses[numbers])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,10 +18,9 @@ from specmap_cli.maps.store import Map, opened_map
 from specmap_cli.pipelines.compare import compare_maps, lines_of
 from specmap_cli.pipelines.localizer import classifiers_of
 from specmap_cli.recognition.features.sets import KeyframeFeatures, feature_names
-from specmap_cli.recognition.learning.boosting import feature_shares
-from specmap_cli.recognition.learning.classifiers import Recogniser
-from specmap_cli.report.changes import Changes
+from specmap_cli.recognition.learning.boosting import OneVsAll, feature_shares
 from specmap_cli.report.evidence import Evidence, FeatureShare, Learned, Likeness, SplitTrial
+from specmap_cli.report.layers import Changes
 from specmap_cli.report.page import render
 from specmap_cli.segmentation.online import Occasion, OnlineSegmenter, SplitTest
 
@@ -67,13 +66,13 @@ def evidence_of(stored: Map, progress: Progress) -> Evidence:
 
     Raises MapError for a file that is damaged.
     """
-    recogniser, notes = None, []
+    classifiers, notes = None, []
     if (stored.path / filenames.CLASSIFIERS).exists():
-        recogniser = classifiers_of(stored).raw
+        classifiers = classifiers_of(stored).raw
     else:
         notes.append("No classifiers: the map was not made of a recording.")
     if not (stored.path / filenames.KEYFRAMES).exists():
-        features = {} if recogniser is None else _features_of(recogniser)
+        features = {} if classifiers is None else _features_of(classifiers)
         learned = {id_: Learned(features=found) for id_, found in features.items()}
         notes.append(
             "The map keeps no scans: what its submaps look like to each other, how well scans fit "
@@ -83,7 +82,7 @@ def evidence_of(stored: Map, progress: Progress) -> Evidence:
     with stored.scans() as store:
         progress.start("looking at scans", len(store))
         return Evidence(
-            learned={} if recogniser is None else _learned(stored, recogniser, store),
+            learned={} if classifiers is None else _learned(stored, classifiers, store),
             fit=_fit(stored, store),
             tests=_tests(stored, store, progress),
             threshold=stored.config.segmentation.split_eigenvalue,
@@ -91,11 +90,11 @@ def evidence_of(stored: Map, progress: Progress) -> Evidence:
         )
 
 
-def _features_of(recogniser: Recogniser) -> dict[int, tuple[FeatureShare, ...]]:
+def _features_of(classifiers: OneVsAll) -> dict[int, tuple[FeatureShare, ...]]:
     """What each classifier looks at, what counts most first."""
-    names = feature_names(recogniser.feature_set)
+    names = feature_names(classifiers.feature_set)
     found = {}
-    for id_, booster in recogniser.classifiers.boosters_.items():
+    for id_, booster in classifiers.boosters_.items():
         shares = feature_shares(booster)
         ranked = np.argsort(-shares, kind="stable")
         found[id_] = tuple(
@@ -106,17 +105,17 @@ def _features_of(recogniser: Recogniser) -> dict[int, tuple[FeatureShare, ...]]:
     return found
 
 
-def _learned(stored: Map, recogniser: Recogniser, store: KeyframeStore) -> dict[int, Learned]:
+def _learned(stored: Map, classifiers: OneVsAll, store: KeyframeStore) -> dict[int, Learned]:
     """What each classifier looks at, and which submaps a submap's scans fit next best."""
-    scans = KeyframeFeatures(store, recogniser.feature_set, most=0)
-    shares, submaps = _features_of(recogniser), stored.labels.submaps
-    asked = [evenly(np.flatnonzero(submaps == id_), _ASKED) for id_ in recogniser.ids]
+    scans = KeyframeFeatures(store, classifiers.feature_set, most=0)
+    shares, submaps = _features_of(classifiers), stored.labels.submaps
+    asked = [evenly(np.flatnonzero(submaps == id_), _ASKED) for id_ in classifiers.classes_]
     owner = np.repeat(np.arange(len(asked)), [len(own) for own in asked])
-    margins = recogniser.margins(scans.of(np.concatenate(asked).tolist()))
+    margins = classifiers.margins(scans.of(np.concatenate(asked).tolist()))
     relative = _relative_votes(margins, owner)
     return {
-        id_: _told(k, recogniser.ids, margins[owner == k], relative[owner == k], shares[id_])
-        for k, id_ in enumerate(recogniser.ids)
+        id_: _told(k, classifiers.classes_, margins[owner == k], relative[owner == k], shares[id_])
+        for k, id_ in enumerate(classifiers.classes_)
     }
 
 

@@ -12,10 +12,9 @@ from typing import Any
 from specmap_cli.core.text import counted
 from specmap_cli.maps.store import Map
 from specmap_cli.report import facts, layers
-from specmap_cli.report.changes import Changes, old_map
 from specmap_cli.report.evidence import Evidence, Spectra, spectra_of
 from specmap_cli.report.html import PACKAGE, html_page, shown
-from specmap_cli.report.layers import Closures, DrawnMap
+from specmap_cli.report.layers import Changes, Closures, DrawnMap, old_map
 from specmap_cli.report.svg import fill_names, tones
 from specmap_cli.report.track import Track, running_seconds
 

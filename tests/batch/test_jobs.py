@@ -15,8 +15,8 @@ from xml.etree import ElementTree
 import pytest
 
 from specmap_cli.batch import jobs
+from specmap_cli.batch.jobs import SUFFIXES, arguments_of
 from specmap_cli.batch.records import COMMANDS, Job, JobRecord, Plan, Step
-from specmap_cli.batch.steps import SUFFIXES, arguments_of
 from specmap_cli.batch.summaries import (
     COLUMNS,
     SUMMARIES,

@@ -12,17 +12,21 @@ from xml.etree import ElementTree
 import jsonschema
 import pytest
 
-from specmap_cli.checking.record import CheckRecord, OutcomeRecord, junit, lines_of, markdown
 from specmap_cli.checking.rules import (
     BOUNDED,
     DEFAULTS,
     FINDINGS,
     GOLDEN,
     MEANINGS,
+    CheckRecord,
+    OutcomeRecord,
     Rules,
     figures_against,
     figures_of,
     judged,
+    junit,
+    lines_of,
+    markdown,
     read_rules,
 )
 from specmap_cli.core.errors import UsageError

@@ -23,7 +23,7 @@ from specmap_cli.core.schemas import SETTINGS, read_schema, schema_names
 from tests.cli.conftest import ERROR_SCHEMA, FILE_SCHEMAS, Run, name_of_command, validate
 
 COMMANDS: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
-MODULES = "batch.batch batch.records checking.record history.record maps.comparison maps.schema"
+MODULES = "batch.batch batch.records checking.rules history.record maps.comparison maps.schema"
 # Lines of commands that succeed, but for `batch`; see `words` in conftest.py.
 LINES = {
     "info": ["{log}", "{log} --check"],

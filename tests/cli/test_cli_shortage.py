@@ -52,7 +52,7 @@ TOO_LARGE = "File too large; see `ulimit -f`, or"
     [
         ("build", 500, f"temporary files cannot be written: {TOO_LARGE}"),
         ("build", 2000, f"out: cannot be written: {TOO_LARGE} choose another output"),
-        ("convert", 500, f"out: cannot write: {TOO_LARGE} choose"),
+        ("convert", 500, f"out: cannot be written: {TOO_LARGE} choose"),
     ],
 )
 def test_files_that_may_not_grow(tmp_path: Path, what: str, most: int, told: str) -> None:

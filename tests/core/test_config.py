@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -163,6 +164,14 @@ def test_no_setting_is_retired() -> None:
     now = Config().model_dump()
     for section, keys in tables_of("retired").items():
         assert not keys.keys() & now.get(section, {}).keys(), section
+
+
+def test_a_setting_that_is_kept_without_effect_is_told() -> None:
+    with pytest.warns(RetiredSetting, match=r"^localization\.false_unknown has no effect any more"):
+        load_config(overrides={"localization": {"false_unknown": 0.1}})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load_config(overrides={"localization": {"false_unknown": 0.05}})
 
 
 def test_a_retired_setting_is_told_with_its_last_default(tmp_path: Path) -> None:

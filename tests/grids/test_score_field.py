@@ -338,6 +338,15 @@ def test_a_scan_is_found_without_a_guess_and_places_are_apart(heading: float) ->
         assert near.score >= FIELD.score(scan, match.pose)
 
 
+def test_a_place_beyond_either_end_of_the_field_is_found_and_ties_go_to_the_first() -> None:
+    field = ScoreField.from_points(np.array([[1.0, 2.0]]), 0.1)
+    two = np.array([[-3.0, -3.0], [3.0, 3.0]])  # one of them on the point, the other off the field
+    found = matching.search_everywhere(field, two, count=2, step=0.1, angles=[0.0])
+    places = [(match.pose.x, match.pose.y) for match in found]
+    assert places == [pytest.approx((-2.0, -1.0), abs=0.1), pytest.approx((4.0, 5.0), abs=0.1)]
+    assert found[0].score == pytest.approx(found[1].score) == pytest.approx(0.5, abs=0.02)
+
+
 def lattice(window: Window, resolution: float, turns: int) -> list[tuple[float, float, float]]:
     """Every pose of a window: shifts in cells, angles either way."""
     stride = round(window.step_m / resolution)

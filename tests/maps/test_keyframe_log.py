@@ -26,8 +26,7 @@ from specmap_cli.logs.messages import decode_transforms
 from specmap_cli.logs.planar import covers_circle
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import LogWriter
-from specmap_cli.maps.even_bearings import EvenBeams, EvenSpacing
-from specmap_cli.maps.keyframe_log import read_keyframes, write_keyframes
+from specmap_cli.maps.keyframe_log import EvenBeams, EvenSpacing, read_keyframes, write_keyframes
 from specmap_cli.maps.store import read_map
 from specmap_cli.maps.writing import MapResult, write_map, write_scans
 from specmap_cli.registration.sweep_view import deskewed

@@ -18,9 +18,8 @@ from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.grids.bent import BentMotion
 from specmap_cli.maps.store import Map, read_map
-from specmap_cli.report.changes import Changes
 from specmap_cli.report.evidence import MOST_TESTS, Evidence
-from specmap_cli.report.layers import MOST_REFUSED
+from specmap_cli.report.layers import MOST_REFUSED, Changes
 from specmap_cli.report.page import render
 from tests.comparisons import comparison, thing, way
 from tests.flats import forget_digests

@@ -12,7 +12,6 @@ import math
 import struct
 from collections.abc import Iterable, Sequence
 from functools import cache
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -200,72 +199,13 @@ def message_definition(type_name: str) -> bytes:
 
 
 def _header(stamp_ns: int, frame_id: str) -> Any:
-    stamp = message_class("builtin_interfaces/msg/Time")(*clipped_stamp(stamp_ns))
-    return message_class("std_msgs/msg/Header")(stamp, frame_id)
-
-
-def clipped_stamp(stamp_ns: int) -> tuple[int, int]:
-    """Seconds and nanoseconds of a Time; a stamp out of the range of its type is clipped."""
+    """A header; a stamp out of the range of its type is clipped."""
     seconds, nanoseconds = divmod(int(stamp_ns), NS_PER_S)
-    return min(max(seconds, -_MAX_SECONDS - 1), _MAX_SECONDS), nanoseconds
+    clipped = min(max(seconds, -_MAX_SECONDS - 1), _MAX_SECONDS)
+    stamp = message_class("builtin_interfaces/msg/Time")(clipped, nanoseconds)
+    return message_class("std_msgs/msg/Header")(stamp, frame_id)
 
 
 def _cdr(type_name: str, **fields: Any) -> bytes:
     message = message_class(type_name)(**fields)
     return bytes(typestore().serialize_cdr(message, type_name))
-
-
-_HEADER_BYTES, _COUNT_BYTES = 4, 4
-_STAMP, _NUMBERS = struct.Struct("<iI"), struct.Struct("<7d")
-
-
-class AlikeTransforms:
-    """TFMessages that tell of the same frames over and over: alike but for stamps and numbers.
-
-    Each has a transform parent_from_child for each of `frames`, (parent, child). The first is made
-    by the general serialiser, the others by writing numbers into a copy of its bytes, which is many
-    times quicker. In CDR an integer begins at a multiple of four bytes behind the header of four
-    bytes, a double at a multiple of eight; a text has its length before it and a zero behind it.
-    """
-
-    def __init__(self, frames: Sequence[tuple[str, str]]) -> None:
-        nought = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)
-        self._blank = transforms_cdr(0, [Transform(*link, *nought) for link in frames])
-        # of each transform the first byte and the end of its stamp, and of its seven numbers
-        self._offsets: list[tuple[tuple[int, int], tuple[int, int]]] = []
-        end = _HEADER_BYTES + _COUNT_BYTES
-        for link in frames:
-            stamp = _aligned(end, 4)
-            end = stamp + _STAMP.size
-            for text in link:
-                end = _aligned(end, 4) + _COUNT_BYTES + len(text.encode()) + 1
-            numbers = _aligned(end, 8)
-            end = numbers + _NUMBERS.size
-            self._offsets.append(((stamp, stamp + _STAMP.size), (numbers, end)))
-        gaps = [(0, 0), *(at for pair in self._offsets for at in pair), (len(self._blank),) * 2]
-        self._constant = [
-            (end, start, self._blank[end:start]) for (_, end), (start, _) in pairwise(gaps)
-        ]
-
-    def encoded(self, stamp_ns: int, numbers: Sequence[Sequence[float]]) -> bytes:
-        """The message with x, y, z and a quaternion x, y, z, w for each transform, in order."""
-        data, stamp = bytearray(self._blank), clipped_stamp(stamp_ns)
-        for (when, where), values in zip(self._offsets, numbers, strict=True):
-            _STAMP.pack_into(data, when[0], *stamp)
-            _NUMBERS.pack_into(data, where[0], *values)
-        return bytes(data)
-
-    def decoded(self, data: bytes, place: int) -> tuple[int, tuple[float, ...]] | None:
-        """Stamp (ns) and numbers of one of the transforms; None for a message of other frames."""
-        if len(data) != len(self._blank):
-            return None
-        if any(data[start:end] != same for start, end, same in self._constant):
-            return None
-        when, where = self._offsets[place]
-        seconds, nanoseconds = _STAMP.unpack_from(data, when[0])
-        return seconds * NS_PER_S + nanoseconds, _NUMBERS.unpack_from(data, where[0])
-
-
-def _aligned(offset: int, size: int) -> int:
-    """The first offset from this one on where a value of this size may begin."""
-    return offset + (_HEADER_BYTES - offset) % size

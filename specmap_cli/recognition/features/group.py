@@ -14,8 +14,7 @@ class FeatureGroup:
     """What `compute` gives of a scan: a value for each of `columns`, in their order.
 
     The values are finite for every scan, an empty one too, and do not change when the robot turns
-    on the spot. `histogram` names those columns that are shares of a histogram of the scan's shape,
-    in [0, 1]: `learning.familiarity` tells by them whether a place is known at all.
+    on the spot. `histogram` is what packages for version 1.0 say, and nobody asks.
     """
 
     compute: Callable[[Returns], Sequence[float]]

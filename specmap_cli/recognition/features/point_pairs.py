@@ -123,9 +123,5 @@ def _bins(first: FloatArray, second: FloatArray) -> NDArray[np.uint8]:
 
 
 GROUPS: tuple[BatchGroup, ...] = (
-    BatchGroup(
-        point_pair_histogram,
-        (*PAIR_COLUMNS, "boundary_length", "boundary_points"),
-        histogram=PAIR_COLUMNS,
-    ),
+    BatchGroup(point_pair_histogram, (*PAIR_COLUMNS, "boundary_length", "boundary_points")),
 )

@@ -64,8 +64,8 @@ def feature_sets() -> Mapping[str, FeatureSet]:
         columns = [column for group in listed for column in group.columns]
         if len(set(columns)) < len(columns):
             raise _unusable(name, "two of its columns have one name")
-        if not all(g.columns and set(g.histogram) <= set(g.columns) for g in listed):
-            raise _unusable(name, "a group has no columns, or histograms that are none of them")
+        if not all(group.columns for group in listed):
+            raise _unusable(name, "a group has no columns")
         sets[name] = listed
     return sets
 
@@ -83,12 +83,6 @@ def feature_names(feature_set: str, setting: str = "feature_set") -> tuple[str, 
     """
     groups = _groups_of(feature_set, setting)
     return tuple(column for group in groups for column in group.columns)
-
-
-def histogram_columns(feature_set: str) -> list[int]:
-    """Numbers of a set's columns that are histograms of the scan's shape, ascending."""
-    wanted = {name for group in _groups_of(feature_set) for name in group.histogram}
-    return [k for k, name in enumerate(feature_names(feature_set)) if name in wanted]
 
 
 def scans_features(scans: Iterable[PlanarScan], feature_set: str) -> FloatArray:

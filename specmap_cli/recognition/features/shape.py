@@ -91,7 +91,7 @@ fine_distance_histogram = partial(distance_histogram, edges_m=FINE_EDGES_M)
 _FINE_COLUMNS = tuple(f"fine_distance_{low:g}m" for low in (0.0, *FINE_EDGES_M))
 
 GROUPS: tuple[BatchGroup, ...] = (
-    BatchGroup(fine_distance_histogram, _FINE_COLUMNS, histogram=_FINE_COLUMNS),
+    BatchGroup(fine_distance_histogram, _FINE_COLUMNS),
     BatchGroup(
         pieces,
         ("pieces", *(f"pieces_over_{t:g}m" for t in _LONG_PIECES_M), "piece_max", "piece_mean"),
@@ -157,7 +157,6 @@ def harmonics(batch: ReturnsBatch) -> FloatArray:
     return values
 
 
-# the rings are a histogram of one view, not of the place: it is not the one to know places by
 PROFILE_GROUPS: tuple[BatchGroup, ...] = (
     BatchGroup(range_quantiles, tuple(f"range_quantile_{q:g}" for q in QUANTILES)),
     BatchGroup(ring_histogram, tuple(f"ring_{low:g}m" for low in (0.0, *RING_EDGES_M))),

@@ -193,5 +193,5 @@ GROUPS: tuple[BatchGroup, ...] = (
     BatchGroup(aspect_ratio, ("aspect_ratio",)),
     BatchGroup(mean_distance_to_centroid, ("centroid_distance_mean",)),
     BatchGroup(second_derivative_flips, ("second_derivative_flips",)),
-    BatchGroup(distance_histogram, _DISTANCE_COLUMNS, histogram=_DISTANCE_COLUMNS),
+    BatchGroup(distance_histogram, _DISTANCE_COLUMNS),
 )

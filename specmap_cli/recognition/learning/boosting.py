@@ -322,6 +322,11 @@ class OneVsAll:
             return np.column_stack([b.margins(X) for b in self.boosters_.values()])
         return self.forest_.margins(X, len(self.classes_))
 
+    def to_dict(self) -> dict[str, Any]:
+        """The fitted classifiers, ready for JSON."""
+        boosters = {str(i): booster.to_dict() for i, booster in self.boosters_.items()}
+        return {"feature_set": self.feature_set, "classifiers": boosters}
+
 
 def feature_shares(booster: Booster) -> FloatArray:
     """(F,) of the features of a booster: the share of its votes that each decides; sums to one.

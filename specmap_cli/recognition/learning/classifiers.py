@@ -25,7 +25,6 @@ from specmap_cli.recognition.learning.boosting import (
     booster_of,
 )
 from specmap_cli.recognition.learning.calibration import Calibration
-from specmap_cli.recognition.learning.familiarity import Familiarity
 from specmap_cli.recognition.learning.misfit import HeldOutMisfit
 
 # Two lasers see the same when they differ by less: drivers round angles and the number of beams,
@@ -84,81 +83,36 @@ class Sensor:
         return f"{self.beams} beams over {degrees:.0f} degrees, {self.range_max:g} m"
 
 
-@dataclass(frozen=True, slots=True)
-class Recogniser:
-    """What was learned of one kind of scans: which submap fits best, and whether any does.
-
-    `classifiers` are fitted. `familiarity` is fitted, or None when scans of unknown places cannot
-    be told: the feature set holds no histogram, or there were too few scans.
-    """
-
-    classifiers: OneVsAll
-    familiarity: Familiarity | None
-
-    @property
-    def feature_set(self) -> str:
-        """The features that it asks for."""
-        return self.classifiers.feature_set
-
-    @property
-    def ids(self) -> tuple[int, ...]:
-        """The submaps, ascending: the columns of `margins`."""
-        return self.classifiers.classes_
-
-    def margins(self, X: NDArray[Any]) -> FloatArray:
-        """(n, m) margins of features X (n, F), columns in the order of `ids`."""
-        return self.classifiers.margins(X)
-
-    def strangeness(self, X: NDArray[Any]) -> FloatArray:
-        """(n,) how little features X (n, F) look like any place: above one where nothing fits.
-
-        -inf when that is not known.
-        """
-        if self.familiarity is None:
-            return np.full(len(X), -math.inf)
-        return self.familiarity.strangeness(X)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Ready for JSON."""
-        boosters = {str(i): booster.to_dict() for i, booster in self.classifiers.boosters_.items()}
-        known = {} if self.familiarity is None else {"exemplars": self.familiarity.to_dict()}
-        return {"feature_set": self.feature_set, "classifiers": boosters, **known}
-
-    @classmethod
-    def of(cls, part: _RecogniserPart, where: str) -> Recogniser:
-        """What `to_dict` described. Raises MapError for a set of features that is not installed,
-        WrongPartError for what it has not.
-        """
-        feature_set, known = part.feature_set, part.exemplars
-        if feature_set not in feature_sets():
-            raise MapError(
-                f"file: its feature set {feature_set!r} is not installed",
-                "install the package that offers it, or build the map again",
-                where="classifiers",
-            )
-        names = feature_names(feature_set)
-        boosters = {
-            int(i): booster_of(part.classifiers[i], names, f"{where}.classifiers.{i}")
-            for i in sorted(part.classifiers, key=int)
-        }
-        classifiers = OneVsAll(feature_set, RecognitionConfig()).become(boosters)
-        if known is None:
-            return cls(classifiers, None)
-        place = f"{where}.exemplars"
-        return cls(classifiers, Familiarity.of(feature_set, known.limit, known.rows, place))
-
-
 class _ExemplarsPart(Part):
     limit: Annotated[float, Field(ge=0.0)]
-    rows: Annotated[list[_Hexadecimal], Field(min_length=1)]
+    rows: list[_Hexadecimal]
 
 
-class _RecogniserPart(Part):
+class _KindPart(Part):
+    """The classifiers of one kind of scans. Maps of before have `exemplars`: nobody asks them."""
+
     feature_set: str
     classifiers: Annotated[
         dict[Annotated[str, Field(pattern=r"^[0-9]{1,18}$")], BoosterPart], Field(min_length=1)
     ]
     exemplars: _ExemplarsPart | None = None
+
+    def read(self, where: str) -> OneVsAll:
+        """The classifiers. Raises MapError for a set of features that is not installed,
+        WrongPartError for what it has not.
+        """
+        if self.feature_set not in feature_sets():
+            raise MapError(
+                f"file: its feature set {self.feature_set!r} is not installed",
+                "install the package that offers it, or build the map again",
+                where="classifiers",
+            )
+        names = feature_names(self.feature_set)
+        boosters = {
+            int(i): booster_of(self.classifiers[i], names, f"{where}.classifiers.{i}")
+            for i in sorted(self.classifiers, key=int)
+        }
+        return OneVsAll(self.feature_set, RecognitionConfig()).become(boosters)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -170,15 +124,15 @@ class ClassifierSet:
     """
 
     sensor: Sensor
-    raw: Recogniser
-    virtual: Recogniser | None = None
+    raw: OneVsAll
+    virtual: OneVsAll | None = None
     misfit: HeldOutMisfit | None = None
     calibration: Calibration | None = None
 
     @property
     def ids(self) -> list[int]:
         """The submaps, ascending: the columns of `margins`."""
-        return list(self.raw.ids)
+        return list(self.raw.classes_)
 
     def margins(self, X: NDArray[Any]) -> FloatArray:
         """(n, m) margins of raw scans' features X (n, F), columns in the order of `ids`."""
@@ -202,9 +156,9 @@ class ClassifierSet:
         """The set that `to_json` wrote; MapError in one line for anything else."""
         try:
             data = _ClassifiersPart.model_validate_json(text)
-            raw = Recogniser.of(data.raw, "raw")
-            virtual = None if data.virtual is None else Recogniser.of(data.virtual, "virtual")
-            if virtual is not None and virtual.ids != raw.ids:
+            raw = data.raw.read("raw")
+            virtual = None if data.virtual is None else data.virtual.read("virtual")
+            if virtual is not None and virtual.classes_ != raw.classes_:
                 raise WrongPartError("raw and virtual classifiers are of different submaps")
         except WrongPartError as error:
             found = str(error)
@@ -227,7 +181,7 @@ class ClassifierSet:
 class _ClassifiersPart(Part):
     schema_version: Literal[1]
     sensor: Sensor
-    raw: _RecogniserPart
-    virtual: _RecogniserPart | None = None
+    raw: _KindPart
+    virtual: _KindPart | None = None
     misfit: HeldOutMisfit | None = None
     calibration: Calibration | None = None

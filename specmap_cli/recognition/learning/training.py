@@ -21,8 +21,7 @@ from specmap_cli.core.settings import Config, RecognitionConfig
 from specmap_cli.grids.keyframes import DIRECTION_RAD, KeyframeStore
 from specmap_cli.recognition.learning.boosting import OneVsAll
 from specmap_cli.recognition.learning.calibration import MOST_VIEWS, HeldOutMargins
-from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser, Sensor
-from specmap_cli.recognition.learning.familiarity import Familiarity
+from specmap_cli.recognition.learning.classifiers import ClassifierSet, Sensor
 from specmap_cli.recognition.learning.misfit import HELD_OUT_REACH_M
 from specmap_cli.recognition.learning.sampling import views
 from specmap_cli.recognition.learning.training_data import Samples
@@ -30,7 +29,6 @@ from specmap_cli.recognition.learning.training_data import Samples
 _PIECE_M, _EVERY = 5.0, 4  # of the way a piece in four is held out; the first one never is
 _UNCLAIMED = -1e3  # margin of a submap of which nothing was left to learn from
 _CHORD = 2.0 * np.sin(0.5 * DIRECTION_RAD)  # of the unit circle
-_EXEMPLARS = 80  # scans kept of a submap, to tell unknown ones by
 
 
 def sensor_of(store: KeyframeStore, submaps: Mapping[int, Sequence[int]]) -> Sensor:
@@ -47,13 +45,12 @@ def train_and_test(
     revisits: Revisits | None = None,
     *,
     virtual: bool,
-) -> tuple[Recogniser, HeldOutMargins]:
+) -> tuple[OneVsAll, HeldOutMargins]:
     """What tells the submaps apart by raw or virtual scans, and how well it tells held-out ones.
 
     It is learned from scans that were `taken` (`raw_samples`, `track_samples`) and from others that
-    were `made` (`augmented_samples`, `cast_samples`). The former alone are tested, and of raw scans
-    they alone show what the map looks like. With `revisits` these are scans of a recording, which
-    the map before it tells.
+    were `made` (`augmented_samples`, `cast_samples`). The former alone are tested. With `revisits`
+    these are scans of a recording, which the map before it tells.
     """
     feature_set = (config.localization if virtual else config.recognition).feature_set
     samples = {
@@ -63,12 +60,9 @@ def train_and_test(
         )
         for i, own in sorted(taken.items())
     }
-    classifiers = OneVsAll(feature_set, config.recognition).fit(
+    learned = OneVsAll(feature_set, config.recognition).fit(
         {i: own.features for i, own in samples.items()}, rng
     )
-    known = Familiarity(feature_set, config.localization.false_unknown, _EXEMPLARS)
-    shown = {i: own.features for i, own in (samples if virtual else taken).items()}
-    learned = Recogniser(classifiers, known.fit(shown) if known.can_fit(shown) else None)
     if revisits is not None:
         before = revisits.classifiers.virtual if virtual else revisits.classifiers.raw
         if before is not None:
@@ -133,9 +127,9 @@ class Revisits:
     poses: FloatArray
     submaps: IntArray
 
-    def told(self, samples: Mapping[int, Samples], by: Recogniser) -> HeldOutMargins:
+    def told(self, samples: Mapping[int, Samples], by: OneVsAll) -> HeldOutMargins:
         """The margins of samples of the recording; `by` is one of the classifiers before it."""
-        column = {id_: k for k, id_ in enumerate(by.ids)}
+        column = {id_: k for k, id_ in enumerate(by.classes_)}
         told_apart = 2 if self.classifiers.sensor.full_circle else 4  # it does not matter where to
         features, true = [], []
         for i in sorted(column.keys() & samples.keys()):

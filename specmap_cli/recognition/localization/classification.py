@@ -1,4 +1,4 @@
-"""What the classifiers and the exemplars of a map say of each scan of a log."""
+"""What the classifiers of a map say of each scan of a log."""
 
 from __future__ import annotations
 
@@ -68,8 +68,7 @@ class ClassifiedScan:
     """What is said of one scan, and of the virtual one of the window before it.
 
     `raw` (m,) log probabilities of the submaps by the single scan, `margins` (m,) its votes, `all`
-    (m,) log probabilities with the virtual scan; `strange` is how little it looks like any place of
-    the map: above one where nothing fits, -inf when not known.
+    (m,) log probabilities with the virtual scan.
     `seen` is what is matched with walls: the scan of a laser that sees all round, else the virtual
     one; `shown` in [0, 1] is how much of the robot's surroundings the virtual one holds.
     """
@@ -77,7 +76,6 @@ class ClassifiedScan:
     margins: FloatArray
     raw: FloatArray
     all: FloatArray
-    strange: float
     seen: PlanarScan
     shown: float
 
@@ -108,7 +106,7 @@ class ScanClassifier:
             self.note = self._sampler.note
         resampled = [self._sampler.apply(posed.planar) for posed in scans]
         features = scans_features(resampled, raw.feature_set)
-        margins, strange = raw.margins(features), raw.strangeness(features)
+        margins = raw.margins(features)
         alone = self._calibration.alone(margins)
         virtual = self.classifiers.virtual
         if virtual is None or not self.config.virtual:
@@ -127,8 +125,6 @@ class ScanClassifier:
                 filled.append(self._recent.filled)
             features = scans_features(windows, virtual.feature_set)
             both = self._calibration.together(margins, virtual.margins(features))
-            if virtual.familiarity is not None:
-                strange = virtual.strangeness(features)
             view = self.classifiers.sensor.field_of_view / (2.0 * math.pi)
             shown = [max(share, view) for share in filled]
             seen = [
@@ -140,7 +136,6 @@ class ScanClassifier:
                 margins=margins[k],
                 raw=alone[k],
                 all=both[k],
-                strange=float(strange[k]),
                 seen=seen[k],
                 shown=shown[k],
             )

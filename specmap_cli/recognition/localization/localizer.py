@@ -20,10 +20,6 @@ from specmap_cli.recognition.localization.filtering import Clue, HiddenMarkovFil
 from specmap_cli.recognition.localization.places import Estimate, WeighedPlaces
 from specmap_cli.recognition.localization.walls import MapWalls
 
-_STRANGE_ALONE = 1.0  # a single scan is unknown beyond this share of the limit
-_STRANGE_FROM = 0.87  # from this share of the limit on, a scan speaks for unknown
-_STRANGE_GAIN = 2.0  # log likelihood for unknown, per share of the limit beyond that
-_STRANGE_MOST = 1.0  # the most of that likelihood: views that are strange come in a row
 _TOGETHER = 32  # scans whose features are computed at once
 
 
@@ -97,7 +93,7 @@ class Localizer:
         self.places = WeighedPlaces(walls, self.filter.ids, config)
         self._classifier = ScanClassifier(classifiers, config)
         self._uses_walls = with_walls or config.unknown
-        self._walls, self._looks = Clue(), Clue()
+        self._walls = Clue()
         self._views = ViewGrouping()
 
     @property
@@ -119,7 +115,7 @@ class Localizer:
     def _add(self, posed: PosedScan, scan: ClassifiedScan) -> Where:
         """The places first, then the filter by what they and the classifiers say of the view."""
         if posed.restarted:
-            self._walls, self._looks = Clue(), Clue()
+            self._walls = Clue()
             self._views = ViewGrouping()
             self.filter.reset()
             self.places.restart()
@@ -143,17 +139,10 @@ class Localizer:
     def _worth(
         self, posed: PosedScan, scan: ClassifiedScan, belief: FloatArray, again: bool
     ) -> float:
-        """Log likelihood of unknown by the view that a scan is of: its walls, and its looks."""
-        for clue in (self._walls, self._looks):
-            clue.see(posed, again)
+        """Log likelihood of unknown by the walls of the view that a scan is of."""
+        self._walls.see(posed, again)
         self._walls.add(self.places.see(posed, scan.seen, belief))
-        if scan.strange != -math.inf:
-            strange = _STRANGE_GAIN * (scan.strange - _STRANGE_FROM)
-            if strange > 0.0:
-                # what a short window of a narrow laser has seen so far looks strange anywhere
-                strange *= scan.shown**2
-            self._looks.add(min(max(strange, -_STRANGE_MOST), _STRANGE_MOST))
-        return self._walls.worth + self._looks.worth
+        return self._walls.worth
 
     def _fix(self, posed: PosedScan, belief: FloatArray) -> Fix | None:
         """The pose of the place that leads; its covariance is that of all places that fit."""
@@ -202,10 +191,7 @@ class Localizer:
         """The label of the single scan by the most votes; nothing is filtered yet."""
         order = np.argsort(-scan.margins, kind="stable")
         ids, margins = self.filter.ids, scan.margins[order]
-        # of no place is what fits no walls or, if that is not known, what is strange
-        of_walls = self._walls.last
-        strange = scan.strange > _STRANGE_ALONE if of_walls is None else of_walls > 0.0
-        known = not (self.config.unknown and strange)
+        known = not (self.config.unknown and (self._walls.last or 0.0) > 0.0)
         return Label(
             stamp_ns=stamp_ns,
             submap=ids[order[0]] if known else None,

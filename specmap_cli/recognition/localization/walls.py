@@ -268,11 +268,15 @@ class MapWalls:
         return (measured > farthest + _BEHIND_M) & walled, cells, walled
 
 
-def along_way(store: KeyframeStore, poses: FloatArray) -> Iterator[PosedScan]:
-    """Keyframes of a map every metre of its way, at their `poses` (n, 3) in it."""
-    _, numbers = np.unique(np.floor(travelled(poses) / _OWN_M), return_index=True)
-    for k in numbers.tolist():
-        yield replace(store.posed(k), map_from_base=Pose2(*poses[k].tolist()))
+def along_way(poses: FloatArray) -> IntArray:
+    """Numbers of the keyframes of a map every metre of its way, by their `poses` (n, 3) in it."""
+    return np.unique(np.floor(travelled(poses) / _OWN_M), return_index=True)[1]
+
+
+def placed(store: KeyframeStore, numbers: Iterable[int], poses: FloatArray) -> Iterator[PosedScan]:
+    """Some keyframes of a map at their `poses` (n, 3) in it."""
+    for k, pose in zip(numbers, poses.tolist(), strict=True):
+        yield replace(store.posed(k), map_from_base=Pose2(*pose))
 
 
 def _is_long(points: FloatArray, chosen: BoolArray) -> BoolArray:

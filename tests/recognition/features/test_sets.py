@@ -22,7 +22,6 @@ from specmap_cli.recognition.features.sets import (
     check_feature_sets,
     feature_names,
     feature_sets,
-    histogram_columns,
     scans_features,
 )
 from tests.recognition.posed import posed
@@ -57,18 +56,12 @@ def test_a_scan_has_the_same_features_whatever_comes_with_it(name: str) -> None:
     assert together.tolist() == [scans_features([each], name)[0].tolist() for each in scans]
 
 
-@pytest.mark.parametrize("name", BUILT_IN)
-def test_histograms_are_shares_that_sum_to_one(name: str) -> None:
-    features = scans_features([scan()], name)[0]
-    columns = feature_names(name)
-    groups = [group for group in BUILT_IN[name] if group.histogram]
-    assert groups
-    for group in groups:
-        shares = features[[columns.index(column) for column in group.histogram]]
-        assert (shares >= 0.0).all()
-        assert shares.sum() == pytest.approx(1.0)
-    marked = [column for group in groups for column in group.histogram]
-    assert [columns[k] for k in histogram_columns(name)] == marked
+@pytest.mark.parametrize("kind", ["distance_", "fine_distance_", "ring_", "pairs_"])
+def test_histograms_are_shares_that_sum_to_one(kind: str) -> None:
+    columns = [name.startswith(kind) for name in feature_names("full")]
+    shares = scans_features([scan()], "full")[0][columns]
+    assert (shares >= 0.0).all()
+    assert shares.sum() == pytest.approx(1.0)
 
 
 def test_the_paper_s_set_is_part_of_all_others() -> None:
@@ -88,7 +81,7 @@ def test_a_setting_that_names_no_set_is_told_before_the_work(section: str) -> No
     )
 
 
-@pytest.mark.parametrize("use", [feature_names, histogram_columns, partial(scans_features, [])])
+@pytest.mark.parametrize("use", [feature_names, partial(scans_features, [])])
 def test_an_unknown_set_is_told_wherever_it_is_used(use: Callable[[str], object]) -> None:
     with pytest.raises(UsageError, match="feature_set: unknown feature set 'mine'"):
         use("mine")
@@ -98,7 +91,6 @@ def test_a_package_adds_a_set(install: Callable[..., None]) -> None:
     install("mine")
     assert list(feature_sets()) == [*BUILT_IN, "mine"]
     assert feature_names("mine") == ("reach", "returns", "rings_near", "rings_middle", "rings_far")
-    assert histogram_columns("mine") == [2, 3, 4]
     assert scans_features([scan()], "mine")[0] == pytest.approx([3.2, 180.0, 0.0, 1.0, 0.0])
     check_feature_sets(load_config(overrides={"recognition": {"feature_set": "mine"}}))
 
@@ -125,8 +117,7 @@ from specmap_cli.recognition.features.group import BatchGroup, FeatureGroup
             "(FeatureGroup(len, ('a', 'b')), FeatureGroup(len, ('b',)))",
             "two of its columns have one name",
         ),
-        ("[FeatureGroup(len, ())]", "a group has no columns, or histograms"),
-        ("[FeatureGroup(len, ('a',), ('b',))]", "a group has no columns, or"),
+        ("[FeatureGroup(len, ())]", "a group has no columns"),
     ],
 )
 def test_a_set_that_is_none_is_refused_in_one_line(

@@ -11,7 +11,7 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.boosting import OneVsAll
-from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser, Sensor
+from specmap_cli.recognition.learning.classifiers import ClassifierSet, Sensor
 from specmap_cli.recognition.learning.training import (
     Revisits,
     held_out_margins,
@@ -94,15 +94,15 @@ def features(*values: float) -> FloatArray:
 
 
 @pytest.fixture(scope="module")
-def recogniser() -> Recogniser:
+def recogniser() -> OneVsAll:
     """Tells values around 0, of submap 1, from values around 5, of submap 4."""
     config = RecognitionConfig(rounds=4, booster="stumps")
     samples = {1: features(0.0, 0.1, 0.2), 4: features(5.0, 5.1, 5.2)}
-    return Recogniser(OneVsAll("table1", config).fit(samples, np.random.default_rng(0)), None)
+    return OneVsAll("table1", config).fit(samples, np.random.default_rng(0))
 
 
 def revisits(
-    recogniser: Recogniser, places: list[tuple[float, float, float]], *, full_circle: bool = False
+    recogniser: OneVsAll, places: list[tuple[float, float, float]], *, full_circle: bool = False
 ) -> Revisits:
     """A map of keyframe 0 in submap 1 and 1 in submap 4, and a recording at some places of 1."""
     sensor = Sensor(beams=180, field_of_view=math.pi, range_max=20.0, full_circle=full_circle)
@@ -121,7 +121,7 @@ def asked(found: Revisits) -> Samples:
 
 
 def test_scans_of_the_recording_are_told_by_the_classifiers_before_it(
-    recogniser: Recogniser,
+    recogniser: OneVsAll,
 ) -> None:
     found = revisits(recogniser, [(0.5, 0.0, 0.0), (1.0, 0.0, 0.0)])
     told = found.told({1: asked(found)}, recogniser)
@@ -147,7 +147,7 @@ def test_scans_of_the_recording_are_told_by_the_classifiers_before_it(
     ],
 )
 def test_only_views_that_the_map_knew_count(
-    recogniser: Recogniser, place: tuple[float, float, float], full_circle: bool, counts: bool
+    recogniser: OneVsAll, place: tuple[float, float, float], full_circle: bool, counts: bool
 ) -> None:
     found = revisits(recogniser, [place], full_circle=full_circle)
     assert len(found.told({1: asked(found)}, recogniser).column) == counts

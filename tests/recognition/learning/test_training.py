@@ -25,15 +25,14 @@ from specmap_cli.recognition.features.sets import (
 )
 from specmap_cli.recognition.learning import sampling
 from specmap_cli.recognition.learning.boosting import OneVsAll
-from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
-from specmap_cli.recognition.learning.familiarity import Familiarity
+from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.learning.sampling import (
     augmented_samples,
     cast_samples,
     raw_samples,
     track_samples,
 )
-from specmap_cli.recognition.learning.training import _EXEMPLARS, sensor_of, train_and_test
+from specmap_cli.recognition.learning.training import sensor_of, train_and_test
 from specmap_cli.recognition.localization.localizer import Localizer
 from tests.recognition.localization.scanned import walls_of
 from tests.recognition.posed import stored
@@ -97,7 +96,7 @@ def test_of_a_submap_seen_often_the_scans_with_known_features_are_learned_from(
 def test_raw_classifiers_learn_from_the_keyframes_of_the_submaps(store: KeyframeStore) -> None:
     config = settings()
     learned = raw_of(store, config)
-    assert learned.ids == (0, 2)
+    assert learned.classes_ == (0, 2)
     samples = {
         i: scans_features([store.scan(k) for k in keyframes], "table1")
         for i, keyframes in SUBMAPS.items()
@@ -108,8 +107,7 @@ def test_raw_classifiers_learn_from_the_keyframes_of_the_submaps(store: Keyframe
         {i: np.vstack([X, beside[i].features]) for i, X in samples.items()},
         np.random.default_rng(0),
     )
-    looks = Familiarity("table1", config.localization.false_unknown, _EXEMPLARS)
-    assert learned.to_dict() == Recogniser(classifiers, looks.fit(samples)).to_dict()
+    assert learned.to_dict() == classifiers.to_dict()
     known = KeyframeFeatures(store, "table1")
     known.of(range(50))
     shared = raw_samples(store, SUBMAPS, config, known)
@@ -136,7 +134,7 @@ def test_the_sensor_is_that_of_the_first_keyframe_in_a_submap(store: KeyframeSto
     assert sensor_of(store, late).full_circle
 
 
-def raw_of(store: KeyframeStore, config: Config) -> Recogniser:
+def raw_of(store: KeyframeStore, config: Config) -> OneVsAll:
     """What raw scans teach."""
     samples = raw_samples(store, SUBMAPS, config)
     beside = augmented_samples(store, SUBMAPS, store.poses, config, np.random.default_rng(0))
@@ -218,17 +216,6 @@ def test_samples_are_repeatable_and_drawn_anew_for_another_seed(
     assert first != other
 
 
-def test_exemplars_and_the_share_given_up_are_settings(store: KeyframeStore) -> None:
-    turn("recognition", exemplars=5)
-    few = raw_of(store, settings()).familiarity
-    turn("recognition", exemplars=12)
-    many = raw_of(store, settings(false_unknown=0.4)).familiarity
-    assert few is not None
-    assert many is not None
-    assert (len(few.exemplars_), len(many.exemplars_)) == (10, 24)
-    assert many.limit_ < few.limit_
-
-
 def test_a_feature_set_of_another_package_is_trained_and_used(
     store: KeyframeStore, install: Callable[..., None], building: Any
 ) -> None:
@@ -244,8 +231,6 @@ def test_a_feature_set_of_another_package_is_trained_and_used(
     text = found.classifiers.to_json()
     assert '"rings_middle"' in text
     read = ClassifierSet.from_json(text)
-    assert read.raw.familiarity is not None
-    assert read.raw.familiarity.exemplars_.shape[1] == 3
     walls = walls_of(building.plan, submaps={0: slice(0, 190), 2: slice(390, 570)})
     guide = Localizer(read, {0: [2], 2: [0]}, walls, config.localization)
     labels = []
