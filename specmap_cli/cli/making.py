@@ -220,11 +220,15 @@ def segment(
     specmap segment map.yaml -o rooms
     specmap segment plan.png --resolution 0.05 -o rooms
     """
+    from specmap_cli.grids.map_server import files_of_grid
+    from specmap_cli.maps.directory import refuse_inside
     from specmap_cli.pipelines.segment import segment_map
 
     effective = settings.load()
-    check_files([explain], [grid], common, overwrite=overwrite)
-    keep_inputs([out], [grid])
+    inputs = files_of_grid(grid)
+    refuse_inside(explain, out)
+    check_files([explain], inputs, common, overwrite=overwrite)
+    keep_inputs([out], inputs)
     with common.progress() as progress:
         report = segment_map(
             grid,

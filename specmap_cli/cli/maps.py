@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -18,7 +19,7 @@ from specmap_cli.cli.options import (
     Settings,
     output,
 )
-from specmap_cli.cli.targets import check_files, files_of_maps, keep_inputs
+from specmap_cli.cli.targets import check_files, keep_inputs
 from specmap_cli.core.errors import BROKEN_RULE, MapError
 
 _MOST_SCANS = 0.5  # share of the scans that makes most of them
@@ -64,8 +65,8 @@ def localize(
     from specmap_cli.maps.store import read_map
     from specmap_cli.pipelines.localize import localize_log, write_report
 
-    check_files([out, plot], [*logs, *files_of_maps(map_directory)], common, overwrite=overwrite)
     stored = read_map(map_directory, settings.load().limits)
+    check_files([out, plot], [*logs, map_directory], common, overwrite=overwrite)
     effective = settings.of_map(stored)
     with common.progress() as progress:
         report = localize_log(
@@ -103,7 +104,12 @@ def compare(
     specmap compare monday friday -o changes --json
     """
     from specmap_cli.maps.store import read_map
-    from specmap_cli.pipelines.compare import PICTURE, compare_maps, write_comparison
+    from specmap_cli.pipelines.compare import (
+        PICTURE,
+        compare_maps,
+        comparison_directory,
+        write_comparison,
+    )
     from specmap_cli.pipelines.history import span_ns
 
     if out is not None:
@@ -111,10 +117,11 @@ def compare(
     limits = settings.load().limits
     one, other = read_map(old, limits), read_map(new, limits)
     effective = settings.of_map(one)
-    with common.progress() as progress:
+    with common.progress() as progress, ExitStack() as outputs:
+        partial = out and outputs.enter_context(comparison_directory(out, overwrite, progress))
         found = compare_maps(one, other, effective, progress)
-        if out is not None:
-            write_comparison(found, out, overwrite, progress)
+        if partial is not None:
+            write_comparison(found, partial)
         if span_ns(one)[1] > span_ns(other)[1]:
             progress.note(f"{new}: its last scan is older than that of {old}: are they swapped?")
     common.show(found.as_dict(), [*found.lines(), *([f"look at {out / PICTURE}"] if out else [])])
@@ -159,14 +166,12 @@ def check(
     from specmap_cli.maps.store import read_map
     from specmap_cli.pipelines.check import check_map
 
-    needed = files_of_maps(map_, against)
-    wanted = {"junit": junit, "markdown": markdown}
-    inputs = [*needed, *([] if rules is None else [rules])]
-    check_files(wanted.values(), inputs, common, overwrite=overwrite)
     in_force = read_rules(rules, against=against is not None)
     limits = settings.load().limits
     stored = read_map(map_, limits)
     golden = None if against is None else read_map(against, limits)
+    wanted = {"junit": junit, "markdown": markdown}
+    check_files(wanted.values(), [map_, against, rules], common, overwrite=overwrite)
     with common.progress() as progress:
         report = check_map(stored, in_force, golden, progress)
     write_together(
@@ -209,15 +214,21 @@ def history(
     specmap history monday tuesday wednesday
     specmap history maps/ -o week --timezone Europe/Berlin
     """
-    from specmap_cli.pipelines.history import PAGE, history_of, write_history
+    from specmap_cli.pipelines.history import (
+        PAGE,
+        history_directory,
+        history_of,
+        write_history,
+    )
 
     if out is not None:
         keep_inputs([out], maps)
     limits = settings.load().limits
-    with common.progress() as progress:
+    with common.progress() as progress, ExitStack() as outputs:
+        partial = out and outputs.enter_context(history_directory(out, overwrite, progress))
         report = history_of(maps, timezone, limits, progress)
-        if out is not None:
-            write_history(report, out, overwrite, limits, progress)
+        if out is not None and partial is not None:
+            write_history(report, partial, out, limits)
     common.show(report.as_dict(), [*report.lines(), *([f"look at {out / PAGE}"] if out else [])])
     if not report.whole:
         raise typer.Exit(MapError.exit_code)
@@ -252,12 +263,12 @@ def report(
     from specmap_cli.maps.store import read_map
     from specmap_cli.pipelines.report import report_map
 
-    inputs = files_of_maps(map_, compare)
-    check_files([out], [map_, *inputs], common, overwrite=overwrite)
     limits = settings.load().limits
     stored = read_map(map_, limits)
+    older = None if compare is None else read_map(compare, limits)
+    check_files([out], [map_, compare], common, overwrite=overwrite)
     with common.progress() as progress:
-        page = report_map(stored, compare, limits, progress)
+        page = report_map(stored, older, limits, progress)
     write_text(out, page)
     size_mb = len(page.encode("utf-8")) / 1e6
     result = {
@@ -306,8 +317,8 @@ def export(
     from specmap_cli.exports.table import export_map, exporters
     from specmap_cli.maps.store import read_map
 
-    check_files([out], [map_], common, overwrite=overwrite)
     stored = read_map(map_, settings.load().limits)
+    check_files([out], [map_], common, overwrite=overwrite)
     with common.progress() as progress:
         if stored.note:
             progress.note(stored.note)

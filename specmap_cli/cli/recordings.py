@@ -171,14 +171,14 @@ def simulate(
     specmap simulate plan.png --resolution 0.05 -o tour.mcap --fov 360 --beams 720
     specmap simulate plan.yaml -o tour.mcap --fov 360 --rings 64 --beams 1024
     """
-    from specmap_cli.grids.map_server import read_grid
+    from specmap_cli.grids.map_server import files_of_grid, read_grid
     from specmap_cli.pipelines.simulate import simulate as record
     from specmap_cli.simulation.simulator import simulation_options
 
     limits = settings.load().limits
     options = simulation_options(**asdict(laser), **asdict(tour))
     truth = out.parent / f"{out.stem}.tum"
-    check_files([out, truth], [plan], common, overwrite=overwrite)
+    check_files([out, truth], files_of_grid(plan), common, overwrite=overwrite)
     with common.progress() as progress:
         floor = read_grid(plan, resolution, limits, progress)
         made = record(floor, options, out, truth, progress)

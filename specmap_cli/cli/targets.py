@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def check_files(
     outputs: Iterable[Path | None],
-    inputs: Iterable[Path],
+    inputs: Iterable[Path | None],
     common: Common,
     *,
     overwrite: bool = False,
@@ -57,19 +57,25 @@ def check_files(
                 )
 
 
-def files_of_maps(*directories: Path | None) -> list[Path]:
-    """The files in map directories, which no output may replace; None stands for no map."""
-    there = [one for one in directories if one is not None and one.is_dir()]
-    return [path for one in there for path in one.rglob("*") if path.is_file()]
-
-
-def keep_inputs(outputs: Iterable[Path], inputs: Iterable[Path]) -> None:
-    """Refuse outputs that are an input, or a directory with one inside: it would be lost."""
-    needed = [path.resolve() for path in inputs]
+def keep_inputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None:
+    """Refuse outputs that are an input, a directory with one inside, or a file of one that is a
+    directory: it would be lost. None stands for an input that was not given. Raises UsageError.
+    """
+    needed = [path.resolve() for path in inputs if path is not None]
     for output in outputs:
         place = output.resolve()
         for path in needed:
-            if path == place or place in path.parents:
+            if path == place or place in path.parents or _is_file_of(place, path):
                 raise UsageError(
                     f"would replace the input {path}", "choose another output", where=output
                 )
+
+
+def _is_file_of(file: Path, directory: Path) -> bool:
+    """Whether a file belongs to a map, or lies anywhere in a directory that is none."""
+    if directory not in file.parents or not file.is_file():
+        return False
+    from specmap_cli.maps.filenames import TOPOLOGY, is_of_a_map
+
+    is_map = (directory / TOPOLOGY).is_file()
+    return not is_map or is_of_a_map(file.relative_to(directory).as_posix())

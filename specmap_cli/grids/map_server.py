@@ -46,6 +46,7 @@ PICTURE_FREE_THRESHOLD = 0.0196
 
 _EXPECTED = "expected a map_server YAML"
 _LARGEST_YAML_MB = 0.066  # such a file has some hundred: anything larger is something else
+_YAMLS = (".yaml", ".yml")
 _DECIMALS = 6  # of lengths written: a micrometre
 _FARTHEST_M = 1e8  # twice around the earth: no place of a map is farther off
 _LARGEST_TURN = 1e-9  # rad; more than rounding, so meant
@@ -121,7 +122,7 @@ def read_grid(
     naming the file and the key at fault.
     """
     path = Path(path)
-    bare = path.suffix.lower() not in (".yaml", ".yml")
+    bare = path.suffix.lower() not in _YAMLS
     scale = {} if resolution is None else {"resolution": resolution}
     if not bare:
         entries = _entries(path)
@@ -157,6 +158,19 @@ def read_grid(
     if bare:
         cells = _with_outlines(cells, picture)
     return GridMap(cells, about.resolution, (about.origin[0], about.origin[1]))
+
+
+def files_of_grid(path: Path) -> tuple[Path, ...]:
+    """The files that `read_grid` reads: a YAML and the picture that it names, or a bare picture.
+
+    Raises MapError.
+    """
+    if path.suffix.lower() not in _YAMLS:
+        return (path,)
+    image = _entries(path).get("image")
+    if not isinstance(image, str) or "\0" in image:
+        return (path,)
+    return path, path.parent / image
 
 
 def _entries(path: Path) -> dict[str, Any]:

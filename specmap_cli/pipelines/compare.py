@@ -151,16 +151,19 @@ def compare_maps(
     )
 
 
-def write_comparison(
-    comparison: Comparison,
-    out: Path | str,
-    overwrite: bool = False,
-    progress: Progress | None = None,
-) -> None:
-    """Write summary, compare.json and the picture into a directory, complete or not at all.
+def comparison_directory(
+    out: Path | str, overwrite: bool = False, progress: Progress | None = None
+) -> OutputDirectory:
+    """The directory `out` for a comparison: entered before the work, it refuses what is in the way.
 
-    Raises UsageError for an output in the way.
+    What it gives is for `write_comparison`. Raises UsageError on entering.
     """
+    ours = frozenset({SUMMARY, COMPARISON, PICTURE}).__contains__
+    return OutputDirectory(path_of(out, "out"), overwrite, progress, marker=COMPARISON, ours=ours)
+
+
+def write_comparison(comparison: Comparison, directory: Path) -> None:
+    """Write summary, compare.json and the picture into a `comparison_directory`."""
     picture = render_comparison(
         comparison.old.regions,
         comparison.new.regions,
@@ -168,14 +171,10 @@ def write_comparison(
         comparison.differences,
         (comparison.old.path.resolve().name, comparison.new.path.resolve().name),
     )
-    files, target = {SUMMARY, COMPARISON, PICTURE}, path_of(out, "out")
-    with OutputDirectory(
-        target, overwrite, progress, marker=COMPARISON, ours=files.__contains__
-    ) as partial:
-        summary = "\n".join(comparison.lines()) + "\n"
-        (partial / SUMMARY).write_text(summary, encoding="utf-8")
-        (partial / COMPARISON).write_text(to_json(comparison.as_dict()), encoding="utf-8")
-        write_png(partial / PICTURE, picture)
+    summary = "\n".join(comparison.lines()) + "\n"
+    (directory / SUMMARY).write_text(summary, encoding="utf-8")
+    (directory / COMPARISON).write_text(to_json(comparison.as_dict()), encoding="utf-8")
+    write_png(directory / PICTURE, picture)
 
 
 def _aligned(old: Map, new: Map, stretch: GuessedStretch | None) -> Alignment:

@@ -128,27 +128,27 @@ def history_of(
     return HistoryReport(record, tuple(one.path for one in buildings))
 
 
-def write_history(
-    report: HistoryReport,
-    out: Path | str,
-    overwrite: bool = False,
-    limits: LimitsConfig | None = None,
-    progress: Progress | None = None,
-) -> None:
-    """Write history.json, its tables and its page into a directory, complete or not at all.
+def history_directory(
+    out: Path | str, overwrite: bool = False, progress: Progress | None = None
+) -> OutputDirectory:
+    """The directory `out` for a history: entered before the work, it refuses what is in the way.
 
-    Raises UsageError for an output in the way.
+    What it gives is for `write_history`. Raises UsageError on entering.
     """
-    plans, target = [read_map(path, limits) for path in report.plans], path_of(out, "out")
-    files = {HISTORY, PAGE, *TABLES}
-    with OutputDirectory(
-        target, overwrite, progress, marker=HISTORY, ours=files.__contains__
-    ) as partial:
-        (partial / HISTORY).write_text(to_json(report.as_dict()), encoding="utf-8")
-        for name, table in TABLES.items():
-            (partial / name).write_text(table(report.record), encoding="utf-8")
-        page = render_history(report.record, plans, target)
-        (partial / PAGE).write_text(page, encoding="utf-8")
+    ours = frozenset({HISTORY, PAGE, *TABLES}).__contains__
+    return OutputDirectory(path_of(out, "out"), overwrite, progress, marker=HISTORY, ours=ours)
+
+
+def write_history(
+    report: HistoryReport, directory: Path, out: Path, limits: LimitsConfig | None = None
+) -> None:
+    """Write history.json, its tables and its page into the `history_directory` of `out`."""
+    plans = [read_map(path, limits) for path in report.plans]
+    (directory / HISTORY).write_text(to_json(report.as_dict()), encoding="utf-8")
+    for name, table in TABLES.items():
+        (directory / name).write_text(table(report.record), encoding="utf-8")
+    page = render_history(report.record, plans, out)
+    (directory / PAGE).write_text(page, encoding="utf-8")
 
 
 def _found(paths: Sequence[Path | str]) -> Iterator[Path]:

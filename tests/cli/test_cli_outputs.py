@@ -112,7 +112,7 @@ def test_a_map_below_a_file_or_in_a_foreign_directory(
 
 
 def test_inputs_are_never_replaced(plan: Path, own_map: Path, tiny_log: Path, run: Run) -> None:
-    log = own_map / "log.mcap"
+    log, picture = own_map / "log.mcap", own_map / "map.png"
     log.write_bytes(tiny_log.read_bytes())
     for line in (
         ("build", log, "-o", own_map),
@@ -126,9 +126,68 @@ def test_inputs_are_never_replaced(plan: Path, own_map: Path, tiny_log: Path, ru
         ("evaluate", log, "--protocol", "holdout", "--confusion", log),
         ("report", own_map, "-o", own_map / "run.json"),
         ("check", own_map, "--junit", own_map / "run.json"),
+        ("export", own_map, "--format", "geojson", "-o", own_map / "topology.json"),
+        ("segment", own_map / "map.yaml", "-o", own_map / "rooms", "--explain", picture),
+        ("simulate", own_map / "map.yaml", "-o", picture),
     ):
         run(*line, "--overwrite").fails(2, "would replace the input")
     assert log.read_bytes() == tiny_log.read_bytes()
+
+
+def test_no_file_of_a_recording_s_directory_is_replaced(
+    tiny_log: Path, tmp_path: Path, run: Run
+) -> None:
+    inside = tmp_path / "bag_0.mcap"
+    inside.write_bytes(tiny_log.read_bytes())
+    (tmp_path / "metadata.yaml").write_text("mine", encoding="utf-8")
+    run("convert", tmp_path, "-o", inside, "--overwrite").fails(2, "would replace the input")
+    assert inside.read_bytes() == tiny_log.read_bytes()
+
+
+def test_a_page_in_its_map_is_a_person_s_own_and_replaced_when_told(
+    own_map: Path, run: Run
+) -> None:
+    line = ("report", own_map, "-o", own_map / "map.html")
+    assert run(*line).code == 0
+    assert run(*line, "--overwrite").code == 0
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        ("report", "nothere", "-o", "there"),
+        ("export", "nothere", "--format", "csv", "-o", "there"),
+        ("localize", "log.mcap", "--map", "nothere", "-o", "there"),
+        ("check", "nothere", "--junit", "there"),
+    ],
+)
+def test_a_map_that_is_not_there_is_told_before_an_output_that_is(
+    line: tuple[str, ...], tmp_path: Path, run: Run
+) -> None:
+    (tmp_path / "there").write_text("mine", encoding="utf-8")
+    places = [tmp_path / word if word in ("nothere", "there") else word for word in line]
+    run(*places).fails(3, "nothere: no such map directory")
+
+
+@pytest.mark.parametrize("command", ["compare", "history"])
+def test_a_directory_in_the_way_is_told_before_the_work(
+    command: str, tiny_map: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module, name in (("compare", "compare_maps"), ("history", "history_of")):
+        monkeypatch.setattr(f"specmap_cli.pipelines.{module}.{name}", pytest.fail)
+    (tmp_path / "mine").write_text("mine", encoding="utf-8")
+    line = (command, tiny_map, tiny_map, "-o", tmp_path, "--overwrite")
+    run(*line).fails(2, "is not empty and holds no earlier result")
+    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
+
+
+def test_a_picture_inside_the_output_is_refused_whether_that_is_there_or_not(
+    plan: Path, tmp_path: Path, run: Run
+) -> None:
+    line = ("segment", plan, "-o", tmp_path / "rooms", "--explain", tmp_path / "rooms" / "x.png")
+    run(*line).fails(2, "which is written anew: choose another place")
+    (tmp_path / "rooms").mkdir()
+    run(*line).fails(2, "which is written anew: choose another place")
 
 
 def test_the_true_poses_are_not_replaced_either(plan: Path, tmp_path: Path, run: Run) -> None:

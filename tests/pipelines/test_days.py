@@ -17,7 +17,7 @@ from specmap_cli.grids.gridmap import FREE
 from specmap_cli.history.record import BuildingRecord
 from specmap_cli.pipelines import compare
 from specmap_cli.pipelines.compare import COMPARISON, PICTURE, SUMMARY, Comparison, compare_maps
-from specmap_cli.pipelines.history import history_of, write_history
+from specmap_cli.pipelines.history import history_of
 from specmap_cli.topology.regions import NOBODY
 from tests.flats import Mapped, rows
 
@@ -136,7 +136,7 @@ def test_the_page_links_to_the_maps_and_to_reports_of_a_batch(week: Path, tmp_pa
     for folder in (job, tmp_path / "maps"):
         (folder / "report.html").write_text("<p>", encoding="utf-8")
     (job / "job.json").write_text("{}", encoding="utf-8")
-    write_history(history_of([tmp_path / "maps"]), tmp_path / "out")
+    assert main(["history", str(tmp_path / "maps"), "-o", str(tmp_path / "out"), "-q"]) == 0
     page = (tmp_path / "out" / "history.html").read_text(encoding="utf-8")
     links = re.findall(r'<a href="([^"#]+)"', page)
     assert [(tmp_path / "out" / link).resolve() for link in links] == [
@@ -156,7 +156,7 @@ def test_a_hostile_name_is_neither_markup_nor_formula(week: Path, tmp_path: Path
     name = "=\"'><script>alert(1)</script>"
     shutil.copytree(week / "monday", tmp_path / "map")
     assert main(["edit", str(tmp_path / "map"), "--rename", "0", name, "-q"]) == 0
-    write_history(history_of([tmp_path / "map"]), tmp_path / "out")
+    assert main(["history", str(tmp_path / "map"), "-o", str(tmp_path / "out"), "-q"]) == 0
     page = (tmp_path / "out" / "history.html").read_text(encoding="utf-8")
     assert "<script" not in page
     assert "&lt;script&gt;" in page
@@ -258,15 +258,19 @@ def test_the_command_writes_all_of_a_comparison(
 def test_the_same_maps_give_the_same_bytes_and_only_an_earlier_result_is_replaced(
     told: Comparison, before: Path, tmp_path: Path
 ) -> None:
-    compare.write_comparison(told, tmp_path / "out")
+    def write(out: Path, *, overwrite: bool = False) -> None:
+        with compare.comparison_directory(out, overwrite) as directory:
+            compare.write_comparison(told, directory)
+
+    write(tmp_path / "out")
     files = [tmp_path / "out" / file for file in (COMPARISON, PICTURE, SUMMARY)]
     written = [file.read_bytes() for file in files]
     with pytest.raises(UsageError, match="already holds a result"):
-        compare.write_comparison(told, tmp_path / "out")
-    compare.write_comparison(told, tmp_path / "out", overwrite=True)
+        write(tmp_path / "out")
+    write(tmp_path / "out", overwrite=True)
     assert [file.read_bytes() for file in files] == written
     with pytest.raises(UsageError, match=f"no {COMPARISON} in it"):
-        compare.write_comparison(told, before, overwrite=True)
+        write(before, overwrite=True)
 
 
 def test_a_map_without_classifiers_is_compared_by_its_grids(

@@ -240,6 +240,7 @@ _MAX_LINE_BYTES = 1 << 20  # a line of 1,081 beams has 10 kB: a longer one is da
 _CONTROLS = bytes([*range(9), *range(14, 32)])  # in no text, and in no encoding of one
 _NO_TEXT = "piece that is no text"  # such as zeros, as a disk leaves them after a crash
 _SOME_LASER = "laser line"  # its keyword is lost, so that nothing says which laser it was
+_SOME_LINE = "other line (but for its end)"  # it ran into the one before
 _SAME_MOUNT_M, _SAME_MOUNT_RAD = 0.01, 0.01  # poses are written with rounded digits
 
 
@@ -347,7 +348,7 @@ class CarmenFile(Recording):
                 self.report(
                     f"line {number} (byte {offset - len(text)}) is damaged: "
                     f"one {what} after {time_text(last)} is lost",
-                    {} if what in (_SOME_LASER, _NO_TEXT) else {topic_of(what): 1},
+                    {} if what in (_SOME_LASER, _SOME_LINE, _NO_TEXT) else {topic_of(what): 1},
                 )
             if line is not None:
                 last = line.stamp_ns
@@ -372,11 +373,28 @@ def _read(text: bytes) -> tuple[CarmenLine | None, list[str]]:
     lost = lost or [_NO_TEXT] * bool(no_text)  # all zeros is padding
     if keyword is None:
         return None, lost
-    cut = not text.endswith(b"\n") and text.endswith(words[-1])  # who knows what its end was
+    if not text.endswith(b"\n") and text.endswith(words[-1]):
+        words = words[:-1]  # it is cut: who knows what its end was
+    if not lost and (end := _first_end(words)):
+        words, lost = words[:end], [_SOME_LINE]
     try:
-        return parse_line(keyword, words[:-1] if cut else words), lost
+        return parse_line(keyword, words), lost
     except (ValueError, IndexError):
         return None, [*lost, keyword]
+
+
+def _first_end(words: list[bytes]) -> int | None:
+    """How many words end at the host of a line into which the end of another ran; else None.
+
+    Its last words are those of the other: a time, the host of both, a time.
+    """
+    host = words[-2] if len(words) > 2 else b"0"
+    try:
+        float(host)
+    except ValueError:
+        first = words.index(host)
+        return first + 1 if 0 < first < len(words) - 2 else None
+    return None
 
 
 def _same(a: Pose2, b: Pose2) -> bool:

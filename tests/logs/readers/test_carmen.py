@@ -314,3 +314,14 @@ def test_zeros_over_a_line_break_behind_a_whole_line_are_told(path: Path) -> Non
     found, (told,) = read_rest(path)
     assert sum(m.topic == "/robotlaser1" for m in found) == 1
     assert "one piece that is no text after 1.500 s is lost" in told
+
+
+@pytest.mark.parametrize("line", [flaser(2.5), robotlaser(2.5)])
+@pytest.mark.parametrize("into", [odom("2.0").replace("7.5\n", "7.5"), flaser(2.0)[:-3]])
+def test_a_line_that_ran_into_the_one_before_is_told(path: Path, into: str, line: str) -> None:
+    """Some bytes were cut out across the end of a line: a scan was lost in silence."""
+    path.write_text(flaser(1.5) + into + line[20:])
+    found, (told,) = read_rest(path)
+    assert [m.time_ns for m in found if m.topic == "/odom"] == [1_500_000_000, 2_000_000_000]
+    assert "line 2 (byte " in told
+    assert "one other line (but for its end) after 1.500 s is lost" in told
