@@ -32,7 +32,7 @@ def change_compressed(rng: random.Random, data: bytes, format_: str) -> Change:
     if kind < 0.25:
         return _members(rng, data, format_)
     if kind < 0.4:
-        garbage = rng.randbytes(rng.choice([1, 3, 20, 3000]))
+        garbage = b"\x01" + rng.randbytes(rng.choice([0, 2, 19, 2999]))  # zeros are padding
         note = f"{format_} with {len(garbage)} bytes of garbage behind it"
         return Change(packed(data, format_) + garbage, note, foreign=True)
     if kind < 0.45:

@@ -49,6 +49,7 @@ _LARGEST_YAML_MB = 0.066  # such a file has some hundred: anything larger is som
 _YAMLS = (".yaml", ".yml")
 _DECIMALS = 6  # of lengths written: a micrometre
 _FARTHEST_M = 1e8  # twice around the earth: no place of a map is farther off
+_FINEST_M, _COARSEST_M = 0.002, 10.0  # a cell; matching scans in finer ones takes forever
 _LARGEST_TURN = 1e-9  # rad; more than rounding, so meant
 
 _GREY = np.zeros(256, dtype=np.uint8)
@@ -239,7 +240,9 @@ class _MapYaml(BaseModel):
     mode: Literal["trinary", "scale", "raw"] = Field(
         "trinary", description="one of trinary, scale, raw"
     )
-    resolution: _Metres = Field(gt=0.0, description="metres a cell, above 0")
+    resolution: float = Field(
+        ge=_FINEST_M, le=_COARSEST_M, description=f"{_FINEST_M:g} to {_COARSEST_M:g} metres a cell"
+    )
     origin: list[_Metres] = Field(
         [0.0, 0.0, 0.0], min_length=2, max_length=3, description="[x, y, 0]"
     )

@@ -162,9 +162,6 @@ _SAME = (
 )
 
 
-_FINEST_M, _COARSEST_M = 0.002, 10.0  # a cell of a map; matching scans in finer ones takes forever
-
-
 class Grids(Mapping[int, GridMap]):
     """Grids by submap id, each read from its file when it is first asked for."""
 
@@ -178,12 +175,6 @@ class Grids(Mapping[int, GridMap]):
             image, stored = self._images[submap], self._stored
             path = stored.path / image.with_suffix(".yaml")
             grid = read_grid(path, limits=stored.limits)
-            if not _FINEST_M <= grid.resolution <= _COARSEST_M:
-                raise MapError(
-                    f"resolution is {grid.resolution:g}",
-                    f"expected {_FINEST_M:g} to {_COARSEST_M:g} metres a cell: build the map again",
-                    where=path,
-                )
             names = (image.as_posix(), image.with_suffix(".yaml").as_posix())
             unchanging(grid.cells)
             self._read[submap] = stored.checked(grid, *names)

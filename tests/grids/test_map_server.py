@@ -43,7 +43,7 @@ def grey_png(directory: Path) -> Path:
 
 @given(
     st.tuples(st.integers(1, 9), st.integers(1, 9)),
-    st.floats(1e-6, 100.0).map(lambda v: round(v, 6)),
+    st.floats(0.002, 10.0).map(lambda v: round(v, 6)),
     st.one_of(st.sampled_from([0.0, -0.0, 1e-5, -3e-6, 4e-7, 1e6]), st.floats(-1e5, 1e5)),
     seeds,
 )
@@ -223,7 +223,7 @@ def test_a_given_resolution_wins_and_paths_may_be_text(tmp_path: Path) -> None:
     path = tmp_path / "m.yaml"
     for each in (path, str(path), f"{tmp_path}/m.png"):
         assert read_grid(each, 0.25).resolution == 0.25
-    with pytest.raises(MapError, match="above 0"):
+    with pytest.raises(MapError, match="0.002 to 10 metres"):
         read_grid(path, -1.0)
     with pytest.raises(MapError, match="--resolution"):
         read_grid(tmp_path / "m.png")
@@ -324,7 +324,7 @@ def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
         write_grid(tmp_path / "m", grid)
 
 
-METRES, MAP = "expected metres a cell, above 0", "expected a map_server YAML"
+METRES, MAP = "expected 0.002 to 10 metres a cell", "expected a map_server YAML"
 
 
 @pytest.mark.parametrize(
@@ -340,6 +340,7 @@ METRES, MAP = "expected metres a cell, above 0", "expected a map_server YAML"
         (YAML.replace("0.1", "-1"), f"resolution is '-1': {METRES}"),
         (YAML.replace("0.1", "5 cm"), f"resolution is '5 cm': {METRES}"),
         (YAML.replace("0.1", "1e9"), f"resolution is '1e9': {METRES}"),
+        (YAML.replace("0.1", "1.0e-300"), f"resolution is '1.0e-300': {METRES}"),
         (YAML.replace("-1.0", "nan"), "origin is '[nan, 2.5, 0.0]': expected [x, y, 0]"),
         (YAML.replace("-1.0", "1:30"), "origin is '[1:30, 2.5, 0.0]': expected [x, y, 0]"),
         (YAML.replace("-1.0", "1e999"), "origin is '[1e999, 2.5, 0.0]': expected [x, y, 0]"),

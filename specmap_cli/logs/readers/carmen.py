@@ -52,6 +52,10 @@ _KEYWORD_BYTES = 12  # of the longest keyword and what ends it
 _FLASER_RANGE_MAX_M = 80.0  # lines do not say: the SICK LMS of these logs gives 81.83 for no return
 _SENSORS = (b"LASER", b"SONAR", b"BUMPER")  # in the keywords of lines that tell of a sensor
 _FLASER_TAIL = 9  # words behind the ranges: two poses, a stamp, the host, a stamp
+_END = [True] * 6 + [
+    False,
+    True,
+]  # which of the last words of any line are numbers: the host is not
 _ROBOTLASER_HEAD, _ROBOTLASER_TAIL = 8, 14  # words up to the ranges and behind the remissions
 _COUNT_DIGITS = 7  # no line has a million ranges
 _STAMP_LIMIT_NS = 1 << 63  # messages have their times in 64 bits,
@@ -106,14 +110,23 @@ def damaged_keyword(line: bytes) -> str | None:
     return None
 
 
-def lost_laser(words: list[bytes]) -> bool:
-    """Whether the words of a line are those of a laser, but for the first, or without it.
+def lost_line(words: list[bytes]) -> str | None:
+    """What was lost where a line has no keyword that is read, but the numbers of one that is.
 
-    Comments do not count, nor do lines of other lasers, sonars and bumpers, which may look alike.
+    It has the length of a laser's, or the end of a laser's or of odometry behind a comment, a
+    parameter, or what is left of a keyword: bytes were cut out across lines. None for lines of
+    other sensors and other messages, which may look alike.
     """
-    if not words or words[0].startswith(b"#") or any(name in words[0] for name in _SENSORS):
-        return False
-    return _is_laser_length(words[1:]) or (words[0][:1].isdigit() and _is_laser_length(words))
+    if not words or any(name in words[0] for name in _SENSORS):
+        return None
+    if _is_laser_length(words[1:]) or (words[0][:1].isdigit() and _is_laser_length(words)):
+        return _SOME_LASER
+    name = words[0].rstrip(b"-.0123456789")
+    cut = any(keyword.startswith(name) and keyword != name for keyword in _KEYWORDS)
+    if name.isalpha() and name.isupper() and not cut and name != b"PARAM":
+        return None
+    numeric = [_is_number(word) for word in words[-len(_END) :]]
+    return _SOME_LINE if numeric == _END else None
 
 
 def _is_laser_length(words: list[bytes]) -> bool:
@@ -203,13 +216,16 @@ def _check_host(words: list[bytes], place: int) -> None:
 
     It has then lost the end of itself, and what follows is of another line.
     """
-    if len(words) > place + 2:
-        try:
-            number = float(words[place])
-        except ValueError:
-            return
-        if math.isfinite(number):
-            raise ValueError(words[place])
+    if len(words) > place + 2 and _is_number(words[place]):
+        raise ValueError(words[place])
+
+
+def _is_number(word: bytes) -> bool:
+    """Whether a word is a finite number."""
+    try:
+        return math.isfinite(float(word))
+    except ValueError:
+        return False
 
 
 def _finite(word: bytes) -> float:
@@ -367,8 +383,8 @@ def _read(text: bytes) -> tuple[CarmenLine | None, list[str]]:
         lost = [word.decode("ascii") for word in _INSIDE.findall(text, 1)]
     if (damaged := None if keyword else damaged_keyword(text)) is not None:
         return None, [*lost, damaged]
-    if lost_laser(words):
-        return None, [*lost, _SOME_LASER]
+    if (unread := lost_line(words)) and not (lost and unread is _SOME_LINE):
+        return None, [*lost, unread]
     no_text = len(text.translate(None, _CONTROLS)) < len(text) and text.strip(b"\0\r\n")
     lost = lost or [_NO_TEXT] * bool(no_text)  # all zeros is padding
     if keyword is None:
@@ -389,12 +405,8 @@ def _first_end(words: list[bytes]) -> int | None:
     Its last words are those of the other: a time, the host of both, a time.
     """
     host = words[-2] if len(words) > 2 else b"0"
-    try:
-        float(host)
-    except ValueError:
-        first = words.index(host)
-        return first + 1 if 0 < first < len(words) - 2 else None
-    return None
+    first = len(words) if _is_number(host) else words.index(host)
+    return first + 1 if 0 < first < len(words) - 2 else None
 
 
 def _same(a: Pose2, b: Pose2) -> bool:

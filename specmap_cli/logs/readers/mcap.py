@@ -196,19 +196,19 @@ class McapFile(ChunkedFile):
     def _behind(self, start: int) -> Iterator[Entry]:
         """What stands behind the end of the data: counts, and messages, which are read and told."""
         cut = self.read_at(self.size - len(MAGIC), len(MAGIC)) != MAGIC
-        if cut:
-            self.report(f"cut off in the index after byte {start}: no message is lost")
         offset = start
-        while offset + RECORD_HEAD.size <= self.size:
-            opcode, length = RECORD_HEAD.unpack(self.read_at(offset, RECORD_HEAD.size))
+        while offset + (0 if cut else len(MAGIC)) < self.size:
+            head = self.read_at(offset, RECORD_HEAD.size).ljust(RECORD_HEAD.size, b"\xff")
+            opcode, length = RECORD_HEAD.unpack(head)
             ref = ChunkRef(offset=offset, length=RECORD_HEAD.size + length)
             offset += ref.length
-            if offset > self.size and not cut:
-                self.report(
-                    f"damaged in the index at byte {ref.offset}: no message should stand there, "
-                    "any that does is lost"
-                )
             if offset > self.size:
+                sure = cut and opcode not in (CHUNK, MESSAGE)
+                lost = "no message should stand there, any that does is lost"
+                self.report(
+                    f"{'cut off' if cut else 'damaged'} in the index at byte {ref.offset}: "
+                    f"{'no message is lost' if sure else lost}"
+                )
                 return
             if opcode == STATISTICS:
                 body = self.read_at(ref.offset + RECORD_HEAD.size, min(length, self.chunk_max))
@@ -230,6 +230,8 @@ class McapFile(ChunkedFile):
                     "what they hold is lost"
                 )
                 return
+        if cut:
+            self.report(f"cut off in the index at byte {offset}: no message is lost")
 
     def _ends_data(self, opcode: int, length: int, end: int) -> bool:
         """Whether a record is the end of the data, or the footer of a file without such an end."""

@@ -245,12 +245,14 @@ class Rosbag1File(ChunkedFile):
                 self.report_end(self.size, last)
                 return
             start, offset, count = offset, record.end, record.fields.get(b"count", b"")
-            if record.opcode == INDEX and len(count) == 4 and self._record_or_none(offset) is None:
-                # some writers give their index records a wrong length
+            counted = offset
+            if record.opcode == INDEX and len(count) == 4:
                 counted = record.start + INDEX_ENTRY.size * U32.unpack(count)[0]
-                if counted != offset and self._record_or_none(counted) is not None:
-                    self.report(f"the record at byte {start} is damaged and was passed over")
-                    offset = counted
+            if counted != offset:  # some writers give their index records a wrong length
+                there = self._record_or_none(counted) is not None
+                offset = counted if there else offset
+                what = "and was passed over" if there else ": what it holds is lost"
+                self.report(f"the record at byte {start} is damaged{what}")
 
     def _held(self, offset: int, record: Record) -> Iterator[Entry]:
         """The messages in a record met on the walk, or in its readable part."""

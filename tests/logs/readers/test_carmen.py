@@ -278,7 +278,7 @@ def test_a_laser_line_without_its_keyword_is_told(path: Path, line: str, word: s
         robotlaser(2.0).replace("ROBOTLASER1", "ROBOTLASER2"),
         robotlaser(2.0).replace("ROBOTLASER1", "RAWLASER1"),
         flaser(2.0, name="SONAR"),
-        flaser(2.0, name="#"),
+        "IMU 0.1 0.2 9.8 1 0 0 0 0.2 0.3 2.0 nohost 2.0\n",
         "TRUEPOS 1 2 0.5 1 2 0.5 2.0 nohost 2.0\n",
         "TRUEPOS 0.1 2 0.5 1 2 0.5 2.0 nohost 2.0\n",
         "PARAM laser_front_laser_resolution 0.5 nohost 0.0\n",
@@ -325,3 +325,15 @@ def test_a_line_that_ran_into_the_one_before_is_told(path: Path, into: str, line
     assert [m.time_ns for m in found if m.topic == "/odom"] == [1_500_000_000, 2_000_000_000]
     assert "line 2 (byte " in told
     assert "one other line (but for its end) after 1.500 s is lost" in told
+
+
+@pytest.mark.parametrize("line", [odom("2.5"), flaser(2.5), robotlaser(2.5)])
+@pytest.mark.parametrize("into", ["", "# a log of ", "PARAM robot_front", "FLAS0", "ROBOT1."])
+def test_a_line_without_its_beginning_is_told(path: Path, into: str, line: str) -> None:
+    """Some bytes were cut out before its end, in the line itself or across the one before."""
+    numbers = line if line.startswith("ODOM") else line.split(" ", 2)[2]
+    path.write_text(flaser(1.5) + into + numbers.removeprefix("ODOM "))
+    found, (told,) = read_rest(path)
+    assert [m.time_ns for m in found if m.topic == "/odom"] == [1_500_000_000]
+    assert "line 2 (byte " in told
+    assert "after 1.500 s is lost" in told

@@ -268,6 +268,18 @@ def test_what_stands_behind_the_end_of_the_data_is_read_and_told(
         assert f"{path}: damaged in the index at byte {behind}: " in told[-1]
 
 
+@pytest.mark.parametrize("style", WITHOUT_INDEX)
+def test_messages_that_are_cut_off_behind_the_end_of_the_data_are_told(
+    path: Path, drive_messages: list[Message], style: dict[str, object]
+) -> None:
+    write_mcap(path, drive_messages, **style)
+    behind, _ = end_of_data_moved_up(path)
+    path.write_bytes(path.read_bytes()[: behind + 12])
+    found, (told,) = read_rest(path)
+    assert len(found) < len(drive_messages)
+    assert told.startswith(f"{path}: cut off in the index at byte {behind}: no message should")
+
+
 @pytest.mark.parametrize("checked", [True, False])
 def test_a_chunk_that_is_not_where_the_index_has_it_is_told(
     path: Path, drive_messages: list[Message], checked: bool

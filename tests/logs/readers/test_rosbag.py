@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import sqlite3
 import struct
@@ -84,6 +85,22 @@ def test_a_bag_with_wrong_index_records_is_read_by_its_list_of_chunks(
     found, (said,) = read_rest(path)
     assert found == drive_messages
     assert f"the record at byte {start} is damaged and was passed over" in said
+
+
+def test_what_an_index_record_swallowed_is_told(path: Path, drive_messages: list[Message]) -> None:
+    """Bytes were cut out of it and of what follows, so that the file's own index is off by them."""
+    write_bag(path, drive_messages)
+    data = path.read_bytes()
+    overwrite(path, data.index(b"index_pos=") + len("index_pos="), bytes(8))
+    places = [found.start() for found in re.finditer(rb"op=\x04", data)]
+    starts = [data.rindex(struct.pack("<I", 47), 0, place) for place in places]
+    gap = next(i for i, start in enumerate(starts[1:]) if start - starts[i] > 1000)
+    length = starts[gap] + 4 + 47
+    overwrite(path, length, struct.pack("<I", starts[gap + 1] - length - 4))
+    overwrite(path, data.index(b"count=", starts[gap]) + len("count="), struct.pack("<I", 9999))
+    found, said = read_rest(path)
+    assert len(found) < len(drive_messages)
+    assert any(f"the record at byte {starts[gap]} is damaged: what it" in line for line in said)
 
 
 def test_a_database_of_a_recorder_that_was_killed_is_read(
