@@ -223,7 +223,7 @@ def test_a_given_resolution_wins_and_paths_may_be_text(tmp_path: Path) -> None:
     path = tmp_path / "m.yaml"
     for each in (path, str(path), f"{tmp_path}/m.png"):
         assert read_grid(each, 0.25).resolution == 0.25
-    with pytest.raises(MapError, match="0.002 to 10 metres"):
+    with pytest.raises(MapError, match=r"0\.002 to 10 metres"):
         read_grid(path, -1.0)
     with pytest.raises(MapError, match="--resolution"):
         read_grid(tmp_path / "m.png")
