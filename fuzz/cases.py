@@ -12,7 +12,7 @@ from fuzz.changes import Change
 from fuzz.compression_changes import FORMATS, change_compressed, packed
 from fuzz.containers import Variant
 from fuzz.drives import SCAN_TOPIC, Drive
-from fuzz.map_changes import Files, change_map, without_digests
+from fuzz.map_changes import Files, bound, change_map, without_digests
 from fuzz.message_changes import change_messages
 from fuzz.record_changes import change_records
 from fuzz.row_changes import change_rows
@@ -50,7 +50,8 @@ class LogCase:
 class MapCase:
     """A damaged map directory; `deeds` are done to its files once they are written.
 
-    `keeper` is the command that it is given to of those that make another map of it.
+    `keeper` is the command that it is given to of those that make another map of it. `foreign`
+    tells that a file is whole, but of another map.
     """
 
     number: int
@@ -60,6 +61,7 @@ class MapCase:
     deeds: tuple[str, ...]
     plot: bool
     keeper: str = KEEPERS[0]
+    foreign: bool = False
 
 
 Case = LogCase | MapCase
@@ -75,12 +77,17 @@ def case_of(seeds: Seeds, seed: int, number: int) -> Case:
 
 def _map_case(seeds: Seeds, rng: random.Random, number: int) -> MapCase:
     intact: Files = dict(seeds.map_files)
-    if rng.random() < 0.5:
+    foreign = rng.random() < 0.1
+    if not foreign and rng.random() < 0.5:
         intact = without_digests(intact)
     files = dict(intact)
     deeds: list[str] = []
     notes: list[str] = []
-    for _ in range(rng.choice([1, 1, 1, 2])):
+    if foreign:
+        name = rng.choice(sorted(bound(intact, seeds.other_files)))
+        files[name] = seeds.other_files[name]
+        notes.append(f"{name} of another map")
+    for _ in range(0 if foreign else rng.choice([1, 1, 1, 2])):
         files, done, note = change_map(rng, files, intact)
         deeds += [deed for deed in done if not deeds]  # one is enough: the file may be gone
         notes.append(note)
@@ -92,6 +99,7 @@ def _map_case(seeds: Seeds, rng: random.Random, number: int) -> MapCase:
         deeds=tuple(deeds),
         plot=rng.random() < 0.3,
         keeper=KEEPERS[number // MAP_EVERY % len(KEEPERS)],
+        foreign=foreign,
     )
 
 

@@ -277,6 +277,33 @@ def _judge_map(case: MapCase, folder: Path, intact: Path) -> Iterator[Failure]:
                 yield Failure("half-written", f"{command[0]} ended with {run.code}: {path.name}")
     yield from _check_export(folder)
     yield from _check_contents(folder)
+    if case.foreign and not _refused(folder):
+        yield Failure("foreign file", f"it was read: {case.notes[0]}")
+    yield from _check_kept(folder)
+
+
+def _refused(folder: Path) -> bool:
+    """Whether one of the readers of a map's files refuses its file."""
+    try:
+        stored = read_map(folder / "damaged")
+        for name in _READ:
+            getattr(stored, name)
+        _in_keyframes(stored)
+        _in_layout(stored)
+        _ = [*stored.grids.values()]
+    except SpecmapError:
+        return True
+    return False
+
+
+def _check_kept(folder: Path) -> Iterator[Failure]:
+    """What is not of specmap stays where a command replaces a map, or refuses to."""
+    own = folder / "damaged" / "photos" / "notes.txt"
+    own.parent.mkdir(exist_ok=True)
+    own.write_text("mine")
+    yield from check_run(run_command(["edit", str(folder / "damaged"), "--undo", "1", "--json"]))
+    if not own.is_file() or own.read_text() != "mine":
+        yield Failure("foreign file", "edit removed it")
 
 
 def _check_export(folder: Path) -> Iterator[Failure]:
@@ -325,6 +352,8 @@ def _in_layout(stored: Map) -> int:
     return len(laid_out_of_stored(stored).layout.poses)
 
 
+# The files of a map as a program reads them, beside scans, layout and grids.
+_READ = ("topology", "classifiers", "features", "map_grid", "trajectory", "labels", "division")
 # What a map is read for, and how many keyframes that tells of.
 _CONTENTS: Mapping[str, Callable[[Map], int]] = {
     "topology": _in_topology,

@@ -151,6 +151,12 @@ def without_digests(files: Mapping[str, bytes]) -> Files:
     return {**files, "topology.json": json.dumps(document).encode()}
 
 
+def bound(files: Mapping[str, bytes], other: Mapping[str, bytes]) -> set[str]:
+    """The files that belong to a map by their digests, and are not the same in the other map."""
+    listed = json.loads(files["topology.json"])["graph"]["files"]
+    return {name for name in listed if other.get(name, files[name]) != files[name]}
+
+
 def write_map(folder: Path, files: Mapping[str, bytes], deeds: list[str]) -> None:
     """Write a map directory, then do to its files what `change_map` asked for."""
     for name, data in files.items():

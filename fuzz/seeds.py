@@ -25,7 +25,7 @@ QUICK_SETTINGS = (
     "localization.track_samples=20",
     "localization.augmentation=20",
 )
-_MAP_DRIVE_S, _MAP_BEAMS = 20.0, 60
+_MAP_DRIVE_S, _OTHER_DRIVE_S, _MAP_BEAMS = 20.0, 18.0, 60
 _LOCALIZED_S = 2.0
 LOCALIZED, INTACT = "localized", "intact"  # what `write_intact` writes
 
@@ -34,13 +34,15 @@ LOCALIZED, INTACT = "localized", "intact"  # what `write_intact` writes
 class Seeds:
     """Everything intact: drives by name, their files by variant and drive, a map's files.
 
-    `localized` is the tiny log that is localised in damaged maps. The map has edits of a person.
+    `localized` is the tiny log that is localised in damaged maps. The map has edits of a person;
+    `other_files` are those of another map.
     """
 
     drives: Mapping[str, Drive]
     variants: Mapping[str, Variant]
     files: Mapping[tuple[str, str], bytes]
     map_files: Mapping[str, bytes]
+    other_files: Mapping[str, bytes]
     localized: bytes
 
 
@@ -56,11 +58,13 @@ def make_seeds(*, with_map: bool = True) -> Seeds:
         for name in variant.drives
     }
     tiny = planar_drive(_LOCALIZED_S, _MAP_BEAMS)
+    map_files, other_files = _map_files() if with_map else ({}, {})
     return Seeds(
         drives=made,
         variants=known,
         files=files,
-        map_files=_map_files() if with_map else {},
+        map_files=map_files,
+        other_files=other_files,
         localized=known["mcap-zstd"].encode(tiny.messages),
     )
 
@@ -71,25 +75,32 @@ def write_intact(seeds: Seeds, folder: Path) -> None:
     write_map(folder / INTACT, seeds.map_files, [])
 
 
-def _map_files() -> dict[str, bytes]:
-    log = variants()["mcap-zstd"].encode(planar_drive(_MAP_DRIVE_S, _MAP_BEAMS).messages)
+def _map_files() -> tuple[dict[str, bytes], dict[str, bytes]]:
+    """The files of the map with a person's edits, and of another map."""
     with tempfile.TemporaryDirectory(prefix="fuzz-") as folder:
-        (Path(folder) / "log").write_bytes(log)
-        out = Path(folder) / "map"
         context = multiprocessing.get_context("fork")
-        child = context.Process(target=_build, args=(Path(folder) / "log", out), daemon=True)
+        child = context.Process(target=_build, args=(Path(folder),), daemon=True)
         child.start()
         child.join()
         if child.exitcode != 0:
-            raise RuntimeError("the map to damage could not be built")
-        paths = sorted(path for path in out.rglob("*") if path.is_file())
-        return {str(path.relative_to(out)): path.read_bytes() for path in paths}
+            raise RuntimeError("the maps to damage could not be built")
+        return _files_of(Path(folder) / "map"), _files_of(Path(folder) / "other")
 
 
-def _build(log: Path, out: Path) -> None:
-    built = run_command(["build", str(log), "-o", str(out), "--quiet", *settings()])
-    edited = [run_command(["edit", str(out), *words, "--quiet"]) for words in EDITS]
-    raise SystemExit(max(run.code for run in (built, *edited)))
+def _files_of(folder: Path) -> dict[str, bytes]:
+    paths = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
+
+
+def _build(folder: Path) -> None:
+    runs = []
+    for name, seconds in (("map", _MAP_DRIVE_S), ("other", _OTHER_DRIVE_S)):
+        log = folder / f"{name}.mcap"
+        log.write_bytes(variants()["mcap-zstd"].encode(planar_drive(seconds, _MAP_BEAMS).messages))
+        out = str(folder / name)
+        runs.append(run_command(["build", str(log), "-o", out, "--quiet", *settings()]))
+    runs += [run_command(["edit", str(folder / "map"), *words, "--quiet"]) for words in EDITS]
+    raise SystemExit(max(run.code for run in runs))
 
 
 def settings() -> list[str]:

@@ -23,6 +23,7 @@ from fuzz.workers import Limits, Outcome, Pool, _Worker
 from specmap_cli.core.errors import UsageError
 from specmap_cli.logs.readers.chunked import ChunkedFile
 from specmap_cli.logs.readers.recording import Message
+from specmap_cli.maps.store import Map
 
 SEED, CASES = 2026, 100
 CHUNKED = range(0, 40)  # cases of which most are MCAP files or bags
@@ -144,7 +145,7 @@ def test_an_output_beside_an_error_is_noticed(
             raise UsageError(f"{others[0]}: planted")
 
     monkeypatch.setattr("specmap_cli.pipelines.localize.write_together", refuse_to_plot)
-    cases = (case_of(seeds, SEED, number) for number in range(1, 4000, 20))
+    cases = (case_of(seeds, SEED, number) for number in range(1, 40_000, 20))
     plotted = (case for case in cases if isinstance(case, MapCase) and case.plot)
     # of a map that is damaged where `localize` does not look
     number = next(case.number for case in plotted if case.notes[0].startswith("overview.png"))
@@ -188,6 +189,24 @@ def test_an_intact_map_passes(seeds: Seeds, tmp_path: Path) -> None:
         assert judge(case, folder, (), tmp_path) == [], keeper
         assert (folder / "out.png").exists() == plot
         assert (folder / "out.made").exists() == (keeper in {"compare", "update", "edit"})
+
+
+@pytest.mark.parametrize("name", ["features.npz", "map.png", "trajectory.g2o"])
+def test_a_file_of_another_map_that_is_read_is_noticed(
+    seeds: Seeds, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    write_intact(seeds, tmp_path)
+    files = {**seeds.map_files, name: seeds.other_files[name]}
+    case = MapCase(
+        number=0, name="map", notes=(name,), files=files, deeds=(), plot=False, foreign=True
+    )
+    found = []
+    for folder in (tmp_path / "as it is", tmp_path / "planted"):
+        folder.mkdir()
+        found.append({failure.kind for failure in judge(case, folder, (), tmp_path)})
+        monkeypatch.setattr(Map, "checked", lambda _, value, *_names: value)
+    assert found[0] == set()
+    assert "foreign file" in found[1]
 
 
 def test_only_damage_without_a_trace_is_excused(seeds: Seeds) -> None:
