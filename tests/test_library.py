@@ -74,7 +74,7 @@ def test_the_examples_of_the_page_run(
     shown = capsys.readouterr().out
     assert re.search(r"^\d submaps$", shown, flags=re.MULTILINE)
     assert re.search(r"^0 submap 0 \w+ \d+\.\d m2 \d visits$", shown, flags=re.MULTILINE)
-    assert re.search(r"^in submap 0\n0\.\d m through rooms \(0,\), 0 doors$", shown, re.MULTILINE)
+    assert re.search(r"^in submap 0\n0\.\d m, rooms \(0,\), doors \[\]$", shown, re.MULTILINE)
     assert re.search(r"^room 0 \d+% sure$", shown, flags=re.MULTILINE)
     assert re.search(r"^1700000\d+ \d (None|Pose2\(x=)", shown, flags=re.MULTILINE)
     assert "/scan sensor_msgs/msg/LaserScan" in shown
@@ -201,6 +201,7 @@ def test_the_example_of_a_node_feeds_the_localizer(
         lambda: specmap_cli.segment_map("m.yaml", "out", "paper"),  # type: ignore[arg-type]
         lambda: specmap_cli.read_map(None),  # type: ignore[arg-type]
         lambda: specmap_cli.Localizer(None),  # type: ignore[arg-type]
+        lambda: specmap_cli.Localizer("map", {"seed": 1}),  # type: ignore[arg-type]
         lambda: specmap_cli.load_config(3),  # type: ignore[arg-type]
     ],
 )
@@ -212,6 +213,25 @@ def test_wrong_types_are_refused_before_the_work(
     with pytest.raises(TypeError, match=r"expected .*, found "):
         call()
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ({"ranges": [1.0]}, "a scan of 1 ranges at 360 angles: expected as many of both"),
+        ({"angles": list(range(360))}, "angles over 57 turns: expected radians"),
+        ({"laser": (0.1, 0.0)}, "laser is (0.1, 0.0): expected x, y and theta"),
+        ({"odometry": (0.0, 0.0, math.nan)}, "odometry is (0.0, 0.0, nan): expected x, y"),
+    ],
+)
+def test_a_scan_that_cannot_be_meant_is_refused(
+    flat_map: Map, wrong: dict[str, Any], told: str
+) -> None:
+    circle = {"ranges": [2.0] * 360, "angles": np.radians(np.arange(360)).tolist()}
+    localizer = specmap_cli.Localizer(flat_map)
+    with pytest.raises(specmap_cli.SpecmapError, match=f"^{re.escape(told)}"):
+        localizer.add(specmap_cli.Scan(1, **{**circle, **wrong}))
+    localizer.add(specmap_cli.Scan(2, **circle))  # the next one is welcome
 
 
 @pytest.mark.parametrize("value", ["a/b", Path("a/b")])

@@ -126,7 +126,7 @@ class Rooms(Mapping[int, Room]):
                 raise KeyError(f"several rooms are called {room!r}: take the id, one of {ids}")
         elif room in self._rooms:
             return self._rooms[room]
-        there = ", ".join(f"{one.id} {one.given_name!r}" for one in self._rooms.values())
+        there = ", ".join(f"{one.id} {one.name!r}" for one in self._rooms.values())
         raise KeyError(f"no room {room!r}; there are {there}")
 
     def place_of(self, given: RoomOrPlace) -> Point:

@@ -18,6 +18,7 @@ from specmap_cli.core.errors import InputError, MapError
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, product
 from specmap_cli.core.records import PosedScan, Sweep
 from specmap_cli.core.settings import Config, LogConfig
+from specmap_cli.core.text import quoted
 from specmap_cli.logs.messages import BadMessageError, ScanLayout, ScanRecord
 from specmap_cli.logs.planar import ScanLeveller
 from specmap_cli.maps.filenames import CLASSIFIERS, KEYFRAMES
@@ -30,6 +31,7 @@ from specmap_cli.recognition.localization.walls import MapWalls, along_way, plac
 from specmap_cli.registration.frontend import FrontEnd
 
 _MOST_BEAMS = 100_000  # of a scan; the densest lasers have some thousands
+_MOST_TURNS = 2.0  # of a scan; some lasers see a little more than one
 _NO_CALIBRATION = (
     "an older map, which does not say how sure its classifiers are: probabilities are those that "
     "are usual elsewhere; build it again"
@@ -64,6 +66,8 @@ class Scan:
         if not (usable and np.isfinite(angles).all() and (step := np.median(np.diff(angles)))):
             what = f"a scan of {ranges.size} ranges at {angles.size} angles"
             raise InputError(what, "expected as many of both, two or more, angles in order")
+        if (turns := np.ptp(angles) / math.tau) > _MOST_TURNS:
+            raise InputError(f"angles over {turns:.0f} turns", "expected radians")
         places = np.rint((angles - angles[0]) / step).astype(np.int64)
         first = places.min()
         places -= first
@@ -97,6 +101,8 @@ class Localizer:
     def __init__(
         self, map_: Map | Path | str, config: Config | None = None, *, metric: bool = True
     ) -> None:
+        if config is not None:
+            instance_of(config, Config, "config")
         stored = opened_map(map_, "map_", None if config is None else config.limits)
         self.config = settings_for(stored, {}) if config is None else config
         check_feature_sets(self.config)
@@ -114,7 +120,7 @@ class Localizer:
         """Where the next scan was taken. Raises InputError for one that cannot be used."""
         record = instance_of(scan, Scan, "scan").record()
         if self._leveller is None:
-            self._leveller = ScanLeveller(Pose2(*scan.laser).matrix())
+            self._leveller = ScanLeveller(_pose(scan.laser, "laser").matrix())
         try:
             planar = self._leveller.level(record, scan.stamp_ns)
         except BadMessageError as error:
@@ -124,7 +130,7 @@ class Localizer:
             stamp_ns=scan.stamp_ns,
             planar=planar,
             base_from_laser=self._leveller.mount,
-            odom_from_base=None if scan.odometry is None else Pose2(*scan.odometry),
+            odom_from_base=None if scan.odometry is None else _pose(scan.odometry, "odometry"),
         )
         self._scans += 1
         return self.told([self._guide.add(self._front_end.register(sweep))])[0]
@@ -159,6 +165,13 @@ class Localizer:
         if self._guide.classifiers.calibration is None:
             notes.append(f"{self._path}: {_NO_CALIBRATION}")
         return (*self._front_end.warnings, *notes)
+
+
+def _pose(given: Sequence[float], name: str) -> Pose2:
+    values = np.asarray(given, dtype=np.float64)
+    if values.shape != (3,) or not np.isfinite(values).all():
+        raise InputError(f"{name} is {quoted(given)}", "expected x, y and theta, all finite")
+    return Pose2(*values.tolist())
 
 
 def _own(stored: Map) -> Iterator[PosedScan]:

@@ -61,8 +61,17 @@ def test_a_room_is_found_by_id_by_name_and_by_place(rooms: Map) -> None:
         rooms.room_at(math.nan, 1.0)
 
 
+def test_a_room_that_nobody_named_is_found_by_the_name_that_it_shows(flat_map: Map) -> None:
+    first = flat_map.ids[0]
+    assert flat_map.rooms[f"submap {first}"].id == first
+    with pytest.raises(KeyError, match=f"no room 'lab'; there are {first} 'submap {first}'"):
+        flat_map.route("lab", first)
+
+
 def test_a_room_tells_its_size_its_border_and_its_grid_in_the_map(rooms: Map) -> None:
     lab, (bottom, top, left, right) = rooms.rooms["Lab"], FLAT_ROOMS[1]
+    owned_m2 = np.count_nonzero(rooms.regions.owner == lab.id) * rooms.grid.resolution**2
+    assert lab.area_m2 == pytest.approx(owned_m2)
     assert lab.area_m2 == pytest.approx((top - bottom) * (right - left) * 0.05**2, rel=0.05)
     assert lab.outline.min(axis=0) == pytest.approx((left * 0.05, bottom * 0.05), abs=0.11)
     assert lab.properties == {"floor": 2}
