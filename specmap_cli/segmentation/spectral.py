@@ -10,7 +10,7 @@ clusters are halved by `split_again`. Nothing here is random: equal input gives 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
@@ -28,6 +28,7 @@ from specmap_cli.grids.gridmap import BoolArray
 from specmap_cli.segmentation.visibility import IndexArray, LabelArray, VisibilityGraph
 
 MOST_REGIONS = (1 << 15) - 2  # labels of cells have 16 bits
+_AT_ONCE = 1 << 18  # entries of a sparse matrix looked at in one go
 _NARROW = 1 << 16  # nodes whose numbers fit 16 bits: numpy sorts such numbers in linear time
 
 _DENSE = 160  # rows up to which solving for all eigenpairs is quicker than iterating
@@ -73,7 +74,7 @@ def spectral_clusters(graph: VisibilityGraph, config: SegmentationConfig) -> Spe
     ends = graph.pairs[part_of[graph.pairs[:, 0]] != part_of[graph.pairs[:, 1]]]
     cut = np.flatnonzero(np.isin(labels, labels[ends]))
     if len(cut):
-        again = [cut[part] for part in parts_of(S[cut][:, cut], config.part_nodes)]
+        again = [cut[part] for part in parts_of(_within(S, cut), config.part_nodes)]
         new = clusters_of(S, again, config.eigenvalue_min).labels
         labels = np.where(new < 0, labels, labels.max() + 1 + new)
     return replace(found, labels=numbered(labels))
@@ -91,7 +92,7 @@ def clusters_of(S: Any, parts: Sequence[IndexArray], least: float) -> Spectrum:
     labels = np.full(len(degrees), -1, dtype=np.int16)
     eigenvalues, used = [np.zeros(0)], 0
     for later, part in zip(range(len(parts) - 1, -1, -1), parts, strict=True):
-        L, _ = normalised(S[part][:, part], degrees[part])  # Algorithm 2, line 2
+        L, _ = normalised(_within(S, part), degrees[part])  # Algorithm 2, line 2
         values, vectors = eigenpairs_above(L, least)
         k = max(1, int((values > least).sum()))  # Algorithm 2, line 3
         X = vectors[:, :k]  # Algorithm 2, line 4
@@ -118,16 +119,44 @@ def parts_of(S: Any, most: int) -> list[IndexArray]:
     parts, pending = [], [np.arange(S.shape[0])]
     while pending:
         nodes = pending.pop()
-        some = S if len(nodes) == S.shape[0] else S[nodes][:, nodes]
+        some = S if len(nodes) == S.shape[0] else _within(S, nodes)
         # of a symmetric graph these are the pieces, found without a copy of it turned over
         count, piece = connected_components(some, connection="strong")
         for mine in (np.flatnonzero(piece == number) for number in range(count)):
             if len(mine) <= most:
                 parts.append(nodes[mine])
                 continue
-            beyond = _beyond_the_neck(some if count == 1 else some[mine][:, mine])
+            beyond = _beyond_the_neck(some if count == 1 else _within(some, mine))
             pending += [nodes[mine[beyond]], nodes[mine[~beyond]]]
     return sorted(parts, key=lambda part: int(part[0]))
+
+
+def _within(S: Any, nodes: IndexArray) -> Any:
+    """The rows and columns of S (n, n), in CSR, that are some nodes (k,), ascending: (k, k)."""
+    number = np.full(S.shape[0], -1, dtype=np.int32)
+    number[nodes] = np.arange(len(nodes), dtype=np.int32)
+    rows = S[nodes]
+    columns = number[rows.indices]
+    stays = columns >= 0
+    if stays.all():  # a piece, apart from all others
+        return sparse.csr_array((rows.data, columns, rows.indptr), (len(nodes), len(nodes)))
+    ends = np.cumsum(stays, dtype=np.int32)
+    ends = np.append(np.int32(0), ends)[rows.indptr]
+    return sparse.csr_array((rows.data[stays], columns[stays], ends), (len(nodes), len(nodes)))
+
+
+def _bands(S: Any) -> Iterator[tuple[slice, slice, IndexArray]]:
+    """Rows of S (n, n), in CSR, a bounded number of entries at once: this bounds the memory.
+
+    Each time the rows, their entries, and where in these each row begins.
+    """
+    first = 0
+    while first < S.shape[0]:
+        least = int(S.indptr[first]) + _AT_ONCE
+        end = max(first + 1, int(np.searchsorted(S.indptr, least, side="right")) - 1)
+        entries = slice(int(S.indptr[first]), int(S.indptr[end]))
+        yield slice(first, end), entries, S.indptr[first:end] - entries.start
+        first = end
 
 
 def _beyond_the_neck(S: Any) -> BoolArray:
@@ -148,8 +177,11 @@ def _beyond_the_neck(S: Any) -> BoolArray:
     order = np.argsort(height, kind="stable")
     place = np.empty(len(order), dtype=np.int32)
     place[order] = np.arange(len(order), dtype=np.int32)
-    later = place[S.indices] > np.repeat(place, np.diff(S.indptr))
-    begun = np.add.reduceat(np.where(later, S.data, -S.data), S.indptr[:-1])
+    begun, counts = np.empty(len(order)), np.diff(S.indptr)
+    for rows, entries, starts in _bands(S):
+        later = place[S.indices[entries]] > np.repeat(place[rows], counts[rows])
+        signed = np.where(later, S.data[entries], -S.data[entries])
+        begun[rows] = np.add.reduceat(signed, starts)
     lost = np.cumsum(begun[order])[:-1]
     before = np.cumsum(degrees[order])[:-1]
     after = degrees.sum() - before
@@ -167,13 +199,15 @@ def _groups(S: Any) -> IndexArray:
     sees whose height times their similarity is the largest, up to the nodes that have none above
     them: these are far apart, and what they see is a group.
     """
-    size = S.shape[0]
+    size, counts = S.shape[0], np.diff(S.indptr)
     heights = np.random.default_rng(_START_SEED).uniform(size=size)
-    drawn = S.data * heights[S.indices]
-    most = np.maximum.reduceat(drawn, S.indptr[:-1])
-    best = np.flatnonzero(drawn == np.repeat(most, np.diff(S.indptr)))
-    above = np.arange(size)
-    above[np.searchsorted(S.indptr, best, side="right") - 1] = S.indices[best]
+    most, above = np.empty(size), np.arange(size)
+    for rows, entries, starts in _bands(S):
+        drawn = S.data[entries] * heights[S.indices[entries]]
+        most[rows] = np.maximum.reduceat(drawn, starts)
+        best = np.flatnonzero(drawn == np.repeat(most[rows], counts[rows]))
+        owner = rows.start + np.searchsorted(starts, best, side="right") - 1
+        above[owner] = S.indices[entries][best]
     above = np.where(most > heights, above, np.arange(size))
     while (above != above[above]).any():
         above = above[above]
@@ -229,16 +263,17 @@ def local_scales(graph: VisibilityGraph, neighbours: int) -> FloatArray:
     Nodes that see no other get 1, which is never used.
     """
     nodes, rising = len(graph.nodes), np.argsort(graph.lengths)
-    owner, distance = graph.pairs[rising].ravel(), np.repeat(graph.lengths[rising], 2)
-    numbers = owner.astype(np.uint16) if nodes <= _NARROW else owner
-    distance = distance[np.argsort(numbers, kind="stable")]
+    owner, distance = graph.pairs[rising].ravel(), graph.lengths[rising]
+    del rising
     count = np.bincount(owner, minlength=nodes)
+    owner = owner.astype(np.uint16) if nodes <= _NARROW else owner
+    order = np.argsort(owner, kind="stable")  # of the ends of all pairs, two each
     start = np.cumsum(count) - count
     used = np.minimum(count, neighbours) if neighbours else count
     scales = np.ones(nodes)
     some = used > 0
     low, high = (start + (used - 1) // 2)[some], (start + used // 2)[some]
-    scales[some] = 0.5 * (distance[low] + distance[high])
+    scales[some] = 0.5 * (distance[order[low] // 2] + distance[order[high] // 2])
     return scales
 
 
@@ -252,12 +287,15 @@ def similarity(
     """
     scales, nodes = multiple * local_scales(graph, neighbours), len(graph.nodes)
     i, j = graph.pairs.T
-    weight = np.exp(-(graph.lengths**2) / (scales[i] * scales[j]))  # eq. 1
+    weight = -(graph.lengths**2)
+    weight /= scales[i] * scales[j]
+    np.exp(weight, out=weight)  # eq. 1
     if dense:
         S = np.zeros((nodes, nodes))
         S[i, j] = S[j, i] = weight
         return S
     half = sparse.coo_array((weight, (i, j)), shape=(nodes, nodes)).tocsr()
+    del weight
     return (half + half.T).tocsr()
 
 

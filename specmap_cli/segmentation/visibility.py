@@ -84,9 +84,12 @@ def near_pairs(nodes: IndexArray, reach: float) -> IndexArray:
     pairs = cKDTree(nodes).query_pairs(reach + _SLACK, output_type="ndarray")
     pairs.sort(axis=1)
     order = pairs[:, 0] * len(nodes) + pairs[:, 1]
+    del pairs
     order.sort()
-    np.divmod(order, len(nodes), out=(pairs[:, 0], pairs[:, 1]))
-    return np.asarray(pairs, dtype=np.intp)
+    pairs = np.empty((len(order), 2), dtype=np.int32)
+    np.floor_divide(order, len(nodes), out=pairs[:, 0], casting="same_kind")
+    np.remainder(order, len(nodes), out=pairs[:, 1], casting="same_kind")
+    return pairs
 
 
 def visible(
