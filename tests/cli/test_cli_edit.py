@@ -56,7 +56,7 @@ def test_names_are_in_the_table_of_localize(
         (["--rename", "x", "y"], "--rename x: expected the id of a submap, such as 3"),
         (["--rename", "9", "y"], "there is no submap 9 to name or to describe: choose from 0"),
         (["--rename", "0", " y"], "must be one line of printable characters"),
-        (["--kind", "0", "cellar"], "Input should be 'room', 'corridor' or 'hall'"),
+        (["--kind", "0", "cellar"], "must be 'room', 'corridor' or 'hall'"),
         (["--set-property", "0", "floor"], "expected KEY=VALUE, such as floor=2"),
         (["--set-property", "0", "a=[1]"], "must be a string, true, false, or a number"),
         (["--merge", "0", "0"], "merge: must be two different submaps"),

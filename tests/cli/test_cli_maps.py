@@ -143,10 +143,14 @@ def first(data: dict[str, Any]) -> dict[str, Any]:
         ),
         ("topology.json", "build the map again", lambda data: data.update(nodes=[], edges=[])),
         ("topology.json", "is 99", lambda data: data["graph"].update(schema_version=99)),
-        ("topology.json", "nodes.0.id", lambda data: data["nodes"][0].update(id="x")),
+        (
+            "topology.json",
+            "nodes.0.id: must be a whole number: build",
+            lambda data: data["nodes"][0].update(id="x"),
+        ),
         (
             "run.json",
-            "grid.footprint_m",
+            "grid.footprint_m: must be ",
             lambda data: data["config"]["grid"].update(footprint_m=-1),
         ),
         ("run.json", "config: ", lambda data: data.pop("config")),
