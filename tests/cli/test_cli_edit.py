@@ -54,7 +54,7 @@ def test_names_are_in_the_table_of_localize(
         (["--rename", "0"], "--rename 0: expected --rename ID NAME"),
         (["--rename", "0", "--kind", "0", "hall"], "--rename 0: expected --rename ID NAME"),
         (["--rename", "x", "y"], "--rename x: expected the id of a submap, such as 3"),
-        (["--rename", "9", "y"], "there is no submap 9 to name or to describe: choose from 0"),
+        (["--rename", "9", "y"], "there is no submap 9 to name, describe or forget: choose from 0"),
         (["--rename", "0", " y"], "must be one line of printable characters"),
         (["--kind", "0", "cellar"], "must be 'room', 'corridor' or 'hall'"),
         (["--set-property", "0", "floor"], "expected KEY=VALUE, such as floor=2"),
