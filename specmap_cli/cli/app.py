@@ -155,7 +155,12 @@ def run(arguments: Sequence[str] | None = None) -> int:
         context = getattr(error, "ctx", None)
         command = context.command_path if context is not None else "specmap"
         message = error.format_message().rstrip(".")  # type: ignore[attr-defined]
-        message = message.replace(": Value error, ", ": ", 1)  # pydantic's word, not ours
+        findings = getattr(error.__cause__, "errors", None)  # Typer holds bounds by pydantic
+        if findings is not None:
+            from specmap_cli.core.wording import said
+
+            theirs = error.message  # type: ignore[attr-defined]
+            message = message.replace(theirs, said(findings()[0]), 1)
         told = UsageError(message, f"see `{command} --help`", mark=";")
         # the option or the argument that it complains of, which stands within the message
         parameter = getattr(error, "param", None)

@@ -20,6 +20,7 @@ from pydantic import BaseModel, BeforeValidator, ValidationError
 from specmap_cli.core.errors import SpecmapError
 from specmap_cli.core.schemas import meanings
 from specmap_cli.core.text import quoted
+from specmap_cli.core.wording import said
 
 Model = TypeVar("Model", bound=BaseModel)
 Keys = tuple[int | str, ...]  # the keys and numbers that lead to a value
@@ -131,7 +132,7 @@ class TomlFormat(Generic[Model]):
             key, known = self.named(place)
         else:
             key, known = ".".join(str(part) for part in place), list(_keys(self.model))
-        kind, value, told = finding["type"], finding["input"], str(finding["msg"])
+        kind, value = finding["type"], finding["input"]
         if kind == "extra_forbidden":
             # which key was meant, by its dotted name or its last part; which there are, if few
             near = _nearest(key, known) or _nearest(re.split(r"[.\s]", key)[-1], known)
@@ -145,13 +146,12 @@ class TomlFormat(Generic[Model]):
         if isinstance(unfit, UnfitError):
             found = f": {unfit.found}" if unfit.found else f" is {quoted(value)}"
             return key, found, f": {unfit.hint}"
-        if kind in self.plainly:
-            told = self.plainly[kind]
-        elif kind in ("dict_type", "model_type"):
+        told = self.plainly.get(kind, said(finding))
+        if kind not in self.plainly and kind in ("dict_type", "model_type"):
             return key, f" is {quoted(value)}", f": expected a table [{key}]"
         of_all = kind == "value_error" and isinstance(value, Mapping)  # of no single value in it
         found = "" if of_all else f", found {quoted(value)}"
-        return key, f": {told.removeprefix('Value error, ')}{found}", ""
+        return key, f": {told}{found}", ""
 
 
 def _keys(model: type[BaseModel]) -> Iterator[str]:

@@ -29,6 +29,7 @@ from specmap_cli.core.records import NO_SUBMAP, Labels, Trajectory
 from specmap_cli.core.settings import Config, LimitsConfig
 from specmap_cli.core.tables import csv_text
 from specmap_cli.core.text import counted, decimal, stamp_ns, stamp_text
+from specmap_cli.core.wording import first_finding
 
 LABELS_HEADER = "stamp,x,y,theta,submap"
 _LOST, _FOUND = "# lost", "# found"
@@ -68,13 +69,6 @@ def map_json(path: Path, limits: LimitsConfig) -> Any:
         raise MapError.damaged("JSON nested too deeply", path) from None
     except ValueError:  # Python reads no integer of thousands of digits
         raise MapError.damaged("a number of too many digits", path) from None
-
-
-def first_finding(error: ValidationError) -> str:
-    """The first finding of a validation, as `key: message`."""
-    finding = error.errors()[0]
-    key = ".".join(str(part) for part in finding["loc"])
-    return f"{key}: {finding['msg']}" if key else str(finding["msg"])
 
 
 def config_of(written: Any, path: Path) -> Config:

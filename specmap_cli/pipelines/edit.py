@@ -88,13 +88,14 @@ def edit_map(
     in_place = os.path.realpath(target) == os.path.realpath(stored.path)
     # once the map is held nobody changes its edits.toml unseen
     with OutputDirectory(target, overwrite or in_place, progress, made_of=[stored]) as partial:
-        found = _drawn(stored, with_requested(edits_of_stored(stored), requested))
+        before = edits_of_stored(stored)
+        found = _drawn(stored, with_requested(before, requested))
         known = sorted(set(found.submaps.tolist()) - {NO_SUBMAP})
-        for id_ in requested.submaps:
+        for id_ in sorted({*requested.submaps, *set(requested.forget).difference(before.submaps)}):
             if id_ not in known:
                 there = ", ".join(str(each) for each in known)
                 raise UsageError(
-                    f"there is no submap {id_} to name or to describe", f"choose from {there}"
+                    f"there is no submap {id_} to name, describe or forget", f"choose from {there}"
                 )
         skipped = [f"{number_of(place)}: {why}" for place, why in sorted(found.skipped.items())]
         _refuse_unapplied(skipped, found, requested)

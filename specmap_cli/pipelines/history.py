@@ -103,6 +103,8 @@ def history_of(
     progress = progress or Silent()
     zone = zone_of(timezone)
     readable, left_out = _dated(_found(maps), limits, progress)
+    for one in left_out if readable else left_out[1:]:  # the error tells of the first
+        progress.warn(f"left out: {one.reason}")
     if not readable:
         raise MapError(left_out[0].reason if left_out else "no maps were named")
     buildings: list[_Building] = []
@@ -185,7 +187,6 @@ def _dated(
             stored_to_align(stored)  # all that a comparison needs
             dated.append((span_ns(stored)[1], str(path), path))
         except MapError as error:
-            progress.warn(f"left out: {error}")
             told = encodable(str(path)), encodable(str(error))
             left_out.append(LeftOutRecord(map=told[0], reason=told[1]))
     return [path for _, _, path in sorted(dated)], left_out

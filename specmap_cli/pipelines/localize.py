@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.arguments import Paths, instance_of, paths_of
-from specmap_cli.core.errors import LogError
+from specmap_cli.core.errors import InputError, LogError
 from specmap_cli.core.files import write_together
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.process import one_blas_thread
@@ -70,12 +70,17 @@ def localize_log(
         progress.note(stream.selection.note)
         progress.start("localising", stream.expected)
         found, told = list[Where](), monotonic()
-        for where in localizer.located(stream):
-            found.append(where)
-            progress.advance()
-            if where.label.filtered_submap is None and monotonic() - told > _TELL_S:
-                progress.note(f"{counted(len(found), 'scan')} so far, the place is not known now")
-                told = monotonic()
+        try:
+            for where in localizer.located(stream):
+                found.append(where)
+                progress.advance()
+                if where.label.filtered_submap is None and monotonic() - told > _TELL_S:
+                    progress.note(
+                        f"{counted(len(found), 'scan')} so far, the place is not known now"
+                    )
+                    told = monotonic()
+        except InputError as error:  # of a laser, which does not know whose it is
+            raise error if error.where else error.within(log.name) from None
         if not found:
             raise LogError("no usable scan in it", "see `specmap info`", mark=";", where=log.name)
         warnings = (*stream.warnings, *localizer.warnings)

@@ -18,6 +18,7 @@ from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import FloatArray, Pose2, path_length, wrap_angle
 from specmap_cli.core.records import PlanarScan, Sweep
 from specmap_cli.core.text import nanoseconds
+from specmap_cli.core.wording import said
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.simulation.lasers import (
     Cloud,
@@ -88,7 +89,7 @@ def simulation_options(**values: Any) -> SimulationOptions:
         if not first["loc"]:  # a check of several options together, which names them itself
             raise UsageError(str(first["ctx"]["error"])) from None
         raise UsageError(
-            f"{first['msg']}, found {first['input']!r}", where=first["loc"][0]
+            f"{said(first)}, found {first['input']!r}", where=first["loc"][0]
         ) from None
 
 

@@ -66,9 +66,9 @@ class TestWhoseSettings:
         [
             ("[grid]\nfoo = 1", (), "specmap.toml: grid.foo: no such setting"),
             ("preset = 'mine'", (), "specmap.toml: unknown preset 'mine'"),
-            ("seed = -1", (), "specmap.toml: seed: Input should be"),
+            ("seed = -1", (), "specmap.toml: seed: must be 0 or more"),
             ("", ("--preset", "papre"), "unknown preset 'papre': choose from default, paper"),
-            ("seed = 1", ("--set", "seed=-1"), "seed: Input should be greater than or equal to 0"),
+            ("seed = 1", ("--set", "seed=-1"), "seed: must be 0 or more"),
         ],
     )
     def test_what_is_wrong_is_named_with_where_it_stands(

@@ -143,10 +143,14 @@ def first(data: dict[str, Any]) -> dict[str, Any]:
         ),
         ("topology.json", "build the map again", lambda data: data.update(nodes=[], edges=[])),
         ("topology.json", "is 99", lambda data: data["graph"].update(schema_version=99)),
-        ("topology.json", "nodes.0.id", lambda data: data["nodes"][0].update(id="x")),
+        (
+            "topology.json",
+            "nodes.0.id: must be a whole number: build",
+            lambda data: data["nodes"][0].update(id="x"),
+        ),
         (
             "run.json",
-            "grid.footprint_m",
+            "grid.footprint_m: must be ",
             lambda data: data["config"]["grid"].update(footprint_m=-1),
         ),
         ("run.json", "config: ", lambda data: data.pop("config")),
@@ -183,7 +187,7 @@ def test_a_laser_of_another_view_is_refused_or_cut_to_the_map_s_and_told(
             *("localize", record_tour(flat, path, max_duration_s=1, **view), "--map", tiny_map)
         )
 
-    of(180, 91).fails(3, "180 degrees", "270 degrees")
+    of(180, 91).fails(3, "180.mcap: the log's laser", "180 degrees", "270 degrees")
     said = of(360, 361)
     assert said.code == 0
     assert "specmap: warning: " in said.err
@@ -226,6 +230,12 @@ def test_results_say_where_to_look_and_what_may_be_swapped(
     reason = "left out: none: no such map directory: make one with `specmap build`"
     page = tmp_path / "week" / "history.html"
     assert said.out.splitlines()[-2:] == [reason, f"look at {page}"]
+    said = run("history", "none")
+    said.fails(3, "none: no such map directory")
+    assert said.err.count("no such map") == 1
+    said = run("history", "none", "nothing")
+    assert said.code == 3
+    assert [said.err.count(f"{name}: no such map") for name in ("none", "nothing")] == [1, 1]
 
 
 def test_a_map_without_scans_whose_length_was_guessed_is_compared_as_it_is(

@@ -111,11 +111,11 @@ def test_shell_completion(shell: str) -> None:
         ("=3", "--set =3: expected KEY=VALUE"),
         ("grid..x=3", "--set grid..x=3: expected KEY=VALUE"),
         ("preset=paper", "--set preset=paper: choose a preset with --preset paper"),
-        ("grid.resolution_m=9", "grid.resolution_m: Input should be less than"),
+        ("grid.resolution_m=9", "grid.resolution_m: must be 1 or less"),
         ("grid.resolutoin_m=1", "grid.resolutoin_m: no such setting, did you mean grid.reso"),
         ("grid=1", "grid: is a section: expected one of its keys, found 1"),
-        ("seed=-1", "seed: Input should be greater than or equal to 0, found -1"),
-        ("segmentation.labels=far", "segmentation.labels: Input should be 'flood' or 'nearest'"),
+        ("seed=-1", "seed: must be 0 or more, found -1"),
+        ("segmentation.labels=far", "segmentation.labels: must be 'flood' or 'nearest'"),
         pytest.param("grid.resolution_m=" + "9" * 5000, "grid.resolution_m", id="a long number"),
         pytest.param("grid.resolution_m=" + "[" * 5000, "grid.resolution_m", id="a deep list"),
     ],
@@ -128,6 +128,12 @@ def test_a_wrong_setting_is_named_and_not_blamed_on_the_file(
     said = run("config", "--config", path, "--set", setting)
     said.fails(2, told)
     assert path.name not in said.error
+
+
+def test_a_number_out_of_bounds_is_told_in_our_words(run: Run) -> None:
+    said = run("evaluate", "log.mcap", "--share", "5")
+    said.fails(2, "--share")
+    assert "Input should" not in said.error
 
 
 def test_the_printed_settings_can_be_given_back(tmp_path: Path, run: Run) -> None:

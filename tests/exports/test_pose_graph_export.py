@@ -15,6 +15,8 @@ from specmap_cli.maps.writing import MapResult
 from tests.exports.conftest import POSE_GRAPH, written
 from tests.exports.consumers import consumer
 
+DOCS = Path(__file__).parents[2] / "docs"
+
 
 def with_graph(directory: Path, result: MapResult, text: str) -> Map:
     return written(directory, dataclasses.replace(result, pose_graph=text))
@@ -47,6 +49,11 @@ def test_gtsam_reads_every_vertex_and_every_edge_and_solves_it(home: Map, tmp_pa
     solved = gtsam.GaussNewtonOptimizer(graph, values).optimize()
     found = [solved.atPose2(number).x() for number in range(3)]
     assert found == pytest.approx([0.0, 1.1, 2.2], abs=1e-3)
+    apart = max(abs(values.atPose2(number).x() - found[number]) for number in range(3))
+    assert apart > 0.05  # the poses of the file are no solution of its edges, and docs say so
+    told = " ".join(DOCS.joinpath("export.md").read_text(encoding="utf-8").split())
+    assert "GTSAM's solution does not lie on the poses of the file" in told
+    assert "by half a metre at one end" in told  # what the benchmark found; no bound of millimetres
 
 
 def test_a_vertex_of_each_part_is_fixed(lived_in: MapResult, tmp_path: Path) -> None:

@@ -113,6 +113,8 @@ class TestNames:
         edit(own, forget=(room,))
         assert bytes_of(own, "topology.json") == bytes_of(built.map, "topology.json")
         assert bytes_of(own, "overview.png") == picture
+        with pytest.raises(UsageError, match="there is no submap 99 to name, describe or forget"):
+            edit(own, forget=(99,))
 
     def test_a_file_edited_by_hand_is_applied(self, built: Built, own: Path) -> None:
         text = f"# by Ann\n[submaps.{built.rooms[1]}]\nname='Lab' # ours\n"

@@ -15,6 +15,7 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.core.text import to_exact_json
+from specmap_cli.core.wording import first_finding
 from specmap_cli.recognition.features.sets import feature_names, feature_sets
 from specmap_cli.recognition.learning.boosting import (
     BoosterPart,
@@ -209,10 +210,7 @@ class ClassifierSet:
         except WrongPartError as error:
             found = str(error)
         except ValidationError as error:
-            first = error.errors(include_input=False)[0]
-            where = ".".join(f"{part!s:.60}" for part in first["loc"]) or "file"
-            said = first["msg"].removeprefix("Value error, ")  # pydantic's word, not ours
-            found = f"{where}: {said:.100}"
+            found = first_finding(error)
         else:
             return cls(
                 sensor=data.sensor,
