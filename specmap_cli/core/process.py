@@ -12,7 +12,7 @@ import platform
 import re
 import threading
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from importlib import metadata
 from pathlib import Path
 
@@ -69,6 +69,17 @@ def _limited() -> Iterator[None]:
         for one in ThreadpoolController().select(user_api="blas").lib_controllers:
             if one.filepath not in known:
                 one.set_num_threads(usual)
+
+
+def give_memory_back() -> None:
+    """Give the system the pages that hold nothing any more; where glibc is not, do nothing.
+
+    Arrays of some megabytes that come and go leave holes, which glibc keeps for later ones.
+    """
+    import ctypes  # slow to load, and no need of a command that only tells
+
+    with suppress(AttributeError, OSError, TypeError):  # Windows has no library without a name
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 # Not `ru_maxrss`: there the peak of the process that started this one counts as well.

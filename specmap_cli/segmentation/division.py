@@ -14,6 +14,7 @@ from scipy import ndimage
 
 from specmap_cli.core.errors import NoResultError
 from specmap_cli.core.geometry import FloatArray, step_lengths
+from specmap_cli.core.process import give_memory_back
 from specmap_cli.core.records import IntArray
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import (
@@ -169,6 +170,7 @@ def _placement(
     Placements differ in how far before the grid the blocks of the nodes begin. Lengths in the graph
     are coarse cells.
     """
+    give_memory_back()  # the graph is the most memory of a large map
     least, sight = config.clearance_m / cell_m, config.sight_m / cell_m
     before = round(number / config.placements * block)
     nodes = sample_nodes(clearance, block, least, config.nodes, before)

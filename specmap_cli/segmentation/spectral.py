@@ -169,7 +169,9 @@ def _beyond_the_neck(S: Any) -> BoolArray:
     """
     degrees, group = np.asarray(S.sum(axis=1)).ravel(), _groups(S)
     ones = sparse.csr_array((np.ones(len(group)), (np.arange(len(group)), group)))
-    L, of_groups = normalised((ones.T @ S @ ones).tocsr())
+    between = ones.T.tocsr() @ S @ ones  # all in CSR: else S is copied to columns
+    between.sort_indices()
+    L, of_groups = normalised(between)
     _, vectors = largest_eigenpairs(L, 2, _ROUGH)
     height = (vectors[:, 1] / np.sqrt(of_groups))[group]
     for _ in range(_EVENED):

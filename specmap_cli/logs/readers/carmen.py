@@ -117,7 +117,7 @@ def lost_line(words: list[bytes]) -> str | None:
     parameter, or what is left of a keyword: bytes were cut out across lines. None for lines of
     other sensors and other messages, which may look alike.
     """
-    if not words or any(name in words[0] for name in _SENSORS):
+    if len(words) < len(_END) or any(name in words[0] for name in _SENSORS):
         return None
     if _is_laser_length(words[1:]) or (words[0][:1].isdigit() and _is_laser_length(words)):
         return _SOME_LASER
