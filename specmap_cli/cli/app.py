@@ -161,6 +161,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
             theirs = error.message  # type: ignore[attr-defined]
             message = message.replace(theirs, said(findings()[0]), 1)
+        message = message.replace(": Value error, ", ": ", 1)  # pydantic's word, not ours
         told = UsageError(message, f"see `{command} --help`", mark=";")
         # the option or the argument that it complains of, which stands within the message
         parameter = getattr(error, "param", None)

@@ -179,10 +179,6 @@ def reason(error: OSError, advice: str = "") -> tuple[str, str]:
         return said, _OF_THE_MACHINE[number]
     if is_of_the_place(error) and advice:
         return said, f"{_OF_THE_PLACE[number]}{advice}"
-    if number == errno.ENOENT and advice and _is_of_the_system(error):
-        directory = os.path.dirname(os.path.abspath(error.filename or ""))
-        if error.filename and os.path.isdir(directory):  # such as /proc
-            said = "no file can be made there"
     return said, advice
 
 

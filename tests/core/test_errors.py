@@ -108,17 +108,6 @@ def test_an_error_of_the_system_says_what_helps() -> None:
     assert (error.where, error.hint) == ("out", "free some space, or go")
 
 
-def test_a_directory_that_takes_no_files_is_not_said_to_be_missing(tmp_path: Path) -> None:
-    """The system says of /proc/x that there is no such file, although /proc is there."""
-
-    def told(path: Path) -> str:
-        missing = FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
-        return str(UsageError.of_system(missing, "cannot be written", "go", where="out"))
-
-    assert told(tmp_path / "x") == "out: cannot be written: no file can be made there; go"
-    assert told(tmp_path / "a" / "x") == "out: cannot be written: No such file or directory; go"
-
-
 def test_an_error_keeps_its_parts_on_the_way_to_another_process() -> None:
     gone = errors.LogError("gone", "copy it", code=errors.LOG_MISSING, where="a.mcap")
     error = pickle.loads(pickle.dumps(gone))
