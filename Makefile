@@ -49,13 +49,16 @@ scoreboard: $(VENV)/installed-dev
 paper: $(VENV)/installed-dev
 	$(BIN)/python -m benchmarks.paper --out paper
 
-# A mutation fuzzer of our own over logs and maps, then the tests of random inputs with many cases
-# each: see docs/reliability.md.
+# A mutation fuzzer of our own over logs and maps, pairs of commands on one map, then the tests of
+# random inputs with many cases each: see docs/reliability.md.
 CASES ?= 20000
+PAIRS ?= 20
 SEED ?= 1
 JOBS ?= 2
 fuzz: $(VENV)/installed-dev
 	$(BIN)/python -m fuzz --cases $(CASES) --seed $(SEED) --jobs $(JOBS)
+	$(BIN)/specmap build sample_logs/office.mcap -o build/fuzz/map --overwrite --quiet
+	$(BIN)/python -m fuzz.pairs build/fuzz/map sample_logs/office_again.mcap --count $(PAIRS) --seed $(SEED)
 	SPECMAP_CASES=many $(BIN)/python $(PYTEST) -m hypothesis --hypothesis-seed=$(SEED)
 	SPECMAP_CASES=many $(BIN)/python $(PYTEST) tests/logs/readers/test_nothing_lost.py
 
