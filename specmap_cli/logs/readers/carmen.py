@@ -57,6 +57,7 @@ _END = [True] * 6 + [
     True,
 ]  # which of the last words of any line are numbers: the host is not
 _ROBOTLASER_HEAD, _ROBOTLASER_TAIL = 8, 14  # words up to the ranges and behind the remissions
+_ODOM_WORDS = 9  # a pose, three speeds, a stamp, the host, a stamp
 _COUNT_DIGITS = 7  # no line has a million ranges
 _STAMP_LIMIT_NS = 1 << 63  # messages have their times in 64 bits,
 _FLOAT_LIMIT = 1e30  # and angles and ranges in 32: what still fits when multiplied by the beams
@@ -117,7 +118,8 @@ def lost_line(words: list[bytes]) -> str | None:
     parameter, or what is left of a keyword: bytes were cut out across lines. None for lines of
     other sensors and other messages, which may look alike.
     """
-    if len(words) < len(_END) or any(name in words[0] for name in _SENSORS):
+    sensor = any(name in words[0] for name in _SENSORS) if words else False
+    if len(words) < len(_END) or (sensor and re.fullmatch(rb"\w+", words[0])):
         return None
     if _is_laser_length(words[1:]) or (words[0][:1].isdigit() and _is_laser_length(words)):
         return _SOME_LASER
@@ -131,12 +133,19 @@ def lost_line(words: list[bytes]) -> str | None:
 
 def _is_laser_length(words: list[bytes]) -> bool:
     """Whether the counts among the words behind a keyword fit the number of words."""
-    beams = _count(words, 0)
-    if beams > 1 and len(words) == 1 + beams + _FLASER_TAIL:
-        return True
+    return len(words) in (_length("FLASER", words), _length("ROBOTLASER1", words))
+
+
+def _length(keyword: str, words: list[bytes]) -> int:
+    """How many words a line has behind its keyword, by the counts among them; 0 without one."""
+    if keyword == "ODOM":
+        return _ODOM_WORDS
+    if keyword != "ROBOTLASER1":
+        beams = _count(words, 0)
+        return 1 + beams + _FLASER_TAIL if beams > 1 else 0
     beams = _count(words, _ROBOTLASER_HEAD - 1)
     end = _ROBOTLASER_HEAD + beams
-    return beams > 1 and len(words) == end + 1 + _count(words, end) + _ROBOTLASER_TAIL
+    return end + 1 + _count(words, end) + _ROBOTLASER_TAIL if beams > 1 else 0
 
 
 def _count(words: list[bytes], place: int) -> int:
@@ -391,7 +400,7 @@ def _read(text: bytes) -> tuple[CarmenLine | None, list[str]]:
         return None, lost
     if not text.endswith(b"\n") and text.endswith(words[-1]):
         words = words[:-1]  # it is cut: who knows what its end was
-    if not lost and (end := _first_end(words)):
+    if not lost and (end := _first_end(keyword, words)):
         words, lost = words[:end], [_SOME_LINE]
     try:
         return parse_line(keyword, words), lost
@@ -399,14 +408,19 @@ def _read(text: bytes) -> tuple[CarmenLine | None, list[str]]:
         return None, [*lost, keyword]
 
 
-def _first_end(words: list[bytes]) -> int | None:
+def _first_end(keyword: str, words: list[bytes]) -> int | None:
     """How many words end at the host of a line into which the end of another ran; else None.
 
-    Its last words are those of the other: a time, the host of both, a time.
+    Its last words are those of the other: a time, the host of both, a time. If its own host was
+    cut, its length tells.
     """
     host = words[-2] if len(words) > 2 else b"0"
-    first = len(words) if _is_number(host) else words.index(host)
-    return first + 1 if 0 < first < len(words) - 2 else None
+    if _is_number(host):
+        return None
+    first, own = words.index(host), _length(keyword, words[1:]) - 1
+    if 0 < own < first and not _is_number(words[own]):
+        first = own
+    return first + 1 if first < len(words) - 2 else None
 
 
 def _same(a: Pose2, b: Pose2) -> bool:
