@@ -46,7 +46,7 @@ from specmap_cli.batch.records import (
     Step,
 )
 from specmap_cli.batch.sources import Found, logs_at
-from specmap_cli.core.errors import SETTING, UsageError
+from specmap_cli.core.errors import SETTING, LogError, UsageError
 from specmap_cli.core.text import quoted
 from specmap_cli.core.toml import TomlFormat, UnfitError, choice, unless
 
@@ -190,6 +190,8 @@ def _in_file(place: str, defaults: Plan, names: _Names) -> list[Job]:
         told = error.within(path)
         told.code = SETTING
         raise told from None
+    except LogError as error:
+        raise error.within(path) from None
 
 
 def _jobs(file: _File, base: Path, defaults: Plan, names: _Names) -> list[Job]:
@@ -225,7 +227,7 @@ def _told_of(place: str) -> Iterator[None]:
     """Errors are told of a place in the file."""
     try:
         yield
-    except UsageError as error:
+    except (UsageError, LogError) as error:
         raise error.within(place) from None
 
 

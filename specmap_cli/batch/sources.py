@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 
 from specmap_cli.batch.places import PlaceError, path_at, reaching, store_at
 from specmap_cli.batch.records import JOB, InputRecord, Job
-from specmap_cli.core.errors import LogError, SpecmapError, UsageError
+from specmap_cli.core.errors import LOG_MISSING, LogError, SpecmapError, UsageError
 from specmap_cli.core.text import quoted
 from specmap_cli.maps.filenames import TOPOLOGY
 
@@ -65,7 +65,7 @@ class Source(NamedTuple):
 def logs_at(place: str) -> list[Found]:
     """The recordings that a file, a directory or a pattern stands for, by name.
 
-    Raises UsageError when there is none.
+    Raises LogError when there is none.
     """
     path = path_at(place)
     if path is None:
@@ -79,7 +79,7 @@ def logs_at(place: str) -> list[Found]:
             matches = sorted(glob.glob(str(path), recursive=True))
             found = [each for match in matches for each in _at_path(Path(match), root)]
     if not found:
-        raise UsageError("no recording there", where=place)
+        raise LogError("no recording there", where=place, code=LOG_MISSING)
     return found
 
 
@@ -99,7 +99,7 @@ def sources_of(log: str) -> tuple[Source, ...]:
                 files = sorted(filter(Path.is_file, inner))
             found = tuple(map(_file, files))
         except FileNotFoundError:
-            raise LogError("no such file or directory", where=path) from None
+            raise LogError("no such file or directory", where=path, code=LOG_MISSING) from None
         except OSError as error:
             raise LogError.of_system(error, "cannot read", where=path) from None
     if not found:
@@ -176,7 +176,7 @@ def _at_path(path: Path, root: Path) -> Iterator[Found]:
     """A file, or all recordings below a directory, by their names below `root`."""
     if not path.is_dir():
         if not os.path.lexists(path):
-            raise UsageError("no such file or directory", where=path)
+            raise LogError("no such file or directory", where=path, code=LOG_MISSING)
         yield Found(str(path), _plain_name(path.relative_to(root).as_posix()))
         return
     root = path if root == path.parent else root
@@ -192,7 +192,7 @@ def _below(directory: Path) -> Iterator[Path]:
     readers = known_readers()
 
     def refuse(error: OSError) -> None:
-        raise UsageError.of_system(error, "cannot read", where=error.filename)
+        raise LogError.of_system(error, "cannot read", where=error.filename)
 
     def is_log(file: Path) -> bool:
         if _uncompressed(file.name).suffix.lower() in _SUFFIXES:
@@ -244,7 +244,7 @@ def _found_in_store(url: str) -> Iterator[Found]:
             elif system.exists(root):
                 yield Found(url, _plain_name(root.rsplit("/", 1)[-1]))
         except FileNotFoundError:
-            raise UsageError("no such file or directory", where=url) from None
+            raise LogError("no such file or directory", where=url, code=LOG_MISSING) from None
 
 
 def _below_in_store(system: Any, top: str, root: str) -> Iterator[Found]:
@@ -296,7 +296,7 @@ def _files_in_store(url: str) -> Iterator[Source]:
                 system.invalidate_cache()
                 found = {root: system.info(root)}
         except FileNotFoundError:
-            raise LogError("no such file or directory", where=url) from None
+            raise LogError("no such file or directory", where=url, code=LOG_MISSING) from None
         for path, info in sorted(found.items()):
             name = path.removeprefix(root).lstrip("/") or path.rsplit("/", 1)[-1]
             if ".." in name.split("/") or "\0" in name:  # a store allows what no directory does
@@ -321,7 +321,9 @@ def _fetched(log: str, sources: Sequence[Source], directory: Path) -> str:
             with reaching(source.place):
                 system.get_file(store_at(source.place)[1], str(copy))
         except FileNotFoundError:
-            raise LogError("no such file or directory", where=source.place) from None
+            raise LogError(
+                "no such file or directory", where=source.place, code=LOG_MISSING
+            ) from None
         got = copy.stat().st_size
         if source.bytes is not None and got != source.bytes:
             raise PlaceError(

@@ -99,6 +99,7 @@ def edit(
     specmap edit map --merge 3 4 --split 5 1.5,2,1.5,6 -o map2
     specmap edit map --forbid-door 3 5 --at 1.5,2.0
     """
+    from specmap_cli.exports.routes import misnoted
     from specmap_cli.maps.store import read_map
     from specmap_cli.pipelines.edit import edit_map
 
@@ -110,6 +111,9 @@ def edit(
     stored = read_map(map_, settings.load().limits)
     with common.progress() as progress:
         report = edit_map(stored, requested, out, overwrite=overwrite, progress=progress)
+        if requested.properties:
+            for line in misnoted(read_map(report.out, settings.load().limits).record):
+                progress.warn(line)
     common.show(report.as_dict(), report.lines())
 
 

@@ -207,6 +207,8 @@ class LogSettings(Settings):
 
     def overrides(self, flags: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """The same, with the settings of section `log` that have options of their own."""
+        if self.no_odometry and self.odom_topic is not None:
+            raise UsageError("--odom-topic and --no-odometry do not go together")
         own = {
             "log.scan_topic": self.scan_topic,
             "log.scan_frame": self.scan_frame,

@@ -144,6 +144,7 @@ class Tour:
 
 
 def simulate(
+    context: typer.Context,
     plan: Annotated[
         Path,
         typer.Argument(
@@ -176,7 +177,11 @@ def simulate(
     from specmap_cli.simulation.simulator import simulation_options
 
     limits = settings.load().limits
-    options = simulation_options(**asdict(laser), **asdict(tour))
+    try:
+        options = simulation_options(**asdict(laser), **asdict(tour))
+    except UsageError as error:
+        names = {one.name: one.opts[0] for one in context.command.params}
+        raise UsageError(error.found, where=names.get(error.where or "")) from None
     truth = out.parent / f"{out.stem}.tum"
     check_files([out, truth], files_of_grid(plan), common, overwrite=overwrite)
     with common.progress() as progress:

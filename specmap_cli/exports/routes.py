@@ -181,7 +181,7 @@ def _is_amount(value: object) -> TypeGuard[float]:
 def misnoted(record: TopologyRecord) -> list[str]:
     """A warning for each speed limit and penalty that is none."""
     return [
-        f"submap {node.id}: {key} is {node.properties[key]!r}, not a number above 0: left out"
+        f"submap {node.id}: {key} is {node.properties[key]!r}, no number above 0: not exported"
         for node in record.nodes
         for key in (SPEED_LIMIT, PENALTY)
         if key in node.properties and not _is_amount(node.properties[key])

@@ -77,7 +77,8 @@ def check_map(
             reason = str(error)
         against_it = figures_against(record)
         figures |= against_it
-        details |= dict.fromkeys(against_it, reason) if record is None else _changes(record)
+        details |= dict.fromkeys(against_it, "not known: see golden.aligned")
+        details |= {"golden.aligned": reason} if record is None else _changes(record)
     named = None if golden is None else str(golden.path)
     return CheckReport(judged(str(map_.path), named, plain(figures), map_.verdict, rules, details))
 

@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+import networkx as nx
 import numpy as np
 
 from specmap_cli.core.arguments import instance_of, path_of
@@ -107,7 +108,7 @@ def edit_map(
         _refuse_unapplied(unapplied, found, requested)
     for line in unapplied:
         progress.note(f"{filenames.EDITS}: not applied: {line}")
-    for line in _surprises(stored.record, topology):
+    for line in (*_torn(stored, requested), *_surprises(stored.record, topology)):
         progress.warn(line)
     submaps, edges = topology.submaps, topology.edges
     return EditReport(
@@ -118,6 +119,17 @@ def edit_map(
         forbidden=tuple(pair for pair, edge in sorted(edges.items()) if edge.forbidden),
         remade=anew,
     )
+
+
+def _torn(stored: Map, requested: RequestedEdits) -> Iterator[str]:
+    """The merges asked for of submaps between which there is no link: one room of two pieces."""
+    graph = stored.to_networkx()
+    for change in requested.changes:
+        one, other = change.get("merge", (None, None))
+        if one in graph and other in graph:
+            if not graph.has_edge(one, other):
+                yield f"submaps {one} and {other} were merged, though no link is between them"
+            graph = nx.contracted_nodes(graph, one, other, self_loops=False)
 
 
 def _surprises(before: TopologyRecord, after: TopologicalMap) -> Iterator[str]:

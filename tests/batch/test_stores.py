@@ -109,7 +109,7 @@ def test_what_is_found_in_a_store_and_fetched_whole(store: Any, tmp_path: Path) 
     assert under == {"a": "a.mcap", "b-run": "b/run.bag.zst", "bag": "bag"}
     for pattern in ("*.mcap", "a.mcap"):
         assert [job.name for job in jobs_of([f"memory://bucket/logs/{pattern}"])] == ["a"]
-    with pytest.raises(UsageError, match="no recording there"):
+    with pytest.raises(LogError, match="no recording there"):
         jobs_of(["memory://bucket/none"])
     ((log, place),) = fetched((found["bag"],), tmp_path).items()
     assert (log, Path(place).name) == (found["bag"], "bag")

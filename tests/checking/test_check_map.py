@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 from xml.etree import ElementTree
 
 import jsonschema
@@ -30,7 +31,7 @@ from specmap_cli.checking.rules import (
     markdown,
     read_rules,
 )
-from specmap_cli.core.errors import UsageError
+from specmap_cli.core.errors import NoResultError, UsageError
 from specmap_cli.core.findings import INPUT, VERDICTS, Verdict
 from specmap_cli.core.schemas import read_schema
 from specmap_cli.maps.store import read_map
@@ -148,6 +149,17 @@ def test_what_differs_from_a_golden_map_is_counted() -> None:
     assert figures["golden.appeared_m2"] == pytest.approx(0.75)
     unknown = figures_against(None)
     assert (unknown["golden.aligned"], unknown["golden.gone"]) == (0, None)
+
+
+def test_why_a_golden_map_does_not_fit_is_told_once(
+    house: House, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = house()
+    refused = Mock(side_effect=NoResultError("they do not fit"))
+    monkeypatch.setattr("specmap_cli.pipelines.check.compare_maps", refused)
+    lines = lines_of(check_map(path, against=path).record)
+    assert sum("they do not fit" in line for line in lines) == 1
+    assert any("not known: see golden.aligned" in line for line in lines)
 
 
 def spoiled_record() -> CheckRecord:

@@ -64,6 +64,19 @@ def test_wrong_usage(options: list[str], said: str, logs: Path, tmp_path: Path, 
     assert not (tmp_path / "maps").exists()
 
 
+def test_a_missing_recording_is_an_input_s_error(tmp_path: Path, run: Run) -> None:
+    """As of every other command; in a file of jobs, with the place that names it."""
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "jobs.toml").write_text('logs = "none/*.mcap"\n', encoding="utf-8")
+    for place, told in (
+        ("gone", "gone: no such file or directory"),
+        ("empty", "empty: no recording there"),
+        ("jobs.toml", "jobs.toml: logs: "),
+    ):
+        run("batch", tmp_path / place, "-o", tmp_path / "maps").fails(3, told)
+    assert not (tmp_path / "maps").exists()
+
+
 def _is_gone(group: int) -> bool:
     """Whether all processes of a group end, soon after the first one."""
     until = time.monotonic() + 30.0

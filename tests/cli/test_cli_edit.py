@@ -23,6 +23,9 @@ def test_several_options_at_once(own_map: Path, run: Run) -> None:
     assert told["submaps"][0] == {"id": 0, "name": "Ann's lab"}
     assert (told["remade"], told["unapplied"], told["out"]) == (False, [], str(own_map))
     assert run("edit", own_map, "--set-property", "0", "to=", "-q").code == 0
+    slow = run("edit", own_map, "--set-property", "0", "speed_limit=slow")
+    assert "speed_limit is 'slow', no number above 0: not exported" in slow.err
+    assert run("edit", own_map, "--set-property", "0", "speed_limit=").err == ""
     assert read_map(own_map).record.nodes[0].properties == {"floor": 2, "heated": True}
 
 

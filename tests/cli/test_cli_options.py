@@ -165,6 +165,8 @@ class TestInfo:
         said = run("info", log, "--scan-topic", "/the rear")
         assert "build would read: scans from /the rear" in said.out
         assert said.out.endswith(f"next: specmap build {log} --scan-topic '/the rear'\n")
+        none = run("info", log, "--odom-topic", "/odom", "--no-odometry")
+        none.fails(2, "--odom-topic and --no-odometry do not go together")
 
     def test_the_topics_and_frames_given_or_settings_of_a_file(
         self, tmp_path: Path, run: Run
@@ -188,8 +190,8 @@ class TestWhatTheFlagsStandFor:
         assert LogSettings().overrides() == Settings().overrides({"seed": None}) == {}
         said: dict[str, Any] = {"scan_topic": "/a", "scan_frame": "f"}
         said |= {"odom_topic": "/b", "base_frame": "c"}
-        found = LogSettings(**said, no_odometry=True).overrides({"seed": 0})
-        assert found == {"log": {**said, "use_odometry": False}, "seed": 0}
+        assert LogSettings(**said).overrides({"seed": 0}) == {"log": said, "seed": 0}
+        assert LogSettings(no_odometry=True).overrides() == {"log": {"use_odometry": False}}
 
     def test_a_flag_goes_over_an_assignment_and_the_last_of_two_assignments_holds(self) -> None:
         twice = Settings(assignments=["grid.resolution_m=1", "grid.resolution_m=0.2"])

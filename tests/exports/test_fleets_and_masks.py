@@ -144,8 +144,8 @@ def test_a_limit_that_is_none_is_left_out_with_a_warning(
     stored = told(lived_in, tmp_path / "map", speed_limit="slow", penalty=True)
     for name in ("nav2", "nav2-masks"):
         assert export_map(stored, name, tmp_path / f"{name}.zip") == [
-            "submap 0: speed_limit is 'slow', not a number above 0: left out",
-            "submap 0: penalty is True, not a number above 0: left out",
+            "submap 0: speed_limit is 'slow', no number above 0: not exported",
+            "submap 0: penalty is True, no number above 0: not exported",
         ]
     assert not costmap_filters.load(tmp_path / "nav2-masks.zip").limits.any()
 

@@ -224,6 +224,20 @@ class TestBorders:
         assert undone.regions.owner.tolist() == before.regions.owner.tolist()
         assert undone.topology.next_id == new + 1  # an id is given once
 
+    def test_a_merge_of_rooms_without_a_link_is_told(self, built: Built, tmp_path: Path) -> None:
+        """In the order of the requests: with the corridor, each of the rooms is linked."""
+        (one, other), corridor = sorted(built.rooms[:2]), built.corridor
+        for pairs, told in (
+            ([[one, other]], [f"submaps {one} and {other} were merged, though no link is between"]),
+            ([[corridor, one], [corridor, other]], []),
+        ):
+            progress = Mock(Silent)
+            changes = tuple({"merge": pair} for pair in pairs)
+            out = tmp_path / str(len(pairs))
+            edit_map(built.map, RequestedEdits(changes=changes), out, progress=progress)
+            said = [str(each.args[0]) for each in progress.warn.mock_calls]
+            assert said == [f"{line} them" for line in told]
+
     def test_the_map_stays_when_the_second_request_does_not_apply(self, built: Built) -> None:
         """Every request that is refused alone is in tests/cli/test_cli_edit.py."""
         rooms, notes = list(built.rooms[:2]), Mock(spec=Silent())
