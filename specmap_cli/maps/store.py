@@ -274,6 +274,13 @@ class Map:
     @_of_one_map
     def division(self) -> tuple[GridMap, OwnerArray]:
         """A grid of the map, and (H, W) the submap of each of its free cells, or NOBODY."""
+        grid, owner = self._divided()
+        if self.ids and (owner == NOBODY).all():
+            where = self.path / f"{filenames.MAP_GRID}.yaml"
+            raise MapError.damaged("its thresholds leave no free cell in a submap", where)
+        return grid, owner
+
+    def _divided(self) -> tuple[GridMap, OwnerArray]:
         of_grid = self.path / filenames.LABELS_IMAGE
         if not of_grid.exists():
             borders = self.record.graph.edits.borders

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -74,6 +75,19 @@ def test_the_division_is_read_as_it_was_written_and_made_where_it_is_missing(
     assert set(np.unique(made).tolist()) >= {0, 1, 2}
     cv2.imwrite(str(stored / "labels.png"), np.zeros((2, 2), dtype=np.uint16))
     with pytest.raises(MapError, match=r"labels\.png.*make the map again"):
+        _ = read_map(stored).regions
+
+
+@pytest.mark.parametrize("with_labels", [True, False])
+def test_thresholds_that_leave_nothing_free_are_refused(stored: Path, with_labels: bool) -> None:
+    path, topology = stored / "map.yaml", stored / "topology.json"
+    path.write_text(re.sub(r"free_thresh: .*", "free_thresh: 1e-9", path.read_text()))
+    document = json.loads(topology.read_text())
+    document["graph"]["files"] = {}  # as in maps of earlier versions
+    topology.write_text(json.dumps(document))
+    if not with_labels:
+        (stored / "labels.png").unlink()
+    with pytest.raises(MapError, match=r"map\.yaml: its thresholds leave no free cell"):
         _ = read_map(stored).regions
 
 

@@ -103,8 +103,9 @@ def damaged_keyword(line: bytes) -> str | None:
             if at is not None and (len(first) < len(keyword) or not first[at : at + 1].isdigit()):
                 return keyword.decode("ascii")
         word = line[: len(keyword)]
-        wrong = [old for old, new in zip(keyword, word, strict=False) if old != new]
-        if len(word) == len(keyword) and len(wrong) <= 1 and not bytes(wrong).isdigit():
+        wrong = [(old, new) for old, new in zip(keyword, word, strict=False) if old != new]
+        another = any(bytes(pair).isdigit() for pair in wrong)
+        if len(word) == len(keyword) and len(wrong) <= 1 and not another:
             behind = line[len(keyword) : len(keyword) + 2]  # no keyword goes on beyond ASCII
             other = not wrong and behind[:1] < b"\x80" and not behind[1:].isdigit()
             return None if other else keyword.decode("ascii")

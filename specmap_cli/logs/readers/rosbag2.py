@@ -23,7 +23,7 @@ from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import counted, legible
 from specmap_cli.core.yaml import read_yaml
 from specmap_cli.logs.readers.compression import compression_of, decompress
-from specmap_cli.logs.readers.encoding import normalized_type
+from specmap_cli.logs.readers.encoding import SUPPORTED_TYPES, normalized_type
 from specmap_cli.logs.readers.recording import (
     Contents,
     Message,
@@ -56,6 +56,14 @@ def recorded_messages(file: Path) -> int | None:
 
 MAGIC = b"SQLite format 3\x00"
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/\w+){1,2}")  # package/msg/Name
+
+
+def _is_damaged_type(kind: str) -> bool:
+    """Whether this names no type, or one that is read but for one letter."""
+    name = normalized_type(kind)
+    off = [sum(map(str.__ne__, name, one)) for one in SUPPORTED_TYPES if len(one) == len(name)]
+    return _TYPE_NAME.fullmatch(kind) is None or 1 in off
+
 
 # The same for the table and for an index that has all its rows: a sum that has no order. The primes
 # keep it exact for a thousand million messages.
@@ -131,7 +139,7 @@ class Rosbag2File(Recording):
             self.report("the list of topics is lost")
         for number, (name, kind) in self._topics.items():
             count = table.counts[number]
-            if count and _TYPE_NAME.fullmatch(kind) is None:
+            if count and _is_damaged_type(kind):
                 self.report(
                     f"the type of topic {legible(name)} is damaged ({legible(kind)}): "
                     f"{counted(count, 'message')} cannot be read"

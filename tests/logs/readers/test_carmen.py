@@ -224,6 +224,17 @@ def test_a_keyword_that_lacks_a_byte_or_has_one_more_is_told(path: Path, word: s
     ]
 
 
+def test_a_digit_of_a_keyword_that_is_a_letter_is_damage(path: Path) -> None:
+    """Another digit is another laser."""
+    path.write_text(
+        flaser(0.5)
+        + robotlaser(1.0).replace("SER1", "SERq")
+        + robotlaser(2.0).replace("SER1", "SER2")
+    )
+    _, (told,) = read_rest(path)
+    assert "one ROBOTLASER1 after 0.500 s is lost" in told
+
+
 @pytest.mark.parametrize("cut", [3, 5, 16])
 def test_a_log_cut_inside_its_last_stamp_has_no_scan_of_another_time(path: Path, cut: int) -> None:
     sound, behind = flaser(1_700_000_000.5, AHEAD), len(" nohost 1700000000.500000\n")
@@ -275,7 +286,7 @@ def test_a_laser_line_without_its_keyword_is_told(path: Path, line: str, word: s
 @pytest.mark.parametrize(
     "line",
     [
-        robotlaser(2.0).replace("ROBOTLASER1", "ROBOTLASER2"),
+        robotlaser(2.0).replace("SER1", "SER2"),
         robotlaser(2.0).replace("ROBOTLASER1", "RAWLASER1"),
         flaser(2.0, name="SONAR"),
         "IMU 0.1 0.2 9.8 1 0 0 0 0.2 0.3 2.0 nohost 2.0\n",

@@ -359,9 +359,10 @@ def test_a_topic_with_a_damaged_byte_or_the_old_name_of_its_type_is_read_all_the
     assert read(stored) == (renamed, [])
 
 
-def test_a_topic_whose_type_is_damaged_is_told(stored: Path) -> None:
-    change_db3(stored, "UPDATE topics SET type = ? WHERE name = '/scan'", (str(-(2**63)),))
+@pytest.mark.parametrize("kind", [str(-(2**63)), "senwor_msgs/msg/LaserScan"])
+def test_a_topic_whose_type_is_damaged_is_told(stored: Path, kind: str) -> None:
+    change_db3(stored, "UPDATE topics SET type = ? WHERE name = '/scan'", (kind,))
     with open_log(stored) as log:
         count = next(topic.count for topic in log.topics() if topic.name == "/scan")
-        said = f"the type of topic /scan is damaged ({-(2**63)})"
+        said = f"the type of topic /scan is damaged ({kind})"
         assert log.damage == [f"{stored}: {said}: {count} messages cannot be read"]
