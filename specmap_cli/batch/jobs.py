@@ -66,7 +66,7 @@ def jobs_of(inputs: Sequence[str], defaults: Plan = Plan()) -> tuple[Job, ...]:
     A log, and each recording below a directory or behind a pattern, is a job with the steps of
     `defaults`; a file whose name ends in .toml says itself which jobs there are, and `defaults`
     hold where it is silent. Jobs are called as their logs, those of TOML files as these say. Raises
-    UsageError for what makes no jobs, and for a TOML file that says what cannot be.
+    LogError where no recording is, and UsageError for a TOML file that says what cannot be.
     """
     places = dict.fromkeys(inputs)
     names = _Names()

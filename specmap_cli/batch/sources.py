@@ -79,8 +79,12 @@ def logs_at(place: str) -> list[Found]:
             matches = sorted(glob.glob(str(path), recursive=True))
             found = [each for match in matches for each in _at_path(Path(match), root)]
     if not found:
-        raise LogError("no recording there", where=place, code=LOG_MISSING)
+        raise _missing(place, "no recording there")
     return found
+
+
+def _missing(place: str | Path, found: str = "no such file or directory") -> LogError:
+    return LogError(found, where=place, code=LOG_MISSING)
 
 
 def sources_of(log: str) -> tuple[Source, ...]:
@@ -99,7 +103,7 @@ def sources_of(log: str) -> tuple[Source, ...]:
                 files = sorted(filter(Path.is_file, inner))
             found = tuple(map(_file, files))
         except FileNotFoundError:
-            raise LogError("no such file or directory", where=path, code=LOG_MISSING) from None
+            raise _missing(path) from None
         except OSError as error:
             raise LogError.of_system(error, "cannot read", where=path) from None
     if not found:
@@ -176,7 +180,7 @@ def _at_path(path: Path, root: Path) -> Iterator[Found]:
     """A file, or all recordings below a directory, by their names below `root`."""
     if not path.is_dir():
         if not os.path.lexists(path):
-            raise LogError("no such file or directory", where=path, code=LOG_MISSING)
+            raise _missing(path)
         yield Found(str(path), _plain_name(path.relative_to(root).as_posix()))
         return
     root = path if root == path.parent else root
@@ -244,7 +248,7 @@ def _found_in_store(url: str) -> Iterator[Found]:
             elif system.exists(root):
                 yield Found(url, _plain_name(root.rsplit("/", 1)[-1]))
         except FileNotFoundError:
-            raise LogError("no such file or directory", where=url, code=LOG_MISSING) from None
+            raise _missing(url) from None
 
 
 def _below_in_store(system: Any, top: str, root: str) -> Iterator[Found]:
@@ -296,7 +300,7 @@ def _files_in_store(url: str) -> Iterator[Source]:
                 system.invalidate_cache()
                 found = {root: system.info(root)}
         except FileNotFoundError:
-            raise LogError("no such file or directory", where=url, code=LOG_MISSING) from None
+            raise _missing(url) from None
         for path, info in sorted(found.items()):
             name = path.removeprefix(root).lstrip("/") or path.rsplit("/", 1)[-1]
             if ".." in name.split("/") or "\0" in name:  # a store allows what no directory does
@@ -321,9 +325,7 @@ def _fetched(log: str, sources: Sequence[Source], directory: Path) -> str:
             with reaching(source.place):
                 system.get_file(store_at(source.place)[1], str(copy))
         except FileNotFoundError:
-            raise LogError(
-                "no such file or directory", where=source.place, code=LOG_MISSING
-            ) from None
+            raise _missing(source.place) from None
         got = copy.stat().st_size
         if source.bytes is not None and got != source.bytes:
             raise PlaceError(

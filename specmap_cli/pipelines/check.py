@@ -77,8 +77,11 @@ def check_map(
             reason = str(error)
         against_it = figures_against(record)
         figures |= against_it
-        details |= dict.fromkeys(against_it, "not known: see golden.aligned")
-        details |= {"golden.aligned": reason} if record is None else _changes(record)
+        if record is None:
+            details |= dict.fromkeys(against_it, "not known: see golden.aligned")
+            details["golden.aligned"] = reason
+        else:
+            details |= _changes(record)
     named = None if golden is None else str(golden.path)
     return CheckReport(judged(str(map_.path), named, plain(figures), map_.verdict, rules, details))
 

@@ -108,7 +108,7 @@ def edit_map(
         _refuse_unapplied(unapplied, found, requested)
     for line in unapplied:
         progress.note(f"{filenames.EDITS}: not applied: {line}")
-    for line in (*_torn(stored, requested), *_surprises(stored.record, topology)):
+    for line in (*_torn(stored.record, requested), *_surprises(stored.record, topology)):
         progress.warn(line)
     submaps, edges = topology.submaps, topology.edges
     return EditReport(
@@ -121,9 +121,10 @@ def edit_map(
     )
 
 
-def _torn(stored: Map, requested: RequestedEdits) -> Iterator[str]:
+def _torn(before: TopologyRecord, requested: RequestedEdits) -> Iterator[str]:
     """The merges asked for of submaps between which there is no link: one room of two pieces."""
-    graph = stored.to_networkx()
+    graph = nx.Graph([(edge.source, edge.target) for edge in before.edges])
+    graph.add_nodes_from(node.id for node in before.nodes)
     for change in requested.changes:
         one, other = change.get("merge", (None, None))
         if one in graph and other in graph:

@@ -162,6 +162,13 @@ def test_why_a_golden_map_does_not_fit_is_told_once(
     assert any("not known: see golden.aligned" in line for line in lines)
 
 
+def test_a_golden_rule_broken_by_a_map_that_fits_is_told_without_a_doubt(house: House) -> None:
+    path = house()
+    record = check_map(path, Rules("poor", {}, {"golden.area_share": 2.0}), against=path).record
+    (only,) = (one for one in record.rules if not one.passed)
+    assert (only.value, only.detail) == (1.0, "")
+
+
 def spoiled_record() -> CheckRecord:
     figures = {"lost_share": 0.251234, "submaps": 3, "parts": None}
     rules = Rules("good", {"lost_share": 0.05, "parts": 1}, {"submaps": 2})

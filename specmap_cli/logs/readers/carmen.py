@@ -50,7 +50,7 @@ _NUMBER = tuple(bytes([byte]) for byte in b"-0123456789")  # what one begins wit
 _PARTS = (b"LASER", b"ODOM")  # one of them is in each keyword
 _KEYWORD_BYTES = 12  # of the longest keyword and what ends it
 _FLASER_RANGE_MAX_M = 80.0  # lines do not say: the SICK LMS of these logs gives 81.83 for no return
-_SENSORS = (b"LASER", b"SONAR", b"BUMPER")  # in the keywords of lines that tell of a sensor
+_SENSOR = re.compile(rb"\w*(?:LASER|SONAR|BUMPER)\w*")  # keywords of lines that tell of one
 _FLASER_TAIL = 9  # words behind the ranges: two poses, a stamp, the host, a stamp
 _END = [True] * 6 + [
     False,
@@ -119,8 +119,7 @@ def lost_line(words: list[bytes]) -> str | None:
     parameter, or what is left of a keyword: bytes were cut out across lines. None for lines of
     other sensors and other messages, which may look alike.
     """
-    sensor = any(name in words[0] for name in _SENSORS) if words else False
-    if len(words) < len(_END) or (sensor and re.fullmatch(rb"\w+", words[0])):
+    if len(words) < len(_END) or _SENSOR.fullmatch(words[0]):
         return None
     if _is_laser_length(words[1:]) or (words[0][:1].isdigit() and _is_laser_length(words)):
         return _SOME_LASER
@@ -263,7 +262,7 @@ ODOM_FRAME, BASE_FRAME, TF_STATIC = "odom", "base_link", "/tf_static"
 
 _SEARCH_BYTES = 1 << 22  # comments and PARAM lines come first: some hundred kilobytes at the most
 _MAX_LINE_BYTES = 1 << 20  # a line of 1,081 beams has 10 kB: a longer one is damaged
-_CONTROLS = bytes([*range(9), *range(14, 32)])  # in no text, and in no encoding of one
+_CONTROLS = bytes([*range(9), *range(14, 32), 127])  # in no text, and in no encoding of one
 _NO_TEXT = "piece that is no text"  # such as zeros, as a disk leaves them after a crash
 _SOME_LASER = "laser line"  # its keyword is lost, so that nothing says which laser it was
 _SOME_LINE = "other line (but for its end)"  # it ran into the one before

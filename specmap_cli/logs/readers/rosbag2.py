@@ -57,14 +57,6 @@ def recorded_messages(file: Path) -> int | None:
 MAGIC = b"SQLite format 3\x00"
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/\w+){1,2}")  # package/msg/Name
 
-
-def _is_damaged_type(kind: str) -> bool:
-    """Whether this names no type, or one that is read but for one letter."""
-    name = normalized_type(kind)
-    off = [sum(map(str.__ne__, name, one)) for one in SUPPORTED_TYPES if len(one) == len(name)]
-    return _TYPE_NAME.fullmatch(kind) is None or 1 in off
-
-
 # The same for the table and for an index that has all its rows: a sum that has no order. The primes
 # keep it exact for a thousand million messages.
 _FINGERPRINT = "TOTAL(timestamp % 10007 * (rowid % 503))"
@@ -78,6 +70,13 @@ class _Table:
     start_ns: int
     end_ns: int
     fingerprint: float
+
+
+def _is_damaged_type(kind: str) -> bool:
+    """Whether this names no type, or one that is read but for one letter."""
+    name = normalized_type(kind)
+    off = [sum(map(str.__ne__, name, one)) for one in SUPPORTED_TYPES if len(one) == len(name)]
+    return _TYPE_NAME.fullmatch(kind) is None or 1 in off
 
 
 class Rosbag2File(Recording):

@@ -318,6 +318,15 @@ def test_zeros_inside_a_line_are_told(path: Path, start: str) -> None:
     assert "one piece that is no text after 1.500 s is lost" in told
 
 
+def test_a_control_sign_in_what_is_left_of_two_lines_is_told(path: Path) -> None:
+    """Their ends tell nothing where a number of the last is damaged, too."""
+    left = "OD0" + flaser(2.0)[30:].replace(BASE, "1.0 2\x7f0 0.0")
+    path.write_text(flaser(1.5) + left + flaser(2.5))
+    found, (told,) = read_rest(path)
+    assert sum(m.topic == "/flaser" for m in found) == 2
+    assert "one piece that is no text after 1.500 s is lost" in told
+
+
 def test_zeros_over_a_line_break_behind_a_whole_line_are_told(path: Path) -> None:
     """They took the first letters of the next line, too: a scan was lost in silence."""
     odometry, lost = "ODOM 0 0 0 0 0 0 2.0 fuzz 2.0", "\0\0\0\0" + robotlaser(2.5)[3:]
