@@ -32,7 +32,7 @@ Pair = tuple[int, int]
 
 _RINGS = 3  # cells by which labels creep: the fringe of free cells beside a wall of 0.1 m cells
 _LEVELS = 126  # heights of the relief that is flooded: the sum of two of them, and one, fit a byte
-_AROUND = np.array([(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1)])
+_BY_ONE = np.array([-1, 0, 1])  # rows, or columns: a cell and those round it
 _AT_ONCE = 1 << 16  # cells that are looked round at in one go: bounds the memory
 _BESIDE = 1.5  # cells, from one to those round it
 _TILE, _AROUND_TILE = 2048, 128  # cells, both even: a tile is flooded with what is around it
@@ -87,7 +87,7 @@ def flooded_at(
     flooded, cells = _watershed(clearance, nodes, labels, top), cells - low
     found = np.asarray(flooded[tuple(cells.T)])
     lines = np.flatnonzero((found < 0) & (clearance[tuple(cells.T)] > 0.0))
-    found[lines] = flooded[_around(cells[lines], flooded.shape)].max(axis=1)
+    found[lines] = flooded.take(_around(cells[lines], flooded.shape)).max(axis=1)
     if (found[lines] >= 0).all():
         return found
     spread_labels(flooded, clearance > 0.0)
@@ -162,7 +162,7 @@ def spread_labels(
         some[:, 0] += rows.start
     cells = np.concatenate([np.zeros((0, 2), dtype=np.intp), *lacking])
     for _ in range(rings):
-        highest = [labels[_around(some, labels.shape)].max(axis=1) for some in _chunks(cells)]
+        highest = [labels.take(_around(some, labels.shape)).max(axis=1) for some in _chunks(cells)]
         found = np.concatenate(highest)
         labels[tuple(cells.T)] = found
         cells = cells[found < 0]
@@ -172,16 +172,21 @@ def spread_labels(
         held = np.zeros(len(cells), dtype=np.bool_)
         for some, numbers in zip(_chunks(cells), _chunks(piece), strict=True):
             around = _around(some, labels.shape)
-            held[numbers[(free[around] & (labels[around] >= 0)).any(axis=1)]] = True
+            known = free.take(around) & (labels.take(around) >= 0)
+            held[numbers[known.any(axis=1)]] = True
         cells = cells[held[piece]]
         if len(cells):
             labels[tuple(cells.T)] = _nearest(labels, cells)
 
 
-def _around(cells: IndexArray, shape: tuple[int, ...]) -> tuple[IndexArray, ...]:
-    """Rows and columns (n, 9) of each of some cells (n, 2) of a grid and of those around it."""
-    around = np.clip(cells[:, None] + _AROUND, 0, np.array(shape) - 1)
-    return around[:, :, 0], around[:, :, 1]
+def _around(cells: IndexArray, shape: tuple[int, ...]) -> IndexArray:
+    """(n, 9) where in a grid, flat, each of some cells (n, 2) is and those around it are."""
+    rows, columns = (
+        np.clip(along[:, None] + _BY_ONE, 0, side - 1)
+        for along, side in zip(cells.T, shape, strict=True)
+    )
+    around: IndexArray = rows[:, :, None] * shape[1] + columns[:, None, :]
+    return around.reshape(len(cells), _BY_ONE.size**2)
 
 
 def _chunks(rows: IndexArray) -> list[IndexArray]:

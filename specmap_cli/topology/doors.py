@@ -217,11 +217,13 @@ def _joined(
     count = int(above.max()) + 1
     if count < 3:
         return None
-    tops = np.zeros((2, count))
-    hills = heights >= least
-    np.maximum.at(tops, (1 - is_low[hills].astype(np.intp), above[hills]), heights[hills])
     become = np.zeros(count, dtype=np.intp)
-    become[above[above > 0]] = here[above > 0]
+    become[above] = here  # of what is lower the part is 0 above, and any here
+    if len(np.unique(become[1:])) == count - 1:
+        return None  # none has joined another
+    tops, hills = np.zeros((2, count)), np.flatnonzero(heights >= least)
+    own = above.ravel()[hills] + np.where(is_low.ravel()[hills], 0, count)
+    np.maximum.at(tops.ravel(), own, heights.ravel()[hills])
     best, found = 0.0, None
     for i in np.flatnonzero(tops[0]).tolist():
         for j in np.flatnonzero(tops[1] * (become == become[i])).tolist():
