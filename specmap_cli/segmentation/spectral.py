@@ -10,6 +10,7 @@ clusters are halved by `split_again`. Nothing here is random: equal input gives 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -34,7 +35,7 @@ _NARROW = 1 << 16  # nodes whose numbers fit 16 bits: numpy sorts such numbers i
 _DENSE = 160  # rows up to which solving for all eigenpairs is quicker than iterating
 _TOLERANCE = 1e-6  # far below what moves a count of eigenvalues
 _ROUGH = 1e-3  # tolerance where an order of the nodes is looked for, not their eigenvector
-_FIRST, _NODES_A_CLUSTER = 12, 80  # eigenpairs asked for at first: a guess that is seldom short
+_ABOVE = 0.8  # of the sum of all squared eigenvalues, which is known: seldom more of them count
 _START_SEED, _START_RANGE = 0, (0.5, 1.5)  # positive, so never at right angles to the first vector
 
 _EVENED = 2  # times: nodes of two groups that see each other stand in the order of what they see
@@ -354,7 +355,7 @@ def with_fixed_signs(vectors: FloatArray) -> FloatArray:
 def eigenpairs_above(matrix: Any, least: float) -> tuple[FloatArray, FloatArray]:
     """All eigenpairs with eigenvalues above `least`, and at least one below where there is one."""
     size = matrix.shape[0]
-    count = min(_FIRST + size // _NODES_A_CLUSTER, size)
+    count = min(2 + math.ceil(_ABOVE * (matrix.data**2).sum()), size)
     while True:
         values, vectors = largest_eigenpairs(matrix, count)
         if count == size or values[-1] <= least:
