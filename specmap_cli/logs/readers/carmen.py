@@ -191,6 +191,8 @@ def parse_line(keyword: str, words: list[bytes]) -> CarmenLine:
     ranges = np.array([float(word) for word in words[first : first + count]])
     if (np.abs(ranges[np.isfinite(ranges)]) > _FLOAT_LIMIT).any():
         raise ValueError(words[first])
+    for word in words[poses : poses + behind]:
+        float(word)  # a host before its place: what is between was cut out
     return CarmenLine(
         topic=topic_of(keyword),
         stamp_ns=_stamp(words, poses + behind),

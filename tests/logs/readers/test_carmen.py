@@ -367,3 +367,14 @@ def test_a_line_without_its_beginning_is_told(path: Path, into: str, line: str) 
     assert [m.time_ns for m in found if m.topic == "/odom"] == [1_500_000_000]
     assert "line 2 (byte " in told
     assert "after 1.500 s is lost" in told
+
+
+def test_a_laser_line_that_ends_before_its_place_is_told(path: Path) -> None:
+    """Two of its numbers were cut out with what is between: the logger's time was its stamp."""
+    whole = robotlaser(2.0)
+    path.write_text(
+        flaser(1.5) + whole.replace(" 0.4 0.3 ", " ").replace(" nohost 2.", " nohost 3.")
+    )
+    found, (told,) = read_rest(path)
+    assert [m.time_ns for m in found if m.topic == "/odom"] == [1_500_000_000]
+    assert "one ROBOTLASER1 after 1.500 s is lost" in told
