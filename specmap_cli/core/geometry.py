@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
+_NEXT, _LAST = [1, 2, 0], [2, 0, 1]  # of three: the one behind each, and the one behind that
+
 
 def wrap_angle(angle: float) -> float:
     """The same angle in [-pi, pi)."""
@@ -39,10 +41,12 @@ def inverse3(matrices: NDArray[Any]) -> FloatArray:
     Good for matrices that are far from singular, as covariances with a floor are.
     """
     rows = np.asarray(matrices, dtype=np.float64)
-    a, b, c = (rows[..., k, :] for k in range(3))
-    columns = [np.cross(b, c), np.cross(c, a), np.cross(a, b)]
-    determinant = (a * columns[0]).sum(axis=-1)
-    return np.asarray(np.stack(columns, axis=-1) / determinant[..., None, None])
+    one, two = rows[..., _NEXT, :], rows[..., _LAST, :]  # np.cross takes four times as long
+    cofactors = one[..., _NEXT] * two[..., _LAST] - one[..., _LAST] * two[..., _NEXT]
+    determinant = (rows[..., 0, :] * cofactors[..., 0, :]).sum(axis=-1)
+    return np.asarray(
+        np.divide(cofactors.swapaxes(-1, -2), determinant[..., None, None], order="C")
+    )
 
 
 class Pose2(NamedTuple):
