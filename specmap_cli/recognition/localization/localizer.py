@@ -24,6 +24,7 @@ _STRANGE_ALONE = 1.0  # a single scan is unknown beyond this share of the limit
 _STRANGE_FROM = 0.87  # from this share of the limit on, a scan speaks for unknown
 _STRANGE_GAIN = 2.0  # log likelihood for unknown, per share of the limit beyond that
 _STRANGE_MOST = 1.0  # the most of that likelihood: views that are strange come in a row
+_SOMEBODY = 0.05  # of a view: a body three metres away covers as much of half a circle
 _TOGETHER = 32  # scans whose features are computed at once
 
 
@@ -152,6 +153,8 @@ class Localizer:
             if strange > 0.0:
                 # what a short window of a narrow laser has seen so far looks strange anywhere
                 strange *= scan.shown**2
+                # and so does somebody beside the robot, where walls fit behind him
+                strange *= max(0.0, 1.0 - self.places.front / _SOMEBODY)
             self._looks.add(min(max(strange, -_STRANGE_MOST), _STRANGE_MOST))
         return self._walls.worth + self._looks.worth
 

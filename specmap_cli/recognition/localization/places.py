@@ -169,6 +169,7 @@ class WeighedPlaces:
         self._new = 1.0  # the share of a view that is new since the last look
         self._driven, self._searched = 0.0, -math.inf  # motion, of one all is new
         self._scans, self._wait = 0, 1  # since the last search, and until one without motion
+        self.front = 0.0  # share of the last view that is somebody, where one fits
 
     def see(self, posed: PosedScan, seen: PlanarScan, belief: FloatArray) -> float | None:
         """Weigh all places by one more scan: log likelihood of unknown, None where nothing is told.
@@ -199,6 +200,7 @@ class WeighedPlaces:
         least = min((each.front for each in fitted), default=0.0)
         pairs = zip(there, fitted, strict=True)
         now = [self._matched(place, fit, view).seen(fit, share, least) for place, fit in pairs]
+        self.front = max((each.front for each in fitted if each.fits), default=0.0)
         told, rest = float(led @ np.exp([-each.against for each in fitted])), 1.0 - float(led.sum())
         self._keep(now, belief)
         astray = not any(each.fits for each in self.places)
@@ -210,6 +212,7 @@ class WeighedPlaces:
         born = [
             each.seen(fit, 1.0, least) for each, fit in zip(new, found, strict=True) if fit.fits
         ]
+        self.front = max((each.front for each in found if each.fits), default=self.front)
         self._searched, self._scans = self._driven, 0
         self._wait = 1 if born else 2 * self._wait
         self._keep([*self.places, *born], belief)
