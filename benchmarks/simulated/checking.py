@@ -20,10 +20,11 @@ from benchmarks.making.recordings import simulated
 from benchmarks.making.tours import world_of
 from benchmarks.scoreboard.bench import Bench
 from benchmarks.scoreboard.rows import Figures, Row
+from specmap_cli.checking.rules import CheckRecord
 from specmap_cli.core.config import load_config
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.pipelines.build import build_map
-from specmap_cli.pipelines.check import CheckReport, check_map
+from specmap_cli.pipelines.check import check_map
 from specmap_cli.pipelines.update import update_map
 from specmap_cli.simulation.simulator import SimulationOptions, simulated_tour, simulation_options
 
@@ -177,9 +178,9 @@ def spoiled(folder: Path) -> int:
     return found
 
 
-def broken_rules(report: CheckReport) -> list[str]:
+def broken_rules(record: CheckRecord) -> list[str]:
     """The rules that a map breaks."""
-    return [outcome.rule for outcome in report.record.rules if not outcome.passed]
+    return [outcome.rule for outcome in record.rules if not outcome.passed]
 
 
 def saying(broken: list[str]) -> list[str]:

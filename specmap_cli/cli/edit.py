@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from specmap_cli.cli.options import Bounds, Common, MapDirectory, Overwrite, output, values_of
+from specmap_cli.cli.options import Bounds, Common, MapDirectory, Overwrite, output, uses_of
 from specmap_cli.cli.targets import keep_inputs
 from specmap_cli.core.errors import UsageError
 
@@ -123,7 +123,7 @@ def _requested(said: Said, changed: Changed) -> RequestedEdits:
     from specmap_cli.pipelines.edits import RequestedEdits
 
     properties: dict[int, dict[str, Any]] = {}
-    for id_, assignment in _pairs("--set-property", said.set_property, "ID KEY=VALUE"):
+    for id_, assignment in uses_of("--set-property", said.set_property, "ID KEY=VALUE"):
         key, separator, text = (part.strip() for part in assignment.partition("="))
         if not separator or not key:
             raise UsageError(
@@ -133,8 +133,8 @@ def _requested(said: Said, changed: Changed) -> RequestedEdits:
         value = value_of(text) if text else None
         properties.setdefault(_id("--set-property", id_), {})[key] = value
     return RequestedEdits(
-        names={_id("--rename", i): name for i, name in _pairs("--rename", said.rename, "ID NAME")},
-        kinds={_id("--kind", i): kind for i, kind in _pairs("--kind", said.kind, "ID KIND")},
+        names={_id("--rename", i): name for i, name in uses_of("--rename", said.rename, "ID NAME")},
+        kinds={_id("--kind", i): kind for i, kind in uses_of("--kind", said.kind, "ID KIND")},
         properties=properties,
         forget=tuple(said.forget or ()),
         changes=tuple(_changes(changed)),
@@ -144,23 +144,17 @@ def _requested(said: Said, changed: Changed) -> RequestedEdits:
 
 def _changes(changed: Changed) -> Iterator[dict[str, Any]]:
     """The changes, as in edits.toml: merges, then splits, then forbidden doors."""
-    for ids in _pairs("--merge", changed.merge, "ID ID"):
+    for ids in uses_of("--merge", changed.merge, "ID ID"):
         yield {"merge": [_id("--merge", id_) for id_ in ids]}
-    for id_, line in _pairs("--split", changed.split, "ID X1,Y1,X2,Y2"):
+    for id_, line in uses_of("--split", changed.split, "ID X1,Y1,X2,Y2"):
         x1, y1, x2, y2 = _numbers("--split", line, "X1,Y1,X2,Y2")
         yield {"split": _id("--split", id_), "line": [[x1, y1], [x2, y2]]}
     doors, places = changed.forbid_door or [], changed.at or []
     if places and len(places) != len(doors):
         raise UsageError(hint="give it once for each --forbid-door, or not at all", where="--at")
-    for number, ids in enumerate(_pairs("--forbid-door", doors, "ID ID")):
+    for number, ids in enumerate(uses_of("--forbid-door", doors, "ID ID")):
         at = {"at": _numbers("--at", places[number], "X,Y")} if places else {}
         yield {"forbid": [_id("--forbid-door", id_) for id_ in ids], **at}
-
-
-def _pairs(option: str, given: list[str] | None, names: str) -> Iterator[list[str]]:
-    """The values of each use of an option."""
-    for joined in given or []:
-        yield values_of(option, joined, names)
 
 
 def _id(option: str, text: str) -> int:

@@ -143,22 +143,17 @@ def evaluate(
     else:
         found = _revisit(logs or [], truth, effective, common)
     if out is not None and found.scores is not None:
-        _draw(out, found.scores)
+        from specmap_cli.drawing.predictions import render_confusion
+        from specmap_cli.grids.map_server import write_png
+
+        names = [str(id_) for id_ in found.scores.ids]
+        write_png(out, render_confusion(found.scores.confusion, names, [*names, "unknown"]))
     common.show(found.figures, found.lines)
 
 
 def _need(condition: bool, usage: str) -> None:
     if not condition:
         raise UsageError(usage)
-
-
-def _draw(path: Path, scores: ClassificationScores) -> None:
-    """Write the confusion matrix."""
-    from specmap_cli.drawing.predictions import render_confusion
-    from specmap_cli.grids.map_server import write_png
-
-    names = [str(id_) for id_ in scores.ids]
-    write_png(path, render_confusion(scores.confusion, names, [*names, "unknown"]))
 
 
 def _score_trajectory(trajectory: Path, truth: Truth) -> Found:

@@ -108,6 +108,7 @@ def compare(
         PICTURE,
         compare_maps,
         comparison_directory,
+        lines_of,
         write_comparison,
     )
     from specmap_cli.pipelines.history import span_ns
@@ -124,7 +125,8 @@ def compare(
             write_comparison(found, partial)
         if span_ns(one)[1] > span_ns(other)[1]:
             progress.note(f"{new}: its last scan is older than that of {old}: are they swapped?")
-    common.show(found.as_dict(), [*found.lines(), *([f"look at {out / PICTURE}"] if out else [])])
+    record, look = found.record, [f"look at {out / PICTURE}"] if out else []
+    common.show(record.model_dump(), [*lines_of(record), *look])
 
 
 def check(
@@ -161,7 +163,7 @@ def check(
     specmap check map --rules rules.toml --junit check.xml
     specmap check tonight --against golden --markdown summary.md
     """
-    from specmap_cli.checking.rules import FORMATS, read_rules
+    from specmap_cli.checking.rules import FORMATS, lines_of, read_rules
     from specmap_cli.core.files import write_together
     from specmap_cli.maps.store import read_map
     from specmap_cli.pipelines.check import check_map
@@ -173,12 +175,12 @@ def check(
     wanted = {"junit": junit, "markdown": markdown}
     check_files(wanted.values(), [map_, against, rules], common, overwrite=overwrite)
     with common.progress() as progress:
-        report = check_map(stored, in_force, golden, progress)
+        record = check_map(stored, in_force, golden, progress)
     write_together(
-        {path: FORMATS[name](report.record) for name, path in wanted.items() if path is not None}
+        {path: FORMATS[name](record) for name, path in wanted.items() if path is not None}
     )
-    common.show(report.as_dict(), report.lines())
-    if not report.passed:
+    common.show(record.model_dump(), lines_of(record))
+    if not record.passed:
         raise typer.Exit(BROKEN_RULE)
 
 

@@ -25,7 +25,7 @@ from __future__ import annotations
 import functools
 import inspect
 import warnings
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from inspect import Parameter
 from itertools import takewhile
@@ -345,12 +345,14 @@ class JoinedCommand(TyperCommand):
         return super().parse_args(ctx, _joined(args, several, options))
 
 
-def values_of(option: str, joined: str, names: str) -> list[str]:
-    """The values of one use of an option; UsageError when there are not as many as `names`."""
-    values = joined.split(_JOINT)
-    if len(values) != len(names.split()):
-        raise UsageError(hint=f"expected {option} {names}", where=f"{option} {' '.join(values)}")
-    return values
+def uses_of(option: str, given: list[str] | None, names: str) -> Iterator[list[str]]:
+    """The values of each use of an option; UsageError when there are not as many as `names`."""
+    for joined in given or []:
+        values = joined.split(_JOINT)
+        if len(values) != len(names.split()):
+            where = f"{option} {' '.join(values)}"
+            raise UsageError(hint=f"expected {option} {names}", where=where)
+        yield values
 
 
 def _joined(args: list[str], several: Mapping[str, int], options: Collection[str]) -> list[str]:

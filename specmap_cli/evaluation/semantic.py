@@ -39,7 +39,7 @@ from specmap_cli.recognition.learning.boosting import StumpBoost
 from specmap_cli.simulation.worlds import RoomTruth
 
 ROOM, HALLWAY = 0, 1
-_FEATURES = "table1"
+_FEATURES, _ROUNDS = "table1", 100
 _LONG = 10.0  # area over the squared half width: 4 for a square, 10 for 2.5 to 1
 
 
@@ -60,9 +60,9 @@ class SemanticResult:
         }
 
 
-def room_hallway_model(X: FloatArray, kinds: IntArray, rounds: int = 100) -> StumpBoost:
+def room_hallway_model(X: FloatArray, kinds: IntArray) -> StumpBoost:
     """What features (n, F) of Table I of scans of known kind (n,) teach: hallways are claimed."""
-    model = StumpBoost(feature_names(_FEATURES), rounds)
+    model = StumpBoost(feature_names(_FEATURES), _ROUNDS)
     return model.fit(X, np.where(kinds == HALLWAY, 1.0, -1.0))
 
 

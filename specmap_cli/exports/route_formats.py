@@ -39,7 +39,6 @@ from specmap_cli.exports.routes import (
     SPEED_LIMIT,
     Leg,
     Routes,
-    Waypoint,
     check_routes,
     ended,
     misnoted,
@@ -141,6 +140,7 @@ class Tmap2:
         """Write the routes of a map. Raises MapError for a map without ways."""
         check_routes(stored, progress)
         record, name = stored.record, stored.path.resolve().name
+        found = routes(record).without(lambda point: point.kind == "bend")
         updated = datetime.fromtimestamp(ended(record), UTC).strftime("%Y-%m-%d_%H-%M-%S")
         document = {
             "meta": {"last_updated": updated},
@@ -154,13 +154,9 @@ class Tmap2:
                 "rotation": _IDENTITY,
                 "translation": {"x": 0.0, "y": 0.0, "z": 0.0},
             },
-            "nodes": list(_tmap2_nodes(routes(record).without(_is_bend), record, name)),
+            "nodes": list(_tmap2_nodes(found, record, name)),
         }
         target.write(yaml_text(document).encode())
-
-
-def _is_bend(waypoint: Waypoint) -> bool:
-    return waypoint.kind == "bend"
 
 
 def _tmap2_nodes(found: Routes, record: TopologyRecord, name: str) -> Iterator[Fields]:

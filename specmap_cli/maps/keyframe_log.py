@@ -45,22 +45,20 @@ from specmap_cli.logs.readers.recording import Message
 from specmap_cli.logs.writer import TF_STATIC, LogWriter
 
 SCAN_TOPIC, TF = "/scan", "/tf"
-ODOM_FRAME, BASE_FRAME, LASER_FRAME = "odom", "base_link", "laser"
+MAP_FRAME, ODOM_FRAME, BASE_FRAME, LASER_FRAME = "map", "odom", "base_link", "laser"
 # Poses are kept to a micrometre and a quarter of a microradian, in powers of two, of which most
 # bytes are zero and cost nothing. Ranges are kept to a millimetre: no laser of a robot is finer.
 _PER_UNIT, _MM_PER_M = np.array([2.0**20, 2.0**20, 2.0**22]), 1000.0
 
 
-def write_keyframes(
-    path: Path, store: KeyframeStore, poses: FloatArray, map_frame: str = "map"
-) -> None:
+def write_keyframes(path: Path, store: KeyframeStore, poses: FloatArray) -> None:
     """Write all keyframes of a store, which lie at `poses` (n, 3) in the finished map.
 
     Raises UsageError when the file cannot be written.
     """
     odom_from_base = _cut(store.poses)
     map_from_odom = _cut(compose(poses, invert(odom_from_base)))
-    links = (map_frame, ODOM_FRAME), (ODOM_FRAME, BASE_FRAME)
+    links = (MAP_FRAME, ODOM_FRAME), (ODOM_FRAME, BASE_FRAME)
     chains = zip(_in_space(map_from_odom), _in_space(odom_from_base), strict=True)
     lasers: dict[Pose2, tuple[str, EvenSpacing]] = {}  # each has a frame of its own
     with LogWriter(path) as log:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from specmap_cli.checking.rules import (
     FINDINGS,
@@ -15,7 +13,6 @@ from specmap_cli.checking.rules import (
     figures_against,
     figures_of,
     judged,
-    lines_of,
     read_rules,
 )
 from specmap_cli.core.arguments import instance_of
@@ -31,33 +28,13 @@ from specmap_cli.pipelines.compare import compare_maps
 _GRAVITY: tuple[Severity, ...] = ("note", "doubtful", "poor")
 
 
-@dataclass(frozen=True, slots=True)
-class CheckReport:
-    """What a check found."""
-
-    record: CheckRecord
-
-    @property
-    def passed(self) -> bool:
-        """Whether the map keeps every rule."""
-        return self.record.passed
-
-    def as_dict(self) -> dict[str, Any]:
-        """The same for a machine, as `checking.rules` has it."""
-        return self.record.model_dump()
-
-    def lines(self) -> list[str]:
-        """The same for a person."""
-        return lines_of(self.record)
-
-
 @one_blas_thread()
 def check_map(
     stored: Map | Path | str,
     rules: Rules | None = None,
     against: Map | Path | str | None = None,
     progress: Progress | None = None,
-) -> CheckReport:
+) -> CheckRecord:
     """Whether a map keeps rules; `against` is a golden map of the same building.
 
     Without `rules` the defaults hold. A map that cannot be aligned with the golden one breaks the
@@ -83,7 +60,7 @@ def check_map(
         else:
             details |= _changes(record)
     named = None if golden is None else str(golden.path)
-    return CheckReport(judged(str(map_.path), named, plain(figures), map_.verdict, rules, details))
+    return judged(str(map_.path), named, plain(figures), map_.verdict, rules, details)
 
 
 def _told(stored: Map) -> Iterable[tuple[str, str]]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -94,14 +93,6 @@ class Comparison:
             ),
         )
 
-    def as_dict(self) -> dict[str, Any]:
-        """The same for a machine."""
-        return self.record.model_dump()
-
-    def lines(self) -> list[str]:
-        """The same for a person."""
-        return lines_of(self.record)
-
 
 @one_blas_thread()
 def compare_maps(
@@ -171,9 +162,9 @@ def write_comparison(comparison: Comparison, directory: Path) -> None:
         comparison.differences,
         (comparison.old.path.resolve().name, comparison.new.path.resolve().name),
     )
-    summary = "\n".join(comparison.lines()) + "\n"
+    summary = "\n".join(lines_of(comparison.record)) + "\n"
     (directory / SUMMARY).write_text(summary, encoding="utf-8")
-    (directory / COMPARISON).write_text(to_json(comparison.as_dict()), encoding="utf-8")
+    (directory / COMPARISON).write_text(to_json(comparison.record.model_dump()), encoding="utf-8")
     write_png(directory / PICTURE, picture)
 
 

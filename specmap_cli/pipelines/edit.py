@@ -17,13 +17,12 @@ from typing import Any, TypeVar
 import networkx as nx
 import numpy as np
 
-from specmap_cli.core.arguments import instance_of, path_of
+from specmap_cli.core.arguments import path_of
 from specmap_cli.core.errors import MapError, UsageError, is_of_the_place
 from specmap_cli.core.json_values import Record
 from specmap_cli.core.process import one_blas_thread, versions
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import NO_SUBMAP
-from specmap_cli.core.settings import Config
 from specmap_cli.drawing.overview import render_overview, render_segmentation
 from specmap_cli.grids.map_server import write_png
 from specmap_cli.maps import filenames
@@ -66,7 +65,6 @@ def edit_map(
     map_: Map | Path | str,
     requested: RequestedEdits | None = None,
     out: Path | str | None = None,
-    config: Config | None = None,
     *,
     overwrite: bool = False,
     progress: Progress | None = None,
@@ -74,15 +72,12 @@ def edit_map(
     """Make edits hold in a map: those of its edits.toml, and what is requested beside them.
 
     Without `out` the map itself is replaced, complete or not at all. Where it must be made anew, it
-    is with `config`, by default with the settings that it was built with. Raises UsageError for a
-    request that does not apply; MapError for a damaged map or edits.toml, and for a merge or a
-    split in a map without keyframes.
+    is with the settings that it was built with. Raises UsageError for a request that does not
+    apply; MapError for a damaged map or edits.toml, and for a merge or a split in a map without
+    keyframes.
     """
     progress, requested = progress or Silent(), requested or RequestedEdits()
-    limits = None if config is None else config.limits
-    stored = opened_map(map_, "map_", limits)
-    if config is not None:
-        instance_of(config, Config, "config")
+    stored = opened_map(map_, "map_")
     if stored.note:
         progress.note(stored.note)
     target = stored.path if out is None else path_of(out, "out")
@@ -102,7 +97,7 @@ def edit_map(
         _refuse_unapplied(skipped, found, requested)
         anew = found.borders != stored.record.graph.edits.borders
         if anew:
-            topology, unapplied = _made_anew(stored, found, config, progress, partial)
+            topology, unapplied = _made_anew(stored, found, progress, partial)
         else:
             topology, unapplied = _relabelled(stored, found, partial)
         _refuse_unapplied(unapplied, found, requested)
@@ -202,11 +197,9 @@ def _relabelled(stored: Map, found: Drawn, directory: Path) -> Edited:
     return topology, unapplied
 
 
-def _made_anew(
-    stored: Map, found: Drawn, config: Config | None, progress: Progress, directory: Path
-) -> Edited:
+def _made_anew(stored: Map, found: Drawn, progress: Progress, directory: Path) -> Edited:
     """The map with other borders, made of its keyframes; what is thought of its layout stays."""
-    config = settings_for(stored, {}) if config is None else config
+    config = settings_for(stored, {})
     laid, labels = laid_out_of_stored(stored), stored.labels
     kept = valid_training_data(
         training_data_of_stored(stored, config),

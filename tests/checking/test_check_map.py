@@ -77,7 +77,7 @@ def house(tmp_path: Path, result: MapResult) -> House:
 
 
 def broken(path: Path, rules: Rules) -> dict[str, OutcomeRecord]:
-    return {one.rule: one for one in check_map(path, rules).record.rules if not one.passed}
+    return {one.rule: one for one in check_map(path, rules).rules if not one.passed}
 
 
 def test_the_figures_are_those_of_the_map(house: House) -> None:
@@ -157,14 +157,14 @@ def test_why_a_golden_map_does_not_fit_is_told_once(
     path = house()
     refused = Mock(side_effect=NoResultError("they do not fit"))
     monkeypatch.setattr("specmap_cli.pipelines.check.compare_maps", refused)
-    lines = lines_of(check_map(path, against=path).record)
+    lines = lines_of(check_map(path, against=path))
     assert sum("they do not fit" in line for line in lines) == 1
     assert any("not known: see golden.aligned" in line for line in lines)
 
 
 def test_a_golden_rule_broken_by_a_map_that_fits_is_told_without_a_doubt(house: House) -> None:
     path = house()
-    record = check_map(path, Rules("poor", {}, {"golden.area_share": 2.0}), against=path).record
+    record = check_map(path, Rules("poor", {}, {"golden.area_share": 2.0}), against=path)
     (only,) = (one for one in record.rules if not one.passed)
     assert (only.value, only.detail) == (1.0, "")
 

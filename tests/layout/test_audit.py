@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.geometry import compose
-from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.audit import Agreement, Views
 from specmap_cli.layout.path_graph import LOOP_PATH_M, Graph, graph_of
-from specmap_cli.layout.result import Layout
 from tests.layout.driving import (
     SECOND_LAP,
     Drive,
@@ -20,8 +18,6 @@ from tests.layout.driving import (
     moved_from,
     stored,
 )
-
-Bent = tuple[KeyframeStore, Layout]
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,6 @@ from tests.strategies import few
 from tests.turning import turned
 
 LAP = 60
-WIDTHS = {"closure": 2.0, "nearby": 2.0, "loose": 2.0, "bridge": 2.0}
 
 
 def driven(bias: float = 0.002) -> tuple[FloatArray, Graph]:

@@ -208,7 +208,7 @@ def test_the_area_of_a_map_is_that_of_the_free_cells_of_its_submaps(told: Compar
     assert told.record.old.area_m2 == pytest.approx(area_m2)
     assert figures_of(told.old)["area_m2"] == pytest.approx(area_m2)
     words = f"area: {area_m2:.0f} m2, then {told.record.new.area_m2:.0f} m2"
-    assert told.lines()[-1].endswith(words)
+    assert compare.lines_of(told.record)[-1].endswith(words)
 
 
 def test_the_other_way_round_things_vanish(before: Path, changed: Path) -> None:
@@ -223,13 +223,13 @@ def test_two_recordings_of_one_building_differ_in_nothing(
 ) -> None:
     """Of two lasers: one sees three quarters of the circle, the other all of it."""
     found = compare_maps(before, second_tour.map)
-    assert "the building: no change found" in found.lines()
+    assert "the building: no change found" in compare.lines_of(found.record)
 
 
 def test_a_map_is_identical_to_itself_and_not_replaced_by_its_comparison(before: Path) -> None:
     found = compare_maps(before, before)
     assert found.identical
-    assert found.lines() == [f"{before}: identical to {before}"]
+    assert compare.lines_of(found.record) == [f"{before}: identical to {before}"]
     assert main(["compare", str(before), str(before), "-o", str(before), "-q"]) == 2
 
 

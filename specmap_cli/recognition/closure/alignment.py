@@ -29,10 +29,9 @@ from specmap_cli.recognition.closure.verification import (
     MIN_OVERLAP,
     MIN_WALL_M,
     RIVAL_M,
-    RIVAL_RAD,
     PreparedGrid,
     agreement,
-    differ,
+    are_rivals,
     headings,
     prepared,
     walls_of,
@@ -250,7 +249,7 @@ def _different(found: Iterable[_Candidate], centre: FloatArray) -> list[_Candida
     kept: list[_Candidate] = []
     for one in sorted(found, key=lambda one: -one.evidence_m):
         pairs = [zip(one.ends, other.ends, strict=True) for other in kept]
-        if all(any(differ(a, b, centre, RIVAL_M, RIVAL_RAD) for a, b in ends) for ends in pairs):
+        if all(any(are_rivals(a, b, centre) for a, b in ends) for ends in pairs):
             kept.append(one)
     return kept
 

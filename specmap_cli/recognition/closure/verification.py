@@ -167,11 +167,11 @@ def headings(old: PreparedGrid, new: PreparedGrid) -> list[float]:
     ]
 
 
-def differ(a: Pose2, b: Pose2, centre: NDArray[np.float64], metres: float, radians: float) -> bool:
-    """Whether two transforms place `centre` (2,) farther apart than this, or turn it further."""
+def are_rivals(a: Pose2, b: Pose2, centre: NDArray[np.float64]) -> bool:
+    """Whether two transforms place `centre` (2,), or turn it, too differently to be the same."""
     shift = a.apply(centre[None])[0] - b.apply(centre[None])[0]
     turn = abs(wrap_angle(a.theta - b.theta))
-    return math.hypot(*shift.tolist()) > metres or turn > radians
+    return math.hypot(*shift.tolist()) > RIVAL_M or turn > RIVAL_RAD
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -229,7 +229,7 @@ def verify(
     rivals = [
         _rank(check)
         for check in others
-        if differ(check.old_from_new, best.old_from_new, centre, RIVAL_M, RIVAL_RAD)
+        if are_rivals(check.old_from_new, best.old_from_new, centre)
     ]
     lead = _rank(best) - max(rivals, default=-1.0)
     return replace(final if final.score >= best.score else best, lead=lead)
