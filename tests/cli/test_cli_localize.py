@@ -11,11 +11,12 @@ import pytest
 
 from specmap_cli.core.config import load_config
 from specmap_cli.core.settings import Config, LogConfig
+from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.store import Map, read_map
 from specmap_cli.pipelines.localizer import settings_for
 from tests.cli.conftest import QUICK, Run
 from tests.conftest import SAMPLE_LOGS
-from tests.flats import rows
+from tests.flats import record_tour, rows
 
 
 @pytest.fixture
@@ -24,6 +25,12 @@ def stored(tiny_map: Path) -> Map:
     found = read_map(tiny_map)
     assert found.config != Config()
     return found
+
+
+@pytest.fixture(scope="module")
+def elsewhere(office: GridMap, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first seconds of a tour through another building."""
+    return record_tour(office, tmp_path_factory.mktemp("office") / "log.mcap", max_duration_s=20)
 
 
 def settings_file(folder: Path, text: str) -> Path:
@@ -117,12 +124,11 @@ def test_offline_labels_know_the_whole_log(
 
 
 def test_a_log_of_another_place_says_so_in_its_first_line_and_by_its_code(
-    tiny_log: Path, tiny_map: Path, run: Run
+    tiny_log: Path, elsewhere: Path, tiny_map: Path, run: Run
 ) -> None:
-    other = SAMPLE_LOGS / "office_again.mcap"
     line = ("--map", tiny_map, "-q", "--fail-on", "unknown")
     assert run("localize", tiny_log, *line).code == 0
-    failed = run("localize", other, *line)
+    failed = run("localize", elsewhere, *line)
     assert failed.code == 5
     assert failed.out.splitlines()[0].endswith(
         "none of them known: the map does not show this place"
@@ -130,11 +136,15 @@ def test_a_log_of_another_place_says_so_in_its_first_line_and_by_its_code(
 
 
 def test_while_the_place_is_not_known_a_line_says_so_every_ten_seconds(
-    tiny_log: Path, tiny_map: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+    tiny_log: Path,
+    elsewhere: Path,
+    tiny_map: Path,
+    run: Run,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """By a clock that goes on by 2.5 s each time that it is asked."""
     told = "so far, the place is not known now"
-    for log, known in ((tiny_log, True), (SAMPLE_LOGS / "office_again.mcap", False)):
+    for log, known in ((tiny_log, True), (elsewhere, False)):
         ticks = (2.5 * k for k in count())
         monkeypatch.setattr("specmap_cli.pipelines.localize.monotonic", lambda t=ticks: next(t))
         lines = [
