@@ -14,25 +14,33 @@ unexport PYTHONDONTWRITEBYTECODE
 # A file of tests stays with one worker, which makes once what its tests share.
 PYTEST := -m pytest -n 2 --dist loadfile
 
-.PHONY: demo paper pictures docs dist release test test-lowest lint format scoreboard fuzz sample-logs constraints-lowest clean
+.PHONY: demo paper pictures docs dist release test pytest test-lowest lint ruff mypy format scoreboard fuzz sample-logs constraints-lowest clean
 
 demo: $(VENV)/installed
 	$(BIN)/specmap build sample_logs/office.mcap --out demo/map --overwrite
 	$(BIN)/specmap localize sample_logs/office_again.mcap --map demo/map --out demo/office_again.csv --plot demo/office_again.png --metric --overwrite
 	@echo "The map is in demo/map (look at demo/map/overview.png); where the second log was taken: demo/office_again.csv, demo/office_again.png"
 
-test: lint
-	$(BIN)/python $(PYTEST)
+# Types are checked beside the tests: mypy has work for half a minute and for one processor.
+test: ruff
+	@$(MAKE) --no-print-directory --jobs=2 mypy pytest
 	@$(BIN)/python -m benchmarks.scoreboard --state
+
+pytest: $(VENV)/installed-dev
+	$(BIN)/python $(PYTEST)
 
 # What no version of a library can change is left out: CONTRIBUTING.md says what, and why.
 SAME_FOR_ALL := tests/test_architecture.py tests/test_dependencies.py tests/test_docs.py tests/fuzz tests/paper
 test-lowest: $(LOWEST)/installed-dev
 	$(LOWEST)/bin/python $(PYTEST) $(addprefix --ignore=,$(SAME_FOR_ALL))
 
-lint: $(VENV)/installed-dev
+lint: ruff mypy
+
+ruff: $(VENV)/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+mypy: $(VENV)/installed-dev
 	$(BIN)/mypy
 
 format: $(VENV)/installed-dev
