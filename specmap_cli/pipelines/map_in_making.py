@@ -17,7 +17,14 @@ import numpy as np
 from specmap_cli.core.errors import InputError, MapError
 from specmap_cli.core.findings import UNDOUBTED, Finding, Quality
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.records import BoolArray, Closure, IntArray, Labels, Trajectory
+from specmap_cli.core.records import (
+    NO_SUBMAP,
+    BoolArray,
+    Closure,
+    IntArray,
+    Labels,
+    Trajectory,
+)
 from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.layout.joining import gaps_of
@@ -206,6 +213,10 @@ def laid_out_of_stored(stored: Map) -> LaidOut:
     topology, labels = stored.topology, stored.labels
     if not topology.stays:
         raise MapError("keeps no stays of the robot", "build the map again", where=stored.path)
+    nowhere = np.flatnonzero(labels.submaps == NO_SUBMAP)
+    if len(nowhere):  # may be read, and is never so after a recording was divided into stays
+        what = f"keyframe {nowhere[0]} is in no submap"
+        raise MapError.damaged(what, stored.path / filenames.LABELS)
     return LaidOut(
         layout=_layout(stored),
         labels=labels,

@@ -353,7 +353,10 @@ def with_fixed_signs(vectors: FloatArray) -> FloatArray:
 
 
 def eigenpairs_above(matrix: Any, least: float) -> tuple[FloatArray, FloatArray]:
-    """All eigenpairs with eigenvalues above `least`, and at least one below where there is one."""
+    """All eigenpairs with eigenvalues above `least`, and at least one below where there is one.
+
+    `matrix` (n, n) is sparse and symmetric.
+    """
     size = matrix.shape[0]
     count = min(2 + math.ceil(_ABOVE * (matrix.data**2).sum()), size)
     while True:

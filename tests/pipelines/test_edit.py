@@ -32,7 +32,7 @@ from specmap_cli.topology.navigation import crossing_of, with_ways
 from specmap_cli.topology.regions import divide
 from specmap_cli.topology.topological_map import TopologicalMap
 from tests.conftest import SAMPLE_LOGS
-from tests.flats import QUICK, Mapped
+from tests.flats import QUICK, Mapped, forget_digests
 from tests.topology.rooms import two_rooms
 
 
@@ -248,6 +248,18 @@ class TestBorders:
         notes.note.assert_not_called()
         after = {path.name: path.read_bytes() for path in built.map.iterdir() if path.is_file()}
         assert after == before
+
+    def test_a_keyframe_in_no_submap_leaves_borders_as_they_are(
+        self, built: Built, own: Path
+    ) -> None:
+        """It was a traceback: such a map may be read, but not be divided anew."""
+        forget_digests(own)
+        labels = own / "labels.csv"
+        header, first, *rest = labels.read_text(encoding="utf-8").splitlines()
+        lines = [header, first.rpartition(",")[0] + ",", *rest]
+        labels.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        with pytest.raises(MapError, match=r"labels\.csv: keyframe 0 is in no submap"):
+            edit(own, split(read_map(own), built.corridor))
 
     def test_what_no_longer_applies_is_told_and_kept(self, own: Path) -> None:
         text = "[submaps.99]\nname = 'Attic'\n[[changes]]\nmerge = [0, 99]\n"

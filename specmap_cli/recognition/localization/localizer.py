@@ -153,7 +153,7 @@ class Localizer:
             if strange > 0.0:
                 # what a short window of a narrow laser has seen so far looks strange anywhere
                 strange *= scan.shown**2
-                # and so does somebody beside the robot, where walls fit behind him
+                # and so does a view with somebody in it, where walls fit all the same
                 strange *= max(0.0, 1.0 - self.places.front / _SOMEBODY)
             self._looks.add(min(max(strange, -_STRANGE_MOST), _STRANGE_MOST))
         return self._walls.worth + self._looks.worth
