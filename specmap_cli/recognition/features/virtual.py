@@ -71,18 +71,19 @@ class RecentScans:
 
     def add(
         self, map_from_base: Pose2, base_from_laser: Pose2, scan: Callable[[], PlanarScan]
-    ) -> None:
-        """Drive on to a pose; the scan from there is asked for where it is kept: most are not."""
+    ) -> bool:
+        """Drive on to a pose; whether the scan from there, asked for then, is kept: few are."""
         if self._last is not None:
             self._travelled += (self._last.inverse() @ map_from_base).distance
         self._last = map_from_base
         before = self._kept[-1][1] if self._kept else None
         if not moved(before, map_from_base, _VIRTUAL_SPACING_M, _VIRTUAL_SPACING_RAD):
-            return
+            return False
         placed = (map_from_base @ base_from_laser).apply(scan().hits(VIRTUAL_RANGE_M))
         self._kept.append((self._travelled, map_from_base, placed))
         while self._kept[0][0] < self._travelled - WINDOW_M:
             self._kept.popleft()
+        return True
 
     def scan(self, stamp_ns: int, map_from_laser: Pose2, share: float = 1.0) -> PlanarScan:
         """The virtual scan seen from `map_from_laser`: the nearest return at each bearing.

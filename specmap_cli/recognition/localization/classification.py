@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -65,20 +65,21 @@ class BeamSampler:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClassifiedScan:
-    """What is said of one scan, and of the virtual one of the window before it.
+    """What is said of one scan, and of the last virtual one of the window before it.
 
     `raw` (m,) log probabilities of the submaps by the single scan, `margins` (m,) its votes, `all`
     (m,) log probabilities with the virtual scan; `strange` is how little it looks like any place of
     the map: above one where nothing fits, -inf when not known.
     `seen` is what is matched with walls: the scan of a laser that sees all round, else the virtual
-    one; `shown` in [0, 1] is how much of the robot's surroundings the virtual one holds.
+    one, where it was taken; `shown` in [0, 1] is how much of the robot's surroundings the virtual
+    one holds.
     """
 
     margins: FloatArray
     raw: FloatArray
     all: FloatArray
     strange: float
-    seen: PlanarScan
+    seen: PosedScan
     shown: float
 
 
@@ -93,6 +94,8 @@ class ScanClassifier:
         self.config = config
         self._calibration = classifiers.calibration or Calibration()
         self._recent = RecentScans()
+        self._windows: list[PosedScan] = []  # the last virtual scan, as long as there is one
+        self._said = np.zeros((0, len(classifiers.ids) + 1))  # of it: its margins, how strange
         self._sampler: BeamSampler | None = None
         self.note = ""
 
@@ -109,32 +112,24 @@ class ScanClassifier:
         resampled = [self._sampler.apply(posed.planar) for posed in scans]
         features = scans_features(resampled, raw.feature_set)
         margins, strange = raw.margins(features), raw.strangeness(features)
-        alone = self._calibration.alone(margins)
+        alone = both = self._calibration.alone(margins)
+        seen, shown = list(scans), [1.0] * len(scans)
         virtual = self.classifiers.virtual
-        if virtual is None or not self.config.virtual:
-            both, shown = alone, [1.0] * len(scans)
-            seen = [posed.planar for posed in scans]
-        else:
-            # what a full circle would have seen from each, of the last metres; how full these are
-            windows, filled = list[PlanarScan](), list[float]()
-            for posed in scans:
-                if posed.restarted:  # this pose has nothing to do with the last one
-                    self._recent.clear()
-                if not posed.lost:
-                    scan = partial(getattr, posed, "planar")
-                    self._recent.add(posed.map_from_base, posed.base_from_laser, scan)
-                windows.append(self._recent.scan(posed.stamp_ns, posed.map_from_laser))
-                filled.append(self._recent.filled)
-            features = scans_features(windows, virtual.feature_set)
-            both = self._calibration.together(margins, virtual.margins(features))
+        if virtual is not None and self.config.virtual:
+            of_window, shown = self._driven(scans)
+            features = scans_features(
+                (window.planar for window in self._windows[len(self._said) :]), virtual.feature_set
+            )
+            new = np.column_stack([virtual.margins(features), virtual.strangeness(features)])
+            said = np.vstack([self._said, new])[of_window]
+            both = self._calibration.together(margins, said[:, :-1])
             if virtual.familiarity is not None:
-                strange = virtual.strangeness(features)
-            view = self.classifiers.sensor.field_of_view / (2.0 * math.pi)
-            shown = [max(share, view) for share in filled]
+                strange = said[:, -1]
             seen = [
-                posed.planar if posed.planar.full_circle else window
-                for posed, window in zip(scans, windows, strict=True)
+                posed if posed.planar.full_circle else self._windows[k]
+                for posed, k in zip(scans, of_window, strict=True)
             ]
+            self._windows, self._said = self._windows[-1:], said[-1:]
         return [
             ClassifiedScan(
                 margins=margins[k],
@@ -146,3 +141,25 @@ class ScanClassifier:
             )
             for k in range(len(scans))
         ]
+
+    def _driven(self, scans: Sequence[PosedScan]) -> tuple[list[int], list[float]]:
+        """The number of each scan's virtual one, and how much of the surroundings this holds.
+
+        It is what a full circle would have seen of the last metres, from where the last scan was
+        added to these: in between nothing new is seen.
+        """
+        of_window, shown = list[int](), list[float]()
+        view = self.classifiers.sensor.field_of_view / (2.0 * math.pi)
+        for posed in scans:
+            if posed.restarted:  # this pose has nothing to do with the last one
+                self._recent.clear()
+            scan = partial(getattr, posed, "planar")
+            added = not posed.lost and self._recent.add(
+                posed.map_from_base, posed.base_from_laser, scan
+            )
+            if added or posed.restarted or not self._windows:
+                window = self._recent.scan(posed.stamp_ns, posed.map_from_laser)
+                self._windows.append(replace(posed, planar=window))
+            of_window.append(len(self._windows) - 1)
+            shown.append(max(self._recent.filled, view))
+        return of_window, shown

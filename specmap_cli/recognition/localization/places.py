@@ -18,7 +18,7 @@ import numpy as np
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2, inverse3, moved, product, wrap_angle
-from specmap_cli.core.records import PlanarScan, PosedScan
+from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.matching import refine
 from specmap_cli.grids.score_field import Sample, ScoreField
@@ -171,7 +171,7 @@ class WeighedPlaces:
         self._scans, self._wait = 0, 1  # since the last search, and until one without motion
         self.front = 0.0  # share of the last view that is somebody, where one fits
 
-    def see(self, posed: PosedScan, seen: PlanarScan, belief: FloatArray) -> float | None:
+    def see(self, posed: PosedScan, seen: PosedScan, belief: FloatArray) -> float | None:
         """Weigh all places by one more scan: log likelihood of unknown, None where nothing is told.
 
         Places count by their chances before it; `belief` (m,) are those of the submaps by the

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, travelled, wrap_angle
-from specmap_cli.core.records import NO_SUBMAP, BoolArray, IntArray, PlanarScan, PosedScan
+from specmap_cli.core.records import NO_SUBMAP, BoolArray, IntArray, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import (
     FREE,
@@ -78,11 +78,12 @@ class View:
     own: FloatArray
 
     @classmethod
-    def of(cls, posed: PosedScan, seen: PlanarScan) -> View | None:
-        """The view of a scan, of which all that was `seen` of late; None if it shows too little."""
-        laser = posed.base_from_laser
-        own = laser.apply(near_returns(posed.planar, FIT_RANGE_M))
-        points = own if seen is posed.planar else laser.apply(near_returns(seen, FIT_RANGE_M))
+    def of(cls, posed: PosedScan, seen: PosedScan) -> View | None:
+        """The view of a scan, with all that was `seen` of late; None if it shows too little."""
+        points = own = posed.base_from_laser.apply(near_returns(posed.planar, FIT_RANGE_M))
+        if seen is not posed:
+            then = posed.map_from_base.inverse() @ seen.map_from_laser
+            points = then.apply(near_returns(seen.planar, FIT_RANGE_M))
         return None if posed.lost or len(points) < _LEAST_POINTS else cls(posed, points, own)
 
 

@@ -28,7 +28,7 @@ BEARINGS = np.radians(np.arange(-90.0, 90.0))
 
 def view_of(scan: PosedScan, seen: PlanarScan | None = None) -> View:
     """What is matched of a scan, of which `seen` is all that was seen of late."""
-    found = View.of(scan, scan.planar if seen is None else seen)
+    found = View.of(scan, scan if seen is None else replace(scan, planar=seen))
     assert found is not None
     return found
 
@@ -159,10 +159,11 @@ def test_returns_where_the_map_saw_nothing_count_less_and_lost_or_empty_scans_sa
         said.append(half._off_walls(points, scan.map_from_base)[0])
     assert said == sorted(said)
     assert said[0] < 0.1 < said[2]
-    assert View.of(replace(scan, lost=True), scan.planar) is None
+    assert View.of(replace(scan, lost=True), scan) is None
     ranges = scan.planar.ranges
     few = replace(scan.planar, ranges=np.where(np.arange(len(ranges)) < 9, ranges, np.inf))
-    assert View.of(replace(scan, planar=few), few) is None
+    shows_little = replace(scan, planar=few)
+    assert View.of(shows_little, shows_little) is None
 
 
 def test_a_place_is_of_the_submap_whose_cell_it_is_or_of_the_nearest() -> None:

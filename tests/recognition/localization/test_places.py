@@ -76,7 +76,7 @@ class Home:
 
     def show(self, scan: PosedScan, belief: FloatArray = EVEN) -> FloatArray:
         """The same of a scan that is there."""
-        self.told = self.places.see(scan, scan.planar, belief)
+        self.told = self.places.see(scan, scan, belief)
         self.lead = self.places.follow(scan, belief)
         return self.places.mixed(belief)
 
@@ -212,9 +212,9 @@ def test_what_fits_is_not_sought_and_elsewhere_ever_more_rarely_standing_and_by_
     ]
     found = WeighedPlaces(known, [0], LocalizationConfig())
     for scan in scans[:1] * 5:
-        found.see(scan, scan.planar, np.ones(1))
+        found.see(scan, scan, np.ones(1))
     assert len(searches) == 1
-    said = [found.see(scan, scan.planar, np.ones(1)) is None for scan in scans[1:]]
+    said = [found.see(scan, scan, np.ones(1)) is None for scan in scans[1:]]
     assert said == [True, True, True, False] * 2, "but after some motion it is looked at again"
     assert len(searches) == 1
     foreign = np.random.default_rng(1).uniform(1.0, 5.0, len(scans[0].planar.ranges))
@@ -223,7 +223,8 @@ def test_what_fits_is_not_sought_and_elsewhere_ever_more_rarely_standing_and_by_
         planar = replace(scans[0].planar, ranges=foreign)
         for k in range(32):
             before = len(searches)
-            elsewhere.see(posed(planar, Pose2(step_m * k, 0.0, 0.0)), planar, np.ones(1))
+            scan = posed(planar, Pose2(step_m * k, 0.0, 0.0))
+            elsewhere.see(scan, scan, np.ones(1))
             asked += [k] * (len(searches) > before)
         assert asked == sought
 
@@ -237,7 +238,7 @@ class Walk:
         along = [start @ Pose2(way.x * t, way.y * t, 0.1 * t) for t in shares]
         self.scans: list[PosedScan] = building.posed(np.array(along))
         self.places = WeighedPlaces(walls_of(building.plan), [0], LocalizationConfig())
-        self.places.see(self.scans[0], self.scans[0].planar, np.ones(1))
+        self.places.see(self.scans[0], self.scans[0], np.ones(1))
 
     def locate(self, scan: PosedScan) -> Place | None:
         """The place that leads, at a scan."""
