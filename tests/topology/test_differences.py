@@ -219,7 +219,7 @@ def test_the_frame_of_the_new_map_does_not_matter(x: float, y: float, turn: floa
     old = pictured(HOUSE)
     side = 200
     cells = np.argwhere(np.ones((side, side), dtype=bool))
-    canvas = GridMap(np.full((side, side), UNKNOWN, dtype=np.uint8), COARSE_M, (-10.0, -10.0))
+    canvas = GridMap(np.full((side, side), UNKNOWN, dtype=np.uint8), COARSE_M, (-10.013, -10.027))
     places = old_from_new.apply(canvas.centres_of(cells))
     inside = old.grid.inside(old.grid.cells_of(places))
     owner = np.full((side, side), NOBODY)

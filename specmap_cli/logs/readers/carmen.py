@@ -50,7 +50,8 @@ _NUMBER = tuple(bytes([byte]) for byte in b"-0123456789")  # what one begins wit
 _PARTS = (b"LASER", b"ODOM")  # one of them is in each keyword
 _KEYWORD_BYTES = 12  # of the longest keyword and what ends it
 _FLASER_RANGE_MAX_M = 80.0  # lines do not say: the SICK LMS of these logs gives 81.83 for no return
-_SENSOR = re.compile(rb"\w*(?:LASER|SONAR|BUMPER)\w*")  # keywords of lines that tell of one
+_KEYWORD = re.compile(rb"[A-Z]\w*")  # what one looks like
+_MOST_KEYWORDS = 1000  # of a log, that are not read
 _FLASER_TAIL = 9  # words behind the ranges: two poses, a stamp, the host, a stamp
 _END = [True] * 6 + [
     False,
@@ -115,18 +116,14 @@ def damaged_keyword(line: bytes) -> str | None:
 def lost_line(words: list[bytes]) -> str | None:
     """What was lost where a line has no keyword that is read, but the numbers of one that is.
 
-    It has the length of a laser's, or the end of a laser's or of odometry behind a comment, a
-    parameter, or what is left of a keyword: bytes were cut out across lines. None for lines of
-    other sensors and other messages, which may look alike.
+    It has the length of a laser's, or the end of a laser's or of odometry: behind what damage left
+    of a keyword, or behind a comment or a parameter if bytes were cut out across lines. So do lines
+    of other sensors.
     """
-    if len(words) < len(_END) or _SENSOR.fullmatch(words[0]):
+    if len(words) < len(_END):
         return None
     if _is_laser_length(words[1:]) or (words[0][:1].isdigit() and _is_laser_length(words)):
         return _SOME_LASER
-    name = words[0].rstrip(b"-.0123456789")
-    cut = any(keyword.startswith(name) and keyword != name for keyword in _KEYWORDS)
-    if name.isalpha() and name.isupper() and not cut and name != b"PARAM":
-        return None
     numeric = [_is_number(word) for word in words[-len(_END) :]]
     return _SOME_LINE if numeric == _END else None
 
@@ -358,8 +355,12 @@ class CarmenFile(Recording):
                 yield Message(line.topic, LASER_SCAN, stamp_ns, data)
 
     def _lines(self) -> Iterator[CarmenLine]:
-        """The lines that carry data; one that cannot be parsed is reported and left out."""
+        """The lines that carry data; one that cannot be parsed is reported and left out.
+
+        Lines of other sensors come again and again. So a keyword that comes once is damaged.
+        """
         offset, number, last = 0, 0, 0
+        once = dict[bytes, str]()  # by keywords that are not read; empty for one that came again
         while True:
             try:
                 self._lines_of.seek(offset)
@@ -367,47 +368,58 @@ class CarmenFile(Recording):
             except OSError as error:
                 raise unreadable(self.path, error) from None
             if not text:
-                return
+                break
             offset += len(text)
             number += 1
-            line, lost = _read(text)
+            line, lost, other = _read(text)
             for what in lost:
-                self.report(
+                damage = (
                     f"line {number} (byte {offset - len(text)}) is damaged: "
-                    f"one {what} after {time_text(last)} is lost",
-                    {} if what in (_SOME_LASER, _SOME_LINE, _NO_TEXT) else {topic_of(what): 1},
+                    f"one {what} after {time_text(last)} is lost"
                 )
+                if other and (other in once or len(once) < _MOST_KEYWORDS):
+                    once[other] = "" if other in once else damage
+                    continue
+                unnamed = what in (_SOME_LASER, _SOME_LINE, _NO_TEXT)
+                self.report(damage, {} if unnamed else {topic_of(what): 1})
             if line is not None:
                 last = line.stamp_ns
                 yield line
+        for damage in filter(None, once.values()):
+            self.report(damage, {})
 
     def close(self) -> None:
         """Release the file."""
         self._lines_of.close()
 
 
-def _read(text: bytes) -> tuple[CarmenLine | None, list[str]]:
-    """What a line holds, None for nothing, and what of it is lost."""
+def _read(text: bytes) -> tuple[CarmenLine | None, list[str], bytes]:
+    """What a line holds, None for nothing, and what of it is lost.
+
+    And the keyword of another sensor's line, if it is one: then nothing is lost.
+    """
     keyword, words = keyword_of(text), text.split()
     lost: list[str] = []  # of lines whose line break was damaged
     if any(text.find(part, 1) >= 0 for part in _PARTS):  # much quicker than the pattern
         lost = [word.decode("ascii") for word in _INSIDE.findall(text, 1)]
     if (damaged := None if keyword else damaged_keyword(text)) is not None:
-        return None, [*lost, damaged]
-    if (unread := lost_line(words)) and not (lost and unread is _SOME_LINE):
-        return None, [*lost, unread]
+        return None, [*lost, damaged], b""
+    unread = lost_line(words) if keyword in (None, "ODOM") else None
+    if unread is _SOME_LASER or (unread and not keyword and not lost):
+        other = not lost and not keyword and _KEYWORD.fullmatch(words[0]) and words[0] != b"PARAM"
+        return None, [*lost, unread], words[0] if other else b""
     no_text = len(text.translate(None, _CONTROLS)) < len(text) and text.strip(b"\0\r\n")
     lost = lost or [_NO_TEXT] * bool(no_text)  # all zeros is padding
     if keyword is None:
-        return None, lost
+        return None, lost, b""
     if not text.endswith(b"\n") and text.endswith(words[-1]):
         words = words[:-1]  # it is cut: who knows what its end was
     if not lost and (end := _first_end(keyword, words)):
         words, lost = words[:end], [_SOME_LINE]
     try:
-        return parse_line(keyword, words), lost
+        return parse_line(keyword, words), lost, b""
     except (ValueError, IndexError):
-        return None, [*lost, keyword]
+        return None, [*lost, keyword], b""
 
 
 def _first_end(keyword: str, words: list[bytes]) -> int | None:

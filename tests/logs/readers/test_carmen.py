@@ -224,12 +224,24 @@ def test_a_keyword_that_lacks_a_byte_or_has_one_more_is_told(path: Path, word: s
     ]
 
 
+@pytest.mark.parametrize("line", [robotlaser(1.0), flaser(1.0), odom("1.0")])
+def test_a_line_whose_keyword_is_damaged_is_told(path: Path, line: str) -> None:
+    """Its keyword comes once, unlike another sensor's."""
+    for place in range(len(line.split()[0])):
+        for put, cut in (("", 1), ("", 2), ("7", 0), ("7", 1), (" ", 1), ("\n" * (place > 0), 1)):
+            damaged = line[:place] + put + line[place + cut :]
+            path.write_text(flaser(0.5) + damaged + flaser(1.5))
+            _, told = read_rest(path)
+            assert told, damaged
+            assert all("after 0.500 s is lost" in one for one in told), damaged
+
+
 def test_a_digit_of_a_keyword_that_is_a_letter_is_damage(path: Path) -> None:
     """Another digit is another laser."""
     path.write_text(
         flaser(0.5)
         + robotlaser(1.0).replace("SER1", "SERq")
-        + robotlaser(2.0).replace("SER1", "SER2")
+        + robotlaser(2.0).replace("SER1", "SER2") * 2
     )
     _, (told,) = read_rest(path)
     assert "one ROBOTLASER1 after 0.500 s is lost" in told
@@ -287,6 +299,9 @@ def test_a_laser_line_without_its_keyword_is_told(path: Path, line: str, word: s
     "line",
     [
         robotlaser(2.0).replace("SER1", "SER2"),
+        robotlaser(2.0).replace("SER1", "SER10"),
+        flaser(2.0, name="FLASER3"),
+        odom("2.0").replace("ODOM", "ODOM2"),
         robotlaser(2.0).replace("ROBOTLASER1", "RAWLASER1"),
         flaser(2.0, name="SONAR"),
         "IMU 0.1 0.2 9.8 1 0 0 0 0.2 0.3 2.0 nohost 2.0\n",
@@ -301,7 +316,8 @@ def test_a_laser_line_without_its_keyword_is_told(path: Path, line: str, word: s
     ],
 )
 def test_lines_of_other_kinds_are_no_damage(path: Path, line: str) -> None:
-    path.write_text(flaser(1.0) + line + odom("3.0"))
+    """They come again and again."""
+    path.write_text(flaser(1.0) + line + odom("3.0") + line)
     found, said = read_rest(path)
     assert [m.topic for m in found] == ["/tf_static", "/odom", "/flaser", "/odom"]
     assert said == []
