@@ -107,7 +107,7 @@ def test_a_flooded_cell_belongs_to_the_node_with_the_widest_way_to_it(seed: int)
     mine = np.take_along_axis(ways, np.maximum(flooded, 0)[None], axis=0)[0]
     step = 2.0 * clearance.max() / 126  # heights are rounded, and each step counts two of them
     worse = (flooded >= 0) & (mine < ways.max(axis=0) - step)
-    assert worse.mean() < 0.005  # where two fronts meet they stand a cell apart
+    assert worse.mean() < 0.02  # where two fronts meet they stand a cell apart, and shut thin ways
 
 
 @given(seed=seeds, rings=st.integers(1, 6))
