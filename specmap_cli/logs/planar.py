@@ -113,8 +113,8 @@ def _beams(layout: ScanLayout, upside_down: bool) -> _Beams:
 
 
 def covers_circle(beams: int, step: float) -> bool:
-    """Whether so many beams, an angle apart, look all around."""
-    return beams * abs(step) >= _FULL_CIRCLE - _MISSING_BEAMS * abs(step)
+    """Whether so many beams, an angle apart, look all around; one does not, whatever its angle."""
+    return beams > 1 and beams * abs(step) >= _FULL_CIRCLE - _MISSING_BEAMS * abs(step)
 
 
 def increment(layout: ScanLayout) -> float:

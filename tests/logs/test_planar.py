@@ -179,6 +179,13 @@ def test_scans_without_beams_or_angles_are_refused(bad: ScanRecord) -> None:
         levelled(bad)
 
 
+@pytest.mark.parametrize("step", [0.0, 6.2, -100.0])
+def test_one_beam_is_no_circle_whatever_its_increment(step: float) -> None:
+    found = levelled(record([2.0], 0.5, step))
+    assert not found.full_circle
+    assert found.bearings.tolist() == pytest.approx([0.5], abs=1e-6)
+
+
 def test_bearings_are_shared_between_scans_and_renewed_when_the_laser_changes() -> None:
     leveller = ScanLeveller(LEVEL)
     first, second = leveller.level(record([1.0, 2.0]), 5), leveller.level(record([2.0, 1.0]), 6)
