@@ -97,17 +97,19 @@ def narrowest(clearance: LengthArray, nodes: np.ndarray) -> FloatArray:
 
 
 @given(seed=seeds)
-@few(15)
+@few(3)
 def test_a_flooded_cell_belongs_to_the_node_with_the_widest_way_to_it(seed: int) -> None:
-    free = cluttered(seed)
-    clearance = np.round(clearance_of(free), 1)
-    nodes = sample_nodes(clearance, 19, 1.0, "clearest")
-    flooded = flood_labels(clearance, nodes, np.arange(len(nodes), dtype=np.int32))
-    ways = narrowest(clearance, nodes)
-    mine = np.take_along_axis(ways, np.maximum(flooded, 0)[None], axis=0)[0]
-    step = 2.0 * clearance.max() / 126  # heights are rounded, and each step counts two of them
-    worse = (flooded >= 0) & (mine < ways.max(axis=0) - step)
-    assert worse.mean() < 0.02  # where two fronts meet they stand a cell apart, and shut thin ways
+    """Where two fronts meet they stand a cell apart; in one world of many they shut a thin way."""
+    shares = []
+    for world in range(seed, seed + 5):
+        clearance = np.round(clearance_of(cluttered(world)), 1)
+        nodes = sample_nodes(clearance, 19, 1.0, "clearest")
+        flooded = flood_labels(clearance, nodes, np.arange(len(nodes), dtype=np.int32))
+        ways = narrowest(clearance, nodes)
+        mine = np.take_along_axis(ways, np.maximum(flooded, 0)[None], axis=0)[0]
+        step = 2.0 * clearance.max() / 126  # heights are rounded, and each step counts two of them
+        shares.append(np.mean((flooded >= 0) & (mine < ways.max(axis=0) - step)))
+    assert np.median(shares) < 0.003
 
 
 @given(seed=seeds, rings=st.integers(1, 6))
