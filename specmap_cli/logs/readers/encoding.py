@@ -40,7 +40,7 @@ NS_PER_S = 1_000_000_000
 @cache
 def typestore() -> Typestore:
     """The store of ROS 2 types, with the generated codecs."""
-    return get_typestore(Stores.ROS2_HUMBLE)
+    return get_typestore(Stores.ROS2_DASHING)
 
 
 def message_class(name: str) -> Any:
