@@ -10,6 +10,7 @@ import numpy as np
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, compose, invert
+from specmap_cli.core.process import give_memory_back
 from specmap_cli.core.records import Closure, IntArray, PosedScan, Trajectory
 from specmap_cli.grids.gridmap import PackedGrid
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
@@ -75,6 +76,7 @@ class Exploration:
             self.regions[region.number] = list(region.keyframes)
             with self.session.clock.stage("recognition"):
                 self._accept(self.closer.consider(self._stay(region.number)))
+                give_memory_back()
 
     def recognise_again(self) -> None:
         """Regions that the robot came straight back to have grown since they were compared.

@@ -13,6 +13,7 @@ import numpy as np
 
 from specmap_cli.core.errors import NoResultError
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angles
+from specmap_cli.core.process import give_memory_back
 from specmap_cli.core.records import Closure, IntArray, Labels
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import legible
@@ -125,6 +126,7 @@ def _drawn(session: Session, layout: Layout) -> tuple[GridMap, int, LabelArray |
         counts = integrate_keyframes(store, range(len(store)), layout.poses, config.grid)
         whole, beyond = counts.snapshot(), counts.refused
         del counts  # of a large building they are most of the memory
+        give_memory_back()
     if not whole.cells.size:
         raise NoResultError(
             "no scan fits into the largest grid allowed: nothing to map",

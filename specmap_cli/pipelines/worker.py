@@ -28,6 +28,7 @@ from typing import Any, Generic, TypeVar
 import cv2
 
 from specmap_cli.core.errors import INTERRUPTED, MEMORY, InputError, SpecmapError
+from specmap_cli.core.process import give_memory_back
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -92,6 +93,7 @@ def ahead(produce: Callable[[], Generator[Item, None, Result]]) -> Iterator[Ahea
         with _held_signals(), warnings.catch_warnings():
             # Python 3.12 warns of other threads: of a progress bar's, whose locks the child avoids
             warnings.simplefilter("ignore", DeprecationWarning)
+            give_memory_back()
             gc.freeze()  # a collection in the child would make it a copy of every page of objects
             child.start()
             gc.unfreeze()
