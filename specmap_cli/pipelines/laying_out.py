@@ -58,6 +58,7 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
     """
     store, config = session.store, session.config
     session.progress.start("layout", None)
+    give_memory_back()
     with session.clock.stage("layout"):
         constraints = constraints_of(explored.closures, explored.regions, store)
         layout = relax(store, tuple(constraints.values()), explored.breaks, config.relaxation)
@@ -134,7 +135,9 @@ def _drawn(session: Session, layout: Layout) -> tuple[GridMap, int, LabelArray |
             mark=";",
         )
     with session.clock.stage("segmentation"):
-        return whole, beyond, division_of(whole, layout, config)
+        division = division_of(whole, layout, config)
+    give_memory_back()
+    return whole, beyond, division
 
 
 def division_of(whole: GridMap, layout: Layout, config: Config) -> LabelArray | None:

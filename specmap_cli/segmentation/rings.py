@@ -7,7 +7,7 @@ import numpy as np
 from scipy import ndimage
 
 from specmap_cli.core.records import IntArray
-from specmap_cli.grids.gridmap import BoolArray, looked_up
+from specmap_cli.grids.gridmap import BoolArray, bands_of, looked_up
 from specmap_cli.segmentation.cells import spread_labels
 from specmap_cli.segmentation.visibility import LabelArray
 
@@ -22,8 +22,9 @@ def without_rings(labels: LabelArray) -> LabelArray:
     sides = labels.copy()
     for label, window in enumerate(ndimage.find_objects(labels + 1)):
         region = np.pad(labels[window] == label, 1)
-        beyond = (~region).astype(np.uint8)
+        beyond = (~region).view(np.uint8)
         _, around, stats, _ = cv2.connectedComponentsWithStats(beyond, connectivity=4)
+        del beyond
         cuts, size = np.zeros_like(region), stats[:, cv2.CC_STAT_AREA]
         for number, (left, top, wide, high, _) in enumerate(stats.tolist()):
             if number not in (0, around[0, 0]):
@@ -35,20 +36,21 @@ def without_rings(labels: LabelArray) -> LabelArray:
         cuts &= region
         if not cuts.any():
             continue
-        del around, beyond
+        del around
         rest = (region & ~cuts).view(np.uint8)
         pieces, piece, stats, _ = cv2.connectedComponentsWithStats(rest, connectivity=8)
-        near = cv2.dilate(cuts.view(np.uint8), _BESIDE) & rest
-        beside = np.unique(piece[near > 0])
+        beside = np.unique(piece[(cv2.dilate(cuts.view(np.uint8), _BESIDE) & rest).view(np.bool_)])
         scrap = stats[beside, cv2.CC_STAT_AREA] <= np.count_nonzero(cuts)
         names = np.full(pieces, label, dtype=sides.dtype)
         names[beside[scrap]] = -1
         more = beside[~scrap][1:]
         names[more] = count + np.arange(len(more))
         count += len(more)
-        named = looked_up(names, piece)
-        named[cuts] = -1
-        np.copyto(sides[window], named[1:-1, 1:-1], where=region[1:-1, 1:-1])
+        names[0] = -1  # the cuts, of all that is of the region
+        inner = slice(1, -1), slice(1, -1)
+        for rows in bands_of(sides[window].shape):
+            own = region[inner][rows]
+            sides[window][rows][own] = names[piece[inner][rows][own]]
     spread_labels(sides, labels >= 0)
     return sides
 

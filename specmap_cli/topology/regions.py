@@ -174,6 +174,7 @@ def _small(most: int) -> type[np.signedinteger[Any]]:
 
 _CROSS = np.array([(0, 0), (-1, 0), (1, 0), (0, -1), (0, 1)])
 _SLACK = 0.01  # cells: less than from one distance to the next where a robot has hardly room
+_NEARLY = 1e-5  # cells: less than from one distance to the next, more than a rounding
 _CELL = 0.7072  # of the side of a cell: from its centre to its corner, and no less
 
 
@@ -258,6 +259,10 @@ class Space:
         inside -= 0.5
         np.maximum(inside, 0.0, out=inside)
         return np.asarray(np.multiply(inside, self.grid.resolution, out=inside))
+
+    def away_for(self, clearance_m: float) -> float:
+        """From how many cells `away` on a free cell has so much clearance."""
+        return clearance_m / self.grid.resolution + 0.5 - _NEARLY
 
     def place(self, cell: FloatArray | IntArray) -> tuple[float, float]:
         """x and y in the map of a row and a column, which may have fractions."""

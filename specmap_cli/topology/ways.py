@@ -183,18 +183,22 @@ def anchors_of(
     railing or glass.
     """
     anchors = {}
+    wide, comfortable = space.away_for(radius_m), space.away_for(radius_m + margin_m)
     for submap, window in windows_of(space.owner).items():
-        mine, room = space.owner[window] == submap, space.clearance(window)
-        wide = mine & (room >= radius_m)
-        roomy = wide if wide.any() else mine
+        mine, away = space.owner[window] == submap, space.away[window]
+        first = [part.start for part in window]
+        roomy = mine & (away >= wide)
+        if not roomy.any():
+            roomy = mine
         count, parts, stats, _ = cv2.connectedComponentsWithStats(
-            roomy.astype(np.uint8), connectivity=4
+            roomy.view(np.uint8), connectivity=4
         )
-        here = stood - [part.start for part in window]
-        here = here[((here >= 0) & (here < mine.shape)).all(axis=1)]
+        here = stood - first
+        here = here[((here >= 0) & (here < roomy.shape)).all(axis=1)]
         often, size = np.bincount(parts[tuple(here.T)], minlength=count), stats[:, cv2.CC_STAT_AREA]
         size[0] = often[0] = -1
         piece = np.asarray(parts == np.lexsort([size, often])[-1])
+        del mine, roomy, parts
         near = np.zeros_like(piece)  # where the robot stood; all counts where it never did
         near[tuple(here.T)] = piece[tuple(here.T)]
         if near.any():  # ways within the piece, as long as around an octagon: at most a tenth off
@@ -202,12 +206,15 @@ def anchors_of(
                 square = _SQUARE if step % 2 else _CROSS
                 near = piece & (cv2.dilate(near.astype(np.uint8), square) > 0)
             piece = near
-        most = float(room[piece].max())
-        cells = np.argwhere(piece & (room >= min(radius_m + margin_m, most)))
-        middle = np.argwhere(piece).mean(axis=0)
-        cell = cells[np.argmin(np.sum((cells - middle) ** 2, axis=1))]
-        row, column = (cell + [window[0].start, window[1].start]).tolist()
-        anchors[submap] = Anchor((row, column), float(room[tuple(cell)]))
+        middle = [
+            np.average(np.arange(side), weights=np.count_nonzero(piece, axis=axis))
+            for side, axis in zip(piece.shape, (1, 0), strict=True)
+        ]
+        rows, columns = np.nonzero(piece & (away >= min(comfortable, float(away[piece].max()))))
+        best = int(np.argmin((rows - middle[0]) ** 2 + (columns - middle[1]) ** 2))
+        cell = np.array([[rows[best], columns[best]]]) + first
+        row, column = cell[0].tolist()
+        anchors[submap] = Anchor((row, column), float(space.clearance(tuple(cell.T))[0]))
     return anchors
 
 
