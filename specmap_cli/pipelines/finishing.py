@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from specmap_cli.core.findings import Quality, summary
+from specmap_cli.core.process import give_memory_back
 from specmap_cli.drawing.overview import render_overview
 from specmap_cli.logs.selection import Selection
 from specmap_cli.maps import filenames
@@ -39,6 +40,7 @@ def finish(
     laid, skipped = with_borders(laid)
     labels, starts, stamps_ns = laid.labels, laid.starts, laid.labels.stamps_ns.tolist()
     learned = learn(session, labels.submaps, labels.poses, prior, starts)
+    give_memory_back()
     with session.clock.stage("ways"):
         linked = build_topology(
             labels=labels.submaps,

@@ -148,7 +148,7 @@ def _divided(
     first, graph, spectrum = _placement(clearance, space, cell_m, config, block, 0)
     cells = np.full(space.shape, -1, dtype=np.int16)
     cells[space] = consensus([first, *others])  # step 3
-    del first, others
+    del first, others, space
     if config.merge:  # step 4
         cells = without_rings(cells)
         least, alcove = config.clearance_m / cell_m, _ALCOVE_M2 / cell_m**2

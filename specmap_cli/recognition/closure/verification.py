@@ -60,13 +60,14 @@ ImageArray = NDArray[np.float32]
 class KnownArea:
     """What a grid knows of each cell, of `resolution` metres from `origin`.
 
-    `wall_distance` and `depth` (H, W) metres to the nearest wall and to the nearest cell that is
-    not free; `known` (H, W) whether it was seen, or lies next to what was.
+    `known` (H, W) whether it was seen, or lies next to what was; `at_wall` (H, W) whether it is so
+    near a wall that another grid's wall agrees there, `open` (H, W) whether one contradicts: it is
+    far from walls, and deep in free space.
     """
 
-    wall_distance: ImageArray
-    depth: ImageArray
     known: BoolArray
+    at_wall: BoolArray
+    open: BoolArray
     resolution: float
     origin: tuple[float, float]
 
@@ -108,13 +109,13 @@ def prepared(grid: GridMap) -> PreparedGrid | None:
     margin = max(1, round(_INLIER_M / grid.resolution))
     seen = (grid.cells != UNKNOWN).astype(np.uint8)
     known = cv2.dilate(seen, np.ones((2 * margin + 1, 2 * margin + 1), dtype=np.uint8))
-    distances = []  # metres from each cell inside to the nearest outside
-    for inside in (~grid.occupied, grid.free):
-        metres = np.full(inside.shape, NO_OBSTACLE_M, dtype=np.float32)
-        if not inside.all():
-            cells = cv2.distanceTransform(inside.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
-            metres = np.asarray(cells * np.float32(grid.resolution), dtype=np.float32)
-        distances.append(metres)
+    # distances are of whole cells: no limit is finer than they can tell
+    cell, from_wall = grid.resolution, _metres_within(~grid.occupied, grid.resolution)
+    at_wall = from_wall <= max(_INLIER_M, _INLIER_CELLS * cell)
+    open_ = from_wall > max(_CONTRADICTION_M, _CONTRADICTION_CELLS * cell)
+    del from_wall
+    depth = _metres_within(grid.free, cell)
+    open_ &= depth > max(_CONTRADICTION_DEPTH_M, _INLIER_CELLS * cell)
     return PreparedGrid(
         grid=grid,
         sigma_m=max(_MATCH_SIGMA_M, grid.resolution),
@@ -122,13 +123,21 @@ def prepared(grid: GridMap) -> PreparedGrid | None:
         metres_a_point=metres_a_point,
         direction=wall_direction(grid),
         area=KnownArea(
-            wall_distance=distances[0],
-            depth=distances[1],
-            known=np.asarray(known > 0),
+            known=known.view(np.bool_),
+            at_wall=at_wall,
+            open=open_,
             resolution=grid.resolution,
             origin=grid.origin,
         ),
     )
+
+
+def _metres_within(inside: BoolArray, resolution: float) -> ImageArray:
+    """(H, W) metres from each cell `inside` to the nearest one outside; NO_OBSTACLE_M for none."""
+    if inside.all():
+        return np.full(inside.shape, NO_OBSTACLE_M, dtype=np.float32)
+    cells = cv2.distanceTransform(inside.view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
+    return np.asarray(cells * np.float32(resolution), dtype=np.float32)
 
 
 def walls_of(grid: GridMap) -> tuple[FloatArray, float]:
@@ -291,15 +300,8 @@ def agreement(area: KnownArea, points: FloatArray) -> Agreement:
     columns, rows = columns[known], rows[known]
     if not len(rows):
         return Agreement(0.0, 0.0, 0.0, 0)
-    distance, depth = area.wall_distance[rows, columns], area.depth[rows, columns]
-    # distances are of whole cells: no limit is finer than they can tell
-    cell = area.resolution
-    inliers = int(np.count_nonzero(distance <= max(_INLIER_M, _INLIER_CELLS * cell)))
-    off = distance > max(_CONTRADICTION_M, _CONTRADICTION_CELLS * cell)
-    contradicted = off & (depth > max(_CONTRADICTION_DEPTH_M, _INLIER_CELLS * cell))
+    inliers = int(np.count_nonzero(area.at_wall[rows, columns]))
+    contradicted = int(np.count_nonzero(area.open[rows, columns]))
     return Agreement(
-        len(rows) / len(points),
-        inliers / len(rows),
-        float(np.count_nonzero(contradicted)) / len(rows),
-        inliers,
+        len(rows) / len(points), inliers / len(rows), contradicted / len(rows), inliers
     )

@@ -141,11 +141,11 @@ def cast_samples(
         if len(before.keyframes):
             samples[i] = before.rows(np.arange(min(count, len(before.keyframes))))
             continue
-        cells = np.argwhere(grids[i].clearance() > _AUGMENTATION_CLEARANCE_M)
+        cells = np.flatnonzero(grids[i].clearance() > _AUGMENTATION_CLEARANCE_M)
         drawn = np.zeros((0, 2))
         if len(cells) and count:
-            chosen = rng.integers(len(cells), size=_DRAWS * count)
-            drawn = grids[i].centres_of(cells[chosen])
+            chosen = cells[rng.integers(len(cells), size=_DRAWS * count)]
+            drawn = grids[i].centres_of(np.column_stack(divmod(chosen, grids[i].cells.shape[1])))
         map_from_submap = Pose2(*poses[submaps[i][0]].tolist())
         distance, nearest = tree.query(map_from_submap.apply(drawn))
         near = (distance < _AUGMENTATION_REACH_M) & (owner[tracked][nearest] == i)
