@@ -18,7 +18,7 @@ from specmap_cli.core.geometry import FloatArray, step_lengths
 from specmap_cli.drawing.canvas import Canvas, fitting_height, text_width
 from specmap_cli.drawing.palette import BORDER, INK, PAPER, QUIET, SEEN, Colour
 from specmap_cli.drawing.symbols import Legend, Symbol
-from specmap_cli.grids.gridmap import FREE, UNKNOWN, BoolArray, GridMap, window_of
+from specmap_cli.grids.gridmap import FREE, UNKNOWN, BoolArray, GridMap, looked_up, window_of
 from specmap_cli.topology.regions import NOBODY, OwnerArray, Regions
 
 # Pixels, chosen by eye for a picture that fills a page or a screen.
@@ -109,8 +109,8 @@ class Sheet:
         grid, owner = _at_most_a_pixel_each(regions, self.pixels_per_m)
         table = np.full((max([int(owner.max(initial=0)), *fills]) + 2, 3), SEEN, dtype=np.uint8)
         for id_, fill in fills.items():
-            table[id_ + 1] = fill
-        colours = table[owner + 1]
+            table[id_] = fill
+        colours = looked_up(table, owner)  # the last is that of nobody, -1
         colours[grid.cells != FREE] = PAPER
         inside = slice(TITLE, TITLE + self.map_height)
         painted = self._to_scale(colours, grid, PAPER)

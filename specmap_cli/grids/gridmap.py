@@ -208,11 +208,11 @@ def joined(cells: BoolArray, seeds: BoolArray) -> BoolArray:
 
 
 def looked_up(table: NDArray[_Value], numbers: NDArray[Any]) -> NDArray[_Value]:
-    """(H, W) the value in a table (n,) of each of the `numbers` (H, W), some rows at once.
+    """(H, W, ...) the entry in a table (n, ...) of each of the `numbers` (H, W), some rows at once.
 
     All at once they would be copied to eight bytes each.
     """
-    found = np.empty(numbers.shape, dtype=table.dtype)
+    found = np.empty(numbers.shape + table.shape[1:], dtype=table.dtype)
     for rows in bands_of(numbers.shape):
         found[rows] = table[numbers[rows]]
     return found
