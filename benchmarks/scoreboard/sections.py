@@ -40,6 +40,7 @@ SECTIONS = (
     Section("damaged", "Damaged inputs", f"{_REAL}.damaged", ("damaged",)),
     Section("plans", "Drawn plans", f"{_SIMULATED}.plans", ("rooms",), quick=True),
     Section("tours", "Whole maps of simulated tours", f"{_SIMULATED}.tours", ("rooms",)),
+    Section("scale", "Large buildings, simulated", f"{_COST}.scale", ("rooms",)),
     Section("online", "Splitting on the way", f"{_SIMULATED}.online", ("rooms",), quick=True),
     Section(
         "revisits", "Loop closures, simulated", f"{_SIMULATED}.revisits", ("rooms",), quick=True
@@ -58,6 +59,5 @@ SECTIONS = (
     Section("using", "Cost of using it", f"{_COST}.using", ("cold",), quick=True, timed=True),
     Section("weight", "Weight of the tree", f"{_COST}.weight", quick=True),
     Section("gate", "The gate", f"{_COST}.gate", timed=True),
-    Section("scale", "Large buildings", f"{_COST}.scale", ("rooms",), long=True),
     Section("batches", "Batches", "benchmarks.batches.batch", long=True),
 )
