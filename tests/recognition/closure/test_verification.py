@@ -273,6 +273,8 @@ def test_walls_agree_beside_walls_and_contradict_deep_in_free_space() -> None:
     cells[20, 5:35] = OCCUPIED
     whole = ready(GridMap(cells, 0.05))
     assert whole.area.known.all()
+    assert whole.area.open[:10].all()  # the border of the grid is no end of free space
+    assert not whole.area.open[15:26, 5:35].any()
 
 
 @pytest.mark.parametrize(("inlier_m", "margin"), [(0.15, 3), (0.25, 5), (0.01, 1)])
