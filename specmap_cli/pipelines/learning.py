@@ -86,8 +86,8 @@ def learn(
 ) -> Learned:
     """What can be learned of the submaps (n,) of keyframes at `poses` (n, 3).
 
-    Recordings after the first one begin with the keyframes `starts`. What needs no grids is done
-    beside the drawing of these, and beside what needs them.
+    Recordings after the first one begin with the keyframes `starts`. What raw scans teach needs no
+    grids: it is learned beside the drawing of these, and beside what virtual scans teach.
     """
     config, submaps = session.config, submaps_of(labels)
     revisits = None
@@ -98,7 +98,7 @@ def learn(
     cast: OfSubmaps = {}
     virtual, of_virtual = None, None
     with ahead(
-        lambda: _without_grids(session, submaps, poses, prior, starts, raw_rng, revisits)
+        lambda: _of_raw_scans(session, submaps, poses, prior, starts, raw_rng, revisits)
     ) as meanwhile:
         session.progress.start("grids", len(session.store))
         with session.clock.stage("grids"):
@@ -106,15 +106,11 @@ def learn(
         session.progress.start("training", None)
         with session.clock.stage("training"):
             if config.localization.virtual:
-                cast = cast_samples(
-                    submaps,
-                    poses,
-                    grids,
-                    config.localization,
-                    virtual_rng,
-                    prior.training_data.cast,
+                data, virtually = prior.training_data, config.localization
+                cast = cast_samples(submaps, poses, grids, virtually, virtual_rng, data.cast)
+                along = _single(
+                    track_samples(session.store, submaps, poses, virtually, data.along, starts)
                 )
-                along = next(meanwhile)
                 virtual, of_virtual = train_and_test(
                     along, cast, poses, config, virtual_rng, revisits, virtual=True
                 )
@@ -147,7 +143,7 @@ def submap_grids(
     return grids
 
 
-def _without_grids(
+def _of_raw_scans(
     session: Session,
     submaps: Submaps,
     poses: FloatArray,
@@ -155,13 +151,12 @@ def _without_grids(
     starts: tuple[int, ...],
     rng: np.random.Generator,
     revisits: Revisits | None,
-) -> Generator[OfSubmaps, None, Taught]:
-    """The virtual scans along the track, if wanted; then what raw scans teach."""
-    store, config, data = session.store, session.config, prior.training_data
-    if config.localization.virtual:
-        yield _single(track_samples(store, submaps, poses, config.localization, data.along, starts))
+) -> Generator[None, None, Taught]:
+    """What raw scans teach; nothing is told on the way."""
+    yield from ()
+    store, config = session.store, session.config
     samples = raw_samples(store, submaps, config, prior.features, starts)
-    beside = augmented_samples(store, submaps, poses, config, rng, data.beside)
+    beside = augmented_samples(store, submaps, poses, config, rng, prior.training_data.beside)
     raw, held_out = train_and_test(samples, beside, poses, config, rng, revisits, virtual=False)
     misfit = held_out_misfit(store, submaps, poses)
     return raw, held_out, misfit, _single(samples), _single(beside)
