@@ -22,12 +22,15 @@ import numpy as np
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angles
 from specmap_cli.grids.matching import PRIOR_SIGMAS, Prior, within_ellipse
 from specmap_cli.layout.consistency import DRIFT_SHARE, Uncertainty, path_error
+from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.path_graph import (
     LOOP_EVERY_M,
     LOOP_PATH_M,
+    Bridge,
     Draft,
     Graph,
     RowPair,
+    graph_of,
     rows_every,
 )
 from specmap_cli.layout.pose_graph import Link, LinkArrays, errors
@@ -44,6 +47,7 @@ _NEWER_NODES = 3  # as PLACE_NODES, for the newer pass: its own drift must not b
 METRES_A_RADIAN = 0.7  # of distance that are as bad as a turn, for the overlap of two scans
 _NODES_A_LINK = 150  # a solution of more nodes costs more, and waits for more links
 _MOVED_M = 1.0  # a guess that moved this far is worth another search
+_FIRST_STRETCH, _STRETCH_GROWTH = 200, 1.2  # of the path while it is driven, in keyframes
 _NEWS = 1 / 3  # share of the least search by which a link must miss the draft to be news to it
 
 _WIDE_EVERY_M = 5.0  # path between searches as far as its error reaches
@@ -52,13 +56,40 @@ _LOST_TRIES, _LOST_EVERY = 8, 2  # searches for a part; nodes that show nearly t
 _MOST_ROWS = 80  # whose walls make one search: some 25 m of path, or every other of more
 
 
-def find_passes(graph: Graph, draft: Draft, walls: Walls, first: int = 0) -> Draft:
-    """The draft with the nearby passes that could be matched, solved again as they come in.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Search:
+    """A search for nearby passes along the path: what was found, and how far it has come.
 
-    Goes along the path, from row `first` on, but for parts that hang on the others by a guess only.
-    Nodes that the draft was matched at are asked again, but matched only when they moved. Links
-    that say what the draft says anyway are no reason to solve it.
+    It goes on at row `row`. The path was tied `tied_m` along it the last time, and is looked at
+    again from `due_m` on. `news` links say what the draft did not say when it was solved.
     """
+
+    draft: Draft
+    row: int
+    tied_m: float
+    due_m: float
+    news: int = 0
+
+    @classmethod
+    def begun(cls, graph: Graph, draft: Draft, first: int = 0) -> Search:
+        """A search from row `first` of a graph on."""
+        way_m = float(graph.path[first])
+        return cls(draft=draft, row=first, tied_m=way_m, due_m=way_m + LOOP_EVERY_M)
+
+
+def find_passes(graph: Graph, draft: Draft, walls: Walls, first: int = 0) -> Draft:
+    """The draft with the nearby passes from row `first` on, solved again as they come in."""
+    return searched(graph, Search.begun(graph, draft, first), walls, len(graph.nodes)).draft
+
+
+def searched(graph: Graph, search: Search, walls: Walls, end: int) -> Search:
+    """A search that has gone on along the path, up to row `end`.
+
+    Parts that hang on the others by a guess only are left out. Nodes that the draft was matched at
+    are asked again, but matched only when they moved. Links that say what the draft says anyway are
+    no reason to solve it.
+    """
+    draft, tied_m, due_m, news = search.draft, search.tied_m, search.due_m, search.news
     matched = dict(draft.matched)
     linked = {
         (graph.row[loop.source], graph.row[loop.target])
@@ -66,12 +97,11 @@ def find_passes(graph: Graph, draft: Draft, walls: Walls, first: int = 0) -> Dra
         if loop.kind == "nearby"
     }
     asked = {newer for _, newer in matched}
-    tied_m, news = float(graph.path[first]), 0
-    due_m = tied_m + LOOP_EVERY_M
     safe_m = 0.5 * LOOP_SEARCH_M / DRIFT_SHARE  # on it the path drifts by half of the least search
     renew_after = max(_SOLVE_EVERY, len(graph.nodes) // _NODES_A_LINK)
-    for node, way_m in enumerate(graph.path.tolist()):
-        if node < first or (way_m < due_m and node not in asked):
+    for node in range(search.row, end):
+        way_m = float(graph.path[node])
+        if way_m < due_m and node not in asked:
             continue
         due_m = way_m + LOOP_EVERY_M
         if int(graph.parts[node]) not in draft.tied:
@@ -92,7 +122,53 @@ def find_passes(graph: Graph, draft: Draft, walls: Walls, first: int = 0) -> Dra
             news += int(np.count_nonzero(np.hypot(*missed[:, :2].T) > _NEWS * LOOP_SEARCH_M))
         if news >= renew_after:
             draft, news = solved(graph, draft, roughly=True), 0
-    return replace(draft, matched=matched)
+    draft = replace(draft, matched=matched)
+    return Search(draft=draft, row=end, tied_m=tied_m, due_m=due_m, news=news)
+
+
+class PassesOnTheWay:
+    """The search for nearby passes of a path that is still driven, a stretch at a time.
+
+    A stretch ends where the path has grown by a share: each makes the graph anew.
+    """
+
+    def __init__(self, store: KeyframeStore) -> None:
+        self._store = store
+        self._known: dict[int, FloatArray] = {}
+        self._due = _FIRST_STRETCH
+        self._last: tuple[Graph, Walls, Search] | None = None
+
+    def go_on(self, breaks: Mapping[int, Bridge | None]) -> None:
+        """Search the path so far, if it has grown by enough; `breaks` are as in `graph_of`."""
+        if len(self._store) >= self._due:
+            self._due = math.ceil(_STRETCH_GROWTH * len(self._store))
+            # the walls around the last nodes have not all been seen
+            self._search(breaks, _NEWER_NODES + 1)
+
+    def ended(
+        self, breaks: Mapping[int, Bridge | None], ends: Collection[int]
+    ) -> tuple[Graph, Walls, Draft]:
+        """The graph of the whole path, with nodes at the `ends` of closures, and what was found."""
+        before, walls, search = self._search(breaks)
+        nodes = {*before.nodes.tolist(), *ends}
+        graph = graph_of(self._store, nodes, breaks, self._known)
+        return graph, walls.over(graph), search.draft.carried(before, graph)
+
+    def _search(
+        self, breaks: Mapping[int, Bridge | None], left: int = 0
+    ) -> tuple[Graph, Walls, Search]:
+        """Search the path so far, but for the `left` last nodes."""
+        graph = graph_of(self._store, (), breaks, self._known)
+        if self._last is None:
+            walls, draft = Walls(self._store, graph), Draft(poses=graph.poses)
+            search = Search.begun(graph, draft)
+        else:
+            before, walls, search = self._last
+            walls = walls.over(graph)
+            search = replace(search, draft=search.draft.carried(before, graph))
+        end = max(search.row, len(graph.nodes) - left)
+        self._last = graph, walls, searched(graph, search, walls, end)
+        return self._last
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

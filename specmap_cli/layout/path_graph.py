@@ -107,15 +107,19 @@ class Graph:
 
 
 def graph_of(
-    store: KeyframeStore, ends: Collection[int], breaks: Mapping[int, Bridge | None]
+    store: KeyframeStore,
+    ends: Collection[int],
+    breaks: Mapping[int, Bridge | None],
+    known: dict[int, FloatArray] | None = None,
 ) -> Graph:
     """The graph of a store's keyframes, with nodes at the `ends` of closures and at `breaks`.
 
     `breaks` are the keyframes at which tracking started afresh, and what is known of the motion.
+    `known` is as in `motion_links`.
     """
     fresh = {number: bridge for number, bridge in breaks.items() if number != 0}
     nodes = chosen_nodes(store.poses, {*ends, *fresh})
-    return Graph.of(store.poses, nodes, motion_links(store, nodes, fresh))
+    return Graph.of(store.poses, nodes, motion_links(store, nodes, fresh, known))
 
 
 def chosen_nodes(poses: FloatArray, always: Collection[int]) -> IntArray:
@@ -132,23 +136,26 @@ def chosen_nodes(poses: FloatArray, always: Collection[int]) -> IntArray:
 
 
 def motion_links(
-    store: KeyframeStore, nodes: IntArray, breaks: Mapping[int, Bridge | None]
+    store: KeyframeStore,
+    nodes: IntArray,
+    breaks: Mapping[int, Bridge | None],
+    known: dict[int, FloatArray] | None = None,
 ) -> tuple[Link, ...]:
     """Links from each of the keyframes `nodes` (M,) to the next, as tracked.
 
     Those that end in one of `breaks`, where tracking started afresh, are bridges, or loose where
-    nothing is known of the motion: a guess.
+    nothing is known of the motion: a guess. Who asks often keeps in `known` what the walls seen
+    from each keyframe tell of its place.
     """
     poses, ends = store.poses[nodes], nodes[1:].tolist()
     steps = [Pose2(*motion) for motion in compose(invert(poses[:-1]), poses[1:]).tolist()]
     guesses = np.diff(store.guessed_m[nodes], axis=0)
     back = compose(invert(poses[1:] * (0.0, 0.0, 1.0)), np.pad(guesses, ((0, 0), (0, 1))))
-    fisher = [
-        np.zeros((3, 3))
-        if end in breaks
-        else observability(store.points(end, MATCH_RANGE_M), _RANGE_NOISE_M)
-        for end in ends
-    ]
+    known = {} if known is None else known
+    for end in ends:
+        if end not in known:
+            known[end] = observability(store.points(end, MATCH_RANGE_M), _RANGE_NOISE_M)
+    fisher = [np.zeros((3, 3)) if end in breaks else known[end] for end in ends]
     informations = step_information(steps, np.array(fisher).reshape(-1, 3, 3), back[:, :2])
     links = []
     for k, (source, end) in enumerate(zip(nodes[:-1].tolist(), ends, strict=True)):
@@ -203,6 +210,17 @@ class Draft:
     loops: tuple[Link, ...] = ()
     tied: frozenset[int] = frozenset({0})
     matched: Mapping[RowPair, Pose2] = field(default_factory=dict)
+
+    def carried(self, before: Graph, graph: Graph) -> Draft:
+        """The draft, which is of the graph `before`, for one of the same path with more nodes.
+
+        These go with the node before them, as tracked. The last node of `before` may be gone.
+        """
+        rows = np.searchsorted(before.nodes, graph.nodes, side="right") - 1
+        since = compose(invert(before.poses[rows]), graph.poses)
+        row = [graph.row.get(number, -1) for number in before.nodes.tolist()]
+        matched = {(row[old], row[new]): guess for (old, new), guess in self.matched.items()}
+        return replace(self, poses=compose(self.poses[rows], since), matched=matched)
 
     def adding(self, links: Sequence[Link]) -> Draft:
         """The draft with some more loops, which have not moved it yet."""

@@ -19,8 +19,8 @@ from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.audit import Views
 from specmap_cli.layout.consistency import CLAIM_SLACK_M, Judgement, judge
-from specmap_cli.layout.passes import far_passes, find_passes
-from specmap_cli.layout.path_graph import Bridge, Draft, Ends, Graph, RowPair, graph_of
+from specmap_cli.layout.passes import PassesOnTheWay, far_passes, find_passes
+from specmap_cli.layout.path_graph import Bridge, Draft, Ends, Graph, RowPair
 from specmap_cli.layout.pose_graph import Link, errors
 from specmap_cli.layout.result import Candidate, Layout, Reason
 from specmap_cli.layout.solving import settle, solved, tighten
@@ -37,27 +37,28 @@ def relax(
     closures: Sequence[Link],
     breaks: Mapping[int, Bridge | None],
     config: RelaxationConfig,
+    passes: PassesOnTheWay | None = None,
 ) -> Layout:
     """The consistent layout of the store's keyframes.
 
     `closures` are verified and may span any drift; `breaks` are the numbers of keyframes at which
     tracking started afresh, with the `Bridge` over each: how well odometry knows the motion there,
     None where nothing does. A piece after a break with a bridge moves no farther than that allows.
-    Scans are read from the store, a few at a time. With `config.enabled` false the poses stay as
-    they were tracked. Deterministic.
+    `passes` is the search for nearby passes, where it has begun on the way. Scans are read from the
+    store, a few at a time. With `config.enabled` false the poses stay as they were tracked.
+    Deterministic.
     """
     if not config.enabled or len(store) < 2:
         return Layout(poses=store.poses)
     ends = {end for closure in closures for end in (closure.source, closure.target)}
-    graph = graph_of(store, ends, breaks)
-    walls, views = Walls(store, graph), Views.of(store, graph)
-    passes = solved(graph, find_passes(graph, Draft(poses=graph.poses), walls))
+    graph, walls, found = (passes or PassesOnTheWay(store)).ended(breaks, ends)
+    views, tied = Views.of(store, graph), solved(graph, found)
     closures = [measured(graph, walls, closure) for closure in closures]
-    closed, judged = close(graph, passes, closures, walls)
+    closed, judged = close(graph, tied, closures, walls)
     draft, outliers = settle(graph, closed)
     refuted = tuple(one.link for one in judged if not one.believed)
     best = Candidate("relaxed", draft, (*refuted, *outliers), views.agreement(draft.poses))
-    layout = Layout.of(graph, chosen(graph, passes, best, views))
+    layout = Layout.of(graph, chosen(graph, tied, best, views))
     return replace(layout, why=explained(layout, judged))
 
 

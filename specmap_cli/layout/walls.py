@@ -45,8 +45,22 @@ class Walls:
         self._store, self._graph = store, graph
         after = [motion.kind != "odometry" for motion in graph.odometry]
         self._pieces = np.cumsum([False, *after])  # between all breaks, bridged or not
-        self.points = lru_cache(_REMEMBERED)(self._read)
-        self.sides = lru_cache(_REMEMBERED)(self._sides)
+        self._points = lru_cache(_REMEMBERED)(self._read)
+        self._sides = lru_cache(_REMEMBERED)(self._seen)
+
+    def over(self, graph: Graph) -> Walls:
+        """The walls around the nodes of another graph of the store; what is in memory stays."""
+        walls = Walls(self._store, graph)
+        walls._points, walls._sides = self._points, self._sides
+        return walls
+
+    def points(self, node: int) -> FloatArray:
+        """Points (N, 2) of one node in its base frame."""
+        return self._points(int(self._graph.nodes[node]))
+
+    def sides(self, node: int) -> Sides:
+        """The same with the sides that its laser saw."""
+        return self._sides(int(self._graph.nodes[node]))
 
     def around(self, node: int, reach: int, poses: FloatArray) -> FloatArray:
         """Points (N, 2) seen from nodes within `reach` of row `node`, in the frame of `node`.
@@ -97,15 +111,14 @@ class Walls:
                 most = max(_GATHERED, 2 * count)
         return thinned(np.concatenate(clouds), CELL_M)
 
-    def _read(self, node: int) -> FloatArray:
-        """Points of one node in its base frame."""
-        number = int(self._graph.nodes[node])
+    def _read(self, number: int) -> FloatArray:
+        """Points (N, 2) of a keyframe."""
         return thinned(self._store.points(number, MATCH_RANGE_M), CELL_M)
 
-    def _sides(self, node: int) -> Sides:
-        """Points of one node in its base frame, with the sides that its laser saw."""
-        laser = self._store.base_from_laser(int(self._graph.nodes[node]))
-        return Sides.of(self.points(node), (laser.x, laser.y))
+    def _seen(self, number: int) -> Sides:
+        """The points of a keyframe with the sides that its laser saw."""
+        laser = self._store.base_from_laser(number)
+        return Sides.of(self._points(number), (laser.x, laser.y))
 
 
 @dataclass(frozen=True, slots=True)

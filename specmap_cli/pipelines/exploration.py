@@ -14,6 +14,7 @@ from specmap_cli.core.process import give_memory_back
 from specmap_cli.core.records import Closure, IntArray, PosedScan, Trajectory
 from specmap_cli.grids.gridmap import PackedGrid
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
+from specmap_cli.layout.passes import PassesOnTheWay
 from specmap_cli.layout.path_graph import Bridge
 from specmap_cli.pipelines.map_in_making import Explored
 from specmap_cli.pipelines.session import Session
@@ -39,6 +40,7 @@ class Exploration:
         self._grown = set[int]()
         self.breaks: dict[int, Bridge | None] = {}
         self._way_m = array("d", [0.0])  # driven up to each keyframe
+        self.passes = PassesOnTheWay(session.store) if config.relaxation.enabled else None
 
     def add(self, scan: PosedScan) -> list[Region]:
         """Add a scan to the current submap; the regions that the robot has left with it."""
@@ -47,6 +49,9 @@ class Exploration:
         if keyframe:
             step = store.pose(keyframe - 1).inverse() @ scan.map_from_base
             self._way_m.append(self._way_m[-1] + step.distance)
+        if self.passes is not None:  # registration, in its own process, takes longer meanwhile
+            with self.session.clock.stage("layout"):
+                self.passes.go_on(self.breaks)
         with self.session.clock.stage("segmentation"):
             return self.segmenter.add(keyframe)
 
@@ -98,6 +103,7 @@ class Exploration:
             closures=tuple(self._closures.values()),
             breaks=dict(self.breaks),
             features=self.features,
+            passes=self.passes,
         )
 
     def _accept(self, closures: Iterable[Closure]) -> None:

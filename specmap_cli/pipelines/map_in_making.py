@@ -28,6 +28,7 @@ from specmap_cli.core.records import (
 from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.layout.joining import gaps_of
+from specmap_cli.layout.passes import PassesOnTheWay
 from specmap_cli.layout.path_graph import Bridge
 from specmap_cli.layout.pose_graph import read_g2o
 from specmap_cli.layout.result import Layout
@@ -63,7 +64,7 @@ class Explored:
     `regions` holds the keyframes of each region that was left, that of its frame first. `closures`
     are all pairs of regions that were considered, in order. `breaks` are the keyframes at which
     tracking started afresh, and how well odometry bridges each. `features` are those of the
-    keyframes, each computed once.
+    keyframes, each computed once. `passes` is the search for nearby passes as far as it has come.
     """
 
     trajectory: Trajectory
@@ -71,6 +72,7 @@ class Explored:
     closures: tuple[Closure, ...]
     breaks: Breaks
     features: KeyframeFeatures
+    passes: PassesOnTheWay | None
 
 
 @dataclass(frozen=True, kw_only=True)
