@@ -20,9 +20,9 @@ from functools import partial
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angles
+from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.matching import PRIOR_SIGMAS, Prior, within_ellipse
 from specmap_cli.layout.consistency import DRIFT_SHARE, Uncertainty, path_error
-from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.path_graph import (
     LOOP_EVERY_M,
     LOOP_PATH_M,

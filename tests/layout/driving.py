@@ -100,17 +100,23 @@ def moved_from(first: int, poses: FloatArray, motion: Sequence[float]) -> FloatA
 def stored(tracked: FloatArray, scans: Sequence[PlanarScan]) -> KeyframeStore:
     """A store of scans at their tracked poses."""
     store = KeyframeStore()
-    for k, (pose, scan) in enumerate(zip(tracked, scans, strict=True)):
-        store.append(
-            PosedScan(
-                index=k,
-                stamp_ns=scan.stamp_ns,
-                map_from_base=Pose2(*pose.tolist()),
-                planar=scan,
-                base_from_laser=IDENTITY,
-            )
-        )
+    for scan in posed(tracked, scans):
+        store.append(scan)
     return store
+
+
+def posed(tracked: FloatArray, scans: Sequence[PlanarScan]) -> list[PosedScan]:
+    """Scans with their tracked poses."""
+    return [
+        PosedScan(
+            index=k,
+            stamp_ns=scan.stamp_ns,
+            map_from_base=Pose2(*pose.tolist()),
+            planar=scan,
+            base_from_laser=IDENTITY,
+        )
+        for k, (pose, scan) in enumerate(zip(tracked, scans, strict=True))
+    ]
 
 
 def laid_out(

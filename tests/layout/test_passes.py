@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,13 +12,30 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angle
+from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.consistency import judge
-from specmap_cli.layout.passes import candidates, far_passes, find_passes, passes_at
-from specmap_cli.layout.path_graph import LOOP_PATH_M, Draft, Graph, graph_of
+from specmap_cli.layout.passes import (
+    PassesOnTheWay,
+    candidates,
+    far_passes,
+    find_passes,
+    passes_at,
+)
+from specmap_cli.layout.path_graph import LOOP_PATH_M, Bridge, Draft, Graph, graph_of
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.solving import solved
 from specmap_cli.layout.walls import Walls
-from tests.layout.driving import SECOND_LAP, Drive, as_tracked, between, link, missed, stored
+from tests.layout.driving import (
+    SECOND_LAP,
+    Drive,
+    as_tracked,
+    between,
+    drifted,
+    link,
+    missed,
+    posed,
+    stored,
+)
 from tests.strategies import pose_arrays
 from tests.turning import turned
 
@@ -150,6 +168,56 @@ def test_a_part_that_a_guess_placed_is_no_place_to_look_from(graph: Graph, walls
     alone = find_passes(graph, Draft(poses=graph.poses), walls)
     assert alone.tied == {0}
     assert all(edge.target < 480 for edge in alone.loops)
+
+
+@pytest.mark.parametrize("at", [None, 560])
+def test_a_search_on_the_way_finds_what_one_at_the_end_finds(
+    drive: Drive, monkeypatch: pytest.MonkeyPatch, at: int | None
+) -> None:
+    """Also over a break of the tracking; the graph is made anew a few times only."""
+    truth, scans = drive
+    tracked = drifted(truth)
+    breaks = {} if at is None else {at: Bridge(0.3, 0.05)}
+    made: list[int] = []
+
+    def counted(*given: Any) -> Graph:
+        made.append(len(given[0]))
+        return graph_of(*given)
+
+    monkeypatch.setattr("specmap_cli.layout.passes.graph_of", counted)
+    with KeyframeStore() as store:
+        search = PassesOnTheWay(store)
+        for scan in posed(tracked, scans):
+            store.append(scan)
+            search.go_on({k: bridge for k, bridge in breaks.items() if k < len(store)})
+        on_the_way = len(made)
+        graph, walls, found = search.ended(breaks, [33])
+        assert 3 <= on_the_way <= 8
+        assert made[-1] == len(truth)
+        assert 33 in graph.nodes
+        before = PassesOnTheWay(store).ended(breaks, [33])[2]
+        assert np.array_equal(walls.points(20), Walls(store, graph).points(20))
+        assert np.array_equal(walls.sides(20).normals, Walls(store, graph).sides(20).normals)
+    assert all(0 <= older < newer for older, newer in found.matched)
+    ours, theirs = ({(one.source, one.target) for one in each.loops} for each in (found, before))
+    assert len(theirs) >= 15
+    assert len(ours & theirs) > 0.7 * len(theirs)
+    assert 0.8 < len(ours) / len(theirs) < 1.25
+    laid = solved(graph, found).poses
+    assert np.hypot(*(tracked - truth)[:, :2].T).max() > 1.5
+    assert np.hypot(*(laid - truth[graph.nodes])[:, :2].T).max() < 0.35
+
+
+def test_a_draft_is_carried_to_a_graph_with_more_nodes(graph: Graph) -> None:
+    """What comes after a node that moved goes with it; pairs of rows are those of the keyframes."""
+    few = Graph.of(graph.tracked, graph.nodes[:100:2], graph.odometry[:98:2])
+    turned_by = np.array([1.0, 2.0, 0.5])
+    guess = Pose2(0.1, 0.2, 0.3)
+    draft = Draft(poses=compose(turned_by, few.poses), matched={(3, 40): guess})
+    found = draft.carried(few, graph)
+    assert np.allclose(found.poses, compose(turned_by, graph.poses))
+    assert found.matched == {(6, 80): guess}
+    assert found.loops == draft.loops
 
 
 def ends_of(graph: Graph, one: Link) -> tuple[int, int]:
