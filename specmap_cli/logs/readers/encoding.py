@@ -28,6 +28,7 @@ MULTI_ECHO = "sensor_msgs/msg/MultiEchoLaserScan"
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 ODOMETRY = "nav_msgs/msg/Odometry"
 TF_MESSAGE = "tf2_msgs/msg/TFMessage"
+TF_STATIC = "/tf_static"
 
 SCAN_TYPES = frozenset({LASER_SCAN, MULTI_ECHO, POINT_CLOUD})
 SUPPORTED_TYPES = SCAN_TYPES | {ODOMETRY, TF_MESSAGE}
