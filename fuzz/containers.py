@@ -16,6 +16,7 @@ from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as BagWriter
 from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_typestore
 
 from fuzz.bag_records import closed_to_active
 from specmap_cli.logs.readers.encoding import (
@@ -28,6 +29,7 @@ from specmap_cli.logs.readers.encoding import (
 from specmap_cli.logs.readers.recording import Message
 
 _CHUNK_BYTES = 1500  # some four scans
+_ANY_TYPE = get_typestore(Stores.ROS2_DASHING)  # those that nobody reads, too
 _LAST_BAG_NS = ((1 << 32) - 1) * 10**9  # seconds are told in 32 bits
 
 Encoder = Callable[[Sequence[Message]], bytes]
@@ -108,7 +110,7 @@ def bag(
             for message in messages:
                 key = (message.topic, message.type)
                 if key not in connections:
-                    connections[key] = writer.add_connection(*key, typestore=typestore())
+                    connections[key] = writer.add_connection(*key, typestore=_ANY_TYPE)
                 time_ns = min(message.time_ns, _LAST_BAG_NS)
                 writer.write(connections[key], time_ns, _ros1(message))
         data = path.read_bytes()
@@ -177,7 +179,7 @@ def _seconds(record: Any) -> str:
 
 def _ros1(message: Message) -> bytes:
     try:
-        return bytes(typestore().cdr_to_ros1(message.data, message.type))
+        return bytes(_ANY_TYPE.cdr_to_ros1(message.data, message.type))
     except (SerdeError, KeyError):
         return message.data[4:]
 

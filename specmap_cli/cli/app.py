@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import sys
 from collections.abc import Callable, Sequence
 from typing import Annotated
 
@@ -149,8 +151,13 @@ for _command in _COMMANDS:
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code; UsageError for arguments that make no command."""
+    given = sys.argv[1:] if arguments is None else arguments
+    # Typer makes all commands that it is told of, which takes a while: it is told of the one named
+    named = [command for command in app.registered_commands if command.name in given[:1]]
+    own = copy.copy(app)
+    own.registered_commands = named or app.registered_commands
     try:
-        code = app(args=arguments, prog_name="specmap", standalone_mode=False)
+        code = own(args=arguments, prog_name="specmap", standalone_mode=False)
     except _WRONG_LINE as error:
         context = getattr(error, "ctx", None)
         command = context.command_path if context is not None else "specmap"

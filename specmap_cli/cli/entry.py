@@ -6,6 +6,7 @@ module imports nothing that takes time, so that a signal is heeded from the firs
 
 from __future__ import annotations
 
+import gc
 import io
 import json
 import os
@@ -71,6 +72,22 @@ def interruptible(*, last: bool = False) -> Iterator[None]:
             signal.signal(number, signal.SIG_IGN if last else handler or signal.SIG_DFL)
 
 
+_LOADED = 200_000  # to load a command makes half as many things that a collection looks through
+
+
+def _collect_later() -> None:
+    """Look for garbage only when all is loaded, which stays; from then on as usual."""
+    usual = gc.get_threshold()
+
+    def as_usual(phase: str, _: object) -> None:
+        if phase == "stop":
+            gc.callbacks.remove(as_usual)
+            gc.set_threshold(*usual)
+
+    gc.callbacks.append(as_usual)
+    gc.set_threshold(_LOADED)
+
+
 _YES = {"1", "true", "t", "yes", "y", "on"}  # as Typer reads a flag
 _NO_TEMPORARY = "No usable temporary directory"  # how Python's own error begins
 _OPENCV_NO_MEMORY = -4  # its code StsNoMem
@@ -85,14 +102,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if "--" in options:  # what follows are names of files
         options = options[: options.index("--")]
     as_json = "--json" in options or os.environ.get(JSON_VARIABLE, "").lower() in _YES
+    alone = arguments is None
+    if alone:
+        _collect_later()
     try:
-        with interruptible(last=arguments is None):
+        with interruptible(last=alone):
             return _run(arguments, as_json)
     except Interruption as interruption:
         message = f"interrupted by {interruption.name}; nothing half-written is left"
         error = SpecmapError(message, code=INTERRUPTED)
         error.exit_code = interruption.exit_code
         return _fail(error, as_json)
+    finally:
+        if alone:  # what is left goes with the process: nobody need look through it first
+            gc.freeze()
 
 
 def _run(arguments: Sequence[str] | None, as_json: bool) -> int:

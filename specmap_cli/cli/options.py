@@ -292,6 +292,10 @@ def _put(tree: dict[str, Any], key: str, value: Any) -> None:
 _JOINT = "\x1f"  # no shell and no keyboard gives it
 
 
+# The options of a group, which all commands share, are read once.
+_hints_of = functools.cache(functools.partial(get_type_hints, include_extras=True))
+
+
 def unfolded(command: Callable[..., None]) -> Callable[..., None]:
     """`command` as Typer must see it: the fields of each group in the place of the group.
 
@@ -307,7 +311,7 @@ def unfolded(command: Callable[..., None]) -> Callable[..., None]:
             alone = parameter.replace(kind=Parameter.KEYWORD_ONLY, annotation=hints[name])
             parameters.append(alone)
             continue
-        own_hints = get_type_hints(groups[name], include_extras=True)
+        own_hints = _hints_of(groups[name])
         for field in fields(groups[name]):
             default = Parameter.empty if field.default is MISSING else field.default
             parameters.append(

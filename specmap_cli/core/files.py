@@ -13,7 +13,6 @@ import stat
 import tempfile
 import zipfile
 from collections.abc import Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO
@@ -178,6 +177,8 @@ def to_disk(*paths: Path) -> None:
             os.close(descriptor)
 
     if len(paths) > 1:  # a disk writes many as fast as one
+        from concurrent.futures import ThreadPoolExecutor  # slow to load, and only to write
+
         with suppress(RuntimeError), ThreadPoolExecutor(_TOGETHER) as threads:  # none to be had
             list(threads.map(wait, paths))
             return

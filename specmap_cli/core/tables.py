@@ -13,7 +13,7 @@ from specmap_cli.core.text import legible
 
 # What a spreadsheet takes for a formula, and a text that would be read back as one defused.
 _FORMULA = re.compile(r"'*[=+\-@\t\r]")
-_NOT_IN_XML = re.compile(r"[^\t\n\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+_NOT_IN_XML = r"[^\t\n\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"  # slow to compile
 
 
 def csv_text(head: Sequence[str], rows: Iterable[Sequence[Any]], line_end: str = "\n") -> str:
@@ -116,4 +116,4 @@ def _time(seconds: float | None) -> dict[str, str]:
 
 def _xml_text(text: str) -> str:
     """Text without the signs that XML cannot hold."""
-    return _NOT_IN_XML.sub("", legible(text))
+    return re.sub(_NOT_IN_XML, "", legible(text))

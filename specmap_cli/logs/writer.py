@@ -30,6 +30,7 @@ from specmap_cli.logs.readers.encoding import (
     POINT_CLOUD,
     SUPPORTED_TYPES,
     TF_MESSAGE,
+    TF_STATIC,
     cloud_cdr,
     in_space,
     message_definition,
@@ -40,7 +41,6 @@ from specmap_cli.logs.readers.encoding import (
 from specmap_cli.logs.readers.recording import TopicInfo, refused
 
 CHUNK_BYTES = 512 * 1024  # what a reader holds in memory at once; compresses well from here on
-TF_STATIC = "/tf_static"
 
 # The publisher of /tf_static keeps its messages for late subscribers; players read this.
 _LATCHED = (

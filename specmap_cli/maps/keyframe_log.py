@@ -35,6 +35,7 @@ from specmap_cli.logs.planar import covers_circle, increment
 from specmap_cli.logs.readers.encoding import (
     LASER_SCAN,
     TF_MESSAGE,
+    TF_STATIC,
     Transform,
     in_space,
     scan_cdr,
@@ -42,7 +43,6 @@ from specmap_cli.logs.readers.encoding import (
 )
 from specmap_cli.logs.readers.mcap import McapFile
 from specmap_cli.logs.readers.recording import Message
-from specmap_cli.logs.writer import TF_STATIC, LogWriter
 
 SCAN_TOPIC, TF = "/scan", "/tf"
 MAP_FRAME, ODOM_FRAME, BASE_FRAME, LASER_FRAME = "map", "odom", "base_link", "laser"
@@ -56,6 +56,8 @@ def write_keyframes(path: Path, store: KeyframeStore, poses: FloatArray) -> None
 
     Raises UsageError when the file cannot be written.
     """
+    from specmap_cli.logs.writer import LogWriter  # who reads a map needs none
+
     odom_from_base = _cut(store.poses)
     map_from_odom = _cut(compose(poses, invert(odom_from_base)))
     links = (MAP_FRAME, ODOM_FRAME), (ODOM_FRAME, BASE_FRAME)

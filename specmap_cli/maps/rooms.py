@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from html import escape
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -144,6 +143,8 @@ class Rooms(Mapping[int, Room]):
 
     def _repr_html_(self) -> str:
         """A table, for notebooks."""
+        from html import escape  # which nobody else needs
+
         rows = [("id", "name", "kind", "area, m²", "doors")]
         rows += [
             (f"{one.id}", one.name, one.kind or "", f"{one.area_m2:.1f}", f"{len(one.doors)}")

@@ -40,7 +40,6 @@ from specmap_cli.maps.text_files import (
 )
 from specmap_cli.maps.topology_file import read_topology
 from specmap_cli.topology.regions import NOBODY, OwnerArray, Regions, divide
-from specmap_cli.topology.routing import Roads, Route
 from specmap_cli.topology.topological_map import (
     Door,
     LogInfo,
@@ -53,6 +52,8 @@ from specmap_cli.topology.topological_map import (
 
 if TYPE_CHECKING:
     import networkx as nx
+
+    from specmap_cli.topology.routing import Roads, Route
 
 Value = TypeVar("Value")
 
@@ -163,6 +164,8 @@ class Map:
 
     @cached_property
     def _roads(self) -> Roads:
+        from specmap_cli.topology.routing import Roads  # few ask for routes
+
         graph = self.record.graph
         return Roads(self.regions, graph.doors, self.record.edges, graph.robot_radius_m)
 
@@ -283,8 +286,7 @@ class Map:
     def _divided(self) -> tuple[GridMap, OwnerArray]:
         of_grid = self.path / filenames.LABELS_IMAGE
         if not of_grid.exists():
-            borders = self.record.graph.edits.borders
-            divided = divide(self.map_grid, self.labels, fences_of(borders))
+            divided = divide(self.map_grid, self.labels, fences_of(self.record.graph.edits.borders))
             return divided.grid, divided.owner
         if not (self.path / f"{filenames.MAP_GRID}.yaml").exists():
             return composed(self)  # an earlier version divided it

@@ -57,6 +57,12 @@ from tests.strategies import poses
 STAMP = 1_700_000_000_250_000_000
 
 
+def test_the_types_that_are_read_are_those_of_ros_2() -> None:
+    ours, all_ = (store.fielddefs for store in (typestore(), get_typestore(Stores.ROS2_DASHING)))
+    assert ours == {name: all_[name] for name in ours}
+    assert ours.keys() >= SUPPORTED_TYPES
+
+
 def test_the_first_echo_counts() -> None:
     echo = message_class("sensor_msgs/msg/LaserEcho")
     beams = [echo(np.array(e, dtype=np.float32)) for e in ([1.0, 2.0], [], [3.0])]

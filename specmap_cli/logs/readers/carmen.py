@@ -26,6 +26,7 @@ from specmap_cli.logs.readers.encoding import (
     NS_PER_S,
     ODOMETRY,
     TF_MESSAGE,
+    TF_STATIC,
     in_space,
     odometry_cdr,
     scan_cdr,
@@ -257,7 +258,7 @@ def _stamp(words: list[bytes], place: int) -> int:
     return stamp
 
 
-ODOM_FRAME, BASE_FRAME, TF_STATIC = "odom", "base_link", "/tf_static"
+ODOM_FRAME, BASE_FRAME = "odom", "base_link"
 
 _SEARCH_BYTES = 1 << 22  # comments and PARAM lines come first: some hundred kilobytes at the most
 _MAX_LINE_BYTES = 1 << 20  # a line of 1,081 beams has 10 kB: a longer one is damaged

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import islice
 from operator import attrgetter
 from typing import Any
 
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, travelled, wrap_angle
-from specmap_cli.core.records import NO_SUBMAP, BoolArray, IntArray, PosedScan
+from specmap_cli.core.records import NO_SUBMAP, BoolArray, IntArray, PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import (
     FREE,
@@ -47,6 +48,7 @@ _MOST_RAYS = 120  # of a scan, one every three degrees all round: what is cast c
 # What the pose of a match and the cells of a grid leave open, in heading and sideways. Along a wall
 # that moves the end of a ray by metres: so a ray may reach as far as any that passes so near.
 _SLANT_RAD, _SIDE_M = math.radians(3.0), 0.15
+_SCANS_AT_ONCE = 64  # whose rays are cast together: few take nearly as long as many
 _OWN_M = 1.0  # of way between two of the map's own scans that are asked what they look through
 _BEHIND_M = 0.3  # farther than a match is off, and than a wall is thick in a grid
 # Misfits of other places where they fit best, on average, and their standard deviation.
@@ -144,8 +146,9 @@ class MapWalls:
         Those of panes and railings do, and of thin things between which a laser looks.
         """
         met = np.zeros((2, *self.grid.cells.shape), dtype=np.float32)  # all rays; those that go on
-        for scan in self._own():
-            past, cells, walled = self._met(scan, scan.map_from_base)
+        scans = iter(self._own())
+        while together := list(islice(scans, _SCANS_AT_ONCE)):
+            past, cells, walled = self._met([(scan, scan.map_from_base) for scan in together])
             for counts, some in zip(met, (walled, past), strict=True):
                 np.add.at(counts, tuple(cells[some].T), 1.0)
         side = 2 * round(_SIDE_M / self.grid.resolution) + 1
@@ -238,35 +241,51 @@ class MapWalls:
 
         0 without returns.
         """
-        past, cells, walled = self._met(posed, pose)
+        past, cells, walled = self._met([(posed, pose)])
         behind = float(past.sum()) / max(len(past), 1)
         if behind > self._known:  # so many are rare, but where there are panes
             behind -= float(self._open[tuple(cells[walled].T)].sum()) / len(past)
         return max(0.0, behind)
 
-    def _met(self, posed: PosedScan, pose: Pose2) -> tuple[BoolArray, IntArray, BoolArray]:
-        """Which returns (n,) of a scan lie behind a wall, its cells (n, 2), which rays met one.
+    def _met(
+        self, scans: Sequence[tuple[PosedScan, Pose2]]
+    ) -> tuple[BoolArray, IntArray, BoolArray]:
+        """Which returns (n,) of scans at poses lie behind a wall, its cells (n, 2), which met one.
 
         A wall counts when the rays beside it meet walls, too: one that ends there may be passed.
         """
-        planar = posed.planar
-        returned = np.isfinite(planar.ranges)
-        bearings = evenly(planar.bearings[returned], _MOST_RAYS)
-        measured = evenly(planar.ranges[returned], _MOST_RAYS)
-        laser = pose @ posed.base_from_laser
-        origins = np.tile([laser.x, laser.y], (len(bearings), 1))
-        angles = bearings + laser.theta
+        rays = [_rays_of(posed.planar) for posed, _ in scans]
+        lasers = [pose @ posed.base_from_laser for posed, pose in scans]
+        counts = [len(bearings) for bearings, _ in rays]
+        origins = np.repeat([(laser.x, laser.y) for laser in lasers], counts, axis=0)
+        angles = np.concatenate(
+            [own + laser.theta for (own, _), laser in zip(rays, lasers, strict=True)]
+        )
+        measured = np.concatenate([ranges for _, ranges in rays])
         ranges = cast_rays(self._distances, self.grid, origins, angles, FIT_RANGE_M)
         around = np.maximum(_SLANT_RAD, _SIDE_M / np.maximum(ranges, self.grid.resolution))
-        first = np.searchsorted(bearings, bearings - around)
-        last = np.searchsorted(bearings, bearings + around, side="right")
-        farthest = np.array([ranges[a:b].max() for a, b in zip(first, last, strict=True)])
+        beside, start = [], 0  # of each ray, those of its scan from one up to another
+        for own, _ in rays:
+            near = around[start : start + len(own)]
+            ends = np.searchsorted(own, own - near), np.searchsorted(own, own + near, side="right")
+            beside.append(start + np.column_stack(ends))
+            start += len(own)
+        # up to the one behind the last, which is none
+        pairs = np.concatenate(beside).ravel()
+        farthest = np.maximum.reduceat(np.append(ranges, 0.0), pairs)[::2]
         within = np.minimum(ranges, FIT_RANGE_M) + 0.5 * self.grid.resolution
-        ends = origins + within[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
-        cells = self.grid.cells_of(ends)
+        stops = origins + within[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+        cells = self.grid.cells_of(stops)
         walled = np.isfinite(ranges) & self.grid.inside(cells)
         walled &= measured > ranges - _BEHIND_M  # not those that somebody stopped before
         return (measured > farthest + _BEHIND_M) & walled, cells, walled
+
+
+def _rays_of(planar: PlanarScan) -> tuple[FloatArray, FloatArray]:
+    """Bearings and ranges (n,) of the returns of a scan, few of many."""
+    returned = np.isfinite(planar.ranges)
+    bearings, ranges = planar.bearings[returned], planar.ranges[returned]
+    return evenly(bearings, _MOST_RAYS), evenly(ranges, _MOST_RAYS)
 
 
 def along_way(poses: FloatArray) -> IntArray:
