@@ -38,6 +38,7 @@ def measure(
     With a limit it may fail, and is stopped after so many seconds: the cost is then that so far.
     """
     own = {name: value for name, value in os.environ.items() if name[:8] != "SPECMAP_"}
+    own.pop("PYTHONDONTWRITEBYTECODE", None)  # an installation keeps its modules compiled
     start = time.perf_counter()
     with tempfile.TemporaryFile() as output:
         process = subprocess.Popen(
