@@ -140,11 +140,10 @@ def _constraint_errors(
 
 def _measured(explored: Explored, store: KeyframeStore) -> tuple[Graph, Walls, list[Link]]:
     """The constraints of a build as its layout measures them, with the graph they tie."""
-    rough = constraints_of(explored.closures, explored.regions, store).values()
-    ends = {end for link in rough for end in (link.source, link.target)}
-    graph = graph_of(store, ends, explored.breaks)
+    graph = graph_of(store, (), explored.breaks)
+    rough = constraints_of(explored.closures, explored.regions, store, graph.nodes)
     walls = Walls(store, graph)
-    return graph, walls, [measured(graph, walls, link) for link in rough]
+    return graph, walls, [measured(graph, walls, link) for link in rough.values()]
 
 
 def _repeats(graph: Graph, walls: Walls, constraints: Iterable[Link]) -> FloatArray:

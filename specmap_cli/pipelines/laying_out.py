@@ -21,6 +21,7 @@ from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.layout.main_direction import along_walls
 from specmap_cli.layout.passes import METRES_A_RADIAN
+from specmap_cli.layout.path_graph import chosen_nodes
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.relaxation import relax
 from specmap_cli.layout.result import Layout
@@ -60,7 +61,8 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
     session.progress.start("layout", None)
     give_memory_back()
     with session.clock.stage("layout"):
-        constraints = constraints_of(explored.closures, explored.regions, store)
+        nodes = chosen_nodes(store.poses, explored.breaks)
+        constraints = constraints_of(explored.closures, explored.regions, store, nodes)
         links = tuple(constraints.values())
         layout = relax(store, links, explored.breaks, config.relaxation, explored.passes)
         layout = along_walls(layout, store, config.relaxation)
@@ -162,12 +164,12 @@ def _by_first_visit(labels: IntArray, poses: FloatArray, least_m: float) -> IntA
 
 
 def constraints_of(
-    closures: Sequence[Closure], regions: Regions, store: KeyframeStore
+    closures: Sequence[Closure], regions: Regions, store: KeyframeStore, nodes: IntArray
 ) -> dict[Pair, Link]:
     """For each pair of merged regions, (old, new): where a keyframe lies, seen from another.
 
     These two saw most alike: by the match of the grids they are the nearest to each other, turned
-    as little as may be.
+    as little as may be; or they are the `nodes` (M,) of the layout before these, as tracked.
 
     Grids that match while the robot's tracks do not overlap are no evidence for the layout: that is
     what look-alike rooms do, too.
@@ -182,11 +184,15 @@ def constraints_of(
         old_track = in_own_frame(store, old)
         new_track = compose(np.array(closure.old_from_new), in_own_frame(store, new))
         i, j = nearest_pair(old_track, new_track)
-        guess = Pose2(*compose(invert(old_track[i]), new_track[j]).tolist())
+        ends = old[i], new[j]
+        source, target = nodes[np.searchsorted(nodes, ends, side="right") - 1].tolist()
+        seen = Pose2(*compose(invert(old_track[i]), new_track[j]).tolist())
+        before = store.pose(source).inverse() @ store.pose(old[i])
+        back = store.pose(new[j]).inverse() @ store.pose(target)
         found[closure.old, closure.new] = Link(
-            source=old[i],
-            target=new[j],
-            source_from_target=guess,
+            source=source,
+            target=target,
+            source_from_target=before @ seen @ back,
             information=information,
             kind="closure",
         )

@@ -18,11 +18,12 @@ from benchmarks.scores import map_scores
 from specmap_cli import build_map, read_map
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import NoResultError, UsageError
-from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import PosedScan, Sweep
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
 from specmap_cli.layout.main_direction import along_walls
+from specmap_cli.layout.path_graph import chosen_nodes
 from specmap_cli.layout.relaxation import relax
 from specmap_cli.maps.store import Map
 from specmap_cli.pipelines import laying_out
@@ -132,7 +133,8 @@ def test_a_map_can_be_laid_out_again_from_its_directory_alone(flat_map: Map) -> 
         regions = laid_out_of_stored(flat_map).stays
         assert all(regions[stay.number][0] == stay.origin for stay in topology.stays)
         assert sorted(k for ks in regions.values() for k in ks) == list(range(len(store)))
-        constraints = constraints_of(topology.closures, regions, store)
+        nodes = chosen_nodes(store.poses, ())
+        constraints = constraints_of(topology.closures, regions, store, nodes)
         layout = relax(store, tuple(constraints.values()), {}, config)
         layout = along_walls(layout, store, config)
     known = flat_map.labels.poses
@@ -221,7 +223,8 @@ def test_a_merge_that_the_layout_drops_is_taken_back(flat_done: Finished) -> Non
     assert merged
     wrong = replace(merged[0], old_from_new=Pose2(25.0, 25.0, 1.0))
     closures = tuple(wrong if c is merged[0] else c for c in explored.closures)
-    constraints = constraints_of(closures, explored.regions, store)
+    nodes = chosen_nodes(store.poses, ())
+    constraints = constraints_of(closures, explored.regions, store, nodes)
     assert set(constraints) == {(c.old, c.new) for c in merged}
     finished = finished_by(replace(explored, closures=closures), store, QUICK)
     kept = refute(closures, constraints, finished.laid.layout)
@@ -237,11 +240,26 @@ def test_a_merge_that_the_layout_drops_is_taken_back(flat_done: Finished) -> Non
 def test_constraints_hold_between_the_nearest_keyframes_of_both_regions(
     flat_done: Finished,
 ) -> None:
+    """Or between the nodes before these, from where the same is said of them."""
     explored, store = flat_done.explored, flat_done.store
-    constraints = constraints_of(explored.closures, explored.regions, store)
-    for (old, new), constraint in constraints.items():
-        assert constraint.source in explored.regions[old]
-        assert constraint.target in explored.regions[new]
+    closures, regions = explored.closures, explored.regions
+    of_all = constraints_of(closures, regions, store, np.arange(len(store)))
+    nodes = chosen_nodes(store.poses, ())
+    for pair, constraint in constraints_of(closures, regions, store, nodes).items():
+        nearest = of_all[pair]
+        for node, keyframe in (
+            (constraint.source, nearest.source),
+            (constraint.target, nearest.target),
+        ):
+            assert node == max(number for number in nodes.tolist() if number <= keyframe)
+        moved = store.pose(constraint.source) @ constraint.source_from_target
+        stays = store.pose(nearest.source) @ nearest.source_from_target
+        there = store.pose(constraint.target).inverse() @ store.pose(nearest.target)
+        assert (moved @ there).inverse() @ stays == pytest.approx(IDENTITY, abs=1e-9)
+    assert of_all
+    for (old, new), constraint in of_all.items():
+        assert constraint.source in regions[old]
+        assert constraint.target in regions[new]
         assert math.hypot(*constraint.source_from_target[:2]) < 1.0  # merged: the tracks overlap
         np.testing.assert_allclose(
             np.diag(constraint.information), [625.0, 625.0, 0.0087**-2], rtol=1e-12
