@@ -65,21 +65,17 @@ class Search:
     """
 
     draft: Draft
-    row: int
-    tied_m: float
-    due_m: float
+    row: int = 0
+    tied_m: float = 0.0
+    due_m: float = LOOP_EVERY_M
     news: int = 0
-
-    @classmethod
-    def begun(cls, graph: Graph, draft: Draft, first: int = 0) -> Search:
-        """A search from row `first` of a graph on."""
-        way_m = float(graph.path[first])
-        return cls(draft=draft, row=first, tied_m=way_m, due_m=way_m + LOOP_EVERY_M)
 
 
 def find_passes(graph: Graph, draft: Draft, walls: Walls, first: int = 0) -> Draft:
     """The draft with the nearby passes from row `first` on, solved again as they come in."""
-    return searched(graph, Search.begun(graph, draft, first), walls, len(graph.nodes)).draft
+    way_m = float(graph.path[first])
+    begun = Search(draft=draft, row=first, tied_m=way_m, due_m=way_m + LOOP_EVERY_M)
+    return searched(graph, begun, walls, len(graph.nodes)).draft
 
 
 def searched(graph: Graph, search: Search, walls: Walls, end: int) -> Search:
@@ -152,7 +148,7 @@ class PassesOnTheWay:
         before, walls, search = self._search(breaks)
         nodes = {*before.nodes.tolist(), *ends}
         graph = graph_of(self._store, nodes, breaks, self._known)
-        return graph, walls.over(graph), search.draft.carried(before, graph)
+        return graph, Walls(self._store, graph, walls), search.draft.carried(before, graph)
 
     def _search(
         self, breaks: Mapping[int, Bridge | None], left: int = 0
@@ -160,11 +156,10 @@ class PassesOnTheWay:
         """Search the path so far, but for the `left` last nodes."""
         graph = graph_of(self._store, (), breaks, self._known)
         if self._last is None:
-            walls, draft = Walls(self._store, graph), Draft(poses=graph.poses)
-            search = Search.begun(graph, draft)
+            walls, search = Walls(self._store, graph), Search(draft=Draft(poses=graph.poses))
         else:
             before, walls, search = self._last
-            walls = walls.over(graph)
+            walls = Walls(self._store, graph, walls)
             search = replace(search, draft=search.draft.carried(before, graph))
         end = max(search.row, len(graph.nodes) - left)
         self._last = graph, walls, searched(graph, search, walls, end)

@@ -8,7 +8,7 @@ would fit.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -41,18 +41,15 @@ _FEWEST = 3  # corners of an area
 class Walls:
     """Wall points around the nodes of a graph, read from the store as needed; some are kept."""
 
-    def __init__(self, store: KeyframeStore, graph: Graph) -> None:
+    def __init__(self, store: KeyframeStore, graph: Graph, before: Walls | None = None) -> None:
+        """`before` are those of another graph of the store: what they keep in memory stays."""
         self._store, self._graph = store, graph
         after = [motion.kind != "odometry" for motion in graph.odometry]
         self._pieces = np.cumsum([False, *after])  # between all breaks, bridged or not
-        self._points = lru_cache(_REMEMBERED)(self._read)
-        self._sides = lru_cache(_REMEMBERED)(self._seen)
-
-    def over(self, graph: Graph) -> Walls:
-        """The walls around the nodes of another graph of the store; what is in memory stays."""
-        walls = Walls(self._store, graph)
-        walls._points, walls._sides = self._points, self._sides
-        return walls
+        self._points: Callable[[int], FloatArray] = lru_cache(_REMEMBERED)(self._read)
+        self._sides: Callable[[int], Sides] = lru_cache(_REMEMBERED)(self._seen)
+        if before is not None:
+            self._points, self._sides = before._points, before._sides
 
     def points(self, node: int) -> FloatArray:
         """Points (N, 2) of one node in its base frame."""

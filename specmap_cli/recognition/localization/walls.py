@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, travelled, wrap_angle
-from specmap_cli.core.records import NO_SUBMAP, BoolArray, IntArray, PlanarScan, PosedScan
+from specmap_cli.core.records import NO_SUBMAP, BoolArray, IntArray, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import (
     FREE,
@@ -254,7 +254,11 @@ class MapWalls:
 
         A wall counts when the rays beside it meet walls, too: one that ends there may be passed.
         """
-        rays = [_rays_of(posed.planar) for posed, _ in scans]
+        rays = []  # bearings and ranges of the returns of each scan, few of many
+        for posed, _ in scans:
+            bearings, ranges = posed.planar.bearings, posed.planar.ranges
+            returned = evenly(np.flatnonzero(np.isfinite(ranges)), _MOST_RAYS)
+            rays.append((bearings[returned], ranges[returned]))
         lasers = [pose @ posed.base_from_laser for posed, pose in scans]
         counts = [len(bearings) for bearings, _ in rays]
         origins = np.repeat([(laser.x, laser.y) for laser in lasers], counts, axis=0)
@@ -279,13 +283,6 @@ class MapWalls:
         walled = np.isfinite(ranges) & self.grid.inside(cells)
         walled &= measured > ranges - _BEHIND_M  # not those that somebody stopped before
         return (measured > farthest + _BEHIND_M) & walled, cells, walled
-
-
-def _rays_of(planar: PlanarScan) -> tuple[FloatArray, FloatArray]:
-    """Bearings and ranges (n,) of the returns of a scan, few of many."""
-    returned = np.isfinite(planar.ranges)
-    bearings, ranges = planar.bearings[returned], planar.ranges[returned]
-    return evenly(bearings, _MOST_RAYS), evenly(ranges, _MOST_RAYS)
 
 
 def along_way(poses: FloatArray) -> IntArray:
