@@ -21,7 +21,7 @@ from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.score_field import thinned
 
 _MAX_POINTS = 600  # a denser planar scan is thinned to this
-_MAX_CLOUD_POINTS = 900  # a denser 3D cloud is thinned to this: alignments take most time
+_MAX_CLOUD_POINTS = 1000  # a denser 3D cloud is thinned to this: alignments take most time
 _BELOW_RANGE_MAX = 0.999  # some drivers report no return as the largest range, rounded
 _MOST_BEAMS = 360  # of an outline: a degree each, 0.2 m apart at 12 m
 _GROWTH = 1.4  # of the cell from one try to the next at thinning: about half the points
