@@ -123,7 +123,13 @@ class FrontEnd:
         The first scans of a map are provisional, see `take`.
         """
         expected = self._motion.expect(sweep)
-        view = view_of(sweep, expected.during, expected.interval_s, self.config)
+        view = view_of(
+            sweep,
+            expected.during,
+            expected.interval_s,
+            self.config,
+            measured=expected.measured,
+        )
         if self._map is None:  # made for the sensor of the first sweep
             config, planar = self.config, sweep.cloud is None
             sensor = SensorKind(

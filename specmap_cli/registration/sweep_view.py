@@ -21,7 +21,9 @@ from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.score_field import thinned
 
 _MAX_POINTS = 600  # a denser planar scan is thinned to this
-_MAX_CLOUD_POINTS = 1000  # a denser 3D cloud is thinned to this: alignments take most time
+# A denser 3D cloud is thinned to this: alignments take most time. Half is enough near a guess by
+# odometry; without one a fast vehicle in a street is lost then.
+_MAX_CLOUD_POINTS = 2000
 _BELOW_RANGE_MAX = 0.999  # some drivers report no return as the largest range, rounded
 _MOST_BEAMS = 360  # of an outline: a degree each, 0.2 m apart at 12 m
 _GROWTH = 1.4  # of the cell from one try to the next at thinning: about half the points
@@ -49,9 +51,17 @@ class SweepView:
 
 
 def view_of(
-    sweep: Sweep, during: Pose2, interval_s: float, config: RegistrationConfig
+    sweep: Sweep,
+    during: Pose2,
+    interval_s: float,
+    config: RegistrationConfig,
+    *,
+    measured: bool = False,
 ) -> SweepView:
-    """The points of a sweep, de-skewed with the motion expected during it, and its seconds."""
+    """The points of a sweep, de-skewed with the motion expected during it, and its seconds.
+
+    Where odometry `measured` the motion since the sweep before, fewer points are registered.
+    """
     scan = deskewed(sweep.planar, sweep.base_from_laser, during, interval_s)
     reach_m = min(config.max_range_m, _BELOW_RANGE_MAX * sweep.planar.range_max)
     near = np.where(scan.ranges > config.min_range_m, scan.ranges, np.nan)
@@ -73,8 +83,9 @@ def view_of(
         usable = usable_times(times_s, len(points))
         times_s = times_s[kept] if times_s is not None and usable else None
         dense = moved_returns(points[kept], times_s, during, interval_s)
-        cloud = _thinned_to(dense, config.cloud_voxel_m, _MAX_CLOUD_POINTS)
-        sparse = _thinned_to(cloud, 2 * config.cloud_voxel_m, _MAX_CLOUD_POINTS // 2)
+        most = _MAX_CLOUD_POINTS // 2 if measured else _MAX_CLOUD_POINTS
+        cloud = _thinned_to(dense, config.cloud_voxel_m, most)
+        sparse = _thinned_to(cloud, 2 * config.cloud_voxel_m, most // 2)
     return SweepView(
         planar=scan,
         cloud=cloud,

@@ -34,7 +34,8 @@ def seen(sweep: Sweep, last: Pose2 | None = None, **settings: float) -> SweepVie
     for _ in range(2 if last else 0):
         model.conclude(last or Pose2(0.0, 0.0, 0.0))
     expected = model.expect(sweep)
-    return view_of(sweep, expected.during, expected.interval_s, config)
+    during, interval_s = expected.during, expected.interval_s
+    return view_of(sweep, during, interval_s, config, measured=expected.measured)
 
 
 def rows(points: FloatArray) -> set[tuple[float, ...]]:
@@ -117,6 +118,18 @@ def test_a_dense_cloud_is_aligned_with_no_more_than_the_most_points() -> None:
     thrice = seen(cloud_sweep(np.repeat(cloud, 3, axis=0)), cloud_voxel_m=0.4)
     for name in ("cloud", "sparse", "dense"):  # of one point three times one is taken
         assert np.array_equal(getattr(thrice, name), getattr(view, name)), name
+
+
+def test_half_as_many_points_are_aligned_near_a_guess_by_odometry() -> None:
+    """The local map gets as many as without."""
+    cloud = np.random.default_rng(0).uniform(-4.0, 4.0, (12000, 3)) + (6.0, 0.0, 0.0)
+    sweep = cloud_sweep(cloud)
+    alone = seen(sweep, cloud_voxel_m=0.4)
+    view = seen(dataclasses.replace(sweep, odom_from_base=IDENTITY), cloud_voxel_m=0.4)
+    assert len(alone.cloud) > 1000
+    assert 500 < len(view.cloud) <= 1000
+    assert len(view.sparse) <= 500
+    assert np.array_equal(view.dense, alone.dense)
 
 
 def test_scan_and_cloud_are_de_skewed_with_the_motion_during_the_sweep() -> None:
