@@ -49,7 +49,7 @@ class Exploration:
         if keyframe:
             step = store.pose(keyframe - 1).inverse() @ scan.map_from_base
             self._way_m.append(self._way_m[-1] + step.distance)
-        if self.passes is not None:  # registration, in its own process, takes longer meanwhile
+        if self.passes is not None:  # in the time in which this process would wait for scans
             with self.session.clock.stage("layout"):
                 self.passes.go_on(self.breaks)
         with self.session.clock.stage("segmentation"):

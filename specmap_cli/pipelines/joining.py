@@ -61,8 +61,7 @@ def join(
     logs = (*old.logs, *later.logs)
     found = tuple(replace(closure, new=closure.new + stay) for closure in found)
     breaks = {**old.breaks, first: None, **later.breaks}
-    nodes = np.concatenate([old.layout.nodes, later.layout.nodes])
-    constraints = constraints_of(found, stays, store, nodes)
+    constraints = constraints_of(found, stays, store, np.arange(len(store)))
     cuts = {**gaps_in(store.poses, logs), **breaks}
     layout = join_layouts(store, old.layout, later.layout, tuple(constraints.values()), cuts)
     # in the frame in which the old keyframes lie nearest to their places in the old map
