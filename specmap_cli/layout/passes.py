@@ -30,6 +30,7 @@ from specmap_cli.layout.path_graph import (
     Draft,
     Graph,
     RowPair,
+    Ties,
     graph_of,
     rows_every,
 )
@@ -60,13 +61,12 @@ _MOST_ROWS = 80  # whose walls make one search: some 25 m of path, or every othe
 class Search:
     """A search for nearby passes along the path: what was found, and how far it has come.
 
-    It goes on at row `row`. The path was tied `tied_m` along it the last time, and is looked at
-    again from `due_m` on. `news` links say what the draft did not say when it was solved.
+    It goes on at row `row`, and looks at the path again from `due_m` along it on. `news` links say
+    what the draft did not say when it was solved.
     """
 
     draft: Draft
     row: int = 0
-    tied_m: float = 0.0
     due_m: float = LOOP_EVERY_M
     news: int = 0
 
@@ -74,7 +74,7 @@ class Search:
 def find_passes(graph: Graph, draft: Draft, walls: Walls, first: int = 0) -> Draft:
     """The draft with the nearby passes from row `first` on, solved again as they come in."""
     way_m = float(graph.path[first])
-    begun = Search(draft=draft, row=first, tied_m=way_m, due_m=way_m + LOOP_EVERY_M)
+    begun = Search(draft=draft, row=first, due_m=way_m + LOOP_EVERY_M)
     return searched(graph, begun, walls, len(graph.nodes)).draft
 
 
@@ -85,7 +85,8 @@ def searched(graph: Graph, search: Search, walls: Walls, end: int) -> Search:
     are asked again, but matched only when they moved. Links that say what the draft says anyway are
     no reason to solve it.
     """
-    draft, tied_m, due_m, news = search.draft, search.tied_m, search.due_m, search.news
+    draft, due_m, news = search.draft, search.due_m, search.news
+    ties = Ties(graph, draft.loops)
     matched = dict(draft.matched)
     linked = {
         (graph.row[loop.source], graph.row[loop.target])
@@ -102,16 +103,15 @@ def searched(graph: Graph, search: Search, walls: Walls, end: int) -> Search:
         due_m = way_m + LOOP_EVERY_M
         if int(graph.parts[node]) not in draft.tied:
             continue
-        drift_m = LOOP_SEARCH_M + DRIFT_SHARE * (way_m - tied_m)
-        passes = passes_at(node, graph, draft.poses, walls, matched, linked, drift_m)
+        passes = passes_at(node, graph, draft.poses, walls, matched, linked, ties)
         links = passes.links
         matched.update(passes.guesses)
         if passes.is_tied:
             # n passes err by one over the root of n: the more, the less one match can add
             spacing_m = math.sqrt(passes.older) * LOOP_EVERY_M
             due_m = way_m + max(LOOP_EVERY_M, min(spacing_m, safe_m))
-            tied_m = way_m
         if links:
+            ties.add(links)
             draft = draft.adding(links)
             edges = LinkArrays.of(links, graph.row, {})
             missed = errors(draft.poses, edges.i, edges.j, edges.z)
@@ -119,7 +119,7 @@ def searched(graph: Graph, search: Search, walls: Walls, end: int) -> Search:
         if news >= renew_after:
             draft, news = solved(graph, draft, roughly=True), 0
     draft = replace(draft, matched=matched)
-    return Search(draft=draft, row=end, tied_m=tied_m, due_m=due_m, news=news)
+    return Search(draft=draft, row=end, due_m=due_m, news=news)
 
 
 class PassesOnTheWay:
@@ -187,14 +187,14 @@ def passes_at(
     walls: Walls,
     matched: Mapping[RowPair, Pose2],
     linked: Collection[RowPair],
-    drift_m: float,
+    ties: Ties,
 ) -> Passes:
-    """Row `node` matched with older ones at the poses (M, 3), which may be wrong by `drift_m`.
+    """Row `node` matched with older ones at the poses (M, 3), as far as the path has drifted.
 
     One after the other until it is tied to one: what the next would add is little. Pairs that were
     `matched` are matched again only from a guess that differs; some of them are `linked`.
     """
-    reach_m = min(drift_m, LOOP_SEARCH_MAX_M)
+    most_m = (LOOP_SEARCH_MAX_M - LOOP_SEARCH_M) / DRIFT_SHARE
     links: list[Link] = []
     guesses: dict[RowPair, Pose2] = {}
     is_tied = False
@@ -204,7 +204,8 @@ def passes_at(
         guesses[pair] = guess = Pose2(*compose(invert(poses[old]), poses[node]).tolist())
         before = matched.get(pair)
         if before is None or (before.inverse() @ guess).distance > _MOVED_M:
-            found = match_passes(graph, walls, poses, pair, guess, reach_m, _NEWER_NODES)
+            drift_m = LOOP_SEARCH_M + DRIFT_SHARE * ties.way_m(node, old, most_m)
+            found = match_passes(graph, walls, poses, pair, guess, drift_m, _NEWER_NODES)
             links += [] if found is None else [found]
         is_tied = bool(links) or pair in linked
         if is_tied:

@@ -6,6 +6,7 @@ node's label. docs/segmentation.md says what each step of the default settings a
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass, replace
 
 import cv2
@@ -141,14 +142,17 @@ def _divided(
     clearance = clearance_of(narrowed)
     del small, narrowed
     space = clearance > 0.0
-    others = [  # step 2, and nothing is kept of their graphs
-        _placement(clearance, space, cell_m, config, block, number)[0]
+    packed = [  # step 2: nothing is kept of the graphs, and little of the labels
+        zlib.compress(_placement(clearance, space, cell_m, config, block, number)[0], level=1)
         for number in range(1, config.placements)
     ]
     first, graph, spectrum = _placement(clearance, space, cell_m, config, block, 0)
+    give_memory_back()
+    others = [np.frombuffer(zlib.decompress(labels), dtype=np.int16) for labels in packed]
     cells = np.full(space.shape, -1, dtype=np.int16)
     cells[space] = consensus([first, *others])  # step 3
     del first, others, space
+    give_memory_back()
     if config.merge:  # step 4
         cells = without_rings(cells)
         least, alcove = config.clearance_m / cell_m, _ALCOVE_M2 / cell_m**2

@@ -121,13 +121,14 @@ def fill_cupboards(labels: LabelArray, pieces: NDArray[np.int32], resolution: fl
     """
     if not pieces.any():
         return labels
-    grown = pieces.astype(np.float32)  # exact: there are fewer than 16 million
+    # exact: there are fewer than 16 million
+    grown = pieces.astype(np.uint16 if pieces.max() < 1 << 16 else np.float32)
     for _ in range(round(_REACH_M / resolution)):
-        grown = np.where(pieces > 0, grown, cv2.dilate(grown, np.ones((3, 3), np.uint8)))
-    around = grown.astype(np.int32)
-    ring = (around > 0) & (labels >= 0)
+        np.copyto(grown, cv2.dilate(grown, np.ones((3, 3), np.uint8)), where=pieces == 0)
+    ring = (grown > 0) & (labels >= 0)
+    around, own = grown[ring].astype(np.intp), labels[ring]
     votes = np.zeros((int(pieces.max()) + 1, int(labels.max(initial=0)) + 1), dtype=np.int64)
-    np.add.at(votes, (around[ring], labels[ring]), 1)
+    np.add.at(votes, (around, own), 1)
     sure = 2 * votes.max(axis=1) > votes.sum(axis=1)
     best = np.where(sure, votes.argmax(axis=1), -1).astype(np.int16)
     return np.where((pieces > 0) & (labels < 0), looked_up(best, pieces), labels)
