@@ -18,8 +18,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from specmap_cli.core.arguments import path_of
-from specmap_cli.core.errors import SETTING, UsageError
+from specmap_cli.core.errors import SETTING, UsageError, path_of
 from specmap_cli.core.settings import Config
 from specmap_cli.core.toml import TomlFormat
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from specmap_cli.core.arrays import runs
 from specmap_cli.core.geometry import (
     FloatArray,
     Pose2,
@@ -21,6 +20,7 @@ from specmap_cli.core.geometry import (
     inverse3,
     invert,
     moved,
+    runs,
     step_lengths,
 )
 from specmap_cli.core.records import IntArray

@@ -17,8 +17,7 @@ from typing import Any, TypeVar
 import networkx as nx
 import numpy as np
 
-from specmap_cli.core.arguments import path_of
-from specmap_cli.core.errors import MapError, UsageError, is_of_the_place
+from specmap_cli.core.errors import MapError, UsageError, is_of_the_place, path_of
 from specmap_cli.core.json_values import Record
 from specmap_cli.core.process import one_blas_thread, versions
 from specmap_cli.core.progress import Progress, Silent

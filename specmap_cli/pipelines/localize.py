@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.arguments import Paths, instance_of, paths_of
-from specmap_cli.core.errors import InputError, LogError
+from specmap_cli.core.errors import InputError, LogError, Paths, instance_of, paths_of
 from specmap_cli.core.files import write_together
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.process import one_blas_thread

@@ -14,8 +14,15 @@ from pathlib import Path
 
 import numpy as np
 
-from specmap_cli.core.arguments import Paths, instance_of, path_of, paths_of
-from specmap_cli.core.errors import NOT_ALIGNED, InputError, NoResultError
+from specmap_cli.core.errors import (
+    NOT_ALIGNED,
+    InputError,
+    NoResultError,
+    Paths,
+    instance_of,
+    path_of,
+    paths_of,
+)
 from specmap_cli.core.geometry import Pose2, compose
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.geometry import BentMotion, FloatArray
 from specmap_cli.core.records import BoolArray
-from specmap_cli.grids.bent import BentMotion
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, LengthArray
 from specmap_cli.topology.identity import Identity, identify
 from specmap_cli.topology.regions import NOBODY, Regions, borders_of

@@ -12,9 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
-from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.geometry import BentMotion, LocalMotion, Pose2
 from specmap_cli.grids import gridmap
-from specmap_cli.grids.bent import BentMotion, LocalMotion
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, cast_ranges, cast_rays
 from tests.strategies import grid_maps, seeds
 

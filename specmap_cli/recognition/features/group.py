@@ -15,7 +15,7 @@ class FeatureGroup:
 
     The values are finite for every scan, an empty one too, and do not change when the robot turns
     on the spot. `histogram` names those columns that are shares of a histogram of the scan's shape,
-    in [0, 1]: `learning.familiarity` tells by them whether a place is known at all.
+    in [0, 1]: `learning.Familiarity` tells by them whether a place is known at all.
     """
 
     compute: Callable[[Returns], Sequence[float]]

@@ -25,11 +25,11 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.errors import PACKAGE, SETTING, UsageError
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.plugins import with_plugins
+from specmap_cli.core.process import with_plugins
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.recognition.features import point_pairs, shape, table1
+from specmap_cli.recognition.features import shape, table1
 from specmap_cli.recognition.features.group import BatchGroup, FeatureGroup
 from specmap_cli.recognition.features.returns import ReturnsBatch
 
@@ -42,10 +42,10 @@ _LARGEST = float(np.finfo(np.float32).max)  # moments of odd scans are larger
 ENTRY_POINTS = "specmap.features"
 BUILT_IN: Mapping[str, FeatureSet] = {
     "table1": table1.GROUPS,
-    "pairs": table1.GROUPS + point_pairs.GROUPS,
+    "pairs": table1.GROUPS + shape.PAIR_GROUPS,
     "shape": table1.GROUPS + shape.GROUPS,
-    "places": table1.GROUPS + shape.GROUPS + point_pairs.GROUPS,
-    "full": table1.GROUPS + shape.GROUPS + point_pairs.GROUPS + shape.PROFILE_GROUPS,
+    "places": table1.GROUPS + shape.GROUPS + shape.PAIR_GROUPS,
+    "full": table1.GROUPS + shape.GROUPS + shape.PAIR_GROUPS + shape.PROFILE_GROUPS,
 }
 
 

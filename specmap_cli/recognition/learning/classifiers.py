@@ -14,8 +14,7 @@ from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import RecognitionConfig
-from specmap_cli.core.text import to_exact_json
-from specmap_cli.core.wording import first_finding
+from specmap_cli.core.text import first_finding, to_exact_json
 from specmap_cli.recognition.features.sets import feature_names, feature_sets
 from specmap_cli.recognition.learning.boosting import (
     BoosterPart,
@@ -25,9 +24,7 @@ from specmap_cli.recognition.learning.boosting import (
     as_part,
     booster_of,
 )
-from specmap_cli.recognition.learning.calibration import Calibration
-from specmap_cli.recognition.learning.familiarity import Familiarity
-from specmap_cli.recognition.learning.misfit import HeldOutMisfit
+from specmap_cli.recognition.learning.calibration import Calibration, Familiarity, HeldOutMisfit
 
 # Two lasers see the same when they differ by less: drivers round angles and the number of beams,
 # and features change slowly with the density of beams and with the range.

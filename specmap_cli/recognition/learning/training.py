@@ -14,18 +14,19 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.arrays import evenly
-from specmap_cli.core.geometry import FloatArray, travelled
+from specmap_cli.core.geometry import FloatArray, evenly, travelled
 from specmap_cli.core.records import BoolArray, IntArray
 from specmap_cli.core.settings import Config, RecognitionConfig
 from specmap_cli.grids.keyframes import DIRECTION_RAD, KeyframeStore
 from specmap_cli.recognition.learning.boosting import OneVsAll
-from specmap_cli.recognition.learning.calibration import MOST_VIEWS, HeldOutMargins
+from specmap_cli.recognition.learning.calibration import (
+    HELD_OUT_REACH_M,
+    MOST_VIEWS,
+    Familiarity,
+    HeldOutMargins,
+)
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser, Sensor
-from specmap_cli.recognition.learning.familiarity import Familiarity
-from specmap_cli.recognition.learning.misfit import HELD_OUT_REACH_M
-from specmap_cli.recognition.learning.sampling import views
-from specmap_cli.recognition.learning.training_data import Samples
+from specmap_cli.recognition.learning.sampling import Samples, views
 
 _PIECE_M, _EVERY = 5.0, 4  # of the way a piece in four is held out; the first one never is
 _UNCLAIMED = -1e3  # margin of a submap of which nothing was left to learn from
