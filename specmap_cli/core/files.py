@@ -73,10 +73,7 @@ def write_bytes(path: Path | str, data: bytes) -> None:
 
 
 def write_together(contents: Mapping[Path, bytes]) -> None:
-    """Write several files, replacing those of their names: all of them, or none.
-
-    UsageError when one cannot be written.
-    """
+    """Write several files, replacing those of their names: all or none. Raises UsageError."""
     with ExitStack() as files:  # each takes its name only when all have been written
         for path, data in contents.items():
             file = files.enter_context(complete_file(path))
@@ -187,10 +184,7 @@ def to_disk(*paths: Path) -> None:
 
 
 def remove_leftovers(target: Path) -> tuple[Path, ...]:
-    """Remove what runs that were killed had begun to write in the place of a file; returns it.
-
-    It has the name that `partial_of` gives, and no living run holds a lock on it. Raises OSError.
-    """
+    """Remove what killed runs had begun to write in place of a file; returns it. Raises OSError."""
     removed = []
     ours = re.compile(re.escape(f".{target.name}.partial-") + r"([0-9a-f]{16}|\d+)")
     for path in target.parent.iterdir():

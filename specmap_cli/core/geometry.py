@@ -39,10 +39,7 @@ def product(a: NDArray[Any], b: NDArray[Any]) -> FloatArray:
 
 
 def inverse3(matrices: NDArray[Any]) -> FloatArray:
-    """The inverses of matrices (..., 3, 3), by cofactors, the same bits on every processor.
-
-    Good for matrices that are far from singular, as covariances with a floor are.
-    """
+    """Inverses of (..., 3, 3) far from singular, by cofactors: the same bits on every processor."""
     rows = np.asarray(matrices, dtype=np.float64)
     one, two = rows[..., _NEXT, :], rows[..., _LAST, :]  # np.cross takes four times as long
     cofactors = one[..., _NEXT] * two[..., _LAST] - one[..., _LAST] * two[..., _NEXT]
@@ -112,29 +109,16 @@ IDENTITY = Pose2(0.0, 0.0, 0.0)
 def compose(a_from_b: NDArray[Any], b_from_c: NDArray[Any]) -> FloatArray:
     """Composition of arrays of poses (..., 3), broadcasting."""
     a, b = np.asarray(a_from_b, dtype=np.float64), np.asarray(b_from_c, dtype=np.float64)
-    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
-    return np.stack(
-        [
-            a[..., 0] + c * b[..., 0] - s * b[..., 1],
-            a[..., 1] + s * b[..., 0] + c * b[..., 1],
-            wrap_angles(a[..., 2] + b[..., 2]),
-        ],
-        axis=-1,
-    )
+    x, y, c, s = b[..., 0], b[..., 1], np.cos(a[..., 2]), np.sin(a[..., 2])
+    turn = wrap_angles(a[..., 2] + b[..., 2])
+    return np.stack([a[..., 0] + c * x - s * y, a[..., 1] + s * x + c * y, turn], axis=-1)
 
 
 def invert(a_from_b: NDArray[Any]) -> FloatArray:
     """Inverses of an array of poses (..., 3)."""
     a = np.asarray(a_from_b, dtype=np.float64)
-    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
-    return np.stack(
-        [
-            -c * a[..., 0] - s * a[..., 1],
-            s * a[..., 0] - c * a[..., 1],
-            wrap_angles(-a[..., 2]),
-        ],
-        axis=-1,
-    )
+    x, y, c, s = a[..., 0], a[..., 1], np.cos(a[..., 2]), np.sin(a[..., 2])
+    return np.stack([-c * x - s * y, s * x - c * y, wrap_angles(-a[..., 2])], axis=-1)
 
 
 def nearest_motion(source: NDArray[Any], target: NDArray[Any]) -> Pose2:
@@ -193,10 +177,7 @@ def rpy_from_quaternions(quaternions: NDArray[Any]) -> FloatArray:
 
 
 def step_lengths(poses: NDArray[Any]) -> FloatArray:
-    """(n - 1,) metres from each place of `poses` (n, 2 or more columns) to the next; (0,) of none.
-
-    NaN where one of the two places is not known.
-    """
+    """(n - 1,) metres from place to place of `poses` (n, 2 or more); NaN where one is not known."""
     steps = np.diff(np.asarray(poses, dtype=np.float64)[:, :2], axis=0)
     return np.asarray(np.hypot(steps[:, 0], steps[:, 1]), dtype=np.float64)
 
@@ -214,10 +195,7 @@ def travelled(poses: NDArray[Any]) -> FloatArray:
 
 
 def moved(before: Pose2 | None, now: Pose2, distance_m: float, angle_rad: float) -> bool:
-    """Whether the robot drove `distance_m` or turned `angle_rad` since `before`, or more.
-
-    Without a pose before, it has: the first scan always counts.
-    """
+    """Whether the robot drove `distance_m` or turned `angle_rad` since `before`, if that was."""
     if before is None:
         return True
     step = before.inverse() @ now
@@ -237,10 +215,7 @@ def runs(labels: Sequence[Any] | NDArray[Any]) -> list[tuple[int, int]]:
 
 
 def neighbours(ids: Iterable[int], pairs: Iterable[tuple[int, int]]) -> Neighbours:
-    """The ids that share a pair with each id, which may be none; a pair of equals counts nothing.
-
-    Raises KeyError for a pair with an end that is no id.
-    """
+    """The ids that share a pair with each id, itself left out; KeyError for an end that is none."""
     found: dict[int, set[int]] = {id_: set() for id_ in ids}
     for a, b in pairs:
         if a != b:

@@ -266,11 +266,7 @@ class _MapYaml(BaseModel):
         return self
 
     def frees_unknown(self, picture: NDArray[Any]) -> bool:
-        """Whether a picture (H, W, C) is a saved map whose grey for unknown would be read as free.
-
-        Such a picture has the greys of map_saver, nearly no others, and one for free among them: of
-        two greys that are both free, none would say anything.
-        """
+        """Whether a picture (H, W, C) is one of map_saver whose unknown would be read as free."""
         if self.mode != "trinary" or self.negate:
             return False
         if self.free_thresh <= (255 - _UNKNOWN_GREY) / 255.0:
@@ -342,10 +338,7 @@ def read_picture(path: Path, limits: LimitsConfig | None = None) -> NDArray[Any]
 
 
 def _is_whole(data: bytes) -> bool:
-    """Whether a PNG holds every byte that its chunks claim, which decoders ask memory for.
-
-    Pictures of other formats have no chunks.
-    """
+    """Whether a PNG holds every byte that its chunks claim; other formats have no chunks."""
     place = len(_PNG_MAGIC)
     while data.startswith(_PNG_MAGIC) and place < len(data):
         length = int.from_bytes(data[place : place + 4])

@@ -149,10 +149,7 @@ def search_everywhere(
 
 
 def _peaks(picture: FloatArray, count: int) -> list[tuple[int, int]]:
-    """Rows and columns of the highest cells (H, W) with no higher neighbour, the highest first.
-
-    Neighbours are told apart in single precision. Ties go to the first row, then column.
-    """
+    """Rows and columns of the highest cells (H, W) with no higher neighbour, the highest first."""
     single = picture.astype(np.float32)
     cells = np.flatnonzero(single >= cv2.dilate(single, np.ones((3, 3), dtype=np.uint8)))
     best = cells[np.argsort(-picture.ravel()[cells], kind="stable")[:count]]
@@ -161,10 +158,7 @@ def _peaks(picture: FloatArray, count: int) -> list[tuple[int, int]]:
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Where points may be: about `pose`, with an error of this covariance (3, 3) in the field.
-
-    Without a covariance they may be anywhere, at any angle.
-    """
+    """Where points may be: about `pose`, with a covariance (3, 3) in the field; None: anywhere."""
 
     pose: Pose2
     covariance: FloatArray | None = None

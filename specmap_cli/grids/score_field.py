@@ -46,10 +46,7 @@ _NEAR_STEP = 1e-3  # metres and radians: what follows mends as much
 
 @dataclass(frozen=True, slots=True)
 class PointCells:
-    """The cells `cells` (2, N), columns and rows from the origin of the frame, of N points.
-
-    `low` and `high` are the least and greatest x and y of the points, metres.
-    """
+    """`cells` (2, N), columns and rows from the frame's origin, of points from `low` to `high`."""
 
     cells: NDArray[np.int64]
     low: tuple[float, float]
@@ -68,10 +65,7 @@ class PointCells:
 
 @dataclass(frozen=True, slots=True)
 class ScoreField:
-    """`values` (H, W) in [0, 1] on a grid whose lower left corner is `origin` (x, y).
-
-    `left_out` counts the points that the field does not show, for lying too far from the others.
-    """
+    """`values` (H, W) in [0, 1] on a grid from `origin` on; `left_out` points lie too far away."""
 
     values: FieldArray
     resolution: float

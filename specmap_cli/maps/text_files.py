@@ -27,8 +27,7 @@ from specmap_cli.core.geometry import (
 )
 from specmap_cli.core.records import NO_SUBMAP, Labels, Trajectory
 from specmap_cli.core.settings import Config, LimitsConfig
-from specmap_cli.core.tables import csv_text
-from specmap_cli.core.text import counted, decimal, first_finding, stamp_ns, stamp_text
+from specmap_cli.core.text import counted, csv_text, decimal, first_finding, stamp_ns, stamp_text
 
 LABELS_HEADER = "stamp,x,y,theta,submap"
 _LOST, _FOUND = "# lost", "# found"

@@ -47,8 +47,7 @@ from specmap_cli.pipelines.reports import EditReport
 from specmap_cli.pipelines.session import Session
 from specmap_cli.segmentation.division import unentered
 from specmap_cli.topology.navigation import parts
-from specmap_cli.topology.regions import Regions
-from specmap_cli.topology.shapes import kind_of
+from specmap_cli.topology.regions import Regions, kind_of
 from specmap_cli.topology.topological_map import TopologicalMap, default_name
 
 # What no border changes: copied, so that nothing is rounded again.

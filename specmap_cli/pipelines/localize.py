@@ -21,8 +21,7 @@ from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import NO_SUBMAP
 from specmap_cli.core.settings import Config
-from specmap_cli.core.tables import csv_text
-from specmap_cli.core.text import counted, legible, stamp_text
+from specmap_cli.core.text import counted, csv_text, legible, stamp_text
 from specmap_cli.grids.map_server import png_bytes
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream

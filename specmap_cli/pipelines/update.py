@@ -66,8 +66,7 @@ from specmap_cli.recognition.closure.alignment import Alignment, MapToAlign
 from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.segmentation.division import regions_of
 from specmap_cli.topology.graph import Heritage, inherited
-from specmap_cli.topology.identity import border_changes
-from specmap_cli.topology.redrawing import carried
+from specmap_cli.topology.identity import border_changes, carried
 
 _SAME_M = 2e-3  # what a map keeps of a range, a millimetre, and as much again
 _SAME_SHARE = 0.5  # of the readings; those of a scan in motion stand at other bearings

@@ -106,10 +106,7 @@ def breaks(evidence: Evidence) -> Iterator[Finding]:
 
 
 def unmeasured_way(evidence: Evidence) -> Iterator[Finding]:
-    """Stretches that may be longer or shorter, since walls did not show how far the robot came.
-
-    The gravest ones first. Where odometry measured the way it counts, as well as odometry does.
-    """
+    """Stretches that may be longer or shorter than the map has them, the gravest ones first."""
     for stretch in sorted(evidence.stretches, key=lambda one: -one.off_m):
         severity, limit = graded(stretch.off_m, _OFF_M, _OFF_M_POOR)
         if severity == "note":

@@ -160,10 +160,7 @@ class Cloud(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lidar:
-    """A 3D lidar: `level` with beams at every one of the `elevations` (R,), radians, upwards.
-
-    It stands `height_m` above the floor; walls and the ceiling are `ceiling_m` above it.
-    """
+    """A 3D lidar: `level` at each of the `elevations` (R,), radians; heights are off the floor."""
 
     level: Laser
     elevations: FloatArray
@@ -342,10 +339,7 @@ def simulated_tour(plan: GridMap, options: SimulationOptions) -> SimulatedTour:
 def tour_along(
     path: FloatArray, world: World, options: SimulationOptions, area_m2: float
 ) -> SimulatedTour:
-    """The tour along a path (N, 2) in the world, of which the robot can reach `area_m2`.
-
-    Its errors are those that `options.seed` draws for a tour of its own.
-    """
+    """The tour along a path (N, 2) in the world, of which the robot can reach `area_m2`."""
     _, wheels, noise = np.random.SeedSequence(options.seed).spawn(3)
     limits = Limits(
         options.speed_mps, math.radians(options.turn_rate_degps), options.acceleration_mps2

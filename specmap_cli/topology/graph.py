@@ -52,11 +52,7 @@ Span = tuple[int, int]
 
 
 def submap_of_regions(regions: Iterable[int], merges: Iterable[Pair]) -> dict[int, int]:
-    """The submap of each region: the smallest number of the regions merged with it.
-
-    `merges` are pairs of regions that are one submap, in any order and over any others. Raises
-    KeyError for a merge of what is no region.
-    """
+    """The submap of each region: the least of those merged with it. KeyError for no region."""
     sets = DisjointSet(regions)
     for a, b in merges:
         sets.merge(a, b)
@@ -262,11 +258,7 @@ def _driven_m(labels: IntArray, poses: FloatArray) -> dict[int, float]:
 def _heirs(
     labels: IntArray, old: IntArray, divided: IntArray, known: Iterable[int]
 ) -> dict[int, int]:
-    """The submap that new space in a region of the division goes to, for some of them.
-
-    An old submap goes on where most of its keyframes, `old` (n,), are; of several in one region
-    that with the most. A `known` region without one goes to the submap of most of its keyframes.
-    """
+    """The submap that has most of an old one, or of a `known` region, goes on in its new space."""
     heirs = {}
     for region in known:
         submap, share = _commonest(labels[divided == region])

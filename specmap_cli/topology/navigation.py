@@ -89,11 +89,7 @@ def with_ways(
 
 
 def _with_way(edge: Edge, way: Way, doors: Iterable[Door]) -> Edge:
-    """An edge with its way and those of the doors that it goes through.
-
-    An edge without a path names all doors between its submaps: the robot is too wide for them, or
-    for what is behind them.
-    """
+    """An edge with its way and the doors on it; without a path, with all doors between the two."""
     through = [door for door in doors if door.between == (edge.source, edge.target)]
     if way.path is not None:
         met = [(crossing_of(way.path, door), door) for door in through]
@@ -113,10 +109,7 @@ def _with_way(edge: Edge, way: Way, doors: Iterable[Door]) -> Edge:
 
 
 def crossing_of(path: FloatArray, door: Door) -> tuple[int, float] | None:
-    """The piece of a path (N, 2) that crosses the line of a door, and the share of it before that.
-
-    None where it does not cross.
-    """
+    """The piece of a path (N, 2) that crosses a door's line, and the share before that, or None."""
     door_from_map = Pose2(door.x, door.y, door.theta).inverse()
     ahead, aside = door_from_map.apply(path).T
     for step, (a, b) in enumerate(pairwise(range(len(path)))):
@@ -130,10 +123,7 @@ def crossing_of(path: FloatArray, door: Door) -> tuple[int, float] | None:
 def with_detours(
     topology: TopologicalMap, regions: Regions, shut: Collection[int]
 ) -> TopologicalMap:
-    """The map with ways through none of the doors that are `shut`, by their ids, where there are.
-
-    Where no such way is left, or a door is open again, the way is the one through any door.
-    """
+    """The map with ways round the doors of the ids `shut`, where there are any, else through."""
     changed = [door for door in topology.doors if door.forbidden or door.id in shut]
     pairs = {door.between for door in changed} & topology.edges.keys()
     places = {id_: each.anchor for id_, each in topology.submaps.items() if each.anchor is not None}
@@ -188,10 +178,7 @@ Place = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Forbidden:
-    """A person forbade the way between two submaps, or the one `at` a place in the map.
-
-    `later` are the borders made after it was said: it holds for what the submaps became.
-    """
+    """A way that a person forbade, all of it or `at` a place, before the borders `later`."""
 
     between: Pair
     at: Place | None = None
@@ -210,11 +197,7 @@ class Shut:
 
 
 def shut_by(topology: TopologicalMap, request: Forbidden) -> Shut | str:
-    """The links and doors that are meant, or why there are none.
-
-    Without a place all of them between the two; with one the door nearest to it, or where the two
-    meet in the open the link that crosses there.
-    """
+    """The links and doors between two, or those nearest to a place, or why there are none."""
     one, other = (heirs(id_, request.later) for id_ in request.between)
     edges = {
         (a, b): edge
@@ -242,10 +225,7 @@ def shut_by(topology: TopologicalMap, request: Forbidden) -> Shut | str:
 
 
 def with_shut(topology: TopologicalMap, shut: Shut) -> TopologicalMap:
-    """The map in which these links and doors are forbidden, and no others.
-
-    A link is forbidden, too, when its way leads through a forbidden door: see `with_detours`.
-    """
+    """The map in which these doors, these links, and links through these doors are forbidden."""
     return replace(
         topology,
         edges={
@@ -283,10 +263,7 @@ class Route:
 
 
 class Roads:
-    """What of a map a robot can drive on; `route` finds the way on it from place to place.
-
-    Of a map of an earlier version nobody knows the robot's radius.
-    """
+    """What of a map a robot can drive on; of an old map, without a radius, nothing is known."""
 
     def __init__(
         self, regions: Regions, doors: Sequence[Door], edges: Iterable[Edge], radius_m: float | None
@@ -367,10 +344,7 @@ class _Ground:
         return cls(space, clearance, price)
 
     def beside(self, place: Point) -> IntArray | None:
-        """The row and column nearest to a place where the robot can stand, within `_ASIDE_M`.
-
-        In the room of the place itself, where it lies in one.
-        """
+        """The cell to stand in nearest to a place, within `_ASIDE_M`, and in its room if any."""
         grid, owner = self.space.grid, self.space.owner
         cell = grid.cells_of(np.array([place]))
         reach = math.ceil(_ASIDE_M / grid.resolution)

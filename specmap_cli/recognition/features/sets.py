@@ -51,10 +51,7 @@ BUILT_IN: Mapping[str, FeatureSet] = {
 
 @cache
 def feature_sets() -> Mapping[str, FeatureSet]:
-    """The sets by name: those of this package, then those of other packages.
-
-    Read once a process. Raises UsageError for a package whose set cannot be used.
-    """
+    """The sets by name, those of other packages last. UsageError for one that cannot be used."""
     table = with_plugins(ENTRY_POINTS, BUILT_IN)
     sets: dict[str, FeatureSet] = {}
     for name, groups in table.items():
@@ -77,10 +74,7 @@ def check_feature_sets(config: Config) -> None:
 
 
 def feature_names(feature_set: str, setting: str = "feature_set") -> tuple[str, ...]:
-    """The names (F,) of a set's columns.
-
-    Raises UsageError for a set that does not exist; `setting` is the key that named it.
-    """
+    """The names (F,) of a set's columns. UsageError for a set that is none, named by `setting`."""
     groups = _groups_of(feature_set, setting)
     return tuple(column for group in groups for column in group.columns)
 
@@ -131,11 +125,7 @@ def scans_features(scans: Iterable[PlanarScan], feature_set: str) -> FloatArray:
 
 
 class KeyframeFeatures:
-    """Features of the keyframes of a store, each computed once while there is room.
-
-    The first `most` are kept, a kilobyte each: in single precision, to which they are rounded
-    anyway. A robot that drives on all day has others computed again when they are asked for again.
-    """
+    """Features of keyframes, computed once while there is room: `most`, a kilobyte each."""
 
     def __init__(self, store: KeyframeStore, feature_set: str, most: int = _KEPT) -> None:
         self.store = store

@@ -37,19 +37,13 @@ _FARTHEST_M = 12.0
 
 
 def breaks_of(batch: ReturnsBatch) -> BoolArray:
-    """(N,) whether the step from a return to the next one leaps from one surface to another.
-
-    The last return of a scan has no step.
-    """
+    """(N,) whether the step from a return to the next one leaps from one surface to another."""
     following = batch.ranges[batch.segments.following]
     return leaps(batch.onward, batch.ranges, following) & ~batch.segments.last
 
 
 def leaps(steps: FloatArray, here: FloatArray, there: FloatArray) -> BoolArray:
-    """(N,) whether steps (N,) between returns at ranges `here` and `there` (N,) leave a surface.
-
-    Those do that are longer than 0.25 m and 3 % of the nearer range together.
-    """
+    """(N,) whether steps (N,) between ranges (N,) are over 0.25 m and 3 % of the nearer one."""
     return np.asarray(steps > _BREAK_M + _BREAK_PER_M * np.minimum(here, there))
 
 
@@ -68,9 +62,7 @@ def pieces_between(segments: Segments, breaks: BoolArray) -> tuple[IntArray, Int
 
 
 def pieces(batch: ReturnsBatch) -> FloatArray:
-    """Smooth pieces between leaps: how many there are, how many are longer than each of 0.5, 1 and
-    2 m, the longest one's length and the mean length.
-    """
+    """Smooth pieces: how many, how many over 0.5, 1 and 2 m, the longest length and the mean."""
     segments, breaks = batch.segments, breaks_of(batch)
     travelled = travelled_along(batch, np.zeros_like(breaks))
     starts, ends = pieces_between(segments, breaks)
@@ -252,10 +244,7 @@ def boundary(batch: ReturnsBatch) -> tuple[Segments, FloatArray, FloatArray]:
 
 
 def _bins(first: FloatArray, second: FloatArray) -> NDArray[np.uint8]:
-    """The bins of pairs of points by distance and orientation; x, y and normal (4, ...) of each.
-
-    NaN stands for no point; its pairs are in the bin `_OF_NONE`.
-    """
+    """The bins of pairs of points with x, y and normal (4, ...) each; `_OF_NONE` for NaN."""
     (x1, y1, u1, v1), (x2, y2, u2, v2) = first, second
     dx, dy = x2 - x1, y2 - y1
     squared = dx * dx

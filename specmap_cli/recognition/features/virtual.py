@@ -31,10 +31,7 @@ _TURN = 2.0 * math.pi
 
 
 def all_round(ranges: FloatArray, range_max: float, stamp_ns: int = 0) -> PlanarScan:
-    """The full-circle scan of ranges (B,) at the bearings of `circle(B)`, to the micrometre.
-
-    The poses behind them differ in their last bits from processor to processor.
-    """
+    """The full-circle scan of ranges (B,) at the bearings of `circle(B)`, to the micrometre."""
     return PlanarScan(
         stamp_ns=stamp_ns,
         bearings=circle(len(ranges)),
@@ -118,10 +115,7 @@ def cast_circles(
 
 
 def outline(scan: PlanarScan, map_from_laser: Pose2, reach_m: float) -> FloatArray:
-    """(k, 4) the lines x, y, x, y in the map between neighbouring returns of one surface.
-
-    Returns farther than `reach_m` are left out.
-    """
+    """(k, 4) lines x, y, x, y in the map between neighbouring returns in `reach_m` on a surface."""
     ranges, bearings = scan.ranges, scan.bearings
     near = np.isfinite(ranges) & (ranges <= reach_m)
     r = np.where(near, ranges, 0.0)

@@ -79,10 +79,7 @@ class HeldOutMargins:
 @as_part
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """How sure a map's classifiers of raw and of virtual scans are, over what is usual.
-
-    `views` scans that were held out say so; without any it is as usual.
-    """
+    """How sure raw and virtual classifiers are, over what is usual, by `views` held-out scans."""
 
     raw: _Ratio = 1.0
     virtual: _Ratio = 1.0
@@ -205,10 +202,7 @@ def held_out_misfit(
 
 
 def near_returns(scan: PlanarScan, near_m: float) -> FloatArray:
-    """(N, 2) a choice of the scan's returns within `near_m`, or of the nearer half if that is more.
-
-    Far ones are seen through doors, from where they hardly show again.
-    """
+    """(N, 2) some of the scan's returns within `near_m`, or of the nearer half if more."""
     hits = scan.hits()
     ranges = np.hypot(hits[:, 0], hits[:, 1])
     reach = max(near_m, float(np.median(ranges))) if len(ranges) else near_m
@@ -216,11 +210,7 @@ def near_returns(scan: PlanarScan, near_m: float) -> FloatArray:
 
 
 def pooled(held_out: HeldOutMisfit | None, config: LocalizationConfig) -> float:
-    """Mean misfit of known places: that of the map's own views, drawn to what is usual anywhere.
-
-    The fewer views were held out, the nearer it is to `_USUAL_MISFIT`, which is wide. The mean is
-    that of an exponential distribution with the median found.
-    """
+    """Mean misfit of known places: that of the map's own views, drawn to what is usual anywhere."""
     views, typical = (held_out.views, held_out.typical) if held_out is not None else (0, 0.0)
     pseudo = _USUAL_MISFIT_VIEWS
     mean = (views * typical / math.log(2.0) + pseudo * _USUAL_MISFIT) / (views + pseudo)

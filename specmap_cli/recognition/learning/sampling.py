@@ -35,10 +35,7 @@ from specmap_cli.recognition.features.virtual import (
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """Features (n, F) of scans of a submap, and the keyframes (n,) where they were taken.
-
-    Of scans cast in a grid the keyframes are the nearest ones.
-    """
+    """Features (n, F) of scans of a submap, and keyframes (n,): where taken, or nearest if cast."""
 
     features: NDArray[Any]
     keyframes: NDArray[np.intp]
@@ -245,10 +242,7 @@ def _in_windows(
     sampled: Collection[int],
     poses: FloatArray,
 ) -> Iterator[PlanarScan]:
-    """What the window showed at each of the keyframes `sampled`, of several lengths.
-
-    It moves over the keyframes `numbers` of a recording, in turn.
-    """
+    """What a window over the keyframes `numbers` showed at those `sampled`, of several lengths."""
     window = RecentScans()
     turn = 0
     for number in numbers.tolist():
@@ -307,10 +301,7 @@ def _seen_from(
     sources: NDArray[np.intp],
     placed: FloatArray,
 ) -> Iterator[PlanarScan]:
-    """What the lasers of keyframes `sources` (k,) would have seen from `placed` (k, 3).
-
-    It is made of what the nearest of the keyframes `numbers` saw from their `poses`.
-    """
+    """What the lasers of `sources` (k,) would have seen from `placed` (k, 3), by others near."""
 
     @lru_cache(_OUTLINES_KEPT)
     def outline_of(keyframe: int) -> FloatArray:
