@@ -77,11 +77,15 @@ class GridMap:
 
     def values_at(self, points: NDArray[Any]) -> CellArray:
         """(N,) state of the cell under each point (N, 2); UNKNOWN outside."""
+        return self.under(points, self.cells, UNKNOWN)
+
+    def under(self, points: NDArray[Any], values: NDArray[_Value], outside: Any) -> NDArray[_Value]:
+        """(N,) what `values` (H, W) of cells are under points (N, 2), `outside` off the grid."""
         cells = self.cells_of(points)
         inside = self.inside(cells)
-        values = np.full(len(cells), UNKNOWN, dtype=np.uint8)
-        values[inside] = self.cells[cells[inside, 0], cells[inside, 1]]
-        return values
+        found = np.full(len(cells), outside, dtype=values.dtype)
+        found[inside] = values[tuple(cells[inside].T)]
+        return found
 
     def window(self, rows: slice, columns: slice) -> GridMap:
         """A copy of the part in some rows and columns, with starts and ends on the grid."""

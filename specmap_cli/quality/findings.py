@@ -237,11 +237,7 @@ def _doubt(hole: Hole) -> str:
 
 
 def _joined(layout: Layout, starts: IntArray) -> IntArray:
-    """To which group each of the pieces between holes belongs (holes + 1,).
-
-    `starts` are the keyframes that follow the holes. Pieces are in one group when matches tie them
-    in several places well after the hole: what was seen right behind it is what led to the belief.
-    """
+    """The group, joined by matches well after holes, of each piece between these (holes + 1,)."""
     way = travelled(layout.poses)
     ties: set[tuple[int, int, int]] = set()
     for link in layout.kept:

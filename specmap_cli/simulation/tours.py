@@ -276,12 +276,9 @@ def drive(path: FloatArray, limits: Limits) -> Drive:
 def _accelerated(speeds: FloatArray, lengths: FloatArray, acceleration: float) -> FloatArray:
     """The speeds (N,) lowered so that neither speeding up nor braking passes the acceleration."""
     result = speeds.copy()
-    for i in range(1, len(result)):
-        reachable = math.sqrt(result[i - 1] ** 2 + 2.0 * acceleration * lengths[i - 1])
-        result[i] = min(result[i], reachable)
-    for i in range(len(result) - 2, -1, -1):
-        stoppable = math.sqrt(result[i + 1] ** 2 + 2.0 * acceleration * lengths[i])
-        result[i] = min(result[i], stoppable)
+    for ahead, steps in ((result, lengths), (result[::-1], lengths[::-1])):  # views of one array
+        for i, length in enumerate(steps):
+            ahead[i + 1] = min(ahead[i + 1], math.sqrt(ahead[i] ** 2 + 2.0 * acceleration * length))
     return result
 
 

@@ -56,10 +56,7 @@ class World:
 
     def clearance_at(self, points: NDArray[Any]) -> FloatArray:
         """(N,) metres from each point (N, 2) to the next wall, half a cell on the safe side."""
-        cells = self.plan.cells_of(points)
-        inside = self.plan.inside(cells)
-        clearance = np.zeros(len(cells))
-        clearance[inside] = self.clearance[cells[inside, 0], cells[inside, 1]]
+        clearance = self.plan.under(points, self.clearance, 0.0)
         return np.maximum(clearance - 0.5 * self.plan.resolution, 0.0)
 
     def cast(self, origins: NDArray[Any], angles: NDArray[Any], max_range: float) -> FloatArray:

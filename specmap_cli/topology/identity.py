@@ -381,9 +381,5 @@ def _moved_on(
     """The first place of a way in equal steps that is not in the cells `mine`."""
     steps = round(2.0 * sum(mine.shape) / _STEP)  # beyond the edge of the grid
     way = place + step * np.arange(steps)[:, None]
-    cells = grid.cells_of(way)
-    inside = grid.inside(cells)
-    held = np.zeros(len(way), dtype=np.bool_)
-    held[inside] = mine[tuple(cells[inside].T)]
-    x, y = way[int(np.argmin(held))].tolist()
+    x, y = way[int(np.argmin(grid.under(way, mine, False)))].tolist()
     return x, y

@@ -244,13 +244,9 @@ class Regions:
         A robot that stands beside the border of a region, by half its width, is still in it.
         """
         nearest, away = nearest_values(self.owner + 1)  # of which NOBODY is nought
-        cells = self.grid.cells_of(points[:, :2])
-        inside = self.grid.inside(cells)
-        rows, columns = cells[inside].T
-        near = away[rows, columns] * self.grid.resolution <= _ROBOT_RADIUS_M
-        owners = np.full(len(points), NOBODY, dtype=np.int64)
-        owners[inside] = np.where(near, nearest[rows, columns].astype(np.int64) - 1, NOBODY)
-        return owners
+        away_m = self.grid.under(points[:, :2], away, np.inf) * self.grid.resolution
+        owners = self.grid.under(points[:, :2], nearest, 0).astype(np.int64) - 1
+        return np.where(away_m <= _ROBOT_RADIUS_M, owners, NOBODY)
 
 
 def _seen(grid: GridMap, owner: OwnerArray) -> tuple[Seen, ...]:
