@@ -102,7 +102,10 @@ def _validated(
     given = overrides or {}
     left, retired = without_retired(settings)
     for key, value in retired.items():
-        warnings.warn(sentence(key, value), RetiredSetting, stacklevel=1)
+        no_effect = f"; {json.dumps(value, default=str)} has no effect"
+        told = f"{key} was retired: its value is now fixed at {json.dumps(_last_default(key))}"
+        told += "" if is_fixed(key, value) else no_effect
+        warnings.warn(told, RetiredSetting, stacklevel=1)
     return SETTINGS.value(left, lambda place: "" if _holds(given, place) else where)
 
 
@@ -153,14 +156,6 @@ def without_retired(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[s
 def is_fixed(key: str, value: Any) -> bool:
     """Whether a value is the one at which a retired setting is fixed."""
     return bool((list(value) if isinstance(value, tuple) else value) == _last_default(key))
-
-
-def sentence(key: str, value: Any) -> str:
-    """What to say of a retired setting that was given a value."""
-    no_effect = "" if is_fixed(key, value) else f"; {json.dumps(value, default=str)} has no effect"
-    return (
-        f"{key} was retired: its value is now fixed at {json.dumps(_last_default(key))}{no_effect}"
-    )
 
 
 def _last_default(key: str) -> Any:

@@ -157,22 +157,14 @@ class HoldOutResult:
             "precision": self.test.precision_of,
             "train_recall": self.train.recall_of,
         }
-        return {
-            "train": self.train.as_dict(),
-            "test": self.test.as_dict(),
-            "filtered": self.filtered.as_dict(),
-            "submaps": [
-                {
-                    "id": submap,
-                    **{
-                        name: round(of[submap], 6) if submap in of else None
-                        for name, of in figures.items()
-                    },
-                    "scans": int(self.test.confusion[k].sum()),
-                }
-                for k, submap in enumerate(self.test.ids)
-            ],
-        }
+        submaps = []
+        for submap, scans in zip(self.test.ids, self.test.confusion.sum(axis=1), strict=True):
+            own = {
+                name: round(of[submap], 6) if submap in of else None for name, of in figures.items()
+            }
+            submaps.append({"id": submap, **own, "scans": int(scans)})
+        parts = {"train": self.train, "test": self.test, "filtered": self.filtered}
+        return {**{name: one.as_dict() for name, one in parts.items()}, "submaps": submaps}
 
 
 @one_blas_thread()

@@ -136,7 +136,11 @@ def search_everywhere(
         picture = np.bincount(cells, minlength=math.prod(shape)).reshape(shape) / len(local)
         sums = np.fft.irfft2(spectrum * np.conj(np.fft.rfft2(picture)), shape, norm="forward")
         sums *= 1.0 / math.prod(shape)
-        for row, column in _peaks(sums, count):
+        # peaks, which no neighbour passes in single precision, the highest first, then by row
+        single = sums.astype(np.float32)
+        peaks = np.flatnonzero(single >= cv2.dilate(single, np.ones((3, 3), dtype=np.uint8)))
+        peaks = peaks[np.argsort(-sums.ravel()[peaks], kind="stable")[:count]]
+        for row, column in (divmod(peak, shape[1]) for peak in peaks.tolist()):
             value = float(sums[row, column])
             # shifts past the field are negative ones
             row -= shape[0] if row > (shape[0] + coarse.values.shape[0]) // 2 else 0
@@ -146,14 +150,6 @@ def search_everywhere(
         (min(1.0, -worse), Pose2(x, y, wrap_angle(angle))) for worse, x, y, angle in sorted(found)
     )
     return different_places(places, middle, count)
-
-
-def _peaks(picture: FloatArray, count: int) -> list[tuple[int, int]]:
-    """Rows and columns of the highest cells (H, W) with no higher neighbour, the highest first."""
-    single = picture.astype(np.float32)
-    cells = np.flatnonzero(single >= cv2.dilate(single, np.ones((3, 3), dtype=np.uint8)))
-    best = cells[np.argsort(-picture.ravel()[cells], kind="stable")[:count]]
-    return [divmod(cell, picture.shape[1]) for cell in best.tolist()]
 
 
 @dataclass(frozen=True, slots=True)

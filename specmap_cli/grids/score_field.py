@@ -1,10 +1,8 @@
 """Score fields: how near the closest obstacle is, everywhere on a grid, and the way to a match.
 
-A cell's value is exp(-d^2 / 2 sigma^2) of its distance d to the nearest obstacle, so that the mean
-value under the points of a scan says in [0, 1] how well the scan fits where it was put. The way to
-a match, and its last centimetres, are Gauss-Newton steps on the interpolated field (Kohlbrecher et
-al., "A Flexible and Scalable SLAM System with Full 3D Motion Estimation", SSRR 2011), with damping
-and step halving.
+What a field is `grids.matching` says. The way to a match, and its last centimetres, are damped
+Gauss-Newton steps on the interpolated field (Kohlbrecher et al., "A Flexible and Scalable SLAM
+System with Full 3D Motion Estimation", SSRR 2011), which are halved where they make it worse.
 """
 
 from __future__ import annotations

@@ -23,25 +23,14 @@ from specmap_cli.topology.regions import Border, Pair, Space, borders_of
 from specmap_cli.topology.topological_map import Door, Traversal
 
 
-@dataclass(frozen=True, slots=True)
-class Passages:
-    """How one can go from submap to submap: through `doors`, and across `openings`.
-
-    An opening is a border without a narrow place: the space is as wide there as on one side of it.
-    `openings` holds the middles (m, 2) of their cells, metres of the map, by pair.
-    """
-
-    doors: tuple[Door, ...]
-    openings: Mapping[Pair, FloatArray]
-
-
 def passages(
     space: Space, traversals: Mapping[Pair, Sequence[Traversal]], least_m: float
-) -> Passages:
+) -> tuple[tuple[Door, ...], dict[Pair, FloatArray]]:
     """The doors and openings at least `least_m` wide between the submaps of a map.
 
-    Doors are numbered by the pair of submaps, then from the lowest y on. Of the `traversals` of a
-    pair each counts for the door that is nearest to it, unless an opening is nearer.
+    An opening is a border without a narrow place, by the middles (m, 2) of its cells, metres. Doors
+    are numbered by pair, then from the lowest y on. Of the `traversals` of a pair each counts for
+    the door that is nearest to it, unless an opening is nearer.
     """
     least = least_m / space.grid.resolution
     places: dict[Pair, list[Narrow]] = {}
@@ -69,7 +58,7 @@ def passages(
             space, pair, places[pair], traversals.get(pair, ()), openings.get(pair, _NO_PLACES)
         )
     ]
-    return Passages(tuple(replace(door, id=number) for number, door in enumerate(doors)), openings)
+    return tuple(replace(door, id=number) for number, door in enumerate(doors)), openings
 
 
 def _doors(

@@ -62,7 +62,7 @@ def with_ways(
     """
     space = Space.of(regions, scanned=stood is not None)
     driven = {pair: edge.traversals for pair, edge in topology.edges.items()}
-    found = passages(space, driven, config.door_min_m)
+    doors, openings = passages(space, driven, config.door_min_m)
     cells = space.grid.cells_of(np.zeros((0, 2)) if stood is None else stood[:, :2])
     cells = cells[space.grid.inside(cells)]
     anchors = anchors_of(space, cells, config.robot_radius_m, PLACE_MARGIN_M)
@@ -72,7 +72,7 @@ def with_ways(
             place, clearance_m = space.place(np.array(anchors[id_].cell)), anchors[id_].clearance_m
             submaps[id_] = replace(submap, anchor=place, anchor_clearance_m=clearance_m)
     edges = dict(topology.edges)
-    for pair in sorted({door.between for door in found.doors} | set(found.openings)):
+    for pair in sorted({door.between for door in doors} | openings.keys()):
         if pair not in edges:
             edges[pair] = edge_between(submaps, pair, kind)
     there = ways(space, anchors, edges, config.robot_radius_m)
@@ -80,10 +80,9 @@ def with_ways(
         topology,
         submaps=submaps,
         edges={
-            pair: _with_way(edge, there.get(pair, NO_WAY), found.doors)
-            for pair, edge in edges.items()
+            pair: _with_way(edge, there.get(pair, NO_WAY), doors) for pair, edge in edges.items()
         },
-        doors=found.doors,
+        doors=doors,
         robot_radius_m=config.robot_radius_m,
     )
 
