@@ -29,10 +29,7 @@ def to_json(value: Any) -> str:
 
 
 def to_exact_json(value: Any, levels: int) -> str:
-    """JSON with sorted keys and exact numbers: a line an entry in the outer `levels`, dense below.
-
-    For plain types only: what is learned is read back to the last bit.
-    """
+    """JSON of plain types, keys sorted, numbers exact; a line an entry in the outer `levels`."""
     return _indented(value, levels, "") + "\n"
 
 
@@ -231,10 +228,7 @@ def _defused(cell: Any) -> Any:
 def markdown_table(
     head: Sequence[str], rows: Iterable[Sequence[str]], numbers: Collection[str] = ()
 ) -> list[str]:
-    """The lines of a table; columns of the headings `numbers` stand to the right.
-
-    Cells are Markdown already: see `markdown_text`.
-    """
+    """The lines of a table of Markdown cells; columns of the headings `numbers` to the right."""
     return [
         "|" + "".join(f" {name} |" if name else " |" for name in head),
         "|" + "".join("---:|" if name in numbers else "---|" for name in head),
@@ -252,10 +246,7 @@ def markdown_text(text: str) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """A test case of JUnit XML: it passed, was skipped, or failed for a reason of some kind.
-
-    `detail` is a longer text beside the reason; `seconds` is None where nobody measured it.
-    """
+    """A test case of JUnit XML: passed, skipped, or failed; `seconds` where they were measured."""
 
     name: str
     seconds: float | None = None

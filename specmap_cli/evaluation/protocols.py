@@ -125,10 +125,7 @@ def classification_scores(
 
 @dataclass(frozen=True, slots=True)
 class HoldOut:
-    """Which keyframes are held out: a `share` of them, one by one or in blocks of `block`.
-
-    The choice depends on a keyframe's number and `seed` only, so that it can be made as they come.
-    """
+    """Keyframes held out, by number and seed: a `share`, single or in blocks of `block`."""
 
     split: Split = "random"
     share: float = 0.2

@@ -94,10 +94,7 @@ class GridMap:
         return GridMap(self.cells[rows, columns].copy(), self.resolution, corner)
 
     def cropped(self, shown: BoolArray | None = None, frame: int = 0) -> GridMap:
-        """The part of the map round the cells `shown` (H, W), by default those that are known.
-
-        A `frame` of so many cells stays round it. Where nothing is shown the map stays as it is.
-        """
+        """The part round the cells `shown` (H, W), else the known, and a `frame`; all for none."""
         window = window_of(np.asarray(self.cells != UNKNOWN) if shown is None else shown)
         if window is None:
             return self
@@ -233,19 +230,6 @@ def nearest_values(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.float
     of_source = np.zeros(int(source.max(initial=0)) + 1, dtype=values.dtype)
     of_source[source[zero == 0]] = values[zero == 0]
     return looked_up(of_source, source), np.asarray(away, dtype=np.float32)
-
-
-def cast_ranges(
-    distance: NDArray[Any],
-    grid: GridMap,
-    origins: NDArray[Any],
-    bearings: NDArray[Any],
-    max_range: float,
-) -> FloatArray:
-    """Ranges (N, B) from origins (N, 2) along bearings (B,): see `cast_rays`."""
-    starts = np.repeat(origins, len(bearings), axis=0)
-    angles = np.tile(bearings, len(origins))
-    return cast_rays(distance, grid, starts, angles, max_range).reshape(-1, len(bearings))
 
 
 def cast_rays(

@@ -115,13 +115,11 @@ def read_grid(
 ) -> GridMap:
     """The grid of a map_server YAML file, or of a picture of `resolution` metres a pixel.
 
-    The modes, thresholds and `negate` of map_server count, so that maps of other tools read right;
-    cells that are transparent are unknown. So is the grey 205 of a map that a map_saver wrote, also
+    The modes, thresholds and `negate` of map_server count; `resolution` overrides the file's. Cells
+    that are transparent are unknown, and so is the grey 205 of a map that a map_saver wrote, also
     where the threshold beside it makes it free: `progress` has a note then. Of a bare picture,
-    white is free, what is dark or borders on white is occupied, and its lower left corner is at
-    (0, 0). Given with a YAML
-    file, `resolution` overrides the file's. `limits` bound the size of the picture. Raises MapError
-    naming the file and the key at fault.
+    white is free, what is dark or borders on white is occupied, and its lower left corner is at (0,
+    0). `limits` bound the picture. Raises MapError naming the file and the key at fault.
     """
     path = Path(path)
     bare = path.suffix.lower() not in _YAMLS

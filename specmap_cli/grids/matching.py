@@ -112,9 +112,8 @@ def search_everywhere(
     """The best `count` poses of points (N, 2) anywhere on the field at these angles, best first.
 
     A correlation by Fourier transform per angle, on the field pooled to cells of about `step`
-    metres: no guess is needed, drift of any size does not matter. The poses are good to about a
-    step and are at least a metre (or 0.3 rad) from each other; follow with `search` over
-    +- a step, or `refine`. Scores are upper bounds, pooled.
+    metres. The poses are good to about a step and at least a metre (or 0.3 rad) from each other;
+    follow with `search` over +- a step, or `refine`. Scores are upper bounds, pooled.
     """
     if not len(points):
         return []

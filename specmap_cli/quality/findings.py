@@ -348,8 +348,10 @@ def refused_layout(evidence: Evidence) -> Iterator[Finding]:
         )
 
 
-def refuted(evidence: Evidence) -> Iterator[Finding]:
-    """Closures that contradict the layout; where rooms look alike some always do."""
+def left_out(evidence: Evidence) -> Iterator[Finding]:
+    """Closures that contradict the layout, as some always do where rooms look alike; keyframes that
+    did not fit into the largest grid allowed.
+    """
     count = sum(link.kind == "closure" for link in evidence.layout.dropped)
     if count:
         verb = "contradicts" if count == 1 else "contradict"
@@ -359,10 +361,6 @@ def refuted(evidence: Evidence) -> Iterator[Finding]:
             message=f"{counted(count, 'loop closure')} {verb} the rest: left out",
             value=float(count),
         )
-
-
-def beyond_grid(evidence: Evidence) -> Iterator[Finding]:
-    """Keyframes that did not fit into the largest grid allowed."""
     if evidence.beyond:
         yield Finding(
             code=BEYOND,
@@ -412,10 +410,7 @@ def rival_places(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _most_agreed(links: Sequence[Link], poses: FloatArray) -> tuple[int, FloatArray]:
-    """How many links agree on one motion (3,) of the newer piece in the map, and that motion.
-
-    What moves it no farther than `MOVED_M` is no other place. Links of one keyframe count once.
-    """
+    """How many links, one a keyframe, agree on one motion (3,) of the newer piece, and that."""
     ends = Ends.of(range(len(poses)), links)
     newer, claimed = poses[ends.j], compose(poses[ends.i], ends.z)
     motions = compose(claimed, invert(newer))
@@ -432,8 +427,5 @@ def _most_agreed(links: Sequence[Link], poses: FloatArray) -> tuple[int, FloatAr
 
 def of_layout(evidence: Evidence) -> list[Finding]:
     """What is to be said of a layout, of one recording or of several."""
-    checks = (
-        *(loose_parts, moved_parts, rival_places, refused_layout),
-        *(walls, refuted, beyond_grid),
-    )
+    checks = (loose_parts, moved_parts, rival_places, refused_layout, walls, left_out)
     return [finding for check in checks for finding in check(evidence)]

@@ -101,13 +101,11 @@ def is_full_circle(angle_rad: float) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OdometryErrors:
-    """How wheel odometry drifts: random walks, and errors of the calibration.
+    """How wheel odometry drifts, by default as that of a usual wheeled robot indoors.
 
-    The defaults are those of a usual wheeled robot indoors: metres off after a few hundred metres.
-
-    A random error grows with the square root of the way: its standard deviation is that after one
-    metre or one radian. The calibration's errors are relative (`..._scale`) or, for wheels of
-    unequal size, radians a metre (`veer_per_m`).
+    Random errors are standard deviations after one metre or one radian, and grow with the root of
+    the way. The calibration's errors are relative (`..._scale`) or, for wheels of unequal size,
+    radians a metre (`veer_per_m`).
     """
 
     translation_per_m: float = 0.01
@@ -390,12 +388,8 @@ def simulate_sweeps(plan: GridMap, options: SimulationOptions) -> Iterator[tuple
     Raises UsageError for a 3D lidar: its clouds become scans only when a log of them is read.
     """
     if options.rings > 1:
-        raise UsageError(
-            "a 3D lidar has clouds",
-            "write a log of them by specmap simulate",
-            mark=";",
-            where="rings",
-        )
+        hint = "write a log of them by specmap simulate"
+        raise UsageError("a 3D lidar has clouds", hint, mark=";", where="rings")
     yield from simulated_tour(plan, options).scans()
 
 

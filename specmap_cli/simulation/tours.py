@@ -72,7 +72,19 @@ def reachable_space(world: World, radius_m: float, comfort_m: float) -> Lattice:
         )
     number = np.where(open_, np.cumsum(open_) - 1, -1).reshape(len(rows), len(columns))
     spacing = stride * world.plan.resolution
-    lengths = _lattice_lengths(number, spacing)
+    # metres between the eight neighbours of each node
+    sources, targets, metres = [], [], []
+    for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        a = number[: len(rows) - down, max(-right, 0) : len(columns) - max(right, 0)]
+        b = number[down:, max(right, 0) : len(columns) - max(-right, 0)]
+        both = (a >= 0) & (b >= 0)
+        sources.append(a[both])
+        targets.append(b[both])
+        metres.append(np.full(len(sources[-1]), spacing * math.hypot(down, right)))
+    ends = np.concatenate(sources), np.concatenate(targets)
+    count = int(number.max()) + 1
+    half = csr_matrix((np.concatenate(metres), ends), shape=(count, count))
+    lengths = csr_matrix(half + half.T)
     _, part = connected_components(lengths, directed=False)
     kept = np.flatnonzero(part == np.bincount(part).argmax())
     comfort = np.minimum(clearance[open_][kept] / comfort_m, 1.0)
@@ -89,23 +101,6 @@ def reachable_space(world: World, radius_m: float, comfort_m: float) -> Lattice:
         area_m2=len(kept) * spacing**2,
         radius_m=radius_m,
     )
-
-
-def _lattice_lengths(number: IndexArray, spacing_m: float) -> csr_matrix:
-    """Metres (n, n) between the eight neighbours of each node, by the nodes' numbers (H, W)."""
-    sources, targets, lengths = [], [], []
-    for rows, columns in ((0, 1), (1, 0), (1, 1), (1, -1)):
-        a = number[: number.shape[0] - rows, max(-columns, 0) : number.shape[1] - max(columns, 0)]
-        b = number[rows:, max(columns, 0) : number.shape[1] - max(-columns, 0)]
-        both = (a >= 0) & (b >= 0)
-        i, j = a[both], b[both]
-        sources.append(i)
-        targets.append(j)
-        lengths.append(np.full(len(i), spacing_m * math.hypot(rows, columns)))
-    i, j, length = np.concatenate(sources), np.concatenate(targets), np.concatenate(lengths)
-    n = int(number.max()) + 1
-    half = csr_matrix((length, (i, j)), shape=(n, n))
-    return csr_matrix(half + half.T)
 
 
 def plan_tour(

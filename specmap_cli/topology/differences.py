@@ -261,10 +261,7 @@ def _is_blocked(
     cells: _Cells,
     sides: tuple[BoolArray, BoolArray],
 ) -> bool:
-    """Whether another map saw a side of a way, and obstacles all across it.
-
-    `cells` (n, 2) round the way are `placed` (n, 2) in that map, `away_m` from its obstacles.
-    """
+    """Whether another map saw a side of a way round `cells` (n, 2), and obstacles all across it."""
     values, away = other.values_at(placed), other.under(placed, away_m, 0.0)
     if not any(side.any() and np.mean(values[side] == FREE) >= _SEEN for side in sides):
         return False

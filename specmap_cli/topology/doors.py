@@ -9,7 +9,7 @@ hill of the other is the saddle between them, and so half the width of the passa
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -51,43 +51,25 @@ def passages(
             ):
                 mine.append(place)
     openings = {pair: np.concatenate(cells) for pair, cells in open_cells.items()}
-    doors = [
-        door
-        for pair in sorted(places)
-        for door in _doors(
-            space, pair, places[pair], traversals.get(pair, ()), openings.get(pair, _NO_PLACES)
-        )
-    ]
-    return tuple(replace(door, id=number) for number, door in enumerate(doors)), openings
-
-
-def _doors(
-    space: Space,
-    pair: Pair,
-    places: Iterable[Narrow],
-    traversals: Iterable[Traversal],
-    opening: FloatArray,
-) -> list[Door]:
-    """The doors of one pair, not yet numbered, with the traversals that went through them."""
-    doors = []
-    for place in places:
-        x, y = space.place(place.middle)
-        theta = math.atan2(place.along[0], place.along[1])  # rows run along y, columns along x
-        width_m = place.width * space.grid.resolution
-        doors.append(Door(id=0, x=x, y=y, width_m=width_m, theta=theta, between=pair))
-    doors.sort(key=lambda door: (door.y, door.x))
-    crossings: list[list[Traversal]] = [[] for _ in doors]
-    for traversal in traversals:
-        here = np.array([traversal.x, traversal.y])
-        away = [math.dist(here, (door.x, door.y)) - door.width_m / 2.0 for door in doors]
-        nearest = int(np.argmin(away))
-        in_the_open = np.linalg.norm(opening - here, axis=1).min(initial=math.inf)
-        if away[nearest] <= in_the_open:
-            crossings[nearest].append(traversal)
-    return [
-        replace(door, crossings=tuple(mine), driven=bool(mine))
-        for door, mine in zip(doors, crossings, strict=True)
-    ]
+    doors: list[Door] = []
+    for pair in sorted(places):
+        own, opening = [], openings.get(pair, _NO_PLACES)
+        for place in places[pair]:
+            x, y = space.place(place.middle)
+            theta = math.atan2(place.along[0], place.along[1])  # rows run along y, columns along x
+            width_m = place.width * space.grid.resolution
+            own.append(Door(id=0, x=x, y=y, width_m=width_m, theta=theta, between=pair))
+        own.sort(key=lambda door: (door.y, door.x))
+        crossings: list[list[Traversal]] = [[] for _ in own]
+        for traversal in traversals.get(pair, ()):
+            here = np.array([traversal.x, traversal.y])
+            away = [math.dist(here, (door.x, door.y)) - door.width_m / 2.0 for door in own]
+            nearest = int(np.argmin(away))
+            if away[nearest] <= np.linalg.norm(opening - here, axis=1).min(initial=math.inf):
+                crossings[nearest].append(traversal)
+        for door, went in zip(own, crossings, strict=True):
+            doors.append(replace(door, id=len(doors), crossings=tuple(went), driven=bool(went)))
+    return tuple(doors), openings
 
 
 # Space wider than this is no narrowing any more: rooms whose border is three quarters as wide as

@@ -32,7 +32,7 @@ from specmap_cli.core.geometry import (
 from specmap_cli.core.json_values import runs_of
 from specmap_cli.core.records import Closure, IntArray
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.topology.regions import NOBODY, Regions
+from specmap_cli.topology.regions import NOBODY, Pair, Regions
 from specmap_cli.topology.topological_map import (
     Break,
     EdgeKind,
@@ -47,7 +47,6 @@ from specmap_cli.topology.topological_map import (
 # A robot keeps its own radius off both sides of a wall: tracks this near are in one room.
 _MEETING_M = 0.5
 
-Pair = tuple[int, int]
 Span = tuple[int, int]
 
 
@@ -89,10 +88,9 @@ def build_topology(
     """The topological map of keyframes with submap `labels` (n,) and `poses` (n, 3) in the map.
 
     Submaps are linked where the robot drove across, and where a verified closure shows that its
-    tracks meet. `breaks` are where tracking restarted: what lies before is linked by a loose edge
-    only. `closures` name `stays` by their numbers; `grids` are in the frames of the submaps, whose
-    origin is the pose of their first keyframe. `starts` are the keyframes with which other
-    recordings begin: nobody drove from the one before to these.
+    tracks meet; by a loose edge over `breaks`, where tracking restarted; not over `starts`, with
+    which other recordings begin. `closures` name `stays` by their numbers; `grids` are in the
+    frames of the submaps, whose origin is the pose of their first keyframe.
     """
     recording = np.isin(np.arange(len(labels)), list(starts)).cumsum()
     both = np.unique(np.column_stack([recording, labels]), axis=0, return_inverse=True)[1]

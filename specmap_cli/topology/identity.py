@@ -225,10 +225,7 @@ def _areas_by_owner(owners: OwnerArray, cell_m2: float) -> dict[int, float]:
 
 @dataclass(frozen=True, slots=True)
 class Redrawn:
-    """Keyframes after all borders that could be made: `submaps` (n,) and the `borders` made.
-
-    `skipped` says, by place in the list that was requested, why the others could not.
-    """
+    """Keyframes' `submaps` (n,) after the `borders` made; why others were `skipped`, by place."""
 
     submaps: IntArray
     borders: tuple[BorderEdit, ...]
@@ -356,11 +353,7 @@ def fence_of(mine: BoolArray, grid: GridMap, line: Line) -> Line | None:
 
 
 def is_right_of(fence: Line, mine: BoolArray, grid: GridMap, places: FloatArray) -> BoolArray:
-    """(n,) whether each place (n, 2 or more) is right of a fence across the cells `mine` (H, W).
-
-    A place is on the side from which one comes to it first on foot, without crossing the fence; one
-    that is out of reach is on its side of the straight line.
-    """
+    """(n,) whether places (n, 2 or more) in cells `mine` (H, W) are, on foot, right of a fence."""
     barrier = drawn([fence], grid)
     along, across, length = along_and_across(grid.centres_of(np.argwhere(mine)), fence)
     near = (np.abs(across) <= _BESIDE * grid.resolution) & (along >= 0.0) & (along <= length)

@@ -377,10 +377,7 @@ class _Ground:
 
 
 def _in_order(space: Space, way: IntArray) -> tuple[int, ...]:
-    """The submaps of the cells along a way (n, 2), each as often as it is entered.
-
-    Where the way runs along a border it may touch the other side: that is not to enter it.
-    """
+    """The submaps along the cells of a way (n, 2), as often as entered; a touched one is not."""
     owners, brief = space.owner[tuple(way.T)], _TOUCH_M / space.grid.resolution
     stays = runs(owners)
     kept = [

@@ -147,10 +147,9 @@ _LONG = 576.0 / 121.0
 def kind_of(polygon: FloatArray) -> SubmapKind | None:
     """The kind of a region with this border (N, 2), metres; None for one without any area.
 
-    A hall has 60 square metres and a mean width of 4 m, or more. Of other shapes, those are
-    corridors that are long for their width, as a rectangle of 4 by 1 is. They are measured along
-    their own walls: a shape that is turned, moved or mirrored has the same kind, unless half a
-    percent of its length would change it.
+    A hall has 60 square metres and a mean width of 4 m, or more; a corridor is long for its width,
+    as a rectangle of 4 by 1 is. They are measured along their own walls: a shape that is turned,
+    moved or mirrored has the same kind, unless half a percent of its length would change it.
     """
     if not len(polygon):
         return None

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.geometry import FloatArray, path_length
 from specmap_cli.core.records import BoolArray, IntArray
 from specmap_cli.topology.regions import Border, Pair, Space, Window, borders_of, windows_of
 
@@ -41,9 +41,7 @@ class Way:
     @property
     def length_m(self) -> float | None:
         """Metres along the path."""
-        if self.path is None:
-            return None
-        return float(np.sum(np.linalg.norm(np.diff(self.path, axis=0), axis=1)))
+        return None if self.path is None else path_length(self.path)
 
 
 NO_WAY = Way(None, None)
@@ -166,11 +164,10 @@ def anchors_of(
 ) -> dict[int, Anchor]:
     """The anchor of each submap that has a free cell.
 
-    It is the cell nearest to the middle of the submap that keeps the robot's radius and a margin
-    off all that is not free. Where no cell keeps so much, it is the one that keeps the most. Of a
-    submap in pieces that one counts in which the robot stood most often: rows and columns `stood`
-    (k, 2). Nor is what is far from the robot's way a place to stand, such as the floor behind a
-    railing or glass.
+    It is the cell nearest to the middle that keeps the robot's radius and a margin off all that is
+    not free, or else the one that keeps the most. Of a submap in pieces that one counts in which
+    the robot stood most often, rows and columns `stood` (k, 2), and of it what is near: not the
+    floor behind a railing or glass.
     """
     anchors = {}
     wide, comfortable = space.away_for(radius_m), space.away_for(radius_m + margin_m)

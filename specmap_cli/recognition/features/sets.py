@@ -7,10 +7,7 @@ views like those of the map's own scans.
 
 A package adds a set by an entry point of the group `specmap.features` that names a tuple of
 `FeatureGroup`, or of `BatchGroup` for many scans at once; the set is then a value of the settings
-`feature_set`::
-
-    [project.entry-points."specmap.features"]
-    mine = "my_package.features:GROUPS"
+`feature_set`.
 """
 
 from __future__ import annotations
@@ -88,11 +85,9 @@ def histogram_columns(feature_set: str) -> list[int]:
 def scans_features(scans: Iterable[PlanarScan], feature_set: str) -> FloatArray:
     """(n, F) features of scans, in the order of `feature_names(feature_set)`; always finite.
 
-    They are rounded to single precision, and cut to its largest numbers. A processor that rounds a
-    sum, a cosine or a logarithm otherwise changes only digits beyond it, and so no threshold that
-    is learned from them.
-
-    Raises UsageError for a set that does not exist, and for one whose functions break their word.
+    They are rounded to single precision, and cut to its largest numbers: how a processor rounds a
+    sum or a cosine changes no threshold that is learned from them. Raises UsageError for a set that
+    does not exist, and for one whose functions break their word.
     """
     names, groups = feature_names(feature_set), _groups_of(feature_set)
     rows = [np.zeros((0, len(names)))]

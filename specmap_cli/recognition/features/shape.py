@@ -125,10 +125,7 @@ def ring_histogram(batch: ReturnsBatch) -> FloatArray:
 
 
 def harmonics(batch: ReturnsBatch) -> FloatArray:
-    """Magnitudes of the harmonics of the ranges, cut at 12 m, over the returns' bearings.
-
-    A turn of a full circle shifts the signal, which the magnitudes do not see.
-    """
+    """Magnitudes of harmonics of the ranges, cut at 12 m, over bearings: no turn changes them."""
     segments, bearings = batch.segments, batch.bearings
     # without leaps of more than half a turn within a scan
     change = np.concatenate([np.zeros(min(1, len(bearings))), np.diff(bearings)])

@@ -100,10 +100,7 @@ class Calibration:
 def calibrated(
     raw: HeldOutMargins, virtual: HeldOutMargins | None, *, another_log: bool = False
 ) -> Calibration:
-    """What margins of held-out scans say of a map's classifiers; as usual where there are none.
-
-    With `another_log` they are not of pieces that were held out, but of another recording.
-    """
+    """What margins of held-out scans, or of `another_log`, say of classifiers; else as usual."""
     views = min(len(raw.column), MOST_VIEWS)
     held_out_raw, held_out_virtual = _ANOTHER_LOG if another_log else _HELD_OUT
     of_raw = _ratio(raw, RAW_ALONE, held_out_raw)
@@ -169,10 +166,7 @@ def held_out_misfit(
     submaps: Mapping[int, Sequence[int]],
     poses: NDArray[Any],
 ) -> HeldOutMisfit:
-    """The misfit of keyframes with the rest of their submaps; of no view where there is no rest.
-
-    `submaps` lists the keyframes of each submap, ascending; `poses` (n, 3) are those of all.
-    """
+    """The misfit of keyframes at `poses` (n, 3) with the rest of their submaps; of none without."""
     way = travelled(poses)
     owner = {k: i for i, numbers in submaps.items() for k in numbers}
     found = []
@@ -227,11 +221,10 @@ _TINY = 1e-9  # keeps a limit of nought, when all samples are alike, from dividi
 class Familiarity:
     """Exemplars of a map's places; distance is the L1 distance of the square roots of histograms.
 
-    `fit` keeps at most `per_submap` samples of a submap as exemplars. It learns `exemplars_`
-    (k, D), whole numbers from 0 to 255, and `limit_`, the distance past which a scan looks like no
-    place of the map: all but a share of `false_unknown` of the other samples lie within it. These
-    are held out by stretches: exemplars taken just before or after one do not count for it. The
-    fewer they are, the wider is the limit: by a standard error of the share.
+    `fit` learns `exemplars_` (k, D), whole numbers from 0 to 255, at most `per_submap` of a submap,
+    and `limit_`, the distance past which a scan looks like no place of the map: all but a share of
+    `false_unknown` of the other samples lie within it, of exemplars from other stretches of the
+    way. The fewer they are, the wider it is: by a standard error of the share.
     """
 
     def __init__(self, feature_set: str, false_unknown: float = 0.05, per_submap: int = 80) -> None:

@@ -133,9 +133,8 @@ def raw_samples(
 ) -> dict[int, Samples]:
     """The raw scans of every submap that are learned from.
 
-    `features` are those known so far. A submap that was seen often is learned from some of its
-    scans, evenly spread over the recordings, which after the first one begin at `starts`; first of
-    all from those whose features are known, which were chosen evenly, too.
+    Of many scans some, evenly spread over the recordings, which after the first one begin at
+    `starts`; first of all those whose `features` are known, which were chosen evenly, too.
     """
     feature_set, most = config.recognition.feature_set, config.recognition.positives
     features = features or KeyframeFeatures(store, feature_set)
@@ -320,10 +319,7 @@ def _seen_from(
 
 
 def views(poses: FloatArray, place_m: float, chord: float) -> FloatArray:
-    """(n, 4) where poses (n, 3) look from, and where to.
-
-    Those that are `place_m` apart, or turned by a `chord` of the unit circle, are one apart.
-    """
+    """(n, 4) where poses (n, 3) look from and to; `place_m`, or a `chord` of a turn, is one."""
     x, y, heading = poses.T
     facing = np.column_stack([np.cos(heading), np.sin(heading)]) / chord
     return np.hstack([np.column_stack([x, y]) / place_m, facing])
