@@ -68,10 +68,7 @@ _PNM = re.compile(rb"P[1-6]\s+(?:#[^\n]*\n\s*)*(\d+)\s+(?:#[^\n]*\n\s*)*(\d+)")
 
 
 def write_png(path: str | Path, image: NDArray[Any]) -> None:
-    """Write an image, 8 or 16 bit, grey (H, W) or BGR (H, W, 3): the same bytes every time.
-
-    The file appears complete or not at all. UsageError when it cannot be written.
-    """
+    """Write an image, 8 or 16 bit, grey (H, W) or BGR (H, W, 3), complete or not. UsageError."""
     write_bytes(path, png_bytes(image))
 
 
@@ -161,10 +158,7 @@ def read_grid(
 
 
 def files_of_grid(path: Path) -> tuple[Path, ...]:
-    """The files that `read_grid` reads: a YAML and the picture that it names, or a bare picture.
-
-    Raises MapError.
-    """
+    """The files that `read_grid` reads: a YAML and its picture, or a bare picture. MapError."""
     if path.suffix.lower() not in _YAMLS:
         return (path,)
     image = _entries(path).get("image")
@@ -228,10 +222,7 @@ _Share = Annotated[float, Field(ge=0.0, le=1.0, description="a number from 0 to 
 
 
 class _MapYaml(BaseModel):
-    """The entries of a map_server YAML: where its picture is, and how greys become cells.
-
-    The description of each is what a complaint says was expected.
-    """
+    """The entries of a map_server YAML; the description of each is what a complaint expects."""
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 

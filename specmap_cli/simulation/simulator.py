@@ -383,10 +383,7 @@ def tour_along(
 
 
 def simulate_sweeps(plan: GridMap, options: SimulationOptions) -> Iterator[tuple[Sweep, Pose2]]:
-    """The planar scans of a tour with odometry, as read from a log, with their true base poses.
-
-    Raises UsageError for a 3D lidar: its clouds become scans only when a log of them is read.
-    """
+    """The planar scans of a tour, as read from a log, and true poses. UsageError for a 3D lidar."""
     if options.rings > 1:
         hint = "write a log of them by specmap simulate"
         raise UsageError("a 3D lidar has clouds", hint, mark=";", where="rings")
