@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import specmap_cli
-from specmap_cli.core.arguments import instance_of, path_of, paths_of
+from specmap_cli.core.errors import instance_of, path_of, paths_of
 from specmap_cli.core.geometry import Pose2, nearest_motion
 from specmap_cli.core.settings import Config
 from specmap_cli.maps.store import Map

@@ -20,7 +20,7 @@ from benchmarks.making.replays import write_plays
 from benchmarks.making.worlds import Place, corridors, drive_along
 from benchmarks.scoreboard.bench import Bench, build
 from benchmarks.scoreboard.rows import Figure, Figures, Row
-from specmap_cli.simulation.lasers import OdometryErrors
+from specmap_cli.simulation.simulator import OdometryErrors
 
 PLAYS = 4
 LIMIT_S = 30.0  # of a log that should take 10 s

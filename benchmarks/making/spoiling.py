@@ -9,7 +9,7 @@ import numpy as np
 
 from specmap_cli.core.geometry import IDENTITY, Pose2, compose, invert
 from specmap_cli.core.records import Sweep
-from specmap_cli.simulation.lasers import OdometryErrors, drifting_odometry
+from specmap_cli.simulation.simulator import OdometryErrors, drifting_odometry
 
 Sweeps = Iterable[Sweep]
 Spoiling = Callable[[Sweeps], Iterator[Sweep]]

@@ -8,8 +8,13 @@ import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2, path_length, travelled
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.simulation.lasers import Laser, OdometryErrors, drifting_odometry, laser_bearings
-from specmap_cli.simulation.simulator import SimulatedTour
+from specmap_cli.simulation.simulator import (
+    Laser,
+    OdometryErrors,
+    SimulatedTour,
+    drifting_odometry,
+    laser_bearings,
+)
 from specmap_cli.simulation.tours import Limits, drive
 from specmap_cli.simulation.worlds import World
 

@@ -16,7 +16,7 @@ from specmap_cli.core.config import load_config
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.evaluation.protocols import HoldOut
-from specmap_cli.recognition.features import point_pairs, shape, table1
+from specmap_cli.recognition.features import shape, table1
 from specmap_cli.recognition.learning.boosting import OneVsAll, StumpBoost, feature_shares
 
 ROUNDS = 100  # of classifiers learned without a group: all of them together take a minute
@@ -64,7 +64,7 @@ def make(workshop: Workshop) -> list[Block]:
         {
             "Table I, all twelve groups": table1.GROUPS,
             "finer distances, pieces of the outline, cut ranges": shape.GROUPS,
-            "pairs of wall points by distance and angle": point_pairs.GROUPS,
+            "pairs of wall points by distance and angle": shape.PAIR_GROUPS,
             "quantiles, rings and harmonics of the ranges": shape.PROFILE_GROUPS,
         }
     )

@@ -35,8 +35,12 @@ from specmap_cli.cli.options import Settings
 from specmap_cli.core.errors import SpecmapError
 from specmap_cli.maps.text_files import read_tum
 from specmap_cli.pipelines.build import build_map
-from specmap_cli.simulation.lasers import OdometryErrors
-from specmap_cli.simulation.simulator import SimulatedTour, simulated_tour, simulation_options
+from specmap_cli.simulation.simulator import (
+    OdometryErrors,
+    SimulatedTour,
+    simulated_tour,
+    simulation_options,
+)
 
 NOISY = OdometryErrors(distance_scale=0.05, turn_scale=0.05, veer_per_m=0.01)
 

@@ -13,8 +13,7 @@ from typing import Any, Literal
 from urllib.parse import quote
 
 from specmap_cli.batch.records import LOG_TEXT, MAP, REPORT, JobRecord, Kind
-from specmap_cli.core.tables import Case, csv_text, junit, markdown_table, markdown_text
-from specmap_cli.core.text import counted
+from specmap_cli.core.text import Case, counted, csv_text, junit, markdown_table, markdown_text
 from specmap_cli.report.html import html_page, lasting
 from specmap_cli.report.svg import tones
 

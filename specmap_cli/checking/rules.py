@@ -30,13 +30,12 @@ from typing import Annotated, Any, Literal
 import networkx as nx
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
-from specmap_cli.core import tables
 from specmap_cli.core.errors import SETTING, UsageError
 from specmap_cli.core.findings import VERDICTS, Verdict, at_least_as_bad
 from specmap_cli.core.json_values import Record
 from specmap_cli.core.schemas import ModelSchema
-from specmap_cli.core.tables import Case, markdown_table, markdown_text
-from specmap_cli.core.text import counted, legible
+from specmap_cli.core.text import Case, counted, legible, markdown_table, markdown_text
+from specmap_cli.core.text import junit as test_suite
 from specmap_cli.core.toml import TomlFormat, UnfitError, choice, unless
 from specmap_cli.maps import filenames
 from specmap_cli.maps.comparison import ComparisonRecord
@@ -339,7 +338,7 @@ def junit(record: CheckRecord) -> bytes:
             told = f"{one.rule} is {_value(one.value)}, allowed is {_bound(one)}"
             case = replace(case, failure=told, kind="BrokenRule", detail=one.detail)
         cases.append(case)
-    return tables.junit(f"specmap check {record.map}", record.map, cases)
+    return test_suite(f"specmap check {record.map}", record.map, cases)
 
 
 def markdown(record: CheckRecord) -> str:

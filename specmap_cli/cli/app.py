@@ -164,7 +164,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         message = error.format_message().rstrip(".")  # type: ignore[attr-defined]
         findings = getattr(error.__cause__, "errors", None)  # Typer holds bounds by pydantic
         if findings is not None:
-            from specmap_cli.core.wording import said
+            from specmap_cli.core.text import said
 
             theirs = error.message  # type: ignore[attr-defined]
             message = message.replace(theirs, said(findings()[0]), 1)

@@ -18,8 +18,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from specmap_cli.core.arguments import path_of
-from specmap_cli.core.errors import SETTING, UsageError
+from specmap_cli.core.errors import SETTING, UsageError, path_of
 from specmap_cli.core.settings import Config
 from specmap_cli.core.toml import TomlFormat
 
@@ -70,10 +69,7 @@ def load_config(
 
 
 def with_overrides(config: Config, overrides: dict[str, Any], where: str = "") -> Config:
-    """The configuration with nested `overrides` over it; UsageError as in `load_config`.
-
-    `where` stands before the complaint: the file that the overrides are from, and a colon.
-    """
+    """The configuration with nested `overrides`; errors begin with `where`, a file and a colon."""
     return _validated(_merge(config.model_dump(), overrides), where)
 
 
@@ -102,14 +98,14 @@ def known_settings(settings: Mapping[str, Any]) -> tuple[dict[str, Any], list[st
 def _validated(
     settings: dict[str, Any], where: str, overrides: Mapping[str, Any] | None = None
 ) -> Config:
-    """The configuration; `where` is to blame for a wrong key that is not among the overrides.
-
-    Warns of retired settings.
-    """
+    """The configuration; `where` is to blame for a wrong key that is not among the overrides."""
     given = overrides or {}
     left, retired = without_retired(settings)
     for key, value in retired.items():
-        warnings.warn(sentence(key, value), RetiredSetting, stacklevel=1)
+        no_effect = f"; {json.dumps(value, default=str)} has no effect"
+        told = f"{key} was retired: its value is now fixed at {json.dumps(_last_default(key))}"
+        told += "" if is_fixed(key, value) else no_effect
+        warnings.warn(told, RetiredSetting, stacklevel=1)
     return SETTINGS.value(left, lambda place: "" if _holds(given, place) else where)
 
 
@@ -143,10 +139,7 @@ def tables_of(name: str) -> dict[str, dict[str, Any]]:
 
 
 def without_retired(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Nested settings without those that are retired, and these by dotted key.
-
-    A section in which nothing is left goes, too.
-    """
+    """Nested settings without retired ones and sections of them alone; these by dotted key."""
     left: dict[str, Any] = {}
     retired: dict[str, Any] = {}
     for name, section in settings.items():
@@ -163,14 +156,6 @@ def without_retired(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[s
 def is_fixed(key: str, value: Any) -> bool:
     """Whether a value is the one at which a retired setting is fixed."""
     return bool((list(value) if isinstance(value, tuple) else value) == _last_default(key))
-
-
-def sentence(key: str, value: Any) -> str:
-    """What to say of a retired setting that was given a value."""
-    no_effect = "" if is_fixed(key, value) else f"; {json.dumps(value, default=str)} has no effect"
-    return (
-        f"{key} was retired: its value is now fixed at {json.dumps(_last_default(key))}{no_effect}"
-    )
 
 
 def _last_default(key: str) -> Any:

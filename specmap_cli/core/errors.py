@@ -12,15 +12,19 @@ option, a setting). Its line is `WHERE: FOUND: HINT`, with another `mark` than t
 the error asks for it. Programs get the parts, and a `code` that stays the same over versions: one
 of `CODES`.
 Nothing in the packages prints or exits: `specmap_cli.cli` holds the one handler. What a
-machine runs out of is told as what it is, with what to do about it (`reason`).
+machine runs out of is told as what it is, with what to do about it (`reason`). Arguments of public
+functions are checked before the work: a wrong type is a TypeError at once.
 """
 
 from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Mapping
-from typing import Self
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Self, TypeVar
+
+from specmap_cli.core.text import quoted
 
 # The exit code of a run that finished, but whose result breaks a rule that was asked for.
 BROKEN_RULE = 5
@@ -185,3 +189,31 @@ def reason(error: OSError, advice: str = "") -> tuple[str, str]:
 def _is_of_the_system(error: OSError) -> bool:
     """Whether the words are the system's: errors of our own have their own."""
     return error.strerror == os.strerror(error.errno or 0)
+
+
+Wanted = TypeVar("Wanted")
+
+Paths = Sequence[Path | str] | Path | str
+
+
+def path_of(value: Any, name: str) -> Path:
+    """`value` as a path. Raises TypeError naming the argument `name` when it is none."""
+    if not isinstance(value, str | os.PathLike):
+        raise TypeError(f"{name}: expected a path (str or Path), found {quoted(value)}")
+    return Path(value)
+
+
+def paths_of(value: Any, name: str) -> list[Path]:
+    """`value`, one path or several, as a list. Raises TypeError as `path_of` does."""
+    if isinstance(value, str | os.PathLike):
+        return [Path(value)]
+    if not isinstance(value, Sequence):
+        raise TypeError(f"{name}: expected a path or a sequence of paths, found {quoted(value)}")
+    return [path_of(each, name) for each in value]
+
+
+def instance_of(value: Any, kind: type[Wanted], name: str) -> Wanted:
+    """`value` if it is of the kind. Raises TypeError naming the argument `name` otherwise."""
+    if not isinstance(value, kind):
+        raise TypeError(f"{name}: expected {kind.__name__}, found {quoted(value)}")
+    return value

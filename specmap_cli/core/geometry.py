@@ -1,4 +1,4 @@
-"""Rigid motions of the plane and of space, and the ways that robots drive.
+"""Rigid motions of the plane and of space, ways that robots drive, samples of many items.
 
 `a_from_b` maps coordinates in frame b to coordinates in frame a, so that
 `a_from_c = a_from_b @ b_from_c`.
@@ -7,6 +7,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,10 +39,7 @@ def product(a: NDArray[Any], b: NDArray[Any]) -> FloatArray:
 
 
 def inverse3(matrices: NDArray[Any]) -> FloatArray:
-    """The inverses of matrices (..., 3, 3), by cofactors, the same bits on every processor.
-
-    Good for matrices that are far from singular, as covariances with a floor are.
-    """
+    """Inverses of (..., 3, 3) far from singular, by cofactors: the same bits on every processor."""
     rows = np.asarray(matrices, dtype=np.float64)
     one, two = rows[..., _NEXT, :], rows[..., _LAST, :]  # np.cross takes four times as long
     cofactors = one[..., _NEXT] * two[..., _LAST] - one[..., _LAST] * two[..., _NEXT]
@@ -109,29 +109,16 @@ IDENTITY = Pose2(0.0, 0.0, 0.0)
 def compose(a_from_b: NDArray[Any], b_from_c: NDArray[Any]) -> FloatArray:
     """Composition of arrays of poses (..., 3), broadcasting."""
     a, b = np.asarray(a_from_b, dtype=np.float64), np.asarray(b_from_c, dtype=np.float64)
-    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
-    return np.stack(
-        [
-            a[..., 0] + c * b[..., 0] - s * b[..., 1],
-            a[..., 1] + s * b[..., 0] + c * b[..., 1],
-            wrap_angles(a[..., 2] + b[..., 2]),
-        ],
-        axis=-1,
-    )
+    x, y, c, s = b[..., 0], b[..., 1], np.cos(a[..., 2]), np.sin(a[..., 2])
+    turn = wrap_angles(a[..., 2] + b[..., 2])
+    return np.stack([a[..., 0] + c * x - s * y, a[..., 1] + s * x + c * y, turn], axis=-1)
 
 
 def invert(a_from_b: NDArray[Any]) -> FloatArray:
     """Inverses of an array of poses (..., 3)."""
     a = np.asarray(a_from_b, dtype=np.float64)
-    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
-    return np.stack(
-        [
-            -c * a[..., 0] - s * a[..., 1],
-            s * a[..., 0] - c * a[..., 1],
-            wrap_angles(-a[..., 2]),
-        ],
-        axis=-1,
-    )
+    x, y, c, s = a[..., 0], a[..., 1], np.cos(a[..., 2]), np.sin(a[..., 2])
+    return np.stack([-c * x - s * y, s * x - c * y, wrap_angles(-a[..., 2])], axis=-1)
 
 
 def nearest_motion(source: NDArray[Any], target: NDArray[Any]) -> Pose2:
@@ -190,10 +177,7 @@ def rpy_from_quaternions(quaternions: NDArray[Any]) -> FloatArray:
 
 
 def step_lengths(poses: NDArray[Any]) -> FloatArray:
-    """(n - 1,) metres from each place of `poses` (n, 2 or more columns) to the next; (0,) of none.
-
-    NaN where one of the two places is not known.
-    """
+    """(n - 1,) metres from place to place of `poses` (n, 2 or more); NaN where one is not known."""
     steps = np.diff(np.asarray(poses, dtype=np.float64)[:, :2], axis=0)
     return np.asarray(np.hypot(steps[:, 0], steps[:, 1]), dtype=np.float64)
 
@@ -211,11 +195,128 @@ def travelled(poses: NDArray[Any]) -> FloatArray:
 
 
 def moved(before: Pose2 | None, now: Pose2, distance_m: float, angle_rad: float) -> bool:
-    """Whether the robot drove `distance_m` or turned `angle_rad` since `before`, or more.
-
-    Without a pose before, it has: the first scan always counts.
-    """
+    """Whether the robot drove `distance_m` or turned `angle_rad` since `before`, if that was."""
     if before is None:
         return True
     step = before.inverse() @ now
     return step.distance >= distance_m or abs(step.theta) >= angle_rad
+
+
+Neighbours = Mapping[int, frozenset[int]]
+
+
+def runs(labels: Sequence[Any] | NDArray[Any]) -> list[tuple[int, int]]:
+    """Half-open ranges (start, end) of equal successive labels (n,), in order; [] of none."""
+    values = np.asarray(labels)
+    if not len(values):
+        return []
+    cuts = np.flatnonzero(values[1:] != values[:-1]) + 1
+    return list(pairwise([0, *cuts.tolist(), len(values)]))
+
+
+def neighbours(ids: Iterable[int], pairs: Iterable[tuple[int, int]]) -> Neighbours:
+    """The ids that share a pair with each id, itself left out; KeyError for an end that is none."""
+    found: dict[int, set[int]] = {id_: set() for id_ in ids}
+    for a, b in pairs:
+        if a != b:
+            found[a].add(b)
+            found[b].add(a)
+    return {id_: frozenset(near) for id_, near in found.items()}
+
+
+def unchanging(*arrays: NDArray[Any]) -> None:
+    """Let nobody write to these arrays any more."""
+    for values in arrays:
+        values.setflags(write=False)
+
+
+def evenly(items: NDArray[Any], most: int) -> NDArray[Any]:
+    """At most `most` of the items (n, ...), evenly spread, in their order."""
+    if len(items) <= most:
+        return items
+    return items[np.linspace(0, len(items) - 1, most).astype(np.intp)]
+
+
+_EXACT_BITS = 53  # of whole numbers in float64
+_SORTED_BITS = 63  # of whole numbers in int64
+
+
+def first_in_cells(points: FloatArray, cell_m: float) -> NDArray[np.intp]:
+    """Which of points (N, 2) or (N, 3) is the first in its cell of side `cell_m`, in order."""
+    count = len(points)
+    if count < 2:
+        return np.arange(count)
+    columns = [np.floor(points[:, axis] / cell_m) for axis in range(points.shape[1])]
+    lowest = [float(column.min()) for column in columns]
+    widths = [int(column.max() - low) + 1 for column, low in zip(columns, lowest, strict=True)]
+    size, bits = math.prod(widths).bit_length(), count.bit_length()
+    if size > _EXACT_BITS or size + bits > _SORTED_BITS:  # kilometres away, in tiny cells
+        _, first = np.unique(np.column_stack(columns), axis=0, return_index=True)
+        return np.sort(first)
+    cells = np.zeros(count)
+    for column, low, width in zip(columns, lowest, widths, strict=True):
+        cells *= width
+        cells += column - low
+    # number of cell and of point in one: sorting them is much quicker than sorting an index
+    both = (cells.astype(np.int64) << bits) | np.arange(count)
+    both.sort()
+    cell = both >> bits
+    new = np.concatenate([[True], cell[1:] != cell[:-1]])
+    return np.sort(both[new] & ((1 << bits) - 1))
+
+
+_REACH_M2 = 4.0  # two metres: within these a place's own motion counts alike
+_AT_ONCE = 1 << 20  # points times places: bounds the memory to some 100 MB
+
+
+@dataclass(frozen=True, slots=True)
+class LocalMotion:
+    """At `centre` (2,) of the source the motion is this one; `weight` says how sure that is."""
+
+    centre: FloatArray
+    motion: Pose2
+    weight: float
+
+
+@dataclass(frozen=True, slots=True)
+class BentMotion:
+    """`rigid` from one map to another, with the motions that hold at some places; it blends."""
+
+    rigid: Pose2
+    local: tuple[LocalMotion, ...] = ()
+
+    def apply(self, points: FloatArray) -> FloatArray:
+        """Points (N, 2) of one map in the other."""
+        if not self.local:
+            return self.rigid.apply(points)
+        centres = np.array([one.centre for one in self.local])
+        weights = np.array([one.weight for one in self.local])
+        placed = np.zeros((len(points), 2))
+        step = max(1, _AT_ONCE // len(self.local))
+        for first in range(0, len(points), step):
+            some, there = points[first : first + step], placed[first : first + step]
+            squares = ((some[:, None, :] - centres[None]) ** 2).sum(axis=2)
+            shares = weights / (_REACH_M2 + squares) ** 2  # far ones do not add up
+            shares /= shares.sum(axis=1, keepdims=True)
+            for k, one in enumerate(self.local):
+                there += shares[:, k, None] * one.motion.apply(some)
+        return placed
+
+    def near(self, place: FloatArray) -> Pose2:
+        """The rigid motion round a place (2,)."""
+        here = place[None]
+        shift = (self.apply(here) - self.rigid.apply(here))[0]
+        x, y, theta = self.rigid
+        return Pose2(x + float(shift[0]), y + float(shift[1]), theta)
+
+    def inverse(self) -> BentMotion:
+        """The motion back."""
+        local = tuple(
+            replace(
+                one,
+                centre=one.motion.apply(one.centre[None])[0],
+                motion=one.motion.inverse(),
+            )
+            for one in self.local
+        )
+        return BentMotion(self.rigid.inverse(), local)

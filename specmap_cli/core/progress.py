@@ -62,18 +62,7 @@ class Remembering:
     def __init__(self, progress: Progress) -> None:
         self.warnings: list[str] = []
         self._progress = progress
-
-    def start(self, stage: str, total: int | None) -> None:
-        """Handed on."""
-        self._progress.start(stage, total)
-
-    def advance(self, steps: int = 1) -> None:
-        """Handed on."""
-        self._progress.advance(steps)
-
-    def note(self, message: str) -> None:
-        """Handed on."""
-        self._progress.note(message)
+        self.start, self.advance, self.note = progress.start, progress.advance, progress.note
 
     def warn(self, message: str) -> None:
         """Handed on, and remembered."""

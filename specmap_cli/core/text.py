@@ -1,14 +1,17 @@
-"""Numbers, names and JSON as text, the same bytes for the same values.
+"""Numbers, names, JSON and tables as text, the same bytes for the same values; findings in words.
 
 A topic, a frame and a file may be called by any bytes: they are shown `legible`.
 """
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import re
-from typing import Any
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 _NS = 1_000_000_000
 _DECIMALS = 6
@@ -18,10 +21,7 @@ _NUMBERS = re.compile(r"\[\n([-+.\deE,\s]+)\]")
 
 
 def to_json(value: Any) -> str:
-    """JSON with sorted keys, six decimals at the most, null for NaN and infinity.
-
-    Lists of numbers, such as points, stay on one line.
-    """
+    """JSON with sorted keys, six decimals at most, null for NaN and infinity; numbers in a line."""
     dumped = json.dumps(plain(value), indent=1, sort_keys=True, ensure_ascii=False) + "\n"
     # JSON's own escapes for what `legible` escapes: it is read back as it was
     text = _UNSHOWN.sub(lambda it: it[0] if it[0] == "\n" else f"\\u{ord(it[0]):04x}", dumped)
@@ -29,10 +29,7 @@ def to_json(value: Any) -> str:
 
 
 def to_exact_json(value: Any, levels: int) -> str:
-    """JSON with sorted keys and exact numbers: a line an entry in the outer `levels`, dense below.
-
-    For plain types only: what is learned is read back to the last bit.
-    """
+    """JSON of plain types, keys sorted, numbers exact; a line an entry in the outer `levels`."""
     return _indented(value, levels, "") + "\n"
 
 
@@ -114,11 +111,7 @@ _UNSHOWN = re.compile(
 
 
 def legible(text: str) -> str:
-    """`text` in one line that shows what it holds.
-
-    Escaped are line breaks and other control characters, which a terminal would obey, those that
-    turn the direction of writing, and what is no Unicode.
-    """
+    """`text` in one line: control characters, turns of direction and no Unicode are escaped."""
     return encodable(_UNSHOWN.sub(lambda match: ascii(match[0])[1:-1], text))
 
 
@@ -138,3 +131,162 @@ def quoted(value: object) -> str:
 def encodable(text: str) -> str:
     """`text` with escapes for what is no Unicode."""
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
+
+# What pydantic found, by its type: its own words never reach a person. A name in braces is a bound
+# that the finding has with it.
+_WORDS = {
+    "missing": "is missing",
+    "extra_forbidden": "is unknown",
+    "greater_than": "must be more than {gt:g}",
+    "greater_than_equal": "must be {ge:g} or more",
+    "less_than": "must be less than {lt:g}",
+    "less_than_equal": "must be {le:g} or less",
+    "finite_number": "must be a finite number",
+    "literal_error": "must be {expected}",
+    "string_pattern_mismatch": "must fit the pattern {pattern}",
+    "too_short": "must have {min_length} entries or more",
+    "too_long": "must have {max_length} entries or fewer",
+    "model_type": "must be a table",
+    "dict_type": "must be a table",
+    "tuple_type": "must be a list",
+    "list_type": "must be a list",
+    "bool_type": "must be true or false",
+    "bool_parsing": "must be true or false",
+    "float_type": "must be a number",
+    "float_parsing": "must be a number",
+    "int_type": "must be a whole number",
+    "int_parsing": "must be a whole number",
+    "int_parsing_size": "must be a whole number of fewer digits",
+    "int_from_float": "must be a whole number",
+    "string_type": "must be text",
+    "union_tag_invalid": "must be one of {expected_tags}",
+}
+
+
+def said(finding: Mapping[str, Any]) -> str:
+    """What a finding of `ValidationError.errors()` says, without its place and what was found.
+
+    >>> said({"type": "greater_than_equal", "ctx": {"ge": 8}, "msg": "Input should be ..."})
+    'must be 8 or more'
+    """
+    about = finding.get("ctx", {})
+    if finding["type"] in ("value_error", "assertion_error"):
+        return str(about["error"])
+    if finding["type"] in _WORDS:
+        return _WORDS[finding["type"]].format(**about)
+    return str(finding["msg"]).replace("Input should", "must")
+
+
+def first_finding(error: ValidationError) -> str:
+    """The first finding of a validation, as `KEY: what is wrong`; entries of lists by number."""
+    finding = error.errors()[0]
+    key = ".".join(f"{part!s:.60}" for part in finding["loc"])
+    return f"{key}: {said(finding)}" if key else said(finding)
+
+
+# What a spreadsheet takes for a formula, and a text that would be read back as one defused.
+_FORMULA = re.compile(r"'*[=+\-@\t\r]")
+_NOT_IN_XML = r"[^\t\n\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"  # slow to compile
+
+
+def csv_text(head: Sequence[str], rows: Iterable[Sequence[Any]], line_end: str = "\n") -> str:
+    """A line of headings and a line a row; None is an empty cell.
+
+    A name is a person's, and a spreadsheet would run one that begins as a formula does: such a text
+    gets a single quote before it (OWASP, "CSV Injection"). A text of several quotes and such a sign
+    gets one more, so that whoever takes one quote away has the text again. Numbers stay.
+    """
+    import csv  # seldom wanted
+
+    lines = []
+    text = io.StringIO()
+    # with these ends all line ends in cells are in quotes, whichever end the rows get
+    writer = csv.writer(text, lineterminator="\r\n")
+    for row in [head, *rows]:
+        writer.writerow(map(_defused, row))
+        lines.append(text.getvalue().removesuffix("\r\n") + line_end)
+        text.seek(0)
+        text.truncate()
+    return "".join(lines)
+
+
+def _defused(cell: Any) -> Any:
+    """A cell that is no formula."""
+    if not isinstance(cell, str) or _FORMULA.match(cell) is None:
+        return cell
+    try:
+        float(cell)
+    except ValueError:
+        return f"'{cell}"
+    return cell
+
+
+def markdown_table(
+    head: Sequence[str], rows: Iterable[Sequence[str]], numbers: Collection[str] = ()
+) -> list[str]:
+    """The lines of a table of Markdown cells; columns of the headings `numbers` to the right."""
+    return [
+        "|" + "".join(f" {name} |" if name else " |" for name in head),
+        "|" + "".join("---:|" if name in numbers else "---|" for name in head),
+        *(f"| {' | '.join(row)} |" for row in rows),
+    ]
+
+
+def markdown_text(text: str) -> str:
+    """Text as it stands in Markdown, also in a cell of a table: names are a person's."""
+    plain = legible(text)
+    for sign in "\\`*_[]|<>":
+        plain = plain.replace(sign, f"\\{sign}")
+    return plain.replace("@", "@\N{ZERO WIDTH SPACE}")  # else a forge tells the user of that name
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Case:
+    """A test case of JUnit XML: passed, skipped, or failed; `seconds` where they were measured."""
+
+    name: str
+    seconds: float | None = None
+    skipped: bool = False
+    failure: str | None = None
+    kind: str = ""
+    detail: str = ""
+
+
+def junit(suite: str, group: str, cases: Sequence[Case]) -> bytes:
+    """A test suite as CI servers read it; `group` is the class that they show its cases under."""
+    from xml.etree import ElementTree  # seldom wanted
+
+    root = ElementTree.Element("testsuites")
+    counts = {
+        "name": _xml_text(suite),
+        "tests": str(len(cases)),
+        "failures": str(sum(case.failure is not None for case in cases)),
+        "errors": "0",
+        "skipped": str(sum(case.skipped for case in cases)),
+    }
+    times = [case.seconds for case in cases if case.seconds is not None]
+    counts |= _time(sum(times) if times else None)
+    element = ElementTree.SubElement(root, "testsuite", counts)
+    for case in cases:
+        names = {"classname": _xml_text(group), "name": _xml_text(case.name)}
+        own = ElementTree.SubElement(element, "testcase", names | _time(case.seconds))
+        if case.failure is not None:
+            told = {"message": _xml_text(case.failure), "type": case.kind}
+            ElementTree.SubElement(own, "failure", told).text = _xml_text(case.detail)
+        elif case.skipped:
+            ElementTree.SubElement(own, "skipped")
+    ElementTree.indent(root)
+    return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)) + b"\n"
+
+
+def _time(seconds: float | None) -> dict[str, str]:
+    return {} if seconds is None else {"time": f"{seconds:.3f}"}
+
+
+def _xml_text(text: str) -> str:
+    """Text without the signs that XML cannot hold."""
+    return re.sub(_NOT_IN_XML, "", legible(text))

@@ -19,8 +19,7 @@ from pydantic import BaseModel, BeforeValidator, ValidationError
 
 from specmap_cli.core.errors import SpecmapError
 from specmap_cli.core.schemas import meanings
-from specmap_cli.core.text import quoted
-from specmap_cli.core.wording import said
+from specmap_cli.core.text import quoted, said
 
 Model = TypeVar("Model", bound=BaseModel)
 Keys = tuple[int | str, ...]  # the keys and numbers that lead to a value

@@ -6,13 +6,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.geometry import BentMotion, FloatArray
 from specmap_cli.core.text import counted
 from specmap_cli.drawing.canvas import Canvas, Image
 from specmap_cli.drawing.palette import INK, PAPER, QUIET, WRONG, Colour, paler
 from specmap_cli.drawing.sheet import Sheet, extent_of
 from specmap_cli.drawing.symbols import Legend, Symbol
-from specmap_cli.grids.bent import BentMotion
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.topology.differences import Differences, walls_in_common
 from specmap_cli.topology.regions import NOBODY, Regions

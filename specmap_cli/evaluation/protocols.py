@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -13,19 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.arrays import neighbours
 from specmap_cli.core.errors import LogError, NoResultError
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, nearest_motion
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, nearest_motion, neighbours
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import IntArray, PosedScan, Trajectory
-from specmap_cli.core.settings import Config, KeyframeConfig
+from specmap_cli.core.settings import Config, KeyframeConfig, LimitsConfig
 from specmap_cli.evaluation.trajectories import associate
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.filenames import TOPOLOGY
-from specmap_cli.maps.store import Map, read_map
+from specmap_cli.maps.store import read_map
 from specmap_cli.maps.text_files import read_tum
 from specmap_cli.pipelines.build import build_map, map_log
 from specmap_cli.pipelines.localize import localize_log
@@ -71,10 +71,7 @@ class ClassificationScores:
 
     @property
     def precision_of(self) -> dict[int, float]:
-        """Share of the scans labelled so that are of the class; nought when it was never called.
-
-        Of the classes with scans only: another cannot be right.
-        """
+        """Share of the scans labelled so that are of the class, of classes with scans."""
         called = self.confusion.sum(axis=0)
         return {
             i: float(self.confusion[k, k] / called[k]) if called[k] else 0.0
@@ -114,11 +111,7 @@ def classification_scores(
     predicted: Sequence[int | None] | NDArray[Any],
     ids: Iterable[int],
 ) -> ClassificationScores:
-    """Score `predicted` (n,) against `truth` (n,); scans whose truth is no class are left out.
-
-    A prediction of None, or of anything that is no class, counts as unknown: wrong, but no other
-    class's fault.
-    """
+    """Score `predicted` (n,) by `truth` (n,) that is a class; what is no class is unknown."""
     classes = tuple(sorted(ids))
     number = {submap: k for k, submap in enumerate(classes)}
     confusion = np.zeros((len(classes), len(classes) + 1), dtype=np.int64)
@@ -130,23 +123,9 @@ def classification_scores(
     return ClassificationScores(classes, confusion)
 
 
-def score_lines(scores: ClassificationScores) -> list[str]:
-    """A table of recall and precision per class."""
-    lines = [f"{'submap':>8} {'scans':>7} {'recall':>7} {'precision':>10}"]
-    precision = scores.precision_of
-    counts = dict(zip(scores.ids, scores.confusion.sum(axis=1).tolist(), strict=True))
-    for submap, recall in scores.recall_of.items():
-        lines.append(f"{submap:>8} {counts[submap]:7,} {recall:7.3f} {precision[submap]:10.3f}")
-    lines.append(f"{'mean':>8} {scores.scans:7,} {scores.recall:7.3f} {scores.precision:10.3f}")
-    return lines
-
-
 @dataclass(frozen=True, slots=True)
 class HoldOut:
-    """Which keyframes are held out: a `share` of them, one by one or in blocks of `block`.
-
-    The choice depends on a keyframe's number and `seed` only, so that it can be made as they come.
-    """
+    """Keyframes held out, by number and seed: a `share`, single or in blocks of `block`."""
 
     split: Split = "random"
     share: float = 0.2
@@ -175,22 +154,14 @@ class HoldOutResult:
             "precision": self.test.precision_of,
             "train_recall": self.train.recall_of,
         }
-        return {
-            "train": self.train.as_dict(),
-            "test": self.test.as_dict(),
-            "filtered": self.filtered.as_dict(),
-            "submaps": [
-                {
-                    "id": submap,
-                    **{
-                        name: round(of[submap], 6) if submap in of else None
-                        for name, of in figures.items()
-                    },
-                    "scans": int(self.test.confusion[k].sum()),
-                }
-                for k, submap in enumerate(self.test.ids)
-            ],
-        }
+        submaps = []
+        for submap, scans in zip(self.test.ids, self.test.confusion.sum(axis=1), strict=True):
+            own = {
+                name: round(of[submap], 6) if submap in of else None for name, of in figures.items()
+            }
+            submaps.append({"id": submap, **own, "scans": int(scans)})
+        parts = {"train": self.train, "test": self.test, "filtered": self.filtered}
+        return {**{name: one.as_dict() for name, one in parts.items()}, "submaps": submaps}
 
 
 @one_blas_thread()
@@ -260,9 +231,7 @@ def score_hold_out(
 def labels_of(
     finished: FinishedMap, store: KeyframeStore, held_out: KeyframeStore, config: Config
 ) -> list[Label]:
-    """The labels of held-out scans in turn, by the map of `store`; the filter starts afresh after
-    a gap.
-    """
+    """The labels of held-out scans by the map of `store`; the filter starts afresh after a gap."""
     poses = poses_at(finished, held_out.stamps_ns)
     classifiers = finished.classifiers
     adjacency = neighbours(classifiers.ids, finished.topology.joined)
@@ -352,47 +321,39 @@ def revisit_logs(
     """Localise a second log in the map of a first and score it by given poses (Figure 6).
 
     `first` is a log, of which a map is built for the purpose, or a map directory. `references` are
-    TUM files of both logs in one frame. Raises what `build_map` and `localize_log` raise.
+    TUM files of both logs in one frame: the motion that fits best takes them to the map. Raises
+    what `build_map` and `localize_log` raise.
     """
-    first, second = Path(first), Path(second)
-    if (first / TOPOLOGY).is_file():
-        return _revisit_map(read_map(first, config.limits), second, references, config, progress)
-    with tempfile.TemporaryDirectory(prefix="specmap-") as folder:
-        build_map([first], Path(folder) / "map", config, progress=progress)
-        stored = read_map(Path(folder) / "map")
-        return _revisit_map(stored, second, references, config, progress)
-
-
-def _revisit_map(
-    stored: Map,
-    second: Path,
-    references: tuple[str | Path, str | Path],
-    config: Config,
-    progress: Progress,
-) -> RevisitResult:
-    """The same with the map; its own log's poses are taken to it by the motion that fits best."""
-    given = read_tum(references[0])
-    joined, rows = associate(given.stamps_ns, stored.labels.stamps_ns, STAMP_REACH_NS)
-    if len(joined) < 2:
-        raise LogError(
-            "no pose at the stamps of the map's keyframes: another log?", where=references[0]
+    first, limits = Path(first), config.limits
+    with ExitStack() as until_scored:
+        if not (first / TOPOLOGY).is_file():
+            folder = tempfile.TemporaryDirectory(prefix="specmap-")
+            built, limits = Path(until_scored.enter_context(folder)) / "map", LimitsConfig()
+            build_map([first], built, config, progress=progress)
+            first = built
+        stored = read_map(first, limits)
+        given = read_tum(references[0])
+        joined, rows = associate(given.stamps_ns, stored.labels.stamps_ns, STAMP_REACH_NS)
+        if len(joined) < 2:
+            raise LogError(
+                "no pose at the stamps of the map's keyframes: another log?", where=references[0]
+            )
+        places, known = given.poses[rows, :2], stored.labels.poses[joined, :2]
+        map_from_reference = nearest_motion(places, known)
+        away = np.hypot(*(map_from_reference.apply(places) - known).T).mean()
+        if away > _FITTING_M:
+            progress.warn(
+                f"{references[0]}: its poses are {away:.1f} m off the map on average: of another "
+                "log, or is the map bent? the scores mean little"
+            )
+        reference = read_tum(references[1])
+        report = localize_log([Path(second)], stored, config, progress=progress)
+        return revisit(
+            [scan.label for scan in report.scans],
+            reference,
+            (stored.labels.poses, stored.labels.submaps),
+            map_from_reference,
         )
-    places, known = given.poses[rows, :2], stored.labels.poses[joined, :2]
-    map_from_reference = nearest_motion(places, known)
-    away = np.hypot(*(map_from_reference.apply(places) - known).T).mean()
-    if away > _FITTING_M:
-        progress.warn(
-            f"{references[0]}: its poses are {away:.1f} m off the map on average: of another log, "
-            "or is the map bent? the scores mean little"
-        )
-    reference = read_tum(references[1])
-    report = localize_log([second], stored, config, progress=progress)
-    return revisit(
-        [scan.label for scan in report.scans],
-        reference,
-        (stored.labels.poses, stored.labels.submaps),
-        map_from_reference,
-    )
 
 
 def hold_out_lines(result: HoldOutResult) -> list[str]:
@@ -404,7 +365,14 @@ def hold_out_lines(result: HoldOutResult) -> list[str]:
         ("held-out, filtered", result.filtered),
     ):
         lines.append(f"{name:22} {scores.scans:7,} {scores.recall:7.4f} {scores.precision:10.4f}")
-    return [*lines, "", "held-out scans by submap", *score_lines(result.test)]
+    lines += ["", "held-out scans by submap"]
+    lines.append(f"{'submap':>8} {'scans':>7} {'recall':>7} {'precision':>10}")
+    test, precision = result.test, result.test.precision_of
+    counts = dict(zip(test.ids, test.confusion.sum(axis=1).tolist(), strict=True))
+    for submap, recall in test.recall_of.items():
+        lines.append(f"{submap:>8} {counts[submap]:7,} {recall:7.3f} {precision[submap]:10.3f}")
+    lines.append(f"{'mean':>8} {test.scans:7,} {test.recall:7.3f} {test.precision:10.3f}")
+    return lines
 
 
 def revisit_lines(result: RevisitResult) -> list[str]:

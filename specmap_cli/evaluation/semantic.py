@@ -136,15 +136,6 @@ def room_hallway(
     The borders are those between the submaps of a map built of the second. Raises InputError when
     the first shows not both kinds, and what `build` raises.
     """
-    model = _trained(learned, config, progress)
-    with open_log(asked.log, config.log) as log, KeyframeStore() as store:
-        finished = map_log(Session(config, store, progress), SweepStream(log, config.log))
-        predicted = kinds_by(model, (store.scan(k) for k in range(len(store))))
-        truth = asked.kinds(np.array(store.stamps_ns, dtype=np.int64))
-    return semantic_scores(predicted, truth, finished.labels.submaps, finished.topology.joined)
-
-
-def _trained(learned: Labelled, config: Config, progress: Progress) -> StumpBoost:
     stamps: list[int] = []
     features = scans_features(_scans_of(learned.log, config, progress, stamps), _FEATURES)
     kinds = learned.kinds(np.array(stamps, dtype=np.int64))
@@ -154,7 +145,12 @@ def _trained(learned: Labelled, config: Config, progress: Progress) -> StumpBoos
             "hallways: is the picture that of its building, in the frame of the poses?",
             where=learned.log,
         )
-    return room_hallway_model(features[kinds >= 0], kinds[kinds >= 0])
+    model = room_hallway_model(features[kinds >= 0], kinds[kinds >= 0])
+    with open_log(asked.log, config.log) as log, KeyframeStore() as store:
+        finished = map_log(Session(config, store, progress), SweepStream(log, config.log))
+        predicted = kinds_by(model, (store.scan(k) for k in range(len(store))))
+        truth = asked.kinds(np.array(store.stamps_ns, dtype=np.int64))
+    return semantic_scores(predicted, truth, finished.labels.submaps, finished.topology.joined)
 
 
 def _scans_of(

@@ -14,8 +14,7 @@ from specmap_cli.core.files import write_zip
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.json_values import PropertyValue
 from specmap_cli.core.progress import Progress
-from specmap_cli.core.tables import csv_text
-from specmap_cli.core.text import plain, to_json
+from specmap_cli.core.text import csv_text, plain, to_json
 from specmap_cli.layout.pose_graph import Link, graph_text, read_g2o
 from specmap_cli.maps import filenames
 from specmap_cli.maps.flat import (

@@ -22,7 +22,7 @@ from typing import IO, Protocol
 
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.files import complete_file, refuse_existing
-from specmap_cli.core.plugins import with_plugins
+from specmap_cli.core.process import with_plugins
 from specmap_cli.core.progress import Progress, Remembering, Silent
 from specmap_cli.exports.flat_formats import CsvTables, GeoJson, GraphMl, PoseGraph
 from specmap_cli.exports.fleet_formats import Lif, Rmf

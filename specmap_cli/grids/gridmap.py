@@ -77,26 +77,24 @@ class GridMap:
 
     def values_at(self, points: NDArray[Any]) -> CellArray:
         """(N,) state of the cell under each point (N, 2); UNKNOWN outside."""
+        return self.under(points, self.cells, UNKNOWN)
+
+    def under(self, points: NDArray[Any], values: NDArray[_Value], outside: Any) -> NDArray[_Value]:
+        """(N,) what `values` (H, W) of cells are under points (N, 2), `outside` off the grid."""
         cells = self.cells_of(points)
         inside = self.inside(cells)
-        values = np.full(len(cells), UNKNOWN, dtype=np.uint8)
-        values[inside] = self.cells[cells[inside, 0], cells[inside, 1]]
-        return values
+        found = np.full(len(cells), outside, dtype=values.dtype)
+        found[inside] = values[tuple(cells[inside].T)]
+        return found
 
     def window(self, rows: slice, columns: slice) -> GridMap:
-        """The part of the map in some rows and columns, both with a start and an end on the grid.
-
-        Its cells are a copy, so that it does not keep the whole grid in memory.
-        """
+        """A copy of the part in some rows and columns, with starts and ends on the grid."""
         x, y = self.origin
         corner = (x + columns.start * self.resolution, y + rows.start * self.resolution)
         return GridMap(self.cells[rows, columns].copy(), self.resolution, corner)
 
     def cropped(self, shown: BoolArray | None = None, frame: int = 0) -> GridMap:
-        """The part of the map round the cells `shown` (H, W), by default those that are known.
-
-        A `frame` of so many cells stays round it. Where nothing is shown the map stays as it is.
-        """
+        """The part round the cells `shown` (H, W), else the known, and a `frame`; all for none."""
         window = window_of(np.asarray(self.cells != UNKNOWN) if shown is None else shown)
         if window is None:
             return self
@@ -111,10 +109,7 @@ class GridMap:
         return self.window(*slices_near(points, reach_m, self.origin, self.resolution, shape))
 
     def obstacle_distance(self) -> LengthArray:
-        """(H, W) metres from a cell's centre to the nearest occupied one's.
-
-        NO_OBSTACLE_M everywhere when no cell is occupied.
-        """
+        """(H, W) metres from a cell's centre to the nearest occupied one's, or NO_OBSTACLE_M."""
         if not self.occupied.any():
             return np.full(self.cells.shape, NO_OBSTACLE_M, dtype=np.float32)
         return self._metres(cell_distances((self.cells != OCCUPIED).astype(np.uint8)))
@@ -158,10 +153,7 @@ def slices_near(
     resolution: float,
     shape: tuple[int, ...],
 ) -> tuple[slice, slice]:
-    """Rows and columns of a grid that lie within `reach_m` of the box round points (n, 2 or more).
-
-    The grid is of `shape` and begins at `origin`; of rows or columns off it nothing is left.
-    """
+    """The rows and columns of a grid within `reach_m` of the box round points (n, 2 or more)."""
     low, high = points[:, :2].min(axis=0) - reach_m, points[:, :2].max(axis=0) + reach_m
     corners = np.floor((np.array([low, high]) - origin) / resolution).astype(np.intp)
     (left, bottom), (right, top) = np.clip(corners, 0, shape[::-1]).tolist()
@@ -186,10 +178,7 @@ def cell_distances(picture: CellArray) -> LengthArray:
 
 
 def clearance_of(free: BoolArray) -> LengthArray:
-    """(H, W) distance, in cells, from each free cell's centre to that of the nearest one not free.
-
-    What lies off the grid is not free.
-    """
+    """(H, W) cells from each free cell's centre to the nearest not free, as all off the grid is."""
     return cell_distances(np.pad(free.astype(np.uint8), 1))[1:-1, 1:-1]
 
 
@@ -208,10 +197,7 @@ def joined(cells: BoolArray, seeds: BoolArray) -> BoolArray:
 
 
 def looked_up(table: NDArray[_Value], numbers: NDArray[Any]) -> NDArray[_Value]:
-    """(H, W, ...) the entry in a table (n, ...) of each of the `numbers` (H, W), some rows at once.
-
-    All at once they would be copied to eight bytes each.
-    """
+    """(H, W, ...) the entry in a table (n, ...) of each of `numbers` (H, W), some rows at once."""
     found = np.empty(numbers.shape + table.shape[1:], dtype=table.dtype)
     for rows in bands_of(numbers.shape):
         found[rows] = table[numbers[rows]]
@@ -219,10 +205,7 @@ def looked_up(table: NDArray[_Value], numbers: NDArray[Any]) -> NDArray[_Value]:
 
 
 def within(picture: CellArray, reach: float) -> BoolArray:
-    """(H, W) the cells no farther than `reach` cells from a zero of a picture (H, W).
-
-    Distances are looked at some rows at once, with the rows that have a say in them.
-    """
+    """(H, W) the cells no farther than `reach` cells from a zero of a picture (H, W), in bands."""
     found, beyond = np.empty(picture.shape, dtype=np.bool_), math.ceil(reach) + 1
     for rows in bands_of(picture.shape, beyond):
         low = max(rows.start - beyond, 0)
@@ -239,10 +222,7 @@ def bands_of(shape: tuple[int, ...], least: int = 1) -> Iterator[slice]:
 
 
 def nearest_values(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.float32]]:
-    """Each cell's value (H, W), or that of the nearest non-zero cell where it is zero; how far.
-
-    The distance (H, W) to that cell is in cells.
-    """
+    """Each cell's value (H, W), if zero the nearest that is not; and cells to that (H, W)."""
     zero = (values == 0).astype(np.uint8)
     away, source = cv2.distanceTransformWithLabels(
         zero, cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
@@ -250,22 +230,6 @@ def nearest_values(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.float
     of_source = np.zeros(int(source.max(initial=0)) + 1, dtype=values.dtype)
     of_source[source[zero == 0]] = values[zero == 0]
     return looked_up(of_source, source), np.asarray(away, dtype=np.float32)
-
-
-def cast_ranges(
-    distance: NDArray[Any],
-    grid: GridMap,
-    origins: NDArray[Any],
-    bearings: NDArray[Any],
-    max_range: float,
-) -> FloatArray:
-    """Virtual scans: ranges (N, B) from origins (N, 2) along bearings (B,), +inf past `max_range`.
-
-    `distance` is `grid.obstacle_distance()`; see `cast_rays`.
-    """
-    starts = np.repeat(origins, len(bearings), axis=0)
-    angles = np.tile(bearings, len(origins))
-    return cast_rays(distance, grid, starts, angles, max_range).reshape(-1, len(bearings))
 
 
 def cast_rays(

@@ -110,10 +110,7 @@ class _Laser:
 
 
 class KeyframeStore:
-    """Keyframes by number 0, 1, ...: scans on disk, poses in memory. Close it, or use `with`.
-
-    Memory grows by 64 bytes a keyframe, not by its beams.
-    """
+    """Keyframes by number: scans on disk, 64 bytes each in memory. Close it, or use `with`."""
 
     def __init__(self) -> None:
         with temporary_files():
@@ -121,9 +118,8 @@ class KeyframeStore:
         self._stamps_ns, self._poses, self._guessed = array("q"), array("d"), array("d")
         # readings of each in the file, bearings and then ranges: where they begin, and their bytes
         self._begins, self._bytes = array("q"), array("q")
-        self._lasers: list[_Laser] = []
-        self._number_of: dict[_Laser, int] = {}
-        self._laser_of = array("l")  # the number of each one's laser
+        self._lasers: dict[_Laser, _Laser] = {}  # one of equal ones
+        self._laser_of: list[_Laser] = []
 
     def append(self, scan: PosedScan) -> int:
         """Store one keyframe and return its number. UsageError when there is no room for it."""
@@ -138,10 +134,7 @@ class KeyframeStore:
         self._poses.extend(scan.map_from_base)
         self._guessed.extend(scan.guessed_m)
         self._bytes.append(readings.nbytes)
-        if laser not in self._number_of:
-            self._number_of[laser] = len(self._lasers)
-            self._lasers.append(laser)
-        self._laser_of.append(self._number_of[laser])
+        self._laser_of.append(self._lasers.setdefault(laser, laser))
         return len(self) - 1
 
     def extend(self, other: KeyframeStore) -> None:
@@ -155,8 +148,9 @@ class KeyframeStore:
         `poses` (k, 3) are theirs as registered from now on. The readings of the others stay in the
         file until it is closed.
         """
-        for column in (self._stamps_ns, self._begins, self._bytes, self._laser_of):
+        for column in (self._stamps_ns, self._begins, self._bytes):
             column[:] = array(column.typecode, np.array(column)[numbers].tolist())
+        self._laser_of = [self._laser_of[number] for number in numbers.tolist()]
         self._poses = array("d", np.ascontiguousarray(poses).tobytes())
         self._guessed = array("d", self.guessed_m[numbers].tobytes())
 
@@ -199,7 +193,7 @@ class KeyframeStore:
             self._file.seek(0, os.SEEK_END)
         readings = np.frombuffer(data, dtype=_READING)
         bearings, ranges = readings.astype(np.float64).reshape(2, -1)
-        laser = self._lasers[self._laser_of[number]]
+        laser = self._laser_of[number]
         stamp_ns = self._stamps_ns[number]
         return PlanarScan(stamp_ns, bearings, ranges, laser.range_max, laser.full_circle)
 
@@ -216,7 +210,7 @@ class KeyframeStore:
 
     def base_from_laser(self, number: int) -> Pose2:
         """Mounting of the laser of one keyframe."""
-        return self._lasers[self._laser_of[number]].base_from_laser
+        return self._laser_of[number].base_from_laser
 
     def points(self, number: int, max_range: float = np.inf) -> FloatArray:
         """Returns (N, 2) of one keyframe in the base frame."""
@@ -235,11 +229,7 @@ class KeyframeStore:
 
 
 def views_needed(scan: PlanarScan, config: GridConfig) -> int:
-    """How many scans from one place show every cell of a surface, as far as the grid reaches.
-
-    There two beams of a scan are as many cells apart, at most; and no cell needs more than
-    `ENOUGH_VIEWS`.
-    """
+    """How many scans from one place hit every cell of a surface, as far as the grid reaches."""
     spacing = float(scan.bearings[-1] - scan.bearings[0]) / max(len(scan.bearings) - 1, 1)
     reach_m = min(scan.range_max, config.max_range_m)
     return min(ENOUGH_VIEWS, max(1, math.ceil(reach_m * spacing / config.resolution_m)))

@@ -112,9 +112,8 @@ def search_everywhere(
     """The best `count` poses of points (N, 2) anywhere on the field at these angles, best first.
 
     A correlation by Fourier transform per angle, on the field pooled to cells of about `step`
-    metres: no guess is needed, drift of any size does not matter. The poses are good to about a
-    step and are at least a metre (or 0.3 rad) from each other; follow with `search` over
-    +- a step, or `refine`. Scores are upper bounds, pooled.
+    metres. The poses are good to about a step and at least a metre (or 0.3 rad) from each other;
+    follow with `search` over +- a step, or `refine`. Scores are upper bounds, pooled.
     """
     if not len(points):
         return []
@@ -136,7 +135,11 @@ def search_everywhere(
         picture = np.bincount(cells, minlength=math.prod(shape)).reshape(shape) / len(local)
         sums = np.fft.irfft2(spectrum * np.conj(np.fft.rfft2(picture)), shape, norm="forward")
         sums *= 1.0 / math.prod(shape)
-        for row, column in _peaks(sums, count):
+        # peaks, which no neighbour passes in single precision, the highest first, then by row
+        single = sums.astype(np.float32)
+        peaks = np.flatnonzero(single >= cv2.dilate(single, np.ones((3, 3), dtype=np.uint8)))
+        peaks = peaks[np.argsort(-sums.ravel()[peaks], kind="stable")[:count]]
+        for row, column in (divmod(peak, shape[1]) for peak in peaks.tolist()):
             value = float(sums[row, column])
             # shifts past the field are negative ones
             row -= shape[0] if row > (shape[0] + coarse.values.shape[0]) // 2 else 0
@@ -148,23 +151,9 @@ def search_everywhere(
     return different_places(places, middle, count)
 
 
-def _peaks(picture: FloatArray, count: int) -> list[tuple[int, int]]:
-    """Rows and columns of the highest cells (H, W) with no higher neighbour, the highest first.
-
-    Neighbours are told apart in single precision. Ties go to the first row, then column.
-    """
-    single = picture.astype(np.float32)
-    cells = np.flatnonzero(single >= cv2.dilate(single, np.ones((3, 3), dtype=np.uint8)))
-    best = cells[np.argsort(-picture.ravel()[cells], kind="stable")[:count]]
-    return [divmod(cell, picture.shape[1]) for cell in best.tolist()]
-
-
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Where points may be: about `pose`, with an error of this covariance (3, 3) in the field.
-
-    Without a covariance they may be anywhere, at any angle.
-    """
+    """Where points may be: about `pose`, with a covariance (3, 3) in the field; None: anywhere."""
 
     pose: Pose2
     covariance: FloatArray | None = None

@@ -1,10 +1,8 @@
 """Score fields: how near the closest obstacle is, everywhere on a grid, and the way to a match.
 
-A cell's value is exp(-d^2 / 2 sigma^2) of its distance d to the nearest obstacle, so that the mean
-value under the points of a scan says in [0, 1] how well the scan fits where it was put. The way to
-a match, and its last centimetres, are Gauss-Newton steps on the interpolated field (Kohlbrecher et
-al., "A Flexible and Scalable SLAM System with Full 3D Motion Estimation", SSRR 2011), with damping
-and step halving.
+What a field is `grids.matching` says. The way to a match, and its last centimetres, are damped
+Gauss-Newton steps on the interpolated field (Kohlbrecher et al., "A Flexible and Scalable SLAM
+System with Full 3D Motion Estimation", SSRR 2011), which are halved where they make it worse.
 """
 
 from __future__ import annotations
@@ -19,8 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.arrays import first_in_cells
-from specmap_cli.core.geometry import FloatArray, Pose2, product, wrap_angle
+from specmap_cli.core.geometry import FloatArray, Pose2, first_in_cells, product, wrap_angle
 from specmap_cli.grids.gridmap import GridMap
 
 FieldArray = NDArray[np.float32]
@@ -47,10 +44,7 @@ _NEAR_STEP = 1e-3  # metres and radians: what follows mends as much
 
 @dataclass(frozen=True, slots=True)
 class PointCells:
-    """The cells `cells` (2, N), columns and rows from the origin of the frame, of N points.
-
-    `low` and `high` are the least and greatest x and y of the points, metres.
-    """
+    """`cells` (2, N), columns and rows from the frame's origin, of points from `low` to `high`."""
 
     cells: NDArray[np.int64]
     low: tuple[float, float]
@@ -69,10 +63,7 @@ class PointCells:
 
 @dataclass(frozen=True, slots=True)
 class ScoreField:
-    """`values` (H, W) in [0, 1] on a grid whose lower left corner is `origin` (x, y).
-
-    `left_out` counts the points that the field does not show, for lying too far from the others.
-    """
+    """`values` (H, W) in [0, 1] on a grid from `origin` on; `left_out` points lie too far away."""
 
     values: FieldArray
     resolution: float
@@ -90,9 +81,8 @@ class ScoreField:
         """The field of obstacle points (N, 2), metres.
 
         The grid covers all points if they spread over no more than `max_side` metres in x and in y,
-        else those within half of that from their median. So a stray point
-        kilometres away costs neither time nor memory. But walls beyond do not count either: what
-        is matched there scores 0. `left_out` of the result says how many points that were.
+        else those within half of that from their median: a stray point costs nothing, but walls
+        beyond score 0. `left_out` says how many points these are.
         """
         points = np.asarray(points, dtype=np.float64).reshape(-1, 2)
         cells = PointCells.of(points, resolution)

@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from specmap_cli.core.tables import csv_text
-from specmap_cli.core.text import counted, legible
+from specmap_cli.core.text import counted, csv_text, legible
 from specmap_cli.history.record import (
     BuildingRecord,
     ChangeRecord,

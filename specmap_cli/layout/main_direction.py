@@ -12,8 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from specmap_cli.core.arrays import evenly
-from specmap_cli.core.geometry import FloatArray, compose
+from specmap_cli.core.geometry import FloatArray, compose, evenly
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.path_graph import MATCH_RANGE_M

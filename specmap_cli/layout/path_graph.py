@@ -16,7 +16,6 @@ from heapq import heappop, heappush
 
 import numpy as np
 
-from specmap_cli.core.arrays import runs
 from specmap_cli.core.geometry import (
     FloatArray,
     Pose2,
@@ -24,6 +23,7 @@ from specmap_cli.core.geometry import (
     inverse3,
     invert,
     moved,
+    runs,
     step_lengths,
 )
 from specmap_cli.core.records import IntArray

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.arrays import runs
 from specmap_cli.core.geometry import (
     FloatArray,
     compose,
     invert,
+    runs,
     travelled,
     wrap_angle,
     wrap_angles,

@@ -14,8 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from specmap_cli.core.arguments import instance_of
-from specmap_cli.core.errors import InputError, UsageError
+from specmap_cli.core.errors import InputError, UsageError, instance_of
 from specmap_cli.core.geometry import step_lengths, yaw_of
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import IntArray, Sweep

@@ -14,9 +14,17 @@ from functools import cached_property, partial
 from pathlib import Path
 from types import MappingProxyType
 
-from specmap_cli.core.arguments import Paths, instance_of, paths_of
-from specmap_cli.core.errors import LOG_DAMAGED, LOG_MISSING, PACKAGE, LogError, UsageError
-from specmap_cli.core.plugins import with_plugins
+from specmap_cli.core.errors import (
+    LOG_DAMAGED,
+    LOG_MISSING,
+    PACKAGE,
+    LogError,
+    Paths,
+    UsageError,
+    instance_of,
+    paths_of,
+)
+from specmap_cli.core.process import with_plugins
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import legible
 from specmap_cli.logs.readers.carmen import CarmenFile

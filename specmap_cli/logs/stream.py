@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from specmap_cli.core.arguments import instance_of
+from specmap_cli.core.errors import instance_of
 from specmap_cli.core.geometry import FloatArray, Pose2, product, wrap_angle
 from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import LogConfig

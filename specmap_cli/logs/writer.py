@@ -17,7 +17,7 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import ArrayLike
 
 from specmap_cli import __version__
-from specmap_cli.core.arguments import Paths, path_of, paths_of
+from specmap_cli.core.errors import Paths, path_of, paths_of
 from specmap_cli.core.files import complete_file, refuse_existing
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.progress import Progress, Silent

@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from specmap_cli.core.arrays import unchanging
 from specmap_cli.core.errors import TOO_LARGE, MapError
-from specmap_cli.core.geometry import FloatArray, Pose2, product
+from specmap_cli.core.geometry import FloatArray, Pose2, product, unchanging
 from specmap_cli.core.json_values import Point, PropertyValue
 from specmap_cli.core.text import legible
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, GridMap

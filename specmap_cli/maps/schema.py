@@ -34,8 +34,7 @@ from specmap_cli.core.records import Closure
 from specmap_cli.core.schemas import ModelSchema
 from specmap_cli.core.text import to_json
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.topology.regions import Regions
-from specmap_cli.topology.shapes import Outline, kind_of
+from specmap_cli.topology.regions import Outline, Regions, kind_of
 from specmap_cli.topology.topological_map import (
     BorderEdit,
     Break,

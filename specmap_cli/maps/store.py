@@ -15,12 +15,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from specmap_cli.core.arguments import path_of
-from specmap_cli.core.arrays import unchanging
 from specmap_cli.core.config import known_settings
-from specmap_cli.core.errors import MAP_MISSING, MapError
+from specmap_cli.core.errors import MAP_MISSING, MapError, path_of
 from specmap_cli.core.files import sha256_of
 from specmap_cli.core.findings import Quality, Verdict
+from specmap_cli.core.geometry import unchanging
 from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels, Trajectory
 from specmap_cli.core.settings import Config, LimitsConfig
 from specmap_cli.core.text import counted
@@ -53,7 +52,7 @@ from specmap_cli.topology.topological_map import (
 if TYPE_CHECKING:
     import networkx as nx
 
-    from specmap_cli.topology.routing import Roads, Route
+    from specmap_cli.topology.navigation import Roads, Route
 
 Value = TypeVar("Value")
 
@@ -164,7 +163,7 @@ class Map:
 
     @cached_property
     def _roads(self) -> Roads:
-        from specmap_cli.topology.routing import Roads  # few ask for routes
+        from specmap_cli.topology.navigation import Roads  # few ask for routes
 
         graph = self.record.graph
         return Roads(self.regions, graph.doors, self.record.edges, graph.robot_radius_m)

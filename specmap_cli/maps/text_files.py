@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from specmap_cli.core.arrays import runs
 from specmap_cli.core.config import known_settings
 from specmap_cli.core.errors import InputError, MapError
 from specmap_cli.core.files import read_bytes
@@ -23,13 +22,12 @@ from specmap_cli.core.geometry import (
     quaternions_from_rpy,
     rotation_from_quaternion,
     rpy_from_quaternions,
+    runs,
     yaw_of,
 )
 from specmap_cli.core.records import NO_SUBMAP, Labels, Trajectory
 from specmap_cli.core.settings import Config, LimitsConfig
-from specmap_cli.core.tables import csv_text
-from specmap_cli.core.text import counted, decimal, stamp_ns, stamp_text
-from specmap_cli.core.wording import first_finding
+from specmap_cli.core.text import counted, csv_text, decimal, first_finding, stamp_ns, stamp_text
 
 LABELS_HEADER = "stamp,x,y,theta,submap"
 _LOST, _FOUND = "# lost", "# found"

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.json_values import Span
 from specmap_cli.core.settings import LimitsConfig
-from specmap_cli.core.wording import first_finding
+from specmap_cli.core.text import first_finding
 from specmap_cli.maps.schema import SCHEMA_VERSION, TopologyRecord
 from specmap_cli.maps.text_files import map_json
 from specmap_cli.topology.topological_map import Split

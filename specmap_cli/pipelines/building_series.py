@@ -12,9 +12,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from specmap_cli.core.errors import NoResultError
-from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.geometry import BentMotion, FloatArray
 from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels
-from specmap_cli.grids.bent import BentMotion
 from specmap_cli.history.record import Tour, room_name, tour_of
 from specmap_cli.maps.schema import NodeRecord
 from specmap_cli.maps.store import Map

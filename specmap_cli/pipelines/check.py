@@ -15,8 +15,7 @@ from specmap_cli.checking.rules import (
     judged,
     read_rules,
 )
-from specmap_cli.core.arguments import instance_of
-from specmap_cli.core.errors import NoResultError
+from specmap_cli.core.errors import NoResultError, instance_of
 from specmap_cli.core.findings import Finding, Severity
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress

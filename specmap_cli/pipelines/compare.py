@@ -8,16 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from specmap_cli.core.arguments import instance_of, path_of
-from specmap_cli.core.errors import NOT_ALIGNED, NoResultError
-from specmap_cli.core.geometry import IDENTITY
+from specmap_cli.core.errors import NOT_ALIGNED, NoResultError, instance_of, path_of
+from specmap_cli.core.geometry import IDENTITY, BentMotion, LocalMotion
 from specmap_cli.core.json_values import point, transform
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted, encodable, to_json
 from specmap_cli.drawing.comparison import render_comparison
-from specmap_cli.grids.bent import BentMotion, LocalMotion
 from specmap_cli.grids.map_server import write_png
 from specmap_cli.maps.comparison import (
     SCHEMA_VERSION,

@@ -17,8 +17,7 @@ from typing import Any, TypeVar
 import networkx as nx
 import numpy as np
 
-from specmap_cli.core.arguments import path_of
-from specmap_cli.core.errors import MapError, UsageError, is_of_the_place
+from specmap_cli.core.errors import MapError, UsageError, is_of_the_place, path_of
 from specmap_cli.core.json_values import Record
 from specmap_cli.core.process import one_blas_thread, versions
 from specmap_cli.core.progress import Progress, Silent
@@ -48,8 +47,7 @@ from specmap_cli.pipelines.reports import EditReport
 from specmap_cli.pipelines.session import Session
 from specmap_cli.segmentation.division import unentered
 from specmap_cli.topology.navigation import parts
-from specmap_cli.topology.regions import Regions
-from specmap_cli.topology.shapes import kind_of
+from specmap_cli.topology.regions import Regions, kind_of
 from specmap_cli.topology.topological_map import TopologicalMap, default_name
 
 # What no border changes: copied, so that nothing is rounded again.

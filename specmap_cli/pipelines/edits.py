@@ -28,8 +28,8 @@ from specmap_cli.maps.edits import (
     said_in,
 )
 from specmap_cli.maps.store import Map
+from specmap_cli.topology.identity import redrawn
 from specmap_cli.topology.navigation import Forbidden, Shut, shut_by, with_detours, with_shut
-from specmap_cli.topology.redrawing import redrawn
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import (
     BorderEdit,

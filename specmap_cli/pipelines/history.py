@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from specmap_cli.core.arguments import path_of
-from specmap_cli.core.errors import MapError
+from specmap_cli.core.errors import MapError, path_of
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import LimitsConfig

@@ -35,7 +35,7 @@ from specmap_cli.pipelines.map_in_making import LaidOut, gaps_in
 from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.closure.alignment import Joint
 from specmap_cli.topology.graph import Heritage, inherited
-from specmap_cli.topology.redrawing import undone
+from specmap_cli.topology.identity import undone
 
 _JOINED = "the maps were joined here"
 _APART_M = 20.0  # between maps that have nothing in common: walls within it are never matched

@@ -31,7 +31,7 @@ from specmap_cli.pipelines.map_in_making import Explored, LaidOut
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.tracking import Tracking
 from specmap_cli.quality.evidence import Evidence, holes_of, stretches_of
-from specmap_cli.quality.recording import of_recording
+from specmap_cli.quality.findings import of_recording
 from specmap_cli.segmentation.division import regions_of, segment
 from specmap_cli.segmentation.visibility import LabelArray
 from specmap_cli.topology.graph import settle_labels

@@ -21,22 +21,24 @@ from specmap_cli.pipelines.map_in_making import submaps_of
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.worker import ahead
 from specmap_cli.recognition.features.sets import KeyframeFeatures, feature_names
-from specmap_cli.recognition.learning.calibration import HeldOutMargins, calibrated
+from specmap_cli.recognition.learning.calibration import (
+    HeldOutMargins,
+    HeldOutMisfit,
+    calibrated,
+    held_out_misfit,
+)
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
-from specmap_cli.recognition.learning.misfit import HeldOutMisfit, held_out_misfit
 from specmap_cli.recognition.learning.sampling import (
+    NO_SAMPLES,
+    NO_TRAINING_DATA,
+    Samples,
+    TrainingData,
     augmented_samples,
     cast_samples,
     raw_samples,
     track_samples,
 )
 from specmap_cli.recognition.learning.training import Revisits, sensor_of, train_and_test
-from specmap_cli.recognition.learning.training_data import (
-    NO_SAMPLES,
-    NO_TRAINING_DATA,
-    Samples,
-    TrainingData,
-)
 
 _MOST = float(np.finfo(np.float16).max)
 

@@ -14,16 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.arguments import Paths, instance_of, paths_of
-from specmap_cli.core.errors import InputError, LogError
+from specmap_cli.core.errors import InputError, LogError, Paths, instance_of, paths_of
 from specmap_cli.core.files import write_together
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import NO_SUBMAP
 from specmap_cli.core.settings import Config
-from specmap_cli.core.tables import csv_text
-from specmap_cli.core.text import counted, legible, stamp_text
+from specmap_cli.core.text import counted, csv_text, legible, stamp_text
 from specmap_cli.grids.map_server import png_bytes
 from specmap_cli.logs import open_log
 from specmap_cli.logs.stream import SweepStream

@@ -39,10 +39,10 @@ from specmap_cli.maps.store import Map
 from specmap_cli.maps.text_files import map_text
 from specmap_cli.pipelines.edits import edits_of_stored
 from specmap_cli.quality.evidence import Evidence
-from specmap_cli.quality.laid_out import LAYOUT_CODES, of_layout
+from specmap_cli.quality.findings import LAYOUT_CODES, of_layout
 from specmap_cli.recognition.features.sets import KeyframeFeatures
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
-from specmap_cli.recognition.learning.training_data import TrainingData
+from specmap_cli.recognition.learning.sampling import TrainingData
 from specmap_cli.segmentation.division import unentered
 from specmap_cli.topology.regions import OwnerArray, Regions, divide
 from specmap_cli.topology.topological_map import (

@@ -14,8 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from specmap_cli.core.arguments import instance_of, path_of
-from specmap_cli.core.errors import InputError, UsageError
+from specmap_cli.core.errors import InputError, UsageError, instance_of, path_of
 from specmap_cli.core.geometry import nearest_motion
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
@@ -42,7 +41,7 @@ from specmap_cli.pipelines.overlaps import (
 from specmap_cli.pipelines.reports import MergeReport
 from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.features.sets import check_feature_sets
-from specmap_cli.recognition.learning.training_data import TrainingData
+from specmap_cli.recognition.learning.sampling import TrainingData
 
 
 @one_blas_thread()

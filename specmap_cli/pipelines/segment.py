@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from specmap_cli.core.arguments import instance_of, path_of
-from specmap_cli.core.errors import UsageError
+from specmap_cli.core.errors import UsageError, instance_of, path_of
 from specmap_cli.core.geometry import IDENTITY
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress

@@ -20,9 +20,9 @@ from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.logs.writer import LogWriter
 from specmap_cli.maps.text_files import planar_trajectory_text
-from specmap_cli.simulation.lasers import Cloud
 from specmap_cli.simulation.simulator import (
     START_NS,
+    Cloud,
     SimulatedTour,
     SimulationOptions,
     simulated_tour,

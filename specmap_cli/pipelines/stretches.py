@@ -13,16 +13,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from specmap_cli.core.findings import Finding
-from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, travelled
+from specmap_cli.core.geometry import (
+    BentMotion,
+    FloatArray,
+    LocalMotion,
+    Pose2,
+    compose,
+    invert,
+    travelled,
+)
 from specmap_cli.core.records import IntArray
 from specmap_cli.core.settings import Config
-from specmap_cli.grids.bent import BentMotion, LocalMotion
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.layout.trajectory import propagated, rows_of
 from specmap_cli.maps.filenames import KEYFRAMES
 from specmap_cli.maps.store import Map
 from specmap_cli.pipelines.map_in_making import LaidOut, quality_of_stored, submaps_of
-from specmap_cli.quality.recording import UNMEASURED
+from specmap_cli.quality.findings import UNMEASURED
 from specmap_cli.recognition.closure.alignment import Alignment, MapToAlign, align
 
 _STEP_M = 0.5  # between lengths that are tried: submaps that lie off by half of it still match

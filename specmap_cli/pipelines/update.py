@@ -14,8 +14,15 @@ from pathlib import Path
 
 import numpy as np
 
-from specmap_cli.core.arguments import Paths, instance_of, path_of, paths_of
-from specmap_cli.core.errors import NOT_ALIGNED, InputError, NoResultError
+from specmap_cli.core.errors import (
+    NOT_ALIGNED,
+    InputError,
+    NoResultError,
+    Paths,
+    instance_of,
+    path_of,
+    paths_of,
+)
 from specmap_cli.core.geometry import Pose2, compose
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
@@ -59,8 +66,7 @@ from specmap_cli.recognition.closure.alignment import Alignment, MapToAlign
 from specmap_cli.recognition.features.sets import check_feature_sets
 from specmap_cli.segmentation.division import regions_of
 from specmap_cli.topology.graph import Heritage, inherited
-from specmap_cli.topology.identity import border_changes
-from specmap_cli.topology.redrawing import carried
+from specmap_cli.topology.identity import border_changes, carried
 
 _SAME_M = 2e-3  # what a map keeps of a range, a millimetre, and as much again
 _SAME_SHARE = 0.5  # of the readings; those of a scan in motion stand at other bearings

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from specmap_cli.core.arrays import evenly
-from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.geometry import FloatArray, evenly
 from specmap_cli.report.svg import Frame
 
 MOST_TESTS, MOST_NODES = 500, 90_000  # that a page keeps

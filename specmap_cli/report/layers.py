@@ -10,13 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from specmap_cli.core.arrays import evenly
-from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.geometry import BentMotion, FloatArray, evenly
 from specmap_cli.core.records import BoolArray, Closure, IntArray
 from specmap_cli.drawing.overview import drawn_as
 from specmap_cli.drawing.palette import Colour, colours_of
 from specmap_cli.drawing.sheet import extent_of
-from specmap_cli.grids.bent import BentMotion
 from specmap_cli.maps.comparison import ComparisonRecord
 from specmap_cli.maps.flat import link_line
 from specmap_cli.maps.store import Map

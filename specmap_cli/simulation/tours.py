@@ -72,7 +72,19 @@ def reachable_space(world: World, radius_m: float, comfort_m: float) -> Lattice:
         )
     number = np.where(open_, np.cumsum(open_) - 1, -1).reshape(len(rows), len(columns))
     spacing = stride * world.plan.resolution
-    lengths = _lattice_lengths(number, spacing)
+    # metres between the eight neighbours of each node
+    sources, targets, metres = [], [], []
+    for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        a = number[: len(rows) - down, max(-right, 0) : len(columns) - max(right, 0)]
+        b = number[down:, max(right, 0) : len(columns) - max(-right, 0)]
+        both = (a >= 0) & (b >= 0)
+        sources.append(a[both])
+        targets.append(b[both])
+        metres.append(np.full(len(sources[-1]), spacing * math.hypot(down, right)))
+    ends = np.concatenate(sources), np.concatenate(targets)
+    count = int(number.max()) + 1
+    half = csr_matrix((np.concatenate(metres), ends), shape=(count, count))
+    lengths = csr_matrix(half + half.T)
     _, part = connected_components(lengths, directed=False)
     kept = np.flatnonzero(part == np.bincount(part).argmax())
     comfort = np.minimum(clearance[open_][kept] / comfort_m, 1.0)
@@ -91,23 +103,6 @@ def reachable_space(world: World, radius_m: float, comfort_m: float) -> Lattice:
     )
 
 
-def _lattice_lengths(number: IndexArray, spacing_m: float) -> csr_matrix:
-    """Metres (n, n) between the eight neighbours of each node, by the nodes' numbers (H, W)."""
-    sources, targets, lengths = [], [], []
-    for rows, columns in ((0, 1), (1, 0), (1, 1), (1, -1)):
-        a = number[: number.shape[0] - rows, max(-columns, 0) : number.shape[1] - max(columns, 0)]
-        b = number[rows:, max(columns, 0) : number.shape[1] - max(-columns, 0)]
-        both = (a >= 0) & (b >= 0)
-        i, j = a[both], b[both]
-        sources.append(i)
-        targets.append(j)
-        lengths.append(np.full(len(i), spacing_m * math.hypot(rows, columns)))
-    i, j, length = np.concatenate(sources), np.concatenate(targets), np.concatenate(lengths)
-    n = int(number.max()) + 1
-    half = csr_matrix((length, (i, j)), shape=(n, n))
-    return csr_matrix(half + half.T)
-
-
 def plan_tour(
     world: World, lattice: Lattice, spacing_m: float, laps: int, rng: np.random.Generator
 ) -> FloatArray:
@@ -119,7 +114,13 @@ def plan_tour(
     here = int(rng.choice(len(lattice.points), p=_preference(lattice, np.inf)))
     nodes = [np.array([here])]
     for _ in range(laps):
-        targets = _spread_targets(lattice, here, spacing_m, rng)
+        # nodes, the last one first, of which one is within `spacing_m` of every node of the lattice
+        spread, far = [here], dijkstra(lattice.lengths, indices=here, limit=spacing_m)
+        while np.isinf(far).any():
+            spread.append(int(rng.choice(len(far), p=_preference(lattice, far))))
+            near = dijkstra(lattice.lengths, indices=spread[-1], limit=spacing_m)
+            far = np.minimum(far, near)
+        targets = np.array(spread, dtype=np.intp)
         distances = _distances(lattice, targets, spacing_m)
         order = shortest_order(distances)
         for a, b in pairwise(order):
@@ -131,26 +132,20 @@ def plan_tour(
                 way.append(int(tree[1][way[-1]]))
             nodes.append(np.array(way[-2::-1], dtype=np.intp))
         here = int(targets[order[-1]])
-    return _smooth(world, lattice.points[np.concatenate(nodes)], lattice.radius_m)
+    # without the lattice's corners; no point moves to where the robot does not fit
+    points = _resample(lattice.points[np.concatenate(nodes)])
+    for _ in range(_SMOOTHINGS):
+        moved = points.copy()
+        moved[1:-1] = 0.25 * points[:-2] + 0.5 * points[1:-1] + 0.25 * points[2:]
+        fits = world.clearance_at(moved) >= lattice.radius_m
+        points[fits] = moved[fits]
+    return _resample(points)
 
 
 def _preference(lattice: Lattice, distance: Any) -> FloatArray:
     """(n,) probability of each node as a target: none where covered, more away from walls."""
     weight = np.where(np.isinf(distance), lattice.comfort**2, 0.0)
     return np.asarray(weight / weight.sum(), dtype=np.float64)
-
-
-def _spread_targets(
-    lattice: Lattice, start: int, spacing_m: float, rng: np.random.Generator
-) -> IndexArray:
-    """Nodes, `start` first, of which one is within `spacing_m` of every node of the lattice."""
-    targets = [start]
-    distance = dijkstra(lattice.lengths, indices=start, limit=spacing_m)
-    while np.isinf(distance).any():
-        targets.append(int(rng.choice(len(distance), p=_preference(lattice, distance))))
-        near = dijkstra(lattice.lengths, indices=targets[-1], limit=spacing_m)
-        distance = np.minimum(distance, near)
-    return np.array(targets, dtype=np.intp)
 
 
 def _distances(lattice: Lattice, targets: IndexArray, spacing_m: float) -> FloatArray:
@@ -192,17 +187,6 @@ def shortest_order(distances: FloatArray) -> IndexArray:
             break
         inner[first : last + 1] = inner[first : last + 1][::-1].copy()
     return tour
-
-
-def _smooth(world: World, path: FloatArray, radius_m: float) -> FloatArray:
-    """The path without the lattice's corners; no point moves to where the robot does not fit."""
-    points = _resample(path)
-    for _ in range(_SMOOTHINGS):
-        moved = points.copy()
-        moved[1:-1] = 0.25 * points[:-2] + 0.5 * points[1:-1] + 0.25 * points[2:]
-        fits = world.clearance_at(moved) >= radius_m
-        points[fits] = moved[fits]
-    return _resample(points)
 
 
 def _resample(path: FloatArray) -> FloatArray:
@@ -262,27 +246,18 @@ def drive(path: FloatArray, limits: Limits) -> Drive:
     limit = np.minimum(limits.speed_mps, limits.turn_rate_radps * lengths / np.maximum(bend, _TINY))
     corner = np.minimum(limit[:-1], limit[1:])
     speeds = np.concatenate([[0.0], np.where(sharp, 0.0, corner), [0.0]])
-    speeds = _accelerated(speeds, lengths, limits.acceleration_mps2)
-    # from standstill to standstill by way of a peak
     highest, acceleration = limits.speed_mps, limits.acceleration_mps2
+    # neither speeding up nor braking passes the acceleration: forwards, then backwards in time
+    for ahead, steps in ((speeds, lengths), (speeds[::-1], lengths[::-1])):
+        for i, length in enumerate(steps):
+            ahead[i + 1] = min(ahead[i + 1], math.sqrt(ahead[i] ** 2 + 2.0 * acceleration * length))
+    # from standstill to standstill by way of a peak
     peaked = 2.0 * np.sqrt(lengths / acceleration)
     coasting = lengths / highest + highest / acceleration
     stopped = np.where(lengths * acceleration > highest**2, coasting, peaked)
     both = speeds[:-1] + speeds[1:]
     seconds = np.where(both > 0.0, 2.0 * lengths / np.maximum(both, _TINY), stopped)
     return _knots(path, reached, left, seconds, limits.turn_rate_radps)
-
-
-def _accelerated(speeds: FloatArray, lengths: FloatArray, acceleration: float) -> FloatArray:
-    """The speeds (N,) lowered so that neither speeding up nor braking passes the acceleration."""
-    result = speeds.copy()
-    for i in range(1, len(result)):
-        reachable = math.sqrt(result[i - 1] ** 2 + 2.0 * acceleration * lengths[i - 1])
-        result[i] = min(result[i], reachable)
-    for i in range(len(result) - 2, -1, -1):
-        stoppable = math.sqrt(result[i + 1] ** 2 + 2.0 * acceleration * lengths[i])
-        result[i] = min(result[i], stoppable)
-    return result
 
 
 def _knots(

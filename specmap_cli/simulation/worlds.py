@@ -56,10 +56,7 @@ class World:
 
     def clearance_at(self, points: NDArray[Any]) -> FloatArray:
         """(N,) metres from each point (N, 2) to the next wall, half a cell on the safe side."""
-        cells = self.plan.cells_of(points)
-        inside = self.plan.inside(cells)
-        clearance = np.zeros(len(cells))
-        clearance[inside] = self.clearance[cells[inside, 0], cells[inside, 1]]
+        clearance = self.plan.under(points, self.clearance, 0.0)
         return np.maximum(clearance - 0.5 * self.plan.resolution, 0.0)
 
     def cast(self, origins: NDArray[Any], angles: NDArray[Any], max_range: float) -> FloatArray:
@@ -81,11 +78,7 @@ class RoomTruth:
         return int(self.labels.max(initial=0))
 
     def at(self, points: NDArray[Any], reach_m: float = 0.5) -> LabelArray:
-        """(N,) room of each point (N, 2 or more columns), by the nearest painted cell.
-
-        A point up to `reach_m` from a room, such as one on the line of a door, is in that room; a
-        point farther away is in none: 0.
-        """
+        """(N,) room of each point (N, 2 or more columns), 0 where none is within `reach_m`."""
         positions = np.asarray(points, dtype=np.float64)[:, :2]
         nearest, away = nearest_values(self.labels)
         height, width = self.labels.shape

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.geometry import BentMotion, FloatArray
 from specmap_cli.core.records import BoolArray
-from specmap_cli.grids.bent import BentMotion
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, LengthArray
 from specmap_cli.topology.identity import Identity, identify
 from specmap_cli.topology.regions import NOBODY, Regions, borders_of
@@ -43,10 +42,7 @@ class Obstacle:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Crossing:
-    """Where two submaps of a map meet, `between` the smaller id and the larger.
-
-    `place` (2,) is the widest part of their border in that map, `width_m` the free width there.
-    """
+    """Where two submaps meet: `place` (2,) is the widest part of their border, `width_m` wide."""
 
     between: tuple[int, int]
     place: FloatArray
@@ -200,12 +196,9 @@ def _parts(grid: GridMap, sure: _Cells, some: _Cells) -> list[_Cells]:
 def walls_in_common(grid: GridMap, other: GridMap, other_from_grid: BentMotion) -> BoolArray:
     """(H, W) which obstacles of a map stand where the other one has some, too."""
     cells = np.argwhere(grid.cells == OCCUPIED)
-    placed = other.cells_of(other_from_grid.apply(grid.centres_of(cells)))
-    inside = other.inside(placed)
-    near = np.zeros(len(cells), dtype=np.bool_)
-    rows, columns = placed[inside].T
+    placed = other_from_grid.apply(grid.centres_of(cells))
     reach_m = max(_APART_M, _APART_CELLS * other.resolution)
-    near[inside] = other.obstacle_distance()[rows, columns] <= reach_m
+    near = other.under(placed, other.obstacle_distance(), np.inf) <= reach_m
     common = np.zeros(grid.cells.shape, dtype=np.bool_)
     common[tuple(cells[near].T)] = True
     return common
@@ -237,7 +230,7 @@ def blocked_ways(regions: Regions, survey: Surveyed, other_from_map: BentMotion)
         way = Crossing(between=border.pair, place=place, width_m=width_m)
         if survey.saw_well(other_from_map.apply(place[None]))[0]:
             around, sides = _around(regions, way, cells)
-            placed = survey.grid.cells_of(other_from_map.apply(grid.centres_of(around)))
+            placed = other_from_map.apply(grid.centres_of(around))
             if _is_blocked(survey.grid, away_m, placed, around, sides):
                 blocked.append(way)
     return blocked
@@ -264,18 +257,12 @@ def _around(
 def _is_blocked(
     other: GridMap,
     away_m: LengthArray,
-    placed: _Cells,
+    placed: FloatArray,
     cells: _Cells,
     sides: tuple[BoolArray, BoolArray],
 ) -> bool:
-    """Whether another map saw a side of a way, and obstacles all across it.
-
-    `cells` (n, 2) round the way are `placed` (n, 2) in that map, `away_m` from its obstacles.
-    """
-    inside = other.inside(placed)
-    values, away = np.full(len(cells), UNKNOWN, dtype=np.uint8), np.zeros(len(cells))
-    rows, columns = placed[inside].T
-    values[inside], away[inside] = other.cells[rows, columns], away_m[rows, columns]
+    """Whether another map saw a side of a way round `cells` (n, 2), and obstacles all across it."""
+    values, away = other.values_at(placed), other.under(placed, away_m, 0.0)
     if not any(side.any() and np.mean(values[side] == FREE) >= _SEEN for side in sides):
         return False
     passable = ((values == FREE) & (away > _PASSABLE_M)) | (values == UNKNOWN)

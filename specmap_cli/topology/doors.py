@@ -9,7 +9,7 @@ hill of the other is the saddle between them, and so half the width of the passa
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -23,25 +23,14 @@ from specmap_cli.topology.regions import Border, Pair, Space, borders_of
 from specmap_cli.topology.topological_map import Door, Traversal
 
 
-@dataclass(frozen=True, slots=True)
-class Passages:
-    """How one can go from submap to submap: through `doors`, and across `openings`.
-
-    An opening is a border without a narrow place: the space is as wide there as on one side of it.
-    `openings` holds the middles (m, 2) of their cells, metres of the map, by pair.
-    """
-
-    doors: tuple[Door, ...]
-    openings: Mapping[Pair, FloatArray]
-
-
 def passages(
     space: Space, traversals: Mapping[Pair, Sequence[Traversal]], least_m: float
-) -> Passages:
+) -> tuple[tuple[Door, ...], dict[Pair, FloatArray]]:
     """The doors and openings at least `least_m` wide between the submaps of a map.
 
-    Doors are numbered by the pair of submaps, then from the lowest y on. Of the `traversals` of a
-    pair each counts for the door that is nearest to it, unless an opening is nearer.
+    An opening is a border without a narrow place, by the middles (m, 2) of its cells, metres. Doors
+    are numbered by pair, then from the lowest y on. Of the `traversals` of a pair each counts for
+    the door that is nearest to it, unless an opening is nearer.
     """
     least = least_m / space.grid.resolution
     places: dict[Pair, list[Narrow]] = {}
@@ -62,43 +51,25 @@ def passages(
             ):
                 mine.append(place)
     openings = {pair: np.concatenate(cells) for pair, cells in open_cells.items()}
-    doors = [
-        door
-        for pair in sorted(places)
-        for door in _doors(
-            space, pair, places[pair], traversals.get(pair, ()), openings.get(pair, _NO_PLACES)
-        )
-    ]
-    return Passages(tuple(replace(door, id=number) for number, door in enumerate(doors)), openings)
-
-
-def _doors(
-    space: Space,
-    pair: Pair,
-    places: Iterable[Narrow],
-    traversals: Iterable[Traversal],
-    opening: FloatArray,
-) -> list[Door]:
-    """The doors of one pair, not yet numbered, with the traversals that went through them."""
-    doors = []
-    for place in places:
-        x, y = space.place(place.middle)
-        theta = math.atan2(place.along[0], place.along[1])  # rows run along y, columns along x
-        width_m = place.width * space.grid.resolution
-        doors.append(Door(id=0, x=x, y=y, width_m=width_m, theta=theta, between=pair))
-    doors.sort(key=lambda door: (door.y, door.x))
-    crossings: list[list[Traversal]] = [[] for _ in doors]
-    for traversal in traversals:
-        here = np.array([traversal.x, traversal.y])
-        away = [math.dist(here, (door.x, door.y)) - door.width_m / 2.0 for door in doors]
-        nearest = int(np.argmin(away))
-        in_the_open = np.linalg.norm(opening - here, axis=1).min(initial=math.inf)
-        if away[nearest] <= in_the_open:
-            crossings[nearest].append(traversal)
-    return [
-        replace(door, crossings=tuple(mine), driven=bool(mine))
-        for door, mine in zip(doors, crossings, strict=True)
-    ]
+    doors: list[Door] = []
+    for pair in sorted(places):
+        own, opening = [], openings.get(pair, _NO_PLACES)
+        for place in places[pair]:
+            x, y = space.place(place.middle)
+            theta = math.atan2(place.along[0], place.along[1])  # rows run along y, columns along x
+            width_m = place.width * space.grid.resolution
+            own.append(Door(id=0, x=x, y=y, width_m=width_m, theta=theta, between=pair))
+        own.sort(key=lambda door: (door.y, door.x))
+        crossings: list[list[Traversal]] = [[] for _ in own]
+        for traversal in traversals.get(pair, ()):
+            here = np.array([traversal.x, traversal.y])
+            away = [math.dist(here, (door.x, door.y)) - door.width_m / 2.0 for door in own]
+            nearest = int(np.argmin(away))
+            if away[nearest] <= np.linalg.norm(opening - here, axis=1).min(initial=math.inf):
+                crossings[nearest].append(traversal)
+        for door, went in zip(own, crossings, strict=True):
+            doors.append(replace(door, id=len(doors), crossings=tuple(went), driven=bool(went)))
+    return tuple(doors), openings
 
 
 # Space wider than this is no narrowing any more: rooms whose border is three quarters as wide as
@@ -115,10 +86,7 @@ Parts = NDArray[np.int32]
 
 @dataclass(frozen=True, slots=True)
 class Narrow:
-    """A narrow place: row and column of its middle, cells from wall to wall between their sides.
-
-    `along` is the direction (2,) of the passage, as rows and columns, from the smaller id on.
-    """
+    """A narrow place: row and column of its middle, cells across, way (2,) from the lower id."""
 
     middle: FloatArray
     width: float
@@ -167,11 +135,7 @@ class _Saddle:
 def _saddle(
     heights: LengthArray, is_low: BoolArray, from_border: LengthArray, least: float
 ) -> _Saddle | None:
-    """The highest saddle between a hill of each submap that is near enough to their border.
-
-    `heights` (h, w) are the cells to the nearest one that is not free, `is_low` (h, w) which cells
-    are the first submap's, `from_border` (h, w) how far they are from the border, in cells.
-    """
+    """The highest saddle of `heights` (h, w) between hills of both submaps, near their border."""
     tops = [float(np.max(heights[side], initial=0.0)) for side in (is_low, ~is_low)]
     # steps so low that no hill is high enough for a saddle and yet vanishes in one of them
     step = min(_STEP, (_HILL - 1.0) * least / 2.0)
@@ -248,10 +212,7 @@ def _steps(start: BoolArray, part: BoolArray) -> IntArray:
 
 
 def _measured(space: Space, corner: IntArray, saddle: _Saddle) -> Narrow:
-    """The narrow place at a saddle: from the nearest wall to the nearest one on the other side.
-
-    `corner` is the row and column on the map of the first cell of the saddle's window.
-    """
+    """The narrow place at a saddle, wall to wall; `corner` is the first cell of its window."""
     cell = np.array(saddle.cell) + corner
     reach = math.ceil(2.0 * saddle.height) + 2
     low = np.maximum(cell - reach, 0)

@@ -32,7 +32,7 @@ from specmap_cli.core.records import Closure, Labels
 from specmap_cli.grids.gridmap import GridMap
 
 EdgeKind = Literal["traversed", "closure", "loose", "seen", "doorway"]
-# What a submap is by its shape (`topology.shapes`), or by a person's word.
+# What a submap is by its shape (`topology.regions`), or by a person's word.
 SubmapKind = Literal["room", "corridor", "hall"]
 
 

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.geometry import FloatArray, path_length
 from specmap_cli.core.records import BoolArray, IntArray
 from specmap_cli.topology.regions import Border, Pair, Space, Window, borders_of, windows_of
 
@@ -41,9 +41,7 @@ class Way:
     @property
     def length_m(self) -> float | None:
         """Metres along the path."""
-        if self.path is None:
-            return None
-        return float(np.sum(np.linalg.norm(np.diff(self.path, axis=0), axis=1)))
+        return None if self.path is None else path_length(self.path)
 
 
 NO_WAY = Way(None, None)
@@ -57,16 +55,65 @@ def ways(
     A way leads through the two submaps only, in a straight line where that is no nearer to walls.
     The time is that of one search over the cells of each submap: linear in the area.
     """
-    windows, trees, wanted = windows_of(space.owner), {}, list(pairs)
-    for submap in {submap for pair in wanted for submap in pair} & windows.keys():
-        cells = _within(windows[submap], space.owner[windows[submap]] == submap)
-        price = prices_of(space.clearance(tuple(cells.T)), radius_m)
-        trees[submap] = tree(cells, price, anchors[submap].cell)
+
+    def price(part: Any) -> FloatArray:
+        return prices_of(space.clearance(part), radius_m)
+
+    windows, found = windows_of(space.owner), dict.fromkeys(pairs, NO_WAY)
+    trees: dict[int, Tree] = {}
     borders: dict[Pair, list[Border]] = {}
+    for submap in {submap for pair in found for submap in pair} & windows.keys():
+        cells = _within(windows[submap], space.owner[windows[submap]] == submap)
+        trees[submap] = tree(cells, price(tuple(cells.T)), anchors[submap].cell)
     for border in borders_of(space.owner):
         borders.setdefault(border.pair, []).append(border)
-    land = _Land(space, radius_m, anchors, windows, trees, borders)
-    return {pair: _way(land, pair) for pair in wanted}
+    for pair in found:
+        if pair not in borders:
+            continue
+        beside = np.concatenate([border.low for border in borders[pair]])
+        beyond = np.concatenate([border.high for border in borders[pair]])
+        low, high = (trees[submap] for submap in pair)
+        step = (price(tuple(beside.T)) + price(tuple(beyond.T))) / 2.0
+        cost = low.cost_to(beside) + step + high.cost_to(beyond)
+        best = int(np.argmin(cost))
+        if np.isfinite(cost[best]):
+            cells = np.concatenate([low.way_to(beside[best]), high.way_to(beyond[best])[::-1]])
+        else:  # none crosses the border once
+            ends = [anchors[submap].cell for submap in pair]
+            wandering, most = _over_both(space, pair, windows, ends, price)
+            if wandering is None:
+                found[pair] = Way(None, most)
+                continue
+            cells = wandering
+        corners = straightened(cells, price)
+        under = np.concatenate([cells_on(a, b)[0] for a, b in pairwise(corners)])
+        clearance_m = float(space.clearance(tuple(under.T)).min())
+        found[pair] = Way(space.grid.centres_of(corners), clearance_m)
+    return found
+
+
+def _over_both(
+    space: Space,
+    pair: Pair,
+    windows: Mapping[int, Window],
+    ends: Sequence[tuple[int, int]],
+    price: Price,
+) -> tuple[IntArray | None, float | None]:
+    """The cheapest way between two cells over those of a pair; the clearance of the widest."""
+    rows, columns = (
+        slice(min(a.start, b.start), max(a.stop, b.stop))
+        for a, b in zip(*(windows[submap] for submap in pair), strict=True)
+    )
+    window, mine = (rows, columns), np.isin(space.owner[rows, columns], pair)
+    start, end = np.array(ends)
+    corner = (rows.start, columns.start)
+    room = np.where(mine, space.clearance(window), 0.0)
+    most = widest(room, tuple(start - corner), tuple(end - corner))
+    if most is None:
+        return None, None
+    cells = _within(window, mine)
+    found = tree(cells, price(tuple(cells.T)), ends[0])
+    return found.way_to(end) if np.isfinite(found.cost_to(end[None])[0]) else None, most
 
 
 def _within(window: Window, mask: BoolArray) -> IntArray:
@@ -82,65 +129,6 @@ def prices_of(clearance: FloatArray, radius_m: float) -> FloatArray:
         np.divide(most, price, out=price)
     price[clearance < radius_m] = np.inf
     return price
-
-
-@dataclass(frozen=True, slots=True)
-class _Land:
-    """What every search needs: the space, and the cheapest ways in each submap.
-
-    `borders` are the stretches along which two submaps touch.
-    """
-
-    space: Space
-    radius_m: float
-    anchors: Mapping[int, Anchor]
-    windows: Mapping[int, Window]
-    trees: Mapping[int, Tree]
-    borders: Mapping[Pair, Sequence[Border]]
-
-    def price(self, part: Any) -> FloatArray:
-        """The prices of a part of the cells, by their index into the map."""
-        return prices_of(self.space.clearance(part), self.radius_m)
-
-
-def _way(land: _Land, pair: Pair) -> Way:
-    """The way between the anchors of two submaps.
-
-    It is the cheapest that crosses their border once. Where none does it is the cheapest over the
-    cells of both, whoever's they are.
-    """
-    if pair not in land.borders:
-        return NO_WAY
-    beside = np.concatenate([border.low for border in land.borders[pair]])
-    beyond = np.concatenate([border.high for border in land.borders[pair]])
-    low, high = (land.trees[submap] for submap in pair)
-    step = (land.price(tuple(beside.T)) + land.price(tuple(beyond.T))) / 2.0
-    cost = low.cost_to(beside) + step + high.cost_to(beyond)
-    best = int(np.argmin(cost))
-    if np.isfinite(cost[best]):
-        cells = np.concatenate([low.way_to(beside[best]), high.way_to(beyond[best])[::-1]])
-    else:
-        one, other = (land.windows[submap] for submap in pair)
-        rows, columns = (
-            slice(min(a.start, b.start), max(a.stop, b.stop))
-            for a, b in zip(one, other, strict=True)
-        )
-        window, mine = (rows, columns), np.isin(land.space.owner[rows, columns], pair)
-        start, end = (np.array(land.anchors[submap].cell) for submap in pair)
-        corner = (rows.start, columns.start)
-        room = np.where(mine, land.space.clearance(window), 0.0)
-        most = widest(room, tuple(start - corner), tuple(end - corner))
-        if most is None:
-            return NO_WAY
-        cells = _within(window, mine)
-        found = tree(cells, land.price(tuple(cells.T)), land.anchors[pair[0]].cell)
-        if not np.isfinite(found.cost_to(end[None])[0]):
-            return Way(None, most)
-        cells = found.way_to(end)
-    corners = straightened(cells, land.price)
-    under = np.concatenate([cells_on(a, b)[0] for a, b in pairwise(corners)])
-    clearance_m = float(land.space.clearance(tuple(under.T)).min())
-    return Way(land.space.grid.centres_of(corners), clearance_m)
 
 
 def widest(room: FloatArray, start: tuple[int, ...], end: tuple[int, ...]) -> float | None:
@@ -176,11 +164,10 @@ def anchors_of(
 ) -> dict[int, Anchor]:
     """The anchor of each submap that has a free cell.
 
-    It is the cell nearest to the middle of the submap that keeps the robot's radius and a margin
-    off all that is not free. Where no cell keeps so much, it is the one that keeps the most. Of a
-    submap in pieces that one counts in which the robot stood most often: rows and columns `stood`
-    (k, 2). Nor is what is far from the robot's way a place to stand, such as the floor behind a
-    railing or glass.
+    It is the cell nearest to the middle that keeps the robot's radius and a margin off all that is
+    not free, or else the one that keeps the most. Of a submap in pieces that one counts in which
+    the robot stood most often, rows and columns `stood` (k, 2), and of it what is near: not the
+    floor behind a railing or glass.
     """
     anchors = {}
     wide, comfortable = space.away_for(radius_m), space.away_for(radius_m + margin_m)
@@ -250,11 +237,7 @@ class Tree:
 
 
 def tree(cells: IntArray, price: FloatArray, start: tuple[int, int]) -> Tree:
-    """The cheapest ways from `start`, a row and column of the map, over cells (n, 2), row by row.
-
-    `price` (n,) is that of a step of one cell, also across corners, and infinite where nobody can
-    go. Takes n log n, and nothing for the rest of the map.
-    """
+    """The cheapest ways from `start` over cells (n, 2), row by row, at a `price` (n,) a step."""
     from scipy.sparse import csr_matrix  # take a fifth of a second to load
     from scipy.sparse.csgraph import dijkstra
 
@@ -298,11 +281,7 @@ _SLACK = 1e-9  # of prices that are equal but for the last digit
 
 
 def straightened(way: IntArray, price: Price) -> IntArray:
-    """The corners (k, 2) of a line from the first to the last cell of a way (n, 2).
-
-    Cells that a line must not enter have an infinite `price`. A piece of the line costs no
-    more than the corners that it replaces: so it keeps off walls as the way does.
-    """
+    """The corners (k, 2) of a line along cells (n, 2) that costs no more than the way does."""
     corners = way[_corners(way, price)]
     prices = [line_price(a, b, price) for a, b in pairwise(corners)]
     kept = [0]

@@ -21,11 +21,15 @@ from pydantic import Field, TypeAdapter, ValidationError
 from specmap_cli.core import json_values
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.json_values import Count, Measured, Number, Value, runs_of
-from specmap_cli.core.tables import Case, csv_text, junit, markdown_table, markdown_text
 from specmap_cli.core.text import (
+    Case,
     counted,
+    csv_text,
     decimal,
+    junit,
     legible,
+    markdown_table,
+    markdown_text,
     nanoseconds,
     plain,
     quoted,

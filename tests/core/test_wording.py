@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import pytest
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from specmap_cli.core.wording import first_finding
+from specmap_cli.core.text import first_finding
 
 _THEIRS = re.compile(r"Input|Field required|Value error|valid |unable|permitted|instance|should")
 

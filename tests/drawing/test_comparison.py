@@ -6,11 +6,10 @@ from unittest.mock import Mock
 
 import pytest
 
-from specmap_cli.core.geometry import IDENTITY
+from specmap_cli.core.geometry import IDENTITY, BentMotion
 from specmap_cli.drawing import comparison
 from specmap_cli.drawing.canvas import Canvas
 from specmap_cli.drawing.palette import paler
-from specmap_cli.grids.bent import BentMotion
 from specmap_cli.grids.gridmap import UNKNOWN
 from specmap_cli.topology.differences import differences
 from specmap_cli.topology.regions import NOBODY, Regions

@@ -114,7 +114,7 @@ def test_nothing_scored_scores_nought_and_figures_have_six_decimals(ids: list[in
     found = classification_scores([], [], ids)
     assert found.confusion.shape == (len(ids), len(ids) + 1)
     assert found.as_dict() == {"recall": 0.0, "precision": 0.0, "accuracy": 0.0, "scans": 0}
-    assert len(protocols.score_lines(found)) == 2
+    assert len(protocols.hold_out_lines(protocols.HoldOutResult(found, found, found))) == 8
     figures = json.loads(json.dumps(classification_scores([0, 0, 0], [0, 1, 1], [0, 1]).as_dict()))
     assert figures == {"recall": 0.333333, "precision": 1.0, "accuracy": 0.333333, "scans": 3}
 

@@ -12,10 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
-from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.geometry import BentMotion, LocalMotion, Pose2
 from specmap_cli.grids import gridmap
-from specmap_cli.grids.bent import BentMotion, LocalMotion
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, cast_ranges, cast_rays
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap, cast_rays
 from tests.strategies import grid_maps, seeds
 
 
@@ -116,16 +115,15 @@ def empty_room() -> GridMap:
 def test_rays_end_at_their_range_and_at_the_edge_of_the_grid() -> None:
     room = empty_room()
     distance, middle = room.obstacle_distance(), np.array([[3.5, 2.5]])
-    assert cast_ranges(distance, room, middle, np.array([0.0]), 2.4)[0, 0] == np.inf
-    assert cast_ranges(distance, room, middle, np.array([0.0]), 2.6)[0, 0] == pytest.approx(2.5)
+    assert cast_rays(distance, room, middle, np.array([0.0]), 2.4)[0] == np.inf
+    assert cast_rays(distance, room, middle, np.array([0.0]), 2.6)[0] == pytest.approx(2.5)
     open_ = GridMap(np.zeros((10, 10), dtype=np.uint8), 0.1)
-    far = cast_ranges(
-        open_.obstacle_distance(), open_, np.array([[0.5, 0.5], [9.0, 9.0]]), np.zeros(1), 50.0
+    far = cast_rays(
+        open_.obstacle_distance(), open_, np.array([[0.5, 0.5], [9.0, 9.0]]), np.zeros(2), 50.0
     )
     assert (far == np.inf).all()
     nowhere = np.zeros((0, 2))
     assert cast_rays(distance, room, nowhere, np.zeros(0), 5.0).shape == (0,)
-    assert cast_ranges(distance, room, nowhere, np.zeros(7), 5.0).shape == (0, 7)
 
 
 def walked(grid: GridMap, origin: np.ndarray, angle: float) -> float:

@@ -23,8 +23,7 @@ from specmap_cli.core.schemas import read_schema
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.writing import MapResult
-from specmap_cli.topology.regions import Regions
-from specmap_cli.topology.shapes import Outline, kind_of
+from specmap_cli.topology.regions import Outline, Regions, kind_of
 from specmap_cli.topology.topological_map import (
     Door,
     Edge,

@@ -16,7 +16,7 @@ from specmap_cli.core.settings import Config
 from specmap_cli.maps.store import Map
 from specmap_cli.pipelines import learning
 from specmap_cli.pipelines.localizer import classifiers_of
-from specmap_cli.recognition.learning.training_data import Samples, TrainingData
+from specmap_cli.recognition.learning.sampling import Samples, TrainingData
 from tests.flats import QUICK
 
 

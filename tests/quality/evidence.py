@@ -12,8 +12,7 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import Trajectory
 from specmap_cli.layout.result import Layout
 from specmap_cli.quality.evidence import Evidence
-from specmap_cli.quality.laid_out import of_layout
-from specmap_cli.quality.recording import of_recording
+from specmap_cli.quality.findings import of_layout, of_recording
 
 
 def evidence_of(

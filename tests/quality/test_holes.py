@@ -12,7 +12,7 @@ from specmap_cli.core.records import PlanarScan, Trajectory
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.layout.result import Layout
 from specmap_cli.quality.evidence import Evidence, Hole, holes_of
-from specmap_cli.quality.recording import _HOLE_WALLS_SHARE, sessions, unwatched
+from specmap_cli.quality.findings import _HOLE_WALLS_SHARE, sessions, unwatched
 from tests.layout.driving import link, scans_of, stored
 from tests.quality.evidence import evidence_of
 

@@ -10,7 +10,7 @@ import pytest
 
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.layout.pose_graph import Link
-from specmap_cli.quality.laid_out import rival_places
+from specmap_cli.quality.findings import rival_places
 from tests.layout.driving import link
 from tests.quality.evidence import evidence_of
 

@@ -15,8 +15,7 @@ from pathlib import Path
 import pytest
 
 from specmap_cli.core.errors import MapError
-from specmap_cli.core.geometry import Pose2
-from specmap_cli.grids.bent import BentMotion
+from specmap_cli.core.geometry import BentMotion, Pose2
 from specmap_cli.maps.store import Map, read_map
 from specmap_cli.report.evidence import MOST_TESTS, Evidence
 from specmap_cli.report.layers import MOST_REFUSED, Changes

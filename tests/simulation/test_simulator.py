@@ -14,9 +14,17 @@ from hypothesis import strategies as st
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, path_length
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.simulation import lasers, simulator
-from specmap_cli.simulation.lasers import Cloud, Laser, Lidar, OdometryErrors, drifting_odometry
-from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps, simulated_tour
+from specmap_cli.simulation import simulator
+from specmap_cli.simulation.simulator import (
+    Cloud,
+    Laser,
+    Lidar,
+    OdometryErrors,
+    SimulationOptions,
+    drifting_odometry,
+    simulate_sweeps,
+    simulated_tour,
+)
 from specmap_cli.simulation.tours import Drive, Limits, drive
 from specmap_cli.simulation.worlds import World
 
@@ -46,7 +54,7 @@ def true_ranges(x: float | FloatArray, y: float | FloatArray, angles: FloatArray
 def laser_of(field_of_view: float, beams: int, **changes: Any) -> Laser:
     """A laser without errors, in the middle of the robot unless told otherwise."""
     laser = Laser(
-        bearings=lasers.laser_bearings(field_of_view, beams),
+        bearings=simulator.laser_bearings(field_of_view, beams),
         range_max_m=20.0,
         base_from_laser=Pose2(0.0, 0.0, 0.0),
     )
@@ -190,7 +198,7 @@ def test_every_beam_ends_on_the_first_surface_and_points_come_as_the_columns_tur
     assert (places[:, 2].min(), places[:, 2].max()) == pytest.approx((0.0, CEILING), abs=1e-6)
     columns = points.reshape(60, 9, 3)
     bearings = np.arctan2(columns[:, 0, 1], columns[:, 0, 0])
-    np.testing.assert_allclose(bearings, lasers.laser_bearings(2 * np.pi, 60), atol=1e-6)
+    np.testing.assert_allclose(bearings, simulator.laser_bearings(2 * np.pi, 60), atol=1e-6)
     level = columns[:, 4]  # is what the planar laser sees
     (ranges,) = lidar.level.scans(hall, STILL, np.zeros(1), np.random.default_rng(4))
     np.testing.assert_allclose(np.hypot(level[:, 0], level[:, 1]), ranges, atol=1e-6)

@@ -15,8 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
-from specmap_cli.grids.bent import BentMotion
+from specmap_cli.core.geometry import IDENTITY, BentMotion, FloatArray, Pose2
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.topology.differences import Differences, Surveyed, differences, obstacles_in
 from specmap_cli.topology.identity import Divided, Identity, United, border_changes, identify

@@ -27,7 +27,7 @@ from specmap_cli.topology.graph import (
     stays_of,
     submap_of_regions,
 )
-from specmap_cli.topology.redrawing import carried, redrawn, undone
+from specmap_cli.topology.identity import carried, redrawn, undone
 from specmap_cli.topology.regions import divide
 from specmap_cli.topology.topological_map import (
     BorderEdit,

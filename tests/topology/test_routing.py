@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from specmap_cli.topology.routing import Roads, Route
+from specmap_cli.topology.navigation import Roads, Route
 from tests.topology.rooms import regions_of, two_rooms
 from tests.topology.test_ways import NARROW, NORTH, SOUTH, forbidden, two_doors
 

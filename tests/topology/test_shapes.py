@@ -17,8 +17,7 @@ from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.json_values import point
 from specmap_cli.core.records import NO_SUBMAP, Labels
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.topology.regions import NOBODY, Regions, divide
-from specmap_cli.topology.shapes import Outline, kind_of, outline_of
+from specmap_cli.topology.regions import NOBODY, Outline, Regions, divide, kind_of, outline_of
 from tests.exports.consumers import consumer
 
 

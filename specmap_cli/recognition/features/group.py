@@ -15,7 +15,7 @@ class FeatureGroup:
 
     The values are finite for every scan, an empty one too, and do not change when the robot turns
     on the spot. `histogram` names those columns that are shares of a histogram of the scan's shape,
-    in [0, 1]: `learning.familiarity` tells by them whether a place is known at all.
+    in [0, 1]: `learning.Familiarity` tells by them whether a place is known at all.
     """
 
     compute: Callable[[Returns], Sequence[float]]
@@ -25,10 +25,7 @@ class FeatureGroup:
 
 @dataclass(frozen=True, slots=True)
 class BatchGroup:
-    """The same of many scans at once: `compute` gives (n, columns) of n scans.
-
-    A scan's values do not depend on the scans beside it.
-    """
+    """The same of many scans at once, each by itself: `compute` gives (n, columns) of n scans."""
 
     compute: Callable[[ReturnsBatch], FloatArray]
     columns: tuple[str, ...]

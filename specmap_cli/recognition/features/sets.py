@@ -7,10 +7,7 @@ views like those of the map's own scans.
 
 A package adds a set by an entry point of the group `specmap.features` that names a tuple of
 `FeatureGroup`, or of `BatchGroup` for many scans at once; the set is then a value of the settings
-`feature_set`::
-
-    [project.entry-points."specmap.features"]
-    mine = "my_package.features:GROUPS"
+`feature_set`.
 """
 
 from __future__ import annotations
@@ -25,11 +22,11 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.errors import PACKAGE, SETTING, UsageError
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.plugins import with_plugins
+from specmap_cli.core.process import with_plugins
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.recognition.features import point_pairs, shape, table1
+from specmap_cli.recognition.features import shape, table1
 from specmap_cli.recognition.features.group import BatchGroup, FeatureGroup
 from specmap_cli.recognition.features.returns import ReturnsBatch
 
@@ -42,19 +39,16 @@ _LARGEST = float(np.finfo(np.float32).max)  # moments of odd scans are larger
 ENTRY_POINTS = "specmap.features"
 BUILT_IN: Mapping[str, FeatureSet] = {
     "table1": table1.GROUPS,
-    "pairs": table1.GROUPS + point_pairs.GROUPS,
+    "pairs": table1.GROUPS + shape.PAIR_GROUPS,
     "shape": table1.GROUPS + shape.GROUPS,
-    "places": table1.GROUPS + shape.GROUPS + point_pairs.GROUPS,
-    "full": table1.GROUPS + shape.GROUPS + point_pairs.GROUPS + shape.PROFILE_GROUPS,
+    "places": table1.GROUPS + shape.GROUPS + shape.PAIR_GROUPS,
+    "full": table1.GROUPS + shape.GROUPS + shape.PAIR_GROUPS + shape.PROFILE_GROUPS,
 }
 
 
 @cache
 def feature_sets() -> Mapping[str, FeatureSet]:
-    """The sets by name: those of this package, then those of other packages.
-
-    Read once a process. Raises UsageError for a package whose set cannot be used.
-    """
+    """The sets by name, those of other packages last. UsageError for one that cannot be used."""
     table = with_plugins(ENTRY_POINTS, BUILT_IN)
     sets: dict[str, FeatureSet] = {}
     for name, groups in table.items():
@@ -77,10 +71,7 @@ def check_feature_sets(config: Config) -> None:
 
 
 def feature_names(feature_set: str, setting: str = "feature_set") -> tuple[str, ...]:
-    """The names (F,) of a set's columns.
-
-    Raises UsageError for a set that does not exist; `setting` is the key that named it.
-    """
+    """The names (F,) of a set's columns. UsageError for a set that is none, named by `setting`."""
     groups = _groups_of(feature_set, setting)
     return tuple(column for group in groups for column in group.columns)
 
@@ -94,11 +85,9 @@ def histogram_columns(feature_set: str) -> list[int]:
 def scans_features(scans: Iterable[PlanarScan], feature_set: str) -> FloatArray:
     """(n, F) features of scans, in the order of `feature_names(feature_set)`; always finite.
 
-    They are rounded to single precision, and cut to its largest numbers. A processor that rounds a
-    sum, a cosine or a logarithm otherwise changes only digits beyond it, and so no threshold that
-    is learned from them.
-
-    Raises UsageError for a set that does not exist, and for one whose functions break their word.
+    They are rounded to single precision, and cut to its largest numbers: how a processor rounds a
+    sum or a cosine changes no threshold that is learned from them. Raises UsageError for a set that
+    does not exist, and for one whose functions break their word.
     """
     names, groups = feature_names(feature_set), _groups_of(feature_set)
     rows = [np.zeros((0, len(names)))]
@@ -131,11 +120,7 @@ def scans_features(scans: Iterable[PlanarScan], feature_set: str) -> FloatArray:
 
 
 class KeyframeFeatures:
-    """Features of the keyframes of a store, each computed once while there is room.
-
-    The first `most` are kept, a kilobyte each: in single precision, to which they are rounded
-    anyway. A robot that drives on all day has others computed again when they are asked for again.
-    """
+    """Features of keyframes, computed once while there is room: `most`, a kilobyte each."""
 
     def __init__(self, store: KeyframeStore, feature_set: str, most: int = _KEPT) -> None:
         self.store = store

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, Pose2, moved
 from specmap_cli.core.records import PlanarScan
-from specmap_cli.grids.gridmap import GridMap, cast_ranges
+from specmap_cli.grids.gridmap import GridMap, cast_rays
 from specmap_cli.recognition.features.shape import leaps
 
 WINDOW_M = 10.0  # path whose scans make a virtual scan
@@ -31,10 +31,7 @@ _TURN = 2.0 * math.pi
 
 
 def all_round(ranges: FloatArray, range_max: float, stamp_ns: int = 0) -> PlanarScan:
-    """The full-circle scan of ranges (B,) at the bearings of `circle(B)`, to the micrometre.
-
-    The poses behind them differ in their last bits from processor to processor.
-    """
+    """The full-circle scan of ranges (B,) at the bearings of `circle(B)`, to the micrometre."""
     return PlanarScan(
         stamp_ns=stamp_ns,
         bearings=circle(len(ranges)),
@@ -86,10 +83,7 @@ class RecentScans:
         return True
 
     def scan(self, stamp_ns: int, map_from_laser: Pose2, share: float = 1.0) -> PlanarScan:
-        """The virtual scan seen from `map_from_laser`: the nearest return at each bearing.
-
-        Of the window its last `share` in (0, 1] counts, up to the last scan that was kept.
-        """
+        """The nearest returns seen from `map_from_laser`, in the last `share` of the window."""
         since = self._kept[-1][0] - share * WINDOW_M if self._kept else 0.0
         placed = [points for travelled, _, points in self._kept if travelled >= since]
         points = np.vstack(placed) if placed else np.zeros((0, 2))
@@ -113,15 +107,13 @@ def cast_circles(
     grid: GridMap, origins: NDArray[Any], beams: int, max_range: float
 ) -> list[PlanarScan]:
     """Full-circle scans cast in a grid from origins (N, 2) of its frame."""
-    ranges = cast_ranges(grid.obstacle_distance(), grid, origins, circle(beams), max_range)
-    return [all_round(row, max_range) for row in ranges]
+    starts, angles = np.repeat(origins, beams, axis=0), np.tile(circle(beams), len(origins))
+    ranges = cast_rays(grid.obstacle_distance(), grid, starts, angles, max_range)
+    return [all_round(row, max_range) for row in ranges.reshape(-1, beams)]
 
 
 def outline(scan: PlanarScan, map_from_laser: Pose2, reach_m: float) -> FloatArray:
-    """(k, 4) the lines x, y, x, y in the map between neighbouring returns of one surface.
-
-    Returns farther than `reach_m` are left out.
-    """
+    """(k, 4) lines x, y, x, y in the map between neighbouring returns in `reach_m` on a surface."""
     ranges, bearings = scan.ranges, scan.bearings
     near = np.isfinite(ranges) & (ranges <= reach_m)
     r = np.where(near, ranges, 0.0)

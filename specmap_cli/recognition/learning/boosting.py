@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator, with_config
 
-from specmap_cli.core.arrays import evenly
-from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.geometry import FloatArray, evenly
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.core.text import quoted
 from specmap_cli.recognition.features.sets import feature_names
@@ -115,10 +114,7 @@ class Stump:
 
 
 class StumpBoost:
-    """Discrete AdaBoost; each round takes the one feature, threshold and sign of least error.
-
-    `names` are the columns' names, used by `to_dict`; `rounds_` holds the fitted stumps.
-    """
+    """Discrete AdaBoost on columns `names`: each of its `rounds_` is the stump of least error."""
 
     def __init__(self, names: Sequence[str], rounds: int = 60) -> None:
         self.names = tuple(names)
@@ -126,10 +122,7 @@ class StumpBoost:
         self.rounds_: list[Stump] = []
 
     def fit(self, X: NDArray[Any], y: NDArray[Any]) -> StumpBoost:
-        """Learn from features X (n, F) and labels y (n,) of +1 and -1; returns self.
-
-        Stops early when a round separates the samples or does no better than chance.
-        """
+        """Learn from X (n, F) and y (n,) of +1 and -1 until a round parts them; returns self."""
         X, y = np.asarray(X, dtype=np.float64), np.asarray(y, dtype=np.float64)
         order = np.argsort(X, axis=0, kind="stable").T
         values = np.take_along_axis(X.T, order, axis=1)

@@ -14,8 +14,7 @@ from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import RecognitionConfig
-from specmap_cli.core.text import to_exact_json
-from specmap_cli.core.wording import first_finding
+from specmap_cli.core.text import first_finding, to_exact_json
 from specmap_cli.recognition.features.sets import feature_names, feature_sets
 from specmap_cli.recognition.learning.boosting import (
     BoosterPart,
@@ -25,9 +24,7 @@ from specmap_cli.recognition.learning.boosting import (
     as_part,
     booster_of,
 )
-from specmap_cli.recognition.learning.calibration import Calibration
-from specmap_cli.recognition.learning.familiarity import Familiarity
-from specmap_cli.recognition.learning.misfit import HeldOutMisfit
+from specmap_cli.recognition.learning.calibration import Calibration, Familiarity, HeldOutMisfit
 
 # Two lasers see the same when they differ by less: drivers round angles and the number of beams,
 # and features change slowly with the density of beams and with the range.
@@ -111,10 +108,7 @@ class Recogniser:
         return self.classifiers.margins(X)
 
     def strangeness(self, X: NDArray[Any]) -> FloatArray:
-        """(n,) how little features X (n, F) look like any place: above one where nothing fits.
-
-        -inf when that is not known.
-        """
+        """(n,) how little features X (n, F) look like any place: above 1 none fits."""
         if self.familiarity is None:
             return np.full(len(X), -math.inf)
         return self.familiarity.strangeness(X)
@@ -127,9 +121,7 @@ class Recogniser:
 
     @classmethod
     def of(cls, part: _RecogniserPart, where: str) -> Recogniser:
-        """What `to_dict` described. Raises MapError for a set of features that is not installed,
-        WrongPartError for what it has not.
-        """
+        """What `to_dict` described. MapError for a set not installed, or WrongPartError."""
         feature_set, known = part.feature_set, part.exemplars
         if feature_set not in feature_sets():
             raise MapError(

@@ -1,4 +1,4 @@
-"""Which scans the classifiers of a map learn from.
+"""Which scans the classifiers of a map learn from, and their features by keyframe.
 
 Single scans; scans as the laser would have taken them just beside its way; and virtual ones of full
 circle. A robot that turns quickly leaves few keyframes, and a small submap has few of them: what
@@ -9,16 +9,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.arrays import evenly
-from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.core.records import NO_SUBMAP, PlanarScan
+from specmap_cli.core.geometry import FloatArray, Pose2, evenly
+from specmap_cli.core.records import NO_SUBMAP, BoolArray, IntArray, PlanarScan
 from specmap_cli.core.settings import Config, LocalizationConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
@@ -31,12 +31,84 @@ from specmap_cli.recognition.features.virtual import (
     outline,
     seen_from,
 )
-from specmap_cli.recognition.learning.training_data import (
-    NO_SAMPLES,
-    Samples,
-    of_keyframes,
-    together,
-)
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """Features (n, F) of scans of a submap, and keyframes (n,): where taken, or nearest if cast."""
+
+    features: NDArray[Any]
+    keyframes: NDArray[np.intp]
+
+    def rows(self, chosen: NDArray[Any]) -> Samples:
+        """Some of the samples."""
+        return Samples(self.features[chosen], self.keyframes[chosen])
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingData:
+    """Samples of all submaps: `raw` scans, from `beside` the way, virtual ones, and those `cast`.
+
+    Virtual scans are `along` the track. Of scans cast in a grid, and of those from beside the way,
+    the keyframes are the nearest ones. Without virtual scans there are none of the last two.
+    """
+
+    raw: Samples
+    beside: Samples
+    along: Samples
+    cast: Samples
+
+    @classmethod
+    def of(cls, *kinds: Mapping[int, Samples]) -> TrainingData:
+        """Those of every submap, a kind after the other."""
+        return cls(*(together(kind) for kind in kinds))
+
+    @property
+    def kinds(self) -> tuple[Samples, ...]:
+        """The samples of one kind after the other."""
+        return self.raw, self.beside, self.along, self.cast
+
+    def left(self, numbers: IntArray) -> TrainingData:
+        """Those of the keyframes `numbers` (k,), ascending, which are 0, 1, ... from now on."""
+        left = (own.rows(np.isin(own.keyframes, numbers)) for own in self.kinds)
+        return TrainingData(
+            *(Samples(own.features, np.searchsorted(numbers, own.keyframes)) for own in left)
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence[TrainingData]) -> TrainingData:
+        """Those of several maps in one."""
+        of_kinds = zip(*(part.kinds for part in parts), strict=True)
+        return cls(*(together(dict(enumerate(of_kind))) for of_kind in of_kinds))
+
+    def numbered_from(self, first: int) -> TrainingData:
+        """Those of the same keyframes, which are numbered from `first` on instead of from 0."""
+        return TrainingData(*(replace(own, keyframes=own.keyframes + first) for own in self.kinds))
+
+    def cast_near(self, keyframes: BoolArray) -> TrainingData:
+        """Without the scans that were cast near other keyframes than some (n,)."""
+        return replace(self, cast=self.cast.rows(keyframes[self.cast.keyframes]))
+
+
+NO_SAMPLES = Samples(np.zeros((0, 0)), np.zeros(0, dtype=np.intp))
+NO_TRAINING_DATA = TrainingData(NO_SAMPLES, NO_SAMPLES, NO_SAMPLES, NO_SAMPLES)
+
+
+def together(samples: Mapping[int, Samples]) -> Samples:
+    """The samples of all submaps, one after the other."""
+    ordered = [samples[i] for i in sorted(samples) if len(samples[i].keyframes)]
+    if not ordered:
+        return NO_SAMPLES
+    return Samples(
+        np.vstack([own.features for own in ordered]),
+        np.concatenate([own.keyframes for own in ordered]),
+    )
+
+
+def of_keyframes(samples: Samples, keyframes: Collection[int]) -> Samples:
+    """The samples of some keyframes."""
+    return samples.rows(np.isin(samples.keyframes, np.fromiter(keyframes, dtype=np.intp)))
+
 
 # Free cells taken lie this near the track: farther, much was never seen.
 _AUGMENTATION_REACH_M = 1.5
@@ -61,9 +133,8 @@ def raw_samples(
 ) -> dict[int, Samples]:
     """The raw scans of every submap that are learned from.
 
-    `features` are those known so far. A submap that was seen often is learned from some of its
-    scans, evenly spread over the recordings, which after the first one begin at `starts`; first of
-    all from those whose features are known, which were chosen evenly, too.
+    Of many scans some, evenly spread over the recordings, which after the first one begin at
+    `starts`; first of all those whose `features` are known, which were chosen evenly, too.
     """
     feature_set, most = config.recognition.feature_set, config.recognition.positives
     features = features or KeyframeFeatures(store, feature_set)
@@ -170,10 +241,7 @@ def _in_windows(
     sampled: Collection[int],
     poses: FloatArray,
 ) -> Iterator[PlanarScan]:
-    """What the window showed at each of the keyframes `sampled`, of several lengths.
-
-    It moves over the keyframes `numbers` of a recording, in turn.
-    """
+    """What a window over the keyframes `numbers` showed at those `sampled`, of several lengths."""
     window = RecentScans()
     turn = 0
     for number in numbers.tolist():
@@ -232,10 +300,7 @@ def _seen_from(
     sources: NDArray[np.intp],
     placed: FloatArray,
 ) -> Iterator[PlanarScan]:
-    """What the lasers of keyframes `sources` (k,) would have seen from `placed` (k, 3).
-
-    It is made of what the nearest of the keyframes `numbers` saw from their `poses`.
-    """
+    """What the lasers of `sources` (k,) would have seen from `placed` (k, 3), by others near."""
 
     @lru_cache(_OUTLINES_KEPT)
     def outline_of(keyframe: int) -> FloatArray:
@@ -254,10 +319,7 @@ def _seen_from(
 
 
 def views(poses: FloatArray, place_m: float, chord: float) -> FloatArray:
-    """(n, 4) where poses (n, 3) look from, and where to.
-
-    Those that are `place_m` apart, or turned by a `chord` of the unit circle, are one apart.
-    """
+    """(n, 4) where poses (n, 3) look from and to; `place_m`, or a `chord` of a turn, is one."""
     x, y, heading = poses.T
     facing = np.column_stack([np.cos(heading), np.sin(heading)]) / chord
     return np.hstack([np.column_stack([x, y]) / place_m, facing])

@@ -14,18 +14,19 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.arrays import evenly
-from specmap_cli.core.geometry import FloatArray, travelled
+from specmap_cli.core.geometry import FloatArray, evenly, travelled
 from specmap_cli.core.records import BoolArray, IntArray
 from specmap_cli.core.settings import Config, RecognitionConfig
 from specmap_cli.grids.keyframes import DIRECTION_RAD, KeyframeStore
 from specmap_cli.recognition.learning.boosting import OneVsAll
-from specmap_cli.recognition.learning.calibration import MOST_VIEWS, HeldOutMargins
+from specmap_cli.recognition.learning.calibration import (
+    HELD_OUT_REACH_M,
+    MOST_VIEWS,
+    Familiarity,
+    HeldOutMargins,
+)
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser, Sensor
-from specmap_cli.recognition.learning.familiarity import Familiarity
-from specmap_cli.recognition.learning.misfit import HELD_OUT_REACH_M
-from specmap_cli.recognition.learning.sampling import views
-from specmap_cli.recognition.learning.training_data import Samples
+from specmap_cli.recognition.learning.sampling import Samples, views
 
 _PIECE_M, _EVERY = 5.0, 4  # of the way a piece in four is held out; the first one never is
 _UNCLAIMED = -1e3  # margin of a submap of which nothing was left to learn from
@@ -50,10 +51,9 @@ def train_and_test(
 ) -> tuple[Recogniser, HeldOutMargins]:
     """What tells the submaps apart by raw or virtual scans, and how well it tells held-out ones.
 
-    It is learned from scans that were `taken` (`raw_samples`, `track_samples`) and from others that
-    were `made` (`augmented_samples`, `cast_samples`). The former alone are tested, and of raw scans
-    they alone show what the map looks like. With `revisits` these are scans of a recording, which
-    the map before it tells.
+    It is learned from scans `taken`, which alone are tested, and of raw ones alone show what the
+    map looks like, and from others `made` (`recognition.learning.sampling`). With `revisits` those
+    tested are of a recording, which the map before it tells.
     """
     feature_set = (config.localization if virtual else config.recognition).feature_set
     samples = {

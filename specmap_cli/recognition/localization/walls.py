@@ -19,8 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.arrays import evenly
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, travelled, wrap_angle
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, evenly, travelled, wrap_angle
 from specmap_cli.core.records import NO_SUBMAP, BoolArray, IntArray, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import (
@@ -34,7 +33,12 @@ from specmap_cli.grids.gridmap import (
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.matching import refine, search_everywhere
 from specmap_cli.grids.score_field import ScoreField
-from specmap_cli.recognition.learning.misfit import FIT_RANGE_M, HeldOutMisfit, near_returns, pooled
+from specmap_cli.recognition.learning.calibration import (
+    FIT_RANGE_M,
+    HeldOutMisfit,
+    near_returns,
+    pooled,
+)
 
 SAME = 0.3, 0.1  # two places so near are one, metres and radians
 BESIDE = 1.0, 0.3  # much the same is seen at places so near

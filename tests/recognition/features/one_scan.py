@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import PlanarScan
-from specmap_cli.recognition.features.point_pairs import boundary
 from specmap_cli.recognition.features.returns import Returns, ReturnsBatch
+from specmap_cli.recognition.features.shape import boundary
 
 Function = Callable[[ReturnsBatch], FloatArray]
 RANGE_MAX_M = 30.0

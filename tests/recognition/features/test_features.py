@@ -14,7 +14,7 @@ from scipy.spatial import ConvexHull
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import PlanarScan
-from specmap_cli.recognition.features import point_pairs, shape, table1
+from specmap_cli.recognition.features import shape, table1
 from specmap_cli.recognition.features.returns import ReturnsBatch
 from specmap_cli.recognition.features.sets import BUILT_IN, feature_names, scans_features
 from tests.recognition.features.one_scan import (
@@ -148,15 +148,15 @@ def test_distance_histograms_count_every_pair(function: Function, edges: tuple[f
 def test_point_pairs_count_every_pair_by_distance_and_orientation() -> None:
     returns = batch_of(scan_of(room(6)))
     points, normals, length = boundary_of(returns)
-    expected = np.zeros((len(point_pairs.DISTANCE_EDGES_M) + 1, 4))
+    expected = np.zeros((len(shape.DISTANCE_EDGES_M) + 1, 4))
     for i, j in combinations(range(len(points)), 2):
         distance = math.dist(points[i], points[j])
         cosine = float(normals[i] @ normals[j])
         inward = float((points[j] - points[i]) @ (normals[i] - normals[j])) > 0.0
         across = 1 if inward else 2
         kind = 0 if cosine > math.sqrt(0.5) else 3 if cosine < -math.sqrt(0.5) else across
-        expected[np.searchsorted(point_pairs.DISTANCE_EDGES_M, distance, side="right"), kind] += 1
-    values = np.array(of_one(point_pairs.point_pair_histogram, returns))
+        expected[np.searchsorted(shape.DISTANCE_EDGES_M, distance, side="right"), kind] += 1
+    values = np.array(of_one(shape.point_pair_histogram, returns))
     assert values[:-2] == pytest.approx((expected / expected.sum()).ravel(), abs=2e-3)
     assert values[-2:] == pytest.approx([length, len(points)])
 

@@ -14,8 +14,7 @@ from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.recognition.features.virtual import seen_from
 from specmap_cli.recognition.learning import sampling
-from specmap_cli.recognition.learning.sampling import augmented_samples
-from specmap_cli.recognition.learning.training_data import together
+from specmap_cli.recognition.learning.sampling import augmented_samples, together
 from tests.recognition.posed import stored
 
 Seen = list[tuple[FloatArray, float, Pose2, FloatArray]]

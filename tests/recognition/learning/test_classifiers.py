@@ -16,10 +16,8 @@ from specmap_cli.core.errors import MapError
 from specmap_cli.core.settings import Config
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.boosting import OneVsAll
-from specmap_cli.recognition.learning.calibration import Calibration
+from specmap_cli.recognition.learning.calibration import Calibration, Familiarity, HeldOutMisfit
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser, Sensor
-from specmap_cli.recognition.learning.familiarity import Familiarity
-from specmap_cli.recognition.learning.misfit import HeldOutMisfit
 from tests.recognition.learning.made_up import PAPER, SMALL, samples_of
 
 SENSOR = Sensor(beams=360, field_of_view=2 * math.pi, range_max=20.0, full_circle=True)

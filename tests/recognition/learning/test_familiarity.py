@@ -8,10 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
-from specmap_cli.core.arrays import evenly
-from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.geometry import FloatArray, evenly
 from specmap_cli.recognition.features.sets import feature_names, histogram_columns
-from specmap_cli.recognition.learning.familiarity import Familiarity
+from specmap_cli.recognition.learning.calibration import Familiarity
 from tests.recognition.learning.made_up import SMALL, samples_of
 
 WIDTH = len(feature_names("pairs"))
@@ -82,7 +81,7 @@ def test_a_limit_needs_enough_samples(feature_set: str, counts: tuple[int, ...],
 
 def test_a_limit_needs_histograms(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "specmap_cli.recognition.learning.familiarity.histogram_columns", lambda _: []
+        "specmap_cli.recognition.learning.calibration.histogram_columns", lambda _: []
     )
     assert not Familiarity("table1").can_fit({0: np.zeros((500, 52))})
 

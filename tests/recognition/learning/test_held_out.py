@@ -12,13 +12,13 @@ from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.boosting import OneVsAll
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser, Sensor
+from specmap_cli.recognition.learning.sampling import Samples
 from specmap_cli.recognition.learning.training import (
     Revisits,
     held_out_margins,
     in_pieces_held_out,
     known_places,
 )
-from specmap_cli.recognition.learning.training_data import Samples
 
 CONFIG = RecognitionConfig(rounds=10)
 SET = "table1"

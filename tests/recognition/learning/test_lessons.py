@@ -12,13 +12,15 @@ from specmap_cli.core.settings import Config, LocalizationConfig, RecognitionCon
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.recognition.features.sets import KeyframeFeatures
-from specmap_cli.recognition.learning.sampling import cast_samples, raw_samples, track_samples
-from specmap_cli.recognition.learning.training_data import (
+from specmap_cli.recognition.learning.sampling import (
     NO_TRAINING_DATA,
     Samples,
     TrainingData,
+    cast_samples,
     of_keyframes,
+    raw_samples,
     together,
+    track_samples,
 )
 from tests.recognition.posed import stored
 

@@ -10,7 +10,11 @@ import pytest
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import PlanarScan
-from specmap_cli.recognition.learning.misfit import HeldOutMisfit, held_out_misfit, near_returns
+from specmap_cli.recognition.learning.calibration import (
+    HeldOutMisfit,
+    held_out_misfit,
+    near_returns,
+)
 from tests.recognition.posed import stored
 
 

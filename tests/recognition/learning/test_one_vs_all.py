@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from specmap_cli.core.arrays import evenly
+from specmap_cli.core.geometry import evenly
 from specmap_cli.core.settings import Config, RecognitionConfig
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.boosting import OneVsAll, StumpBoost

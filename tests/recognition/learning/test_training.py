@@ -25,8 +25,8 @@ from specmap_cli.recognition.features.sets import (
 )
 from specmap_cli.recognition.learning import sampling
 from specmap_cli.recognition.learning.boosting import OneVsAll
+from specmap_cli.recognition.learning.calibration import Familiarity
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
-from specmap_cli.recognition.learning.familiarity import Familiarity
 from specmap_cli.recognition.learning.sampling import (
     augmented_samples,
     cast_samples,
@@ -257,7 +257,7 @@ def test_a_feature_set_of_another_package_is_trained_and_used(
 
     feature_sets.cache_clear()
     with pytest.MonkeyPatch.context() as gone:
-        gone.setattr("specmap_cli.core.plugins.entry_points", lambda **_: [])
+        gone.setattr("specmap_cli.core.process.entry_points", lambda **_: [])
         with pytest.raises(MapError) as error:
             ClassifierSet.from_json(text)
     assert str(error.value) == (

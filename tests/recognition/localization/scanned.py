@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from specmap_cli.core.records import NO_SUBMAP
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.recognition.learning.misfit import HeldOutMisfit
+from specmap_cli.recognition.learning.calibration import HeldOutMisfit
 from specmap_cli.recognition.localization.walls import MapWalls
 
 

@@ -14,7 +14,7 @@ from specmap_cli.core.records import NO_SUBMAP, PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.matching import Match
-from specmap_cli.recognition.learning.misfit import _USUAL_MISFIT, HeldOutMisfit, pooled
+from specmap_cli.recognition.learning.calibration import _USUAL_MISFIT, HeldOutMisfit, pooled
 from specmap_cli.recognition.localization import walls as walls_module
 from specmap_cli.recognition.localization.walls import Fitted, MapWalls, View
 from tests.recognition.localization.scanned import scanned, walls_of

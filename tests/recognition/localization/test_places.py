@@ -14,7 +14,7 @@ from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.score_field import ScoreField
-from specmap_cli.recognition.learning.misfit import HeldOutMisfit
+from specmap_cli.recognition.learning.calibration import HeldOutMisfit
 from specmap_cli.recognition.localization import walls
 from specmap_cli.recognition.localization.filtering import LEAP
 from specmap_cli.recognition.localization.places import Estimate, Place, WeighedPlaces, information

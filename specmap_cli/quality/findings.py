@@ -1,4 +1,4 @@
-"""Findings about a recording: scans that were lost, breaks, what nothing measured, and holes.
+"""Findings: of a recording, such as lost scans and holes, and of the layout of its map.
 
 Every finding has a code that stays the same from version to version; docs/quality.md lists them.
 """
@@ -6,20 +6,23 @@ Every finding has a code that stays the same from version to version; docs/quali
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from specmap_cli.core.arrays import runs
 from specmap_cli.core.findings import INPUT, Finding
-from specmap_cli.core.geometry import compose, invert, step_lengths, travelled
+from specmap_cli.core.geometry import FloatArray, compose, invert, runs, step_lengths, travelled
 from specmap_cli.core.records import IntArray
 from specmap_cli.core.text import counted
+from specmap_cli.layout.audit import DOUBTFUL
+from specmap_cli.layout.path_graph import Ends
+from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.result import Layout
 from specmap_cli.quality.evidence import (
     HOLE_S,
+    MOVED_M,
     MOVED_VOTES,
     ODOMETRY_SLIP_SHARE,
     ODOMETRY_WINDOW_M,
@@ -103,10 +106,7 @@ def breaks(evidence: Evidence) -> Iterator[Finding]:
 
 
 def unmeasured_way(evidence: Evidence) -> Iterator[Finding]:
-    """Stretches that may be longer or shorter, since walls did not show how far the robot came.
-
-    The gravest ones first. Where odometry measured the way it counts, as well as odometry does.
-    """
+    """Stretches that may be longer or shorter than the map has them, the gravest ones first."""
     for stretch in sorted(evidence.stretches, key=lambda one: -one.off_m):
         severity, limit = graded(stretch.off_m, _OFF_M, _OFF_M_POOR)
         if severity == "note":
@@ -237,11 +237,7 @@ def _doubt(hole: Hole) -> str:
 
 
 def _joined(layout: Layout, starts: IntArray) -> IntArray:
-    """To which group each of the pieces between holes belongs (holes + 1,).
-
-    `starts` are the keyframes that follow the holes. Pieces are in one group when matches tie them
-    in several places well after the hole: what was seen right behind it is what led to the belief.
-    """
+    """The group, joined by matches well after holes, of each piece between these (holes + 1,)."""
     way = travelled(layout.poses)
     ties: set[tuple[int, int, int]] = set()
     for link in layout.kept:
@@ -264,3 +260,172 @@ def of_recording(evidence: Evidence) -> list[Finding]:
     checks = (lost_scans, breaks, unwatched, sessions, unmeasured_way, odometry_disagrees)
     inputs = [Finding(code=INPUT, severity="note", message=text) for text in evidence.warnings]
     return [finding for check in checks for finding in check(evidence)] + inputs
+
+
+LOOSE, MOVED, RIVAL, LAYOUT = "loose-part", "part-moved", "rival-place", "layout-refused"
+WALLS, REFUTED, BEYOND = "walls-disagree", "closures-refuted", "beyond-grid"
+LAYOUT_CODES = frozenset({LOOSE, MOVED, RIVAL, LAYOUT, WALLS, REFUTED, BEYOND})
+
+_LOOSE_SHARE_POOR = 0.1  # share of the way that a guess places, above which a map is poor
+_CONTRADICTED_POOR = 0.1  # share of the walls that two passes saw
+_LEAST = 2  # that agree to a metre and a few degrees: of wrong ones no two do by chance
+
+
+def loose_parts(evidence: Evidence) -> Iterator[Finding]:
+    """Pieces of the way after a break that nothing ties to the others."""
+    layout = evidence.layout
+    steps = step_lengths(layout.poses)
+    total_m = float(steps.sum())
+    ends = [*sorted({*evidence.breaks, len(layout.poses)})]
+    for start in layout.loose:
+        end = next((number for number in ends if number > start), len(layout.poses))
+        way_m = float(steps[start : end - 1].sum())
+        share = way_m / total_m if total_m else 1.0
+        severity, limit = graded(share, 0.0, _LOOSE_SHARE_POOR)
+        where = evidence.at_keyframe(start)
+        yield Finding(
+            code=LOOSE,
+            severity="doubtful" if severity == "note" else severity,
+            message=f"a guess alone places the {way_m:.0f} m that follow "
+            f"{told(where)}: nothing there was recognised",
+            advice="drive through a place seen before, or record odometry",
+            value=share,
+            limit=limit,
+            where=where,
+        )
+
+
+def walls(evidence: Evidence) -> Iterator[Finding]:
+    """Places where passes of the robot disagree about the walls, a finding a place."""
+    agreement, told_at = evidence.layout.agreement, list[tuple[float, float]]()
+    if not agreement.is_doubtful:
+        return
+    severity, limit = graded(agreement.share, DOUBTFUL, _CONTRADICTED_POOR)
+    for row in agreement.worst:
+        number = int(evidence.layout.nodes[row])
+        where, (x, y) = evidence.at_keyframe(number), evidence.layout.poses[number, :2].tolist()
+        if any(np.hypot(x - a, y - b) <= SAME_PLACE_M for a, b in told_at):
+            continue
+        told_at.append((x, y))
+        yield Finding(
+            code=WALLS,
+            severity=severity,
+            message=f"walls seen around {told(where)} contradict what was seen when the robot was "
+            f"there before ({agreement.share:.1%} of what was seen twice in the map)",
+            advice="the map is bent or folded there, or the building changed",
+            value=agreement.share,
+            limit=limit,
+            where=where,
+        )
+
+
+def moved_parts(evidence: Evidence) -> Iterator[Finding]:
+    """Pieces after a break that the layout moved far, and by how many closures and passes."""
+    for part in evidence.layout.parts:
+        if part.moved_m <= MOVED_M or not part.votes:
+            continue
+        where = evidence.at_keyframe(part.first)
+        yield Finding(
+            code=MOVED,
+            severity="doubtful" if part.votes < MOVED_VOTES else "note",
+            message=f"the layout moved what follows {told(where)} by "
+            f"{part.moved_m:.1f} m, to where closures and passes ({part.votes}) put it",
+            value=part.moved_m,
+            limit=MOVED_M,
+            where=where,
+        )
+
+
+def refused_layout(evidence: Evidence) -> Iterator[Finding]:
+    """A layout under which more walls contradict each other is not taken."""
+    if evidence.layout.choice == "tracked" and len(evidence.layout.nodes):
+        yield Finding(
+            code=LAYOUT,
+            severity="doubtful",
+            message="with the matches found, more walls contradict each other than without: the "
+            "poses are those of the tracking",
+            advice="its drift is in the map",
+        )
+
+
+def left_out(evidence: Evidence) -> Iterator[Finding]:
+    """Closures that contradict the layout, as some always do where rooms look alike; keyframes that
+    did not fit into the largest grid allowed.
+    """
+    count = sum(link.kind == "closure" for link in evidence.layout.dropped)
+    if count:
+        verb = "contradicts" if count == 1 else "contradict"
+        yield Finding(
+            code=REFUTED,
+            severity="note",
+            message=f"{counted(count, 'loop closure')} {verb} the rest: left out",
+            value=float(count),
+        )
+    if evidence.beyond:
+        yield Finding(
+            code=BEYOND,
+            severity="doubtful",
+            message=f"{counted(evidence.beyond, 'keyframe')} beyond the largest grid allowed, left "
+            "out of the map",
+            advice="raise grid.max_extent_m or grid.max_area_m2",
+            value=float(evidence.beyond),
+            limit=0.0,
+        )
+
+
+def rival_places(evidence: Evidence) -> Iterator[Finding]:
+    """Pieces after an unmeasured hole or break that several refuted closures put elsewhere.
+
+    Where nothing measured the way, closures and passes alone say where the robot was afterwards. In
+    a building whose wings look alike many of them may agree and be wrong. Then the few that lead to
+    the right place were refuted; but they agree, too, which chance hardly makes.
+    """
+    poses = evidence.layout.poses
+    starts = {hole.keyframe for hole in evidence.holes if hole.measured is None}
+    if not evidence.measured.any():
+        starts |= set(evidence.breaks)
+    for start in sorted(start for start in starts if start < len(evidence.keyframes_ns)):
+        across = [
+            link
+            for link in evidence.layout.dropped
+            if link.kind == "closure" and (link.source < start) != (link.target < start)
+        ]
+        votes, motion = _most_agreed(across, poses)
+        if votes < _LEAST:
+            continue
+        away = compose(invert(poses[start]), compose(motion, poses[start]))
+        away_m = float(np.hypot(away[0], away[1]))
+        where = evidence.at_keyframe(start)
+        yield Finding(
+            code=RIVAL,
+            severity="doubtful",
+            message=f"{counted(votes, 'refuted loop closure')} agree that what follows "
+            f"{told(where)} lies {away_m:.1f} m elsewhere, and nothing measured the way "
+            "there: parts of the building look alike",
+            advice="record odometry, and without holes",
+            value=float(votes),
+            limit=float(_LEAST),
+            where=where,
+        )
+
+
+def _most_agreed(links: Sequence[Link], poses: FloatArray) -> tuple[int, FloatArray]:
+    """How many links, one a keyframe, agree on one motion (3,) of the newer piece, and that."""
+    ends = Ends.of(range(len(poses)), links)
+    newer, claimed = poses[ends.j], compose(poses[ends.i], ends.z)
+    motions = compose(claimed, invert(newer))
+    away = compose(invert(newer), claimed)
+    best, motion = 0, np.zeros(3)
+    for k in np.flatnonzero(np.hypot(away[:, 0], away[:, 1]) > MOVED_M).tolist():
+        apart = compose(invert(compose(motions[k], newer)), claimed)
+        agree = (np.hypot(apart[:, 0], apart[:, 1]) <= MOVED_M) & (abs(apart[:, 2]) <= STILL_RAD)
+        votes = min(len(set(numbers[agree].tolist())) for numbers in (ends.i, ends.j))
+        if votes > best:
+            best, motion = votes, motions[k]
+    return best, motion
+
+
+def of_layout(evidence: Evidence) -> list[Finding]:
+    """What is to be said of a layout, of one recording or of several."""
+    checks = (loose_parts, moved_parts, rival_places, refused_layout, walls, left_out)
+    return [finding for check in checks for finding in check(evidence)]
