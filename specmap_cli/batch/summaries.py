@@ -15,8 +15,7 @@ from urllib.parse import quote
 from specmap_cli.batch.records import LOG_TEXT, MAP, REPORT, JobRecord, Kind
 from specmap_cli.core.tables import Case, csv_text, junit, markdown_table, markdown_text
 from specmap_cli.core.text import counted
-from specmap_cli.report.html import html_page, lasting
-from specmap_cli.report.svg import tones
+from specmap_cli.report.html import html_page, lasting, tones
 
 INDEX = "index.html"
 WAITING = "waiting"

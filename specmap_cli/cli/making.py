@@ -16,10 +16,11 @@ from specmap_cli.cli.options import (
     Overwrite,
     Resolution,
     Settings,
+    check_files,
     cluster_of,
+    keep_inputs,
     output,
 )
-from specmap_cli.cli.targets import check_files, keep_inputs
 from specmap_cli.core.errors import BROKEN_RULE, UsageError
 
 if TYPE_CHECKING:

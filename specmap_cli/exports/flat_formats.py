@@ -2,46 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from functools import partial
-from operator import attrgetter
-from typing import IO, Any
+from collections.abc import Iterable
+from typing import IO
 
 import networkx as nx
 
 from specmap_cli.core.errors import InputError, MapError
 from specmap_cli.core.files import write_zip
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.json_values import PropertyValue
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.tables import csv_text
 from specmap_cli.core.text import plain, to_json
 from specmap_cli.layout.pose_graph import Link, graph_text, read_g2o
 from specmap_cli.maps import filenames
-from specmap_cli.maps.flat import (
+from specmap_cli.maps.rooms import (
     DOOR,
     LINK,
     SUBMAP,
     Fields,
     features_of,
     fields_of,
-    noted_fields,
+    told_of,
 )
-from specmap_cli.maps.rooms import Room
 from specmap_cli.maps.store import Map
 from specmap_cli.maps.text_files import map_text
-
-_ENDS: Mapping[str, Callable[[Any], Any]] = {
-    "source": attrgetter("source"),
-    "target": attrgetter("target"),
-}
-_PLACE: Mapping[str, Callable[[Any], Any]] = {
-    "id": attrgetter("id"),
-    "source": lambda door: door.between[0],
-    "target": lambda door: door.between[1],
-    "x": attrgetter("x"),
-    "y": attrgetter("y"),
-}
 
 
 class CsvTables:
@@ -52,25 +36,27 @@ class CsvTables:
 
     def write(self, stored: Map, target: IO[bytes], _: Progress) -> None:
         """Write the tables of a map."""
-        rooms = stored.rooms.values()
-        keys = sorted({key for room in rooms for key in noted_fields(room)})
-        noted = {key: partial(_noted, key) for key in keys}
+        rooms = [told_of(room) for room in stored.rooms.values()]
+        noted = sorted({key for room in rooms for key in room} - {"id", *SUBMAP})
+        links = [
+            {"source": edge.source, "target": edge.target, **fields_of(edge, LINK)}
+            for edge in stored.record.edges
+        ]
+        doors = [
+            {"id": door.id, "source": door.between[0], "target": door.between[1]}
+            | {"x": door.x, "y": door.y, **fields_of(door, DOOR)}
+            for door in stored.doors
+        ]
         tables = {
-            "nodes.csv": _table(rooms, {"id": attrgetter("id"), **SUBMAP, **noted}),
-            "edges.csv": _table(stored.record.edges, {**_ENDS, **LINK}),
-            "doors.csv": _table(stored.doors, {**_PLACE, **DOOR}),
+            "nodes.csv": (["id", *SUBMAP, *noted], rooms),
+            "edges.csv": (["source", "target", *LINK], links),
+            "doors.csv": (["id", "source", "target", "x", "y", *DOOR], doors),
         }
-        write_zip(target, {name: text.encode() for name, text in tables.items()})
-
-
-def _noted(key: str, room: Room) -> PropertyValue | None:
-    return noted_fields(room).get(key)
-
-
-def _table(records: Iterable[Any], columns: Mapping[str, Callable[[Any], Any]]) -> str:
-    """A table as CSV (RFC 4180)."""
-    rows = (plain(fields_of(record, columns)) for record in records)
-    return csv_text(list(columns), (list(row.values()) for row in rows), "\r\n")
+        files = {}
+        for name, (columns, found) in tables.items():  # RFC 4180
+            rows = ([row.get(column) for column in columns] for row in map(plain, found))
+            files[name] = csv_text(columns, rows, "\r\n").encode()
+        write_zip(target, files)
 
 
 class GraphMl:

@@ -17,7 +17,7 @@ from specmap_cli.core.progress import Progress
 from specmap_cli.core.text import counted, to_json
 from specmap_cli.core.yaml import yaml_text
 from specmap_cli.exports.routes import SPEED_LIMIT, Leg, Waypoint, check_routes, ended, routes
-from specmap_cli.maps.flat import Fields, known
+from specmap_cli.maps.rooms import Fields, known
 from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.store import Map
 

@@ -25,8 +25,8 @@ from specmap_cli.drawing.palette import (
 from specmap_cli.grids.gridmap import FREE, OCCUPIED
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps import filenames
-from specmap_cli.maps.flat import DOOR as DOOR_FIELDS
-from specmap_cli.maps.flat import LINK, Fields, fields_of, link_line
+from specmap_cli.maps.rooms import DOOR as DOOR_FIELDS
+from specmap_cli.maps.rooms import LINK, Fields, fields_of, link_line
 from specmap_cli.maps.store import Map
 
 RgbaArray = NDArray[np.uint8]

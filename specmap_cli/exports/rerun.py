@@ -30,7 +30,7 @@ from specmap_cli.exports.layers import (
     layers,
     scans_of,
 )
-from specmap_cli.maps.flat import Fields, known, told_of
+from specmap_cli.maps.rooms import Fields, known, told_of
 from specmap_cli.maps.store import Map
 
 _TRAJECTORY: Rgb = (150, 60, 150)

@@ -46,7 +46,7 @@ from specmap_cli.exports.routes import (
     routes,
 )
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.maps.flat import Fields, feature, known
+from specmap_cli.maps.rooms import Fields, feature, known
 from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.store import Map
 from specmap_cli.topology.regions import borders_of, drawn

@@ -29,8 +29,16 @@ from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.map_server import read_grid, read_picture
 from specmap_cli.maps import filenames
 from specmap_cli.maps.features_file import Arrays, read_features
-from specmap_cli.maps.rooms import Grids, Room, RoomOrPlace, Rooms, composed
-from specmap_cli.maps.schema import TopologyRecord
+from specmap_cli.maps.rooms import (
+    Grids,
+    Room,
+    RoomOrPlace,
+    Rooms,
+    composed,
+    geodataframe_of,
+    graph_of,
+)
+from specmap_cli.maps.schema import TopologyRecord, read_topology
 from specmap_cli.maps.text_files import (
     config_of,
     map_json,
@@ -38,7 +46,6 @@ from specmap_cli.maps.text_files import (
     read_labels,
     read_trajectory,
 )
-from specmap_cli.maps.topology_file import read_topology
 from specmap_cli.topology.regions import NOBODY, OwnerArray, Regions, divide
 from specmap_cli.topology.topological_map import (
     Door,
@@ -175,9 +182,7 @@ class Map:
         A figure that is unknown is None, such as `length_m` of a link without a way, which
         shortest paths by that weight pass over. Those of a forbidden link are there: `forbidden`.
         """
-        from specmap_cli.maps import flat
-
-        return flat.graph_of(self)
+        return graph_of(self)
 
     def to_geopandas(self) -> Any:
         """A GeoDataFrame in metres: `kind` is submap, anchor or door, or that of a link.
@@ -185,9 +190,7 @@ class Map:
         Rows are the features of `specmap export --format geojson`. Raises UsageError where
         geopandas is not installed.
         """
-        from specmap_cli.maps import flat
-
-        return flat.geodataframe_of(self)
+        return geodataframe_of(self)
 
     @property
     def of_recording(self) -> bool:

@@ -18,6 +18,7 @@ from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.core.text import encodable, to_json
 from specmap_cli.history.record import (
     SCHEMA_VERSION,
+    TABLES,
     BuildingRecord,
     ChangeKind,
     ChangeRecord,
@@ -27,10 +28,11 @@ from specmap_cli.history.record import (
     RoomRecord,
     day_of,
     days_of,
+    lines_of,
+    render_history,
     totals,
     zone_of,
 )
-from specmap_cli.history.views import TABLES, lines_of, render_history
 from specmap_cli.maps import filenames
 from specmap_cli.maps.comparison import ThingRecord
 from specmap_cli.maps.directory import OutputDirectory

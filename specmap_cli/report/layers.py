@@ -18,10 +18,9 @@ from specmap_cli.drawing.palette import Colour, colours_of
 from specmap_cli.drawing.sheet import extent_of
 from specmap_cli.grids.bent import BentMotion
 from specmap_cli.maps.comparison import ComparisonRecord
-from specmap_cli.maps.flat import link_line
+from specmap_cli.maps.rooms import link_line
 from specmap_cli.maps.store import Map
-from specmap_cli.report.html import shown
-from specmap_cli.report.svg import Frame, fill_names, outlines, path_data
+from specmap_cli.report.html import Frame, fill_names, outlines, path_data, shown
 from specmap_cli.topology.regions import NOBODY
 from specmap_cli.topology.topological_map import starts_of
 
