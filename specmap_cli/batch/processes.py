@@ -167,12 +167,7 @@ class _Tree:
 
 
 def judged(
-    step: Step,
-    ended: Ended,
-    answer: Path,
-    log: bytes,
-    limits: Limits,
-    places: Mapping[str, str],
+    step: Step, ended: Ended, answer: Path, log: bytes, limits: Limits, places: Mapping[str, str]
 ) -> tuple[StepOutcome, Kind | None]:
     """What came of a step, and what kind of failure.
 

@@ -48,8 +48,7 @@ class Sharing:
         ),
     ] = None
     time_limit: Annotated[
-        float | None,
-        typer.Option(min=1.0, metavar="SECONDS", help="Longest time of a job."),
+        float | None, typer.Option(min=1.0, metavar="SECONDS", help="Longest time of a job.")
     ] = None
     retries: Annotated[
         int,

@@ -140,11 +140,7 @@ def merge(
     out: NewMap = Path("out"),
     overwrite: Overwrite = False,
     workers: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            help="Align pairs of maps on as many processes.",
-        ),
+        int | None, typer.Option(min=1, help="Align pairs of maps on as many processes.")
     ] = None,
     scheduler: Annotated[
         str | None,

@@ -217,12 +217,7 @@ def history(
     specmap history monday tuesday wednesday
     specmap history maps/ -o week --timezone Europe/Berlin
     """
-    from specmap_cli.pipelines.history import (
-        PAGE,
-        history_directory,
-        history_of,
-        write_history,
-    )
+    from specmap_cli.pipelines.history import PAGE, history_directory, history_of, write_history
 
     if out is not None:
         keep_inputs([out], maps)

@@ -30,11 +30,7 @@ _ID_LETTERS = 17.0
 
 
 def render_comparison(
-    old: Regions,
-    new: Regions,
-    old_from_new: BentMotion,
-    found: Differences,
-    names: tuple[str, str],
+    old: Regions, new: Regions, old_from_new: BentMotion, found: Differences, names: tuple[str, str]
 ) -> Image:
     """What differs between two maps, in the frame of the old one; BGR (H, W, 3)."""
     both = _laid_over(old, new, old_from_new, found)

@@ -167,10 +167,7 @@ class Sheet:
         left, bottom = self.pixels(np.array([grid.origin]))[0]
         # the pixel of the centre of cell (row, column); pixel centres are whole numbers
         to_pixels = np.array(
-            [
-                [scale, 0.0, left + 0.5 * scale - 0.5],
-                [0.0, -scale, bottom - 0.5 * scale - 0.5],
-            ]
+            [[scale, 0.0, left + 0.5 * scale - 0.5], [0.0, -scale, bottom - 0.5 * scale - 0.5]]
         )
         size = (self.canvas.image.shape[1], self.canvas.image.shape[0])
         if edges is None:

@@ -15,15 +15,7 @@ from specmap_cli.core.tables import csv_text
 from specmap_cli.core.text import plain, to_json
 from specmap_cli.layout.pose_graph import Link, graph_text, read_g2o
 from specmap_cli.maps import filenames
-from specmap_cli.maps.rooms import (
-    DOOR,
-    LINK,
-    SUBMAP,
-    Fields,
-    features_of,
-    fields_of,
-    told_of,
-)
+from specmap_cli.maps.rooms import DOOR, LINK, SUBMAP, Fields, features_of, fields_of, told_of
 from specmap_cli.maps.store import Map
 from specmap_cli.maps.text_files import map_text
 

@@ -214,10 +214,7 @@ def _tmap2_edge(start: str, end: str, leg: Leg) -> Fields:
         "fail_policy": "fail",
         "fluid_navigation": True,
         "goal": {
-            "target_pose": {
-                "header": {"frame_id": "$node.parent_frame"},
-                "pose": "$node.pose",
-            }
+            "target_pose": {"header": {"frame_id": "$node.parent_frame"}, "pose": "$node.pose"}
         },
         "node": end,
         "properties": known(

@@ -226,10 +226,7 @@ class Log:
     """
 
     def __init__(
-        self,
-        recordings: Sequence[Recording],
-        given: Sequence[Path],
-        held: ExitStack | None = None,
+        self, recordings: Sequence[Recording], given: Sequence[Path], held: ExitStack | None = None
     ) -> None:
         self.given = tuple(given)
         self._recordings = sorted(recordings, key=lambda r: (r.contents.start_ns, str(r.path)))
@@ -292,7 +289,7 @@ class Log:
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """The messages on `topics` (None: all), one in memory at a time, in log time."""
         return merge_in_time(
-            [(r.contents.start_ns, partial(r.messages, topics)) for r in self._recordings],
+            [(r.contents.start_ns, partial(r.messages, topics)) for r in self._recordings]
         )
 
     def close(self) -> None:

@@ -17,12 +17,7 @@ from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import legible, seconds
-from specmap_cli.logs.clocks import (
-    Clock,
-    OdometryKind,
-    choose_clock,
-    stamp_pairs,
-)
+from specmap_cli.logs.clocks import Clock, OdometryKind, choose_clock, stamp_pairs
 from specmap_cli.logs.messages import (
     BadMessageError,
     TransformRecord,

@@ -29,12 +29,7 @@ from specmap_cli.logs.messages import (
     decode_transforms,
 )
 from specmap_cli.logs.opening import Log
-from specmap_cli.logs.planar import (
-    SCAN_TIME_MAX_S,
-    Ceiling,
-    OwnBody,
-    ScanLeveller,
-)
+from specmap_cli.logs.planar import SCAN_TIME_MAX_S, Ceiling, OwnBody, ScanLeveller
 from specmap_cli.logs.readers.recording import Message
 from specmap_cli.logs.selection import Selection, select
 
@@ -191,9 +186,7 @@ def interpolated(a: Pose2, b: Pose2, share: float) -> Pose2:
     """The pose a share of the way from `a` (0) to `b` (1)."""
     turn = wrap_angle(b.theta - a.theta)
     return Pose2(
-        a.x + share * (b.x - a.x),
-        a.y + share * (b.y - a.y),
-        wrap_angle(a.theta + share * turn),
+        a.x + share * (b.x - a.x), a.y + share * (b.y - a.y), wrap_angle(a.theta + share * turn)
     )
 
 

@@ -25,12 +25,7 @@ from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.core.records import IntArray, PlanarScan, PosedScan
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.logs.messages import (
-    BadMessageError,
-    CloudRecord,
-    decode_scan,
-    decode_transforms,
-)
+from specmap_cli.logs.messages import BadMessageError, CloudRecord, decode_scan, decode_transforms
 from specmap_cli.logs.planar import covers_circle, increment
 from specmap_cli.logs.readers.encoding import (
     LASER_SCAN,
@@ -107,10 +102,7 @@ def _mounting(pose: Pose2) -> Pose2:
 
 
 def read_keyframes(
-    path: Path,
-    most: int,
-    limits: LimitsConfig | None = None,
-    wanted: IntArray | None = None,
+    path: Path, most: int, limits: LimitsConfig | None = None, wanted: IntArray | None = None
 ) -> KeyframeStore:
     """The keyframes of a map, `most` or fewer, with poses as registered: close the store after use.
 

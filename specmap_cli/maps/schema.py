@@ -237,9 +237,7 @@ class TopologyRecord(Record):
         )
 
     def topology(
-        self,
-        grid_of: Callable[[NodeRecord], GridMap],
-        keyframes_of: Callable[[int], Iterable[int]],
+        self, grid_of: Callable[[NodeRecord], GridMap], keyframes_of: Callable[[int], Iterable[int]]
     ) -> TopologicalMap:
         """The map; grids and keyframe numbers come from the files beside this one."""
         graph, submaps = self.graph, {}

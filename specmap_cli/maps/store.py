@@ -39,13 +39,7 @@ from specmap_cli.maps.rooms import (
     graph_of,
 )
 from specmap_cli.maps.schema import TopologyRecord, read_topology
-from specmap_cli.maps.text_files import (
-    config_of,
-    map_json,
-    map_text,
-    read_labels,
-    read_trajectory,
-)
+from specmap_cli.maps.text_files import config_of, map_json, map_text, read_labels, read_trajectory
 from specmap_cli.topology.regions import NOBODY, OwnerArray, Regions, divide
 from specmap_cli.topology.topological_map import (
     Door,

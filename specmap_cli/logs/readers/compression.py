@@ -188,11 +188,7 @@ class Copy(NamedTuple):
 
 
 def unpacked(
-    path: Path,
-    compression: str,
-    config: LogConfig,
-    look: Callable[[Path], object],
-    held: ExitStack,
+    path: Path, compression: str, config: LogConfig, look: Callable[[Path], object], held: ExitStack
 ) -> Copy:
     """A copy of what is in a compressed file, which lasts as long as `held`.
 
