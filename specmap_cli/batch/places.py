@@ -69,10 +69,7 @@ def store_at(url: str) -> tuple[Any, str]:
 
 @contextmanager
 def reaching(url: str) -> Iterator[None]:
-    """A block that speaks with a store: whatever it raises is a PlaceError.
-
-    Raises FileNotFoundError and errors of our own as they are.
-    """
+    """Of a store's errors PlaceErrors; FileNotFoundError and our own errors stay as they are."""
     try:
         yield
     except (FileNotFoundError, SpecmapError):
@@ -297,10 +294,7 @@ class _InStore(Folder):
 
 
 def write_files(output: str, contents: Mapping[str, bytes]) -> None:
-    """Write files beside the folders of the jobs anew, each complete or not at all.
-
-    Raises UsageError or PlaceError where they cannot be written.
-    """
+    """Write files beside the folders of jobs, each complete or not. UsageError or PlaceError."""
     directory = path_at(output)
     if directory is not None:
         write_together({directory / name: data for name, data in contents.items()})

@@ -88,10 +88,7 @@ def _missing(place: str | Path, found: str = "no such file or directory") -> Log
 
 
 def sources_of(log: str) -> tuple[Source, ...]:
-    """The files of a log: itself, or those in it when it is a directory.
-
-    Raises LogError for a log that is missing or cannot be read, PlaceError for a store.
-    """
+    """The files of a log, itself or those in it. LogError where it cannot be read, PlaceError."""
     path = path_at(log)
     if path is None:
         found = tuple(_files_in_store(log))
@@ -123,10 +120,7 @@ def bytes_of(job: Job) -> int:
 
 
 def inputs_of(job: Job) -> tuple[InputRecord, ...]:
-    """The logs of a job as they are now.
-
-    Raises LogError or PlaceError for a log that cannot be reached.
-    """
+    """The logs of a job as they are now. LogError or PlaceError for one out of reach."""
     made = []
     for log in job.logs:
         sources = sources_of(log)
@@ -138,10 +132,7 @@ def inputs_of(job: Job) -> tuple[InputRecord, ...]:
 
 
 def digest_of(job: Job, version: str, inputs: Iterable[InputRecord]) -> str:
-    """The digest of a job and its `inputs_of`, hexadecimal.
-
-    Raises UsageError for a file of an option that cannot be read.
-    """
+    """The digest of a job and its `inputs_of`. UsageError for a file of an option out of reach."""
     steps: list[list[str]] = []
     for step in job.steps:
         steps.append([step.command])

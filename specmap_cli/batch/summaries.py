@@ -58,10 +58,7 @@ Row = Mapping[str, Value]
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column: its name, the type of its values, and where they come from.
-
-    What they mean is in docs/batch.md.
-    """
+    """A column of the summaries; docs/batch.md says what each means."""
 
     name: str
     type: Literal["text", "whole", "real"]
@@ -113,10 +110,7 @@ COLUMNS = (
 
 
 def rows_of(names: Iterable[str], records: Mapping[str, JobRecord]) -> list[Row]:
-    """A row of the summary for each job, in order of names.
-
-    Of a job without a record it has the name and that it waits.
-    """
+    """A row for each job, in order of names; one without a record has its name and waits."""
     rows: list[Row] = []
     for name in sorted(names):
         row: dict[str, Value] = {"name": name, "state": WAITING}

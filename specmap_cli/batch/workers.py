@@ -54,10 +54,7 @@ class Cluster:
 
 @contextmanager
 def opened(cluster: Cluster, terms: Terms) -> Iterator[Workers]:
-    """The workers, which give up what they do when the block ends.
-
-    Raises UsageError where there is no scheduler, no worker, or another version of specmap.
-    """
+    """The workers, while the block lasts. UsageError without any, or for another version."""
     if cluster.scheduler is None:
         with LocalWorkers(cluster.workers or processors(), terms) as local:
             yield local
@@ -210,10 +207,7 @@ class Workers:
         return turn, failure(turn, "worker", told, self._terms.limits)
 
     def _roomiest_host(self) -> tuple[list[str], int | None]:
-        """The workers of the host whose workers have the most memory together, and how much.
-
-        That is in megabytes; None: any.
-        """
+        """The workers of the host with the most memory for them, and its megabytes; None: any."""
         told = self._client.scheduler_info(n_workers=-1)["workers"]
         limit = self._terms.limits.memory_mb
         hosts: dict[str, tuple[list[str], int]] = {}

@@ -181,10 +181,7 @@ def _fail(error: SpecmapError, as_json: bool) -> int:
 
 
 def _print_error(error: SpecmapError, as_json: bool) -> None:
-    """The error as one object on stdout, when it is to be JSON: schemas/error.schema.json.
-
-    It is one line, as `batch` prints lines.
-    """
+    """The error as one line of JSON on stdout, if that was asked for: schemas/error.schema.json."""
     if not as_json:
         return
     parts = {
@@ -203,10 +200,7 @@ JSON_VARIABLE = "SPECMAP_JSON"  # in the environment: as `--json` on the command
 
 
 def print_text(text: str) -> None:
-    """`text` on stdout; a reader that has seen enough, such as `head`, is no error.
-
-    What the terminal cannot show, such as a file name of any bytes, is escaped.
-    """
+    """`text` on stdout, what it cannot show escaped; a reader that has seen enough is no error."""
     try:
         try:
             _print_all(text)

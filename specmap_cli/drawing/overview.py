@@ -182,10 +182,7 @@ def drawn_as(topology: TopologicalMap, edge: Edge) -> symbols.LinkKind:
 
 
 def spread(centres: FloatArray, gap: float, fixed: FloatArray | None = None) -> FloatArray:
-    """`centres` (N, 2) moved apart, as little as it takes, until none are nearer than `gap`.
-
-    Nor are they nearer to what is `fixed` (M, 2).
-    """
+    """`centres` (N, 2) moved apart until none is nearer than `gap` to another or to `fixed`."""
     count = len(centres)
     moved = np.concatenate([centres, np.zeros((0, 2)) if fixed is None else fixed])
     for _ in range(_ROUNDS):
@@ -301,10 +298,7 @@ def render_labels(
 def _draw_predicted(
     sheet: Sheet, places: FloatArray, submaps: IntArray, fills: Mapping[int, Colour]
 ) -> FloatArray:
-    """Runs of one prediction in its colour, each with a badge where there is room for one.
-
-    Returns the places of the badges (N, 2), in pixels.
-    """
+    """Runs of one prediction in its colour; returns the places (N, 2) of badges, in pixels."""
     pixels = sheet.pixels(places)
     drawn = strokes(places, submaps)
     told = [stroke for stroke in drawn if submaps[stroke.first] != NO_SUBMAP]

@@ -194,10 +194,7 @@ class Sheet:
 
 
 def _at_most_a_pixel_each(regions: Regions, pixels_per_m: float) -> tuple[GridMap, OwnerArray]:
-    """Cells and owners, thinned out until a cell is more than half a pixel.
-
-    Blocks of cells keep the state and the owner of their middle one.
-    """
+    """Cells and owners, thinned to the middle of blocks of more than half a pixel."""
     step = _thinning(regions.grid, pixels_per_m)
     cells = _padded(regions.grid.cells, step, UNKNOWN)
     owner = _padded(regions.owner, step, NOBODY)
@@ -245,10 +242,7 @@ def extent_of(
 
 
 def round_length(length: float) -> tuple[float, int]:
-    """The largest of 1, 2, 5 times a power of ten up to `length`, and into how many parts it goes.
-
-    The parts are of a round length, too.
-    """
+    """The largest of 1, 2, 5 times a power of ten up to `length`, and into how many round parts."""
     power = 10.0 ** math.floor(math.log10(length))
     step = max(step for step in _PARTS if step * power <= length * (1 + 1e-9))
     return float(power * step), _PARTS[step]

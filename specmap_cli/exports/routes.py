@@ -35,10 +35,7 @@ _SAME_M = 1e-3  # a corner of a way this near to a door's line lies on it
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Waypoint:
-    """A place on the ways: the anchor of `submap`, the passage of `door`, or a bend, of neither.
-
-    A way goes `straight` through most doors.
-    """
+    """The anchor of `submap`, the passage of `door`, mostly `straight`, or a bend, of neither."""
 
     id: int
     kind: WaypointKind
@@ -233,10 +230,7 @@ _MOST = 5  # submaps, links or parts that a message names
 
 
 def check_routes(stored: Map, progress: Progress) -> None:
-    """Tell what would mislead a robot that follows the ways of a map.
-
-    Raises MapError for a map without any way: nothing could be planned with it.
-    """
+    """Tell what would mislead a robot that follows the ways; MapError for a map without any."""
     record = stored.record
     radius = record.graph.robot_radius_m
     if not any(map(is_way, record.edges)):

@@ -336,10 +336,7 @@ def words_of(change: ChangeRecord, names: Mapping[int, str]) -> str:
 
 
 def render_history(record: HistoryRecord, plans: Sequence[Map], folder: Path) -> str:
-    """The page as text; `plans` are the first maps of the buildings, `folder` is where it lies.
-
-    Raises MapError when a file of a map is missing or damaged.
-    """
+    """The page in `folder`; `plans` are the first maps of the buildings. MapError for damage."""
     sections = []
     for building, stored in zip(record.buildings, plans, strict=True):
         names = {number: shown(name) for number, name in names_of(building).items()}

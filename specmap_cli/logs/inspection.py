@@ -142,10 +142,7 @@ def _look(log: Log, config: LogConfig, *, complete: bool) -> _Look:
 
 
 def _preview(stream: SweepStream, *, complete: bool) -> tuple[Preview | None, Sweep | None]:
-    """What the first scans, or all of them, tell but for their stamps; and the first sweep.
-
-    None twice when there is no usable scan among them.
-    """
+    """What the scans tell but for their stamps, and the first sweep; None without a usable scan."""
     first: Sweep | None = None
     stamps, places = array("q"), array("d")
     readings = invalid = stale = 0

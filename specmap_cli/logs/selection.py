@@ -123,10 +123,7 @@ class Frames:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Placement:
-    """The base frame, base_from_laser (4, 4) on it, and what was assumed.
-
-    `floor_m` is the height of the floor in the base frame, None when it is unknown.
-    """
+    """base_from_laser (4, 4), height of the floor in the base frame if known, what was assumed."""
 
     base_frame: str
     base_from_laser: FloatArray

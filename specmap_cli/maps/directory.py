@@ -37,10 +37,7 @@ _EXCHANGE = 2  # RENAME_EXCHANGE of renameat2
 
 
 def refuse_inside(output: Path | None, directory: Path) -> None:
-    """Refuse an output in a directory that is about to be replaced; None is no output.
-
-    Raises UsageError.
-    """
+    """UsageError for an output in a directory that is about to be replaced; None is no output."""
     if output is None:
         return
     place, target = (Path(os.path.realpath(path)) for path in (output, directory))

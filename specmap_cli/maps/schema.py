@@ -199,10 +199,7 @@ class TopologyRecord(Record):
         frame: str = "map",
         quality: Quality | None = None,
     ) -> Self:
-        """The file of a map with these regions, made of `logs`; `frame` is that of coordinates.
-
-        Closures name the submaps that their stays are in by now.
-        """
+        """The file of a map with these regions, made of `logs`; `frame` is that of coordinates."""
         submap_of = {stay.number: stay.submap for stay in topology.stays}
         nodes = tuple(
             NodeRecord.of(submap, regions.outline(id_))

@@ -396,10 +396,7 @@ class Map:
 
     @cached_property
     def config(self) -> Config:
-        """The configuration the map was built with (`config` in run.json).
-
-        Settings that this version does not have are left out: `foreign_settings` names them.
-        """
+        """What the map was built with (run.json), without what `foreign_settings` names."""
         return config_of(self.run.get("config"), self.path / filenames.RUN)
 
     @property
@@ -424,10 +421,7 @@ def _foreign(path: Path) -> MapError:
 
 
 def read_map(directory: str | Path, limits: LimitsConfig | None = None) -> Map:
-    """Open a map directory whose files are within `limits`.
-
-    Raises MapError in one line when it is none, or damaged.
-    """
+    """Open a map directory whose files are within `limits`; MapError of one line for any other."""
     path = path_of(directory, "directory")
     if not path.exists():
         raise MapError(

@@ -29,10 +29,7 @@ _MOST_LOST = 500  # places of lost scans that are drawn
 
 
 class DrawnMap:
-    """A stored map as a drawing needs it. A divided floor plan has no keyframes.
-
-    Every property raises MapError when a file is damaged.
-    """
+    """A stored map as a drawing needs it. Properties raise MapError for a damaged file."""
 
     def __init__(self, stored: Map) -> None:
         self.stored = stored
@@ -131,10 +128,7 @@ def regions_of(map_: DrawnMap) -> list[Region]:
 
 
 def links_of(map_: DrawnMap) -> list[dict[str, Any]]:
-    """The ways of the map, or straight lines where the robot is too wide for every way.
-
-    Each has a `kind`, as it is drawn, and a `line`, and may be `forbidden`.
-    """
+    """The links: `kind` as it is drawn, `line` along its way or straight, and if `forbidden`."""
     edges = map_.stored.topology.edges
     found = []
     for record in map_.stored.record.edges:
@@ -181,10 +175,7 @@ _LEAST_DOOR_CM = 40.0  # of the mark of a way that was closed or opened
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Changes:
-    """What differs from an older map of the building, as a record and in words.
-
-    `new_from_old` places the old map in the one that the report is about.
-    """
+    """What differs from an older map, in words too; `new_from_old` places that in the report's."""
 
     old: Map
     record: ComparisonRecord

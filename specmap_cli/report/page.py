@@ -59,10 +59,7 @@ _LEARNED_COLUMNS = (("told right", "number"), ("most like", "text"))
 
 
 def render(stored: Map, evidence: Evidence, changes: Changes | None = None) -> str:
-    """The report on a stored map as the text of one HTML page.
-
-    Raises MapError when a file of the map is missing or damaged.
-    """
+    """The report on a stored map as one HTML page. MapError for a missing or damaged file."""
     map_ = DrawnMap(stored)
     track = Track.of(stored.keyframes, map_.starts, evidence.fit)
     seconds = running_seconds(stored.keyframes.stamps_ns, map_.starts).tolist()

@@ -395,10 +395,7 @@ class CarmenFile(Recording):
 
 
 def _read(text: bytes) -> tuple[CarmenLine | None, list[str], bytes]:
-    """What a line holds, None for nothing, and what of it is lost.
-
-    And the keyword of another sensor's line, if it is one: then nothing is lost.
-    """
+    """What a line holds, what of it is lost, and the keyword of another sensor's line."""
     keyword, words = keyword_of(text), text.split()
     lost: list[str] = []  # of lines whose line break was damaged
     if any(text.find(part, 1) >= 0 for part in _PARTS):  # much quicker than the pattern
