@@ -1,21 +1,7 @@
-"""Which jobs there are, and their steps: of logs, directories, patterns, and TOML files of jobs::
+"""Which jobs there are, and their steps: of logs, directories, patterns, and TOML files of jobs.
 
-    steps = ["build", "report", "check"]     # of every job that names no others
-    logs = ["monday/*.mcap"]                 # a job for each of these recordings
-
-    [options.build]                          # long options, as on the command line
-    preset = "paper"
-    set = ["grid.resolution_m=0.1"]
-
-    [[job]]                                  # one job, whose logs are one recording
-    name = "lobby"
-    logs = ["lobby/part_*.mcap"]
-
-    [job.options.build]                      # over those above, option by option
-    seed = 3
-
-Paths are relative to the file. A job has a name that is safe as a folder anywhere, no other job's,
-and the same in the next batch.
+docs/batch.md shows such a file; paths are relative to it. A job has a name that is safe as a folder
+anywhere, no other job's, and the same in the next batch.
 """
 
 from __future__ import annotations
@@ -55,7 +41,7 @@ BESIDE_JOBS = frozenset(
     {"index.html", "events.jsonl", "junit.xml", "summary.csv", "summary.md", "summary.parquet"}
 )
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
-_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}")
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}")  # of jobs, formats and files
 _LONGEST = 80  # characters of a name made of that of a log
 _TAG = 8  # hexadecimal digits
 
@@ -266,7 +252,6 @@ SUFFIXES = {  # of exports, for the programs that go by them
 }
 # Options that spare a step the map that the others need.
 _INSTEAD_OF_A_MAP = {"localize": {"map"}, "evaluate": {"protocol", "baseline"}}
-_FILE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}")
 _FORMAT = "--format="
 # What the batch says itself: where results go and how they are told is nobody else's.
 _SAID = frozenset({"out", "overwrite", "json", "quiet", "log-level", "trajectory"})
@@ -346,7 +331,7 @@ def _made(command: Command, plan: Plan, base: Path) -> tuple[list[Step], list[st
         raise UsageError("options.export.format: missing", 'say which, such as "nav2"')
     others = tuple(each for each in options if each not in formats)
     for each in formats:
-        if not _FILE_NAME.fullmatch(each.removeprefix(_FORMAT)):
+        if not _NAME.fullmatch(each.removeprefix(_FORMAT)):
             raise UsageError(
                 f"no format has the name {quoted(each)}", where="options.export.format"
             )
@@ -382,7 +367,7 @@ def _given(command: Command, plan: Plan, base: Path) -> Iterator[tuple[str, Mean
                 if not path.exists():
                     raise UsageError(f"{path}: no such file or directory", where=place)
                 text = str(path.absolute())
-            elif meaning == "output" and not _FILE_NAME.fullmatch(text):
+            elif meaning == "output" and not _NAME.fullmatch(text):
                 raise UsageError(
                     f"{place} is {quoted(each)}",
                     "expected the bare name of a file: it goes into the job's folder",

@@ -162,10 +162,7 @@ class Folder(ABC):
 
     @abstractmethod
     def fresh(self, scratch: Path) -> AbstractContextManager[Path]:
-        """A directory to write a new result into; it takes its place when the block ends well.
-
-        Raises UsageError when something else lies there, PlaceError for a store out of reach.
-        """
+        """A directory for a new result, put in place at the end. UsageError, PlaceError."""
 
     @abstractmethod
     def _read(self) -> tuple[bytes, Mapping[str, int]] | None:

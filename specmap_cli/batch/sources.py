@@ -63,10 +63,7 @@ class Source(NamedTuple):
 
 
 def logs_at(place: str) -> list[Found]:
-    """The recordings that a file, a directory or a pattern stands for, by name.
-
-    Raises LogError when there is none.
-    """
+    """The recordings that a file, directory or pattern stands for by name; LogError for none."""
     path = path_at(place)
     if path is None:
         found = list(_found_in_store(place))

@@ -44,8 +44,7 @@ _SHARE = 0.9  # of the machine's memory: the rest is for the system and the clie
 
 @dataclass(frozen=True, slots=True)
 class Cluster:
-    """Where workers are: `workers` of this machine (None: one a processor), or those of a
-    scheduler, for the first of which to wait `patience_s`."""
+    """`workers` here (None: one a processor), or a scheduler's, waited for `patience_s`."""
 
     workers: int | None = None
     scheduler: str | None = None

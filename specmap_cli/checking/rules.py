@@ -3,17 +3,8 @@
 A figure that the map does not hold is None: a map of `specmap segment`, say, lost no scans and read
 none. Figures that begin with `golden.` are of a comparison with another map.
 
-A file of rules is TOML. What it says goes over `default_rules.toml` beside this file; an infinite
-bound takes a default away, and `defaults = false` all of them::
-
-    verdict = "good"          # the worst verdict that passes
-
-    [most]
-    lost_share = 0.01
-    findings.walls-disagree = 0
-
-    [least]
-    submaps = 5
+A file of rules is TOML (docs/check.md shows one). What it says goes over `default_rules.toml`
+beside this file; an infinite bound takes a default away, and `defaults = false` all of them.
 
 What a check found is told for a machine, a person and a CI. The models are the format of
 `specmap check --json`; `check.schema.json` beside this file is the same as JSON Schema.

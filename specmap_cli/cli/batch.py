@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from specmap_cli.cli.entry import ConsoleProgress, print_text
 from specmap_cli.cli.options import Common, Settings, cluster_of, options_of, output
 from specmap_cli.core.errors import BROKEN_RULE
 
 if TYPE_CHECKING:
     from specmap_cli.batch.batch import EventRecord, Ledger
     from specmap_cli.batch.records import Command, Option, Plan
-    from specmap_cli.cli.console import ConsoleProgress
 
 
 class StepName(StrEnum):
@@ -140,7 +140,6 @@ def _listeners(
     common: Common, progress: ConsoleProgress
 ) -> tuple[Callable[[EventRecord], None], Callable[[Ledger], None]]:
     """Events as lines of JSON on stdout; what a person should know, and a bar, on stderr."""
-    from specmap_cli.cli.entry import print_text
 
     def tell(event: EventRecord) -> None:
         if common.as_json:

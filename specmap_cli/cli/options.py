@@ -28,14 +28,13 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 import typer
 from typer.core import TyperCommand
 
-from specmap_cli.cli.entry import JSON_VARIABLE
+from specmap_cli.cli.entry import JSON_VARIABLE, ConsoleProgress, print_text
 from specmap_cli.core.errors import OUTPUT, SETTING, UsageError
 from specmap_cli.core.progress import Level
 
 if TYPE_CHECKING:
     from specmap_cli.batch.records import Meaning, Option
     from specmap_cli.batch.workers import Cluster
-    from specmap_cli.cli.console import ConsoleProgress
     from specmap_cli.core.settings import Config
     from specmap_cli.maps.store import Map
 
@@ -94,13 +93,10 @@ class Common:
 
     def progress(self) -> ConsoleProgress:
         """Progress, notes and warnings on stderr, as the level says."""
-        from specmap_cli.cli.console import ConsoleProgress
-
         return ConsoleProgress(Level.ERROR if self.quiet else self.log_level)
 
     def show(self, result: Mapping[str, Any], lines: Sequence[str]) -> None:
         """The result on stdout: lines, or one JSON object, of schema version 1 if it names none."""
-        from specmap_cli.cli.entry import print_text
         from specmap_cli.core.text import to_json
 
         whole = {"schema_version": 1, **result}

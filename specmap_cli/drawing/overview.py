@@ -134,10 +134,7 @@ def _draw_graph(
     fills: Mapping[int, Colour],
     marks: FloatArray | None = None,
 ) -> None:
-    """Doors, links along their ways or through their crossings, then a badge on each submap.
-
-    Badges keep clear of `marks` (N, 2), pixels at which something else will be drawn.
-    """
+    """Doors, links, then badges on submaps, clear of `marks` (N, 2), pixels of what comes later."""
     if not nodes:
         return
     driven = any(door.driven for door in topology.doors)  # nobody drove through a finished map

@@ -20,62 +20,50 @@ from specmap_cli.maps.store import Map
 from specmap_cli.maps.text_files import map_text
 
 
-class CsvTables:
-    """`nodes.csv`, `edges.csv` and `doors.csv`, each with a line of headings, in a zip."""
-
-    description = "a zip of nodes.csv, edges.csv and doors.csv, for spreadsheets and pandas"
-    ending = ".zip"
-
-    def write(self, stored: Map, target: IO[bytes], _: Progress) -> None:
-        """Write the tables of a map."""
-        rooms = [told_of(room) for room in stored.rooms.values()]
-        noted = sorted({key for room in rooms for key in room} - {"id", *SUBMAP})
-        links = [
-            {"source": edge.source, "target": edge.target, **fields_of(edge, LINK)}
-            for edge in stored.record.edges
-        ]
-        doors = [
-            {"id": door.id, "source": door.between[0], "target": door.between[1]}
-            | {"x": door.x, "y": door.y, **fields_of(door, DOOR)}
-            for door in stored.doors
-        ]
-        tables = {
-            "nodes.csv": (["id", *SUBMAP, *noted], rooms),
-            "edges.csv": (["source", "target", *LINK], links),
-            "doors.csv": (["id", "source", "target", "x", "y", *DOOR], doors),
-        }
-        files = {}
-        for name, (columns, found) in tables.items():  # RFC 4180
-            rows = ([row.get(column) for column in columns] for row in map(plain, found))
-            files[name] = csv_text(columns, rows, "\r\n").encode()
-        write_zip(target, files)
+def csv_tables(stored: Map, target: IO[bytes], _: Progress) -> None:
+    """a zip of nodes.csv, edges.csv and doors.csv, for spreadsheets and pandas."""
+    rooms = [told_of(room) for room in stored.rooms.values()]
+    noted = sorted({key for room in rooms for key in room} - {"id", *SUBMAP})
+    links = [
+        {"source": edge.source, "target": edge.target, **fields_of(edge, LINK)}
+        for edge in stored.record.edges
+    ]
+    doors = [
+        {"id": door.id, "source": door.between[0], "target": door.between[1]}
+        | {"x": door.x, "y": door.y, **fields_of(door, DOOR)}
+        for door in stored.doors
+    ]
+    tables = {
+        "nodes.csv": (["id", *SUBMAP, *noted], rooms),
+        "edges.csv": (["source", "target", *LINK], links),
+        "doors.csv": (["id", "source", "target", "x", "y", *DOOR], doors),
+    }
+    files = {}
+    for name, (columns, found) in tables.items():  # RFC 4180
+        rows = ([row.get(column) for column in columns] for row in map(plain, found))
+        files[name] = csv_text(columns, rows, "\r\n").encode()
+    write_zip(target, files)
 
 
-class GraphMl:
-    """Nodes are submaps with their place, area and visits; edges the links between them."""
+def graphml(stored: Map, target: IO[bytes], _: Progress) -> None:
+    """GraphML: the graph, for yEd, Gephi and networkx.
 
-    description = "GraphML: the graph, for yEd, Gephi and networkx"
-
-    def write(self, stored: Map, target: IO[bytes], _: Progress) -> None:
-        """Write the graph of a map; lengths are metres, places are in the frame of the map."""
-        graph = stored.to_networkx()
-        for told in [*graph.nodes.values(), *graph.edges.values()]:
-            for key in [key for key, value in told.items() if value is None]:
-                del told[key]
-        nx.write_graphml_xml(graph, target, prettyprint=True)
+    Nodes are submaps with their place, area and visits; edges the links between them.
+    """
+    graph = stored.to_networkx()
+    for told in [*graph.nodes.values(), *graph.edges.values()]:
+        for key in [key for key, value in told.items() if value is None]:
+            del told[key]
+    nx.write_graphml_xml(graph, target, prettyprint=True)
 
 
-class GeoJson:
-    """A polygon for each submap that owns space, a line for each link and each door (RFC 7946).
+def geojson(stored: Map, target: IO[bytes], _: Progress) -> None:
+    """GeoJSON: outlines, doors and ways in metres of the map, for QGIS.
 
+    A polygon for each submap that owns space, a line for each link and each door (RFC 7946).
     The line of a door leads from wall to wall. A point is an anchor: where a robot can stand.
     """
-
-    description = "GeoJSON: outlines, doors and ways in metres of the map, for QGIS"
-
-    def write(self, stored: Map, target: IO[bytes], _: Progress) -> None:
-        """Write the features of a map, submaps first."""
-        target.write(to_json(collection(features_of(stored))).encode())
+    target.write(to_json(collection(features_of(stored))).encode())
 
 
 def collection(features: Iterable[Fields]) -> Fields:
@@ -85,28 +73,25 @@ def collection(features: Iterable[Fields]) -> Fields:
     return {"type": "FeatureCollection", "crs": crs, "features": numbered}
 
 
-class PoseGraph:
-    """Vertices are keyframes, edges are motions, closures and nearby passes.
+def pose_graph(stored: Map, target: IO[bytes], progress: Progress) -> None:
+    """g2o: the pose graph of the layout, for GTSAM and g2o.
 
-    The first vertex of each part that edges join is fixed, so that a solver has one answer. Maps of
-    earlier versions are written in an order that GTSAM reads, too.
+    Vertices are keyframes, edges are motions, closures and nearby passes. The first vertex of
+    each part that edges join is fixed, so that a solver has one answer. Maps of earlier
+    versions are written in an order that GTSAM reads, too. Raises MapError for a map without a
+    trajectory.
     """
-
-    description = "g2o: the pose graph of the layout, for GTSAM and g2o"
-
-    def write(self, stored: Map, target: IO[bytes], progress: Progress) -> None:
-        """Write trajectory.g2o of a map. MapError for a map without a trajectory."""
-        poses, links = _read(stored)
-        graph = nx.Graph()
-        graph.add_nodes_from(poses)
-        graph.add_edges_from((link.source, link.target) for link in links)
-        starts = sorted(min(part) for part in nx.connected_components(graph))
-        if len(starts) > 1:
-            progress.warn(
-                f"the pose graph is in {len(starts)} parts that no edge joins: the first vertex of "
-                "each is fixed"
-            )
-        target.write(graph_text(poses, links, starts).encode())
+    poses, links = _read(stored)
+    graph = nx.Graph()
+    graph.add_nodes_from(poses)
+    graph.add_edges_from((link.source, link.target) for link in links)
+    starts = sorted(min(part) for part in nx.connected_components(graph))
+    if len(starts) > 1:
+        progress.warn(
+            f"the pose graph is in {len(starts)} parts that no edge joins: the first vertex of "
+            "each is fixed"
+        )
+    target.write(graph_text(poses, links, starts).encode())
 
 
 def _read(stored: Map) -> tuple[dict[int, FloatArray], list[Link]]:

@@ -180,27 +180,25 @@ _NS = 1_000_000_000
 _MM_PER_M = 1000.0  # ranges are kept to a millimetre, as in keyframes.mcap
 
 
-class Foxglove:
-    """Topics: /map, /regions, /submaps, /graph, /trajectory; /tf, /pose and /scan over time."""
+def foxglove(stored: Map, target: IO[bytes], progress: Progress) -> None:
+    """MCAP: map, submaps, graph, trajectory and scans, for Foxglove.
 
-    description = "MCAP: map, submaps, graph, trajectory and scans, for Foxglove"
-
-    def write(self, stored: Map, target: IO[bytes], progress: Progress) -> None:
-        """Write a map; one without scans has no topics over time."""
-        start_ns, frame = start_of(stored), stored.frame
-        log = _Log(target, start_ns)
-        fills = colours(stored)
-        for number, layer in enumerate(layers(stored, fills)):
-            log.add(f"/{layer.name}", "Grid", _grid(layer, frame, number, log.stamp))
-        log.add("/submaps", "SceneUpdate", submap_scene(stored, log.stamp, fills))
-        log.add("/graph", "SceneUpdate", graph_scene(stored, log.stamp))
-        with scans_of(stored, progress) as scans:
-            if scans is not None:
-                poses = [_pose(Pose2(*pose)) for pose in stored.trajectory.driven.tolist()]
-                path = {"timestamp": log.stamp, "frame_id": frame, "poses": poses}
-                log.add("/trajectory", "PosesInFrame", path)
-                _write_scans(log, scans, stored.labels.poses, frame, progress)
-        log.finish()
+    Topics: /map, /regions, /submaps, /graph, /trajectory; /tf, /pose and /scan over time.
+    """
+    start_ns, frame = start_of(stored), stored.frame
+    log = _Log(target, start_ns)
+    fills = colours(stored)
+    for number, layer in enumerate(layers(stored, fills)):
+        log.add(f"/{layer.name}", "Grid", _grid(layer, frame, number, log.stamp))
+    log.add("/submaps", "SceneUpdate", submap_scene(stored, log.stamp, fills))
+    log.add("/graph", "SceneUpdate", graph_scene(stored, log.stamp))
+    with scans_of(stored, progress) as scans:
+        if scans is not None:
+            poses = [_pose(Pose2(*pose)) for pose in stored.trajectory.driven.tolist()]
+            path = {"timestamp": log.stamp, "frame_id": frame, "poses": poses}
+            log.add("/trajectory", "PosesInFrame", path)
+            _write_scans(log, scans, stored.labels.poses, frame, progress)
+    log.finish()
 
 
 class _Log:

@@ -39,11 +39,10 @@ from specmap_cli.exports.routes import (
     SPEED_LIMIT,
     Leg,
     Routes,
-    check_routes,
     ended,
     misnoted,
     noted,
-    routes,
+    routes_of,
 )
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.rooms import Fields, feature, known
@@ -52,18 +51,15 @@ from specmap_cli.maps.store import Map
 from specmap_cli.topology.regions import borders_of, drawn
 
 
-class Nav2:
-    """A point for each waypoint, two lines for each leg: there and back."""
+def nav2(stored: Map, target: IO[bytes], progress: Progress) -> None:
+    """GeoJSON for Nav2's route server: nodes at anchors, doors and bends.
 
-    description = "GeoJSON for Nav2's route server: nodes at anchors, doors and bends"
-
-    def write(self, stored: Map, target: IO[bytes], progress: Progress) -> None:
-        """Write the routes of a map; `frame` is the map's. MapError for a map without ways."""
-        check_routes(stored, progress)
-        found = routes(stored.record)
-        nodes, edges = list(_nav2_nodes(found, stored.record)), list(_nav2_edges(found))
-        progress.note(f"{counted(len(nodes), 'node')} and {counted(len(edges), 'directed edge')}")
-        target.write(to_json(collection([*nodes, *edges])).encode())
+    A point for each waypoint, two lines for each leg. Raises MapError for a map without ways.
+    """
+    found = routes_of(stored, progress)
+    nodes, edges = list(_nav2_nodes(found, stored.record)), list(_nav2_edges(found))
+    progress.note(f"{counted(len(nodes), 'node')} and {counted(len(edges), 'directed edge')}")
+    target.write(to_json(collection([*nodes, *edges])).encode())
 
 
 def _nav2_nodes(found: Routes, record: TopologyRecord) -> Iterator[Fields]:
@@ -128,32 +124,29 @@ _CORNERS = 8  # of the influence zone of a door
 _IDENTITY = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 
 
-class Tmap2:
-    """A node for each anchor and each door that is driven through, an edge in each direction."""
+def tmap2(stored: Map, target: IO[bytes], progress: Progress) -> None:
+    """YAML: a topological map (tmap2) for LCAS topological_navigation.
 
-    description = "YAML: a topological map (tmap2) for LCAS topological_navigation"
-
-    def write(self, stored: Map, target: IO[bytes], progress: Progress) -> None:
-        """Write the routes of a map. Raises MapError for a map without ways."""
-        check_routes(stored, progress)
-        record, name = stored.record, stored.path.resolve().name
-        found = routes(record).without(lambda point: point.kind == "bend")
-        updated = datetime.fromtimestamp(ended(record), UTC).strftime("%Y-%m-%d_%H-%M-%S")
-        document = {
-            "meta": {"last_updated": updated},
-            "metric_map": name,
-            "name": name,
-            "pointset": name,
-            "transformation": {
-                "parent": record.graph.frame,
-                "child": "topo_map",
-                "topo_frame_id": "topo_map",
-                "rotation": _IDENTITY,
-                "translation": {"x": 0.0, "y": 0.0, "z": 0.0},
-            },
-            "nodes": list(_tmap2_nodes(found, record, name)),
-        }
-        target.write(yaml_text(document).encode())
+    A node for each anchor and door, an edge in each direction. MapError for a map without ways.
+    """
+    record, name = stored.record, stored.path.resolve().name
+    found = routes_of(stored, progress).without(lambda point: point.kind == "bend")
+    updated = datetime.fromtimestamp(ended(record), UTC).strftime("%Y-%m-%d_%H-%M-%S")
+    document = {
+        "meta": {"last_updated": updated},
+        "metric_map": name,
+        "name": name,
+        "pointset": name,
+        "transformation": {
+            "parent": record.graph.frame,
+            "child": "topo_map",
+            "topo_frame_id": "topo_map",
+            "rotation": _IDENTITY,
+            "translation": {"x": 0.0, "y": 0.0, "z": 0.0},
+        },
+        "nodes": list(_tmap2_nodes(found, record, name)),
+    }
+    target.write(yaml_text(document).encode())
 
 
 def _tmap2_nodes(found: Routes, record: TopologyRecord, name: str) -> Iterator[Fields]:
@@ -234,45 +227,39 @@ _KEEPOUT, _ABSOLUTE_SPEED = 0, 2  # of Nav2's filters
 _FULL = 100  # the largest value of a cell
 
 
-class Masks:
-    """`keepout.pgm` and `speed.pgm`, a YAML beside each, and the parameters of their servers."""
-
-    description = "a zip of keepout and speed masks with their parameters, for Nav2's filters"
-    ending = ".zip"
-
-    def write(self, stored: Map, target: IO[bytes], progress: Progress) -> None:
-        """Write the masks of a map; a map without anything to mask gets empty ones."""
-        record, grid = stored.record, stored.regions.grid
-        for warning in misnoted(record):
-            progress.warn(warning)
-        limits = noted(record, SPEED_LIMIT)
-        keepout, speed = np.zeros((2, *grid.cells.shape), dtype=np.uint8)
-        keepout[_forbidden(stored)] = _FULL
-        multiplier = max(limits.values(), default=float(_FULL)) / _FULL
-        for id_, limit in limits.items():  # never faster than was said, if it can be
-            value = math.floor(limit / multiplier + 1e-9)
-            if value < 1:
-                progress.warn(
-                    f"submap {id_}: {SPEED_LIMIT} {limit:g} is written as {multiplier:g}, "
-                    "a hundredth of the largest one: a mask holds nothing smaller"
-                )
-            speed[stored.regions.owner == id_] = max(value, 1)
-        progress.note(
-            f"{counted(int(np.count_nonzero(keepout)), 'cell')} shut, "
-            f"{counted(int(np.count_nonzero(speed)), 'cell')} with a limit"
-        )
-        parameters = {
-            **_servers("keepout", _KEEPOUT, 1.0),
-            **_servers("speed", _ABSOLUTE_SPEED, multiplier),
-        }
-        files = {
-            "keepout.pgm": _pgm(keepout),
-            "keepout.yaml": _sidecar("keepout.pgm", grid),
-            "speed.pgm": _pgm(speed),
-            "speed.yaml": _sidecar("speed.pgm", grid),
-            "nav2_params.yaml": yaml_text(parameters).encode(),
-        }
-        write_zip(target, files)
+def nav2_masks(stored: Map, target: IO[bytes], progress: Progress) -> None:
+    """a zip of keepout and speed masks with their parameters, for Nav2's filters."""
+    record, grid = stored.record, stored.regions.grid
+    for warning in misnoted(record):
+        progress.warn(warning)
+    limits = noted(record, SPEED_LIMIT)
+    keepout, speed = np.zeros((2, *grid.cells.shape), dtype=np.uint8)
+    keepout[_forbidden(stored)] = _FULL
+    multiplier = max(limits.values(), default=float(_FULL)) / _FULL
+    for id_, limit in limits.items():  # never faster than was said, if it can be
+        value = math.floor(limit / multiplier + 1e-9)
+        if value < 1:
+            progress.warn(
+                f"submap {id_}: {SPEED_LIMIT} {limit:g} is written as {multiplier:g}, "
+                "a hundredth of the largest one: a mask holds nothing smaller"
+            )
+        speed[stored.regions.owner == id_] = max(value, 1)
+    progress.note(
+        f"{counted(int(np.count_nonzero(keepout)), 'cell')} shut, "
+        f"{counted(int(np.count_nonzero(speed)), 'cell')} with a limit"
+    )
+    parameters = {
+        **_servers("keepout", _KEEPOUT, 1.0),
+        **_servers("speed", _ABSOLUTE_SPEED, multiplier),
+    }
+    files = {
+        "keepout.pgm": _pgm(keepout),
+        "keepout.yaml": _sidecar("keepout.pgm", grid),
+        "speed.pgm": _pgm(speed),
+        "speed.yaml": _sidecar("speed.pgm", grid),
+        "nav2_params.yaml": yaml_text(parameters).encode(),
+    }
+    write_zip(target, files)
 
 
 def _forbidden(stored: Map) -> BoolArray:

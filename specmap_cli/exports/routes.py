@@ -229,8 +229,8 @@ def _point(path: FloatArray, place: float) -> FloatArray:
 _MOST = 5  # submaps, links or parts that a message names
 
 
-def check_routes(stored: Map, progress: Progress) -> None:
-    """Tell what would mislead a robot that follows the ways; MapError for a map without any."""
+def routes_of(stored: Map, progress: Progress) -> Routes:
+    """The routes of a map; what would mislead a robot is told, and MapError raised without any."""
     record = stored.record
     radius = record.graph.robot_radius_m
     if not any(map(is_way, record.edges)):
@@ -253,6 +253,7 @@ def check_routes(stored: Map, progress: Progress) -> None:
         progress.note(f"left out: {_links(forbidden)} forbidden")
     if narrow:
         progress.note(f"left out: {_links(narrow)} without a way wide enough")
+    return routes(record)
 
 
 def _warnings(record: TopologyRecord) -> list[str]:

@@ -17,6 +17,7 @@ all is a MapError.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Protocol
 
@@ -24,11 +25,11 @@ from specmap_cli.core.errors import UsageError
 from specmap_cli.core.files import complete_file, refuse_existing
 from specmap_cli.core.plugins import with_plugins
 from specmap_cli.core.progress import Progress, Remembering, Silent
-from specmap_cli.exports.flat_formats import CsvTables, GeoJson, GraphMl, PoseGraph
-from specmap_cli.exports.fleet_formats import Lif, Rmf
-from specmap_cli.exports.foxglove import Foxglove
-from specmap_cli.exports.rerun import Rerun
-from specmap_cli.exports.route_formats import Masks, Nav2, Tmap2
+from specmap_cli.exports.flat_formats import csv_tables, geojson, graphml, pose_graph
+from specmap_cli.exports.fleet_formats import lif, rmf
+from specmap_cli.exports.foxglove import foxglove
+from specmap_cli.exports.rerun import rerun
+from specmap_cli.exports.route_formats import nav2, nav2_masks, tmap2
 from specmap_cli.maps.store import Map
 
 GROUP = "specmap.exporters"
@@ -43,20 +44,30 @@ class Exporter(Protocol):
         """Write the map to an open file. Raises MapError when it is damaged, or lacks too much."""
 
 
+class _Format:
+    """A format that is a function, whose docstring begins with the description."""
+
+    def __init__(
+        self, write: Callable[[Map, IO[bytes], Progress], None], ending: str | None = None
+    ) -> None:
+        self.write, self.ending = write, ending
+        self.description = str(write.__doc__).partition("\n")[0].removesuffix(".")
+
+
 def exporters() -> dict[str, Exporter]:
     """Every exporter by the name of its format. Raises UsageError for a broken plug-in."""
     built_in: dict[str, Exporter] = {
-        "csv": CsvTables(),
-        "foxglove": Foxglove(),
-        "geojson": GeoJson(),
-        "graphml": GraphMl(),
-        "lif": Lif(),
-        "nav2": Nav2(),
-        "nav2-masks": Masks(),
-        "pose-graph": PoseGraph(),
-        "rerun": Rerun(),
-        "rmf": Rmf(),
-        "tmap2": Tmap2(),
+        "csv": _Format(csv_tables, ".zip"),
+        "foxglove": _Format(foxglove),
+        "geojson": _Format(geojson),
+        "graphml": _Format(graphml),
+        "lif": _Format(lif),
+        "nav2": _Format(nav2),
+        "nav2-masks": _Format(nav2_masks, ".zip"),
+        "pose-graph": _Format(pose_graph),
+        "rerun": _Format(rerun),
+        "rmf": _Format(rmf, ".zip"),
+        "tmap2": _Format(tmap2),
     }
     offered = with_plugins(GROUP, built_in)
     return {name: each() if isinstance(each, type) else each for name, each in offered.items()}
@@ -79,7 +90,7 @@ def export_map(
     target, known = Path(out), exporters()
     if name not in known:
         raise UsageError(f"unknown format {name!r}", f"choose from {', '.join(sorted(known))}")
-    ending = getattr(known[name], "ending", target.suffix)
+    ending = getattr(known[name], "ending", None) or target.suffix
     if target.suffix not in {"", ending}:
         raise UsageError(known[name].description, f"name it {target.stem}{ending}", where=target)
     if not overwrite:

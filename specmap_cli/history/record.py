@@ -12,7 +12,7 @@ robots spent in them.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, tzinfo
 from pathlib import Path
@@ -246,51 +246,34 @@ _WORDS: Mapping[str, str] = {
 _UNITS: Mapping[str, str] = {"door-closed": "m wide", "door-opened": "m wide"}
 
 
-def visits_csv(record: HistoryRecord) -> str:
-    """A line a building, day and room that was visited."""
-    return csv_text(
-        ("building", "day", "room", "name", "visits", "minutes"),
-        [
-            (building.name, day.day, stay.room, names[stay.room], stay.visits, stay.minutes)
-            for building in record.buildings
-            for names in (names_of(building),)
-            for day in building.days
-            for stay in day.rooms
-        ],
-    )
+TABLES: Mapping[str, str] = {
+    "visits.csv": "building day room name visits minutes",
+    "days.csv": "building day recordings driven_m minutes rooms",
+    "changes.csv": "building since day kind rooms x y size map before",
+}
 
 
-def days_csv(record: HistoryRecord) -> str:
-    """A line a building and day."""
-    return csv_text(
-        ("building", "day", "recordings", "driven_m", "minutes", "rooms"),
-        [
-            (building.name, day.day, day.recordings, day.driven_m, day.minutes, len(day.rooms))
-            for building in record.buildings
-            for day in building.days
-        ],
-    )
-
-
-def changes_csv(record: HistoryRecord) -> str:
-    """A line a change."""
-    rows: list[tuple[Any, ...]] = []
+def tables_of(record: HistoryRecord) -> dict[str, str]:
+    """Tables by file name: a line a room visited on a day, a line a day, and a line a change."""
+    visits, days, changes = [list[tuple[Any, ...]]() for _ in TABLES]
     for building in record.buildings:
-        names, maps = names_of(building), {one.number: one.map for one in building.maps}
+        name, names = building.name, names_of(building)
+        maps = {one.number: one.map for one in building.maps}
+        for day in building.days:
+            driven = day.driven_m, day.minutes
+            days.append((name, day.day, day.recordings, *driven, len(day.rooms)))
+            for stay in day.rooms:
+                stayed = stay.visits, stay.minutes
+                visits.append((name, day.day, stay.room, names[stay.room], *stayed))
         for one in building.changes:
             rooms = ", ".join(names[room] for room in one.rooms)
             when, place = (one.since, one.day), (one.x, one.y, one.size)
             both = maps[one.map], maps[one.before]
-            rows.append((building.name, *when, one.kind, rooms, *place, *both))
-    head = ("building", "since", "day", "kind", "rooms", "x", "y", "size", "map", "before")
-    return csv_text(head, rows)
-
-
-TABLES: Mapping[str, Callable[[HistoryRecord], str]] = {
-    "visits.csv": visits_csv,
-    "days.csv": days_csv,
-    "changes.csv": changes_csv,
-}
+            changes.append((name, *when, one.kind, rooms, *place, *both))
+    return {
+        file: csv_text(head.split(), rows)
+        for (file, head), rows in zip(TABLES.items(), (visits, days, changes), strict=True)
+    }
 
 
 def lines_of(record: HistoryRecord) -> list[str]:
@@ -376,7 +359,8 @@ def _plan(building: BuildingRecord, stored: Map) -> dict[str, Any]:
     map_ = DrawnMap(stored)
     rooms = {room.submap: room for room in building.rooms if room.map == building.maps[0].number}
     longest = max((room.minutes for room in rooms.values()), default=0.0)
-    drawn = [(region, rooms[region.id]) for region in layers.regions_of(map_) if region.id in rooms]
+    regions = [region for region in layers.regions_of(map_) if region["id"] in rooms]
+    drawn = [(region, rooms[region["id"]]) for region in regions]
     return {
         "frame": map_.frame,
         "walls": map_.walls,
@@ -387,8 +371,8 @@ def _plan(building: BuildingRecord, stored: Map) -> dict[str, Any]:
                 "sign": str(room.number)
                 if room.name == room_name(room.number)
                 else shown(room.name),
-                "outline": region.outline,
-                "badge": region.badge,
+                "outline": region["outline"],
+                "badge": region["badge"],
                 "shade": _shade(room.minutes, longest),
             }
             for region, room in drawn

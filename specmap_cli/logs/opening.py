@@ -124,11 +124,7 @@ def open_log(paths: Paths, config: LogConfig | None = None) -> Log:
 
 
 def _files_at(path: Path, readers: _Readers) -> Iterator[Path]:
-    """The file at a path, or the recordings in a directory by name.
-
-    Raises LogError for other things: a pipe, a socket or a device would keep a reader waiting,
-    perhaps for ever.
-    """
+    """The file at a path, or the recordings in a directory; LogError for what may never end."""
     try:
         mode = path.stat().st_mode
     except OSError as error:
@@ -180,13 +176,13 @@ def _opened(path: Path, readers: _Readers, config: LogConfig, held: ExitStack) -
         with _told_of(compression):
             return _reader_of(file, path, readers)
 
-    copy = unpacked(path, compression, config, reader_inside, held)
-    reader = reader_inside(copy.file)
+    file, lost = unpacked(path, compression, config, reader_inside, held)
+    reader = reader_inside(file)
     with _told_of(compression):
-        recording = reader(copy.file, path, config)
+        recording = reader(file, path, config)
     held.callback(recording.close)
-    if copy.lost is not None:
-        recording.report(copy.lost)
+    if lost is not None:
+        recording.report(lost)
     return recording
 
 

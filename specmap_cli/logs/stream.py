@@ -9,6 +9,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterator
+from copy import deepcopy
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -114,7 +115,7 @@ class OdometryListener:
         self.last: Heard | None = None
         self.renamed = 0
         self._frames: list[tuple[str, str]] = []  # (parent, child) of the first, and of another
-        self._tree = selection.tree.copy()
+        self._tree = deepcopy(selection.tree)
         self._chain = frozenset(self._tree.ancestors(selection.base_frame))
 
     def take(self, message: Message) -> None:

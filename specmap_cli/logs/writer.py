@@ -31,12 +31,13 @@ from specmap_cli.logs.readers.encoding import (
     SUPPORTED_TYPES,
     TF_MESSAGE,
     TF_STATIC,
+    Transform,
     cloud_cdr,
     in_space,
     message_definition,
     odometry_cdr,
     scan_cdr,
-    transform_cdr,
+    transforms_cdr,
 )
 from specmap_cli.logs.readers.recording import TopicInfo, refused
 
@@ -81,12 +82,13 @@ class LogWriter:
         stamp_ns: int = 0,
     ) -> None:
         """`parent_from_child`, constant over the recording, on `/tf_static`."""
-        data = transform_cdr(parent, child, stamp_ns, xyz, quaternion_xyzw)
+        data = transforms_cdr(stamp_ns, [Transform(parent, child, xyz, quaternion_xyzw)])
         self.raw(TF_STATIC, TF_MESSAGE, data, stamp_ns)
 
     def transform(self, parent: str, child: str, stamp_ns: int, parent_from_child: Pose2) -> None:
         """A motion of the plane at one time, on `/tf`."""
-        data = transform_cdr(parent, child, stamp_ns, *in_space(parent_from_child))
+        moved = Transform(parent, child, *in_space(parent_from_child))
+        data = transforms_cdr(stamp_ns, [moved])
         self.raw("/tf", TF_MESSAGE, data, stamp_ns)
 
     def odometry(
@@ -124,10 +126,7 @@ class LogWriter:
         points: ArrayLike,
         times_s: ArrayLike | None = None,
     ) -> None:
-        """One `sensor_msgs/msg/PointCloud2` of points (N, 3) in metres, float32.
-
-        `times_s` (N,), seconds after the stamp, become the field `time`.
-        """
+        """A `PointCloud2` of points (N, 3), metres; `time` is `times_s` (N,) after the stamp."""
         self.raw(topic, POINT_CLOUD, cloud_cdr(frame_id, stamp_ns, points, times_s), stamp_ns)
 
     def raw(self, topic: str, msgtype: str, cdr: bytes, log_time_ns: int) -> None:

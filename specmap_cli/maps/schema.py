@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -105,10 +105,6 @@ class GraphRecord(Record):
         description="SHA-256 of the files that belong to it, by name; maps of earlier versions do "
         "not tell it",
     )
-
-    def with_files(self, files: Mapping[str, str]) -> Self:
-        """The same, naming the files that belong to it."""
-        return self.model_copy(update={"files": dict(files)})
 
 
 class NodeRecord(Record):
@@ -288,10 +284,7 @@ SCHEMA = ModelSchema(TopologyRecord, "topology", SCHEMA_VERSION, "specmap topolo
 
 
 def read_topology(path: Path, limits: LimitsConfig) -> tuple[TopologyRecord, str]:
-    """The record in a topology.json, and what is to be said of it: what an old one lacks.
-
-    Raises MapError when it cannot be read, is of an unknown version, or contradicts itself.
-    """
+    """The record in a topology.json, and what an old one lacks, in words. Raises MapError."""
     document = map_json(path, limits)
     graph = document.get("graph") if isinstance(document, dict) else None
     graph = graph if isinstance(graph, dict) else {}

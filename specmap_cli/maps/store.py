@@ -444,8 +444,5 @@ def read_map(directory: str | Path, limits: LimitsConfig | None = None) -> Map:
 
 
 def opened_map(given: Map | Path | str, name: str, limits: LimitsConfig | None = None) -> Map:
-    """A map that is read already, or the directory of one, which the caller's argument `name` has.
-
-    Raises MapError as `read_map` does, TypeError for what is neither.
-    """
+    """A map, or the one in the directory that the argument `name` is; MapError, TypeError."""
     return given if isinstance(given, Map) else read_map(path_of(given, name), limits)

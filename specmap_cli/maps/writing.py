@@ -138,6 +138,6 @@ def _write_topology(
         write_grid(image.with_suffix(""), topology.submaps[node.id].grid)
     names = (path.relative_to(directory).as_posix() for path in directory.rglob("*"))
     files = {name: sha256_of(directory / name) for name in sorted(filter(has_digest, names))}
-    record = record.model_copy(update={"graph": record.graph.with_files(files)})
+    record = record.model_copy(update={"graph": record.graph.model_copy(update={"files": files})})
     (directory / filenames.TOPOLOGY).write_text(record.text(), encoding="utf-8")
     return files

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import BoolArray, Closure, IntArray
 from specmap_cli.drawing.overview import drawn_as
@@ -25,7 +24,6 @@ from specmap_cli.topology.regions import NOBODY
 from specmap_cli.topology.topological_map import starts_of
 
 MOST_REFUSED = 400  # refused closures that are drawn: those with the largest xi
-_MOST_LOST = 500  # places of lost scans that are drawn
 
 
 class DrawnMap:
@@ -78,21 +76,6 @@ class DrawnMap:
         return [self.frame.places(ring) for ring in outlines(cells, self.stored.regions.grid)]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Region:
-    """A submap on the map: its `outline` and the `rim` of its largest part as path data, its badge.
-
-    The `box` round it is left, top, width and height in the drawing.
-    """
-
-    id: int
-    fill: str
-    outline: str
-    rim: str
-    badge: tuple[int, int]
-    box: tuple[int, int, int, int]
-
-
 @dataclass(frozen=True, slots=True)
 class Closures:
     """The closures that were accepted, and of `refused_total` refused ones those that are drawn.
@@ -105,8 +88,8 @@ class Closures:
     refused_total: int
 
 
-def regions_of(map_: DrawnMap) -> list[Region]:
-    """The submaps on the map, by id."""
+def regions_of(map_: DrawnMap) -> list[dict[str, Any]]:
+    """The submaps by id: `outline`, `rim` of the largest part, `box` (left, top, width, height)."""
     names = fill_names(map_.fills.values())
     found = []
     for id_, room in map_.stored.rooms.items():
@@ -115,14 +98,14 @@ def regions_of(map_: DrawnMap) -> list[Region]:
         points = np.vstack([np.array([badge]), *rings])
         (left, top), (right, bottom) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
         found.append(
-            Region(
-                id=id_,
-                fill=names[map_.fills[id_]],
-                outline=path_data(rings, closed=True),
-                rim=map_.frame.line(room.outline, closed=True),
-                badge=badge,
-                box=(left, top, right - left, bottom - top),
-            )
+            {
+                "id": id_,
+                "fill": names[map_.fills[id_]],
+                "outline": path_data(rings, closed=True),
+                "rim": map_.frame.line(room.outline, closed=True),
+                "badge": badge,
+                "box": (left, top, right - left, bottom - top),
+            }
         )
     return found
 
@@ -163,11 +146,6 @@ def closures_of(map_: DrawnMap) -> Closures:
     drawn = sorted(refused, key=lambda one: 0.0 if math.isnan(one.xi) else -one.xi)[:MOST_REFUSED]
     accepted = [mark(each) for each in known if each.merged]
     return Closures(accepted, [mark(each) for each in drawn], len(refused))
-
-
-def lost_places(map_: DrawnMap) -> list[tuple[int, int]]:
-    """Where scans were lost; of a great many only some, evenly spread."""
-    return [(x, y) for x, y in map_.frame.places(evenly(map_.lost, _MOST_LOST)).tolist()]
 
 
 _LEAST_DOOR_CM = 40.0  # of the mark of a way that was closed or opened

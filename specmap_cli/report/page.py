@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.findings import Finding, Verdict
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted, seconds
@@ -36,14 +37,8 @@ from specmap_cli.report.layers import Changes, Closures, DrawnMap, old_map
 
 # the parts of the script in their order; each uses only what stands before it
 _SCRIPTS = (
-    "core.js",
-    "viewport.js",
-    "layers.js",
-    "selection.js",
-    "playback.js",
-    "tables.js",
-    "places.js",
-    "spectra.js",
+    *("core.js", "viewport.js", "layers.js", "selection.js", "playback.js"),
+    *("tables.js", "places.js", "spectra.js"),
 )
 _STYLES = ("page.css", "map.css", "parts.css", "print.css")
 # heads of the table of submaps: their words, and how the column is sorted
@@ -56,6 +51,9 @@ _COLUMNS = (
 )
 _DRIVEN_COLUMNS = (("visits", "number"), ("time there", "number"))
 _LEARNED_COLUMNS = (("told right", "number"), ("most like", "text"))
+
+
+_MOST_LOST = 500  # places of lost scans that are drawn, evenly spread
 
 
 def render(stored: Map, evidence: Evidence, changes: Changes | None = None) -> str:
@@ -104,7 +102,7 @@ def _drawn(map_: DrawnMap, track: Track) -> dict[str, Any]:
         "track": track,
         "by_time": track.by_time(map_.frame),
         "by_fit": track.by_fit(map_.frame),
-        "lost": layers.lost_places(map_),
+        "lost": map_.frame.places(evenly(map_.lost, _MOST_LOST)).tolist(),
         "visits": visits,
         "visits_of": {
             id_: [(start, end) for start, end, submap in visits if submap == id_]
@@ -221,9 +219,8 @@ def _run_of(map_: DrawnMap) -> dict[str, Any]:
     warnings = run.get("warnings")
     usual, own = _dotted(Config()), _dotted(stored.config) if known else {}
     settings = [(key, str(own[key]), str(usual[key])) for key in own if own[key] != usual[key]]
-    seconds = [
-        (key, float(value)) for key, value in _dict(run, "seconds").items() if _is_number(value)
-    ]
+    took = _dict(run, "seconds").items()
+    seconds = [(key, float(value)) for key, value in took if type(value) in (int, float)]
     counts = stored.counts if known else {}
     return {
         "selection": _pairs(_dict(run, "selection")),
@@ -248,10 +245,6 @@ def _dict(run: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     """A part of run.json, which a person may have changed; empty when it is something else."""
     found = run.get(key)
     return found if isinstance(found, dict) else {}
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _pairs(values: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:

@@ -27,10 +27,11 @@ from specmap_cli.logs.readers.encoding import (
     ODOMETRY,
     TF_MESSAGE,
     TF_STATIC,
+    Transform,
     in_space,
     odometry_cdr,
     scan_cdr,
-    transform_cdr,
+    transforms_cdr,
 )
 from specmap_cli.logs.readers.recording import (
     Contents,
@@ -221,10 +222,7 @@ def _pose(words: list[bytes], start: int) -> Pose2:
 
 
 def _check_host(words: list[bytes], place: int) -> None:
-    """Raise ValueError when a line is too long, and has a number where the host should be.
-
-    It has then lost the end of itself, and what follows is of another line.
-    """
+    """ValueError for a long line with a number for its host: it ran into another."""
     if len(words) > place + 2 and _is_number(words[place]):
         raise ValueError(words[place])
 
@@ -344,7 +342,8 @@ class CarmenFile(Recording):
             scan, stamp_ns, frame = line.scan, line.stamp_ns, line.topic.strip("/")
             mount = mounts.pop(line.topic, None) if scan is not None else None
             if mount is not None and (topics is None or TF_STATIC in topics):
-                data = transform_cdr(BASE_FRAME, frame, stamp_ns, *in_space(mount))
+                mounting = Transform(BASE_FRAME, frame, *in_space(mount))
+                data = transforms_cdr(stamp_ns, [mounting])
                 yield Message(TF_STATIC, TF_MESSAGE, stamp_ns, data)
             if topics is None or ODOM_TOPIC in topics:
                 data = odometry_cdr(ODOM_FRAME, BASE_FRAME, stamp_ns, line.odom_from_base)

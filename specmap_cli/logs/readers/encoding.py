@@ -148,13 +148,6 @@ def odometry_cdr(frame_id: str, child_frame_id: str, stamp_ns: int, pose: Pose2)
     )
 
 
-def transform_cdr(
-    parent: str, child: str, stamp_ns: int, xyz: Sequence[float], quaternion_xyzw: Sequence[float]
-) -> bytes:
-    """A TFMessage with the one transform parent_from_child."""
-    return transforms_cdr(stamp_ns, [Transform(parent, child, xyz, quaternion_xyzw)])
-
-
 class Transform(NamedTuple):
     """parent_from_child in space: metres and a quaternion."""
 

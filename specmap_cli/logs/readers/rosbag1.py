@@ -183,10 +183,7 @@ class Rosbag1File(ChunkedFile):
         return index
 
     def _broken_record(self, chunks: list[int]) -> int | None:
-        """Offset of a record that does not lead to the next chunk, None when all is well.
-
-        Looks at so many records only, as it explains damage but is not needed for reading.
-        """
+        """Offset of a record that does not lead to the next chunk, among the first of them."""
         offset = before = _FIRST_RECORD
         checked = 0
         for chunk in chunks:

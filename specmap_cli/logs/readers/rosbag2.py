@@ -330,10 +330,7 @@ class Rows:
         return Row(topic, time, found[0]), _Place(time, row)
 
     def _readable(self, last: int) -> _Place | None:
-        """The first place behind the rows after `last` that cannot be read; None when all cannot.
-
-        Steps double until one leads out of the damage; halving finds where it ends.
-        """
+        """The first readable place behind damaged rows after `last`, by doubling, then halving."""
 
         def can_go_on(row: int) -> bool:
             try:
