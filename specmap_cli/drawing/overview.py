@@ -14,21 +14,8 @@ from specmap_cli.core.findings import UNDOUBTED, Quality
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels, Trajectory
 from specmap_cli.core.text import counted, legible
-from specmap_cli.drawing import symbols
+from specmap_cli.drawing import palette, symbols
 from specmap_cli.drawing.canvas import Canvas, Image, text_width
-from specmap_cli.drawing.palette import (
-    INK,
-    PAPER,
-    QUIET,
-    RIGHT,
-    SHADE,
-    WRONG,
-    Colour,
-    colour_graph,
-    colours_of,
-    paler,
-    vivid,
-)
 from specmap_cli.drawing.sheet import Sheet, extent_of, strokes
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import Edge, LogInfo, TopologicalMap, driven_m
@@ -52,7 +39,7 @@ def render_overview(
     Where it may be wrong, a mark says so, and the title what it is. In the margin stand the days of
     the recordings (UTC), the frame of the map, and what is thought of it.
     """
-    fills = colours_of(topology, regions)
+    fills = palette.colours_of(topology, regions)
     places = trajectory.poses[:, :2]
     low, high = extent_of(regions, places, _BESIDE_M)
     warnings = [finding.place for finding in quality.worst if finding.place is not None]
@@ -93,7 +80,7 @@ def render_segmentation(
     topology: TopologicalMap, regions: Regions, log: LogInfo, frame: str = "map"
 ) -> Image:
     """A finished map cut into regions, with their ids and the doorways between them."""
-    fills = colours_of(topology, regions)
+    fills = palette.colours_of(topology, regions)
     low, high = extent_of(regions)
     shown = _shown(topology, regions) | ({symbols.DOOR_WORDS[True]} if topology.doors else set())
     sheet = Sheet(low, high, symbols.legend_of(shown))
@@ -131,7 +118,7 @@ def _draw_graph(
     sheet: Sheet,
     topology: TopologicalMap,
     nodes: Mapping[int, FloatArray],
-    fills: Mapping[int, Colour],
+    fills: Mapping[int, palette.Colour],
     marks: FloatArray | None = None,
 ) -> None:
     """Doors, links, then badges on submaps, clear of `marks` (N, 2), pixels of what comes later."""
@@ -235,7 +222,7 @@ _SMALLEST_CELL, _LARGEST_CELL = 14, 72
 _SMALLEST_LETTERS, _LARGEST_LETTERS = 8.0, 15.0
 _FIGURES_FROM = 26  # a smaller cell has no room for its percent
 _MARGIN, _TITLE, _GAP, _COUNTS, _NARROWEST = 48, 96, 12, 110, 700
-_MISTAKES: Colour = (40, 24, 200)
+_MISTAKES: palette.Colour = (40, 24, 200)
 _PALEST = 0.12  # weight of the hue in the cell of a single scan: it must be seen
 _DARK = 0.45  # share from which letters are white
 
@@ -246,7 +233,7 @@ def render_labels(
     title: str,
     figures: str = "",
     *,
-    fills: Mapping[int, Colour] | None = None,
+    fills: Mapping[int, palette.Colour] | None = None,
     map_with_regions: tuple[TopologicalMap, Regions] | None = None,
     truth: IntArray | None = None,
 ) -> Image:
@@ -260,10 +247,10 @@ def render_labels(
     known = np.isfinite(places[:, :2]).all(axis=1)
     places, submaps = np.asarray(places)[known, :2], np.asarray(submaps)[known]
     if fills is None and map_with_regions is not None:
-        fills = colours_of(*map_with_regions)
+        fills = palette.colours_of(*map_with_regions)
     elif fills is None:  # such that differ along the trajectory
         ids = [int(id_) for id_ in np.unique(submaps) if id_ != NO_SUBMAP]
-        fills = colour_graph(ids, set(itertools.pairwise(submaps.tolist())))
+        fills = palette.colour_graph(ids, set(itertools.pairwise(submaps.tolist())))
     shown = {"predicted submap, with its id", "start", "end"}
     shown |= {"wall"} if map_with_regions is not None else set()
     shown |= {"unknown"} if (submaps == NO_SUBMAP).any() else set()
@@ -277,7 +264,7 @@ def render_labels(
         for stroke in strokes(places, wrong):
             if wrong[stroke.first]:
                 way = sheet.pixels(places[stroke.first : stroke.drawn_to])
-                sheet.canvas.line(way, WRONG, symbols.MISTAKEN)
+                sheet.canvas.line(way, palette.WRONG, symbols.MISTAKEN)
     badges = _draw_predicted(sheet, places, submaps, fills)
     if map_with_regions is not None:
         topology, ground = map_with_regions
@@ -293,17 +280,17 @@ def render_labels(
 
 
 def _draw_predicted(
-    sheet: Sheet, places: FloatArray, submaps: IntArray, fills: Mapping[int, Colour]
+    sheet: Sheet, places: FloatArray, submaps: IntArray, fills: Mapping[int, palette.Colour]
 ) -> FloatArray:
     """Runs of one prediction in its colour; returns the places (N, 2) of badges, in pixels."""
     pixels = sheet.pixels(places)
     drawn = strokes(places, submaps)
     told = [stroke for stroke in drawn if submaps[stroke.first] != NO_SUBMAP]
     for stroke in told:
-        sheet.canvas.line(pixels[stroke.first : stroke.drawn_to], PAPER, symbols.RIM)
+        sheet.canvas.line(pixels[stroke.first : stroke.drawn_to], palette.PAPER, symbols.RIM)
     for stroke in told:
         way = pixels[stroke.first : stroke.drawn_to]
-        sheet.canvas.line(way, vivid(fills[int(submaps[stroke.first])]), symbols.PREDICTED)
+        sheet.canvas.line(way, palette.vivid(fills[int(submaps[stroke.first])]), symbols.PREDICTED)
     for pixel in pixels[submaps == NO_SUBMAP]:
         symbols.unknown(sheet.canvas, pixel)
     taken: list[tuple[int, FloatArray]] = []
@@ -346,24 +333,30 @@ def render_confusion(
     canvas = Canvas(width, top + cell * len(names) + _MARGIN)
     canvas.text(_MARGIN, 46, "Confusion", 20, bold=True)
     canvas.text(
-        _MARGIN, 80, "row: where it was;  column: what was said;  percent of the row", 13, QUIET
+        _MARGIN,
+        80,
+        "row: where it was;  column: what was said;  percent of the row",
+        13,
+        palette.QUIET,
     )
     shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1.0)
     for (i, j), share in np.ndenumerate(shares):
-        hue = RIGHT if names[i] == columns[j] else _MISTAKES
+        hue = palette.RIGHT if names[i] == columns[j] else _MISTAKES
         weight = _PALEST + (1.0 - _PALEST) * float(share)
         corner = np.array([left + j * cell, top + i * cell])
-        canvas.box(corner, corner + cell - 2, paler(hue, 1.0 - weight) if share else SHADE)
+        canvas.box(
+            corner, corner + cell - 2, palette.paler(hue, 1.0 - weight) if share else palette.SHADE
+        )
         if share and cell >= _FIGURES_FROM:
             percent = f"{100 * share:.0f}"
-            colour = PAPER if share > _DARK else INK
+            colour = palette.PAPER if share > _DARK else palette.INK
             x, y = corner + (cell - 2) / 2
             words = "<1" if percent == "0" else percent
             canvas.text(x, y, words, cell * 0.26, colour, "centre")
     for i, name in enumerate(names):
         y = top + (i + 0.5) * cell
-        canvas.text(left - _GAP, y, name, letters, INK, "right")
-        canvas.text(right + _GAP, y, f"{counts[i].sum():,.0f} scans", letters, QUIET)
+        canvas.text(left - _GAP, y, name, letters, palette.INK, "right")
+        canvas.text(right + _GAP, y, f"{counts[i].sum():,.0f} scans", letters, palette.QUIET)
     for j, name in enumerate(columns):
         x, y = left + (j + 0.5) * cell, top - _GAP
         if text_width(name, letters) > cell - 4:
