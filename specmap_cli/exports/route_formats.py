@@ -33,7 +33,6 @@ from specmap_cli.core.progress import Progress
 from specmap_cli.core.records import BoolArray
 from specmap_cli.core.text import counted, to_json
 from specmap_cli.core.yaml import yaml_text
-from specmap_cli.exports.flat_formats import collection
 from specmap_cli.exports.routes import (
     PENALTY,
     SPEED_LIMIT,
@@ -45,7 +44,7 @@ from specmap_cli.exports.routes import (
     routes_of,
 )
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.maps.rooms import Fields, feature, known
+from specmap_cli.maps.rooms import Fields, collection, feature, known
 from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.store import Map
 from specmap_cli.topology.regions import borders_of, drawn

@@ -8,7 +8,7 @@ formats that know no such thing leave it out with `known`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import attrgetter
 from pathlib import Path
@@ -307,6 +307,13 @@ def feature(kind: str, coordinates: Sequence[Any], properties: Fields) -> Fields
         "geometry": {"type": kind, "coordinates": coordinates},
         "properties": properties,
     }
+
+
+def collection(features: Iterable[Fields]) -> Fields:
+    """Features in metres. Without the key `crs` tools take the numbers for degrees (RFC 7946)."""
+    crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::3857"}}
+    numbered = [{**each, "id": number} for number, each in enumerate(features)]
+    return {"type": "FeatureCollection", "crs": crs, "features": numbered}
 
 
 def graph_of(map_: Map) -> nx.Graph:
