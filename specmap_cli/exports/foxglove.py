@@ -319,15 +319,15 @@ def submap_scene(stored: Map, stamp: Fields, fills: Mapping[int, Rgb]) -> dict[s
         colour = darker(fills[node.id])
         outline = [_line(node.outline.tolist(), colour, _OUTLINE_PX, _OUTLINE_Z, LINE_LOOP)]
         name = {
-            "pose": _at(node.place, _TEXT_Z),
+            "pose": _pose(Pose2(*node.place, 0.0), _TEXT_Z),
             "billboard": True,
             "font_size": _TEXT_PX,
             "scale_invariant": True,
             "color": _colour(colour),
             "text": node.name,
         }
-        entity = _entity(f"submap {node.id}", stored.frame, stamp, told_of(node))
-        entities.append({**entity, "lines": outline if len(node.outline) else [], "texts": [name]})
+        drawn = {"lines": outline if len(node.outline) else [], "texts": [name]}
+        entities.append(_entity(f"submap {node.id}", stored.frame, stamp, told_of(node), **drawn))
     return {"entities": entities}
 
 
@@ -338,25 +338,23 @@ def graph_scene(stored: Map, stamp: Fields) -> dict[str, Any]:
     entities = []
     for node in stored.rooms.values():
         if node.anchor is not None:
-            pose = _at(node.anchor, _ANCHOR_Z)
-            sphere = {"pose": pose, "size": size, "color": _colour(WAY)}
+            pose = _pose(Pose2(*node.anchor, 0.0), _ANCHOR_Z)
+            spheres = [{"pose": pose, "size": size, "color": _colour(WAY)}]
             told = {"clearance_m": node.anchor_clearance_m}
-            entity = _entity(f"anchor {node.id}", frame, stamp, told)
-            entities.append({**entity, "spheres": [sphere]})
+            entities.append(_entity(f"anchor {node.id}", frame, stamp, told, spheres=spheres))
     for one in graph_lines(stored):
         width_px = _LINE_PX if one.is_way else _NO_WAY_PX
         if one.kind == "door":
             width_px = 2.0 * _LINE_PX
-        entity = _entity(f"{one.kind} {one.ids}", frame, stamp, one.told)
-        line = _line(one.points, one.colour, width_px, _WAY_Z)
-        entities.append({**entity, "lines": [line]})
+        lines = [_line(one.points, one.colour, width_px, _WAY_Z)]
+        entities.append(_entity(f"{one.kind} {one.ids}", frame, stamp, one.told, lines=lines))
     return {"entities": entities}
 
 
-def _entity(id_: str, frame: str, stamp: Fields, told: Fields) -> dict[str, Any]:
-    """What all entities have; what they tell stands in their metadata."""
+def _entity(id_: str, frame: str, stamp: Fields, told: Fields, **drawn: Any) -> dict[str, Any]:
+    """An entity of what is drawn; what it tells stands in its metadata."""
     pairs = [{"key": key, "value": str(value)} for key, value in known(told).items()]
-    return {"timestamp": stamp, "frame_id": frame, "id": id_, "metadata": pairs}
+    return {"timestamp": stamp, "frame_id": frame, "id": id_, "metadata": pairs, **drawn}
 
 
 def _line(
@@ -365,17 +363,12 @@ def _line(
     """A line as wide on the screen at any distance."""
     return {
         "type": kind,
-        "pose": _at((0.0, 0.0), 0.0),
+        "pose": _pose(Pose2(0.0, 0.0, 0.0)),
         "thickness": thickness_px,
         "scale_invariant": True,
         "points": [{"x": x, "y": y, "z": z} for x, y in points],
         "color": _colour(colour),
     }
-
-
-def _at(place: Point, z: float) -> dict[str, Any]:
-    x, y = place
-    return {"position": {"x": x, "y": y, "z": z}, "orientation": {"w": 1.0}}
 
 
 def _colour(rgb: Rgb) -> dict[str, float]:

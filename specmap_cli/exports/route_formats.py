@@ -33,16 +33,7 @@ from specmap_cli.core.progress import Progress
 from specmap_cli.core.records import BoolArray
 from specmap_cli.core.text import counted, to_json
 from specmap_cli.core.yaml import yaml_text
-from specmap_cli.exports.routes import (
-    PENALTY,
-    SPEED_LIMIT,
-    Leg,
-    Routes,
-    ended,
-    misnoted,
-    noted,
-    routes_of,
-)
+from specmap_cli.exports import routes
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.rooms import Fields, collection, feature, known
 from specmap_cli.maps.schema import TopologyRecord
@@ -55,13 +46,13 @@ def nav2(stored: Map, target: IO[bytes], progress: Progress) -> None:
 
     A point for each waypoint, two lines for each leg. Raises MapError for a map without ways.
     """
-    found = routes_of(stored, progress)
+    found = routes.routes_of(stored, progress)
     nodes, edges = list(_nav2_nodes(found, stored.record)), list(_nav2_edges(found))
     progress.note(f"{counted(len(nodes), 'node')} and {counted(len(edges), 'directed edge')}")
     target.write(to_json(collection([*nodes, *edges])).encode())
 
 
-def _nav2_nodes(found: Routes, record: TopologyRecord) -> Iterator[Fields]:
+def _nav2_nodes(found: routes.Routes, record: TopologyRecord) -> Iterator[Fields]:
     """Points; the `class` of an anchor is the kind of its submap."""
     submaps = {node.id: node for node in record.nodes}
     doors = {door.id: door for door in record.graph.doors}
@@ -89,7 +80,7 @@ def _nav2_nodes(found: Routes, record: TopologyRecord) -> Iterator[Fields]:
         yield feature("Point", [waypoint.x, waypoint.y], properties)
 
 
-def _nav2_edges(found: Routes) -> Iterator[Fields]:
+def _nav2_edges(found: routes.Routes) -> Iterator[Fields]:
     """Two lines a leg, of ids beyond those of the nodes; scorers may replace the cost."""
     waypoints = {waypoint.id: waypoint for waypoint in found.waypoints}
     ids = count(max(waypoints) + 1)
@@ -99,8 +90,8 @@ def _nav2_edges(found: Routes) -> Iterator[Fields]:
             {
                 "class": link.kind,
                 "submaps": [link.source, link.target],
-                SPEED_LIMIT: leg.speed_limit,
-                PENALTY: leg.penalty or None,
+                routes.SPEED_LIMIT: leg.speed_limit,
+                routes.PENALTY: leg.penalty or None,
                 "driven": bool(link.traversals),
                 "clearance_m": link.clearance_m,
                 "width_m": link.width_m,
@@ -129,8 +120,8 @@ def tmap2(stored: Map, target: IO[bytes], progress: Progress) -> None:
     A node for each anchor and door, an edge in each direction. MapError for a map without ways.
     """
     record, name = stored.record, stored.path.resolve().name
-    found = routes_of(stored, progress).without(lambda point: point.kind == "bend")
-    updated = datetime.fromtimestamp(ended(record), UTC).strftime("%Y-%m-%d_%H-%M-%S")
+    found = routes.routes_of(stored, progress).without(lambda point: point.kind == "bend")
+    updated = datetime.fromtimestamp(routes.ended(record), UTC).strftime("%Y-%m-%d_%H-%M-%S")
     document = {
         "meta": {"last_updated": updated},
         "metric_map": name,
@@ -148,7 +139,7 @@ def tmap2(stored: Map, target: IO[bytes], progress: Progress) -> None:
     target.write(yaml_text(document).encode())
 
 
-def _tmap2_nodes(found: Routes, record: TopologyRecord, name: str) -> Iterator[Fields]:
+def _tmap2_nodes(found: routes.Routes, record: TopologyRecord, name: str) -> Iterator[Fields]:
     names = {one.id: one.name for one in found.waypoints}  # people's are properties
     submaps = {node.id: node for node in record.nodes}
     widths = {door.id: door.width_m for door in record.graph.doors}
@@ -194,7 +185,7 @@ def _circle(radius_m: float) -> list[Fields]:
     return [{"x": radius_m * math.cos(turn), "y": radius_m * math.sin(turn)} for turn in turns]
 
 
-def _tmap2_edge(start: str, end: str, leg: Leg) -> Fields:
+def _tmap2_edge(start: str, end: str, leg: routes.Leg) -> Fields:
     return {
         "action": "NavigateToPose",
         "action_type": "geometry_msgs/PoseStamped",
@@ -210,8 +201,8 @@ def _tmap2_edge(start: str, end: str, leg: Leg) -> Fields:
             {
                 "weight": leg.cost,
                 "length_m": leg.length_m,
-                SPEED_LIMIT: leg.speed_limit,
-                PENALTY: leg.penalty or None,
+                routes.SPEED_LIMIT: leg.speed_limit,
+                routes.PENALTY: leg.penalty or None,
                 "clearance_m": leg.link.clearance_m,
                 "driven": bool(leg.link.traversals),
             }
@@ -229,9 +220,9 @@ _FULL = 100  # the largest value of a cell
 def nav2_masks(stored: Map, target: IO[bytes], progress: Progress) -> None:
     """a zip of keepout and speed masks with their parameters, for Nav2's filters."""
     record, grid = stored.record, stored.regions.grid
-    for warning in misnoted(record):
+    for warning in routes.misnoted(record):
         progress.warn(warning)
-    limits = noted(record, SPEED_LIMIT)
+    limits = routes.noted(record, routes.SPEED_LIMIT)
     keepout, speed = np.zeros((2, *grid.cells.shape), dtype=np.uint8)
     keepout[_forbidden(stored)] = _FULL
     multiplier = max(limits.values(), default=float(_FULL)) / _FULL
@@ -239,7 +230,7 @@ def nav2_masks(stored: Map, target: IO[bytes], progress: Progress) -> None:
         value = math.floor(limit / multiplier + 1e-9)
         if value < 1:
             progress.warn(
-                f"submap {id_}: {SPEED_LIMIT} {limit:g} is written as {multiplier:g}, "
+                f"submap {id_}: {routes.SPEED_LIMIT} {limit:g} is written as {multiplier:g}, "
                 "a hundredth of the largest one: a mask holds nothing smaller"
             )
         speed[stored.regions.owner == id_] = max(value, 1)

@@ -235,15 +235,6 @@ def totals(visits: Iterable[Visit]) -> Mapping[int, tuple[int, float]]:
 MOST_DAYS = 31  # columns of the table of a building: the last ones
 _PACKAGE = "specmap_cli.history"
 _STYLES = ("page.css", "parts.css", "history.css", "print.css")
-_WORDS: Mapping[str, str] = {
-    "door-closed": "door closed",
-    "door-opened": "door opened",
-    "appeared": "something appeared",
-    "vanished": "something vanished",
-    "room-gone": "room gone",
-    "room-added": "room added",
-}
-_UNITS: Mapping[str, str] = {"door-closed": "m wide", "door-opened": "m wide"}
 
 
 TABLES: Mapping[str, str] = {
@@ -311,11 +302,12 @@ def names_of(building: BuildingRecord) -> dict[int, str]:
 def words_of(change: ChangeRecord, names: Mapping[int, str]) -> str:
     """A change in words."""
     where = " and ".join(legible(names[room]) for room in change.rooms)
-    parted = {"door-closed": "between ", "door-opened": "between "}.get(change.kind, "in ")
-    place = "" if not where else f" {where}" if change.x is None else f" {parted}{where}"
-    size = "" if change.size is None else f", {change.size:.2f} {_UNITS.get(change.kind, 'm2')}"
+    parted, unit = ("between", "m wide") if change.kind.startswith("door-") else ("in", "m2")
+    what = change.kind.replace("-", " ") if "-" in change.kind else f"something {change.kind}"
+    place = "" if not where else f" {where}" if change.x is None else f" {parted} {where}"
+    size = "" if change.size is None else f", {change.size:.2f} {unit}"
     at = "" if change.x is None else f", at ({change.x:.1f}, {change.y:.1f})"
-    return f"{_WORDS[change.kind]}{place}{size}{at} (since {change.since})"
+    return f"{what}{place}{size}{at} (since {change.since})"
 
 
 def render_history(record: HistoryRecord, plans: Sequence[Map], folder: Path) -> str:

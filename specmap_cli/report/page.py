@@ -248,13 +248,10 @@ def _dict(run: Mapping[str, Any], key: str) -> Mapping[str, Any]:
 
 
 def _pairs(values: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
+    lists = {key: value if isinstance(value, list) else [value] for key, value in values.items()}
+    told = [(key.replace("_", " "), ", ".join(map(str, each))) for key, each in lists.items()]
     return tuple(
-        (
-            key.replace("_", " "),
-            ", ".join(map(str, value)) if isinstance(value, list) else str(value),
-        )
-        for key, value in values.items()
-        if value is not None
+        pair for pair, value in zip(told, values.values(), strict=True) if value is not None
     )
 
 

@@ -34,10 +34,8 @@ _FLASER_RANGE_MAX_M = 80.0  # lines do not say: the SICK LMS of these logs gives
 _KEYWORD = re.compile(rb"[A-Z]\w*")  # what one looks like
 _MOST_KEYWORDS = 1000  # of a log, that are not read
 _FLASER_TAIL = 9  # words behind the ranges: two poses, a stamp, the host, a stamp
-_END = [True] * 6 + [
-    False,
-    True,
-]  # which of the last words of any line are numbers: the host is not
+# which of the last words of any line are numbers: the host is not
+_END = [True] * 6 + [False, True]
 _ROBOTLASER_HEAD, _ROBOTLASER_TAIL = 8, 14  # words up to the ranges and behind the remissions
 _ODOM_WORDS = 9  # a pose, three speeds, a stamp, the host, a stamp
 _COUNT_DIGITS = 7  # no line has a million ranges
