@@ -81,11 +81,7 @@ def reaching(url: str) -> Iterator[None]:
 
 @contextmanager
 def scratch_directory(root: str | None) -> Iterator[Path]:
-    """A directory of its own below `root` (None: that of the system), removed after the block.
-
-    Those that killed runs left there are removed before: no living run holds a lock on them.
-    Raises PlaceError when there can be none.
-    """
+    """A directory below `root` while the block lasts; those of killed runs go. PlaceError."""
     parent = Path(root or tempfile.gettempdir())
     try:
         parent.mkdir(parents=True, exist_ok=True)

@@ -110,11 +110,7 @@ def may_retry(record: JobRecord, attempts: int) -> bool:
 
 
 def stands(stored: JobRecord, digest: str, limits: Limits, attempt: int) -> bool:
-    """Whether a result that is there need not be made again.
-
-    It is of the same inputs, settings and version; and if it failed, the same would happen again:
-    nothing has changed that it failed for, and it was not to be tried once more.
-    """
+    """Whether a result is of the same inputs and, if it failed, would fail again as it did."""
     if not digest or stored.digest != digest or stored.kind in ("worker", "place"):
         return False
     if stored.kind == "memory":

@@ -141,11 +141,7 @@ def digest_of(job: Job, version: str, inputs: Iterable[InputRecord]) -> str:
 
 
 def fetched(logs: Sequence[str], directory: Path) -> dict[str, str]:
-    """The path on this machine of each log, in order; those in stores are copied to `directory`.
-
-    Raises PlaceError when they do not fit there, and for a store that cannot be reached; LogError
-    for a log that is not there.
-    """
+    """The path here of each log, copied to `directory` from a store. PlaceError, LogError."""
     remote = {log: sources_of(log) for log in logs if path_at(log) is None}
     needed = sum(source.bytes or 0 for sources in remote.values() for source in sources)
     free = shutil.disk_usage(directory).free

@@ -290,11 +290,7 @@ def on_worker(turn: Turn, terms: Terms, version: str) -> JobResult:
 def spread(
     cluster: Cluster, function: Callable[[Item], Result], items: Sequence[Item]
 ) -> list[Result]:
-    """What a function says of each item, in their order; both can be pickled.
-
-    What the function raises is raised here. Raises UsageError where there are no workers,
-    NoResultError where they are lost on the way.
-    """
+    """What a function says of each item, in order; both are pickled. UsageError, NoResultError."""
     lost = "start them and run the same command again, or leave out --workers and --scheduler"
     if cluster.scheduler is None:
         count, context = cluster.workers or processors(), multiprocessing.get_context("spawn")

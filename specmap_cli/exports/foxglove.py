@@ -42,7 +42,6 @@ from specmap_cli.exports.layers import (
     graph_lines,
     layers,
     scans_of,
-    start_of,
 )
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps.keyframe_log import EvenSpacing
@@ -185,7 +184,8 @@ def foxglove(stored: Map, target: IO[bytes], progress: Progress) -> None:
 
     Topics: /map, /regions, /submaps, /graph, /trajectory; /tf, /pose and /scan over time.
     """
-    start_ns, frame = start_of(stored), stored.frame
+    stamps_ns, frame = stored.keyframes.stamps_ns, stored.frame
+    start_ns = max(int(stamps_ns[0]), 0) if len(stamps_ns) else 0
     log = _Log(target, start_ns)
     fills = colours(stored)
     for number, layer in enumerate(layers(stored, fills)):

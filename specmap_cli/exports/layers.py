@@ -102,9 +102,3 @@ def scans_of(stored: Map, progress: Progress) -> AbstractContextManager[Keyframe
         return stored.scans()
     progress.note(f"{stored.path}: has no {filenames.KEYFRAMES}: written without scans")
     return nullcontext()
-
-
-def start_of(stored: Map) -> int:
-    """The stamp of the first keyframe, nanoseconds; 0 without any."""
-    stamps_ns = stored.keyframes.stamps_ns
-    return max(int(stamps_ns[0]), 0) if len(stamps_ns) else 0

@@ -161,11 +161,7 @@ class Tour:
 
 
 def tour_of(keyframes: Labels, rooms: IntArray, driven_m: float) -> Tour:
-    """The tour of one recording's keyframes, of which `rooms` (n,) holds the room of each.
-
-    A keyframe in no room has NO_SUBMAP. A visit lasts until the scan with which the next begins, so
-    that no time is lost between two rooms.
-    """
+    """The tour of keyframes in `rooms` (n,), NO_SUBMAP for none; visits last till the next."""
     stamps = keyframes.stamps_ns.tolist()
     spans = runs(rooms)
     visits = tuple(
@@ -344,10 +340,7 @@ def render_history(record: HistoryRecord, plans: Sequence[Map], folder: Path) ->
 
 
 def _plan(building: BuildingRecord, stored: Map) -> dict[str, Any]:
-    """The first map of a building: path data, and the rooms with what share of time each had.
-
-    The sign of a room is the name that a person gave, or the number alone: rooms may be small.
-    """
+    """The first map of a building as path data; its rooms by name or number, and share of time."""
     map_ = DrawnMap(stored)
     rooms = {room.submap: room for room in building.rooms if room.map == building.maps[0].number}
     longest = max((room.minutes for room in rooms.values()), default=0.0)

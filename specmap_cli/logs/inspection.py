@@ -194,11 +194,7 @@ class _Steps:
 
 
 class _Reading:
-    """The stamps of messages: of all topics by name and type, and header stamps of those chosen.
-
-    Stamps are those of the headers of scans and odometry, otherwise the recorder's times.
-    `unusable` counts the messages that cannot be decoded.
-    """
+    """Stamps by topic and type, of headers or the recorder's, and those of chosen topics."""
 
     def __init__(self, chosen: Selection | None) -> None:
         topics = (chosen.topic.name, *chosen.odom_topics) if chosen is not None else ()

@@ -21,7 +21,6 @@ from specmap_cli.maps.rooms import link_line
 from specmap_cli.maps.store import Map
 from specmap_cli.report.html import Frame, fill_names, outlines, path_data, shown
 from specmap_cli.topology.regions import NOBODY
-from specmap_cli.topology.topological_map import starts_of
 
 MOST_REFUSED = 400  # refused closures that are drawn: those with the largest xi
 
@@ -49,11 +48,6 @@ class DrawnMap:
     def fills(self) -> dict[int, Colour]:
         """The colour of each submap."""
         return colours_of(self.stored.topology, self.stored.regions)
-
-    @property
-    def starts(self) -> tuple[int, ...]:
-        """The keyframes with which the recordings after the first one begin."""
-        return starts_of(self.stored.logs)
 
     @cached_property
     def names(self) -> dict[int, str]:

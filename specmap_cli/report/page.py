@@ -34,6 +34,7 @@ from specmap_cli.report.evidence import (
 )
 from specmap_cli.report.html import PACKAGE, fill_names, html_page, lasting, shown, tones
 from specmap_cli.report.layers import Changes, Closures, DrawnMap, old_map
+from specmap_cli.topology.topological_map import starts_of
 
 # the parts of the script in their order; each uses only what stands before it
 _SCRIPTS = (
@@ -59,8 +60,9 @@ _MOST_LOST = 500  # places of lost scans that are drawn, evenly spread
 def render(stored: Map, evidence: Evidence, changes: Changes | None = None) -> str:
     """The report on a stored map as one HTML page. MapError for a missing or damaged file."""
     map_ = DrawnMap(stored)
-    track = Track.of(stored.keyframes, map_.starts, evidence.fit)
-    seconds = running_seconds(stored.keyframes.stamps_ns, map_.starts).tolist()
+    starts = starts_of(stored.logs)  # of the recordings after the first one, in keyframes
+    track = Track.of(stored.keyframes, starts, evidence.fit)
+    seconds = running_seconds(stored.keyframes.stamps_ns, starts).tolist()
     spectra = spectra_of(evidence, seconds, map_.frame)
     closures = layers.closures_of(map_)
     context = {
@@ -248,19 +250,15 @@ def _dict(run: Mapping[str, Any], key: str) -> Mapping[str, Any]:
 
 
 def _pairs(values: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
-    lists = {key: value if isinstance(value, list) else [value] for key, value in values.items()}
-    told = [(key.replace("_", " "), ", ".join(map(str, each))) for key, each in lists.items()]
+    told = {key: value for key, value in values.items() if value is not None}
     return tuple(
-        pair for pair, value in zip(told, values.values(), strict=True) if value is not None
+        (key.replace("_", " "), ", ".join(map(str, value if isinstance(value, list) else [value])))
+        for key, value in told.items()
     )
 
 
 def _sheets_of(map_: DrawnMap, learned: Mapping[int, Learned]) -> list[dict[str, Any]]:
-    """The sheets of all submaps, by id: all that is told of each.
-
-    `doors` and open borders to `open_to` are its neighbours. `visits` are start and length in
-    seconds. `thumbnail` is a PNG as a data URL.
-    """
+    """All that is told of each submap, by id; `visits` are start and length in seconds."""
     edges = map_.stored.record.edges
     ends = [(edge.source, edge.target) for edge in edges if not edge.doors]
     sheets = []

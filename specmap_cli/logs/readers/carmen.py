@@ -398,11 +398,7 @@ def _read(text: bytes) -> tuple[CarmenLine | None, list[str], bytes]:
 
 
 def _first_end(keyword: str, words: list[bytes]) -> int | None:
-    """How many words end at the host of a line into which the end of another ran; else None.
-
-    Its last words are those of the other: a time, the host of both, a time. If its own host was
-    cut, its length tells.
-    """
+    """How many words end at the host of a line into which another ran, by its own length if cut."""
     host = words[-2] if len(words) > 2 else b"0"
     if _is_number(host):
         return None

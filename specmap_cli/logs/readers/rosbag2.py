@@ -31,11 +31,7 @@ _MOST = 10**18  # messages in a file
 
 
 def recorded_messages(file: Path) -> int | None:
-    """The messages in one file of a recording by the metadata beside it; None when it says nothing.
-
-    The list `files` has a path and a number for each file; recorders before ROS 2 Galactic wrote
-    no such list.
-    """
+    """The messages in one file by the list `files` of the metadata beside it, None without one."""
     try:
         found = read_yaml(read_bytes(file.with_name("metadata.yaml"), _LARGEST_MB))
         files = {one["path"]: one for one in found["rosbag2_bagfile_information"]["files"]}
