@@ -3,12 +3,9 @@
 On this machine a recording is recognised by what is in it, as `specmap build` does, or by its
 suffix: one whose beginning is damaged must not be passed over. In a store only the suffix counts.
 
-A job is known by a digest of all that decides its result. It is SHA-256 over the version of
-specmap, the steps with their options, the contents of the files and maps that options name
-(wherever they lie), and the names and identities of the logs. What it is not: a proof. A log on
-this machine that is changed in its middle, keeping its size and its time of change, stays
-unnoticed; one that is copied, or only touched, counts as another. Limits, folders and the machine
-are no part of it.
+A job is known by a digest of all that decides its result (docs/batch.md). It is no proof: a log
+that is changed in its middle, keeping its size and its time of change, stays unnoticed; one that is
+copied, or only touched, counts as another. Limits, folders and the machine are no part of it.
 """
 
 from __future__ import annotations

@@ -1,20 +1,9 @@
 """What robots are sent along: Nav2's route graph and masks, the graph of topological_navigation.
 
-The server of Nav2 drives a straight line from node to node, and measures an edge by it. So nodes
-stand at anchors, in doors, and wherever a way bends. Its loader takes GeoJSON: points for nodes,
-lines for edges, and metadata that has neither null nor lists in lists: an outline is two lists, of
-x and of y.
-
-topological_navigation (`tmap2`, YAML) leaves the way from node to node to the robot's own planner,
-so a bend of a way needs no node; `length_m` of an edge is the length along the way, and `weight`
-what its graph adds up: the same where nobody noted a speed limit or a penalty.
-The influence zone of an anchor's node is the outline of its submap: a robot is located in its
-room.
-
-Masks for Nav2's costmap filters say where no robot may go, and how fast it may be elsewhere. Both
-lie on the grid of `map.yaml`, cell by cell. Nav2 reads a cell of a mask as 0 to 100. To its keepout
-filter 100 is a wall. Its speed filter takes 0 for no limit, and any other value times
-`multiplier`, plus `base`, for metres a second.
+docs/export.md says what is in them. The server of Nav2 drives a straight line from node to node,
+so every bend needs one; its loader takes neither null nor lists in lists. topological_navigation
+leaves the way to the robot's own planner. Nav2 reads a cell of a mask as 0 to 100: to its keepout
+filter 100 is a wall, to its speed filter 0 is no limit, and all else times `multiplier` is m/s.
 """
 
 from __future__ import annotations

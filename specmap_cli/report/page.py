@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.arrays import evenly
-from specmap_cli.core.findings import Finding, Verdict
+from specmap_cli.core.findings import Verdict
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted, seconds
 from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap
@@ -115,7 +115,8 @@ def _drawn(map_: DrawnMap, track: Track) -> dict[str, Any]:
 
 def _words(map_: DrawnMap, track: Track, evidence: Evidence) -> dict[str, Any]:
     """What is written beside the map."""
-    verdict, sentence, findings = _judgement_of(map_)
+    quality, gravity = map_.stored.quality, ("poor", "doubtful", "note")
+    findings = [] if quality is None else list(quality.findings)
     # why closures were accepted or refused, and how often, the most frequent first
     counts = Counter((each.reason, each.merged) for each in map_.stored.record.graph.closures)
     ranked = sorted(counts.items(), key=lambda one: (not one[0][1], -one[1], one[0][0]))
@@ -125,10 +126,10 @@ def _words(map_: DrawnMap, track: Track, evidence: Evidence) -> dict[str, Any]:
     return {
         "title": shown(headline),
         "place": shown(map_.stored.path.resolve().name),
-        "verdict": verdict,
-        "sentence": sentence,
+        "verdict": "not judged" if quality is None else quality.verdict,
+        "sentence": _VERDICTS[map_.stored.verdict],
         "facts": _facts_of(map_, track),
-        "findings": findings,
+        "findings": sorted(findings, key=lambda one: gravity.index(one.severity)),
         "run": _run_of(map_),
         "sheets": _sheets_of(map_, evidence.learned),
         "columns": (
@@ -165,21 +166,12 @@ _THUMBNAIL = 240  # pixels of the longer side, at most
 _AROUND_M = 0.7  # shown round the outline of a submap
 _GREYS = np.zeros(256, dtype=np.uint8)
 _GREYS[[FREE, UNKNOWN]] = 255, 214
-_VERDICTS: Mapping[Verdict, str] = {
+_VERDICTS: Mapping[Verdict | None, str] = {
+    None: "nobody checked this map against itself",
     "good": "nothing was found that speaks against the map",
     "doubtful": "something is wrong, or cannot be known: see the findings before you use the map",
     "poor": "do not use this map",
 }
-
-
-def _judgement_of(map_: DrawnMap) -> tuple[str, str, list[Finding]]:
-    """The verdict in a word and in a sentence, and all findings, the gravest first."""
-    quality = map_.stored.quality
-    if quality is None:
-        return "not judged", "nobody checked this map against itself", []
-    gravity = ("poor", "doubtful", "note")
-    found = sorted(quality.findings, key=lambda one: gravity.index(one.severity))
-    return quality.verdict, _VERDICTS[quality.verdict], found
 
 
 def _facts_of(map_: DrawnMap, track: Track) -> list[tuple[str, str, str]]:
