@@ -21,33 +21,18 @@ MOST_TESTS, MOST_NODES = 500, 90_000  # that a page keeps
 _FINEST = 9  # steps of the strength of a node on either side
 
 
-@dataclass(frozen=True, slots=True)
-class FeatureShare:
-    """A feature of a scan, and the share of a classifier's votes that hangs on it."""
-
-    feature: str
-    share: float
-
-
-@dataclass(frozen=True, slots=True)
-class Likeness:
-    """A submap, and the share of the scans of another one that its classifier answers most to."""
-
-    submap: int
-    share: float
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Learned:
-    """What the classifier of a submap looks at, and which submaps are like it.
+    """What the classifier of a submap looks at, and which submaps are like it, with falling shares.
 
-    Of `scans` of its own that were asked, the share `right` is told correctly. `alike` falls.
+    That of features is of its votes; that of others of `scans` of the submap's own, of which the
+    share `right` is told correctly.
     """
 
-    features: tuple[FeatureShare, ...] = ()
+    features: tuple[tuple[str, float], ...] = ()
     scans: int = 0
     right: float = 0.0
-    alike: tuple[Likeness, ...] = ()
+    alike: tuple[tuple[int, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
