@@ -70,18 +70,6 @@ class DrawnMap:
         return [self.frame.places(ring) for ring in outlines(cells, self.stored.regions.grid)]
 
 
-@dataclass(frozen=True, slots=True)
-class Closures:
-    """The closures that were accepted, and of `refused_total` refused ones those that are drawn.
-
-    Each has a `line` between the two places that were compared, its `xi` and its `reason`.
-    """
-
-    accepted: list[dict[str, Any]]
-    refused: list[dict[str, Any]]
-    refused_total: int
-
-
 def regions_of(map_: DrawnMap) -> list[dict[str, Any]]:
     """The submaps by id: `outline`, `rim` of the largest part, `box` (left, top, width, height)."""
     names = fill_names(map_.fills.values())
@@ -115,8 +103,8 @@ def links_of(map_: DrawnMap) -> list[dict[str, Any]]:
     return found
 
 
-def closures_of(map_: DrawnMap) -> Closures:
-    """The closures that were accepted, and those refused with the largest xi."""
+def closures_of(map_: DrawnMap) -> tuple[dict[str, list[dict[str, Any]]], int]:
+    """Those `accepted`, those `refused` with the largest xi, and how many were refused in all."""
     poses = map_.stored.keyframes.poses
     places = {}  # where the robot was in the middle of each stay
     for stay in map_.stored.record.graph.stays:
@@ -139,7 +127,8 @@ def closures_of(map_: DrawnMap) -> Closures:
     refused = [each for each in known if not each.merged]
     drawn = sorted(refused, key=lambda one: 0.0 if math.isnan(one.xi) else -one.xi)[:MOST_REFUSED]
     accepted = [mark(each) for each in known if each.merged]
-    return Closures(accepted, [mark(each) for each in drawn], len(refused))
+    marks = {"accepted": accepted, "refused": [mark(each) for each in drawn]}
+    return marks, len(refused)
 
 
 _LEAST_DOOR_CM = 40.0  # of the mark of a way that was closed or opened

@@ -33,7 +33,7 @@ from specmap_cli.report.evidence import (
     spectra_of,
 )
 from specmap_cli.report.html import PACKAGE, fill_names, html_page, lasting, shown, tones
-from specmap_cli.report.layers import Changes, Closures, DrawnMap, old_map
+from specmap_cli.report.layers import Changes, DrawnMap, old_map
 from specmap_cli.topology.topological_map import starts_of
 
 # the parts of the script in their order; each uses only what stands before it
@@ -64,7 +64,7 @@ def render(stored: Map, evidence: Evidence, changes: Changes | None = None) -> s
     track = Track.of(stored.keyframes, starts, evidence.fit)
     seconds = running_seconds(stored.keyframes.stamps_ns, starts).tolist()
     spectra = spectra_of(evidence, seconds, map_.frame)
-    closures = layers.closures_of(map_)
+    closures, refused = layers.closures_of(map_)
     context = {
         **_drawn(map_, track),
         **_words(map_, track, evidence),
@@ -80,7 +80,7 @@ def render(stored: Map, evidence: Evidence, changes: Changes | None = None) -> s
             "threshold": spectra.threshold,
             "logs": [log.name for log in stored.record.graph.logs],
         },
-        "thinned": _left_out(track, spectra, closures),
+        "thinned": _left_out(track, spectra, len(closures["refused"]), refused),
     }
     return html_page(PACKAGE, "page.html", context, _STYLES, _SCRIPTS)
 
@@ -145,7 +145,7 @@ def _words(map_: DrawnMap, track: Track, evidence: Evidence) -> dict[str, Any]:
     }
 
 
-def _left_out(track: Track, spectra: Spectra, closures: Closures) -> list[str]:
+def _left_out(track: Track, spectra: Spectra, drawn: int, refused: int) -> list[str]:
     """A sentence for each part of the map that is not shown whole."""
     found = ["Outlines are simplified by half a cell; places are rounded to centimetres."]
     if len(track.seconds) < track.total:
@@ -156,9 +156,10 @@ def _left_out(track: Track, spectra: Spectra, closures: Closures) -> list[str]:
         found.append(f"Of {total} {kept:,} are shown, those that split a submap first.")
     if spectra.thinned:
         found.append("Split tests show some of their nodes, evenly spread.")
-    if len(closures.refused) < closures.refused_total:
-        kept, total = len(closures.refused), f"{closures.refused_total:,} refused closures"
-        found.append(f"Of {total} the {kept:,} with the largest xi are drawn.")
+    if drawn < refused:
+        found.append(
+            f"Of {refused:,} refused closures the {drawn:,} with the largest xi are drawn."
+        )
     return found
 
 
