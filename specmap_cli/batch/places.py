@@ -81,7 +81,7 @@ def reaching(url: str) -> Iterator[None]:
 
 @contextmanager
 def scratch_directory(root: str | None) -> Iterator[Path]:
-    """A directory below `root` while the block lasts; those of killed runs go. PlaceError."""
+    """A directory below `root`, or the system's, for the block; killed runs' go. PlaceError."""
     parent = Path(root or tempfile.gettempdir())
     try:
         parent.mkdir(parents=True, exist_ok=True)
