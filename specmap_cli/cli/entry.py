@@ -19,7 +19,17 @@ from time import monotonic
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from specmap_cli.core import errors
+from specmap_cli.core.errors import (
+    INTERRUPTED,
+    MACHINE,
+    MEMORY,
+    InputError,
+    SpecmapError,
+    UsageError,
+    is_of_the_machine,
+    is_of_the_place,
+    reason,
+)
 from specmap_cli.core.progress import Level
 from specmap_cli.core.text import legible
 
@@ -107,7 +117,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _run(arguments, as_json)
     except Interruption as interruption:
         message = f"interrupted by {interruption.name}; nothing half-written is left"
-        error = errors.SpecmapError(message, code=errors.INTERRUPTED)
+        error = SpecmapError(message, code=INTERRUPTED)
         error.exit_code = interruption.exit_code
         return _fail(error, as_json)
     finally:
@@ -129,48 +139,46 @@ def _run(arguments: Sequence[str] | None, as_json: bool) -> int:
     except Exception as error:
         told = _told(error)
         if told is None:
-            _print_error(errors.SpecmapError(f"a bug: {type(error).__name__}: {error}"), as_json)
+            _print_error(SpecmapError(f"a bug: {type(error).__name__}: {error}"), as_json)
             raise
         if isinstance(error, OSError):  # stdout itself may be full
             discard_stdout()
         return _fail(told, as_json)
 
 
-def _told(error: Exception) -> errors.SpecmapError | None:
+def _told(error: Exception) -> SpecmapError | None:
     """What to say of an error that is no bug."""
-    if isinstance(error, errors.SpecmapError):
+    if isinstance(error, SpecmapError):
         return error
     of_opencv = type(error).__module__ == "cv2"  # it has an error of its own for want of memory
     short = of_opencv and getattr(error, "code", None) == _OPENCV_NO_MEMORY
     if isinstance(error, MemoryError) or short:
         what = f": {error}" if str(error) else ""
         hint = "a shorter log or a coarser grid (--set grid.resolution_m) needs less"
-        return errors.InputError(f"not enough memory{what}", hint, mark=";", code=errors.MEMORY)
+        return InputError(f"not enough memory{what}", hint, mark=";", code=MEMORY)
     if not isinstance(error, OSError):
         return None
     # what a machine runs out of is no bug, and no trace of it would help
     if (error.strerror or "").startswith(_NO_TEMPORARY):
         hint = "free some space there, or set TMPDIR to another directory"
-        return errors.UsageError(error.strerror, hint, code=errors.MACHINE)
-    if errors.is_of_the_machine(error):
-        said, hint = errors.reason(error)
-        return errors.UsageError(said, hint, mark=";", where=error.filename, code=errors.MACHINE)
+        return UsageError(error.strerror, hint, code=MACHINE)
+    if is_of_the_machine(error):
+        said, hint = reason(error)
+        return UsageError(said, hint, mark=";", where=error.filename, code=MACHINE)
     if isinstance(error, FileNotFoundError) and error.filename is None:  # of `os.getcwd`
         hint = "change to another one"
-        return errors.UsageError("the current directory was removed", hint, code=errors.MACHINE)
-    if errors.is_of_the_place(error):
+        return UsageError("the current directory was removed", hint, code=MACHINE)
+    if is_of_the_place(error):
         from tempfile import gettempdir
 
         where, advice = error.filename or "the output", "write elsewhere"
         if isinstance(where, str) and where.startswith(os.path.join(gettempdir(), "")):
             advice = "set TMPDIR to another directory"
-        return errors.UsageError.of_system(
-            error, "cannot be written", advice, where=where, code=errors.MACHINE
-        )
+        return UsageError.of_system(error, "cannot be written", advice, where=where, code=MACHINE)
     return None
 
 
-def _fail(error: errors.SpecmapError, as_json: bool) -> int:
+def _fail(error: SpecmapError, as_json: bool) -> int:
     """One line on stderr, which may be closed or full: the exit code tells then."""
     _print_error(error, as_json)
     if sys.stderr is not None:
@@ -179,7 +187,7 @@ def _fail(error: errors.SpecmapError, as_json: bool) -> int:
     return error.exit_code
 
 
-def _print_error(error: errors.SpecmapError, as_json: bool) -> None:
+def _print_error(error: SpecmapError, as_json: bool) -> None:
     """The error as one line of JSON on stdout, if that was asked for: schemas/error.schema.json."""
     if not as_json:
         return
