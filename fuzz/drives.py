@@ -17,12 +17,13 @@ from specmap_cli.logs.readers.encoding import (
     ODOMETRY,
     POINT_CLOUD,
     TF_MESSAGE,
+    Transform,
     cloud_cdr,
     in_space,
     message_class,
     odometry_cdr,
     scan_cdr,
-    transform_cdr,
+    transforms_cdr,
     typestore,
 )
 from specmap_cli.logs.readers.recording import Message
@@ -89,7 +90,9 @@ def _sweeps(choices: SimulationOptions) -> tuple[Sweep, ...]:
 def _drive(name: str, sweeps: tuple[Sweep, ...], sent_of: _Sender) -> Drive:
     sent = [message for sweep in sweeps for message in sent_of(sweep)]
     first = sweeps[0].stamp_ns
-    mounting = transform_cdr("base_link", "laser", first, _LASER_M, (0.0, 0.0, 0.0, 1.0))
+    mounting = transforms_cdr(
+        first, [Transform("base_link", "laser", _LASER_M, (0.0, 0.0, 0.0, 1.0))]
+    )
     static = Message("/tf_static", TF_MESSAGE, first, mounting)
     return Drive(name, (static, *sent), tuple(sweep.stamp_ns for sweep in sweeps))
 
@@ -128,7 +131,7 @@ def _cloud_messages(sweep: Sweep) -> Iterator[Message]:
     """The odometry as a transform, then a PointCloud2 with the times of its points."""
     assert sweep.odom_from_base is not None
     place = in_space(sweep.odom_from_base)
-    moved = transform_cdr("odom", "base_link", sweep.stamp_ns, *place)
+    moved = transforms_cdr(sweep.stamp_ns, [Transform("odom", "base_link", *place)])
     yield Message("/tf", TF_MESSAGE, sweep.stamp_ns, moved)
     points = _points(sweep)
     times = np.linspace(0.0, 0.05, len(points))

@@ -24,7 +24,7 @@ from benchmarks.paper.workshop import OURS, PAPER, PRESETS, WORDS, Built, Worksh
 from benchmarks.real.closure_truth import true_poses
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, nearest_motion, neighbours
 from specmap_cli.core.records import NO_SUBMAP, IntArray
-from specmap_cli.drawing.predictions import render_labels
+from specmap_cli.drawing.overview import render_labels
 from specmap_cli.evaluation.protocols import ClassificationScores, RevisitResult, revisit
 from specmap_cli.evaluation.trajectories import associate
 from specmap_cli.maps.text_files import read_tum

@@ -13,8 +13,7 @@ from benchmarks.paper.blocks import Block, Found, Picture, Table
 from benchmarks.paper.cases import FREIBURG, LACKING, STATA, Cases
 from benchmarks.paper.charts import drawn
 from benchmarks.paper.parts import Part
-from specmap_cli.report.html import html_page
-from specmap_cli.report.svg import tones
+from specmap_cli.report.html import html_page, tones
 
 _PACKAGE = "benchmarks.paper"
 _MOST_DOTS = 120  # of a line: more of them hide it

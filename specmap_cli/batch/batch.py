@@ -94,14 +94,6 @@ class Ledger:
         """How many jobs failed and will not be tried again."""
         return self._states["failed"]
 
-    def started(self, turn: Turn) -> EventRecord:
-        """A job was handed to a worker."""
-        return self.event("started", turn.job.name, attempt=turn.attempt)
-
-    def retried(self, record: JobRecord) -> EventRecord:
-        """An attempt failed, and the job will be tried again."""
-        return self._told("retried", record)
-
     def finished(self, result: JobResult) -> EventRecord:
         """A job has come to its end."""
         record = result.record
@@ -109,10 +101,10 @@ class Ledger:
         self._states[record.state] += 1
         if result.resumed:
             self.resumed += 1
-            return self._told("resumed", record)
+            return self.ended("resumed", record)
         self._bytes += self._sizes[record.name]
         self._scans += _scans(record) or 0
-        return self._told(record.state, record)
+        return self.ended(record.state, record)
 
     def waits(self, slots: int) -> EventRecord | None:
         """Nothing happened for a while: an event, once, when that is for want of workers."""
@@ -135,7 +127,8 @@ class Ledger:
             said.append(f"{lasting(elapsed * left / self._bytes)} left")
         return ", ".join(said)
 
-    def _told(self, event: Event, record: JobRecord) -> EventRecord:
+    def ended(self, event: Event, record: JobRecord) -> EventRecord:
+        """An event of an attempt that has ended, which may be tried again."""
         verdict = record.figures.get("verdict")
         return self.event(
             event,
@@ -249,7 +242,7 @@ def work_off(
             turn = waiting.popleft()
             workers.submit(turn)
             running += 1
-            yield ledger.started(turn)
+            yield ledger.event("started", turn.job.name, attempt=turn.attempt)
         ended = workers.next_result()
         if ended is None:
             yield ledger.waits(workers.slots())
@@ -273,4 +266,4 @@ def work_off(
         else:
             yield ledger.finished(result)
             continue
-        yield ledger.retried(record)
+        yield ledger.ended("retried", record)

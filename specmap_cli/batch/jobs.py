@@ -1,21 +1,7 @@
-"""Which jobs there are, and their steps: of logs, directories, patterns, and TOML files of jobs::
+"""Which jobs there are, and their steps: of logs, directories, patterns, and TOML files of jobs.
 
-    steps = ["build", "report", "check"]     # of every job that names no others
-    logs = ["monday/*.mcap"]                 # a job for each of these recordings
-
-    [options.build]                          # long options, as on the command line
-    preset = "paper"
-    set = ["grid.resolution_m=0.1"]
-
-    [[job]]                                  # one job, whose logs are one recording
-    name = "lobby"
-    logs = ["lobby/part_*.mcap"]
-
-    [job.options.build]                      # over those above, option by option
-    seed = 3
-
-Paths are relative to the file. A job has a name that is safe as a folder anywhere, no other job's,
-and the same in the next batch.
+docs/batch.md shows such a file; paths are relative to it. A job has a name that is safe as a folder
+anywhere, no other job's, and the same in the next batch.
 """
 
 from __future__ import annotations
@@ -55,7 +41,7 @@ BESIDE_JOBS = frozenset(
     {"index.html", "events.jsonl", "junit.xml", "summary.csv", "summary.md", "summary.parquet"}
 )
 _UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
-_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}")
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}")  # of jobs, formats and files
 _LONGEST = 80  # characters of a name made of that of a log
 _TAG = 8  # hexadecimal digits
 
@@ -111,11 +97,7 @@ class _Names:
         return name
 
     def of_log(self, found: Found) -> str:
-        """A name made of that of a log, which is `a/b` for one in a directory.
-
-        A second one of the same name gets a tag made of its path, so that it is the same in the
-        next batch, whichever logs came to it.
-        """
+        """A name made of that of a log, with a tag of its path if another log has it: it stays."""
         safe = _UNSAFE.sub("_", found.name.replace("/", "-")).strip(".-_")[:_LONGEST] or "log"
         if safe.lower() in self._taken:
             path = found.log.encode("utf-8", "replace")
@@ -266,18 +248,13 @@ SUFFIXES = {  # of exports, for the programs that go by them
 }
 # Options that spare a step the map that the others need.
 _INSTEAD_OF_A_MAP = {"localize": {"map"}, "evaluate": {"protocol", "baseline"}}
-_FILE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}")
 _FORMAT = "--format="
 # What the batch says itself: where results go and how they are told is nobody else's.
 _SAID = frozenset({"out", "overwrite", "json", "quiet", "log-level", "trajectory"})
 
 
 def steps_of(plan: Plan, base: Path) -> tuple[Step, ...]:
-    """The steps of a plan; paths in its options are relative to `base`.
-
-    Raises UsageError for a step or an option that is none, one whose value is of the wrong kind,
-    and a step that needs another one before it.
-    """
+    """The steps of a plan, paths relative to `base`. UsageError for what cannot be."""
     choices = f"choose from {', '.join(COMMANDS)}"
     for name in [*plan.steps, *plan.options]:
         if name not in COMMANDS:
@@ -334,10 +311,7 @@ def _export_name(step: Step) -> str:
 
 
 def _made(command: Command, plan: Plan, base: Path) -> tuple[list[Step], list[str]]:
-    """The steps of one command: an export for each format, else a single one.
-
-    And the files that they write by names of a person's choice.
-    """
+    """The steps of one command, an export for each format, and the files that a person named."""
     given = list(_given(command, plan, base))
     options = tuple(text for text, _ in given)
     inputs = tuple(text for text, meaning in given if meaning == "input")
@@ -349,7 +323,7 @@ def _made(command: Command, plan: Plan, base: Path) -> tuple[list[Step], list[st
         raise UsageError("options.export.format: missing", 'say which, such as "nav2"')
     others = tuple(each for each in options if each not in formats)
     for each in formats:
-        if not _FILE_NAME.fullmatch(each.removeprefix(_FORMAT)):
+        if not _NAME.fullmatch(each.removeprefix(_FORMAT)):
             raise UsageError(
                 f"no format has the name {quoted(each)}", where="options.export.format"
             )
@@ -385,7 +359,7 @@ def _given(command: Command, plan: Plan, base: Path) -> Iterator[tuple[str, Mean
                 if not path.exists():
                     raise UsageError(f"{path}: no such file or directory", where=place)
                 text = str(path.absolute())
-            elif meaning == "output" and not _FILE_NAME.fullmatch(text):
+            elif meaning == "output" and not _NAME.fullmatch(text):
                 raise UsageError(
                     f"{place} is {quoted(each)}",
                     "expected the bare name of a file: it goes into the job's folder",

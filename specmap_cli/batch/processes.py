@@ -54,10 +54,7 @@ _MOST_WARNINGS = 20  # of a step; log.txt has them all
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """How a process ended: exit code (negative: the signal), seconds, megabytes seen at the most.
-
-    `stopped` is the limit for which it was killed.
-    """
+    """How a process ended: its exit code (negative: the signal), or the limit that stopped it."""
 
     exit_code: int
     wall_s: float
@@ -72,10 +69,7 @@ class GivenUpError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """The limits of a job, the end of its time (`time.monotonic`), and whether it is still wanted.
-
-    `wanted` is asked often.
-    """
+    """Limits of a job, the end of its time (`time.monotonic`), and whether it is still wanted."""
 
     limits: Limits
     deadline: float
@@ -167,12 +161,7 @@ class _Tree:
 
 
 def judged(
-    step: Step,
-    ended: Ended,
-    answer: Path,
-    log: bytes,
-    limits: Limits,
-    places: Mapping[str, str],
+    step: Step, ended: Ended, answer: Path, log: bytes, limits: Limits, places: Mapping[str, str]
 ) -> tuple[StepOutcome, Kind | None]:
     """What came of a step, and what kind of failure.
 

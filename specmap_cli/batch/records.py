@@ -43,10 +43,7 @@ Meaning = Literal["flag", "text", "input", "output"]
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """An option of a command: its long names without dashes, and what it takes.
-
-    That is nothing, a text, the path of an input, or the name of an output.
-    """
+    """An option of a command: its long names without dashes, and what kind its value is."""
 
     names: tuple[str, ...]
     meaning: Meaning

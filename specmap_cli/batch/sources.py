@@ -3,12 +3,9 @@
 On this machine a recording is recognised by what is in it, as `specmap build` does, or by its
 suffix: one whose beginning is damaged must not be passed over. In a store only the suffix counts.
 
-A job is known by a digest of all that decides its result. It is SHA-256 over the version of
-specmap, the steps with their options, the contents of the files and maps that options name
-(wherever they lie), and the names and identities of the logs. What it is not: a proof. A log on
-this machine that is changed in its middle, keeping its size and its time of change, stays
-unnoticed; one that is copied, or only touched, counts as another. Limits, folders and the machine
-are no part of it.
+A job is known by a digest of all that decides its result (docs/batch.md). It is no proof: a log
+that is changed in its middle, keeping its size and its time of change, stays unnoticed; one that is
+copied, or only touched, counts as another. Limits, folders and the machine are no part of it.
 """
 
 from __future__ import annotations
@@ -63,10 +60,7 @@ class Source(NamedTuple):
 
 
 def logs_at(place: str) -> list[Found]:
-    """The recordings that a file, a directory or a pattern stands for, by name.
-
-    Raises LogError when there is none.
-    """
+    """The recordings that a file, directory or pattern stands for by name; LogError for none."""
     path = path_at(place)
     if path is None:
         found = list(_found_in_store(place))
@@ -88,10 +82,7 @@ def _missing(place: str | Path, found: str = "no such file or directory") -> Log
 
 
 def sources_of(log: str) -> tuple[Source, ...]:
-    """The files of a log: itself, or those in it when it is a directory.
-
-    Raises LogError for a log that is missing or cannot be read, PlaceError for a store.
-    """
+    """The files of a log, itself or those in it. LogError where it cannot be read, PlaceError."""
     path = path_at(log)
     if path is None:
         found = tuple(_files_in_store(log))
@@ -123,10 +114,7 @@ def bytes_of(job: Job) -> int:
 
 
 def inputs_of(job: Job) -> tuple[InputRecord, ...]:
-    """The logs of a job as they are now.
-
-    Raises LogError or PlaceError for a log that cannot be reached.
-    """
+    """The logs of a job as they are now. LogError or PlaceError for one out of reach."""
     made = []
     for log in job.logs:
         sources = sources_of(log)
@@ -138,10 +126,7 @@ def inputs_of(job: Job) -> tuple[InputRecord, ...]:
 
 
 def digest_of(job: Job, version: str, inputs: Iterable[InputRecord]) -> str:
-    """The digest of a job and its `inputs_of`, hexadecimal.
-
-    Raises UsageError for a file of an option that cannot be read.
-    """
+    """The digest of a job and its `inputs_of`. UsageError for a file of an option out of reach."""
     steps: list[list[str]] = []
     for step in job.steps:
         steps.append([step.command])
@@ -153,11 +138,7 @@ def digest_of(job: Job, version: str, inputs: Iterable[InputRecord]) -> str:
 
 
 def fetched(logs: Sequence[str], directory: Path) -> dict[str, str]:
-    """The path on this machine of each log, in order; those in stores are copied to `directory`.
-
-    Raises PlaceError when they do not fit there, and for a store that cannot be reached; LogError
-    for a log that is not there.
-    """
+    """The path here of each log, copied to `directory` from a store. PlaceError, LogError."""
     remote = {log: sources_of(log) for log in logs if path_at(log) is None}
     needed = sum(source.bytes or 0 for sources in remote.values() for source in sources)
     free = shutil.disk_usage(directory).free

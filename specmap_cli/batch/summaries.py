@@ -14,8 +14,7 @@ from urllib.parse import quote
 
 from specmap_cli.batch.records import LOG_TEXT, MAP, REPORT, JobRecord, Kind
 from specmap_cli.core.text import Case, counted, csv_text, junit, markdown_table, markdown_text
-from specmap_cli.report.html import html_page, lasting
-from specmap_cli.report.svg import tones
+from specmap_cli.report.html import html_page, lasting, tones
 
 INDEX = "index.html"
 WAITING = "waiting"
@@ -58,10 +57,7 @@ Row = Mapping[str, Value]
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column: its name, the type of its values, and where they come from.
-
-    What they mean is in docs/batch.md.
-    """
+    """A column of the summaries; docs/batch.md says what each means."""
 
     name: str
     type: Literal["text", "whole", "real"]
@@ -113,10 +109,7 @@ COLUMNS = (
 
 
 def rows_of(names: Iterable[str], records: Mapping[str, JobRecord]) -> list[Row]:
-    """A row of the summary for each job, in order of names.
-
-    Of a job without a record it has the name and that it waits.
-    """
+    """A row for each job, in order of names; one without a record has its name and waits."""
     rows: list[Row] = []
     for name in sorted(names):
         row: dict[str, Value] = {"name": name, "state": WAITING}

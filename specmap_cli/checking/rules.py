@@ -3,17 +3,8 @@
 A figure that the map does not hold is None: a map of `specmap segment`, say, lost no scans and read
 none. Figures that begin with `golden.` are of a comparison with another map.
 
-A file of rules is TOML. What it says goes over `default_rules.toml` beside this file; an infinite
-bound takes a default away, and `defaults = false` all of them::
-
-    verdict = "good"          # the worst verdict that passes
-
-    [most]
-    lost_share = 0.01
-    findings.walls-disagree = 0
-
-    [least]
-    submaps = 5
+A file of rules is TOML (docs/check.md shows one). What it says goes over `default_rules.toml`
+beside this file; an infinite bound takes a default away, and `defaults = false` all of them.
 
 What a check found is told for a machine, a person and a CI. The models are the format of
 `specmap check --json`; `check.schema.json` beside this file is the same as JSON Schema.
@@ -249,24 +240,21 @@ def judged(
     details: Mapping[str, str],
 ) -> CheckRecord:
     """Every rule and whether the map keeps it; `details` are words on figures that break one."""
-    found: list[tuple[str, Bound, float | str, float | str | None, bool]] = []
+
+    def outcome(
+        rule: str, bound: Bound, limit: float | str, value: float | str | None, passed: bool
+    ) -> OutcomeRecord:
+        detail = "" if passed else details.get(rule, _UNKNOWN if value is None else "")
+        return OutcomeRecord(
+            rule=rule, bound=bound, limit=limit, value=value, passed=passed, detail=detail
+        )
+
     kept = at_least_as_bad(rules.verdict, verdict or "poor")  # nobody judged it: as bad as can be
-    found.append((VERDICT, "most", rules.verdict, verdict, kept))
+    outcomes = [outcome(VERDICT, "most", rules.verdict, verdict, kept)]
     for name, bound, limit in rules.each():
         value = figures.get(name, 0 if name.startswith(FINDINGS) else None)  # no finding of a code
         kept = value is not None and (value <= limit if bound == "most" else value >= limit)
-        found.append((name, bound, limit, value, kept))
-    outcomes = [
-        OutcomeRecord(
-            rule=name,
-            bound=bound,
-            limit=most,
-            value=held,
-            passed=passed,
-            detail="" if passed else details.get(name, _UNKNOWN if held is None else ""),
-        )
-        for name, bound, most, held, passed in found
-    ]
+        outcomes.append(outcome(name, bound, limit, value, kept))
     return CheckRecord(
         schema_version=1,
         map=map_,

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from specmap_cli.cli import batch, edit, evaluate, making, maps, recordings
+from specmap_cli.cli import edit, evaluate, making, maps, recordings
 from specmap_cli.cli.entry import print_text
 from specmap_cli.cli.options import Common, JoinedCommand, Settings, telling, unfolded
 from specmap_cli.core.errors import UsageError
@@ -132,7 +132,7 @@ _COMMANDS: tuple[Callable[..., None], ...] = (  # in the order of the help
     maps.compare,
     maps.check,
     maps.history,
-    batch.batch,
+    making.batch,
     edit.edit,
     maps.report,
     making.segment,

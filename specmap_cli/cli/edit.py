@@ -9,8 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from specmap_cli.cli.options import Bounds, Common, MapDirectory, Overwrite, output, uses_of
-from specmap_cli.cli.targets import keep_inputs
+from specmap_cli.cli.options import (
+    Bounds,
+    Common,
+    MapDirectory,
+    Overwrite,
+    keep_inputs,
+    output,
+    uses_of,
+)
 from specmap_cli.core.errors import UsageError
 
 if TYPE_CHECKING:

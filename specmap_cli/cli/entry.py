@@ -1,4 +1,4 @@
-"""Where a run begins and ends: signals, stdout, and the one place where errors become a line.
+"""Where a run begins and ends: signals, stdout, progress, and where errors become a line.
 
 Ctrl-C and SIGTERM are an exception, so that every `with` block on the way out cleans up. This
 module imports nothing that takes time, so that a signal is heeded from the first moment on.
@@ -13,10 +13,11 @@ import os
 import signal
 import sys
 import threading
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from time import monotonic
 from types import FrameType
+from typing import TYPE_CHECKING
 
 from specmap_cli.core.errors import (
     INTERRUPTED,
@@ -29,7 +30,13 @@ from specmap_cli.core.errors import (
     is_of_the_place,
     reason,
 )
+from specmap_cli.core.progress import Level
 from specmap_cli.core.text import legible
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as RichProgress
+    from rich.progress import TaskID
+
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 # A second signal within this time is the same impatience and must not stop the cleaning up.
@@ -59,7 +66,7 @@ def interruptible(*, last: bool = False) -> Iterator[None]:
 
     def interrupt(number: int, _frame: FrameType | None) -> None:
         nonlocal heeded
-        now = time.monotonic()
+        now = monotonic()
         if now - heeded >= _PATIENCE_S:
             heeded = now
             raise Interruption(number)
@@ -181,10 +188,7 @@ def _fail(error: SpecmapError, as_json: bool) -> int:
 
 
 def _print_error(error: SpecmapError, as_json: bool) -> None:
-    """The error as one object on stdout, when it is to be JSON: schemas/error.schema.json.
-
-    It is one line, as `batch` prints lines.
-    """
+    """The error as one line of JSON on stdout, if that was asked for: schemas/error.schema.json."""
     if not as_json:
         return
     parts = {
@@ -203,10 +207,7 @@ JSON_VARIABLE = "SPECMAP_JSON"  # in the environment: as `--json` on the command
 
 
 def print_text(text: str) -> None:
-    """`text` on stdout; a reader that has seen enough, such as `head`, is no error.
-
-    What the terminal cannot show, such as a file name of any bytes, is escaped.
-    """
+    """`text` on stdout, what it cannot show escaped; a reader that has seen enough is no error."""
     try:
         try:
             _print_all(text)
@@ -239,8 +240,88 @@ def discard_stdout() -> None:
 
 
 def one_line(text: str) -> str:
-    """`text` as one line: spaces for white space, escapes for what no terminal can show.
-
-    That is control characters, which it would obey, and bytes of a file name that are no text.
-    """
+    """`text` as one line, with escapes for what a terminal would obey, and for what is no text."""
     return legible(" ".join(text.split()))
+
+
+def bars() -> RichProgress:
+    """Bars on a terminal: the stage, steps done and steps per second, and the time that is left."""
+    from rich import progress  # slow to load: where no bar is shown nobody waits for it
+    from rich.console import Console
+    from rich.text import Text
+
+    class Rate(progress.ProgressColumn):
+        def render(self, task: progress.Task) -> Text:
+            total = f"/{task.total:,.0f}" if task.total is not None else ""
+            rate = f"{task.speed:,.0f}/s" if task.speed else ""
+            return Text(f"{task.completed:,.0f}{total} {rate}")
+
+    console = Console(stderr=True, highlight=False, soft_wrap=True, markup=False, emoji=False)
+    stage, left = progress.TextColumn("{task.description}"), progress.TimeRemainingColumn()
+    columns = stage, progress.BarColumn(), Rate(), left
+    return progress.Progress(*columns, console=console, transient=True)
+
+
+class ConsoleProgress:
+    """A `Progress` on stderr: what its level shows; bars on a terminal alone."""
+
+    def __init__(self, level: Level = Level.INFO) -> None:
+        self.level = level
+        shown = level.shows(Level.INFO) and sys.stderr.isatty()
+        self._bars = bars() if shown else None
+        self._task: TaskID | None = None
+        self._stage, self._done, self._since = "", 0, 0.0
+
+    def __enter__(self) -> ConsoleProgress:
+        if self._bars is not None:
+            self._bars.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end_stage()
+        if self._bars is not None:
+            self._bars.stop()
+
+    def start(self, stage: str, total: int | None) -> None:
+        """Show a new bar in place of the last one."""
+        self._end_stage()
+        self._stage, self._done, self._since = stage, 0, monotonic()
+        if self._bars is not None:
+            if self._task is not None:
+                self._bars.remove_task(self._task)
+            self._task = self._bars.add_task(stage, total=total)
+
+    def advance(self, steps: int = 1) -> None:
+        """Move the bar."""
+        if self._bars is not None and self._task is not None:
+            self._bars.advance(self._task, steps)
+        self._done += steps
+
+    def reach(self, steps: int, stage: str) -> None:
+        """`steps` of the current stage are done in all, and it says so in words of its own."""
+        if self._bars is not None and self._task is not None:
+            self._bars.update(self._task, completed=steps, description=stage)
+
+    def note(self, message: str) -> None:
+        """A line, where the level shows it."""
+        self._line(Level.INFO, message)
+
+    def warn(self, message: str) -> None:
+        """A line, where the level shows it: the result has its warnings, too."""
+        self._line(Level.WARNING, f"warning: {message}")
+
+    def _end_stage(self) -> None:
+        """Tell of the stage that ends, in a line: `mapping: 4,187 steps in 12.3 s`."""
+        if self._stage:
+            steps = f"{self._done:,} steps in " if self._done else ""
+            took_s = monotonic() - self._since
+            self._line(Level.DEBUG, f"debug: {self._stage}: {steps}{took_s:.1f} s")
+        self._stage = ""
+
+    def _line(self, level: Level, message: str) -> None:
+        if self.level.shows(level):
+            line = f"specmap: {one_line(message)}"
+            if self._bars is None:
+                print(line, file=sys.stderr)
+            else:
+                self._bars.console.print(line)

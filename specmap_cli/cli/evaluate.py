@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import typer
 
-from specmap_cli.cli.options import Common, LogSettings, Overwrite, output
-from specmap_cli.cli.targets import check_files
+from specmap_cli.cli.options import Common, LogSettings, Overwrite, check_files, output
 from specmap_cli.core.errors import UsageError
 
 if TYPE_CHECKING:
@@ -143,7 +142,7 @@ def evaluate(
     else:
         found = _revisit(logs or [], truth, effective, common)
     if out is not None and found.scores is not None:
-        from specmap_cli.drawing.predictions import render_confusion
+        from specmap_cli.drawing.overview import render_confusion
         from specmap_cli.grids.map_server import write_png
 
         names = [str(id_) for id_ in found.scores.ids]

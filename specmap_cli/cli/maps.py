@@ -17,9 +17,10 @@ from specmap_cli.cli.options import (
     MapDirectory,
     Overwrite,
     Settings,
+    check_files,
+    keep_inputs,
     output,
 )
-from specmap_cli.cli.targets import check_files, keep_inputs
 from specmap_cli.core.errors import BROKEN_RULE, MapError
 
 _MOST_SCANS = 0.5  # share of the scans that makes most of them
@@ -216,12 +217,7 @@ def history(
     specmap history monday tuesday wednesday
     specmap history maps/ -o week --timezone Europe/Berlin
     """
-    from specmap_cli.pipelines.history import (
-        PAGE,
-        history_directory,
-        history_of,
-        write_history,
-    )
+    from specmap_cli.pipelines.history import PAGE, history_directory, history_of, write_history
 
     if out is not None:
         keep_inputs([out], maps)

@@ -2,30 +2,23 @@
 
 Every command takes `Common`. One that computes with settings takes `Settings`; if it reads a log,
 `LogSettings`. One that writes takes `Overwrite`, and `-o/--out` (`output`) for its output; other
-options whose value is a file to write are marked `WRITTEN`.
+options whose value is a file to write are marked `WRITTEN`. Outputs that cannot or must not be
+written are refused before the work, not after it.
 
-What Typer lacks: groups of options, and options of several values.
-
-A group is a dataclass whose fields are the options. A command takes it as one parameter, and Typer,
-which reads the signature, finds its fields there instead::
-
-    @dataclass(frozen=True, slots=True, kw_only=True)
-    class Common:
-        quiet: Annotated[bool, typer.Option("--quiet", "-q")] = False
-
-    def info(logs: Logs, common: Common) -> None: ...  # Typer sees: logs, quiet
-
-Typer has options of several values, and options that may be repeated, but none that are both, as in
-`--rename 3 Kitchen`. Here an option whose metavar has two words takes as many values; the command
-gets them joined.
+What Typer lacks: a group of options is a dataclass whose fields are the options. A command takes it
+as one parameter, and Typer, which reads the signature, finds its fields there instead (`unfolded`).
+And an option whose metavar has two words, such as `--rename ID NAME`, takes as many values and may
+be repeated: the command gets the values of each use joined.
 """
 
 from __future__ import annotations
 
 import functools
 import inspect
+import os
 import warnings
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from inspect import Parameter
 from itertools import takewhile
@@ -35,14 +28,13 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 import typer
 from typer.core import TyperCommand
 
-from specmap_cli.cli.entry import JSON_VARIABLE
-from specmap_cli.core.errors import SETTING, UsageError
+from specmap_cli.cli.entry import JSON_VARIABLE, ConsoleProgress, print_text
+from specmap_cli.core.errors import OUTPUT, SETTING, UsageError
 from specmap_cli.core.progress import Level
 
 if TYPE_CHECKING:
     from specmap_cli.batch.records import Meaning, Option
     from specmap_cli.batch.workers import Cluster
-    from specmap_cli.cli.console import ConsoleProgress
     from specmap_cli.core.settings import Config
     from specmap_cli.maps.store import Map
 
@@ -101,16 +93,10 @@ class Common:
 
     def progress(self) -> ConsoleProgress:
         """Progress, notes and warnings on stderr, as the level says."""
-        from specmap_cli.cli.console import ConsoleProgress
-
         return ConsoleProgress(Level.ERROR if self.quiet else self.log_level)
 
     def show(self, result: Mapping[str, Any], lines: Sequence[str]) -> None:
-        """The result on stdout: one JSON object, or lines for a person.
-
-        The object follows version 1 of the command's schema, unless it names another version.
-        """
-        from specmap_cli.cli.entry import print_text
+        """The result on stdout: lines, or one JSON object, of schema version 1 if it names none."""
         from specmap_cli.core.text import to_json
 
         whole = {"schema_version": 1, **result}
@@ -373,3 +359,67 @@ def _joined(args: list[str], several: Mapping[str, int], options: Collection[str
             del rest[: len(values)]
             joined.append(_JOINT.join(values))
     return joined
+
+
+def check_files(
+    outputs: Iterable[Path | None],
+    inputs: Iterable[Path | None],
+    common: Common,
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Refuse files that exist (unless `overwrite`), whose place cannot be written, or that are
+    needed: an input, or another output.
+
+    What runs that were killed had begun to write in their places is removed, and told of. Raises
+    UsageError naming the first file at fault; None stands for an output not asked for.
+    """
+    from specmap_cli.core.files import refuse_existing, remove_leftovers
+
+    wanted = [path for path in outputs if path is not None]
+    for path in wanted:
+        if path.is_dir():
+            raise UsageError("is a directory", "name the file to write", where=path)
+        if os.path.lexists(path) and not path.is_file():
+            raise UsageError("is no regular file", "choose another place", where=path, code=OUTPUT)
+        if not overwrite:
+            refuse_existing(path)
+        if not path.parent.is_dir():
+            raise UsageError(
+                f"there is no directory {path.parent}", "make it first", where=path, code=OUTPUT
+            )
+        if not os.access(path.parent, os.W_OK):
+            raise UsageError(
+                f"cannot write in {path.parent}", "choose another place", where=path, code=OUTPUT
+            )
+    if len({path.resolve() for path in wanted}) < len(wanted):
+        raise UsageError("given for two outputs: each needs a file of its own", where=wanted[0])
+    keep_inputs(wanted, inputs)
+    for output in wanted:
+        with suppress(OSError):  # whoever writes the file is told of it
+            for left in remove_leftovers(output):
+                common.progress().note(
+                    f"{output}: an earlier run was killed: removed {left.name}, which it had begun "
+                    "to write"
+                )
+
+
+def keep_inputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None:
+    """Refuse outputs that are an input, a directory with one inside, or a file of one that is a
+    directory: it would be lost. None stands for an input that was not given. Raises UsageError.
+    """
+    needed = [path.resolve() for path in inputs if path is not None]
+    for output in outputs:
+        place = output.resolve()
+        for path in needed:
+            is_lost = path == place or place in path.parents
+            if not is_lost and path in place.parents and place.is_file():
+                from specmap_cli.maps.filenames import TOPOLOGY, is_of_a_map
+
+                # a file of a map, or any file in a directory that is none
+                inside = place.relative_to(path).as_posix()
+                is_lost = not (path / TOPOLOGY).is_file() or is_of_a_map(inside)
+            if is_lost:
+                raise UsageError(
+                    f"would replace the input {path}", "choose another output", where=output
+                )

@@ -16,9 +16,9 @@ from specmap_cli.cli.options import (
     LogSettings,
     Overwrite,
     Resolution,
+    check_files,
     output,
 )
-from specmap_cli.cli.targets import check_files
 from specmap_cli.core.errors import UsageError
 
 

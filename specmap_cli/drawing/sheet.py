@@ -46,10 +46,7 @@ _USUAL_STEPS, _USUAL_PERCENTILE = 3.0, 90.0
 
 
 class Sheet:
-    """A map drawn to scale on a canvas with room for a title above and a legend below.
-
-    `pixels_per_m` is chosen so that the longer side of the map is LONG_SIDE pixels.
-    """
+    """A map to scale, its longer side LONG_SIDE pixels, with room for a title and a legend."""
 
     def __init__(self, low: NDArray[Any], high: NDArray[Any], legend: Legend) -> None:
         extent = np.maximum(np.asarray(high) - low, _LEAST_EXTENT_M)
@@ -100,7 +97,18 @@ class Sheet:
     def ground(self, regions: Regions, fills: Mapping[int, Colour]) -> None:
         """Paint regions in their colours with borders, what was only seen grey, walls dark."""
         self.floor(regions, fills)
-        self.borders(regions)
+        # lines where one region ends and another begins without a wall
+        grid, owner = _at_most_a_pixel_each(regions, self.pixels_per_m)
+        owned = np.where(grid.cells == FREE, owner, NOBODY).astype(np.float32) + 1.0
+        labels = self._to_scale(owned, grid, edges=cv2.INTER_NEAREST)
+        line = np.zeros(labels.shape, dtype=np.uint8)
+        here, right, below = labels[:-1, :-1], labels[:-1, 1:], labels[1:, :-1]
+        for other in (right, below):
+            line[:-1, :-1][(here != other) & (here > 0.0) & (other > 0.0)] = 255
+        # two pixels wide, and no staircase of cells; whole numbers are blurred alike everywhere
+        blurred = cv2.GaussianBlur(line, (0, 0), _BORDER_BLUR)
+        inside = slice(TITLE, TITLE + self.map_height)
+        self._blend(inside, np.minimum(1.0, blurred[inside] * _BORDER_STRENGTH / 255.0), BORDER)
         self.walls(regions.grid, regions.grid.occupied, INK)
 
     def floor(self, regions: Regions, fills: Mapping[int, Colour]) -> None:
@@ -114,20 +122,6 @@ class Sheet:
         inside = slice(TITLE, TITLE + self.map_height)
         painted = self._to_scale(colours, grid, PAPER)
         self.canvas.image[inside] = painted[inside]
-
-    def borders(self, regions: Regions) -> None:
-        """Lines where one region ends and another begins without a wall."""
-        grid, owner = _at_most_a_pixel_each(regions, self.pixels_per_m)
-        owned = np.where(grid.cells == FREE, owner, NOBODY).astype(np.float32) + 1.0
-        labels = self._to_scale(owned, grid, edges=cv2.INTER_NEAREST)
-        line = np.zeros(labels.shape, dtype=np.uint8)
-        here, right, below = labels[:-1, :-1], labels[:-1, 1:], labels[1:, :-1]
-        for other in (right, below):
-            line[:-1, :-1][(here != other) & (here > 0.0) & (other > 0.0)] = 255
-        # two pixels wide, and no staircase of cells; whole numbers are blurred alike everywhere
-        blurred = cv2.GaussianBlur(line, (0, 0), _BORDER_BLUR)
-        inside = slice(TITLE, TITLE + self.map_height)
-        self._blend(inside, np.minimum(1.0, blurred[inside] * _BORDER_STRENGTH / 255.0), BORDER)
 
     def walls(self, grid: GridMap, walls: BoolArray, colour: Colour) -> None:
         """Paint some cells (H, W) of a grid in one colour over what is there."""
@@ -144,10 +138,7 @@ class Sheet:
         self._blend(inside, cover[inside], colour)
 
     def _blend(self, rows: slice, cover: NDArray[Any], colour: Colour) -> None:
-        """Colour some rows of the canvas, as far as `cover` (rows, W) says.
-
-        A strip at a time: all at once would be the most memory that a small map needs.
-        """
+        """Colour rows of the canvas as far as `cover` (rows, W) says, in strips for memory."""
         painted, ink = self.canvas.image[rows], np.array(colour, dtype=np.float32)
         for start in range(0, len(cover), _STRIP):
             strip = slice(start, start + _STRIP)
@@ -166,10 +157,7 @@ class Sheet:
         left, bottom = self.pixels(np.array([grid.origin]))[0]
         # the pixel of the centre of cell (row, column); pixel centres are whole numbers
         to_pixels = np.array(
-            [
-                [scale, 0.0, left + 0.5 * scale - 0.5],
-                [0.0, -scale, bottom - 0.5 * scale - 0.5],
-            ]
+            [[scale, 0.0, left + 0.5 * scale - 0.5], [0.0, -scale, bottom - 0.5 * scale - 0.5]]
         )
         size = (self.canvas.image.shape[1], self.canvas.image.shape[0])
         if edges is None:
@@ -196,10 +184,7 @@ class Sheet:
 
 
 def _at_most_a_pixel_each(regions: Regions, pixels_per_m: float) -> tuple[GridMap, OwnerArray]:
-    """Cells and owners, thinned out until a cell is more than half a pixel.
-
-    Blocks of cells keep the state and the owner of their middle one.
-    """
+    """Cells and owners, thinned to the middle of blocks of more than half a pixel."""
     step = _thinning(regions.grid, pixels_per_m)
     cells = _padded(regions.grid.cells, step, UNKNOWN)
     owner = _padded(regions.owner, step, NOBODY)
@@ -247,10 +232,7 @@ def extent_of(
 
 
 def round_length(length: float) -> tuple[float, int]:
-    """The largest of 1, 2, 5 times a power of ten up to `length`, and into how many parts it goes.
-
-    The parts are of a round length, too.
-    """
+    """The largest of 1, 2, 5 times a power of ten up to `length`, and into how many round parts."""
     power = 10.0 ** math.floor(math.log10(length))
     step = max(step for step in _PARTS if step * power <= length * (1 + 1e-9))
     return float(power * step), _PARTS[step]

@@ -10,29 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.drawing import palette
 from specmap_cli.drawing.canvas import Canvas, text_width
-from specmap_cli.drawing.palette import (
-    CLOSURE,
-    DOOR,
-    FILLS,
-    INK,
-    LOOSE,
-    PAPER,
-    QUIET,
-    SEEN,
-    TRAVERSED,
-    WRONG,
-    Colour,
-    darker,
-    vivid,
-)
 from specmap_cli.topology.topological_map import EdgeKind
 
 LinkKind = EdgeKind | Literal["narrow"]  # narrow: the robot fits through no way
 Symbol = Callable[[Canvas, FloatArray], None]
 Legend = tuple[tuple[str, Symbol], ...]
 
-PATH: Colour = (88, 82, 76)
+PATH: palette.Colour = (88, 82, 76)
 # Pixels, chosen by eye for a sheet of some 1800 pixels.
 BADGE_RADIUS = 17.0
 _SIGN_RADIUS = 14.0
@@ -51,29 +37,23 @@ _REACH, _DOOR_REACH = 20, 16  # half the width of a line in the legend, and of a
 
 
 def edge(canvas: Canvas, points: NDArray[Any], kind: LinkKind) -> None:
-    """A link of the graph: solid when driven or open, dashed for a closure, dotted for a guess.
-
-    What was only seen has short dashes, what is too narrow has dots.
-    """
+    """A link: solid when driven or open, dashed for a closure or only seen, dotted for a guess."""
     if kind == "closure":
-        canvas.dashes(points, PAPER, _LINK_HALO, _DASH, _DASH_GAP)
-        canvas.dashes(points, CLOSURE, _LINK, _DASH, _DASH_GAP)
+        canvas.dashes(points, palette.PAPER, _LINK_HALO, _DASH, _DASH_GAP)
+        canvas.dashes(points, palette.CLOSURE, _LINK, _DASH, _DASH_GAP)
     elif kind == "loose":
-        canvas.dashes(points, LOOSE, _DOT, 0.0, _DOT_GAP)
+        canvas.dashes(points, palette.LOOSE, _DOT, 0.0, _DOT_GAP)
     elif kind == "narrow":
-        canvas.dashes(points, TRAVERSED, _DOT - 1, 0.0, _DOT_GAP)
+        canvas.dashes(points, palette.TRAVERSED, _DOT - 1, 0.0, _DOT_GAP)
     elif kind == "seen":
-        canvas.dashes(points, TRAVERSED, _LINK, _SEEN_DASH, _SEEN_GAP)
+        canvas.dashes(points, palette.TRAVERSED, _LINK, _SEEN_DASH, _SEEN_GAP)
     else:
-        canvas.line(points, PAPER, _LINK_HALO)
-        canvas.line(points, TRAVERSED, _LINK)
+        canvas.line(points, palette.PAPER, _LINK_HALO)
+        canvas.line(points, palette.TRAVERSED, _LINK)
 
 
 def door(canvas: Canvas, sides: NDArray[Any], driven: bool) -> None:
-    """A passage as wide as it is: a tick at each of its jambs (2, 2), and nothing between them.
-
-    Dots cross one that was only seen: the robot never drove through.
-    """
+    """A passage as wide as it is: ticks at its jambs (2, 2), dots across where nobody drove."""
     middle, half = sides.mean(axis=0), (sides[1] - sides[0]) / 2.0
     length = max(1.0, float(np.linalg.norm(half)))
     tick = np.array([half[1], -half[0]]) * _TICK / length
@@ -81,26 +61,26 @@ def door(canvas: Canvas, sides: NDArray[Any], driven: bool) -> None:
     opening = np.array([middle - half, middle + half])
     jambs = [np.array([end - tick, end + tick]) for end in opening]
     for line in (*jambs, opening):
-        canvas.line(line, PAPER, _DOOR + 4)
+        canvas.line(line, palette.PAPER, _DOOR + 4)
     if not driven:
-        canvas.dashes(opening, DOOR, _DOOR - 2, 0.0, 2.0 * _DOOR)
+        canvas.dashes(opening, palette.DOOR, _DOOR - 2, 0.0, 2.0 * _DOOR)
     for jamb in jambs:
-        canvas.line(jamb, DOOR, _DOOR)
+        canvas.line(jamb, palette.DOOR, _DOOR)
 
 
-def badge(canvas: Canvas, centre: NDArray[Any], name: str, fill: Colour) -> None:
+def badge(canvas: Canvas, centre: NDArray[Any], name: str, fill: palette.Colour) -> None:
     """A node of the graph with the id of its submap."""
-    canvas.disc(centre, BADGE_RADIUS, PAPER, darker(fill))
+    canvas.disc(centre, BADGE_RADIUS, palette.PAPER, palette.darker(fill))
     height = 12.0 if len(name) < 3 else 9.0
-    canvas.text(float(centre[0]), float(centre[1]), name, height, INK, "centre", bold=True)
+    canvas.text(float(centre[0]), float(centre[1]), name, height, palette.INK, "centre", bold=True)
 
 
 def ground_id(canvas: Canvas, centre: NDArray[Any], id_: int) -> None:
     """The id of a region, larger than those on the badges, with a rim of paper round it."""
     x, y = float(centre[0]), float(centre[1])
     for dx, dy in itertools.product((-2, 0, 2), repeat=2):
-        canvas.text(x + dx, y + dy, str(id_), _ID_LETTERS, PAPER, "centre", bold=True)
-    canvas.text(x, y, str(id_), _ID_LETTERS, QUIET, "centre", bold=True)
+        canvas.text(x + dx, y + dy, str(id_), _ID_LETTERS, palette.PAPER, "centre", bold=True)
+    canvas.text(x, y, str(id_), _ID_LETTERS, palette.QUIET, "centre", bold=True)
 
 
 def name_under(canvas: Canvas, centre: NDArray[Any], name: str) -> None:
@@ -110,39 +90,39 @@ def name_under(canvas: Canvas, centre: NDArray[Any], name: str) -> None:
     shown = name if len(name) <= _LONGEST_NAME else name[: _LONGEST_NAME - 3] + "..."
     x, y = float(centre[0]), float(centre[1]) + BADGE_RADIUS + _NAME_LETTERS + 1.0
     reach = np.array([text_width(shown, _NAME_LETTERS, bold=True) / 2.0 + 5.0, _NAME_LETTERS])
-    canvas.box(np.array([x, y]) - reach, np.array([x, y]) + reach, PAPER)
-    canvas.text(x, y, shown, _NAME_LETTERS, INK, "centre", bold=True)
+    canvas.box(np.array([x, y]) - reach, np.array([x, y]) + reach, palette.PAPER)
+    canvas.text(x, y, shown, _NAME_LETTERS, palette.INK, "centre", bold=True)
 
 
 def no_entry(canvas: Canvas, centre: NDArray[Any]) -> None:
     """A link that a person forbade: the sign of a road that must not be entered."""
-    canvas.disc(centre, _SIGN_RADIUS, WRONG, PAPER)
+    canvas.disc(centre, _SIGN_RADIUS, palette.WRONG, palette.PAPER)
     middle = np.asarray(centre)
     bar = np.array([8.0, 2.5])
-    canvas.box(middle - bar, middle + bar, PAPER)
+    canvas.box(middle - bar, middle + bar, palette.PAPER)
 
 
 def start(canvas: Canvas, centre: NDArray[Any]) -> None:
     """Where the trajectory starts: a square."""
     middle = np.asarray(centre)
-    canvas.box(middle - 9, middle + 9, PAPER)
-    canvas.box(middle - 7, middle + 7, INK)
+    canvas.box(middle - 9, middle + 9, palette.PAPER)
+    canvas.box(middle - 7, middle + 7, palette.INK)
 
 
 def end(canvas: Canvas, centre: NDArray[Any]) -> None:
     """Where the trajectory ends: a disc."""
-    canvas.disc(centre, 8.0, INK, PAPER)
+    canvas.disc(centre, 8.0, palette.INK, palette.PAPER)
 
 
 def warning(canvas: Canvas, centre: NDArray[Any]) -> None:
     """A place where the map may be wrong: a mark in a red ring."""
-    canvas.disc(centre, _SIGN_RADIUS, PAPER, WRONG)
-    canvas.text(float(centre[0]), float(centre[1]), "!", 13.0, WRONG, "centre", bold=True)
+    canvas.disc(centre, _SIGN_RADIUS, palette.PAPER, palette.WRONG)
+    canvas.text(float(centre[0]), float(centre[1]), "!", 13.0, palette.WRONG, "centre", bold=True)
 
 
 def unknown(canvas: Canvas, centre: NDArray[Any]) -> None:
     """A scan that belongs to no submap: a ring."""
-    canvas.disc(centre, 4.0, PAPER, INK)
+    canvas.disc(centre, 4.0, palette.PAPER, palette.INK)
 
 
 def _link(kind: LinkKind) -> Symbol:
@@ -159,22 +139,22 @@ def _level(centre: FloatArray, reach: float = _REACH) -> FloatArray:
     return np.array([centre - (reach, 0.0), centre + (reach, 0.0)])
 
 
-def _bar(half_height: float, colour: Colour) -> Symbol:
+def _bar(half_height: float, colour: palette.Colour) -> Symbol:
     half = np.array([_REACH, half_height])
     return lambda canvas, at: canvas.box(at - half, at + half, colour)
 
 
 def _predicted(canvas: Canvas, centre: FloatArray) -> None:
     first, last = _level(centre)
-    canvas.line(np.array([first, centre]), vivid(FILLS[0]), PREDICTED)
-    canvas.line(np.array([centre, last]), vivid(FILLS[1]), PREDICTED)
+    canvas.line(np.array([first, centre]), palette.vivid(palette.FILLS[0]), PREDICTED)
+    canvas.line(np.array([centre, last]), palette.vivid(palette.FILLS[1]), PREDICTED)
 
 
 def _wrong(canvas: Canvas, centre: FloatArray) -> None:
     way = _level(centre, _REACH - 4)
-    canvas.line(way, WRONG, MISTAKEN)
-    canvas.line(way, PAPER, RIM)
-    canvas.line(way, vivid(FILLS[0]), PREDICTED)
+    canvas.line(way, palette.WRONG, MISTAKEN)
+    canvas.line(way, palette.PAPER, RIM)
+    canvas.line(way, palette.vivid(palette.FILLS[0]), PREDICTED)
 
 
 LINK_WORDS: dict[LinkKind, str] = {
@@ -188,12 +168,12 @@ LINK_WORDS: dict[LinkKind, str] = {
 DOOR_WORDS = {True: "door", False: "door, only seen"}  # by whether the robot drove through
 # What can lie on the ground of a map, in the order in which a legend explains it.
 SYMBOLS: dict[str, Symbol] = {
-    "submap": lambda canvas, at: badge(canvas, at, "7", FILLS[0]),
+    "submap": lambda canvas, at: badge(canvas, at, "7", palette.FILLS[0]),
     "predicted submap, with its id": _predicted,
     "unknown": unknown,
     "wrong": _wrong,
-    "wall": _bar(3.0, INK),
-    "only seen": _bar(10.0, SEEN),
+    "wall": _bar(3.0, palette.INK),
+    "only seen": _bar(10.0, palette.SEEN),
     "trajectory": lambda canvas, at: canvas.line(_level(at), PATH, 2),
     "start": start,
     "end": end,

@@ -16,8 +16,8 @@ from specmap_cli.core.files import write_zip
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.text import counted, to_json
 from specmap_cli.core.yaml import yaml_text
-from specmap_cli.exports.routes import SPEED_LIMIT, Leg, Waypoint, check_routes, ended, routes
-from specmap_cli.maps.flat import Fields, known
+from specmap_cli.exports.routes import SPEED_LIMIT, Leg, Waypoint, ended, routes_of
+from specmap_cli.maps.rooms import Fields, known
 from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.store import Map
 
@@ -25,30 +25,26 @@ _TEXT, _WHOLE, _NUMBER, _YES_NO = 1, 2, 3, 4  # how traffic_editor tells the typ
 _LEVEL, _GRAPH = "L1", 0
 
 
-class Rmf:
-    """`NAME.building.yaml` for the traffic editor, and `nav_graphs/0.yaml` for fleet adapters."""
+def rmf(stored: Map, target: IO[bytes], progress: Progress) -> None:
+    """a zip of building.yaml and nav_graphs/0.yaml, for Open-RMF.
 
-    description = "a zip of building.yaml and nav_graphs/0.yaml, for Open-RMF"
-    ending = ".zip"
-
-    def write(self, stored: Map, target: IO[bytes], progress: Progress) -> None:
-        """Write places, lanes and doors of a map. Raises MapError for a map without ways."""
-        check_routes(stored, progress)
-        record, name = stored.record, stored.path.resolve().name
-        found = routes(record).without(lambda one: one.kind == "door" and one.straight)
-        if record.graph.doors:
-            progress.warn(
-                f"{counted(len(record.graph.doors), 'door')}: Open-RMF waits at a door until "
-                "something opens it; take out those that nobody shuts"
-            )
-        names = _names(record)
-        rows = {one.id: row for row, one in enumerate(found.waypoints)}
-        lanes = [(rows[leg.start], rows[leg.end], leg) for leg in found.legs]
-        parts = {
-            f"{name}.building.yaml": _building(name, record, found.waypoints, names, lanes),
-            "nav_graphs/0.yaml": _nav_graph(name, found.waypoints, names, lanes),
-        }
-        write_zip(target, {path: yaml_text(part).encode() for path, part in parts.items()})
+    They are for the traffic editor and for fleet adapters. Raises MapError for a map without ways.
+    """
+    record, name = stored.record, stored.path.resolve().name
+    found = routes_of(stored, progress).without(lambda one: one.kind == "door" and one.straight)
+    if record.graph.doors:
+        progress.warn(
+            f"{counted(len(record.graph.doors), 'door')}: Open-RMF waits at a door until "
+            "something opens it; take out those that nobody shuts"
+        )
+    names = _names(record)
+    rows = {one.id: row for row, one in enumerate(found.waypoints)}
+    lanes = [(rows[leg.start], rows[leg.end], leg) for leg in found.legs]
+    parts = {
+        f"{name}.building.yaml": _building(name, record, found.waypoints, names, lanes),
+        "nav_graphs/0.yaml": _nav_graph(name, found.waypoints, names, lanes),
+    }
+    write_zip(target, {path: yaml_text(part).encode() for path, part in parts.items()})
 
 
 _Lanes = list[tuple[int, int, Leg]]
@@ -139,56 +135,53 @@ def _nav_graph(
 _VEHICLES = "any"  # the type of all vehicles: their factsheets name theirs
 
 
-class Lif:
-    """A node for each waypoint, two edges for each leg, and a station for each room."""
+def lif(stored: Map, target: IO[bytes], progress: Progress) -> None:
+    """JSON: a layout in the format LIF 1.0.0 of VDMA, for VDA 5050 fleets.
 
-    description = "JSON: a layout in the format LIF 1.0.0 of VDMA, for VDA 5050 fleets"
-
-    def write(self, stored: Map, target: IO[bytes], progress: Progress) -> None:
-        """Write the layout of a map. Raises MapError for a map without ways."""
-        check_routes(stored, progress)
-        record, name = stored.record, stored.path.resolve().name
-        found = routes(record)
-        called, rooms = _names(record), {node.id: node for node in record.nodes}
-        ids = {one.id: one.name for one in found.waypoints}
-        anchors = [(one, one.submap) for one in found.waypoints if one.submap is not None]
-        layout = {
-            "layoutId": name,
-            "layoutVersion": "1",
-            "nodes": [
-                {
-                    "nodeId": one.name,
-                    "nodeName": one.name if one.submap is None else called[one.submap],
-                    "mapId": record.graph.frame,
-                    "nodePosition": {"x": one.x, "y": one.y},
-                    "vehicleTypeNodeProperties": [{"vehicleTypeId": _VEHICLES}],
-                }
-                for one in found.waypoints
-            ],
-            "edges": [
-                _lif_edge(ids[start], ids[end], leg)
-                for leg in found.legs
-                for start, end in ((leg.start, leg.end), (leg.end, leg.start))
-            ],
-            "stations": [
-                {
-                    "stationId": f"Station{id_}",
-                    "interactionNodeIds": [one.name],
-                    "stationName": called[id_],
-                    "stationDescription": rooms[id_].kind or "submap",
-                    "stationPosition": {"x": one.x, "y": one.y},
-                }
-                for one, id_ in anchors
-            ],
-        }
-        made = datetime.fromtimestamp(ended(record), UTC).strftime("%Y-%m-%dT%H:%M:%S.00Z")
-        about = {
-            "projectIdentification": name,
-            "creator": f"specmap {__version__}",
-            "exportTimestamp": made,
-            "lifVersion": "1.0.0",
-        }
-        target.write(to_json({"metaInformation": about, "layouts": [layout]}).encode())
+    Nodes are waypoints, edges the legs both ways, stations rooms. MapError for a map without ways.
+    """
+    record, name = stored.record, stored.path.resolve().name
+    found = routes_of(stored, progress)
+    called, rooms = _names(record), {node.id: node for node in record.nodes}
+    ids = {one.id: one.name for one in found.waypoints}
+    anchors = [(one, one.submap) for one in found.waypoints if one.submap is not None]
+    layout = {
+        "layoutId": name,
+        "layoutVersion": "1",
+        "nodes": [
+            {
+                "nodeId": one.name,
+                "nodeName": one.name if one.submap is None else called[one.submap],
+                "mapId": record.graph.frame,
+                "nodePosition": {"x": one.x, "y": one.y},
+                "vehicleTypeNodeProperties": [{"vehicleTypeId": _VEHICLES}],
+            }
+            for one in found.waypoints
+        ],
+        "edges": [
+            _lif_edge(ids[start], ids[end], leg)
+            for leg in found.legs
+            for start, end in ((leg.start, leg.end), (leg.end, leg.start))
+        ],
+        "stations": [
+            {
+                "stationId": f"Station{id_}",
+                "interactionNodeIds": [one.name],
+                "stationName": called[id_],
+                "stationDescription": rooms[id_].kind or "submap",
+                "stationPosition": {"x": one.x, "y": one.y},
+            }
+            for one, id_ in anchors
+        ],
+    }
+    made = datetime.fromtimestamp(ended(record), UTC).strftime("%Y-%m-%dT%H:%M:%S.00Z")
+    about = {
+        "projectIdentification": name,
+        "creator": f"specmap {__version__}",
+        "exportTimestamp": made,
+        "lifVersion": "1.0.0",
+    }
+    target.write(to_json({"metaInformation": about, "layouts": [layout]}).encode())
 
 
 def _lif_edge(start: str, end: str, leg: Leg) -> Fields:

@@ -5,15 +5,27 @@ range of a beam without return. What does not change is told once, with the firs
 frame `base_link` moves in the frame of the map, and each scan lies where its laser is mounted.
 Submaps and graph are scenes of lines, points and names: a click on one of them shows what the map
 knows of it. Colours are those of overview.png.
+
+Foxglove knows a message by its name and expects each field of it, in its order, so unused ones are
+described, too. A test compares them with those of Foxglove's own SDK. No file needs to be compiled:
+Google's library builds the messages from their description.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import IO, Any
 
 import numpy as np
+from google.protobuf.descriptor_pb2 import (
+    FieldDescriptorProto,
+    FileDescriptorProto,
+    FileDescriptorSet,
+)
+from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message_factory import GetMessageClass
 from mcap.writer import CompressionType, Writer
 
 from specmap_cli import __version__
@@ -21,14 +33,6 @@ from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.json_values import Point
 from specmap_cli.core.progress import Progress
 from specmap_cli.drawing.palette import darker
-from specmap_cli.exports.foxglove_schemas import (
-    LINE_LOOP,
-    LINE_STRIP,
-    UINT8,
-    description,
-    encode,
-    full_name,
-)
 from specmap_cli.exports.layers import (
     LAYER_STEP_M,
     WAY,
@@ -38,12 +42,136 @@ from specmap_cli.exports.layers import (
     graph_lines,
     layers,
     scans_of,
-    start_of,
 )
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.maps.flat import Fields, known, told_of
 from specmap_cli.maps.keyframe_log import EvenSpacing
+from specmap_cli.maps.rooms import Fields, known, told_of
 from specmap_cli.maps.store import Map
+
+_TIME, _DURATION = "google.protobuf.Timestamp", "google.protobuf.Duration"
+_XYZ = "x:double y:double z:double"
+
+# A line of text for each message, `name:kind` for the fields 1, 2, 3 and so on. A kind is a scalar,
+# the name of a message, or `enum/NAME`; `*` before it is for a list. Messages without a package are
+# Foxglove's.
+_MESSAGES: Mapping[str, str] = {
+    _TIME: "seconds:int64 nanos:int32",
+    _DURATION: "seconds:int64 nanos:int32",
+    "Vector2": "x:double y:double",
+    "Vector3": _XYZ,
+    "Point3": _XYZ,
+    "Quaternion": f"{_XYZ} w:double",
+    "Pose": "position:Vector3 orientation:Quaternion",
+    "Color": "r:double g:double b:double a:double",
+    "KeyValuePair": "key:string value:string",
+    "PackedElementField": "name:string offset:fixed32 type:enum/NumericType",
+    "Grid": f"timestamp:{_TIME} frame_id:string pose:Pose column_count:fixed32 cell_size:Vector2 "
+    "row_stride:fixed32 cell_stride:fixed32 fields:*PackedElementField data:bytes",
+    "FrameTransform": f"timestamp:{_TIME} parent_frame_id:string child_frame_id:string "
+    "translation:Vector3 rotation:Quaternion",
+    "PoseInFrame": f"timestamp:{_TIME} frame_id:string pose:Pose",
+    "PosesInFrame": f"timestamp:{_TIME} frame_id:string poses:*Pose",
+    "LaserScan": f"timestamp:{_TIME} frame_id:string pose:Pose start_angle:double "
+    "end_angle:double ranges:*double intensities:*double",
+    "ArrowPrimitive": "pose:Pose shaft_length:double shaft_diameter:double head_length:double "
+    "head_diameter:double color:Color",
+    "CubePrimitive": "pose:Pose size:Vector3 color:Color",
+    "SpherePrimitive": "pose:Pose size:Vector3 color:Color",
+    "CylinderPrimitive": "pose:Pose size:Vector3 bottom_scale:double top_scale:double color:Color",
+    "LinePrimitive": "type:enum/Type pose:Pose thickness:double scale_invariant:bool "
+    "points:*Point3 color:Color colors:*Color indices:*fixed32",
+    "TriangleListPrimitive": "pose:Pose points:*Point3 color:Color colors:*Color indices:*fixed32",
+    "TextPrimitive": "pose:Pose billboard:bool font_size:double scale_invariant:bool color:Color "
+    "text:string",
+    "ModelPrimitive": "pose:Pose scale:Vector3 color:Color override_color:bool url:string "
+    "media_type:string data:bytes",
+    "SceneEntityDeletion": f"timestamp:{_TIME} type:enum/Type id:string",
+    "SceneEntity": f"timestamp:{_TIME} frame_id:string id:string lifetime:{_DURATION} "
+    "frame_locked:bool metadata:*KeyValuePair arrows:*ArrowPrimitive cubes:*CubePrimitive "
+    "spheres:*SpherePrimitive cylinders:*CylinderPrimitive lines:*LinePrimitive "
+    "triangles:*TriangleListPrimitive texts:*TextPrimitive models:*ModelPrimitive",
+    "SceneUpdate": "deletions:*SceneEntityDeletion entities:*SceneEntity",
+}
+_ENUMS: Mapping[str, Sequence[str]] = {
+    "PackedElementField.NumericType": (
+        ["UNKNOWN", "UINT8", "INT8", "UINT16", "INT16", "UINT32", "INT32", "FLOAT32", "FLOAT64"]
+    ),
+    "LinePrimitive.Type": ("LINE_STRIP", "LINE_LOOP", "LINE_LIST"),
+    "SceneEntityDeletion.Type": ("MATCHING_ID", "ALL"),
+}
+UINT8 = 1  # of NumericType
+LINE_STRIP, LINE_LOOP = 0, 1
+
+
+def encode(message: str, value: Mapping[str, Any]) -> bytes:
+    """A message; what `value` lacks has its default. ValueError for a field that is none."""
+    kind = GetMessageClass(_pool().FindMessageTypeByName(full_name(message)))
+    return bytes(kind(**value).SerializeToString())
+
+
+def description(message: str) -> bytes:
+    """The FileDescriptorSet of a message and of all that it is made of, a file each."""
+    return bytes(FileDescriptorSet(file=_files(message)).SerializeToString())
+
+
+def full_name(message: str) -> str:
+    """The name of a message with its package."""
+    return message if "." in message else f"foxglove.{message}"
+
+
+@cache
+def _pool() -> DescriptorPool:
+    pool = DescriptorPool()
+    for message in _MESSAGES:
+        for file in _files(message):
+            pool.AddSerializedFile(file.SerializeToString())
+    return pool
+
+
+def _files(message: str) -> list[FileDescriptorProto]:
+    """A file for each message that one is made of, after those that it needs."""
+    found = {file.name: file for part in _parts(message) for file in _files(part)}
+    return [*found.values(), _file(message)]
+
+
+def _parts(message: str) -> list[str]:
+    """The messages that the fields of one are."""
+    kinds = {word.split(":")[1].removeprefix("*") for word in _MESSAGES[message].split()}
+    return sorted(kinds & _MESSAGES.keys())
+
+
+def _file(message: str) -> FileDescriptorProto:
+    package, _, name = full_name(message).rpartition(".")
+    file = FileDescriptorProto(
+        name=_file_name(message),
+        package=package,
+        dependency=[_file_name(part) for part in _parts(message)],
+        syntax="proto3",
+    )
+    described = file.message_type.add(name=name)
+    for number, word in enumerate(_MESSAGES[message].split(), start=1):
+        field_name, kind = word.split(":")
+        label = "LABEL_REPEATED" if kind.startswith("*") else "LABEL_OPTIONAL"
+        kind, _, enum = kind.removeprefix("*").partition("/")
+        field = described.field.add(name=field_name, number=number)
+        field.label = FieldDescriptorProto.Label.Value(label)
+        if enum:
+            field.type_name = f".{full_name(message)}.{enum}"
+            values = described.enum_type.add(name=enum).value
+            for count, value in enumerate(_ENUMS[f"{message}.{enum}"]):
+                values.add(name=value, number=count)
+        elif kind in _MESSAGES:
+            field.type_name, kind = f".{full_name(kind)}", "message"
+        field.type = FieldDescriptorProto.Type.Value(f"TYPE_{kind.upper()}")
+    return file
+
+
+def _file_name(message: str) -> str:
+    package, _, name = full_name(message).rpartition(".")
+    # those of Google's own messages are written small
+    plain = name.lower() if package == "google.protobuf" else name
+    return f"{package.replace('.', '/')}/{plain}.proto"
+
 
 BASE_FRAME = "base_link"
 _CHUNK_BYTES = 512 * 1024
@@ -51,27 +179,26 @@ _NS = 1_000_000_000
 _MM_PER_M = 1000.0  # ranges are kept to a millimetre, as in keyframes.mcap
 
 
-class Foxglove:
-    """Topics: /map, /regions, /submaps, /graph, /trajectory; /tf, /pose and /scan over time."""
+def foxglove(stored: Map, target: IO[bytes], progress: Progress) -> None:
+    """MCAP: map, submaps, graph, trajectory and scans, for Foxglove.
 
-    description = "MCAP: map, submaps, graph, trajectory and scans, for Foxglove"
-
-    def write(self, stored: Map, target: IO[bytes], progress: Progress) -> None:
-        """Write a map; one without scans has no topics over time."""
-        start_ns, frame = start_of(stored), stored.frame
-        log = _Log(target, start_ns)
-        fills = colours(stored)
-        for number, layer in enumerate(layers(stored, fills)):
-            log.add(f"/{layer.name}", "Grid", _grid(layer, frame, number, log.stamp))
-        log.add("/submaps", "SceneUpdate", submap_scene(stored, log.stamp, fills))
-        log.add("/graph", "SceneUpdate", graph_scene(stored, log.stamp))
-        with scans_of(stored, progress) as scans:
-            if scans is not None:
-                poses = [_pose(Pose2(*pose)) for pose in stored.trajectory.driven.tolist()]
-                path = {"timestamp": log.stamp, "frame_id": frame, "poses": poses}
-                log.add("/trajectory", "PosesInFrame", path)
-                _write_scans(log, scans, stored.labels.poses, frame, progress)
-        log.finish()
+    Topics: /map, /regions, /submaps, /graph, /trajectory; /tf, /pose and /scan over time.
+    """
+    stamps_ns, frame = stored.keyframes.stamps_ns, stored.frame
+    start_ns = max(int(stamps_ns[0]), 0) if len(stamps_ns) else 0
+    log = _Log(target, start_ns)
+    fills = colours(stored)
+    for number, layer in enumerate(layers(stored, fills)):
+        log.add(f"/{layer.name}", "Grid", _grid(layer, frame, number, log.stamp))
+    log.add("/submaps", "SceneUpdate", submap_scene(stored, log.stamp, fills))
+    log.add("/graph", "SceneUpdate", graph_scene(stored, log.stamp))
+    with scans_of(stored, progress) as scans:
+        if scans is not None:
+            poses = [_pose(Pose2(*pose)) for pose in stored.trajectory.driven.tolist()]
+            path = {"timestamp": log.stamp, "frame_id": frame, "poses": poses}
+            log.add("/trajectory", "PosesInFrame", path)
+            _write_scans(log, scans, stored.labels.poses, frame, progress)
+    log.finish()
 
 
 class _Log:
@@ -192,15 +319,15 @@ def submap_scene(stored: Map, stamp: Fields, fills: Mapping[int, Rgb]) -> dict[s
         colour = darker(fills[node.id])
         outline = [_line(node.outline.tolist(), colour, _OUTLINE_PX, _OUTLINE_Z, LINE_LOOP)]
         name = {
-            "pose": _at(node.place, _TEXT_Z),
+            "pose": _pose(Pose2(*node.place, 0.0), _TEXT_Z),
             "billboard": True,
             "font_size": _TEXT_PX,
             "scale_invariant": True,
             "color": _colour(colour),
             "text": node.name,
         }
-        entity = _entity(f"submap {node.id}", stored.frame, stamp, told_of(node))
-        entities.append({**entity, "lines": outline if len(node.outline) else [], "texts": [name]})
+        drawn = {"lines": outline if len(node.outline) else [], "texts": [name]}
+        entities.append(_entity(f"submap {node.id}", stored.frame, stamp, told_of(node), **drawn))
     return {"entities": entities}
 
 
@@ -211,25 +338,23 @@ def graph_scene(stored: Map, stamp: Fields) -> dict[str, Any]:
     entities = []
     for node in stored.rooms.values():
         if node.anchor is not None:
-            pose = _at(node.anchor, _ANCHOR_Z)
-            sphere = {"pose": pose, "size": size, "color": _colour(WAY)}
+            pose = _pose(Pose2(*node.anchor, 0.0), _ANCHOR_Z)
+            spheres = [{"pose": pose, "size": size, "color": _colour(WAY)}]
             told = {"clearance_m": node.anchor_clearance_m}
-            entity = _entity(f"anchor {node.id}", frame, stamp, told)
-            entities.append({**entity, "spheres": [sphere]})
+            entities.append(_entity(f"anchor {node.id}", frame, stamp, told, spheres=spheres))
     for one in graph_lines(stored):
         width_px = _LINE_PX if one.is_way else _NO_WAY_PX
         if one.kind == "door":
             width_px = 2.0 * _LINE_PX
-        entity = _entity(f"{one.kind} {one.ids}", frame, stamp, one.told)
-        line = _line(one.points, one.colour, width_px, _WAY_Z)
-        entities.append({**entity, "lines": [line]})
+        lines = [_line(one.points, one.colour, width_px, _WAY_Z)]
+        entities.append(_entity(f"{one.kind} {one.ids}", frame, stamp, one.told, lines=lines))
     return {"entities": entities}
 
 
-def _entity(id_: str, frame: str, stamp: Fields, told: Fields) -> dict[str, Any]:
-    """What all entities have; what they tell stands in their metadata."""
+def _entity(id_: str, frame: str, stamp: Fields, told: Fields, **drawn: Any) -> dict[str, Any]:
+    """An entity of what is drawn; what it tells stands in its metadata."""
     pairs = [{"key": key, "value": str(value)} for key, value in known(told).items()]
-    return {"timestamp": stamp, "frame_id": frame, "id": id_, "metadata": pairs}
+    return {"timestamp": stamp, "frame_id": frame, "id": id_, "metadata": pairs, **drawn}
 
 
 def _line(
@@ -238,17 +363,12 @@ def _line(
     """A line as wide on the screen at any distance."""
     return {
         "type": kind,
-        "pose": _at((0.0, 0.0), 0.0),
+        "pose": _pose(Pose2(0.0, 0.0, 0.0)),
         "thickness": thickness_px,
         "scale_invariant": True,
         "points": [{"x": x, "y": y, "z": z} for x, y in points],
         "color": _colour(colour),
     }
-
-
-def _at(place: Point, z: float) -> dict[str, Any]:
-    x, y = place
-    return {"position": {"x": x, "y": y, "z": z}, "orientation": {"w": 1.0}}
 
 
 def _colour(rgb: Rgb) -> dict[str, float]:

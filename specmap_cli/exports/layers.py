@@ -12,21 +12,12 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.json_values import Point
 from specmap_cli.core.progress import Progress
-from specmap_cli.drawing.palette import (
-    DOOR,
-    INK,
-    PAPER,
-    QUIET,
-    TRAVERSED,
-    WRONG,
-    Colour,
-    colours_of,
-)
+from specmap_cli.drawing import palette
 from specmap_cli.grids.gridmap import FREE, OCCUPIED
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps import filenames
-from specmap_cli.maps.flat import DOOR as DOOR_FIELDS
-from specmap_cli.maps.flat import LINK, Fields, fields_of, link_line
+from specmap_cli.maps.rooms import DOOR as DOOR_FIELDS
+from specmap_cli.maps.rooms import LINK, Fields, fields_of, link_line
 from specmap_cli.maps.store import Map
 
 RgbaArray = NDArray[np.uint8]
@@ -36,12 +27,14 @@ LAYER_STEP_M = 0.005  # each grid lies on the one before
 _FILL_ALPHA = 150  # walls are seen through regions
 
 
-def _rgb(colour: Colour) -> Rgb:
+def _rgb(colour: palette.Colour) -> Rgb:
     blue, green, red = colour
     return red, green, blue
 
 
-WAY, _UNDRIVEN, _FORBIDDEN, _DOOR = map(_rgb, (TRAVERSED, QUIET, WRONG, DOOR))
+WAY, _UNDRIVEN, _FORBIDDEN, _DOOR = map(
+    _rgb, (palette.TRAVERSED, palette.QUIET, palette.WRONG, palette.DOOR)
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +49,7 @@ class Layer:
 
 def colours(stored: Map) -> dict[int, Rgb]:
     """The colour of each submap: those of overview.png."""
-    found = colours_of(stored.topology, stored.regions)
+    found = palette.colours_of(stored.topology, stored.regions)
     return {id_: _rgb(colour) for id_, colour in found.items()}
 
 
@@ -64,8 +57,8 @@ def layers(stored: Map, fills: Mapping[int, Rgb]) -> Iterator[Layer]:
     """The grid of the whole map, and its regions."""
     grid, owner = stored.regions.grid, stored.regions.owner
     whole, regions = (np.zeros((*owner.shape, 4), dtype=np.uint8) for _ in range(2))
-    whole[grid.cells == FREE] = (*_rgb(PAPER), 255)
-    whole[grid.cells == OCCUPIED] = (*_rgb(INK), 255)
+    whole[grid.cells == FREE] = (*_rgb(palette.PAPER), 255)
+    whole[grid.cells == OCCUPIED] = (*_rgb(palette.INK), 255)
     yield Layer("map", whole, grid.resolution, grid.origin)
     for id_, colour in fills.items():
         regions[owner == id_] = (*colour, _FILL_ALPHA)
@@ -109,9 +102,3 @@ def scans_of(stored: Map, progress: Progress) -> AbstractContextManager[Keyframe
         return stored.scans()
     progress.note(f"{stored.path}: has no {filenames.KEYFRAMES}: written without scans")
     return nullcontext()
-
-
-def start_of(stored: Map) -> int:
-    """The stamp of the first keyframe, nanoseconds; 0 without any."""
-    stamps_ns = stored.keyframes.stamps_ns
-    return max(int(stamps_ns[0]), 0) if len(stamps_ns) else 0

@@ -30,29 +30,35 @@ from specmap_cli.exports.layers import (
     layers,
     scans_of,
 )
-from specmap_cli.maps.flat import Fields, known, told_of
+from specmap_cli.maps.rooms import Fields, known, told_of
 from specmap_cli.maps.store import Map
 
 _TRAJECTORY: Rgb = (150, 60, 150)
 _OUTLINE_Z, _WAY_Z, _NAME_Z = 0.02, 0.04, 0.06  # above the map, metres
 
 
-class Rerun:
-    """Entities map, regions, submaps, graph, trajectory; robot and robot/scan on a timeline."""
+def rerun(stored: Map, target: IO[bytes], progress: Progress) -> None:
+    """RRD: map, submaps, graph, trajectory and scans, for the Rerun viewer.
 
-    description = "RRD: map, submaps, graph, trajectory and scans, for the Rerun viewer"
-
-    def write(self, stored: Map, target: IO[bytes], progress: Progress) -> None:
-        """Write a map. Raises UsageError when rerun-sdk is not installed."""
-        sdk = _sdk()
-        with temporary_files():
-            folder = TemporaryDirectory(prefix="specmap-")
-        with folder as name:
-            path = Path(name) / "map.rrd"  # the SDK writes to a path only
-            with closing(_Recording(sdk, path)) as recording:
-                _write(recording, stored, progress)
-            with path.open("rb") as file:
-                shutil.copyfileobj(file, target)
+    Entities map, regions, submaps, graph, trajectory; robot and robot/scan on a timeline.
+    Raises UsageError when rerun-sdk is not installed.
+    """
+    try:
+        import rerun as sdk
+    except ImportError:
+        raise UsageError(
+            "the format rerun needs rerun-sdk, which is not installed",
+            "pip install 'specmap-cli[rerun]'",
+            code=PACKAGE,
+        ) from None
+    with temporary_files():
+        folder = TemporaryDirectory(prefix="specmap-")
+    with folder as name:
+        path = Path(name) / "map.rrd"  # the SDK writes to a path only
+        with closing(_Recording(sdk, path)) as recording:
+            _write(recording, stored, progress)
+        with path.open("rb") as file:
+            shutil.copyfileobj(file, target)
 
 
 def _write(recording: _Recording, stored: Map, progress: Progress) -> None:
@@ -79,19 +85,6 @@ def _write(recording: _Recording, stored: Map, progress: Progress) -> None:
             points = scans.base_from_laser(number).apply(scan.hits())
             recording.scan(scan.stamp_ns, Pose2(*pose), points)
             progress.advance()
-
-
-def _sdk() -> Any:
-    """The module of rerun-sdk."""
-    try:
-        import rerun
-    except ImportError:
-        raise UsageError(
-            "the format rerun needs rerun-sdk, which is not installed",
-            "pip install 'specmap-cli[rerun]'",
-            code=PACKAGE,
-        ) from None
-    return rerun
 
 
 class _Recording:

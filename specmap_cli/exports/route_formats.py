@@ -1,20 +1,9 @@
 """What robots are sent along: Nav2's route graph and masks, the graph of topological_navigation.
 
-The server of Nav2 drives a straight line from node to node, and measures an edge by it. So nodes
-stand at anchors, in doors, and wherever a way bends. Its loader takes GeoJSON: points for nodes,
-lines for edges, and metadata that has neither null nor lists in lists: an outline is two lists, of
-x and of y.
-
-topological_navigation (`tmap2`, YAML) leaves the way from node to node to the robot's own planner,
-so a bend of a way needs no node; `length_m` of an edge is the length along the way, and `weight`
-what its graph adds up: the same where nobody noted a speed limit or a penalty.
-The influence zone of an anchor's node is the outline of its submap: a robot is located in its
-room.
-
-Masks for Nav2's costmap filters say where no robot may go, and how fast it may be elsewhere. Both
-lie on the grid of `map.yaml`, cell by cell. Nav2 reads a cell of a mask as 0 to 100. To its keepout
-filter 100 is a wall. Its speed filter takes 0 for no limit, and any other value times
-`multiplier`, plus `base`, for metres a second.
+docs/export.md says what is in them. The server of Nav2 drives a straight line from node to node,
+so every bend needs one; its loader takes neither null nor lists in lists. topological_navigation
+leaves the way to the robot's own planner. Nav2 reads a cell of a mask as 0 to 100: to its keepout
+filter 100 is a wall, to its speed filter 0 is no limit, and all else times `multiplier` is m/s.
 """
 
 from __future__ import annotations
@@ -33,40 +22,26 @@ from specmap_cli.core.progress import Progress
 from specmap_cli.core.records import BoolArray
 from specmap_cli.core.text import counted, to_json
 from specmap_cli.core.yaml import yaml_text
-from specmap_cli.exports.flat_formats import collection
-from specmap_cli.exports.routes import (
-    PENALTY,
-    SPEED_LIMIT,
-    Leg,
-    Routes,
-    check_routes,
-    ended,
-    misnoted,
-    noted,
-    routes,
-)
+from specmap_cli.exports import routes
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.maps.flat import Fields, feature, known
+from specmap_cli.maps.rooms import Fields, collection, feature, known
 from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.store import Map
 from specmap_cli.topology.regions import borders_of, drawn
 
 
-class Nav2:
-    """A point for each waypoint, two lines for each leg: there and back."""
+def nav2(stored: Map, target: IO[bytes], progress: Progress) -> None:
+    """GeoJSON for Nav2's route server: nodes at anchors, doors and bends.
 
-    description = "GeoJSON for Nav2's route server: nodes at anchors, doors and bends"
-
-    def write(self, stored: Map, target: IO[bytes], progress: Progress) -> None:
-        """Write the routes of a map; `frame` is the map's. MapError for a map without ways."""
-        check_routes(stored, progress)
-        found = routes(stored.record)
-        nodes, edges = list(_nav2_nodes(found, stored.record)), list(_nav2_edges(found))
-        progress.note(f"{counted(len(nodes), 'node')} and {counted(len(edges), 'directed edge')}")
-        target.write(to_json(collection([*nodes, *edges])).encode())
+    A point for each waypoint, two lines for each leg. Raises MapError for a map without ways.
+    """
+    found = routes.routes_of(stored, progress)
+    nodes, edges = list(_nav2_nodes(found, stored.record)), list(_nav2_edges(found))
+    progress.note(f"{counted(len(nodes), 'node')} and {counted(len(edges), 'directed edge')}")
+    target.write(to_json(collection([*nodes, *edges])).encode())
 
 
-def _nav2_nodes(found: Routes, record: TopologyRecord) -> Iterator[Fields]:
+def _nav2_nodes(found: routes.Routes, record: TopologyRecord) -> Iterator[Fields]:
     """Points; the `class` of an anchor is the kind of its submap."""
     submaps = {node.id: node for node in record.nodes}
     doors = {door.id: door for door in record.graph.doors}
@@ -94,11 +69,8 @@ def _nav2_nodes(found: Routes, record: TopologyRecord) -> Iterator[Fields]:
         yield feature("Point", [waypoint.x, waypoint.y], properties)
 
 
-def _nav2_edges(found: Routes) -> Iterator[Fields]:
-    """Two lines a leg; their ids begin beyond those of the nodes, as ids of both must differ.
-
-    The server's own scorers may replace the cost, which is the length.
-    """
+def _nav2_edges(found: routes.Routes) -> Iterator[Fields]:
+    """Two lines a leg, of ids beyond those of the nodes; scorers may replace the cost."""
     waypoints = {waypoint.id: waypoint for waypoint in found.waypoints}
     ids = count(max(waypoints) + 1)
     for leg in found.legs:
@@ -107,8 +79,8 @@ def _nav2_edges(found: Routes) -> Iterator[Fields]:
             {
                 "class": link.kind,
                 "submaps": [link.source, link.target],
-                SPEED_LIMIT: leg.speed_limit,
-                PENALTY: leg.penalty or None,
+                routes.SPEED_LIMIT: leg.speed_limit,
+                routes.PENALTY: leg.penalty or None,
                 "driven": bool(link.traversals),
                 "clearance_m": link.clearance_m,
                 "width_m": link.width_m,
@@ -131,35 +103,32 @@ _CORNERS = 8  # of the influence zone of a door
 _IDENTITY = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 
 
-class Tmap2:
-    """A node for each anchor and each door that is driven through, an edge in each direction."""
+def tmap2(stored: Map, target: IO[bytes], progress: Progress) -> None:
+    """YAML: a topological map (tmap2) for LCAS topological_navigation.
 
-    description = "YAML: a topological map (tmap2) for LCAS topological_navigation"
-
-    def write(self, stored: Map, target: IO[bytes], progress: Progress) -> None:
-        """Write the routes of a map. Raises MapError for a map without ways."""
-        check_routes(stored, progress)
-        record, name = stored.record, stored.path.resolve().name
-        found = routes(record).without(lambda point: point.kind == "bend")
-        updated = datetime.fromtimestamp(ended(record), UTC).strftime("%Y-%m-%d_%H-%M-%S")
-        document = {
-            "meta": {"last_updated": updated},
-            "metric_map": name,
-            "name": name,
-            "pointset": name,
-            "transformation": {
-                "parent": record.graph.frame,
-                "child": "topo_map",
-                "topo_frame_id": "topo_map",
-                "rotation": _IDENTITY,
-                "translation": {"x": 0.0, "y": 0.0, "z": 0.0},
-            },
-            "nodes": list(_tmap2_nodes(found, record, name)),
-        }
-        target.write(yaml_text(document).encode())
+    A node for each anchor and door, an edge in each direction. MapError for a map without ways.
+    """
+    record, name = stored.record, stored.path.resolve().name
+    found = routes.routes_of(stored, progress).without(lambda point: point.kind == "bend")
+    updated = datetime.fromtimestamp(routes.ended(record), UTC).strftime("%Y-%m-%d_%H-%M-%S")
+    document = {
+        "meta": {"last_updated": updated},
+        "metric_map": name,
+        "name": name,
+        "pointset": name,
+        "transformation": {
+            "parent": record.graph.frame,
+            "child": "topo_map",
+            "topo_frame_id": "topo_map",
+            "rotation": _IDENTITY,
+            "translation": {"x": 0.0, "y": 0.0, "z": 0.0},
+        },
+        "nodes": list(_tmap2_nodes(found, record, name)),
+    }
+    target.write(yaml_text(document).encode())
 
 
-def _tmap2_nodes(found: Routes, record: TopologyRecord, name: str) -> Iterator[Fields]:
+def _tmap2_nodes(found: routes.Routes, record: TopologyRecord, name: str) -> Iterator[Fields]:
     names = {one.id: one.name for one in found.waypoints}  # people's are properties
     submaps = {node.id: node for node in record.nodes}
     widths = {door.id: door.width_m for door in record.graph.doors}
@@ -205,7 +174,7 @@ def _circle(radius_m: float) -> list[Fields]:
     return [{"x": radius_m * math.cos(turn), "y": radius_m * math.sin(turn)} for turn in turns]
 
 
-def _tmap2_edge(start: str, end: str, leg: Leg) -> Fields:
+def _tmap2_edge(start: str, end: str, leg: routes.Leg) -> Fields:
     return {
         "action": "NavigateToPose",
         "action_type": "geometry_msgs/PoseStamped",
@@ -214,18 +183,15 @@ def _tmap2_edge(start: str, end: str, leg: Leg) -> Fields:
         "fail_policy": "fail",
         "fluid_navigation": True,
         "goal": {
-            "target_pose": {
-                "header": {"frame_id": "$node.parent_frame"},
-                "pose": "$node.pose",
-            }
+            "target_pose": {"header": {"frame_id": "$node.parent_frame"}, "pose": "$node.pose"}
         },
         "node": end,
         "properties": known(
             {
                 "weight": leg.cost,
                 "length_m": leg.length_m,
-                SPEED_LIMIT: leg.speed_limit,
-                PENALTY: leg.penalty or None,
+                routes.SPEED_LIMIT: leg.speed_limit,
+                routes.PENALTY: leg.penalty or None,
                 "clearance_m": leg.link.clearance_m,
                 "driven": bool(leg.link.traversals),
             }
@@ -240,45 +206,39 @@ _KEEPOUT, _ABSOLUTE_SPEED = 0, 2  # of Nav2's filters
 _FULL = 100  # the largest value of a cell
 
 
-class Masks:
-    """`keepout.pgm` and `speed.pgm`, a YAML beside each, and the parameters of their servers."""
-
-    description = "a zip of keepout and speed masks with their parameters, for Nav2's filters"
-    ending = ".zip"
-
-    def write(self, stored: Map, target: IO[bytes], progress: Progress) -> None:
-        """Write the masks of a map; a map without anything to mask gets empty ones."""
-        record, grid = stored.record, stored.regions.grid
-        for warning in misnoted(record):
-            progress.warn(warning)
-        limits = noted(record, SPEED_LIMIT)
-        keepout, speed = np.zeros((2, *grid.cells.shape), dtype=np.uint8)
-        keepout[_forbidden(stored)] = _FULL
-        multiplier = max(limits.values(), default=float(_FULL)) / _FULL
-        for id_, limit in limits.items():  # never faster than was said, if it can be
-            value = math.floor(limit / multiplier + 1e-9)
-            if value < 1:
-                progress.warn(
-                    f"submap {id_}: {SPEED_LIMIT} {limit:g} is written as {multiplier:g}, "
-                    "a hundredth of the largest one: a mask holds nothing smaller"
-                )
-            speed[stored.regions.owner == id_] = max(value, 1)
-        progress.note(
-            f"{counted(int(np.count_nonzero(keepout)), 'cell')} shut, "
-            f"{counted(int(np.count_nonzero(speed)), 'cell')} with a limit"
-        )
-        parameters = {
-            **_servers("keepout", _KEEPOUT, 1.0),
-            **_servers("speed", _ABSOLUTE_SPEED, multiplier),
-        }
-        files = {
-            "keepout.pgm": _pgm(keepout),
-            "keepout.yaml": _sidecar("keepout.pgm", grid),
-            "speed.pgm": _pgm(speed),
-            "speed.yaml": _sidecar("speed.pgm", grid),
-            "nav2_params.yaml": yaml_text(parameters).encode(),
-        }
-        write_zip(target, files)
+def nav2_masks(stored: Map, target: IO[bytes], progress: Progress) -> None:
+    """a zip of keepout and speed masks with their parameters, for Nav2's filters."""
+    record, grid = stored.record, stored.regions.grid
+    for warning in routes.misnoted(record):
+        progress.warn(warning)
+    limits = routes.noted(record, routes.SPEED_LIMIT)
+    keepout, speed = np.zeros((2, *grid.cells.shape), dtype=np.uint8)
+    keepout[_forbidden(stored)] = _FULL
+    multiplier = max(limits.values(), default=float(_FULL)) / _FULL
+    for id_, limit in limits.items():  # never faster than was said, if it can be
+        value = math.floor(limit / multiplier + 1e-9)
+        if value < 1:
+            progress.warn(
+                f"submap {id_}: {routes.SPEED_LIMIT} {limit:g} is written as {multiplier:g}, "
+                "a hundredth of the largest one: a mask holds nothing smaller"
+            )
+        speed[stored.regions.owner == id_] = max(value, 1)
+    progress.note(
+        f"{counted(int(np.count_nonzero(keepout)), 'cell')} shut, "
+        f"{counted(int(np.count_nonzero(speed)), 'cell')} with a limit"
+    )
+    parameters = {
+        **_servers("keepout", _KEEPOUT, 1.0),
+        **_servers("speed", _ABSOLUTE_SPEED, multiplier),
+    }
+    files = {
+        "keepout.pgm": _pgm(keepout),
+        "keepout.yaml": _sidecar("keepout.pgm", grid),
+        "speed.pgm": _pgm(speed),
+        "speed.yaml": _sidecar("speed.pgm", grid),
+        "nav2_params.yaml": yaml_text(parameters).encode(),
+    }
+    write_zip(target, files)
 
 
 def _forbidden(stored: Map) -> BoolArray:

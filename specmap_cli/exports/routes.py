@@ -35,10 +35,7 @@ _SAME_M = 1e-3  # a corner of a way this near to a door's line lies on it
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Waypoint:
-    """A place on the ways: the anchor of `submap`, the passage of `door`, or a bend, of neither.
-
-    A way goes `straight` through most doors.
-    """
+    """The anchor of `submap`, the passage of `door`, mostly `straight`, or a bend, of neither."""
 
     id: int
     kind: WaypointKind
@@ -232,11 +229,8 @@ def _point(path: FloatArray, place: float) -> FloatArray:
 _MOST = 5  # submaps, links or parts that a message names
 
 
-def check_routes(stored: Map, progress: Progress) -> None:
-    """Tell what would mislead a robot that follows the ways of a map.
-
-    Raises MapError for a map without any way: nothing could be planned with it.
-    """
+def routes_of(stored: Map, progress: Progress) -> Routes:
+    """The routes of a map; what would mislead a robot is told, and MapError raised without any."""
     record = stored.record
     radius = record.graph.robot_radius_m
     if not any(map(is_way, record.edges)):
@@ -259,6 +253,7 @@ def check_routes(stored: Map, progress: Progress) -> None:
         progress.note(f"left out: {_links(forbidden)} forbidden")
     if narrow:
         progress.note(f"left out: {_links(narrow)} without a way wide enough")
+    return routes(record)
 
 
 def _warnings(record: TopologyRecord) -> list[str]:

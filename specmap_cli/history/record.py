@@ -3,14 +3,21 @@
 These models are the format. `history.schema.json` beside this file is the same as JSON Schema, for
 other tools. Lengths are metres; places are in the frame of a building, that of its first map.
 Visits of rooms are counted by day (`days_of`), from the room that each keyframe was taken in.
+
+For people there are tables for spreadsheets, lines, and a page without a script: a section a
+building with tables, and a plan of its first map whose rooms are the darker, the more time the
+robots spent in them.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, tzinfo
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
+from urllib.parse import quote
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from pydantic import Field
@@ -20,6 +27,11 @@ from specmap_cli.core.geometry import runs
 from specmap_cli.core.json_values import Amount, Count, Measured, Number, Stamp
 from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels
 from specmap_cli.core.schemas import ModelSchema
+from specmap_cli.core.text import counted, csv_text, legible
+from specmap_cli.maps.store import Map
+from specmap_cli.report import layers
+from specmap_cli.report.html import html_page, shown, tones
+from specmap_cli.report.layers import DrawnMap
 
 SCHEMA_VERSION = 1
 
@@ -148,11 +160,7 @@ class Tour:
 
 
 def tour_of(keyframes: Labels, rooms: IntArray, driven_m: float) -> Tour:
-    """The tour of one recording's keyframes, of which `rooms` (n,) holds the room of each.
-
-    A keyframe in no room has NO_SUBMAP. A visit lasts until the scan with which the next begins, so
-    that no time is lost between two rooms.
-    """
+    """The tour of keyframes in `rooms` (n,), NO_SUBMAP for none; visits last till the next."""
     stamps = keyframes.stamps_ns.tolist()
     spans = runs(rooms)
     visits = tuple(
@@ -217,3 +225,156 @@ def totals(visits: Iterable[Visit]) -> Mapping[int, tuple[int, float]]:
         count, minutes = found.get(visit.room, (0, 0.0))
         found[visit.room] = count + 1, minutes + _minutes_of(visit)
     return found
+
+
+MOST_DAYS = 31  # columns of the table of a building: the last ones
+_PACKAGE = "specmap_cli.history"
+_STYLES = ("page.css", "parts.css", "history.css", "print.css")
+
+
+TABLES: Mapping[str, str] = {
+    "visits.csv": "building day room name visits minutes",
+    "days.csv": "building day recordings driven_m minutes rooms",
+    "changes.csv": "building since day kind rooms x y size map before",
+}
+
+
+def tables_of(record: HistoryRecord) -> dict[str, str]:
+    """Tables by file name: a line a room visited on a day, a line a day, and a line a change."""
+    visits, days, changes = [list[tuple[Any, ...]]() for _ in TABLES]
+    for building in record.buildings:
+        name, names = building.name, names_of(building)
+        maps = {one.number: one.map for one in building.maps}
+        for day in building.days:
+            driven = day.driven_m, day.minutes
+            days.append((name, day.day, day.recordings, *driven, len(day.rooms)))
+            for stay in day.rooms:
+                stayed = stay.visits, stay.minutes
+                visits.append((name, day.day, stay.room, names[stay.room], *stayed))
+        for one in building.changes:
+            rooms = ", ".join(names[room] for room in one.rooms)
+            when, place = (one.since, one.day), (one.x, one.y, one.size)
+            both = maps[one.map], maps[one.before]
+            changes.append((name, *when, one.kind, rooms, *place, *both))
+    return {
+        file: csv_text(head.split(), rows)
+        for (file, head), rows in zip(TABLES.items(), (visits, days, changes), strict=True)
+    }
+
+
+def lines_of(record: HistoryRecord) -> list[str]:
+    """A paragraph a building, then what was left out."""
+    lines = []
+    for building in record.buildings:
+        first, last = building.maps[0], building.maps[-1]
+        days = [day.day for day in building.days]
+        when = f"{days[0]} to {days[-1]}" if len(days) > 1 else "".join(days)
+        lines.append(
+            f"{legible(building.name)}: {counted(len(building.maps), 'map')}, "
+            f"{counted(len(days), 'day')} ({when}), {counted(len(building.rooms), 'room')}, "
+            f"{sum(day.driven_m for day in building.days):,.0f} m driven"
+        )
+        if last.verdict != first.verdict:
+            lines.append(f"  verdict: {first.verdict} at first, {last.verdict} now")
+        width = max((len(legible(room.name)) for room in building.rooms), default=0)
+        for room in sorted(building.rooms, key=lambda one: (-one.minutes, one.number)):
+            lines.append(
+                f"  {legible(room.name):<{width}}  {counted(room.visits, 'visit'):>10}"
+                f"  {room.minutes:8.1f} min  on {counted(room.days, 'day')}"
+            )
+        names = names_of(building)
+        lines += [f"  {change.day}: {words_of(change, names)}" for change in building.changes]
+        if len(building.maps) > 1 and not building.changes:
+            lines.append("  no change found")
+    return [*lines, *(f"left out: {one.reason}" for one in record.left_out)]
+
+
+def names_of(building: BuildingRecord) -> dict[int, str]:
+    """The names of the rooms by number."""
+    return {room.number: room.name for room in building.rooms}
+
+
+def words_of(change: ChangeRecord, names: Mapping[int, str]) -> str:
+    """A change in words."""
+    where = " and ".join(legible(names[room]) for room in change.rooms)
+    parted, unit = ("between", "m wide") if change.kind.startswith("door-") else ("in", "m2")
+    what = change.kind.replace("-", " ") if "-" in change.kind else f"something {change.kind}"
+    place = "" if not where else f" {where}" if change.x is None else f" {parted} {where}"
+    size = "" if change.size is None else f", {change.size:.2f} {unit}"
+    at = "" if change.x is None else f", at ({change.x:.1f}, {change.y:.1f})"
+    return f"{what}{place}{size}{at} (since {change.since})"
+
+
+def render_history(record: HistoryRecord, plans: Sequence[Map], folder: Path) -> str:
+    """The page in `folder`; `plans` are the first maps of the buildings. MapError for damage."""
+    sections = []
+    for building, stored in zip(record.buildings, plans, strict=True):
+        names = {number: shown(name) for number, name in names_of(building).items()}
+        days = building.days[-MOST_DAYS:]
+        longest = max((stay.minutes for day in days for stay in day.rooms), default=0.0)
+        section = {
+            "building": building,
+            "title": shown(building.name),
+            "names": names,
+            "days": days,
+            "days_before": len(building.days) - len(days),
+            "stays": {
+                (stay.room, day.day): (stay, _shade(stay.minutes, longest))
+                for day in days
+                for stay in day.rooms
+            },
+            "plan": _plan(building, stored),
+            "unplanned": [room for room in building.rooms if room.map != building.maps[0].number],
+            "changes": [(change.day, words_of(change, names)) for change in building.changes],
+            "links": {one.number: _link(Path(one.map).resolve(), folder) for one in building.maps},
+        }
+        sections.append(section)
+    context = {
+        "title": counted(len(sections), "building"),
+        "record": record,
+        "sections": sections,
+        "tones": tones(()),
+    }
+    return html_page(_PACKAGE, "history.html", context, _STYLES)
+
+
+def _plan(building: BuildingRecord, stored: Map) -> dict[str, Any]:
+    """The first map of a building as path data; its rooms by name or number, and share of time."""
+    map_ = DrawnMap(stored)
+    rooms = {room.submap: room for room in building.rooms if room.map == building.maps[0].number}
+    longest = max((room.minutes for room in rooms.values()), default=0.0)
+    regions = [region for region in layers.regions_of(map_) if region["id"] in rooms]
+    drawn = [(region, rooms[region["id"]]) for region in regions]
+    return {
+        "frame": map_.frame,
+        "walls": map_.walls,
+        "seen": map_.seen,
+        "rooms": [
+            {
+                "name": shown(room.name),
+                "sign": str(room.number)
+                if room.name == room_name(room.number)
+                else shown(room.name),
+                "outline": region["outline"],
+                "badge": region["badge"],
+                "shade": _shade(room.minutes, longest),
+            }
+            for region, room in drawn
+        ],
+    }
+
+
+def _shade(minutes: float, longest: float) -> int:
+    """How dark a time is against the longest one, in percent; any visit can be seen."""
+    return 0 if not longest else 12 + round(68 * (minutes / longest) ** 0.5)
+
+
+def _link(map_: Path, folder: Path) -> dict[str, str | None]:
+    """Where a map lies from the page, and its report where a batch made one."""
+    report = map_.parent / "report.html"
+    of_a_job = map_.name == "map" and (map_.parent / "job.json").exists() and report.exists()
+    links = {"map": map_, "report": report if of_a_job else None}
+    return {
+        name: quote(os.path.relpath(path, folder.resolve())) if path else None
+        for name, path in links.items()
+    }

@@ -21,15 +21,8 @@ CLOUD_RANGE_MAX_M = 100.0  # a 3D cloud is cut here
 # Velodyne, LSLidar: time; Ouster: t; Hesai, RoboSense, Livox: timestamp; Livox: offset_time;
 # Autoware: time_stamp; Aeva: time_offset_ns; Blickfeld: point_time_offset; Cepton: the last one.
 TIME_FIELDS = (
-    "t",
-    "time",
-    "timestamp",
-    "time_stamp",
-    "offset_time",
-    "time_offset",
-    "time_offset_ns",
-    "point_time_offset",
-    "relative_timestamp",
+    *("t", "time", "timestamp", "time_stamp", "offset_time", "time_offset", "time_offset_ns"),
+    *("point_time_offset", "relative_timestamp"),
 )
 _FLOAT_UNITS_NS = (1_000_000_000, 1_000_000, 1_000, 1)  # seconds, and thousandths of the one before
 _INTEGER_UNITS_NS = (1_000, 1)
@@ -104,10 +97,7 @@ def cloud_points(
 
 
 def _times(table: NDArray[np.void], stamp_ns: int, clock: PointClock) -> FloatArray | None:
-    """Seconds (N,) after the stamp as recorded, None without such a field.
-
-    Times nearer to the stamp than to zero are absolute.
-    """
+    """Seconds (N,) after the stamp, None without a field for them; those near it are absolute."""
     name = next((field for field in table.dtype.names or () if field.lower() in TIME_FIELDS), None)
     if name is None or not len(table):
         return None

@@ -19,6 +19,7 @@ from specmap_cli.core.geometry import step_lengths, yaw_of
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import IntArray, Sweep
 from specmap_cli.core.settings import LogConfig
+from specmap_cli.logs import summary
 from specmap_cli.logs.clocks import odometry_of
 from specmap_cli.logs.messages import BadMessageError, decode_scan
 from specmap_cli.logs.opening import Log
@@ -28,20 +29,6 @@ from specmap_cli.logs.readers.recording import Message
 from specmap_cli.logs.selection import Selection, TransformTree, read_frames
 from specmap_cli.logs.sensors import LOOK_SCANS, SeveralSensorsError
 from specmap_cli.logs.stream import SweepStream
-from specmap_cli.logs.summary import (
-    DAY,
-    EARLIEST_STAMP_S,
-    FrameSummary,
-    Gap,
-    LogSummary,
-    Pauses,
-    Preview,
-    ScanSummary,
-    Spacing,
-    StampFaults,
-    TopicCheck,
-    TopicSummary,
-)
 
 _PAUSE_INTERVALS = 5.0  # a pause is told that is so many usual intervals, medians, long
 _GAP_S = 1.0  # a gap between scans is told that is longer than this and a pause
@@ -58,7 +45,7 @@ def summarize(
     *,
     complete: bool = False,
     progress: Progress | None = None,
-) -> LogSummary:
+) -> summary.LogSummary:
     """Look at a log as `build` would; what `build` would refuse becomes `problem`.
 
     Messages are counted as the file counts them, and only the first ones are read. With `complete`
@@ -72,7 +59,7 @@ def summarize(
     reading = _read(log, look, progress, complete=complete)
     contents = log.contents
     duration_s = (contents.end_ns - contents.start_ns) / NS_PER_S
-    return LogSummary(
+    return summary.LogSummary(
         files=tuple(str(path) for path in log.paths),
         format=log.format,
         size_bytes=sum(path.stat().st_size for path in log.paths),
@@ -85,7 +72,7 @@ def summarize(
         next_command=look.next_command,
         warnings=look.warnings,
         topics=tuple(
-            TopicSummary(
+            summary.TopicSummary(
                 name=topic.name,
                 type=topic.type,
                 count=topic.count,
@@ -108,8 +95,8 @@ class _Look(NamedTuple):
     problem: str | None
     next_command: str | None = None
     warnings: tuple[str, ...] = ()
-    scan: ScanSummary | None = None
-    met: Preview | None = None
+    scan: summary.ScanSummary | None = None
+    met: summary.Preview | None = None
     chosen: Selection | None = None
 
 
@@ -119,10 +106,10 @@ def _look(log: Log, config: LogConfig, *, complete: bool) -> _Look:
         stream = SweepStream(log, config)
         met, first = _preview(stream, complete=complete)
     except InputError as error:
-        return _Look(read_frames(log, "", [], config).tree, str(error))
+        return _Look(read_frames(log, "", [], config)[0], str(error))
     except UsageError as error:
         command = _command(log, _likeliest(log, error, config))
-        return _Look(read_frames(log, "", [], config).tree, str(error), command)
+        return _Look(read_frames(log, "", [], config)[0], str(error), command)
     chosen = stream.selection
     warnings = [*chosen.warnings]
     without, scans = stream.counts["without_odometry"], stream.counts["scans"]
@@ -140,11 +127,8 @@ def _look(log: Log, config: LogConfig, *, complete: bool) -> _Look:
     )
 
 
-def _preview(stream: SweepStream, *, complete: bool) -> tuple[Preview | None, Sweep | None]:
-    """What the first scans, or all of them, tell but for their stamps; and the first sweep.
-
-    None twice when there is no usable scan among them.
-    """
+def _preview(stream: SweepStream, *, complete: bool) -> tuple[summary.Preview | None, Sweep | None]:
+    """What the scans tell but for their stamps, and the first sweep; None without a usable scan."""
     first: Sweep | None = None
     stamps, places = array("q"), array("d")
     readings = invalid = stale = 0
@@ -166,14 +150,14 @@ def _preview(stream: SweepStream, *, complete: bool) -> tuple[Preview | None, Sw
     moving = lengths[lengths > _STANDING_M]  # false for NaN as well
     step_m = round(float(np.median(moving)), 6) if len(moving) else None
     is_cloud = stream.selection.sensor.is_cloud
-    found = Preview(
+    found = summary.Preview(
         scans=len(stamps),
         blank_scans=stream.counts["blank_scans"],
         stale_scans=stale,
         invalid_share=None if is_cloud else invalid / max(readings, 1),
-        spacing=Spacing(rate_hz, step_m, step_m is not None and step_m >= _SPARSE_STEP_M),
+        spacing=summary.Spacing(rate_hz, step_m, step_m is not None and step_m >= _SPARSE_STEP_M),
         gaps=tuple(
-            Gap(*steps.told(n))
+            summary.Gap(*steps.told(n))
             for n in steps.longer_than(max(_GAP_S, _PAUSE_INTERVALS * steps.usual_s))
         ),
         sensors=tuple((sensor.name, sensor.count) for sensor in stream.selection.sensors),
@@ -209,11 +193,7 @@ class _Steps:
 
 
 class _Reading:
-    """The stamps of messages: of all topics by name and type, and header stamps of those chosen.
-
-    Stamps are those of the headers of scans and odometry, otherwise the recorder's times.
-    `unusable` counts the messages that cannot be decoded.
-    """
+    """Stamps by topic and type, of headers or the recorder's, and those of chosen topics."""
 
     def __init__(self, chosen: Selection | None) -> None:
         topics = (chosen.topic.name, *chosen.odom_topics) if chosen is not None else ()
@@ -256,19 +236,19 @@ def _read(log: Log, look: _Look, progress: Progress | None, *, complete: bool) -
     return reading
 
 
-def _checked(log: Log, reading: _Reading) -> tuple[TopicCheck, ...]:
+def _checked(log: Log, reading: _Reading) -> tuple[summary.TopicCheck, ...]:
     """What came of reading all messages, in the order of `log.contents`."""
     expected = {(topic.name, topic.type): topic.count for topic in log.contents.topics}
     checks = []
     for key in sorted(expected.keys() | reading.stamps_ns.keys()):
         steps = _Steps(reading.stamps_ns[key])
         pauses = steps.longer_than(_PAUSE_INTERVALS * steps.usual_s)
-        told = Pauses()
+        told = summary.Pauses()
         if pauses:
             longest_s, at_s = steps.told(int(np.argmax(steps.steps_ns)))
-            told = Pauses(count=len(pauses), longest_s=longest_s, longest_at_s=at_s)
+            told = summary.Pauses(count=len(pauses), longest_s=longest_s, longest_at_s=at_s)
         checks.append(
-            TopicCheck(
+            summary.TopicCheck(
                 name=key[0],
                 type=key[1],
                 read=len(steps.stamps_ns),
@@ -282,16 +262,16 @@ def _checked(log: Log, reading: _Reading) -> tuple[TopicCheck, ...]:
     return tuple(checks)
 
 
-def _faults(reading: _Reading) -> Iterator[StampFaults]:
+def _faults(reading: _Reading) -> Iterator[summary.StampFaults]:
     """What is wrong with the header stamps on the topics that build would read."""
-    latest_s = (datetime.now(UTC) + DAY).timestamp()
+    latest_s = (datetime.now(UTC) + summary.DAY).timestamp()
     for topic, headers in reading.headers_ns.items():
         stamps = np.array(headers, dtype=np.int64)
         steps, is_set = np.diff(stamps), stamps != 0
         seconds = stamps / NS_PER_S
-        elsewhen = is_set & ~((seconds >= EARLIEST_STAMP_S) & (seconds <= latest_s))
+        elsewhen = is_set & ~((seconds >= summary.EARLIEST_STAMP_S) & (seconds <= latest_s))
         odd = np.flatnonzero(elsewhen)
-        yield StampFaults(
+        yield summary.StampFaults(
             topic=topic,
             messages=len(stamps),
             zero=int((~is_set).sum()),
@@ -302,7 +282,7 @@ def _faults(reading: _Reading) -> Iterator[StampFaults]:
         )
 
 
-def _frames(tree: TransformTree) -> Iterator[FrameSummary]:
+def _frames(tree: TransformTree) -> Iterator[summary.FrameSummary]:
     """The transforms; their angles are those of Rz(yaw) Ry(pitch) Rx(roll)."""
     for parent, child, matrix, moving in tree.edges():
         x, y, z = (round(float(value), 6) + 0.0 for value in matrix[:3, 3])
@@ -310,7 +290,7 @@ def _frames(tree: TransformTree) -> Iterator[FrameSummary]:
         pitch = math.asin(min(max(-float(matrix[2, 0]), -1.0), 1.0))
         angles = (roll, pitch, yaw_of(matrix))
         roll, pitch, yaw = (round(math.degrees(angle), 4) + 0.0 for angle in angles)
-        yield FrameSummary(
+        yield summary.FrameSummary(
             parent=parent,
             child=child,
             xyz_m=(x, y, z),
@@ -319,7 +299,7 @@ def _frames(tree: TransformTree) -> Iterator[FrameSummary]:
         )
 
 
-def _describe(chosen: Selection, sweep: Sweep) -> ScanSummary:
+def _describe(chosen: Selection, sweep: Sweep) -> summary.ScanSummary:
     planar, times = sweep.planar, sweep.planar.beam_times_s
     bearings = planar.bearings
     step = float(bearings[1] - bearings[0]) if len(bearings) > 1 else 0.0
@@ -328,7 +308,7 @@ def _describe(chosen: Selection, sweep: Sweep) -> ScanSummary:
         view = step * int((~np.isnan(planar.ranges)).sum())
     if sweep.cloud is not None:
         times = sweep.cloud_times_s
-    return ScanSummary(
+    return summary.ScanSummary(
         topic=chosen.topic.name,
         frame=chosen.sensor.frame,
         beams=len(bearings),

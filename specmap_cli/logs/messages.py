@@ -9,16 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, rotation_from_quaternion
-from specmap_cli.logs.readers.encoding import (
-    MULTI_ECHO,
-    NS_PER_S,
-    ODOMETRY,
-    POINT_CLOUD,
-    SCAN_TYPES,
-    TF_MESSAGE,
-    UNFIT,
-    typestore,
-)
+from specmap_cli.logs.readers import encoding
 from specmap_cli.logs.readers.recording import Message
 
 # What no message of a robot reaches: these bounds are checked here, where values enter, and nowhere
@@ -85,13 +76,13 @@ class Transforms:
 
 def decode_scan(message: Message) -> ScanRecord | CloudRecord:
     """The scan in a message of one of SCAN_TYPES; raises BadMessageError."""
-    if message.type not in SCAN_TYPES:
+    if message.type not in encoding.SCAN_TYPES:
         raise BadMessageError(f"{message.type} is no scan")
     decoded = _decoded(message, message.type)
-    if message.type == POINT_CLOUD:
+    if message.type == encoding.POINT_CLOUD:
         return _cloud(decoded)
     ranges: NDArray[np.float32] = decoded.ranges
-    if message.type == MULTI_ECHO:
+    if message.type == encoding.MULTI_ECHO:
         first = [beam.echoes[0] if len(beam.echoes) else np.inf for beam in decoded.ranges]
         ranges = np.array(first, dtype=np.float32)
     if len(ranges) > _MOST_BEAMS:
@@ -114,7 +105,7 @@ def decode_scan(message: Message) -> ScanRecord | CloudRecord:
 
 def decode_odometry(message: Message) -> TransformRecord:
     """The pose in an Odometry message; raises BadMessageError."""
-    decoded = _decoded(message, ODOMETRY)
+    decoded = _decoded(message, encoding.ODOMETRY)
     pose = decoded.pose.pose
     matrix = _matrix(pose.position, pose.orientation)
     if matrix is None:
@@ -129,7 +120,7 @@ def decode_transforms(message: Message) -> Transforms:
     """The transforms in a TFMessage; raises BadMessageError."""
     records: list[TransformRecord] = []
     absurd: list[tuple[str, str]] = []
-    for stamped in _decoded(message, TF_MESSAGE).transforms:
+    for stamped in _decoded(message, encoding.TF_MESSAGE).transforms:
         parent, child = frame_name(stamped.header.frame_id), frame_name(stamped.child_frame_id)
         matrix = _matrix(stamped.transform.translation, stamped.transform.rotation)
         if matrix is not None:
@@ -147,16 +138,16 @@ def frame_name(frame: str) -> str:
 def _decoded(message: Message, expected: str) -> Any:
     if message.type != expected:  # a topic may carry two types
         raise BadMessageError(f"{message.type} instead of {expected}")
-    if expected != POINT_CLOUD and len(message.data) > _MOST_BYTES:
+    if expected != encoding.POINT_CLOUD and len(message.data) > _MOST_BYTES:
         raise BadMessageError(f"{len(message.data):,} bytes are no {expected} of a robot")
     try:
-        return typestore().deserialize_cdr(message.data, message.type)
-    except UNFIT as error:
+        return encoding.typestore().deserialize_cdr(message.data, message.type)
+    except encoding.UNFIT as error:
         raise BadMessageError(f"not a {message.type}: {error}") from None
 
 
 def _stamp(header: Any) -> int:
-    return int(header.stamp.sec) * NS_PER_S + int(header.stamp.nanosec)
+    return int(header.stamp.sec) * encoding.NS_PER_S + int(header.stamp.nanosec)
 
 
 def _matrix(translation: Any, rotation: Any) -> FloatArray | None:

@@ -132,11 +132,7 @@ def open_log(paths: Paths, config: LogConfig | None = None) -> Log:
 
 
 def _files_at(path: Path, readers: _Readers) -> Iterator[Path]:
-    """The file at a path, or the recordings in a directory by name.
-
-    Raises LogError for other things: a pipe, a socket or a device would keep a reader waiting,
-    perhaps for ever.
-    """
+    """The file at a path, or the recordings in a directory; LogError for what may never end."""
     try:
         mode = path.stat().st_mode
     except OSError as error:
@@ -188,13 +184,13 @@ def _opened(path: Path, readers: _Readers, config: LogConfig, held: ExitStack) -
         with _told_of(compression):
             return _reader_of(file, path, readers)
 
-    copy = unpacked(path, compression, config, reader_inside, held)
-    reader = reader_inside(copy.file)
+    file, lost = unpacked(path, compression, config, reader_inside, held)
+    reader = reader_inside(file)
     with _told_of(compression):
-        recording = reader(copy.file, path, config)
+        recording = reader(file, path, config)
     held.callback(recording.close)
-    if copy.lost is not None:
-        recording.report(copy.lost)
+    if lost is not None:
+        recording.report(lost)
     return recording
 
 
@@ -234,10 +230,7 @@ class Log:
     """
 
     def __init__(
-        self,
-        recordings: Sequence[Recording],
-        given: Sequence[Path],
-        held: ExitStack | None = None,
+        self, recordings: Sequence[Recording], given: Sequence[Path], held: ExitStack | None = None
     ) -> None:
         self.given = tuple(given)
         self._recordings = sorted(recordings, key=lambda r: (r.contents.start_ns, str(r.path)))
@@ -300,7 +293,7 @@ class Log:
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """The messages on `topics` (None: all), one in memory at a time, in log time."""
         return merge_in_time(
-            [(r.contents.start_ns, partial(r.messages, topics)) for r in self._recordings],
+            [(r.contents.start_ns, partial(r.messages, topics)) for r in self._recordings]
         )
 
     def close(self) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice, pairwise
 
 import numpy as np
@@ -17,12 +17,7 @@ from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import legible, seconds
-from specmap_cli.logs.clocks import (
-    Clock,
-    OdometryKind,
-    choose_clock,
-    stamp_pairs,
-)
+from specmap_cli.logs.clocks import Clock, OdometryKind, choose_clock, stamp_pairs
 from specmap_cli.logs.messages import (
     BadMessageError,
     TransformRecord,
@@ -64,13 +59,6 @@ class TransformTree:
         if dynamic:
             self._moving.add(record.child)
 
-    def copy(self) -> TransformTree:
-        """A tree that can change on its own."""
-        tree = TransformTree()
-        tree._parent, tree._parent_from = dict(self._parent), dict(self._parent_from)
-        tree._moving = set(self._moving)
-        return tree
-
     @property
     def frames(self) -> set[str]:
         """Every frame that occurs."""
@@ -109,29 +97,13 @@ class TransformTree:
 _TILT_MAX_RAD = 0.175  # a laser tilted more is warned of: it is read as level
 USUAL_BASES = ("base_link", "base_footprint", "base")  # by REP 105 and by custom
 _FLOOR_FRAME = "base_footprint"  # by REP 120 the base's projection on the floor
+_ABSURD_NAMED = 3  # transforms; with more of them the log is beyond help
 _ENOUGH_MESSAGES = 2_000  # some seconds of transforms, in which every frame is heard of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Frames:
-    """The frames of a log; `complete` unless the search for the laser's place was given up.
-
-    `absurd` are (parent, child) of transforms that were left out, as no robot can have them;
-    `unreadable` is the number of messages that hold no transforms at all.
-    """
-
-    tree: TransformTree
-    complete: bool
-    absurd: tuple[tuple[str, str], ...] = ()
-    unreadable: int = 0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Placement:
-    """The base frame, base_from_laser (4, 4) on it, and what was assumed.
-
-    `floor_m` is the height of the floor in the base frame, None when it is unknown.
-    """
+    """base_from_laser (4, 4), height of the floor in the base frame if known, what was assumed."""
 
     base_frame: str
     base_from_laser: FloatArray
@@ -139,8 +111,10 @@ class Placement:
     warnings: tuple[str, ...] = ()
 
 
-def read_frames(log: Log, laser_frame: str, bases: Iterable[str], config: LogConfig) -> Frames:
-    """The frames of a log: the first static and the first dynamic transforms.
+def read_frames(
+    log: Log, laser_frame: str, bases: Iterable[str], config: LogConfig
+) -> tuple[TransformTree, list[str]]:
+    """The frames of a log, by the first static and dynamic transforms, and warnings of these.
 
     The search goes on while none of `bases` is joined to the laser's frame, up to
     `config.transform_messages` of each kind. Reads only the topics of transforms.
@@ -166,8 +140,18 @@ def read_frames(log: Log, laser_frame: str, bases: Iterable[str], config: LogCon
                 absurd.update(dict.fromkeys(transforms.absurd))
             if number >= _ENOUGH_MESSAGES and _any_joined(tree, wanted, laser_frame):
                 break
-    complete = not given_up or _any_joined(tree, wanted, laser_frame)
-    return Frames(tree=tree, complete=complete, absurd=tuple(absurd), unreadable=unreadable)
+    warnings = [
+        f"the transform {parent!r} -> {child!r} is not finite or absurd, and was left out"
+        for parent, child in list(absurd)[:_ABSURD_NAMED]
+    ]
+    if unreadable:
+        warnings.append(f"messages of transforms that could not be read: {unreadable:,}")
+    if given_up and not _any_joined(tree, wanted, laser_frame):
+        warnings.append(
+            f"the laser's place was searched in the first {config.transform_messages:,} messages "
+            "of transforms only: log.transform_messages says how many"
+        )
+    return tree, warnings
 
 
 def _any_joined(tree: TransformTree, bases: Iterable[str], laser_frame: str) -> bool:
@@ -218,7 +202,6 @@ def place_laser(
     return Placement(base_frame=base, base_from_laser=np.eye(4), floor_m=None, warnings=warnings)
 
 
-_ABSURD_NAMED = 3  # transforms; with more of them the log is beyond help
 _UNKNOWN_FLOOR = (
     "the lidar's tilt and height above the floor are unknown, as there is no transform "
     "from a base frame: each cloud is levelled by the floor that it shows"
@@ -298,15 +281,16 @@ def select(log: Log, config: LogConfig) -> Selection:
                 break
     usual = [frame for frame in (child, *USUAL_BASES) if frame]
     bases = usual if config.base_frame is None else [config.base_frame.lstrip("/")]
-    frames = read_frames(log, sensor.frame, bases, config)
-    placement = place_laser(frames.tree, sensor.frame, child, config)
+    tree, warnings = read_frames(log, sensor.frame, bases, config)
+    placement = place_laser(tree, sensor.frame, child, config)
+    placement = replace(placement, warnings=(*placement.warnings, *warnings))
     odometry: OdometryKind | None = None
     topics: tuple[str, ...] = ()
     odom_frame = None
     if odometry_topic is not None:
         odometry, topics = "topic", (odometry_topic.name,)
     elif config.use_odometry:
-        odom_frame = odometry_ancestor(frames.tree, placement.base_frame)
+        odom_frame = odometry_ancestor(tree, placement.base_frame)
         if odom_frame is not None:
             odometry = "tf"
             of_tf = [topic.name for topic in log.topics() if topic.type == TF_MESSAGE]
@@ -320,7 +304,7 @@ def select(log: Log, config: LogConfig) -> Selection:
         base_frame=placement.base_frame,
         base_from_laser=placement.base_from_laser,
         floor_m=placement.floor_m,
-        tree=frames.tree,
+        tree=tree,
         odometry=odometry,
         odom_topics=topics,
         odom_frame=odom_frame,
@@ -328,7 +312,7 @@ def select(log: Log, config: LogConfig) -> Selection:
         band_m=(config.band_min_m, config.band_max_m) if in_space else None,
         ceilings_m=ceilings_m(log, topic, sensor),
         warnings=(
-            *_assumptions(log, topic.name, placement, frames, child, clock, config),
+            *_assumptions(log, topic.name, placement, tree, child, clock),
             *([_UNKNOWN_FLOOR] if in_space and placement.floor_m is None else []),
         ),
     )
@@ -338,10 +322,9 @@ def _assumptions(
     log: Log,
     topic: str,
     placement: Placement,
-    frames: Frames,
+    tree: TransformTree,
     odometry_child: str | None,
     clock: Clock,
-    config: LogConfig,
 ) -> Iterator[str]:
     """What is taken for granted of files, frames and stamps as the log does not say it."""
     base = placement.base_frame
@@ -353,16 +336,7 @@ def _assumptions(
                 "other with `specmap update`"
             )
     yield from placement.warnings
-    for parent, child in frames.absurd[:_ABSURD_NAMED]:
-        yield f"the transform {parent!r} -> {child!r} is not finite or absurd, and was left out"
-    if frames.unreadable:
-        yield f"messages of transforms that could not be read: {frames.unreadable:,}"
-    if not frames.complete:
-        yield (
-            f"the laser's place was searched in the first {config.transform_messages:,} messages "
-            "of transforms only: log.transform_messages says how many"
-        )
-    if odometry_child is not None and frames.tree.lookup(odometry_child, base) is None:
+    if odometry_child is not None and tree.lookup(odometry_child, base) is None:
         yield (
             f"the odometry moves {odometry_child!r}, which no transform joins to {base!r}: "
             "the two are taken to be the same"

@@ -15,7 +15,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice, pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -130,12 +130,7 @@ class SeveralSensorsError(UsageError):
     """One topic carries several sensors, and none was chosen; `best` is the one with most scans."""
 
     code = CHOICE
-
-    def __init__(
-        self, found: object = "", hint: str | None = None, *, best: str = "", **rest: Any
-    ) -> None:
-        super().__init__(found, hint, **rest)
-        self.best = best
+    best = ""
 
 
 def view_of(layout: ScanLayout) -> View | None:
@@ -200,10 +195,7 @@ def _kinds(layouts: Sequence[ScanLayout]) -> list[tuple[View, int]]:
 def choose_sensor(
     log: str, topic: str, sensors: Sequence[ScanSensor], config: LogConfig
 ) -> ScanSensor:
-    """The sensor that the settings name, or the only one with more than a small share of the scans.
-
-    `log` and `topic` are names. Raises UsageError with the sensors ready to paste.
-    """
+    """The sensor that is asked for, or the only frequent one; UsageError with those to choose."""
     total, asked = sum(sensor.count for sensor in sensors), config.scan_frame
     if asked is not None:
         wanted = asked.lstrip("/")
@@ -217,11 +209,11 @@ def choose_sensor(
     candidates = often or list(sensors)
     if len(candidates) == 1:
         return candidates[0]
-    best = max(candidates, key=lambda sensor: sensor.count)
     choices = " or ".join(f"`--scan-frame {_told(s, total, '`')}" for s in candidates)
     several = legible(f"{topic}: {len(candidates)} sensors on one topic")
-    hint, where = legible(f"choose {choices}"), legible(log)
-    raise SeveralSensorsError(several, hint, where=where, best=best.name)
+    error = SeveralSensorsError(several, legible(f"choose {choices}"), where=legible(log))
+    error.best = max(candidates, key=lambda sensor: sensor.count).name
+    raise error
 
 
 def _told(sensor: ScanSensor, total: int, end: str = "") -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Iterator
+from copy import deepcopy
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -29,12 +30,7 @@ from specmap_cli.logs.messages import (
     decode_transforms,
 )
 from specmap_cli.logs.opening import Log
-from specmap_cli.logs.planar import (
-    SCAN_TIME_MAX_S,
-    Ceiling,
-    OwnBody,
-    ScanLeveller,
-)
+from specmap_cli.logs.planar import SCAN_TIME_MAX_S, Ceiling, OwnBody, ScanLeveller
 from specmap_cli.logs.readers.recording import Message
 from specmap_cli.logs.selection import Selection, select
 
@@ -119,7 +115,7 @@ class OdometryListener:
         self.last: Heard | None = None
         self.renamed = 0
         self._frames: list[tuple[str, str]] = []  # (parent, child) of the first, and of another
-        self._tree = selection.tree.copy()
+        self._tree = deepcopy(selection.tree)
         self._chain = frozenset(self._tree.ancestors(selection.base_frame))
 
     def take(self, message: Message) -> None:
@@ -191,9 +187,7 @@ def interpolated(a: Pose2, b: Pose2, share: float) -> Pose2:
     """The pose a share of the way from `a` (0) to `b` (1)."""
     turn = wrap_angle(b.theta - a.theta)
     return Pose2(
-        a.x + share * (b.x - a.x),
-        a.y + share * (b.y - a.y),
-        wrap_angle(a.theta + share * turn),
+        a.x + share * (b.x - a.x), a.y + share * (b.y - a.y), wrap_angle(a.theta + share * turn)
     )
 
 

@@ -64,10 +64,7 @@ class TopicCheck:
 
 @dataclass(frozen=True, slots=True)
 class Spacing:
-    """How scans follow one another: scans a second, metres between, whether these are many.
-
-    The median step while the robot moves, by odometry; None where nothing is known of it.
-    """
+    """Scans a second, metres between them while the robot moves, by odometry, if these are many."""
 
     rate_hz: float
     step_m: float | None = None

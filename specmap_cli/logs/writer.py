@@ -24,20 +24,7 @@ from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import counted, legible
 from specmap_cli.logs.opening import open_log
-from specmap_cli.logs.readers.encoding import (
-    LASER_SCAN,
-    ODOMETRY,
-    POINT_CLOUD,
-    SUPPORTED_TYPES,
-    TF_MESSAGE,
-    TF_STATIC,
-    cloud_cdr,
-    in_space,
-    message_definition,
-    odometry_cdr,
-    scan_cdr,
-    transform_cdr,
-)
+from specmap_cli.logs.readers import encoding
 from specmap_cli.logs.readers.recording import TopicInfo, refused
 
 CHUNK_BYTES = 512 * 1024  # what a reader holds in memory at once; compresses well from here on
@@ -81,20 +68,23 @@ class LogWriter:
         stamp_ns: int = 0,
     ) -> None:
         """`parent_from_child`, constant over the recording, on `/tf_static`."""
-        data = transform_cdr(parent, child, stamp_ns, xyz, quaternion_xyzw)
-        self.raw(TF_STATIC, TF_MESSAGE, data, stamp_ns)
+        data = encoding.transforms_cdr(
+            stamp_ns, [encoding.Transform(parent, child, xyz, quaternion_xyzw)]
+        )
+        self.raw(encoding.TF_STATIC, encoding.TF_MESSAGE, data, stamp_ns)
 
     def transform(self, parent: str, child: str, stamp_ns: int, parent_from_child: Pose2) -> None:
         """A motion of the plane at one time, on `/tf`."""
-        data = transform_cdr(parent, child, stamp_ns, *in_space(parent_from_child))
-        self.raw("/tf", TF_MESSAGE, data, stamp_ns)
+        moved = encoding.Transform(parent, child, *encoding.in_space(parent_from_child))
+        data = encoding.transforms_cdr(stamp_ns, [moved])
+        self.raw("/tf", encoding.TF_MESSAGE, data, stamp_ns)
 
     def odometry(
         self, topic: str, frame_id: str, child_frame_id: str, stamp_ns: int, pose: Pose2
     ) -> None:
         """`pose` is frame_from_child by dead reckoning, as `nav_msgs/msg/Odometry`."""
-        data = odometry_cdr(frame_id, child_frame_id, stamp_ns, pose)
-        self.raw(topic, ODOMETRY, data, stamp_ns)
+        data = encoding.odometry_cdr(frame_id, child_frame_id, stamp_ns, pose)
+        self.raw(topic, encoding.ODOMETRY, data, stamp_ns)
 
     def scan(
         self,
@@ -113,8 +103,8 @@ class LogWriter:
         `rest` are `range_min`, `time_increment` and `scan_time`, 0 unless they are given.
         """
         angles = angle_min, angle_increment
-        data = scan_cdr(frame_id, stamp_ns, *angles, ranges, range_max=range_max, **rest)
-        self.raw(topic, LASER_SCAN, data, stamp_ns)
+        data = encoding.scan_cdr(frame_id, stamp_ns, *angles, ranges, range_max=range_max, **rest)
+        self.raw(topic, encoding.LASER_SCAN, data, stamp_ns)
 
     def cloud(
         self,
@@ -124,11 +114,13 @@ class LogWriter:
         points: ArrayLike,
         times_s: ArrayLike | None = None,
     ) -> None:
-        """One `sensor_msgs/msg/PointCloud2` of points (N, 3) in metres, float32.
-
-        `times_s` (N,), seconds after the stamp, become the field `time`.
-        """
-        self.raw(topic, POINT_CLOUD, cloud_cdr(frame_id, stamp_ns, points, times_s), stamp_ns)
+        """A `PointCloud2` of points (N, 3), metres; `time` is `times_s` (N,) after the stamp."""
+        self.raw(
+            topic,
+            encoding.POINT_CLOUD,
+            encoding.cloud_cdr(frame_id, stamp_ns, points, times_s),
+            stamp_ns,
+        )
 
     def raw(self, topic: str, msgtype: str, cdr: bytes, log_time_ns: int) -> None:
         """A message already serialised as CDR; `msgtype` is a ROS 2 name, or ValueError says so."""
@@ -137,11 +129,11 @@ class LogWriter:
         key = (topic, msgtype)
         if key not in self._channels:
             if msgtype not in self._schemas:
-                definition = message_definition(msgtype)
+                definition = encoding.message_definition(msgtype)
                 number = self._writer.register_schema(msgtype, "ros2msg", definition)
                 self._schemas[msgtype] = number
             schema = self._schemas[msgtype]
-            latched = {"offered_qos_profiles": _LATCHED} if topic == TF_STATIC else {}
+            latched = {"offered_qos_profiles": _LATCHED} if topic == encoding.TF_STATIC else {}
             self._channels[key] = self._writer.register_channel(topic, "cdr", schema, latched)
         time_ns = max(int(log_time_ns), 0)  # the format has no times before 1970
         self._writer.add_message(self._channels[key], time_ns, cdr, time_ns)
@@ -203,7 +195,7 @@ def convert(
         refuse_existing(target)
     with open_log(given, config) as log:
         topics = log.topics()
-        wanted = [t for t in topics if t.type in SUPPORTED_TYPES and t.count]
+        wanted = [t for t in topics if t.type in encoding.SUPPORTED_TYPES and t.count]
         if not wanted:
             there = ", ".join(f"{t.name} ({t.type})" for t in topics) or "no messages at all"
             nothing = f"no scans, odometry or transforms; it has {there}"
@@ -214,7 +206,7 @@ def convert(
         latest_ns = 0
         with LogWriter(target) as writer:
             for message in log.messages({topic.name for topic in wanted}):
-                if message.type in SUPPORTED_TYPES:
+                if message.type in encoding.SUPPORTED_TYPES:
                     # a reader of MCAP would take what steps back in log time away from its place
                     latest_ns = max(latest_ns, message.time_ns)
                     writer.raw(message.topic, message.type, message.data, latest_ns)
@@ -223,6 +215,6 @@ def convert(
         return Conversion(
             path=target,
             written=tuple(TopicInfo(*key, counts[key]) for key in sorted(counts)),
-            skipped=tuple(t for t in topics if t.type not in SUPPORTED_TYPES and t.count),
+            skipped=tuple(t for t in topics if t.type not in encoding.SUPPORTED_TYPES and t.count),
             damage=tuple(log.damage),
         )

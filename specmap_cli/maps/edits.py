@@ -16,13 +16,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Discriminator,
-    Field,
-    Tag,
-)
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag
 
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.files import read_bytes
@@ -216,10 +210,7 @@ def borders_in(edits: Edits) -> list[BorderEdit]:
 
 
 def read_edits(directory: Path, limits: LimitsConfig | None = None) -> Edits:
-    """The edits.toml of a map directory, without any where there is none.
-
-    Raises MapError in one line.
-    """
+    """The edits.toml of a map directory, none where there is no file; MapError in one line."""
     return EDITS.of_text(edits_text(directory, limits), f"{directory / filenames.EDITS}: ")
 
 

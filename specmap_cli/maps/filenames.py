@@ -18,27 +18,13 @@ LABELS_IMAGE = "labels.png"
 MAP_GRID = "map"  # with the suffixes .png and .yaml: the grid of the whole map
 OF_LABELS = "labels_sha256"  # in run.json: the digest of labels.csv, by which it knows its map
 SUBMAPS = "submaps"  # the directory of the submaps' grids
-# all of them; whatever else lies in a map directory is a person's own
-OF_A_MAP = frozenset(
-    {
-        TOPOLOGY,
-        CLASSIFIERS,
-        FEATURES,
-        RUN,
-        LABELS,
-        KEYFRAMES,
-        TRAJECTORY,
-        POSE_GRAPH,
-        OVERVIEW,
-        EDITS,
-        LABELS_IMAGE,
-        f"{MAP_GRID}.png",
-        f"{MAP_GRID}.yaml",
-        SUBMAPS,
-    }
-)
 # what no digest holds to the others: it tells the digests, or how long a run took, or may be edited
 _BY_ITSELF = frozenset({TOPOLOGY, RUN, EDITS, OVERVIEW, SUBMAPS})
+_GRIDS = (LABELS_IMAGE, f"{MAP_GRID}.png", f"{MAP_GRID}.yaml")
+# all of them; whatever else lies in a map directory is a person's own
+OF_A_MAP = _BY_ITSELF.union(
+    _GRIDS, (CLASSIFIERS, FEATURES, LABELS, KEYFRAMES, TRAJECTORY, POSE_GRAPH)
+)
 _GRID_OF_A_SUBMAP = re.compile(re.escape(SUBMAPS) + r"/\d+\.(png|yaml)")
 
 

@@ -25,12 +25,7 @@ from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.core.records import IntArray, PlanarScan, PosedScan
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.logs.messages import (
-    BadMessageError,
-    CloudRecord,
-    decode_scan,
-    decode_transforms,
-)
+from specmap_cli.logs.messages import BadMessageError, CloudRecord, decode_scan, decode_transforms
 from specmap_cli.logs.planar import covers_circle, increment
 from specmap_cli.logs.readers.encoding import (
     LASER_SCAN,
@@ -52,10 +47,7 @@ _PER_UNIT, _MM_PER_M = np.array([2.0**20, 2.0**20, 2.0**22]), 1000.0
 
 
 def write_keyframes(path: Path, store: KeyframeStore, poses: FloatArray) -> None:
-    """Write all keyframes of a store, which lie at `poses` (n, 3) in the finished map.
-
-    Raises UsageError when the file cannot be written.
-    """
+    """Write all keyframes of a store, at `poses` (n, 3) in the map. UsageError if it cannot."""
     from specmap_cli.logs.writer import LogWriter  # who reads a map needs none
 
     odom_from_base = _cut(store.poses)
@@ -107,10 +99,7 @@ def _mounting(pose: Pose2) -> Pose2:
 
 
 def read_keyframes(
-    path: Path,
-    most: int,
-    limits: LimitsConfig | None = None,
-    wanted: IntArray | None = None,
+    path: Path, most: int, limits: LimitsConfig | None = None, wanted: IntArray | None = None
 ) -> KeyframeStore:
     """The keyframes of a map, `most` or fewer, with poses as registered: close the store after use.
 
@@ -218,10 +207,7 @@ _EVEN_RAD = 1e-5  # a fifth of a millimetre at 20 m; single precision alone take
 
 @dataclass(frozen=True, slots=True)
 class EvenBeams:
-    """Beams from `angle_min` on, `increment` apart, radians, and what each met, `ranges` (B,).
-
-    The angles are of single precision, as in a message.
-    """
+    """Beams from `angle_min` on, rad in single precision as in messages, and `ranges` (B,)."""
 
     angle_min: float
     increment: float
@@ -274,10 +260,7 @@ def _nearest(scan: PlanarScan, bearings: FloatArray) -> FloatArray:
 
 
 def _looked_at(bearings: FloatArray, ranges: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A circle of beams without the longest run of those that saw nothing, the first of equals.
-
-    Two beams go at the least.
-    """
+    """A circle of beams without the longest run, of two at least, of those that saw nothing."""
     count, seen = len(ranges), np.flatnonzero(~np.isnan(ranges))
     start, length = 0, count
     if len(seen):

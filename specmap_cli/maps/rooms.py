@@ -1,20 +1,23 @@
-"""The rooms of a map, by id or by name, and their grids.
+"""The rooms of a map, by id or by name, their grids, and what a map tells of them as flat values.
 
-A room is a submap, as it is in the finished map: in its frame, unless it says otherwise.
+A room is a submap, as it is in the finished map: in its frame, unless it says otherwise. Flat
+values of rooms, doors and links are for graphs, tables and features. One that is unknown is None;
+formats that know no such thing leave it out with `known`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from specmap_cli.core.errors import TOO_LARGE, MapError
+from specmap_cli.core.errors import PACKAGE, TOO_LARGE, MapError, UsageError
 from specmap_cli.core.geometry import FloatArray, Pose2, product, unchanging
 from specmap_cli.core.json_values import Point, PropertyValue
 from specmap_cli.core.text import legible
@@ -22,9 +25,11 @@ from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, GridMa
 from specmap_cli.grids.map_server import read_grid
 from specmap_cli.maps.schema import NodeRecord
 from specmap_cli.topology.regions import NOBODY, OwnerArray
-from specmap_cli.topology.topological_map import Door, SubmapKind, Visit, default_name
+from specmap_cli.topology.topological_map import Door, Edge, SubmapKind, Visit, default_name
 
 if TYPE_CHECKING:
+    import networkx as nx
+
     from specmap_cli.maps.store import Map
 
 
@@ -191,11 +196,7 @@ class Grids(Mapping[int, GridMap]):
 
 
 def composed(stored: Map) -> tuple[GridMap, OwnerArray]:
-    """The grids of all submaps laid out in the map, each the owner of what is free in it.
-
-    Earlier versions kept no more of a grid that they divided. Raises MapError when the whole would
-    be beyond all bounds.
-    """
+    """The grids of submaps laid out: earlier versions kept no more. MapError beyond all bounds."""
     pieces = [(node, stored.grids[node.id]) for node in stored.record.nodes]
     points = np.vstack(
         [np.zeros((0, 2)), *(_placed(node, grid, grid.cells != UNKNOWN) for node, grid in pieces)]
@@ -228,3 +229,128 @@ def composed(stored: Map) -> tuple[GridMap, OwnerArray]:
 def _placed(node: NodeRecord, grid: GridMap, cells: BoolArray) -> FloatArray:
     """(n, 2) centres in the map of some cells of a submap's grid."""
     return node.frame.apply(grid.centres_of(np.argwhere(cells)))
+
+
+Fields = dict[str, Any]
+
+
+def link_line(edge: Edge, rooms: Mapping[int, Room]) -> list[Point]:
+    """The way of a link; without one straight from place to place over its crossing."""
+    if edge.corners:
+        return edge.corners
+    start, end = (rooms[id_].place for id_ in (edge.source, edge.target))
+    return [start, *([] if edge.x is None or edge.y is None else [(edge.x, edge.y)]), end]
+
+
+def _same(*names: str) -> dict[str, Callable[[Any], Any]]:
+    """Fields that are called as in topology.json."""
+    return {name: attrgetter(name) for name in names}
+
+
+# A submap without what a person noted (`properties`) and without its outline.
+SUBMAP: Mapping[str, Callable[[Room], Any]] = {
+    **_same("name", "kind"),
+    "x": lambda room: room.centre[0],
+    "y": lambda room: room.centre[1],
+    "anchor_x": lambda room: None if room.anchor is None else room.anchor[0],
+    "anchor_y": lambda room: None if room.anchor is None else room.anchor[1],
+    **_same("anchor_clearance_m", "area_m2", "scans"),
+    "visits": lambda room: len(room.visits),
+}
+# A link between two submaps; the ids of its doors are one text, as flat formats need it.
+LINK: Mapping[str, Callable[[Edge], Any]] = {
+    **_same("kind"),
+    "passable": lambda edge: edge.path is not None,
+    **_same("forbidden", "length_m", "clearance_m", "width_m"),
+    "doors": lambda edge: " ".join(map(str, edge.doors)),
+    **_same("distance_m"),
+    "traversals": lambda edge: len(edge.traversals),
+    **_same("x", "y"),
+}
+# A door between two submaps.
+DOOR: Mapping[str, Callable[[Door], Any]] = {
+    **_same("width_m", "theta", "driven"),
+    "crossings": lambda door: len(door.crossings),
+    **_same("forbidden"),
+}
+
+
+def noted_fields(room: Room) -> Fields:
+    """What a person noted of a submap, under `property.`: flat formats hold single values."""
+    return {f"property.{key}": value for key, value in room.properties.items()}
+
+
+def told_of(room: Room) -> Fields:
+    """What a viewer tells of a submap."""
+    return {"id": room.id, **fields_of(room, SUBMAP), **noted_fields(room)}
+
+
+def fields_of(record: Any, wanted: Mapping[str, Callable[[Any], Any]]) -> Fields:
+    """The fields of a submap, a link or a door: `wanted` is SUBMAP, LINK or DOOR."""
+    return {name: of(record) for name, of in wanted.items()}
+
+
+def known(fields: Mapping[str, Any]) -> Fields:
+    """The fields that have a value."""
+    return {key: value for key, value in fields.items() if value is not None}
+
+
+def feature(kind: str, coordinates: Sequence[Any], properties: Fields) -> Fields:
+    """One feature."""
+    return {
+        "type": "Feature",
+        "geometry": {"type": kind, "coordinates": coordinates},
+        "properties": properties,
+    }
+
+
+def collection(features: Iterable[Fields]) -> Fields:
+    """Features in metres. Without the key `crs` tools take the numbers for degrees (RFC 7946)."""
+    crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::3857"}}
+    numbered = [{**each, "id": number} for number, each in enumerate(features)]
+    return {"type": "FeatureCollection", "crs": crs, "features": numbered}
+
+
+def graph_of(map_: Map) -> nx.Graph:
+    """The rooms by their ids, and the links between them, each with its figures."""
+    import networkx as nx  # slow to load: few ask for it
+
+    graph = nx.Graph(frame=map_.record.graph.frame)
+    for room in map_.rooms.values():
+        graph.add_node(room.id, **noted_fields(room), **fields_of(room, SUBMAP))
+    for edge in map_.record.edges:
+        graph.add_edge(edge.source, edge.target, **fields_of(edge, LINK))
+    return graph
+
+
+def features_of(map_: Map) -> Iterator[Fields]:
+    """GeoJSON features: outlines of rooms, their anchors, doors from wall to wall, and links."""
+    told: Fields
+    for room in map_.rooms.values():
+        if len(room.outline):
+            ring = room.outline[[*range(len(room.outline)), 0]].tolist()
+            kinds = {"kind": "submap", "submap_kind": room.kind}
+            own = {"id": room.id, "properties": dict(room.properties)}
+            yield feature("Polygon", [ring], fields_of(room, SUBMAP) | kinds | own)
+    for room in map_.rooms.values():
+        if room.anchor:
+            told = {"kind": "anchor", "submap": room.id, "clearance_m": room.anchor_clearance_m}
+            yield feature("Point", list(room.anchor), told)
+    for door in map_.doors:
+        sides = [[round(value, 6) for value in side] for side in door.sides]
+        told = {"kind": "door", "id": door.id, "between": list(door.between)}
+        yield feature("LineString", sides, fields_of(door, DOOR) | told)
+    for edge in map_.record.edges:
+        told = {"source": edge.source, "target": edge.target, "doors": edge.doors}
+        line = link_line(edge, map_.rooms)
+        yield feature("LineString", line, fields_of(edge, LINK) | told)
+
+
+def geodataframe_of(map_: Map) -> Any:
+    """The features as a table of geopandas; UsageError where it is not installed."""
+    try:
+        import geopandas
+    except ImportError:
+        what = "to_geopandas needs geopandas, which is not installed"
+        raise UsageError(what, "pip install geopandas", code=PACKAGE) from None
+    return geopandas.GeoDataFrame.from_features(list(features_of(map_)))

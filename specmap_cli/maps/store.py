@@ -28,16 +28,17 @@ from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.map_server import read_grid, read_picture
 from specmap_cli.maps import filenames
 from specmap_cli.maps.features_file import Arrays, read_features
-from specmap_cli.maps.rooms import Grids, Room, RoomOrPlace, Rooms, composed
-from specmap_cli.maps.schema import TopologyRecord
-from specmap_cli.maps.text_files import (
-    config_of,
-    map_json,
-    map_text,
-    read_labels,
-    read_trajectory,
+from specmap_cli.maps.rooms import (
+    Grids,
+    Room,
+    RoomOrPlace,
+    Rooms,
+    composed,
+    geodataframe_of,
+    graph_of,
 )
-from specmap_cli.maps.topology_file import read_topology
+from specmap_cli.maps.schema import TopologyRecord, read_topology
+from specmap_cli.maps.text_files import config_of, map_json, map_text, read_labels, read_trajectory
 from specmap_cli.topology.regions import NOBODY, OwnerArray, Regions, divide
 from specmap_cli.topology.topological_map import (
     Door,
@@ -174,9 +175,7 @@ class Map:
         A figure that is unknown is None, such as `length_m` of a link without a way, which
         shortest paths by that weight pass over. Those of a forbidden link are there: `forbidden`.
         """
-        from specmap_cli.maps import flat
-
-        return flat.graph_of(self)
+        return graph_of(self)
 
     def to_geopandas(self) -> Any:
         """A GeoDataFrame in metres: `kind` is submap, anchor or door, or that of a link.
@@ -184,9 +183,7 @@ class Map:
         Rows are the features of `specmap export --format geojson`. Raises UsageError where
         geopandas is not installed.
         """
-        from specmap_cli.maps import flat
-
-        return flat.geodataframe_of(self)
+        return geodataframe_of(self)
 
     @property
     def of_recording(self) -> bool:
@@ -398,10 +395,7 @@ class Map:
 
     @cached_property
     def config(self) -> Config:
-        """The configuration the map was built with (`config` in run.json).
-
-        Settings that this version does not have are left out: `foreign_settings` names them.
-        """
+        """What the map was built with (run.json), without what `foreign_settings` names."""
         return config_of(self.run.get("config"), self.path / filenames.RUN)
 
     @property
@@ -426,10 +420,7 @@ def _foreign(path: Path) -> MapError:
 
 
 def read_map(directory: str | Path, limits: LimitsConfig | None = None) -> Map:
-    """Open a map directory whose files are within `limits`.
-
-    Raises MapError in one line when it is none, or damaged.
-    """
+    """Open a map directory whose files are within `limits`; MapError of one line for any other."""
     path = path_of(directory, "directory")
     if not path.exists():
         raise MapError(
@@ -452,8 +443,5 @@ def read_map(directory: str | Path, limits: LimitsConfig | None = None) -> Map:
 
 
 def opened_map(given: Map | Path | str, name: str, limits: LimitsConfig | None = None) -> Map:
-    """A map that is read already, or the directory of one, which the caller's argument `name` has.
-
-    Raises MapError as `read_map` does, TypeError for what is neither.
-    """
+    """A map, or the one in the directory that the argument `name` is; MapError, TypeError."""
     return given if isinstance(given, Map) else read_map(path_of(given, name), limits)

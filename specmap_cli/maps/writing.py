@@ -59,10 +59,7 @@ class MapResult:
 
 
 def write_scans(directory: Path, keyframes: KeyframeStore, labels: Labels) -> None:
-    """Write the scans of all keyframes of a map into its directory, unless they are there.
-
-    A map without them cannot be made anew from its directory.
-    """
+    """Write the scans of all keyframes of a map, unless they are there: it is made anew of them."""
     from specmap_cli.maps.keyframe_log import write_keyframes  # loads what writes recordings
 
     path = directory / filenames.KEYFRAMES
@@ -141,6 +138,6 @@ def _write_topology(
         write_grid(image.with_suffix(""), topology.submaps[node.id].grid)
     names = (path.relative_to(directory).as_posix() for path in directory.rglob("*"))
     files = {name: sha256_of(directory / name) for name in sorted(filter(has_digest, names))}
-    record = record.model_copy(update={"graph": record.graph.with_files(files)})
+    record = record.model_copy(update={"graph": record.graph.model_copy(update={"files": files})})
     (directory / filenames.TOPOLOGY).write_text(record.text(), encoding="utf-8")
     return files

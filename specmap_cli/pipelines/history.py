@@ -17,6 +17,7 @@ from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.core.text import encodable, to_json
 from specmap_cli.history.record import (
     SCHEMA_VERSION,
+    TABLES,
     BuildingRecord,
     ChangeKind,
     ChangeRecord,
@@ -26,10 +27,12 @@ from specmap_cli.history.record import (
     RoomRecord,
     day_of,
     days_of,
+    lines_of,
+    render_history,
+    tables_of,
     totals,
     zone_of,
 )
-from specmap_cli.history.views import TABLES, lines_of, render_history
 from specmap_cli.maps import filenames
 from specmap_cli.maps.comparison import ThingRecord
 from specmap_cli.maps.directory import OutputDirectory
@@ -146,8 +149,8 @@ def write_history(
     """Write history.json, its tables and its page into the `history_directory` of `out`."""
     plans = [read_map(path, limits) for path in report.plans]
     (directory / HISTORY).write_text(to_json(report.as_dict()), encoding="utf-8")
-    for name, table in TABLES.items():
-        (directory / name).write_text(table(report.record), encoding="utf-8")
+    for name, text in tables_of(report.record).items():
+        (directory / name).write_text(text, encoding="utf-8")
     page = render_history(report.record, plans, out)
     (directory / PAGE).write_text(page, encoding="utf-8")
 

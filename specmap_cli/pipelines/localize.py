@@ -221,8 +221,8 @@ def picture_of(report: LocalizationReport, stored: Map, metric: bool) -> NDArray
 
     The colours are those of the map's overview. Without a pose the way is as it was tracked.
     """
+    from specmap_cli.drawing.overview import render_labels
     from specmap_cli.drawing.palette import colours_of  # slow to load, and seldom wanted
-    from specmap_cli.drawing.predictions import render_labels
 
     metric = metric and any(scan.fix is not None for scan in report.scans)
     submaps = np.array(

@@ -19,7 +19,7 @@ from specmap_cli.pipelines.localizer import classifiers_of
 from specmap_cli.recognition.features.sets import KeyframeFeatures, feature_names
 from specmap_cli.recognition.learning.boosting import feature_shares
 from specmap_cli.recognition.learning.classifiers import Recogniser
-from specmap_cli.report.evidence import Evidence, FeatureShare, Learned, Likeness, SplitTrial
+from specmap_cli.report.evidence import Evidence, Learned, SplitTrial
 from specmap_cli.report.layers import Changes
 from specmap_cli.report.page import render
 from specmap_cli.segmentation.online import Occasion, OnlineSegmenter, SplitTest
@@ -90,7 +90,7 @@ def evidence_of(stored: Map, progress: Progress) -> Evidence:
         )
 
 
-def _features_of(recogniser: Recogniser) -> dict[int, tuple[FeatureShare, ...]]:
+def _features_of(recogniser: Recogniser) -> dict[int, tuple[tuple[str, float], ...]]:
     """What each classifier looks at, what counts most first."""
     names = feature_names(recogniser.feature_set)
     found = {}
@@ -98,9 +98,7 @@ def _features_of(recogniser: Recogniser) -> dict[int, tuple[FeatureShare, ...]]:
         shares = feature_shares(booster)
         ranked = np.argsort(-shares, kind="stable")
         found[id_] = tuple(
-            FeatureShare(names[k], float(shares[k]))
-            for k in ranked.tolist()
-            if shares[k] >= _LEAST_SHARE
+            (names[k], float(shares[k])) for k in ranked.tolist() if shares[k] >= _LEAST_SHARE
         )
     return found
 
@@ -141,7 +139,7 @@ def _told(
     ids: tuple[int, ...],
     margins: FloatArray,
     relative: FloatArray,
-    features: tuple[FeatureShare, ...],
+    features: tuple[tuple[str, float], ...],
 ) -> Learned:
     """What the margins (n, m) of a submap's own scans say of it; `own` is its column."""
     if not len(margins):
@@ -151,7 +149,7 @@ def _told(
         return Learned(features=features, scans=len(margins), right=right)
     shares = np.bincount(relative.argmax(axis=1), minlength=len(ids)) / len(margins)
     alike = tuple(
-        Likeness(ids[k], float(shares[k]))
+        (ids[k], float(shares[k]))
         for k in np.argsort(-shares, kind="stable").tolist()
         if shares[k] >= _LEAST_SHARE
     )

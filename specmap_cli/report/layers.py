@@ -10,28 +10,22 @@ from typing import Any
 
 import numpy as np
 
-from specmap_cli.core.geometry import BentMotion, FloatArray, evenly
+from specmap_cli.core.geometry import BentMotion, FloatArray
 from specmap_cli.core.records import BoolArray, Closure, IntArray
 from specmap_cli.drawing.overview import drawn_as
 from specmap_cli.drawing.palette import Colour, colours_of
 from specmap_cli.drawing.sheet import extent_of
 from specmap_cli.maps.comparison import ComparisonRecord
-from specmap_cli.maps.flat import link_line
+from specmap_cli.maps.rooms import link_line
 from specmap_cli.maps.store import Map
-from specmap_cli.report.html import shown
-from specmap_cli.report.svg import Frame, fill_names, outlines, path_data
+from specmap_cli.report.html import Frame, fill_names, outlines, path_data, shown
 from specmap_cli.topology.regions import NOBODY
-from specmap_cli.topology.topological_map import starts_of
 
 MOST_REFUSED = 400  # refused closures that are drawn: those with the largest xi
-_MOST_LOST = 500  # places of lost scans that are drawn
 
 
 class DrawnMap:
-    """A stored map as a drawing needs it. A divided floor plan has no keyframes.
-
-    Every property raises MapError when a file is damaged.
-    """
+    """A stored map as a drawing needs it. Properties raise MapError for a damaged file."""
 
     def __init__(self, stored: Map) -> None:
         self.stored = stored
@@ -54,11 +48,6 @@ class DrawnMap:
         """The colour of each submap."""
         return colours_of(self.stored.topology, self.stored.regions)
 
-    @property
-    def starts(self) -> tuple[int, ...]:
-        """The keyframes with which the recordings after the first one begin."""
-        return starts_of(self.stored.logs)
-
     @cached_property
     def names(self) -> dict[int, str]:
         """What the submaps are called: by a person, or by their numbers."""
@@ -80,35 +69,8 @@ class DrawnMap:
         return [self.frame.places(ring) for ring in outlines(cells, self.stored.regions.grid)]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Region:
-    """A submap on the map: its `outline` and the `rim` of its largest part as path data, its badge.
-
-    The `box` round it is left, top, width and height in the drawing.
-    """
-
-    id: int
-    fill: str
-    outline: str
-    rim: str
-    badge: tuple[int, int]
-    box: tuple[int, int, int, int]
-
-
-@dataclass(frozen=True, slots=True)
-class Closures:
-    """The closures that were accepted, and of `refused_total` refused ones those that are drawn.
-
-    Each has a `line` between the two places that were compared, its `xi` and its `reason`.
-    """
-
-    accepted: list[dict[str, Any]]
-    refused: list[dict[str, Any]]
-    refused_total: int
-
-
-def regions_of(map_: DrawnMap) -> list[Region]:
-    """The submaps on the map, by id."""
+def regions_of(map_: DrawnMap) -> list[dict[str, Any]]:
+    """The submaps by id: `outline`, `rim` of the largest part, `box` (left, top, width, height)."""
     names = fill_names(map_.fills.values())
     found = []
     for id_, room in map_.stored.rooms.items():
@@ -117,23 +79,20 @@ def regions_of(map_: DrawnMap) -> list[Region]:
         points = np.vstack([np.array([badge]), *rings])
         (left, top), (right, bottom) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
         found.append(
-            Region(
-                id=id_,
-                fill=names[map_.fills[id_]],
-                outline=path_data(rings, closed=True),
-                rim=map_.frame.line(room.outline, closed=True),
-                badge=badge,
-                box=(left, top, right - left, bottom - top),
-            )
+            {
+                "id": id_,
+                "fill": names[map_.fills[id_]],
+                "outline": path_data(rings, closed=True),
+                "rim": map_.frame.line(room.outline, closed=True),
+                "badge": badge,
+                "box": (left, top, right - left, bottom - top),
+            }
         )
     return found
 
 
 def links_of(map_: DrawnMap) -> list[dict[str, Any]]:
-    """The ways of the map, or straight lines where the robot is too wide for every way.
-
-    Each has a `kind`, as it is drawn, and a `line`, and may be `forbidden`.
-    """
+    """The links: `kind` as it is drawn, `line` along its way or straight, and if `forbidden`."""
     edges = map_.stored.topology.edges
     found = []
     for record in map_.stored.record.edges:
@@ -143,8 +102,8 @@ def links_of(map_: DrawnMap) -> list[dict[str, Any]]:
     return found
 
 
-def closures_of(map_: DrawnMap) -> Closures:
-    """The closures that were accepted, and those refused with the largest xi."""
+def closures_of(map_: DrawnMap) -> tuple[dict[str, list[dict[str, Any]]], int]:
+    """Those `accepted`, those `refused` with the largest xi, and how many were refused in all."""
     poses = map_.stored.keyframes.poses
     places = {}  # where the robot was in the middle of each stay
     for stay in map_.stored.record.graph.stays:
@@ -167,12 +126,8 @@ def closures_of(map_: DrawnMap) -> Closures:
     refused = [each for each in known if not each.merged]
     drawn = sorted(refused, key=lambda one: 0.0 if math.isnan(one.xi) else -one.xi)[:MOST_REFUSED]
     accepted = [mark(each) for each in known if each.merged]
-    return Closures(accepted, [mark(each) for each in drawn], len(refused))
-
-
-def lost_places(map_: DrawnMap) -> list[tuple[int, int]]:
-    """Where scans were lost; of a great many only some, evenly spread."""
-    return [(x, y) for x, y in map_.frame.places(evenly(map_.lost, _MOST_LOST)).tolist()]
+    marks = {"accepted": accepted, "refused": [mark(each) for each in drawn]}
+    return marks, len(refused)
 
 
 _LEAST_DOOR_CM = 40.0  # of the mark of a way that was closed or opened
@@ -180,10 +135,7 @@ _LEAST_DOOR_CM = 40.0  # of the mark of a way that was closed or opened
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Changes:
-    """What differs from an older map of the building, as a record and in words.
-
-    `new_from_old` places the old map in the one that the report is about.
-    """
+    """What differs from an older map, in words too; `new_from_old` places that in the report's."""
 
     old: Map
     record: ComparisonRecord

@@ -1,4 +1,4 @@
-"""The page put together: what is known of a map, filled into the templates.
+"""The page: what is known of a map, in figures, words and sheets, filled into the templates.
 
 Names, properties and reasons are somebody's text: the templates escape whatever they show, and the
 page runs no script but its own, which the browser knows by its hash.
@@ -6,28 +6,40 @@ page runs no script but its own, which the browser knows by its hash.
 
 from __future__ import annotations
 
+import base64
 from collections import Counter
+from collections.abc import Mapping
 from typing import Any
 
-from specmap_cli.core.text import counted
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from specmap_cli.core.findings import Verdict
+from specmap_cli.core.geometry import evenly
+from specmap_cli.core.settings import Config
+from specmap_cli.core.text import counted, seconds
+from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap
+from specmap_cli.grids.map_server import png_bytes
+from specmap_cli.maps import filenames
 from specmap_cli.maps.store import Map
-from specmap_cli.report import facts, layers
-from specmap_cli.report.evidence import Evidence, Spectra, spectra_of
-from specmap_cli.report.html import PACKAGE, html_page, shown
-from specmap_cli.report.layers import Changes, Closures, DrawnMap, old_map
-from specmap_cli.report.svg import fill_names, tones
-from specmap_cli.report.track import Track, running_seconds
+from specmap_cli.report import layers
+from specmap_cli.report.evidence import (
+    Evidence,
+    Learned,
+    Spectra,
+    Track,
+    running_seconds,
+    spectra_of,
+)
+from specmap_cli.report.html import PACKAGE, fill_names, html_page, lasting, shown, tones
+from specmap_cli.report.layers import Changes, DrawnMap, old_map
+from specmap_cli.topology.topological_map import starts_of
 
 # the parts of the script in their order; each uses only what stands before it
 _SCRIPTS = (
-    "core.js",
-    "viewport.js",
-    "layers.js",
-    "selection.js",
-    "playback.js",
-    "tables.js",
-    "places.js",
-    "spectra.js",
+    *("core.js", "viewport.js", "layers.js", "selection.js", "playback.js"),
+    *("tables.js", "places.js", "spectra.js"),
 )
 _STYLES = ("page.css", "map.css", "parts.css", "print.css")
 # heads of the table of submaps: their words, and how the column is sorted
@@ -42,16 +54,17 @@ _DRIVEN_COLUMNS = (("visits", "number"), ("time there", "number"))
 _LEARNED_COLUMNS = (("told right", "number"), ("most like", "text"))
 
 
-def render(stored: Map, evidence: Evidence, changes: Changes | None = None) -> str:
-    """The report on a stored map as the text of one HTML page.
+_MOST_LOST = 500  # places of lost scans that are drawn, evenly spread
 
-    Raises MapError when a file of the map is missing or damaged.
-    """
+
+def render(stored: Map, evidence: Evidence, changes: Changes | None = None) -> str:
+    """The report on a stored map as one HTML page. MapError for a missing or damaged file."""
     map_ = DrawnMap(stored)
-    track = Track.of(stored.keyframes, map_.starts, evidence.fit)
-    seconds = running_seconds(stored.keyframes.stamps_ns, map_.starts).tolist()
+    starts = starts_of(stored.logs)  # of the recordings after the first one, in keyframes
+    track = Track.of(stored.keyframes, starts, evidence.fit)
+    seconds = running_seconds(stored.keyframes.stamps_ns, starts).tolist()
     spectra = spectra_of(evidence, seconds, map_.frame)
-    closures = layers.closures_of(map_)
+    closures, refused = layers.closures_of(map_)
     context = {
         **_drawn(map_, track),
         **_words(map_, track, evidence),
@@ -67,7 +80,7 @@ def render(stored: Map, evidence: Evidence, changes: Changes | None = None) -> s
             "threshold": spectra.threshold,
             "logs": [log.name for log in stored.record.graph.logs],
         },
-        "thinned": _left_out(track, spectra, closures),
+        "thinned": _left_out(track, spectra, len(closures["refused"]), refused),
     }
     return html_page(PACKAGE, "page.html", context, _STYLES, _SCRIPTS)
 
@@ -91,7 +104,7 @@ def _drawn(map_: DrawnMap, track: Track) -> dict[str, Any]:
         "track": track,
         "by_time": track.by_time(map_.frame),
         "by_fit": track.by_fit(map_.frame),
-        "lost": layers.lost_places(map_),
+        "lost": map_.frame.places(evenly(map_.lost, _MOST_LOST)).tolist(),
         "visits": visits,
         "visits_of": {
             id_: [(start, end) for start, end, submap in visits if submap == id_]
@@ -102,20 +115,23 @@ def _drawn(map_: DrawnMap, track: Track) -> dict[str, Any]:
 
 def _words(map_: DrawnMap, track: Track, evidence: Evidence) -> dict[str, Any]:
     """What is written beside the map."""
-    verdict, sentence, findings = facts.judgement_of(map_)
+    quality, gravity = map_.stored.quality, ("poor", "doubtful", "note")
+    findings = [] if quality is None else list(quality.findings)
     # why closures were accepted or refused, and how often, the most frequent first
     counts = Counter((each.reason, each.merged) for each in map_.stored.record.graph.closures)
     ranked = sorted(counts.items(), key=lambda one: (not one[0][1], -one[1], one[0][0]))
     note = map_.stored.note
+    headline, *others = [log.name for log in map_.stored.record.graph.logs]
+    headline += f" and {counted(len(others), 'more recording')}" if others else ""
     return {
-        "title": shown(facts.headline(map_)),
+        "title": shown(headline),
         "place": shown(map_.stored.path.resolve().name),
-        "verdict": verdict,
-        "sentence": sentence,
-        "facts": facts.facts_of(map_, track),
-        "findings": findings,
-        "run": facts.run_of(map_),
-        "sheets": facts.sheets_of(map_, evidence.learned),
+        "verdict": "not judged" if quality is None else quality.verdict,
+        "sentence": _VERDICTS[map_.stored.verdict],
+        "facts": _facts_of(map_, track),
+        "findings": sorted(findings, key=lambda one: gravity.index(one.severity)),
+        "run": _run_of(map_),
+        "sheets": _sheets_of(map_, evidence.learned),
         "columns": (
             *_COLUMNS,
             *(_DRIVEN_COLUMNS if track.total else ()),
@@ -129,7 +145,7 @@ def _words(map_: DrawnMap, track: Track, evidence: Evidence) -> dict[str, Any]:
     }
 
 
-def _left_out(track: Track, spectra: Spectra, closures: Closures) -> list[str]:
+def _left_out(track: Track, spectra: Spectra, drawn: int, refused: int) -> list[str]:
     """A sentence for each part of the map that is not shown whole."""
     found = ["Outlines are simplified by half a cell; places are rounded to centimetres."]
     if len(track.seconds) < track.total:
@@ -140,7 +156,143 @@ def _left_out(track: Track, spectra: Spectra, closures: Closures) -> list[str]:
         found.append(f"Of {total} {kept:,} are shown, those that split a submap first.")
     if spectra.thinned:
         found.append("Split tests show some of their nodes, evenly spread.")
-    if len(closures.refused) < closures.refused_total:
-        kept, total = len(closures.refused), f"{closures.refused_total:,} refused closures"
-        found.append(f"Of {total} the {kept:,} with the largest xi are drawn.")
+    if drawn < refused:
+        found.append(
+            f"Of {refused:,} refused closures the {drawn:,} with the largest xi are drawn."
+        )
     return found
+
+
+_THUMBNAIL = 240  # pixels of the longer side, at most
+_AROUND_M = 0.7  # shown round the outline of a submap
+_GREYS = np.zeros(256, dtype=np.uint8)
+_GREYS[[FREE, UNKNOWN]] = 255, 214
+_VERDICTS: Mapping[Verdict | None, str] = {
+    None: "nobody checked this map against itself",
+    "good": "nothing was found that speaks against the map",
+    "doubtful": "something is wrong, or cannot be known: see the findings before you use the map",
+    "poor": "do not use this map",
+}
+
+
+def _facts_of(map_: DrawnMap, track: Track) -> list[tuple[str, str, str]]:
+    """The figures at the top of the page, each with its unit and what it counts."""
+    record, doors = map_.stored.record, map_.stored.doors
+    driven = sum(door.driven for door in doors)
+    how_many = "all" if driven == len(doors) else f"{driven:,}"
+    found = [
+        (f"{len(record.nodes):,}", "", _plural(len(record.nodes), "submap")),
+        (f"{record.area_m2:,.0f}", "m²", "free space"),
+        *([(f"{record.seen_m2:,.0f}", "m²", "only seen")] if record.graph.seen else []),
+        (
+            f"{len(doors):,}",
+            "",
+            _plural(len(doors), "door") + (f", {how_many} driven through" if driven else ""),
+        ),
+    ]
+    if track.total:
+        found.append(
+            (f"{map_.stored.driven_m:,.0f}", "m", f"driven in {lasting(track.duration_s)}")
+        )
+        merged = sum(closure.merged for closure in record.graph.closures)
+        found.append((f"{merged:,}", "", _plural(merged, "revisit") + " recognised"))
+        lost = len(map_.lost)
+        scans = sum(log.scans for log in record.graph.logs)
+        found.append((f"{lost:,}", "", f"of {scans:,} scans lost"))
+    return found
+
+
+def _plural(count: int, noun: str) -> str:
+    return counted(count, noun).split(" ", 1)[1]
+
+
+def _run_of(map_: DrawnMap) -> dict[str, Any]:
+    """How the map was made, by parts; they are empty for a map without run.json."""
+    stored = map_.stored
+    known = (stored.path / filenames.RUN).exists()
+    run = stored.run if known else {}
+    warnings = run.get("warnings")
+    usual, own = _dotted(Config()), _dotted(stored.config) if known else {}
+    settings = [(key, str(own[key]), str(usual[key])) for key in own if own[key] != usual[key]]
+    took = _dict(run, "seconds").items()
+    seconds = [(key, float(value)) for key, value in took if type(value) in (int, float)]
+    counts = stored.counts if known else {}
+    return {
+        "selection": _pairs(_dict(run, "selection")),
+        "settings": settings,
+        "counts": [(key, f"{count:,}") for key, count in counts.items() if count],
+        "seconds": sorted(seconds, key=lambda one: -one[1]),
+        "versions": _pairs(_dict(run, "versions")),
+        "warnings": list(map(str, warnings)) if isinstance(warnings, list) else [],
+    }
+
+
+def _dotted(config: Config) -> dict[str, Any]:
+    """All settings by their dotted keys."""
+    found: dict[str, Any] = {}
+    for section, values in config.model_dump().items():
+        inner = values if isinstance(values, dict) else {"": values}
+        found |= {f"{section}.{key}".rstrip("."): value for key, value in inner.items()}
+    return found
+
+
+def _dict(run: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    """A part of run.json, which a person may have changed; empty when it is something else."""
+    found = run.get(key)
+    return found if isinstance(found, dict) else {}
+
+
+def _pairs(values: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
+    told = {key: value for key, value in values.items() if value is not None}
+    return tuple(
+        (key.replace("_", " "), ", ".join(map(str, value if isinstance(value, list) else [value])))
+        for key, value in told.items()
+    )
+
+
+def _sheets_of(map_: DrawnMap, learned: Mapping[int, Learned]) -> list[dict[str, Any]]:
+    """All that is told of each submap, by id; `visits` are start and length in seconds."""
+    edges = map_.stored.record.edges
+    ends = [(edge.source, edge.target) for edge in edges if not edge.doors]
+    sheets = []
+    for id_, room in map_.stored.rooms.items():
+        grid = room.grid
+        sides_m = [0.0, 0.0]  # of the smallest upright box round its outline
+        if len(room.outline):  # the grid shows far more than the part round it, through doors
+            sides_m = np.ptp(room.outline, axis=0).tolist()
+            part = grid.near(room.map_from_room.inverse().apply(room.outline), _AROUND_M)
+            grid = part if part.cells.size else grid
+        thumbnail, size = _thumbnail(grid)
+        spans = [(seconds(visit.start_ns), seconds(visit.end_ns)) for visit in room.visits]
+        visits = [(start, end - start) for start, end in spans]
+        sheets.append(
+            {
+                "node": room,
+                "named": bool(room.given_name),
+                "doors": room.doors,
+                "open_to": sorted(b if a == id_ else a for a, b in ends if id_ in (a, b)),
+                "visits": visits,
+                "stayed_s": sum(length for _, length in visits),
+                "sides_m": sides_m,
+                "thumbnail": thumbnail,
+                "thumbnail_size": size,
+                "learned": learned.get(id_, Learned()),
+            }
+        )
+    return sheets
+
+
+def _thumbnail(grid: GridMap) -> tuple[str, tuple[int, int]]:
+    """The grid of a submap, cropped to what is known, as a data URL, and its width and height."""
+    known = np.argwhere(grid.cells != UNKNOWN)
+    if not len(known):
+        return "", (0, 0)
+    (low, left), (high, right) = known.min(axis=0), known.max(axis=0) + 1
+    picture: NDArray[Any] = _GREYS[grid.cells[low:high, left:right][::-1]]
+    scale = min(1.0, _THUMBNAIL / max(picture.shape))
+    if scale < 1.0:
+        size = max(1, round(picture.shape[1] * scale)), max(1, round(picture.shape[0] * scale))
+        picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    picture = picture & 0xF0  # sixteen greys: a third of the bytes
+    data = base64.b64encode(png_bytes(picture)).decode("ascii")
+    return f"data:image/png;base64,{data}", (picture.shape[1], picture.shape[0])

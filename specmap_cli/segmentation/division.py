@@ -142,13 +142,13 @@ def _divided(
     clearance = clearance_of(narrowed)
     del small, narrowed
     space = clearance > 0.0
-    packed = [  # step 2: nothing is kept of the graphs, and little of the labels
-        zlib.compress(_placement(clearance, space, cell_m, config, block, number)[0], level=1)
-        for number in range(1, config.placements)
-    ]
+    packed = []  # step 2: nothing is kept of the graphs, and little of the labels
+    for number in range(1, config.placements):
+        labels = _placement(clearance, space, cell_m, config, block, number)[0]
+        packed.append(zlib.compress(labels.tobytes(), level=1))
     first, graph, spectrum = _placement(clearance, space, cell_m, config, block, 0)
     give_memory_back()
-    others = [np.frombuffer(zlib.decompress(labels), dtype=np.int16) for labels in packed]
+    others = [np.frombuffer(zlib.decompress(one), dtype=np.int16) for one in packed]
     cells = np.full(space.shape, -1, dtype=np.int16)
     cells[space] = consensus([first, *others])  # step 3
     del first, others, space

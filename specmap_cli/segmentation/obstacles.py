@@ -13,6 +13,8 @@ to all that follows, it is one. One row does: holes that noise leaves in others 
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -122,7 +124,8 @@ def fill_cupboards(labels: LabelArray, pieces: NDArray[np.int32], resolution: fl
     if not pieces.any():
         return labels
     # exact: there are fewer than 16 million
-    grown = pieces.astype(np.uint16 if pieces.max() < 1 << 16 else np.float32)
+    kind = np.uint16 if pieces.max() < 1 << 16 else np.float32
+    grown: NDArray[Any] = pieces.astype(kind)
     for _ in range(round(_REACH_M / resolution)):
         np.copyto(grown, cv2.dilate(grown, np.ones((3, 3), np.uint8)), where=pieces == 0)
     ring = (grown > 0) & (labels >= 0)

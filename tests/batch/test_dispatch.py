@@ -105,8 +105,8 @@ def test_events_say_what_happened_in_order_as_their_schema_says() -> None:
     ledger = ledger_of("abc")
     heard = [
         ledger.event("began"),
-        ledger.started(Turn(job("b"))),
-        ledger.retried(failed("b", "worker", attempts=1)),
+        ledger.event("started", "b", attempt=1),
+        ledger.ended("retried", failed("b", "worker", attempts=1)),
         ledger.finished(JobResult(result("a"))),
         ledger.finished(JobResult(result("c"), resumed=True)),
         *(ledger.waits(slots) for slots in (2, 0, 0, 1, 0)),

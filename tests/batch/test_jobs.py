@@ -29,7 +29,7 @@ from specmap_cli.batch.summaries import (
     headline,
     rows_of,
 )
-from specmap_cli.cli.batch import known_options
+from specmap_cli.cli.making import known_options
 from specmap_cli.core.errors import SETTING, LogError, UsageError
 from specmap_cli.exports.table import exporters
 from specmap_cli.logs.readers.mcap import McapFile

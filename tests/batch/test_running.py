@@ -23,7 +23,7 @@ from specmap_cli.batch.places import folder_at
 from specmap_cli.batch.records import Job, JobRecord, Limits, Plan, Step, Terms, Turn
 from specmap_cli.batch.running import failure, may_retry, run_job
 from specmap_cli.batch.sources import digest_of, inputs_of
-from specmap_cli.cli.batch import known_options
+from specmap_cli.cli.making import known_options
 from specmap_cli.core.schemas import read_schema
 from specmap_cli.core.text import to_json
 from tests.batch import fake_specmap

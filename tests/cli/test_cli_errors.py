@@ -21,8 +21,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.cli import main
-from specmap_cli.cli.console import ConsoleProgress
-from specmap_cli.cli.entry import one_line
+from specmap_cli.cli.entry import ConsoleProgress, one_line
 from specmap_cli.core.errors import CODES
 from specmap_cli.logs import inspection
 from specmap_cli.pipelines import build

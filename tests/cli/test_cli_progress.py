@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from rich.progress import ProgressColumn
 
-from specmap_cli.cli.console import ConsoleProgress, bars
+from specmap_cli.cli.entry import ConsoleProgress, bars
 from specmap_cli.core.progress import Level
 from tests.cli.conftest import QUICK, Run, spawn
 

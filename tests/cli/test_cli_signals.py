@@ -12,8 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from specmap_cli.cli.console import ConsoleProgress
-from specmap_cli.cli.entry import Interruption, interruptible
+from specmap_cli.cli.entry import ConsoleProgress, Interruption, interruptible
 from tests.cli.conftest import QUICK, ROOT, Run, leftovers, spawn
 
 SIGNALS = [signal.SIGINT, signal.SIGTERM]

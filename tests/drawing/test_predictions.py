@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from specmap_cli.core.records import NO_SUBMAP, IntArray
 from specmap_cli.drawing import palette, symbols
 from specmap_cli.drawing.canvas import Image
+from specmap_cli.drawing.overview import render_confusion, render_labels
 from specmap_cli.drawing.palette import PAPER, RIGHT, SHADE, paler
-from specmap_cli.drawing.predictions import render_confusion, render_labels
 from specmap_cli.drawing.sheet import TITLE
 from specmap_cli.maps.writing import MapResult
 from tests.drawing.looking import bounds, inked, is_framed, near, of_colour, pixel

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from specmap_cli.exports.foxglove_schemas import description
+from specmap_cli.exports.foxglove import description
 from tests.exports.consumers import consumer
 
 TOPICS = ("Grid", "SceneUpdate", "PoseInFrame", "PosesInFrame", "FrameTransform", "LaserScan")

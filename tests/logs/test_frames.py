@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import pickle
 import re
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -273,7 +274,7 @@ def chain(length: int) -> TransformTree:
 
 def test_later_transforms_replace_earlier_ones_but_not_those_of_a_copy() -> None:
     tree = chain(2)
-    copy = tree.copy()
+    copy = deepcopy(tree)
     copy.add(TransformRecord(0, "frame2", "hand", np.eye(4)), dynamic=True)
     copy.add(TransformRecord(0, "frame0", "frame1", ahead(2.0)), dynamic=True)
     for one, metres, moves in ((tree, 1.0, False), (copy, 2.0, True)):

@@ -45,7 +45,6 @@ from specmap_cli.logs.readers.encoding import (
     normalized_type,
     odometry_cdr,
     scan_cdr,
-    transform_cdr,
     transforms_cdr,
     typestore,
 )
@@ -192,7 +191,7 @@ def test_a_cloud_says_where_its_fields_are(times: list[float] | None) -> None:
 
 def test_a_transform_says_what_was_given() -> None:
     turn = Rotation.from_euler("xyz", [0.3, -0.2, 1.0])
-    data = transform_cdr("base", "/laser", STAMP, (1.0, 2.0, 3.0), turn.as_quat())
+    data = transforms_cdr(STAMP, [Transform("base", "/laser", (1.0, 2.0, 3.0), turn.as_quat())])
     (stamped,) = decoded(data, TF_MESSAGE).transforms
     assert (stamped.header.frame_id, stamped.child_frame_id) == ("base", "/laser")
     moved, turned = stamped.transform.translation, stamped.transform.rotation

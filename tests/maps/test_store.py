@@ -25,9 +25,8 @@ from specmap_cli.core.settings import Config, LimitsConfig
 from specmap_cli.core.text import plain
 from specmap_cli.exports.table import export_map
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.maps.schema import TopologyRecord
+from specmap_cli.maps.schema import TopologyRecord, upgraded
 from specmap_cli.maps.store import read_map
-from specmap_cli.maps.topology_file import upgraded
 from specmap_cli.maps.writing import MapResult, write_map, write_segmentation
 from specmap_cli.topology.regions import NOBODY, Regions
 from specmap_cli.topology.topological_map import LogInfo, TopologicalMap

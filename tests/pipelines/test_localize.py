@@ -111,7 +111,7 @@ def test_classifiers_of_other_submaps_are_refused(own_log: Path, flat_map: Map) 
 
 def without_digests(record: TopologyRecord) -> TopologyRecord:
     """A map that is older than the digests of its files."""
-    return record.model_copy(update={"graph": record.graph.with_files({})})
+    return record.model_copy(update={"graph": record.graph.model_copy(update={"files": {}})})
 
 
 def test_damaged_classifiers_keep_what_to_do_about_them(flat_map: Map, tmp_path: Path) -> None:

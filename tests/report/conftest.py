@@ -13,7 +13,7 @@ from specmap_cli.core.findings import Finding, Quality, Where
 from specmap_cli.maps.store import Map, read_map
 from specmap_cli.maps.writing import MapResult, write_map
 from specmap_cli.pipelines.report import report_map
-from specmap_cli.report.evidence import Evidence, FeatureShare, Learned, Likeness, SplitTrial
+from specmap_cli.report.evidence import Evidence, Learned, SplitTrial
 from specmap_cli.report.page import render
 from specmap_cli.topology.topological_map import Door
 from tests.report.browser import Browser, BrowserGoneError, installed
@@ -52,7 +52,7 @@ def house(tmp_path: Path, result: MapResult) -> Map:
 @pytest.fixture
 def evidence() -> Evidence:
     """What might be found out about the house."""
-    features = (FeatureShare("area", 0.5), FeatureShare(HOSTILE, 0.25))
+    features = (("area", 0.5), (HOSTILE, 0.25))
     nodes = np.array([[0.0, 0.0], [1.0, 0.5], [-3.0, 3.5]])
     values, sides = np.array([1.0, 0.9, 0.4]), np.array([1.0, 0.5, -1.0])
     trial = SplitTrial(
@@ -61,7 +61,7 @@ def evidence() -> Evidence:
     split = replace(trial, split=True)
     tests = (trial, replace(split, keyframe=12, chosen=1), replace(split, keyframe=20, chosen=2))
     return Evidence(
-        learned={1: Learned(features=features, scans=10, right=0.9, alike=(Likeness(2, 0.7),))},
+        learned={1: Learned(features=features, scans=10, right=0.9, alike=((2, 0.7),))},
         fit=np.linspace(0.4, 1.0, 30),
         tests=tests,
         threshold=0.8,

@@ -39,11 +39,11 @@ def test_every_submap_is_told_and_likened_to_others(found: Evidence, flat_map: M
     for id_, learned in found.learned.items():
         assert learned.right > 0.8
         assert 0 < learned.scans <= 60
-        assert id_ not in {one.submap for one in learned.alike}
-        shares = [one.share for one in learned.alike]
+        assert id_ not in {submap for submap, _ in learned.alike}
+        shares = [share for _, share in learned.alike]
         assert shares == sorted(shares, reverse=True)
         assert sum(shares) == pytest.approx(1.0, abs=0.05)
-        assert sum(one.share for one in learned.features) <= 1.0 + 1e-9
+        assert sum(share for _, share in learned.features) <= 1.0 + 1e-9
 
 
 def test_the_tests_are_those_of_the_build(

@@ -15,8 +15,8 @@ from specmap_cli.drawing.palette import FILLS, Colour
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.report import html
-from specmap_cli.report.svg import Frame, outlines, path_data, tones
-from specmap_cli.report.track import MOST_POINTS, Track
+from specmap_cli.report.evidence import MOST_POINTS, Track
+from specmap_cli.report.html import Frame, outlines, path_data, tones
 from tests.drawing.seeing import contrast, least_difference, seen_lab
 
 FRAME = Frame(-2.0, 8.0, 1000, 1000)

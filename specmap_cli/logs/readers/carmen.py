@@ -21,27 +21,7 @@ import numpy as np
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import stamp_ns
-from specmap_cli.logs.readers.encoding import (
-    LASER_SCAN,
-    NS_PER_S,
-    ODOMETRY,
-    TF_MESSAGE,
-    TF_STATIC,
-    in_space,
-    odometry_cdr,
-    scan_cdr,
-    transform_cdr,
-)
-from specmap_cli.logs.readers.recording import (
-    Contents,
-    Message,
-    Recording,
-    TopicInfo,
-    is_text,
-    survey,
-    time_text,
-    unreadable,
-)
+from specmap_cli.logs.readers import encoding, recording
 
 ODOM_TOPIC = "/odom"
 
@@ -54,10 +34,8 @@ _FLASER_RANGE_MAX_M = 80.0  # lines do not say: the SICK LMS of these logs gives
 _KEYWORD = re.compile(rb"[A-Z]\w*")  # what one looks like
 _MOST_KEYWORDS = 1000  # of a log, that are not read
 _FLASER_TAIL = 9  # words behind the ranges: two poses, a stamp, the host, a stamp
-_END = [True] * 6 + [
-    False,
-    True,
-]  # which of the last words of any line are numbers: the host is not
+# which of the last words of any line are numbers: the host is not
+_END = [True] * 6 + [False, True]
 _ROBOTLASER_HEAD, _ROBOTLASER_TAIL = 8, 14  # words up to the ranges and behind the remissions
 _ODOM_WORDS = 9  # a pose, three speeds, a stamp, the host, a stamp
 _COUNT_DIGITS = 7  # no line has a million ranges
@@ -221,10 +199,7 @@ def _pose(words: list[bytes], start: int) -> Pose2:
 
 
 def _check_host(words: list[bytes], place: int) -> None:
-    """Raise ValueError when a line is too long, and has a number where the host should be.
-
-    It has then lost the end of itself, and what follows is of another line.
-    """
+    """ValueError for a long line with a number for its host: it ran into another."""
     if len(words) > place + 2 and _is_number(words[place]):
         raise ValueError(words[place])
 
@@ -252,7 +227,7 @@ def _stamp(words: list[bytes], place: int) -> int:
     try:
         stamp = stamp_ns(word.decode("ascii"))
     except ValueError:  # with an exponent
-        stamp = round(_finite(word) * NS_PER_S)
+        stamp = round(_finite(word) * encoding.NS_PER_S)
     if not -_STAMP_LIMIT_NS < stamp < _STAMP_LIMIT_NS:
         raise ValueError(word)
     return stamp
@@ -269,7 +244,7 @@ _SOME_LINE = "other line (but for its end)"  # it ran into the one before
 _SAME_MOUNT_M, _SAME_MOUNT_RAD = 0.01, 0.01  # poses are written with rounded digits
 
 
-class CarmenFile(Recording):
+class CarmenFile(recording.Recording):
     """One CARMEN log."""
 
     format = "CARMEN log"
@@ -281,12 +256,12 @@ class CarmenFile(Recording):
         try:
             self._lines_of = file.open("rb")
         except OSError as error:
-            raise unreadable(self.path, error) from None
+            raise recording.unreadable(self.path, error) from None
 
     @classmethod
     def sniff(cls, head: bytes, file: Path) -> bool:
         """Whether one of the first lines of a text is CARMEN's."""
-        if not is_text(head):
+        if not recording.is_text(head):
             return False
         searched = 0
         try:
@@ -298,62 +273,64 @@ class CarmenFile(Recording):
                     if searched > _SEARCH_BYTES:
                         return False
         except OSError as error:
-            raise unreadable(file, error) from None
+            raise recording.unreadable(file, error) from None
         return False
 
     @property
-    def contents(self) -> Contents:
+    def contents(self) -> recording.Contents:
         """From one pass over the file, as there is no index."""
         return self._survey[0]
 
     @cached_property
-    def _survey(self) -> tuple[Contents, dict[str, Pose2]]:
+    def _survey(self) -> tuple[recording.Contents, dict[str, Pose2]]:
         """The contents, and base_from_laser by topic of lasers whose lines all give the same."""
         compared: dict[str, Pose2 | None] = {}
-        contents = survey(self._entries(compared))
+        contents = recording.survey(self._entries(compared))
         mounts = {topic: mount for topic, mount in compared.items() if mount is not None}
         if mounts:
-            mountings = TopicInfo(TF_STATIC, TF_MESSAGE, len(mounts))
+            mountings = recording.TopicInfo(encoding.TF_STATIC, encoding.TF_MESSAGE, len(mounts))
             contents = replace(contents, topics=(*contents.topics, mountings))
         return contents, mounts
 
     def _entries(self, mounts: dict[str, Pose2 | None]) -> Iterator[tuple[str, str, int]]:
         """Topic, type and time of every message but the mountings, which go into `mounts`."""
         for line in self._lines():
-            yield ODOM_TOPIC, ODOMETRY, line.stamp_ns
+            yield ODOM_TOPIC, encoding.ODOMETRY, line.stamp_ns
             if line.scan is None:
                 continue
-            yield line.topic, LASER_SCAN, line.stamp_ns
+            yield line.topic, encoding.LASER_SCAN, line.stamp_ns
             mount = line.odom_from_base.inverse() @ line.scan.odom_from_laser
             known = mounts.setdefault(line.topic, mount)
             if known is None or _same(known, mount):
                 continue
             others = [other for topic, other in mounts.items() if topic != line.topic]
             if any(other is not None and _same(other, mount) for other in others):
+                when = recording.time_text(line.stamp_ns)
                 self.report(
-                    f"the scan on {line.topic} at {time_text(line.stamp_ns)} has the mounting of "
-                    "another laser: its keyword is damaged, and one scan of that laser is missing"
+                    f"the scan on {line.topic} at {when} has the mounting of another laser: its "
+                    "keyword is damaged, and one scan of that laser is missing"
                 )
             else:
                 mounts[line.topic] = None  # someone corrected the laser's poses
 
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[recording.Message]:
         """The messages on `topics`, in the order of the lines."""
         mounts = dict(self._survey[1])  # of lasers whose mounting has not been told
         for line in self._lines():
             scan, stamp_ns, frame = line.scan, line.stamp_ns, line.topic.strip("/")
             mount = mounts.pop(line.topic, None) if scan is not None else None
-            if mount is not None and (topics is None or TF_STATIC in topics):
-                data = transform_cdr(BASE_FRAME, frame, stamp_ns, *in_space(mount))
-                yield Message(TF_STATIC, TF_MESSAGE, stamp_ns, data)
+            if mount is not None and (topics is None or encoding.TF_STATIC in topics):
+                mounting = encoding.Transform(BASE_FRAME, frame, *encoding.in_space(mount))
+                data = encoding.transforms_cdr(stamp_ns, [mounting])
+                yield recording.Message(encoding.TF_STATIC, encoding.TF_MESSAGE, stamp_ns, data)
             if topics is None or ODOM_TOPIC in topics:
-                data = odometry_cdr(ODOM_FRAME, BASE_FRAME, stamp_ns, line.odom_from_base)
-                yield Message(ODOM_TOPIC, ODOMETRY, stamp_ns, data)
+                data = encoding.odometry_cdr(ODOM_FRAME, BASE_FRAME, stamp_ns, line.odom_from_base)
+                yield recording.Message(ODOM_TOPIC, encoding.ODOMETRY, stamp_ns, data)
             if scan is not None and (topics is None or line.topic in topics):
                 ranges = np.where(scan.ranges >= scan.range_max, np.inf, scan.ranges)
                 angles, range_max = (scan.angle_min, scan.angle_increment), scan.range_max
-                data = scan_cdr(frame, stamp_ns, *angles, ranges, range_max=range_max)
-                yield Message(line.topic, LASER_SCAN, stamp_ns, data)
+                data = encoding.scan_cdr(frame, stamp_ns, *angles, ranges, range_max=range_max)
+                yield recording.Message(line.topic, encoding.LASER_SCAN, stamp_ns, data)
 
     def _lines(self) -> Iterator[CarmenLine]:
         """The lines that carry data; one that cannot be parsed is reported and left out.
@@ -367,7 +344,7 @@ class CarmenFile(Recording):
                 self._lines_of.seek(offset)
                 text = self._lines_of.readline(_MAX_LINE_BYTES)
             except OSError as error:
-                raise unreadable(self.path, error) from None
+                raise recording.unreadable(self.path, error) from None
             if not text:
                 break
             offset += len(text)
@@ -376,7 +353,7 @@ class CarmenFile(Recording):
             for what in lost:
                 damage = (
                     f"line {number} (byte {offset - len(text)}) is damaged: "
-                    f"one {what} after {time_text(last)} is lost"
+                    f"one {what} after {recording.time_text(last)} is lost"
                 )
                 if other and (other in once or len(once) < _MOST_KEYWORDS):
                     once[other] = "" if other in once else damage
@@ -395,10 +372,7 @@ class CarmenFile(Recording):
 
 
 def _read(text: bytes) -> tuple[CarmenLine | None, list[str], bytes]:
-    """What a line holds, None for nothing, and what of it is lost.
-
-    And the keyword of another sensor's line, if it is one: then nothing is lost.
-    """
+    """What a line holds, what of it is lost, and the keyword of another sensor's line."""
     keyword, words = keyword_of(text), text.split()
     lost: list[str] = []  # of lines whose line break was damaged
     if any(text.find(part, 1) >= 0 for part in _PARTS):  # much quicker than the pattern
@@ -424,11 +398,7 @@ def _read(text: bytes) -> tuple[CarmenLine | None, list[str], bytes]:
 
 
 def _first_end(keyword: str, words: list[bytes]) -> int | None:
-    """How many words end at the host of a line into which the end of another ran; else None.
-
-    Its last words are those of the other: a time, the host of both, a time. If its own host was
-    cut, its length tells.
-    """
+    """How many words end at the host of a line into which another ran, by its own length if cut."""
     host = words[-2] if len(words) > 2 else b"0"
     if _is_number(host):
         return None

@@ -180,21 +180,10 @@ _BYTES_PER_GB = 1e9
 _RATIO_FROM_BYTES = 100_000_000  # a small copy may swell as it likes
 
 
-class Copy(NamedTuple):
-    """A temporary file, and what of the compressed one is not in it, None when all of it is."""
-
-    file: Path
-    lost: str | None
-
-
 def unpacked(
-    path: Path,
-    compression: str,
-    config: LogConfig,
-    look: Callable[[Path], object],
-    held: ExitStack,
-) -> Copy:
-    """A copy of what is in a compressed file, which lasts as long as `held`.
+    path: Path, compression: str, config: LogConfig, look: Callable[[Path], object], held: ExitStack
+) -> tuple[Path, str | None]:
+    """A copy of what is in a compressed file, which lasts as long as `held`, and what it lacks.
 
     So a reader may open it as often as it likes. `look` is shown the beginning of the copy and may
     raise to be spared the rest. Raises LogError for a file that swells beyond the settings and
@@ -221,7 +210,7 @@ def unpacked(
         lost = f"what follows the {compression} compression is no part of it and was left out"
     elif not complete:
         lost = f"the {compression} compression is damaged or ends early: the rest is lost"
-    return Copy(Path(copy.name), lost)
+    return Path(copy.name), lost
 
 
 def _refuse_swelling(copied: int, path: Path, config: LogConfig) -> None:

@@ -41,10 +41,7 @@ NS_PER_S = 1_000_000_000
 
 @cache
 def typestore() -> Typestore:
-    """The store of the ROS 2 types that are read and written, with the generated codecs.
-
-    It is made of `ros2.msg`: to load all the types of ROS 2 takes three times as long.
-    """
+    """The types of `ros2.msg` with their codecs: to load all of ROS 2 takes three times as long."""
     text = Path(__file__).with_name("ros2.msg").read_text(encoding="utf-8")
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg(text.removeprefix(f"MSG: {LASER_SCAN}\n"), LASER_SCAN))
@@ -146,17 +143,6 @@ def odometry_cdr(frame_id: str, child_frame_id: str, stamp_ns: int, pose: Pose2)
             covariance=np.zeros(36),
         ),
     )
-
-
-def transform_cdr(
-    parent: str,
-    child: str,
-    stamp_ns: int,
-    xyz: Sequence[float],
-    quaternion_xyzw: Sequence[float],
-) -> bytes:
-    """A TFMessage with the one transform parent_from_child."""
-    return transforms_cdr(stamp_ns, [Transform(parent, child, xyz, quaternion_xyzw)])
 
 
 class Transform(NamedTuple):

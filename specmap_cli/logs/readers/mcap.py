@@ -21,19 +21,7 @@ from mcap.records import Channel as ChannelRecord
 from mcap.records import ChunkIndex, Footer, Schema, Statistics
 
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.logs.readers.chunked import (
-    MAX_SPOTS,
-    NOTHING_LISTED,
-    Channel,
-    ChunkedFile,
-    ChunkRef,
-    Entry,
-    Index,
-    Listing,
-    Spot,
-    by_topic,
-    entries_at,
-)
+from specmap_cli.logs.readers import chunked
 from specmap_cli.logs.readers.compression import Unpacked, decompress
 from specmap_cli.logs.readers.encoding import normalized_type
 
@@ -60,7 +48,7 @@ _FOOTER_BODY = 20  # by the format: two offsets and a checksum
 _FOOTER_BYTES = RECORD_HEAD.size + _FOOTER_BODY + len(MAGIC)
 
 
-class McapFile(ChunkedFile):
+class McapFile(chunked.ChunkedFile):
     """One MCAP file of ROS 2 or ROS 1 messages."""
 
     format = "MCAP"
@@ -73,7 +61,7 @@ class McapFile(ChunkedFile):
         self._told: dict[int, int] = {}  # messages by channel, as a statistics record has them
         super().__init__(file, path, config)
 
-    def _read_index(self) -> Index | None:
+    def _read_index(self) -> chunked.Index | None:
         footer = self._footer()
         if footer is None:
             return None
@@ -108,7 +96,7 @@ class McapFile(ChunkedFile):
         times = statistics.message_start_time, statistics.message_end_time
         chunks.sort(key=lambda chunk: (chunk.message_start_time, chunk.chunk_start_offset))
         refs = tuple(
-            ChunkRef(
+            chunked.ChunkRef(
                 offset=chunk.chunk_start_offset,
                 length=chunk.chunk_length,
                 size=chunk.uncompressed_size,
@@ -118,7 +106,9 @@ class McapFile(ChunkedFile):
             )
             for chunk in chunks
         )
-        return Index(self.contents_of(counts, *times), refs, checked=bool(footer.summary_crc))
+        return chunked.Index(
+            self.contents_of(counts, *times), refs, checked=bool(footer.summary_crc)
+        )
 
     def _footer(self) -> Footer | None:
         """The footer when the file ends in one that names a sound summary."""
@@ -135,7 +125,7 @@ class McapFile(ChunkedFile):
                 return None
         return footer
 
-    def _open_chunk(self, ref: ChunkRef) -> Unpacked:
+    def _open_chunk(self, ref: chunked.ChunkRef) -> Unpacked:
         if ref.length > self.chunk_max + CHUNK_HEAD.size + RECORD_HEAD.size:
             return Unpacked(b"", complete=False, beyond=True)
         record = self.read_at(ref.offset, ref.length)
@@ -152,7 +142,7 @@ class McapFile(ChunkedFile):
         head = RECORD_HEAD.pack(CHUNK, ref.length - RECORD_HEAD.size)
         return found._replace(complete=sized and record.startswith(head))
 
-    def _listing(self, ref: ChunkRef) -> Listing:
+    def _listing(self, ref: chunked.ChunkRef) -> chunked.Listing:
         counts: Counter[int] = Counter()
         places: list[tuple[int, int]] = []
         position = ref.offset + ref.length
@@ -163,17 +153,17 @@ class McapFile(ChunkedFile):
             counts[channel] += size // INDEX_ENTRY.size
             places.append((position + INDEX_HEAD.size, size))
             position += INDEX_HEAD.size + size
-        return Listing(counts, lambda: sorted(self.rows_at(places, INDEX_ENTRY)))
+        return chunked.Listing(counts, lambda: sorted(self.rows_at(places, INDEX_ENTRY)))
 
-    def _salvaged(self) -> Iterator[Entry]:
+    def _salvaged(self) -> Iterator[chunked.Entry]:
         found: Counter[int] = Counter()
         for entry in self._data():
             found[entry.channel] += 1
             yield entry
-        listed = by_topic(self._told, self.channels)
-        self.compare(listed, by_topic(found, self.channels))
+        listed = chunked.by_topic(self._told, self.channels)
+        self.compare(listed, chunked.by_topic(found, self.channels))
 
-    def _data(self) -> Iterator[Entry]:
+    def _data(self) -> Iterator[chunked.Entry]:
         """The messages of all records, and those that stand behind the end of the data."""
         offset, last = len(MAGIC), 0
         while offset + RECORD_HEAD.size <= self.size:
@@ -182,7 +172,7 @@ class McapFile(ChunkedFile):
             if self._ends_data(opcode, length, end):
                 yield from self._behind(offset)
                 return
-            ref = ChunkRef(offset=offset, length=RECORD_HEAD.size + length)
+            ref = chunked.ChunkRef(offset=offset, length=RECORD_HEAD.size + length)
             if self._is_of_data(opcode, ref):
                 for entry in self._held(opcode, ref):
                     last = entry.time_ns
@@ -193,14 +183,14 @@ class McapFile(ChunkedFile):
             offset = end
         self.report_end(self.size, last)
 
-    def _behind(self, start: int) -> Iterator[Entry]:
+    def _behind(self, start: int) -> Iterator[chunked.Entry]:
         """What stands behind the end of the data: counts, and messages, which are read and told."""
         cut = self.read_at(self.size - len(MAGIC), len(MAGIC)) != MAGIC
         offset = start
         while offset + (0 if cut else len(MAGIC)) < self.size:
             head = self.read_at(offset, RECORD_HEAD.size).ljust(RECORD_HEAD.size, b"\xff")
             opcode, length = RECORD_HEAD.unpack(head)
-            ref = ChunkRef(offset=offset, length=RECORD_HEAD.size + length)
+            ref = chunked.ChunkRef(offset=offset, length=RECORD_HEAD.size + length)
             offset += ref.length
             if offset > self.size:
                 sure = cut and opcode not in (CHUNK, MESSAGE)
@@ -239,11 +229,8 @@ class McapFile(ChunkedFile):
             return length == _FOOTER_BODY and end + len(MAGIC) >= self.size
         return opcode == DATA_END and length == _DATA_END_BYTES
 
-    def _is_of_data(self, opcode: int, ref: ChunkRef) -> bool:
-        """Whether the record at a place is built like those of its opcode among the data.
-
-        Schemas and channels are judged where they are parsed.
-        """
+    def _is_of_data(self, opcode: int, ref: chunked.ChunkRef) -> bool:
+        """Whether a record is built like those of its opcode; the parsed ones are judged there."""
         length = ref.length - RECORD_HEAD.size
         if opcode == HEADER:
             return ref.offset == len(MAGIC)
@@ -267,14 +254,14 @@ class McapFile(ChunkedFile):
             return False
         return position == length
 
-    def _passes_over(self, opcode: int, ref: ChunkRef) -> bool:
+    def _passes_over(self, opcode: int, ref: chunked.ChunkRef) -> bool:
         """Whether reading can go on behind a record of another kind; it is said what it may be."""
         end = ref.offset + ref.length
         head = self.read_at(end, RECORD_HEAD.size)
         if end > self.size or len(head) < RECORD_HEAD.size:
             return False
         following, length = RECORD_HEAD.unpack(head)
-        then = ChunkRef(offset=end, length=RECORD_HEAD.size + length)
+        then = chunked.ChunkRef(offset=end, length=RECORD_HEAD.size + length)
         ended = self._ends_data(following, length, end + then.length)
         if opcode < FIRST_PRIVATE and not ended and not self._is_of_data(following, then):
             return False
@@ -295,30 +282,30 @@ class McapFile(ChunkedFile):
             )
         return True
 
-    def _held(self, opcode: int, ref: ChunkRef) -> Iterator[Entry]:
+    def _held(self, opcode: int, ref: chunked.ChunkRef) -> Iterator[chunked.Entry]:
         """The messages of a record met on the walk: one, a chunk's, or none of a definition."""
         if opcode == CHUNK:
             head = self.read_at(ref.offset + RECORD_HEAD.size, CHUNK_HEAD.size)
             start_ns, end_ns = CHUNK_HEAD.unpack(head.ljust(CHUNK_HEAD.size))[:2]
             ref = replace(ref, start_ns=start_ns, end_ns=end_ns)
-            yield from entries_at(*self._read_spots(ref))
+            yield from chunked.entries_at(*self._read_spots(ref))
         elif opcode in (SCHEMA, CHANNEL, MESSAGE) and ref.offset + ref.length <= self.size:
             if ref.length > self.chunk_max:
                 place = f"the record at byte {ref.offset}"
                 self.report(f"{place} is beyond log.chunk_max_mb: it is lost")
                 return
             record = self.read_at(ref.offset, ref.length)
-            spots, whole = self._spots(record, NOTHING_LISTED)
-            yield from entries_at(record, spots)
+            spots, whole = self._spots(record, chunked.NOTHING_LISTED)
+            yield from chunked.entries_at(record, spots)
             if not whole:  # or of an unknown channel
                 self.report(f"the record at byte {ref.offset} is damaged: what it holds is lost")
 
-    def _spots(self, records: bytes, listing: Listing) -> tuple[list[Spot], bool]:
-        spots: list[Spot] = []
+    def _spots(self, records: bytes, listing: chunked.Listing) -> tuple[list[chunked.Spot], bool]:
+        spots: list[chunked.Spot] = []
         position: int | None = 0
         whole, size, known = True, len(records), self.channels
         last = size - RECORD_HEAD.size
-        while position is not None and position <= last and len(spots) < MAX_SPOTS:
+        while position is not None and position <= last and len(spots) < chunked.MAX_SPOTS:
             opcode, length = RECORD_HEAD.unpack_from(records, position)
             start = position + RECORD_HEAD.size
             end = start + length
@@ -349,7 +336,7 @@ class McapFile(ChunkedFile):
                 encoding = channel.message_encoding
                 if encoding not in ("cdr", "ros1"):
                     name = f"{name} ({encoding or 'no encoding'})"
-                self.define(channel.id, Channel(channel.topic, name, encoding == "ros1"))
+                self.define(channel.id, chunked.Channel(channel.topic, name, encoding == "ros1"))
         except BAD_BODY:
             return False
         return True

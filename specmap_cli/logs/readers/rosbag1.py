@@ -14,18 +14,7 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
-from specmap_cli.logs.readers.chunked import (
-    MAX_SPOTS,
-    NOTHING_LISTED,
-    Channel,
-    ChunkedFile,
-    ChunkRef,
-    Entry,
-    Index,
-    Listing,
-    Spot,
-    entries_at,
-)
+from specmap_cli.logs.readers import chunked
 from specmap_cli.logs.readers.compression import Unpacked, decompress
 from specmap_cli.logs.readers.encoding import NS_PER_S, normalized_type
 from specmap_cli.logs.readers.recording import refused
@@ -75,10 +64,7 @@ class BadRecordError(ValueError):
 
 
 def parse_record(data: bytes, position: int) -> Record:
-    """The record at `position` of `data`, whose own data may reach beyond the end.
-
-    Raises BadRecordError where there is none.
-    """
+    """The record at `position`, whose data may reach beyond the end; raises BadRecordError."""
     try:
         header = U32.unpack_from(data, position)[0]
         start = position + 4 + header
@@ -126,13 +112,13 @@ _RECORDS_CHECKED = 20_000  # about a second of reading, for an explanation that 
 _BAD_RECORD = (BadRecordError, KeyError, struct.error)
 
 
-class Rosbag1File(ChunkedFile):
+class Rosbag1File(chunked.ChunkedFile):
     """One ROS 1 bag."""
 
     format = "ROS 1 bag"
     magic = MAGIC
 
-    def _read_index(self) -> Index | None:
+    def _read_index(self) -> chunked.Index | None:
         line = self.read_at(0, 32).split(b"\n")[0]
         if line != _FIRST_LINE:
             version = line.removeprefix(MAGIC).decode("ascii", errors="replace")
@@ -147,10 +133,10 @@ class Rosbag1File(ChunkedFile):
         except _BAD_RECORD:
             return None
 
-    def _index_at(self, position: int, header: Fields) -> Index | None:
+    def _index_at(self, position: int, header: Fields) -> chunked.Index | None:
         """The index that starts at `position`, None when it is not what the bag header says."""
         counts: Counter[int] = Counter()
-        refs: list[ChunkRef] = []
+        refs: list[chunked.ChunkRef] = []
         connections: set[int] = set()
         while position < self.size:
             record = self._record(position)
@@ -164,11 +150,11 @@ class Rosbag1File(ChunkedFile):
         expected = [len({ref.offset for ref in refs}), len(connections)]
         if expected != [U32.unpack(header[key])[0] for key in (b"chunk_count", b"conn_count")]:
             return None
-        sound: list[ChunkRef] = []
+        sound: list[chunked.ChunkRef] = []
         for ref in refs:
             chunk = self._record_or_none(ref.offset)
             if chunk is None or chunk.opcode != CHUNK or chunk.end > self.size:
-                self._tell(ref, "damaged", NOTHING_LISTED, ref.counts, ref.counts)
+                self._tell(ref, "damaged", chunked.NOTHING_LISTED, ref.counts, ref.counts)
                 continue
             size = U32.unpack(chunk.fields.get(b"size", bytes(4)))[0]
             sound.append(replace(ref, length=chunk.end - ref.offset, size=size))
@@ -176,7 +162,7 @@ class Rosbag1File(ChunkedFile):
         if not set(counts) <= connections or not sound:
             return None
         start, end = min(ref.start_ns for ref in sound), max(ref.end_ns for ref in sound)
-        index = Index(self.contents_of(counts, start, end), tuple(sound), checked=False)
+        index = chunked.Index(self.contents_of(counts, start, end), tuple(sound), checked=False)
         broken = self._broken_record(sorted(ref.offset for ref in sound))
         if broken is not None:
             self.report(
@@ -186,10 +172,7 @@ class Rosbag1File(ChunkedFile):
         return index
 
     def _broken_record(self, chunks: list[int]) -> int | None:
-        """Offset of a record that does not lead to the next chunk, None when all is well.
-
-        Looks at so many records only, as it explains damage but is not needed for reading.
-        """
+        """Offset of a record that does not lead to the next chunk, among the first of them."""
         offset = before = _FIRST_RECORD
         checked = 0
         for chunk in chunks:
@@ -202,7 +185,7 @@ class Rosbag1File(ChunkedFile):
                 return before
         return None
 
-    def _open_chunk(self, ref: ChunkRef) -> Unpacked:
+    def _open_chunk(self, ref: chunked.ChunkRef) -> Unpacked:
         """The records inside a chunk."""
         record = self._record(ref.offset)
         if record.length > self.chunk_max:
@@ -214,7 +197,7 @@ class Rosbag1File(ChunkedFile):
         complete = found.complete and len(found.data) == size and len(data) == record.length
         return found._replace(complete=complete and record.sound)
 
-    def _listing(self, ref: ChunkRef) -> Listing:
+    def _listing(self, ref: chunked.ChunkRef) -> chunked.Listing:
         counts: Counter[int] = Counter()
         places: list[tuple[int, int]] = []  # of the entries: offset and length
         position = ref.offset + ref.length
@@ -224,14 +207,16 @@ class Rosbag1File(ChunkedFile):
                 break
             count = U32.unpack(fields[b"count"])[0]
             if count * INDEX_ENTRY.size != record.length or len(fields[b"conn"]) != 4:
-                return NOTHING_LISTED
+                return chunked.NOTHING_LISTED
             counts[connection_of(fields)] += count
             places.append((record.start, record.length))
             position = record.end
         rows = partial(self.rows_at, places, INDEX_ENTRY)
-        return Listing(counts, lambda: sorted((s * NS_PER_S + ns, at) for s, ns, at in rows()))
+        return chunked.Listing(
+            counts, lambda: sorted((s * NS_PER_S + ns, at) for s, ns, at in rows())
+        )
 
-    def _salvaged(self) -> Iterator[Entry]:
+    def _salvaged(self) -> Iterator[chunked.Entry]:
         offset, last = _FIRST_RECORD, 0
         while offset < self.size or offset == _FIRST_RECORD:
             record = self._record_or_none(offset)
@@ -254,17 +239,17 @@ class Rosbag1File(ChunkedFile):
                 what = "and was passed over" if there else ": what it holds is lost"
                 self.report(f"the record at byte {start} is damaged{what}")
 
-    def _held(self, offset: int, record: Record) -> Iterator[Entry]:
+    def _held(self, offset: int, record: Record) -> Iterator[chunked.Entry]:
         """The messages in a record met on the walk, or in its readable part."""
         if record.opcode == CHUNK:
-            ref = ChunkRef(offset=offset, length=record.end - offset)
-            yield from entries_at(*self._read_spots(ref))
+            ref = chunked.ChunkRef(offset=offset, length=record.end - offset)
+            yield from chunked.entries_at(*self._read_spots(ref))
             return
         whole = record.sound and record.end <= self.size
         if record.opcode in (MESSAGE, CONNECTION) and whole:
             data = self.read_at(offset, min(record.end - offset, self.chunk_max))
-            spots, whole = self._spots(data, NOTHING_LISTED)
-            yield from entries_at(data, spots)
+            spots, whole = self._spots(data, chunked.NOTHING_LISTED)
+            yield from chunked.entries_at(data, spots)
         if not whole and record.end <= self.size:  # of a cut the walk tells
             self.report(f"record at byte {offset} is damaged: what it holds is lost")
 
@@ -283,11 +268,11 @@ class Rosbag1File(ChunkedFile):
         record = parse_record(head, 0)
         return record._replace(start=offset + record.start)
 
-    def _spots(self, records: bytes, listing: Listing) -> tuple[list[Spot], bool]:
-        spots: list[Spot] = []
+    def _spots(self, records: bytes, listing: chunked.Listing) -> tuple[list[chunked.Spot], bool]:
+        spots: list[chunked.Spot] = []
         position: int | None = 0
         whole, known = True, self.channels
-        while position is not None and position < len(records) and len(spots) < MAX_SPOTS:
+        while position is not None and position < len(records) and len(spots) < chunked.MAX_SPOTS:
             try:
                 fields, start, length = record = parse_record(records, position)
                 end = start + length
@@ -311,16 +296,16 @@ class Rosbag1File(ChunkedFile):
         described = parse_fields(data, 0, len(data))
         topic = fields[b"topic"].decode("utf-8", errors="replace")
         name = described[b"type"].decode("utf-8", errors="replace")
-        self.define(connection_of(fields), Channel(topic, normalized_type(name), ros1=True))
+        self.define(connection_of(fields), chunked.Channel(topic, normalized_type(name), ros1=True))
 
 
-def _chunk_ref(fields: Fields, data: bytes) -> ChunkRef:
+def _chunk_ref(fields: Fields, data: bytes) -> chunked.ChunkRef:
     """What the index says of a chunk; raises BadRecordError when it does not fit together."""
     pairs = list(U32_PAIR.iter_unpack(data[: len(data) // U32_PAIR.size * U32_PAIR.size]))
     counts = dict(pairs)
     if len(counts) != U32.unpack(fields[b"count"])[0] or len(counts) * U32_PAIR.size != len(data):
         raise BadRecordError(0)
-    return ChunkRef(
+    return chunked.ChunkRef(
         start_ns=time_of(fields[b"start_time"]),
         end_ns=time_of(fields[b"end_time"]),
         offset=U64.unpack(fields[b"chunk_pos"])[0],

@@ -22,29 +22,16 @@ from specmap_cli.core.files import read_bytes
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import counted, legible
 from specmap_cli.core.yaml import read_yaml
+from specmap_cli.logs.readers import recording
 from specmap_cli.logs.readers.compression import compression_of, decompress
 from specmap_cli.logs.readers.encoding import SUPPORTED_TYPES, normalized_type
-from specmap_cli.logs.readers.recording import (
-    Contents,
-    Message,
-    Recording,
-    contents_of,
-    lost_text,
-    refused,
-    survey,
-    time_text,
-)
 
 _LARGEST_MB = 4.0  # of a metadata.yaml: some kilobytes, with many topics and files a megabyte
 _MOST = 10**18  # messages in a file
 
 
 def recorded_messages(file: Path) -> int | None:
-    """The messages in one file of a recording by the metadata beside it; None when it says nothing.
-
-    The list `files` has a path and a number for each file; recorders before ROS 2 Galactic wrote
-    no such list.
-    """
+    """The messages in one file by the list `files` of the metadata beside it, None without one."""
     try:
         found = read_yaml(read_bytes(file.with_name("metadata.yaml"), _LARGEST_MB))
         files = {one["path"]: one for one in found["rosbag2_bagfile_information"]["files"]}
@@ -79,7 +66,7 @@ def _is_damaged_type(kind: str) -> bool:
     return _TYPE_NAME.fullmatch(kind) is None or 1 in off
 
 
-class Rosbag2File(Recording):
+class Rosbag2File(recording.Recording):
     """One SQLite file of a rosbag2 recording."""
 
     format = "rosbag2 (SQLite)"
@@ -96,7 +83,7 @@ class Rosbag2File(Recording):
         try:
             self._db = sqlite3.connect(location, uri=True)
         except sqlite3.Error as error:
-            raise refused(self.path, f"cannot read: {error}") from None
+            raise recording.refused(self.path, f"cannot read: {error}") from None
         # a damaged byte costs a character, not the row
         self._db.text_factory = partial(str, encoding="utf-8", errors="replace")
         try:
@@ -121,16 +108,16 @@ class Rosbag2File(Recording):
         except sqlite3.Error as error:
             self._db.close()
             fault = f"no readable rosbag2 file: {error}"
-            raise refused(self.path, fault, code=LOG_DAMAGED) from None
+            raise recording.refused(self.path, fault, code=LOG_DAMAGED) from None
 
     @cached_property
-    def contents(self) -> Contents:
+    def contents(self) -> recording.Contents:
         """Counted by the database, or message by message when it is damaged."""
         try:
             table = self._table
         except sqlite3.Error:
             self._sorted = False  # the index may be lost as well: read in the order of recording
-            found = survey((m.topic, m.type, m.time_ns) for m in self.messages())
+            found = recording.survey((m.topic, m.type, m.time_ns) for m in self.messages())
             if not self.damage:
                 self.report("damaged or cut off: some messages are lost")
             return found
@@ -149,7 +136,7 @@ class Rosbag2File(Recording):
             self._sorted = False
             self.report(f"{error}: whether messages are missing cannot be checked")
         counts = ((*topic, table.counts[number]) for number, topic in self._topics.items())
-        return contents_of(counts, table.start_ns, table.end_ns)
+        return recording.contents_of(counts, table.start_ns, table.end_ns)
 
     @cached_property
     def _table(self) -> _Table:
@@ -195,7 +182,7 @@ class Rosbag2File(Recording):
         if unknown:
             self.report(f"{counted(sum(unknown.values()), 'message')} on topics without a name")
 
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[recording.Message]:
         """The messages on `topics` in time order, or as recorded when the file is damaged."""
         wanted = [n for n, (name, _) in self._topics.items() if topics is None or name in topics]
         found = Counter[int]()
@@ -214,11 +201,11 @@ class Rosbag2File(Recording):
             for number in wanted:
                 lost[self._topics[number][0]] += max(counts[number] - found[number], 0)
         if +lost:
-            self.report(f"{lost_text(+lost)} cannot be found", +lost)
+            self.report(f"{recording.lost_text(+lost)} cannot be found", +lost)
 
     def _tell(self, fault: Fault) -> None:
         """Report what could not be read of the table."""
-        time = time_text(fault.time_ns) if isinstance(fault.time_ns, int) else None
+        time = recording.time_text(fault.time_ns) if isinstance(fault.time_ns, int) else None
         if fault.topic is not None:
             name = self._topics[fault.topic][0]
             why = "it is beyond log.chunk_max_mb" if "too big" in fault.error else fault.error
@@ -229,7 +216,7 @@ class Rosbag2File(Recording):
             rest = "what followed" if fault.is_end else "some of what followed"
             self.report(f"{fault.error} {when}: {rest} is lost")
 
-    def _message(self, number: int, time_ns: object, data: object) -> Message | None:
+    def _message(self, number: int, time_ns: object, data: object) -> recording.Message | None:
         """The message in a row of the table; None, and reported, when there is none."""
         name, kind = self._topics[number]
         fault = "the row of a message does not hold one"
@@ -239,8 +226,8 @@ class Rosbag2File(Recording):
                 data, complete, beyond = decompress(data, "zstd", self._message_max)
                 why = "beyond log.chunk_max_mb" if beyond else why
             if complete:
-                return Message(name, kind, time_ns, data)
-            fault = f"a message at {time_text(time_ns)} is {why}"
+                return recording.Message(name, kind, time_ns, data)
+            fault = f"a message at {recording.time_text(time_ns)} is {why}"
         self.report(f"{fault}: one on {name} is lost", {name: 1})
         return None
 
@@ -261,10 +248,7 @@ class Row(NamedTuple):
 
 
 class Fault(NamedTuple):
-    """What could not be read behind a time (None: at first).
-
-    `topic` is that of the one message that is lost; None when nobody knows which ones are.
-    """
+    """What cannot be read behind a time (None: at first); `topic` is that of one lost message."""
 
     error: str
     time_ns: object
@@ -333,10 +317,7 @@ class Rows:
         return Row(topic, time, found[0]), _Place(time, row)
 
     def _readable(self, last: int) -> _Place | None:
-        """The first place behind the rows after `last` that cannot be read; None when all cannot.
-
-        Steps double until one leads out of the damage; halving finds where it ends.
-        """
+        """The first readable place behind damaged rows after `last`, by doubling, then halving."""
 
         def can_go_on(row: int) -> bool:
             try:
