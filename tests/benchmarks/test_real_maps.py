@@ -10,10 +10,8 @@ import pytest
 
 from benchmarks.localized import Localized, judged, nearest, scored
 from benchmarks.real.laying import Seen, Walls, lay, passes, placed, search, spaced, thinned
-from benchmarks.real.reliability import Told, diagram, line, reliability
+from benchmarks.real.reliability import reliability
 from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.core.records import IntArray
-from specmap_cli.recognition.localization.localizer import Label
 
 TRUE = Pose2(3.2, -1.4, 2.1)
 
@@ -106,28 +104,6 @@ def test_labels_that_keep_their_word_have_no_error_others_one_weighted_by_labels
     right = np.array([True, True, False, True])
     assert reliability(probability, right).error == pytest.approx((3 * (1 / 3) + 0.5) / 4)
     assert reliability(np.zeros(0), np.zeros(0, dtype=bool)).error == 0.0
-
-
-def test_labels_without_a_truth_are_left_out() -> None:
-    truth: IntArray = np.array([3, -1, 5, 5])
-    told = Told.of([label(3, 3), label(1, 1), label(5, None), label(2, 5)], truth)
-    assert told.single_right.tolist() == [True, True, False]
-    assert told.filtered_right.tolist() == [True, False, True]
-    assert "     3 |       0.667, 0.133 |         0.667, 0.267" in line("a recording", told)
-
-
-def test_the_diagram_draws_what_is_right_beside_what_is_said() -> None:
-    told = Told(*(2 * (np.array([0.5, 0.5]), np.array([True, False]))))
-    rows = diagram(told).splitlines()
-    assert len(rows) == 2
-    assert rows[0].endswith("says 0.500, right 0.500,      2  " + 20 * "#" + "|")
-    sure = Told(*(2 * (np.array([0.99, 0.99]), np.array([True, False]))))
-    assert diagram(sure).splitlines()[1].endswith("  " + 20 * "#" + 20 * " " + "|")
-
-
-def label(submap: int | None, filtered: int | None) -> Label:
-    sure = {"margin": 1.0, "filtered_probability": 0.4, "probability": 0.8}
-    return Label(stamp_ns=0, submap=submap, runner_up=None, filtered_submap=filtered, **sure)
 
 
 class Drive(Seen):

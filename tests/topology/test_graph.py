@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.core.geometry import FloatArray, Pose2, compose
+from specmap_cli.core.geometry import FloatArray, compose
 from specmap_cli.core.records import Closure, IntArray, Labels
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.topology.graph import (
@@ -76,21 +76,6 @@ def topology_of(
         ],
         grids=grids,
     )
-
-
-def test_visits_traversals_and_frames_follow_the_robot() -> None:
-    topology = topology_of([0, 0, 1, 1, 0, 2])
-    assert [len(topology.submaps[i].visits) for i in (0, 1, 2)] == [2, 1, 1]
-    assert topology.submaps[0].keyframes == (0, 1, 4)
-    visits = topology.submaps[0].visits
-    assert [(v.start_ns, v.end_ns) for v in visits] == [(0, 1000), (4000, 4000)]
-    kinds = {key: edge.kind for key, edge in topology.edges.items()}
-    assert kinds == {(0, 1): "traversed", (0, 2): "traversed"}
-    there, back = topology.edges[0, 1].traversals
-    assert (there.source, there.target, there.x, there.stamp_ns) == (0, 1, 1.5, 2000)
-    assert (back.source, back.target, back.x, back.stamp_ns) == (1, 0, 3.5, 4000)
-    assert topology.edges[0, 1].crossing == (2.5, 0.0)
-    assert topology.edges[0, 1].source_from_target == Pose2(2.0, 0.0, 0.0)
 
 
 def test_the_robot_looks_ahead_where_it_crosses_from_the_smaller_id() -> None:
@@ -196,16 +181,6 @@ def test_what_is_an_excursion(labels: str, settled: str) -> None:
     found = settle_labels(numbers, line_of_poses(len(labels), 0.2), 0.9)
     assert "".join(map(chr, numbers)) == labels, "the argument is left alone"
     assert "".join(map(chr, found)) == settled
-
-
-@given(LABELS, st.floats(0.0, 6.0))
-def test_settling_only_removes_stays(labels: list[int], min_path_m: float) -> None:
-    found = settle_labels(np.array(labels), line_of_poses(len(labels)), min_path_m).tolist()
-    assert (found[0], found[-1]) == (labels[0], labels[-1])
-    changed = [k for k, (a, b) in enumerate(zip(labels, found, strict=True)) if a != b]
-    for k in changed:
-        assert found[k] == found[k - 1], "a stay becomes part of the one before"
-    assert sum(a != b for a, b in pairwise(found)) <= sum(a != b for a, b in pairwise(labels))
 
 
 @given(PAIRS, st.randoms(use_true_random=False))

@@ -78,10 +78,3 @@ def test_why_there_is_none(door: Any, goal: tuple[float, float], why: str) -> No
     regions = two_rooms(door)
     found: Route = Roads(regions, (), [], RADIUS_M).route((1.0, 1.0), goal)
     assert why in found.why
-
-
-def test_a_robot_beside_a_wall_drives_off_it_first() -> None:
-    found = roads(NORTH).route((0.35, 2.0), (4.0, 2.0))
-    assert found.points[0].tolist() == [0.35, 2.0]
-    assert found.rooms == (0,)
-    assert found.length_m == pytest.approx(3.65, rel=0.05)
