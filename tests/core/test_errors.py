@@ -14,7 +14,6 @@ import tracemalloc
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from specmap_cli.core import errors, findings
@@ -23,7 +22,6 @@ from specmap_cli.core.errors import UsageError, is_of_the_machine, is_of_the_pla
 from specmap_cli.core.files import is_nobody_s, lock, read_bytes, write_text, write_together
 from specmap_cli.core.findings import Finding, Quality, Severity, Where, summary
 from specmap_cli.core.plugins import with_plugins
-from specmap_cli.grids.map_server import write_png
 from tests.plugins import install
 
 ROOT = Path(__file__).parents[2]
@@ -99,13 +97,6 @@ def test_an_error_is_told_of_a_larger_place() -> None:
         load_config(overrides={"seed": -1})
     assert caught.value.where == "seed"  # which stands in the line once
     assert str(caught.value.within("jobs.toml")) == f"jobs.toml: {caught.value}"
-
-
-def test_an_error_of_the_system_says_what_helps() -> None:
-    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-    error = errors.UsageError.of_system(full, "cannot be written", "go", where="out")
-    assert str(error) == ("out: cannot be written: No space left on device; free some space, or go")
-    assert (error.where, error.hint) == ("out", "free some space, or go")
 
 
 def test_an_error_keeps_its_parts_on_the_way_to_another_process() -> None:
@@ -293,23 +284,6 @@ def test_threads_in_a_program(program: str, tiny_log: Path, tmp_path: Path) -> N
     command = [sys.executable, "-c", program]
     done = subprocess.run(command, cwd=tmp_path, env=unset, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-
-
-def test_a_file_is_replaced_whole(tmp_path: Path) -> None:
-    path = tmp_path / "labels.csv"
-    path.write_text("a longer text than the new one")
-    write_text(path, "für\n")
-    assert path.read_bytes() == "für\n".encode()
-    assert os.listdir(tmp_path) == ["labels.csv"]
-
-
-@pytest.mark.parametrize("place", ["gone/plot.png", "file/plot.png", "."])
-def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path, place: str) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(UsageError) as caught:
-        write_png(tmp_path / place, np.zeros((2, 2), dtype=np.uint8))
-    assert "\n" not in str(caught.value)
-    assert sorted(os.listdir(tmp_path)) == ["file"]
 
 
 def test_a_failing_replacement_leaves_the_old_file(

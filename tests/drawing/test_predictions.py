@@ -73,30 +73,6 @@ def test_unknown_scans_are_rings() -> None:
     assert near(known, line) > 1.5 * near(some, line) > near(none, line) == 0
 
 
-def test_an_id_stands_on_the_ground_where_no_badge_is_near(result: MapResult) -> None:
-    ground = (result.topology, result.regions)
-    nowhere = np.zeros((0, 2))
-    alone = render_labels(nowhere, nowhere[:, 0].astype(np.int64), "t", map_with_regions=ground)
-    quiet = near(alone[TITLE:-160], palette.QUIET)
-    centroid = result.regions.outline(0).centroid
-    assert centroid is not None
-    beside = np.linspace(centroid - 0.05, centroid + 0.05, 20)
-    badge = render_labels(beside, np.zeros(20, dtype=np.int64), "t", map_with_regions=ground)
-    assert 0 < near(badge[TITLE:-160], palette.QUIET) < quiet
-
-
-def test_neither_the_frame_of_places_nor_scans_without_one_matter() -> None:
-    """Shifts are by powers of two, after which the same floats are left."""
-    places, labels = np.round(STRAIGHT * 64) / 64, thirds(0, 1, 2)
-    kept, holes = np.ones(120, dtype=bool), places.copy()
-    kept[30:100], holes[30:100, 0] = False, np.nan
-    usual = render_labels(places, labels, "t")
-    few = render_labels(places[kept], labels[kept], "t")
-    for shift in ((64.0, -128.0), (4096.0, 0.0)):
-        np.testing.assert_array_equal(render_labels(places + shift, labels, "t"), usual)
-    np.testing.assert_array_equal(render_labels(holes, labels, "t"), few)
-
-
 @pytest.mark.parametrize("count", [0, 1])
 def test_few_places(count: int) -> None:
     labels = np.zeros(count, dtype=np.int64)

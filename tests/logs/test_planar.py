@@ -24,7 +24,7 @@ from specmap_cli.logs.planar import Ceiling, OwnBody, Repeats, ScanLeveller
 from specmap_cli.logs.writer import LogWriter
 from tests.logs.recordings import sweeps_of
 from tests.strategies import few
-from tests.turning import configured, turn
+from tests.turning import configured
 
 LEVEL = np.eye(4)
 
@@ -146,14 +146,6 @@ def test_a_full_circle_counts_each_direction_once(beams: int) -> None:
     assert len(scan.bearings) == len(scan.ranges) == min(beams, 720)
 
 
-def test_beam_times_follow_the_beams() -> None:
-    for step, times in ((0.1, [0.0, 0.01, 0.02]), (-0.1, [0.02, 0.01, 0.0])):
-        scan = levelled(record([1.0, 2.0, 3.0], step=step, time_increment=0.01))
-        assert scan.beam_times_s is not None
-        np.testing.assert_allclose(scan.beam_times_s, times)
-        assert scan.ranges.tolist() == sorted([1.0, 2.0, 3.0], reverse=step < 0)
-
-
 def test_a_missing_increment_is_found_from_the_angles_and_one_beam_takes_no_time() -> None:
     scan = levelled(record([1.0, 1.0, 1.0], -1.0, 0.0, angle_max=1.0))
     np.testing.assert_allclose(scan.bearings, [-1.0, 0.0, 1.0])
@@ -184,14 +176,6 @@ def test_one_beam_is_no_circle_whatever_its_increment(step: float) -> None:
     found = levelled(record([2.0], 0.5, step))
     assert not found.full_circle
     assert found.bearings.tolist() == pytest.approx([0.5], abs=1e-6)
-
-
-def test_bearings_are_shared_between_scans_and_renewed_when_the_laser_changes() -> None:
-    leveller = ScanLeveller(LEVEL)
-    first, second = leveller.level(record([1.0, 2.0]), 5), leveller.level(record([2.0, 1.0]), 6)
-    assert first.bearings is second.bearings
-    third = leveller.level(record([1.0, 2.0, 3.0]), 7)
-    assert len(third.bearings) == 3
 
 
 def brute_force(clouds: list[FloatArray], beams: int, band: FloatArray, reach: float) -> FloatArray:
@@ -227,56 +211,6 @@ def test_a_cloud_is_flattened_to_the_nearest_return_in_the_band(view: float, ful
         found = scan.hits()
         nearest = np.abs(found[:, None] - given_cloud[None, :, :2]).max(axis=2).min(axis=1)
         assert nearest.max() < 6.0 * math.radians(2.0), "hits lie at returns, but for the bearing"
-
-
-@pytest.mark.parametrize(
-    ("increment", "longest", "timed"),
-    [(0.1, 1.0, True), (0.1, 0.9, True), (0.1, 0.8, False), (0.2, 1.0, False), (0.2, 2.0, True)]
-    + [(0.0, 1.0, False), (-0.1, 1.0, False), (math.nan, 1.0, False)],
-)
-def test_the_settings_say_how_long_a_sweep_may_take(
-    increment: float, longest: float, timed: bool
-) -> None:
-    turn("logs", scan_time_max_s=longest)
-    leveller = ScanLeveller(LEVEL)
-    scan = record(np.ones(10), time_increment=increment)
-    assert (leveller.level(scan, 5).beam_times_s is not None) is timed
-
-
-@pytest.mark.parametrize(
-    ("settings_", "floor"),
-    [
-        ({}, -1.0),
-        ({"floor_radius_m": 30.0}, -3.0),
-        ({"floor_radius_m": 3.0}, -0.5),
-        ({"floor_percentile": 75.0}, -0.5),
-    ],
-)
-def test_the_settings_say_where_a_floor_of_unknown_height_is_sought(
-    settings_: dict[str, float], floor: float
-) -> None:
-    angles = np.linspace(0, 6, 100)
-    ring = np.column_stack([np.cos(angles), np.sin(angles), np.ones(100)])
-    cloud = np.vstack([ring * scale for scale in ((2, 2, -0.5), (6, 6, -1.0), (20, 20, -3.0))])
-    mast = np.array([[1.0, 1.0, floor + 1.0]])
-    band = {"band_min_m": 0.99, "band_max_m": 1.01}
-    levelled = flattener(None, cloud_beams=16, **band, **settings_)
-    scan = levelled.flatten(np.vstack([cloud, mast]), 1)
-    assert scan.hits() == pytest.approx(np.array([[1.0, 1.0]]), abs=0.3)
-
-
-@pytest.mark.parametrize(
-    ("share", "beams", "full"), [(0.9, 180, True), (0.5, 360, True), (0.2, 720, False)]
-)
-def test_the_settings_say_how_many_bearings_must_be_filled(
-    share: float, beams: int, full: bool
-) -> None:
-    angles = np.radians(np.arange(0, 360, 2) + 0.25)
-    ring = np.column_stack([3 * np.cos(angles), 3 * np.sin(angles), np.ones(180)])
-    scan = flattener(0.0, cloud_filled_share=share).flatten(ring, 1)
-    assert len(scan.bearings) == beams
-    assert scan.full_circle is (full or share <= 0.25)
-    assert np.isfinite(scan.ranges).sum() == 180
 
 
 Tour = list[tuple[Sweep, Pose2]]

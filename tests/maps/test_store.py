@@ -91,14 +91,6 @@ def test_thresholds_that_leave_nothing_free_are_refused(stored: Path, with_label
         _ = read_map(stored).regions
 
 
-def test_the_text_of_a_topology_is_sorted_and_strict(stored: Path) -> None:
-    text = (stored / "topology.json").read_text()
-    document = json.loads(text)
-    assert text.endswith("}\n")
-    assert "NaN" not in text
-    assert json.dumps(document) == json.dumps(document, sort_keys=True)
-
-
 @pytest.mark.parametrize("kind", [str, Path])
 def test_the_frame_the_directory_and_the_picture_may_be_given(
     tmp_path: Path, result: MapResult, kind: type
