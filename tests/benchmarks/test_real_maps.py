@@ -8,8 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from benchmarks.localized import Localized, judged, nearest, scored
-from benchmarks.real.laying import Seen, Walls, lay, passes, placed, search, spaced, thinned
+from benchmarks.real.laying import Seen, Walls, lay, passes, placed, search, thinned
 from benchmarks.real.reliability import reliability
 from specmap_cli.core.geometry import FloatArray, Pose2
 
@@ -72,26 +71,6 @@ def test_a_map_is_laid_where_its_hallway_is_longer_and_nothing_is_said_within() 
     assert np.abs(found[near] - x[near]).max() < 0.1
     assert np.abs(found[far] - x[far] - 1.6).max() < 0.1
     assert np.isnan(found[bare]).all()
-
-
-def test_keyframes_are_looked_at_every_quarter_of_a_metre_or_radian() -> None:
-    for axis in (0, 2):
-        way = np.arange(0, 2, 0.1)[:, None] * np.eye(3)[axis]
-        assert spaced(way).tolist() == [0, 3, 6, 9, 12, 15, 18]
-    rows = nearest(np.array([0, 10, 20]), np.array([-5, 4, 6, 14, 16, 99]))  # of stamps
-    assert rows.tolist() == [0, 0, 1, 1, 2, 2]
-
-
-def test_poses_are_right_wrong_or_neither() -> None:
-    said = np.zeros((5, 3))
-    said[:, 0] = 0.09, 0.2, 0.0, 0.6, np.nan
-    said[:, 2] = np.radians([0.9, 0.0, 371.0, 0.0, np.nan])
-    right, wrong = judged(said, np.zeros((5, 3)))
-    assert right.tolist() == [True, False, False, False, False]
-    assert wrong.tolist() == [False, False, True, True, False]
-    none = np.zeros(2, dtype=np.int64)
-    untold = Localized(none, none, none, np.zeros((2, 3)))  # scans without a truth do not count
-    assert scored(None, untold, np.full((2, 3), np.nan)).scans == 0  # type: ignore[arg-type]
 
 
 def test_labels_that_keep_their_word_have_no_error_others_one_weighted_by_labels_of_a_bin() -> None:

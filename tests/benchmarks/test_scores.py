@@ -83,15 +83,6 @@ def test_a_glance_into_a_room_makes_no_piece_and_a_submap_that_leaps_invents_a_d
     assert (found.doors, found.found, found.invented) == (2, 0, 1)
 
 
-def test_keyframes_outside_the_rooms_or_in_no_submap_are_left_out() -> None:
-    truth = RoomTruth(np.array([[1, 2]], dtype=np.int32), 1.0)
-    places = np.array([[0.5, 0.5], [9.0, 9.0], [1.5, 0.5], [1.5, 0.5], [-7.0, 0.5]])
-    with_strays = map_scores(truth, places, np.array([0, 4, 1, -1, 5]))
-    without = map_scores(truth, places[[0, 2]], np.array([0, 1]))
-    assert with_strays == without
-    assert without.purity == 1.0
-
-
 @pytest.mark.parametrize("places", [np.zeros((0, 2)), np.full((3, 3), 50.0)])
 def test_poses_of_another_frame_are_refused(places: np.ndarray[tuple[int, int]]) -> None:
     truth = RoomTruth(np.array([[1, 2]], dtype=np.int32), 1.0)

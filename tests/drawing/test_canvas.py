@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.drawing.canvas import Alignment, Canvas, in_visual_order, text_weight, text_width
+from specmap_cli.drawing.canvas import Alignment, Canvas, in_visual_order, text_width
 from specmap_cli.drawing.palette import CLOSURE, INK, TRAVERSED
 from tests.drawing.looking import bounds, inked, near, of_colour
 
@@ -76,17 +75,6 @@ def test_a_disc_lies_at_its_centre_to_a_fraction_of_a_pixel(x: float, y: float, 
     assert np.pi * (r - 0.5) ** 2 < area < np.pi * (r + 1.0) ** 2
 
 
-@pytest.mark.parametrize("height", [8.0, 12.0, 20.0, 40.0])
-@pytest.mark.parametrize("bold", [False, True])
-def test_capitals_are_as_high_as_asked_and_centred(height: float, bold: bool) -> None:
-    canvas = Canvas(100, 100)
-    canvas.text(50, 50, "HE", height, align="centre", bold=bold)
-    left, right, top, bottom = bounds(canvas.image[:, :, 0] < 160)
-    assert bottom - top == pytest.approx(height, abs=1.5 + text_weight(height, bold))
-    assert (top + bottom) / 2 == pytest.approx(50, abs=1.5)
-    assert (left + right) / 2 == pytest.approx(50, abs=0.15 * height)
-
-
 @pytest.mark.parametrize("words", ["42 rooms", "10 m", "0", "fr079", "0.904", "100 0"])
 @pytest.mark.parametrize(("align", "share"), [("left", 0.0), ("centre", 0.5), ("right", 1.0)])
 def test_words_are_anchored_where_asked_and_as_wide_as_measured(
@@ -130,29 +118,6 @@ def test_words_of_scripts_from_right_to_left_stand_in_their_order(
     np.testing.assert_array_equal(canvas.image, as_shown.image)
 
 
-def test_upright_words_are_lying_ones_turned_about_their_first_letter() -> None:
-    """Two pixels are left free before it."""
-    upright, lying = Canvas(60, 120), Canvas(120, 60)
-    upright.upright_text(30, 110, "TL", 14)
-    lying.text(12, 30, "TL", 14)
-    np.testing.assert_array_equal(upright.image, np.rot90(lying.image))
-
-
-@given(st.floats(-60.0, 120.0), st.floats(-60.0, 160.0), st.sampled_from(["upright", "text"]))
-def test_words_outside_are_cut_off_and_the_rest_stays_in_place(
-    x: float, y: float, kind: str
-) -> None:
-    """A small picture is a window into a large one; OpenCV 4 draws strokes that its border cuts
-    otherwise within three pixels of it."""
-    small, large = Canvas(60, 80), Canvas(460, 480)
-    for canvas, shift in ((small, 0), (large, 200)):
-        if kind == "upright":
-            canvas.upright_text(x + shift, y + shift, "room 70", 12)
-        else:
-            canvas.text(x + shift, y + shift, "room 70", 12)
-    np.testing.assert_array_equal(small.image[3:-3, 3:-3], large.image[203:277, 203:257])
-
-
 def test_what_lies_outside_is_cut_off() -> None:
     canvas = Canvas(30, 30)
     canvas.line(np.array([[-1e9, 5.0], [1e9, 5.0]]), INK, 2)
@@ -165,19 +130,3 @@ def test_what_lies_outside_is_cut_off() -> None:
     assert of_colour(canvas.image, INK)[5].all()
     assert of_colour(canvas.image, TRAVERSED)[20:23].all()
     assert near(canvas.image, CLOSURE) == 0
-
-
-@pytest.mark.parametrize("height", [9.0, 14.0, 24.0])
-@pytest.mark.parametrize("bold", [False, True])
-@pytest.mark.skipif(not hasattr(cv2, "FontFace"), reason="OpenCV 4's zero is a ring as it is")
-def test_a_zero_is_a_ring_without_a_stroke(height: float, bold: bool) -> None:
-    canvas = Canvas(60, 60)
-    canvas.text(30.0, 30.0, "0", height, INK, "centre", bold)
-    dark = canvas.image.mean(axis=-1) < 160
-    left, right, top, bottom = bounds(dark)
-    assert bottom - top == pytest.approx(height, abs=2)
-    assert right - left < bottom - top
-    assert (canvas.image[30, (left + right) // 2] == 255).all()  # where the stroke would be
-    hollow = ~dark[top : bottom + 1, left : right + 1]
-    inner = hollow[hollow.shape[0] // 4 : -(hollow.shape[0] // 4)]
-    assert all(pieces(~row) == 2 for row in inner)

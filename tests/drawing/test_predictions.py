@@ -14,7 +14,7 @@ from specmap_cli.drawing.palette import PAPER, RIGHT, SHADE, paler
 from specmap_cli.drawing.predictions import render_confusion, render_labels
 from specmap_cli.drawing.sheet import TITLE
 from specmap_cli.maps.writing import MapResult
-from tests.drawing.looking import bounds, inked, is_framed, near, of_colour, pixel
+from tests.drawing.looking import inked, is_framed, near, of_colour, pixel
 
 LARGEST = 72  # pixels of a cell while there are few
 
@@ -129,16 +129,6 @@ def test_right_is_blue_wrong_is_red_and_nothing_is_grey() -> None:
     assert red > max(blue, green) + 20
 
 
-def test_cells_show_shares_of_their_row_not_counts() -> None:
-    """A row counted ten times as often has the same cells; only its number of scans differs."""
-    counts = np.array([[3, 1], [2, 2]])
-    once = render_confusion(counts, ["a", "b"])
-    often = render_confusion(counts * [[10], [1]], ["a", "b"])
-    right = int(centres(once, 2, 2)[0, 1, 0]) + LARGEST // 2
-    np.testing.assert_array_equal(once[:, :right], often[:, :right])
-    assert (once[:, right:] != often[:, right:]).any()
-
-
 @pytest.mark.parametrize("few", [1, 4, 5])
 def test_a_cell_of_less_than_a_percent_does_not_say_nought(few: int) -> None:
     """0.1, 0.4 and 0.5 percent read `<1`: the letters lie on the same pixels."""
@@ -161,17 +151,6 @@ def test_any_number_of_classes_and_any_names_fit(size: int, name: str) -> None:
     assert is_framed(image)
     if size:
         assert near(image, RIGHT) > 150 * size
-
-
-@pytest.mark.parametrize(
-    ("size", "cell", "figures"), [(20, 70, True), (50, 28, True), (80, 17, False)]
-)
-def test_small_cells_have_no_figures(size: int, cell: int, figures: bool) -> None:
-    image = render_confusion(np.eye(size), [""] * size)
-    left, right, top, bottom = bounds(of_colour(image, RIGHT, 0))
-    assert right - left == bottom - top == size * cell - 2
-    first = image[top : top + cell - 1, left : left + cell - 1]
-    assert bool(inked(first, RIGHT).any()) is figures
 
 
 def test_names_must_fit() -> None:

@@ -249,18 +249,6 @@ def test_walls_that_share_their_longest_distance_by_chance_stay() -> None:
     assert not any(cleared([np.minimum(room(0, noise), 2.0) for _ in range(50)]))
 
 
-def test_a_longer_distance_begins_the_count_anew_and_leaves_what_was_found() -> None:
-    noise = np.random.default_rng(3)
-    ceiling = Ceiling([2.0])
-    longer = [np.minimum(room(number, noise), 2.2) for number in range(4)]
-    for ranges in longer:
-        ceiling.clear(ranges)
-    assert ceiling.values_m == (2.0, 2.2)
-    again = np.array([1.0, 2.0, 2.1, 2.2, 2.3])
-    ceiling.clear(again)
-    assert np.isinf(again).tolist() == [False, True, False, True, False]
-
-
 def has_code(sweep: Sweep) -> bool:
     """Whether a scan has returns from where the laser does not reach."""
     ranges = sweep.planar.ranges

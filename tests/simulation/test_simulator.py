@@ -200,16 +200,6 @@ def test_every_beam_ends_on_the_first_surface_and_points_come_as_the_columns_tur
     assert cloud_of(lidar_of(), hall).times_s is None
 
 
-def test_noise_is_along_the_beam_and_of_the_asked_spread(hall: World) -> None:
-    exact, noisy = (cloud_of(lidar_of(64, noise_m=noise), hall).points for noise in (0.0, 0.02))
-    ranges = np.sqrt((exact**2).sum(axis=1))
-    off = noisy - exact
-    along = (off * exact).sum(axis=1) / ranges
-    np.testing.assert_allclose(off, along[:, None] * exact / ranges[:, None], atol=1e-6)
-    assert along.std() == pytest.approx(0.02, rel=0.05)
-    assert abs(along.mean()) < 4 * 0.02 / np.sqrt(len(along))
-
-
 BRIEF = SimulationOptions(beams=30, rate_hz=4, max_duration_s=5.0, seed=2)
 
 

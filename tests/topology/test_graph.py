@@ -16,9 +16,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.core.geometry import FloatArray, compose
+from specmap_cli.core.geometry import FloatArray, Pose2, compose
 from specmap_cli.core.records import Closure, IntArray, Labels
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.topology.graph import (
     Heritage,
     build_topology,
@@ -76,6 +76,21 @@ def topology_of(
         ],
         grids=grids,
     )
+
+
+def test_visits_traversals_and_frames_follow_the_robot() -> None:
+    topology = topology_of([0, 0, 1, 1, 0, 2])
+    assert [len(topology.submaps[i].visits) for i in (0, 1, 2)] == [2, 1, 1]
+    assert topology.submaps[0].keyframes == (0, 1, 4)
+    visits = topology.submaps[0].visits
+    assert [(v.start_ns, v.end_ns) for v in visits] == [(0, 1000), (4000, 4000)]
+    kinds = {key: edge.kind for key, edge in topology.edges.items()}
+    assert kinds == {(0, 1): "traversed", (0, 2): "traversed"}
+    there, back = topology.edges[0, 1].traversals
+    assert (there.source, there.target, there.x, there.stamp_ns) == (0, 1, 1.5, 2000)
+    assert (back.source, back.target, back.x, back.stamp_ns) == (1, 0, 3.5, 4000)
+    assert topology.edges[0, 1].crossing == (2.5, 0.0)
+    assert topology.edges[0, 1].source_from_target == Pose2(2.0, 0.0, 0.0)
 
 
 def test_the_robot_looks_ahead_where_it_crosses_from_the_smaller_id() -> None:
@@ -282,13 +297,6 @@ def test_old_borders_stay_where_the_joint_division_differs_and_move_with_the_key
 ) -> None:
     _, labels = labels_after(rooms(2), way(1.0, 7.5), second, moved=moved)
     assert (labels != room_of(second)).sum() <= 2
-
-
-def test_the_rest_of_a_room_that_was_half_seen_goes_to_its_submap() -> None:
-    half = rooms(2).cells.copy()
-    half[:, 62:] = UNKNOWN
-    _, labels = labels_after(GridMap(half, 0.1), way(1.0, 5.8), way(5.0, 7.8), joint=0)
-    assert set(labels.tolist()) == {1}
 
 
 def test_a_new_room_only_looked_into_is_none_and_all_in_new_space_is_a_submap() -> None:

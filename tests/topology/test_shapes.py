@@ -127,15 +127,6 @@ def test_a_polygon_does_not_cross_itself() -> None:
         assert shapely.Polygon(outline(grid).polygon).is_valid, seed
 
 
-def test_the_polygon_is_that_of_the_largest_part() -> None:
-    shape = outline(grid_of(["....  .", "....   ", "      ."]))
-    assert shape.area_m2 == pytest.approx(10 * 0.25)
-    assert shape.polygon[:, 0].max() < 12.1
-    assert shape.polygon[:, 1].min() > -3.6
-    shape = outline(grid_of(["  ", "  "]))
-    assert (len(shape.polygon), shape.centroid, shape.area_m2) == (0, None, 0.0), "nothing free"
-
-
 def labels_at(places: dict[int, tuple[float, float]]) -> Labels:
     """One keyframe in each submap."""
     poses = np.array([(x, y, 0.0) for x, y in places.values()])
@@ -196,13 +187,6 @@ def test_thin_rays_are_not_reached_but_a_doorway_of_half_a_metre_is_gone_through
     cells[:15, 35], cells[25:, 35] = OCCUPIED, OCCUPIED
     regions = divide(GridMap(cells, 0.05), labels_at({0: (1.0, 1.0)}))
     assert (regions.owner[cells == FREE] == 0).all()
-
-
-def test_where_the_robot_stood_is_reached_even_when_marked_occupied() -> None:
-    cells = np.full((9, 20), FREE, dtype=np.uint8)
-    cells[4, 4] = OCCUPIED
-    regions = divide(GridMap(cells, 1.0), labels_at({0: (4.5, 4.5)}))
-    assert regions.outline(0).area_m2 == 9 * 20 - 1
 
 
 def test_the_area_of_a_submap_is_that_of_its_free_cells_and_furniture_is_none() -> None:

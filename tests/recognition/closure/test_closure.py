@@ -4,25 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from specmap_cli.core.config import load_config
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Closure
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.gridmap import UNKNOWN, GridMap, PackedGrid
-from specmap_cli.recognition.closure import loop_closer
 from specmap_cli.recognition.closure.claims import ClaimRanker, Claims
 from specmap_cli.recognition.closure.loop_closer import LoopCloser
 from specmap_cli.recognition.closure.verification import Check
-from tests.recognition.watching import watched
-from tests.turning import altered, configured, turned
+from tests.turning import altered, configured
 
 QUICK = RecognitionConfig(closure_rounds=20)
 ORDER = [0, 1, 2, 3, 0, 2, 1]
@@ -263,40 +258,3 @@ def test_a_stay_merged_away_is_named_by_its_own_number(building: Any, oracle: Or
     loop.merge(closures[0].old, closures[0].new)
     assert sorted(loop._submaps) == [0, 1]
     assert [stay.number for stay in loop._submaps[0]] == [0, 4, 8]
-
-
-def test_a_stay_is_kept_cropped_and_sampled_prepared_once_and_is_left_as_it_was(
-    building: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked = watched(monkeypatch, loop_closer, "prepared")
-    loop = closer(small({"candidates": 9, "samples_per_submap": 5}))
-    stay = building.visit(0, 0)
-    wide = GridMap(np.pad(stay.grid.cells, 50, constant_values=UNKNOWN), 0.05)
-    handed, features = replace(stay, packed=PackedGrid.of(wide)), stay.features.copy()
-    loop.consider(handed)
-    np.testing.assert_array_equal(handed.features, features)
-    assert handed.grid.cells.shape == wide.cells.shape
-    assert len(loop._submaps[0][0].features) == 5
-    considered(loop, building, [1, 2, 3])
-    assert len(asked) == 4
-    assert all(grid.cells.shape < wide.cells.shape for (grid,) in asked)
-
-
-@given(st.lists(st.integers(0, 5), min_size=1, max_size=30))
-def test_the_last_used_grids_are_kept_and_others_prepared_again(numbers: list[int]) -> None:
-    """Those, too, that cannot be prepared: those of even numbers."""
-    loop, asked = closer(RecognitionConfig()), list[int]()
-    held: list[int] = []  # the last used one last
-
-    def answer(number: int) -> int | None:
-        asked.append(number)
-        return number if number % 2 else None
-
-    with turned("recognition.closure.loop_closer", _PREPARED=3, prepared=answer):
-        for number in numbers:
-            asked.clear()
-            stay: Any = SimpleNamespace(number=number, grid=number)
-            kept: Any = loop._prepared(stay)
-            assert kept == (number if number % 2 else None)
-            assert asked == ([] if number in held else [number])
-            held = [*(other for other in held if other != number), number][-3:]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -13,10 +12,9 @@ from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import NO_SUBMAP, PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.grids.matching import Match
-from specmap_cli.recognition.learning.misfit import _USUAL_MISFIT, HeldOutMisfit, pooled
+from specmap_cli.recognition.learning.misfit import HeldOutMisfit
 from specmap_cli.recognition.localization import walls as walls_module
-from specmap_cli.recognition.localization.walls import Fitted, MapWalls, View
+from specmap_cli.recognition.localization.walls import MapWalls, View
 from tests.recognition.localization.scanned import scanned, walls_of
 from tests.recognition.posed import posed
 from tests.recognition.watching import watched
@@ -59,14 +57,6 @@ def seen_in(width_m: float, height_m: float, pose: Pose2) -> PosedScan:
 def behind(scan: PosedScan, pose: Pose2, width_m: float = 5.0) -> float:
     """The share of a scan behind the walls of a room of that width and 4 m height."""
     return walls_of(box(width_m, 4.0))._behind(scan, pose)
-
-
-def test_few_views_widen_what_is_taken_for_known() -> None:
-    means = [pooled(HeldOutMisfit(0.01, views), CONFIG) for views in (0, 2, 10, 60)]
-    assert means == sorted(means, reverse=True)
-    assert means[0] == pooled(None, CONFIG) == _USUAL_MISFIT
-    assert pooled(HeldOutMisfit(0.0, 60), CONFIG) == CONFIG.least_misfit
-    assert pooled(HeldOutMisfit(0.2, 60), CONFIG) == pytest.approx(0.2 / math.log(2.0), rel=0.1)
 
 
 @pytest.mark.parametrize("room", [0, 1, 2, 3])
@@ -118,33 +108,6 @@ def test_where_all_that_was_seen_of_late_is_wrong_the_scan_alone_finds_the_place
     assert best.fits
 
 
-def test_a_place_stands_out_if_none_elsewhere_fits_nearly_as_well(building: Any) -> None:
-    walls = walls_of(building.plan)
-
-    def fitted(x: float, misfit: float) -> Fitted:
-        return Fitted(Pose2(x, 0.0, 0.0), misfit, 1.0 if misfit > 0.1 else -3.0)
-
-    best, beside, near, far = fitted(0, 0.22), fitted(0.8, 0.23), fitted(5, 0.25), fitted(3, 0.45)
-    assert walls._weighed([best, beside]) == [best, beside], "no other is known to be worse"
-    assert walls._weighed([best, beside, near, far])[0] == best, "another is nearly as good"
-    assert walls._weighed([best, beside, far])[0].against < 0.0
-    sure = fitted(0, 0.02)
-    assert walls._weighed([sure, far])[0] == sure, "what fits by itself is no better for it"
-
-
-def test_of_the_places_found_the_one_counts_that_the_map_can_say_least_against(
-    building: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """In a map of half a room the true place may score less than a wrong one."""
-    scan = standing(building)
-    right = scan.map_from_base
-    wrong = right @ Pose2(1.0, 0.8, 1.0)
-    for order in ([wrong, right], [right, wrong]):
-        found = [Match(pose, 1.0) for pose in order]
-        monkeypatch.setattr(walls_module, "search_everywhere", lambda *_, found=found: found)
-        assert walls_of(building.plan).anywhere(view_of(scan))[0].against < -1.0
-
-
 def test_returns_where_the_map_saw_nothing_count_less_and_lost_or_empty_scans_say_nothing(
     building: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -175,25 +138,6 @@ def test_a_place_is_of_the_submap_whose_cell_it_is_or_of_the_nearest() -> None:
         assert walls.owner(Pose2(x, y, 0.0)) == submap
 
 
-@pytest.mark.parametrize("off", [(0.0, 0.0, 0.0), (0.08, -0.08, 0.0), (0.0, 0.05, 0.03)])
-@pytest.mark.parametrize("place", [(2.5, 2.0, 0.3), (0.4, 0.4, 2.0), (4.7, 2.0, 1.5)])
-def test_in_its_own_room_nothing_is_behind_walls_however_slightly_a_match_is_off(
-    place: tuple[float, float, float], off: tuple[float, float, float]
-) -> None:
-    pose = Pose2(*place)
-    matched = Pose2(pose.x + off[0], pose.y + off[1], pose.theta + off[2])
-    assert behind(seen_in(5.0, 4.0, pose), matched) <= 0.02
-
-
-def test_the_far_wall_of_a_longer_room_is_behind_the_map_s_and_none_of_a_smaller_one() -> None:
-    pose = Pose2(2.5, 2.0, 0.0)
-    scan = seen_in(8.0, 4.0, pose)
-    farther = np.cos(BEARINGS) * scan.planar.ranges > 2.5 + 0.3
-    assert behind(scan, pose) == pytest.approx(np.mean(farther), abs=0.06)
-    assert behind(scan, pose) > 0.3
-    assert behind(seen_in(3.5, 3.0, pose), pose) == 0.0
-
-
 @pytest.mark.parametrize("own_width_m", [5.0, 8.0])
 def test_what_the_maps_own_scans_look_through_speaks_against_no_place(own_width_m: float) -> None:
     """A pane is a wall of the map, behind which its own scans saw what is there."""
@@ -206,20 +150,3 @@ def test_what_the_maps_own_scans_look_through_speaks_against_no_place(own_width_
     behind = walls._behind(seen_in(8.0, 4.0, pose), pose)
     assert (behind > 0.3) == (own_width_m == 5.0)
     assert behind < 0.1 or own_width_m == 5.0
-
-
-def test_a_wall_beyond_reach_stops_nothing_and_without_a_return_nothing_is_behind_it() -> None:
-    pose = Pose2(1.0, 2.0, 0.0)
-    scan = seen_in(29.0, 4.0, pose)
-    assert behind(scan, pose, width_m=12.0) == 0.0 < behind(scan, pose, width_m=6.0)
-    for reading in (math.inf, math.nan):
-        ranges = np.full(len(BEARINGS), reading)
-        assert behind(replace(scan, planar=replace(scan.planar, ranges=ranges)), pose) == 0.0
-
-
-def test_the_laser_looks_from_where_it_is_mounted() -> None:
-    pose, mounting = Pose2(3.5, 2.0, 0.0), Pose2(0.3, 0.1, math.pi)
-    seen = seen_in(5.0, 4.0, pose @ mounting)
-    scan = posed(seen.planar, pose, base_from_laser=mounting)
-    assert behind(scan, pose) <= 0.02
-    assert behind(scan, Pose2(pose.x, pose.y, math.pi)) > 0.05
