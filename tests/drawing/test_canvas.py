@@ -7,16 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.drawing.canvas import Alignment, Canvas, in_visual_order, text_width
+from specmap_cli.drawing.canvas import Canvas, in_visual_order
 from specmap_cli.drawing.palette import CLOSURE, INK, TRAVERSED
 from tests.drawing.looking import bounds, inked, near, of_colour
 
 positions = st.floats(15.0, 45.0)
-
-
-def pieces(dark: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> int:
-    """How many runs of dark pixels a row of pixels has."""
-    return int(np.count_nonzero(np.diff(np.concatenate([[False], dark]).astype(int)) == 1))
 
 
 @pytest.mark.parametrize("width", [1, 3, 6])
@@ -32,26 +27,6 @@ def test_a_line_is_as_wide_as_asked_and_turns_corners(width: int) -> None:
         assert width - 1 <= np.count_nonzero(across) <= width + 2  # OpenCV's smooth lines are bold
     assert dark[10, 50]
     assert not dark[30:, 10:30].any()
-
-
-@pytest.mark.parametrize(
-    ("length", "width", "dash", "gap", "strokes"),
-    [
-        (190.0, 3, 20.0, 20.0, 5),
-        (10.0, 4, 0.0, 10.0, 1),  # dashes of no length are dots
-        (95.0, 4, 0.0, 10.0, 10),
-        (100.5, 4, 0.0, 10.0, 11),
-    ],
-)
-def test_dashes_have_gaps_and_reach_the_end(
-    length: float, width: int, dash: float, gap: float, strokes: int
-) -> None:
-    canvas = Canvas(220, 20)
-    canvas.dashes(np.array([[10.0, 10.0], [10.0 + length, 10.0]]), INK, width, dash, gap)
-    dark = canvas.image[10, :, 0] < 140
-    assert pieces(dark) == strokes
-    if dash:
-        assert 85 <= np.count_nonzero(dark) <= 125
 
 
 def test_dashes_begin_anew_at_a_corner_and_skip_points_that_repeat() -> None:
@@ -73,19 +48,6 @@ def test_a_disc_lies_at_its_centre_to_a_fraction_of_a_pixel(x: float, y: float, 
     assert (weight * rows).sum() / weight.sum() == pytest.approx(y, abs=0.15)
     area = weight.sum() / 255.0
     assert np.pi * (r - 0.5) ** 2 < area < np.pi * (r + 1.0) ** 2
-
-
-@pytest.mark.parametrize("words", ["42 rooms", "10 m", "0", "fr079", "0.904", "100 0"])
-@pytest.mark.parametrize(("align", "share"), [("left", 0.0), ("centre", 0.5), ("right", 1.0)])
-def test_words_are_anchored_where_asked_and_as_wide_as_measured(
-    words: str, align: Alignment, share: float
-) -> None:
-    canvas = Canvas(600, 60)
-    canvas.text(300, 30, words, 20, align=align)
-    left, right, _, _ = bounds(canvas.image[:, :, 0] < 128)
-    width = text_width(words, 20)  # from pen to pen: the ink keeps a bearing off both, a 1 the most
-    assert width - 12 <= right - left <= width + 2
-    assert left == pytest.approx(300 - share * width, abs=6)
 
 
 @pytest.mark.parametrize(

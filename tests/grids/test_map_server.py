@@ -85,17 +85,6 @@ def test_the_convention_of_map_server(tmp_path: Path) -> None:
     assert read_grid(tmp_path / "m.yaml").cells.tolist() == [[UNKNOWN]]
 
 
-def test_colours_transparency_and_percent_as_they_stand(tmp_path: Path) -> None:
-    image = np.full((1, 2, 4), 255, dtype=np.uint8)
-    image[0, 1, 3] = 0
-    assert read_grid(write_image(tmp_path, image)).cells.tolist() == [[FREE, UNKNOWN]]
-    deep = np.array([[0, 65535]], dtype=np.uint16)
-    assert read_grid(write_image(tmp_path, deep)).cells.tolist() == [[OCCUPIED, FREE]]
-    percent = np.array([[0, 100, 50, 255]], dtype=np.uint8)
-    grid = read_grid(write_image(tmp_path, percent, YAML + "mode: raw\n"))
-    assert grid.cells.tolist() == [[FREE, OCCUPIED, UNKNOWN, UNKNOWN]]
-
-
 NAV2 = YAML + "mode: trinary\noccupied_thresh: 0.65\nfree_thresh: 0.25\n"
 SAVED = np.repeat(np.repeat(np.array([[254, 205], [0, 254]], dtype=np.uint8), 20, 0), 20, 1)
 CELLS = [[OCCUPIED, FREE], [FREE, UNKNOWN]]  # the lowest row first
