@@ -225,17 +225,3 @@ def test_a_part_of_a_circle_stays_about_its_bearings() -> None:
     assert np.abs(found.bearings - bearings).max() < 0.35
     assert (np.diff(found.bearings) >= 0).all()
     assert (found.stamp_ns, found.range_max, found.full_circle) == (5, 10.0, False)
-
-
-@pytest.mark.parametrize(
-    ("motion", "same"),
-    [
-        (IDENTITY, True),
-        (Pose2(0.0009, 0.0, 0.00009), True),
-        (Pose2(0.002, 0.0, 0.0), False),
-        (Pose2(0.0, 0.0, 0.0002), False),
-    ],
-)
-def test_only_a_motion_that_a_sweep_can_show_moves_it(motion: Pose2, same: bool) -> None:
-    scan = skewed_room(IDENTITY, IDENTITY)
-    assert (deskewed(scan, IDENTITY, motion, PERIOD_S) is scan) == same
