@@ -16,7 +16,7 @@ from specmap_cli.drawing.palette import Colour
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.topology.regions import NOBODY, Regions
 from specmap_cli.topology.topological_map import Submap, TopologicalMap
-from tests.drawing.seeing import ciede2000, least_difference
+from tests.drawing.seeing import ciede2000, contrast, least_difference
 from tests.strategies import few, seeds
 
 APART = 15.0  # CIEDE2000: told apart at a glance
@@ -43,6 +43,26 @@ def test_differences_are_as_published(
 def test_any_two_colours_are_told_apart_by_all_eyes(colours: tuple[Colour, ...]) -> None:
     nearest = min(least_difference(a, b) for a, b in itertools.combinations(colours, 2))
     assert nearest >= APART
+
+
+@pytest.mark.parametrize("fill", palette.FILLS)
+def test_a_fill_its_shades_and_what_is_drawn_on_it(fill: Colour) -> None:
+    assert least_difference(fill, palette.PAPER) > 7.0
+    for grey in (palette.SHADE, palette.SEEN):
+        assert least_difference(fill, grey) > 7.0
+    assert least_difference(palette.SEEN, palette.PAPER) > 9.0
+    assert max(sum(palette.darker(fill)), sum(palette.vivid(fill))) < sum(fill)
+    assert sum(fill) < sum(palette.paler(fill)) < 3 * 255
+    assert palette.paler(fill, 0.0) == palette.darker(fill, 1.0) == fill
+    assert palette.paler(fill, 1.0) == palette.PAPER
+    assert palette.darker(fill, 0.0) == (0, 0, 0)
+    assert contrast(palette.INK, fill) > 4.5
+    assert contrast(palette.DOOR, fill) > 2.5
+    assert contrast(palette.darker(fill), palette.PAPER) > 3.0
+    assert contrast(palette.BORDER, fill) > 1.8
+    # links and lines of predictions have a rim of paper
+    assert contrast(palette.TRAVERSED, palette.PAPER) > 4.5
+    assert contrast(palette.vivid(fill), palette.PAPER) > 3.0
 
 
 def planar(seed: int, count: int) -> tuple[list[int], set[tuple[int, int]]]:

@@ -138,6 +138,25 @@ def test_a_place_is_of_the_submap_whose_cell_it_is_or_of_the_nearest() -> None:
         assert walls.owner(Pose2(x, y, 0.0)) == submap
 
 
+@pytest.mark.parametrize("off", [(0.0, 0.0, 0.0), (0.08, -0.08, 0.0), (0.0, 0.05, 0.03)])
+@pytest.mark.parametrize("place", [(2.5, 2.0, 0.3), (0.4, 0.4, 2.0), (4.7, 2.0, 1.5)])
+def test_in_its_own_room_nothing_is_behind_walls_however_slightly_a_match_is_off(
+    place: tuple[float, float, float], off: tuple[float, float, float]
+) -> None:
+    pose = Pose2(*place)
+    matched = Pose2(pose.x + off[0], pose.y + off[1], pose.theta + off[2])
+    assert behind(seen_in(5.0, 4.0, pose), matched) <= 0.02
+
+
+def test_the_far_wall_of_a_longer_room_is_behind_the_map_s_and_none_of_a_smaller_one() -> None:
+    pose = Pose2(2.5, 2.0, 0.0)
+    scan = seen_in(8.0, 4.0, pose)
+    farther = np.cos(BEARINGS) * scan.planar.ranges > 2.5 + 0.3
+    assert behind(scan, pose) == pytest.approx(np.mean(farther), abs=0.06)
+    assert behind(scan, pose) > 0.3
+    assert behind(seen_in(3.5, 3.0, pose), pose) == 0.0
+
+
 @pytest.mark.parametrize("own_width_m", [5.0, 8.0])
 def test_what_the_maps_own_scans_look_through_speaks_against_no_place(own_width_m: float) -> None:
     """A pane is a wall of the map, behind which its own scans saw what is there."""
