@@ -192,3 +192,12 @@ def test_what_was_seen(
     seen = seen_space([outline_of(scan, laser, range_m)], CELL_M, side_m)
     found = seen.values_at(np.array(points)) == FREE
     assert found.tolist() == [held] * len(points)
+
+
+@pytest.mark.parametrize("beams", [4, 359, 720, 5000])
+def test_outlines_of_many_beams_are_thinned(beams: int) -> None:
+    outline = outline_of(circle(0, np.full(beams, 2.0)).planar, IDENTITY, 10.0)
+    assert len(outline) <= 362
+    assert np.allclose(outline[0], 0.0)
+    assert np.allclose(np.hypot(*outline[1:].T), 2.0)
+    assert np.allclose(outline[1], outline[-1])

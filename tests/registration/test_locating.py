@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.registration.guess import UNKNOWN, ExpectedMotion, Reliance, best_guess
-from specmap_cli.registration.local_map import Scene
+from specmap_cli.registration.local_map import Fit, Scene
 from specmap_cli.registration.trust import FAIR_SCORE, GOOD_SCORE, Located
 from specmap_cli.registration.trust import locate as located_by
 from tests.registration.aligners import ToldAligner
@@ -115,6 +115,22 @@ def test_a_turn_that_the_walls_deny_gives_way_to_the_motion_before(
     turn = Pose2(0.0, 0.0, 3.0)
     located = locate(scene, turn.matrix(), expecting(turn, measured=measured), turn)
     assert (located.fit.score > 0.9) == measured
+
+
+def test_odometry_denies_by_what_it_is_worth_of_way_and_of_turn() -> None:
+    """Wheels whose turns are bad: they still know that the robot did not come half a metre on."""
+    step = Pose2(0.5, 0.0, 0.0)
+    bad_turns = Reliance((0.1,) * 60, (0.1,) * 60, (9.0,) * 60)
+    ahead = Fit(pose=turned(0.5, 0.0, 0.0), score=0.9)
+    askew = Fit(pose=turned(0.0, 1.5, 0.0), score=0.9)
+    denied = {
+        (name, where): guess_of(IDENTITY, expecting(step), reliance).denies(fit)
+        for name, reliance in (("all", UNKNOWN), ("way", bad_turns), ("none", WORTHLESS))
+        for where, fit in (("ahead", ahead), ("askew", askew))
+    }
+    found = [key for key, value in denied.items() if value]
+    assert found == [("all", "ahead"), ("all", "askew"), ("way", "ahead")]
+    assert not guess_of(IDENTITY, expecting(step, measured=False)).denies(ahead)
 
 
 def line(x: FloatArray | float, y: FloatArray | float) -> FloatArray:

@@ -75,6 +75,16 @@ def test_only_walls_that_could_be_seen_speak_against_odometry(support: Support, 
     assert judged(0.05, support, measured=False).lost  # a motion carried on is no witness
 
 
+@pytest.mark.parametrize(
+    ("share", "measured", "lost"), [(0.6, False, False), (0.6, True, True), (0.4, False, True)]
+)
+def test_without_odometry_a_contradiction_may_see_new_space_too(
+    share: float, measured: bool, lost: bool
+) -> None:
+    support = Support(score=0.65, share=share, count=round(100 * share))
+    assert judged(0.4, support, agrees=False, searched=True, measured=measured).lost == lost
+
+
 def test_a_lost_sweep_is_put_back_on_its_guess() -> None:
     away = Pose2(0.6, 0.2, 0.3)
     lost = judged(0.3, away=away, agrees=False)
