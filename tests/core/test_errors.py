@@ -99,6 +99,13 @@ def test_an_error_is_told_of_a_larger_place() -> None:
     assert str(caught.value.within("jobs.toml")) == f"jobs.toml: {caught.value}"
 
 
+def test_an_error_of_the_system_says_what_helps() -> None:
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    error = errors.UsageError.of_system(full, "cannot be written", "go", where="out")
+    assert str(error) == ("out: cannot be written: No space left on device; free some space, or go")
+    assert (error.where, error.hint) == ("out", "free some space, or go")
+
+
 def test_an_error_keeps_its_parts_on_the_way_to_another_process() -> None:
     gone = errors.LogError("gone", "copy it", code=errors.LOG_MISSING, where="a.mcap")
     error = pickle.loads(pickle.dumps(gone))

@@ -80,6 +80,14 @@ def test_words_of_scripts_from_right_to_left_stand_in_their_order(
     np.testing.assert_array_equal(canvas.image, as_shown.image)
 
 
+def test_upright_words_are_lying_ones_turned_about_their_first_letter() -> None:
+    """Two pixels are left free before it."""
+    upright, lying = Canvas(60, 120), Canvas(120, 60)
+    upright.upright_text(30, 110, "TL", 14)
+    lying.text(12, 30, "TL", 14)
+    np.testing.assert_array_equal(upright.image, np.rot90(lying.image))
+
+
 def test_what_lies_outside_is_cut_off() -> None:
     canvas = Canvas(30, 30)
     canvas.line(np.array([[-1e9, 5.0], [1e9, 5.0]]), INK, 2)

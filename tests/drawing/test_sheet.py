@@ -17,7 +17,7 @@ from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.topology.regions import NOBODY, Regions
 from specmap_cli.topology.topological_map import LogInfo
 from tests.drawing.looking import bounds, inked, is_framed, near, of_colour, one_room, pixel
-from tests.strategies import lengths, seeds
+from tests.strategies import grid_maps, lengths, seeds
 
 EVERYTHING = symbols.legend_of(symbols.SYMBOLS)
 
@@ -82,6 +82,22 @@ def test_each_kind_of_cell_has_its_colour_and_a_border_is_where_regions_touch(
     assert of_colour(image[y - 2 : y + 3, x - 1 : x + 2], palette.BORDER, 40).any()
     seen = [pixel(image, place) for place in inside]
     assert seen == [palette.FILLS[0], palette.INK, palette.SEEN, palette.PAPER]
+
+
+@given(grid_maps())
+def test_the_extent_is_that_of_the_known_cells_if_there_are_any(grid: GridMap) -> None:
+    regions = Regions(grid, np.full(grid.cells.shape, NOBODY), {})
+    low, high = extent_of(regions)
+    corners = [
+        grid.origin + grid.resolution * np.array([column + i, row + i])
+        for row, column in np.argwhere(grid.cells != UNKNOWN).tolist()
+        for i in (0, 1)
+    ]
+    if corners:
+        np.testing.assert_allclose([low, high], [np.min(corners, 0), np.max(corners, 0)])
+    nothing = GridMap(np.full_like(grid.cells, UNKNOWN), 0.05, (3.0, -2.0))
+    low, high = extent_of(Regions(nothing, regions.owner, {}))
+    assert (low.tolist(), high.tolist()) == ([3.0, -2.0], [3.5, -1.5])  # half a metre is shown
 
 
 @pytest.mark.parametrize("extent_m", [0.1, 0.5, 3.0, 17.0, 60.0, 300.0, 2750.0])

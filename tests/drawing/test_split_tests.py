@@ -22,6 +22,7 @@ ORANGE, BLUE = (60, 110, 235), (200, 120, 30)  # the robot's side, the side it l
 DARK, RED = (40, 40, 40), (60, 60, 200)
 HEIGHT = 240  # of the map in the picture of a test: 8 m x 4 m, 480 pixels wide
 SPECTRUM = 150  # pixels at the bottom
+WORDS = 82  # between them: three lines
 WHEN = Occasion(120, 312, 125.34)
 # of the spectrum: the highest bar, the lowest row, the last column
 TOP, FLOOR, RIGHT = 12, 126, 438
@@ -71,6 +72,17 @@ def bars(image: Image) -> list[int]:
     floor = filled[FLOOR - 3]
     starts = np.flatnonzero(np.diff(np.concatenate([[0], floor.astype(int)])) == 1)
     return [int(filled[:, start + 2].sum()) for start in starts]
+
+
+def test_nodes_have_the_colour_of_their_side_and_fade_towards_the_border() -> None:
+    image = drawn(split_test([-1.0, -0.5, 0.0, 0.5, 1.0], [1.0, 0.8]))
+    assert image.shape == (HEIGHT + WORDS + SPECTRUM, 480, 3)
+    seen = [pixel(image, spot(x, 0.0)) for x in (11.0, 12.5, 14.0, 15.5, 17.0)]
+    assert seen[0] == pytest.approx(BLUE, abs=2)
+    assert seen[4] == pytest.approx(ORANGE, abs=2)
+    paleness = [sum(colour) for colour in seen]
+    assert paleness[0] < paleness[1] < paleness[2] > paleness[3] > paleness[4]
+    assert paleness[2] < 3 * 255
 
 
 def test_the_map_is_white_grey_and_black_and_the_way_ends_in_a_dot_where_the_robot_is() -> None:

@@ -57,6 +57,13 @@ def test_a_door_is_a_passage_between_its_jambs_with_dots_where_it_was_only_seen(
     assert pixel(canvas.image, np.array([15, 80])) == palette.SHADE
 
 
+def test_a_door_of_a_large_building_can_still_be_seen() -> None:
+    canvas = Canvas(120, 80, palette.SHADE)
+    symbols.door(canvas, np.array([[60.0, 39.0], [60.0, 41.0]]), True)
+    _, _, top, bottom = bounds(of_colour(canvas.image, palette.DOOR, 60))
+    assert bottom - top >= 16
+
+
 @pytest.mark.parametrize("name", ["0", "12", "347"])
 def test_a_badge_holds_its_id(name: str) -> None:
     canvas = Canvas(80, 80, palette.SHADE)

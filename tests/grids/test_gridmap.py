@@ -42,6 +42,22 @@ def test_distances_are_scipys(grid: GridMap) -> None:
         assert (grid.obstacle_distance() > 100.0).all()
 
 
+def test_what_is_near_a_zero_is_the_same_a_few_rows_at_a_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    picture = (np.random.default_rng(0).uniform(size=(90, 40)) > 0.01).astype(np.uint8)
+    picture[30:70, 5:35] = 1  # some bands of rows hold no zero
+    numbers = np.random.default_rng(1).integers(-1, 7, (90, 40)).astype(np.int16)
+    table = np.arange(10, 18, dtype=np.int32)
+    away = distance_transform_edt(picture)
+    for cells in (1 << 20, 120):
+        monkeypatch.setattr(gridmap, "_CELLS_AT_ONCE", cells)
+        for reach in (0.0, 2.99, 3.0, 5.0, 200.0):
+            np.testing.assert_array_equal(gridmap.within(picture, reach), away <= reach)
+        np.testing.assert_array_equal(gridmap.looked_up(table, numbers), table[numbers])
+    assert gridmap.within(picture[:0], 3.0).shape == (0, 40)
+
+
 @given(grid_maps(), st.data())
 def test_a_window_is_the_same_map_seen_through_a_hole(grid: GridMap, data: st.DataObject) -> None:
     height, width = grid.cells.shape

@@ -241,3 +241,19 @@ def test_grids_are_added_and_taken_from_each_other(taken: Taken, cut: int) -> No
     for scan, pose in one:  # a grid that was cropped grows again
         add(rest, scan, pose)
     assert known(rest.snapshot()) == known(counts_of(taken).snapshot())
+
+
+@given(planar_scans(), poses, st.floats(0.0, 9.0))
+def test_the_part_near_some_places_is_cut_from_the_whole(
+    scan: PlanarScan, pose: Pose2, reach: float
+) -> None:
+    grid = gridded([scan], [pose])
+    counts = counts_of([(scan, pose)])
+    places = np.array([[0.0, 1.0, 0.3], [2.0, -1.0, 0.0]])
+    part, same = grid.near(places, reach), counts.near(places, reach)
+    assert (part.resolution, part.origin) == (same.resolution, same.origin)
+    np.testing.assert_array_equal(part.cells, same.cells)
+    centres = grid.centres_of(np.argwhere(grid.cells < 3))
+    shown = centres[(np.abs(centres - (1.0, 0.0)) <= 1.0 + reach - CELL).all(axis=1)]
+    assert part.inside(part.cells_of(shown)).all()
+    assert max(part.cells.shape) * CELL <= 2.0 + 2.0 * reach + 2.0 * CELL

@@ -85,6 +85,12 @@ def test_walls_near_the_edge_of_a_field_or_beyond_cannot_be_drawn_into_it(
     assert field.with_cells(PointCells.of(np.zeros((0, 2)), 0.075), 0.1) is field
 
 
+def test_the_sharper_field_has_half_the_sigma() -> None:
+    wide, sharp = ScoreField.from_points(ROOM, sigma=0.2), ScoreField.from_points(ROOM, sigma=0.1)
+    places = np.random.default_rng(4).uniform(-3, 3, (500, 2))
+    assert np.allclose(wide.sharper().at(places), sharp.at(places), atol=1e-3)
+
+
 @given(grid_maps(), st.sampled_from([0.05, 0.1, 0.3]))
 def test_the_field_of_a_grid_is_the_score_of_the_exact_distance(
     grid: GridMap, sigma: float
@@ -112,6 +118,15 @@ def test_a_score_is_the_mean_of_the_values_under_the_points(pose: Pose2, seed: i
     assert field.score(points, pose) == pytest.approx(mean)
     assert field.score(points, pose) == pytest.approx(1.0)  # they are its obstacles
     assert field.score(points[:0], pose) == 0.0
+
+
+def test_outside_a_field_all_is_nought() -> None:
+    height, width = FIELD.values.shape
+    right, top = FIELD.resolution * width, FIELD.resolution * height
+    places = FIELD.origin + np.array([[-0.01, 1.0], [1.0, -0.01], [right, 1.0], [1.0, top]])
+    assert not FIELD.at(places).any()
+    edge = np.concatenate([FIELD.values[0], FIELD.values[-1], FIELD.values[:, 0]])
+    assert edge.max() < 0.003  # so that nothing jumps where the field ends
 
 
 @given(seeds, st.integers(1, 7))

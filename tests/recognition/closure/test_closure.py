@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from specmap_cli.core.config import load_config
 from specmap_cli.core.geometry import Pose2
@@ -17,7 +20,7 @@ from specmap_cli.grids.gridmap import UNKNOWN, GridMap, PackedGrid
 from specmap_cli.recognition.closure.claims import ClaimRanker, Claims
 from specmap_cli.recognition.closure.loop_closer import LoopCloser
 from specmap_cli.recognition.closure.verification import Check
-from tests.turning import altered, configured
+from tests.turning import altered, configured, turned
 
 QUICK = RecognitionConfig(closure_rounds=20)
 ORDER = [0, 1, 2, 3, 0, 2, 1]
@@ -258,3 +261,23 @@ def test_a_stay_merged_away_is_named_by_its_own_number(building: Any, oracle: Or
     loop.merge(closures[0].old, closures[0].new)
     assert sorted(loop._submaps) == [0, 1]
     assert [stay.number for stay in loop._submaps[0]] == [0, 4, 8]
+
+
+@given(st.lists(st.integers(0, 5), min_size=1, max_size=30))
+def test_the_last_used_grids_are_kept_and_others_prepared_again(numbers: list[int]) -> None:
+    """Those, too, that cannot be prepared: those of even numbers."""
+    loop, asked = closer(RecognitionConfig()), list[int]()
+    held: list[int] = []  # the last used one last
+
+    def answer(number: int) -> int | None:
+        asked.append(number)
+        return number if number % 2 else None
+
+    with turned("recognition.closure.loop_closer", _PREPARED=3, prepared=answer):
+        for number in numbers:
+            asked.clear()
+            stay: Any = SimpleNamespace(number=number, grid=number)
+            kept: Any = loop._prepared(stay)
+            assert kept == (number if number % 2 else None)
+            assert asked == ([] if number in held else [number])
+            held = [*(other for other in held if other != number), number][-3:]

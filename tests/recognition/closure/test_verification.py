@@ -18,6 +18,7 @@ from specmap_cli.core.geometry import (
     Pose2,
     compose,
     invert,
+    wrap_angle,
 )
 from specmap_cli.core.settings import GridConfig, RecognitionConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
@@ -34,6 +35,7 @@ from specmap_cli.recognition.closure.verification import (
     prepared,
     tracks_overlap,
     verify,
+    wall_direction,
 )
 from tests.strategies import angles, few, pose_arrays, poses
 from tests.turning import turn
@@ -218,6 +220,13 @@ def test_of_two_ways_that_a_hall_fits_the_plausible_one_is_sure(turned: bool) ->
     assert verify(room, room, lambda pose: pose.distance > 1.0) == matched(room, room)
 
 
+@pytest.mark.parametrize("degrees", [0, 10, 37, 80])
+def test_the_direction_of_walls_turns_with_them(degrees: float) -> None:
+    hall = walls_at(moved(HALL, Pose2(0.0, 0.0, -math.radians(degrees))))
+    off = wrap_angle(4.0 * (wall_direction(hall) - np.radians(degrees))) / 4.0
+    assert abs(np.degrees(off)) < 1.0
+
+
 def test_walls_agree_beside_walls_and_contradict_deep_in_free_space() -> None:
     grid = walls_at(HALL, free=True)
     grid.cells[:50] = UNKNOWN
@@ -236,3 +245,13 @@ def test_walls_agree_beside_walls_and_contradict_deep_in_free_space() -> None:
     assert whole.area.known.all()
     assert whole.area.open[:10].all()  # the border of the grid is no end of free space
     assert not whole.area.open[15:26, 5:35].any()
+
+
+@pytest.mark.parametrize(("inlier_m", "margin"), [(0.15, 3), (0.25, 5), (0.01, 1)])
+def test_the_known_area_grows_by_what_an_inlier_may_be_off(inlier_m: float, margin: int) -> None:
+    cells = np.full((40, 40), UNKNOWN, dtype=np.uint8)
+    cells[19, 2:38] = OCCUPIED
+    cells[2, 2] = cells[37, 37] = FREE  # the crop keeps the rows between
+    turn("recognition", inlier_m=inlier_m)
+    middle = ready(GridMap(cells, 0.05)).area.known[:, 15]
+    assert np.flatnonzero(middle).tolist() == list(range(17 - margin, 17 + margin + 1))

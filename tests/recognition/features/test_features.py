@@ -120,6 +120,17 @@ def test_range_moments_equal_scipy_s() -> None:
     assert of_one(table1.range_moments, returns) == pytest.approx(expected)
 
 
+def test_gaps_extents_and_flips_of_scans_made_by_hand() -> None:
+    step = np.where(np.arange(100) < 50, 2.0, 3.0)
+    assert of_one(table1.gaps, batch_of(scan_of(step))) == [2.0, 2.0, 0.0]  # all round
+    two = np.full(360, 2.0)
+    two[0], two[90] = 1.0, 5.0
+    extent = of_one(table1.range_extent, batch_of(scan_of(two)))
+    assert extent == pytest.approx([4.0, math.pi / 2])
+    bumpy = 3.0 + 0.5 * np.sin(np.linspace(0.0, 8.0 * np.pi, 400, endpoint=False))
+    assert of_one(table1.second_derivative_flips, batch_of(scan_of(bumpy))) == [8.0]
+
+
 @pytest.mark.parametrize(
     ("function", "edges"),
     [

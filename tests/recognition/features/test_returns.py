@@ -55,3 +55,17 @@ def test_the_polygon_of_a_half_circle_holds_the_laser() -> None:
     areas, perimeters = batch.areas_and_perimeters
     assert areas == pytest.approx([math.pi * 2.0, math.pi * 4.0], rel=0.01)  # discs of 2 m
     assert perimeters[0] == pytest.approx(math.pi * 2.0 + 4.0, rel=0.01)
+
+
+@given(st.lists(st.tuples(readings, st.booleans()), max_size=5))
+def test_a_batch_holds_each_of_its_scans(scans: list[tuple[list[float], bool]]) -> None:
+    given_scans = [scan_of(np.array(ranges), full) for ranges, full in scans]
+    batch = ReturnsBatch.of(given_scans)
+    assert len(batch) == len(scans)
+    for k, scan in enumerate(given_scans):
+        alone = returns_of(scan)
+        assert batch[k].ranges.tolist() == alone.ranges.tolist()
+        assert batch[k].points.tolist() == alone.points.tolist()
+        assert batch[k].steps.tolist() == alone.steps.tolist()
+        assert (batch[k].closed, batch[k].beams) == (alone.closed, alone.beams)
+        assert batch[k].no_return == alone.no_return

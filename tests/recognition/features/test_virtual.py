@@ -14,6 +14,7 @@ from specmap_cli.core.records import PlanarScan
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.recognition.features.virtual import (
     RecentScans,
+    all_round,
     cast_circles,
     circle,
     nearest_returns,
@@ -47,6 +48,15 @@ def drive(recent: RecentScans, metres: float, step: float = 0.25) -> Pose2:
         pose = Pose2(step * k, 0.0, 0.0)
         add(recent, WALL, pose)
     return pose
+
+
+@pytest.mark.parametrize("beams", [1, 2, 37, 360])
+def test_the_bearings_of_a_circle_are_even_and_end_before_they_begin_again(beams: int) -> None:
+    bearings = circle(beams)
+    assert bearings[0] == -math.pi
+    assert np.diff(bearings) == pytest.approx(2.0 * math.pi / beams)
+    assert bearings[-1] < math.pi
+    assert all_round(np.ones(beams), 5.0).bearings.tolist() == bearings.tolist()
 
 
 @given(seeds, st.integers(0, 60), st.integers(4, 72))
@@ -163,6 +173,16 @@ def test_what_lies_behind_a_narrow_laser_is_not_made_up() -> None:
     turned = scan_at(there, 181, full_circle=False)
     both = np.vstack([lines, outline(turned, there, 20.0)])
     assert np.isfinite(seen_from(both, there, scan.bearings, 20.0)).all()
+
+
+def test_the_nearest_surface_hides_those_behind_it() -> None:
+    near, far = [1.0, -1.0, 1.0, 1.0], [2.0, -4.0, 2.0, 4.0]
+    bearings = np.radians([-50.0, 0.0, 50.0])
+    ranges = seen_from(np.array([far, near]), Pose2(0.0, 0.0, 0.0), bearings, 20.0)
+    assert ranges == pytest.approx(
+        [2.0 / math.cos(bearings[0]), 1.0, 2.0 / math.cos(bearings[2])], abs=1e-6
+    )
+    assert np.isinf(seen_from(np.array([far]), Pose2(0.0, 0.0, 0.0), bearings, 1.5)).all()
 
 
 def test_no_line_joins_two_surfaces_or_a_return_with_none() -> None:

@@ -65,6 +65,13 @@ def test_lessons_of_keyframes_that_are_gone_are_gone() -> None:
     assert kept(near) == [[0, 3, 7], [0, 7], [3], [7, 7]]
 
 
+def test_lessons_of_several_maps_are_one() -> None:
+    one = TrainingData(numbered(0, 1), numbered(0), numbered(1), numbered())
+    both = TrainingData.joined([one, NO_TRAINING_DATA, one.numbered_from(10)])
+    assert kept(both) == [[0, 1, 10, 11], [0, 10], [1, 11], []]
+    assert both.raw.features.ravel().tolist() == [100.0, 101.0, 100.0, 101.0]
+
+
 def test_each_recording_gives_its_share_of_raw_scans_the_known_ones_first(
     store: KeyframeStore,
 ) -> None:

@@ -6,9 +6,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.recognition.learning.misfit import HeldOutMisfit, held_out_misfit
+from specmap_cli.core.records import PlanarScan
+from specmap_cli.recognition.learning.misfit import HeldOutMisfit, held_out_misfit, near_returns
 from tests.recognition.posed import stored
 
 
@@ -41,3 +43,12 @@ def test_what_was_seen_just_before_and_after_is_held_out_too(building: Any) -> N
 def test_views_of_places_seen_once_are_not_held_out(building: Any) -> None:
     """Two keyframes metres apart: neither is a place that the other knows."""
     assert misfit_of(building, building.path(0, 2)[[0, 20]]).views == 0
+
+
+def test_near_returns_are_those_in_reach_or_the_nearer_half() -> None:
+    bearings = np.linspace(-1.0, 1.0, 41)
+    scan = PlanarScan(0, bearings, np.linspace(1.0, 21.0, 41), 30.0, full_circle=False)
+    for reach, farthest in ((15.0, 15.0), (3.0, 11.0)):
+        ranges = np.hypot(*near_returns(scan, reach).T)
+        assert ranges.max() == pytest.approx(farthest)
+    assert len(near_returns(PlanarScan(0, bearings, np.full(41, np.inf), 30.0, False), 8.0)) == 0

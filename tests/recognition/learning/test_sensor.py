@@ -38,6 +38,13 @@ def test_the_sensor_of_a_scan_and_its_words() -> None:
     assert str(replace(CIRCLE, range_max=7.5)) == "360 beams over 360 degrees, 7.5 m"
 
 
+@pytest.mark.parametrize("bearings", [[], [0.3]])
+def test_a_scan_of_hardly_a_beam_has_no_field_of_view(bearings: list[float]) -> None:
+    sensor = Sensor.of(scan(bearings))
+    assert (sensor.beams, sensor.field_of_view) == (len(bearings), 0.0)
+    assert sensor.sees_as(sensor)
+
+
 @given(sensors)
 def test_bearings_are_even_and_symmetric_and_a_laser_sees_as_itself(sensor: Sensor) -> None:
     assert sensor.sees_as(sensor)

@@ -18,6 +18,7 @@ from specmap_cli.recognition.learning.trees import (
     Quantiser,
     Question,
     grown,
+    shares,
 )
 from tests.recognition.learning import made_up
 from tests.recognition.watching import watched
@@ -42,6 +43,14 @@ def trees_of(X: FloatArray, y: FloatArray, rounds: int, share: float = 1.0) -> T
     found = made_up.trees(NAMES, X, y, rounds)
     assert isinstance(found, TreeBoost)
     return found
+
+
+def test_edges_of_many_different_values_are_their_quantiles() -> None:
+    X = np.random.default_rng(0).permutation(3200.0 * np.linspace(0, 1, 3201))[:, None]
+    edges = Quantiser.of(X).edges[0]
+    assert edges == pytest.approx(3200.0 / BINS * np.arange(1, BINS), abs=1.0)
+    counts = np.bincount(Quantiser.of(X).codes(X)[0], minlength=BINS)
+    assert counts.min() >= 3200 // BINS - 1
 
 
 def test_a_constant_feature_has_one_bin_and_is_never_a_reason() -> None:
@@ -170,3 +179,20 @@ def test_a_classifier_is_the_same_alone_and_with_others(
     held = [sum(len(question.samples) for question in batch[1:]) for _, batch, _ in calls]
     assert max(held) <= at_once
     assert answers([]) == []
+
+
+def test_what_is_left_out_of_a_search_holds_little_of_each_question_s_weight() -> None:
+    questions = world()[2]
+    counts = np.array([len(question.samples) for question in questions])
+    asked = np.repeat(np.arange(len(questions)), counts)
+    raw = np.random.default_rng(1).random(len(asked)) ** 6
+    weights = shares(raw, asked, len(questions))
+    kept = trees._heavy(weights, counts)
+    held = np.bincount(asked[kept], weights[kept])
+    assert held.min() >= 0.98 - 1e-9
+    assert len(kept) < 0.8 * len(raw)
+    for k in range(len(questions)):
+        left = np.setdiff1d(np.flatnonzero(asked == k), kept)
+        assert weights[left].max() < weights[kept[asked[kept] == k]].min()
+    alike = shares(np.ones(len(asked)), asked, len(questions))
+    assert len(trees._heavy(alike, counts)) == len(asked)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -12,9 +13,9 @@ from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import NO_SUBMAP, PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.recognition.learning.misfit import HeldOutMisfit
+from specmap_cli.recognition.learning.misfit import _USUAL_MISFIT, HeldOutMisfit, pooled
 from specmap_cli.recognition.localization import walls as walls_module
-from specmap_cli.recognition.localization.walls import MapWalls, View
+from specmap_cli.recognition.localization.walls import Fitted, MapWalls, View
 from tests.recognition.localization.scanned import scanned, walls_of
 from tests.recognition.posed import posed
 from tests.recognition.watching import watched
@@ -57,6 +58,14 @@ def seen_in(width_m: float, height_m: float, pose: Pose2) -> PosedScan:
 def behind(scan: PosedScan, pose: Pose2, width_m: float = 5.0) -> float:
     """The share of a scan behind the walls of a room of that width and 4 m height."""
     return walls_of(box(width_m, 4.0))._behind(scan, pose)
+
+
+def test_few_views_widen_what_is_taken_for_known() -> None:
+    means = [pooled(HeldOutMisfit(0.01, views), CONFIG) for views in (0, 2, 10, 60)]
+    assert means == sorted(means, reverse=True)
+    assert means[0] == pooled(None, CONFIG) == _USUAL_MISFIT
+    assert pooled(HeldOutMisfit(0.0, 60), CONFIG) == CONFIG.least_misfit
+    assert pooled(HeldOutMisfit(0.2, 60), CONFIG) == pytest.approx(0.2 / math.log(2.0), rel=0.1)
 
 
 @pytest.mark.parametrize("room", [0, 1, 2, 3])
@@ -106,6 +115,20 @@ def test_where_all_that_was_seen_of_late_is_wrong_the_scan_alone_finds_the_place
     assert len(searches) == 3
     assert (best.pose.inverse() @ scan.map_from_base).distance < 0.05
     assert best.fits
+
+
+def test_a_place_stands_out_if_none_elsewhere_fits_nearly_as_well(building: Any) -> None:
+    walls = walls_of(building.plan)
+
+    def fitted(x: float, misfit: float) -> Fitted:
+        return Fitted(Pose2(x, 0.0, 0.0), misfit, 1.0 if misfit > 0.1 else -3.0)
+
+    best, beside, near, far = fitted(0, 0.22), fitted(0.8, 0.23), fitted(5, 0.25), fitted(3, 0.45)
+    assert walls._weighed([best, beside]) == [best, beside], "no other is known to be worse"
+    assert walls._weighed([best, beside, near, far])[0] == best, "another is nearly as good"
+    assert walls._weighed([best, beside, far])[0].against < 0.0
+    sure = fitted(0, 0.02)
+    assert walls._weighed([sure, far])[0] == sure, "what fits by itself is no better for it"
 
 
 def test_returns_where_the_map_saw_nothing_count_less_and_lost_or_empty_scans_say_nothing(

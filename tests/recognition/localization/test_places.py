@@ -242,3 +242,11 @@ def test_the_covariance_is_large_along_what_the_walls_do_not_tell() -> None:
     assert found.covariance[1, 1] > 4.0 * found.covariance[0, 0]
     assert np.allclose(found.covariance, found.covariance.T)
     assert (np.linalg.eigvalsh(found.covariance) > 0.0).all()
+
+
+def test_a_match_where_none_was_to_be_expected_is_as_good_as_one_just_found() -> None:
+    sure = Estimate(IDENTITY, 1e-6 * np.eye(3))
+    told = 1e4 * np.eye(3)
+    near, far = (sure.corrected(Pose2(x, 0.0, 0.0), told) for x in (0.005, 0.3))
+    assert near.pose.x < 0.001
+    assert far.pose.x == pytest.approx(0.3, abs=0.01)
