@@ -22,6 +22,17 @@ def with_graph(directory: Path, result: MapResult, text: str) -> Map:
     return written(directory, dataclasses.replace(result, pose_graph=text))
 
 
+def test_the_fixed_vertex_stands_last_whatever_the_map_has(
+    lived_in: MapResult, tmp_path: Path
+) -> None:
+    lines = POSE_GRAPH.splitlines(keepends=True)
+    earlier = "".join([*lines[:3], lines[-1], *lines[3:-1]])  # as earlier versions wrote it
+    for number, text in enumerate((POSE_GRAPH, earlier)):
+        stored = with_graph(tmp_path / str(number), lived_in, text)
+        assert export_map(stored, "pose-graph", tmp_path / f"{number}.g2o") == []
+        assert (tmp_path / f"{number}.g2o").read_text() == POSE_GRAPH
+
+
 def test_gtsam_reads_every_vertex_and_every_edge_and_solves_it(home: Map, tmp_path: Path) -> None:
     """Three springs: each takes a third of the 0.3 m, give or take what the angles take."""
     gtsam = consumer("gtsam")

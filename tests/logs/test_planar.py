@@ -146,6 +146,14 @@ def test_a_full_circle_counts_each_direction_once(beams: int) -> None:
     assert len(scan.bearings) == len(scan.ranges) == min(beams, 720)
 
 
+def test_beam_times_follow_the_beams() -> None:
+    for step, times in ((0.1, [0.0, 0.01, 0.02]), (-0.1, [0.02, 0.01, 0.0])):
+        scan = levelled(record([1.0, 2.0, 3.0], step=step, time_increment=0.01))
+        assert scan.beam_times_s is not None
+        np.testing.assert_allclose(scan.beam_times_s, times)
+        assert scan.ranges.tolist() == sorted([1.0, 2.0, 3.0], reverse=step < 0)
+
+
 def test_a_missing_increment_is_found_from_the_angles_and_one_beam_takes_no_time() -> None:
     scan = levelled(record([1.0, 1.0, 1.0], -1.0, 0.0, angle_max=1.0))
     np.testing.assert_allclose(scan.bearings, [-1.0, 0.0, 1.0])
@@ -211,6 +219,28 @@ def test_a_cloud_is_flattened_to_the_nearest_return_in_the_band(view: float, ful
         found = scan.hits()
         nearest = np.abs(found[:, None] - given_cloud[None, :, :2]).max(axis=2).min(axis=1)
         assert nearest.max() < 6.0 * math.radians(2.0), "hits lie at returns, but for the bearing"
+
+
+@pytest.mark.parametrize(
+    ("settings_", "floor"),
+    [
+        ({}, -1.0),
+        ({"floor_radius_m": 30.0}, -3.0),
+        ({"floor_radius_m": 3.0}, -0.5),
+        ({"floor_percentile": 75.0}, -0.5),
+    ],
+)
+def test_the_settings_say_where_a_floor_of_unknown_height_is_sought(
+    settings_: dict[str, float], floor: float
+) -> None:
+    angles = np.linspace(0, 6, 100)
+    ring = np.column_stack([np.cos(angles), np.sin(angles), np.ones(100)])
+    cloud = np.vstack([ring * scale for scale in ((2, 2, -0.5), (6, 6, -1.0), (20, 20, -3.0))])
+    mast = np.array([[1.0, 1.0, floor + 1.0]])
+    band = {"band_min_m": 0.99, "band_max_m": 1.01}
+    levelled = flattener(None, cloud_beams=16, **band, **settings_)
+    scan = levelled.flatten(np.vstack([cloud, mast]), 1)
+    assert scan.hits() == pytest.approx(np.array([[1.0, 1.0]]), abs=0.3)
 
 
 Tour = list[tuple[Sweep, Pose2]]

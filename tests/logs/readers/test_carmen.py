@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from specmap_cli.logs.opening import open_log
-from specmap_cli.logs.readers.carmen import CarmenFile, flaser_angles
+from specmap_cli.logs.readers.carmen import CarmenFile, flaser_angles, parse_line
 from tests.logs.recordings import read_rest, refusal, sweeps_of
 
 RANGES = " ".join(f"{1 + i / 100:.2f}" for i in range(178))
@@ -113,6 +113,27 @@ def test_a_zipped_log_is_read(front: Path) -> None:
 
 def odom(stamp: str, logger: str = "7.5", pose: str = "1.0 2.0 0.5") -> str:
     return f"ODOM {pose} 0.1 0.0 0.0 {stamp} nohost {logger}\n"
+
+
+@pytest.mark.parametrize(
+    ("written", "stamp_ns"),
+    [
+        ("10.000001", 10_000_001_000),
+        ("1700000000.123456789", 1_700_000_000_123_456_789),
+        ("1700000000.1234567891", 1_700_000_000_123_456_789),
+        ("12", 12_000_000_000),
+        ("-1.5", -1_500_000_000),
+        ("-0.25", -250_000_000),
+        ("1.5e3", 1_500_000_000_000),
+        ("0.000000", 7_500_000_000),
+        ("0", 7_500_000_000),
+    ],
+)
+def test_stamps_are_exact(written: str, stamp_ns: int) -> None:
+    line = parse_line("ODOM", odom(written).encode().split())
+    assert line.stamp_ns == stamp_ns
+    assert line.odom_from_base == (1.0, 2.0, 0.5)
+    assert line.scan is None
 
 
 @pytest.mark.parametrize(
