@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 
 import numpy as np
@@ -10,13 +11,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.records import Labels
+from specmap_cli.drawing.palette import FILLS, Colour
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.report import html
-from specmap_cli.report.svg import Frame, outlines, path_data
+from specmap_cli.report.svg import Frame, outlines, path_data, tones
 from specmap_cli.report.track import MOST_POINTS, Track
+from tests.drawing.seeing import contrast, least_difference, seen_lab
 
 FRAME = Frame(-2.0, 8.0, 1000, 1000)
+TEXT = ("ink", "quiet", "way", "loose", "wrong")  # what words are written in
 
 
 def drawn(data: str) -> list[list[tuple[int, int]]]:
@@ -94,6 +98,40 @@ def test_no_line_is_drawn_between_recordings_and_a_long_way_is_thinned() -> None
     assert (len(whole.seconds), whole.total) == (MOST_POINTS, count)
     assert whole.seconds[-1] == count - 1
     assert max(line[-1] for line in thinned)[0] == FRAME.place((0.1 * (count - 1), 0.0))[0]
+
+
+def bgr(css: str) -> Colour:
+    """A colour of CSS."""
+    blue, green, red = (int(css[k : k + 2], 16) for k in (5, 3, 1))
+    return blue, green, red
+
+
+@pytest.mark.parametrize("which", ["day", "night"])
+def test_words_and_lines_are_legible(which: str) -> None:
+    colours = {name: bgr(getattr(tone, which)) for name, tone in tones(FILLS).items()}
+    for name, colour in colours.items():
+        if name.startswith("fill"):
+            assert contrast(colours["ink"], colour) >= 3.0, f"walls on {name}"
+        elif name not in ("paper", "shade", "seen", "hair"):
+            # lines have a rim of paper wherever they run; words stand on paper
+            assert contrast(colour, colours["paper"]) >= (4.5 if name in TEXT else 3.0), name
+
+
+@pytest.mark.parametrize("which", ["day", "night"])
+def test_what_was_only_seen_is_told_from_paper_and_from_regions(which: str) -> None:
+    colours = {name: bgr(getattr(tone, which)) for name, tone in tones(FILLS).items()}
+    for name in ("paper", *(name for name in colours if name.startswith("fill"))):
+        assert least_difference(colours["seen"], colours[name]) > 7.0, name
+
+
+def test_regions_that_differ_by_day_differ_by_night() -> None:
+    fills = [tone for name, tone in tones(FILLS).items() if name.startswith("fill")]
+    for pair in itertools.combinations(fills, 2):
+        day, night = (
+            np.linalg.norm(np.subtract(*seen_lab([bgr(code) for code in codes], "usual")))
+            for codes in ([one.day for one in pair], [one.night for one in pair])
+        )
+        assert night >= 0.5 * day
 
 
 def test_figures_texts_and_features_read_as_people_write_them() -> None:
