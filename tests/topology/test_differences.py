@@ -122,15 +122,6 @@ def test_a_way_cut_through_a_wall_is_opened_and_half_a_door_is_not_closed() -> N
     assert len(found.appeared) == 1
 
 
-def test_places_of_the_new_map_are_told_in_the_frame_of_the_old_one() -> None:
-    new = drawn(flat(), CABINET)
-    shifted = Regions(GridMap(new.grid.cells, CELL_M, (7.0, -2.0)), new.owner, new.outlines)
-    old_from_new = BentMotion(Pose2(-7.0, 2.0, 0.0))
-    found = differences(flat(), shifted, (TRACK, TRACK + (7.0, -2.0)), old_from_new)
-    assert found.appeared[0].centre == pytest.approx([2.9, 1.2], abs=0.05)
-    assert found.appeared[0].corners.mean(axis=0) == pytest.approx([2.9, 1.2], abs=0.05)
-
-
 COARSE_M = 0.1
 
 
@@ -164,13 +155,6 @@ NOTHING: dict[str, Any] = {
 
 def same_of(identity: Identity) -> dict[int, int]:
     return {pair.old: pair.new for pair in identity.same}
-
-
-def test_other_numbers_and_borders_a_little_elsewhere() -> None:
-    new = pictured("#########\n#777#333#\n#777#335#\n#5555555#\n#########")
-    found = identify(pictured(HOUSE), new, IDENTITY)
-    assert same_of(found) == {0: 7, 1: 3, 2: 5}
-    assert {pair.old: round(pair.iou, 2) for pair in found.same} == {0: 1.0, 1: 0.83, 2: 0.87}
 
 
 def test_a_split_submap_keeps_its_id_in_the_larger_part_as_does_a_merged_one() -> None:

@@ -206,12 +206,6 @@ def test_an_anchor_is_in_the_middle_of_a_room_but_keeps_off_a_table_there() -> N
     assert anchor.clearance_m == pytest.approx(room_of(space.grid)[anchor.cell])
 
 
-def test_an_anchor_of_a_narrow_place_is_where_it_is_widest_and_tells_how_wide() -> None:
-    space, anchor, _ = anchored((3.3, 1.2), [(0.3, 0.3, 3.0, 0.65), (1.0, 0.3, 1.3, 0.8)])
-    assert anchor.clearance_m == pytest.approx(room_of(space.grid).max())
-    assert anchor.clearance_m < RADIUS_M + 0.1
-
-
 def test_an_anchor_is_where_the_robot_was_not_behind_glass_or_a_railing() -> None:
     rooms = [(0.3, 0.3, 2.0, 3.7), (2.2, 0.3, 8.0, 3.7)]
     stood = np.array([[20, 20], [40, 25]])
