@@ -15,7 +15,7 @@ from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.gridmap import FREE, GridMap
 from specmap_cli.grids.matching import Window
 from specmap_cli.registration.aligner import SensorKind
-from specmap_cli.registration.local_map import LocalMap, seen_space
+from specmap_cli.registration.local_map import Fit, LocalMap, seen_space
 from specmap_cli.registration.sweep_view import outline_of
 from tests.registration.aligners import ToldAligner
 from tests.registration.drives import circle, scene_in, scene_of, turned, view_of_points
@@ -85,6 +85,18 @@ def test_a_search_finds_the_place_from_a_wrong_guess(world: GridMap, away: Pose2
     assert fit.pose[2, 3] == pytest.approx(0.7)
     assert fit.pose[2, 2] == pytest.approx(guess[2, 2])
     assert np.allclose(fit.pose[:3, :3] @ fit.pose[:3, :3].T, np.eye(3))
+
+
+@pytest.mark.parametrize(
+    ("score", "taken"), [(0.4, False), (0.5, False), (0.51, False), (0.53, True), (0.9, True)]
+)
+def test_another_fit_must_be_clearly_better(score: float, taken: bool) -> None:
+    first = Fit(pose=np.eye(4), score=0.5, refused=1)
+    second = Fit(pose=Pose2(1.0, 0.0, 0.0).matrix(), score=score, refused=2)
+    best = first.or_better(second)
+    assert best.planar.x == float(taken)
+    assert best.score == (score if taken else 0.5)
+    assert best.refused == 3
 
 
 def new_map() -> LocalMap:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.sparse.csgraph import shortest_path
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.errors import MapError
@@ -99,6 +100,20 @@ def room(width_m: float, height_m: float, resolution: float = 0.05) -> GridMap:
     """One empty room within walls of one cell."""
     cells = np.full((round(height_m / resolution), round(width_m / resolution)), FREE, np.uint8)
     return GridMap(np.pad(cells, 1, constant_values=OCCUPIED), resolution)
+
+
+def test_ways_on_the_lattice_are_those_of_a_king_on_a_board_and_cost_more_near_walls() -> None:
+    space = reachable_space(World.of(room(4.0, 4.0)), RADIUS, COMFORT)
+    found = shortest_path(space.lengths, indices=0)
+    across = np.abs(space.points - space.points[0]) / 0.1
+    steps = 0.1 * (across.max(axis=1) + (np.sqrt(2.0) - 1.0) * across.min(axis=1))
+    np.testing.assert_allclose(found, steps, atol=1e-9)
+    ratio = space.costs.data / space.lengths.data
+    assert ratio.max() <= 1.0 + 4.0
+    edges = space.costs.tocoo()
+    roomy = np.minimum(space.comfort[edges.row], space.comfort[edges.col]) == 1.0
+    np.testing.assert_allclose(ratio[roomy], 1.0)
+    assert (ratio[~roomy] > 1.0).all()
 
 
 def rates(driven: Drive) -> tuple[FloatArray, FloatArray]:

@@ -24,7 +24,7 @@ from specmap_cli.topology.doors import Passages, passages
 from specmap_cli.topology.navigation import Shut, with_detours, with_shut, with_ways
 from specmap_cli.topology.regions import NOBODY, Regions, Space
 from specmap_cli.topology.topological_map import Door, Edge, Submap, TopologicalMap, Traversal
-from specmap_cli.topology.ways import Anchor, Way, anchors_of, tree, ways
+from specmap_cli.topology.ways import Anchor, Way, anchors_of, cells_on, tree, ways
 from tests.topology.rooms import Box, regions_of, two_rooms
 
 
@@ -247,6 +247,22 @@ def test_the_cheapest_way_is_that_of_another_search(seed: int) -> None:
             assert way[[0, -1]].tolist() == [[0, 0], cell]
             steps = [(tuple(a), tuple(b)) for a, b in pairwise(way.tolist())]
             assert sum(graph.edges[step]["weight"] for step in steps) == pytest.approx(cost)
+
+
+def told(cells: IntArray) -> set[tuple[int, ...]]:
+    return {tuple(cell) for cell in cells.tolist()}
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_all_cells_under_a_line_are_known(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    start, end = rng.integers(0, 30, (2, 2))
+    cells, lengths = cells_on(start, end)
+    assert lengths.sum() == pytest.approx(math.dist(start, end))
+    points = start + np.linspace(0.0, 1.0, 5000)[:, None] * (end - start)
+    assert told(np.rint(points).astype(int)) <= told(cells)
+    corner, _ = cells_on(np.array([0, 0]), np.array([1, 1]))
+    assert told(corner) == {(0, 0), (0, 1), (1, 0), (1, 1)}, "through a corner it touches four"
 
 
 def test_a_way_leads_straight_through_a_door_in_line() -> None:

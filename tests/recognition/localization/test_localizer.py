@@ -216,6 +216,29 @@ def test_after_a_restart_nothing_of_before_counts_nor_is_it_smoothed_by_what_com
     assert both(whole, [*first, *second]) == tuple(a + b for a, b in zip(*tracks, strict=True))
 
 
+def test_all_scans_of_a_view_are_smoothed_alike_by_what_the_last_of_them_knows(
+    trained: Trained, again: list[PosedScan], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two tracks: one of two views, of three scans and one, and one of a single view."""
+    guide, seen = trained.localizer(), list[np.ndarray[Any, Any]]()
+    smooth = guide.filter.smooth
+
+    def smoothing(rows: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+        seen.append(rows)
+        return smooth(rows)
+
+    monkeypatch.setattr(guide.filter, "smooth", smoothing)
+    scans = [again[0], again[0], again[0], again[9], replace(again[30], restarted=True)]
+    found = [guide.add(scan) for scan in scans]
+    assert [where.again for where in found] == [False, True, True, False, False]
+    after = [replace(where, fix=None) for where in found]
+    chances = [where.label.filtered_probability for where in guide.smoothed(after)]
+    assert chances[0] == chances[1] == chances[2]
+    expected = [[found[2].evidence, found[3].evidence], [found[4].evidence]]
+    for rows, wanted in zip(seen, expected, strict=True):
+        np.testing.assert_array_equal(rows, wanted)
+
+
 def test_what_a_localizer_holds_does_not_grow_with_the_log(
     trained: Trained, again: list[PosedScan]
 ) -> None:

@@ -18,7 +18,7 @@ from specmap_cli.recognition.learning.misfit import HeldOutMisfit
 from specmap_cli.recognition.localization import walls
 from specmap_cli.recognition.localization.filtering import LEAP
 from specmap_cli.recognition.localization.places import Estimate, Place, WeighedPlaces, information
-from specmap_cli.recognition.localization.walls import MapWalls
+from specmap_cli.recognition.localization.walls import Fitted, MapWalls, View
 from tests.casting import ranges_at
 from tests.recognition.localization.scanned import walls_of
 from tests.recognition.posed import posed
@@ -114,6 +114,36 @@ def test_a_place_that_no_other_looks_like_leads_till_a_scan_is_lost_or_tracking_
     home.places.restart()
     assert home.places.places == []
     assert home.places.mixed(EVEN).tolist() == EVEN.tolist()
+
+
+def test_a_view_in_doubt_takes_no_pose_unless_another_place_explains_it_or_none_may() -> None:
+    """A person stands close: the place has fitted so far, and nothing else fits."""
+    home = Home()
+    for step in range(6):
+        home.see(2, ASIDE @ Pose2(0.0, 0.0, 0.3 * step))
+    scan = home.scan(2, ASIDE @ Pose2(0.0, 0.0, 1.5))
+    leader = home.places.places[0]
+    elsewhere = replace(leader, estimate=Estimate.found(home.at(0, ASIDE)), weight=0.0)
+    for against, other, leads in ((0.5, 1.0, True), (0.5, -1.0, False), (3.5, 4.0, False)):
+        home.places.places = [replace(leader, against=against), replace(elsewhere, against=other)]
+        home.places._owners = [2, 0]
+        assert (home.places.follow(scan, EVEN) is not None) == leads
+
+
+def test_along_a_bare_wall_a_place_goes_with_the_motion_and_across_with_the_match() -> None:
+    grid = GridMap(np.full((60, 400), FREE, dtype=np.uint8), CELL_M, (-10.0, -1.5))
+    grid.cells[8:10], grid.cells[50:52] = OCCUPIED, OCCUPIED
+    grid.cells[:8], grid.cells[52:] = UNKNOWN, UNKNOWN
+    known = MapWalls(grid, np.zeros(grid.cells.shape), None, LocalizationConfig())
+    places = WeighedPlaces(known, [0], LocalizationConfig())
+    along = np.linspace(-4.0, 4.0, 80)
+    walls = np.vstack([np.column_stack([along, np.full(80, y)]) for y in (-1.075, 1.075)])
+    scan = posed(PlanarScan(0, np.zeros(0), np.zeros(0), 20.0, full_circle=True), IDENTITY)
+    place = Place(Estimate.found(IDENTITY), IDENTITY, 5.0, -1.0)
+    fitted = Fitted(Pose2(0.25, 0.06, 0.0), 0.02, -3.0)
+    pose = places._matched(place, fitted, View(scan, walls, walls)).estimate.pose
+    assert abs(pose.x) < 0.05
+    assert abs(pose.y - 0.06) < 0.03
 
 
 def test_the_way_tells_look_alikes_apart_even_against_the_classifiers() -> None:
