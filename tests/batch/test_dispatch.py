@@ -9,7 +9,7 @@ from collections.abc import Iterable
 import jsonschema
 import pytest
 
-from specmap_cli.batch.batch import Ledger, work_off
+from specmap_cli.batch.batch import Ledger, longest_first, work_off
 from specmap_cli.batch.records import JobResult, Turn
 from specmap_cli.batch.workers import Workers
 from specmap_cli.core.schemas import read_schema
@@ -94,6 +94,11 @@ def test_jobs_are_handed_out_and_tried_again_as_their_attempts_end(
     ]
     again = [turn for turn in got if turn[1] != "1"]
     assert len([event for _, event in events if event == "retried"]) == len(again)
+
+
+def test_long_jobs_are_first_and_names_decide_among_equals() -> None:
+    ordered = longest_first([job(name) for name in "dbca"], {"a": 5, "b": 7, "c": 7, "d": 1})
+    assert "".join(one.name for one in ordered) == "bcad"
 
 
 def test_events_say_what_happened_in_order_as_their_schema_says() -> None:

@@ -19,6 +19,7 @@ from specmap_cli.batch.jobs import SUFFIXES, arguments_of
 from specmap_cli.batch.records import COMMANDS, Job, JobRecord, Plan, Step
 from specmap_cli.batch.summaries import (
     COLUMNS,
+    SUMMARIES,
     Row,
     as_csv,
     as_html,
@@ -76,6 +77,13 @@ def test_a_directory_gives_every_recording_below_it_once(lay: Lay) -> None:
         **{"b": "b.mcap", "a-b": "a/b.mcap", "a-without_suffix": "a/without suffix"},
         **{"bag": "bag", "empty": "empty.mcap", "rubbish": "rubbish.bag"},
     }
+
+
+def test_no_folder_of_a_job_stands_where_the_batch_writes(lay: Lay) -> None:
+    beside = {"events.jsonl", *SUMMARIES}
+    assert beside == jobs.BESIDE_JOBS
+    where = lay(*(f"{name}.mcap" for name in beside))
+    assert beside.isdisjoint(names(jobs_of([str(where)])))
 
 
 def test_a_pattern_gives_what_matches(lay: Lay) -> None:
