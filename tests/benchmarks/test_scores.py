@@ -83,15 +83,6 @@ def test_a_glance_into_a_room_makes_no_piece_and_a_submap_that_leaps_invents_a_d
     assert (found.doors, found.found, found.invented) == (2, 0, 1)
 
 
-def test_keyframes_outside_the_rooms_or_in_no_submap_are_left_out() -> None:
-    truth = RoomTruth(np.array([[1, 2]], dtype=np.int32), 1.0)
-    places = np.array([[0.5, 0.5], [9.0, 9.0], [1.5, 0.5], [1.5, 0.5], [-7.0, 0.5]])
-    with_strays = map_scores(truth, places, np.array([0, 4, 1, -1, 5]))
-    without = map_scores(truth, places[[0, 2]], np.array([0, 1]))
-    assert with_strays == without
-    assert without.purity == 1.0
-
-
 @pytest.mark.parametrize("places", [np.zeros((0, 2)), np.full((3, 3), 50.0)])
 def test_poses_of_another_frame_are_refused(places: np.ndarray[tuple[int, int]]) -> None:
     truth = RoomTruth(np.array([[1, 2]], dtype=np.int32), 1.0)
@@ -141,14 +132,6 @@ def test_room_scores_and_overlaps_are_those_of_loops_over_rooms_and_segments(
     assert scores.segments_per_room == pytest.approx(len(found) / len(here))
 
 
-def test_regions_over_visits_and_one_submap_for_all_rooms_that_says_nothing() -> None:
-    visits, rooms = np.array([0, 0, 1, 1, 2, 2]), np.array([0, 0, 1, 1, 0, 0])
-    for submaps, homogeneous in ((rooms, 1.0), (np.zeros_like(rooms), 0.0)):
-        scores = visit_scores(rooms=rooms, visits=visits, submaps=submaps, regions=visits)
-        assert scores.homogeneity == pytest.approx(homogeneous, abs=1e-12)
-        assert (scores.completeness, scores.segments_per_visit) == (1.0, 1.0)
-
-
 @given(st.lists(st.integers(0, 2), min_size=1, max_size=50), st.floats(0.05, 3.0))
 def test_visits_begin_where_the_robot_stays_long_enough_in_another_room(
     rooms: list[int], least_m: float
@@ -165,13 +148,6 @@ def test_visits_begin_where_the_robot_stays_long_enough_in_another_room(
     assert visits_of(np.array(rooms), steps, least_m).tolist() == expected
 
 
-@pytest.mark.parametrize(("way_m", "visits"), [(0.9, 1), (1.1, 2)])
-def test_a_visit_is_as_long_as_asked(way_m: float, visits: int) -> None:
-    rooms = np.repeat([0, 1], 12)
-    steps = np.r_[np.full(12, 1.0), np.full(12, way_m / 11)]
-    assert len(np.unique(visits_of(rooms, steps))) == visits
-
-
 @pytest.mark.parametrize("kind", sorted(BUILDINGS))
 def test_every_room_is_free_painted_and_within_reach(kind: str) -> None:
     for plan in (random_plan(kind, number, furnished=False) for number in range(12)):
@@ -179,17 +155,6 @@ def test_every_room_is_free_painted_and_within_reach(kind: str) -> None:
         assert set(np.unique(plan.labels)) == {-1, *range(len(plan.rooms))}
         assert plan.free[plan.labels >= 0].all()
         assert ndimage.label(plan.free)[1] == 1
-
-
-@pytest.mark.parametrize("kind", sorted(BUILDINGS))
-def test_furniture_changes_no_room_and_shuts_nothing_off(kind: str) -> None:
-    for number in range(3):
-        bare, full = (random_plan(kind, number, furnished) for furnished in (False, True))
-        assert np.array_equal(bare.labels, full.labels)
-        assert (full.free <= bare.free).all()
-        assert 0.7 < full.free.sum() / bare.free.sum() < 1.0
-        inner = (ndimage.binary_erosion(plan.free, iterations=5) for plan in (bare, full))
-        assert len({ndimage.label(free)[1] for free in inner}) == 1
 
 
 def test_rooms_that_share_a_region_are_counted_and_plans_and_robots_the_same_by_number() -> None:

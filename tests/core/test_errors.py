@@ -14,7 +14,6 @@ import tracemalloc
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from specmap_cli.core import errors, findings
@@ -23,7 +22,6 @@ from specmap_cli.core.errors import UsageError, is_of_the_machine, is_of_the_pla
 from specmap_cli.core.files import is_nobody_s, lock, read_bytes, write_text, write_together
 from specmap_cli.core.findings import Finding, Quality, Severity, Where, summary
 from specmap_cli.core.process import with_plugins
-from specmap_cli.grids.map_server import write_png
 from tests.plugins import install
 
 ROOT = Path(__file__).parents[2]
@@ -293,23 +291,6 @@ def test_threads_in_a_program(program: str, tiny_log: Path, tmp_path: Path) -> N
     command = [sys.executable, "-c", program]
     done = subprocess.run(command, cwd=tmp_path, env=unset, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-
-
-def test_a_file_is_replaced_whole(tmp_path: Path) -> None:
-    path = tmp_path / "labels.csv"
-    path.write_text("a longer text than the new one")
-    write_text(path, "für\n")
-    assert path.read_bytes() == "für\n".encode()
-    assert os.listdir(tmp_path) == ["labels.csv"]
-
-
-@pytest.mark.parametrize("place", ["gone/plot.png", "file/plot.png", "."])
-def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path, place: str) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(UsageError) as caught:
-        write_png(tmp_path / place, np.zeros((2, 2), dtype=np.uint8))
-    assert "\n" not in str(caught.value)
-    assert sorted(os.listdir(tmp_path)) == ["file"]
 
 
 def test_a_failing_replacement_leaves_the_old_file(

@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.drawing.canvas import Alignment, Canvas, in_visual_order, text_weight, text_width
+from specmap_cli.drawing.canvas import Canvas, in_visual_order
 from specmap_cli.drawing.palette import CLOSURE, INK, TRAVERSED
 from tests.drawing.looking import bounds, inked, near, of_colour
 
 positions = st.floats(15.0, 45.0)
-
-
-def pieces(dark: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> int:
-    """How many runs of dark pixels a row of pixels has."""
-    return int(np.count_nonzero(np.diff(np.concatenate([[False], dark]).astype(int)) == 1))
 
 
 @pytest.mark.parametrize("width", [1, 3, 6])
@@ -33,26 +27,6 @@ def test_a_line_is_as_wide_as_asked_and_turns_corners(width: int) -> None:
         assert width - 1 <= np.count_nonzero(across) <= width + 2  # OpenCV's smooth lines are bold
     assert dark[10, 50]
     assert not dark[30:, 10:30].any()
-
-
-@pytest.mark.parametrize(
-    ("length", "width", "dash", "gap", "strokes"),
-    [
-        (190.0, 3, 20.0, 20.0, 5),
-        (10.0, 4, 0.0, 10.0, 1),  # dashes of no length are dots
-        (95.0, 4, 0.0, 10.0, 10),
-        (100.5, 4, 0.0, 10.0, 11),
-    ],
-)
-def test_dashes_have_gaps_and_reach_the_end(
-    length: float, width: int, dash: float, gap: float, strokes: int
-) -> None:
-    canvas = Canvas(220, 20)
-    canvas.dashes(np.array([[10.0, 10.0], [10.0 + length, 10.0]]), INK, width, dash, gap)
-    dark = canvas.image[10, :, 0] < 140
-    assert pieces(dark) == strokes
-    if dash:
-        assert 85 <= np.count_nonzero(dark) <= 125
 
 
 def test_dashes_begin_anew_at_a_corner_and_skip_points_that_repeat() -> None:
@@ -74,30 +48,6 @@ def test_a_disc_lies_at_its_centre_to_a_fraction_of_a_pixel(x: float, y: float, 
     assert (weight * rows).sum() / weight.sum() == pytest.approx(y, abs=0.15)
     area = weight.sum() / 255.0
     assert np.pi * (r - 0.5) ** 2 < area < np.pi * (r + 1.0) ** 2
-
-
-@pytest.mark.parametrize("height", [8.0, 12.0, 20.0, 40.0])
-@pytest.mark.parametrize("bold", [False, True])
-def test_capitals_are_as_high_as_asked_and_centred(height: float, bold: bool) -> None:
-    canvas = Canvas(100, 100)
-    canvas.text(50, 50, "HE", height, align="centre", bold=bold)
-    left, right, top, bottom = bounds(canvas.image[:, :, 0] < 160)
-    assert bottom - top == pytest.approx(height, abs=1.5 + text_weight(height, bold))
-    assert (top + bottom) / 2 == pytest.approx(50, abs=1.5)
-    assert (left + right) / 2 == pytest.approx(50, abs=0.15 * height)
-
-
-@pytest.mark.parametrize("words", ["42 rooms", "10 m", "0", "fr079", "0.904", "100 0"])
-@pytest.mark.parametrize(("align", "share"), [("left", 0.0), ("centre", 0.5), ("right", 1.0)])
-def test_words_are_anchored_where_asked_and_as_wide_as_measured(
-    words: str, align: Alignment, share: float
-) -> None:
-    canvas = Canvas(600, 60)
-    canvas.text(300, 30, words, 20, align=align)
-    left, right, _, _ = bounds(canvas.image[:, :, 0] < 128)
-    width = text_width(words, 20)  # from pen to pen: the ink keeps a bearing off both, a 1 the most
-    assert width - 12 <= right - left <= width + 2
-    assert left == pytest.approx(300 - share * width, abs=6)
 
 
 @pytest.mark.parametrize(
@@ -138,21 +88,6 @@ def test_upright_words_are_lying_ones_turned_about_their_first_letter() -> None:
     np.testing.assert_array_equal(upright.image, np.rot90(lying.image))
 
 
-@given(st.floats(-60.0, 120.0), st.floats(-60.0, 160.0), st.sampled_from(["upright", "text"]))
-def test_words_outside_are_cut_off_and_the_rest_stays_in_place(
-    x: float, y: float, kind: str
-) -> None:
-    """A small picture is a window into a large one; OpenCV 4 draws strokes that its border cuts
-    otherwise within three pixels of it."""
-    small, large = Canvas(60, 80), Canvas(460, 480)
-    for canvas, shift in ((small, 0), (large, 200)):
-        if kind == "upright":
-            canvas.upright_text(x + shift, y + shift, "room 70", 12)
-        else:
-            canvas.text(x + shift, y + shift, "room 70", 12)
-    np.testing.assert_array_equal(small.image[3:-3, 3:-3], large.image[203:277, 203:257])
-
-
 def test_what_lies_outside_is_cut_off() -> None:
     canvas = Canvas(30, 30)
     canvas.line(np.array([[-1e9, 5.0], [1e9, 5.0]]), INK, 2)
@@ -165,19 +100,3 @@ def test_what_lies_outside_is_cut_off() -> None:
     assert of_colour(canvas.image, INK)[5].all()
     assert of_colour(canvas.image, TRAVERSED)[20:23].all()
     assert near(canvas.image, CLOSURE) == 0
-
-
-@pytest.mark.parametrize("height", [9.0, 14.0, 24.0])
-@pytest.mark.parametrize("bold", [False, True])
-@pytest.mark.skipif(not hasattr(cv2, "FontFace"), reason="OpenCV 4's zero is a ring as it is")
-def test_a_zero_is_a_ring_without_a_stroke(height: float, bold: bool) -> None:
-    canvas = Canvas(60, 60)
-    canvas.text(30.0, 30.0, "0", height, INK, "centre", bold)
-    dark = canvas.image.mean(axis=-1) < 160
-    left, right, top, bottom = bounds(dark)
-    assert bottom - top == pytest.approx(height, abs=2)
-    assert right - left < bottom - top
-    assert (canvas.image[30, (left + right) // 2] == 255).all()  # where the stroke would be
-    hollow = ~dark[top : bottom + 1, left : right + 1]
-    inner = hollow[hollow.shape[0] // 4 : -(hollow.shape[0] // 4)]
-    assert all(pieces(~row) == 2 for row in inner)

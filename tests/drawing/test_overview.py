@@ -196,21 +196,6 @@ def test_a_link_without_a_way_is_no_line_that_one_could_take() -> None:
         assert drawn_as(TopologicalMap(), edge) == kind
 
 
-def test_the_headline_counts_and_the_figures_measure(result: MapResult) -> None:
-    """Another name, another count or another length is another headline, and nothing else."""
-    usual, change = drawn(result), dataclasses.replace
-    closures = tuple(change(c, merged=False) for c in result.topology.closures)
-    (log,) = result.logs
-    for changed in (
-        change(result, logs=(change(log, name="other.mcap"),)),
-        change(result, logs=(change(log, scans=31),)),
-        change(result, topology=change(result.topology, closures=closures)),
-    ):
-        image = drawn(changed)
-        assert (image[:TITLE] != usual[:TITLE]).any()
-        np.testing.assert_array_equal(image[TITLE:], usual[TITLE:])
-
-
 @given(st.integers(1, 12), seeds)
 def test_badges_do_not_overlap(count: int, seed: int) -> None:
     centres = np.random.default_rng(seed).uniform(0, 120, (count, 2))
@@ -220,16 +205,6 @@ def test_badges_do_not_overlap(count: int, seed: int) -> None:
     np.testing.assert_allclose(moved.mean(axis=0), centres.mean(axis=0), atol=1e-6)
     roomy = np.array([(symbols.BADGE_GAP * k, 5.0 * k) for k in range(count)])
     np.testing.assert_array_equal(spread(roomy, symbols.BADGE_GAP), roomy)
-
-
-@given(st.integers(1, 6), seeds)
-def test_badges_keep_clear_of_marks_which_stay(count: int, seed: int) -> None:
-    centres, marks = np.split(np.random.default_rng(seed).uniform(0, 300, (count + 2, 2)), [count])
-    moved = spread(centres, symbols.BADGE_GAP, marks)
-    gaps = np.linalg.norm(moved[:, None] - marks[None], axis=-1)
-    assert moved.shape == centres.shape
-    if np.linalg.norm(marks[0] - marks[1]) > 2.0 * symbols.BADGE_GAP:  # else one pushes to another
-        assert gaps.min() > symbols.BADGE_RADIUS + 9.0  # half the width of a mark
 
 
 def test_the_number_of_a_submap_is_not_hidden_by_the_end_of_the_way(

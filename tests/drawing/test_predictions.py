@@ -14,7 +14,7 @@ from specmap_cli.drawing.overview import render_confusion, render_labels
 from specmap_cli.drawing.palette import PAPER, RIGHT, SHADE, paler
 from specmap_cli.drawing.sheet import TITLE
 from specmap_cli.maps.writing import MapResult
-from tests.drawing.looking import bounds, inked, is_framed, near, of_colour, pixel
+from tests.drawing.looking import inked, is_framed, near, of_colour, pixel
 
 LARGEST = 72  # pixels of a cell while there are few
 
@@ -73,30 +73,6 @@ def test_unknown_scans_are_rings() -> None:
     assert near(known, line) > 1.5 * near(some, line) > near(none, line) == 0
 
 
-def test_an_id_stands_on_the_ground_where_no_badge_is_near(result: MapResult) -> None:
-    ground = (result.topology, result.regions)
-    nowhere = np.zeros((0, 2))
-    alone = render_labels(nowhere, nowhere[:, 0].astype(np.int64), "t", map_with_regions=ground)
-    quiet = near(alone[TITLE:-160], palette.QUIET)
-    centroid = result.regions.outline(0).centroid
-    assert centroid is not None
-    beside = np.linspace(centroid - 0.05, centroid + 0.05, 20)
-    badge = render_labels(beside, np.zeros(20, dtype=np.int64), "t", map_with_regions=ground)
-    assert 0 < near(badge[TITLE:-160], palette.QUIET) < quiet
-
-
-def test_neither_the_frame_of_places_nor_scans_without_one_matter() -> None:
-    """Shifts are by powers of two, after which the same floats are left."""
-    places, labels = np.round(STRAIGHT * 64) / 64, thirds(0, 1, 2)
-    kept, holes = np.ones(120, dtype=bool), places.copy()
-    kept[30:100], holes[30:100, 0] = False, np.nan
-    usual = render_labels(places, labels, "t")
-    few = render_labels(places[kept], labels[kept], "t")
-    for shift in ((64.0, -128.0), (4096.0, 0.0)):
-        np.testing.assert_array_equal(render_labels(places + shift, labels, "t"), usual)
-    np.testing.assert_array_equal(render_labels(holes, labels, "t"), few)
-
-
 @pytest.mark.parametrize("count", [0, 1])
 def test_few_places(count: int) -> None:
     labels = np.zeros(count, dtype=np.int64)
@@ -153,16 +129,6 @@ def test_right_is_blue_wrong_is_red_and_nothing_is_grey() -> None:
     assert red > max(blue, green) + 20
 
 
-def test_cells_show_shares_of_their_row_not_counts() -> None:
-    """A row counted ten times as often has the same cells; only its number of scans differs."""
-    counts = np.array([[3, 1], [2, 2]])
-    once = render_confusion(counts, ["a", "b"])
-    often = render_confusion(counts * [[10], [1]], ["a", "b"])
-    right = int(centres(once, 2, 2)[0, 1, 0]) + LARGEST // 2
-    np.testing.assert_array_equal(once[:, :right], often[:, :right])
-    assert (once[:, right:] != often[:, right:]).any()
-
-
 @pytest.mark.parametrize("few", [1, 4, 5])
 def test_a_cell_of_less_than_a_percent_does_not_say_nought(few: int) -> None:
     """0.1, 0.4 and 0.5 percent read `<1`: the letters lie on the same pixels."""
@@ -185,17 +151,6 @@ def test_any_number_of_classes_and_any_names_fit(size: int, name: str) -> None:
     assert is_framed(image)
     if size:
         assert near(image, RIGHT) > 150 * size
-
-
-@pytest.mark.parametrize(
-    ("size", "cell", "figures"), [(20, 70, True), (50, 28, True), (80, 17, False)]
-)
-def test_small_cells_have_no_figures(size: int, cell: int, figures: bool) -> None:
-    image = render_confusion(np.eye(size), [""] * size)
-    left, right, top, bottom = bounds(of_colour(image, RIGHT, 0))
-    assert right - left == bottom - top == size * cell - 2
-    first = image[top : top + cell - 1, left : left + cell - 1]
-    assert bool(inked(first, RIGHT).any()) is figures
 
 
 def test_names_must_fit() -> None:

@@ -26,7 +26,7 @@ def sheet_of(width_m: float, height_m: float, legend: symbols.Legend = ()) -> Sh
     return Sheet(np.zeros(2), np.array([width_m, height_m]), legend)
 
 
-@pytest.mark.parametrize("shape", [(20, 4000), (4000, 20), (5, 5), (2400, 2400)])
+@pytest.mark.parametrize("shape", [(20, 4000), (4000, 20), (5, 5), (900, 900)])
 def test_any_extent_fits_the_sheet(shape: tuple[int, int]) -> None:
     topology, regions = one_room(shape)
     image = render_segmentation(topology, regions, LogInfo("a plan with a long name" * 9))
@@ -167,18 +167,3 @@ def test_strokes_are_the_runs_between_jumps(seed: int, count: int) -> None:
             expected.append(Stroke(first, k, k + 1 if goes_on else k))
             first = k
     assert strokes(places, labels) == expected
-
-
-def test_without_labels_only_jumps_break_the_line() -> None:
-    """Of one scan every two metres the way is drawn, and a jump three times as long is none."""
-    for step_m, leap_m, jumps in (
-        *((0.1, 1.4, False), (0.1, 1.6, True), (0.1, 30.0, True)),
-        *((2.0, 5.5, False), (2.0, 6.5, True)),
-    ):
-        found = strokes(way([step_m] * 30 + [leap_m] + [step_m] * 30))
-        pieces = [(0, 31), (31, 62)] if jumps else [(0, 62)]
-        assert found == [Stroke(first, end, end) for first, end in pieces], (step_m, leap_m)
-    assert len(strokes(way([0.0] * 500 + [1.0] * 20))) == 1  # a stay makes no way a jump
-    for count in (0, 1):
-        places = np.zeros((count, 2))
-        assert strokes(places) == strokes(places, np.zeros(count)) == [Stroke(0, 1, 1)] * count

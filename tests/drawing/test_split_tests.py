@@ -16,7 +16,7 @@ from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.segmentation.division import Segmentation
 from specmap_cli.segmentation.online import Occasion, SplitTest
 from specmap_cli.segmentation.spectral import Spectrum
-from tests.drawing.looking import bounds, inked, near, of_colour, pixel
+from tests.drawing.looking import bounds, inked, of_colour, pixel
 
 ORANGE, BLUE = (60, 110, 235), (200, 120, 30)  # the robot's side, the side it left
 DARK, RED = (40, 40, 40), (60, 60, 200)
@@ -85,14 +85,6 @@ def test_nodes_have_the_colour_of_their_side_and_fade_towards_the_border() -> No
     assert paleness[2] < 3 * 255
 
 
-def test_what_nobody_has_seen_round_the_free_cells_is_cut_away() -> None:
-    test = split_test()
-    cells = np.pad(test.grid.cells, 50, constant_values=UNKNOWN)
-    image = drawn(replace(test, grid=GridMap(cells, 0.1, (5.0, -7.0))))
-    left, right, _, _ = bounds(of_colour(image[: -SPECTRUM - WORDS], DARK, 60))
-    assert right - left > 0.85 * 480  # walls from one end to the other
-
-
 def test_the_map_is_white_grey_and_black_and_the_way_ends_in_a_dot_where_the_robot_is() -> None:
     image = drawn(split_test())
     free, unknown, wall = spot(14.0, 1.5), spot(10.3, 1.7), spot(10.05, 0.0)
@@ -152,13 +144,6 @@ def test_the_words_tell_the_decision_and_when_it_was_made_and_fit() -> None:
     for words in lines_of(draw_test(test, 0.123456, False, late)):
         left, right, *_ = bounds(inked(words))
         assert 7 <= left < right <= 473
-
-
-@pytest.mark.parametrize("eigenvector", [[], [0.0], [0.0, 0.0]])
-def test_a_test_without_a_division_is_drawn(eigenvector: list[float]) -> None:
-    image = drawn(split_test(eigenvector, [1.0][: len(eigenvector)], 0), 0.6, False)
-    assert near(image[:HEIGHT], ORANGE) == 0
-    assert len(bars(image)) == min(len(eigenvector), 1)
 
 
 def segmentation(labels: list[int], pairs: list[tuple[int, int]]) -> Segmentation:

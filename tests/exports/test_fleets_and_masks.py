@@ -163,18 +163,6 @@ def test_a_limit_that_a_mask_cannot_hold_is_told(lived_in: MapResult, tmp_path: 
     assert warning.startswith("submap 1: speed_limit 0.01 is written as 0.02, ")
 
 
-def test_masks_lie_on_the_map_s_grid_and_limit_a_room(
-    home: Map, rooms: Map, tmp_path: Path
-) -> None:
-    for stored in (home, rooms):
-        export_map(stored, "nav2-masks", tmp_path / "masks.zip", overwrite=True)
-        found = costmap_filters.load(tmp_path / "masks.zip")
-        assert found.shut.shape == stored.regions.grid.cells.shape
-        assert (found.resolution, found.origin) == (stored.grid.resolution, stored.grid.origin)
-        assert not found.shut.any()
-        assert not found.limits.any()
-
-
 def test_a_mask_is_never_faster_than_was_said(lived_in: MapResult, tmp_path: Path) -> None:
     old = lived_in.topology
     said = {0: 1.5, 1: 0.3, 2: 0.4}

@@ -55,12 +55,6 @@ def test_graph_submaps_poses_and_scans_are_the_map_s(home: Map, tmp_path: Path) 
     assert points == [17] * 30  # of 19, two without return
 
 
-def test_a_divided_plan_has_no_scans(rooms: Map, tmp_path: Path) -> None:
-    found = rows(rooms, tmp_path / "rooms.rrd")
-    assert {"map", "regions"} <= set(found)
-    assert "robot" not in found
-
-
 def test_without_the_sdk_the_line_says_what_to_install(
     home: Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -40,20 +39,6 @@ def test_distances_are_scipys(grid: GridMap) -> None:
         np.testing.assert_allclose(grid.obstacle_distance(), distance, rtol=1e-5)
     else:
         assert (grid.obstacle_distance() > 100.0).all()
-
-
-def test_distances_are_the_same_bit_for_bit_wherever_the_picture_lies() -> None:
-    picture = (np.random.default_rng(0).random((233, 181)) > 0.002).astype(np.uint8)
-    exact = distance_transform_edt(picture).astype(np.float32)
-    threads = cv2.getNumThreads()
-    for count in (1, 2):
-        cv2.setNumThreads(count)
-        for offset in range(4):
-            memory = np.empty(picture.size + 4, dtype=np.uint8)
-            moved = memory[offset : offset + picture.size].reshape(picture.shape)
-            moved[:] = picture
-            np.testing.assert_array_equal(gridmap.cell_distances(moved), exact)
-    cv2.setNumThreads(threads)
 
 
 def test_what_is_near_a_zero_is_the_same_a_few_rows_at_a_time(
@@ -158,17 +143,6 @@ def test_ranges_are_those_of_a_walk_through_every_cell(grid: GridMap, seed: int)
     found = cast_rays(grid.obstacle_distance(), grid, origins, angles, 100.0)
     expected = [walked(grid, origin, angle) for origin, angle in zip(origins, angles, strict=True)]
     np.testing.assert_allclose(found, expected, atol=1e-5)
-
-
-def test_many_rays_are_the_same_rays_few_at_a_time() -> None:
-    room = empty_room()
-    rng = np.random.default_rng(3)
-    origins, angles = rng.uniform((1.1, 0.6), (5.9, 4.4), (70_000, 2)), rng.uniform(-3, 3, 70_000)
-    distance = room.obstacle_distance()
-    whole = cast_rays(distance, room, origins, angles, 20.0)
-    for part in (slice(0, 5), slice(65_530, 65_545), slice(69_995, 70_000)):
-        few = cast_rays(distance, room, origins[part], angles[part], 20.0)
-        np.testing.assert_array_equal(few, whole[part])
 
 
 @given(grid_maps(), st.integers(0, 3))

@@ -163,17 +163,6 @@ def test_a_forked_process_reads_without_moving_the_place_at_which_is_written() -
             assert store.scan(number).ranges.tolist() == [float(number)] * 9
 
 
-def test_what_the_store_gives_away_is_not_its_own() -> None:
-    with store_of([at(1.0)]) as store:
-        store.poses[0] = 7.0
-        store.scan(0).ranges[0] = 7.0
-        assert store.poses.tolist() == [[1.0, 0.0, 0.0]]
-        assert store.scan(0).ranges.tolist() == [math.inf]
-        assert store.stamps_ns == (0,)
-        with pytest.raises(IndexError):
-            store.scan(1)
-
-
 def test_the_store_is_closed_after_an_error_too() -> None:
     store = KeyframeStore()
     with pytest.raises(IndexError), store:
@@ -205,15 +194,6 @@ def test_a_patrol_of_any_length_tells_as_much_as_the_place_holds() -> None:
     first_laps = patrol[: 2 * 60]
     assert len(keyframes.informative(first_laps)) == 2 * 60  # they are taken in whole
     assert len(keyframes.informative(np.zeros((0, 3)))) == 0
-
-
-def test_keyframes_that_tell_nothing_new_stay_out_of_the_grid() -> None:
-    config = GridConfig(resolution_m=0.1)
-    with store_of(at(x, scan_of(3)) for x in [0.0] * 50 + [3.0]) as store:
-        grid = integrate_keyframes(store, range(51), store.poses, config)
-        few = integrate_keyframes(store, [0, 50], store.poses[[0, 50]], config)
-        assert float(grid._misses.max()) <= 2.0 * (16 + 1)  # a pass of a beam and the footprint
-    np.testing.assert_array_equal(grid.snapshot().cells, few.snapshot().cells)
 
 
 def laser(beams: int, view_deg: float, range_max: float) -> PlanarScan:

@@ -85,17 +85,6 @@ def test_the_convention_of_map_server(tmp_path: Path) -> None:
     assert read_grid(tmp_path / "m.yaml").cells.tolist() == [[UNKNOWN]]
 
 
-def test_colours_transparency_and_percent_as_they_stand(tmp_path: Path) -> None:
-    image = np.full((1, 2, 4), 255, dtype=np.uint8)
-    image[0, 1, 3] = 0
-    assert read_grid(write_image(tmp_path, image)).cells.tolist() == [[FREE, UNKNOWN]]
-    deep = np.array([[0, 65535]], dtype=np.uint16)
-    assert read_grid(write_image(tmp_path, deep)).cells.tolist() == [[OCCUPIED, FREE]]
-    percent = np.array([[0, 100, 50, 255]], dtype=np.uint8)
-    grid = read_grid(write_image(tmp_path, percent, YAML + "mode: raw\n"))
-    assert grid.cells.tolist() == [[FREE, OCCUPIED, UNKNOWN, UNKNOWN]]
-
-
 NAV2 = YAML + "mode: trinary\noccupied_thresh: 0.65\nfree_thresh: 0.25\n"
 SAVED = np.repeat(np.repeat(np.array([[254, 205], [0, 254]], dtype=np.uint8), 20, 0), 20, 1)
 CELLS = [[OCCUPIED, FREE], [FREE, UNKNOWN]]  # the lowest row first
@@ -210,14 +199,6 @@ def test_maps_of_probabilities_are_read_as_nav2_writes_them(
     assert cells[101] == UNKNOWN
 
 
-def test_percent_in_colours_are_averaged_and_do_not_turn_round(tmp_path: Path) -> None:
-    colours = np.array([[[0, 0, 3], [99, 100, 101], [0, 0, 255]]], dtype=np.uint8)
-    for negate in (0, 1):  # as Nav2 does
-        yaml = YAML.replace("negate: 0", f"negate: {negate}") + "mode: raw\n"
-        grid = read_grid(write_image(tmp_path, colours, yaml))
-        assert grid.cells.tolist() == [[FREE, OCCUPIED, OCCUPIED]]
-
-
 def test_a_given_resolution_wins_and_paths_may_be_text(tmp_path: Path) -> None:
     write_grid(f"{tmp_path}/m", GridMap(np.zeros((2, 2), dtype=np.uint8), 0.05))
     path = tmp_path / "m.yaml"
@@ -243,14 +224,6 @@ def test_unreadable_files_are_one_line(tmp_path: Path) -> None:
     ):
         with pytest.raises(MapError, match=said):
             read_grid(tmp_path / name, resolution)
-
-
-def test_thresholds_are_those_of_map_server(tmp_path: Path) -> None:
-    path = write_image(tmp_path, np.array([[0, 89, 90, 205, 206, 250, 254]], dtype=np.uint8))
-    dark, unsure = [OCCUPIED] * 2, [UNKNOWN] * 2
-    assert read_grid(path).cells.tolist() == [[*dark, *unsure, *[FREE] * 3]]
-    bare = read_grid(tmp_path / "m.png", 0.1)  # light greys are edges of lines there
-    assert bare.cells.tolist() == [[*dark, *unsure, UNKNOWN, OCCUPIED, FREE]]
 
 
 @given(st.integers(0, 255), st.integers(1, 99), st.integers(1, 99), st.booleans())
@@ -366,13 +339,6 @@ def with_size(png: bytes, width: int, height: int) -> bytes:
     """A PNG whose header tells another size, with the checksum that fits."""
     header = b"IHDR" + struct.pack(">II", width, height) + png[24:29]
     return png[:12] + header + struct.pack(">I", zlib.crc32(header)) + png[33:]
-
-
-@pytest.mark.parametrize("suffix", [".png", ".pgm", ".bmp", ".tiff"])
-def test_pictures_of_every_format_come_back(tmp_path: Path, suffix: str) -> None:
-    path = tmp_path / f"m{suffix}"
-    assert cv2.imwrite(str(path), GREY)
-    np.testing.assert_array_equal(read_picture(path)[::-1, :, 0], GREY)
 
 
 @pytest.mark.parametrize(

@@ -208,15 +208,6 @@ def test_a_scan_that_fits_is_taken_though_the_grid_has_no_cells_to_spare(
     assert grid.refused == 1
 
 
-def test_a_snapshot_does_not_change_with_what_comes_after_it() -> None:
-    grid = counts_of([(one_beam(0.0, 2.0), IDENTITY)])
-    before = grid.snapshot()
-    cells = before.cells.copy()
-    add(grid, one_beam(0.0, 1.0), IDENTITY)
-    add(grid, one_beam(1.5, 3.0), IDENTITY)
-    np.testing.assert_array_equal(before.cells, cells)
-
-
 @given(
     st.lists(st.tuples(planar_scans(beams=24), poses, st.booleans()), min_size=1, max_size=6),
     st.sampled_from([1000.0, 12.0]),
@@ -250,21 +241,6 @@ def test_grids_are_added_and_taken_from_each_other(taken: Taken, cut: int) -> No
     for scan, pose in one:  # a grid that was cropped grows again
         add(rest, scan, pose)
     assert known(rest.snapshot()) == known(counts_of(taken).snapshot())
-
-
-def test_what_a_full_grid_refused_is_neither_added_nor_taken_from_it() -> None:
-    config = settings(max_extent_m=4.0)
-    taken = [(one_beam(0.0, 2.0), IDENTITY), (one_beam(1.5, 3.9), IDENTITY)]
-    beyond = counts_of([(one_beam(-1.5, 3.0), IDENTITY)], config)
-    whole = counts_of([*taken, (one_beam(-1.5, 3.0), IDENTITY)], config)
-    both = counts_of(taken, config)
-    both.include(beyond)
-    for grid in (whole, both):
-        assert grid.refused == 1
-        assert max(grid.snapshot().cells.shape) * CELL <= 4.0
-        rest = grid.without(beyond).snapshot()
-        places = np.array([[2.0, 0.0], [0.2, -3.0]])
-        assert rest.values_at(places).tolist() == [OCCUPIED, UNKNOWN]
 
 
 @given(planar_scans(), poses, st.floats(0.0, 9.0))

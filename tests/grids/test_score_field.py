@@ -15,10 +15,9 @@ from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import distance_transform_edt
 from scipy.optimize import minimize
-from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, wrap_angle
-from specmap_cli.grids import matching, score_field
+from specmap_cli.grids import matching
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.matching import Window, refine, search
 from specmap_cli.grids.score_field import SIGMA_M, PointCells, Sample, ScoreField, approach, descend
@@ -41,20 +40,6 @@ LINES: list[list[tuple[float, float]]] = [
 ]
 ROOM = np.concatenate([wall(*a, *b) for line in LINES for a, b in itertools.pairwise(line)])
 FIELD = ScoreField.from_points(ROOM)
-
-
-def test_values_are_those_of_the_distance_to_the_nearest_point() -> None:
-    field = ScoreField.from_points(ROOM, 0.05, 0.1)
-    places = np.random.default_rng(1).uniform(-3.2, 4.2, (500, 2))
-    distance, _ = cKDTree(ROOM).query(places)
-    expected = np.exp(-(distance**2) / (2 * 0.1**2))
-    # both ends are rounded to cells of 5 cm
-    nearest = np.exp(-(np.maximum(distance - 0.085, 0) ** 2) / (2 * 0.1**2))
-    farthest = np.exp(-((distance + 0.085) ** 2) / (2 * 0.1**2))
-    values = field.at(places)
-    assert (values <= nearest + 1e-6).all()
-    assert (values >= farthest - 3e-3).all()  # nought beyond 3.5 sigma of the walls
-    assert np.abs(values - expected).mean() < 0.05
 
 
 @pytest.mark.parametrize("longest", [100.0, 5.0])
@@ -180,13 +165,6 @@ def test_a_field_is_no_larger_than_allowed_and_shows_what_is_near(
     assert field.left_out <= (~near).sum()
 
 
-def test_thinning_keeps_the_first_point_of_a_cell_and_the_order() -> None:
-    points = np.array([[0.9, 0.1], [0.1, 0.1], [-0.1, 0.1], [0.2, 0.3], [0.95, 0.9]])
-    assert score_field.thinned(points, 1.0).tolist() == [[0.9, 0.1], [-0.1, 0.1]]
-    assert score_field.thinned(points, 0.5).tolist() == points[[0, 1, 2, 4]].tolist()
-    assert score_field.thinned(points[:1], 1.0).tolist() == points[:1].tolist()
-
-
 def cost(field: ScoreField, points: FloatArray, pose: Pose2) -> float:
     """Sum (1 - M(p))^2."""
     return float(((1.0 - Sample.of(field, points.T, pose).values) ** 2).sum())
@@ -252,15 +230,6 @@ def test_too_few_points_or_cells_leave_the_guess_as_it_is() -> None:
     speck = ScoreField(np.ones((1, 1), dtype=np.float32), 0.1, (0.0, 0.0))
     guess = Pose2(0.01, 0.02, 0.0)
     assert descend(speck, np.random.default_rng(0).random((9, 2)), guess, 20, 0.3) == guess
-
-
-def test_a_single_wall_draws_the_pose_across_it_and_not_along() -> None:
-    wall = np.column_stack([np.linspace(-4, 4, 200), np.full(200, 0.025)])
-    field = ScoreField.from_points(wall)
-    found = descend(field, wall[50:150], Pose2(0.2, 0.08, 0.03), 20, 0.3)
-    assert found.y == pytest.approx(0.0, abs=0.01)
-    assert found.theta == pytest.approx(0.0, abs=0.005)
-    assert found.x == pytest.approx(0.2, abs=0.05)
 
 
 def test_the_way_follows_what_half_a_sigma_tells_apart() -> None:

@@ -54,20 +54,6 @@ def test_stamps_are_used_while_they_say_when(
     assert choose_clock(glimpses(stamps, times), []).source == source
 
 
-@pytest.mark.parametrize(
-    ("apart_s", "limit_s", "shift_s"), [(1.5, 2.0, 0.0), (3.0, 2.0, 3.0), (-3.0, 5.0, 0.0)]
-)
-def test_the_settings_say_how_far_apart_the_clocks_may_be(
-    apart_s: float, limit_s: float, shift_s: float
-) -> None:
-    times = tenths(9)
-    ahead = [t + round(apart_s * SECOND) for t in times]
-    pairs = [StampPair((t, t), (s, t)) for s, t in zip(ahead, times, strict=True)]
-    turn("logs", clocks_apart_s=limit_s)
-    clock = choose_clock(glimpses(ahead, times), pairs)
-    assert clock.odometry_shift_ns == round(shift_s * SECOND)
-
-
 @pytest.mark.parametrize("before_s", [0, 10])
 def test_scans_that_come_in_a_burst_behind_one_message_say_nothing_about_its_clock(
     before_s: int,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import pickle
 import re
-from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -272,19 +271,6 @@ def chain(length: int) -> TransformTree:
     return tree
 
 
-def test_later_transforms_replace_earlier_ones_but_not_those_of_a_copy() -> None:
-    tree = chain(2)
-    copy = deepcopy(tree)
-    copy.add(TransformRecord(0, "frame2", "hand", np.eye(4)), dynamic=True)
-    copy.add(TransformRecord(0, "frame0", "frame1", ahead(2.0)), dynamic=True)
-    for one, metres, moves in ((tree, 1.0, False), (copy, 2.0, True)):
-        found = one.lookup("frame0", "frame1")
-        assert found is not None
-        assert found[0, 3] == one.edges()[0][2][0, 3] == metres
-        assert one.edges()[0][3] is moves
-    assert copy.frames - tree.frames == {"hand"}
-
-
 def test_a_chain_of_frames_without_end_is_a_loop() -> None:
     assert chain(90).lookup("frame0", "frame90") is not None
     assert chain(200).lookup("frame0", "frame200") is None
@@ -406,16 +392,6 @@ def test_one_laser_stays_one(path: Path, lasers: list[Laser]) -> None:
     sweeps, stream = sweeps_of(path)
     assert len(sweeps) == 20
     assert [sensor.name for sensor in stream.selection.sensors] == ["laser"]
-
-
-def test_clouds_of_two_frames_are_two_sensors(path: Path) -> None:
-    with LogWriter(path) as log:
-        for number in range(6):
-            stamp = START + number * SECOND // 10
-            log.cloud("/points", f"lidar_{number % 2}", stamp, np.eye(3))
-    with pytest.raises(UsageError, match=r"`--scan-frame lidar_0` .* or `--scan-frame lidar_1`"):
-        sweeps_of(path)
-    assert len(sweeps_of(path, scan_frame="lidar_1")[0]) == 3
 
 
 def test_info_lists_the_sensors_and_the_command_that_chooses(path: Path) -> None:

@@ -164,17 +164,6 @@ def test_a_named_frame_that_is_not_there_is_a_problem_with_a_command(drive: Path
     assert [frame.child for frame in summary.frames] == ["laser"]
 
 
-def test_many_files_are_named_in_short(tmp_path: Path) -> None:
-    paths = [tmp_path / f"part {number}.mcap" for number in range(4)]
-    for path in paths:
-        write_scans(path)
-    summary = summary_of(paths)
-    first = ", ".join(str(path) for path in paths[:3])
-    assert summary.lines()[0].startswith(f"{first} ...: MCAP, 0.0 MB")
-    quoted = " ".join(f"'{path}'" for path in paths)
-    assert summary.next_command == f"specmap build {quoted}"
-
-
 def test_names_that_a_terminal_would_obey_are_shown_escaped(path: Path) -> None:
     with LogWriter(path) as log:
         log.static_transform("base_link", "las\x1b[31mER", stamp_ns=1)
@@ -282,15 +271,6 @@ def test_messages_that_cannot_be_decoded_are_unusable(path: Path) -> None:
     assert (scans.read, scans.unusable) == (2, 1)
     assert scans.text() == "2 of 2 messages read; 1 unusable"
     assert (grid.read, grid.unusable) == (1, 0)
-
-
-@pytest.mark.parametrize("time_ns", [(1 << 64) - 1, 1 << 63, 1])
-def test_times_beyond_all_bounds_are_no_fault(path: Path, time_ns: int) -> None:
-    with LogWriter(path) as log:
-        for time in (0, time_ns):
-            log.raw("/map", "nav_msgs/msg/OccupancyGrid", b"\x00\x01\x00\x00", time)
-    (grid,) = check_of(path)
-    assert (grid.read, grid.steps_back, grid.pauses.count) == (2, 0, 0)
 
 
 def test_info_counts_what_is_lost_even_all_of_a_topic_only_when_all_is_read(

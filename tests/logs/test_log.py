@@ -125,12 +125,6 @@ def test_sources_in_order_are_merged_in_order(times: list[list[int]]) -> None:
         assert [m for m in merged if m.topic == source[0].topic] == source
 
 
-def test_a_source_that_runs_backwards_keeps_its_own_order() -> None:
-    back, forth = at(10, 4, 12, topic="back"), at(3, 11, 13, topic="forth")
-    merged = list(merge_in_time([(10, opener(back)), (3, opener(forth))]))
-    assert [m.time_ns for m in merged] == [3, 10, 4, 11, 12, 13]
-
-
 def test_a_source_is_opened_only_when_its_start_has_come() -> None:
     opened: list[int] = []
 

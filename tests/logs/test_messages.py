@@ -175,34 +175,6 @@ def test_a_pose_of_the_plane_in_space(pose: Pose2) -> None:
     assert message.child_frame_id == "base"
 
 
-@pytest.mark.parametrize("times", [None, [0.0, 0.5]])
-def test_a_cloud_says_where_its_fields_are(times: list[float] | None) -> None:
-    points = [[1.0, 2.0, 3.0], [4.0, np.nan, 6.0]]
-    cloud = decoded(cloud_cdr("lidar", 5, points, times), POINT_CLOUD)
-    names = [field.name for field in cloud.fields]
-    assert names == ["x", "y", "z", *([] if times is None else ["time"])]
-    assert (cloud.height, cloud.width, cloud.is_dense) == (1, 2, False)
-    assert (cloud.point_step, cloud.row_step) == (4 * len(names), 8 * len(names))
-    table = cloud.data.view("<f4").reshape(2, -1)
-    np.testing.assert_array_equal(table[:, :3], points)
-    if times is not None:
-        np.testing.assert_array_equal(table[:, 3], times)
-
-
-def test_a_transform_says_what_was_given() -> None:
-    turn = Rotation.from_euler("xyz", [0.3, -0.2, 1.0])
-    data = transforms_cdr(STAMP, [Transform("base", "/laser", (1.0, 2.0, 3.0), turn.as_quat())])
-    (stamped,) = decoded(data, TF_MESSAGE).transforms
-    assert (stamped.header.frame_id, stamped.child_frame_id) == ("base", "/laser")
-    moved, turned = stamped.transform.translation, stamped.transform.rotation
-    assert (moved.x, moved.y, moved.z) == (1.0, 2.0, 3.0)
-    assert [turned.x, turned.y, turned.z, turned.w] == turn.as_quat().tolist()
-    (transform,) = decode_transforms(Message("/tf", TF_MESSAGE, 1, data)).records
-    assert (transform.parent, transform.child) == ("base", "laser")
-    np.testing.assert_allclose(transform.parent_from_child[:3, :3], turn.as_matrix(), atol=1e-12)
-    assert transform.parent_from_child[:3, 3].tolist() == [1.0, 2.0, 3.0]
-
-
 @pytest.mark.parametrize("kind", sorted(SUPPORTED_TYPES))
 def test_a_definition_is_enough_to_read_its_type(kind: str) -> None:
     found = get_types_from_msg(message_definition(kind).decode(), kind)

@@ -24,7 +24,7 @@ from specmap_cli.logs.planar import Ceiling, OwnBody, Repeats, ScanLeveller
 from specmap_cli.logs.writer import LogWriter
 from tests.logs.recordings import sweeps_of
 from tests.strategies import few
-from tests.turning import configured, turn
+from tests.turning import configured
 
 LEVEL = np.eye(4)
 
@@ -186,14 +186,6 @@ def test_one_beam_is_no_circle_whatever_its_increment(step: float) -> None:
     assert found.bearings.tolist() == pytest.approx([0.5], abs=1e-6)
 
 
-def test_bearings_are_shared_between_scans_and_renewed_when_the_laser_changes() -> None:
-    leveller = ScanLeveller(LEVEL)
-    first, second = leveller.level(record([1.0, 2.0]), 5), leveller.level(record([2.0, 1.0]), 6)
-    assert first.bearings is second.bearings
-    third = leveller.level(record([1.0, 2.0, 3.0]), 7)
-    assert len(third.bearings) == 3
-
-
 def brute_force(clouds: list[FloatArray], beams: int, band: FloatArray, reach: float) -> FloatArray:
     """Nearest return of the last cloud per bearing, point by point; NaN where none had a point."""
     ranges = np.full(beams, np.nan)
@@ -230,20 +222,6 @@ def test_a_cloud_is_flattened_to_the_nearest_return_in_the_band(view: float, ful
 
 
 @pytest.mark.parametrize(
-    ("increment", "longest", "timed"),
-    [(0.1, 1.0, True), (0.1, 0.9, True), (0.1, 0.8, False), (0.2, 1.0, False), (0.2, 2.0, True)]
-    + [(0.0, 1.0, False), (-0.1, 1.0, False), (math.nan, 1.0, False)],
-)
-def test_the_settings_say_how_long_a_sweep_may_take(
-    increment: float, longest: float, timed: bool
-) -> None:
-    turn("logs", scan_time_max_s=longest)
-    leveller = ScanLeveller(LEVEL)
-    scan = record(np.ones(10), time_increment=increment)
-    assert (leveller.level(scan, 5).beam_times_s is not None) is timed
-
-
-@pytest.mark.parametrize(
     ("settings_", "floor"),
     [
         ({}, -1.0),
@@ -263,20 +241,6 @@ def test_the_settings_say_where_a_floor_of_unknown_height_is_sought(
     levelled = flattener(None, cloud_beams=16, **band, **settings_)
     scan = levelled.flatten(np.vstack([cloud, mast]), 1)
     assert scan.hits() == pytest.approx(np.array([[1.0, 1.0]]), abs=0.3)
-
-
-@pytest.mark.parametrize(
-    ("share", "beams", "full"), [(0.9, 180, True), (0.5, 360, True), (0.2, 720, False)]
-)
-def test_the_settings_say_how_many_bearings_must_be_filled(
-    share: float, beams: int, full: bool
-) -> None:
-    angles = np.radians(np.arange(0, 360, 2) + 0.25)
-    ring = np.column_stack([3 * np.cos(angles), 3 * np.sin(angles), np.ones(180)])
-    scan = flattener(0.0, cloud_filled_share=share).flatten(ring, 1)
-    assert len(scan.bearings) == beams
-    assert scan.full_circle is (full or share <= 0.25)
-    assert np.isfinite(scan.ranges).sum() == 180
 
 
 Tour = list[tuple[Sweep, Pose2]]
@@ -313,18 +277,6 @@ def test_walls_that_share_their_longest_distance_by_chance_stay() -> None:
     noise = np.random.default_rng(1)
     assert not any(cleared([np.round(room(number % 7, noise), 2) for number in range(200)]))
     assert not any(cleared([np.minimum(room(0, noise), 2.0) for _ in range(50)]))
-
-
-def test_a_longer_distance_begins_the_count_anew_and_leaves_what_was_found() -> None:
-    noise = np.random.default_rng(3)
-    ceiling = Ceiling([2.0])
-    longer = [np.minimum(room(number, noise), 2.2) for number in range(4)]
-    for ranges in longer:
-        ceiling.clear(ranges)
-    assert ceiling.values_m == (2.0, 2.2)
-    again = np.array([1.0, 2.0, 2.1, 2.2, 2.3])
-    ceiling.clear(again)
-    assert np.isinf(again).tolist() == [False, True, False, True, False]
 
 
 def has_code(sweep: Sweep) -> bool:

@@ -247,16 +247,6 @@ def test_a_cloud_becomes_points_in_the_base_frame_and_a_planar_scan(path: Path) 
     assert stream.warnings == ["scans that could not be read and were left out: 1"]
 
 
-@pytest.mark.parametrize("most", [0, 1, 7])
-def test_the_settings_say_how_many_scans_wait(most: int) -> None:
-    late = [odometry(START, 0.0), *(scan(START + i * SECOND // 1000) for i in range(1, 40))]
-    spy = Told("spy", lambda: late)
-    config = configured(LogConfig, "logs", {"odometry_wait_scans": most})
-    stream = SweepStream(Log([spy], [Path("spy")]), config)
-    held = [spy.handed_out - 2 - sweep.index for sweep in stream]
-    assert max(held) == most
-
-
 @pytest.mark.parametrize(("longest_s", "counted"), [(10.0, 0), (0.05, 2)])
 def test_times_that_reach_too_far_are_counted_and_said(
     path: Path, longest_s: float, counted: int

@@ -220,13 +220,6 @@ def bearings_of(beams: EvenBeams) -> FloatArray:
     return np.asarray(beams.angle_min + beams.increment * np.arange(len(beams.ranges)))
 
 
-def test_a_lasers_own_scan_stays_as_it_is() -> None:
-    bearings, ranges = np.linspace(-1.5, 1.5, 301), np.arange(301.0)
-    beams = EvenSpacing().beams(seen_along(bearings, ranges))
-    assert beams.ranges is ranges
-    assert bearings_of(beams) == pytest.approx(bearings, abs=1e-6)
-
-
 def turned(full_circle: bool) -> tuple[PlanarScan, PlanarScan]:
     """A scan at rest, and one in motion with its beams de-skewed."""
     span = CIRCLE if full_circle else 4.0

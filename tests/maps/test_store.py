@@ -90,25 +90,6 @@ def test_thresholds_that_leave_nothing_free_are_refused(stored: Path, with_label
         _ = read_map(stored).regions
 
 
-def test_the_text_of_a_topology_is_sorted_and_strict(stored: Path) -> None:
-    text = (stored / "topology.json").read_text()
-    document = json.loads(text)
-    assert text.endswith("}\n")
-    assert "NaN" not in text
-    assert json.dumps(document) == json.dumps(document, sort_keys=True)
-
-
-@pytest.mark.parametrize("kind", [str, Path])
-def test_the_frame_the_directory_and_the_picture_may_be_given(
-    tmp_path: Path, result: MapResult, kind: type
-) -> None:
-    picture = np.random.default_rng(0).integers(0, 256, (20, 30, 3), dtype=np.uint8)
-    changed = replace(result, frame="building_7", overview=picture)
-    write_map(kind(tmp_path), changed)
-    assert read_map(kind(tmp_path)).record.graph.frame == "building_7"
-    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "overview.png")), picture)
-
-
 def test_run_json_is_plain_json(tmp_path: Path, result: MapResult) -> None:
     run = {"b": np.float64("nan"), "a": {"n": np.int64(3), "inf": float("inf")}, "t": (1.5, 2)}
     write_map(tmp_path, replace(result, run=run))

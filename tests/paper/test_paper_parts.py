@@ -5,20 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
 from benchmarks.paper import (
-    cost,
     figure1,
     figure2,
     figure3,
     figure6,
-    ring,
     room_hallway,
     table1,
     table2,
@@ -180,28 +176,6 @@ def test_figure_6_labels_another_way(workshop: Workshop) -> None:
     assert sum(map(len, galleries(blocks))) == 2
     filtered = [r.cells for r in table.rows if r.cells[1:3] == ("specmap's choices", "filtered")]
     assert all(float(cells[6]) > 0.8 for cells in filtered)
-
-
-def test_the_cost_grows_with_the_submaps() -> None:
-    _, chart, table = cost.blocks({PAPER: 4, OURS: 4}, {PAPER: (2,), OURS: (2, 3)})
-    assert isinstance(chart, Chart)
-    assert isinstance(table, Table)
-    assert [len(series.points) for series in chart.series] == [4, 4]
-    for series in chart.series:
-        assert all(a[1] <= b[1] for a, b in pairwise(series.points))
-    assert [row.cells[1] for row in table.rows] == ["2", "2", "3"]
-
-
-def test_one_can_walk_from_every_room_of_the_ring_to_every_other() -> None:
-    plan, rooms = ring.plan(), ring.rooms()
-    wide = (plan.clearance() > 0.3).astype(np.uint8)
-    _, part = cv2.connectedComponents(wide)
-    reached = [
-        set(part[(rooms.labels == room) & (wide > 0)].tolist())
-        for room in range(1, rooms.count + 1)
-    ]
-    assert rooms.count == len(ring.ROOMS) + 1
-    assert set.intersection(*reached)
 
 
 def test_without_data_only_simulated_buildings_are_shown(

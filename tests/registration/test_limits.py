@@ -121,24 +121,6 @@ def test_odometry_carries_no_farther_than_it_can_be_followed(
     assert not scans[3].lost
 
 
-def test_alignments_that_run_off_are_counted(
-    world: GridMap, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    wild = ToldAligner(lambda guess: guess @ turned(2.0, 0.0, 0.0))
-    truth = np.tile(path()[0], (5, 1))
-    front_end, scans = run(sweeps(world, truth), method=offer(monkeypatch, wild))
-    assert hit(front_end) == {"refused_alignments": 4}  # the first sweep is aligned to nothing
-    assert worst(scans, truth)[0] < 0.05
-    assert front_end.warnings[0].startswith("registration refused 4 alignments")
-
-
-def test_walls_beyond_the_score_field_are_counted(world: GridMap) -> None:
-    items = sweeps(world, path()[:10])
-    assert run(items, max_range_m=4.0)[0].counts["walls_left_out"] == 0
-    narrow, _ = run(items, max_range_m=4.0, field_ranges=1.0)
-    assert narrow.counts["walls_left_out"] == 9  # all but the first, which is scored on nothing
-
-
 def test_so_many_lost_sweeps_in_a_row_end_a_map_but_for_the_first() -> None:
     limit, walls, blank = 5, np.random.default_rng(5).uniform(2.0, 4.0, 90), np.full(90, np.inf)
     pattern = [walls, *[blank] * (limit - 1), walls, *[blank] * (limit + 2), walls]

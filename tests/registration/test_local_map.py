@@ -8,8 +8,6 @@ import cv2
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
-from scipy.spatial import KDTree
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan
@@ -24,17 +22,6 @@ from tests.registration.drives import circle, scene_in, scene_of, turned, view_o
 from tests.strategies import seeds
 
 LADDER = (2.0, 1.0, 0.5, 0.25)
-
-
-def test_every_alignment_starts_where_the_one_before_ended(world: GridMap) -> None:
-    """By kernels in voxels of the sensor."""
-    aligner = ToldAligner(lambda guess: guess @ Pose2(0.1, 0.0, 0.0).matrix())
-    fit = scene_in(world, aligner, voxel_m=0.3).align(np.eye(4), LADDER)
-    assert [asked.kernel_m for asked in aligner.asked] == pytest.approx([0.6, 0.3, 0.15, 0.075])
-    starts = [float(asked.guess[0, 3]) for asked in aligner.asked]
-    assert starts == pytest.approx([0, 0.1, 0.2, 0.3])
-    assert fit.planar.x == pytest.approx(0.4)
-    assert fit.refused == 0
 
 
 def broken(guess: FloatArray) -> FloatArray:
@@ -82,26 +69,6 @@ def test_an_alignment_that_runs_off_is_refused_and_ends_the_ladder(
     assert len(aligner.asked) == 2 + followed
     assert fit.refused == 1 - followed
     assert np.array_equal(fit.pose, answer(np.eye(4)) if followed else before)
-
-
-def test_the_limits_count_from_the_first_guess_of_all_kernels(world: GridMap) -> None:
-    """And the score is that of the alignment that stands."""
-    scene = scene_in(world, ToldAligner(moved(x=0.6)))
-    fit = scene.align(np.eye(4), LADDER)
-    assert fit.planar.x == pytest.approx(1.2)  # the third step would be 1.8 m away
-    assert fit.refused == 1
-    assert fit.score == scene.score(fit.planar) < scene.score(IDENTITY)
-
-
-@given(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
-def test_the_score_is_that_of_the_distances_to_the_nearest_walls(
-    world: GridMap, x: float, y: float, turn: float
-) -> None:
-    scene = scene_in(world, ToldAligner())
-    place = Pose2(x, y, turn)
-    distance, _ = KDTree(scene.view.walls).query(place.apply(scene.view.probe))
-    exact = float(np.exp(-(distance**2) / (2 * 0.1**2)).mean())  # sigma is a voxel
-    assert scene.score(place) == pytest.approx(exact, abs=0.12)  # cells of 7.5 cm
 
 
 @pytest.mark.parametrize("away", [Pose2(0.2, -0.15, 0.2), Pose2(-0.25, 0.1, -0.3)])

@@ -46,11 +46,6 @@ def after(last: Pose2, now: Sweep, **settings: float) -> ExpectedMotion:
     return model.expect(now)
 
 
-def test_nothing_is_expected_of_the_first_sweep() -> None:
-    expected = MotionModel(RegistrationConfig()).expect(sweep(5.0, Pose2(3.0, 2.0, 1.0), True))
-    assert expected == dataclasses.replace(expecting(measured=False), interval_s=0.0)
-
-
 @pytest.mark.parametrize(
     ("distance_m", "gap_s", "jumped"),
     [
@@ -73,13 +68,6 @@ def test_odometry_farther_than_a_robot_drives_is_a_reset(
     assert expected.interval_s == max(0.0, gap_s)
 
 
-def test_limits_of_a_jump_are_settings() -> None:
-    far = sweep(1.0, Pose2(9.0, 0.0, 0.0))
-    assert after(IDENTITY, far).jumped
-    assert not after(IDENTITY, far, odometry_jump_m=8.0, odometry_jump_mps=1.0).jumped
-    assert after(IDENTITY, far, odometry_jump_m=7.9, odometry_jump_mps=1.0).jumped
-
-
 def test_after_a_jump_odometry_counts_from_its_new_place() -> None:
     model = MotionModel(RegistrationConfig())
     flags = []
@@ -88,14 +76,6 @@ def test_after_a_jump_odometry_counts_from_its_new_place() -> None:
         flags.append((expected.measured, expected.jumped))
     assert flags == [(False, False), (True, False), (False, True), (True, False)]
     assert expected.motion.x == pytest.approx(0.1)
-
-
-def test_a_sweep_without_odometry_leaves_two_motions_unmeasured() -> None:
-    model = MotionModel(RegistrationConfig())
-    at = [IDENTITY, Pose2(0.1, 0, 0), None, Pose2(0.3, 0, 0), Pose2(0.4, 0, 0)]
-    found = [model.expect(sweep(0.1 * k, odometry)) for k, odometry in enumerate(at)]
-    assert [expected.measured for expected in found] == [False, True, False, False, True]
-    assert not any(expected.jumped for expected in found)
 
 
 @given(poses, poses)
@@ -137,26 +117,6 @@ def test_a_motion_held_to_the_limits_is_told_where_it_is_used(
     assert after(last, now).shortened == shortened
 
 
-def test_limits_of_what_is_carried_on_are_settings() -> None:
-    last = Pose2(3.0, -2.0, 2.0)
-    wide = after(last, sweep(), carried_forward_m=5.0, carried_sideways_m=1.5, carried_rad=3.0)
-    assert wide.motion == Pose2(3.0, -1.5, 2.0)
-    assert wide.shortened
-
-
-def test_two_confirmed_motions_widen_what_is_carried_on() -> None:
-    """One alone may be an error. A robot may speed up by half from one scan to the next."""
-    model = MotionModel(RegistrationConfig())
-    long = Pose2(2.0, 0.0, 0.0)
-    carried = []
-    for confirmed in (True, False, True):
-        model.conclude(long, confirmed=confirmed)
-        carried.append(model.expect(sweep()).carried.x)
-    assert carried == [0.5, 0.5, 2.0]
-    model.conclude(Pose2(9.0, -0.5, 0.3))
-    assert model.expect(sweep()).carried == Pose2(3.0, -0.2, 0.3)
-
-
 BOTH = (True, True)
 
 
@@ -179,14 +139,6 @@ def test_an_unknown_odometry_is_held_to_what_wheels_err(motion: Pose2, away: Pos
     assert UNKNOWN.trusted
 
 
-def test_exact_odometry_narrows_the_slack_to_half_and_no_further() -> None:
-    step = Pose2(0.5, 0.0, 0.0)
-    before, few, many = (learnt(step, IDENTITY, times).slack(step) for times in (0, 20, 200))
-    assert few.along_m == pytest.approx(before.along_m)  # the prior wears off slowly
-    for name in ("along_m", "across_m", "turn_rad"):
-        assert getattr(many, name) == pytest.approx(getattr(before, name) / 2)
-
-
 def test_bad_odometry_widens_the_slack_and_loses_trust() -> None:
     step = Pose2(0.5, 0.0, 0.0)
     bad = again = learnt(step, Pose2(0.3, 0.0, 0.0), 60)  # two slacks
@@ -207,14 +159,6 @@ def test_a_fifth_of_wrong_registrations_does_not_spoil_the_measure() -> None:
         reliance = reliance.after(step, Pose2(0.9 if k % 7 == 0 else 0.01, 0.0, 0.0), BOTH)
     assert reliance.trusted
     assert not reliance.slacks(step, Pose2(0.2, 0.0, 0.0)) < 1.0
-
-
-@pytest.mark.parametrize("fixed", [(False, True), (True, False), (False, False)])
-def test_directions_that_walls_do_not_fix_say_nothing(fixed: tuple[bool, bool]) -> None:
-    reliance = learnt(Pose2(0.5, 0.0, 0.0), Pose2(0.3, 0.3, 0.0), 30, fixed)
-    assert len(reliance.along) == 30 * fixed[0]
-    assert len(reliance.across) == 30 * fixed[1]
-    assert len(reliance.turn) == 30
 
 
 @given(st.floats(-math.pi, math.pi), st.floats(-2.0, 2.0), st.floats(0.1, 3.0))
@@ -253,15 +197,6 @@ def test_a_motion_carried_on_errs_by_how_a_robot_speeds_up(
     for reliance in (UNKNOWN, worthless):  # odometry's worth does not matter without it
         assert agrees(reliance, measured=False) == near
     assert agrees(worthless, measured=True, slacks=3.0)
-
-
-def test_a_way_may_be_trusted_where_turns_are_not() -> None:
-    step = Pose2(0.5, 0.0, 0.0)
-    turning_badly = learnt(step, Pose2(0.0, 0.0, 0.2), 60)
-    assert turning_badly.trusted_place
-    assert not turning_badly.trusted
-    assert not learnt(step, Pose2(0.3, 0.0, 0.0), 60).trusted_place
-    assert turning_badly.place_slacks(step, Pose2(0.15, 0.0, 2.0)) == pytest.approx(2.0)
 
 
 AHEAD, ASIDE = Pose2(0.5, 0.0, 0.0), Pose2(0.0, 0.5, 0.0)

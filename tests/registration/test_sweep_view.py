@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.spatial import KDTree
 
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose
 from specmap_cli.core.records import PlanarScan, Sweep
@@ -57,13 +56,6 @@ def test_only_returns_in_range_are_walls() -> None:
     assert len(seen(circle(0, np.array([9.995, 10.0, 9.98, 5.0]))).walls) == 2
 
 
-def test_points_are_in_the_base_frame_of_a_laser_mounted_askew() -> None:
-    ahead = circle(0, np.array([np.nan, np.nan, 2.0, np.nan]))
-    sweep = dataclasses.replace(ahead, base_from_laser=Pose2(0.3, -0.1, np.pi / 2))
-    assert np.allclose(seen(sweep).walls, [[0.3, 1.9]])
-    assert np.allclose(seen(sweep).cloud, [[0.3, 1.9, 0.0]])
-
-
 @given(seeds, st.integers(1, 400))
 def test_thinning_keeps_one_return_a_cell_and_every_cell(seed: int, beams: int) -> None:
     ranges = np.random.default_rng(seed).uniform(0.1, 9.0, beams)
@@ -79,23 +71,9 @@ def test_thinning_keeps_one_return_a_cell_and_every_cell(seed: int, beams: int) 
     assert not view.cloud[:, 2].any()
 
 
-def test_a_dense_scan_is_thinned_evenly_to_the_most_allowed() -> None:
-    ranges = np.random.default_rng(1).uniform(7.0, 9.0, 6000)
-    view, most = seen(circle(0, ranges)), 600
-    assert most / 4 < len(view.walls) <= most
-    far, _ = KDTree(view.walls).query(circle(0, ranges).planar.hits())
-    assert far.max() < 16.0 / np.sqrt(most)  # no part of the scan is left out
-
-
 def cloud_sweep(cloud: FloatArray, times_s: FloatArray | None = None) -> Sweep:
     sweep = circle(0, np.full(64, 5.0))
     return dataclasses.replace(sweep, cloud=cloud, cloud_times_s=times_s)
-
-
-def test_a_cloud_is_cut_by_its_distance_over_ground() -> None:
-    cloud = np.array([[0.03, 0.0, 2.0], [3.0, 0.0, 9.0], [0.0, 40.0, 1.0], [0.0, 40.1, 0.0]])
-    assert rows(seen(cloud_sweep(cloud)).cloud) == rows(cloud[1:3])
-    assert rows(seen(cloud_sweep(cloud), cloud_range_m=10.0).cloud) == rows(cloud[1:2])
 
 
 @given(seeds)
@@ -247,17 +225,3 @@ def test_a_part_of_a_circle_stays_about_its_bearings() -> None:
     assert np.abs(found.bearings - bearings).max() < 0.35
     assert (np.diff(found.bearings) >= 0).all()
     assert (found.stamp_ns, found.range_max, found.full_circle) == (5, 10.0, False)
-
-
-@pytest.mark.parametrize(
-    ("motion", "same"),
-    [
-        (IDENTITY, True),
-        (Pose2(0.0009, 0.0, 0.00009), True),
-        (Pose2(0.002, 0.0, 0.0), False),
-        (Pose2(0.0, 0.0, 0.0002), False),
-    ],
-)
-def test_only_a_motion_that_a_sweep_can_show_moves_it(motion: Pose2, same: bool) -> None:
-    scan = skewed_room(IDENTITY, IDENTITY)
-    assert (deskewed(scan, IDENTITY, motion, PERIOD_S) is scan) == same

@@ -205,12 +205,6 @@ def test_spoiled_first_scans_cost_themselves_and_no_other(
     assert front_end.counts["breaks"] == 0
 
 
-def test_scans_come_out_one_by_one_once_a_map_stands(world: GridMap) -> None:
-    front_end = FrontEnd(RegistrationConfig())
-    sizes = [len(front_end.take(sweep)) for sweep in sweeps(world, path()[:8])]
-    assert sizes == [0, 2, 1, 1, 1, 1, 1, 1]
-
-
 def ring(radius_m: float, first: float = -3.0, last: float = 3.0) -> FloatArray:
     angles = np.linspace(first, last, 200)
     return radius_m * np.column_stack([np.cos(angles), np.sin(angles)])

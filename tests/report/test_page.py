@@ -135,13 +135,6 @@ def test_submaps_doors_and_findings_are_told_of_wherever_they_are(page: str, rea
     assert "doubtful" in page
 
 
-def test_words_in_tables_are_not_broken_in_the_middle(page: str) -> None:
-    """A long name made the column beside it so narrow that `room` stood as `roo` over `m`."""
-    assert re.search(r"\bbody \{[^}]*overflow-wrap: anywhere", page)
-    assert re.search(r"\btable \{[^}]*overflow-wrap: normal", page)
-    assert re.search(r"\.sortable :is\(th, td\) \{[^}]*white-space: nowrap", page)
-
-
 def test_headings_and_names_for_those_who_hear_the_page(read: Read) -> None:
     every = [attributes for _, attributes in read.tags]
     assert [tag for tag, _ in read.tags if tag == "h1"] == ["h1"]

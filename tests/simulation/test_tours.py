@@ -116,26 +116,6 @@ def test_ways_on_the_lattice_are_those_of_a_king_on_a_board_and_cost_more_near_w
     assert (ratio[~roomy] > 1.0).all()
 
 
-@pytest.mark.parametrize("resolution", [0.02, 0.05, 0.25])
-def test_the_reachable_area_is_that_in_which_the_disc_fits(resolution: float) -> None:
-    space = reachable_space(World.of(room(6.0, 4.0, resolution)), 0.5, COMFORT)
-    step = max(0.1, resolution)
-    assert space.area_m2 == pytest.approx(5.0 * 3.0, abs=(5.0 + 3.0) * 2.0 * step)
-    inner = space.points.min(axis=0) - resolution, space.points.max(axis=0) - resolution
-    assert inner[0].min() >= 0.5
-    assert (inner[1] <= np.array([6.0, 4.0]) - 0.5).all()
-
-
-def test_a_larger_comfort_keeps_the_path_farther_from_walls() -> None:
-    hall = World.of(room(12.0, 5.0))
-    clearance = []
-    for comfort in (0.3, 2.0):
-        space = reachable_space(hall, RADIUS, comfort)
-        path = tours.plan_tour(hall, space, 2.0, 1, np.random.default_rng(1))
-        clearance.append(hall.clearance_at(path).mean())
-    assert clearance[1] > clearance[0] + 0.1
-
-
 def rates(driven: Drive) -> tuple[FloatArray, FloatArray]:
     """Metres and radians a second between the poses of a drive."""
     seconds = np.diff(driven.times_s)
@@ -178,16 +158,6 @@ def test_a_straight_way_is_driven_as_fast_as_physics_lets(length: float) -> None
         path = np.column_stack([np.linspace(0.0, length, points), np.zeros(points)])
         expected = length / peak + peak / a
         assert drive(path, USUAL).duration_s == pytest.approx(expected, rel=2e-3)
-
-
-def test_braking_and_speeding_up_stay_within_the_acceleration() -> None:
-    path = winding(4, 4000, 0.05)
-    driven = drive(path, USUAL)
-    speeds, _ = rates(driven)
-    middles = 0.5 * (driven.times_s[:-1] + driven.times_s[1:])
-    # speeds are averages between points, so that the first of a standstill looks like a jump
-    gentle = np.abs(np.diff(speeds)) <= USUAL.acceleration_mps2 * np.diff(middles) + 1e-6
-    assert gentle.mean() > 0.9
 
 
 def test_the_robot_looks_where_it_drives_and_turns_in_place_at_corners() -> None:

@@ -6,13 +6,10 @@ All is judged in one frame, where both saw.
 from __future__ import annotations
 
 import dataclasses
-import math
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import IDENTITY, BentMotion, FloatArray, Pose2
@@ -124,15 +121,6 @@ def test_a_way_cut_through_a_wall_is_opened_and_half_a_door_is_not_closed() -> N
     assert len(found.appeared) == 1
 
 
-def test_places_of_the_new_map_are_told_in_the_frame_of_the_old_one() -> None:
-    new = drawn(flat(), CABINET)
-    shifted = Regions(GridMap(new.grid.cells, CELL_M, (7.0, -2.0)), new.owner, new.outlines)
-    old_from_new = BentMotion(Pose2(-7.0, 2.0, 0.0))
-    found = differences(flat(), shifted, (TRACK, TRACK + (7.0, -2.0)), old_from_new)
-    assert found.appeared[0].centre == pytest.approx([2.9, 1.2], abs=0.05)
-    assert found.appeared[0].corners.mean(axis=0) == pytest.approx([2.9, 1.2], abs=0.05)
-
-
 COARSE_M = 0.1
 
 
@@ -168,20 +156,6 @@ def same_of(identity: Identity) -> dict[int, int]:
     return {pair.old: pair.new for pair in identity.same}
 
 
-def test_a_map_is_the_same_as_itself() -> None:
-    found = identify(pictured(HOUSE), pictured(HOUSE), IDENTITY)
-    assert same_of(found) == {0: 0, 1: 1, 2: 2}
-    assert all(pair.iou == pytest.approx(1.0) for pair in found.same)
-    assert found == Identity(same=found.same, **NOTHING)
-
-
-def test_other_numbers_and_borders_a_little_elsewhere() -> None:
-    new = pictured("#########\n#777#333#\n#777#335#\n#5555555#\n#########")
-    found = identify(pictured(HOUSE), new, IDENTITY)
-    assert same_of(found) == {0: 7, 1: 3, 2: 5}
-    assert {pair.old: round(pair.iou, 2) for pair in found.same} == {0: 1.0, 1: 0.83, 2: 0.87}
-
-
 def test_a_split_submap_keeps_its_id_in_the_larger_part_as_does_a_merged_one() -> None:
     split = pictured("#########\n#000#111#\n#000#111#\n#2222233#\n#########")
     found = identify(pictured(HOUSE), split, IDENTITY)
@@ -210,29 +184,6 @@ def test_borders_drawn_all_anew_and_maps_without_a_cell_in_common() -> None:
     found = identify(pictured(HOUSE), pictured(HOUSE), Pose2(100.0, 0.0, 0.0))
     assert not found.same
     assert found.new == found.unseen == (0, 1, 2)
-
-
-@given(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.floats(-math.pi, math.pi, exclude_max=True))
-def test_the_frame_of_the_new_map_does_not_matter(x: float, y: float, turn: float) -> None:
-    old_from_new = Pose2(x, y, turn)
-    old = pictured(HOUSE)
-    side = 200
-    cells = np.argwhere(np.ones((side, side), dtype=bool))
-    canvas = GridMap(np.full((side, side), UNKNOWN, dtype=np.uint8), COARSE_M, (-10.013, -10.027))
-    places = old_from_new.apply(canvas.centres_of(cells))
-    inside = old.grid.inside(old.grid.cells_of(places))
-    owner = np.full((side, side), NOBODY)
-    rows, columns = old.grid.cells_of(places[inside]).T
-    owner.reshape(-1)[inside] = old.owner[rows, columns]
-    canvas.cells.reshape(-1)[:] = old.grid.values_at(places)
-    found = identify(old, Regions.of(canvas, owner), old_from_new)
-    whole = {
-        i
-        for i in (0, 1, 2)
-        if np.count_nonzero(owner == i) > 0.98 * np.count_nonzero(old.owner == i)
-    }
-    assert {i: i for i in whole}.items() <= same_of(found).items()
-    assert all(pair.iou > 0.8 for pair in found.same if pair.old in whole)
 
 
 def test_what_went_to_others_and_came_from_them_is_told_of_floor_that_both_saw() -> None:

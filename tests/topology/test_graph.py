@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose
 from specmap_cli.core.records import Closure, IntArray, Labels
-from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.topology.graph import (
     Heritage,
     build_topology,
@@ -198,16 +198,6 @@ def test_what_is_an_excursion(labels: str, settled: str) -> None:
     assert "".join(map(chr, found)) == settled
 
 
-@given(LABELS, st.floats(0.0, 6.0))
-def test_settling_only_removes_stays(labels: list[int], min_path_m: float) -> None:
-    found = settle_labels(np.array(labels), line_of_poses(len(labels)), min_path_m).tolist()
-    assert (found[0], found[-1]) == (labels[0], labels[-1])
-    changed = [k for k, (a, b) in enumerate(zip(labels, found, strict=True)) if a != b]
-    for k in changed:
-        assert found[k] == found[k - 1], "a stay becomes part of the one before"
-    assert sum(a != b for a, b in pairwise(found)) <= sum(a != b for a, b in pairwise(labels))
-
-
 @given(PAIRS, st.randoms(use_true_random=False))
 def test_merging_agrees_with_connected_components_in_any_order(
     pairs: list[tuple[int, int]], shuffle: random.Random
@@ -307,13 +297,6 @@ def test_old_borders_stay_where_the_joint_division_differs_and_move_with_the_key
 ) -> None:
     _, labels = labels_after(rooms(2), way(1.0, 7.5), second, moved=moved)
     assert (labels != room_of(second)).sum() <= 2
-
-
-def test_the_rest_of_a_room_that_was_half_seen_goes_to_its_submap() -> None:
-    half = rooms(2).cells.copy()
-    half[:, 62:] = UNKNOWN
-    _, labels = labels_after(GridMap(half, 0.1), way(1.0, 5.8), way(5.0, 7.8), joint=0)
-    assert set(labels.tolist()) == {1}
 
 
 def test_a_new_room_only_looked_into_is_none_and_all_in_new_space_is_a_submap() -> None:

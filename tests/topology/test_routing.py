@@ -11,7 +11,7 @@ import pytest
 
 from specmap_cli.topology.navigation import Roads, Route
 from tests.topology.rooms import regions_of, two_rooms
-from tests.topology.test_ways import NARROW, NORTH, SOUTH, forbidden, two_doors
+from tests.topology.test_ways import NARROW, NORTH, forbidden, two_doors
 
 RADIUS_M = 0.2
 
@@ -44,15 +44,6 @@ def test_a_route_within_a_room_is_straight_and_one_to_the_same_place_has_no_leng
     assert roads(NORTH).route((1.0, 1.0), (1.0, 1.0)).length_m == 0.0
 
 
-def test_a_route_goes_round_through_the_door_that_nobody_forbade() -> None:
-    free = roads(NORTH, SOUTH).route((1.0, 1.0), (9.0, 1.0))
-    (near,) = free.doors
-    around = roads(NORTH, SOUTH, shut=(near.id,)).route((1.0, 1.0), (9.0, 1.0))
-    (far,) = around.doors
-    assert far.id != near.id
-    assert around.length_m > free.length_m + 1.0
-
-
 def test_no_route_leads_through_what_is_forbidden() -> None:
     shut = roads(NORTH, shut=(0,)).route((1.0, 1.0), (9.0, 1.0))
     assert not shut
@@ -78,10 +69,3 @@ def test_why_there_is_none(door: Any, goal: tuple[float, float], why: str) -> No
     regions = two_rooms(door)
     found: Route = Roads(regions, (), [], RADIUS_M).route((1.0, 1.0), goal)
     assert why in found.why
-
-
-def test_a_robot_beside_a_wall_drives_off_it_first() -> None:
-    found = roads(NORTH).route((0.35, 2.0), (4.0, 2.0))
-    assert found.points[0].tolist() == [0.35, 2.0]
-    assert found.rooms == (0,)
-    assert found.length_m == pytest.approx(3.65, rel=0.05)

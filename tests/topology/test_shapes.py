@@ -104,17 +104,6 @@ def area(polygon: NDArray[Any]) -> float:
     return 0.5 * float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
 
 
-def test_a_rectangle() -> None:
-    grid = GridMap(np.full((20, 30), FREE, dtype=np.uint8), 0.1, (1.0, 2.0))
-    shape = outline(grid)
-    assert shape.area_m2 == pytest.approx(6.0)
-    assert len(shape.polygon) == 4
-    assert area(shape.polygon) == pytest.approx(6.0, rel=0.06)  # counter-clockwise: positive
-    assert shape.polygon.min(axis=0) == pytest.approx((1.0, 2.0), abs=0.05)
-    assert shape.polygon.max(axis=0) == pytest.approx((4.0, 4.0), abs=0.05)
-    assert shape.centroid == pytest.approx((2.5, 3.0), abs=0.06)
-
-
 def test_the_centroid_lies_inside_an_l_and_thin_regions_keep_an_area() -> None:
     shape = outline(grid_of(["...     ", "...     ", "...     ", "........", "........"]))
     assert shape.centroid is not None
@@ -137,27 +126,10 @@ def test_a_polygon_does_not_cross_itself() -> None:
         assert shapely.Polygon(outline(grid).polygon).is_valid, seed
 
 
-def test_the_polygon_is_that_of_the_largest_part() -> None:
-    shape = outline(grid_of(["....  .", "....   ", "      ."]))
-    assert shape.area_m2 == pytest.approx(10 * 0.25)
-    assert shape.polygon[:, 0].max() < 12.1
-    assert shape.polygon[:, 1].min() > -3.6
-    shape = outline(grid_of(["  ", "  "]))
-    assert (len(shape.polygon), shape.centroid, shape.area_m2) == (0, None, 0.0), "nothing free"
-
-
 def labels_at(places: dict[int, tuple[float, float]]) -> Labels:
     """One keyframe in each submap."""
     poses = np.array([(x, y, 0.0) for x, y in places.values()])
     return Labels(stamps_ns=np.arange(len(places)), poses=poses, submaps=np.array(list(places)))
-
-
-def test_shared_cells_go_to_the_nearest_keyframe() -> None:
-    grid = GridMap(np.full((4, 10), FREE, dtype=np.uint8), 1.0)
-    regions = divide(grid, labels_at({3: (1.5, 1.5), 5: (8.5, 1.5)}))
-    assert (regions.owner[:, :4] == 3).all()
-    assert (regions.owner[:, 6:] == 5).all()
-    assert set(np.unique(regions.owner)) == {3, 5}
 
 
 def test_a_room_that_was_not_entered_is_nobodys_up_to_its_door() -> None:
@@ -203,23 +175,6 @@ def test_regions_are_connected_and_hold_their_keyframes(seed: int) -> None:
     assert owned.sum() > 0.97 * grid.free.sum()
 
 
-@pytest.mark.parametrize(
-    ("shape", "resolution_m", "wall", "place"),
-    [((9, 20), 1.0, 10, (3.0, 3.0)), ((20, 30), 0.05, 20, (0.3, 0.3))],
-    ids=["rooms", "specks"],
-)
-def test_what_no_keyframe_reaches_is_nobodys(
-    shape: tuple[int, int], resolution_m: float, wall: int, place: tuple[float, float]
-) -> None:
-    cells = np.full(shape, FREE, dtype=np.uint8)
-    cells[:, wall] = OCCUPIED
-    if resolution_m < 1.0:
-        cells[:, wall + 2 :] = UNKNOWN
-    regions = divide(GridMap(cells, resolution_m), labels_at({0: place}))
-    assert (regions.owner[:, :wall] == 0).all()
-    assert (regions.owner[:, wall:] == NOBODY).all()
-
-
 def test_thin_rays_are_not_reached_but_a_doorway_of_half_a_metre_is_gone_through() -> None:
     """What single beams carved through a gap is no part of a room."""
     cells = np.full((40, 120), UNKNOWN, dtype=np.uint8)
@@ -231,13 +186,6 @@ def test_thin_rays_are_not_reached_but_a_doorway_of_half_a_metre_is_gone_through
     cells[:15, 35], cells[25:, 35] = OCCUPIED, OCCUPIED
     regions = divide(GridMap(cells, 0.05), labels_at({0: (1.0, 1.0)}))
     assert (regions.owner[cells == FREE] == 0).all()
-
-
-def test_where_the_robot_stood_is_reached_even_when_marked_occupied() -> None:
-    cells = np.full((9, 20), FREE, dtype=np.uint8)
-    cells[4, 4] = OCCUPIED
-    regions = divide(GridMap(cells, 1.0), labels_at({0: (4.5, 4.5)}))
-    assert regions.outline(0).area_m2 == 9 * 20 - 1
 
 
 def test_the_area_of_a_submap_is_that_of_its_free_cells_and_furniture_is_none() -> None:

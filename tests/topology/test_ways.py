@@ -24,7 +24,7 @@ from specmap_cli.topology.doors import passages
 from specmap_cli.topology.navigation import Shut, with_detours, with_shut, with_ways
 from specmap_cli.topology.regions import NOBODY, Regions, Space
 from specmap_cli.topology.topological_map import Door, Edge, Submap, TopologicalMap, Traversal
-from specmap_cli.topology.ways import Anchor, Way, anchors_of, cells_on, straightened, tree, ways
+from specmap_cli.topology.ways import Anchor, Way, anchors_of, cells_on, tree, ways
 from tests.topology.rooms import Box, regions_of, two_rooms
 
 
@@ -98,14 +98,6 @@ def test_two_doors_are_two_though_the_border_lies_beyond_both() -> None:
     doors, _ = found_between(regions)
     assert [door.y for door in doors] == pytest.approx([2.55, 3.5], abs=0.1)
     assert [door.width_m for door in doors] == pytest.approx([0.9, 0.8], abs=0.01)
-
-
-def test_a_door_is_found_where_a_border_lies_beside_it() -> None:
-    regions = two_rooms((5.3, 2.5, 5.5, 3.4))
-    columns = np.arange(regions.owner.shape[1])[None, :]
-    leaked = np.where((regions.owner == 1) & (columns < 120), 0, regions.owner)  # half a metre
-    door = door_of(Regions.of(regions.grid, leaked))
-    assert (door.x, door.width_m) == pytest.approx((5.4, 0.9), abs=0.12)
 
 
 @pytest.mark.parametrize(
@@ -216,12 +208,6 @@ def test_an_anchor_is_in_the_middle_of_a_room_but_keeps_off_a_table_there() -> N
     assert anchor.clearance_m == pytest.approx(room_of(space.grid)[anchor.cell])
 
 
-def test_an_anchor_of_a_narrow_place_is_where_it_is_widest_and_tells_how_wide() -> None:
-    space, anchor, _ = anchored((3.3, 1.2), [(0.3, 0.3, 3.0, 0.65), (1.0, 0.3, 1.3, 0.8)])
-    assert anchor.clearance_m == pytest.approx(room_of(space.grid).max())
-    assert anchor.clearance_m < RADIUS_M + 0.1
-
-
 def test_an_anchor_is_where_the_robot_was_not_behind_glass_or_a_railing() -> None:
     rooms = [(0.3, 0.3, 2.0, 3.7), (2.2, 0.3, 8.0, 3.7)]
     stood = np.array([[20, 20], [40, 25]])
@@ -263,14 +249,6 @@ def test_the_cheapest_way_is_that_of_another_search(seed: int) -> None:
             assert way[[0, -1]].tolist() == [[0, 0], cell]
             steps = [(tuple(a), tuple(b)) for a, b in pairwise(way.tolist())]
             assert sum(graph.edges[step]["weight"] for step in steps) == pytest.approx(cost)
-
-
-def test_a_search_that_starts_in_a_wall_leads_nowhere_and_one_cell_is_a_point() -> None:
-    free = np.zeros((3, 3), dtype=np.bool_)
-    free[2] = True
-    found = tree(np.argwhere(free), np.ones(3), (0, 0))
-    assert np.isinf(found.cost_to(np.array([[0, 0], [2, 1]]))).all()
-    assert straightened(np.array([[4, 4]]), np.ones((9, 9)).__getitem__).tolist() == [[4, 4]]
 
 
 def told(cells: IntArray) -> set[tuple[int, ...]]:

@@ -202,28 +202,6 @@ def test_a_reading_of_80_m_is_no_return_and_a_line_without_ipc_time_takes_the_lo
     assert sweep.stamp_ns == 7_250_000_000
 
 
-def test_a_keyword_that_damage_joined_with_what_follows_is_told(path: Path) -> None:
-    """A no-break space in the place of a blank has two bytes."""
-    sound = flaser(0.5, AHEAD)
-    path.write_text(sound + sound.replace("FLASER ", "FLASER\u00a0"), encoding="utf-8")
-    sweeps, stream = sweeps_of(path)
-    assert len(sweeps) == 1
-    assert stream.log.damage == [
-        f"{path}: line 2 (byte {len(sound)}) is damaged: one FLASER after 0.500 s is lost"
-    ]
-
-
-@pytest.mark.parametrize("word", ["ROBOLASER1", "ROBOTLASER", "ROBOTTLASER1", "ROBOTLASER1x"])
-def test_a_keyword_that_lacks_a_byte_or_has_one_more_is_told(path: Path, word: str) -> None:
-    sound = robotlaser(0.5)
-    path.write_text(sound + sound.replace("ROBOTLASER1", word))
-    sweeps, stream = sweeps_of(path)
-    assert len(sweeps) == 1
-    assert stream.log.damage == [
-        f"{path}: line 2 (byte {len(sound)}) is damaged: one ROBOTLASER1 after 0.500 s is lost"
-    ]
-
-
 @pytest.mark.parametrize("line", [robotlaser(1.0), flaser(1.0), odom("1.0")])
 def test_a_line_whose_keyword_is_damaged_is_told(path: Path, line: str) -> None:
     """Its keyword comes once, unlike another sensor's."""
@@ -236,15 +214,39 @@ def test_a_line_whose_keyword_is_damaged_is_told(path: Path, line: str) -> None:
             assert all("after 0.500 s is lost" in one for one in told), damaged
 
 
-def test_a_digit_of_a_keyword_that_is_a_letter_is_damage(path: Path) -> None:
-    """Another digit is another laser."""
-    path.write_text(
-        flaser(0.5)
-        + robotlaser(1.0).replace("SER1", "SERq")
-        + robotlaser(2.0).replace("SER1", "SER2") * 2
-    )
-    _, (told,) = read_rest(path)
-    assert "one ROBOTLASER1 after 0.500 s is lost" in told
+HOLE = "\0" * 50 + " 1.0 robot 1.0\n"  # it swallowed the end of a line and the lines after it
+NO_TEXT = "one piece that is no text after 1.500 s is lost"
+LATER_LASERS = robotlaser(2.0).replace("SER1", "SER2") * 2  # another digit is another laser
+NO_BREAK = flaser(2.0).replace("FLASER ", "FLASER\u00a0")  # which has two bytes
+TWO_LEFT = "OD0" + flaser(2.0)[30:].replace(BASE, "1.0 2\x7f0 0.0") + flaser(2.5)
+OVER_A_BREAK = "ODOM 0 0 0 0 0 0 2.0 fuzz 2.0" + "\0\0\0\0" + robotlaser(2.5)[3:]
+CUT_WITHIN = robotlaser(2.0).replace(" 0.4 0.3 ", " ").replace(" nohost 2.", " nohost 3.")
+
+
+@pytest.mark.parametrize(
+    ("line", "scans", "told"),
+    [
+        pytest.param(NO_BREAK, 1, "one FLASER after 1.500 s", id="a no-break space for a blank"),
+        *(
+            (robotlaser(2.0).replace("ROBOTLASER1", word), 1, "one ROBOTLASER1 after 1.500 s")
+            for word in ("ROBOLASER1", "ROBOTLASER", "ROBOTTLASER1", "ROBOTLASER1x")
+        ),
+        (robotlaser(1.0).replace("SER1", "SERq") + LATER_LASERS, 1, "one ROBOTLASER1 after 1.500"),
+        *((start + HOLE + flaser(2.5) + "\0" * 20, 2, NO_TEXT) for start in ("# a c", "0.12 ")),
+        ("FL\x1f2.67 " + HOLE + flaser(2.5), 2, NO_TEXT),
+        pytest.param(TWO_LEFT, 2, NO_TEXT, id="a control sign in what is left of two lines"),
+        pytest.param(OVER_A_BREAK, 1, NO_TEXT, id="zeros over the end of a whole line"),
+        pytest.param(CUT_WITHIN, 1, "one ROBOTLASER1 after 1.500 s", id="numbers cut out"),
+    ],
+)
+def test_a_scan_that_damage_hides_is_told(path: Path, line: str, scans: int, told: str) -> None:
+    """Some were lost in silence, or had the logger's time for their stamp."""
+    known = robotlaser(1.5) if "ROBOT" in told or line is OVER_A_BREAK else flaser(1.5)
+    path.write_text(known + line, encoding="utf-8")
+    found, (said,) = read_rest(path)
+    assert sum("laser" in message.topic for message in found) == scans
+    assert "line 2 (byte " in said
+    assert told in said
 
 
 @pytest.mark.parametrize("cut", [3, 5, 16])
@@ -323,35 +325,6 @@ def test_lines_of_other_kinds_are_no_damage(path: Path, line: str) -> None:
     assert said == []
 
 
-@pytest.mark.parametrize("start", ["# a comm", "0.12 ", "FL\x1f2.67 "])
-def test_zeros_inside_a_line_are_told(path: Path, start: str) -> None:
-    """A hole in the file swallowed the end of a line and the lines after it."""
-    hole = start + "\0" * 50 + " 1.0 robot 1.0\n"
-    path.write_text(flaser(1.5) + hole + flaser(2.5) + "\0" * 20)
-    found, (told,) = read_rest(path)
-    assert sum(m.topic == "/flaser" for m in found) == 2
-    assert "line 2 (byte " in told
-    assert "one piece that is no text after 1.500 s is lost" in told
-
-
-def test_a_control_sign_in_what_is_left_of_two_lines_is_told(path: Path) -> None:
-    """Their ends tell nothing where a number of the last is damaged, too."""
-    left = "OD0" + flaser(2.0)[30:].replace(BASE, "1.0 2\x7f0 0.0")
-    path.write_text(flaser(1.5) + left + flaser(2.5))
-    found, (told,) = read_rest(path)
-    assert sum(m.topic == "/flaser" for m in found) == 2
-    assert "one piece that is no text after 1.500 s is lost" in told
-
-
-def test_zeros_over_a_line_break_behind_a_whole_line_are_told(path: Path) -> None:
-    """They took the first letters of the next line, too: a scan was lost in silence."""
-    odometry, lost = "ODOM 0 0 0 0 0 0 2.0 fuzz 2.0", "\0\0\0\0" + robotlaser(2.5)[3:]
-    path.write_text(robotlaser(1.5) + odometry + lost)
-    found, (told,) = read_rest(path)
-    assert sum(m.topic == "/robotlaser1" for m in found) == 1
-    assert "one piece that is no text after 1.500 s is lost" in told
-
-
 @pytest.mark.parametrize("line", [flaser(2.5), robotlaser(2.5)])
 @pytest.mark.parametrize(
     "into",
@@ -383,14 +356,3 @@ def test_a_line_without_its_beginning_is_told(path: Path, into: str, line: str) 
     assert [m.time_ns for m in found if m.topic == "/odom"] == [1_500_000_000]
     assert "line 2 (byte " in told
     assert "after 1.500 s is lost" in told
-
-
-def test_a_laser_line_that_ends_before_its_place_is_told(path: Path) -> None:
-    """Two of its numbers were cut out with what is between: the logger's time was its stamp."""
-    whole = robotlaser(2.0)
-    path.write_text(
-        flaser(1.5) + whole.replace(" 0.4 0.3 ", " ").replace(" nohost 2.", " nohost 3.")
-    )
-    found, (told,) = read_rest(path)
-    assert [m.time_ns for m in found if m.topic == "/odom"] == [1_500_000_000]
-    assert "one ROBOTLASER1 after 1.500 s is lost" in told

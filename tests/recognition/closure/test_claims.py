@@ -93,24 +93,6 @@ def test_an_old_submap_is_never_among_the_negatives_that_judge_it(
     assert sorted(i for out in left_out["new"] for i in out) == [0, 1, 2, 3, 4]
 
 
-def test_of_a_submap_visited_often_no_more_scans_are_asked_than_of_one_visited_twice(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    made = ranker(altered(TREES, "recognition", {"samples_per_submap": 40}), 2)
-    asking = watched(monkeypatch, claims, "_claims")
-    counts = []
-    for visit in range(1, 13):
-        asking.clear()
-        made.claims(scans_of(9))
-        asked = asking[1][3]  # one group after the other: submap 1 is the second
-        assert len(asked) % visit == 0  # every stay alike
-        counts.append(len(asked))
-        made.remember(10 + visit, scans_of(1, seed=visit))
-        made.merge(1, 10 + visit)
-    assert counts[:2] == [40, 80]
-    assert max(counts) <= 96  # eight of each stay at the least
-
-
 def test_negatives_are_capped_and_of_all_submaps_alike_however_often_they_were_visited(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -289,17 +271,6 @@ def test_a_way_is_as_short_as_the_matches_on_it_make_it(
         way.confirm(along(old), along(new), mended_m)
     assert way.between(along(start), along(end)) == pytest.approx(metres)
     assert way.between(along(end), along(start)) == pytest.approx(metres)
-
-
-def test_a_match_that_cuts_no_way_short_or_of_an_unknown_frame_is_not_kept() -> None:
-    way = DriftGraph(CONFIG)
-    assert math.isnan(way.between(along(math.inf), along(math.inf))), "after two losses"
-    way.confirm(along(0.0, None), along(80.0), 0.0)
-    way.confirm(along(0.0), along(80.0, None), 0.0)
-    for mended_m in (0.2, 0.3, 0.2, 0.1):
-        way.confirm(along(0.0), along(80.0), mended_m)
-    way.confirm(along(80.0), along(81.0), 0.3)
-    assert [metres * CONFIG.max_drift for _, _, metres in way._ties] == pytest.approx([0.2, 0.1])
 
 
 places = st.floats(0.0, 500.0)

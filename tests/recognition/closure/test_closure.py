@@ -17,11 +17,9 @@ from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import Closure
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.gridmap import UNKNOWN, GridMap, PackedGrid
-from specmap_cli.recognition.closure import loop_closer
 from specmap_cli.recognition.closure.claims import ClaimRanker, Claims
 from specmap_cli.recognition.closure.loop_closer import LoopCloser
 from specmap_cli.recognition.closure.verification import Check
-from tests.recognition.watching import watched
 from tests.turning import altered, configured, turned
 
 QUICK = RecognitionConfig(closure_rounds=20)
@@ -263,23 +261,6 @@ def test_a_stay_merged_away_is_named_by_its_own_number(building: Any, oracle: Or
     loop.merge(closures[0].old, closures[0].new)
     assert sorted(loop._submaps) == [0, 1]
     assert [stay.number for stay in loop._submaps[0]] == [0, 4, 8]
-
-
-def test_a_stay_is_kept_cropped_and_sampled_prepared_once_and_is_left_as_it_was(
-    building: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked = watched(monkeypatch, loop_closer, "prepared")
-    loop = closer(small({"candidates": 9, "samples_per_submap": 5}))
-    stay = building.visit(0, 0)
-    wide = GridMap(np.pad(stay.grid.cells, 50, constant_values=UNKNOWN), 0.05)
-    handed, features = replace(stay, packed=PackedGrid.of(wide)), stay.features.copy()
-    loop.consider(handed)
-    np.testing.assert_array_equal(handed.features, features)
-    assert handed.grid.cells.shape == wide.cells.shape
-    assert len(loop._submaps[0][0].features) == 5
-    considered(loop, building, [1, 2, 3])
-    assert len(asked) == 4
-    assert all(grid.cells.shape < wide.cells.shape for (grid,) in asked)
 
 
 @given(st.lists(st.integers(0, 5), min_size=1, max_size=30))

@@ -19,12 +19,10 @@ from specmap_cli.core.geometry import (
     compose,
     invert,
     wrap_angle,
-    wrap_angles,
 )
 from specmap_cli.core.settings import GridConfig, RecognitionConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.occupancy import OccupancyGrid
-from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.recognition.closure.verification import (
     _CONTRADICTION_DEPTH_M,
     _CONTRADICTION_M,
@@ -33,14 +31,12 @@ from specmap_cli.recognition.closure.verification import (
     MIN_WALL_M,
     Check,
     PreparedGrid,
-    headings,
     judge,
     prepared,
     tracks_overlap,
     verify,
     wall_direction,
 )
-from tests.recognition.watching import watched
 from tests.strategies import angles, few, pose_arrays, poses
 from tests.turning import turn
 
@@ -224,37 +220,11 @@ def test_of_two_ways_that_a_hall_fits_the_plausible_one_is_sure(turned: bool) ->
     assert verify(room, room, lambda pose: pose.distance > 1.0) == matched(room, room)
 
 
-def two(building: Any, first: int, second: int) -> tuple[PreparedGrid, PreparedGrid]:
-    """Grids of a room and of another, or of the same one seen on another walk."""
-    return ready(building.visit(0, first).grid), ready(building.visit(1, second, seed=1).grid)
-
-
-def test_the_headings_that_are_tried_lay_walls_along_walls(building: Any) -> None:
-    old, new = two(building, 0, 1)
-    found = headings(old, new)
-    assert len(found) == 4
-    off = 4.0 * (np.array(found) - old.direction + new.direction)
-    assert np.abs(wrap_angles(off)).max() < 1e-6
-
-
 @pytest.mark.parametrize("degrees", [0, 10, 37, 80])
 def test_the_direction_of_walls_turns_with_them(degrees: float) -> None:
     hall = walls_at(moved(HALL, Pose2(0.0, 0.0, -math.radians(degrees))))
     off = wrap_angle(4.0 * (wall_direction(hall) - np.radians(degrees))) / 4.0
     assert abs(np.degrees(off)) < 1.0
-
-
-def test_walls_are_thinned_evenly_and_hardly_a_wall_cannot_be_prepared() -> None:
-    grid = walls_at(moved(HALL, Pose2(0.0, 0.0, 1.1)), resolution=0.015)
-    walls = ready(grid).walls
-    assert len(walls) == 1200 < np.count_nonzero(grid.occupied)
-    assert (grid.values_at(walls) == OCCUPIED).all()
-    everyone = grid.centres_of(np.argwhere(grid.occupied))
-    assert walls.mean(axis=0) == pytest.approx(everyone.mean(axis=0), abs=0.05)
-    for cells, enough in ((0, False), (9, False), (10, True)):
-        picture = np.full((30, 30), FREE, dtype=np.uint8)
-        picture[4, :cells] = OCCUPIED
-        assert (prepared(GridMap(picture, 0.05)) is not None) is enough, cells
 
 
 def test_walls_agree_beside_walls_and_contradict_deep_in_free_space() -> None:
@@ -285,10 +255,3 @@ def test_the_known_area_grows_by_what_an_inlier_may_be_off(inlier_m: float, marg
     turn("recognition", inlier_m=inlier_m)
     middle = ready(GridMap(cells, 0.05)).area.known[:, 15]
     assert np.flatnonzero(middle).tolist() == list(range(17 - margin, 17 + margin + 1))
-
-
-def test_fields_are_made_of_the_older_grid_alone_and_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    old, new = ready(walls_at(HALL)), ready(walls_at(HALL))
-    asked = watched(monkeypatch, ScoreField, "from_grid")
-    assert verify(old, new) == verify(old, new)
-    assert [grid is old.grid for grid, *_ in asked] == [True]

@@ -113,15 +113,6 @@ def test_scans_too_near_to_the_last_are_left_out_but_their_way_counts() -> None:
     assert np.isfinite(recent.scan(0, IDENTITY).ranges).sum() == 2
 
 
-def test_a_turn_on_the_spot_is_worth_a_scan() -> None:
-    recent = recent_scans(virtual_spacing_rad=0.3)
-    for theta in (0.0, 0.2, 0.4):
-        add(recent, np.array([[2.0, 0.0]]), Pose2(0.0, 0.0, theta))
-    seen = np.isfinite(recent.scan(0, IDENTITY).ranges)
-    assert seen.sum() == 2  # straight ahead, and at 0.4 rad; the turn of 0.2 added nothing
-    assert recent.filled == 0.0
-
-
 def test_after_a_restart_nothing_of_before_is_seen_and_the_window_fills_anew() -> None:
     recent = recent_scans()
     drive(recent, 3.0)

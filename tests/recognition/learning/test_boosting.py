@@ -144,13 +144,6 @@ def vote_of(entry: dict[str, Any], sample: dict[str, float]) -> float:
     return float(entry["votes"][leaf])
 
 
-def test_fitting_again_forgets_the_first_time() -> None:
-    booster = StumpBoost(NAMES, 9)
-    once = booster.fit(*blobs(12)).to_dict()
-    booster.fit(*blobs(13))
-    assert booster.fit(*blobs(12)).to_dict() == once
-
-
 def test_trees_learn_what_no_sum_of_stumps_can() -> None:
     rng = np.random.default_rng(0)
     X = rng.uniform(-1.0, 1.0, (400, 6))

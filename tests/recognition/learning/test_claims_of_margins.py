@@ -9,7 +9,6 @@ import pytest
 
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.recognition.learning.calibration import (
-    RAW_ALONE,
     Calibration,
     HeldOutMargins,
     calibrated,
@@ -46,10 +45,6 @@ def test_by_how_much_a_submap_refuses_a_scan_says_nothing() -> None:
     assert unclaimed == pytest.approx(np.full((1, 3), 1.0 / 3.0), abs=1e-3)
 
 
-def test_no_scan_is_certain() -> None:
-    assert np.exp(Calibration().alone(np.array([[1000.0, -1000.0]]))).max() < 0.999
-
-
 def test_scans_that_were_held_out_say_how_sure_a_map_is() -> None:
     usual = calibrated(drawn(0.48, 4000), None)
     assert usual.raw == pytest.approx(1.0, rel=0.15)
@@ -77,7 +72,3 @@ def test_a_view_that_leaves_more_open_goes_on_for_longer() -> None:
 
     found = [steadiness(among(count)) for count in (1, 2, 9)]
     assert found == pytest.approx([0.3, 0.6, 2.7], rel=0.12)
-
-
-def test_what_is_usual_is_not_sure_of_a_scan_on_the_fence() -> None:
-    assert RAW_ALONE.log(np.array([0.0]))[0] == pytest.approx(np.log1p(np.exp(-3.49)))

@@ -42,15 +42,6 @@ def test_about_the_wanted_share_of_samples_is_strange(share: float) -> None:
     assert (known.strangeness(fresh) > 1.0).mean() == pytest.approx(share, abs=0.06)
 
 
-def test_samples_of_another_place_are_far_from_every_exemplar() -> None:
-    made = samples_of(SMALL)
-    known = Familiarity("pairs").fit(made)
-    assert (known.strangeness(made[2]) <= 1.0).mean() > 0.9
-    foreign = made[2].copy()
-    foreign[:, 60:] += 0.4
-    assert (known.strangeness(foreign) > 1.0).all()
-
-
 def test_columns_that_are_no_histogram_do_not_count_and_shares_are_cut_to_their_bounds() -> None:
     made = samples_of(SMALL)
     known = Familiarity("pairs").fit(made)
@@ -77,13 +68,6 @@ def test_a_limit_needs_enough_samples(feature_set: str, counts: tuple[int, ...],
     width = len(feature_names(feature_set))
     made = {k: np.zeros((count, width)) for k, count in enumerate(counts)}
     assert Familiarity(feature_set).can_fit(made) is can
-
-
-def test_a_limit_needs_histograms(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        "specmap_cli.recognition.learning.calibration.histogram_columns", lambda _: []
-    )
-    assert not Familiarity("table1").can_fit({0: np.zeros((500, 52))})
 
 
 def test_samples_that_are_all_alike_leave_a_limit_of_nought() -> None:

@@ -36,14 +36,6 @@ def samples(centre: float, keyframes: np.ndarray) -> Samples:
     return Samples(rng.normal(centre, 1.0, shape), keyframes)
 
 
-def test_a_piece_in_four_is_held_out_but_not_the_first() -> None:
-    held = in_pieces_held_out(straight(60.0))
-    assert not held[:49].any()
-    assert held[52:98].all()
-    assert not held[102:248].any()
-    assert 0.2 < held.mean() < 0.3
-
-
 def test_only_places_that_the_rest_shows_are_tested() -> None:
     everywhere = samples(0.0, np.arange(600))
     line, there_and_back = straight(60.0), np.vstack([straight(30.0), straight(30.0)[::-1]])

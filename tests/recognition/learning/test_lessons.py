@@ -17,7 +17,6 @@ from specmap_cli.recognition.learning.sampling import (
     Samples,
     TrainingData,
     cast_samples,
-    of_keyframes,
     raw_samples,
     together,
     track_samples,
@@ -66,13 +65,6 @@ def test_lessons_of_keyframes_that_are_gone_are_gone() -> None:
     assert kept(NO_TRAINING_DATA.left(np.array([0]))) == [[]] * 4
     near = lessons.cast_near(np.arange(8) == 7)  # of cast samples those near some keyframes stay
     assert kept(near) == [[0, 3, 7], [0, 7], [3], [7, 7]]
-
-
-def test_samples_are_put_together_by_submap() -> None:
-    both = together({4: numbered(1), 2: numbered(0, 5)})
-    assert both.keyframes.tolist() == [0, 5, 1]
-    assert of_keyframes(both, [1, 5, 9]).keyframes.tolist() == [5, 1]
-    assert len(together({}).keyframes) == 0
 
 
 def test_lessons_of_several_maps_are_one() -> None:

@@ -171,24 +171,6 @@ def test_virtual_scans_are_cast_from_free_cells_near_the_submap_s_own_track(
         assert (gaps < 0.8).all()
 
 
-@pytest.mark.parametrize("augmentation", [0, 40, 400])
-def test_cast_scans_are_dealt_out_half_alike_and_half_by_area(
-    store: KeyframeStore,
-    grids: dict[int, GridMap],
-    monkeypatch: pytest.MonkeyPatch,
-    augmentation: int,
-) -> None:
-    cast = watched(monkeypatch, sampling, "cast_circles")
-    turn("recognition", augmentation_clearance_m=0.0, augmentation_reach_m=50.0)
-    found = samples_of(store, grids, augmentation=augmentation)
-    areas = {i: grid.free_area_m2 for i, grid in grids.items()}
-    for (_, origins, *_), submap in zip(cast, SUBMAPS, strict=True):
-        share = 0.25 + 0.5 * areas[submap] / sum(areas.values())
-        assert len(origins) == round(augmentation * share)
-    along = sum(len(X) for X in found.values()) - sum(len(origins) for _, origins, *_ in cast)
-    assert along == 30
-
-
 @pytest.mark.parametrize(("most", "along"), [(1, 1), (30, 30), (10_000, 76)])
 def test_the_track_gives_evenly_spread_samples_of_its_own_submaps(
     store: KeyframeStore, grids: dict[int, GridMap], most: int, along: int
@@ -208,25 +190,6 @@ def test_a_submap_without_a_free_cell_has_the_samples_of_its_track(
     found = samples_of(store, closed)
     assert len(found[2]) == len(samples_of(store, grids, augmentation=0)[2])
     assert len(found[0]) > len(found[2])
-
-
-def test_samples_are_repeatable_and_drawn_anew_for_another_seed(
-    store: KeyframeStore, grids: dict[int, GridMap]
-) -> None:
-    first, again, other = (samples_of(store, grids, seed)[0].tolist() for seed in (0, 0, 1))
-    assert first == again
-    assert first != other
-
-
-def test_exemplars_and_the_share_given_up_are_settings(store: KeyframeStore) -> None:
-    turn("recognition", exemplars=5)
-    few = raw_of(store, settings()).familiarity
-    turn("recognition", exemplars=12)
-    many = raw_of(store, settings(false_unknown=0.4)).familiarity
-    assert few is not None
-    assert many is not None
-    assert (len(few.exemplars_), len(many.exemplars_)) == (10, 24)
-    assert many.limit_ < few.limit_
 
 
 def test_a_feature_set_of_another_package_is_trained_and_used(

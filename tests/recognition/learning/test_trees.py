@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
@@ -44,19 +43,6 @@ def trees_of(X: FloatArray, y: FloatArray, rounds: int, share: float = 1.0) -> T
     found = made_up.trees(NAMES, X, y, rounds)
     assert isinstance(found, TreeBoost)
     return found
-
-
-@given(seeds, st.integers(1, 400))
-def test_codes_are_the_edges_that_a_value_reaches(seed: int, n: int) -> None:
-    X = np.random.default_rng(seed).normal(size=(n, 2)).round(1)
-    quantiser = Quantiser.of(X)
-    codes = quantiser.codes(X)
-    assert codes.shape == (2, n)
-    assert codes.max(initial=0) < BINS
-    for feature in range(2):
-        edges = quantiser.edges[feature]
-        expected = [(edges <= value).sum() for value in X[:, feature]]
-        assert codes[feature].tolist() == expected
 
 
 def test_edges_of_many_different_values_are_their_quantiles() -> None:
@@ -140,13 +126,6 @@ def test_a_smaller_share_of_the_features_is_drawn_anew_each_round() -> None:
     assert len(np.unique(third)) == 3
 
 
-def test_samples_of_one_class_alone_are_all_of_it() -> None:
-    X, _ = data(8)
-    for sign in (1.0, -1.0):
-        margins = trees_of(X, np.full(len(X), sign), 5).margins(X)
-        assert (np.sign(margins) == sign).all()
-
-
 @given(seeds)
 @few(10)
 def test_the_order_of_the_samples_changes_no_bit(seed: int) -> None:
@@ -200,19 +179,6 @@ def test_a_classifier_is_the_same_alone_and_with_others(
     held = [sum(len(question.samples) for question in batch[1:]) for _, batch, _ in calls]
     assert max(held) <= at_once
     assert answers([]) == []
-
-
-@given(seeds, st.integers(1, 4))
-@few(20)
-def test_shares_sum_to_one_for_each_owner_and_sums_are_exact(seed: int, owners: int) -> None:
-    rng = np.random.default_rng(seed)
-    owner = rng.permutation(np.repeat(np.arange(owners), 50))
-    weights = shares(rng.random(len(owner)) * 10.0 ** rng.integers(-3, 3), owner, owners)
-    assert np.bincount(owner, weights) == pytest.approx(np.ones(owners))
-    order = rng.permutation(len(owner))
-    for k in range(owners):
-        mixed = weights[order][owner[order] == k]
-        assert mixed.cumsum()[-1] == weights[owner == k].cumsum()[-1]
 
 
 def test_what_is_left_out_of_a_search_holds_little_of_each_question_s_weight() -> None:

@@ -172,18 +172,6 @@ def worths(
     return found
 
 
-def test_scans_of_one_view_are_averaged() -> None:
-    again = [False, True, True, True]
-    assert worths([3.0, -1.0, -2.0, None], [at(0.0)] * 4, again) == [3.0, 1.0, 0.0, 0.0]
-
-
-@pytest.mark.parametrize(
-    ("scan", "share"), [(at(0.25), 0.25), (at(0.0, 0.5), 0.25), (at(0.3, 0.4), 0.5), (at(9.0), 1.0)]
-)
-def test_a_view_counts_by_the_motion_to_it(scan: PosedScan, share: float) -> None:
-    assert worths([4.0, 4.0], [at(0.0), scan], [False, False]) == pytest.approx([4.0, 4.0 * share])
-
-
 def test_motion_that_nothing_was_said_of_counts_when_something_is_but_a_lost_scan_is_none() -> None:
     scans = [*(at(0.3 * k) for k in range(4)), at(50.0, lost=True), at(1.0)]
     again = [False] * 4 + [True, False]

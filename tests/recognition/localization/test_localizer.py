@@ -253,29 +253,6 @@ def test_what_a_localizer_holds_does_not_grow_with_the_log(
     assert held() == pytest.approx(first, rel=0.01)
 
 
-def test_a_lost_scan_is_labelled_but_adds_nothing_to_the_window(
-    trained: Trained, again: list[PosedScan]
-) -> None:
-    """Its pose is a guess: what it saw is nowhere."""
-    guide, spared = trained.localizer(), trained.localizer()
-    astray = replace(again[3], map_from_base=Pose2(50.0, 50.0, 1.0), lost=True)
-    assert told(guide, [*again[:3], astray])[-1].stamp_ns == astray.stamp_ns
-    told(spared, again[:3])
-    guide.filter.reset()
-    spared.filter.reset()
-    assert guide.add(again[4]).label == spared.add(again[4]).label
-
-
-@pytest.mark.parametrize(("alone", "share"), [(1e6, 0.0), (1e-6, 1.0)])
-def test_when_a_single_scan_is_unknown_is_a_setting(
-    trained: Trained, again: list[PosedScan], alone: float, share: float
-) -> None:
-    turn("recognition", strange_alone=alone, least_points=10**6)  # no walls are matched
-    labels = told(trained.localizer(), again[:20])
-    assert np.mean([label.submap is None for label in labels]) == share
-    assert all(label.runner_up is not None for label in labels)
-
-
 @pytest.mark.parametrize("place", [5, 40, 70])
 def test_a_robot_that_stands_in_its_room_is_found_however_long(
     trained: Trained, again: list[PosedScan], flat_rooms: Any, place: int

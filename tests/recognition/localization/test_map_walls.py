@@ -13,7 +13,6 @@ from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import NO_SUBMAP, PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
-from specmap_cli.grids.matching import Match
 from specmap_cli.recognition.learning.calibration import _USUAL_MISFIT, HeldOutMisfit, pooled
 from specmap_cli.recognition.localization import walls as walls_module
 from specmap_cli.recognition.localization.walls import Fitted, MapWalls, View
@@ -132,19 +131,6 @@ def test_a_place_stands_out_if_none_elsewhere_fits_nearly_as_well(building: Any)
     assert walls._weighed([sure, far])[0] == sure, "what fits by itself is no better for it"
 
 
-def test_of_the_places_found_the_one_counts_that_the_map_can_say_least_against(
-    building: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """In a map of half a room the true place may score less than a wrong one."""
-    scan = standing(building)
-    right = scan.map_from_base
-    wrong = right @ Pose2(1.0, 0.8, 1.0)
-    for order in ([wrong, right], [right, wrong]):
-        found = [Match(pose, 1.0) for pose in order]
-        monkeypatch.setattr(walls_module, "search_everywhere", lambda *_, found=found: found)
-        assert walls_of(building.plan).anywhere(view_of(scan))[0].against < -1.0
-
-
 def test_returns_where_the_map_saw_nothing_count_less_and_lost_or_empty_scans_say_nothing(
     building: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -206,20 +192,3 @@ def test_what_the_maps_own_scans_look_through_speaks_against_no_place(own_width_
     behind = walls._behind(seen_in(8.0, 4.0, pose), pose)
     assert (behind > 0.3) == (own_width_m == 5.0)
     assert behind < 0.1 or own_width_m == 5.0
-
-
-def test_a_wall_beyond_reach_stops_nothing_and_without_a_return_nothing_is_behind_it() -> None:
-    pose = Pose2(1.0, 2.0, 0.0)
-    scan = seen_in(29.0, 4.0, pose)
-    assert behind(scan, pose, width_m=12.0) == 0.0 < behind(scan, pose, width_m=6.0)
-    for reading in (math.inf, math.nan):
-        ranges = np.full(len(BEARINGS), reading)
-        assert behind(replace(scan, planar=replace(scan.planar, ranges=ranges)), pose) == 0.0
-
-
-def test_the_laser_looks_from_where_it_is_mounted() -> None:
-    pose, mounting = Pose2(3.5, 2.0, 0.0), Pose2(0.3, 0.1, math.pi)
-    seen = seen_in(5.0, 4.0, pose @ mounting)
-    scan = posed(seen.planar, pose, base_from_laser=mounting)
-    assert behind(scan, pose) <= 0.02
-    assert behind(scan, Pose2(pose.x, pose.y, math.pi)) > 0.05

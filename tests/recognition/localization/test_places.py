@@ -146,14 +146,6 @@ def test_along_a_bare_wall_a_place_goes_with_the_motion_and_across_with_the_matc
     assert abs(pose.y - 0.06) < 0.03
 
 
-def test_none_of_two_look_alikes_leads() -> None:
-    home = Home(niche=False)
-    for step in range(12):
-        belief = home.see(0, north(step))
-        assert home.lead is None
-        assert belief[0] == pytest.approx(belief[1], rel=0.2)
-
-
 def test_the_way_tells_look_alikes_apart_even_against_the_classifiers() -> None:
     home, owners = Home(), []
     mistaken = np.array([0.998, 0.001, 0.001])
