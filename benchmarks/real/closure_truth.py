@@ -16,8 +16,7 @@ from specmap_cli.grids.matching import refine
 from specmap_cli.layout.path_graph import Graph, graph_of
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.relaxation import measured
-from specmap_cli.layout.wall_matching import Place
-from specmap_cli.layout.walls import PLACE_NODES, Walls
+from specmap_cli.layout.walls import PLACE_NODES, Place, Walls
 from specmap_cli.maps.text_files import read_tum
 from specmap_cli.pipelines.laying_out import constraints_of
 from specmap_cli.pipelines.map_in_making import Explored

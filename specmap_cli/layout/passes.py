@@ -33,11 +33,10 @@ from specmap_cli.layout.path_graph import (
     Ties,
     graph_of,
     rows_every,
+    solved,
 )
 from specmap_cli.layout.pose_graph import Link, LinkArrays, errors
-from specmap_cli.layout.solving import solved
-from specmap_cli.layout.wall_matching import found, link_to_nearest, match_passes
-from specmap_cli.layout.walls import PLACE_NODES, Walls
+from specmap_cli.layout.walls import PLACE_NODES, Walls, found, link_to_nearest, match_passes
 
 LOOPS_PER_NODE = 2  # passes tried until one fits
 _NEAR_M = 3.0  # two passes nearer than this are matched

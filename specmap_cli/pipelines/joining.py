@@ -20,7 +20,7 @@ from specmap_cli.core.records import Closure, IntArray, Labels, Trajectory
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.layout.joining import join_layouts, placed
-from specmap_cli.layout.trajectory import propagated, rows_of
+from specmap_cli.layout.result import propagated, rows_of
 from specmap_cli.maps.edits import (
     Change,
     Edits,

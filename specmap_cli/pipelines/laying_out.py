@@ -19,13 +19,11 @@ from specmap_cli.core.settings import Config
 from specmap_cli.core.text import legible
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
-from specmap_cli.layout.main_direction import along_walls
 from specmap_cli.layout.passes import METRES_A_RADIAN
 from specmap_cli.layout.path_graph import chosen_nodes
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.relaxation import relax
-from specmap_cli.layout.result import Layout
-from specmap_cli.layout.trajectory import corrected, rows_of
+from specmap_cli.layout.result import Layout, along_walls, corrected, rows_of
 from specmap_cli.pipelines.exploration import Regions, in_own_frame, online_labels
 from specmap_cli.pipelines.map_in_making import Explored, LaidOut
 from specmap_cli.pipelines.session import Session

@@ -31,8 +31,7 @@ from specmap_cli.layout.joining import gaps_of
 from specmap_cli.layout.passes import PassesOnTheWay
 from specmap_cli.layout.path_graph import Bridge
 from specmap_cli.layout.pose_graph import read_g2o
-from specmap_cli.layout.result import Layout
-from specmap_cli.layout.trajectory import rows_of
+from specmap_cli.layout.result import Layout, rows_of
 from specmap_cli.maps import filenames
 from specmap_cli.maps.edits import Edits, edits_text
 from specmap_cli.maps.store import Map

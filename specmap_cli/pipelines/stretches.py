@@ -25,7 +25,7 @@ from specmap_cli.core.geometry import (
 from specmap_cli.core.records import IntArray
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
-from specmap_cli.layout.trajectory import propagated, rows_of
+from specmap_cli.layout.result import propagated, rows_of
 from specmap_cli.maps.filenames import KEYFRAMES
 from specmap_cli.maps.store import Map
 from specmap_cli.pipelines.map_in_making import LaidOut, quality_of_stored, submaps_of

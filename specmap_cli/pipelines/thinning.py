@@ -24,7 +24,7 @@ from specmap_cli.grids.keyframes import (
     views_needed,
 )
 from specmap_cli.layout.joining import tracked_over_gaps, without_keyframes
-from specmap_cli.layout.trajectory import propagated_places
+from specmap_cli.layout.result import propagated_places
 from specmap_cli.pipelines.map_in_making import LaidOut, gaps_in
 from specmap_cli.pipelines.session import Session
 from specmap_cli.topology.topological_map import Merge, heirs, ways_m

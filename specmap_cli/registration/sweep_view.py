@@ -10,7 +10,7 @@ come from drivers that do not know them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -182,13 +182,7 @@ def deskewed(
         bearings = scan.bearings + np.mod(bearings - scan.bearings + np.pi, 2 * np.pi) - np.pi
     ranges = np.where(hit, np.hypot(seen[:, 0], seen[:, 1]), scan.ranges)
     order = np.argsort(bearings, kind="stable")
-    return PlanarScan(
-        stamp_ns=scan.stamp_ns,
-        bearings=bearings[order],
-        ranges=ranges[order],
-        range_max=scan.range_max,
-        full_circle=scan.full_circle,
-    )
+    return replace(scan, bearings=bearings[order], ranges=ranges[order], beam_times_s=None)
 
 
 def _is_still(motion: Pose2) -> bool:

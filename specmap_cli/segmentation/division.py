@@ -2,6 +2,9 @@
 
 With the settings of `--preset paper` this is the visibility graph, Algorithm 2 and the nearest
 node's label. docs/segmentation.md says what each step of the default settings adds, and why.
+
+Rooms end at walls. What a laser sees through windows, glass, railings and the doors of rooms that
+nobody entered lies open to the unknown. Corridors that go round are cut into their sides.
 """
 
 from __future__ import annotations
@@ -26,11 +29,14 @@ from specmap_cli.grids.gridmap import (
     CellArray,
     GridMap,
     LengthArray,
+    bands_of,
     clearance_of,
+    joined,
     looked_up,
 )
 from specmap_cli.segmentation.cells import (
     border_widths,
+    components,
     consensus,
     flood_labels,
     joined_wide,
@@ -46,8 +52,6 @@ from specmap_cli.segmentation.obstacles import (
     pieces_at_walls,
     with_narrow_doors,
 )
-from specmap_cli.segmentation.rings import without_rings
-from specmap_cli.segmentation.seen import entered
 from specmap_cli.segmentation.spectral import Spectrum, spectral_clusters, split_again
 from specmap_cli.segmentation.visibility import (
     IndexArray,
@@ -61,6 +65,9 @@ from specmap_cli.segmentation.working_grid import upright_map
 _WIDTH_PERCENTILE = 60.0  # of the local widths in a room is the room's width
 _ALCOVE_M2 = 2.0  # a dead end smaller than this is a part of the room it opens into
 _WALL_CELLS = 2  # obstacles this near belong to the picture of a region: a wall drawn in cells
+
+_ROBOT_RADIUS_M, _REACH_M = 0.15, 0.5  # of the smallest robot, and how far beside it a room goes
+_BESIDE = np.ones((3, 3), dtype=np.uint8)  # a border beside an obstacle is a wall
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -271,3 +278,137 @@ def region_grid(grid: GridMap, region: BoolArray) -> GridMap:
     cells[shown & (grid.cells == OCCUPIED)] = OCCUPIED
     cells[region & (grid.cells == FREE)] = FREE
     return GridMap(cells, grid.resolution, grid.origin).cropped(shown)
+
+
+def entered(labels: LabelArray, grid: GridMap, least: float) -> LabelArray:
+    """The regions (h, w) of a map that are rooms; -1 what was only seen.
+
+    Seen only is, in this order:
+
+    1. what is not within reach of any place where the smallest robot finds room: single rays;
+    2. a region that borders on the unknown more than on walls, unless all do;
+    3. a region that a robot of the radius `least`, in cells, cannot reach from the largest part of
+       all that it hangs together with, what was seen only included.
+    """
+    free = labels >= 0
+    if not free.any():
+        return labels
+    clearance = clearance_of(free)
+    roomy = clearance * grid.resolution >= _ROBOT_RADIUS_M
+    away = cv2.distanceTransform((~roomy).astype(np.uint8), cv2.DIST_L2, 5) * grid.resolution
+    found = np.where(joined(free & (away <= _REACH_M), roomy), labels, np.int16(-1))
+    walled = np.where(_open_to_the_unknown(found, grid)[found], np.int16(-1), found)
+    found = walled if (walled >= 0).any() else found
+    count = int(labels.max(initial=0)) + 1
+    size = np.bincount(found[found >= 0], minlength=count)
+    borders = border_widths(found, clearance)
+    part = components(count, [pair for pair, border in borders.items() if border >= least])
+    glimpsed = [pair for pair in border_widths(labels, clearance) if not size[list(pair)].all()]
+    piece = components(count, [*borders, *glimpsed])
+    area = np.bincount(part, weights=size)[part]
+    largest = np.zeros(count)
+    np.maximum.at(largest, piece, area)
+    return np.where((area < largest[piece])[found], np.int16(-1), found)
+
+
+def _open_to_the_unknown(labels: LabelArray, grid: GridMap) -> BoolArray:
+    """(k,) which regions (h, w) have more sides of cells on the unknown than on walls."""
+    wall = cv2.dilate((grid.cells == OCCUPIED).astype(np.uint8), _BESIDE) > 0
+    unknown = (grid.cells == UNKNOWN) & ~wall
+    count = int(labels.max(initial=0)) + 1
+    more = np.zeros(count, dtype=np.int64)
+    for one, other in (
+        (np.s_[:-1], np.s_[1:]),
+        (np.s_[1:], np.s_[:-1]),
+        (np.s_[:, :-1], np.s_[:, 1:]),
+        (np.s_[:, 1:], np.s_[:, :-1]),
+    ):
+        inside, beyond = labels[one], labels[other] < 0
+        inside = np.where(beyond, inside, np.int16(-1))
+        for kind, sign in ((unknown[other], 1), (wall[other], -1)):
+            sides = inside[(inside >= 0) & kind]
+            more += sign * np.bincount(sides, minlength=count)
+    return np.asarray(more > 0)
+
+
+def without_rings(labels: LabelArray) -> LabelArray:
+    """Regions (h, w) of an upright map of which none is a ring: the sides of one are regions."""
+    count = int(labels.max(initial=-1)) + 1
+    if not count:
+        return labels
+    sides = labels.copy()
+    for label, window in enumerate(ndimage.find_objects(labels + 1)):
+        region = np.pad(labels[window] == label, 1)
+        beyond = (~region).view(np.uint8)
+        _, around, stats, _ = cv2.connectedComponentsWithStats(beyond, connectivity=4)
+        del beyond
+        cuts, size = np.zeros_like(region), stats[:, cv2.CC_STAT_AREA]
+        for number, (left, top, wide, high, _) in enumerate(stats.tolist()):
+            if number not in (0, around[0, 0]):
+                large = 2 * size >= size[number]  # an obstacle that is smaller is passed over
+                large[[0, around[0, 0]]] = False, True
+                rows = slice(max(0, top - high), top + 2 * high)
+                near = rows, slice(max(0, left - wide), left + 2 * wide)
+                _cut_round(around[near] == number, looked_up(large, around[near]), cuts[near])
+        cuts &= region
+        if not cuts.any():
+            continue
+        del around
+        rest = (region & ~cuts).view(np.uint8)
+        pieces, piece, stats, _ = cv2.connectedComponentsWithStats(rest, connectivity=8)
+        beside = np.unique(piece[(cv2.dilate(cuts.view(np.uint8), _BESIDE) & rest).view(np.bool_)])
+        scrap = stats[beside, cv2.CC_STAT_AREA] <= np.count_nonzero(cuts)
+        names = np.full(pieces, label, dtype=sides.dtype)
+        names[beside[scrap]] = -1
+        more = beside[~scrap][1:]
+        names[more] = count + np.arange(len(more))
+        count += len(more)
+        names[0] = -1  # the cuts, of all that is of the region
+        inner = slice(1, -1), slice(1, -1)
+        for rows in bands_of(sides[window].shape):
+            own = region[inner][rows]
+            sides[window][rows][own] = names[piece[inner][rows][own]]
+    spread_labels(sides, labels >= 0)
+    return sides
+
+
+def _cut_round(hole: BoolArray, solid: BoolArray, cuts: BoolArray) -> None:
+    """Mark in `cuts` (h, w) where a region is cut that is a ring round a hole (h, w).
+
+    It is one when the hole is larger than the floor round it, as wide as it is at the corners of
+    the hole; nothing farther away than the hole is wide can matter. The longer sides own these
+    corners: the others end where the longer ones go by.
+    """
+    sides = [int(np.ptp(_extent(hole.sum(axis=axis)))) + 1 for axis in (0, 1)]
+    whole = 1
+    for across in (sides[0] >= sides[1], sides[0] < sides[1]):  # the last are the cuts
+        views = [one.T if across else one for one in (hole, solid, cuts)]
+        corners = [[one[::up, ::left] for one in views] for up in (1, -1) for left in (1, -1)]
+        ends = [_cut(*one[:2]) for one in corners]
+        beside = [stop - start for _, start, stop in ends]
+        whole *= sides[across] + max(beside[0] + beside[1], beside[2] + beside[3])
+    if 2 * sides[0] * sides[1] > whole:
+        for (_, _, view), (row, start, stop) in zip(corners, ends, strict=True):
+            view[row, start:stop] = True
+
+
+def _cut(hole: BoolArray, solid: BoolArray) -> tuple[int, int, int]:
+    """Row, first column and end of the cut from the left of a hole (h, w) to what is solid beyond.
+
+    It is looked for from the first row of the hole to its middle; a row farther has to be shorter
+    by as much. So no cut runs along another corridor, or through a bay.
+    """
+    first, last = _extent(hole.sum(axis=1))
+    rows = np.arange(first, (first + last) // 2 + 1)
+    stops = hole[rows].argmax(axis=1)
+    before = solid[rows] & (np.arange(hole.shape[1]) < stops[:, None])
+    last = hole.shape[1] - 1 - before[:, ::-1].argmax(axis=1)
+    beyond = np.where(before.any(axis=1), last, -1)
+    best = int((stops - beyond + rows).argmin())
+    return int(rows[best]), int(beyond[best]) + 1, int(stops[best])
+
+
+def _extent(counts: IntArray) -> tuple[int, int]:
+    """The first and the last place where a hole is at least half as wide as at its widest."""
+    wide = np.flatnonzero(2 * counts >= counts.max())
+    return int(wide[0]), int(wide[-1])

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, wrap_angle
 from specmap_cli.core.records import Sweep
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.main_direction import along_walls, wall_direction
-from specmap_cli.layout.result import Layout
+from specmap_cli.layout.result import Layout, along_walls, wall_direction
 from tests.layout.driving import CONFIG, stored
 
 

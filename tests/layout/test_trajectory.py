@@ -11,7 +11,7 @@ from specmap_cli.core.geometry import FloatArray, compose, invert, wrap_angles
 from specmap_cli.core.records import Trajectory
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.relaxation import relax
-from specmap_cli.layout.trajectory import bridged, corrected, propagated, rows_of
+from specmap_cli.layout.result import bridged, corrected, propagated, rows_of
 from tests.layout.driving import CONFIG
 from tests.strategies import pose_arrays
 

@@ -15,17 +15,17 @@ from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.grids.matching import SPREAD_M, Match, Prior, Window, search
 from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.layout.path_graph import Graph
-from specmap_cli.layout.wall_matching import (
+from specmap_cli.layout.walls import (
     LEAST_EVIDENCE,
     Place,
     WallFit,
+    Walls,
     everywhere,
     found,
     link_to_nearest,
     match_passes,
     opened,
 )
-from specmap_cli.layout.walls import Walls
 from tests.layout.driving import between, corridor, graph_by_hand, missed, scans_of, stored
 from tests.strategies import angles, few
 from tests.turning import turned
@@ -74,7 +74,7 @@ def test_another_place_does_not_fit(graph: Graph, walls: Walls) -> None:
     poses = graph.poses
     source, target = walls.around(10, 3, poses), walls.around(45, 8, poses)
     assert Place.of(target).match(source, IDENTITY, 1.0) is None
-    with turned("layout.wall_matching", LOOP_SCORE=0.0):
+    with turned("layout.walls", LOOP_SCORE=0.0):
         found = Place.of(target).match(source, IDENTITY, 1.0)
     assert found is not None, "the evidence alone refuses it"
 
@@ -88,7 +88,7 @@ def windows(monkeypatch: pytest.MonkeyPatch) -> list[Window]:
         windows.append(window)
         return search(field, points, guess, window)
 
-    monkeypatch.setattr("specmap_cli.layout.wall_matching.search", counted)
+    monkeypatch.setattr("specmap_cli.layout.walls.search", counted)
     return windows
 
 
@@ -129,7 +129,7 @@ def test_too_few_points_are_not_matched() -> None:
     points = corridor()
     few = points[:: len(points) // 40]
     for least, fits in ((20, True), (60, False)):
-        with turned("layout.wall_matching", MATCH_POINTS=least):
+        with turned("layout.walls", MATCH_POINTS=least):
             assert (Place.of(points).match(few, IDENTITY, 0.3) is not None) is fits
     assert Place.of(points).match(np.zeros((0, 2)), IDENTITY, 0.3) is None
 
@@ -222,11 +222,11 @@ def test_the_other_side_of_a_wall_is_no_match(rooms: Rooms) -> None:
     guess = between(graph.poses, FIRST, SECOND)
     source, target = (walls.around(row, 4, graph.poses) for row in (SECOND, FIRST))
     seen = partial(walls.seen_around, FIRST, 4, graph.poses)
-    with turned("layout.wall_matching", LOOP_SCORE=0.2):  # they have little else in common
+    with turned("layout.walls", LOOP_SCORE=0.2):  # they have little else in common
         mistaken = Place.of(target, seen).match(source, guess, 0.3)
     assert mistaken is not None
     assert missed(guess, mistaken.target_from_source)[0] > 0.2, "a wall's thickness off"
-    with turned("layout.wall_matching", PLACE_NODES=4):
+    with turned("layout.walls", PLACE_NODES=4):
         found = match_passes(graph, walls, graph.poses, (FIRST, SECOND), guess, 0.3, 4)
     assert found is None
 
@@ -236,7 +236,7 @@ def test_the_same_side_is_one(rooms: Rooms, off_m: float, fits: bool) -> None:
     graph, walls = rooms
     truth = between(graph.poses, FIRST, AGAIN)
     guess = truth @ Pose2(0.0, off_m, 0.0)
-    with turned("layout.wall_matching", PLACE_NODES=4):
+    with turned("layout.walls", PLACE_NODES=4):
         found = match_passes(graph, walls, graph.poses, (FIRST, AGAIN), guess, 0.3, 4)
     assert (found is not None) is fits
     if found is not None:

@@ -22,9 +22,9 @@ from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import PosedScan, Sweep
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
-from specmap_cli.layout.main_direction import along_walls
 from specmap_cli.layout.path_graph import chosen_nodes
 from specmap_cli.layout.relaxation import relax
+from specmap_cli.layout.result import along_walls
 from specmap_cli.maps.store import Map
 from specmap_cli.pipelines import laying_out
 from specmap_cli.pipelines.build import explore

@@ -9,8 +9,7 @@ import pytest
 
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import OCCUPIED, GridMap
-from specmap_cli.segmentation.division import segment
-from specmap_cli.segmentation.rings import without_rings
+from specmap_cli.segmentation.division import segment, without_rings
 from specmap_cli.segmentation.visibility import LabelArray
 from tests.segmentation.plans import plan, turned_by
 

@@ -28,9 +28,8 @@ from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.learning.calibration import steadiness
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Sensor
-from specmap_cli.recognition.localization.classification import BeamSampler
 from specmap_cli.recognition.localization.filtering import HiddenMarkovFilter
-from specmap_cli.recognition.localization.localizer import Label, Localizer
+from specmap_cli.recognition.localization.localizer import BeamSampler, Label, Localizer
 from specmap_cli.recognition.localization.walls import MapWalls
 from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
 from tests.recognition.localization.scanned import walls_of
