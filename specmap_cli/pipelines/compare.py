@@ -30,10 +30,10 @@ from specmap_cli.maps.comparison import (
 from specmap_cli.maps.directory import OutputDirectory
 from specmap_cli.maps.store import Map, opened_map
 from specmap_cli.pipelines.map_in_making import quality_of_stored
-from specmap_cli.pipelines.overlaps import stored_to_align
-from specmap_cli.pipelines.stretches import (
+from specmap_cli.pipelines.overlaps import (
     GuessedStretch,
     aligned,
+    stored_to_align,
     stretch_of_stored,
     told_m,
     with_other_lengths,
@@ -171,10 +171,9 @@ def _aligned(old: Map, new: Map, stretch: GuessedStretch | None) -> Alignment:
     given = stored_to_align(old), stored_to_align(new)
     if stretch is None:
         return align(*given)
-    off_m, labels = told_m(quality_of_stored(old).findings), new.labels
+    off_m = told_m(quality_of_stored(old).findings)
     with new.scans() as store:
-        at = labels.poses, labels.submaps
-        return aligned(*given, with_other_lengths(stretch, off_m, store, *at, new.config))
+        return aligned(*given, with_other_lengths(stretch, off_m, store, new.labels, new.config))
 
 
 def _motion(alignment: Alignment) -> BentMotion:

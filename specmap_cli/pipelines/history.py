@@ -1,18 +1,24 @@
-"""Maps of many days, of one building or of several: rooms, visits by day, changes by map."""
+"""Maps of many days, of one building or of several: rooms, visits by day, changes by map.
+
+A room is a submap of the first map that showed its place. So it stays the same room however later
+maps divide the building.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import tzinfo
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from specmap_cli.core.errors import MapError, path_of
+from specmap_cli.core.errors import MapError, NoResultError, path_of
+from specmap_cli.core.geometry import BentMotion, FloatArray
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
+from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.core.text import encodable, to_json
 from specmap_cli.history.record import (
@@ -25,22 +31,30 @@ from specmap_cli.history.record import (
     LeftOutRecord,
     MapRecord,
     RoomRecord,
+    Tour,
     day_of,
     days_of,
     lines_of,
     render_history,
+    room_name,
     tables_of,
     totals,
+    tour_of,
     zone_of,
 )
 from specmap_cli.maps import filenames
-from specmap_cli.maps.comparison import ThingRecord
+from specmap_cli.maps.comparison import ComparisonRecord, ThingRecord
 from specmap_cli.maps.directory import OutputDirectory
+from specmap_cli.maps.schema import NodeRecord
 from specmap_cli.maps.store import Map, read_map
-from specmap_cli.pipelines.building_series import BuildingSeries, Entry, Room, Step
+from specmap_cli.pipelines.compare import Comparison, compare_maps
 from specmap_cli.pipelines.overlaps import stored_to_align
+from specmap_cli.topology.graph import settle_labels
+from specmap_cli.topology.topological_map import ways_m
 
 HISTORY, PAGE = "history.json", "history.html"
+_NS = 1_000_000_000
+_MOST = 0.5  # of the keyframes of a submap
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,32 +76,6 @@ class HistoryReport:
     def lines(self) -> list[str]:
         """The same for a person."""
         return lines_of(self.record)
-
-
-@dataclass
-class _Building:
-    """A series of maps, and what was told of them."""
-
-    series: BuildingSeries
-    path: Path
-    maps: list[MapRecord]
-    changes: list[ChangeRecord] = field(default_factory=list)
-
-    def record(self, number: int, zone: tzinfo) -> BuildingRecord:
-        """The building as history.json has it.
-
-        It is called as the directory of its first map, or that of the job which made it.
-        """
-        path = self.path.resolve()
-        job = path.parent.name if path.name == "map" else ""
-        return BuildingRecord(
-            number=number,
-            name=encodable(job or path.name),
-            rooms=[_room(self.series, room, zone) for room in self.series.rooms],
-            maps=self.maps,
-            days=days_of(self.series.tours, zone),
-            changes=self.changes,
-        )
 
 
 @one_blas_thread()
@@ -113,20 +101,14 @@ def history_of(
     progress.start("comparing maps", len(readable))
     for number, path in enumerate(readable):
         stored = read_map(path, limits)
-        for building in sorted(buildings, key=lambda one: -one.series.last.number):
-            step = building.series.add(number, stored)  # the newest that it fits to takes it in
-            if step is not None:
-                building.maps.append(map_record(step.after, step))
-                building.changes.extend(changes_of(step, zone))
-                break
-        else:
-            series = BuildingSeries(number, stored)
-            buildings.append(_Building(series, path, [map_record(series.last, None)]))
+        newest_first = sorted(buildings, key=lambda one: -one.last.number)
+        if not any(building.add(number, stored) for building in newest_first):
+            buildings.append(_Building(number, path, stored, zone))
         progress.advance()
     record = HistoryRecord(
         schema_version=SCHEMA_VERSION,
         timezone=timezone,
-        buildings=[one.record(number, zone) for number, one in enumerate(buildings)],
+        buildings=[one.record(number) for number, one in enumerate(buildings)],
         left_out=left_out,
     )
     return HistoryReport(record, tuple(one.path for one in buildings))
@@ -194,35 +176,187 @@ def _dated(
     return [path for _, _, path in sorted(dated)], left_out
 
 
-_NS = 1_000_000_000
+@dataclass(frozen=True, slots=True)
+class Room:
+    """A submap of the map `map_` in which the room was seen first."""
+
+    number: int
+    map_: int
+    node: NodeRecord
 
 
-def span_ns(stored: Map) -> tuple[int, int]:
-    """The stamps of a map's first and last keyframe."""
-    stamps = stored.labels.stamps_ns
-    return int(stamps.min()), int(stamps.max())
+@dataclass(frozen=True, slots=True, eq=False)
+class Entry:
+    """A map of the series: `steps` lead from it to the frame of the building, one by one.
+
+    `room_of` tells the room that most of each submap is in, by the submap's id. `added` are the
+    rooms that no map before it showed.
+    """
+
+    number: int
+    stored: Map
+    steps: tuple[BentMotion, ...] = ()
+    room_of: Mapping[int, int] = field(default_factory=dict)
+    added: tuple[Room, ...] = ()
+
+    def to_building(self, points: FloatArray) -> FloatArray:
+        """Points (n, 2) of the map in the frame of the building."""
+        for step in self.steps:
+            points = step.apply(points)
+        return points
+
+    def from_building(self, points: FloatArray) -> FloatArray:
+        """Points (n, 2) of the building in the frame of the map."""
+        for step in reversed(self.steps):
+            points = step.inverse().apply(points)
+        return points
+
+    def rooms(self, ids: Iterable[int | None]) -> list[int]:
+        """The rooms of some of its submaps, ascending."""
+        return sorted({self.room_of[id_] for id_ in ids if id_ is not None and id_ in self.room_of})
 
 
-def map_record(entry: Entry, step: Step | None) -> MapRecord:
-    """A map as history.json has it; `step` is that from an earlier map to it."""
-    stored = entry.stored
-    start_ns, end_ns = span_ns(stored)
-    return MapRecord(
-        number=entry.number,
-        map=encodable(str(stored.path)),
-        start=start_ns / _NS,
-        end=end_ns / _NS,
-        verdict=stored.verdict,
-        submaps=len(stored.rooms),
-        area_m2=stored.record.area_m2,
-        compared_with=None if step is None else step.before.number,
-        residual_m=None if step is None else step.comparison.record.alignment.residual_m,
-    )
+class _Building:
+    """The maps of a building so far: its rooms by number, its tours, the map taken in last.
+
+    Only the last map and those that showed rooms first (`_plans`) are held, never all of a series.
+    """
+
+    def __init__(self, number: int, path: Path, first: Map, zone: tzinfo) -> None:
+        self.path, self._zone = path, zone
+        self.rooms: list[Room] = []
+        self.tours: list[Tour] = []
+        self._plans: list[Entry] = []
+        self._names: dict[int, str] = {}
+        self._seen: set[tuple[str, int | None, int | None]] = set()  # name, first and last stamp
+        self._maps: list[MapRecord] = []
+        self._changes: list[ChangeRecord] = []
+        self.last = self._take(Entry(number, first))
+
+    def add(self, number: int, stored: Map) -> bool:
+        """Take in the next map, unless it fits to none of the building.
+
+        It is compared with the newest map that it fits to, and laid out in the oldest, so that
+        small errors do not add up over a long series.
+        """
+        for before in {entry.number: entry for entry in (self.last, *self._plans[::-1])}.values():
+            comparison = _fits(before.stored, stored)
+            if comparison is not None:
+                break
+        else:
+            return False
+        steps = (comparison.old_from_new, *before.steps)
+        first = self._plans[0]
+        if before is not first:
+            direct = _fits(first.stored, stored)
+            steps = steps if direct is None else (direct.old_from_new,)
+        found = comparison.record
+        self.last = self._take(Entry(number, stored, steps), before, found.alignment.residual_m)
+        self._changes.extend(_changes(found, before, self.last, self._zone))
+        return True
+
+    def record(self, number: int) -> BuildingRecord:
+        """The building as history.json has it.
+
+        It is called as the directory of its first map, or that of the job which made it.
+        """
+        path = self.path.resolve()
+        job = path.parent.name if path.name == "map" else ""
+        return BuildingRecord(
+            number=number,
+            name=encodable(job or path.name),
+            rooms=[self._room(room) for room in self.rooms],
+            maps=self._maps,
+            days=days_of(self.tours, self._zone),
+            changes=self._changes,
+        )
+
+    def _room(self, room: Room) -> RoomRecord:
+        """A room, called by the last name that a person gave to it, or by its number."""
+        visits = [one for tour in self.tours for one in tour.visits if one.room == room.number]
+        count, minutes = totals(visits).get(room.number, (0, 0.0))
+        return RoomRecord(
+            number=room.number,
+            name=self._names.get(room.number, room_name(room.number)),
+            map=room.map_,
+            submap=room.node.id,
+            area_m2=room.node.area_m2,
+            visits=count,
+            minutes=minutes,
+            days=len({day_of(visit.start_ns, self._zone) for visit in visits}),
+        )
+
+    def _take(
+        self, entry: Entry, before: Entry | None = None, residual_m: float | None = None
+    ) -> Entry:
+        """Find the rooms of a map and count its recordings; it was compared with one `before`."""
+        labels, known = entry.stored.labels, len(self.rooms)
+        submaps, places = labels.submaps, entry.to_building(labels.poses[:, :2])
+        # the room of each keyframe by the maps before, the oldest first
+        rooms = np.full(len(places), NO_SUBMAP, dtype=np.int64)
+        for plan in self._plans:
+            owners = plan.stored.regions.owners(plan.from_building(places))
+            first_of = {room.node.id: room.number for room in plan.added}
+            rooms = np.where(rooms == NO_SUBMAP, _looked_up(owners, first_of), rooms)
+        # submaps become rooms where most of their keyframes are in no room yet
+        for node in entry.stored.record.nodes:
+            own = submaps == node.id
+            if own.any() and (rooms[own] == NO_SUBMAP).mean() > _MOST:
+                self.rooms.append(Room(len(self.rooms), entry.number, node))
+        added = tuple(self.rooms[known:])
+        new = {room.node.id: room.number for room in added}
+        rooms = np.where(rooms == NO_SUBMAP, _looked_up(submaps, new), rooms)
+        room_of = {}
+        for id_ in np.unique(submaps[submaps != NO_SUBMAP]).tolist():
+            inside = rooms[(submaps == id_) & (rooms != NO_SUBMAP)]
+            if len(inside):
+                room_of[id_] = int(np.bincount(inside).argmax())
+        entry = replace(entry, room_of=room_of, added=added)
+        if added:
+            self._plans.append(entry)
+        self._tours(entry.stored, labels, rooms)
+        for id_, name in entry.stored.names.items():
+            if id_ in entry.room_of:
+                self._names[entry.room_of[id_]] = name
+        start_ns, end_ns = span_ns(entry.stored)
+        self._maps.append(
+            MapRecord(
+                number=entry.number,
+                map=encodable(str(entry.stored.path)),
+                start=start_ns / _NS,
+                end=end_ns / _NS,
+                verdict=entry.stored.verdict,
+                submaps=len(entry.stored.rooms),
+                area_m2=entry.stored.record.area_m2,
+                compared_with=None if before is None else before.number,
+                residual_m=residual_m,
+            )
+        )
+        return entry
+
+    def _tours(self, stored: Map, labels: Labels, rooms: IntArray) -> None:
+        """Count the recordings that no earlier map of the building was made of."""
+        least_m = stored.config.segmentation.region_min_m
+        for log, way_m in zip(stored.logs, ways_m(stored.logs, labels), strict=True):
+            recording = log.name, log.start_ns, log.end_ns
+            if log.keyframes is None or recording in self._seen:
+                continue
+            self._seen.add(recording)
+            own = slice(log.keyframes[0], log.keyframes[1] + 1)
+            part = Labels(
+                stamps_ns=labels.stamps_ns[own],
+                poses=labels.poses[own],
+                submaps=labels.submaps[own],
+            )
+            if len(part.stamps_ns):
+                settled = settle_labels(rooms[own], part.poses, least_m)
+                self.tours.append(tour_of(part, settled, way_m))
 
 
-def changes_of(step: Step, zone: tzinfo) -> Iterator[ChangeRecord]:
-    """What differs between two maps of a series, in the frame of the building."""
-    found, before, after = step.comparison.record, step.before, step.after
+def _changes(
+    found: ComparisonRecord, before: Entry, after: Entry, zone: tzinfo
+) -> Iterator[ChangeRecord]:
+    """What differs between two maps of a building, in its frame."""
     doors, things = found.doors, found.things
 
     def rooms_of(thing: ThingRecord) -> list[int]:
@@ -259,16 +393,19 @@ def changes_of(step: Step, zone: tzinfo) -> Iterator[ChangeRecord]:
         yield change("room-added", [room.number], room.node.area_m2)
 
 
-def _room(series: BuildingSeries, room: Room, zone: tzinfo) -> RoomRecord:
-    visits = [one for tour in series.tours for one in tour.visits if one.room == room.number]
-    count, minutes = totals(visits).get(room.number, (0, 0.0))
-    return RoomRecord(
-        number=room.number,
-        name=series.name_of(room),
-        map=room.map_,
-        submap=room.node.id,
-        area_m2=room.node.area_m2,
-        visits=count,
-        minutes=minutes,
-        days=len({day_of(visit.start_ns, zone) for visit in visits}),
-    )
+def span_ns(stored: Map) -> tuple[int, int]:
+    """The stamps of a map's first and last keyframe."""
+    stamps = stored.labels.stamps_ns
+    return int(stamps.min()), int(stamps.max())
+
+
+def _fits(old: Map, new: Map) -> Comparison | None:
+    try:
+        return compare_maps(old, new)
+    except NoResultError:
+        return None
+
+
+def _looked_up(ids: IntArray, table: Mapping[int, int]) -> IntArray:
+    """(n,) what a table says of each id, NO_SUBMAP where it says nothing."""
+    return np.array([table.get(id_, NO_SUBMAP) for id_ in ids.tolist()], dtype=np.int64)

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from specmap_cli import __version__
 from specmap_cli.core.geometry import FloatArray, compose, invert, nearest_motion
+from specmap_cli.core.progress import Progress
 from specmap_cli.core.records import IntArray, Labels
-from specmap_cli.core.settings import Config
+from specmap_cli.core.settings import Config, GridConfig
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.grids.keyframes import integrate_keyframes
+from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.maps.features_file import KEYFRAMES_OF, KINDS
 from specmap_cli.maps.store import Map
 from specmap_cli.pipelines.map_in_making import submaps_of
@@ -104,7 +105,7 @@ def learn(
     ) as meanwhile:
         session.progress.start("grids", len(session.store))
         with session.clock.stage("grids"):
-            grids = submap_grids(session, submaps, poses)
+            grids = submap_grids(session.store, submaps, poses, config.grid, session.progress)
         session.progress.start("training", None)
         with session.clock.stage("training"):
             if config.localization.virtual:
@@ -132,16 +133,19 @@ def learn(
 
 
 def submap_grids(
-    session: Session, submaps: Submaps, poses: FloatArray, *, silent: bool = False
+    store: KeyframeStore,
+    submaps: Submaps,
+    poses: FloatArray,
+    config: GridConfig,
+    progress: Progress | None = None,
 ) -> dict[int, GridMap]:
     """The grid of each submap from all its keyframes, in the frame of its first."""
     grids = {}
     for id_, keyframes in submaps.items():
         track = compose(invert(poses[keyframes[0]]), poses[keyframes])
-        counts = integrate_keyframes(session.store, keyframes, track, session.config.grid)
-        grids[id_] = counts.snapshot()
-        if not silent:
-            session.progress.advance(len(keyframes))
+        grids[id_] = integrate_keyframes(store, keyframes, track, config).snapshot()
+        if progress is not None:
+            progress.advance(len(keyframes))
     return grids
 
 

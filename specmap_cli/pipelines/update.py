@@ -51,16 +51,17 @@ from specmap_cli.pipelines.learning import (
 )
 from specmap_cli.pipelines.localizer import classifiers_of, settings_for
 from specmap_cli.pipelines.map_in_making import LaidOut, laid_out_of_stored
-from specmap_cli.pipelines.overlaps import laid_out_to_align, stored_to_align
-from specmap_cli.pipelines.reports import BuildReport, UpdateRecord, UpdateReport
-from specmap_cli.pipelines.session import Session
-from specmap_cli.pipelines.stretches import (
+from specmap_cli.pipelines.overlaps import (
     aligned,
+    laid_out_to_align,
     lengthened,
+    stored_to_align,
     stretch_of,
     told_m,
     with_other_lengths,
 )
+from specmap_cli.pipelines.reports import BuildReport, UpdateRecord, UpdateReport
+from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.thinning import Thinned, thinned
 from specmap_cli.recognition.closure.alignment import Alignment, MapToAlign
 from specmap_cli.recognition.features.sets import check_feature_sets
@@ -146,8 +147,7 @@ def _updated(
         _refuse_repeated(old, new, store, own)
         stretch, bent = stretch_of(new.findings, new.labels.stamps_ns), None
         if stretch is not None:
-            old_off_m, at = told_m(old.findings), (new.labels.poses, new.labels.submaps)
-            bent = with_other_lengths(stretch, old_off_m, own, *at, config)
+            bent = with_other_lengths(stretch, told_m(old.findings), own, new.labels, config)
         alignment = _aligned(session, old_to_align, new_to_align, bent or ())
         if stretch is not None and alignment.old_from_new is not None and alignment.longer_m:
             registered = stretch.longer(own.poses, alignment.longer_m)
