@@ -2,7 +2,7 @@
 
 A nearby pass is a pair of nodes that the layout in the making puts near each other though the path
 between them is long. The walls seen around the newer one are matched against those seen around the
-older, within what the path may have drifted since the last such match.
+older, within what the path may have drifted between the two: as far as matches tie it to itself.
 
 Where no pass has tied the path for long, a place may lie metres away from where it was seen before,
 along a bare corridor more than across. Its walls are looked for as far as the path's error reaches.
