@@ -97,7 +97,11 @@ class _Names:
         return name
 
     def of_log(self, found: Found) -> str:
-        """A name made of that of a log, with a tag of its path if another log has it: it stays."""
+        """A name made of that of a log, which is `a/b` for one in a directory.
+
+        A second one of the same name gets a tag made of its path, so that it is the same in the
+        next batch, whichever logs came to it.
+        """
         safe = _UNSAFE.sub("_", found.name.replace("/", "-")).strip(".-_")[:_LONGEST] or "log"
         if safe.lower() in self._taken:
             path = found.log.encode("utf-8", "replace")
@@ -254,7 +258,11 @@ _SAID = frozenset({"out", "overwrite", "json", "quiet", "log-level", "trajectory
 
 
 def steps_of(plan: Plan, base: Path) -> tuple[Step, ...]:
-    """The steps of a plan, paths relative to `base`. UsageError for what cannot be."""
+    """The steps of a plan; paths in its options are relative to `base`.
+
+    Raises UsageError for a step or an option that is none, one whose value is of the wrong kind,
+    and a step that needs another one before it.
+    """
     choices = f"choose from {', '.join(COMMANDS)}"
     for name in [*plan.steps, *plan.options]:
         if name not in COMMANDS:
@@ -311,7 +319,10 @@ def _export_name(step: Step) -> str:
 
 
 def _made(command: Command, plan: Plan, base: Path) -> tuple[list[Step], list[str]]:
-    """The steps of one command, an export for each format, and the files that a person named."""
+    """The steps of one command: an export for each format, else a single one.
+
+    And the files that they write by names of a person's choice.
+    """
     given = list(_given(command, plan, base))
     options = tuple(text for text, _ in given)
     inputs = tuple(text for text, meaning in given if meaning == "input")

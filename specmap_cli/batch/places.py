@@ -69,7 +69,10 @@ def store_at(url: str) -> tuple[Any, str]:
 
 @contextmanager
 def reaching(url: str) -> Iterator[None]:
-    """Of a store's errors PlaceErrors; FileNotFoundError and our own errors stay as they are."""
+    """A block that speaks with a store: whatever it raises is a PlaceError.
+
+    Raises FileNotFoundError and errors of our own as they are.
+    """
     try:
         yield
     except (FileNotFoundError, SpecmapError):
@@ -81,7 +84,11 @@ def reaching(url: str) -> Iterator[None]:
 
 @contextmanager
 def scratch_directory(root: str | None) -> Iterator[Path]:
-    """A directory below `root`, or the system's, for the block; killed runs' go. PlaceError."""
+    """A directory of its own below `root` (None: that of the system), removed after the block.
+
+    Those that killed runs left there are removed before: no living run holds a lock on them.
+    Raises PlaceError when there can be none.
+    """
     parent = Path(root or tempfile.gettempdir())
     try:
         parent.mkdir(parents=True, exist_ok=True)
@@ -158,7 +165,10 @@ class Folder(ABC):
 
     @abstractmethod
     def fresh(self, scratch: Path) -> AbstractContextManager[Path]:
-        """A directory for a new result, put in place at the end. UsageError, PlaceError."""
+        """A directory to write a new result into; it takes its place when the block ends well.
+
+        Raises UsageError when something else lies there, PlaceError for a store out of reach.
+        """
 
     @abstractmethod
     def _read(self) -> tuple[bytes, Mapping[str, int]] | None:
@@ -287,7 +297,10 @@ class _InStore(Folder):
 
 
 def write_files(output: str, contents: Mapping[str, bytes]) -> None:
-    """Write files beside the folders of jobs, each complete or not. UsageError or PlaceError."""
+    """Write files beside the folders of the jobs anew, each complete or not at all.
+
+    Raises UsageError or PlaceError where they cannot be written.
+    """
     directory = path_at(output)
     if directory is not None:
         write_together({directory / name: data for name, data in contents.items()})

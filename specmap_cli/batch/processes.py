@@ -54,7 +54,10 @@ _MOST_WARNINGS = 20  # of a step; log.txt has them all
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """How a process ended: its exit code (negative: the signal), or the limit that stopped it."""
+    """How a process ended: exit code (negative: the signal), seconds, megabytes seen at the most.
+
+    `stopped` is the limit for which it was killed.
+    """
 
     exit_code: int
     wall_s: float
@@ -69,7 +72,10 @@ class GivenUpError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """Limits of a job, the end of its time (`time.monotonic`), and whether it is still wanted."""
+    """The limits of a job, the end of its time (`time.monotonic`), and whether it is still wanted.
+
+    `wanted` is asked often.
+    """
 
     limits: Limits
     deadline: float

@@ -43,7 +43,10 @@ Meaning = Literal["flag", "text", "input", "output"]
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """An option of a command: its long names without dashes, and what kind its value is."""
+    """An option of a command: its long names without dashes, and what it takes.
+
+    That is nothing, a text, the path of an input, or the name of an output.
+    """
 
     names: tuple[str, ...]
     meaning: Meaning

@@ -105,12 +105,19 @@ def failure(turn: Turn, kind: Kind, reason: str, limits: Limits) -> JobResult:
 
 
 def may_retry(record: JobRecord, attempts: int) -> bool:
-    """Whether one more of `attempts` may succeed: after want of memory, a lost worker or place."""
+    """Whether another one of `attempts` may succeed: after want of memory, a lost worker or place.
+
+    A log stays bad, a rule stays broken and a setting stays wrong.
+    """
     return record.kind in _RETRIED and record.attempts < attempts
 
 
 def stands(stored: JobRecord, digest: str, limits: Limits, attempt: int) -> bool:
-    """Whether a result is of the same inputs and, if it failed, would fail again as it did."""
+    """Whether a result that is there need not be made again.
+
+    It is of the same inputs, settings and version; and if it failed, the same would happen again:
+    nothing has changed that it failed for, and it was not to be tried once more.
+    """
     if not digest or stored.digest != digest or stored.kind in ("worker", "place"):
         return False
     if stored.kind == "memory":
@@ -252,7 +259,10 @@ def _run_step(
 
 
 def _environment(temporary: Path) -> dict[str, str]:
-    """This environment, with a processor and temporary files of its own, without SPECMAP_ ones."""
+    """The environment of a step: this one, with a processor and temporary files of its own.
+
+    What SPECMAP_ variables a worker happens to have must not change a result.
+    """
     kept = {name: value for name, value in os.environ.items() if not name.startswith("SPECMAP_")}
     found = {**kept, **_ONE_PROCESSOR, "TMPDIR": str(temporary)}
     root = Path(specmap_cli.__file__).parent.parent

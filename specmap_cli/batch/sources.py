@@ -60,7 +60,10 @@ class Source(NamedTuple):
 
 
 def logs_at(place: str) -> list[Found]:
-    """The recordings that a file, directory or pattern stands for by name; LogError for none."""
+    """The recordings that a file, a directory or a pattern stands for, by name.
+
+    Raises LogError when there is none.
+    """
     path = path_at(place)
     if path is None:
         found = list(_found_in_store(place))
@@ -82,7 +85,10 @@ def _missing(place: str | Path, found: str = "no such file or directory") -> Log
 
 
 def sources_of(log: str) -> tuple[Source, ...]:
-    """The files of a log, itself or those in it. LogError where it cannot be read, PlaceError."""
+    """The files of a log: itself, or those in it when it is a directory.
+
+    Raises LogError for a log that is missing or cannot be read, PlaceError for a store.
+    """
     path = path_at(log)
     if path is None:
         found = tuple(_files_in_store(log))
@@ -114,7 +120,10 @@ def bytes_of(job: Job) -> int:
 
 
 def inputs_of(job: Job) -> tuple[InputRecord, ...]:
-    """The logs of a job as they are now. LogError or PlaceError for one out of reach."""
+    """The logs of a job as they are now.
+
+    Raises LogError or PlaceError for a log that cannot be reached.
+    """
     made = []
     for log in job.logs:
         sources = sources_of(log)
@@ -126,7 +135,10 @@ def inputs_of(job: Job) -> tuple[InputRecord, ...]:
 
 
 def digest_of(job: Job, version: str, inputs: Iterable[InputRecord]) -> str:
-    """The digest of a job and its `inputs_of`. UsageError for a file of an option out of reach."""
+    """The digest of a job and its `inputs_of`, hexadecimal.
+
+    Raises UsageError for a file of an option that cannot be read.
+    """
     steps: list[list[str]] = []
     for step in job.steps:
         steps.append([step.command])
@@ -138,7 +150,11 @@ def digest_of(job: Job, version: str, inputs: Iterable[InputRecord]) -> str:
 
 
 def fetched(logs: Sequence[str], directory: Path) -> dict[str, str]:
-    """The path here of each log, copied to `directory` from a store. PlaceError, LogError."""
+    """The path on this machine of each log, in order; those in stores are copied to `directory`.
+
+    Raises PlaceError when they do not fit there, and for a store that cannot be reached; LogError
+    for a log that is not there.
+    """
     remote = {log: sources_of(log) for log in logs if path_at(log) is None}
     needed = sum(source.bytes or 0 for sources in remote.values() for source in sources)
     free = shutil.disk_usage(directory).free

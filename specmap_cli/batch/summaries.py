@@ -57,7 +57,10 @@ Row = Mapping[str, Value]
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of the summaries; docs/batch.md says what each means."""
+    """A column: its name, the type of its values, and where they come from.
+
+    What they mean is in docs/batch.md.
+    """
 
     name: str
     type: Literal["text", "whole", "real"]
@@ -109,7 +112,10 @@ COLUMNS = (
 
 
 def rows_of(names: Iterable[str], records: Mapping[str, JobRecord]) -> list[Row]:
-    """A row for each job, in order of names; one without a record has its name and waits."""
+    """A row of the summary for each job, in order of names.
+
+    Of a job without a record it has the name and that it waits.
+    """
     rows: list[Row] = []
     for name in sorted(names):
         row: dict[str, Value] = {"name": name, "state": WAITING}

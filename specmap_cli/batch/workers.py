@@ -44,7 +44,8 @@ _SHARE = 0.9  # of the machine's memory: the rest is for the system and the clie
 
 @dataclass(frozen=True, slots=True)
 class Cluster:
-    """`workers` here (None: one a processor), or a scheduler's, waited for `patience_s`."""
+    """Where workers are: `workers` of this machine (None: one a processor), or those of a
+    scheduler, for the first of which to wait `patience_s`."""
 
     workers: int | None = None
     scheduler: str | None = None
@@ -53,7 +54,10 @@ class Cluster:
 
 @contextmanager
 def opened(cluster: Cluster, terms: Terms) -> Iterator[Workers]:
-    """The workers, while the block lasts. UsageError without any, or for another version."""
+    """The workers, which give up what they do when the block ends.
+
+    Raises UsageError where there is no scheduler, no worker, or another version of specmap.
+    """
     if cluster.scheduler is None:
         with LocalWorkers(cluster.workers or processors(), terms) as local:
             yield local
@@ -206,7 +210,10 @@ class Workers:
         return turn, failure(turn, "worker", told, self._terms.limits)
 
     def _roomiest_host(self) -> tuple[list[str], int | None]:
-        """The workers of the host with the most memory for them, and its megabytes; None: any."""
+        """The workers of the host whose workers have the most memory together, and how much.
+
+        That is in megabytes; None: any.
+        """
         told = self._client.scheduler_info(n_workers=-1)["workers"]
         limit = self._terms.limits.memory_mb
         hosts: dict[str, tuple[list[str], int]] = {}
@@ -290,7 +297,11 @@ def on_worker(turn: Turn, terms: Terms, version: str) -> JobResult:
 def spread(
     cluster: Cluster, function: Callable[[Item], Result], items: Sequence[Item]
 ) -> list[Result]:
-    """What a function says of each item, in order; both are pickled. UsageError, NoResultError."""
+    """What a function says of each item, in their order; both can be pickled.
+
+    What the function raises is raised here. Raises UsageError where there are no workers,
+    NoResultError where they are lost on the way.
+    """
     lost = "start them and run the same command again, or leave out --workers and --scheduler"
     if cluster.scheduler is None:
         count, context = cluster.workers or processors(), multiprocessing.get_context("spawn")

@@ -188,7 +188,10 @@ def _fail(error: SpecmapError, as_json: bool) -> int:
 
 
 def _print_error(error: SpecmapError, as_json: bool) -> None:
-    """The error as one line of JSON on stdout, if that was asked for: schemas/error.schema.json."""
+    """The error as one object on stdout, when it is to be JSON: schemas/error.schema.json.
+
+    It is one line, as `batch` prints lines.
+    """
     if not as_json:
         return
     parts = {
@@ -207,7 +210,10 @@ JSON_VARIABLE = "SPECMAP_JSON"  # in the environment: as `--json` on the command
 
 
 def print_text(text: str) -> None:
-    """`text` on stdout, what it cannot show escaped; a reader that has seen enough is no error."""
+    """`text` on stdout; a reader that has seen enough, such as `head`, is no error.
+
+    What the terminal cannot show, such as a file name of any bytes, is escaped.
+    """
     try:
         try:
             _print_all(text)
@@ -240,7 +246,10 @@ def discard_stdout() -> None:
 
 
 def one_line(text: str) -> str:
-    """`text` as one line, with escapes for what a terminal would obey, and for what is no text."""
+    """`text` as one line: spaces for white space, escapes for what no terminal can show.
+
+    That is control characters, which it would obey, and bytes of a file name that are no text.
+    """
     return legible(" ".join(text.split()))
 
 

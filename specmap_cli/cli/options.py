@@ -96,7 +96,10 @@ class Common:
         return ConsoleProgress(Level.ERROR if self.quiet else self.log_level)
 
     def show(self, result: Mapping[str, Any], lines: Sequence[str]) -> None:
-        """The result on stdout: lines, or one JSON object, of schema version 1 if it names none."""
+        """The result on stdout: one JSON object, or lines for a person.
+
+        The object follows version 1 of the command's schema, unless it names another version.
+        """
         from specmap_cli.core.text import to_json
 
         whole = {"schema_version": 1, **result}

@@ -69,7 +69,10 @@ def load_config(
 
 
 def with_overrides(config: Config, overrides: dict[str, Any], where: str = "") -> Config:
-    """The configuration with nested `overrides`; errors begin with `where`, a file and a colon."""
+    """The configuration with nested `overrides` over it; UsageError as in `load_config`.
+
+    `where` stands before the complaint: the file that the overrides are from, and a colon.
+    """
     return _validated(_merge(config.model_dump(), overrides), where)
 
 
@@ -98,7 +101,10 @@ def known_settings(settings: Mapping[str, Any]) -> tuple[dict[str, Any], list[st
 def _validated(
     settings: dict[str, Any], where: str, overrides: Mapping[str, Any] | None = None
 ) -> Config:
-    """The configuration; `where` is to blame for a wrong key that is not among the overrides."""
+    """The configuration; `where` is to blame for a wrong key that is not among the overrides.
+
+    Warns of retired settings.
+    """
     given = overrides or {}
     left, retired = without_retired(settings)
     for key, value in retired.items():
@@ -139,7 +145,10 @@ def tables_of(name: str) -> dict[str, dict[str, Any]]:
 
 
 def without_retired(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Nested settings without retired ones and sections of them alone; these by dotted key."""
+    """Nested settings without those that are retired, and these by dotted key.
+
+    A section in which nothing is left goes, too.
+    """
     left: dict[str, Any] = {}
     retired: dict[str, Any] = {}
     for name, section in settings.items():

@@ -73,7 +73,10 @@ def write_bytes(path: Path | str, data: bytes) -> None:
 
 
 def write_together(contents: Mapping[Path, bytes]) -> None:
-    """Write several files, replacing those of their names: all or none. Raises UsageError."""
+    """Write several files, replacing those of their names: all of them, or none.
+
+    UsageError when one cannot be written.
+    """
     with ExitStack() as files:  # each takes its name only when all have been written
         for path, data in contents.items():
             file = files.enter_context(complete_file(path))
@@ -140,7 +143,11 @@ def partial_of(target: Path) -> Path:
 
 
 def continued(path: Path) -> IO[str]:
-    """A file to write more lines to, made if there is none. OSError for a link, pipe or device."""
+    """A file to write more lines to, made where there is none.
+
+    Raises OSError, also for a link, by which a neighbour may have another file written, and for a
+    pipe or a device.
+    """
     flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | _AT_ONCE | getattr(os, "O_NOFOLLOW", 0)
     if os.path.lexists(path) and not stat.S_ISREG(path.lstat().st_mode):
         raise OSError(errno.EINVAL, "is a link or no regular file", str(path))
@@ -180,7 +187,10 @@ def to_disk(*paths: Path) -> None:
 
 
 def remove_leftovers(target: Path) -> tuple[Path, ...]:
-    """Remove what killed runs had begun to write in place of a file; returns it. Raises OSError."""
+    """Remove what runs that were killed had begun to write in the place of a file; returns it.
+
+    It has the name that `partial_of` gives, and no living run holds a lock on it. Raises OSError.
+    """
     removed = []
     ours = re.compile(re.escape(f".{target.name}.partial-") + r"([0-9a-f]{16}|\d+)")
     for path in target.parent.iterdir():

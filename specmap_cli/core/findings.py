@@ -73,7 +73,10 @@ class Quality(Value):
 
     @classmethod
     def of(cls, findings: Iterable[Finding]) -> Quality:
-        """The findings, gravest first, reading's own last of a kind; the worst is the verdict."""
+        """The findings, the gravest first, what reading had to say last of its kind.
+
+        The worst of them decides the verdict.
+        """
         told = [(-VERDICTS.index(_verdict(one)), one.code == INPUT, one) for one in findings]
         all_ = tuple(one for *_, one in sorted(told, key=lambda each: each[:2]))
         return cls(verdict=_verdict(all_[0]) if all_ else VERDICTS[0], findings=all_)
@@ -100,7 +103,10 @@ def at_least_as_bad(verdict: Verdict, limit: Verdict) -> bool:
 
 
 def summary(findings: Sequence[Finding]) -> list[str]:
-    """A line a code, in order of appearance: the first of its worst findings and how many more."""
+    """A line a code, in the order of first appearance: its worst finding and how many more.
+
+    The first finding of the worst severity stands for its code.
+    """
     lines = []
     for code in dict.fromkeys(finding.code for finding in findings):
         alike = [finding for finding in findings if finding.code == code]

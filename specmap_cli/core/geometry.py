@@ -39,7 +39,10 @@ def product(a: NDArray[Any], b: NDArray[Any]) -> FloatArray:
 
 
 def inverse3(matrices: NDArray[Any]) -> FloatArray:
-    """Inverses of (..., 3, 3) far from singular, by cofactors: the same bits on every processor."""
+    """The inverses of matrices (..., 3, 3), by cofactors, the same bits on every processor.
+
+    Good for matrices that are far from singular, as covariances with a floor are.
+    """
     rows = np.asarray(matrices, dtype=np.float64)
     one, two = rows[..., _NEXT, :], rows[..., _LAST, :]  # np.cross takes four times as long
     cofactors = one[..., _NEXT] * two[..., _LAST] - one[..., _LAST] * two[..., _NEXT]
@@ -177,7 +180,10 @@ def rpy_from_quaternions(quaternions: NDArray[Any]) -> FloatArray:
 
 
 def step_lengths(poses: NDArray[Any]) -> FloatArray:
-    """(n - 1,) metres from place to place of `poses` (n, 2 or more); NaN where one is not known."""
+    """(n - 1,) metres from each place of `poses` (n, 2 or more columns) to the next; (0,) of none.
+
+    NaN where one of the two places is not known.
+    """
     steps = np.diff(np.asarray(poses, dtype=np.float64)[:, :2], axis=0)
     return np.asarray(np.hypot(steps[:, 0], steps[:, 1]), dtype=np.float64)
 
@@ -195,7 +201,10 @@ def travelled(poses: NDArray[Any]) -> FloatArray:
 
 
 def moved(before: Pose2 | None, now: Pose2, distance_m: float, angle_rad: float) -> bool:
-    """Whether the robot drove `distance_m` or turned `angle_rad` since `before`, if that was."""
+    """Whether the robot drove `distance_m` or turned `angle_rad` since `before`, or more.
+
+    Without a pose before, it has: the first scan always counts.
+    """
     if before is None:
         return True
     step = before.inverse() @ now
@@ -215,7 +224,10 @@ def runs(labels: Sequence[Any] | NDArray[Any]) -> list[tuple[int, int]]:
 
 
 def neighbours(ids: Iterable[int], pairs: Iterable[tuple[int, int]]) -> Neighbours:
-    """The ids that share a pair with each id, itself left out; KeyError for an end that is none."""
+    """The ids that share a pair with each id, which may be none; a pair of equals counts nothing.
+
+    Raises KeyError for a pair with an end that is no id.
+    """
     found: dict[int, set[int]] = {id_: set() for id_ in ids}
     for a, b in pairs:
         if a != b:

@@ -75,7 +75,10 @@ def _limited() -> Iterator[None]:
 
 
 def give_memory_back() -> None:
-    """Give the system the pages that hold nothing any more; where glibc is not, do nothing."""
+    """Give the system the pages that hold nothing any more; where glibc is not, do nothing.
+
+    Arrays of some megabytes that come and go leave holes, which glibc keeps for later ones.
+    """
     import ctypes  # slow to load, and no need of a command that only tells
 
     with suppress(AttributeError, OSError, TypeError):  # Windows has no library without a name

@@ -57,7 +57,10 @@ def meanings(kind: type) -> dict[str, str]:
 
 @dataclass(frozen=True, slots=True)
 class ModelSchema:
-    """The JSON Schema of a model, which a file holds, too; `version` is its `schema_version`."""
+    """The JSON Schema that a model makes, for other tools: a file of the package holds the same.
+
+    `version` is the `schema_version` of what it describes.
+    """
 
     model: type[BaseModel]
     name: str

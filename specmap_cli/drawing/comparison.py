@@ -72,7 +72,10 @@ def render_comparison(
 
 
 def _laid_over(old: Regions, new: Regions, old_from_new: BentMotion, found: Differences) -> Regions:
-    """Both maps on the old one's grid; who saw a free cell owns it, under a thing the other map."""
+    """Both maps on one grid in the frame of the old one; who saw each free cell is its owner.
+
+    Under a thing that map has the cells which shows the thing: the floor there is in the other one.
+    """
     cell_m = old.grid.resolution
     corners = _corners(new.grid)
     reach = np.concatenate([_corners(old.grid), old_from_new.rigid.apply(corners)])

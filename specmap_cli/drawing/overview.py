@@ -121,7 +121,10 @@ def _draw_graph(
     fills: Mapping[int, palette.Colour],
     marks: FloatArray | None = None,
 ) -> None:
-    """Doors, links, then badges on submaps, clear of `marks` (N, 2), pixels of what comes later."""
+    """Doors, links along their ways or through their crossings, then a badge on each submap.
+
+    Badges keep clear of `marks` (N, 2), pixels at which something else will be drawn.
+    """
     if not nodes:
         return
     driven = any(door.driven for door in topology.doors)  # nobody drove through a finished map
@@ -166,7 +169,10 @@ def drawn_as(topology: TopologicalMap, edge: Edge) -> symbols.LinkKind:
 
 
 def spread(centres: FloatArray, gap: float, fixed: FloatArray | None = None) -> FloatArray:
-    """`centres` (N, 2) moved apart until none is nearer than `gap` to another or to `fixed`."""
+    """`centres` (N, 2) moved apart, as little as it takes, until none are nearer than `gap`.
+
+    Nor are they nearer to what is `fixed` (M, 2).
+    """
     count = len(centres)
     moved = np.concatenate([centres, np.zeros((0, 2)) if fixed is None else fixed])
     for _ in range(_ROUNDS):
@@ -282,7 +288,10 @@ def render_labels(
 def _draw_predicted(
     sheet: Sheet, places: FloatArray, submaps: IntArray, fills: Mapping[int, palette.Colour]
 ) -> FloatArray:
-    """Runs of one prediction in its colour; returns the places (N, 2) of badges, in pixels."""
+    """Runs of one prediction in its colour, each with a badge where there is room for one.
+
+    Returns the places of the badges (N, 2), in pixels.
+    """
     pixels = sheet.pixels(places)
     drawn = strokes(places, submaps)
     told = [stroke for stroke in drawn if submaps[stroke.first] != NO_SUBMAP]

@@ -66,7 +66,10 @@ def vivid(fill: Colour) -> Colour:
 
 
 def colours_of(topology: TopologicalMap, regions: Regions) -> dict[int, Colour]:
-    """A fill for each submap, not that of one linked to it, touching it, or across a wall."""
+    """A fill for each submap, which its neighbours do not have.
+
+    Neighbours are submaps with an edge, and regions that touch or lie across a wall.
+    """
     thin = max(1, round(_THINNED_M / regions.grid.resolution))
     reach = max(1, round(_NEAR_M / regions.grid.resolution / thin))
     pairs = set(topology.edges) | touching(regions.owner[::thin, ::thin], reach)

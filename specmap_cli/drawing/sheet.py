@@ -46,7 +46,10 @@ _USUAL_STEPS, _USUAL_PERCENTILE = 3.0, 90.0
 
 
 class Sheet:
-    """A map to scale, its longer side LONG_SIDE pixels, with room for a title and a legend."""
+    """A map drawn to scale on a canvas with room for a title above and a legend below.
+
+    `pixels_per_m` is chosen so that the longer side of the map is LONG_SIDE pixels.
+    """
 
     def __init__(self, low: NDArray[Any], high: NDArray[Any], legend: Legend) -> None:
         extent = np.maximum(np.asarray(high) - low, _LEAST_EXTENT_M)
@@ -138,7 +141,10 @@ class Sheet:
         self._blend(inside, cover[inside], colour)
 
     def _blend(self, rows: slice, cover: NDArray[Any], colour: Colour) -> None:
-        """Colour rows of the canvas as far as `cover` (rows, W) says, in strips for memory."""
+        """Colour some rows of the canvas, as far as `cover` (rows, W) says.
+
+        A strip at a time: all at once would be the most memory that a small map needs.
+        """
         painted, ink = self.canvas.image[rows], np.array(colour, dtype=np.float32)
         for start in range(0, len(cover), _STRIP):
             strip = slice(start, start + _STRIP)
@@ -184,7 +190,10 @@ class Sheet:
 
 
 def _at_most_a_pixel_each(regions: Regions, pixels_per_m: float) -> tuple[GridMap, OwnerArray]:
-    """Cells and owners, thinned to the middle of blocks of more than half a pixel."""
+    """Cells and owners, thinned out until a cell is more than half a pixel.
+
+    Blocks of cells keep the state and the owner of their middle one.
+    """
     step = _thinning(regions.grid, pixels_per_m)
     cells = _padded(regions.grid.cells, step, UNKNOWN)
     owner = _padded(regions.owner, step, NOBODY)
@@ -232,7 +241,10 @@ def extent_of(
 
 
 def round_length(length: float) -> tuple[float, int]:
-    """The largest of 1, 2, 5 times a power of ten up to `length`, and into how many round parts."""
+    """The largest of 1, 2, 5 times a power of ten up to `length`, and into how many parts it goes.
+
+    The parts are of a round length, too.
+    """
     power = 10.0 ** math.floor(math.log10(length))
     step = max(step for step in _PARTS if step * power <= length * (1 + 1e-9))
     return float(power * step), _PARTS[step]

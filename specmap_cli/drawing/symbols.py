@@ -37,7 +37,10 @@ _REACH, _DOOR_REACH = 20, 16  # half the width of a line in the legend, and of a
 
 
 def edge(canvas: Canvas, points: NDArray[Any], kind: LinkKind) -> None:
-    """A link: solid when driven or open, dashed for a closure or only seen, dotted for a guess."""
+    """A link of the graph: solid when driven or open, dashed for a closure, dotted for a guess.
+
+    What was only seen has short dashes, what is too narrow has dots.
+    """
     if kind == "closure":
         canvas.dashes(points, palette.PAPER, _LINK_HALO, _DASH, _DASH_GAP)
         canvas.dashes(points, palette.CLOSURE, _LINK, _DASH, _DASH_GAP)
@@ -53,7 +56,10 @@ def edge(canvas: Canvas, points: NDArray[Any], kind: LinkKind) -> None:
 
 
 def door(canvas: Canvas, sides: NDArray[Any], driven: bool) -> None:
-    """A passage as wide as it is: ticks at its jambs (2, 2), dots across where nobody drove."""
+    """A passage as wide as it is: a tick at each of its jambs (2, 2), and nothing between them.
+
+    Dots cross one that was only seen: the robot never drove through.
+    """
     middle, half = sides.mean(axis=0), (sides[1] - sides[0]) / 2.0
     length = max(1.0, float(np.linalg.norm(half)))
     tick = np.array([half[1], -half[0]]) * _TICK / length

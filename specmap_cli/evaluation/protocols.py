@@ -71,7 +71,10 @@ class ClassificationScores:
 
     @property
     def precision_of(self) -> dict[int, float]:
-        """Share of the scans labelled so that are of the class, of classes with scans."""
+        """Share of the scans labelled so that are of the class; nought when it was never called.
+
+        Of the classes with scans only: another cannot be right.
+        """
         called = self.confusion.sum(axis=0)
         return {
             i: float(self.confusion[k, k] / called[k]) if called[k] else 0.0
@@ -111,7 +114,11 @@ def classification_scores(
     predicted: Sequence[int | None] | NDArray[Any],
     ids: Iterable[int],
 ) -> ClassificationScores:
-    """Score `predicted` (n,) by `truth` (n,) that is a class; what is no class is unknown."""
+    """Score `predicted` (n,) against `truth` (n,); scans whose truth is no class are left out.
+
+    A prediction of None, or of anything that is no class, counts as unknown: wrong, but no other
+    class's fault.
+    """
     classes = tuple(sorted(ids))
     number = {submap: k for k, submap in enumerate(classes)}
     confusion = np.zeros((len(classes), len(classes) + 1), dtype=np.int64)
@@ -125,7 +132,10 @@ def classification_scores(
 
 @dataclass(frozen=True, slots=True)
 class HoldOut:
-    """Keyframes held out, by number and seed: a `share`, single or in blocks of `block`."""
+    """Which keyframes are held out: a `share` of them, one by one or in blocks of `block`.
+
+    The choice depends on a keyframe's number and `seed` only, so that it can be made as they come.
+    """
 
     split: Split = "random"
     share: float = 0.2
@@ -231,7 +241,9 @@ def score_hold_out(
 def labels_of(
     finished: FinishedMap, store: KeyframeStore, held_out: KeyframeStore, config: Config
 ) -> list[Label]:
-    """The labels of held-out scans by the map of `store`; the filter starts afresh after a gap."""
+    """The labels of held-out scans in turn, by the map of `store`; the filter starts afresh after
+    a gap.
+    """
     poses = poses_at(finished, held_out.stamps_ns)
     classifiers = finished.classifiers
     adjacency = neighbours(classifiers.ids, finished.topology.joined)

@@ -70,7 +70,10 @@ def _nav2_nodes(found: routes.Routes, record: TopologyRecord) -> Iterator[Fields
 
 
 def _nav2_edges(found: routes.Routes) -> Iterator[Fields]:
-    """Two lines a leg, of ids beyond those of the nodes; scorers may replace the cost."""
+    """Two lines a leg; their ids begin beyond those of the nodes, as ids of both must differ.
+
+    The server's own scorers may replace the cost, which is the length.
+    """
     waypoints = {waypoint.id: waypoint for waypoint in found.waypoints}
     ids = count(max(waypoints) + 1)
     for leg in found.legs:

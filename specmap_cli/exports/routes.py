@@ -35,7 +35,10 @@ _SAME_M = 1e-3  # a corner of a way this near to a door's line lies on it
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Waypoint:
-    """The anchor of `submap`, the passage of `door`, mostly `straight`, or a bend, of neither."""
+    """A place on the ways: the anchor of `submap`, the passage of `door`, or a bend, of neither.
+
+    A way goes `straight` through most doors.
+    """
 
     id: int
     kind: WaypointKind

@@ -88,13 +88,19 @@ class GridMap:
         return found
 
     def window(self, rows: slice, columns: slice) -> GridMap:
-        """A copy of the part in some rows and columns, with starts and ends on the grid."""
+        """The part of the map in some rows and columns, both with a start and an end on the grid.
+
+        Its cells are a copy, so that it does not keep the whole grid in memory.
+        """
         x, y = self.origin
         corner = (x + columns.start * self.resolution, y + rows.start * self.resolution)
         return GridMap(self.cells[rows, columns].copy(), self.resolution, corner)
 
     def cropped(self, shown: BoolArray | None = None, frame: int = 0) -> GridMap:
-        """The part round the cells `shown` (H, W), else the known, and a `frame`; all for none."""
+        """The part of the map round the cells `shown` (H, W), by default those that are known.
+
+        A `frame` of so many cells stays round it. Where nothing is shown the map stays as it is.
+        """
         window = window_of(np.asarray(self.cells != UNKNOWN) if shown is None else shown)
         if window is None:
             return self
@@ -109,7 +115,10 @@ class GridMap:
         return self.window(*slices_near(points, reach_m, self.origin, self.resolution, shape))
 
     def obstacle_distance(self) -> LengthArray:
-        """(H, W) metres from a cell's centre to the nearest occupied one's, or NO_OBSTACLE_M."""
+        """(H, W) metres from a cell's centre to the nearest occupied one's.
+
+        NO_OBSTACLE_M everywhere when no cell is occupied.
+        """
         if not self.occupied.any():
             return np.full(self.cells.shape, NO_OBSTACLE_M, dtype=np.float32)
         return self._metres(cell_distances((self.cells != OCCUPIED).astype(np.uint8)))
@@ -153,7 +162,10 @@ def slices_near(
     resolution: float,
     shape: tuple[int, ...],
 ) -> tuple[slice, slice]:
-    """The rows and columns of a grid within `reach_m` of the box round points (n, 2 or more)."""
+    """Rows and columns of a grid that lie within `reach_m` of the box round points (n, 2 or more).
+
+    The grid is of `shape` and begins at `origin`; of rows or columns off it nothing is left.
+    """
     low, high = points[:, :2].min(axis=0) - reach_m, points[:, :2].max(axis=0) + reach_m
     corners = np.floor((np.array([low, high]) - origin) / resolution).astype(np.intp)
     (left, bottom), (right, top) = np.clip(corners, 0, shape[::-1]).tolist()
@@ -178,7 +190,10 @@ def cell_distances(picture: CellArray) -> LengthArray:
 
 
 def clearance_of(free: BoolArray) -> LengthArray:
-    """(H, W) cells from each free cell's centre to the nearest not free, as all off the grid is."""
+    """(H, W) distance, in cells, from each free cell's centre to that of the nearest one not free.
+
+    What lies off the grid is not free.
+    """
     return cell_distances(np.pad(free.astype(np.uint8), 1))[1:-1, 1:-1]
 
 
@@ -197,7 +212,10 @@ def joined(cells: BoolArray, seeds: BoolArray) -> BoolArray:
 
 
 def looked_up(table: NDArray[_Value], numbers: NDArray[Any]) -> NDArray[_Value]:
-    """(H, W, ...) the entry in a table (n, ...) of each of `numbers` (H, W), some rows at once."""
+    """(H, W, ...) the entry in a table (n, ...) of each of the `numbers` (H, W), some rows at once.
+
+    All at once they would be copied to eight bytes each.
+    """
     found = np.empty(numbers.shape + table.shape[1:], dtype=table.dtype)
     for rows in bands_of(numbers.shape):
         found[rows] = table[numbers[rows]]
@@ -205,7 +223,10 @@ def looked_up(table: NDArray[_Value], numbers: NDArray[Any]) -> NDArray[_Value]:
 
 
 def within(picture: CellArray, reach: float) -> BoolArray:
-    """(H, W) the cells no farther than `reach` cells from a zero of a picture (H, W), in bands."""
+    """(H, W) the cells no farther than `reach` cells from a zero of a picture (H, W).
+
+    Distances are looked at some rows at once, with the rows that have a say in them.
+    """
     found, beyond = np.empty(picture.shape, dtype=np.bool_), math.ceil(reach) + 1
     for rows in bands_of(picture.shape, beyond):
         low = max(rows.start - beyond, 0)
@@ -222,7 +243,10 @@ def bands_of(shape: tuple[int, ...], least: int = 1) -> Iterator[slice]:
 
 
 def nearest_values(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.float32]]:
-    """Each cell's value (H, W), if zero the nearest that is not; and cells to that (H, W)."""
+    """Each cell's value (H, W), or that of the nearest non-zero cell where it is zero; how far.
+
+    The distance (H, W) to that cell is in cells.
+    """
     zero = (values == 0).astype(np.uint8)
     away, source = cv2.distanceTransformWithLabels(
         zero, cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL

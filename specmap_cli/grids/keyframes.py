@@ -110,7 +110,10 @@ class _Laser:
 
 
 class KeyframeStore:
-    """Keyframes by number: scans on disk, 64 bytes each in memory. Close it, or use `with`."""
+    """Keyframes by number 0, 1, ...: scans on disk, poses in memory. Close it, or use `with`.
+
+    Memory grows by 64 bytes a keyframe, not by its beams.
+    """
 
     def __init__(self) -> None:
         with temporary_files():
@@ -229,7 +232,11 @@ class KeyframeStore:
 
 
 def views_needed(scan: PlanarScan, config: GridConfig) -> int:
-    """How many scans from one place hit every cell of a surface, as far as the grid reaches."""
+    """How many scans from one place show every cell of a surface, as far as the grid reaches.
+
+    There two beams of a scan are as many cells apart, at most; and no cell needs more than
+    `ENOUGH_VIEWS`.
+    """
     spacing = float(scan.bearings[-1] - scan.bearings[0]) / max(len(scan.bearings) - 1, 1)
     reach_m = min(scan.range_max, config.max_range_m)
     return min(ENOUGH_VIEWS, max(1, math.ceil(reach_m * spacing / config.resolution_m)))

@@ -68,7 +68,10 @@ _PNM = re.compile(rb"P[1-6]\s+(?:#[^\n]*\n\s*)*(\d+)\s+(?:#[^\n]*\n\s*)*(\d+)")
 
 
 def write_png(path: str | Path, image: NDArray[Any]) -> None:
-    """Write an image, 8 or 16 bit, grey (H, W) or BGR (H, W, 3), complete or not. UsageError."""
+    """Write an image, 8 or 16 bit, grey (H, W) or BGR (H, W, 3): the same bytes every time.
+
+    The file appears complete or not at all. UsageError when it cannot be written.
+    """
     write_bytes(path, png_bytes(image))
 
 
@@ -112,11 +115,13 @@ def read_grid(
 ) -> GridMap:
     """The grid of a map_server YAML file, or of a picture of `resolution` metres a pixel.
 
-    The modes, thresholds and `negate` of map_server count; `resolution` overrides the file's. Cells
-    that are transparent are unknown, and so is the grey 205 of a map that a map_saver wrote, also
+    The modes, thresholds and `negate` of map_server count, so that maps of other tools read right;
+    cells that are transparent are unknown. So is the grey 205 of a map that a map_saver wrote, also
     where the threshold beside it makes it free: `progress` has a note then. Of a bare picture,
-    white is free, what is dark or borders on white is occupied, and its lower left corner is at (0,
-    0). `limits` bound the picture. Raises MapError naming the file and the key at fault.
+    white is free, what is dark or borders on white is occupied, and its lower left corner is at
+    (0, 0). Given with a YAML
+    file, `resolution` overrides the file's. `limits` bound the size of the picture. Raises MapError
+    naming the file and the key at fault.
     """
     path = Path(path)
     bare = path.suffix.lower() not in _YAMLS
@@ -158,7 +163,10 @@ def read_grid(
 
 
 def files_of_grid(path: Path) -> tuple[Path, ...]:
-    """The files that `read_grid` reads: a YAML and its picture, or a bare picture. MapError."""
+    """The files that `read_grid` reads: a YAML and the picture that it names, or a bare picture.
+
+    Raises MapError.
+    """
     if path.suffix.lower() not in _YAMLS:
         return (path,)
     image = _entries(path).get("image")
@@ -222,7 +230,10 @@ _Share = Annotated[float, Field(ge=0.0, le=1.0, description="a number from 0 to 
 
 
 class _MapYaml(BaseModel):
-    """The entries of a map_server YAML; the description of each is what a complaint expects."""
+    """The entries of a map_server YAML: where its picture is, and how greys become cells.
+
+    The description of each is what a complaint says was expected.
+    """
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
@@ -255,7 +266,11 @@ class _MapYaml(BaseModel):
         return self
 
     def frees_unknown(self, picture: NDArray[Any]) -> bool:
-        """Whether a picture (H, W, C) is one of map_saver whose unknown would be read as free."""
+        """Whether a picture (H, W, C) is a saved map whose grey for unknown would be read as free.
+
+        Such a picture has the greys of map_saver, nearly no others, and one for free among them: of
+        two greys that are both free, none would say anything.
+        """
         if self.mode != "trinary" or self.negate:
             return False
         if self.free_thresh <= (255 - _UNKNOWN_GREY) / 255.0:
@@ -327,7 +342,10 @@ def read_picture(path: Path, limits: LimitsConfig | None = None) -> NDArray[Any]
 
 
 def _is_whole(data: bytes) -> bool:
-    """Whether a PNG holds every byte that its chunks claim; other formats have no chunks."""
+    """Whether a PNG holds every byte that its chunks claim, which decoders ask memory for.
+
+    Pictures of other formats have no chunks.
+    """
     place = len(_PNG_MAGIC)
     while data.startswith(_PNG_MAGIC) and place < len(data):
         length = int.from_bytes(data[place : place + 4])

@@ -112,8 +112,9 @@ def search_everywhere(
     """The best `count` poses of points (N, 2) anywhere on the field at these angles, best first.
 
     A correlation by Fourier transform per angle, on the field pooled to cells of about `step`
-    metres. The poses are good to about a step and at least a metre (or 0.3 rad) from each other;
-    follow with `search` over +- a step, or `refine`. Scores are upper bounds, pooled.
+    metres: no guess is needed, drift of any size does not matter. The poses are good to about a
+    step and are at least a metre (or 0.3 rad) from each other; follow with `search` over
+    +- a step, or `refine`. Scores are upper bounds, pooled.
     """
     if not len(points):
         return []
@@ -153,7 +154,10 @@ def search_everywhere(
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Where points may be: about `pose`, with a covariance (3, 3) in the field; None: anywhere."""
+    """Where points may be: about `pose`, with an error of this covariance (3, 3) in the field.
+
+    Without a covariance they may be anywhere, at any angle.
+    """
 
     pose: Pose2
     covariance: FloatArray | None = None

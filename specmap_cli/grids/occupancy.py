@@ -121,7 +121,10 @@ class OccupancyGrid:
         self._misses[window] += other._misses
 
     def without(self, part: OccupancyGrid) -> OccupancyGrid:
-        """What was counted besides `part`, a grid of some of the same scans; none below 0."""
+        """What was counted besides `part`, a grid of some of the same scans; it may be smaller.
+
+        A grid next to its largest size may have refused what the part took: none counts below 0.
+        """
         rest = OccupancyGrid(self.config)
         if not self._hits.size:
             return rest
@@ -252,7 +255,11 @@ def fans_of(
 def _stars(
     beams: _Indices, x: FloatArray, y: FloatArray, laser: FloatArray, first: _Indices, gap: float
 ) -> tuple[NDArray[np.int32], _Indices]:
-    """The stars of all scans in a row, the laser before each surface in them; where each begins."""
+    """The stars of all scans, one after the other, and where each begins.
+
+    A star stands at its scan's laser (n, 2) before the first end of each surface: a beam is left
+    out before it, or its end is more than `gap` from that of the beam before.
+    """
     begins = np.empty(len(x), dtype=np.bool_)
     begins[1:] = np.diff(beams) != 1
     begins[1:] |= np.diff(x) ** 2 + np.diff(y) ** 2 > gap * gap

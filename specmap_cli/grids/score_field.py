@@ -44,7 +44,10 @@ _NEAR_STEP = 1e-3  # metres and radians: what follows mends as much
 
 @dataclass(frozen=True, slots=True)
 class PointCells:
-    """`cells` (2, N), columns and rows from the frame's origin, of points from `low` to `high`."""
+    """The cells `cells` (2, N), columns and rows from the origin of the frame, of N points.
+
+    `low` and `high` are the least and greatest x and y of the points, metres.
+    """
 
     cells: NDArray[np.int64]
     low: tuple[float, float]
@@ -63,7 +66,10 @@ class PointCells:
 
 @dataclass(frozen=True, slots=True)
 class ScoreField:
-    """`values` (H, W) in [0, 1] on a grid from `origin` on; `left_out` points lie too far away."""
+    """`values` (H, W) in [0, 1] on a grid whose lower left corner is `origin` (x, y).
+
+    `left_out` counts the points that the field does not show, for lying too far from the others.
+    """
 
     values: FieldArray
     resolution: float
@@ -81,8 +87,9 @@ class ScoreField:
         """The field of obstacle points (N, 2), metres.
 
         The grid covers all points if they spread over no more than `max_side` metres in x and in y,
-        else those within half of that from their median: a stray point costs nothing, but walls
-        beyond score 0. `left_out` says how many points these are.
+        else those within half of that from their median. So a stray point
+        kilometres away costs neither time nor memory. But walls beyond do not count either: what
+        is matched there scores 0. `left_out` of the result says how many points that were.
         """
         points = np.asarray(points, dtype=np.float64).reshape(-1, 2)
         cells = PointCells.of(points, resolution)

@@ -160,7 +160,11 @@ class Tour:
 
 
 def tour_of(keyframes: Labels, rooms: IntArray, driven_m: float) -> Tour:
-    """The tour of keyframes in `rooms` (n,), NO_SUBMAP for none; visits last till the next."""
+    """The tour of one recording's keyframes, of which `rooms` (n,) holds the room of each.
+
+    A keyframe in no room has NO_SUBMAP. A visit lasts until the scan with which the next begins, so
+    that no time is lost between two rooms.
+    """
     stamps = keyframes.stamps_ns.tolist()
     spans = runs(rooms)
     visits = tuple(
@@ -306,7 +310,10 @@ def words_of(change: ChangeRecord, names: Mapping[int, str]) -> str:
 
 
 def render_history(record: HistoryRecord, plans: Sequence[Map], folder: Path) -> str:
-    """The page in `folder`; `plans` are the first maps of the buildings. MapError for damage."""
+    """The page as text; `plans` are the first maps of the buildings, `folder` is where it lies.
+
+    Raises MapError when a file of a map is missing or damaged.
+    """
     sections = []
     for building, stored in zip(record.buildings, plans, strict=True):
         names = {number: shown(name) for number, name in names_of(building).items()}

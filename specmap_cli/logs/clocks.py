@@ -73,7 +73,10 @@ class Clock:
 
 @dataclass(frozen=True, slots=True)
 class StampPair:
-    """Odometry and the scan recorded next: (header stamp, recorder's time), ns; place (x, y), m."""
+    """Odometry and the scan recorded next: header stamp and recorder's time of each, ns.
+
+    `place` is (x, y) by the odometry, metres.
+    """
 
     odometry: tuple[int, int]
     scan: tuple[int, int]
@@ -158,7 +161,10 @@ def stamp_pairs(
 
 
 def odometry_of(message: Message, odometry_frame: str | None) -> TransformRecord | None:
-    """The odometry in a message, None in other transforms; raises BadMessageError."""
+    """The odometry in a message, None in one of other transforms.
+
+    Raises BadMessageError for a message that cannot be read.
+    """
     if message.type != TF_MESSAGE:
         return decode_odometry(message)
     records = decode_transforms(message).records

@@ -97,7 +97,10 @@ def cloud_points(
 
 
 def _times(table: NDArray[np.void], stamp_ns: int, clock: PointClock) -> FloatArray | None:
-    """Seconds (N,) after the stamp, None without a field for them; those near it are absolute."""
+    """Seconds (N,) after the stamp as recorded, None without such a field.
+
+    Times nearer to the stamp than to zero are absolute.
+    """
     name = next((field for field in table.dtype.names or () if field.lower() in TIME_FIELDS), None)
     if name is None or not len(table):
         return None

@@ -128,7 +128,10 @@ def _look(log: Log, config: LogConfig, *, complete: bool) -> _Look:
 
 
 def _preview(stream: SweepStream, *, complete: bool) -> tuple[summary.Preview | None, Sweep | None]:
-    """What the scans tell but for their stamps, and the first sweep; None without a usable scan."""
+    """What the first scans, or all of them, tell but for their stamps; and the first sweep.
+
+    None twice when there is no usable scan among them.
+    """
     first: Sweep | None = None
     stamps, places = array("q"), array("d")
     readings = invalid = stale = 0
@@ -193,7 +196,11 @@ class _Steps:
 
 
 class _Reading:
-    """Stamps by topic and type, of headers or the recorder's, and those of chosen topics."""
+    """The stamps of messages: of all topics by name and type, and header stamps of those chosen.
+
+    Stamps are those of the headers of scans and odometry, otherwise the recorder's times.
+    `unusable` counts the messages that cannot be decoded.
+    """
 
     def __init__(self, chosen: Selection | None) -> None:
         topics = (chosen.topic.name, *chosen.odom_topics) if chosen is not None else ()

@@ -132,7 +132,11 @@ def open_log(paths: Paths, config: LogConfig | None = None) -> Log:
 
 
 def _files_at(path: Path, readers: _Readers) -> Iterator[Path]:
-    """The file at a path, or the recordings in a directory; LogError for what may never end."""
+    """The file at a path, or the recordings in a directory by name.
+
+    Raises LogError for other things: a pipe, a socket or a device would keep a reader waiting,
+    perhaps for ever.
+    """
     try:
         mode = path.stat().st_mode
     except OSError as error:

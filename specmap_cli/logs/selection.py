@@ -103,7 +103,10 @@ _ENOUGH_MESSAGES = 2_000  # some seconds of transforms, in which every frame is 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Placement:
-    """base_from_laser (4, 4), height of the floor in the base frame if known, what was assumed."""
+    """The base frame, base_from_laser (4, 4) on it, and what was assumed.
+
+    `floor_m` is the height of the floor in the base frame, None when it is unknown.
+    """
 
     base_frame: str
     base_from_laser: FloatArray

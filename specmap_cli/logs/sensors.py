@@ -195,7 +195,10 @@ def _kinds(layouts: Sequence[ScanLayout]) -> list[tuple[View, int]]:
 def choose_sensor(
     log: str, topic: str, sensors: Sequence[ScanSensor], config: LogConfig
 ) -> ScanSensor:
-    """The sensor that is asked for, or the only frequent one; UsageError with those to choose."""
+    """The sensor that the settings name, or the only one with more than a small share of the scans.
+
+    `log` and `topic` are names. Raises UsageError with the sensors ready to paste.
+    """
     total, asked = sum(sensor.count for sensor in sensors), config.scan_frame
     if asked is not None:
         wanted = asked.lstrip("/")

@@ -64,7 +64,10 @@ class TopicCheck:
 
 @dataclass(frozen=True, slots=True)
 class Spacing:
-    """Scans a second, metres between them while the robot moves, by odometry, if these are many."""
+    """How scans follow one another: scans a second, metres between, whether these are many.
+
+    The median step while the robot moves, by odometry; None where nothing is known of it.
+    """
 
     rate_hz: float
     step_m: float | None = None

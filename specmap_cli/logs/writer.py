@@ -114,7 +114,10 @@ class LogWriter:
         points: ArrayLike,
         times_s: ArrayLike | None = None,
     ) -> None:
-        """A `PointCloud2` of points (N, 3), metres; `time` is `times_s` (N,) after the stamp."""
+        """One `sensor_msgs/msg/PointCloud2` of points (N, 3) in metres, float32.
+
+        `times_s` (N,), seconds after the stamp, become the field `time`.
+        """
         self.raw(
             topic,
             encoding.POINT_CLOUD,

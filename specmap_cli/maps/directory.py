@@ -37,7 +37,10 @@ _EXCHANGE = 2  # RENAME_EXCHANGE of renameat2
 
 
 def refuse_inside(output: Path | None, directory: Path) -> None:
-    """UsageError for an output in a directory that is about to be replaced; None is no output."""
+    """Refuse an output in a directory that is about to be replaced; None is no output.
+
+    Raises UsageError.
+    """
     if output is None:
         return
     place, target = (Path(os.path.realpath(path)) for path in (output, directory))
@@ -273,7 +276,10 @@ def _keep(source: Path, target: Path) -> None:
 
 
 def _remove(partial: Path, parents: list[Path], locks: ExitStack) -> None:
-    """Take back what entering made, as far as it is there, and locks. It may run twice."""
+    """Take back what entering made: the partial directory, its parents while they are empty, locks.
+
+    After the partial directory was renamed there is nothing to take back. It may run twice.
+    """
     with _signals_held():
         shutil.rmtree(partial, ignore_errors=True)
         with suppress(OSError):

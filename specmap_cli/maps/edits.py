@@ -210,7 +210,10 @@ def borders_in(edits: Edits) -> list[BorderEdit]:
 
 
 def read_edits(directory: Path, limits: LimitsConfig | None = None) -> Edits:
-    """The edits.toml of a map directory, none where there is no file; MapError in one line."""
+    """The edits.toml of a map directory, without any where there is none.
+
+    Raises MapError in one line.
+    """
     return EDITS.of_text(edits_text(directory, limits), f"{directory / filenames.EDITS}: ")
 
 

@@ -56,7 +56,10 @@ def write_features(path: Path, arrays: Arrays) -> None:
 
 
 def read_features(path: Path, keyframes: int, limits: LimitsConfig) -> Arrays:
-    """The arrays of a map of so many keyframes. MapError for damage and beyond its limits."""
+    """The arrays of a file, those of a map of so many keyframes.
+
+    Raises MapError for a file that is damaged, or beyond its limits.
+    """
     names = sorted(kind + what + _END for kind in KINDS for what in ("", KEYFRAMES_OF))
     older = [name for name in names if name.removesuffix(_END) not in _NONE]
     arrays: dict[str, NDArray[Any]] = dict(_NONE)

@@ -47,7 +47,10 @@ _PER_UNIT, _MM_PER_M = np.array([2.0**20, 2.0**20, 2.0**22]), 1000.0
 
 
 def write_keyframes(path: Path, store: KeyframeStore, poses: FloatArray) -> None:
-    """Write all keyframes of a store, at `poses` (n, 3) in the map. UsageError if it cannot."""
+    """Write all keyframes of a store, which lie at `poses` (n, 3) in the finished map.
+
+    Raises UsageError when the file cannot be written.
+    """
     from specmap_cli.logs.writer import LogWriter  # who reads a map needs none
 
     odom_from_base = _cut(store.poses)
@@ -207,7 +210,10 @@ _EVEN_RAD = 1e-5  # a fifth of a millimetre at 20 m; single precision alone take
 
 @dataclass(frozen=True, slots=True)
 class EvenBeams:
-    """Beams from `angle_min` on, rad in single precision as in messages, and `ranges` (B,)."""
+    """Beams from `angle_min` on, `increment` apart, radians, and what each met, `ranges` (B,).
+
+    The angles are of single precision, as in a message.
+    """
 
     angle_min: float
     increment: float
@@ -260,7 +266,10 @@ def _nearest(scan: PlanarScan, bearings: FloatArray) -> FloatArray:
 
 
 def _looked_at(bearings: FloatArray, ranges: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A circle of beams without the longest run, of two at least, of those that saw nothing."""
+    """A circle of beams without the longest run of those that saw nothing, the first of equals.
+
+    Two beams go at the least.
+    """
     count, seen = len(ranges), np.flatnonzero(~np.isnan(ranges))
     start, length = 0, count
     if len(seen):

@@ -196,7 +196,11 @@ class Grids(Mapping[int, GridMap]):
 
 
 def composed(stored: Map) -> tuple[GridMap, OwnerArray]:
-    """The grids of submaps laid out: earlier versions kept no more. MapError beyond all bounds."""
+    """The grids of all submaps laid out in the map, each the owner of what is free in it.
+
+    Earlier versions kept no more of a grid that they divided. Raises MapError when the whole would
+    be beyond all bounds.
+    """
     pieces = [(node, stored.grids[node.id]) for node in stored.record.nodes]
     points = np.vstack(
         [np.zeros((0, 2)), *(_placed(node, grid, grid.cells != UNKNOWN) for node, grid in pieces)]

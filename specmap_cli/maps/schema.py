@@ -193,7 +193,10 @@ class TopologyRecord(Record):
         frame: str = "map",
         quality: Quality | None = None,
     ) -> Self:
-        """The file of a map with these regions, made of `logs`; `frame` is that of coordinates."""
+        """The file of a map with these regions, made of `logs`; `frame` is that of coordinates.
+
+        Closures name the submaps that their stays are in by now.
+        """
         submap_of = {stay.number: stay.submap for stay in topology.stays}
         nodes = tuple(
             NodeRecord.of(submap, regions.outline(id_))
@@ -282,7 +285,10 @@ SCHEMA = ModelSchema(TopologyRecord, "topology", SCHEMA_VERSION, "specmap topolo
 
 
 def read_topology(path: Path, limits: LimitsConfig) -> tuple[TopologyRecord, str]:
-    """The record in a topology.json, and what an old one lacks, in words. Raises MapError."""
+    """The record in a topology.json, and what is to be said of it: what an old one lacks.
+
+    Raises MapError when it cannot be read, is of an unknown version, or contradicts itself.
+    """
     document = map_json(path, limits)
     graph = document.get("graph") if isinstance(document, dict) else None
     graph = graph if isinstance(graph, dict) else {}

@@ -395,7 +395,10 @@ class Map:
 
     @cached_property
     def config(self) -> Config:
-        """What the map was built with (run.json), without what `foreign_settings` names."""
+        """The configuration the map was built with (`config` in run.json).
+
+        Settings that this version does not have are left out: `foreign_settings` names them.
+        """
         return config_of(self.run.get("config"), self.path / filenames.RUN)
 
     @property
@@ -420,7 +423,10 @@ def _foreign(path: Path) -> MapError:
 
 
 def read_map(directory: str | Path, limits: LimitsConfig | None = None) -> Map:
-    """Open a map directory whose files are within `limits`; MapError of one line for any other."""
+    """Open a map directory whose files are within `limits`.
+
+    Raises MapError in one line when it is none, or damaged.
+    """
     path = path_of(directory, "directory")
     if not path.exists():
         raise MapError(
@@ -443,5 +449,8 @@ def read_map(directory: str | Path, limits: LimitsConfig | None = None) -> Map:
 
 
 def opened_map(given: Map | Path | str, name: str, limits: LimitsConfig | None = None) -> Map:
-    """A map, or the one in the directory that the argument `name` is; MapError, TypeError."""
+    """A map that is read already, or the directory of one, which the caller's argument `name` has.
+
+    Raises MapError as `read_map` does, TypeError for what is neither.
+    """
     return given if isinstance(given, Map) else read_map(path_of(given, name), limits)

@@ -147,7 +147,10 @@ def trajectory_text(trajectory: Trajectory) -> str:
 
 
 def planar_trajectory_text(trajectory: Trajectory) -> str:
-    """TUM lines of poses in the plane: microseconds, nine decimals of metres, bare zeros."""
+    """TUM lines of true poses in the plane, their stamps in whole microseconds.
+
+    Metres have nine decimals; z, qx and qy are a bare 0.
+    """
     half = 0.5 * trajectory.poses[:, 2]
     columns = np.column_stack([trajectory.poses[:, :2], np.sin(half), np.cos(half)])
     lines = []
@@ -159,7 +162,10 @@ def planar_trajectory_text(trajectory: Trajectory) -> str:
 
 
 def read_trajectory(path: str | Path, limits: LimitsConfig | None = None) -> Trajectory:
-    """The trajectory of a map, and which scans were lost; MapError names the line at fault."""
+    """The trajectory of a map back: its poses in space, and which of its scans were lost.
+
+    Raises MapError naming the line at fault.
+    """
     path = Path(path)
     lines = map_text(path, limits).splitlines()
     stamps: list[int] = []
@@ -194,7 +200,10 @@ def read_trajectory(path: str | Path, limits: LimitsConfig | None = None) -> Tra
 
 
 def read_tum(path: str | Path) -> Trajectory:
-    """A trajectory of any program, in the plane. InputError names a line of another format."""
+    """A trajectory of any program, in the plane; comments and commas may stand anywhere.
+
+    Raises InputError naming the line that is not `t x y z qx qy qz qw`.
+    """
     rows = stamped_rows(path, 1, "TUM format has 8", "pose", "`t x y z qx qy qz qw`")
     stamps = [stamp for (stamp,), _ in rows]
     poses = [(x, y, yaw_of(rotation_from_quaternion(*q))) for _, (x, y, _, *q) in rows]

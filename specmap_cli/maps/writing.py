@@ -59,7 +59,10 @@ class MapResult:
 
 
 def write_scans(directory: Path, keyframes: KeyframeStore, labels: Labels) -> None:
-    """Write the scans of all keyframes of a map, unless they are there: it is made anew of them."""
+    """Write the scans of all keyframes of a map into its directory, unless they are there.
+
+    A map without them cannot be made anew from its directory.
+    """
     from specmap_cli.maps.keyframe_log import write_keyframes  # loads what writes recordings
 
     path = directory / filenames.KEYFRAMES

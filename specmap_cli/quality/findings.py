@@ -106,7 +106,10 @@ def breaks(evidence: Evidence) -> Iterator[Finding]:
 
 
 def unmeasured_way(evidence: Evidence) -> Iterator[Finding]:
-    """Stretches that may be longer or shorter than the map has them, the gravest ones first."""
+    """Stretches that may be longer or shorter, since walls did not show how far the robot came.
+
+    The gravest ones first. Where odometry measured the way it counts, as well as odometry does.
+    """
     for stretch in sorted(evidence.stretches, key=lambda one: -one.off_m):
         severity, limit = graded(stretch.off_m, _OFF_M, _OFF_M_POOR)
         if severity == "note":
@@ -410,7 +413,10 @@ def rival_places(evidence: Evidence) -> Iterator[Finding]:
 
 
 def _most_agreed(links: Sequence[Link], poses: FloatArray) -> tuple[int, FloatArray]:
-    """How many links, one a keyframe, agree on one motion (3,) of the newer piece, and that."""
+    """How many links agree on one motion (3,) of the newer piece in the map, and that motion.
+
+    What moves it no farther than `MOVED_M` is no other place. Links of one keyframe count once.
+    """
     ends = Ends.of(range(len(poses)), links)
     newer, claimed = poses[ends.j], compose(poses[ends.i], ends.z)
     motions = compose(claimed, invert(newer))

@@ -72,7 +72,10 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class Spectra:
-    """The tests that are kept, of `total`; `dots` of the chart have their seconds of recording."""
+    """The tests that are kept, of `total` in all, and what the page needs to draw each.
+
+    `dots` are the tests in the chart, each with the seconds of recording at which it was made.
+    """
 
     dots: tuple[tuple[float, SplitTrial], ...]
     table: tuple[dict[str, Any], ...]

@@ -25,7 +25,10 @@ MOST_REFUSED = 400  # refused closures that are drawn: those with the largest xi
 
 
 class DrawnMap:
-    """A stored map as a drawing needs it. Properties raise MapError for a damaged file."""
+    """A stored map as a drawing needs it. A divided floor plan has no keyframes.
+
+    Every property raises MapError when a file is damaged.
+    """
 
     def __init__(self, stored: Map) -> None:
         self.stored = stored
@@ -92,7 +95,10 @@ def regions_of(map_: DrawnMap) -> list[dict[str, Any]]:
 
 
 def links_of(map_: DrawnMap) -> list[dict[str, Any]]:
-    """The links: `kind` as it is drawn, `line` along its way or straight, and if `forbidden`."""
+    """The ways of the map, or straight lines where the robot is too wide for every way.
+
+    Each has a `kind`, as it is drawn, and a `line`, and may be `forbidden`.
+    """
     edges = map_.stored.topology.edges
     found = []
     for record in map_.stored.record.edges:
@@ -135,7 +141,10 @@ _LEAST_DOOR_CM = 40.0  # of the mark of a way that was closed or opened
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Changes:
-    """What differs from an older map, in words too; `new_from_old` places that in the report's."""
+    """What differs from an older map of the building, as a record and in words.
+
+    `new_from_old` places the old map in the one that the report is about.
+    """
 
     old: Map
     record: ComparisonRecord

@@ -58,7 +58,10 @@ _MOST_LOST = 500  # places of lost scans that are drawn, evenly spread
 
 
 def render(stored: Map, evidence: Evidence, changes: Changes | None = None) -> str:
-    """The report on a stored map as one HTML page. MapError for a missing or damaged file."""
+    """The report on a stored map as the text of one HTML page.
+
+    Raises MapError when a file of the map is missing or damaged.
+    """
     map_ = DrawnMap(stored)
     starts = starts_of(stored.logs)  # of the recordings after the first one, in keyframes
     track = Track.of(stored.keyframes, starts, evidence.fit)

@@ -101,11 +101,13 @@ def is_full_circle(angle_rad: float) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OdometryErrors:
-    """How wheel odometry drifts, by default as that of a usual wheeled robot indoors.
+    """How wheel odometry drifts: random walks, and errors of the calibration.
 
-    Random errors are standard deviations after one metre or one radian, and grow with the root of
-    the way. The calibration's errors are relative (`..._scale`) or, for wheels of unequal size,
-    radians a metre (`veer_per_m`).
+    The defaults are those of a usual wheeled robot indoors: metres off after a few hundred metres.
+
+    A random error grows with the square root of the way: its standard deviation is that after one
+    metre or one radian. The calibration's errors are relative (`..._scale`) or, for wheels of
+    unequal size, radians a metre (`veer_per_m`).
     """
 
     translation_per_m: float = 0.01
@@ -158,7 +160,10 @@ class Cloud(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lidar:
-    """A 3D lidar: `level` at each of the `elevations` (R,), radians; heights are off the floor."""
+    """A 3D lidar: `level` with beams at every one of the `elevations` (R,), radians, upwards.
+
+    It stands `height_m` above the floor; walls and the ceiling are `ceiling_m` above it.
+    """
 
     level: Laser
     elevations: FloatArray
@@ -337,7 +342,10 @@ def simulated_tour(plan: GridMap, options: SimulationOptions) -> SimulatedTour:
 def tour_along(
     path: FloatArray, world: World, options: SimulationOptions, area_m2: float
 ) -> SimulatedTour:
-    """The tour along a path (N, 2) in the world, of which the robot can reach `area_m2`."""
+    """The tour along a path (N, 2) in the world, of which the robot can reach `area_m2`.
+
+    Its errors are those that `options.seed` draws for a tour of its own.
+    """
     _, wheels, noise = np.random.SeedSequence(options.seed).spawn(3)
     limits = Limits(
         options.speed_mps, math.radians(options.turn_rate_degps), options.acceleration_mps2
@@ -383,7 +391,10 @@ def tour_along(
 
 
 def simulate_sweeps(plan: GridMap, options: SimulationOptions) -> Iterator[tuple[Sweep, Pose2]]:
-    """The planar scans of a tour, as read from a log, and true poses. UsageError for a 3D lidar."""
+    """The planar scans of a tour with odometry, as read from a log, with their true base poses.
+
+    Raises UsageError for a 3D lidar: its clouds become scans only when a log of them is read.
+    """
     if options.rings > 1:
         hint = "write a log of them by specmap simulate"
         raise UsageError("a 3D lidar has clouds", hint, mark=";", where="rings")

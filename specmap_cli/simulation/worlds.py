@@ -78,7 +78,11 @@ class RoomTruth:
         return int(self.labels.max(initial=0))
 
     def at(self, points: NDArray[Any], reach_m: float = 0.5) -> LabelArray:
-        """(N,) room of each point (N, 2 or more columns), 0 where none is within `reach_m`."""
+        """(N,) room of each point (N, 2 or more columns), by the nearest painted cell.
+
+        A point up to `reach_m` from a room, such as one on the line of a door, is in that room; a
+        point farther away is in none: 0.
+        """
         positions = np.asarray(points, dtype=np.float64)[:, :2]
         nearest, away = nearest_values(self.labels)
         height, width = self.labels.shape

@@ -42,7 +42,10 @@ class Obstacle:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Crossing:
-    """Where two submaps meet: `place` (2,) is the widest part of their border, `width_m` wide."""
+    """Where two submaps of a map meet, `between` the smaller id and the larger.
+
+    `place` (2,) is the widest part of their border in that map, `width_m` the free width there.
+    """
 
     between: tuple[int, int]
     place: FloatArray
@@ -261,7 +264,10 @@ def _is_blocked(
     cells: _Cells,
     sides: tuple[BoolArray, BoolArray],
 ) -> bool:
-    """Whether another map saw a side of a way round `cells` (n, 2), and obstacles all across it."""
+    """Whether another map saw a side of a way, and obstacles all across it.
+
+    `cells` (n, 2) round the way are `placed` (n, 2) in that map, `away_m` from its obstacles.
+    """
     values, away = other.values_at(placed), other.under(placed, away_m, 0.0)
     if not any(side.any() and np.mean(values[side] == FREE) >= _SEEN for side in sides):
         return False

@@ -86,7 +86,10 @@ Parts = NDArray[np.int32]
 
 @dataclass(frozen=True, slots=True)
 class Narrow:
-    """A narrow place: row and column of its middle, cells across, way (2,) from the lower id."""
+    """A narrow place: row and column of its middle, cells from wall to wall between their sides.
+
+    `along` is the direction (2,) of the passage, as rows and columns, from the smaller id on.
+    """
 
     middle: FloatArray
     width: float
@@ -135,7 +138,11 @@ class _Saddle:
 def _saddle(
     heights: LengthArray, is_low: BoolArray, from_border: LengthArray, least: float
 ) -> _Saddle | None:
-    """The highest saddle of `heights` (h, w) between hills of both submaps, near their border."""
+    """The highest saddle between a hill of each submap that is near enough to their border.
+
+    `heights` (h, w) are the cells to the nearest one that is not free, `is_low` (h, w) which cells
+    are the first submap's, `from_border` (h, w) how far they are from the border, in cells.
+    """
     tops = [float(np.max(heights[side], initial=0.0)) for side in (is_low, ~is_low)]
     # steps so low that no hill is high enough for a saddle and yet vanishes in one of them
     step = min(_STEP, (_HILL - 1.0) * least / 2.0)
@@ -212,7 +219,10 @@ def _steps(start: BoolArray, part: BoolArray) -> IntArray:
 
 
 def _measured(space: Space, corner: IntArray, saddle: _Saddle) -> Narrow:
-    """The narrow place at a saddle, wall to wall; `corner` is the first cell of its window."""
+    """The narrow place at a saddle: from the nearest wall to the nearest one on the other side.
+
+    `corner` is the row and column on the map of the first cell of the saddle's window.
+    """
     cell = np.array(saddle.cell) + corner
     reach = math.ceil(2.0 * saddle.height) + 2
     low = np.maximum(cell - reach, 0)

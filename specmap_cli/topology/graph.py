@@ -51,7 +51,11 @@ Span = tuple[int, int]
 
 
 def submap_of_regions(regions: Iterable[int], merges: Iterable[Pair]) -> dict[int, int]:
-    """The submap of each region: the least of those merged with it. KeyError for no region."""
+    """The submap of each region: the smallest number of the regions merged with it.
+
+    `merges` are pairs of regions that are one submap, in any order and over any others. Raises
+    KeyError for a merge of what is no region.
+    """
     sets = DisjointSet(regions)
     for a, b in merges:
         sets.merge(a, b)
@@ -88,9 +92,10 @@ def build_topology(
     """The topological map of keyframes with submap `labels` (n,) and `poses` (n, 3) in the map.
 
     Submaps are linked where the robot drove across, and where a verified closure shows that its
-    tracks meet; by a loose edge over `breaks`, where tracking restarted; not over `starts`, with
-    which other recordings begin. `closures` name `stays` by their numbers; `grids` are in the
-    frames of the submaps, whose origin is the pose of their first keyframe.
+    tracks meet. `breaks` are where tracking restarted: what lies before is linked by a loose edge
+    only. `closures` name `stays` by their numbers; `grids` are in the frames of the submaps, whose
+    origin is the pose of their first keyframe. `starts` are the keyframes with which other
+    recordings begin: nobody drove from the one before to these.
     """
     recording = np.isin(np.arange(len(labels)), list(starts)).cumsum()
     both = np.unique(np.column_stack([recording, labels]), axis=0, return_inverse=True)[1]
@@ -256,7 +261,11 @@ def _driven_m(labels: IntArray, poses: FloatArray) -> dict[int, float]:
 def _heirs(
     labels: IntArray, old: IntArray, divided: IntArray, known: Iterable[int]
 ) -> dict[int, int]:
-    """The submap that has most of an old one, or of a `known` region, goes on in its new space."""
+    """The submap that new space in a region of the division goes to, for some of them.
+
+    An old submap goes on where most of its keyframes, `old` (n,), are; of several in one region
+    that with the most. A `known` region without one goes to the submap of most of its keyframes.
+    """
     heirs = {}
     for region in known:
         submap, share = _commonest(labels[divided == region])

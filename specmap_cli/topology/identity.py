@@ -225,7 +225,10 @@ def _areas_by_owner(owners: OwnerArray, cell_m2: float) -> dict[int, float]:
 
 @dataclass(frozen=True, slots=True)
 class Redrawn:
-    """Keyframes' `submaps` (n,) after the `borders` made; why others were `skipped`, by place."""
+    """Keyframes after all borders that could be made: `submaps` (n,) and the `borders` made.
+
+    `skipped` says, by place in the list that was requested, why the others could not.
+    """
 
     submaps: IntArray
     borders: tuple[BorderEdit, ...]
@@ -288,7 +291,10 @@ def undone(submaps: IntArray, poses: FloatArray, borders: Sequence[BorderEdit]) 
 def carried(
     borders: Sequence[BorderEdit], old: FloatArray, new: FloatArray
 ) -> tuple[BorderEdit, ...]:
-    """The borders of a map with keyframes `old` (n, 3), for one of `new` (m, 3) in one frame."""
+    """The borders of a map with keyframes `old` (n, 3) for one of `new` (m, 3) in the same frame.
+
+    What came with a merge is what is nearest to the old keyframes that came with it.
+    """
     nearest = cKDTree(old[:, :2]).query(new[:, :2])[1]
     return tuple(
         border
@@ -344,7 +350,10 @@ _LEFT, _RIGHT = 1, 2
 
 
 def fence_of(mine: BoolArray, grid: GridMap, line: Line) -> Line | None:
-    """The line, its ends moved on out of the cells `mine` (H, W); None where it crosses none."""
+    """The line from border to border of the cells `mine` (H, W); None where it crosses none.
+
+    An end that lies in them is moved on until it does not; one outside stays.
+    """
     if not (mine & drawn([line], grid)).any():
         return None
     start, end = np.array(line[0]), np.array(line[1])
@@ -353,7 +362,11 @@ def fence_of(mine: BoolArray, grid: GridMap, line: Line) -> Line | None:
 
 
 def is_right_of(fence: Line, mine: BoolArray, grid: GridMap, places: FloatArray) -> BoolArray:
-    """(n,) whether places (n, 2 or more) in cells `mine` (H, W) are, on foot, right of a fence."""
+    """(n,) whether each place (n, 2 or more) is right of a fence across the cells `mine` (H, W).
+
+    A place is on the side from which one comes to it first on foot, without crossing the fence; one
+    that is out of reach is on its side of the straight line.
+    """
     barrier = drawn([fence], grid)
     along, across, length = along_and_across(grid.centres_of(np.argwhere(mine)), fence)
     near = (np.abs(across) <= _BESIDE * grid.resolution) & (along >= 0.0) & (along <= length)

@@ -88,7 +88,11 @@ def with_ways(
 
 
 def _with_way(edge: Edge, way: Way, doors: Iterable[Door]) -> Edge:
-    """An edge with its way and the doors on it; without a path, with all doors between the two."""
+    """An edge with its way and those of the doors that it goes through.
+
+    An edge without a path names all doors between its submaps: the robot is too wide for them, or
+    for what is behind them.
+    """
     through = [door for door in doors if door.between == (edge.source, edge.target)]
     if way.path is not None:
         met = [(crossing_of(way.path, door), door) for door in through]
@@ -108,7 +112,10 @@ def _with_way(edge: Edge, way: Way, doors: Iterable[Door]) -> Edge:
 
 
 def crossing_of(path: FloatArray, door: Door) -> tuple[int, float] | None:
-    """The piece of a path (N, 2) that crosses a door's line, and the share before that, or None."""
+    """The piece of a path (N, 2) that crosses the line of a door, and the share of it before that.
+
+    None where it does not cross.
+    """
     door_from_map = Pose2(door.x, door.y, door.theta).inverse()
     ahead, aside = door_from_map.apply(path).T
     for step, (a, b) in enumerate(pairwise(range(len(path)))):
@@ -122,7 +129,10 @@ def crossing_of(path: FloatArray, door: Door) -> tuple[int, float] | None:
 def with_detours(
     topology: TopologicalMap, regions: Regions, shut: Collection[int]
 ) -> TopologicalMap:
-    """The map with ways round the doors of the ids `shut`, where there are any, else through."""
+    """The map with ways through none of the doors that are `shut`, by their ids, where there are.
+
+    Where no such way is left, or a door is open again, the way is the one through any door.
+    """
     changed = [door for door in topology.doors if door.forbidden or door.id in shut]
     pairs = {door.between for door in changed} & topology.edges.keys()
     places = {id_: each.anchor for id_, each in topology.submaps.items() if each.anchor is not None}
@@ -177,7 +187,10 @@ Place = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Forbidden:
-    """A way that a person forbade, all of it or `at` a place, before the borders `later`."""
+    """A person forbade the way between two submaps, or the one `at` a place in the map.
+
+    `later` are the borders made after it was said: it holds for what the submaps became.
+    """
 
     between: Pair
     at: Place | None = None
@@ -196,7 +209,11 @@ class Shut:
 
 
 def shut_by(topology: TopologicalMap, request: Forbidden) -> Shut | str:
-    """The links and doors between two, or those nearest to a place, or why there are none."""
+    """The links and doors that are meant, or why there are none.
+
+    Without a place all of them between the two; with one the door nearest to it, or where the two
+    meet in the open the link that crosses there.
+    """
     one, other = (heirs(id_, request.later) for id_ in request.between)
     edges = {
         (a, b): edge
@@ -224,7 +241,10 @@ def shut_by(topology: TopologicalMap, request: Forbidden) -> Shut | str:
 
 
 def with_shut(topology: TopologicalMap, shut: Shut) -> TopologicalMap:
-    """The map in which these doors, these links, and links through these doors are forbidden."""
+    """The map in which these links and doors are forbidden, and no others.
+
+    A link is forbidden, too, when its way leads through a forbidden door: see `with_detours`.
+    """
     return replace(
         topology,
         edges={
@@ -262,7 +282,10 @@ class Route:
 
 
 class Roads:
-    """What of a map a robot can drive on; of an old map, without a radius, nothing is known."""
+    """What of a map a robot can drive on; `route` finds the way on it from place to place.
+
+    Of a map of an earlier version nobody knows the robot's radius.
+    """
 
     def __init__(
         self, regions: Regions, doors: Sequence[Door], edges: Iterable[Edge], radius_m: float | None
@@ -343,7 +366,10 @@ class _Ground:
         return cls(space, clearance, price)
 
     def beside(self, place: Point) -> IntArray | None:
-        """The cell to stand in nearest to a place, within `_ASIDE_M`, and in its room if any."""
+        """The row and column nearest to a place where the robot can stand, within `_ASIDE_M`.
+
+        In the room of the place itself, where it lies in one.
+        """
         grid, owner = self.space.grid, self.space.owner
         cell = grid.cells_of(np.array([place]))
         reach = math.ceil(_ASIDE_M / grid.resolution)
@@ -377,7 +403,10 @@ class _Ground:
 
 
 def _in_order(space: Space, way: IntArray) -> tuple[int, ...]:
-    """The submaps along the cells of a way (n, 2), as often as entered; a touched one is not."""
+    """The submaps of the cells along a way (n, 2), each as often as it is entered.
+
+    Where the way runs along a border it may touch the other side: that is not to enter it.
+    """
     owners, brief = space.owner[tuple(way.T)], _TOUCH_M / space.grid.resolution
     stays = runs(owners)
     kept = [

@@ -87,7 +87,11 @@ def outline_of(region: BoolArray, grid: GridMap) -> Outline:
 
 
 def _contour(region: BoolArray) -> FloatArray:
-    """(N, 2) columns and rows of a region's outer contour, counter-clockwise, with few corners."""
+    """(N, 2) columns and rows of the outer contour of one connected region, counter-clockwise.
+
+    Cell (row, column) covers [column, column + 1) x [row, row + 1). The contour has few corners, as
+    far as it stays the outline of an area.
+    """
     # Doubled, so that the contour runs a quarter of a cell inside the region, not along centres,
     # where a passage one cell wide would have no area.
     doubled = np.zeros((2 * region.shape[0] + 2, 2 * region.shape[1] + 2), dtype=np.uint8)
@@ -146,9 +150,10 @@ _LONG = 576.0 / 121.0
 def kind_of(polygon: FloatArray) -> SubmapKind | None:
     """The kind of a region with this border (N, 2), metres; None for one without any area.
 
-    A hall has 60 square metres and a mean width of 4 m, or more; a corridor is long for its width,
-    as a rectangle of 4 by 1 is. They are measured along their own walls: a shape that is turned,
-    moved or mirrored has the same kind, unless half a percent of its length would change it.
+    A hall has 60 square metres and a mean width of 4 m, or more. Of other shapes, those are
+    corridors that are long for their width, as a rectangle of 4 by 1 is. They are measured along
+    their own walls: a shape that is turned, moved or mirrored has the same kind, unless half a
+    percent of its length would change it.
     """
     if not len(polygon):
         return None
@@ -248,7 +253,10 @@ class Regions:
 
 
 def _seen(grid: GridMap, owner: OwnerArray) -> tuple[Seen, ...]:
-    """Pieces of free cells that are nobody's, of LEAST_SEEN_M2 or more, the largest first."""
+    """The pieces of free cells that are nobody's, from LEAST_SEEN_M2 on, the largest first.
+
+    Cells join over their corners, too: the rays of a fan are one piece.
+    """
     nobodys = grid.free & (owner == NOBODY)
     shown = window_of(nobodys)
     if shown is None:
@@ -418,7 +426,10 @@ def windows_of(owner: OwnerArray) -> dict[int, Window]:
 
 @dataclass(frozen=True, slots=True)
 class Border:
-    """One stretch along which a pair touches: `low` and `high` (m, 2), cells side by side."""
+    """One stretch along which two submaps touch, the smaller id first.
+
+    `low` and `high` (m, 2) are the rows and columns of the cells on both sides, side by side.
+    """
 
     pair: Pair
     low: IntArray

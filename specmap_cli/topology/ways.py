@@ -164,10 +164,11 @@ def anchors_of(
 ) -> dict[int, Anchor]:
     """The anchor of each submap that has a free cell.
 
-    It is the cell nearest to the middle that keeps the robot's radius and a margin off all that is
-    not free, or else the one that keeps the most. Of a submap in pieces that one counts in which
-    the robot stood most often, rows and columns `stood` (k, 2), and of it what is near: not the
-    floor behind a railing or glass.
+    It is the cell nearest to the middle of the submap that keeps the robot's radius and a margin
+    off all that is not free. Where no cell keeps so much, it is the one that keeps the most. Of a
+    submap in pieces that one counts in which the robot stood most often: rows and columns `stood`
+    (k, 2). Nor is what is far from the robot's way a place to stand, such as the floor behind a
+    railing or glass.
     """
     anchors = {}
     wide, comfortable = space.away_for(radius_m), space.away_for(radius_m + margin_m)
@@ -237,7 +238,11 @@ class Tree:
 
 
 def tree(cells: IntArray, price: FloatArray, start: tuple[int, int]) -> Tree:
-    """The cheapest ways from `start` over cells (n, 2), row by row, at a `price` (n,) a step."""
+    """The cheapest ways from `start`, a row and column of the map, over cells (n, 2), row by row.
+
+    `price` (n,) is that of a step of one cell, also across corners, and infinite where nobody can
+    go. Takes n log n, and nothing for the rest of the map.
+    """
     from scipy.sparse import csr_matrix  # take a fifth of a second to load
     from scipy.sparse.csgraph import dijkstra
 
@@ -281,7 +286,11 @@ _SLACK = 1e-9  # of prices that are equal but for the last digit
 
 
 def straightened(way: IntArray, price: Price) -> IntArray:
-    """The corners (k, 2) of a line along cells (n, 2) that costs no more than the way does."""
+    """The corners (k, 2) of a line from the first to the last cell of a way (n, 2).
+
+    Cells that a line must not enter have an infinite `price`. A piece of the line costs no
+    more than the corners that it replaces: so it keeps off walls as the way does.
+    """
     corners = way[_corners(way, price)]
     prices = [line_price(a, b, price) for a, b in pairwise(corners)]
     kept = [0]

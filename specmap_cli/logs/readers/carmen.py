@@ -199,7 +199,10 @@ def _pose(words: list[bytes], start: int) -> Pose2:
 
 
 def _check_host(words: list[bytes], place: int) -> None:
-    """ValueError for a long line with a number for its host: it ran into another."""
+    """Raise ValueError when a line is too long, and has a number where the host should be.
+
+    It has then lost the end of itself, and what follows is of another line.
+    """
     if len(words) > place + 2 and _is_number(words[place]):
         raise ValueError(words[place])
 
@@ -372,7 +375,10 @@ class CarmenFile(recording.Recording):
 
 
 def _read(text: bytes) -> tuple[CarmenLine | None, list[str], bytes]:
-    """What a line holds, what of it is lost, and the keyword of another sensor's line."""
+    """What a line holds, None for nothing, and what of it is lost.
+
+    And the keyword of another sensor's line, if it is one: then nothing is lost.
+    """
     keyword, words = keyword_of(text), text.split()
     lost: list[str] = []  # of lines whose line break was damaged
     if any(text.find(part, 1) >= 0 for part in _PARTS):  # much quicker than the pattern
@@ -398,7 +404,11 @@ def _read(text: bytes) -> tuple[CarmenLine | None, list[str], bytes]:
 
 
 def _first_end(keyword: str, words: list[bytes]) -> int | None:
-    """How many words end at the host of a line into which another ran, by its own length if cut."""
+    """How many words end at the host of a line into which the end of another ran; else None.
+
+    Its last words are those of the other: a time, the host of both, a time. If its own host was
+    cut, its length tells.
+    """
     host = words[-2] if len(words) > 2 else b"0"
     if _is_number(host):
         return None

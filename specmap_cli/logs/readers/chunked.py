@@ -181,7 +181,10 @@ class ChunkedFile(Recording):
         return survey((*self.channels[entry.channel][:2], entry.time_ns) for entry in entries)
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """In time order with an index, chunk by chunk where many overlap; as written without."""
+        """The messages on `topics`, in time order with an index and as written without.
+
+        They come chunk by chunk when too many chunks overlap.
+        """
         if self._index is None:
             for entry in self._salvaged():
                 if topics is None or self.channels[entry.channel].topic in topics:
@@ -275,7 +278,10 @@ class ChunkedFile(Recording):
             yield from self._message(*entry)
 
     def _read_spots(self, ref: ChunkRef) -> tuple[bytes, list[Spot]]:
-        """The records of a chunk and where its messages stand, as written; damage is reported."""
+        """The records of a chunk and where its messages stand in them, as written.
+
+        Damage is reported, not raised.
+        """
         chunk, listing = self._open_chunk(ref), self._listing(ref)
         spots, whole = self._spots(chunk.data, listing)
         expected = Counter(ref.counts) | Counter(listing.counts)  # one may be damaged: the larger

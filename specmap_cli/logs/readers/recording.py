@@ -164,7 +164,10 @@ class Recording(ABC):
         return sum(self._damage.values(), Counter())
 
     def report(self, damage: str, lost: Mapping[str, int] | None = None) -> None:
-        """Note what was lost, once however often it is met, and the messages by topic, if known."""
+        """Note what was lost, once however often the file is read.
+
+        `lost` are the numbers of messages by topic, where they are known.
+        """
         self._damage.setdefault(legible(damage), Counter(lost or {}))
 
 

@@ -31,7 +31,11 @@ _MOST = 10**18  # messages in a file
 
 
 def recorded_messages(file: Path) -> int | None:
-    """The messages in one file by the list `files` of the metadata beside it, None without one."""
+    """The messages in one file of a recording by the metadata beside it; None when it says nothing.
+
+    The list `files` has a path and a number for each file; recorders before ROS 2 Galactic wrote
+    no such list.
+    """
     try:
         found = read_yaml(read_bytes(file.with_name("metadata.yaml"), _LARGEST_MB))
         files = {one["path"]: one for one in found["rosbag2_bagfile_information"]["files"]}
@@ -248,7 +252,10 @@ class Row(NamedTuple):
 
 
 class Fault(NamedTuple):
-    """What cannot be read behind a time (None: at first); `topic` is that of one lost message."""
+    """What could not be read behind a time (None: at first).
+
+    `topic` is that of the one message that is lost; None when nobody knows which ones are.
+    """
 
     error: str
     time_ns: object
@@ -317,7 +324,10 @@ class Rows:
         return Row(topic, time, found[0]), _Place(time, row)
 
     def _readable(self, last: int) -> _Place | None:
-        """The first readable place behind damaged rows after `last`, by doubling, then halving."""
+        """The first place behind the rows after `last` that cannot be read; None when all cannot.
+
+        Steps double until one leads out of the damage; halving finds where it ends.
+        """
 
         def can_go_on(row: int) -> bool:
             try:

@@ -25,7 +25,10 @@ class FeatureGroup:
 
 @dataclass(frozen=True, slots=True)
 class BatchGroup:
-    """The same of many scans at once, each by itself: `compute` gives (n, columns) of n scans."""
+    """The same of many scans at once: `compute` gives (n, columns) of n scans.
+
+    A scan's values do not depend on the scans beside it.
+    """
 
     compute: Callable[[ReturnsBatch], FloatArray]
     columns: tuple[str, ...]

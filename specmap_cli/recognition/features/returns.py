@@ -292,7 +292,10 @@ class ReturnsBatch:
 
     @cached_property
     def pair_shares(self) -> FloatArray:
-        """(n, 121) shares of pairs of up to 90 returns by distance, in steps of 0.1 m."""
+        """(n, 121) share of pairs of returns by distance in steps of 0.1 m, the last one open.
+
+        All pairs of every k-th return of a scan, at most 90 of them, so that it has one histogram.
+        """
         every = np.maximum(1, -(-self.counts // _PAIR_POINTS))
         taken = self.segments.place % self.segments.spread(every) == 0
         segments = self.segments.kept(taken)

@@ -48,7 +48,10 @@ BUILT_IN: Mapping[str, FeatureSet] = {
 
 @cache
 def feature_sets() -> Mapping[str, FeatureSet]:
-    """The sets by name, those of other packages last. UsageError for one that cannot be used."""
+    """The sets by name: those of this package, then those of other packages.
+
+    Read once a process. Raises UsageError for a package whose set cannot be used.
+    """
     table = with_plugins(ENTRY_POINTS, BUILT_IN)
     sets: dict[str, FeatureSet] = {}
     for name, groups in table.items():
@@ -71,7 +74,10 @@ def check_feature_sets(config: Config) -> None:
 
 
 def feature_names(feature_set: str, setting: str = "feature_set") -> tuple[str, ...]:
-    """The names (F,) of a set's columns. UsageError for a set that is none, named by `setting`."""
+    """The names (F,) of a set's columns.
+
+    Raises UsageError for a set that does not exist; `setting` is the key that named it.
+    """
     groups = _groups_of(feature_set, setting)
     return tuple(column for group in groups for column in group.columns)
 
@@ -85,9 +91,11 @@ def histogram_columns(feature_set: str) -> list[int]:
 def scans_features(scans: Iterable[PlanarScan], feature_set: str) -> FloatArray:
     """(n, F) features of scans, in the order of `feature_names(feature_set)`; always finite.
 
-    They are rounded to single precision, and cut to its largest numbers: how a processor rounds a
-    sum or a cosine changes no threshold that is learned from them. Raises UsageError for a set that
-    does not exist, and for one whose functions break their word.
+    They are rounded to single precision, and cut to its largest numbers. A processor that rounds a
+    sum, a cosine or a logarithm otherwise changes only digits beyond it, and so no threshold that
+    is learned from them.
+
+    Raises UsageError for a set that does not exist, and for one whose functions break their word.
     """
     names, groups = feature_names(feature_set), _groups_of(feature_set)
     rows = [np.zeros((0, len(names)))]
@@ -120,7 +128,11 @@ def scans_features(scans: Iterable[PlanarScan], feature_set: str) -> FloatArray:
 
 
 class KeyframeFeatures:
-    """Features of keyframes, computed once while there is room: `most`, a kilobyte each."""
+    """Features of the keyframes of a store, each computed once while there is room.
+
+    The first `most` are kept, a kilobyte each: in single precision, to which they are rounded
+    anyway. A robot that drives on all day has others computed again when they are asked for again.
+    """
 
     def __init__(self, store: KeyframeStore, feature_set: str, most: int = _KEPT) -> None:
         self.store = store

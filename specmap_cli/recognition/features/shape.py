@@ -37,13 +37,19 @@ _FARTHEST_M = 12.0
 
 
 def breaks_of(batch: ReturnsBatch) -> BoolArray:
-    """(N,) whether the step from a return to the next one leaps from one surface to another."""
+    """(N,) whether the step from a return to the next one leaps from one surface to another.
+
+    The last return of a scan has no step.
+    """
     following = batch.ranges[batch.segments.following]
     return leaps(batch.onward, batch.ranges, following) & ~batch.segments.last
 
 
 def leaps(steps: FloatArray, here: FloatArray, there: FloatArray) -> BoolArray:
-    """(N,) whether steps (N,) between ranges (N,) are over 0.25 m and 3 % of the nearer one."""
+    """(N,) whether steps (N,) between returns at ranges `here` and `there` (N,) leave a surface.
+
+    Those do that are longer than 0.25 m and 3 % of the nearer range together.
+    """
     return np.asarray(steps > _BREAK_M + _BREAK_PER_M * np.minimum(here, there))
 
 
@@ -62,7 +68,9 @@ def pieces_between(segments: Segments, breaks: BoolArray) -> tuple[IntArray, Int
 
 
 def pieces(batch: ReturnsBatch) -> FloatArray:
-    """Smooth pieces: how many, how many over 0.5, 1 and 2 m, the longest length and the mean."""
+    """Smooth pieces between leaps: how many there are, how many are longer than each of 0.5, 1 and
+    2 m, the longest one's length and the mean length.
+    """
     segments, breaks = batch.segments, breaks_of(batch)
     travelled = travelled_along(batch, np.zeros_like(breaks))
     starts, ends = pieces_between(segments, breaks)
@@ -125,7 +133,10 @@ def ring_histogram(batch: ReturnsBatch) -> FloatArray:
 
 
 def harmonics(batch: ReturnsBatch) -> FloatArray:
-    """Magnitudes of harmonics of the ranges, cut at 12 m, over bearings: no turn changes them."""
+    """Magnitudes of the harmonics of the ranges, cut at 12 m, over the returns' bearings.
+
+    A turn of a full circle shifts the signal, which the magnitudes do not see.
+    """
     segments, bearings = batch.segments, batch.bearings
     # without leaps of more than half a turn within a scan
     change = np.concatenate([np.zeros(min(1, len(bearings))), np.diff(bearings)])

@@ -31,7 +31,10 @@ _TURN = 2.0 * math.pi
 
 
 def all_round(ranges: FloatArray, range_max: float, stamp_ns: int = 0) -> PlanarScan:
-    """The full-circle scan of ranges (B,) at the bearings of `circle(B)`, to the micrometre."""
+    """The full-circle scan of ranges (B,) at the bearings of `circle(B)`, to the micrometre.
+
+    The poses behind them differ in their last bits from processor to processor.
+    """
     return PlanarScan(
         stamp_ns=stamp_ns,
         bearings=circle(len(ranges)),
@@ -83,7 +86,10 @@ class RecentScans:
         return True
 
     def scan(self, stamp_ns: int, map_from_laser: Pose2, share: float = 1.0) -> PlanarScan:
-        """The nearest returns seen from `map_from_laser`, in the last `share` of the window."""
+        """The virtual scan seen from `map_from_laser`: the nearest return at each bearing.
+
+        Of the window its last `share` in (0, 1] counts, up to the last scan that was kept.
+        """
         since = self._kept[-1][0] - share * WINDOW_M if self._kept else 0.0
         placed = [points for travelled, _, points in self._kept if travelled >= since]
         points = np.vstack(placed) if placed else np.zeros((0, 2))
@@ -113,7 +119,10 @@ def cast_circles(
 
 
 def outline(scan: PlanarScan, map_from_laser: Pose2, reach_m: float) -> FloatArray:
-    """(k, 4) lines x, y, x, y in the map between neighbouring returns in `reach_m` on a surface."""
+    """(k, 4) the lines x, y, x, y in the map between neighbouring returns of one surface.
+
+    Returns farther than `reach_m` are left out.
+    """
     ranges, bearings = scan.ranges, scan.bearings
     near = np.isfinite(ranges) & (ranges <= reach_m)
     r = np.where(near, ranges, 0.0)

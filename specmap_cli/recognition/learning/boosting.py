@@ -114,7 +114,10 @@ class Stump:
 
 
 class StumpBoost:
-    """Discrete AdaBoost on columns `names`: each of its `rounds_` is the stump of least error."""
+    """Discrete AdaBoost; each round takes the one feature, threshold and sign of least error.
+
+    `names` are the columns' names, used by `to_dict`; `rounds_` holds the fitted stumps.
+    """
 
     def __init__(self, names: Sequence[str], rounds: int = 60) -> None:
         self.names = tuple(names)
@@ -122,7 +125,10 @@ class StumpBoost:
         self.rounds_: list[Stump] = []
 
     def fit(self, X: NDArray[Any], y: NDArray[Any]) -> StumpBoost:
-        """Learn from X (n, F) and y (n,) of +1 and -1 until a round parts them; returns self."""
+        """Learn from features X (n, F) and labels y (n,) of +1 and -1; returns self.
+
+        Stops early when a round separates the samples or does no better than chance.
+        """
         X, y = np.asarray(X, dtype=np.float64), np.asarray(y, dtype=np.float64)
         order = np.argsort(X, axis=0, kind="stable").T
         values = np.take_along_axis(X.T, order, axis=1)

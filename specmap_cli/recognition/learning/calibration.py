@@ -79,7 +79,10 @@ class HeldOutMargins:
 @as_part
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """How sure raw and virtual classifiers are, over what is usual, by `views` held-out scans."""
+    """How sure a map's classifiers of raw and of virtual scans are, over what is usual.
+
+    `views` scans that were held out say so; without any it is as usual.
+    """
 
     raw: _Ratio = 1.0
     virtual: _Ratio = 1.0
@@ -100,7 +103,10 @@ class Calibration:
 def calibrated(
     raw: HeldOutMargins, virtual: HeldOutMargins | None, *, another_log: bool = False
 ) -> Calibration:
-    """What margins of held-out scans, or of `another_log`, say of classifiers; else as usual."""
+    """What margins of held-out scans say of a map's classifiers; as usual where there are none.
+
+    With `another_log` they are not of pieces that were held out, but of another recording.
+    """
     views = min(len(raw.column), MOST_VIEWS)
     held_out_raw, held_out_virtual = _ANOTHER_LOG if another_log else _HELD_OUT
     of_raw = _ratio(raw, RAW_ALONE, held_out_raw)
@@ -166,7 +172,10 @@ def held_out_misfit(
     submaps: Mapping[int, Sequence[int]],
     poses: NDArray[Any],
 ) -> HeldOutMisfit:
-    """The misfit of keyframes at `poses` (n, 3) with the rest of their submaps; of none without."""
+    """The misfit of keyframes with the rest of their submaps; of no view where there is no rest.
+
+    `submaps` lists the keyframes of each submap, ascending; `poses` (n, 3) are those of all.
+    """
     way = travelled(poses)
     owner = {k: i for i, numbers in submaps.items() for k in numbers}
     found = []
@@ -196,7 +205,10 @@ def held_out_misfit(
 
 
 def near_returns(scan: PlanarScan, near_m: float) -> FloatArray:
-    """(N, 2) some of the scan's returns within `near_m`, or of the nearer half if more."""
+    """(N, 2) a choice of the scan's returns within `near_m`, or of the nearer half if that is more.
+
+    Far ones are seen through doors, from where they hardly show again.
+    """
     hits = scan.hits()
     ranges = np.hypot(hits[:, 0], hits[:, 1])
     reach = max(near_m, float(np.median(ranges))) if len(ranges) else near_m
@@ -204,7 +216,11 @@ def near_returns(scan: PlanarScan, near_m: float) -> FloatArray:
 
 
 def pooled(held_out: HeldOutMisfit | None, config: LocalizationConfig) -> float:
-    """Mean misfit of known places: that of the map's own views, drawn to what is usual anywhere."""
+    """Mean misfit of known places: that of the map's own views, drawn to what is usual anywhere.
+
+    The fewer views were held out, the nearer it is to `_USUAL_MISFIT`, which is wide. The mean is
+    that of an exponential distribution with the median found.
+    """
     views, typical = (held_out.views, held_out.typical) if held_out is not None else (0, 0.0)
     pseudo = _USUAL_MISFIT_VIEWS
     mean = (views * typical / math.log(2.0) + pseudo * _USUAL_MISFIT) / (views + pseudo)
@@ -221,10 +237,11 @@ _TINY = 1e-9  # keeps a limit of nought, when all samples are alike, from dividi
 class Familiarity:
     """Exemplars of a map's places; distance is the L1 distance of the square roots of histograms.
 
-    `fit` learns `exemplars_` (k, D), whole numbers from 0 to 255, at most `per_submap` of a submap,
-    and `limit_`, the distance past which a scan looks like no place of the map: all but a share of
-    `false_unknown` of the other samples lie within it, of exemplars from other stretches of the
-    way. The fewer they are, the wider it is: by a standard error of the share.
+    `fit` keeps at most `per_submap` samples of a submap as exemplars. It learns `exemplars_`
+    (k, D), whole numbers from 0 to 255, and `limit_`, the distance past which a scan looks like no
+    place of the map: all but a share of `false_unknown` of the other samples lie within it. These
+    are held out by stretches: exemplars taken just before or after one do not count for it. The
+    fewer they are, the wider is the limit: by a standard error of the share.
     """
 
     def __init__(self, feature_set: str, false_unknown: float = 0.05, per_submap: int = 80) -> None:

@@ -108,7 +108,10 @@ class Recogniser:
         return self.classifiers.margins(X)
 
     def strangeness(self, X: NDArray[Any]) -> FloatArray:
-        """(n,) how little features X (n, F) look like any place: above 1 none fits."""
+        """(n,) how little features X (n, F) look like any place: above one where nothing fits.
+
+        -inf when that is not known.
+        """
         if self.familiarity is None:
             return np.full(len(X), -math.inf)
         return self.familiarity.strangeness(X)
@@ -121,7 +124,9 @@ class Recogniser:
 
     @classmethod
     def of(cls, part: _RecogniserPart, where: str) -> Recogniser:
-        """What `to_dict` described. MapError for a set not installed, or WrongPartError."""
+        """What `to_dict` described. Raises MapError for a set of features that is not installed,
+        WrongPartError for what it has not.
+        """
         feature_set, known = part.feature_set, part.exemplars
         if feature_set not in feature_sets():
             raise MapError(

@@ -35,7 +35,10 @@ from specmap_cli.recognition.features.virtual import (
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """Features (n, F) of scans of a submap, and keyframes (n,): where taken, or nearest if cast."""
+    """Features (n, F) of scans of a submap, and the keyframes (n,) where they were taken.
+
+    Of scans cast in a grid the keyframes are the nearest ones.
+    """
 
     features: NDArray[Any]
     keyframes: NDArray[np.intp]
@@ -133,8 +136,9 @@ def raw_samples(
 ) -> dict[int, Samples]:
     """The raw scans of every submap that are learned from.
 
-    Of many scans some, evenly spread over the recordings, which after the first one begin at
-    `starts`; first of all those whose `features` are known, which were chosen evenly, too.
+    `features` are those known so far. A submap that was seen often is learned from some of its
+    scans, evenly spread over the recordings, which after the first one begin at `starts`; first of
+    all from those whose features are known, which were chosen evenly, too.
     """
     feature_set, most = config.recognition.feature_set, config.recognition.positives
     features = features or KeyframeFeatures(store, feature_set)
@@ -241,7 +245,10 @@ def _in_windows(
     sampled: Collection[int],
     poses: FloatArray,
 ) -> Iterator[PlanarScan]:
-    """What a window over the keyframes `numbers` showed at those `sampled`, of several lengths."""
+    """What the window showed at each of the keyframes `sampled`, of several lengths.
+
+    It moves over the keyframes `numbers` of a recording, in turn.
+    """
     window = RecentScans()
     turn = 0
     for number in numbers.tolist():
@@ -300,7 +307,10 @@ def _seen_from(
     sources: NDArray[np.intp],
     placed: FloatArray,
 ) -> Iterator[PlanarScan]:
-    """What the lasers of `sources` (k,) would have seen from `placed` (k, 3), by others near."""
+    """What the lasers of keyframes `sources` (k,) would have seen from `placed` (k, 3).
+
+    It is made of what the nearest of the keyframes `numbers` saw from their `poses`.
+    """
 
     @lru_cache(_OUTLINES_KEPT)
     def outline_of(keyframe: int) -> FloatArray:
@@ -319,7 +329,10 @@ def _seen_from(
 
 
 def views(poses: FloatArray, place_m: float, chord: float) -> FloatArray:
-    """(n, 4) where poses (n, 3) look from and to; `place_m`, or a `chord` of a turn, is one."""
+    """(n, 4) where poses (n, 3) look from, and where to.
+
+    Those that are `place_m` apart, or turned by a `chord` of the unit circle, are one apart.
+    """
     x, y, heading = poses.T
     facing = np.column_stack([np.cos(heading), np.sin(heading)]) / chord
     return np.hstack([np.column_stack([x, y]) / place_m, facing])

@@ -77,7 +77,10 @@ class Forest:
     votes: FloatArray
 
     def margins(self, X: NDArray[Any], classes: int) -> FloatArray:
-        """(n, m) rounded sums of votes on samples X (n, F) of each of `classes` forests."""
+        """(n, m) sums of the votes on samples X (n, F) of each of `classes` forests in a row.
+
+        Rounded as the votes are: so the order of summation does not show.
+        """
         trees, sums = np.arange(len(self.votes)), np.empty((len(X), classes))
         for first in range(0, len(X), _ROWS_AT_ONCE):
             some = X[first : first + _ROWS_AT_ONCE]
@@ -106,7 +109,10 @@ def grown(
     rounds: int,
     rng: np.random.Generator,
 ) -> list[Forest]:
-    """The forest of every question, whose sides weigh alike at first, by bins (F, N) of samples."""
+    """The forest of every question, from the bins (F, N) of all samples by `quantiser`.
+
+    The two sides of each question start with equal total weight.
+    """
     drawing = np.random.default_rng(int(rng.integers(2**31)))
     drawn = max(1, round(_FEATURE_SHARE * len(codes)))
     draws = [np.sort(drawing.choice(len(codes), drawn, replace=False)) for _ in range(rounds)]
@@ -206,7 +212,10 @@ def _heavy(weights: FloatArray, counts: IndexArray) -> IndexArray:
 
 
 def _split(codes: CodeArray, asked: _Asked, weights: FloatArray) -> tuple[IndexArray, IndexArray]:
-    """The best tree of each question on bins (K, N) of features drawn: feature and cut (C, 3)."""
+    """The best tree of each question on the features drawn: feature and cut (C, 3) of its nodes.
+
+    `codes` (K, N) are those features' bins. A sample goes above where its bin passes the cut.
+    """
     count, drawn = len(asked.counts), len(codes)
     shape = (count, drawn, 2, BINS)
     own = codes.take(asked.samples, axis=1)
@@ -235,7 +244,11 @@ def _weigh(cells: IndexArray, weights: FloatArray, shape: tuple[int, ...]) -> Fl
 
 
 def _best_splits(histograms: FloatArray) -> tuple[IndexArray, IndexArray]:
-    """Feature and cut (N,) of least sum of sqrt(W+ W-), by histograms (N, K, 2, BINS)."""
+    """Feature and cut (N,) of least sum of sqrt(W+ W-) over both sides, for each of N nodes.
+
+    `histograms` (N, K, 2, BINS): weights by feature, side of the question and bin. Single precision
+    is enough: sums are exact before they are rounded to it.
+    """
     summed = np.cumsum(histograms, axis=3)
     below = summed[..., :-1].astype(np.float32)
     above = (summed[..., -1:] - summed[..., :-1]).astype(np.float32)
