@@ -26,7 +26,7 @@ _LEVEL, _GRAPH = "L1", 0
 
 
 def rmf(stored: Map, target: IO[bytes], progress: Progress) -> None:
-    """a zip of building.yaml and nav_graphs/0.yaml, for Open-RMF.
+    """A zip of building.yaml and nav_graphs/0.yaml, for Open-RMF.
 
     They are for the traffic editor and for fleet adapters. Raises MapError for a map without ways.
     """

@@ -210,7 +210,7 @@ _FULL = 100  # the largest value of a cell
 
 
 def nav2_masks(stored: Map, target: IO[bytes], progress: Progress) -> None:
-    """a zip of keepout and speed masks with their parameters, for Nav2's filters."""
+    """A zip of keepout and speed masks with their parameters, for Nav2's filters."""
     record, grid = stored.record, stored.regions.grid
     for warning in routes.misnoted(record):
         progress.warn(warning)

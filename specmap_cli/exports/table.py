@@ -18,6 +18,7 @@ all is a MapError.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Protocol
 
@@ -26,7 +27,7 @@ import networkx as nx
 from specmap_cli.core.errors import InputError, MapError, UsageError
 from specmap_cli.core.files import complete_file, refuse_existing, write_zip
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.process import with_plugins
+from specmap_cli.core.plugins import with_plugins
 from specmap_cli.core.progress import Progress, Remembering, Silent
 from specmap_cli.core.text import csv_text, plain, to_json
 from specmap_cli.exports.fleet_formats import lif, rmf
@@ -51,30 +52,43 @@ class Exporter(Protocol):
         """Write the map to an open file. Raises MapError when it is damaged, or lacks too much."""
 
 
+@dataclass(slots=True)
 class _Format:
-    """A format that is a function, whose docstring begins with the description."""
+    """What a format of ours is, what writes it, and how its files must end, if that is fixed."""
 
-    def __init__(
-        self, write: Callable[[Map, IO[bytes], Progress], None], ending: str | None = None
-    ) -> None:
-        self.write, self.ending = write, ending
-        self.description = str(write.__doc__).partition("\n")[0].removesuffix(".")
+    description: str
+    write: Callable[[Map, IO[bytes], Progress], None]
+    ending: str | None = None
 
 
 def exporters() -> dict[str, Exporter]:
     """Every exporter by the name of its format. Raises UsageError for a broken plug-in."""
     built_in: dict[str, Exporter] = {
-        "csv": _Format(csv_tables, ".zip"),
-        "foxglove": _Format(foxglove),
-        "geojson": _Format(geojson),
-        "graphml": _Format(graphml),
-        "lif": _Format(lif),
-        "nav2": _Format(nav2),
-        "nav2-masks": _Format(nav2_masks, ".zip"),
-        "pose-graph": _Format(pose_graph),
-        "rerun": _Format(rerun),
-        "rmf": _Format(rmf, ".zip"),
-        "tmap2": _Format(tmap2),
+        "csv": _Format(
+            "a zip of nodes.csv, edges.csv and doors.csv, for spreadsheets and pandas",
+            csv_tables,
+            ".zip",
+        ),
+        "foxglove": _Format(
+            "MCAP: map, submaps, graph, trajectory and scans, for Foxglove", foxglove
+        ),
+        "geojson": _Format(
+            "GeoJSON: outlines, doors and ways in metres of the map, for QGIS", geojson
+        ),
+        "graphml": _Format("GraphML: the graph, for yEd, Gephi and networkx", graphml),
+        "lif": _Format("JSON: a layout in the format LIF 1.0.0 of VDMA, for VDA 5050 fleets", lif),
+        "nav2": _Format("GeoJSON for Nav2's route server: nodes at anchors, doors and bends", nav2),
+        "nav2-masks": _Format(
+            "a zip of keepout and speed masks with their parameters, for Nav2's filters",
+            nav2_masks,
+            ".zip",
+        ),
+        "pose-graph": _Format("g2o: the pose graph of the layout, for GTSAM and g2o", pose_graph),
+        "rerun": _Format(
+            "RRD: map, submaps, graph, trajectory and scans, for the Rerun viewer", rerun
+        ),
+        "rmf": _Format("a zip of building.yaml and nav_graphs/0.yaml, for Open-RMF", rmf, ".zip"),
+        "tmap2": _Format("YAML: a topological map (tmap2) for LCAS topological_navigation", tmap2),
     }
     offered = with_plugins(GROUP, built_in)
     return {name: each() if isinstance(each, type) else each for name, each in offered.items()}
@@ -109,7 +123,7 @@ def export_map(
 
 
 def csv_tables(stored: Map, target: IO[bytes], _: Progress) -> None:
-    """a zip of nodes.csv, edges.csv and doors.csv, for spreadsheets and pandas."""
+    """A zip of nodes.csv, edges.csv and doors.csv, for spreadsheets and pandas."""
     rooms = [told_of(room) for room in stored.rooms.values()]
     noted = sorted({key for room in rooms for key in room} - {"id", *SUBMAP})
     links = [
