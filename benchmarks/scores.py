@@ -9,8 +9,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from specmap_cli.core.arrays import runs
 from specmap_cli.core.errors import InputError
-from specmap_cli.core.geometry import FloatArray, runs
+from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import IntArray
 from specmap_cli.simulation.worlds import RoomTruth
 

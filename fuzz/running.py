@@ -19,7 +19,7 @@ import typer.main
 
 import specmap_cli.cli.app as application
 from specmap_cli.cli import main
-from specmap_cli.core import process
+from specmap_cli.core import plugins
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,7 +109,7 @@ def prepare() -> None:
     warnings.simplefilter("always")  # each case shall have its own, whatever went before
     faulthandler.disable()  # it would write to the stderr of the tests
     setattr(typer.main, "get_command", cache(typer.main.get_command))  # noqa: B010
-    setattr(process, "entry_points", cache(metadata.entry_points))  # noqa: B010
+    setattr(plugins, "entry_points", cache(metadata.entry_points))  # noqa: B010
 
 
 def preload() -> None:

@@ -14,7 +14,7 @@ import pytest
 import typer
 from hypothesis import HealthCheck, settings
 
-from specmap_cli.core import process
+from specmap_cli.core import plugins
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.records import Sweep
@@ -63,7 +63,7 @@ def _what_stays_the_same_is_found_once() -> Iterator[None]:
     Each log asks which packages add readers, 3 ms; each command makes all commands anew, 15 ms.
     """
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(process, "entry_points", lambda group: _offered(group, tuple(sys.path)))
+        patch.setattr(plugins, "entry_points", lambda group: _offered(group, tuple(sys.path)))
         patch.setattr(typer.main, "get_command", cache(typer.main.get_command))
         yield
 

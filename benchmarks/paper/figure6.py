@@ -22,7 +22,8 @@ from benchmarks.paper.cases import Case
 from benchmarks.paper.samples import Samples, fitted, of_keyframes, scored, the_papers
 from benchmarks.paper.workshop import OURS, PAPER, PRESETS, WORDS, Built, Workshop
 from benchmarks.real.closure_truth import true_poses
-from specmap_cli.core.geometry import FloatArray, Pose2, compose, nearest_motion, neighbours
+from specmap_cli.core.arrays import neighbours
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, nearest_motion
 from specmap_cli.core.records import NO_SUBMAP, IntArray
 from specmap_cli.drawing.overview import render_labels
 from specmap_cli.evaluation.protocols import ClassificationScores, RevisitResult, revisit

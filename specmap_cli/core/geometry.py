@@ -1,4 +1,4 @@
-"""Rigid motions of the plane and of space, ways that robots drive, samples of many items.
+"""Rigid motions of the plane and of space, and the ways that robots drive.
 
 `a_from_b` maps coordinates in frame b to coordinates in frame a, so that
 `a_from_c = a_from_b @ b_from_c`.
@@ -7,9 +7,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -209,72 +207,6 @@ def moved(before: Pose2 | None, now: Pose2, distance_m: float, angle_rad: float)
         return True
     step = before.inverse() @ now
     return step.distance >= distance_m or abs(step.theta) >= angle_rad
-
-
-Neighbours = Mapping[int, frozenset[int]]
-
-
-def runs(labels: Sequence[Any] | NDArray[Any]) -> list[tuple[int, int]]:
-    """Half-open ranges (start, end) of equal successive labels (n,), in order; [] of none."""
-    values = np.asarray(labels)
-    if not len(values):
-        return []
-    cuts = np.flatnonzero(values[1:] != values[:-1]) + 1
-    return list(pairwise([0, *cuts.tolist(), len(values)]))
-
-
-def neighbours(ids: Iterable[int], pairs: Iterable[tuple[int, int]]) -> Neighbours:
-    """The ids that share a pair with each id, which may be none; a pair of equals counts nothing.
-
-    Raises KeyError for a pair with an end that is no id.
-    """
-    found: dict[int, set[int]] = {id_: set() for id_ in ids}
-    for a, b in pairs:
-        if a != b:
-            found[a].add(b)
-            found[b].add(a)
-    return {id_: frozenset(near) for id_, near in found.items()}
-
-
-def unchanging(*arrays: NDArray[Any]) -> None:
-    """Let nobody write to these arrays any more."""
-    for values in arrays:
-        values.setflags(write=False)
-
-
-def evenly(items: NDArray[Any], most: int) -> NDArray[Any]:
-    """At most `most` of the items (n, ...), evenly spread, in their order."""
-    if len(items) <= most:
-        return items
-    return items[np.linspace(0, len(items) - 1, most).astype(np.intp)]
-
-
-_EXACT_BITS = 53  # of whole numbers in float64
-_SORTED_BITS = 63  # of whole numbers in int64
-
-
-def first_in_cells(points: FloatArray, cell_m: float) -> NDArray[np.intp]:
-    """Which of points (N, 2) or (N, 3) is the first in its cell of side `cell_m`, in order."""
-    count = len(points)
-    if count < 2:
-        return np.arange(count)
-    columns = [np.floor(points[:, axis] / cell_m) for axis in range(points.shape[1])]
-    lowest = [float(column.min()) for column in columns]
-    widths = [int(column.max() - low) + 1 for column, low in zip(columns, lowest, strict=True)]
-    size, bits = math.prod(widths).bit_length(), count.bit_length()
-    if size > _EXACT_BITS or size + bits > _SORTED_BITS:  # kilometres away, in tiny cells
-        _, first = np.unique(np.column_stack(columns), axis=0, return_index=True)
-        return np.sort(first)
-    cells = np.zeros(count)
-    for column, low, width in zip(columns, lowest, widths, strict=True):
-        cells *= width
-        cells += column - low
-    # number of cell and of point in one: sorting them is much quicker than sorting an index
-    both = (cells.astype(np.int64) << bits) | np.arange(count)
-    both.sort()
-    cell = both >> bits
-    new = np.concatenate([[True], cell[1:] != cell[:-1]])
-    return np.sort(both[new] & ((1 << bits) - 1))
 
 
 _REACH_M2 = 4.0  # two metres: within these a place's own motion counts alike

@@ -1,4 +1,4 @@
-"""The process that specmap runs in: its threads and memory, the packages it stands on, plug-ins.
+"""The process that specmap runs in: its threads, its memory, the versions it stands on.
 
 Linear algebra stays on one thread while specmap works, whoever calls it. The matrices here are
 small, some hundreds of rows. Threads of BLAS would wait for each other for longer than they
@@ -11,15 +11,12 @@ import os
 import platform
 import re
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from importlib import metadata
-from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TypeVar
 
 from specmap_cli import __version__
-from specmap_cli.core.errors import PACKAGE, UsageError
 
 # Read by a library when it is loaded: some are loaded while the work is under way.
 _VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
@@ -131,38 +128,3 @@ def versions() -> dict[str, str]:
         except metadata.PackageNotFoundError:
             found[name] = MISSING
     return found
-
-
-Kind = TypeVar("Kind")
-
-
-def with_plugins(group: str, built_in: Mapping[str, Kind]) -> dict[str, Kind]:
-    """The built-in things of a kind and those that installed packages offer, by name.
-
-    A package offers something by an entry point in its own pyproject.toml, under the group of its
-    kind: `specmap.readers`, `specmap.exporters`, `specmap.registration` or `specmap.features`.
-    Built-in ones come first, the others follow by name. Raises UsageError for an entry point that
-    cannot be loaded, and for one that takes the name of another.
-    """
-    table = dict(built_in)
-    for point in sorted(entry_points(group=group), key=lambda point: (point.name, point.value)):
-        where = "a package" if point.dist is None else f"package {point.dist.name}"
-        if point.name in table:
-            raise UsageError(
-                f"offers {point.name!r} in {group}, which exists already",
-                "remove the package or rename its entry point",
-                where=where,
-                code=PACKAGE,
-            )
-        try:
-            table[point.name] = point.load()
-        except Exception as error:  # whatever fails in the package
-            raise UsageError(
-                f"its {point.group} entry {point.name!r} cannot be loaded: "
-                f"{type(error).__name__}: {error}",
-                "mend or remove the package",
-                mark=";",
-                where=where,
-                code=PACKAGE,
-            ) from error
-    return table

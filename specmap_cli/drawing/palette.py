@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from specmap_cli.core.geometry import Neighbours, neighbours
+from specmap_cli.core.arrays import Neighbours, neighbours
 from specmap_cli.topology.regions import NOBODY, OwnerArray, Regions
 from specmap_cli.topology.topological_map import TopologicalMap
 

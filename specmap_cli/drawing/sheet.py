@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray, runs, step_lengths
+from specmap_cli.core.arrays import runs
+from specmap_cli.core.geometry import FloatArray, step_lengths
 from specmap_cli.drawing.canvas import Canvas, fitting_height, text_width
 from specmap_cli.drawing.palette import BORDER, INK, PAPER, QUIET, SEEN, Colour
 from specmap_cli.drawing.symbols import Legend, Symbol

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from specmap_cli.core.arrays import neighbours
 from specmap_cli.core.errors import LogError, NoResultError
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, nearest_motion, neighbours
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, nearest_motion
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import IntArray, PosedScan, Trajectory

@@ -17,7 +17,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray, Pose2, first_in_cells, product, wrap_angle
+from specmap_cli.core.arrays import first_in_cells
+from specmap_cli.core.geometry import FloatArray, Pose2, product, wrap_angle
 from specmap_cli.grids.gridmap import GridMap
 
 FieldArray = NDArray[np.float32]

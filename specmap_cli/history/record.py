@@ -22,8 +22,8 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from pydantic import Field
 
+from specmap_cli.core.arrays import runs
 from specmap_cli.core.errors import UsageError
-from specmap_cli.core.geometry import runs
 from specmap_cli.core.json_values import Amount, Count, Measured, Number, Stamp
 from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels
 from specmap_cli.core.schemas import ModelSchema

@@ -17,12 +17,11 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from specmap_cli.core.arrays import evenly, runs
 from specmap_cli.core.geometry import (
     FloatArray,
     compose,
-    evenly,
     invert,
-    runs,
     travelled,
     wrap_angle,
     wrap_angles,

@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray, Pose2, first_in_cells, inverse3, product
+from specmap_cli.core.arrays import first_in_cells
+from specmap_cli.core.geometry import FloatArray, Pose2, inverse3, product
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.messages import CloudRecord

@@ -24,7 +24,7 @@ from specmap_cli.core.errors import (
     instance_of,
     paths_of,
 )
-from specmap_cli.core.process import with_plugins
+from specmap_cli.core.plugins import with_plugins
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import legible
 from specmap_cli.logs.readers.carmen import CarmenFile

@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from specmap_cli.core.arrays import unchanging
 from specmap_cli.core.errors import PACKAGE, TOO_LARGE, MapError, UsageError
-from specmap_cli.core.geometry import FloatArray, Pose2, product, unchanging
+from specmap_cli.core.geometry import FloatArray, Pose2, product
 from specmap_cli.core.json_values import Point, PropertyValue
 from specmap_cli.core.text import legible
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, GridMap

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from specmap_cli.core.arrays import unchanging
 from specmap_cli.core.config import known_settings
 from specmap_cli.core.errors import MAP_MISSING, MapError, path_of
 from specmap_cli.core.files import sha256_of
 from specmap_cli.core.findings import Quality, Verdict
-from specmap_cli.core.geometry import unchanging
 from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels, Trajectory
 from specmap_cli.core.settings import Config, LimitsConfig
 from specmap_cli.core.text import counted

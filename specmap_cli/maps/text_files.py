@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
+from specmap_cli.core.arrays import runs
 from specmap_cli.core.config import known_settings
 from specmap_cli.core.errors import InputError, MapError
 from specmap_cli.core.files import read_bytes
@@ -22,7 +23,6 @@ from specmap_cli.core.geometry import (
     quaternions_from_rpy,
     rotation_from_quaternion,
     rpy_from_quaternions,
-    runs,
     yaw_of,
 )
 from specmap_cli.core.records import NO_SUBMAP, Labels, Trajectory

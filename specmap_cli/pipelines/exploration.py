@@ -8,7 +8,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray, compose, evenly, invert
+from specmap_cli.core.arrays import evenly
+from specmap_cli.core.geometry import FloatArray, compose, invert
 from specmap_cli.core.process import give_memory_back
 from specmap_cli.core.records import Closure, IntArray, PosedScan, Trajectory
 from specmap_cli.grids.gridmap import PackedGrid

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from specmap_cli.core.arrays import neighbours
 from specmap_cli.core.config import SETTINGS, load_config, with_overrides
 from specmap_cli.core.errors import InputError, MapError, instance_of, path_of
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, neighbours, product
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, product
 from specmap_cli.core.records import PosedScan, Sweep
 from specmap_cli.core.settings import Config, LogConfig
 from specmap_cli.core.text import quoted

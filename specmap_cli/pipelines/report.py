@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray, Pose2, evenly
+from specmap_cli.core.arrays import evenly
+from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import IntArray

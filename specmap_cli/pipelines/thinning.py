@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray, runs
+from specmap_cli.core.arrays import runs
+from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.json_values import runs_of
 from specmap_cli.core.records import BoolArray, IntArray, Labels
 from specmap_cli.grids.gridmap import UNKNOWN

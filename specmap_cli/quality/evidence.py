@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 from scipy.spatial import cKDTree
 
+from specmap_cli.core.arrays import runs
 from specmap_cli.core.findings import Severity, Where
 from specmap_cli.core.geometry import (
     IDENTITY,
@@ -25,7 +26,6 @@ from specmap_cli.core.geometry import (
     invert,
     moved,
     path_length,
-    runs,
     step_lengths,
 )
 from specmap_cli.core.records import BoolArray, IntArray, Trajectory

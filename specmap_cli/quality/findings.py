@@ -12,8 +12,9 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from specmap_cli.core.arrays import runs
 from specmap_cli.core.findings import INPUT, Finding
-from specmap_cli.core.geometry import FloatArray, compose, invert, runs, step_lengths, travelled
+from specmap_cli.core.geometry import FloatArray, compose, invert, step_lengths, travelled
 from specmap_cli.core.records import IntArray
 from specmap_cli.core.text import counted
 from specmap_cli.layout.audit import DOUBTFUL

@@ -26,7 +26,7 @@ import numpy as np
 
 from specmap_cli.core.errors import PACKAGE, SETTING, UsageError
 from specmap_cli.core.geometry import FloatArray, product
-from specmap_cli.core.process import with_plugins
+from specmap_cli.core.plugins import with_plugins
 from specmap_cli.core.settings import RegistrationConfig
 
 WINDOW_KEYFRAMES = 80  # keyframes in the local map

@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray, Pose2, first_in_cells
+from specmap_cli.core.arrays import first_in_cells
+from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan, Sweep
 from specmap_cli.core.settings import RegistrationConfig
 from specmap_cli.grids.score_field import thinned

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray, evenly, runs
+from specmap_cli.core.arrays import evenly, runs
+from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import IntArray, Labels
 from specmap_cli.drawing.sheet import strokes
 from specmap_cli.report.html import STEPS, Frame, path_data, simplified

@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.findings import Verdict
-from specmap_cli.core.geometry import evenly
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted, seconds
 from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap

@@ -20,15 +20,8 @@ import numpy as np
 from scipy.cluster.hierarchy import DisjointSet
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.geometry import (
-    FloatArray,
-    Pose2,
-    compose,
-    invert,
-    runs,
-    step_lengths,
-    travelled,
-)
+from specmap_cli.core.arrays import runs
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, step_lengths, travelled
 from specmap_cli.core.json_values import runs_of
 from specmap_cli.core.records import Closure, IntArray
 from specmap_cli.grids.gridmap import GridMap

@@ -14,7 +14,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray, Pose2, path_length, runs, unchanging
+from specmap_cli.core.arrays import runs, unchanging
+from specmap_cli.core.geometry import FloatArray, Pose2, path_length
 from specmap_cli.core.json_values import Point
 from specmap_cli.core.records import BoolArray, IntArray
 from specmap_cli.core.settings import WaysConfig

@@ -21,7 +21,7 @@ from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import UsageError, is_of_the_machine, is_of_the_place, reason
 from specmap_cli.core.files import is_nobody_s, lock, read_bytes, write_text, write_together
 from specmap_cli.core.findings import Finding, Quality, Severity, Where, summary
-from specmap_cli.core.process import with_plugins
+from specmap_cli.core.plugins import with_plugins
 from tests.plugins import install
 
 ROOT = Path(__file__).parents[2]

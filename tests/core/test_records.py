@@ -13,18 +13,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from specmap_cli.core import geometry, records
-from specmap_cli.core.geometry import (
-    IDENTITY,
-    FloatArray,
-    Pose2,
-    evenly,
-    first_in_cells,
-    moved,
-    neighbours,
-    product,
-    runs,
-    wrap_angle,
-)
+from specmap_cli.core.arrays import evenly, first_in_cells, neighbours, runs
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, moved, product, wrap_angle
 from specmap_cli.core.records import PlanarScan
 from tests.strategies import planar_scans, pose_arrays, poses, seeds
 

@@ -21,8 +21,9 @@ from specmap_cli.layout.consistency import (
     judge,
     path_error,
 )
-from specmap_cli.layout.path_graph import Ends, Graph, settle, tighten
+from specmap_cli.layout.path_graph import Ends, Graph
 from specmap_cli.layout.pose_graph import Link
+from specmap_cli.layout.solving import settle, tighten
 from tests.layout.driving import SOFT, arc, as_tracked, chained, graph_by_hand, link, true_link
 from tests.strategies import seeds
 from tests.turning import turned

@@ -21,8 +21,9 @@ from specmap_cli.layout.passes import (
     find_passes,
     passes_at,
 )
-from specmap_cli.layout.path_graph import LOOP_PATH_M, Bridge, Draft, Graph, Ties, graph_of, solved
+from specmap_cli.layout.path_graph import LOOP_PATH_M, Bridge, Draft, Graph, Ties, graph_of
 from specmap_cli.layout.pose_graph import Link
+from specmap_cli.layout.solving import solved
 from specmap_cli.layout.walls import Walls
 from tests.layout.driving import (
     SECOND_LAP,

@@ -10,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray, compose, invert
-from specmap_cli.layout.path_graph import _KERNEL_SIGMAS, Graph, settle, solved, tighten
+from specmap_cli.layout.path_graph import Graph
 from specmap_cli.layout.pose_graph import Link, LinkArrays, solve
+from specmap_cli.layout.solving import _KERNEL_SIGMAS, settle, solved, tighten
 from tests.layout.driving import (
     arc,
     as_tracked,
@@ -85,7 +86,7 @@ def test_what_counts_as_an_outlier_is_set() -> None:
     unlikely = link(0, LAP, (x + 0.16, y, theta))  # four sigmas off
     loops = (*rightly(truth, *range(20)), unlikely)
     for limit, expected in ((25.0, ()), (4.0, (unlikely,))):
-        with turned("layout.path_graph", _OUTLIER_CHI2=limit):
+        with turned("layout.solving", _OUTLIER_CHI2=limit):
             assert settle(graph, as_tracked(graph, *loops))[1] == expected
 
 

@@ -18,7 +18,8 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.geometry import FloatArray, Pose2, evenly, wrap_angle
+from specmap_cli.core.arrays import evenly
+from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
 from specmap_cli.grids.gridmap import FREE, GridMap
 from specmap_cli.grids.matching import refine, search_everywhere
 from specmap_cli.recognition.closure.verification import (

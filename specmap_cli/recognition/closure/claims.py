@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import evenly
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.boosting import Booster, boosted, boosted_trees

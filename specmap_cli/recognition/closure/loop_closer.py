@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from specmap_cli.core.geometry import FloatArray, Pose2, evenly, wrap_angle
+from specmap_cli.core.arrays import evenly
+from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
 from specmap_cli.core.records import Closure
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.grids.gridmap import GridMap, PackedGrid

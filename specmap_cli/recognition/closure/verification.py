@@ -17,7 +17,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import FloatArray, Pose2, evenly, wrap_angle
+from specmap_cli.core.arrays import evenly
+from specmap_cli.core.geometry import FloatArray, Pose2, wrap_angle
 from specmap_cli.core.records import BoolArray
 from specmap_cli.grids.gridmap import NO_OBSTACLE_M, UNKNOWN, GridMap
 from specmap_cli.grids.matching import refine, search_everywhere

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.errors import PACKAGE, SETTING, UsageError
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.process import with_plugins
+from specmap_cli.core.plugins import with_plugins
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeStore

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator, with_config
 
-from specmap_cli.core.geometry import FloatArray, evenly
+from specmap_cli.core.arrays import evenly
+from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.core.text import quoted
 from specmap_cli.recognition.features.sets import feature_names

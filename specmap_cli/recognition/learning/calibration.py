@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from specmap_cli.core.geometry import FloatArray, Pose2, evenly, travelled
+from specmap_cli.core.arrays import evenly
+from specmap_cli.core.geometry import FloatArray, Pose2, travelled
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.keyframes import KeyframeStore

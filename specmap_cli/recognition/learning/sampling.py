@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.geometry import FloatArray, Pose2, evenly
+from specmap_cli.core.arrays import evenly
+from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import NO_SUBMAP, BoolArray, IntArray, PlanarScan
 from specmap_cli.core.settings import Config, LocalizationConfig
 from specmap_cli.grids.gridmap import GridMap

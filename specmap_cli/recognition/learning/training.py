@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.geometry import FloatArray, evenly, travelled
+from specmap_cli.core.arrays import evenly
+from specmap_cli.core.geometry import FloatArray, travelled
 from specmap_cli.core.records import BoolArray, IntArray
 from specmap_cli.core.settings import Config, RecognitionConfig
 from specmap_cli.grids.keyframes import DIRECTION_RAD, KeyframeStore

@@ -16,15 +16,8 @@ from operator import attrgetter
 
 import numpy as np
 
-from specmap_cli.core.geometry import (
-    FloatArray,
-    Pose2,
-    evenly,
-    inverse3,
-    moved,
-    product,
-    wrap_angle,
-)
+from specmap_cli.core.arrays import evenly
+from specmap_cli.core.geometry import FloatArray, Pose2, inverse3, moved, product, wrap_angle
 from specmap_cli.core.records import PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.matching import refine

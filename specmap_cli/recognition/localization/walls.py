@@ -19,7 +19,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, evenly, travelled, wrap_angle
+from specmap_cli.core.arrays import evenly
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, travelled, wrap_angle
 from specmap_cli.core.records import NO_SUBMAP, BoolArray, IntArray, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.gridmap import (

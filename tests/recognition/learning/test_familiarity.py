@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
-from specmap_cli.core.geometry import FloatArray, evenly
+from specmap_cli.core.arrays import evenly
+from specmap_cli.core.geometry import FloatArray
 from specmap_cli.recognition.features.sets import feature_names, histogram_columns
 from specmap_cli.recognition.learning.calibration import Familiarity
 from tests.recognition.learning.made_up import SMALL, samples_of

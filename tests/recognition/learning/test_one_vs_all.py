@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from specmap_cli.core.geometry import evenly
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.settings import Config, RecognitionConfig
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.boosting import OneVsAll, StumpBoost

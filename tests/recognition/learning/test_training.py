@@ -220,7 +220,7 @@ def test_a_feature_set_of_another_package_is_trained_and_used(
 
     feature_sets.cache_clear()
     with pytest.MonkeyPatch.context() as gone:
-        gone.setattr("specmap_cli.core.process.entry_points", lambda **_: [])
+        gone.setattr("specmap_cli.core.plugins.entry_points", lambda **_: [])
         with pytest.raises(MapError) as error:
             ClassifierSet.from_json(text)
     assert str(error.value) == (
