@@ -8,11 +8,19 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from benchmarks.real.laying import Seen, Walls, lay, passes, placed, search, thinned
-from benchmarks.real.reliability import reliability
+from benchmarks.localized import Localized, judged, nearest, scored
+from benchmarks.real.laying import Seen, Walls, lay, passes, placed, search, spaced, thinned
+from benchmarks.real.reliability import Told, diagram, line, reliability
 from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.records import IntArray
+from specmap_cli.recognition.localization.localizer import Label
 
 TRUE = Pose2(3.2, -1.4, 2.1)
+
+
+def label(submap: int | None, filtered: int | None) -> Label:
+    sure = {"margin": 1.0, "filtered_probability": 0.4, "probability": 0.8}
+    return Label(stamp_ns=0, submap=submap, runner_up=None, filtered_submap=filtered, **sure)
 
 
 def room() -> FloatArray:
@@ -109,3 +117,40 @@ def test_one_pass_along_a_facade_that_repeats_itself_is_no_second_pass() -> None
     wrong = [one for one in passes(Drive(there_and_back, off_m)) if one.is_doubled]
     assert len(wrong) > 5
     assert np.median([one.off_m for one in wrong]) == pytest.approx(0.5, abs=0.05)
+
+
+def test_keyframes_are_looked_at_every_quarter_of_a_metre_or_radian() -> None:
+    for axis in (0, 2):
+        way = np.arange(0, 2, 0.1)[:, None] * np.eye(3)[axis]
+        assert spaced(way).tolist() == [0, 3, 6, 9, 12, 15, 18]
+    rows = nearest(np.array([0, 10, 20]), np.array([-5, 4, 6, 14, 16, 99]))  # of stamps
+    assert rows.tolist() == [0, 0, 1, 1, 2, 2]
+
+
+def test_poses_are_right_wrong_or_neither() -> None:
+    said = np.zeros((5, 3))
+    said[:, 0] = 0.09, 0.2, 0.0, 0.6, np.nan
+    said[:, 2] = np.radians([0.9, 0.0, 371.0, 0.0, np.nan])
+    right, wrong = judged(said, np.zeros((5, 3)))
+    assert right.tolist() == [True, False, False, False, False]
+    assert wrong.tolist() == [False, False, True, True, False]
+    none = np.zeros(2, dtype=np.int64)
+    untold = Localized(none, none, none, np.zeros((2, 3)))  # scans without a truth do not count
+    assert scored(None, untold, np.full((2, 3), np.nan)).scans == 0  # type: ignore[arg-type]
+
+
+def test_labels_without_a_truth_are_left_out() -> None:
+    truth: IntArray = np.array([3, -1, 5, 5])
+    told = Told.of([label(3, 3), label(1, 1), label(5, None), label(2, 5)], truth)
+    assert told.single_right.tolist() == [True, True, False]
+    assert told.filtered_right.tolist() == [True, False, True]
+    assert "     3 |       0.667, 0.133 |         0.667, 0.267" in line("a recording", told)
+
+
+def test_the_diagram_draws_what_is_right_beside_what_is_said() -> None:
+    told = Told(*(2 * (np.array([0.5, 0.5]), np.array([True, False]))))
+    rows = diagram(told).splitlines()
+    assert len(rows) == 2
+    assert rows[0].endswith("says 0.500, right 0.500,      2  " + 20 * "#" + "|")
+    sure = Told(*(2 * (np.array([0.99, 0.99]), np.array([True, False]))))
+    assert diagram(sure).splitlines()[1].endswith("  " + 20 * "#" + 20 * " " + "|")

@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 
 import pytest
 
+from specmap_cli.core.process import peak_memory_mb
 from specmap_cli.maps.store import read_map
 from tests.cli.conftest import QUICK, Run
 from tests.turning import turn
@@ -74,3 +75,12 @@ def test_doubts_come_first_and_are_warned_of(run: Run, tiny_log: Path, tmp_path:
     assert "quality: good" not in outcome.out
     quiet = run("build", tiny_log, "-o", out, *QUICK, "--overwrite", "-q")
     assert (quiet.out.splitlines()[0], quiet.err) == (first, "")
+
+
+def test_memory_is_that_of_this_process() -> None:
+    before = peak_memory_mb()
+    held = bytearray(150_000_000)
+    after = peak_memory_mb()
+    assert before is not None
+    assert after is not None
+    assert len(held) / 1e6 * 0.5 < after < 100_000

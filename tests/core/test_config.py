@@ -19,6 +19,7 @@ from specmap_cli.core.config import (
     load_config,
     tables_of,
     with_overrides,
+    without_retired,
 )
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.schemas import meanings
@@ -192,3 +193,7 @@ def test_settings_that_an_older_version_wrote_down_are_read() -> None:
     assert Config.model_validate(known) == Config()
     old["relaxation"]["node_m"] = 0.5
     assert known_settings(old)[1] == ["relaxation.node_m"]
+
+
+def test_what_is_no_table_is_left_to_be_refused() -> None:
+    assert without_retired({"relaxation": 3, "seed": 1}) == ({"relaxation": 3, "seed": 1}, {})

@@ -362,3 +362,11 @@ def test_what_a_killed_run_had_begun_is_removed_and_nothing_else(tmp_path: Path)
         assert sorted(os.listdir(tmp_path)) == sorted(["labels.csv", *kept])
     assert is_nobody_s(tmp_path / ".labels.csv.partial-13")
     assert not is_nobody_s(tmp_path / "missing")
+
+
+def test_a_file_is_replaced_whole(tmp_path: Path) -> None:
+    path = tmp_path / "labels.csv"
+    path.write_text("a longer text than the new one")
+    write_text(path, "für\n")
+    assert path.read_bytes() == "für\n".encode()
+    assert os.listdir(tmp_path) == ["labels.csv"]

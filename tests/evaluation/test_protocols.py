@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from sklearn.metrics import accuracy_score, confusion_matrix, precision_recall_fscore_support
 
 from specmap_cli.core.errors import InputError, LogError
-from specmap_cli.core.geometry import Pose2, compose
+from specmap_cli.core.geometry import Pose2, compose, nearest_motion
 from specmap_cli.core.progress import Silent
 from specmap_cli.core.records import Trajectory
 from specmap_cli.core.settings import Config
@@ -29,7 +29,7 @@ from specmap_cli.pipelines.simulate import SimulationResult
 from specmap_cli.recognition.localization.localizer import Label
 from specmap_cli.simulation.worlds import RoomTruth
 from tests.flats import QUICK, TRAINED, Mapped
-from tests.strategies import seeds
+from tests.strategies import poses, seeds
 
 guesses = st.lists(st.tuples(st.integers(0, 4), st.integers(-1, 6)), min_size=1, max_size=60)
 
@@ -416,3 +416,19 @@ def test_one_common_pose_is_too_few(common: int, words: str) -> None:
     relations = Relations(truth.stamps_ns[1:], truth.stamps_ns[1:], truth.poses[1:])
     with pytest.raises(InputError, match="no stamps in common"):
         trajectories.relation_errors(foreign, relations)
+
+
+@given(seeds, poses)
+def test_the_best_motion_is_that_of_a_singular_value_decomposition(
+    seed: int, motion: Pose2
+) -> None:
+    """Arun et al. (PAMI 1987), by numpy, on points that do not fit exactly."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-5, 5, (12, 2))
+    targets = motion.apply(points) + rng.normal(0.0, 0.3, (12, 2))
+    found = nearest_motion(points, targets)
+    p, t = points - points.mean(axis=0), targets - targets.mean(axis=0)
+    u, _, vt = np.linalg.svd(p.T @ t)
+    rotation = vt.T @ np.diag([1.0, np.linalg.det(vt.T @ u.T)]) @ u.T
+    np.testing.assert_allclose(found.rotation(), rotation, atol=1e-9)
+    np.testing.assert_allclose(found.apply(points).mean(axis=0), targets.mean(axis=0), atol=1e-9)

@@ -199,3 +199,15 @@ def test_a_forbidden_link_and_a_forbidden_door_are_shut(rooms: Map, tmp_path: Pa
         for free, ways in ((np.isin(regions.owner, pair), 1), (~shut, 2)):
             parts, _ = label(free & np.isin(regions.owner, pair), np.ones((3, 3)))
             assert len(set(parts[cells])) == ways
+
+
+def test_masks_lie_on_the_map_s_grid_and_limit_a_room(
+    home: Map, rooms: Map, tmp_path: Path
+) -> None:
+    for stored in (home, rooms):
+        export_map(stored, "nav2-masks", tmp_path / "masks.zip", overwrite=True)
+        found = costmap_filters.load(tmp_path / "masks.zip")
+        assert found.shut.shape == stored.regions.grid.cells.shape
+        assert (found.resolution, found.origin) == (stored.grid.resolution, stored.grid.origin)
+        assert not found.shut.any()
+        assert not found.limits.any()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -184,3 +185,17 @@ def test_without_local_motions_it_is_rigid_and_with_them_it_leads_there_and_back
     bent = BentMotion(RIGID, (local(0.0, 0.0, 0.0), local(8.0, 3.0, 0.15)))
     assert bent.apply(POINTS[:0]).shape == (0, 2)
     assert bent.inverse().apply(bent.apply(POINTS)) == pytest.approx(POINTS, abs=0.01)
+
+
+def test_distances_are_the_same_bit_for_bit_wherever_the_picture_lies() -> None:
+    picture = (np.random.default_rng(0).random((233, 181)) > 0.002).astype(np.uint8)
+    exact = distance_transform_edt(picture).astype(np.float32)
+    threads = cv2.getNumThreads()
+    for count in (1, 2):
+        cv2.setNumThreads(count)
+        for offset in range(4):
+            memory = np.empty(picture.size + 4, dtype=np.uint8)
+            moved = memory[offset : offset + picture.size].reshape(picture.shape)
+            moved[:] = picture
+            np.testing.assert_array_equal(gridmap.cell_distances(moved), exact)
+    cv2.setNumThreads(threads)

@@ -424,3 +424,11 @@ def test_a_pipe_and_a_device_are_refused_at_once(tmp_path: Path) -> None:
     for name in ("pipe.png", "endless.png"):
         with pytest.raises(MapError, match="cannot read the image: not a regular file"):
             read_picture(tmp_path / name)
+
+
+def test_thresholds_are_those_of_map_server(tmp_path: Path) -> None:
+    path = write_image(tmp_path, np.array([[0, 89, 90, 205, 206, 250, 254]], dtype=np.uint8))
+    dark, unsure = [OCCUPIED] * 2, [UNKNOWN] * 2
+    assert read_grid(path).cells.tolist() == [[*dark, *unsure, *[FREE] * 3]]
+    bare = read_grid(tmp_path / "m.png", 0.1)  # light greys are edges of lines there
+    assert bare.cells.tolist() == [[*dark, *unsure, UNKNOWN, OCCUPIED, FREE]]

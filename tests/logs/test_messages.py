@@ -358,3 +358,17 @@ def test_an_unwritable_place_is_told_before_the_log_is_read(tmp_path: Path, driv
     with pytest.raises(LogError, match="no such file or directory"):
         convert(tmp_path / "missing.bag", tmp_path / "out.mcap")
     assert [path.name for path in tmp_path.iterdir()] == [drive.name]
+
+
+def test_a_transform_says_what_was_given() -> None:
+    turn = Rotation.from_euler("xyz", [0.3, -0.2, 1.0])
+    data = transforms_cdr(STAMP, [Transform("base", "/laser", (1.0, 2.0, 3.0), turn.as_quat())])
+    (stamped,) = decoded(data, TF_MESSAGE).transforms
+    assert (stamped.header.frame_id, stamped.child_frame_id) == ("base", "/laser")
+    moved, turned = stamped.transform.translation, stamped.transform.rotation
+    assert (moved.x, moved.y, moved.z) == (1.0, 2.0, 3.0)
+    assert [turned.x, turned.y, turned.z, turned.w] == turn.as_quat().tolist()
+    (transform,) = decode_transforms(Message("/tf", TF_MESSAGE, 1, data)).records
+    assert (transform.parent, transform.child) == ("base", "laser")
+    np.testing.assert_allclose(transform.parent_from_child[:3, :3], turn.as_matrix(), atol=1e-12)
+    assert transform.parent_from_child[:3, 3].tolist() == [1.0, 2.0, 3.0]

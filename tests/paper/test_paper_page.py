@@ -13,7 +13,9 @@ import typer
 
 from benchmarks.paper import blocks
 from benchmarks.paper.__main__ import main
+from benchmarks.paper.blocks import figure
 from benchmarks.paper.cases import Cases
+from benchmarks.paper.charts import drawn, ticks
 from benchmarks.paper.page import Done, render
 from benchmarks.paper.parts import PARTS
 from specmap_cli.cli.app import app
@@ -81,3 +83,16 @@ def test_every_part_of_the_paper_is_there_and_its_commands_exist(
             assert {word for word in words if word.startswith("-")} <= options, command
         else:
             assert importlib.util.find_spec(words[2]) is not None, command
+
+
+def test_a_chart_is_drawn_to_scale_with_round_ticks_and_no_figure_is_a_dash() -> None:
+    at = drawn(blocks.Chart([blocks.Series("one", [(0.0, 0.0), (5.0, 2.0)])], "x", "y"))
+    (line,) = at.lines
+    assert line.points.split() == [f"{at.left}.0,{at.bottom}.0", f"{at.right}.0,{at.top}.0"]
+    assert line.level is None
+    assert [tick.text for tick in at.up] == ["0", "0.5", "1", "1.5", "2"]
+    assert at.across[-1].at == at.right
+    assert ticks(1.0) == [0.0, 0.2, 0.4, 0.6, 0.8, 1.0]
+    assert ticks(160) == [0.0, 50.0, 100.0, 150.0]
+    assert figure(float("nan")) == "–"
+    assert figure(0.12345) == "0.123"

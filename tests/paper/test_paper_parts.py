@@ -5,16 +5,20 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from benchmarks.paper import (
+    cost,
     figure1,
     figure2,
     figure3,
     figure6,
+    ring,
     room_hallway,
     table1,
     table2,
@@ -195,3 +199,25 @@ def test_without_data_only_simulated_buildings_are_shown(
     with_one = cases(tmp_path)
     assert with_one.missing == ("mit_csail", "plans")
     assert with_one.found[0].name == "fr079, real"
+
+
+def test_the_cost_grows_with_the_submaps() -> None:
+    _, chart, table = cost.blocks({PAPER: 4, OURS: 4}, {PAPER: (2,), OURS: (2, 3)})
+    assert isinstance(chart, Chart)
+    assert isinstance(table, Table)
+    assert [len(series.points) for series in chart.series] == [4, 4]
+    for series in chart.series:
+        assert all(a[1] <= b[1] for a, b in pairwise(series.points))
+    assert [row.cells[1] for row in table.rows] == ["2", "2", "3"]
+
+
+def test_one_can_walk_from_every_room_of_the_ring_to_every_other() -> None:
+    plan, rooms = ring.plan(), ring.rooms()
+    wide = (plan.clearance() > 0.3).astype(np.uint8)
+    _, part = cv2.connectedComponents(wide)
+    reached = [
+        set(part[(rooms.labels == room) & (wide > 0)].tolist())
+        for room in range(1, rooms.count + 1)
+    ]
+    assert rooms.count == len(ring.ROOMS) + 1
+    assert set.intersection(*reached)

@@ -116,3 +116,16 @@ def test_a_full_voxel_keeps_the_newest_keyframe_s_points(in_space: bool, name: s
             method.insert(room(0), Pose2(place_m, 0.0, 0.0).matrix())
         ahead.append(aligned(method, room(1), np.eye(4))[0, 3])
     assert ahead[0] > 0.05 > ahead[1]
+
+
+@pytest.mark.parametrize("coarse", [True, False])
+def test_two_runs_are_identical_and_arguments_stay(coarse: bool) -> None:
+    points, guess = room(1), turned(0.1, 0.05, 0.01)
+    found = []
+    for _ in range(2):
+        method = aligner()
+        method.insert(room(0), np.eye(4))
+        found.append(method.align(points, guess, 0.2, coarse=coarse))
+    assert np.array_equal(found[0], found[1])
+    assert np.array_equal(points, room(1))
+    assert np.array_equal(guess, turned(0.1, 0.05, 0.01))

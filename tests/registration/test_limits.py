@@ -176,3 +176,10 @@ def test_keyframes_come_after_a_way_or_a_turn(
         run(exact, method=offer(monkeypatch, aligner))
         assert len(aligner.inserted) == expected
         assert np.array_equal(aligner.inserted[0][1], IDENTITY.matrix())
+
+
+def test_walls_beyond_the_score_field_are_counted(world: GridMap) -> None:
+    items = sweeps(world, path()[:10])
+    assert run(items, max_range_m=4.0)[0].counts["walls_left_out"] == 0
+    narrow, _ = run(items, max_range_m=4.0, field_ranges=1.0)
+    assert narrow.counts["walls_left_out"] == 9  # all but the first, which is scored on nothing

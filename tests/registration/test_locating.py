@@ -335,3 +335,15 @@ def test_walls_that_contradict_trusted_odometry_everywhere_do_not_agree() -> Non
     located = locate(scene, np.eye(4), expecting(), IDENTITY)
     assert located.support.share > 0.9
     assert located.support.score < 0.5
+
+
+def test_odometry_is_not_followed_along_a_corridor_whose_end_is_in_sight() -> None:
+    located = locate(scene_in_corridor(4.0), np.eye(4), expecting(), Pose2(0.3, 0.0, 0.0))
+    np.testing.assert_allclose(located.fit.planar, IDENTITY, atol=0.02)
+
+
+def test_a_motion_is_not_carried_on_to_where_walls_object() -> None:
+    """The map knows no walls that far: the robot has looked there, and seen none."""
+    scene = with_beams(scene_of(corridor(6.0), corridor(6.0), ToldAligner()))
+    far = Pose2(1.5, 0.0, 0.0)
+    assert locate(scene, np.eye(4), expecting(measured=False), far).fit.planar == IDENTITY

@@ -201,3 +201,10 @@ def test_what_went_to_others_and_came_from_them_is_told_of_floor_that_both_saw()
         assert not change.taken
     (change,) = border_changes(pictured("00"), pictured("0?"))
     assert (change.iou, change.was_m2) == pytest.approx((1.0, 1.0))
+
+
+def test_a_map_is_the_same_as_itself() -> None:
+    found = identify(pictured(HOUSE), pictured(HOUSE), IDENTITY)
+    assert same_of(found) == {0: 0, 1: 1, 2: 2}
+    assert all(pair.iou == pytest.approx(1.0) for pair in found.same)
+    assert found == Identity(same=found.same, **NOTHING)

@@ -11,7 +11,7 @@ import pytest
 
 from specmap_cli.topology.navigation import Roads, Route
 from tests.topology.rooms import regions_of, two_rooms
-from tests.topology.test_ways import NARROW, NORTH, forbidden, two_doors
+from tests.topology.test_ways import NARROW, NORTH, SOUTH, forbidden, two_doors
 
 RADIUS_M = 0.2
 
@@ -69,3 +69,12 @@ def test_why_there_is_none(door: Any, goal: tuple[float, float], why: str) -> No
     regions = two_rooms(door)
     found: Route = Roads(regions, (), [], RADIUS_M).route((1.0, 1.0), goal)
     assert why in found.why
+
+
+def test_a_route_goes_round_through_the_door_that_nobody_forbade() -> None:
+    free = roads(NORTH, SOUTH).route((1.0, 1.0), (9.0, 1.0))
+    (near,) = free.doors
+    around = roads(NORTH, SOUTH, shut=(near.id,)).route((1.0, 1.0), (9.0, 1.0))
+    (far,) = around.doors
+    assert far.id != near.id
+    assert around.length_m > free.length_m + 1.0

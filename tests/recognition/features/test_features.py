@@ -274,3 +274,28 @@ def test_the_boundary_is_even_along_a_smooth_wall(seed: int) -> None:
     assert gaps == pytest.approx(np.full(len(gaps), length / 110), rel=0.02)
     tangents = np.diff(points, axis=0) / gaps[:, None]
     assert np.abs((tangents * normals[:-1]).sum(axis=1)).max() < 0.2  # normals stand upright
+
+
+@given(seeds, st.floats(0.3, 3.0), st.floats(-3.0, 3.0))
+def test_moment_invariants_do_not_change_with_size_nor_direction(
+    seed: int, scale: float, turn: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    bearings = np.linspace(-np.pi, np.pi, 60, endpoint=False)
+    ranges = 3.0 + np.sin(2.0 * bearings + 1.0) + rng.uniform(-0.3, 0.3, 60)
+    plain = batch_of(PlanarScan(0, bearings, ranges, 50.0, full_circle=True))
+    changed = batch_of(PlanarScan(0, bearings + turn, scale * ranges, 50.0, full_circle=True))
+    values = of_one(table1.moment_invariants, plain)
+    assert of_one(table1.moment_invariants, changed) == pytest.approx(values, rel=1e-6, abs=1e-12)
+
+
+def test_a_mirrored_room_differs_in_the_seventh_invariant_alone() -> None:
+    bearings = np.linspace(-np.pi, np.pi, 60, endpoint=False)
+    ranges = 3.0 + np.sin(2.0 * bearings + 1.0) + 0.8 * np.cos(3.0 * bearings)
+    room = batch_of(PlanarScan(0, bearings, ranges, 50.0, full_circle=True))
+    mirrored = batch_of(PlanarScan(0, -bearings[::-1], ranges[::-1], 50.0, full_circle=True))
+    values = of_one(table1.moment_invariants, room)
+    seen = of_one(table1.moment_invariants, mirrored)
+    assert seen[:6] == pytest.approx(values[:6])
+    assert seen[6] == pytest.approx(-values[6])
+    assert abs(values[6]) > 1e-9

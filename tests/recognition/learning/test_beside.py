@@ -14,7 +14,7 @@ from specmap_cli.core.settings import Config
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.recognition.features.virtual import seen_from
 from specmap_cli.recognition.learning import sampling
-from specmap_cli.recognition.learning.sampling import augmented_samples
+from specmap_cli.recognition.learning.sampling import augmented_samples, together
 from tests.recognition.posed import stored
 
 Seen = list[tuple[FloatArray, float, Pose2, FloatArray]]
@@ -84,3 +84,24 @@ def test_they_lie_a_step_aside_and_look_as_scans_taken_there(
 def test_a_map_of_one_keyframe_is_seen_from_beside_it(store: KeyframeStore) -> None:
     found = augmented_samples(store, {0: [7]}, store.poses, settings(6), np.random.default_rng(0))
     assert found[0].keyframes.tolist() == [7] * 5
+
+
+def test_those_that_are_known_are_not_made_again(store: KeyframeStore, seen: Seen) -> None:
+    first = augmented_samples(store, SUBMAPS, store.poses, settings(90), np.random.default_rng(0))
+    made, known = len(seen), together(first)
+    again = augmented_samples(
+        store, SUBMAPS, store.poses, settings(40), np.random.default_rng(1), known
+    )
+    assert len(seen) == made > 40
+    assert [len(again[i].keyframes) for i in (1, 4)] == [10, 34]
+    of_first = {row.tobytes() for row in known.features}
+    assert all(row.tobytes() in of_first for own in again.values() for row in own.features)
+
+
+def test_they_are_the_same_for_a_seed_and_differ_for_another(store: KeyframeStore) -> None:
+    first, again, other = (
+        augmented_samples(store, SUBMAPS, store.poses, settings(50), np.random.default_rng(seed))
+        for seed in (3, 3, 4)
+    )
+    assert first[1].features.tolist() == again[1].features.tolist()
+    assert first[1].features.tolist() != other[1].features.tolist()

@@ -9,10 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.settings import Config
+from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.boosting import OneVsAll
 from specmap_cli.recognition.learning.calibration import Calibration, Familiarity, HeldOutMisfit
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser, Sensor
@@ -86,6 +88,38 @@ def test_the_file_has_a_round_a_line_and_is_plain_json() -> None:
 
 
 votes = st.floats(-10.0, 10.0)
+split = {"feature": st.sampled_from(feature_names("table1")), "threshold": st.floats(-1e9, 1e9)}
+splits = st.fixed_dictionaries(split)
+stump_rounds = st.fixed_dictionaries(
+    {**split, "polarity": st.sampled_from([1, -1]), "votes": votes}
+)
+tree_rounds = st.fixed_dictionaries(
+    {
+        **dict.fromkeys(("root", "below", "above"), splits),
+        "votes": st.lists(votes, min_size=4, max_size=4),
+    }
+)
+boosters = st.one_of(
+    st.builds(lambda r: {"kind": "stumps", "rounds": r}, st.lists(stump_rounds, max_size=3)),
+    st.builds(lambda r: {"kind": "trees", "rounds": r}, st.lists(tree_rounds, max_size=3)),
+)
+
+
+@given(st.dictionaries(st.integers(0, 99), boosters, min_size=1, max_size=4))
+def test_dump_after_load_is_identity(classifiers: dict[int, Any]) -> None:
+    """Also of sets that no training makes: mixed kinds, other numbers of rounds, none at all."""
+    data = json.loads(ClassifierSet(sensor=SENSOR, raw=recogniser(PAPER)).to_json())
+    data["raw"] = {
+        "feature_set": "table1",
+        "classifiers": {str(i): booster for i, booster in classifiers.items()},
+    }
+    back = ClassifierSet.from_json(json.dumps(data))
+    assert json.loads(back.to_json()) == data
+    assert back.ids == sorted(classifiers)
+    X = np.random.default_rng(0).normal(size=(3, len(feature_names("table1"))))
+    alone = [back.raw.classifiers.boosters_[i].margins(X) for i in back.ids]
+    assert back.margins(X) == pytest.approx(np.column_stack(alone))
+    assert back.margins(X[:0]).shape == (0, len(classifiers))
 
 
 @cache

@@ -17,6 +17,7 @@ from specmap_cli.recognition.learning.sampling import (
     Samples,
     TrainingData,
     cast_samples,
+    of_keyframes,
     raw_samples,
     together,
     track_samples,
@@ -116,3 +117,10 @@ def test_submaps_with_known_cast_scans_are_not_cast_again(
     assert (found[3].features == 1.0).all()
     assert 0 < len(found[3].features) < 24
     assert not (found[0].features == 1.0).all(axis=1).any()
+
+
+def test_samples_are_put_together_by_submap() -> None:
+    both = together({4: numbered(1), 2: numbered(0, 5)})
+    assert both.keyframes.tolist() == [0, 5, 1]
+    assert of_keyframes(both, [1, 5, 9]).keyframes.tolist() == [5, 1]
+    assert len(together({}).keyframes) == 0

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.settings import Config, RecognitionConfig
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.boosting import OneVsAll, StumpBoost
 from tests.recognition.learning.made_up import PAPER, SMALL, samples_of
+
+
+def fitted(config: Config, seed: int = 0) -> OneVsAll:
+    return one_vs_all(config).fit(samples_of(config), np.random.default_rng(seed))
 
 
 def one_vs_all(config: Config) -> OneVsAll:
@@ -35,3 +40,13 @@ def test_one_class_is_enough_and_fitting_again_forgets_it() -> None:
     model.fit({9: made[0], 5: made[2]}, np.random.default_rng(1))
     assert model.classes_ == tuple(model.boosters_) == (5, 9)
     assert model.margins(made[0]).shape == (90, 2)
+
+
+@pytest.mark.parametrize("config", [SMALL, PAPER])
+def test_margins_are_those_of_the_boosters(config: Config) -> None:
+    model = fitted(config)
+    X = samples_of(config, seed=5)[2]
+    expected = np.column_stack([b.margins(X) for b in model.boosters_.values()])
+    assert model.margins(X) == pytest.approx(expected)
+    assert model.margins(X[:1]) == pytest.approx(expected[:1])
+    assert model.margins(X[:0]).shape == (0, 3)

@@ -227,3 +227,40 @@ def test_a_feature_set_of_another_package_is_trained_and_used(
         "classifiers: file: its feature set 'mine' is not installed: install the package that "
         "offers it, or build the map again"
     )
+
+
+@pytest.mark.parametrize("augmentation", [0, 40, 400])
+def test_cast_scans_are_dealt_out_half_alike_and_half_by_area(
+    store: KeyframeStore,
+    grids: dict[int, GridMap],
+    monkeypatch: pytest.MonkeyPatch,
+    augmentation: int,
+) -> None:
+    cast = watched(monkeypatch, sampling, "cast_circles")
+    turn("recognition", augmentation_clearance_m=0.0, augmentation_reach_m=50.0)
+    found = samples_of(store, grids, augmentation=augmentation)
+    areas = {i: grid.free_area_m2 for i, grid in grids.items()}
+    for (_, origins, *_), submap in zip(cast, SUBMAPS, strict=True):
+        share = 0.25 + 0.5 * areas[submap] / sum(areas.values())
+        assert len(origins) == round(augmentation * share)
+    along = sum(len(X) for X in found.values()) - sum(len(origins) for _, origins, *_ in cast)
+    assert along == 30
+
+
+def test_samples_are_repeatable_and_drawn_anew_for_another_seed(
+    store: KeyframeStore, grids: dict[int, GridMap]
+) -> None:
+    first, again, other = (samples_of(store, grids, seed)[0].tolist() for seed in (0, 0, 1))
+    assert first == again
+    assert first != other
+
+
+def test_exemplars_and_the_share_given_up_are_settings(store: KeyframeStore) -> None:
+    turn("recognition", exemplars=5)
+    few = raw_of(store, settings()).familiarity
+    turn("recognition", exemplars=12)
+    many = raw_of(store, settings(false_unknown=0.4)).familiarity
+    assert few is not None
+    assert many is not None
+    assert (len(few.exemplars_), len(many.exemplars_)) == (10, 24)
+    assert many.limit_ < few.limit_

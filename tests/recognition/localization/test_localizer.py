@@ -387,3 +387,16 @@ def test_what_looks_strange_because_somebody_stands_beside_is_not_held_against_w
     labels = told(guide, map(beside, again[20:35]))
     assert labels[0].filtered_submap is None
     assert labels[-1].filtered_submap == 1
+
+
+def test_a_lost_scan_is_labelled_but_adds_nothing_to_the_window(
+    trained: Trained, again: list[PosedScan]
+) -> None:
+    """Its pose is a guess: what it saw is nowhere."""
+    guide, spared = trained.localizer(), trained.localizer()
+    astray = replace(again[3], map_from_base=Pose2(50.0, 50.0, 1.0), lost=True)
+    assert told(guide, [*again[:3], astray])[-1].stamp_ns == astray.stamp_ns
+    told(spared, again[:3])
+    guide.filter.reset()
+    spared.filter.reset()
+    assert guide.add(again[4]).label == spared.add(again[4]).label

@@ -280,3 +280,11 @@ def test_a_match_where_none_was_to_be_expected_is_as_good_as_one_just_found() ->
     near, far = (sure.corrected(Pose2(x, 0.0, 0.0), told) for x in (0.005, 0.3))
     assert near.pose.x < 0.001
     assert far.pose.x == pytest.approx(0.3, abs=0.01)
+
+
+def test_none_of_two_look_alikes_leads() -> None:
+    home = Home(niche=False)
+    for step in range(12):
+        belief = home.see(0, north(step))
+        assert home.lead is None
+        assert belief[0] == pytest.approx(belief[1], rel=0.2)
