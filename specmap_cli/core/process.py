@@ -71,15 +71,22 @@ def _limited() -> Iterator[None]:
                 one.set_num_threads(usual)
 
 
+_M_MMAP_THRESHOLD = -3  # as <malloc.h> has it
+_LARGE = 1 << 24  # bytes: of smaller arrays new pages would take more time than the holes are worth
+
+
 def give_memory_back() -> None:
     """Give the system the pages that hold nothing any more; where glibc is not, do nothing.
 
-    Arrays of some megabytes that come and go leave holes, which glibc keeps for later ones.
+    Arrays of some megabytes that come and go leave holes, which glibc keeps for later ones. From
+    the first call on the largest arrays leave none: each has pages of its own.
     """
     import ctypes  # slow to load, and no need of a command that only tells
 
     with suppress(AttributeError, OSError, TypeError):  # Windows has no library without a name
-        ctypes.CDLL(None).malloc_trim(0)
+        library = ctypes.CDLL(None)
+        library.mallopt(_M_MMAP_THRESHOLD, _LARGE)
+        library.malloc_trim(0)
 
 
 # Not `ru_maxrss`: there the peak of the process that started this one counts as well.

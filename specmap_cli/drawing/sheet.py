@@ -103,12 +103,13 @@ class Sheet:
         self.floor(regions, fills)
         # lines where one region ends and another begins without a wall
         grid, owner = _at_most_a_pixel_each(regions, self.pixels_per_m)
-        owned = np.where(grid.cells == FREE, owner, NOBODY).astype(np.float32) + 1.0
+        owned = np.where(grid.cells == FREE, owner + 1, 0).astype(np.uint16)
         labels = self._to_scale(owned, grid, edges=cv2.INTER_NEAREST)
+        del owned
         line = np.zeros(labels.shape, dtype=np.uint8)
         here, right, below = labels[:-1, :-1], labels[:-1, 1:], labels[1:, :-1]
         for other in (right, below):
-            line[:-1, :-1][(here != other) & (here > 0.0) & (other > 0.0)] = 255
+            line[:-1, :-1][(here != other) & (here > 0) & (other > 0)] = 255
         # two pixels wide, and no staircase of cells; whole numbers are blurred alike everywhere
         blurred = cv2.GaussianBlur(line, (0, 0), _BORDER_BLUR)
         inside = slice(TITLE, TITLE + self.map_height)
@@ -121,11 +122,12 @@ class Sheet:
         table = np.full((max([int(owner.max(initial=0)), *fills]) + 2, 3), SEEN, dtype=np.uint8)
         for id_, fill in fills.items():
             table[id_] = fill
-        colours = looked_up(table, owner)  # the last is that of nobody, -1
-        colours[grid.cells != FREE] = PAPER
-        inside = slice(TITLE, TITLE + self.map_height)
-        painted = self._to_scale(colours, grid, PAPER)
-        self.canvas.image[inside] = painted[inside]
+        inside, blocked = slice(TITLE, TITLE + self.map_height), grid.cells != FREE
+        for channel, paper in enumerate(PAPER):  # one at a time: this bounds the memory
+            shades = looked_up(table[:, channel], owner)  # the last is that of nobody, -1
+            shades[blocked] = paper
+            painted = self._to_scale(shades, grid, paper)
+            self.canvas.image[inside, :, channel] = painted[inside]
 
     def walls(self, grid: GridMap, walls: BoolArray, colour: Colour) -> None:
         """Paint some cells (H, W) of a grid in one colour over what is there."""
@@ -137,7 +139,8 @@ class Sheet:
         thinned = GridMap(blocks.astype(np.uint8), grid.resolution * step, grid.origin)
         cover = self._to_scale(blocks.astype(np.float32), thinned)
         scale = thinned.resolution * self.pixels_per_m
-        cover = np.minimum(cover * max(1.0, _WALL_STRENGTH / scale), 1.0)
+        cover *= max(1.0, _WALL_STRENGTH / scale)
+        np.minimum(cover, 1.0, out=cover)
         inside = slice(TITLE, TITLE + self.map_height)
         self._blend(inside, cover[inside], colour)
 
@@ -156,7 +159,7 @@ class Sheet:
         self,
         picture: NDArray[Any],
         grid: GridMap,
-        border: Colour = (0, 0, 0),
+        border: int = 0,
         edges: int | None = None,
     ) -> NDArray[Any]:
         """A picture of the cells of a grid, as large as the canvas and where it belongs."""

@@ -8,7 +8,6 @@ is the lowest y. Below are what a laser would measure in it, and where labelled 
 from __future__ import annotations
 
 import math
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -17,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from specmap_cli.core.arrays import Packed
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import BoolArray as BoolArray
 from specmap_cli.core.records import IntArray
@@ -134,25 +134,21 @@ class GridMap:
 
 @dataclass(frozen=True, slots=True)
 class PackedGrid:
-    """A grid to be kept among hundreds: its cells (H, W) in a twentieth of their memory."""
+    """A grid to be kept among hundreds: its cells (H, W) are packed."""
 
-    packed: bytes
-    shape: tuple[int, int]
+    cells: Packed
     resolution: float
     origin: tuple[float, float]
 
     @classmethod
     def of(cls, grid: GridMap) -> PackedGrid:
         """Pack a grid; `grid` gives it back."""
-        height, width = grid.cells.shape
-        packed = zlib.compress(grid.cells.tobytes(), level=1)
-        return cls(packed, (height, width), grid.resolution, grid.origin)
+        return cls(Packed.of(grid.cells), grid.resolution, grid.origin)
 
     @property
     def grid(self) -> GridMap:
         """The grid that was packed."""
-        cells = np.frombuffer(zlib.decompress(self.packed), dtype=np.uint8).reshape(self.shape)
-        return GridMap(cells, self.resolution, self.origin)
+        return GridMap(self.cells.array, self.resolution, self.origin)
 
 
 def slices_near(
@@ -315,14 +311,14 @@ class Contacts:
 
 def contacts(labels: NDArray[np.signedinteger[Any]]) -> Contacts:
     """All contacts between regions of `labels` (H, W), where -1 is no region."""
-    one, other = [], []
-    for here, there, step in (
-        (labels[:-1], labels[1:], (1, 0)),
-        (labels[:, :-1], labels[:, 1:], (0, 1)),
-    ):
-        cells: NDArray[np.int64] = np.argwhere((here != there) & (here >= 0) & (there >= 0))
-        one.append(cells)
-        other.append(cells + step)
+    one, other = [np.zeros((0, 2), dtype=np.int64)], [np.zeros((0, 2), dtype=np.int64)]
+    for down, right in ((1, 0), (0, 1)):
+        for rows in bands_of((len(labels) - down, labels.shape[1])):
+            here = labels[rows, : labels.shape[1] - right]
+            there = labels[rows.start + down : rows.stop + down, right:]
+            cells: NDArray[np.int64] = np.argwhere((here != there) & (here >= 0) & (there >= 0))
+            one.append(cells + (rows.start, 0))
+            other.append(cells + (rows.start + down, right))
     first, second = np.concatenate(one), np.concatenate(other)
     pairs = np.column_stack([labels[tuple(first.T)], labels[tuple(second.T)]])
     return Contacts(np.sort(pairs, axis=1).astype(np.int64), first, second)

@@ -286,7 +286,7 @@ class Map:
             return divided.grid, divided.owner
         if not (self.path / f"{filenames.MAP_GRID}.yaml").exists():
             return composed(self)  # an earlier version divided it
-        owner = read_picture(of_grid, self.limits)[..., 0].astype(np.int64) - 1
+        owner = read_picture(of_grid, self.limits)[..., 0].astype(np.int32) - 1
         known = set(np.unique(owner).tolist()) <= {NOBODY, *self.ids}
         if owner.shape != self.map_grid.cells.shape or not known:
             what = f"not the labels of {filenames.TOPOLOGY}"

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from specmap_cli.core.arrays import Packed
 from specmap_cli.core.errors import NoResultError
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angles
 from specmap_cli.core.process import give_memory_back
@@ -31,7 +32,6 @@ from specmap_cli.pipelines.tracking import Tracking
 from specmap_cli.quality.evidence import Evidence, holes_of, stretches_of
 from specmap_cli.quality.findings import of_recording
 from specmap_cli.segmentation.division import regions_of, segment
-from specmap_cli.segmentation.visibility import LabelArray
 from specmap_cli.topology.graph import settle_labels
 from specmap_cli.topology.topological_map import LogInfo
 
@@ -71,7 +71,7 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
     if division is None:
         submaps = online_labels(explored.regions, closures, len(layout.poses))
     else:
-        submaps = regions_of(whole, division, layout.poses, least_m)
+        submaps = regions_of(whole, division.array, layout.poses, least_m)
     submaps = _by_first_visit(submaps, layout.poses, least_m)
     with session.clock.stage("audit"):
         rows = rows_of(explored.trajectory, store.stamps_ns, store.poses)
@@ -117,7 +117,7 @@ def with_grid(session: Session, laid: LaidOut) -> LaidOut:
     return replace(laid, drawn=whole, beyond=beyond, division=division)
 
 
-def _drawn(session: Session, layout: Layout) -> tuple[GridMap, int, LabelArray | None]:
+def _drawn(session: Session, layout: Layout) -> tuple[GridMap, int, Packed | None]:
     """The grid of all keyframes at their poses in the layout, and how many were beyond its limits.
 
     Also its `division_of`. Raises NoResultError when no keyframe fits into the largest grid
@@ -141,7 +141,7 @@ def _drawn(session: Session, layout: Layout) -> tuple[GridMap, int, LabelArray |
     return whole, beyond, division
 
 
-def division_of(whole: GridMap, layout: Layout, config: Config) -> LabelArray | None:
+def division_of(whole: GridMap, layout: Layout, config: Config) -> Packed | None:
     """The region (H, W) of each cell of the map, -1 for none.
 
     None where the finished map does not say where submaps end: one place of the building may be
@@ -149,7 +149,7 @@ def division_of(whole: GridMap, layout: Layout, config: Config) -> LabelArray | 
     """
     if layout.loose or not (config.relaxation.enabled and config.segmentation.final_regions):
         return None
-    return segment(whole, config.segmentation).labels
+    return Packed.of(segment(whole, config.segmentation).labels)
 
 
 def _by_first_visit(labels: IntArray, poses: FloatArray, least_m: float) -> IntArray:

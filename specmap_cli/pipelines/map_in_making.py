@@ -14,6 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from specmap_cli.core.arrays import Packed
 from specmap_cli.core.errors import InputError, MapError
 from specmap_cli.core.findings import UNDOUBTED, Finding, Quality
 from specmap_cli.core.geometry import FloatArray
@@ -43,7 +44,7 @@ from specmap_cli.recognition.features.sets import KeyframeFeatures
 from specmap_cli.recognition.learning.classifiers import ClassifierSet
 from specmap_cli.recognition.learning.sampling import TrainingData
 from specmap_cli.segmentation.division import unentered
-from specmap_cli.topology.regions import OwnerArray, Regions, divide
+from specmap_cli.topology.regions import Regions, divide
 from specmap_cli.topology.topological_map import (
     BorderEdit,
     LogInfo,
@@ -84,8 +85,8 @@ class LaidOut:
     follows it are ids that no submap ever had.
 
     `drawn` is the grid of all keyframes, None until it is drawn; `beyond` of them did not fit into
-    it. `division` has the region of each of its cells, or -1; None where keyframes alone say which
-    submap a cell is in. `counts` are of messages and scans.
+    it. `division` has the region of each of its cells (H, W), or -1; None where keyframes alone say
+    which submap a cell is in. `counts` are of messages and scans.
 
     `edits` are what a person decided, `edits_text` how it was written down, `borders` what of it
     the labels show, and `lost`, in words, what was decided about maps that are in this one and says
@@ -102,7 +103,7 @@ class LaidOut:
     findings: tuple[Finding, ...]
     next_id: int
     drawn: GridMap | None = None
-    division: OwnerArray | None = None
+    division: Packed | None = None
     beyond: int = 0
     counts: Mapping[str, int] = field(default_factory=dict)
     edits: Edits = field(default_factory=Edits)
@@ -120,12 +121,12 @@ class LaidOut:
         assert self.drawn is not None
         return self.drawn
 
-    @cached_property
+    @property
     def unentered(self) -> BoolArray | None:
         """(H, W) the cells of rooms that the robot saw and never entered; None if nobody knows."""
         if self.division is None:
             return None
-        return unentered(self.whole, self.division, self.labels.poses)
+        return unentered(self.whole, self.division.array, self.labels.poses)
 
     @cached_property
     def regions(self) -> Regions:
@@ -242,7 +243,7 @@ def laid_out_of_stored(stored: Map) -> LaidOut:
         ),
         next_id=topology.next_id,
         drawn=stored.map_grid,
-        division=stored.regions.owner,
+        division=Packed.of(stored.regions.owner),
         counts=stored.counts,
         edits=edits_of_stored(stored),
         edits_text=edits_text(stored.path, stored.limits),

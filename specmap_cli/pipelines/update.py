@@ -269,7 +269,7 @@ def redivided(old: LaidOut, joint: LaidOut, fewer: Thinned, config: Config) -> T
     if laid.division is None:
         return fewer
     poses, least_m = joint.layout.poses, config.segmentation.region_min_m
-    divided = regions_of(laid.whole, laid.division, poses, least_m)
+    divided = regions_of(laid.whole, laid.division.array, poses, least_m)
     heritage = Heritage(old.labels.poses, old.labels.submaps, old.regions, old.next_id)
     submaps = inherited(heritage, poses, divided, least_m)
     labels = replace(laid.labels, submaps=submaps[fewer.left])

@@ -17,6 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.records import IntArray
 from specmap_cli.grids.gridmap import (
     BoolArray,
     LengthArray,
@@ -35,7 +36,7 @@ _LEVELS = 126  # heights of the relief that is flooded: the sum of two of them, 
 _BY_ONE = np.array([-1, 0, 1])  # rows, or columns: a cell and those round it
 _AT_ONCE = 1 << 16  # cells that are looked round at in one go: bounds the memory
 _BESIDE = 1.5  # cells, from one to those round it
-_TILE, _AROUND_TILE = 2048, 128  # cells, both even: a tile is flooded with what is around it
+_TILE, _AROUND_TILE = 1024, 128  # cells, both even: a tile is flooded with what is around it
 _NEAR_TILE, _NEAR = 256, 32  # cells looked at together for the nearest label, and how far at first
 _TINY = 1e-9  # cells; keeps a grid without free space from dividing by zero
 
@@ -176,7 +177,7 @@ def spread_labels(
             held[numbers[known.any(axis=1)]] = True
         cells = cells[held[piece]]
         if len(cells):
-            labels[tuple(cells.T)] = _nearest(labels, cells)
+            labels[tuple(cells.T)] = labels_near(labels, cells)
 
 
 def _around(cells: IndexArray, shape: tuple[int, ...]) -> IndexArray:
@@ -194,7 +195,7 @@ def _chunks(rows: IndexArray) -> list[IndexArray]:
     return [rows[first : first + _AT_ONCE] for first in range(0, max(len(rows), 1), _AT_ONCE)]
 
 
-def _nearest(labels: LabelArray, cells: IndexArray) -> LabelArray:
+def labels_near(labels: LabelArray | IntArray, cells: IndexArray) -> LabelArray | IntArray:
     """(n,) the label of the cell that is nearest to each of some cells (n, 2) and has one.
 
     Only what is round the cells is looked at, wider where no label is as near.

@@ -9,13 +9,13 @@ nobody entered lies open to the unknown. Corridors that go round are cut into th
 
 from __future__ import annotations
 
-import zlib
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from scipy import ndimage
 
+from specmap_cli.core.arrays import Packed
 from specmap_cli.core.errors import NoResultError
 from specmap_cli.core.geometry import FloatArray, step_lengths
 from specmap_cli.core.process import give_memory_back
@@ -40,6 +40,7 @@ from specmap_cli.segmentation.cells import (
     consensus,
     flood_labels,
     joined_wide,
+    labels_near,
     local_widths,
     nearest_labels,
     spread_labels,
@@ -146,24 +147,25 @@ def _divided(
     opened = narrowed = work.free | small
     if config.wide_door_m:
         opened, narrowed = with_narrow_doors(work.free, small, cell_m, config.wide_door_m)
+    del small
+    give_memory_back()
     clearance = clearance_of(narrowed)
-    del small, narrowed
     space = clearance > 0.0
     packed = []  # step 2: nothing is kept of the graphs, and little of the labels
     for number in range(1, config.placements):
         labels = _placement(clearance, space, cell_m, config, block, number)[0]
-        packed.append(zlib.compress(labels.tobytes(), level=1))
+        packed.append(Packed.of(labels))
     first, graph, spectrum = _placement(clearance, space, cell_m, config, block, 0)
     give_memory_back()
-    others = [np.frombuffer(zlib.decompress(one), dtype=np.int16) for one in packed]
+    others = [one.array for one in packed]
     cells = np.full(space.shape, -1, dtype=np.int16)
     cells[space] = consensus([first, *others])  # step 3
-    del first, others, space
+    del first, others, space, clearance
     give_memory_back()
     if config.merge:  # step 4
-        cells = without_rings(cells)
+        open_rings(cells)
         least, alcove = config.clearance_m / cell_m, _ALCOVE_M2 / cell_m**2
-        cells = without_dead_ends(cells, clearance, least, alcove)
+        cells = without_dead_ends(cells, clearance_of(narrowed), least, alcove)
     spread_labels(cells, opened)
     return cells, graph, spectrum
 
@@ -231,19 +233,20 @@ def unentered(grid: GridMap, division: LabelArray | IntArray, poses: FloatArray)
 
     That is what the robot saw through doors and windows, and never drove into.
     """
-    there = np.unique(_regions_at(grid, division, poses))
-    return ~np.isin(division, there[there >= 0])
+    nobodys = np.ones(int(division.max(initial=-1)) + 2, dtype=np.bool_)  # the last is no region
+    there = _regions_at(grid, division, poses)
+    nobodys[there[there >= 0]] = False
+    return looked_up(nobodys, division)
 
 
 def _regions_at(grid: GridMap, division: LabelArray | IntArray, poses: FloatArray) -> IntArray:
     """The region (n,) of the cell that is nearest to each pose and has one; -1 if none has."""
-    rows, columns = np.clip(grid.cells_of(poses[:, :2]), 0, np.array(division.shape) - 1).T
-    if (division[rows, columns] < 0).any() and (division >= 0).any():
-        nearest = ndimage.distance_transform_edt(
-            division < 0, return_distances=False, return_indices=True
-        )
-        rows, columns = nearest[:, rows, columns]
-    return np.asarray(division[rows, columns], dtype=np.int64)
+    cells = np.clip(grid.cells_of(poses[:, :2]), 0, np.array(division.shape) - 1)
+    found: IntArray = division[tuple(cells.T)].astype(np.int64)
+    nowhere = found < 0
+    if nowhere.any() and (division >= 0).any():
+        found[nowhere] = labels_near(division, cells[nowhere])
+    return found
 
 
 def segment_floorplan(grid: GridMap, config: SegmentationConfig) -> Segmentation:
@@ -331,17 +334,18 @@ def _open_to_the_unknown(labels: LabelArray, grid: GridMap) -> BoolArray:
     return np.asarray(more > 0)
 
 
-def without_rings(labels: LabelArray) -> LabelArray:
-    """Regions (h, w) of an upright map of which none is a ring: the sides of one are regions."""
+def open_rings(labels: LabelArray) -> None:
+    """Divide, in place, the regions (h, w) of an upright map that are rings into their sides."""
     count = int(labels.max(initial=-1)) + 1
     if not count:
-        return labels
-    sides = labels.copy()
+        return
+    labelled = labels >= 0
     for label, window in enumerate(ndimage.find_objects(labels + 1)):
         region = np.pad(labels[window] == label, 1)
         beyond = (~region).view(np.uint8)
-        _, around, stats, _ = cv2.connectedComponentsWithStats(beyond, connectivity=4)
+        holes, around, stats, _ = cv2.connectedComponentsWithStats(beyond, connectivity=4)
         del beyond
+        around = around.astype(np.min_scalar_type(holes), copy=False)
         cuts, size = np.zeros_like(region), stats[:, cv2.CC_STAT_AREA]
         for number, (left, top, wide, high, _) in enumerate(stats.tolist()):
             if number not in (0, around[0, 0]):
@@ -358,18 +362,17 @@ def without_rings(labels: LabelArray) -> LabelArray:
         pieces, piece, stats, _ = cv2.connectedComponentsWithStats(rest, connectivity=8)
         beside = np.unique(piece[(cv2.dilate(cuts.view(np.uint8), _BESIDE) & rest).view(np.bool_)])
         scrap = stats[beside, cv2.CC_STAT_AREA] <= np.count_nonzero(cuts)
-        names = np.full(pieces, label, dtype=sides.dtype)
+        names = np.full(pieces, label, dtype=labels.dtype)
         names[beside[scrap]] = -1
         more = beside[~scrap][1:]
         names[more] = count + np.arange(len(more))
         count += len(more)
         names[0] = -1  # the cuts, of all that is of the region
         inner = slice(1, -1), slice(1, -1)
-        for rows in bands_of(sides[window].shape):
+        for rows in bands_of(labels[window].shape):
             own = region[inner][rows]
-            sides[window][rows][own] = names[piece[inner][rows][own]]
-    spread_labels(sides, labels >= 0)
-    return sides
+            labels[window][rows][own] = names[piece[inner][rows][own]]
+    spread_labels(labels, labelled)
 
 
 def _cut_round(hole: BoolArray, solid: BoolArray, cuts: BoolArray) -> None:
@@ -399,13 +402,12 @@ def _cut(hole: BoolArray, solid: BoolArray) -> tuple[int, int, int]:
     by as much. So no cut runs along another corridor, or through a bay.
     """
     first, last = _extent(hole.sum(axis=1))
-    rows = np.arange(first, (first + last) // 2 + 1)
-    stops = hole[rows].argmax(axis=1)
-    before = solid[rows] & (np.arange(hole.shape[1]) < stops[:, None])
-    last = hole.shape[1] - 1 - before[:, ::-1].argmax(axis=1)
-    beyond = np.where(before.any(axis=1), last, -1)
-    best = int((stops - beyond + rows).argmin())
-    return int(rows[best]), int(beyond[best]) + 1, int(stops[best])
+    cuts = []
+    for row in range(first, (first + last) // 2 + 1):
+        stop = int(hole[row].argmax())
+        start = 1 + int(np.flatnonzero(solid[row, :stop])[-1:].max(initial=-1))
+        cuts.append((row, start, stop))
+    return min(cuts, key=lambda cut: cut[2] - cut[1] + cut[0])
 
 
 def _extent(counts: IntArray) -> tuple[int, int]:

@@ -102,13 +102,15 @@ def pieces_at_walls(grid: GridMap, thick_m: float) -> NDArray[np.int32]:
     piece, large = _pieces(framed, grid.resolution)
     large[piece[0, 0]] = True  # joined to what is beyond the map
     outside = (looked_up(large, piece) & framed)[1:-1, 1:-1]
+    del piece, framed
     # cells that a disc covers which is so wide and fits in
-    blocked = np.pad(~grid.free & ~outside, radius + 1).astype(np.uint8)
-    middle = ~within(blocked, radius)
-    if not middle.any():
+    blocked = np.pad(~grid.free & ~outside, radius + 1)
+    away = within(blocked.view(np.uint8), radius)  # from the middle of such a disc
+    if away.all():
         return nowhere
-    covered = within((~middle).astype(np.uint8), radius)
+    covered = within(away.view(np.uint8), radius)
     thick = covered[radius + 1 : -radius - 1, radius + 1 : -radius - 1]
+    del blocked, outside, away
     pieces, large = _pieces(thick, grid.resolution)
     for edge in (pieces[0], pieces[-1], pieces[:, 0], pieces[:, -1]):
         large[edge] = True
@@ -142,7 +144,7 @@ def _pieces(mask: BoolArray, resolution: float) -> tuple[NDArray[np.int32], Bool
 
     Pieces are joined over edges.
     """
-    _, piece, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
+    _, piece, stats, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=4)
     longest = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1)
     return np.asarray(piece, dtype=np.int32), np.asarray(longest * resolution > _LONGEST_M)
 

@@ -367,14 +367,13 @@ def is_right_of(fence: Line, mine: BoolArray, grid: GridMap, places: FloatArray)
     A place is on the side from which one comes to it first on foot, without crossing the fence; one
     that is out of reach is on its side of the straight line.
     """
-    barrier = drawn([fence], grid)
-    along, across, length = along_and_across(grid.centres_of(np.argwhere(mine)), fence)
+    beyond = mine & ~drawn([fence], grid)
+    along, across, length = along_and_across(grid.centres_of(np.argwhere(beyond)), fence)
     near = (np.abs(across) <= _BESIDE * grid.resolution) & (along >= 0.0) & (along <= length)
-    markers = np.zeros(mine.shape, dtype=np.int32)
-    markers[mine] = np.where(near, np.where(across < 0.0, _RIGHT, _LEFT), 0)
-    markers[barrier] = 0
-    sides = flood(mine, markers, barrier)
-    sides[~mine | (sides < _LEFT)] = NOBODY
+    markers = np.zeros(mine.shape, dtype=np.int16)
+    markers[beyond] = np.where(near, np.where(across < 0.0, _RIGHT, _LEFT), 0)
+    sides = flood(beyond, markers)
+    sides[sides == 0] = NOBODY
     found = Regions(grid, sides, {}).owners(places)
     along, across, _ = along_and_across(places[:, :2], fence)
     close = (np.abs(across) <= _BESIDE * grid.resolution) & (along >= 0.0) & (along <= length)

@@ -30,7 +30,6 @@ from specmap_cli.grids.gridmap import (
     clearance_of,
     contacts,
     exact,
-    joined,
     nearest_values,
     slices_near,
     window_of,
@@ -299,49 +298,51 @@ def divide(
     entered = passable & ~narrow[1:-1, 1:-1]
     del narrow
     passable[rows, columns] = True  # where the robot stood, whatever was found there later
+    entered[rows, columns] = True
     submaps = labels.submaps[inside]
     small = np.int16 if submaps.max(initial=0) < np.iinfo(np.int16).max - 1 else np.int32
-    markers: OwnerArray = np.zeros(passable.shape, dtype=small)
-    markers[rows, columns] = submaps + 1
-    fence = drawn(fences, whole) if fences else None
-    entered |= markers > 0
-    entered = joined(entered, markers > 0)
-    markers = np.where(entered, flood(entered, markers, fence), 0)
-    owner = flood(passable, markers, fence)
-    del markers
+    owner: OwnerArray = np.zeros(passable.shape, dtype=small)
+    owner[rows, columns] = submaps + 1
+    if fences:  # crossed where nothing else is left
+        owner = flood(entered & ~drawn(fences, whole), owner)
+    owner = flood(entered, owner)
+    entered = owner > 0
+    passable &= within((~entered).view(np.uint8), _REACH_M / whole.resolution)
+    if fences:
+        owner = flood(passable & ~drawn(fences, whole), owner)
+    owner = flood(passable, owner)
+    owner[~whole.free] = 0
     owner -= 1
-    beside = within((~entered).astype(np.uint8), _REACH_M / whole.resolution)
-    beside &= passable
-    beside = joined(beside, entered)
-    beside &= whole.free & (owner >= 0)
-    owner[~beside] = NOBODY
     return Regions.of(whole, owner)
 
 
-_CROSS = np.array([(0, 0), (-1, 0), (1, 0), (0, -1), (0, 1)])
+_CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 _SLACK = 0.01  # cells: less than from one distance to the next where a robot has hardly room
 _NEARLY = 1e-5  # cells: less than from one distance to the next, more than a rounding
 _CELL = 0.7072  # of the side of a cell: from its centre to its corner, and no less
 
 
-def flood(passable: BoolArray, markers: OwnerArray, fences: BoolArray | None = None) -> OwnerArray:
-    """(H, W) the marker that reaches each cell first, of the kind of the `markers` (H, W).
+def flood(passable: BoolArray, markers: OwnerArray) -> OwnerArray:
+    """(H, W) the marker that reaches each cell first, zero where none does.
 
-    The watershed grows all markers a ring at a time over equal cells, and crosses an edge of the
-    picture only when nothing else is left. It leaves lines one cell wide where fronts meet.
+    The `markers` (H, W), zero where there is none, grow by a ring of `passable` cells (H, W) at a
+    time, over their sides. The largest of those that reach a cell at once has it.
     """
-    entered = passable if fences is None else passable & ~fences
-    rows, columns = passable.shape
-    picture = np.full((rows + 2, columns + 2, 3), 255, dtype=np.uint8)
-    picture[1:-1, 1:-1][entered] = 0
-    flooded = np.zeros((rows + 2, columns + 2), dtype=np.int32)
-    flooded[1:-1, 1:-1] = markers
-    cv2.watershed(picture, flooded)
-    del picture
-    fronts = np.argwhere((flooded[1:-1, 1:-1] < 0) & passable) + 1
-    reached = flooded[tuple((fronts[:, None] + _CROSS).reshape(-1, 2).T)].reshape(-1, len(_CROSS))
-    flooded[tuple(fronts.T)] = reached.max(axis=1)
-    return flooded[1:-1, 1:-1].astype(markers.dtype)
+    framed, around = np.pad(passable, 1), np.pad(markers, 1)
+    framed[around > 0] = False
+    edge = cv2.dilate(framed.view(np.uint8), _CROSS).view(np.bool_)
+    ring = np.flatnonzero(edge & (around > 0))
+    del edge
+    empty, found, wide = framed.ravel(), around.ravel(), framed.shape[1]
+    steps = np.array([[-wide], [-1], [1], [wide]])
+    while len(ring):
+        beside = ring + steps
+        rows, columns = np.nonzero(empty[beside])
+        cells = beside[rows, columns]
+        np.maximum.at(found, cells, found[ring[columns]])
+        ring = np.unique(cells)
+        empty[ring] = False
+    return around[1:-1, 1:-1]
 
 
 def drawn(fences: Iterable[Line], grid: GridMap) -> BoolArray:
@@ -392,7 +393,9 @@ class Space:
         """The space of the regions of a map, which a laser `scanned`, or somebody drew."""
         free = regions.grid.free
         away = clearance_of(free)
-        owner = np.where(free, regions.owner, NOBODY)
+        owner = regions.owner
+        if (owner[~free] != NOBODY).any():  # furniture that counts as a part of a region
+            owner = np.where(free, owner, NOBODY)
         return cls(regions.grid, owner, away, 0.5 if scanned else 0.0)
 
     def clearance(self, part: Any = ...) -> FloatArray:

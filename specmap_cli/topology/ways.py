@@ -206,7 +206,7 @@ def anchors_of(
     return anchors
 
 
-_STEPS = ((0, 1), (1, 0), (1, 1), (1, -1))  # to half of the eight neighbours
+_STEPS = ((0, 1), (1, -1), (1, 0), (1, 1))  # to half of the eight neighbours, row by row
 _NO_NODE = -1
 _ROW = 1 << 32  # more than any map has columns
 
@@ -248,18 +248,15 @@ def tree(cells: IntArray, price: FloatArray, start: tuple[int, int]) -> Tree:
 
     cells, price = cells[np.isfinite(price)], price[np.isfinite(price)]
     keys = _keys(cells)
-    ends, prices = [], []
-    for down, right in _STEPS:
-        there = _numbers(keys, keys + (down * _ROW + right))
-        both = there != _NO_NODE
-        if down and right:  # a line across a corner touches the cells on both sides of it
-            both &= _numbers(keys, keys + right) != _NO_NODE
-            both &= _numbers(keys, keys + down * _ROW) != _NO_NODE
-        here, there = np.flatnonzero(both).astype(np.int32), there[both]
-        ends.append(np.stack([here, there]))
-        prices.append((price[here] + price[there]) * (0.5 * np.hypot(down, right)))
-    steps = np.concatenate(prices), np.concatenate(ends, axis=1)
-    graph = csr_matrix(steps, shape=(len(cells), len(cells)))
+    there = np.stack([_numbers(keys, keys + down * _ROW + right) for down, right in _STEPS], axis=1)
+    can = there != _NO_NODE
+    # a line across a corner touches the cells on both sides of it: left or right, and below
+    can[:, 1] &= np.append(np.False_, can[:-1, 0])[: len(can)] & can[:, 2]
+    can[:, 3] &= can[:, 0] & can[:, 2]
+    prices = (price[:, None] + price[there]) * [0.5 * np.hypot(*step) for step in _STEPS]
+    row_ends = np.append(0, np.cumsum(can.sum(axis=1)))
+    graph = csr_matrix((prices[can], there[can], row_ends), shape=(len(cells), len(cells)))
+    del there, can, prices, row_ends
     first = int(_numbers(keys, _keys(np.array([start])))[0])
     cost, before = np.full(len(cells), np.inf), np.full(len(cells), _NO_NODE, dtype=np.int32)
     if first != _NO_NODE:

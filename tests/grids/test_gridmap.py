@@ -88,7 +88,7 @@ def test_a_packed_grid_is_the_grid_in_a_fraction_of_its_memory() -> None:
     packed = gridmap.PackedGrid.of(grid)
     np.testing.assert_array_equal(packed.grid.cells, grid.cells)
     assert (packed.grid.resolution, packed.grid.origin) == (0.05, (-3.0, 7.5))
-    assert 20 * len(packed.packed) < grid.cells.nbytes
+    assert 20 * len(packed.cells.data) < grid.cells.nbytes
 
 
 def empty_room() -> GridMap:

@@ -9,11 +9,18 @@ import pytest
 
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import OCCUPIED, GridMap
-from specmap_cli.segmentation.division import segment, without_rings
+from specmap_cli.segmentation.division import open_rings, segment
 from specmap_cli.segmentation.visibility import LabelArray
 from tests.segmentation.plans import plan, turned_by
 
 TURNS = (0.0, 20.0, 45.0, 90.0)
+
+
+def without_rings(labels: LabelArray) -> LabelArray:
+    """The same regions, those that are rings opened."""
+    found = labels.copy()
+    open_rings(found)
+    return found
 
 
 def ring(width: float, height: float, wide: float) -> GridMap:

@@ -40,7 +40,7 @@ from specmap_cli.recognition.closure.verification import (
 )
 
 _MEMBERS = 2  # visits of an old submap whose grids are matched, the latest ones
-_PREPARED = 8  # grids prepared for matching at a time: each takes megabytes
+_PREPARED = 4  # grids prepared for matching at a time: each takes megabytes
 _NEAR_M = 2.0  # of tracks that may be of one place: a merge's reach, and what tracking is off
 _ALIKE_M = 1.0  # tracking is off by as much in either of two places
 _MERGE_OVERLAP = 0.4  # shared part of both tracks, for a merge
