@@ -144,13 +144,13 @@ def _divided(
     """
     cell_m = work.resolution
     small = furniture(work.free, cell_m, config)  # step 1
-    opened = narrowed = work.free | small
+    opened = space = work.free | small
     if config.wide_door_m:
-        opened, narrowed = with_narrow_doors(work.free, small, cell_m, config.wide_door_m)
-    del small
+        opened, space = with_narrow_doors(work.free, small, cell_m, config.wide_door_m)
+    waiting = Packed.of(opened)
+    del small, opened
     give_memory_back()
-    clearance = clearance_of(narrowed)
-    space = clearance > 0.0
+    clearance = clearance_of(space)
     packed = []  # step 2: nothing is kept of the graphs, and little of the labels
     for number in range(1, config.placements):
         labels = _placement(clearance, space, cell_m, config, block, number)[0]
@@ -160,13 +160,13 @@ def _divided(
     others = [one.array for one in packed]
     cells = np.full(space.shape, -1, dtype=np.int16)
     cells[space] = consensus([first, *others])  # step 3
-    del first, others, space, clearance
+    del first, others, clearance
     give_memory_back()
     if config.merge:  # step 4
         open_rings(cells)
         least, alcove = config.clearance_m / cell_m, _ALCOVE_M2 / cell_m**2
-        cells = without_dead_ends(cells, clearance_of(narrowed), least, alcove)
-    spread_labels(cells, opened)
+        cells = without_dead_ends(cells, clearance_of(space), least, alcove)
+    spread_labels(cells, waiting.array)
     return cells, graph, spectrum
 
 

@@ -170,7 +170,7 @@ def _beyond_the_neck(S: Any) -> BoolArray:
     """
     degrees, group = np.asarray(S.sum(axis=1)).ravel(), _groups(S)
     ones = sparse.csr_array((np.ones(len(group)), (np.arange(len(group)), group)))
-    between = ones.T.tocsr() @ S @ ones  # all in CSR: else S is copied to columns
+    between = sum(ones[rows].T.tocsr() @ (S[rows] @ ones) for rows, _, _ in _bands(S))
     between.sort_indices()
     L, of_groups = normalised(between)
     _, vectors = largest_eigenpairs(L, 2, _ROUGH)
