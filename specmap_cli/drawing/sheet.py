@@ -112,8 +112,7 @@ class Sheet:
             line[:-1, :-1][(here != other) & (here > 0) & (other > 0)] = 255
         # two pixels wide, and no staircase of cells; whole numbers are blurred alike everywhere
         blurred = cv2.GaussianBlur(line, (0, 0), _BORDER_BLUR)
-        inside = slice(TITLE, TITLE + self.map_height)
-        self._blend(inside, np.minimum(1.0, blurred[inside] * _BORDER_STRENGTH / 255.0), BORDER)
+        self._blend(blurred, _BORDER_STRENGTH / 255.0, BORDER)
         self.walls(regions.grid, regions.grid.occupied, INK)
 
     def floor(self, regions: Regions, fills: Mapping[int, Colour]) -> None:
@@ -139,21 +138,21 @@ class Sheet:
         thinned = GridMap(blocks.astype(np.uint8), grid.resolution * step, grid.origin)
         cover = self._to_scale(blocks.astype(np.float32), thinned)
         scale = thinned.resolution * self.pixels_per_m
-        cover *= max(1.0, _WALL_STRENGTH / scale)
-        np.minimum(cover, 1.0, out=cover)
-        inside = slice(TITLE, TITLE + self.map_height)
-        self._blend(inside, cover[inside], colour)
+        self._blend(cover, max(1.0, _WALL_STRENGTH / scale), colour)
 
-    def _blend(self, rows: slice, cover: NDArray[Any], colour: Colour) -> None:
-        """Colour some rows of the canvas, as far as `cover` (rows, W) says.
+    def _blend(self, cover: NDArray[Any], strength: float, colour: Colour) -> None:
+        """Colour the rows of the map, as far as `cover` (H, W), of the canvas, times this says.
 
         A strip at a time: all at once would be the most memory that a small map needs.
         """
-        painted, ink = self.canvas.image[rows], np.array(colour, dtype=np.float32)
-        for start in range(0, len(cover), _STRIP):
-            strip = slice(start, start + _STRIP)
-            share = cover[strip, :, None]
-            painted[strip] = np.round(painted[strip] * (1.0 - share) + ink * share)
+        ink, end = np.array(colour, dtype=np.float32), TITLE + self.map_height
+        for first in range(TITLE, end, _STRIP):
+            rows = slice(first, min(first + _STRIP, end))
+            share, painted = (
+                np.minimum(cover[rows, :, None] * strength, 1.0),
+                self.canvas.image[rows],
+            )
+            painted[...] = np.round(painted * (1.0 - share) + ink * share)
 
     def _to_scale(
         self,

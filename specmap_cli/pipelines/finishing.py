@@ -134,6 +134,7 @@ def write_finished(
             laid.logs,
             finished.quality,
         )
+        give_memory_back()
         run = run_of()
         result = MapResult(
             topology=finished.topology,

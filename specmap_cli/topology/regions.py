@@ -292,25 +292,22 @@ def divide(
     inside = whole.inside(places) & (labels.submaps != NO_SUBMAP)
     rows, columns = places[inside].T
     passable = whole.free if unentered is None else whole.free & ~unentered
-    narrow = within(
-        np.pad(whole.free.astype(np.uint8), 1), _ROBOT_RADIUS_M / whole.resolution - _SLACK
-    )
-    entered = passable & ~narrow[1:-1, 1:-1]
-    del narrow
+    room = _ROBOT_RADIUS_M / whole.resolution - _SLACK
+    entered = ~within(np.pad(whole.free, 1).view(np.uint8), room)[1:-1, 1:-1]
+    entered &= passable
     passable[rows, columns] = True  # where the robot stood, whatever was found there later
     entered[rows, columns] = True
     submaps = labels.submaps[inside]
     small = np.int16 if submaps.max(initial=0) < np.iinfo(np.int16).max - 1 else np.int32
     owner: OwnerArray = np.zeros(passable.shape, dtype=small)
     owner[rows, columns] = submaps + 1
-    if fences:  # crossed where nothing else is left
-        owner = flood(entered & ~drawn(fences, whole), owner)
-    owner = flood(entered, owner)
+    fenced = drawn(fences, whole)  # crossed where nothing else is left
+    for cells in (entered & ~fenced, entered):
+        owner = flood(cells, owner)
     entered = owner > 0
     passable &= within((~entered).view(np.uint8), _REACH_M / whole.resolution)
-    if fences:
-        owner = flood(passable & ~drawn(fences, whole), owner)
-    owner = flood(passable, owner)
+    for cells in (passable & ~fenced, passable):
+        owner = flood(cells, owner)
     owner[~whole.free] = 0
     owner -= 1
     return Regions.of(whole, owner)
