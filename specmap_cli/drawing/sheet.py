@@ -148,10 +148,8 @@ class Sheet:
         ink, end = np.array(colour, dtype=np.float32), TITLE + self.map_height
         for first in range(TITLE, end, _STRIP):
             rows = slice(first, min(first + _STRIP, end))
-            share, painted = (
-                np.minimum(cover[rows, :, None] * strength, 1.0),
-                self.canvas.image[rows],
-            )
+            share = np.minimum(cover[rows, :, None] * strength, 1.0)
+            painted = self.canvas.image[rows]
             painted[...] = np.round(painted * (1.0 - share) + ink * share)
 
     def _to_scale(

@@ -75,6 +75,8 @@ def with_borders(laid: LaidOut) -> tuple[LaidOut, Mapping[int, str]]:
 
     Also why a change could not be made, by its place in the list.
     """
+    if not laid.borders and not laid.edits.changes:
+        return laid, {}
     found = drawn(laid.whole, laid.labels, laid.borders, laid.edits, laid.next_id, laid.unentered)
     bordered = replace(
         laid,

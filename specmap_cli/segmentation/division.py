@@ -147,11 +147,11 @@ def _divided(
     opened = space = work.free | small
     if config.wide_door_m:
         opened, space = with_narrow_doors(work.free, small, cell_m, config.wide_door_m)
-    waiting = Packed.of(opened)
+    waiting = Packed.of(opened)  # until labels are spread to it
     del small, opened
     give_memory_back()
     clearance = clearance_of(space)
-    packed = []  # step 2: nothing is kept of the graphs, and little of the labels
+    packed = []  # step 2: nothing is kept of the graphs
     for number in range(1, config.placements):
         labels = _placement(clearance, space, cell_m, config, block, number)[0]
         packed.append(Packed.of(labels))

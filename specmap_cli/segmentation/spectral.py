@@ -170,6 +170,7 @@ def _beyond_the_neck(S: Any) -> BoolArray:
     """
     degrees, group = np.asarray(S.sum(axis=1)).ravel(), _groups(S)
     ones = sparse.csr_array((np.ones(len(group)), (np.arange(len(group)), group)))
+    # a band at a time: this bounds the memory
     between = sum(ones[rows].T.tocsr() @ (S[rows] @ ones) for rows, _, _ in _bands(S))
     between.sort_indices()
     L, of_groups = normalised(between)

@@ -286,7 +286,8 @@ def divide(
     The keyframes flood the cells where a robot has room, and from there the free cells, so that
     regions are connected and end at walls, and go through no slit. Cells that a robot could not get
     near, such as those seen through a gap or a window, are nobody's, and so is what is `unentered`
-    (H, W): rooms without a keyframe. No region grows across the `fences`, lines in the map.
+    (H, W): rooms without a keyframe. A region grows across the `fences`, lines in the map, only
+    where nothing else is left: not from a keyframe on one, either.
     """
     places = whole.cells_of(labels.poses[:, :2])
     inside = whole.inside(places) & (labels.submaps != NO_SUBMAP)
@@ -301,7 +302,7 @@ def divide(
     small = np.int16 if submaps.max(initial=0) < np.iinfo(np.int16).max - 1 else np.int32
     owner: OwnerArray = np.zeros(passable.shape, dtype=small)
     owner[rows, columns] = submaps + 1
-    fenced = drawn(fences, whole)  # crossed where nothing else is left
+    fenced = drawn(fences, whole)
     for cells in (entered & ~fenced, entered):
         owner = flood(cells, owner)
     entered = owner > 0
@@ -323,13 +324,12 @@ def flood(passable: BoolArray, markers: OwnerArray) -> OwnerArray:
     """(H, W) the marker that reaches each cell first, zero where none does.
 
     The `markers` (H, W), zero where there is none, grow by a ring of `passable` cells (H, W) at a
-    time, over their sides. The largest of those that reach a cell at once has it.
+    time, over their sides; those on other cells stay. The largest that reaches a cell has it.
     """
     framed, around = np.pad(passable, 1), np.pad(markers, 1)
-    framed[around > 0] = False
-    edge = cv2.dilate(framed.view(np.uint8), _CROSS).view(np.bool_)
-    ring = np.flatnonzero(edge & (around > 0))
-    del edge
+    grown = framed & (around > 0)
+    framed &= ~grown
+    ring = np.flatnonzero(cv2.dilate(framed.view(np.uint8), _CROSS).view(np.bool_) & grown)
     empty, found, wide = framed.ravel(), around.ravel(), framed.shape[1]
     steps = np.array([[-wide], [-1], [1], [wide]])
     while len(ring):

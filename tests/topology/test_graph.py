@@ -390,6 +390,15 @@ def test_no_region_crosses_the_fence() -> None:
     assert whole.centres_of(np.argwhere(free.owner == 5))[:, 0].max() < 1.8
 
 
+def test_a_keyframe_on_the_fence_takes_nothing_beyond_it() -> None:
+    whole, poses = hall(), np.array([[1.0, 1.0, 0.0], [2.0, 1.0, 0.0], [3.0, 1.0, 0.0]])
+    seen = Labels(stamps_ns=np.arange(3), poses=poses, submaps=np.array([0, 0, 1]))
+    owner = divide(whole, seen, [ACROSS]).owner
+    for submap, side in ((0, np.max), (1, np.min)):
+        x = whole.centres_of(np.argwhere(owner == submap))[:, 0]
+        assert side(x) == pytest.approx(2.0, abs=0.16)
+
+
 def test_a_line_through_one_leg_of_a_building_splits_on_foot() -> None:
     """Two corridors side by side, joined at one end: the line crosses one of them only."""
     cells = np.full((22, 42), OCCUPIED, dtype=np.uint8)
