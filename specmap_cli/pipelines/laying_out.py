@@ -5,7 +5,7 @@ Then the map is drawn in it and divided: the regions of the finished map say whe
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -113,14 +113,16 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
 
 def with_grid(session: Session, laid: LaidOut) -> LaidOut:
     """A map with the grid of all keyframes, which the session's store has. Raises as `lay_out`."""
-    whole, beyond, division = _drawn(session, laid.layout)
+    whole, beyond, division = _drawn(session, laid.layout, laid.starts)
     return replace(laid, drawn=whole, beyond=beyond, division=division)
 
 
-def _drawn(session: Session, layout: Layout) -> tuple[GridMap, int, Packed | None]:
+def _drawn(
+    session: Session, layout: Layout, starts: Collection[int] = ()
+) -> tuple[GridMap, int, Packed | None]:
     """The grid of all keyframes at their poses in the layout, and how many were beyond its limits.
 
-    Also its `division_of`. Raises NoResultError when no keyframe fits into the largest grid
+    Also its `division_of`; recordings after the first one begin at `starts`. Raises NoResultError when no keyframe fits into the largest grid
     allowed.
     """
     store, config = session.store, session.config
@@ -136,18 +138,22 @@ def _drawn(session: Session, layout: Layout) -> tuple[GridMap, int, Packed | Non
             mark=";",
         )
     with session.clock.stage("segmentation"):
-        division = division_of(whole, layout, config)
+        division = division_of(whole, layout, config, starts)
     give_memory_back()
     return whole, beyond, division
 
 
-def division_of(whole: GridMap, layout: Layout, config: Config) -> Packed | None:
+def division_of(
+    whole: GridMap, layout: Layout, config: Config, starts: Collection[int] = ()
+) -> Packed | None:
     """The region (H, W) of each cell of the map, -1 for none.
 
     None where the finished map does not say where submaps end: one place of the building may be
-    two of the layout, or the settings leave it to the way.
+    two of the layout, or the settings leave it to the way. Recordings that begin at `starts` and
+    meet no other lie apart: their walls are drawn over no others.
     """
-    if layout.loose or not (config.relaxation.enabled and config.segmentation.final_regions):
+    guessed = set(layout.loose) - set(starts)
+    if guessed or not (config.relaxation.enabled and config.segmentation.final_regions):
         return None
     return Packed.of(segment(whole, config.segmentation).labels)
 

@@ -148,6 +148,7 @@ class LaidOut:
             layout=self.layout,
             beyond=self.beyond,
             warnings=(),
+            starts=self.starts,
         )
         return Quality.of([*self.findings, *of_layout(evidence)])
 

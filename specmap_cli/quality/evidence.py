@@ -94,7 +94,8 @@ class Evidence:
     `trajectory` is that of all scans in the finished layout, `keyframes_ns` the stamps of the
     keyframes, `breaks` the numbers of those at which tracking started afresh. `beyond` of them did
     not fit into the largest grid allowed. `warnings` are of reading and registration, `holes` those
-    of the recording, `stretches` what of its way was guessed.
+    of the recording, `stretches` what of its way was guessed. Recordings after the first one begin
+    with the keyframes `starts`.
     """
 
     trajectory: Trajectory
@@ -105,6 +106,7 @@ class Evidence:
     warnings: tuple[str, ...]
     holes: tuple[Hole, ...] = ()
     stretches: tuple[Stretch, ...] = ()
+    starts: tuple[int, ...] = ()
 
     def at_keyframe(self, number: int) -> Where:
         """When a keyframe was seen, and where it lies in the map."""

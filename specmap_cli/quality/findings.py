@@ -287,12 +287,23 @@ def loose_parts(evidence: Evidence) -> Iterator[Finding]:
         share = way_m / total_m if total_m else 1.0
         severity, limit = graded(share, 0.0, _LOOSE_SHARE_POOR)
         where = evidence.at_keyframe(start)
+        message = (
+            f"a guess alone places the {way_m:.0f} m that follow {told(where)}: nothing there was "
+            "recognised"
+        )
+        advice = "drive through a place seen before, or record odometry"
+        if start in evidence.starts:  # each part is as good as it was by itself
+            severity, limit = "doubtful", 0.0
+            message = (
+                f"nothing ties the {way_m:.0f} m recorded from {told(where)} on to the other "
+                "recordings: where they lie beside these is arbitrary"
+            )
+            advice = "record a drive through places of both, and add it"
         yield Finding(
             code=LOOSE,
             severity="doubtful" if severity == "note" else severity,
-            message=f"a guess alone places the {way_m:.0f} m that follow "
-            f"{told(where)}: nothing there was recognised",
-            advice="drive through a place seen before, or record odometry",
+            message=message,
+            advice=advice,
             value=share,
             limit=limit,
             where=where,

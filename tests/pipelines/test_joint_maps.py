@@ -20,6 +20,7 @@ from specmap_cli.pipelines.laying_out import division_of
 from specmap_cli.pipelines.map_in_making import LaidOut
 from specmap_cli.pipelines.thinning import Thinned
 from specmap_cli.pipelines.update import redivided
+from specmap_cli.topology.regions import NOBODY
 from specmap_cli.topology.topological_map import LogInfo
 
 OWN = np.repeat([0, 1, 2, 3], 5)  # the submaps of the newer map's keyframes, a metre apart
@@ -176,3 +177,14 @@ def test_where_a_part_lies_by_a_guess_nothing_is_divided_anew(whole: GridMap) ->
     map_, _ = updated(whole, loose=(40,))
     assert set(map_.labels.submaps.tolist()) == {0, 1}
     assert map_.next_id == 9
+
+
+def test_where_recordings_lie_apart_a_room_that_nobody_entered_stays_nobodys(
+    whole: GridMap,
+) -> None:
+    joint = replace(laid_out(way(1.0, 7.0), np.zeros(60, dtype=np.int64), (40,)), drawn=whole)
+    beyond = np.s_[2:42, 83:123]  # the last room
+    for starts, seen_only in (((), False), ((40,), True)):
+        division = division_of(whole, joint.layout, Config(), starts)
+        owner = replace(joint, division=division).regions.owner[beyond]
+        assert bool((owner == NOBODY).all()) == seen_only

@@ -130,7 +130,7 @@ def test_maps_that_do_not_meet_stay_apart_and_are_named(parts: Parts, tmp_path: 
     report = merge_maps([parts.other, parts.third_closed], tmp_path / "map", QUICK)
     assert sorted(report.parts) == [("other",), ("third",)]
     assert any("2 parts that do not meet: " in line for line in report.lines())
-    assert report.quality.verdict != "good"
+    assert report.quality.verdict == "doubtful"
     assert not set(report.ids["other"].values()) & set(report.ids["third"].values())
     merged = read_map(tmp_path / "map")
     one = set(report.ids["other"].values())

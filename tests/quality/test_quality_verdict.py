@@ -98,6 +98,16 @@ def test_what_a_guess_places_weighs_by_its_way_up_to_the_next_break(
     )
 
 
+def test_a_recording_that_meets_no_other_is_doubtful_however_long_it_is() -> None:
+    found = judged(laid(loose=(60,), base=replace(evidence(breaks=(60,)), starts=(60,))))
+    loose = found.findings[0]
+    assert (loose.code, loose.severity, found.verdict) == ("loose-part", "doubtful", "doubtful")
+    assert loose.message == (
+        "nothing ties the 39 m recorded from 60.000 s on to the other recordings: where they lie "
+        "beside these is arbitrary"
+    )
+
+
 @pytest.mark.parametrize(("share", "severity"), [(0.02, "doubtful"), (0.2, "poor")])
 def test_walls_that_contradict_weigh_by_their_share_a_finding_a_place(
     share: float, severity: Severity
