@@ -75,7 +75,8 @@ def build(
     """
     from specmap_cli.core.findings import at_least_as_bad
 
-    effective = settings.load({"relaxation.enabled": False if no_relax else None, "seed": seed})
+    flags = {"relaxation.enabled": False if no_relax else None, "seed": seed}
+    effective = settings.load(flags)
     keep_inputs([out], logs)
     if like is not None and explain is not None:
         raise UsageError("--like and --explain do not go together", "build without one of them")
@@ -87,9 +88,12 @@ def build(
                 logs, out, effective, overwrite=overwrite, progress=progress, explain=explain
             )
         else:
+            from specmap_cli.maps.store import read_map
             from specmap_cli.pipelines.update import build_like
 
-            report = build_like(logs, like, out, effective, overwrite=overwrite, progress=progress)
+            old = read_map(like, effective.limits)
+            own = settings.of_map(old, flags)
+            report = build_like(logs, old, out, own, overwrite=overwrite, progress=progress)
     common.show(report.as_dict(), report.lines())
     if fail_on is not None and at_least_as_bad(report.quality.verdict, fail_on):
         raise typer.Exit(BROKEN_RULE)

@@ -171,11 +171,11 @@ class Settings(Bounds):
         ),
     ] = None
 
-    def of_map(self, stored: Map) -> Config:
+    def of_map(self, stored: Map, flags: Mapping[str, Any] | None = None) -> Config:
         """Those that a map was built with, changed by these; UsageError for a wrong one."""
         from specmap_cli.pipelines.localizer import settings_for
 
-        return settings_for(stored, self.overrides(), self.config, self.preset)
+        return settings_for(stored, self.overrides(flags), self.config, self.preset)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -30,6 +30,7 @@ _ASCENDING_SHARE = 0.25  # share of stamps that must follow the one ahead, or th
 _ORDER_INTERVAL_S = 0.1  # between scans stamped by order: a usual laser's 10 Hz
 # Scans stamped by order are so far apart that a robot this fast drives the first steps.
 _ORDER_SPEED_MPS = 0.5
+_LATE_S = 0.5  # odometry stamped this far from scans recorded beside it is told of
 _CLOCKS_APART_S = 2.0  # odometry stamped this far from scans recorded beside it has another clock
 _FEWEST = 3  # stamps: two that are equal may be a scan that was sent twice
 _PAIRS = 20  # of scans and odometry: their median does not heed some late messages
@@ -46,7 +47,8 @@ class Clock:
 
     By order the n-th scan has the stamp `first_ns + n * interval_ns`, and the odometry that was
     heard last. `odometry_shift_ns` is added to header stamps of odometry, which then are of the
-    scans' clock. `zero_is_unset` says that a header stamp of zero stands for the recorder's time,
+    scans' clock. `odometry_apart_ns` is how far these are behind those of scans recorded beside
+    them where it may be either: odometry that is recorded late, or a clock. `zero_is_unset` says that a header stamp of zero stands for the recorder's time,
     as the two clocks otherwise agree. `why` is the fault of the header stamps, if they have one.
     """
 
@@ -56,6 +58,7 @@ class Clock:
     first_ns: int = 0
     interval_ns: int = 0
     odometry_shift_ns: int = 0
+    odometry_apart_ns: int = 0
 
     def scan_ns(self, number: int, stamp_ns: int, time_ns: int) -> int:
         """The stamp of the scan of that number with these header and recorder's times."""
@@ -114,10 +117,16 @@ def choose_clock(scans: Sequence[tuple[int, int]], pairs: Sequence[StampPair]) -
         same = "header stamps of the odometry are all the same"
         return Clock(source="recorder", why=same) if _ascends(times) else header
     # how far the clock of the scans is ahead of that of the odometry
-    ahead = median_low(
+    differences = [
         pair.scan[0] - pair.odometry[0] - (pair.scan[1] - pair.odometry[1]) for pair in told
-    )
-    return replace(header, odometry_shift_ns=ahead) if abs(ahead) > apart else header
+    ]
+    ahead = median_low(differences)
+    if abs(ahead) > apart:
+        return replace(header, odometry_shift_ns=ahead)
+    steady = all(2 * abs(each - ahead) < abs(ahead) for each in differences)  # not in bursts
+    if abs(ahead) > nanoseconds(_LATE_S) and steady and len(told) >= _FEWEST:
+        return replace(header, odometry_apart_ns=ahead)
+    return header
 
 
 def _ascends(stamps: Sequence[int]) -> bool:

@@ -351,11 +351,18 @@ def _assumptions(
             f"{topic}: {clock.why}, and the recorder's times do not ascend: scans are stamped by "
             f"their order, {clock.interval_ns / NS_PER_S:g} s apart"
         )
-    if clock.odometry_shift_ns:
-        side = "behind" if clock.odometry_shift_ns > 0 else "ahead of"
+    apart_ns = clock.odometry_shift_ns or clock.odometry_apart_ns
+    side = "behind" if apart_ns > 0 else "ahead of"
+    if clock.odometry_apart_ns:
         yield (
-            f"the stamps of the odometry are {time_text(abs(clock.odometry_shift_ns))} {side} "
-            "those of the scans recorded beside it: it has another clock, and is shifted to theirs"
+            f"the stamps of the odometry are {time_text(abs(apart_ns))} {side} those of the scans "
+            "recorded beside it: either these were recorded at another time than it, which is "
+            "harmless, or its clock is wrong, which bends the map where the robot turns"
+        )
+    if clock.odometry_shift_ns:
+        yield (
+            f"the stamps of the odometry are {time_text(abs(apart_ns))} {side} those of the scans "
+            "recorded beside it: it has another clock, and is shifted to theirs"
         )
 
 

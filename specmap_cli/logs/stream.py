@@ -191,8 +191,8 @@ def interpolated(a: Pose2, b: Pose2, share: float) -> Pose2:
     )
 
 
-_ODOMETRY_WAIT_SCANS = 4  # a scan waits for later odometry until more scans than this wait
-_ODOMETRY_WAIT_S = 0.5  # a scan waits for later odometry no longer than this, by log time
+# A scan waits for later odometry as long, by log time, as poses may be apart, or until too many wait.
+_ODOMETRY_WAIT_SCANS = 64  # in 2 s: a laser of 32 Hz
 
 # What is counted beside the sweeps and the odometry, and what to say when it occurs.
 _SAID = {
@@ -273,7 +273,7 @@ class SweepStream:
             while waiting:
                 first, latest = waiting[0], odometry.poses.latest_ns
                 heard = first.own is not None or (latest is not None and latest >= first.stamp_ns)
-                late = message.time_ns - first.time_ns > nanoseconds(_ODOMETRY_WAIT_S)
+                late = message.time_ns - first.time_ns > nanoseconds(_ODOMETRY_GAP_S)
                 late |= len(waiting) > _ODOMETRY_WAIT_SCANS
                 if not (chosen.odometry is None or heard or late):
                     break

@@ -183,13 +183,13 @@ def build_like(
 ) -> BuildReport:
     """Build the map of a recording in the frame of the map `like`, with its ids and borders.
 
-    It takes no data of that map. Only space that `like` does not have is divided afresh and gets
-    new ids. Raises NoResultError for a recording that fits nowhere in `like`, and else as
+    It takes no data of that map. Without `config` the settings are those `like` was built with.
+    Only space that `like` does not have is divided afresh and gets new ids. Raises NoResultError for a recording that fits nowhere in `like`, and else as
     `build_map` and `read_map`.
     """
-    config = instance_of(Config() if config is None else config, Config, "config")
     given, target, progress = paths_of(logs, "logs"), path_of(out, "out"), progress or Silent()
-    stored = opened_map(like, "like", config.limits)
+    stored = opened_map(like, "like", None if config is None else config.limits)
+    config = settings_for(stored, {}) if config is None else instance_of(config, Config, "config")
     check_feature_sets(config)
     with (
         open_log(given, config.log) as log,
