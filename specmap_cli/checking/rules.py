@@ -70,7 +70,7 @@ MEANINGS = {
 _CODES = (
     *("lost-scans", "tracking-break", "hole-in-log", "unmeasured-way", "odometry-disagrees"),
     *("loose-part", "walls-disagree", "part-moved", "rival-place", "layout-refused"),
-    *("closures-refuted", "beyond-grid", "input"),
+    *("closures-refuted", "beyond-grid", "too-narrow", "input"),
 )
 BOUNDED = (*MEANINGS, *(FINDINGS + code for code in _CODES))  # what a rule can bound
 

@@ -33,6 +33,11 @@ if TYPE_CHECKING:
     from specmap_cli.batch.records import Command, Option, Plan
     from specmap_cli.pipelines.overlaps import Spread
 
+FailOn = Annotated[
+    Literal["doubtful", "poor"] | None,
+    typer.Option(help="Exit with code 5 when the map is doubtful, or poor. It is written anyway."),
+]
+
 
 def build(
     logs: Logs,
@@ -53,12 +58,7 @@ def build(
         typer.Option(help="Map directory whose frame, ids, names and borders the new map takes."),
     ] = None,
     overwrite: Overwrite = False,
-    fail_on: Annotated[
-        Literal["doubtful", "poor"] | None,
-        typer.Option(
-            help="Exit with code 5 when the map is doubtful, or poor. It is written anyway."
-        ),
-    ] = None,
+    fail_on: FailOn = None,
     *,
     settings: LogSettings,
     common: Common,
@@ -74,6 +74,7 @@ def build(
     specmap build today.mcap -o today --like map
     """
     from specmap_cli.core.findings import at_least_as_bad
+    from specmap_cli.maps.store import read_map
 
     flags = {"relaxation.enabled": False if no_relax else None, "seed": seed}
     effective = settings.load(flags)
@@ -88,12 +89,11 @@ def build(
                 logs, out, effective, overwrite=overwrite, progress=progress, explain=explain
             )
         else:
-            from specmap_cli.maps.store import read_map
             from specmap_cli.pipelines.update import build_like
 
             old = read_map(like, effective.limits)
-            own = settings.of_map(old, flags)
-            report = build_like(logs, old, out, own, overwrite=overwrite, progress=progress)
+            of_old = settings.of_map(old, flags)
+            report = build_like(logs, old, out, of_old, overwrite=overwrite, progress=progress)
     common.show(report.as_dict(), report.lines())
     if fail_on is not None and at_least_as_bad(report.quality.verdict, fail_on):
         raise typer.Exit(BROKEN_RULE)

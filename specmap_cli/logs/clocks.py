@@ -48,8 +48,9 @@ class Clock:
     By order the n-th scan has the stamp `first_ns + n * interval_ns`, and the odometry that was
     heard last. `odometry_shift_ns` is added to header stamps of odometry, which then are of the
     scans' clock. `odometry_apart_ns` is how far these are behind those of scans recorded beside
-    them where it may be either: odometry that is recorded late, or a clock. `zero_is_unset` says that a header stamp of zero stands for the recorder's time,
-    as the two clocks otherwise agree. `why` is the fault of the header stamps, if they have one.
+    them, where odometry that is recorded late looks the same as another clock. `zero_is_unset` says
+    that a header stamp of zero stands for the recorder's time, as the two clocks otherwise agree.
+    `why` is the fault of the header stamps, if they have one.
     """
 
     source: TimeSource = "header"

@@ -191,8 +191,8 @@ def interpolated(a: Pose2, b: Pose2, share: float) -> Pose2:
     )
 
 
-# A scan waits for later odometry as long, by log time, as poses may be apart, or until too many wait.
-_ODOMETRY_WAIT_SCANS = 64  # in 2 s: a laser of 32 Hz
+# A scan waits for later odometry, by log time, as long as poses may be apart, unless too many wait:
+_ODOMETRY_WAIT_SCANS = 64  # those of a laser of 32 Hz
 
 # What is counted beside the sweeps and the odometry, and what to say when it occurs.
 _SAID = {

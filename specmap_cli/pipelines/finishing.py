@@ -24,6 +24,7 @@ from specmap_cli.pipelines.map_in_making import FinishedMap, LaidOut
 from specmap_cli.pipelines.reports import RunRecord
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.worker import ahead
+from specmap_cli.quality.findings import NARROW, narrow_links
 from specmap_cli.topology.graph import build_topology, stays_of
 from specmap_cli.topology.navigation import with_ways
 from specmap_cli.topology.topological_map import Break
@@ -60,12 +61,17 @@ def finish(
         linked = replace(linked, borders=laid.borders, next_id=laid.next_id)
         linked = with_ways(linked, laid.regions, session.config.ways, labels.poses)
     topology, unapplied = named(linked, laid.regions, laid.edits, skipped)
+    driven = [edge for edge in topology.edges.values() if edge.kind == "traversed"]
+    narrow = narrow_links(
+        len(driven), sum(edge.path is None for edge in driven), session.config.ways.robot_radius_m
+    )
+    before = (laid.quality if quality is None else quality).findings
     return FinishedMap(
         laid=laid,
         topology=topology,
         classifiers=learned.classifiers,
         training_data=learned.training_data,
-        quality=laid.quality if quality is None else quality,
+        quality=Quality.of([*(one for one in before if one.code != NARROW), *narrow]),
         unapplied=(*unapplied, *laid.lost),
     )
 

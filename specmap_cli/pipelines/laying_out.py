@@ -122,8 +122,8 @@ def _drawn(
 ) -> tuple[GridMap, int, Packed | None]:
     """The grid of all keyframes at their poses in the layout, and how many were beyond its limits.
 
-    Also its `division_of`; recordings after the first one begin at `starts`. Raises NoResultError when no keyframe fits into the largest grid
-    allowed.
+    Also its `division_of`; recordings after the first one begin at `starts`. Raises NoResultError
+    when no keyframe fits into the largest grid allowed.
     """
     store, config = session.store, session.config
     with session.clock.stage("grids"):

@@ -184,8 +184,8 @@ def build_like(
     """Build the map of a recording in the frame of the map `like`, with its ids and borders.
 
     It takes no data of that map. Without `config` the settings are those `like` was built with.
-    Only space that `like` does not have is divided afresh and gets new ids. Raises NoResultError for a recording that fits nowhere in `like`, and else as
-    `build_map` and `read_map`.
+    Only space that `like` does not have is divided afresh and gets new ids. Raises NoResultError
+    for a recording that fits nowhere in `like`, and else as `build_map` and `read_map`.
     """
     given, target, progress = paths_of(logs, "logs"), path_of(out, "out"), progress or Silent()
     stored = opened_map(like, "like", None if config is None else config.limits)

@@ -9,20 +9,15 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from specmap_cli.core.arrays import runs
 from specmap_cli.core.findings import INPUT, Finding
 from specmap_cli.core.geometry import FloatArray, compose, invert, step_lengths, travelled
-from specmap_cli.core.records import IntArray
 from specmap_cli.core.text import counted
 from specmap_cli.layout.audit import DOUBTFUL
 from specmap_cli.layout.path_graph import Ends
 from specmap_cli.layout.pose_graph import Link
-from specmap_cli.layout.result import Layout
 from specmap_cli.quality.evidence import (
-    HOLE_S,
     MOVED_M,
     MOVED_VOTES,
     ODOMETRY_SLIP_SHARE,
@@ -31,35 +26,18 @@ from specmap_cli.quality.evidence import (
     STILL_M,
     STILL_RAD,
     Evidence,
-    Hole,
-    HoleKind,
     graded,
-    is_still,
     told,
 )
+from specmap_cli.quality.holes import ODOMETRY_SHARE, sessions, stood, unwatched
 
-LOST, BREAK, HOLE = "lost-scans", "tracking-break", "hole-in-log"
+LOST, BREAK = "lost-scans", "tracking-break"
 UNMEASURED, ODOMETRY = "unmeasured-way", "odometry-disagrees"
 
 _LOST_SHARE = 0.02  # share of lost scans above which a map is doubtful
 _LOST_SHARE_POOR = 0.2  # share of lost scans above which a map is poor
 # Metres by which a way may be longer or shorter: more than what a right map is off, and a room.
 _OFF_M, _OFF_M_POOR = 0.3, 1.0
-ODOMETRY_SHARE = 0.3  # share of the way by which both may differ in the median: wheels err less
-_HOLE_WALLS_SHARE = 0.6  # share of the walls around a robot that stood; the rest moved or is new
-_TIE_M = 10.0  # way after a hole from which on matches confirm it: out of a room
-_SESSION_S = 3600.0  # a longer hole without scans parts two sessions
-_WHAT: dict[HoleKind, str] = {
-    "missing": "there are no scans",
-    "lost": "no scan could be registered",
-    "rest": "the scans show the robot at rest",
-}
-_DRIVE_ON = "drive on through places seen before"
-_ADVICE: dict[HoleKind, str] = {
-    "missing": f"record without holes, or {_DRIVE_ON}",
-    "lost": f"record nothing while the robot is carried, or {_DRIVE_ON}",
-    "rest": "does the laser hang, or do the wheels spin?",
-}
 
 
 def lost_scans(evidence: Evidence) -> Iterator[Finding]:
@@ -88,6 +66,17 @@ def lost_scans(evidence: Evidence) -> Iterator[Finding]:
         limit=limit,
         where=where,
     )
+
+
+def unmoved(evidence: Evidence) -> Iterator[Finding]:
+    """A robot that stood all the time: no place of its map was seen from another one."""
+    places = evidence.layout.poses[:, :2]
+    if np.hypot(*(places - places[0]).T).max() <= STILL_M:
+        yield Finding(
+            code=INPUT,
+            severity="note",
+            message="the robot did not move: nothing confirms what it saw from one place",
+        )
 
 
 def breaks(evidence: Evidence) -> Iterator[Finding]:
@@ -174,104 +163,30 @@ def odometry_disagrees(evidence: Evidence) -> Iterator[Finding]:
     )
 
 
-def unwatched(evidence: Evidence) -> Iterator[Finding]:
-    """Holes after which nothing shows that the robot was where the map has it."""
-    doubts = [(hole, doubt) for hole in evidence.holes if (doubt := _doubt(hole))]
-    starts = np.unique(np.array([hole.keyframe for hole, _ in doubts], dtype=np.int64))
-    joined = _joined(evidence.layout, starts)
-    for hole, doubt in doubts:
-        number = int(np.searchsorted(starts, hole.keyframe))
-        # matches do not outvote odometry and walls: in corridors there are many of a wrong map, too
-        denied = hole.kind == "rest" and hole.alike < _HOLE_WALLS_SHARE
-        if joined[number + 1] in joined[: number + 1] and not denied:
-            continue
-        where = evidence.at_scan(hole.row)
-        yield Finding(
-            code=HOLE,
-            severity="doubtful",
-            message=f"{_WHAT[hole.kind]} for {hole.seconds:.0f} s before {told(where)}, "
-            f"and {doubt}: where the robot was afterwards is a guess",
-            advice=_ADVICE[hole.kind],
-            value=hole.seconds,
-            limit=HOLE_S if hole.kind == "missing" else None,
-            where=where,
-        )
-
-
-def sessions(evidence: Evidence) -> Iterator[Finding]:
-    """Holes of hours: recordings of several sessions that are read as one drive."""
-    for hole in evidence.holes:
-        if hole.kind != "missing" or hole.seconds <= _SESSION_S:
-            continue
-        where = evidence.at_scan(hole.row)
-        yield Finding(
-            code=HOLE,
-            severity="note",
-            message=f"no scan for {hole.seconds / 3600.0:.1f} h before {told(where)}: that is "
-            "another session, and is mapped as one drive",
-            advice="build a map of the first one, and add the others with `specmap update`",
-            value=hole.seconds,
-            limit=_SESSION_S,
-            where=where,
-        )
-
-
-def _doubt(hole: Hole) -> str:
-    """Why the motion over a hole is not known; nothing where it is.
-
-    It is where odometry moved as the map did, or the robot stood among the same walls: one that was
-    carried elsewhere is not put down to a decimetre where it would have stood.
-    """
-    measured, apart = hole.measured, hole.apart
-    if measured is not None and not is_still(measured):
-        slack_m = STILL_M + ODOMETRY_SHARE * measured.distance
-        slack_rad = STILL_RAD + ODOMETRY_SHARE * abs(measured.theta)
-        same = apart.distance <= slack_m and abs(apart.theta) <= slack_rad
-        return "" if same else "odometry tells another motion than the map"
-    if is_still(apart) and hole.alike >= _HOLE_WALLS_SHARE:
-        return ""
-    if measured is None:
-        return "no odometry tells of it"
-    if is_still(apart):
-        return "the walls changed though the wheels did not turn"
-    return (
-        f"the wheels did not turn though the map has the robot {apart.distance:.1f} m and "
-        f"{math.degrees(abs(apart.theta)):.0f} degrees away"
-    )
-
-
-def _joined(layout: Layout, starts: IntArray) -> IntArray:
-    """The group, joined by matches well after holes, of each piece between these (holes + 1,)."""
-    way = travelled(layout.poses)
-    ties: set[tuple[int, int, int]] = set()
-    for link in layout.kept:
-        older, newer = sorted((link.source, link.target))
-        before, after = np.searchsorted(starts, (older, newer), side="right").tolist()
-        if before == after:
-            continue
-        since_m = float(way[newer] - way[starts[after - 1]])
-        if since_m >= _TIE_M:
-            ties.add((before, after, int(since_m // SAME_PLACE_M)))
-    count = len(starts) + 1
-    a, b = np.array([tie[:2] for tie in sorted(ties)], dtype=np.int64).reshape(-1, 2).T
-    places = coo_array((np.ones(len(a)), (a, b)), shape=(count, count)).tocsr()
-    _, groups = connected_components(places >= MOVED_VOTES, directed=False)
-    return np.asarray(groups, dtype=np.int64)
-
-
 def of_recording(evidence: Evidence) -> list[Finding]:
     """What is to be said of a recording, wherever its map is laid into another one."""
-    checks = (lost_scans, breaks, unwatched, sessions, unmeasured_way, odometry_disagrees)
+    checks = (
+        lost_scans,
+        unmoved,
+        breaks,
+        unwatched,
+        stood,
+        sessions,
+        unmeasured_way,
+        odometry_disagrees,
+    )
     inputs = [Finding(code=INPUT, severity="note", message=text) for text in evidence.warnings]
     return [finding for check in checks for finding in check(evidence)] + inputs
 
 
 LOOSE, MOVED, RIVAL, LAYOUT = "loose-part", "part-moved", "rival-place", "layout-refused"
 WALLS, REFUTED, BEYOND = "walls-disagree", "closures-refuted", "beyond-grid"
-LAYOUT_CODES = frozenset({LOOSE, MOVED, RIVAL, LAYOUT, WALLS, REFUTED, BEYOND})
+NARROW = "too-narrow"
+LAYOUT_CODES = frozenset({LOOSE, MOVED, RIVAL, LAYOUT, WALLS, REFUTED, BEYOND, NARROW})
 
 _LOOSE_SHARE_POOR = 0.1  # share of the way that a guess places, above which a map is poor
 _CONTRADICTED_POOR = 0.1  # share of the walls that two passes saw
+_NARROW_SHARE = 0.5  # of the links that the robot drove along: it cannot be so wide
 _LEAST = 2  # that agree to a metre and a few degrees: of wrong ones no two do by chance
 
 
@@ -441,6 +356,22 @@ def _most_agreed(links: Sequence[Link], poses: FloatArray) -> tuple[int, FloatAr
         if votes > best:
             best, motion = votes, motions[k]
     return best, motion
+
+
+def narrow_links(driven: int, narrow: int, radius_m: float) -> Iterator[Finding]:
+    """Links that the robot drove along, and that are too narrow for one of this radius."""
+    if narrow:
+        share = narrow / driven
+        severity, limit = graded(share, _NARROW_SHARE, math.inf)
+        yield Finding(
+            code=NARROW,
+            severity=severity,
+            message=f"{narrow:,} of the {counted(driven, 'link')} that the robot drove along have "
+            f"no way for a robot of {radius_m:g} m radius",
+            advice="build with `--set ways.robot_radius_m=...`, half the width of your robot",
+            value=share,
+            limit=limit,
+        )
 
 
 def of_layout(evidence: Evidence) -> list[Finding]:

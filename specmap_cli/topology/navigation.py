@@ -66,7 +66,7 @@ def with_ways(
     doors, openings = passages(space, driven, config.door_min_m)
     cells = space.grid.cells_of(np.zeros((0, 2)) if stood is None else stood[:, :2])
     cells = cells[space.grid.inside(cells)]
-    anchors = anchors_of(space, cells, config.robot_radius_m, PLACE_MARGIN_M)
+    anchors = anchors_of(space, cells, config.robot_radius_m, PLACE_MARGIN_M, doors)
     submaps = dict(topology.submaps)
     for id_, submap in topology.submaps.items():
         if id_ in anchors:

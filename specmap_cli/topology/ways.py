@@ -18,7 +18,17 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray, path_length
 from specmap_cli.core.records import BoolArray, IntArray
-from specmap_cli.topology.regions import Border, Pair, Space, Window, borders_of, windows_of
+from specmap_cli.grids.gridmap import GridMap, slices_near
+from specmap_cli.topology.regions import (
+    Border,
+    Pair,
+    Space,
+    Window,
+    along_and_across,
+    borders_of,
+    windows_of,
+)
+from specmap_cli.topology.topological_map import Door, Line
 
 Price = Callable[[Any], FloatArray]  # of a step in some cells, by their index into the map
 
@@ -160,15 +170,15 @@ class Anchor:
 
 
 def anchors_of(
-    space: Space, stood: IntArray, radius_m: float, margin_m: float
+    space: Space, stood: IntArray, radius_m: float, margin_m: float, doors: Sequence[Door] = ()
 ) -> dict[int, Anchor]:
     """The anchor of each submap that has a free cell.
 
     It is the cell nearest to the middle of the submap that keeps the robot's radius and a margin
-    off all that is not free. Where no cell keeps so much, it is the one that keeps the most. Of a
-    submap in pieces that one counts in which the robot stood most often: rows and columns `stood`
-    (k, 2). Nor is what is far from the robot's way a place to stand, such as the floor behind a
-    railing or glass.
+    off all that is not free, and off the lines of its `doors`: nobody waits in a doorway. Where no
+    cell keeps so much, it is the one that keeps the most. Of a submap in pieces that one counts in
+    which the robot stood most often: rows and columns `stood` (k, 2). Nor is what is far from the
+    robot's way a place to stand, such as the floor behind a railing or glass.
     """
     anchors = {}
     wide, comfortable = space.away_for(radius_m), space.away_for(radius_m + margin_m)
@@ -198,12 +208,30 @@ def anchors_of(
             np.average(np.arange(side), weights=np.count_nonzero(piece, axis=axis))
             for side, axis in zip(piece.shape, (1, 0), strict=True)
         ]
+        clear = piece.copy()
+        for door in (door for door in doors if submap in door.between):
+            _keep_off(door.sides, radius_m + margin_m, space.grid, window, clear)
+        piece = clear if clear.any() else piece
         rows, columns = np.nonzero(piece & (away >= min(comfortable, float(away[piece].max()))))
         best = int(np.argmin((rows - middle[0]) ** 2 + (columns - middle[1]) ** 2))
         cell = np.array([[rows[best], columns[best]]]) + first
         row, column = cell[0].tolist()
         anchors[submap] = Anchor((row, column), float(space.clearance(tuple(cell.T))[0]))
     return anchors
+
+
+def _keep_off(line: Line, reach_m: float, grid: GridMap, window: Window, cells: BoolArray) -> None:
+    """Take from the `cells` (h, w) of a window of a grid those nearer than this to a line."""
+    there = slices_near(np.array(line), reach_m, grid.origin, grid.resolution, grid.cells.shape)
+    rows, columns = (
+        np.arange(max(near.start, own.start), min(near.stop, own.stop))
+        for near, own in zip(there, window, strict=True)
+    )
+    near = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
+    along, across, length = along_and_across(grid.centres_of(near), line)
+    beyond = np.maximum(np.abs(along - length / 2) - length / 2, 0.0)
+    blocked = near[np.hypot(beyond, across) < reach_m] - [part.start for part in window]
+    cells[tuple(blocked.T)] = False
 
 
 _STEPS = ((0, 1), (1, -1), (1, 0), (1, 1))  # to half of the eight neighbours, row by row

@@ -64,7 +64,7 @@ def test_a_divided_floor_plan_is_no_map(
     for line, missing in (
         (("localize", tiny_log, "--map", tmp_path / "rooms"), "run.json"),
         (("update", tmp_path / "rooms", tiny_log, "-o", tmp_path / "new"), "run.json"),
-        (("build", tiny_log, "--like", tmp_path / "rooms", "-o", tmp_path / "new"), "labels.csv"),
+        (("build", tiny_log, "--like", tmp_path / "rooms", "-o", tmp_path / "new"), "run.json"),
     ):
         run(*line).fails(3, f"rooms: has no {missing}: {needs}")
 

@@ -12,7 +12,7 @@ from specmap_cli.core.records import PlanarScan, Trajectory
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.layout.result import Layout
 from specmap_cli.quality.evidence import Evidence, Hole, holes_of
-from specmap_cli.quality.findings import sessions, unwatched
+from specmap_cli.quality.holes import sessions, stood, unwatched
 from tests.layout.driving import link, scans_of, stored
 from tests.quality.evidence import evidence_of
 
@@ -260,3 +260,24 @@ def test_a_hole_of_hours_is_another_session_also_where_the_robot_is_known(
         assert "specmap update" in finding.advice
     hung = replace(stood, kind="rest")
     assert not list(sessions(evidence(hung)))
+
+
+@pytest.mark.parametrize(
+    ("seen", "told"),
+    [
+        (hole(None, STILL), True),
+        (hole(STILL, STILL), True),
+        (hole(Pose2(2.0, 0.0, 0.0), STILL), False),  # odometry measured the way over it
+        (CARRIED, False),  # that is doubtful
+        (replace(hole(STILL, STILL), seconds=9000.0), False),  # that is another session
+        (STUCK, False),
+    ],
+)
+def test_that_walls_alone_say_where_a_robot_stood_over_a_hole_is_a_note(
+    seen: Hole, told: bool
+) -> None:
+    """Carried to a twin of its room it seems to have stood there."""
+    notes = list(stood(evidence(seen)))
+    assert [(note.code, note.severity) for note in notes] == [("hole-in-log", "note")] * told
+    for note in notes:
+        assert "there are no scans for 30 s before 50.000 s: its walls alone show" in note.message

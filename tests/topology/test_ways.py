@@ -197,6 +197,18 @@ def test_clearance_is_measured_to_the_side_of_what_is_not_free() -> None:
     assert corridor.clearance().max() == pytest.approx(0.55 / 2)
 
 
+def test_an_anchor_keeps_off_a_door_though_the_middle_of_the_submap_is_there() -> None:
+    """The middle of a bent corridor lies beside it, and the nearest of its cells in a doorway."""
+    bent = [(0.3, 0.3, 1.9, 9.3), (1.9, 7.7, 9.3, 9.3), (1.9, 5.6, 2.1, 6.6)]
+    space = Space.of(regions_of((9.6, 9.6), {0: bent, 1: [(2.1, 3.0, 9.3, 7.5)]}))
+    door = Door(id=0, x=2.0, y=6.1, width_m=1.0, theta=0.0, between=(0, 1))
+    for doors, is_off in (((), False), ((door,), True)):
+        found = anchors_of(space, NOWHERE, RADIUS_M, 0.1, doors)[0]
+        x, y = space.place(np.array(found.cell))
+        assert (math.hypot(x - 2.0, max(abs(y - 6.1) - 0.5, 0.0)) >= RADIUS_M + 0.1) == is_off
+        assert found.clearance_m >= RADIUS_M + 0.1
+
+
 def test_an_anchor_is_in_the_middle_of_a_room_but_keeps_off_a_table_there() -> None:
     room = [(0.3, 0.3, 4.7, 3.7)]
     _, anchor, place = anchored((5.0, 4.0), room)
