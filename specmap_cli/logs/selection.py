@@ -34,6 +34,7 @@ from specmap_cli.logs.sensors import (
     choose_scan_topic,
     choose_sensor,
     choose_topic,
+    far_returns,
     first_scans,
     is_flat,
     sensors_of,
@@ -315,6 +316,7 @@ def select(log: Log, config: LogConfig) -> Selection:
         band_m=(config.band_min_m, config.band_max_m) if in_space else None,
         ceilings_m=ceilings_m(log, topic, sensor),
         warnings=(
+            *far_returns(log, topic, sensor),
             *_assumptions(log, topic.name, placement, tree, child, clock),
             *([_UNKNOWN_FLOOR] if in_space and placement.floor_m is None else []),
         ),

@@ -22,7 +22,7 @@ import numpy as np
 from specmap_cli.core.errors import CHOICE, UsageError
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import counted, legible
-from specmap_cli.logs.clouds import cloud_points
+from specmap_cli.logs.clouds import CLOUD_RANGE_MAX_M, cloud_points
 from specmap_cli.logs.messages import (
     BadMessageError,
     CloudRecord,
@@ -289,3 +289,22 @@ def ceilings_m(log: Log, topic: TopicInfo, sensor: ScanSensor) -> tuple[float, .
             with suppress(BadMessageError):
                 leveller.level(record, record.stamp_ns)
     return leveller.ceiling.values_m
+
+
+def far_returns(log: Log, topic: TopicInfo, sensor: ScanSensor) -> list[str]:
+    """A line where half of the first returns are farther than any robot sees; else nothing."""
+    for record in _first_of(log, topic, sensor):
+        if isinstance(record, CloudRecord):
+            xyz = [record.points[axis].ravel().astype(np.float64) for axis in "xyz"]
+            ranges = np.sqrt(sum(np.square(column) for column in xyz))
+        else:
+            ranges = record.ranges[record.ranges <= record.range_max].astype(np.float64)
+        ranges = ranges[np.isfinite(ranges) & (ranges > 0.0)]
+        if len(ranges):
+            middle_m = float(np.median(ranges))
+            told = (
+                f"half of the returns of the first scan on {topic.name} are farther than "
+                f"{middle_m:,.0f} m: are they in millimetres or centimetres? They must be in metres"
+            )
+            return [told] if middle_m > CLOUD_RANGE_MAX_M else []
+    return []

@@ -99,6 +99,17 @@ def test_slow_odometry_and_such_that_is_recorded_late_measures_every_scan(
     assert all(line.startswith("the stamps of the odometry are 0.7") for line in told)
 
 
+@pytest.mark.parametrize(("ranges_m", "told"), [(2.0, False), (90.0, False), (3400.0, True)])
+def test_ranges_in_millimetres_are_told_of(ranges_m: float, told: bool) -> None:
+    ranges = np.array([np.inf, np.nan, 0.0, *[ranges_m] * 9])
+    data = scan_cdr("laser", START, -1.0, 0.2, ranges, range_max=12_000.0)
+    warnings = stream_of([Message("/scan", LASER_SCAN, START, data)]).warnings
+    assert [line for line in warnings if "millimetres" in line] == [
+        "half of the returns of the first scan on /scan are farther than 3,400 m: are they in "
+        "millimetres or centimetres? They must be in metres"
+    ] * told
+
+
 def test_a_scan_outside_the_odometry_is_counted_and_no_warning() -> None:
     """A drive begins and ends with one: one of two hundred is worth no word."""
     messages = [scan(START - SECOND)]
