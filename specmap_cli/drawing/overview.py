@@ -159,13 +159,13 @@ def _draw_graph(
 
 
 def drawn_as(topology: TopologicalMap, edge: Edge) -> symbols.LinkKind:
-    """The kind of an edge, or `narrow` where a way was looked for and none is wide enough."""
+    """The kind of an edge, or `narrow` where a way was looked for, and none is wide or allowed."""
     looked_for = topology.robot_radius_m is not None and edge.kind in (
         "traversed",
         "seen",
         "doorway",
     )
-    return "narrow" if looked_for and edge.path is None else edge.kind
+    return "narrow" if looked_for and (edge.path is None or edge.forbidden) else edge.kind
 
 
 def spread(centres: FloatArray, gap: float, fixed: FloatArray | None = None) -> FloatArray:

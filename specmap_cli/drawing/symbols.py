@@ -14,7 +14,7 @@ from specmap_cli.drawing import palette
 from specmap_cli.drawing.canvas import Canvas, text_width
 from specmap_cli.topology.topological_map import EdgeKind
 
-LinkKind = EdgeKind | Literal["narrow"]  # narrow: the robot fits through no way
+LinkKind = EdgeKind | Literal["narrow"]  # narrow: the robot fits through no way, or must not go
 Symbol = Callable[[Canvas, FloatArray], None]
 Legend = tuple[tuple[str, Symbol], ...]
 
@@ -39,7 +39,7 @@ _REACH, _DOOR_REACH = 20, 16  # half the width of a line in the legend, and of a
 def edge(canvas: Canvas, points: NDArray[Any], kind: LinkKind) -> None:
     """A link of the graph: solid when driven or open, dashed for a closure, dotted for a guess.
 
-    What was only seen has short dashes, what is too narrow has dots.
+    What was only seen has short dashes, what is too narrow or forbidden has dots.
     """
     if kind == "closure":
         canvas.dashes(points, palette.PAPER, _LINK_HALO, _DASH, _DASH_GAP)
@@ -164,11 +164,11 @@ def _wrong(canvas: Canvas, centre: FloatArray) -> None:
 
 
 LINK_WORDS: dict[LinkKind, str] = {
-    "traversed": "crossed by the robot",
+    "traversed": "way, driven",
     "closure": "loop closure",
     "loose": "joined by a guess",
-    "seen": "seen, not driven",
-    "narrow": "too narrow for the robot",
+    "seen": "way, only seen",
+    "narrow": "no way for the robot",
     "doorway": "way",
 }
 DOOR_WORDS = {True: "door", False: "door, only seen"}  # by whether the robot drove through

@@ -337,7 +337,9 @@ def read_picture(path: Path, limits: LimitsConfig | None = None) -> NDArray[Any]
         if error.code == cv2.Error.StsNoMem:
             raise MemoryError(f"for the {width} x {height} pixels of {path}") from None
     if picture is None:
-        raise MapError("not an image that can be read", "expected PNG, PGM or BMP", where=path)
+        raise MapError(
+            "not an image that can be read", "expected a YAML, PNG, PGM or BMP", where=path
+        )
     return np.atleast_3d(picture)[::-1]
 
 

@@ -19,13 +19,14 @@ from specmap_cli.core.geometry import step_lengths, yaw_of
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.core.records import IntArray, Sweep
 from specmap_cli.core.settings import LogConfig
+from specmap_cli.core.text import legible
 from specmap_cli.logs import summary
 from specmap_cli.logs.clocks import odometry_of
 from specmap_cli.logs.messages import BadMessageError, decode_scan
 from specmap_cli.logs.opening import Log
 from specmap_cli.logs.planar import Repeats
 from specmap_cli.logs.readers.encoding import LASER_SCAN, NS_PER_S, ODOMETRY, SCAN_TYPES, TF_MESSAGE
-from specmap_cli.logs.readers.recording import Message
+from specmap_cli.logs.readers.recording import Message, time_text
 from specmap_cli.logs.selection import Selection, TransformTree, read_frames
 from specmap_cli.logs.sensors import LOOK_SCANS, SeveralSensorsError
 from specmap_cli.logs.stream import SweepStream
@@ -58,19 +59,20 @@ def summarize(
     look = _look(log, settings, complete=complete)
     reading = _read(log, look, progress, complete=complete)
     contents = log.contents
-    duration_s = (contents.end_ns - contents.start_ns) / NS_PER_S
+    start_ns, odd = _start_of(log)
+    duration_s = (contents.end_ns - start_ns) / NS_PER_S
     return summary.LogSummary(
         files=tuple(str(path) for path in log.paths),
         format=log.format,
         size_bytes=sum(path.stat().st_size for path in log.paths),
         messages=contents.messages,
-        start_s=contents.start_ns / NS_PER_S,
+        start_s=start_ns / NS_PER_S,
         end_s=contents.end_ns / NS_PER_S,
         duration_s=duration_s,
         chosen=look.chosen.note if look.chosen is not None else None,
         problem=look.problem,
         next_command=look.next_command,
-        warnings=look.warnings,
+        warnings=(*odd, *look.warnings),
         topics=tuple(
             summary.TopicSummary(
                 name=topic.name,
@@ -86,6 +88,27 @@ def summarize(
         preview=look.met and replace(look.met, stamps=tuple(_faults(reading))),
         damage=tuple(log.damage),
     )
+
+
+def _start_of(log: Log) -> tuple[int, list[str]]:
+    """When a log begins, ns, and a line of topics that begin before there were robots' logs.
+
+    These do not count: a recorder that never set the time of one message says nothing of the rest.
+    """
+    earliest_ns, contents = summary.EARLIEST_STAMP_S * NS_PER_S, log.contents
+    if not contents.start_ns < earliest_ns <= contents.end_ns:
+        return contents.start_ns, []
+    first = {
+        topic.name: message.time_ns
+        for topic in contents.topics
+        for message in islice(log.messages([topic.name]), 1)
+    }
+    usual = [time_ns for time_ns in first.values() if time_ns >= earliest_ns]
+    if not usual:
+        return contents.start_ns, []
+    odd = [name for name, time_ns in first.items() if time_ns < earliest_ns]
+    told = f"recorded at {time_text(first[odd[0]])}: {', '.join(map(legible, odd))}; the times "
+    return min(usual), [f"{told}of the log are those of the other topics"] if odd else []
 
 
 class _Look(NamedTuple):

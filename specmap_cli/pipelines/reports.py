@@ -229,7 +229,7 @@ class UpdateReport(MapReport):
         ids = f" ({', '.join(str(id_) for id_ in self.new)})" if self.new else ""
         dropped = (
             f"{counted(counts['keyframes'], 'keyframe')}; "
-            f"{self.dropped} older keyframes dropped, newer ones show the same"
+            f"{self.dropped:,} older keyframes dropped, newer ones show the same"
         )
         return [
             self.alignment.reason,

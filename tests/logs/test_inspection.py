@@ -17,7 +17,7 @@ from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.inspection import summarize
 from specmap_cli.logs.opening import open_log
-from specmap_cli.logs.readers.encoding import LASER_SCAN, scan_cdr
+from specmap_cli.logs.readers.encoding import LASER_SCAN, TF_MESSAGE, scan_cdr
 from specmap_cli.logs.readers.recording import Message
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.summary import LogSummary, TopicCheck
@@ -65,6 +65,21 @@ def test_a_drive_is_summed_up_and_its_json_is_on_one_level(drive: Path) -> None:
     assert rates["/odom"] == pytest.approx(59 / 2.95)
     assert rates["/tf_static"] == 0.0
     assert (plain["next_command"], plain["problem"]) == (f"specmap build {drive}", None)
+
+
+def test_one_message_without_a_time_does_not_hide_when_a_log_was_recorded(path: Path) -> None:
+    with LogWriter(path) as log:
+        log.raw("/tf_static", TF_MESSAGE, b"", 0)
+        for number in range(11):
+            stamp = START + number * SECOND // 10
+            data = scan_cdr("laser", stamp, -1.0, 0.5, np.full(5, 2.0), range_max=8.0)
+            log.raw("/scan", LASER_SCAN, data, stamp)
+    found = summary_of(path)
+    assert (found.start_s, found.duration_s) == (START / SECOND, 1.0)
+    assert [topic.rate_hz for topic in found.topics if topic.name == "/scan"] == [10.0]
+    assert found.warnings[0] == (
+        "recorded at 0.000 s: /tf_static; the times of the log are those of the other topics"
+    )
 
 
 def test_real_times_are_dates_and_those_that_have_not_come_yet_are_said(path: Path) -> None:

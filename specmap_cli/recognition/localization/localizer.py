@@ -268,12 +268,12 @@ class BeamSampler:
         self.known = known
         self.same = seen.sees_as(known)
         self.note = (
-            "" if self.same else f"the log's laser ({seen}) is resampled to the map's ({known})"
+            "" if self.same else f"the laser ({seen}) is resampled to that of the map ({known})"
         )
         narrower = seen.field_of_view < known.field_of_view - _VIEW_SLACK_RAD
         if narrower or seen.range_max < _RANGE_SHARE * known.range_max:
             raise InputError(
-                f"the log's laser ({seen}) sees less than the laser of the map ({known})",
+                f"the laser ({seen}) sees less than that of the map ({known})",
                 "build the map again with this laser",
                 mark=";",
             )

@@ -311,7 +311,7 @@ def test_the_same_laser_is_left_alone_and_another_one_is_said() -> None:
     assert sampler.apply(scan) is scan
     sampler = BeamSampler(Sensor.of(scan), HALF)
     assert sampler.note == (
-        "the log's laser (360 beams over 360 degrees, 30 m) is resampled to the map's "
+        "the laser (360 beams over 360 degrees, 30 m) is resampled to that of the map "
         "(181 beams over 180 degrees, 20 m)"
     )
     empty = replace(scan, bearings=np.zeros(0), ranges=np.zeros(0))
@@ -363,7 +363,7 @@ def test_every_reading_is_that_of_the_nearest_bearing_around_the_circle(
 )
 def test_a_laser_that_sees_less_is_refused_in_one_line(seen: Sensor, refused: bool) -> None:
     told = (
-        f"the log's laser ({seen}) sees less than the laser of the map ({HALF}); "
+        f"the laser ({seen}) sees less than that of the map ({HALF}); "
         "build the map again with this laser"
     )
     with pytest.raises(InputError, match=re.escape(told)) if refused else nullcontext():
