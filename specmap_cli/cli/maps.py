@@ -21,7 +21,7 @@ from specmap_cli.cli.options import (
     keep_inputs,
     output,
 )
-from specmap_cli.core.errors import BROKEN_RULE, MapError
+from specmap_cli.core.errors import BROKEN_RULE, MapError, UsageError
 
 _MOST_SCANS = 0.5  # share of the scans that makes most of them
 
@@ -68,6 +68,8 @@ def localize(
 
     stored = read_map(map_directory, settings.load().limits)
     check_files([out, plot], [*logs, map_directory], common, overwrite=overwrite)
+    if plot is not None and plot.suffix.lower() not in ("", ".png"):
+        raise UsageError("what is drawn is a PNG", "name it so: PLOT.png", where=plot)
     effective = settings.of_map(stored)
     with common.progress() as progress:
         report = localize_log(

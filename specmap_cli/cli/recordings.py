@@ -54,6 +54,9 @@ def info(
     common.show(summary.to_dict(), summary.lines())
 
 
+_OTHERS = frozenset({".bag", ".db3", ".log", ".clf", ".gz"})  # names of recordings of other kinds
+
+
 def convert(
     paths: Annotated[
         list[Path],
@@ -85,6 +88,8 @@ def convert(
     if not logs:
         raise UsageError(f"name the MCAP to write: specmap convert {target} -o OUT.mcap")
     check_files([target], logs, common, overwrite=overwrite)
+    if target.suffix.lower() in _OTHERS:
+        raise UsageError("what is written is an MCAP", "name it so: OUT.mcap", where=target)
     bounds = settings.load().log
     with common.progress() as progress:
         conversion = convert_log(

@@ -69,6 +69,7 @@ class TestOut:
         assert written["/scan"] == 2 * 5
         told = "name the MCAP to write: specmap convert log.bag -o OUT.mcap"
         assert run("convert", "log.bag").error == told
+        run("convert", log, tmp_path / "log.bag").fails(2, "log.bag: what is written is an MCAP")
 
     def test_convert_takes_the_bounds_of_what_is_unpacked(self, tmp_path: Path, run: Run) -> None:
         log, target = standing_log(tmp_path / "log.mcap", 3.0), tmp_path / "out.mcap"

@@ -78,6 +78,7 @@ def test_labels_and_picture_are_replaced_only_when_told(
         assert path.read_text(encoding="utf-8") == "mine"
         assert run(*line, option, path, "--overwrite").code == 0
     run(*line, "-o", path, "--plot", path, "--overwrite").fails(2, "given for two outputs")
+    run(*line, "--plot", tmp_path / "there.pdf").fails(2, "there.pdf: what is drawn is a PNG")
 
 
 @pytest.mark.parametrize(
