@@ -105,11 +105,16 @@ def at_least_as_bad(verdict: Verdict, limit: Verdict) -> bool:
 def summary(findings: Sequence[Finding]) -> list[str]:
     """A line a code, in the order of first appearance: its worst finding and how many more.
 
-    The first finding of the worst severity stands for its code.
+    The first finding of the worst severity stands for its code. What reading had to say is told in
+    full.
     """
+    kinds: dict[str, list[Finding]] = {}
+    for finding in findings:
+        kinds.setdefault(finding.message if finding.code == INPUT else finding.code, []).append(
+            finding
+        )
     lines = []
-    for code in dict.fromkeys(finding.code for finding in findings):
-        alike = [finding for finding in findings if finding.code == code]
+    for alike in kinds.values():
         first = max(alike, key=lambda finding: VERDICTS.index(_verdict(finding)))
         more = f" (and {len(alike) - 1:,} more like it)" if len(alike) > 1 else ""
         advice = f": {first.advice}" if first.advice else ""

@@ -376,11 +376,15 @@ def _shade(minutes: float, longest: float) -> int:
     return 0 if not longest else 12 + round(68 * (minutes / longest) ** 0.5)
 
 
+def of_a_job(map_: Path) -> bool:
+    """Whether a batch made a map directory: its job has the folder above."""
+    return map_.name == "map" and (map_.parent / "job.json").exists()
+
+
 def _link(map_: Path, folder: Path) -> dict[str, str | None]:
     """Where a map lies from the page, and its report where a batch made one."""
     report = map_.parent / "report.html"
-    of_a_job = map_.name == "map" and (map_.parent / "job.json").exists() and report.exists()
-    links = {"map": map_, "report": report if of_a_job else None}
+    links = {"map": map_, "report": report if of_a_job(map_) and report.exists() else None}
     return {
         name: quote(os.path.relpath(path, folder.resolve())) if path else None
         for name, path in links.items()

@@ -104,11 +104,11 @@ def _start_of(log: Log) -> tuple[int, list[str]]:
         for message in islice(log.messages([topic.name]), 1)
     }
     usual = [time_ns for time_ns in first.values() if time_ns >= earliest_ns]
-    if not usual:
-        return contents.start_ns, []
     odd = [name for name, time_ns in first.items() if time_ns < earliest_ns]
+    if not usual or not odd:
+        return contents.start_ns, []
     told = f"recorded at {time_text(first[odd[0]])}: {', '.join(map(legible, odd))}; the times "
-    return min(usual), [f"{told}of the log are those of the other topics"] if odd else []
+    return min(usual), [f"{told}of the log are those of the other topics"]
 
 
 class _Look(NamedTuple):

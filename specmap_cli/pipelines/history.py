@@ -35,6 +35,7 @@ from specmap_cli.history.record import (
     day_of,
     days_of,
     lines_of,
+    of_a_job,
     render_history,
     room_name,
     tables_of,
@@ -261,10 +262,10 @@ class _Building:
         It is called as the directory of its first map, or that of the job which made it.
         """
         path = self.path.resolve()
-        job = path.parent.name if path.name == "map" else ""
+        named = path.parent if of_a_job(path) else path
         return BuildingRecord(
             number=number,
-            name=encodable(job or path.name),
+            name=encodable(named.name),
             rooms=[self._room(room) for room in self.rooms],
             maps=self._maps,
             days=days_of(self.tours, self._zone),

@@ -175,7 +175,7 @@ def anchors_of(
     """The anchor of each submap that has a free cell.
 
     It is the cell nearest to the middle of the submap that keeps the robot's radius and a margin
-    off all that is not free, and off the lines of its `doors`: nobody waits in a doorway. Where no
+    off all that is not free, and off its `doors` so much that another robot fits between. Where no
     cell keeps so much, it is the one that keeps the most. Of a submap in pieces that one counts in
     which the robot stood most often: rows and columns `stood` (k, 2). Nor is what is far from the
     robot's way a place to stand, such as the floor behind a railing or glass.
@@ -210,7 +210,7 @@ def anchors_of(
         ]
         clear = piece.copy()
         for door in (door for door in doors if submap in door.between):
-            _keep_off(door.sides, radius_m + margin_m, space.grid, window, clear)
+            _keep_off(door.sides, 2.0 * radius_m + margin_m, space.grid, window, clear)
         piece = clear if clear.any() else piece
         rows, columns = np.nonzero(piece & (away >= min(comfortable, float(away[piece].max()))))
         best = int(np.argmin((rows - middle[0]) ** 2 + (columns - middle[1]) ** 2))

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from specmap_cli.core.findings import Finding, Severity, Where
+from specmap_cli.core.findings import Finding, Severity, Where, summary
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.layout.audit import Agreement
 from specmap_cli.layout.path_graph import step_information
@@ -118,6 +118,15 @@ def test_walls_that_contradict_weigh_by_their_share_a_finding_a_place(
     assert [(one.code, one.severity) for one in found] == [("walls-disagree", severity)] * 2
     assert [one.place for one in found] == [(5.0, 0.0), (60.0, 0.0)], "6 and 4 are the same place"
     assert [one.value for one in found] == pytest.approx([share, share])
+
+
+def test_all_that_reading_had_to_say_is_told_and_of_others_the_worst() -> None:
+    base = evidence(lost=(1,), breaks=(20, 40))
+    found = judged(replace(base, warnings=("cut off", "laser tilted")))
+    told = summary(found.findings)
+    assert told[-2:] == ["cut off", "laser tilted"]
+    (broken,) = (line for line in told if line.startswith("registration lost the robot"))
+    assert broken.endswith(" (and 1 more like it)")
 
 
 def test_the_gravest_come_first_and_the_input_is_told() -> None:
