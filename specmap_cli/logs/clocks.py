@@ -31,6 +31,7 @@ _ORDER_INTERVAL_S = 0.1  # between scans stamped by order: a usual laser's 10 Hz
 # Scans stamped by order are so far apart that a robot this fast drives the first steps.
 _ORDER_SPEED_MPS = 0.5
 _LATE_S = 0.5  # odometry stamped this far from scans recorded beside it is told of
+_PERIODS = 1.5  # of odometry, in which the next message comes: it may be half of one late
 _CLOCKS_APART_S = 2.0  # odometry stamped this far from scans recorded beside it has another clock
 _FEWEST = 3  # stamps: two that are equal may be a scan that was sent twice
 _PAIRS = 20  # of scans and odometry: their median does not heed some late messages
@@ -48,9 +49,10 @@ class Clock:
     By order the n-th scan has the stamp `first_ns + n * interval_ns`, and the odometry that was
     heard last. `odometry_shift_ns` is added to header stamps of odometry, which then are of the
     scans' clock. `odometry_apart_ns` is how far these are behind those of scans recorded beside
-    them, where odometry that is recorded late looks the same as another clock. `zero_is_unset` says
-    that a header stamp of zero stands for the recorder's time, as the two clocks otherwise agree.
-    `why` is the fault of the header stamps, if they have one.
+    them, where odometry that is recorded late looks the same as another clock. Odometry newer than
+    a scan is due `odometry_wait_ns` after it. `zero_is_unset` says that a header stamp of zero
+    stands for the recorder's time, as the two clocks otherwise agree. `why` is the fault of the
+    header stamps, if they have one.
     """
 
     source: TimeSource = "header"
@@ -60,6 +62,7 @@ class Clock:
     interval_ns: int = 0
     odometry_shift_ns: int = 0
     odometry_apart_ns: int = 0
+    odometry_wait_ns: int = 0
 
     def scan_ns(self, number: int, stamp_ns: int, time_ns: int) -> int:
         """The stamp of the scan of that number with these header and recorder's times."""
@@ -124,10 +127,18 @@ def choose_clock(scans: Sequence[tuple[int, int]], pairs: Sequence[StampPair]) -
     ahead = median_low(differences)
     if abs(ahead) > apart:
         return replace(header, odometry_shift_ns=ahead)
-    steady = all(2 * abs(each - ahead) < abs(ahead) for each in differences)  # not in bursts
-    if abs(ahead) > nanoseconds(_LATE_S) and steady and len(told) >= _FEWEST:
-        return replace(header, odometry_apart_ns=ahead)
-    return header
+    if len(told) < 2:
+        return header
+    steady = len(told) >= _FEWEST and all(
+        2 * abs(each - ahead) < abs(ahead) for each in differences
+    )  # not in bursts
+    period = median_low(b - a for a, b in pairwise(sorted(pair.odometry[0] for pair in told)))
+    late = ahead if steady else 0
+    return replace(
+        header,
+        odometry_wait_ns=round(_PERIODS * period) + max(0, late),
+        odometry_apart_ns=late if abs(late) > nanoseconds(_LATE_S) else 0,
+    )
 
 
 def _ascends(stamps: Sequence[int]) -> bool:

@@ -191,8 +191,10 @@ def interpolated(a: Pose2, b: Pose2, share: float) -> Pose2:
     )
 
 
-# A scan waits for later odometry, by log time, as long as poses may be apart, unless too many wait:
-_ODOMETRY_WAIT_SCANS = 64  # those of a laser of 32 Hz
+# A scan waits for later odometry until more scans than this wait, and no longer than this by log
+# time; longer, up to so many, where the log begins with odometry that takes longer to come.
+_ODOMETRY_WAIT_SCANS, _MOST_WAITING = 4, 64
+_ODOMETRY_WAIT_S = 0.5
 
 # What is counted beside the sweeps and the odometry, and what to say when it occurs.
 _SAID = {
@@ -261,6 +263,7 @@ class SweepStream:
         leveller = ScanLeveller(chosen.base_from_laser, self.ceiling, self.own_body)
         sweeps = _SweepMaker(chosen, self.config, counts, leveller)
         waiting: deque[_Waiting] = deque()
+        expected_ns = min(chosen.clock.odometry_wait_ns, nanoseconds(_ODOMETRY_GAP_S))
         for message in self.log.messages([chosen.topic.name, *chosen.odom_topics]):
             if message.topic == chosen.topic.name:
                 waiting.extend(sweeps.decoded(message, odometry))
@@ -273,8 +276,10 @@ class SweepStream:
             while waiting:
                 first, latest = waiting[0], odometry.poses.latest_ns
                 heard = first.own is not None or (latest is not None and latest >= first.stamp_ns)
-                late = message.time_ns - first.time_ns > nanoseconds(_ODOMETRY_GAP_S)
-                late |= len(waiting) > _ODOMETRY_WAIT_SCANS
+                waited_ns = message.time_ns - first.time_ns
+                many = len(waiting) > _ODOMETRY_WAIT_SCANS
+                late = many or waited_ns > nanoseconds(_ODOMETRY_WAIT_S)
+                late &= waited_ns > expected_ns or len(waiting) > _MOST_WAITING
                 if not (chosen.odometry is None or heard or late):
                     break
                 yield from sweeps.made(waiting.popleft(), odometry.poses)
