@@ -55,7 +55,7 @@ def build(
     seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
     like: Annotated[
         Path | None,
-        typer.Option(help="Map directory whose frame, ids, names and borders the new map takes."),
+        typer.Option(help="Map directory whose settings, frame, ids, names and borders it takes."),
     ] = None,
     overwrite: Overwrite = False,
     fail_on: FailOn = None,

@@ -110,9 +110,8 @@ def summary(findings: Sequence[Finding]) -> list[str]:
     """
     kinds: dict[str, list[Finding]] = {}
     for finding in findings:
-        kinds.setdefault(finding.message if finding.code == INPUT else finding.code, []).append(
-            finding
-        )
+        kind = finding.message if finding.code == INPUT else finding.code
+        kinds.setdefault(kind, []).append(finding)
     lines = []
     for alike in kinds.values():
         first = max(alike, key=lambda finding: VERDICTS.index(_verdict(finding)))

@@ -29,7 +29,7 @@ from specmap_cli.quality.evidence import (
     graded,
     told,
 )
-from specmap_cli.quality.holes import ODOMETRY_SHARE, sessions, stood, unwatched
+from specmap_cli.quality.holes import ODOMETRY_SHARE, noted, unwatched
 
 LOST, BREAK = "lost-scans", "tracking-break"
 UNMEASURED, ODOMETRY = "unmeasured-way", "odometry-disagrees"
@@ -165,16 +165,7 @@ def odometry_disagrees(evidence: Evidence) -> Iterator[Finding]:
 
 def of_recording(evidence: Evidence) -> list[Finding]:
     """What is to be said of a recording, wherever its map is laid into another one."""
-    checks = (
-        lost_scans,
-        unmoved,
-        breaks,
-        unwatched,
-        stood,
-        sessions,
-        unmeasured_way,
-        odometry_disagrees,
-    )
+    checks = (lost_scans, unmoved, breaks, unwatched, noted, unmeasured_way, odometry_disagrees)
     inputs = [Finding(code=INPUT, severity="note", message=text) for text in evidence.warnings]
     return [finding for check in checks for finding in check(evidence)] + inputs
 

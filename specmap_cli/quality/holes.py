@@ -71,38 +71,38 @@ def unwatched(evidence: Evidence) -> Iterator[Finding]:
         )
 
 
-def stood(evidence: Evidence) -> Iterator[Finding]:
-    """Holes after which the same walls are around the robot, as they also are at a twin."""
+def noted(evidence: Evidence) -> Iterator[Finding]:
+    """Times without scans that are no doubt, but worth knowing.
+
+    After hours it is another session. Where nothing but the walls around it says that the robot
+    stood meanwhile, it may have been carried to a twin of the place.
+    """
     for hole in evidence.holes:
         driven = hole.measured is not None and not is_still(hole.measured)
-        trusted = hole.kind == "missing" and not driven and not _doubt(hole)
-        if trusted and hole.seconds <= _SESSION_S:
-            where = evidence.at_scan(hole.row)
-            yield Finding(
-                code=HOLE,
-                severity="note",
-                message=f"{_WHAT[hole.kind]} for {hole.seconds:.0f} s before {told(where)}: its "
-                "walls alone show where the robot was afterwards: another place may look the same",
-                value=hole.seconds,
-                limit=HOLE_S,
-                where=where,
-            )
-
-
-def sessions(evidence: Evidence) -> Iterator[Finding]:
-    """Holes of hours: recordings of several sessions that are read as one drive."""
-    for hole in evidence.holes:
-        if hole.kind != "missing" or hole.seconds <= _SESSION_S:
+        where, advice, limit = evidence.at_scan(hole.row), "", HOLE_S
+        if hole.kind != "missing":
             continue
-        where = evidence.at_scan(hole.row)
+        if hole.seconds > _SESSION_S:
+            limit = _SESSION_S
+            message = (
+                f"no scan for {hole.seconds / 3600.0:.1f} h before {told(where)}: that is another "
+                "session, and is mapped as one drive"
+            )
+            advice = "build a map of the first one, and add the others with `specmap update`"
+        elif driven or _doubt(hole):
+            continue
+        else:
+            message = (
+                f"{_WHAT[hole.kind]} for {hole.seconds:.0f} s before {told(where)}: the walls "
+                "alone show where the robot was afterwards, and another place may look the same"
+            )
         yield Finding(
             code=HOLE,
             severity="note",
-            message=f"no scan for {hole.seconds / 3600.0:.1f} h before {told(where)}: that is "
-            "another session, and is mapped as one drive",
-            advice="build a map of the first one, and add the others with `specmap update`",
+            message=message,
+            advice=advice,
             value=hole.seconds,
-            limit=_SESSION_S,
+            limit=limit,
             where=where,
         )
 
