@@ -15,11 +15,12 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angles
+from specmap_cli.core.records import IntArray
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.matching import PRIOR_SIGMAS, Prior, within_ellipse
 from specmap_cli.layout.consistency import DRIFT_SHARE, Uncertainty, path_error
@@ -243,6 +244,12 @@ def far_passes(graph: Graph, draft: Draft, walls: Walls, first: int = 0) -> tupl
     newer = [max(graph.row[link.source], graph.row[link.target]) for link in draft.loops]
     ties, spread = np.unique(np.array([0, *newer])), path_error(graph, draft.poses)
     links: list[Link] = []
+
+    @lru_cache(1)  # parts are asked for in their order
+    def before(part: int) -> tuple[IntArray, FloatArray]:
+        old = np.flatnonzero(graph.parts < part)[::_LOST_EVERY]
+        return old, walls.of_all(old.tolist(), draft.poses)
+
     for row in rows_every(graph.path, _WIDE_EVERY_M):
         part, pose = int(graph.parts[row]), Pose2(*draft.poses[row].tolist())
         if row < first:
@@ -251,7 +258,7 @@ def far_passes(graph: Graph, draft: Draft, walls: Walls, first: int = 0) -> tupl
             start = float(graph.path[np.argmax(graph.parts == part)])
             if graph.path[row] - start > _LOST_TRIES * _WIDE_EVERY_M:
                 continue
-            prior, old = Prior(pose), np.flatnonzero(graph.parts < part)[::_LOST_EVERY]
+            prior, (old, points) = Prior(pose), before(part)
         else:
             last = int(ties[np.searchsorted(ties, row, side="right") - 1])
             if graph.parts[last] != part:
@@ -265,10 +272,11 @@ def far_passes(graph: Graph, draft: Draft, walls: Walls, first: int = 0) -> tupl
             old = np.flatnonzero(graph.path < graph.path[row] - LOOP_PATH_M)
             old = old[within_ellipse(draft.poses[old, :2] - draft.poses[row, :2], reach)]
             prior, old = Prior(pose, error), old[:: max(1, -(-len(old) // _MOST_ROWS))]
+            points = walls.of_all(old.tolist(), draft.poses)
         if len(old):
             seen = partial(walls.seen_of_all, old.tolist(), draft.poses)
             view = walls.around(row, PLACE_NODES, draft.poses)
-            fit = found(walls.of_all(old.tolist(), draft.poses), seen, view, prior)
+            fit = found(points, seen, view, prior)
             links += [] if fit is None else [link_to_nearest(graph, draft.poses, old, row, fit)]
     return tuple(links)
 
