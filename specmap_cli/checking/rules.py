@@ -13,10 +13,11 @@ What a check found is told for a machine, a person and a CI. The models are the 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import networkx as nx
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
@@ -83,8 +84,8 @@ def figures_of(stored: Map) -> dict[str, float | None]:
     run: Mapping[str, Any] = stored.run if written else {}
     counts = stored.counts if written else {}
     scans, lost, wall_s = counts.get("scans"), counts.get("lost"), _number(run.get("wall_s"))
-    quality = stored.quality
-    grave = [] if quality is None else [one for one in quality.findings if one.severity != "note"]
+    findings = () if stored.quality is None else stored.quality.findings
+    grave = Counter(f"{FINDINGS}{one.code}" for one in findings if one.severity != "note")
     return {
         "scans": scans,
         "lost_share": lost / scans if scans and lost is not None else None,
@@ -102,10 +103,7 @@ def figures_of(stored: Map) -> dict[str, float | None]:
         "parts": nx.number_connected_components(stored.to_networkx()),
         "doors": len(stored.doors),
         "area_m2": record.area_m2,
-        **{
-            f"{FINDINGS}{code}": sum(one.code == code for one in grave)
-            for code in sorted({one.code for one in grave})
-        },
+        **dict(sorted(grave.items())),
     }
 
 
@@ -136,7 +134,7 @@ def figures_against(record: ComparisonRecord | None) -> dict[str, float | None]:
 
 
 Bound = Literal["most", "least"]
-BOUNDS: tuple[Bound, ...] = ("most", "least")
+BOUNDS: tuple[Bound, ...] = get_args(Bound)
 VERDICT = "verdict"
 _UNKNOWN = "not known: the map does not say"
 
@@ -321,15 +319,14 @@ def junit(record: CheckRecord) -> bytes:
     """A test suite with a test case a rule, as CI servers read it."""
     cases = []
     for one in record.rules:
-        case = Case(name=f"{one.rule} {_bound(one)}")
-        if not one.passed:
-            told = f"{one.rule} is {_value(one.value)}, allowed is {_bound(one)}"
-            case = replace(case, failure=told, kind="BrokenRule", detail=one.detail)
-        cases.append(case)
+        told = f"{one.rule} is {_value(one.value)}, allowed is {_bound(one)}"
+        failure = None if one.passed else told
+        name = f"{one.rule} {_bound(one)}"
+        cases.append(Case(name=name, failure=failure, kind="BrokenRule", detail=one.detail))
     return test_suite(f"specmap check {record.map}", record.map, cases)
 
 
-def markdown(record: CheckRecord) -> str:
+def markdown(record: CheckRecord) -> bytes:
     """A section with a table for the summary page of a CI: broken rules first."""
     rows = [
         (
@@ -342,7 +339,7 @@ def markdown(record: CheckRecord) -> str:
         for one in sorted(record.rules, key=lambda outcome: outcome.passed)
     ]
     table = markdown_table(("", "rule", "value", "bound", ""), rows, {"value"})
-    return "\n".join([f"### {markdown_text(summary(record))}", "", *table, ""])
+    return "\n".join([f"### {markdown_text(summary(record))}", "", *table, ""]).encode()
 
 
 def _bound(outcome: OutcomeRecord) -> str:
@@ -357,10 +354,5 @@ def _value(value: float | str | None) -> str:
         return value
     return f"{value:.0f}" if value == round(value) or abs(value) >= 1e4 else f"{value:.4g}"
 
-
-FORMATS: dict[str, Callable[[CheckRecord], bytes]] = {
-    "junit": junit,
-    "markdown": lambda record: markdown(record).encode(),
-}
 
 SCHEMA = ModelSchema(CheckRecord, "check", SCHEMA_VERSION, "specmap check --json")

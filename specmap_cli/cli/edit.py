@@ -107,7 +107,6 @@ def edit(
     specmap edit map --forbid-door 3 5 --at 1.5,2.0
     """
     from specmap_cli.exports.routes import misnoted
-    from specmap_cli.maps.store import read_map
     from specmap_cli.pipelines.edit import edit_map
 
     requested = _requested(said, changed)
@@ -115,11 +114,11 @@ def edit(
         keep_inputs([out], [map_])
         if map_.resolve() in out.resolve().parents:
             raise UsageError(f"is inside the map {map_}", "choose another place", where=out)
-    stored = read_map(map_, settings.load().limits)
+    stored = settings.read(map_)
     with common.progress() as progress:
         report = edit_map(stored, requested, out, overwrite=overwrite, progress=progress)
         if requested.properties:
-            for line in misnoted(read_map(report.out, settings.load().limits).record):
+            for line in misnoted(settings.read(report.out).record):
                 progress.warn(line)
     common.show(report.as_dict(), report.lines())
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -31,7 +32,6 @@ from specmap_cli.core.errors import BROKEN_RULE, UsageError
 if TYPE_CHECKING:
     from specmap_cli.batch.batch import EventRecord, Ledger
     from specmap_cli.batch.records import Command, Option, Plan
-    from specmap_cli.pipelines.overlaps import Spread
 
 FailOn = Annotated[
     Literal["doubtful", "poor"] | None,
@@ -74,7 +74,6 @@ def build(
     specmap build today.mcap -o today --like map
     """
     from specmap_cli.core.findings import at_least_as_bad
-    from specmap_cli.maps.store import read_map
 
     flags = {"relaxation.enabled": False if no_relax else None, "seed": seed}
     effective = settings.load(flags)
@@ -91,7 +90,7 @@ def build(
         else:
             from specmap_cli.pipelines.update import build_like
 
-            old = read_map(like, effective.limits)
+            old = settings.read(like)
             of_old = settings.of_map(old, flags)
             report = build_like(logs, old, out, of_old, overwrite=overwrite, progress=progress)
     common.show(report.as_dict(), report.lines())
@@ -125,10 +124,9 @@ def update(
     specmap update out tomorrow.mcap -o out2
     specmap update out tomorrow.mcap -o out --overwrite
     """
-    from specmap_cli.maps.store import read_map
     from specmap_cli.pipelines.update import update_map
 
-    stored = read_map(map_, settings.load().limits)
+    stored = settings.read(map_)
     effective = settings.of_map(stored)
     keep_inputs([out], logs)
     with common.progress() as progress:
@@ -174,10 +172,15 @@ def merge(
     specmap merge monday tuesday wednesday -o week
     specmap merge maps/*/map -o building --workers 8
     """
-    from specmap_cli.maps.store import read_map
     from specmap_cli.pipelines.merge import merge_maps, oldest
 
-    stored = [read_map(path, settings.load().limits) for path in maps]
+    stored = [settings.read(path) for path in maps]
+    shared = None  # in this process
+    if workers is not None or scheduler is not None:
+        cluster = cluster_of(workers, scheduler, common)
+        from specmap_cli.batch.workers import spread
+
+        shared = partial(spread, cluster)
     with common.progress() as progress:
         report = merge_maps(
             stored,
@@ -185,21 +188,9 @@ def merge(
             settings.of_map(oldest(stored)),
             overwrite=overwrite,
             progress=progress,
-            spread=_spread(workers, scheduler, common),
+            spread=shared,
         )
     common.show(report.as_dict(), report.lines())
-
-
-def _spread(workers: int | None, scheduler: str | None, common: Common) -> Spread | None:
-    """Where pairs of maps are aligned; None: in this process."""
-    if workers is None and scheduler is None:
-        return None
-    cluster = cluster_of(workers, scheduler, common)
-    from functools import partial
-
-    from specmap_cli.batch.workers import spread
-
-    return partial(spread, cluster)
 
 
 def segment(
@@ -379,7 +370,7 @@ def _listeners(
             again = "; it is tried again" if event.event == "retried" else ""
             progress.warn(f"{event.job}: {event.kind}: {event.reason}{again}")
         if event.event == "stranded":
-            progress.warn(f"{event.reason}")
+            progress.warn(str(event.reason))
 
     def show(ledger: Ledger) -> None:
         progress.reach(len(ledger.results), ledger.headline())
@@ -393,13 +384,9 @@ def _lines(out: str, ledger: Ledger) -> list[str]:
 
     rows = rows_of((job.name for job in ledger.jobs), ledger.results)
     kinds = ", ".join(f"{count:,} {kind}" for kind, count in kinds_of(rows))
-    return [
-        f"{out}: {headline(rows)}",
-        *(
-            [f"{out}: {ledger.resumed:,} of the results were there already"]
-            if ledger.resumed
-            else []
-        ),
-        *([f"{out}: failures: {kinds}; reasons are in summary.md"] if kinds else []),
-        f"look at {out}/{INDEX}",
-    ]
+    lines = [f"{out}: {headline(rows)}"]
+    if ledger.resumed:
+        lines.append(f"{out}: {ledger.resumed:,} of the results were there already")
+    if kinds:
+        lines.append(f"{out}: failures: {kinds}; reasons are in summary.md")
+    return [*lines, f"look at {out}/{INDEX}"]

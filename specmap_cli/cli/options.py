@@ -17,8 +17,8 @@ import functools
 import inspect
 import os
 import warnings
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from inspect import Parameter
 from itertools import takewhile
@@ -134,6 +134,12 @@ class Bounds:
         preset = self.preset if isinstance(self, Settings) else None
         return load_config(self.config, preset, self.overrides(flags))
 
+    def read(self, directory: Path) -> Map:
+        """A map of which no file is larger than these settings allow."""
+        from specmap_cli.maps.store import read_map
+
+        return read_map(directory, self.load().limits)
+
     def overrides(self, flags: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """The settings of `--set` and of the flags, nested.
 
@@ -246,25 +252,21 @@ def _holds_path(hint: Any) -> bool:
     return hint is Path or any(map(_holds_path, get_args(hint)))
 
 
-def telling(command: Callable[..., None]) -> Callable[..., None]:
-    """`command` with a line on stderr, once, for each retired setting that it was given."""
+@contextmanager
+def _telling(common: Common) -> Iterator[None]:
+    """A block in which each retired setting that was given has a line on stderr, once."""
+    from specmap_cli.core.config import RetiredSetting
 
-    @functools.wraps(command)
-    def run(*, common: Common, **values: Any) -> None:
-        from specmap_cli.core.config import RetiredSetting
+    def tell(message: Warning | str, category: type[Warning], *place: Any) -> None:
+        if issubclass(category, RetiredSetting):
+            common.progress().warn(str(message))
+        else:
+            usual(message, category, *place)
 
-        def tell(message: Warning | str, category: type[Warning], *place: Any) -> None:
-            if issubclass(category, RetiredSetting):
-                common.progress().warn(str(message))
-            else:
-                usual(message, category, *place)
-
-        with warnings.catch_warnings():
-            usual, warnings.showwarning = warnings.showwarning, tell  # type: ignore[assignment]
-            warnings.simplefilter("default", RetiredSetting)  # a sentence once
-            command(common=common, **values)
-
-    return run
+    with warnings.catch_warnings():
+        usual, warnings.showwarning = warnings.showwarning, tell  # type: ignore[assignment]
+        warnings.simplefilter("default", RetiredSetting)  # a sentence once
+        yield
 
 
 def _put(tree: dict[str, Any], key: str, value: Any) -> None:
@@ -316,7 +318,8 @@ def unfolded(command: Callable[..., None]) -> Callable[..., None]:
     def run(**values: Any) -> None:
         for name, group in groups.items():
             values[name] = group(**{field.name: values.pop(field.name) for field in fields(group)})
-        command(**values)
+        with _telling(values["common"]):
+            command(**values)
 
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
@@ -327,7 +330,7 @@ class JoinedCommand(TyperCommand):
     """A command that joins the values of such options before Typer sees them."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the arguments."""
+        """Join what belongs to one use of an option: all up to another option; then parse."""
         options = {option for parameter in self.params for option in parameter.opts}
         several = {
             option: len(metavar.split())
@@ -335,7 +338,18 @@ class JoinedCommand(TyperCommand):
             for option in parameter.opts
             if option.startswith("-") and " " in (metavar := parameter.metavar or "")
         }
-        return super().parse_args(ctx, _joined(args, several, options))
+        joined: list[str] = []
+        rest = list(args)
+        while rest:
+            word = rest.pop(0)
+            joined.append(word)
+            if word == "--":
+                break
+            values = list(takewhile(lambda word: word not in options, rest[: several.get(word, 0)]))
+            if values:
+                del rest[: len(values)]
+                joined.append(_JOINT.join(values))
+        return super().parse_args(ctx, [*joined, *rest])
 
 
 def uses_of(option: str, given: list[str] | None, names: str) -> Iterator[list[str]]:
@@ -346,22 +360,6 @@ def uses_of(option: str, given: list[str] | None, names: str) -> Iterator[list[s
             where = f"{option} {' '.join(values)}"
             raise UsageError(hint=f"expected {option} {names}", where=where)
         yield values
-
-
-def _joined(args: list[str], several: Mapping[str, int], options: Collection[str]) -> list[str]:
-    """The arguments, those that belong to one use of an option joined; another option ends them."""
-    joined: list[str] = []
-    rest = list(args)
-    while rest:
-        word = rest.pop(0)
-        joined.append(word)
-        if word == "--":
-            return [*joined, *rest]
-        values = list(takewhile(lambda value: value not in options, rest[: several.get(word, 0)]))
-        if values:
-            del rest[: len(values)]
-            joined.append(_JOINT.join(values))
-    return joined
 
 
 def check_files(

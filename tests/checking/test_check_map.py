@@ -200,7 +200,7 @@ def test_junit_that_a_ci_reads() -> None:
 
 
 def test_markdown_keeps_a_name_in_its_cell_and_a_record_is_as_its_schema_says() -> None:
-    lines = markdown(spoiled_record()).splitlines()
+    lines = markdown(spoiled_record()).decode().splitlines()
     assert lines[0].startswith("### maps/one: breaks 3 of 4 rules")
     rows = [line for line in lines if line.startswith("| **broken**") or line.startswith("| ok")]
     assert len(rows) == 4
