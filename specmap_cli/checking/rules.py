@@ -36,44 +36,22 @@ from specmap_cli.maps.store import Map
 Figures = Mapping[str, float | None]
 
 FINDINGS, GOLDEN = "findings.", "golden."  # what the names of such figures begin with
-MEANINGS = {
-    "scans": "scans that were read",
-    "lost_share": "share of the scans that could not be registered",
-    "damage": "places where a recording is damaged or cut off, so that scans may be missing",
-    "breaks": "how often tracking was lost and began afresh",
-    "duration_s": "seconds from the first keyframe to the last, of all recordings",
-    "path_m": "metres driven",
-    "revisits": "stays that were recognised as one submap seen before",
-    "submaps": "submaps",
-    "edges": "links between submaps",
-    "impassable": "links without a way that the robot can drive",
-    "parts": "parts of the map that no link joins",
-    "doors": "doors",
-    "area_m2": "square metres of the submaps: their free cells",
-    "wall_s": "seconds that the command took to make the map",
-    "scans_per_s": "scans read in each of these seconds",
-    "memory_mb": "most megabytes that its process held",
-    "golden.aligned": "1 where the map was recognised in the other one, 0 where not",
-    "golden.same_share": "share of the other map's submaps that are the same",
-    "golden.gone": "submaps whose floor is gone",
-    "golden.unseen": "submaps of the other map that this one did not see",
-    "golden.new": "submaps that the other map did not see",
-    "golden.area_share": "area of the submaps, times that of those of the other map",
-    "golden.closed": "ways that were open and are blocked",
-    "golden.opened": "ways that were blocked and are open",
-    "golden.off_m": "how far submaps lie off, root mean square, metres",
-    "golden.appeared_m2": "square metres covered by things that were not there",
-    "golden.vanished_m2": "square metres covered before by things that are gone",
-}
-
-
-# docs/quality.md says what each means
+# docs/check.md says what each of these means, and docs/quality.md each code of a finding
+_FIGURES = (
+    *("scans", "lost_share", "damage", "breaks", "duration_s", "path_m", "revisits", "submaps"),
+    *("edges", "impassable", "parts", "doors", "area_m2", "wall_s", "scans_per_s", "memory_mb"),
+)
+_AGAINST = (
+    *("golden.aligned", "golden.same_share", "golden.gone", "golden.unseen", "golden.new"),
+    *("golden.area_share", "golden.closed", "golden.opened", "golden.off_m"),
+    *("golden.appeared_m2", "golden.vanished_m2"),
+)
 _CODES = (
     *("lost-scans", "tracking-break", "hole-in-log", "unmeasured-way", "odometry-disagrees"),
     *("loose-part", "walls-disagree", "part-moved", "rival-place", "layout-refused"),
     *("closures-refuted", "beyond-grid", "too-narrow", "input"),
 )
-BOUNDED = (*MEANINGS, *(FINDINGS + code for code in _CODES))  # what a rule can bound
+BOUNDED = (*_FIGURES, *_AGAINST, *(FINDINGS + code for code in _CODES))  # what a rule can bound
 
 
 def figures_of(stored: Map) -> dict[str, float | None]:
@@ -115,7 +93,7 @@ def _number(value: Any) -> float | None:
 def figures_against(record: ComparisonRecord | None) -> dict[str, float | None]:
     """The figures of a comparison, the golden map being the old one; None: it cannot be aligned."""
     if record is None:
-        return {name: None for name in MEANINGS if name.startswith(GOLDEN)} | {"golden.aligned": 0}
+        return dict.fromkeys(_AGAINST) | {"golden.aligned": 0}
     old, new = record.old, record.new
     same = len(record.submaps.same) / old.submaps if old.submaps else None
     return {

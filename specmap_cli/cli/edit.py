@@ -39,7 +39,6 @@ class Said:
     set_property: Annotated[
         list[str] | None,
         typer.Option(
-            "--set-property",
             metavar="ID KEY=VALUE",
             help="Note something: text, a number, true or false; KEY= takes it back.",
         ),

@@ -295,7 +295,7 @@ def batch(
     sharing: Sharing,
     step: Annotated[
         list[StepName] | None,
-        typer.Option("--step", help="Step of each job; repeatable. Default: build, report, check."),
+        typer.Option(help="Step of each job; repeatable. Default: build, report, check."),
     ] = None,
     scratch: Annotated[
         Path | None, typer.Option(help="Directory of the workers for temporary files.")

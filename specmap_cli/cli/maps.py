@@ -132,14 +132,14 @@ def compare(
 def check(
     map_: MapDirectory,
     rules: Annotated[
-        Path | None, typer.Option("--rules", help="TOML file of rules; they go over the defaults.")
+        Path | None, typer.Option(help="TOML file of rules; they go over the defaults.")
     ] = None,
     against: Annotated[
         Path | None,
         typer.Option(metavar="GOLDEN", help="A map of the same building that is right."),
     ] = None,
     junit: Annotated[
-        Path | None, typer.Option("--junit", help="JUnit XML to write, a test a rule."), WRITTEN
+        Path | None, typer.Option(help="JUnit XML to write, a test a rule."), WRITTEN
     ] = None,
     markdown: Annotated[
         Path | None,

@@ -112,11 +112,7 @@ class Bounds:
 
     config: Annotated[
         Path | None,
-        typer.Option(
-            "--config",
-            envvar="SPECMAP_CONFIG",
-            help="TOML file of settings (see `specmap config`).",
-        ),
+        typer.Option(envvar="SPECMAP_CONFIG", help="TOML file of settings (see `specmap config`)."),
     ] = None
     assignments: Annotated[
         list[str] | None,
