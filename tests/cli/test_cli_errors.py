@@ -25,7 +25,7 @@ from specmap_cli.cli.entry import ConsoleProgress, one_line
 from specmap_cli.core.errors import CODES
 from specmap_cli.logs import inspection
 from specmap_cli.pipelines import build
-from tests.cli.conftest import ERROR, Outcome, Run, standing_log, validate
+from tests.cli.conftest import Outcome, Run, standing_log, validate
 
 
 def as_json(said: Outcome) -> dict[str, object]:
@@ -35,13 +35,6 @@ def as_json(said: Outcome) -> dict[str, object]:
     error: dict[str, object] = found["error"]
     assert CODES[str(error["code"])][0] in {error["exit_code"], 130}
     return error
-
-
-def line_of(said: Outcome) -> str:
-    """The last line on stderr, without its beginning."""
-    line = said.err.splitlines()[-1]
-    assert line.startswith(ERROR)
-    return line.removeprefix(ERROR)
 
 
 @pytest.mark.parametrize(
@@ -99,8 +92,8 @@ def test_an_error_is_json_too(
     error = as_json(said)
     assert (error["code"], error["where"], error["exit_code"]) == (code, where, said.code)
     assert str(error["hint"]).startswith(str(hint))
-    assert error["message"] == line_of(said)
-    assert line_of(said).startswith(told)
+    assert error["message"] == said.line
+    assert said.line.startswith(told)
     assert said.err.count("\n") == 1
 
 
@@ -134,8 +127,8 @@ def test_an_interruption_is_json_too(
     assert said.code == 128 + number
     error = as_json(said)
     assert (error["code"], error["exit_code"]) == ("interrupted", 128 + number)
-    assert error["message"] == line_of(said)
-    assert line_of(said).startswith(f"interrupted by {signal.Signals(number).name}")
+    assert error["message"] == said.line
+    assert said.line.startswith(f"interrupted by {signal.Signals(number).name}")
 
 
 def test_a_bug_is_json_and_a_traceback(
@@ -263,8 +256,8 @@ def test_a_name_cannot_break_the_line(name: str, shown: str, run: Run) -> None:
     said = run("info", name, "--json")
     assert said.code == 3
     assert said.err.count("\n") == 1
-    assert line_of(said).startswith(f"{shown}: no such file")
-    assert as_json(said)["message"] == line_of(said)
+    assert said.line.startswith(f"{shown}: no such file")
+    assert as_json(said)["message"] == said.line
 
 
 @given(st.text())

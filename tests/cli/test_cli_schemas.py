@@ -14,15 +14,12 @@ from typing import Any
 
 import jsonschema
 import pytest
-import typer
 
-from specmap_cli.cli.app import app
 from specmap_cli.core import schemas
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.schemas import SETTINGS, read_schema, schema_names
-from tests.cli.conftest import ERROR_SCHEMA, FILE_SCHEMAS, Run, name_of_command, validate
+from tests.cli.conftest import COMMANDS, ERROR_SCHEMA, FILE_SCHEMAS, Run, name_of_command, validate
 
-COMMANDS: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
 MODULES = "batch.batch batch.records checking.rules history.record maps.comparison maps.schema"
 # Lines of commands that succeed, but for `batch`; see `words` in conftest.py.
 LINES = {

@@ -293,11 +293,12 @@ def test_threads_in_a_program(program: str, tiny_log: Path, tmp_path: Path) -> N
     assert done.returncode == 0, done.stderr
 
 
-def test_a_failing_replacement_leaves_the_old_file(
+def test_a_file_is_replaced_whole_or_left_as_it_was(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "run.json"
-    path.write_text("old")
+    path.write_text("a longer text than the new one")
+    write_text(path, "für\n")
 
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
@@ -305,7 +306,7 @@ def test_a_failing_replacement_leaves_the_old_file(
     monkeypatch.setattr(os, "replace", full)
     with pytest.raises(UsageError, match="No space left"):
         write_text(path, "new")
-    assert path.read_text() == "old"
+    assert path.read_bytes() == "für\n".encode()
     assert os.listdir(tmp_path) == ["run.json"]
 
 
@@ -362,11 +363,3 @@ def test_what_a_killed_run_had_begun_is_removed_and_nothing_else(tmp_path: Path)
         assert sorted(os.listdir(tmp_path)) == sorted(["labels.csv", *kept])
     assert is_nobody_s(tmp_path / ".labels.csv.partial-13")
     assert not is_nobody_s(tmp_path / "missing")
-
-
-def test_a_file_is_replaced_whole(tmp_path: Path) -> None:
-    path = tmp_path / "labels.csv"
-    path.write_text("a longer text than the new one")
-    write_text(path, "für\n")
-    assert path.read_bytes() == "für\n".encode()
-    assert os.listdir(tmp_path) == ["labels.csv"]
