@@ -19,7 +19,7 @@ import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import dataclass, is_dataclass
 from inspect import Parameter
 from itertools import takewhile
 from pathlib import Path
@@ -279,8 +279,14 @@ def _put(tree: dict[str, Any], key: str, value: Any) -> None:
 _JOINT = "\x1f"  # no shell and no keyboard gives it
 
 
-# The options of a group, which all commands share, are read once.
-_hints_of = functools.cache(functools.partial(get_type_hints, include_extras=True))
+@functools.cache
+def _options_in(group: type) -> list[Parameter]:
+    """The fields of a group as parameters; read once, as all commands share them."""
+    hints = get_type_hints(group, include_extras=True)
+    return [
+        field.replace(annotation=hints[field.name])
+        for field in inspect.signature(group).parameters.values()
+    ]
 
 
 def unfolded(command: Callable[..., None]) -> Callable[..., None]:
@@ -294,26 +300,17 @@ def unfolded(command: Callable[..., None]) -> Callable[..., None]:
     }
     parameters: list[Parameter] = []
     for name, parameter in inspect.signature(command).parameters.items():
-        if name not in groups:
-            alone = parameter.replace(kind=Parameter.KEYWORD_ONLY, annotation=hints[name])
-            parameters.append(alone)
-            continue
-        own_hints = _hints_of(groups[name])
-        for field in fields(groups[name]):
-            default = Parameter.empty if field.default is MISSING else field.default
+        if name in groups:
+            parameters += _options_in(groups[name])
+        else:
             parameters.append(
-                Parameter(
-                    field.name,
-                    Parameter.KEYWORD_ONLY,
-                    default=default,
-                    annotation=own_hints[field.name],
-                )
+                parameter.replace(kind=Parameter.KEYWORD_ONLY, annotation=hints[name])
             )
 
     @functools.wraps(command)
     def run(**values: Any) -> None:
         for name, group in groups.items():
-            values[name] = group(**{field.name: values.pop(field.name) for field in fields(group)})
+            values[name] = group(**{one.name: values.pop(one.name) for one in _options_in(group)})
         with _telling(values["common"]):
             command(**values)
 
