@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import typer
 
@@ -24,14 +25,13 @@ from specmap_cli.cli.options import (
     check_files,
     cluster_of,
     keep_inputs,
-    options_of,
     output,
 )
 from specmap_cli.core.errors import BROKEN_RULE, UsageError
 
 if TYPE_CHECKING:
     from specmap_cli.batch.batch import EventRecord, Ledger
-    from specmap_cli.batch.records import Command, Option, Plan
+    from specmap_cli.batch.records import Command, Meaning, Option, Plan
 
 FailOn = Annotated[
     Literal["doubtful", "poor"] | None,
@@ -348,14 +348,29 @@ def _plan(steps: list[StepName] | None, settings: Settings) -> Plan:
 
 
 def known_options() -> dict[Command, dict[str, Option]]:
-    """The options of the commands that a job may have."""
+    """The options of the commands that a job may have, by each of their long names."""
     from typer.main import get_command
 
-    from specmap_cli.batch.records import COMMANDS
+    from specmap_cli.batch.records import COMMANDS, Option
     from specmap_cli.cli.app import app
 
     commands: dict[str, Any] = get_command(app).commands  # type: ignore[attr-defined]
-    return {command: options_of(commands[command]) for command in COMMANDS}
+    known: dict[Command, dict[str, Option]] = {command: {} for command in COMMANDS}
+    for command, found in known.items():
+        hints = inspect.signature(commands[command].callback).parameters
+        for parameter in commands[command].params:
+            names = tuple(name[2:] for name in parameter.opts if name.startswith("--"))
+            if names:
+                hint = hints[parameter.name].annotation
+                meaning: Meaning = "flag" if parameter.is_flag else "text"
+                if _holds_path(hint):
+                    meaning = "output" if WRITTEN in hint.__metadata__ else "input"
+                found |= dict.fromkeys(names, Option(names, meaning, parameter.multiple))
+    return known
+
+
+def _holds_path(hint: Any) -> bool:
+    return hint is Path or any(map(_holds_path, get_args(hint)))
 
 
 def _listeners(

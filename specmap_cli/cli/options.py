@@ -23,7 +23,7 @@ from dataclasses import dataclass, is_dataclass
 from inspect import Parameter
 from itertools import takewhile
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 from typer.core import TyperCommand
@@ -33,7 +33,6 @@ from specmap_cli.core.errors import OUTPUT, SETTING, UsageError
 from specmap_cli.core.progress import Level
 
 if TYPE_CHECKING:
-    from specmap_cli.batch.records import Meaning, Option
     from specmap_cli.batch.workers import Cluster
     from specmap_cli.core.settings import Config
     from specmap_cli.maps.store import Map
@@ -222,30 +221,6 @@ def cluster_of(workers: int | None, scheduler: str | None, common: Common) -> Cl
     from specmap_cli.batch.workers import Cluster
 
     return Cluster(workers, scheduler)
-
-
-def options_of(command: Any) -> dict[str, Option]:
-    """The options of a command, as Typer has made it, by each of their long names."""
-    from specmap_cli.batch.records import Option
-
-    hints = inspect.signature(command.callback).parameters
-    found: dict[str, Option] = {}
-    for parameter in command.params:
-        names = tuple(name[2:] for name in parameter.opts if name.startswith("--"))
-        if not names:
-            continue
-        hint = hints[parameter.name].annotation
-        meaning: Meaning = "text"
-        if parameter.is_flag:
-            meaning = "flag"
-        elif _holds_path(hint):
-            meaning = "output" if WRITTEN in hint.__metadata__ else "input"
-        found |= dict.fromkeys(names, Option(names, meaning, parameter.multiple))
-    return found
-
-
-def _holds_path(hint: Any) -> bool:
-    return hint is Path or any(map(_holds_path, get_args(hint)))
 
 
 @contextmanager
