@@ -71,9 +71,8 @@ class Quality(Value):
 
         The worst of them decides the verdict.
         """
-        told = [(-VERDICTS.index(_verdict(one)), one.code == INPUT, one) for one in findings]
-        all_ = tuple(one for *_, one in sorted(told, key=lambda each: each[:2]))
-        return cls(verdict=_verdict(all_[0]) if all_ else VERDICTS[0], findings=all_)
+        told = sorted(findings, key=lambda one: (-VERDICTS.index(_verdict(one)), one.code == INPUT))
+        return cls(verdict=_verdict(told[0]) if told else VERDICTS[0], findings=tuple(told))
 
     @property
     def warnings(self) -> tuple[Finding, ...]:
