@@ -7,6 +7,7 @@ import io
 import json
 import math
 import os
+import shlex
 import signal
 import sys
 import tempfile
@@ -38,41 +39,35 @@ def as_json(said: Outcome) -> dict[str, object]:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "code", "where", "told", "hint"),
+    ("line", "code", "where", "told", "hint"),
     [
         (
-            ("biuld",),
+            "biuld",
             *("usage", None, "No such command 'biuld'. Did you mean 'build'?; see"),
             "see `specmap --help`",
         ),
-        (("localize", "x"), "usage", "--map", "Missing option", "see `specmap localize --help`"),
-        (("info", "x", "--frob"), "usage", "--frob", "No such option", "see `specmap info --help`"),
+        ("localize x", "usage", "--map", "Missing option", "see `specmap localize --help`"),
+        ("info x --frob", "usage", "--frob", "No such option", "see `specmap info --help`"),
+        ("config --set seed=-1", "setting", "seed", "seed: must be", "run `specmap config`"),
+        ("config --set seed", "setting", "--set seed", "--set seed:", "expected KEY=VALUE"),
+        ("info", "usage", "LOG", "Missing argument", "see `specmap info --help`"),
+        ("build x --seed x", "usage", "--seed", "Invalid value", "see `specmap b"),
+        ("evaluate", "usage", None, "say what to evaluate, and one thing only", None),
         (
-            ("config", "--set", "seed=-1"),
-            "setting",
-            "seed",
-            "seed: must be",
-            "run `specmap config`",
-        ),
-        (("config", "--set", "seed"), "setting", "--set seed", "--set seed:", "expected KEY=VALUE"),
-        (("info",), "usage", "LOG", "Missing argument", "see `specmap info --help`"),
-        (("build", "x", "--seed", "x"), "usage", "--seed", "Invalid value", "see `specmap b"),
-        (("evaluate",), "usage", None, "say what to evaluate, and one thing only", None),
-        (
-            ("evaluate", "--trajectory", "a.tum", "--out", "c.png"),
+            "evaluate --trajectory a.tum --out c.png",
             *("usage", None, "--confusion (--out) is of --protocol: leave it out here"),
             "leave it out here",
         ),
-        (("info", "none.mcap"), "log-missing", "none.mcap", "none.mcap: no such file", None),
-        (("info", "a b.mcap"), "log-missing", "a b.mcap", "a b.mcap: no such file", None),
-        (("segment", "none.yaml"), "map-unusable", "none.yaml", "none.yaml: cannot read", None),
+        ("info none.mcap", "log-missing", "none.mcap", "none.mcap: no such file", None),
+        ("info 'a b.mcap'", "log-missing", "a b.mcap", "a b.mcap: no such file", None),
+        ("segment none.yaml", "map-unusable", "none.yaml", "none.yaml: cannot read", None),
         (
-            ("localize", "x.mcap", "--map", "none"),
+            "localize x --map none",
             *("map-missing", "none", "none: no such map directory"),
             "make one with `specmap build`",
         ),
         (
-            ("batch", "x", "-o", "y", "--step", "chek"),
+            "batch x -o y --step chek",
             *("usage", "--step", "Invalid value for '--step': 'chek' is not one"),
             "see `specmap batch --help`",
         ),
@@ -80,7 +75,7 @@ def as_json(said: Outcome) -> dict[str, object]:
 )
 @pytest.mark.parametrize("quiet", [(), ("-q",)], ids=["loud", "quiet"])
 def test_an_error_is_json_too(
-    arguments: tuple[str, ...],
+    line: str,
     code: str,
     where: str | None,
     told: str,
@@ -88,7 +83,7 @@ def test_an_error_is_json_too(
     quiet: tuple[str, ...],
     run: Run,
 ) -> None:
-    said = run(*arguments, "--json", *quiet)
+    said = run(*shlex.split(line), "--json", *quiet)
     error = as_json(said)
     assert (error["code"], error["where"], error["exit_code"]) == (code, where, said.code)
     assert str(error["hint"]).startswith(str(hint))
