@@ -187,24 +187,22 @@ def read_rules(path: Path | None, *, against: bool) -> Rules:
     cannot be read, a rule of no figure, and one that needs another map where there is none.
     """
     written = _Written() if path is None else _FORMAT.read(path)
-    bounds: dict[Bound, dict[str, float]] = {"most": written.most, "least": written.least}
-    golden = [
-        f"{bound}.{name}" for bound in BOUNDS for name in bounds[bound] if name.startswith(GOLDEN)
-    ]
+    base = DEFAULTS if written.defaults else Rules("poor", {}, {})
+    given = Rules(written.verdict or base.verdict, written.most, written.least)
+    golden = [f"{bound}.{name}" for name, bound, _ in given.each() if name.startswith(GOLDEN)]
     if golden and not against:
         raise UsageError(
             f"{golden[0]}: needs another map", "give --against", where=path, code=SETTING
         )
-    base = DEFAULTS if written.defaults else Rules("poor", {}, {})
     most, least = (
         {
             name: limit
-            for name, limit in {**getattr(base, bound), **bounds[bound]}.items()
+            for name, limit in {**getattr(base, bound), **getattr(given, bound)}.items()
             if math.isfinite(limit) and (against or not name.startswith(GOLDEN))
         }
         for bound in BOUNDS
     )
-    return Rules(written.verdict or base.verdict, most, least)
+    return Rules(given.verdict, most, least)
 
 
 def judged(

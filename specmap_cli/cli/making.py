@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
@@ -326,7 +325,14 @@ def batch(
     terms = Terms(out, limits, str(scratch.absolute()) if scratch else None, redo)
     with common.progress() as progress:
         progress.start(f"0 of {len(jobs)} jobs", len(jobs))
-        ledger = run_batch(jobs, terms, cluster, sharing.retries, *_listeners(common, progress))
+        ledger = run_batch(
+            jobs,
+            terms,
+            cluster,
+            sharing.retries,
+            tell=partial(_tell, common, progress),
+            show=lambda done: progress.reach(len(done.results), done.headline()),
+        )
     if not common.as_json:
         common.show({}, _lines(out, ledger))
     if ledger.failed:
@@ -373,24 +379,15 @@ def _holds_path(hint: Any) -> bool:
     return hint is Path or any(map(_holds_path, get_args(hint)))
 
 
-def _listeners(
-    common: Common, progress: ConsoleProgress
-) -> tuple[Callable[[EventRecord], None], Callable[[Ledger], None]]:
-    """Events as lines of JSON on stdout; what a person should know, and a bar, on stderr."""
-
-    def tell(event: EventRecord) -> None:
-        if common.as_json:
-            print_text(event.line())
-        if event.event in ("failed", "retried") or event.state == "failed":
-            again = "; it is tried again" if event.event == "retried" else ""
-            progress.warn(f"{event.job}: {event.kind}: {event.reason}{again}")
-        if event.event == "stranded":
-            progress.warn(str(event.reason))
-
-    def show(ledger: Ledger) -> None:
-        progress.reach(len(ledger.results), ledger.headline())
-
-    return tell, show
+def _tell(common: Common, progress: ConsoleProgress, event: EventRecord) -> None:
+    """An event as a line of JSON on stdout; what a person should know of it on stderr."""
+    if common.as_json:
+        print_text(event.line())
+    if event.event in ("failed", "retried") or event.state == "failed":
+        again = "; it is tried again" if event.event == "retried" else ""
+        progress.warn(f"{event.job}: {event.kind}: {event.reason}{again}")
+    if event.event == "stranded":
+        progress.warn(str(event.reason))
 
 
 def _lines(out: str, ledger: Ledger) -> list[str]:
