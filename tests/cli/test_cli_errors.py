@@ -226,17 +226,13 @@ def test_what_the_machine_lacks_is_no_bug(
     monkeypatch.setattr(build, "build_map", Mock(side_effect=error))
     # the pipe or file under stdout is not this test's to discard
     monkeypatch.setattr("specmap_cli.cli.entry.discard_stdout", lambda: None)
-    said = run("build", "log.mcap", "-o", tmp_path / "map")
-    assert said.code == code
-    assert said.error.startswith(told)
-    said = run("build", "log.mcap", "-o", tmp_path / "map", "--json")
-    assert as_json(said)["code"] == {2: "machine", 3: "memory"}[code]
+    line = ("build", "log.mcap", "-o", tmp_path / "map")
+    run(*line).fails(code, told)
+    assert as_json(run(*line, "--json"))["code"] == {2: "machine", 3: "memory"}[code]
 
 
 def test_a_file_called_json_asks_for_none(run: Run) -> None:
-    said = run("info", "--", "--json")
-    assert said.code == 3
-    assert said.error.startswith("--json: no such file or directory")
+    run("info", "--", "--json").fails(3, "--json: no such file or directory")
 
 
 @pytest.mark.parametrize(
