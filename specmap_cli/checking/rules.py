@@ -13,10 +13,11 @@ What a check found is told for a machine, a person and a CI. The models are the 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import networkx as nx
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
@@ -35,44 +36,22 @@ from specmap_cli.maps.store import Map
 Figures = Mapping[str, float | None]
 
 FINDINGS, GOLDEN = "findings.", "golden."  # what the names of such figures begin with
-MEANINGS = {
-    "scans": "scans that were read",
-    "lost_share": "share of the scans that could not be registered",
-    "damage": "places where a recording is damaged or cut off, so that scans may be missing",
-    "breaks": "how often tracking was lost and began afresh",
-    "duration_s": "seconds from the first keyframe to the last, of all recordings",
-    "path_m": "metres driven",
-    "revisits": "stays that were recognised as one submap seen before",
-    "submaps": "submaps",
-    "edges": "links between submaps",
-    "impassable": "links without a way that the robot can drive",
-    "parts": "parts of the map that no link joins",
-    "doors": "doors",
-    "area_m2": "square metres of the submaps: their free cells",
-    "wall_s": "seconds that the command took to make the map",
-    "scans_per_s": "scans read in each of these seconds",
-    "memory_mb": "most megabytes that its process held",
-    "golden.aligned": "1 where the map was recognised in the other one, 0 where not",
-    "golden.same_share": "share of the other map's submaps that are the same",
-    "golden.gone": "submaps whose floor is gone",
-    "golden.unseen": "submaps of the other map that this one did not see",
-    "golden.new": "submaps that the other map did not see",
-    "golden.area_share": "area of the submaps, times that of those of the other map",
-    "golden.closed": "ways that were open and are blocked",
-    "golden.opened": "ways that were blocked and are open",
-    "golden.off_m": "how far submaps lie off, root mean square, metres",
-    "golden.appeared_m2": "square metres covered by things that were not there",
-    "golden.vanished_m2": "square metres covered before by things that are gone",
-}
-
-
-# docs/quality.md says what each means
+# docs/check.md says what each of these means, and docs/quality.md each code of a finding
+_FIGURES = (
+    *("scans", "lost_share", "damage", "breaks", "duration_s", "path_m", "revisits", "submaps"),
+    *("edges", "impassable", "parts", "doors", "area_m2", "wall_s", "scans_per_s", "memory_mb"),
+)
+_AGAINST = (
+    *("golden.aligned", "golden.same_share", "golden.gone", "golden.unseen", "golden.new"),
+    *("golden.area_share", "golden.closed", "golden.opened", "golden.off_m"),
+    *("golden.appeared_m2", "golden.vanished_m2"),
+)
 _CODES = (
     *("lost-scans", "tracking-break", "hole-in-log", "unmeasured-way", "odometry-disagrees"),
     *("loose-part", "walls-disagree", "part-moved", "rival-place", "layout-refused"),
     *("closures-refuted", "beyond-grid", "too-narrow", "input"),
 )
-BOUNDED = (*MEANINGS, *(FINDINGS + code for code in _CODES))  # what a rule can bound
+BOUNDED = (*_FIGURES, *_AGAINST, *(FINDINGS + code for code in _CODES))  # what a rule can bound
 
 
 def figures_of(stored: Map) -> dict[str, float | None]:
@@ -83,8 +62,8 @@ def figures_of(stored: Map) -> dict[str, float | None]:
     run: Mapping[str, Any] = stored.run if written else {}
     counts = stored.counts if written else {}
     scans, lost, wall_s = counts.get("scans"), counts.get("lost"), _number(run.get("wall_s"))
-    quality = stored.quality
-    grave = [] if quality is None else [one for one in quality.findings if one.severity != "note"]
+    findings = () if stored.quality is None else stored.quality.findings
+    grave = Counter(f"{FINDINGS}{one.code}" for one in findings if one.severity != "note")
     return {
         "scans": scans,
         "lost_share": lost / scans if scans and lost is not None else None,
@@ -102,10 +81,7 @@ def figures_of(stored: Map) -> dict[str, float | None]:
         "parts": nx.number_connected_components(stored.to_networkx()),
         "doors": len(stored.doors),
         "area_m2": record.area_m2,
-        **{
-            f"{FINDINGS}{code}": sum(one.code == code for one in grave)
-            for code in sorted({one.code for one in grave})
-        },
+        **dict(sorted(grave.items())),
     }
 
 
@@ -117,7 +93,7 @@ def _number(value: Any) -> float | None:
 def figures_against(record: ComparisonRecord | None) -> dict[str, float | None]:
     """The figures of a comparison, the golden map being the old one; None: it cannot be aligned."""
     if record is None:
-        return {name: None for name in MEANINGS if name.startswith(GOLDEN)} | {"golden.aligned": 0}
+        return dict.fromkeys(_AGAINST) | {"golden.aligned": 0}
     old, new = record.old, record.new
     same = len(record.submaps.same) / old.submaps if old.submaps else None
     return {
@@ -136,7 +112,7 @@ def figures_against(record: ComparisonRecord | None) -> dict[str, float | None]:
 
 
 Bound = Literal["most", "least"]
-BOUNDS: tuple[Bound, ...] = ("most", "least")
+BOUNDS: tuple[Bound, ...] = get_args(Bound)
 VERDICT = "verdict"
 _UNKNOWN = "not known: the map does not say"
 
@@ -211,24 +187,22 @@ def read_rules(path: Path | None, *, against: bool) -> Rules:
     cannot be read, a rule of no figure, and one that needs another map where there is none.
     """
     written = _Written() if path is None else _FORMAT.read(path)
-    bounds: dict[Bound, dict[str, float]] = {"most": written.most, "least": written.least}
-    golden = [
-        f"{bound}.{name}" for bound in BOUNDS for name in bounds[bound] if name.startswith(GOLDEN)
-    ]
+    base = DEFAULTS if written.defaults else Rules("poor", {}, {})
+    given = Rules(written.verdict or base.verdict, written.most, written.least)
+    golden = [f"{bound}.{name}" for name, bound, _ in given.each() if name.startswith(GOLDEN)]
     if golden and not against:
         raise UsageError(
             f"{golden[0]}: needs another map", "give --against", where=path, code=SETTING
         )
-    base = DEFAULTS if written.defaults else Rules("poor", {}, {})
     most, least = (
         {
             name: limit
-            for name, limit in {**getattr(base, bound), **bounds[bound]}.items()
+            for name, limit in {**getattr(base, bound), **getattr(given, bound)}.items()
             if math.isfinite(limit) and (against or not name.startswith(GOLDEN))
         }
         for bound in BOUNDS
     )
-    return Rules(written.verdict or base.verdict, most, least)
+    return Rules(given.verdict, most, least)
 
 
 def judged(
@@ -321,15 +295,14 @@ def junit(record: CheckRecord) -> bytes:
     """A test suite with a test case a rule, as CI servers read it."""
     cases = []
     for one in record.rules:
-        case = Case(name=f"{one.rule} {_bound(one)}")
-        if not one.passed:
-            told = f"{one.rule} is {_value(one.value)}, allowed is {_bound(one)}"
-            case = replace(case, failure=told, kind="BrokenRule", detail=one.detail)
-        cases.append(case)
+        told = f"{one.rule} is {_value(one.value)}, allowed is {_bound(one)}"
+        failure = None if one.passed else told
+        name = f"{one.rule} {_bound(one)}"
+        cases.append(Case(name=name, failure=failure, kind="BrokenRule", detail=one.detail))
     return test_suite(f"specmap check {record.map}", record.map, cases)
 
 
-def markdown(record: CheckRecord) -> str:
+def markdown(record: CheckRecord) -> bytes:
     """A section with a table for the summary page of a CI: broken rules first."""
     rows = [
         (
@@ -342,7 +315,7 @@ def markdown(record: CheckRecord) -> str:
         for one in sorted(record.rules, key=lambda outcome: outcome.passed)
     ]
     table = markdown_table(("", "rule", "value", "bound", ""), rows, {"value"})
-    return "\n".join([f"### {markdown_text(summary(record))}", "", *table, ""])
+    return "\n".join([f"### {markdown_text(summary(record))}", "", *table, ""]).encode()
 
 
 def _bound(outcome: OutcomeRecord) -> str:
@@ -357,10 +330,5 @@ def _value(value: float | str | None) -> str:
         return value
     return f"{value:.0f}" if value == round(value) or abs(value) >= 1e4 else f"{value:.4g}"
 
-
-FORMATS: dict[str, Callable[[CheckRecord], bytes]] = {
-    "junit": junit,
-    "markdown": lambda record: markdown(record).encode(),
-}
 
 SCHEMA = ModelSchema(CheckRecord, "check", SCHEMA_VERSION, "specmap check --json")

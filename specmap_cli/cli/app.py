@@ -11,7 +11,7 @@ import typer
 
 from specmap_cli.cli import edit, evaluate, making, maps, recordings
 from specmap_cli.cli.entry import print_text
-from specmap_cli.cli.options import Common, JoinedCommand, Settings, telling, unfolded
+from specmap_cli.cli.options import Common, JoinedCommand, Settings, unfolded
 from specmap_cli.core.errors import UsageError
 
 EXIT_CODES = (
@@ -144,9 +144,7 @@ _COMMANDS: tuple[Callable[..., None], ...] = (  # in the order of the help
     schema,
 )
 for _command in _COMMANDS:
-    app.command(_command.__name__, epilog=EXIT_CODES, cls=JoinedCommand)(
-        unfolded(telling(_command))
-    )
+    app.command(_command.__name__, epilog=EXIT_CODES, cls=JoinedCommand)(unfolded(_command))
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

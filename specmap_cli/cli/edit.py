@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Said:
-    """What is said of submaps."""
+    """What is said of submaps, and what is changed of borders and ways."""
 
     rename: Annotated[
         list[str] | None,
@@ -39,7 +39,6 @@ class Said:
     set_property: Annotated[
         list[str] | None,
         typer.Option(
-            "--set-property",
             metavar="ID KEY=VALUE",
             help="Note something: text, a number, true or false; KEY= takes it back.",
         ),
@@ -48,12 +47,6 @@ class Said:
         list[int] | None,
         typer.Option(metavar="ID", help="Take back name, kind and properties of a submap."),
     ] = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Changed:
-    """What is changed of borders and ways."""
-
     merge: Annotated[
         list[str] | None,
         typer.Option(metavar="ID ID", help="Make the second submap a part of the first."),
@@ -90,7 +83,6 @@ def edit(
     overwrite: Overwrite = False,
     *,
     said: Said,
-    changed: Changed,
     settings: Bounds,
     common: Common,
 ) -> None:
@@ -107,24 +99,23 @@ def edit(
     specmap edit map --forbid-door 3 5 --at 1.5,2.0
     """
     from specmap_cli.exports.routes import misnoted
-    from specmap_cli.maps.store import read_map
     from specmap_cli.pipelines.edit import edit_map
 
-    requested = _requested(said, changed)
+    requested = _requested(said)
     if out is not None and out.resolve() != map_.resolve():
         keep_inputs([out], [map_])
         if map_.resolve() in out.resolve().parents:
             raise UsageError(f"is inside the map {map_}", "choose another place", where=out)
-    stored = read_map(map_, settings.load().limits)
+    stored = settings.read(map_)
     with common.progress() as progress:
         report = edit_map(stored, requested, out, overwrite=overwrite, progress=progress)
         if requested.properties:
-            for line in misnoted(read_map(report.out, settings.load().limits).record):
+            for line in misnoted(settings.read(report.out).record):
                 progress.warn(line)
     common.show(report.as_dict(), report.lines())
 
 
-def _requested(said: Said, changed: Changed) -> RequestedEdits:
+def _requested(said: Said) -> RequestedEdits:
     """What the options ask for. Raises UsageError for one that cannot be read."""
     from specmap_cli.core.toml import value_of
     from specmap_cli.pipelines.edits import RequestedEdits
@@ -144,19 +135,19 @@ def _requested(said: Said, changed: Changed) -> RequestedEdits:
         kinds={_id("--kind", i): kind for i, kind in uses_of("--kind", said.kind, "ID KIND")},
         properties=properties,
         forget=tuple(said.forget or ()),
-        changes=tuple(_changes(changed)),
-        undo=tuple(changed.undo or ()),
+        changes=tuple(_changes(said)),
+        undo=tuple(said.undo or ()),
     )
 
 
-def _changes(changed: Changed) -> Iterator[dict[str, Any]]:
+def _changes(said: Said) -> Iterator[dict[str, Any]]:
     """The changes, as in edits.toml: merges, then splits, then forbidden doors."""
-    for ids in uses_of("--merge", changed.merge, "ID ID"):
+    for ids in uses_of("--merge", said.merge, "ID ID"):
         yield {"merge": [_id("--merge", id_) for id_ in ids]}
-    for id_, line in uses_of("--split", changed.split, "ID X1,Y1,X2,Y2"):
+    for id_, line in uses_of("--split", said.split, "ID X1,Y1,X2,Y2"):
         x1, y1, x2, y2 = _numbers("--split", line, "X1,Y1,X2,Y2")
         yield {"split": _id("--split", id_), "line": [[x1, y1], [x2, y2]]}
-    doors, places = changed.forbid_door or [], changed.at or []
+    doors, places = said.forbid_door or [], said.at or []
     if places and len(places) != len(doors):
         raise UsageError(hint="give it once for each --forbid-door, or not at all", where="--at")
     for number, ids in enumerate(uses_of("--forbid-door", doors, "ID ID")):

@@ -202,8 +202,7 @@ def _print_error(error: SpecmapError, as_json: bool) -> None:
         "exit_code": error.exit_code,
     }
     with suppress(OSError):
-        text = json.dumps({"schema_version": 1, "error": parts}, ensure_ascii=False)
-        print_text(text + "\n")
+        print_text(json.dumps({"schema_version": 1, "error": parts}, ensure_ascii=False) + "\n")
 
 
 JSON_VARIABLE = "SPECMAP_JSON"  # in the environment: as `--json` on the command line

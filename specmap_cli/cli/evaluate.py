@@ -35,14 +35,6 @@ class Task:
         Path | None, typer.Option(help="Trajectory to score, such as out/trajectory.tum.")
     ] = None
 
-    def check(self) -> None:
-        """UsageError unless exactly one is asked for."""
-        if sum(each is not None for each in (self.protocol, self.baseline, self.trajectory)) != 1:
-            raise UsageError(
-                "say what to evaluate, and one thing only: LOG --protocol holdout, or LOG LOG2 "
-                "--protocol revisit, or LOG LOG2 --baseline room-hallway, or --trajectory FILE.tum"
-            )
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Truth:
@@ -127,7 +119,11 @@ def evaluate(
     specmap evaluate map log2.mcap --protocol revisit --reference log.tum --reference log2.tum
     specmap evaluate --trajectory map/trajectory.tum --reference log.tum
     """
-    task.check()
+    _need(
+        sum(each is not None for each in (task.protocol, task.baseline, task.trajectory)) == 1,
+        "say what to evaluate, and one thing only: LOG --protocol holdout, or LOG LOG2 "
+        "--protocol revisit, or LOG LOG2 --baseline room-hallway, or --trajectory FILE.tum",
+    )
     if out is not None and task.protocol is None:
         raise UsageError("--confusion (--out) is of --protocol", "leave it out here")
     inputs = [*(logs or []), *truth.references, *truth.pictures]

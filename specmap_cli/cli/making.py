@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import inspect
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import typer
 
@@ -23,15 +24,13 @@ from specmap_cli.cli.options import (
     check_files,
     cluster_of,
     keep_inputs,
-    options_of,
     output,
 )
 from specmap_cli.core.errors import BROKEN_RULE, UsageError
 
 if TYPE_CHECKING:
     from specmap_cli.batch.batch import EventRecord, Ledger
-    from specmap_cli.batch.records import Command, Option, Plan
-    from specmap_cli.pipelines.overlaps import Spread
+    from specmap_cli.batch.records import Command, Meaning, Option, Plan
 
 FailOn = Annotated[
     Literal["doubtful", "poor"] | None,
@@ -74,7 +73,6 @@ def build(
     specmap build today.mcap -o today --like map
     """
     from specmap_cli.core.findings import at_least_as_bad
-    from specmap_cli.maps.store import read_map
 
     flags = {"relaxation.enabled": False if no_relax else None, "seed": seed}
     effective = settings.load(flags)
@@ -91,7 +89,7 @@ def build(
         else:
             from specmap_cli.pipelines.update import build_like
 
-            old = read_map(like, effective.limits)
+            old = settings.read(like)
             of_old = settings.of_map(old, flags)
             report = build_like(logs, old, out, of_old, overwrite=overwrite, progress=progress)
     common.show(report.as_dict(), report.lines())
@@ -125,10 +123,9 @@ def update(
     specmap update out tomorrow.mcap -o out2
     specmap update out tomorrow.mcap -o out --overwrite
     """
-    from specmap_cli.maps.store import read_map
     from specmap_cli.pipelines.update import update_map
 
-    stored = read_map(map_, settings.load().limits)
+    stored = settings.read(map_)
     effective = settings.of_map(stored)
     keep_inputs([out], logs)
     with common.progress() as progress:
@@ -174,10 +171,15 @@ def merge(
     specmap merge monday tuesday wednesday -o week
     specmap merge maps/*/map -o building --workers 8
     """
-    from specmap_cli.maps.store import read_map
     from specmap_cli.pipelines.merge import merge_maps, oldest
 
-    stored = [read_map(path, settings.load().limits) for path in maps]
+    stored = [settings.read(path) for path in maps]
+    shared = None  # in this process
+    if workers is not None or scheduler is not None:
+        cluster = cluster_of(workers, scheduler, common)
+        from specmap_cli.batch.workers import spread
+
+        shared = partial(spread, cluster)
     with common.progress() as progress:
         report = merge_maps(
             stored,
@@ -185,21 +187,9 @@ def merge(
             settings.of_map(oldest(stored)),
             overwrite=overwrite,
             progress=progress,
-            spread=_spread(workers, scheduler, common),
+            spread=shared,
         )
     common.show(report.as_dict(), report.lines())
-
-
-def _spread(workers: int | None, scheduler: str | None, common: Common) -> Spread | None:
-    """Where pairs of maps are aligned; None: in this process."""
-    if workers is None and scheduler is None:
-        return None
-    cluster = cluster_of(workers, scheduler, common)
-    from functools import partial
-
-    from specmap_cli.batch.workers import spread
-
-    return partial(spread, cluster)
 
 
 def segment(
@@ -304,7 +294,7 @@ def batch(
     sharing: Sharing,
     step: Annotated[
         list[StepName] | None,
-        typer.Option("--step", help="Step of each job; repeatable. Default: build, report, check."),
+        typer.Option(help="Step of each job; repeatable. Default: build, report, check."),
     ] = None,
     scratch: Annotated[
         Path | None, typer.Option(help="Directory of the workers for temporary files.")
@@ -335,7 +325,14 @@ def batch(
     terms = Terms(out, limits, str(scratch.absolute()) if scratch else None, redo)
     with common.progress() as progress:
         progress.start(f"0 of {len(jobs)} jobs", len(jobs))
-        ledger = run_batch(jobs, terms, cluster, sharing.retries, *_listeners(common, progress))
+        ledger = run_batch(
+            jobs,
+            terms,
+            cluster,
+            sharing.retries,
+            tell=partial(_tell, common, progress),
+            show=lambda done: progress.reach(len(done.results), done.headline()),
+        )
     if not common.as_json:
         common.show({}, _lines(out, ledger))
     if ledger.failed:
@@ -357,34 +354,40 @@ def _plan(steps: list[StepName] | None, settings: Settings) -> Plan:
 
 
 def known_options() -> dict[Command, dict[str, Option]]:
-    """The options of the commands that a job may have."""
+    """The options of the commands that a job may have, by each of their long names."""
     from typer.main import get_command
 
-    from specmap_cli.batch.records import COMMANDS
+    from specmap_cli.batch.records import COMMANDS, Option
     from specmap_cli.cli.app import app
 
     commands: dict[str, Any] = get_command(app).commands  # type: ignore[attr-defined]
-    return {command: options_of(commands[command]) for command in COMMANDS}
+    known: dict[Command, dict[str, Option]] = {command: {} for command in COMMANDS}
+    for command, found in known.items():
+        hints = inspect.signature(commands[command].callback).parameters
+        for parameter in commands[command].params:
+            names = tuple(name[2:] for name in parameter.opts if name.startswith("--"))
+            if names:
+                hint = hints[parameter.name].annotation
+                meaning: Meaning = "flag" if parameter.is_flag else "text"
+                if _holds_path(hint):
+                    meaning = "output" if WRITTEN in hint.__metadata__ else "input"
+                found |= dict.fromkeys(names, Option(names, meaning, parameter.multiple))
+    return known
 
 
-def _listeners(
-    common: Common, progress: ConsoleProgress
-) -> tuple[Callable[[EventRecord], None], Callable[[Ledger], None]]:
-    """Events as lines of JSON on stdout; what a person should know, and a bar, on stderr."""
+def _holds_path(hint: Any) -> bool:
+    return hint is Path or any(map(_holds_path, get_args(hint)))
 
-    def tell(event: EventRecord) -> None:
-        if common.as_json:
-            print_text(event.line())
-        if event.event in ("failed", "retried") or event.state == "failed":
-            again = "; it is tried again" if event.event == "retried" else ""
-            progress.warn(f"{event.job}: {event.kind}: {event.reason}{again}")
-        if event.event == "stranded":
-            progress.warn(f"{event.reason}")
 
-    def show(ledger: Ledger) -> None:
-        progress.reach(len(ledger.results), ledger.headline())
-
-    return tell, show
+def _tell(common: Common, progress: ConsoleProgress, event: EventRecord) -> None:
+    """An event as a line of JSON on stdout; what a person should know of it on stderr."""
+    if common.as_json:
+        print_text(event.line())
+    if event.event in ("failed", "retried") or event.state == "failed":
+        again = "; it is tried again" if event.event == "retried" else ""
+        progress.warn(f"{event.job}: {event.kind}: {event.reason}{again}")
+    if event.event == "stranded":
+        progress.warn(str(event.reason))
 
 
 def _lines(out: str, ledger: Ledger) -> list[str]:
@@ -393,13 +396,9 @@ def _lines(out: str, ledger: Ledger) -> list[str]:
 
     rows = rows_of((job.name for job in ledger.jobs), ledger.results)
     kinds = ", ".join(f"{count:,} {kind}" for kind, count in kinds_of(rows))
-    return [
-        f"{out}: {headline(rows)}",
-        *(
-            [f"{out}: {ledger.resumed:,} of the results were there already"]
-            if ledger.resumed
-            else []
-        ),
-        *([f"{out}: failures: {kinds}; reasons are in summary.md"] if kinds else []),
-        f"look at {out}/{INDEX}",
-    ]
+    lines = [f"{out}: {headline(rows)}"]
+    if ledger.resumed:
+        lines.append(f"{out}: {ledger.resumed:,} of the results were there already")
+    if kinds:
+        lines.append(f"{out}: failures: {kinds}; reasons are in summary.md")
+    return [*lines, f"look at {out}/{INDEX}"]

@@ -63,10 +63,9 @@ def localize(
     specmap localize other.mcap --map map -o labels.csv --plot labels.png
     specmap localize other.mcap --map map --offline --metric --json
     """
-    from specmap_cli.maps.store import read_map
     from specmap_cli.pipelines.localize import localize_log, write_report
 
-    stored = read_map(map_directory, settings.load().limits)
+    stored = settings.read(map_directory)
     check_files([out, plot], [*logs, map_directory], common, overwrite=overwrite)
     if plot is not None and plot.suffix.lower() not in ("", ".png"):
         raise UsageError("what is drawn is a PNG", "name it so: PLOT.png", where=plot)
@@ -106,7 +105,6 @@ def compare(
     specmap compare monday friday
     specmap compare monday friday -o changes --json
     """
-    from specmap_cli.maps.store import read_map
     from specmap_cli.pipelines.compare import (
         PICTURE,
         compare_maps,
@@ -118,8 +116,7 @@ def compare(
 
     if out is not None:
         keep_inputs([out], [old, new])
-    limits = settings.load().limits
-    one, other = read_map(old, limits), read_map(new, limits)
+    one, other = settings.read(old), settings.read(new)
     effective = settings.of_map(one)
     with common.progress() as progress, ExitStack() as outputs:
         partial = out and outputs.enter_context(comparison_directory(out, overwrite, progress))
@@ -135,14 +132,14 @@ def compare(
 def check(
     map_: MapDirectory,
     rules: Annotated[
-        Path | None, typer.Option("--rules", help="TOML file of rules; they go over the defaults.")
+        Path | None, typer.Option(help="TOML file of rules; they go over the defaults.")
     ] = None,
     against: Annotated[
         Path | None,
         typer.Option(metavar="GOLDEN", help="A map of the same building that is right."),
     ] = None,
     junit: Annotated[
-        Path | None, typer.Option("--junit", help="JUnit XML to write, a test a rule."), WRITTEN
+        Path | None, typer.Option(help="JUnit XML to write, a test a rule."), WRITTEN
     ] = None,
     markdown: Annotated[
         Path | None,
@@ -166,23 +163,19 @@ def check(
     specmap check map --rules rules.toml --junit check.xml
     specmap check tonight --against golden --markdown summary.md
     """
-    from specmap_cli.checking.rules import FORMATS, lines_of, read_rules
+    from specmap_cli.checking import rules as checking
     from specmap_cli.core.files import write_together
-    from specmap_cli.maps.store import read_map
     from specmap_cli.pipelines.check import check_map
 
-    in_force = read_rules(rules, against=against is not None)
-    limits = settings.load().limits
-    stored = read_map(map_, limits)
-    golden = None if against is None else read_map(against, limits)
-    wanted = {"junit": junit, "markdown": markdown}
-    check_files(wanted.values(), [map_, against, rules], common, overwrite=overwrite)
+    in_force = checking.read_rules(rules, against=against is not None)
+    stored = settings.read(map_)
+    golden = None if against is None else settings.read(against)
+    check_files([junit, markdown], [map_, against, rules], common, overwrite=overwrite)
     with common.progress() as progress:
         record = check_map(stored, in_force, golden, progress)
-    write_together(
-        {path: FORMATS[name](record) for name, path in wanted.items() if path is not None}
-    )
-    common.show(record.model_dump(), lines_of(record))
+    written = ((junit, checking.junit), (markdown, checking.markdown))
+    write_together({path: made(record) for path, made in written if path is not None})
+    common.show(record.model_dump(), checking.lines_of(record))
     if not record.passed:
         raise typer.Exit(BROKEN_RULE)
 
@@ -260,25 +253,23 @@ def report(
     specmap report friday --compare monday -o friday.html
     """
     from specmap_cli.core.files import write_text
-    from specmap_cli.maps.store import read_map
     from specmap_cli.pipelines.report import report_map
 
-    limits = settings.load().limits
-    stored = read_map(map_, limits)
-    older = None if compare is None else read_map(compare, limits)
+    stored = settings.read(map_)
+    older = None if compare is None else settings.read(compare)
     check_files([out], [map_, compare], common, overwrite=overwrite)
     with common.progress() as progress:
-        page = report_map(stored, older, limits, progress)
+        page = report_map(stored, older, settings.load().limits, progress)
     write_text(out, page)
-    size_mb = len(page.encode("utf-8")) / 1e6
+    size = len(page.encode("utf-8"))
     result = {
         "map": str(map_),
         "compare": None if compare is None else str(compare),
         "out": str(out),
         "submaps": len(stored.rooms),
-        "bytes": len(page.encode("utf-8")),
+        "bytes": size,
     }
-    common.show(result, [f"{out}: {size_mb:.1f} MB: open it in a browser"])
+    common.show(result, [f"{out}: {size / 1e6:.1f} MB: open it in a browser"])
 
 
 def export(
@@ -315,9 +306,8 @@ def export(
     specmap export map --format nav2 -o map.geojson
     """
     from specmap_cli.exports.table import export_map, exporters
-    from specmap_cli.maps.store import read_map
 
-    stored = read_map(map_, settings.load().limits)
+    stored = settings.read(map_)
     check_files([out], [map_], common, overwrite=overwrite)
     with common.progress() as progress:
         if stored.note:

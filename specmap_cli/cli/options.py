@@ -17,13 +17,13 @@ import functools
 import inspect
 import os
 import warnings
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, is_dataclass
 from inspect import Parameter
 from itertools import takewhile
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 from typer.core import TyperCommand
@@ -33,7 +33,6 @@ from specmap_cli.core.errors import OUTPUT, SETTING, UsageError
 from specmap_cli.core.progress import Level
 
 if TYPE_CHECKING:
-    from specmap_cli.batch.records import Meaning, Option
     from specmap_cli.batch.workers import Cluster
     from specmap_cli.core.settings import Config
     from specmap_cli.maps.store import Map
@@ -112,11 +111,7 @@ class Bounds:
 
     config: Annotated[
         Path | None,
-        typer.Option(
-            "--config",
-            envvar="SPECMAP_CONFIG",
-            help="TOML file of settings (see `specmap config`).",
-        ),
+        typer.Option(envvar="SPECMAP_CONFIG", help="TOML file of settings (see `specmap config`)."),
     ] = None
     assignments: Annotated[
         list[str] | None,
@@ -133,6 +128,12 @@ class Bounds:
 
         preset = self.preset if isinstance(self, Settings) else None
         return load_config(self.config, preset, self.overrides(flags))
+
+    def read(self, directory: Path) -> Map:
+        """A map of which no file is larger than these settings allow."""
+        from specmap_cli.maps.store import read_map
+
+        return read_map(directory, self.load().limits)
 
     def overrides(self, flags: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """The settings of `--set` and of the flags, nested.
@@ -222,49 +223,21 @@ def cluster_of(workers: int | None, scheduler: str | None, common: Common) -> Cl
     return Cluster(workers, scheduler)
 
 
-def options_of(command: Any) -> dict[str, Option]:
-    """The options of a command, as Typer has made it, by each of their long names."""
-    from specmap_cli.batch.records import Option
+@contextmanager
+def _telling(common: Common) -> Iterator[None]:
+    """A block in which each retired setting that was given has a line on stderr, once."""
+    from specmap_cli.core.config import RetiredSetting
 
-    hints = inspect.signature(command.callback).parameters
-    found: dict[str, Option] = {}
-    for parameter in command.params:
-        names = tuple(name[2:] for name in parameter.opts if name.startswith("--"))
-        if not names:
-            continue
-        hint = hints[parameter.name].annotation
-        meaning: Meaning = "text"
-        if parameter.is_flag:
-            meaning = "flag"
-        elif _holds_path(hint):
-            meaning = "output" if WRITTEN in hint.__metadata__ else "input"
-        found |= dict.fromkeys(names, Option(names, meaning, parameter.multiple))
-    return found
+    def tell(message: Warning | str, category: type[Warning], *place: Any) -> None:
+        if issubclass(category, RetiredSetting):
+            common.progress().warn(str(message))
+        else:
+            usual(message, category, *place)
 
-
-def _holds_path(hint: Any) -> bool:
-    return hint is Path or any(map(_holds_path, get_args(hint)))
-
-
-def telling(command: Callable[..., None]) -> Callable[..., None]:
-    """`command` with a line on stderr, once, for each retired setting that it was given."""
-
-    @functools.wraps(command)
-    def run(*, common: Common, **values: Any) -> None:
-        from specmap_cli.core.config import RetiredSetting
-
-        def tell(message: Warning | str, category: type[Warning], *place: Any) -> None:
-            if issubclass(category, RetiredSetting):
-                common.progress().warn(str(message))
-            else:
-                usual(message, category, *place)
-
-        with warnings.catch_warnings():
-            usual, warnings.showwarning = warnings.showwarning, tell  # type: ignore[assignment]
-            warnings.simplefilter("default", RetiredSetting)  # a sentence once
-            command(common=common, **values)
-
-    return run
+    with warnings.catch_warnings():
+        usual, warnings.showwarning = warnings.showwarning, tell  # type: ignore[assignment]
+        warnings.simplefilter("default", RetiredSetting)  # a sentence once
+        yield
 
 
 def _put(tree: dict[str, Any], key: str, value: Any) -> None:
@@ -281,8 +254,14 @@ def _put(tree: dict[str, Any], key: str, value: Any) -> None:
 _JOINT = "\x1f"  # no shell and no keyboard gives it
 
 
-# The options of a group, which all commands share, are read once.
-_hints_of = functools.cache(functools.partial(get_type_hints, include_extras=True))
+@functools.cache
+def _options_in(group: type) -> list[Parameter]:
+    """The fields of a group as parameters; read once, as all commands share them."""
+    hints = get_type_hints(group, include_extras=True)
+    return [
+        field.replace(annotation=hints[field.name])
+        for field in inspect.signature(group).parameters.values()
+    ]
 
 
 def unfolded(command: Callable[..., None]) -> Callable[..., None]:
@@ -296,27 +275,19 @@ def unfolded(command: Callable[..., None]) -> Callable[..., None]:
     }
     parameters: list[Parameter] = []
     for name, parameter in inspect.signature(command).parameters.items():
-        if name not in groups:
-            alone = parameter.replace(kind=Parameter.KEYWORD_ONLY, annotation=hints[name])
-            parameters.append(alone)
-            continue
-        own_hints = _hints_of(groups[name])
-        for field in fields(groups[name]):
-            default = Parameter.empty if field.default is MISSING else field.default
+        if name in groups:
+            parameters += _options_in(groups[name])
+        else:
             parameters.append(
-                Parameter(
-                    field.name,
-                    Parameter.KEYWORD_ONLY,
-                    default=default,
-                    annotation=own_hints[field.name],
-                )
+                parameter.replace(kind=Parameter.KEYWORD_ONLY, annotation=hints[name])
             )
 
     @functools.wraps(command)
     def run(**values: Any) -> None:
         for name, group in groups.items():
-            values[name] = group(**{field.name: values.pop(field.name) for field in fields(group)})
-        command(**values)
+            values[name] = group(**{one.name: values.pop(one.name) for one in _options_in(group)})
+        with _telling(values["common"]):
+            command(**values)
 
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
@@ -327,7 +298,7 @@ class JoinedCommand(TyperCommand):
     """A command that joins the values of such options before Typer sees them."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the arguments."""
+        """Join what belongs to one use of an option: all up to another option; then parse."""
         options = {option for parameter in self.params for option in parameter.opts}
         several = {
             option: len(metavar.split())
@@ -335,7 +306,18 @@ class JoinedCommand(TyperCommand):
             for option in parameter.opts
             if option.startswith("-") and " " in (metavar := parameter.metavar or "")
         }
-        return super().parse_args(ctx, _joined(args, several, options))
+        joined: list[str] = []
+        rest = list(args)
+        while rest:
+            word = rest.pop(0)
+            joined.append(word)
+            if word == "--":
+                break
+            values = list(takewhile(lambda word: word not in options, rest[: several.get(word, 0)]))
+            if values:
+                del rest[: len(values)]
+                joined.append(_JOINT.join(values))
+        return super().parse_args(ctx, [*joined, *rest])
 
 
 def uses_of(option: str, given: list[str] | None, names: str) -> Iterator[list[str]]:
@@ -346,22 +328,6 @@ def uses_of(option: str, given: list[str] | None, names: str) -> Iterator[list[s
             where = f"{option} {' '.join(values)}"
             raise UsageError(hint=f"expected {option} {names}", where=where)
         yield values
-
-
-def _joined(args: list[str], several: Mapping[str, int], options: Collection[str]) -> list[str]:
-    """The arguments, those that belong to one use of an option joined; another option ends them."""
-    joined: list[str] = []
-    rest = list(args)
-    while rest:
-        word = rest.pop(0)
-        joined.append(word)
-        if word == "--":
-            return [*joined, *rest]
-        values = list(takewhile(lambda value: value not in options, rest[: several.get(word, 0)]))
-        if values:
-            del rest[: len(values)]
-            joined.append(_JOINT.join(values))
-    return joined
 
 
 def check_files(

@@ -99,8 +99,8 @@ def convert(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Laser:
-    """The options of the laser, named as in `SimulationOptions`."""
+class Simulated:
+    """The options of the laser, then of the robot and its tour, as in `SimulationOptions`."""
 
     field_of_view_deg: Annotated[float, typer.Option("--fov", help="Field of view, degrees.")] = (
         270.0
@@ -127,12 +127,6 @@ class Laser:
     ceiling_m: Annotated[
         float, typer.Option("--ceiling", help="3D: walls and ceiling above the floor, metres.")
     ] = 2.5
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Tour:
-    """The options of the robot and its tour, named as in `SimulationOptions`."""
-
     speed_mps: Annotated[float, typer.Option("--speed", help="Metres a second.")] = 0.6
     odometry_drift: Annotated[
         float, typer.Option(help="Errors of the odometry: 0 exact, 1 a usual robot.")
@@ -160,8 +154,7 @@ def simulate(
     resolution: Resolution = None,
     overwrite: Overwrite = False,
     *,
-    laser: Laser,
-    tour: Tour,
+    simulated: Simulated,
     settings: Bounds,
     common: Common,
 ) -> None:
@@ -183,7 +176,7 @@ def simulate(
 
     limits = settings.load().limits
     try:
-        options = simulation_options(**asdict(laser), **asdict(tour))
+        options = simulation_options(**asdict(simulated))
     except UsageError as error:
         names = {one.name: one.opts[0] for one in context.command.params}
         raise UsageError(error.found, where=names.get(error.where or "")) from None

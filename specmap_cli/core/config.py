@@ -62,10 +62,10 @@ def load_config(
             where=path,
             code=SETTING,
         )
-    merged = _merge(
-        _merge({} if name == "default" else tables_of(name), from_file), overrides or {}
-    )
-    return _validated({**merged, "preset": name}, where, overrides or {})
+    given = overrides or {}
+    base = {} if name == "default" else tables_of(name)
+    merged = _merge(_merge(base, from_file), given)
+    return _validated({**merged, "preset": name}, where, given)
 
 
 def with_overrides(config: Config, overrides: dict[str, Any], where: str = "") -> Config:
@@ -73,7 +73,7 @@ def with_overrides(config: Config, overrides: dict[str, Any], where: str = "") -
 
     `where` stands before the complaint: the file that the overrides are from, and a colon.
     """
-    return _validated(_merge(config.model_dump(), overrides), where)
+    return _validated(_merge(config.model_dump(), overrides), where, {})
 
 
 def known_settings(settings: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
@@ -98,14 +98,11 @@ def known_settings(settings: Mapping[str, Any]) -> tuple[dict[str, Any], list[st
     return known, others
 
 
-def _validated(
-    settings: dict[str, Any], where: str, overrides: Mapping[str, Any] | None = None
-) -> Config:
-    """The configuration; `where` is to blame for a wrong key that is not among the overrides.
+def _validated(settings: dict[str, Any], where: str, given: Mapping[str, Any]) -> Config:
+    """The configuration; `where` is to blame for a wrong key that is not among the overrides given.
 
     Warns of retired settings.
     """
-    given = overrides or {}
     left, retired = without_retired(settings)
     for key, value in retired.items():
         no_effect = f"; {json.dumps(value, default=str)} has no effect"

@@ -122,7 +122,8 @@ def complete_file(path: Path | str) -> Iterator[IO[bytes]]:
     partial = partial_of(target)
     try:
         remove_leftovers(target)
-        with made(partial) as file:
+        with partial.open("xb") as file:  # neither there already nor a link
+            lock(file.fileno())
             yield file
             file.flush()
             os.fsync(file.fileno())
@@ -152,13 +153,6 @@ def continued(path: Path) -> IO[str]:
     if os.path.lexists(path) and not stat.S_ISREG(path.lstat().st_mode):
         raise OSError(errno.EINVAL, "is a link or no regular file", str(path))
     return os.fdopen(os.open(path, flags, 0o666), "a", buffering=1, encoding="utf-8")
-
-
-def made(path: Path) -> IO[bytes]:
-    """A new file to write, locked by this run. FileExistsError where there is one, or a link."""
-    file = path.open("xb")
-    lock(file.fileno())
-    return file
 
 
 def to_disk(*paths: Path) -> None:

@@ -17,8 +17,6 @@ VERDICTS: tuple[Verdict, ...] = get_args(Verdict)  # from the best to the worst
 
 INPUT = "input"  # the code of what reading and registration have to say about the log
 
-Place = tuple[float, float]
-
 
 @dataclass(frozen=True, slots=True)
 class Where(Value):
@@ -30,11 +28,6 @@ class Where(Value):
     """metres; null where it has no place"""
     y: Number | None
     """metres; null where it has no place"""
-
-    @property
-    def place(self) -> Place | None:
-        """Where in the map (x, y), metres."""
-        return None if self.x is None or self.y is None else (self.x, self.y)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,9 +50,10 @@ class Finding(Value):
     """null for what holds for the whole map"""
 
     @property
-    def place(self) -> Place | None:
+    def place(self) -> tuple[float, float] | None:
         """Where in the map (x, y), metres; None without a place."""
-        return None if self.where is None else self.where.place
+        where = self.where
+        return None if where is None or where.x is None or where.y is None else (where.x, where.y)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,9 +71,8 @@ class Quality(Value):
 
         The worst of them decides the verdict.
         """
-        told = [(-VERDICTS.index(_verdict(one)), one.code == INPUT, one) for one in findings]
-        all_ = tuple(one for *_, one in sorted(told, key=lambda each: each[:2]))
-        return cls(verdict=_verdict(all_[0]) if all_ else VERDICTS[0], findings=all_)
+        told = sorted(findings, key=lambda one: (-VERDICTS.index(_verdict(one)), one.code == INPUT))
+        return cls(verdict=_verdict(told[0]) if told else VERDICTS[0], findings=tuple(told))
 
     @property
     def warnings(self) -> tuple[Finding, ...]:

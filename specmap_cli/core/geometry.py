@@ -256,11 +256,7 @@ class BentMotion:
     def inverse(self) -> BentMotion:
         """The motion back."""
         local = tuple(
-            replace(
-                one,
-                centre=one.motion.apply(one.centre[None])[0],
-                motion=one.motion.inverse(),
-            )
+            replace(one, centre=one.motion.apply(one.centre[None])[0], motion=one.motion.inverse())
             for one in self.local
         )
         return BentMotion(self.rigid.inverse(), local)

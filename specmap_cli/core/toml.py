@@ -183,10 +183,8 @@ def value_of(text: str) -> Any:
 
 def to_toml(config: BaseModel) -> str:
     """A configuration as TOML with a comment a documented key; `load_config` reads it back."""
-    entries = {name: getattr(config, name) for name in type(config).model_fields}
-    sections = {name: entry for name, entry in entries.items() if isinstance(entry, BaseModel)}
-    plain = {name: entry for name, entry in entries.items() if name not in sections}
-    lines = [f"{name} = {toml_value(entry)}" for name, entry in plain.items()]
+    sections = {name: entry for name, entry in config if isinstance(entry, BaseModel)}
+    lines = [f"{name} = {toml_value(entry)}" for name, entry in config if name not in sections]
     for name, section in sections.items():
         lines += ["", f"[{name}]"]
         for key, meaning in meanings(type(section)).items():

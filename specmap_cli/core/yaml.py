@@ -32,14 +32,10 @@ def read_yaml(data: bytes) -> Any:
         for event in yaml.parse(data, Loader=_Loader):  # before anything is made of it
             depth += isinstance(event, yaml.CollectionStartEvent)
             depth -= isinstance(event, yaml.CollectionEndEvent)
-            if depth > _DEEPEST:
-                raise yaml.MarkedYAMLError(
-                    problem="nested too deeply", problem_mark=event.start_mark
-                )
-            if isinstance(event, yaml.AliasEvent):
-                raise yaml.MarkedYAMLError(
-                    problem="aliases (`*`) are not read", problem_mark=event.start_mark
-                )
+            deep = depth > _DEEPEST
+            if deep or isinstance(event, yaml.AliasEvent):
+                problem = "nested too deeply" if deep else "aliases (`*`) are not read"
+                raise yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
         return yaml.load(data, Loader=_Loader)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark

@@ -16,8 +16,10 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
+import typer
 
 from specmap_cli.cli import main
+from specmap_cli.cli.app import app
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.schemas import read_schema
 from specmap_cli.logs.writer import LogWriter
@@ -28,6 +30,7 @@ ROOT = Path(__file__).parents[2]
 # training would take most of the time of a tiny build
 QUICK = ("--set", "recognition.rounds=4", "--set", "localization.augmentation=10")
 ERROR = "specmap: error: "
+COMMANDS: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
 ERROR_SCHEMA = "error"  # of what any command prints when it fails
 # The schemas of the JSON files that are written: in map directories, and beside pages and tables.
 FILE_SCHEMAS = {
@@ -55,6 +58,11 @@ class Outcome:
     def error(self) -> str:
         """The one line of an error; nothing may have gone to stdout."""
         assert self.out == ""
+        return self.line
+
+    @property
+    def line(self) -> str:
+        """The one line of an error, whatever stdout has."""
         *notes, line = self.err.splitlines()
         assert line.startswith(ERROR)
         assert not any(note.startswith(ERROR) for note in notes)

@@ -7,6 +7,7 @@ import io
 import json
 import math
 import os
+import shlex
 import signal
 import sys
 import tempfile
@@ -25,7 +26,7 @@ from specmap_cli.cli.entry import ConsoleProgress, one_line
 from specmap_cli.core.errors import CODES
 from specmap_cli.logs import inspection
 from specmap_cli.pipelines import build
-from tests.cli.conftest import ERROR, Outcome, Run, standing_log, validate
+from tests.cli.conftest import Outcome, Run, standing_log, validate
 
 
 def as_json(said: Outcome) -> dict[str, object]:
@@ -37,49 +38,36 @@ def as_json(said: Outcome) -> dict[str, object]:
     return error
 
 
-def line_of(said: Outcome) -> str:
-    """The last line on stderr, without its beginning."""
-    line = said.err.splitlines()[-1]
-    assert line.startswith(ERROR)
-    return line.removeprefix(ERROR)
-
-
 @pytest.mark.parametrize(
-    ("arguments", "code", "where", "told", "hint"),
+    ("line", "code", "where", "told", "hint"),
     [
         (
-            ("biuld",),
+            "biuld",
             *("usage", None, "No such command 'biuld'. Did you mean 'build'?; see"),
             "see `specmap --help`",
         ),
-        (("localize", "x"), "usage", "--map", "Missing option", "see `specmap localize --help`"),
-        (("info", "x", "--frob"), "usage", "--frob", "No such option", "see `specmap info --help`"),
+        ("localize x", "usage", "--map", "Missing option", "see `specmap localize --help`"),
+        ("info x --frob", "usage", "--frob", "No such option", "see `specmap info --help`"),
+        ("config --set seed=-1", "setting", "seed", "seed: must be", "run `specmap config`"),
+        ("config --set seed", "setting", "--set seed", "--set seed:", "expected KEY=VALUE"),
+        ("info", "usage", "LOG", "Missing argument", "see `specmap info --help`"),
+        ("build x --seed x", "usage", "--seed", "Invalid value", "see `specmap b"),
+        ("evaluate", "usage", None, "say what to evaluate, and one thing only", None),
         (
-            ("config", "--set", "seed=-1"),
-            "setting",
-            "seed",
-            "seed: must be",
-            "run `specmap config`",
-        ),
-        (("config", "--set", "seed"), "setting", "--set seed", "--set seed:", "expected KEY=VALUE"),
-        (("info",), "usage", "LOG", "Missing argument", "see `specmap info --help`"),
-        (("build", "x", "--seed", "x"), "usage", "--seed", "Invalid value", "see `specmap b"),
-        (("evaluate",), "usage", None, "say what to evaluate, and one thing only", None),
-        (
-            ("evaluate", "--trajectory", "a.tum", "--out", "c.png"),
+            "evaluate --trajectory a.tum --out c.png",
             *("usage", None, "--confusion (--out) is of --protocol: leave it out here"),
             "leave it out here",
         ),
-        (("info", "none.mcap"), "log-missing", "none.mcap", "none.mcap: no such file", None),
-        (("info", "a b.mcap"), "log-missing", "a b.mcap", "a b.mcap: no such file", None),
-        (("segment", "none.yaml"), "map-unusable", "none.yaml", "none.yaml: cannot read", None),
+        ("info none.mcap", "log-missing", "none.mcap", "none.mcap: no such file", None),
+        ("info 'a b.mcap'", "log-missing", "a b.mcap", "a b.mcap: no such file", None),
+        ("segment none.yaml", "map-unusable", "none.yaml", "none.yaml: cannot read", None),
         (
-            ("localize", "x.mcap", "--map", "none"),
+            "localize x --map none",
             *("map-missing", "none", "none: no such map directory"),
             "make one with `specmap build`",
         ),
         (
-            ("batch", "x", "-o", "y", "--step", "chek"),
+            "batch x -o y --step chek",
             *("usage", "--step", "Invalid value for '--step': 'chek' is not one"),
             "see `specmap batch --help`",
         ),
@@ -87,7 +75,7 @@ def line_of(said: Outcome) -> str:
 )
 @pytest.mark.parametrize("quiet", [(), ("-q",)], ids=["loud", "quiet"])
 def test_an_error_is_json_too(
-    arguments: tuple[str, ...],
+    line: str,
     code: str,
     where: str | None,
     told: str,
@@ -95,12 +83,12 @@ def test_an_error_is_json_too(
     quiet: tuple[str, ...],
     run: Run,
 ) -> None:
-    said = run(*arguments, "--json", *quiet)
+    said = run(*shlex.split(line), "--json", *quiet)
     error = as_json(said)
     assert (error["code"], error["where"], error["exit_code"]) == (code, where, said.code)
     assert str(error["hint"]).startswith(str(hint))
-    assert error["message"] == line_of(said)
-    assert line_of(said).startswith(told)
+    assert error["message"] == said.line
+    assert said.line.startswith(told)
     assert said.err.count("\n") == 1
 
 
@@ -134,8 +122,8 @@ def test_an_interruption_is_json_too(
     assert said.code == 128 + number
     error = as_json(said)
     assert (error["code"], error["exit_code"]) == ("interrupted", 128 + number)
-    assert error["message"] == line_of(said)
-    assert line_of(said).startswith(f"interrupted by {signal.Signals(number).name}")
+    assert error["message"] == said.line
+    assert said.line.startswith(f"interrupted by {signal.Signals(number).name}")
 
 
 def test_a_bug_is_json_and_a_traceback(
@@ -238,17 +226,13 @@ def test_what_the_machine_lacks_is_no_bug(
     monkeypatch.setattr(build, "build_map", Mock(side_effect=error))
     # the pipe or file under stdout is not this test's to discard
     monkeypatch.setattr("specmap_cli.cli.entry.discard_stdout", lambda: None)
-    said = run("build", "log.mcap", "-o", tmp_path / "map")
-    assert said.code == code
-    assert said.error.startswith(told)
-    said = run("build", "log.mcap", "-o", tmp_path / "map", "--json")
-    assert as_json(said)["code"] == {2: "machine", 3: "memory"}[code]
+    line = ("build", "log.mcap", "-o", tmp_path / "map")
+    run(*line).fails(code, told)
+    assert as_json(run(*line, "--json"))["code"] == {2: "machine", 3: "memory"}[code]
 
 
 def test_a_file_called_json_asks_for_none(run: Run) -> None:
-    said = run("info", "--", "--json")
-    assert said.code == 3
-    assert said.error.startswith("--json: no such file or directory")
+    run("info", "--", "--json").fails(3, "--json: no such file or directory")
 
 
 @pytest.mark.parametrize(
@@ -263,8 +247,8 @@ def test_a_name_cannot_break_the_line(name: str, shown: str, run: Run) -> None:
     said = run("info", name, "--json")
     assert said.code == 3
     assert said.err.count("\n") == 1
-    assert line_of(said).startswith(f"{shown}: no such file")
-    assert as_json(said)["message"] == line_of(said)
+    assert said.line.startswith(f"{shown}: no such file")
+    assert as_json(said)["message"] == said.line
 
 
 @given(st.text())

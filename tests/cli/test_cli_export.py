@@ -82,14 +82,15 @@ def test_warnings_are_told_and_stand_in_the_result(house: Path, run: Run) -> Non
     assert "specmap: left out: 1 link (0-2) without a way wide enough" in shown.err.splitlines()
 
 
-def test_a_map_becomes_a_page(run: Run, tiny_map: Path, tmp_path: Path) -> None:
-    target = tmp_path / "tiny.html"
-    outcome = run("report", tiny_map, "-o", target)
+def test_a_map_becomes_a_page(run: Run, own_map: Path) -> None:
+    """Also in its own directory, where the page is a person's own."""
+    target = own_map / "tiny.html"
+    outcome = run("report", own_map, "-o", target)
     assert outcome.code == 0
     assert outcome.out.startswith(f"{target}: 0.")
     assert target.read_text(encoding="utf-8").startswith("<!doctype html>")
-    run("report", tiny_map, "-o", target).fails(2, "--overwrite")
-    again = run("report", tiny_map, "-o", target, "--overwrite", "--compare", tiny_map, "--json")
-    paths = {"map": str(tiny_map), "compare": str(tiny_map), "out": str(target)}
+    run("report", own_map, "-o", target).fails(2, "--overwrite")
+    again = run("report", own_map, "-o", target, "--overwrite", "--compare", own_map, "--json")
+    paths = {"map": str(own_map), "compare": str(own_map), "out": str(target)}
     numbers = {"schema_version": 1, "submaps": 1, "bytes": target.stat().st_size}
     assert again.result == paths | numbers

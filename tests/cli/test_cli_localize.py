@@ -136,11 +136,7 @@ def test_a_log_of_another_place_says_so_in_its_first_line_and_by_its_code(
 
 
 def test_while_the_place_is_not_known_a_line_says_so_every_ten_seconds(
-    tiny_log: Path,
-    elsewhere: Path,
-    tiny_map: Path,
-    run: Run,
-    monkeypatch: pytest.MonkeyPatch,
+    tiny_log: Path, elsewhere: Path, tiny_map: Path, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """By a clock that goes on by 2.5 s each time that it is asked."""
     told = "so far, the place is not known now"

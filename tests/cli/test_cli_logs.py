@@ -47,12 +47,6 @@ def test_what_is_no_recording(
     assert [each.name for each in tmp_path.iterdir()] == ([] if content is None else [name])
 
 
-def test_a_file_given_twice(tiny_log: Path, run: Run) -> None:
-    for again in (tiny_log, tiny_log.parent):
-        told = "tiny.mcap: given twice; name each file of a recording once"
-        run("info", tiny_log, again).fails(3, told)
-
-
 @pytest.mark.parametrize("damaged", [False, pytest.param(True, marks=HAS_BAG)])
 def test_a_log_cut_off_anywhere(damaged: bool, tiny_log: Path, tmp_path: Path, run: Run) -> None:
     log = DAMAGED_BAG if damaged else tiny_log

@@ -7,11 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import typer
 
-from specmap_cli.cli.app import app
 from specmap_cli.cli.options import LogSettings, Settings
-from tests.cli.conftest import QUICK, Run, standing_log
+from tests.cli.conftest import COMMANDS, QUICK, Run, standing_log
 
 READERS = {"info", "build", "localize", "evaluate", "update"}
 MAKE = {"segment", "simulate", "convert", "export", "compare", "merge", "edit", "report", "history"}
@@ -27,7 +25,6 @@ HAVE = {
     "--overwrite": WRITERS | {"check"},
     **dict.fromkeys(("--out", "-o"), WRITERS | {"batch"}),
 }
-COMMANDS: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("option", HAVE)

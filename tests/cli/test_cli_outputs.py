@@ -113,9 +113,14 @@ def test_a_map_below_a_file_or_in_a_foreign_directory(
 
 
 def test_inputs_are_never_replaced(plan: Path, own_map: Path, tiny_log: Path, run: Run) -> None:
-    log, picture = own_map / "log.mcap", own_map / "map.png"
+    """Nor is a file of a recording that is a directory."""
+    log, picture, bag = own_map / "log.mcap", own_map / "map.png", own_map.parent / "bag"
     log.write_bytes(tiny_log.read_bytes())
+    bag.mkdir()
+    (bag / "bag_0.mcap").write_bytes(tiny_log.read_bytes())
+    (bag / "metadata.yaml").write_text("mine", encoding="utf-8")
     for line in (
+        ("convert", bag, "-o", bag / "bag_0.mcap"),
         ("build", log, "-o", own_map),
         ("convert", log, log),
         ("convert", log, "-o", log),
@@ -132,25 +137,7 @@ def test_inputs_are_never_replaced(plan: Path, own_map: Path, tiny_log: Path, ru
         ("simulate", own_map / "map.yaml", "-o", picture),
     ):
         run(*line, "--overwrite").fails(2, "would replace the input")
-    assert log.read_bytes() == tiny_log.read_bytes()
-
-
-def test_no_file_of_a_recording_s_directory_is_replaced(
-    tiny_log: Path, tmp_path: Path, run: Run
-) -> None:
-    inside = tmp_path / "bag_0.mcap"
-    inside.write_bytes(tiny_log.read_bytes())
-    (tmp_path / "metadata.yaml").write_text("mine", encoding="utf-8")
-    run("convert", tmp_path, "-o", inside, "--overwrite").fails(2, "would replace the input")
-    assert inside.read_bytes() == tiny_log.read_bytes()
-
-
-def test_a_page_in_its_map_is_a_person_s_own_and_replaced_when_told(
-    own_map: Path, run: Run
-) -> None:
-    line = ("report", own_map, "-o", own_map / "map.html")
-    assert run(*line).code == 0
-    assert run(*line, "--overwrite").code == 0
+    assert log.read_bytes() == (bag / "bag_0.mcap").read_bytes() == tiny_log.read_bytes()
 
 
 @pytest.mark.parametrize(

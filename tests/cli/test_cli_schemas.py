@@ -14,15 +14,11 @@ from typing import Any
 
 import jsonschema
 import pytest
-import typer
 
-from specmap_cli.cli.app import app
 from specmap_cli.core import schemas
-from specmap_cli.core.errors import UsageError
 from specmap_cli.core.schemas import SETTINGS, read_schema, schema_names
-from tests.cli.conftest import ERROR_SCHEMA, FILE_SCHEMAS, Run, name_of_command, validate
+from tests.cli.conftest import COMMANDS, ERROR_SCHEMA, FILE_SCHEMAS, Run, name_of_command, validate
 
-COMMANDS: dict[str, Any] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
 MODULES = "batch.batch batch.records checking.rules history.record maps.comparison maps.schema"
 # Lines of commands that succeed, but for `batch`; see `words` in conftest.py.
 LINES = {
@@ -111,9 +107,7 @@ def test_every_schema_is_of_a_command_or_a_file_and_parts_are_the_same_in_all_of
 
 def test_a_schema_that_there_is_none_of_and_what_is_not_in_one_are_told(run: Run) -> None:
     assert run("schema", "compare").out == run("schema", "comparison").out
-    said = run("schema", "biuld")
-    assert said.code == UsageError.exit_code
-    assert said.error.startswith("no schema 'biuld': choose from batch, build, check, ")
+    run("schema", "biuld").fails(2, "no schema 'biuld': choose from batch, build, check, ")
     with pytest.raises(jsonschema.ValidationError, match="'more' was unexpected"):
         validate({"schema_version": 1, "schemas": [], "more": 1}, "schema")
 
