@@ -77,8 +77,7 @@ def _laid_over(old: Regions, new: Regions, old_from_new: BentMotion, found: Diff
     Under a thing that map has the cells which shows the thing: the floor there is in the other one.
     """
     cell_m = old.grid.resolution
-    corners = _corners(new.grid)
-    reach = np.concatenate([_corners(old.grid), old_from_new.rigid.apply(corners)])
+    reach = np.concatenate([_corners(old.grid), old_from_new.rigid.apply(_corners(new.grid))])
     low = np.floor((reach.min(axis=0) - old.grid.origin) / cell_m) * cell_m + old.grid.origin
     width, height = np.ceil((reach.max(axis=0) - low) / cell_m).astype(int).tolist()
     empty = np.full((height, width), UNKNOWN, dtype=np.uint8)
@@ -88,8 +87,7 @@ def _laid_over(old: Regions, new: Regions, old_from_new: BentMotion, found: Diff
     other = new.grid.values_at(old_from_new.rigid.inverse().apply(places)).reshape(empty.shape)
     free_old, free_new = one == FREE, other == FREE
     owner = np.full(empty.shape, NOBODY, dtype=np.int64)
-    owner[free_old & (other != UNKNOWN)] = _BOTH
-    owner[free_new & (one != UNKNOWN)] = _BOTH
+    owner[free_old | free_new] = _BOTH
     owner[free_old & (other == UNKNOWN)] = _OLD_ONLY
     owner[free_new & (one == UNKNOWN)] = _NEW_ONLY
     for things, floor, thing in (

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from datetime import UTC, datetime
+from itertools import permutations
 from typing import IO, Any
 
 from specmap_cli import __version__
@@ -159,9 +160,17 @@ def lif(stored: Map, target: IO[bytes], progress: Progress) -> None:
             for one in found.waypoints
         ],
         "edges": [
-            _lif_edge(ids[start], ids[end], leg)
+            {
+                "edgeId": f"{start}_{end}",
+                "startNodeId": start,
+                "endNodeId": end,
+                "vehicleTypeEdgeProperties": [
+                    {"vehicleTypeId": _VEHICLES, "rotationAllowed": True}
+                    | known({"maxSpeed": leg.speed_limit})
+                ],
+            }
             for leg in found.legs
-            for start, end in ((leg.start, leg.end), (leg.end, leg.start))
+            for start, end in permutations((ids[leg.start], ids[leg.end]))
         ],
         "stations": [
             {
@@ -182,15 +191,3 @@ def lif(stored: Map, target: IO[bytes], progress: Progress) -> None:
         "lifVersion": "1.0.0",
     }
     target.write(to_json({"metaInformation": about, "layouts": [layout]}).encode())
-
-
-def _lif_edge(start: str, end: str, leg: Leg) -> Fields:
-    of_vehicles = known(
-        {"vehicleTypeId": _VEHICLES, "rotationAllowed": True, "maxSpeed": leg.speed_limit}
-    )
-    return {
-        "edgeId": f"{start}_{end}",
-        "startNodeId": start,
-        "endNodeId": end,
-        "vehicleTypeEdgeProperties": [of_vehicles],
-    }

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.files import write_zip
 from specmap_cli.core.progress import Progress
-from specmap_cli.core.records import BoolArray
 from specmap_cli.core.text import counted, to_json
 from specmap_cli.core.yaml import yaml_text
 from specmap_cli.exports import routes
@@ -216,7 +215,13 @@ def nav2_masks(stored: Map, target: IO[bytes], progress: Progress) -> None:
         progress.warn(warning)
     limits = routes.noted(record, routes.SPEED_LIMIT)
     keepout, speed = np.zeros((2, *grid.cells.shape), dtype=np.uint8)
-    keepout[_forbidden(stored)] = _FULL
+    # forbidden doors, and both sides of where submaps of a forbidden link touch
+    shut = drawn([door.sides for door in stored.doors if door.forbidden], grid)
+    apart = {(edge.source, edge.target) for edge in record.edges if edge.forbidden}
+    for border in borders_of(stored.regions.owner) if apart else ():
+        if border.pair in apart:
+            shut[tuple(border.low.T)] = shut[tuple(border.high.T)] = True
+    keepout[shut] = _FULL
     multiplier = max(limits.values(), default=float(_FULL)) / _FULL
     for id_, limit in limits.items():  # never faster than was said, if it can be
         value = math.floor(limit / multiplier + 1e-9)
@@ -235,44 +240,27 @@ def nav2_masks(stored: Map, target: IO[bytes], progress: Progress) -> None:
         **_servers("speed", _ABSOLUTE_SPEED, multiplier),
     }
     files = {
-        "keepout.pgm": _pgm(keepout),
-        "keepout.yaml": _sidecar("keepout.pgm", grid),
-        "speed.pgm": _pgm(speed),
-        "speed.yaml": _sidecar("speed.pgm", grid),
+        **_mask("keepout", keepout, grid),
+        **_mask("speed", speed, grid),
         "nav2_params.yaml": yaml_text(parameters).encode(),
     }
     write_zip(target, files)
 
 
-def _forbidden(stored: Map) -> BoolArray:
-    """(H, W) the cells of forbidden doors, and both sides of where submaps of such a link touch."""
-    record, regions = stored.record, stored.regions
-    shut = drawn([door.sides for door in stored.doors if door.forbidden], regions.grid)
-    apart = {(edge.source, edge.target) for edge in record.edges if edge.forbidden}
-    for border in borders_of(regions.owner) if apart else ():
-        if border.pair in apart:
-            shut[tuple(border.low.T)] = shut[tuple(border.high.T)] = True
-    return shut
-
-
-def _pgm(values: NDArray[np.uint8]) -> bytes:
-    """Values (H, W), row 0 the lowest, as a picture of Netpbm."""
+def _mask(name: str, values: NDArray[np.uint8], grid: GridMap) -> dict[str, bytes]:
+    """Values (H, W), row 0 the lowest, as a picture of Netpbm, and the file that tells of it."""
     height, width = values.shape
-    return b"P5\n%d %d\n255\n" % (width, height) + values[::-1].tobytes()
-
-
-def _sidecar(image: str, grid: GridMap) -> bytes:
-    """In the mode `raw` the grey of a pixel is the value of its cell."""
+    image = b"P5\n%d %d\n255\n" % (width, height) + values[::-1].tobytes()
     told = {
-        "image": image,
-        "mode": "raw",
+        "image": f"{name}.pgm",
+        "mode": "raw",  # the grey of a pixel is the value of its cell
         "resolution": float(grid.resolution),
         "origin": [*map(float, grid.origin), 0.0],
         "negate": 0,
         "occupied_thresh": 1.0,
         "free_thresh": 0.0,
     }
-    return yaml_text(told).encode()
+    return {f"{name}.pgm": image, f"{name}.yaml": yaml_text(told).encode()}
 
 
 def _servers(name: str, kind: int, multiplier: float) -> dict[str, object]:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
+import networkx as nx
 import numpy as np
 import pytest
 
@@ -37,6 +40,28 @@ def written(out: Path, result: MapResult, scans: KeyframeStore | None = None) ->
         write_scans(out, scans, result.labels)
     write_map(out, result)
     return read_map(out)
+
+
+def with_submaps(out: Path, result: MapResult, *changes: dict[str, Any]) -> Map:
+    """The house with some fields of its first submaps changed."""
+    old = result.topology
+    submaps = dict(old.submaps)
+    for id_, fields in enumerate(changes):
+        submaps[id_] = dataclasses.replace(submaps[id_], **fields)
+    topology = dataclasses.replace(old, submaps=submaps)
+    return written(out, dataclasses.replace(result, topology=topology))
+
+
+def lengths_are_the_map_s(
+    graph: nx.DiGraph, stored: Map, names: Mapping[int, Any], weight: str
+) -> None:
+    """Each way of the map is as long in an exported graph, in both directions."""
+    ways = [edge for edge in stored.record.edges if edge.corners]
+    assert len(ways) >= 2
+    for way in ways:
+        for start, end in ((way.source, way.target), (way.target, way.source)):
+            found = nx.shortest_path_length(graph, names[start], names[end], weight=weight)
+            assert found == pytest.approx(way.length_m, abs=1e-5)
 
 
 @pytest.fixture

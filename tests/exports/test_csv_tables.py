@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import zipfile
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,7 +13,7 @@ from specmap_cli.core.errors import UsageError
 from specmap_cli.exports.table import export_map
 from specmap_cli.maps.store import Map
 from specmap_cli.maps.writing import MapResult
-from tests.exports.conftest import written
+from tests.exports.conftest import with_submaps
 
 Rows = list[dict[str, str]]
 
@@ -44,11 +43,8 @@ def test_the_rows_are_the_map_s(home: Map, tmp_path: Path) -> None:
 
 
 def test_what_a_person_noted_is_no_formula(lived_in: MapResult, tmp_path: Path) -> None:
-    first, *others = lived_in.topology.submaps.values()
-    noted = replace(first, name="=cmd|' /C calc'!A0", properties={"of": "@Ann", "floor": -2})
-    submaps = {submap.id: submap for submap in (noted, *others)}
-    topology = replace(lived_in.topology, submaps=submaps)
-    home = written(tmp_path / "home", replace(lived_in, topology=topology))
+    said = {"name": "=cmd|' /C calc'!A0", "properties": {"of": "@Ann", "floor": -2}}
+    home = with_submaps(tmp_path / "home", lived_in, said)
     row = tables(home, tmp_path / "home.zip")["nodes.csv"][0]
     assert row["name"] == "'=cmd|' /C calc'!A0"
     assert (row["property.of"], row["property.floor"]) == ("'@Ann", "-2")

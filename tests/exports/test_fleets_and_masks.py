@@ -17,25 +17,13 @@ from specmap_cli.exports.table import export_map
 from specmap_cli.maps.store import Map
 from specmap_cli.maps.writing import MapResult
 from tests.exports import costmap_filters, layout, open_rmf
-from tests.exports.conftest import written
+from tests.exports.conftest import lengths_are_the_map_s, with_submaps
 from tests.exports.route_server import load
 
 
-def told(result: MapResult, out: Path, **properties: Any) -> Map:
-    """The house, something noted of its first submap."""
-    old = result.topology
-    first = dataclasses.replace(old.submaps[0], properties=properties)
-    topology = dataclasses.replace(old, submaps={**old.submaps, 0: first})
-    return written(out, dataclasses.replace(result, topology=topology))
-
-
-def lengths_are_the_map_s(graph: nx.DiGraph, stored: Map, names: dict[int, Any]) -> None:
-    ways = [edge for edge in stored.record.edges if edge.corners]
-    assert len(ways) >= 2
-    for way in ways:
-        for start, end in ((way.source, way.target), (way.target, way.source)):
-            found = nx.shortest_path_length(graph, names[start], names[end], weight="length_m")
-            assert found == pytest.approx(way.length_m, abs=1e-5)
+def noted(out: Path, result: MapResult, *properties: dict[str, Any]) -> Map:
+    """The house, something noted of its first submaps."""
+    return with_submaps(out, result, *({"properties": each} for each in properties))
 
 
 def test_a_fleet_adapter_reads_the_nav_graph_that_the_generator_makes_of_the_building(
@@ -54,9 +42,8 @@ def test_a_fleet_adapter_reads_the_nav_graph_that_the_generator_makes_of_the_bui
         assert lanes == {(of_made[a], of_made[b], str(t)) for a, b, t in made.edges(data=True)}
         names = {name: node for node, name in graph.nodes(data="name") if name}
         assert sorted(names) == sorted(node.name for node in stored.record.nodes)
-        lengths_are_the_map_s(
-            graph, stored, {room.id: names[room.name] for room in stored.rooms.values()}
-        )
+        by_id = {room.id: names[room.name] for room in stored.rooms.values()}
+        lengths_are_the_map_s(graph, stored, by_id, "length_m")
         through = {name for _, _, name in graph.edges(data="door_name") if name}
         ways = [edge for edge in stored.record.edges if edge.corners]
         assert through == {f"Door{door}" for edge in ways for door in edge.doors}
@@ -65,10 +52,7 @@ def test_a_fleet_adapter_reads_the_nav_graph_that_the_generator_makes_of_the_bui
 
 
 def test_names_that_come_twice_are_told_apart(lived_in: MapResult, tmp_path: Path) -> None:
-    old = lived_in.topology
-    both = {id_: dataclasses.replace(each, name="Lab") for id_, each in old.submaps.items()}
-    topology = dataclasses.replace(old, submaps=both)
-    stored = written(tmp_path / "map", dataclasses.replace(lived_in, topology=topology))
+    stored = with_submaps(tmp_path / "map", lived_in, *[{"name": "Lab"}] * 3)
     export_map(stored, "rmf", tmp_path / "x.zip")
     graph = open_rmf.graph_of(open_rmf.parts(tmp_path / "x.zip")[1])
     assert {name for _, name in graph.nodes(data="name") if name} == {
@@ -89,17 +73,16 @@ def test_a_layout_has_a_station_for_each_room_and_edges_as_long_as_the_ways(
         assert {one["stationName"] for one in stations.values()} == {
             room.name for room in stored.rooms.values()
         }
-        lengths_are_the_map_s(graph, stored, names)
+        lengths_are_the_map_s(graph, stored, names, "length_m")
         assert {speed for _, _, speed in graph.edges(data="max_speed")} == {None}
 
 
 def test_a_speed_limit_and_a_penalty_stand_where_each_planner_looks(
     lived_in: MapResult, tmp_path: Path
 ) -> None:
-    stored = told(
-        lived_in, tmp_path / "map", speed_limit=1, penalty=3
-    )  # whole: scorers want floats
-    plain = told(lived_in, tmp_path / "plain")
+    whole = {"speed_limit": 1, "penalty": 3}  # scorers want floats
+    stored = noted(tmp_path / "map", lived_in, whole)
+    plain = noted(tmp_path / "plain", lived_in, {})
     files = {name: tmp_path / name for name in ("nav2", "tmap2", "lif")}
     for name, path in files.items():
         export_map(stored, name, path)
@@ -141,7 +124,7 @@ def weights_of(path: Path) -> dict[tuple[str, str], float]:
 def test_a_limit_that_is_none_is_left_out_with_a_warning(
     lived_in: MapResult, tmp_path: Path
 ) -> None:
-    stored = told(lived_in, tmp_path / "map", speed_limit="slow", penalty=True)
+    stored = noted(tmp_path / "map", lived_in, {"speed_limit": "slow", "penalty": True})
     for name in ("nav2", "nav2-masks"):
         assert export_map(stored, name, tmp_path / f"{name}.zip") == [
             "submap 0: speed_limit is 'slow', no number above 0: not exported",
@@ -151,30 +134,17 @@ def test_a_limit_that_is_none_is_left_out_with_a_warning(
 
 
 def test_a_limit_that_a_mask_cannot_hold_is_told(lived_in: MapResult, tmp_path: Path) -> None:
-    old = lived_in.topology
-    submaps = {
-        id_: dataclasses.replace(each, properties={"speed_limit": 0.01 if id_ else 2.0})
-        for id_, each in old.submaps.items()
-        if id_ < 2
-    } | {id_: each for id_, each in old.submaps.items() if id_ > 1}
-    topology = dataclasses.replace(old, submaps=submaps)
-    stored = written(tmp_path / "map", dataclasses.replace(lived_in, topology=topology))
+    stored = noted(tmp_path / "map", lived_in, {"speed_limit": 2.0}, {"speed_limit": 0.01})
     (warning,) = export_map(stored, "nav2-masks", tmp_path / "masks.zip")
     assert warning.startswith("submap 1: speed_limit 0.01 is written as 0.02, ")
 
 
 def test_a_mask_is_never_faster_than_was_said(lived_in: MapResult, tmp_path: Path) -> None:
-    old = lived_in.topology
-    said = {0: 1.5, 1: 0.3, 2: 0.4}
-    submaps = {
-        id_: dataclasses.replace(each, properties={"speed_limit": said[id_]})
-        for id_, each in old.submaps.items()
-    }
-    topology = dataclasses.replace(old, submaps=submaps)
-    stored = written(tmp_path / "map", dataclasses.replace(lived_in, topology=topology))
+    said = (1.5, 0.3, 0.4)
+    stored = noted(tmp_path / "map", lived_in, *({"speed_limit": limit} for limit in said))
     export_map(stored, "nav2-masks", tmp_path / "masks.zip")
     limits, owner = costmap_filters.load(tmp_path / "masks.zip").limits, stored.regions.owner
-    for id_, limit in said.items():
+    for id_, limit in enumerate(said):
         (found,) = np.unique(limits[owner == id_])
         assert limit - 0.015 < found <= limit + 1e-9
     assert not limits[owner < 0].any()

@@ -19,7 +19,7 @@ from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.store import Map
 from specmap_cli.maps.writing import MapResult
 from specmap_cli.topology.navigation import parts
-from tests.exports.conftest import written
+from tests.exports.conftest import lengths_are_the_map_s, written
 from tests.exports.route_server import load
 
 
@@ -51,13 +51,7 @@ def test_a_way_is_driven_both_ways_and_is_as_long_as_in_the_map(
 ) -> None:
     for stored in (home, rooms):
         graph = exported(stored, tmp_path / f"{stored.path.name}.geojson")
-        ways = [edge for edge in stored.record.edges if edge.corners]
-        assert len(ways) >= 2
-        for way in ways:
-            assert way.length_m is not None
-            for start, end in ((way.source, way.target), (way.target, way.source)):
-                found = nx.shortest_path_length(graph, start, end, weight="cost")
-                assert found == pytest.approx(way.length_m, abs=1e-5)
+        lengths_are_the_map_s(graph, stored, {id_: id_ for id_ in stored.ids}, "cost")
         for start, end, cost in graph.edges(data="cost"):
             straight = math.dist(graph.nodes[start]["at"], graph.nodes[end]["at"])
             assert cost == pytest.approx(straight, abs=1e-5)  # as its DistanceScorer has it

@@ -15,6 +15,7 @@ import yaml
 from specmap_cli.core.yaml import yaml_text
 from specmap_cli.exports.table import export_map
 from specmap_cli.maps.store import Map
+from tests.exports.conftest import lengths_are_the_map_s
 
 TEXT, OBJECT = {"type": "string"}, {"type": "object"}
 # What the consumer's schema asks for, in our words.
@@ -77,11 +78,8 @@ def test_the_manager_reads_it_and_its_figures_are_the_map_s(
         passed = sum(len(edge.doors) for edge in ways)
         assert len(graph) == len(stored.record.nodes) + passed
         assert graph.number_of_edges() == 2 * (len(ways) + passed)
-        for way in ways:
-            for ends in ((way.source, way.target), (way.target, way.source)):
-                start, end = (f"Submap{id_}" for id_ in ends)
-                length = nx.shortest_path_length(graph, start, end, weight="weight")
-                assert length == pytest.approx(way.length_m, abs=1e-5)
+        names = {id_: f"Submap{id_}" for id_ in stored.ids}
+        lengths_are_the_map_s(graph, stored, names, "weight")
 
 
 def test_a_zone_is_the_outline_of_its_submap_seen_from_the_node(home: Map, tmp_path: Path) -> None:
