@@ -98,10 +98,9 @@ class Rosbag2File(recording.Recording):
                 if isinstance(name, str) and isinstance(kind, str)  # a cut-off file has holes
             }
             # an index by which messages come in time order without sorting them all
+            indexes = self._db.execute("SELECT name, sql FROM sqlite_master WHERE type = 'index'")
             self._time_index: str | None = None
-            for name, made in self._db.execute(
-                "SELECT name, sql FROM sqlite_master WHERE type = 'index'"
-            ):
+            for name, made in indexes:
                 sound = isinstance(name, str) and isinstance(made, str) and "\0" not in name
                 if sound and "timestamp" in made and "messages" in made:
                     self._time_index = name
