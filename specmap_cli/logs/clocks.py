@@ -36,7 +36,7 @@ _CLOCKS_APART_S = 2.0  # odometry stamped this far from scans recorded beside it
 _FEWEST = 3  # stamps: two that are equal may be a scan that was sent twice
 _PAIRS = 20  # of scans and odometry: their median does not heed some late messages
 _LONGEST_S = 60.0  # between scans stamped by order: a longer step is no driving
-_MOST_MESSAGES = 5_000  # read for them: odometry at 1 kHz for 5 s
+MOST_MESSAGES = 5_000  # read for their stamps: odometry at 1 kHz for 5 s
 
 OdometryKind = Literal["topic", "tf"]
 TimeSource = Literal["header", "recorder", "order"]
@@ -162,7 +162,7 @@ def stamp_pairs(
     place = (0.0, 0.0)
     if not odom_topics:
         return found
-    for message in islice(log.messages([scan_topic, *odom_topics]), _MOST_MESSAGES):
+    for message in islice(log.messages([scan_topic, *odom_topics]), MOST_MESSAGES):
         try:
             if message.topic != scan_topic:
                 heard = odometry_of(message, odom_frame)

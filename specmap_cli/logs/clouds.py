@@ -234,7 +234,6 @@ _FLOOR_PERCENTILE = 2.0  # of the heights of returns is the floor: a few stray o
 _CLOUD_BEAMS = 720  # bearings of the planar scan of a 3D cloud
 _CLOUD_FILLED_SHARE = 0.9  # share of the bearings that must have returns, or they are halved
 _MAX_HALVINGS = 2  # a planar scan has no fewer bearings than a quarter of those asked for
-_FULL_CIRCLE = 2.0 * math.pi
 
 
 class CloudFlattener:
@@ -277,7 +276,7 @@ class CloudFlattener:
         """
         dx, dy = cloud[:, 0] - self.mount.x, cloud[:, 1] - self.mount.y
         distance = np.hypot(dx, dy)
-        turn = np.arctan2(dy, dx) / _FULL_CIRCLE + 0.5  # [0, 1] from -pi to pi
+        turn = np.arctan2(dy, dx) / math.tau + 0.5  # [0, 1] from -pi to pi
         if not len(self._bearings):
             self._choose_bearings(turn[distance > 0.0])
         beams = len(self._seen)
@@ -319,15 +318,15 @@ class CloudFlattener:
         for halvings in range(_MAX_HALVINGS + 1):
             beams = _CLOUD_BEAMS >> halvings
             if self._planar:
-                angles = _FULL_CIRCLE * (turn * beams - 0.5)
+                angles = math.tau * (turn * beams - 0.5)
                 sines, cosines = float(np.sin(angles).sum()), float(np.cos(angles).sum())
-                self._shift = math.atan2(sines, cosines) / _FULL_CIRCLE
+                self._shift = math.atan2(sines, cosines) / math.tau
             filled = np.unique(_bins(turn, beams, self._shift))
             share = _CLOUD_FILLED_SHARE
             if len(filled) and len(filled) >= share * (filled[-1] - filled[0] + 1):
                 break
         bearings: FloatArray = (np.arange(beams, dtype=np.float64) + 0.5 + self._shift) * (
-            _FULL_CIRCLE / beams
+            math.tau / beams
         ) - math.pi
         bearings.setflags(write=False)
         self._bearings, self._seen = bearings, np.zeros(beams, dtype=bool)

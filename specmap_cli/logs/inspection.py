@@ -21,7 +21,7 @@ from specmap_cli.core.records import IntArray, Sweep
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import legible
 from specmap_cli.logs import summary
-from specmap_cli.logs.clocks import odometry_of
+from specmap_cli.logs.clocks import MOST_MESSAGES, odometry_of
 from specmap_cli.logs.messages import BadMessageError, decode_scan
 from specmap_cli.logs.opening import Log
 from specmap_cli.logs.planar import Repeats
@@ -35,7 +35,6 @@ _PAUSE_INTERVALS = 5.0  # a pause is told that is so many usual intervals, media
 _GAP_S = 1.0  # a gap between scans is told that is longer than this and a pause
 _SPARSE_STEP_M = 0.25  # scans this far apart are called sparse: views change much between
 _CLOUDS = 20  # read at the most, where not the whole log is: each takes as long as many scans
-_MOST_MESSAGES = 5_000  # read for their stamps: odometry at 1 kHz for 5 s
 _STANDING_M = 0.01  # a shorter step is noise, or a robot that stands
 _STAMP_LIMIT_NS = (1 << 62) - 1  # differences of such stamps fit into 64 bits; they end in 2116
 
@@ -75,9 +74,7 @@ def summarize(
         warnings=(*odd, *look.warnings),
         topics=tuple(
             summary.TopicSummary(
-                name=topic.name,
-                type=topic.type,
-                count=topic.count,
+                *(topic.name, topic.type, topic.count),
                 rate_hz=max(topic.count - 1, 0) / duration_s if duration_s > 0 else 0.0,
             )
             for topic in contents.topics
@@ -242,7 +239,7 @@ def _read(log: Log, look: _Look, progress: Progress | None, *, complete: bool) -
         told.start("reading", log.contents.messages)
         messages = log.messages()
     elif chosen is not None:
-        messages = islice(log.messages(list(reading.headers_ns)), _MOST_MESSAGES)
+        messages = islice(log.messages(list(reading.headers_ns)), MOST_MESSAGES)
     for message in messages:
         name, kind = message.topic, message.type
         is_scan, stamp = kind in SCAN_TYPES, None
@@ -314,18 +311,19 @@ def _faults(reading: _Reading) -> Iterator[summary.StampFaults]:
 
 def _frames(tree: TransformTree) -> Iterator[summary.FrameSummary]:
     """The transforms; their angles are those of Rz(yaw) Ry(pitch) Rx(roll)."""
-    for parent, child, matrix, moving in tree.edges():
+    for edge in tree.edges():
+        matrix = edge.parent_from_child
         x, y, z = (round(float(value), 6) + 0.0 for value in matrix[:3, 3])
         roll = math.atan2(float(matrix[2, 1]), float(matrix[2, 2]))
         pitch = math.asin(min(max(-float(matrix[2, 0]), -1.0), 1.0))
         angles = (roll, pitch, yaw_of(matrix))
         roll, pitch, yaw = (round(math.degrees(angle), 4) + 0.0 for angle in angles)
         yield summary.FrameSummary(
-            parent=parent,
-            child=child,
+            parent=edge.parent,
+            child=edge.child,
             xyz_m=(x, y, z),
             roll_pitch_yaw_deg=(roll, pitch, yaw),
-            moving=moving,
+            moving=edge.child in tree.moving,
         )
 
 
@@ -333,7 +331,7 @@ def _describe(chosen: Selection, sweep: Sweep) -> summary.ScanSummary:
     planar, times = sweep.planar, sweep.planar.beam_times_s
     bearings = planar.bearings
     step = float(bearings[1] - bearings[0]) if len(bearings) > 1 else 0.0
-    view = 2.0 * math.pi if planar.full_circle else float(bearings[-1] - bearings[0])
+    view = math.tau if planar.full_circle else float(bearings[-1] - bearings[0])
     if chosen.sensor.is_cloud and not planar.full_circle:
         view = step * int((~np.isnan(planar.ranges)).sum())
     if sweep.cloud is not None:

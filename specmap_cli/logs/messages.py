@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +51,7 @@ class ScanRecord:
 class CloudRecord:
     """A PointCloud2 as recorded: `points` a structured array (height, width) over its buffer."""
 
+    layout: ClassVar[None] = None  # only scans have one
     stamp_ns: int
     frame: str
     points: NDArray[np.void]

@@ -23,7 +23,6 @@ from specmap_cli.core.records import BoolArray, IntArray, PlanarScan, Sweep
 from specmap_cli.logs.messages import BadMessageError, ScanLayout, ScanRecord
 
 SCAN_TIME_MAX_S = 1.0  # a planar sweep that takes longer has its times in another unit
-_FULL_CIRCLE = 2.0 * math.pi
 _MISSING_BEAMS = 1.5  # of a full circle: its last beam stops one short of the first, and rounding
 _MOST_BEAMS = 3600  # of a scan: a tenth of a degree; of more, every second or later one is read
 _RANGE_DECIMALS = 4  # metres: a tenth of the least step of the ranges of a laser
@@ -91,7 +90,7 @@ def _beams(layout: ScanLayout, upside_down: bool) -> _Beams:
     count, step = layout.beams, increment(layout)
     full_circle = covers_circle(count, step)
     if full_circle:  # the last beams may look where the first ones did
-        count = min(count, round(_FULL_CIRCLE / abs(step)))
+        count = min(count, round(math.tau / abs(step)))
     if upside_down:
         layout, step = replace(layout, angle_min=-layout.angle_min), -step
     stride = -(-count // _MOST_BEAMS)
@@ -114,7 +113,7 @@ def _beams(layout: ScanLayout, upside_down: bool) -> _Beams:
 
 def covers_circle(beams: int, step: float) -> bool:
     """Whether so many beams, an angle apart, look all around; one does not, whatever its angle."""
-    return beams > 1 and beams * abs(step) >= _FULL_CIRCLE - _MISSING_BEAMS * abs(step)
+    return beams > 1 and beams * abs(step) >= math.tau - _MISSING_BEAMS * abs(step)
 
 
 def increment(layout: ScanLayout) -> float:
@@ -126,7 +125,7 @@ def increment(layout: ScanLayout) -> float:
         step = (layout.angle_max - layout.angle_min) / (count - 1)
     if not (math.isfinite(layout.angle_min) and math.isfinite(step)) or (count > 1 and not step):
         raise BadMessageError("a scan without angles")
-    if count > 1 and abs(step) > _FULL_CIRCLE:
+    if count > 1 and abs(step) > math.tau:
         raise BadMessageError("a scan whose beams are more than a circle apart")
     return step
 

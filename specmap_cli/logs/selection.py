@@ -6,7 +6,7 @@ The tree of frames, and how the laser sits on the base, are found before scans a
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import islice, pairwise
@@ -30,13 +30,11 @@ from specmap_cli.logs.readers.recording import TopicInfo, time_text
 from specmap_cli.logs.sensors import (
     TRIED_MESSAGES,
     ScanSensor,
-    ceilings_m,
     choose_scan_topic,
     choose_sensor,
     choose_topic,
-    far_returns,
     first_scans,
-    is_flat,
+    glance,
     sensors_of,
 )
 
@@ -47,38 +45,33 @@ class TransformTree:
     """The latest transform of every frame from its parent; frames form a forest."""
 
     def __init__(self) -> None:
-        self._parent: dict[str, str] = {}
-        self._parent_from: dict[str, FloatArray] = {}
-        self._moving: set[str] = set()
+        self._edges: dict[str, TransformRecord] = {}  # by child
+        self.moving: set[str] = set()  # children of which a transform came on a dynamic topic
 
     def add(self, record: TransformRecord, *, dynamic: bool) -> None:
         """Take in one transform; a later one of the same child replaces it."""
         if record.parent == record.child:
             return
-        self._parent[record.child] = record.parent
-        self._parent_from[record.child] = record.parent_from_child
+        self._edges[record.child] = record
         if dynamic:
-            self._moving.add(record.child)
+            self.moving.add(record.child)
 
     @property
     def frames(self) -> set[str]:
         """Every frame that occurs."""
-        return set(self._parent) | set(self._parent.values())
+        return set(self._edges) | {edge.parent for edge in self._edges.values()}
 
-    def edges(self) -> list[tuple[str, str, FloatArray, bool]]:
-        """(parent, child, parent_from_child, whether it came on a dynamic topic), by child."""
-        return [
-            (self._parent[child], child, self._parent_from[child], child in self._moving)
-            for child in sorted(self._parent)
-        ]
+    def edges(self) -> list[TransformRecord]:
+        """The transforms, by the name of the child."""
+        return [self._edges[child] for child in sorted(self._edges)]
 
     def ancestors(self, frame: str) -> Iterator[str]:
         """The frame and its parents up to the root."""
         for _ in range(_MAX_DEPTH):
             yield frame
-            if frame not in self._parent:
+            if frame not in self._edges:
                 return
-            frame = self._parent[frame]
+            frame = self._edges[frame].parent
 
     def lookup(self, target: str, source: str) -> FloatArray | None:
         """target_from_source (4, 4), None when no chain of transforms joins the frames."""
@@ -89,8 +82,9 @@ class TransformTree:
         from_common = [np.eye(4), np.eye(4)]
         for number, frame in enumerate((target, source)):
             while frame != common:
-                from_common[number] = self._parent_from[frame] @ from_common[number]
-                frame = self._parent[frame]
+                edge = self._edges[frame]
+                from_common[number] = edge.parent_from_child @ from_common[number]
+                frame = edge.parent
         up, down = from_common
         return np.asarray(np.linalg.inv(up) @ down)
 
@@ -128,8 +122,7 @@ def read_frames(
     given_up, unreadable = False, 0
     absurd: dict[tuple[str, str], None] = {}  # in the order they were met
     for dynamic in (False, True):
-        of_tf = [topic.name for topic in log.topics() if topic.type == TF_MESSAGE]
-        names = [name for name in of_tf if name.endswith("tf_static") != dynamic]
+        names = _transform_topics(log, dynamic=dynamic)
         for number, message in enumerate(log.messages(names) if names else ()):
             if number >= config.transform_messages:
                 given_up = True
@@ -158,24 +151,30 @@ def read_frames(
     return tree, warnings
 
 
+def _transform_topics(log: Log, *, dynamic: bool) -> list[str]:
+    of_tf = [topic.name for topic in log.topics() if topic.type == TF_MESSAGE]
+    return [name for name in of_tf if name.endswith("tf_static") != dynamic]
+
+
 def _any_joined(tree: TransformTree, bases: Iterable[str], laser_frame: str) -> bool:
     return any(tree.lookup(base, laser_frame) is not None for base in bases)
 
 
 def place_laser(
-    tree: TransformTree, laser_frame: str, odometry_child: str | None, config: LogConfig
+    tree: TransformTree,
+    laser_frame: str,
+    bases: Sequence[str],
+    moving: str | None,
+    asked: str | None,
 ) -> Placement:
     """Choose the base frame and look up the laser's place on it.
 
-    The base is the frame that the settings name; otherwise the frame that moves in the odometry, or
-    one of the usual names, whichever is joined to the laser's frame. Raises UsageError for a named
-    frame that the log does not join to it.
+    The base is the first of `bases` that is joined to the laser's frame. Otherwise it is assumed:
+    the frame `moving` in the odometry, or a usual one. Raises UsageError if one was `asked` for.
     """
-    asked = config.base_frame
-    bases = (odometry_child, *USUAL_BASES) if asked is None else (asked.lstrip("/"),)
     for base in bases:
-        base_from_laser = None if base is None else tree.lookup(base, laser_frame)
-        if base is None or base_from_laser is None:
+        base_from_laser = tree.lookup(base, laser_frame)
+        if base_from_laser is None:
             continue
         base_from_floor = tree.lookup(base, _FLOOR_FRAME)
         floor = 0.0 if base != laser_frame else None
@@ -197,7 +196,7 @@ def place_laser(
         none = f"no transform joins it to the laser's frame {laser_frame!r}"
         hint, where = f"choose from {', '.join(above)}", f"--base-frame {bases[0]}"
         raise UsageError(none, legible(hint), mark=";", where=legible(where))
-    base = odometry_child or next((b for b in USUAL_BASES if b in tree.frames), laser_frame)
+    base = moving or next((b for b in USUAL_BASES if b in tree.frames), laser_frame)
     unknown = (
         f"no transform from {base!r} to the laser's frame {laser_frame!r}: "
         f"the laser is taken to sit at the origin of {base!r}, looking ahead"
@@ -272,7 +271,8 @@ def select(log: Log, config: LogConfig) -> Selection:
     sensors = tuple(sensors_of(scans))
     sensor = choose_sensor(log.name, topic.name, sensors, config)
     scans = [scan for scan in scans if sensor.made(scan)]
-    in_space = sensor.is_cloud and not is_flat(log, topic, sensor)
+    shown = glance(log, topic, sensor)
+    in_space = sensor.is_cloud and not shown.is_flat
     odometry_topic = None
     if config.use_odometry:
         asked = config.odom_topic
@@ -286,7 +286,7 @@ def select(log: Log, config: LogConfig) -> Selection:
     usual = [frame for frame in (child, *USUAL_BASES) if frame]
     bases = usual if config.base_frame is None else [config.base_frame.lstrip("/")]
     tree, warnings = read_frames(log, sensor.frame, bases, config)
-    placement = place_laser(tree, sensor.frame, child, config)
+    placement = place_laser(tree, sensor.frame, bases, child, config.base_frame)
     placement = replace(placement, warnings=(*placement.warnings, *warnings))
     odometry: OdometryKind | None = None
     topics: tuple[str, ...] = ()
@@ -296,9 +296,7 @@ def select(log: Log, config: LogConfig) -> Selection:
     elif config.use_odometry:
         odom_frame = odometry_ancestor(tree, placement.base_frame)
         if odom_frame is not None:
-            odometry = "tf"
-            of_tf = [topic.name for topic in log.topics() if topic.type == TF_MESSAGE]
-            topics = tuple(name for name in of_tf if not name.endswith("tf_static"))
+            odometry, topics = "tf", tuple(_transform_topics(log, dynamic=True))
     pairs = stamp_pairs(log, topic.name, sensor, topics, odom_frame)
     clock = choose_clock([(scan.stamp_ns, scan.time_ns) for scan in scans], pairs)
     return Selection(
@@ -314,9 +312,9 @@ def select(log: Log, config: LogConfig) -> Selection:
         odom_frame=odom_frame,
         clock=clock,
         band_m=(config.band_min_m, config.band_max_m) if in_space else None,
-        ceilings_m=ceilings_m(log, topic, sensor),
+        ceilings_m=shown.ceilings_m,
         warnings=(
-            *far_returns(log, topic, sensor),
+            *shown.warnings,
             *_assumptions(log, topic.name, placement, tree, child, clock),
             *([_UNKNOWN_FLOOR] if in_space and placement.floor_m is None else []),
         ),
@@ -370,8 +368,7 @@ def _assumptions(
 
 def odometry_ancestor(tree: TransformTree, base_frame: str) -> str | None:
     """The frame of odometry above the base in the tree, None without a moving one."""
-    moving = {child for _, child, _, dynamic in tree.edges() if dynamic}
     for below, frame in pairwise(tree.ancestors(base_frame)):
-        if "odom" in frame.lower() and below in moving:
+        if "odom" in frame.lower() and below in tree.moving:
             return frame
     return None

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice, pairwise
@@ -117,7 +117,7 @@ class ScanSensor:
 
     def made(self, record: ScanRecord | CloudRecord | FirstScan) -> bool:
         """Whether a scan is of this sensor."""
-        layout = None if isinstance(record, CloudRecord) else record.layout
+        layout = record.layout
         if record.frame != self.frame or (layout is None) != self.is_cloud:
             return False
         if self.view is None or layout is None:
@@ -243,8 +243,8 @@ def first_scans(log: Log, topic: TopicInfo) -> list[FirstScan]:
         size += len(message.data)
         try:
             record = decode_scan(message)
-            layout = None if isinstance(record, CloudRecord) else record.layout
-            found.append(FirstScan(record.stamp_ns, message.time_ns, record.frame, layout))
+            times = record.stamp_ns, message.time_ns
+            found.append(FirstScan(*times, record.frame, record.layout))
         except BadMessageError as error:
             reason = f"{error}; tried {counted(tried, 'message')}"
         most = LOOK_SCANS if found else TRIED_MESSAGES
@@ -256,55 +256,54 @@ def first_scans(log: Log, topic: TopicInfo) -> list[FirstScan]:
     return found
 
 
-def _first_of(log: Log, topic: TopicInfo, sensor: ScanSensor) -> Iterator[ScanRecord | CloudRecord]:
-    """The first scans of one sensor, one in memory at a time."""
-    size = 0
+class Glance(NamedTuple):
+    """What the first scans of one sensor show.
+
+    `is_flat` says that all points of its clouds have one height: they are of a planar laser.
+    `ceilings_m` are the distances that stand for no return, `warnings` what is odd about ranges.
+    """
+
+    is_flat: bool
+    ceilings_m: tuple[float, ...]
+    warnings: tuple[str, ...]
+
+
+def glance(log: Log, topic: TopicInfo, sensor: ScanSensor) -> Glance:
+    """Look at the first scans of one sensor, one in memory at a time."""
+    leveller = ScanLeveller(np.eye(4))
+    size = points = 0
+    has_height, middle_m = False, math.nan
     for message in islice(log.messages([topic.name]), LOOK_SCANS):
         size += len(message.data)
         with suppress(BadMessageError):
             record = decode_scan(message)
             if sensor.made(record):
-                yield record
-        if size >= _LOOK_BYTES:
-            return
+                middle_m = _middle_m(record) if math.isnan(middle_m) else middle_m
+                if isinstance(record, ScanRecord):
+                    leveller.level(record, record.stamp_ns)
+                else:
+                    heights = cloud_points(record, record.stamp_ns).points[:, 2]
+                    points += len(heights)
+                    has_height = len(heights) > 0 and float(np.ptp(heights)) > _FLAT_M
+        if has_height or size >= _LOOK_BYTES:
+            break
+    far = (
+        f"half of the returns of the first scan on {topic.name} are farther than "
+        f"{middle_m:,.0f} m: are they in millimetres or centimetres? They must be in metres"
+    )
+    return Glance(
+        is_flat=points >= _FLAT_POINTS and not has_height,
+        ceilings_m=leveller.ceiling.values_m,
+        warnings=(far,) if middle_m > CLOUD_RANGE_MAX_M else (),
+    )
 
 
-def is_flat(log: Log, topic: TopicInfo, sensor: ScanSensor) -> bool:
-    """Whether the first clouds have all their points at one height: those of a planar laser."""
-    points = 0
-    for record in _first_of(log, topic, sensor):
-        if isinstance(record, CloudRecord):
-            heights = cloud_points(record, record.stamp_ns).points[:, 2]
-            points += len(heights)
-            if len(heights) and float(np.ptp(heights)) > _FLAT_M:
-                return False
-    return points >= _FLAT_POINTS
-
-
-def ceilings_m(log: Log, topic: TopicInfo, sensor: ScanSensor) -> tuple[float, ...]:
-    """The distances that stand for no return in the first planar scans."""
-    leveller = ScanLeveller(np.eye(4))
-    for record in () if sensor.is_cloud else _first_of(log, topic, sensor):
-        if isinstance(record, ScanRecord):
-            with suppress(BadMessageError):
-                leveller.level(record, record.stamp_ns)
-    return leveller.ceiling.values_m
-
-
-def far_returns(log: Log, topic: TopicInfo, sensor: ScanSensor) -> list[str]:
-    """A line where half of the first returns are farther than any robot sees; else nothing."""
-    for record in _first_of(log, topic, sensor):
-        if isinstance(record, CloudRecord):
-            xyz = [record.points[axis].ravel().astype(np.float64) for axis in "xyz"]
-            ranges = np.sqrt(sum(np.square(column) for column in xyz))
-        else:
-            ranges = record.ranges[record.ranges <= record.range_max].astype(np.float64)
-        ranges = ranges[np.isfinite(ranges) & (ranges > 0.0)]
-        if len(ranges):
-            middle_m = float(np.median(ranges))
-            told = (
-                f"half of the returns of the first scan on {topic.name} are farther than "
-                f"{middle_m:,.0f} m: are they in millimetres or centimetres? They must be in metres"
-            )
-            return [told] if middle_m > CLOUD_RANGE_MAX_M else []
-    return []
+def _middle_m(record: ScanRecord | CloudRecord) -> float:
+    """The median of the returns as recorded, whatever their unit; NaN without any."""
+    if isinstance(record, CloudRecord):
+        xyz = [record.points[axis].ravel().astype(np.float64) for axis in "xyz"]
+        ranges = np.sqrt(sum(np.square(column) for column in xyz))
+    else:
+        ranges = record.ranges[record.ranges <= record.range_max].astype(np.float64)
+    ranges = ranges[np.isfinite(ranges) & (ranges > 0.0)]
+    return float(np.median(ranges)) if len(ranges) else math.nan

@@ -48,9 +48,6 @@ class OdometryBuffer:
     """
 
     def __init__(self) -> None:
-        self._gap_ns = nanoseconds(_ODOMETRY_GAP_S)
-        self._hold_ns = nanoseconds(_ODOMETRY_HOLD_S)
-        self._reset_ns = nanoseconds(_CLOCK_RESET_S)
         self._stamps: list[int] = []
         self._poses: list[Pose2] = []
 
@@ -64,7 +61,7 @@ class OdometryBuffer:
 
     def add(self, stamp_ns: int, pose: Pose2) -> None:
         """Take in odom_from_base at a stamp; a repeated stamp replaces the pose."""
-        if self._stamps and stamp_ns < self._stamps[-1] - self._reset_ns:
+        if self._stamps and stamp_ns < self._stamps[-1] - nanoseconds(_CLOCK_RESET_S):
             self._stamps.clear()
             self._poses.clear()
         place = bisect_left(self._stamps, stamp_ns)
@@ -83,14 +80,16 @@ class OdometryBuffer:
         if place < len(self._stamps) and self._stamps[place] == stamp_ns:
             return self._poses[place]
         if place in (0, len(self._stamps)):  # the first or last pose when it is near enough in time
-            nearest = max(place - 1, 0)
-            near = self._stamps and abs(self._stamps[nearest] - stamp_ns) <= self._hold_ns
+            nearest, hold_ns = max(place - 1, 0), nanoseconds(_ODOMETRY_HOLD_S)
+            near = self._stamps and abs(self._stamps[nearest] - stamp_ns) <= hold_ns
             return self._poses[nearest] if near else None
         before, after = self._stamps[place - 1], self._stamps[place]
-        if after - before > self._gap_ns:
+        if after - before > nanoseconds(_ODOMETRY_GAP_S):
             return None
         share = (stamp_ns - before) / (after - before)
-        return interpolated(self._poses[place - 1], self._poses[place], share)
+        a, b = self._poses[place - 1], self._poses[place]
+        theta = wrap_angle(a.theta + share * wrap_angle(b.theta - a.theta))
+        return Pose2(a.x + share * (b.x - a.x), a.y + share * (b.y - a.y), theta)
 
 
 class Heard(NamedTuple):
@@ -131,8 +130,12 @@ class OdometryListener:
                 child_from_base = self._tree.lookup(record.child, base)
             if child_from_base is not None:
                 odom_from_base = record.parent_from_child @ child_from_base
+            frames = record.parent, record.child
+            self._frames = self._frames or [frames]
             joined = record.child == base or child_from_base is not None
-            self._compare((record.parent, record.child), joined=joined)
+            if frames != (first := self._frames[0]) and not (joined and frames[0] == first[0]):
+                self._frames = [first, *self._frames[1:], frames][:2]
+                self.renamed += 1
             heard.append((record.stamp_ns, odom_from_base))
         else:
             transforms = decode_transforms(message)
@@ -150,13 +153,6 @@ class OdometryListener:
                 self.poses.add(known_ns, self.last.pose)
         if absurd:
             raise BadMessageError(f"the transform of {absurd[0]!r} is not finite or absurd")
-
-    def _compare(self, frames: tuple[str, str], *, joined: bool) -> None:
-        """Count odometry between other frames than those of the first message."""
-        self._frames = self._frames or [frames]
-        if frames != (first := self._frames[0]) and not (joined and frames[0] == first[0]):
-            self._frames = [first, *self._frames[1:], frames][:2]
-            self.renamed += 1
 
     @property
     def notes(self) -> list[str]:
@@ -181,14 +177,6 @@ class OdometryListener:
         same = (self.last.stamp_ns, self.last.time_ns) == (stamp_ns, time_ns)
         by_order = self.selection.clock.source == "order"
         return self.last.pose if same or by_order else None
-
-
-def interpolated(a: Pose2, b: Pose2, share: float) -> Pose2:
-    """The pose a share of the way from `a` (0) to `b` (1)."""
-    turn = wrap_angle(b.theta - a.theta)
-    return Pose2(
-        a.x + share * (b.x - a.x), a.y + share * (b.y - a.y), wrap_angle(a.theta + share * turn)
-    )
 
 
 # A scan waits for later odometry until more scans than this wait, and no longer than this by log

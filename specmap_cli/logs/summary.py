@@ -9,6 +9,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from specmap_cli.core.text import counted, decimal, legible
+from specmap_cli.logs.readers.recording import TopicInfo
 
 DAY = timedelta(days=1)  # clocks of robot and reader may be in different time zones
 EARLIEST_STAMP_S = 631_152_000  # 1990: no robot's log is older
@@ -168,12 +169,9 @@ class Preview:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TopicSummary:
+class TopicSummary(TopicInfo):
     """A topic; `rate_hz` over the whole log, 0 for a single message."""
 
-    name: str
-    type: str
-    count: int
     rate_hz: float
 
 

@@ -68,9 +68,8 @@ class LogWriter:
         stamp_ns: int = 0,
     ) -> None:
         """`parent_from_child`, constant over the recording, on `/tf_static`."""
-        data = encoding.transforms_cdr(
-            stamp_ns, [encoding.Transform(parent, child, xyz, quaternion_xyzw)]
-        )
+        fixed = encoding.Transform(parent, child, xyz, quaternion_xyzw)
+        data = encoding.transforms_cdr(stamp_ns, [fixed])
         self.raw(encoding.TF_STATIC, encoding.TF_MESSAGE, data, stamp_ns)
 
     def transform(self, parent: str, child: str, stamp_ns: int, parent_from_child: Pose2) -> None:
@@ -118,12 +117,8 @@ class LogWriter:
 
         `times_s` (N,), seconds after the stamp, become the field `time`.
         """
-        self.raw(
-            topic,
-            encoding.POINT_CLOUD,
-            encoding.cloud_cdr(frame_id, stamp_ns, points, times_s),
-            stamp_ns,
-        )
+        data = encoding.cloud_cdr(frame_id, stamp_ns, points, times_s)
+        self.raw(topic, encoding.POINT_CLOUD, data, stamp_ns)
 
     def raw(self, topic: str, msgtype: str, cdr: bytes, log_time_ns: int) -> None:
         """A message already serialised as CDR; `msgtype` is a ROS 2 name, or ValueError says so."""

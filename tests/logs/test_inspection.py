@@ -72,8 +72,7 @@ def test_one_message_without_a_time_does_not_hide_when_a_log_was_recorded(path: 
         log.raw("/tf_static", TF_MESSAGE, b"", 0)
         for number in range(11):
             stamp = START + number * SECOND // 10
-            data = scan_cdr("laser", stamp, -1.0, 0.5, np.full(5, 2.0), range_max=8.0)
-            log.raw("/scan", LASER_SCAN, data, stamp)
+            log.scan("/scan", "laser", stamp, -1.0, 0.5, [2.0] * 5, range_max=8.0)
     found = summary_of(path)
     assert (found.start_s, found.duration_s) == (START / SECOND, 1.0)
     assert [topic.rate_hz for topic in found.topics if topic.name == "/scan"] == [10.0]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import heapq
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -111,14 +112,10 @@ def test_contents_count_the_messages_of_all_parts(parts: list[list[tuple[str, st
     assert (contents.start_ns, contents.end_ns) == (min(times, default=0), max(times, default=0))
 
 
-def opener(messages: list[Message]) -> Callable[[], Iterator[Message]]:
-    return lambda: iter(messages)
-
-
 @given(st.lists(st.lists(st.integers(0, 50), min_size=1), max_size=6))
 def test_sources_in_order_are_merged_in_order(times: list[list[int]]) -> None:
     sources = [at(*sorted(part), topic=str(n)) for n, part in enumerate(times)]
-    merged = list(merge_in_time([(s[0].time_ns, opener(s)) for s in sources]))
+    merged = list(merge_in_time([(s[0].time_ns, partial(iter, s)) for s in sources]))
     expected = heapq.merge(*sources, key=lambda m: m.time_ns)
     assert [m.time_ns for m in merged] == [m.time_ns for m in expected]
     for source in sources:
@@ -132,7 +129,7 @@ def test_a_source_is_opened_only_when_its_start_has_come() -> None:
         opened.append(start)
         yield from at(start, start + 5)
 
-    merged = merge_in_time([(s, lambda s=s: source(s)) for s in (20, 0, 3)])  # type: ignore[misc]
+    merged = merge_in_time([(start, partial(source, start)) for start in (20, 0, 3)])
     seen = [(found.time_ns, len(opened)) for found in merged]
     assert seen == [(0, 1), (3, 2), (5, 2), (8, 2), (20, 3), (25, 3)]
     assert opened == [0, 3, 20]

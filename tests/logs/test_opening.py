@@ -134,6 +134,9 @@ def test_a_compressed_log_is_read_in_all_its_blocks_and_what_follows_them_is_tol
     drive.write_bytes(drive.read_bytes() + b"garbage")
     said = f"{drive}: what follows the {name} compression is no part of it and was left out"
     assert read_rest(drive) == (drive_messages, [said])
+    drive.write_bytes(PACK[name](CARMEN)[:-5])
+    said = f"{drive}: the {name} compression is damaged or ends early: the rest is lost"
+    assert said in read_rest(drive)[1]
 
 
 def test_no_room_to_unpack_is_told(drive: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -26,8 +26,6 @@ from tests.logs.recordings import sweeps_of
 from tests.strategies import few
 from tests.turning import configured
 
-LEVEL = np.eye(4)
-
 
 def record(
     ranges: ArrayLike,
@@ -51,8 +49,8 @@ def record(
     )
 
 
-def levelled(scan: ScanRecord, stamp_ns: int = 5) -> PlanarScan:
-    return ScanLeveller(LEVEL).level(scan, stamp_ns)
+def levelled(scan: ScanRecord) -> PlanarScan:
+    return ScanLeveller(np.eye(4)).level(scan, 5)
 
 
 def mounted(roll: float, pitch: float, yaw: float, x: float, y: float, z: float) -> FloatArray:

@@ -101,15 +101,12 @@ def lost_line(words: list[bytes]) -> str | None:
     """
     if len(words) < len(_END):
         return None
-    if _is_laser_length(words[1:]) or (words[0][:1].isdigit() and _is_laser_length(words)):
-        return _SOME_LASER
+    whole = [words] if words[0][:1].isdigit() else []
+    for behind in (words[1:], *whole):
+        if len(behind) in (_length("FLASER", behind), _length("ROBOTLASER1", behind)):
+            return _SOME_LASER
     numeric = [_is_number(word) for word in words[-len(_END) :]]
     return _SOME_LINE if numeric == _END else None
-
-
-def _is_laser_length(words: list[bytes]) -> bool:
-    """Whether the counts among the words behind a keyword fit the number of words."""
-    return len(words) in (_length("FLASER", words), _length("ROBOTLASER1", words))
 
 
 def _length(keyword: str, words: list[bytes]) -> int:

@@ -114,7 +114,6 @@ def overlapping_bytes(chunks: Iterable[ChunkRef]) -> int:
     return most
 
 
-_BYTES_PER_MB = 1_000_000
 _OVERLAPPING = 2  # chunks of the largest size that may be in memory together
 
 
@@ -134,8 +133,6 @@ class ChunkedFile(Recording):
         self, file: Path, path: Path | None = None, config: LogConfig | None = None
     ) -> None:
         super().__init__(file, path, config)
-        # the most bytes of a chunk or a message that are taken into memory
-        self.chunk_max = round(self.config.chunk_max_mb * _BYTES_PER_MB)
         try:
             self._fd = os.open(file, os.O_RDONLY)
         except OSError as error:

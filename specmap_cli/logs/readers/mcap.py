@@ -42,8 +42,6 @@ _U32, _U64 = struct.Struct("<I"), struct.Struct("<Q")
 _ATTACHMENT_TIMES, _CRC_BYTES = 16, 4
 _DATA_END_BYTES = 4
 _BODY_MAX_SEEN = 1 << 16  # of an attachment or a metadata record, enough for its names
-
-
 _FOOTER_BODY = 20  # by the format: two offsets and a checksum
 _FOOTER_BYTES = RECORD_HEAD.size + _FOOTER_BODY + len(MAGIC)
 

@@ -124,6 +124,8 @@ class Recording(ABC):
         self.file = file
         self.path = path if path is not None else file
         self.config = config if config is not None else LogConfig()
+        # the most bytes of a chunk or a message that are taken into memory
+        self.chunk_max = round(self.config.chunk_max_mb * 1_000_000)
         self._damage: dict[str, Counter[str]] = {}
 
     @classmethod

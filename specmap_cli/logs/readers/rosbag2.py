@@ -45,7 +45,6 @@ def recorded_messages(file: Path) -> int | None:
     return messages if 0 <= messages < _MOST else None
 
 
-MAGIC = b"SQLite format 3\x00"
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/\w+){1,2}")  # package/msg/Name
 
 # The same for the table and for an index that has all its rows: a sum that has no order. The primes
@@ -74,13 +73,12 @@ class Rosbag2File(recording.Recording):
     """One SQLite file of a rosbag2 recording."""
 
     format = "rosbag2 (SQLite)"
-    magic = MAGIC
+    magic = b"SQLite format 3\x00"
 
     def __init__(
         self, file: Path, path: Path | None = None, config: LogConfig | None = None
     ) -> None:
         super().__init__(file, path, config)
-        self._message_max = round(self.config.chunk_max_mb * 1_000_000)  # bytes in a megabyte
         pending = file.with_name(file.name + "-wal").exists()  # left by a recorder that was killed
         options = "mode=ro" if pending else "mode=ro&immutable=1"
         location = f"file:{quote(str(file.resolve()))}?{options}"
@@ -91,7 +89,7 @@ class Rosbag2File(recording.Recording):
         # a damaged byte costs a character, not the row
         self._db.text_factory = partial(str, encoding="utf-8", errors="replace")
         try:
-            self._db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, self._message_max)
+            self._db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, self.chunk_max)
             self._db.execute("PRAGMA writable_schema = ON")  # lets a cut-off file be read at all
             rows = self._db.execute("SELECT id, name, type FROM topics")
             self._topics = {
@@ -100,10 +98,9 @@ class Rosbag2File(recording.Recording):
                 if isinstance(name, str) and isinstance(kind, str)  # a cut-off file has holes
             }
             # an index by which messages come in time order without sorting them all
+            indexes = self._db.execute("SELECT name, sql FROM sqlite_master WHERE type = 'index'")
             self._time_index: str | None = None
-            for name, made in self._db.execute(
-                "SELECT name, sql FROM sqlite_master WHERE type = 'index'"
-            ):
+            for name, made in indexes:
                 sound = isinstance(name, str) and isinstance(made, str) and "\0" not in name
                 if sound and "timestamp" in made and "messages" in made:
                     self._time_index = name
@@ -227,7 +224,7 @@ class Rosbag2File(recording.Recording):
         if isinstance(time_ns, int) and isinstance(data, bytes):
             complete, why = True, "damaged in its compression"
             if compression_of(data[:4]) == "zstd":  # rosbag2's compression of single messages
-                data, complete, beyond = decompress(data, "zstd", self._message_max)
+                data, complete, beyond = decompress(data, "zstd", self.chunk_max)
                 why = "beyond log.chunk_max_mb" if beyond else why
             if complete:
                 return recording.Message(name, kind, time_ns, data)
