@@ -5,11 +5,10 @@ Whatever is missing or damaged is a MapError of one line that names the file.
 
 from __future__ import annotations
 
-import functools
 from base64 import b64encode
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -64,7 +63,7 @@ _NO_LABELS = Labels(stamps_ns=_NOTHING, poses=np.zeros((0, 3)), submaps=_NOTHING
 def _of_one_map(read: Callable[..., Value]) -> Callable[..., Value]:
     """A reader of a file that says where what is wrong is only that the map was replaced."""
 
-    @functools.wraps(read)
+    @wraps(read)
     def reader(stored: Map, *args: Any) -> Value:
         try:
             return read(stored, *args)
@@ -199,12 +198,11 @@ class Map:
     @_of_one_map
     def trajectory(self) -> Trajectory:
         """The pose at every scan: arrays, or one at a time by a loop; empty as `keyframes`."""
-        path = self.path / filenames.TRAJECTORY
         if not self.of_recording:
             return Trajectory(_NO_LABELS.stamps_ns, _NO_LABELS.poses)
-        found = read_trajectory(path, self.limits)
+        found = read_trajectory(self.path / filenames.TRAJECTORY, self.limits)
         unchanging(found.stamps_ns, found.poses)
-        return self.checked(found, path.name)
+        return self.checked(found, filenames.TRAJECTORY)
 
     def refuse_changed(self) -> None:
         """Raise MapError when another run or a person has replaced the map since it was read."""

@@ -75,8 +75,7 @@ def config_of(written: Any, path: Path) -> Config:
         known = known_settings(written)[0] if isinstance(written, dict) else written
         return Config.model_validate(known)
     except ValidationError as error:
-        what = f"config: {first_finding(error)}"
-        raise MapError.damaged(what, path) from None
+        raise MapError.damaged(f"config: {first_finding(error)}", path) from None
 
 
 def labels_text(labels: Labels) -> str:
@@ -256,4 +255,4 @@ def _finite(where: str, words: list[str]) -> list[float]:
 
 
 def _malformed(where: str, found: str) -> InputError:
-    return InputError(f"{found}", "mend or remove the line", mark=";", where=where)
+    return InputError(found, "mend or remove the line", mark=";", where=where)
