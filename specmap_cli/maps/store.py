@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+from pydantic import ValidationError
 
 from specmap_cli.core.arrays import unchanging
 from specmap_cli.core.config import known_settings
@@ -21,7 +22,7 @@ from specmap_cli.core.files import sha256_of
 from specmap_cli.core.findings import Quality, Verdict
 from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels, Trajectory
 from specmap_cli.core.settings import Config, LimitsConfig
-from specmap_cli.core.text import counted
+from specmap_cli.core.text import counted, first_finding
 from specmap_cli.grids.gridmap import GridMap, slices_near
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.map_server import read_grid, read_picture
@@ -37,7 +38,7 @@ from specmap_cli.maps.rooms import (
     graph_of,
 )
 from specmap_cli.maps.schema import TopologyRecord, read_topology
-from specmap_cli.maps.text_files import config_of, map_json, map_text, read_labels, read_trajectory
+from specmap_cli.maps.text_files import map_json, map_text, read_labels, read_trajectory
 from specmap_cli.topology.regions import NOBODY, OwnerArray, Regions, divide
 from specmap_cli.topology.topological_map import (
     Door,
@@ -397,7 +398,12 @@ class Map:
 
         Settings that this version does not have are left out: `foreign_settings` names them.
         """
-        return config_of(self.run.get("config"), self.path / filenames.RUN)
+        written, where = self.run.get("config"), self.path / filenames.RUN
+        try:
+            known = known_settings(written)[0] if isinstance(written, dict) else written
+            return Config.model_validate(known)
+        except ValidationError as error:
+            raise MapError.damaged(f"config: {first_finding(error)}", where) from None
 
     @property
     def foreign_settings(self) -> list[str]:
