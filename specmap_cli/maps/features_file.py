@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import io
 import re
-import struct
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -32,7 +31,6 @@ _HEADER = re.compile(
     rb"\{'descr': '([<|][a-z]\d)', 'fortran_order': False, "
     rb"'shape': \((\d{1,12}),(?: (\d{1,12}))?\), \}\s*"
 )
-_LENGTH = struct.Struct("<H")  # of the header, behind the magic bytes
 _PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _ENCRYPTED = 0x1
 _MOST_MB = "limits.text_max_mb"
@@ -94,10 +92,10 @@ def _array(data: bytes) -> NDArray[Any]:
     """An array of a file in NumPy's format, which runs no code; ValueError for any other."""
     file = io.BytesIO(data)
     version = np.lib.format.read_magic(file)
-    start = file.tell() + _LENGTH.size
+    start = file.tell() + 2  # behind the length of the header
     if version != _VERSION or len(data) < start:
         raise ValueError(version)
-    end = start + _LENGTH.unpack(data[file.tell() : start])[0]
+    end = start + int.from_bytes(data[file.tell() : start], "little")
     header = _HEADER.fullmatch(data[start:end])
     if header is None:
         raise ValueError(data[start:end])

@@ -179,11 +179,10 @@ class Grids(Mapping[int, GridMap]):
     def __getitem__(self, submap: int) -> GridMap:
         if submap not in self._read:
             image, stored = self._images[submap], self._stored
-            path = stored.path / image.with_suffix(".yaml")
-            grid = read_grid(path, limits=stored.limits)
-            names = (image.as_posix(), image.with_suffix(".yaml").as_posix())
+            about = image.with_suffix(".yaml")
+            grid = read_grid(stored.path / about, limits=stored.limits)
             unchanging(grid.cells)
-            self._read[submap] = stored.checked(grid, *names)
+            self._read[submap] = stored.checked(grid, image.as_posix(), about.as_posix())
         return self._read[submap]
 
     def __contains__(self, submap: object) -> bool:

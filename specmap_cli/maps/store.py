@@ -5,15 +5,15 @@ Whatever is missing or damaged is a MapError of one line that names the file.
 
 from __future__ import annotations
 
-import functools
 from base64 import b64encode
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+from pydantic import ValidationError
 
 from specmap_cli.core.arrays import unchanging
 from specmap_cli.core.config import known_settings
@@ -22,7 +22,7 @@ from specmap_cli.core.files import sha256_of
 from specmap_cli.core.findings import Quality, Verdict
 from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels, Trajectory
 from specmap_cli.core.settings import Config, LimitsConfig
-from specmap_cli.core.text import counted
+from specmap_cli.core.text import counted, first_finding
 from specmap_cli.grids.gridmap import GridMap, slices_near
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.map_server import read_grid, read_picture
@@ -38,7 +38,7 @@ from specmap_cli.maps.rooms import (
     graph_of,
 )
 from specmap_cli.maps.schema import TopologyRecord, read_topology
-from specmap_cli.maps.text_files import config_of, map_json, map_text, read_labels, read_trajectory
+from specmap_cli.maps.text_files import map_json, map_text, read_labels, read_trajectory
 from specmap_cli.topology.regions import NOBODY, OwnerArray, Regions, divide
 from specmap_cli.topology.topological_map import (
     Door,
@@ -64,7 +64,7 @@ _NO_LABELS = Labels(stamps_ns=_NOTHING, poses=np.zeros((0, 3)), submaps=_NOTHING
 def _of_one_map(read: Callable[..., Value]) -> Callable[..., Value]:
     """A reader of a file that says where what is wrong is only that the map was replaced."""
 
-    @functools.wraps(read)
+    @wraps(read)
     def reader(stored: Map, *args: Any) -> Value:
         try:
             return read(stored, *args)
@@ -199,12 +199,11 @@ class Map:
     @_of_one_map
     def trajectory(self) -> Trajectory:
         """The pose at every scan: arrays, or one at a time by a loop; empty as `keyframes`."""
-        path = self.path / filenames.TRAJECTORY
         if not self.of_recording:
             return Trajectory(_NO_LABELS.stamps_ns, _NO_LABELS.poses)
-        found = read_trajectory(path, self.limits)
+        found = read_trajectory(self.path / filenames.TRAJECTORY, self.limits)
         unchanging(found.stamps_ns, found.poses)
-        return self.checked(found, path.name)
+        return self.checked(found, filenames.TRAJECTORY)
 
     def refuse_changed(self) -> None:
         """Raise MapError when another run or a person has replaced the map since it was read."""
@@ -399,7 +398,12 @@ class Map:
 
         Settings that this version does not have are left out: `foreign_settings` names them.
         """
-        return config_of(self.run.get("config"), self.path / filenames.RUN)
+        written, where = self.run.get("config"), self.path / filenames.RUN
+        try:
+            known = known_settings(written)[0] if isinstance(written, dict) else written
+            return Config.model_validate(known)
+        except ValidationError as error:
+            raise MapError.damaged(f"config: {first_finding(error)}", where) from None
 
     @property
     def foreign_settings(self) -> list[str]:

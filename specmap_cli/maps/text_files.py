@@ -13,10 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
 from specmap_cli.core.arrays import runs
-from specmap_cli.core.config import known_settings
 from specmap_cli.core.errors import InputError, MapError
 from specmap_cli.core.files import read_bytes
 from specmap_cli.core.geometry import (
@@ -26,8 +24,8 @@ from specmap_cli.core.geometry import (
     yaw_of,
 )
 from specmap_cli.core.records import NO_SUBMAP, Labels, Trajectory
-from specmap_cli.core.settings import Config, LimitsConfig
-from specmap_cli.core.text import counted, csv_text, decimal, first_finding, stamp_ns, stamp_text
+from specmap_cli.core.settings import LimitsConfig
+from specmap_cli.core.text import counted, csv_text, decimal, stamp_ns, stamp_text
 
 LABELS_HEADER = "stamp,x,y,theta,submap"
 _LOST, _FOUND = "# lost", "# found"
@@ -67,16 +65,6 @@ def map_json(path: Path, limits: LimitsConfig) -> Any:
         raise MapError.damaged("JSON nested too deeply", path) from None
     except ValueError:  # Python reads no integer of thousands of digits
         raise MapError.damaged("a number of too many digits", path) from None
-
-
-def config_of(written: Any, path: Path) -> Config:
-    """The settings `written` in a file, without those that this version does not have."""
-    try:
-        known = known_settings(written)[0] if isinstance(written, dict) else written
-        return Config.model_validate(known)
-    except ValidationError as error:
-        what = f"config: {first_finding(error)}"
-        raise MapError.damaged(what, path) from None
 
 
 def labels_text(labels: Labels) -> str:
@@ -256,4 +244,4 @@ def _finite(where: str, words: list[str]) -> list[float]:
 
 
 def _malformed(where: str, found: str) -> InputError:
-    return InputError(f"{found}", "mend or remove the line", mark=";", where=where)
+    return InputError(found, "mend or remove the line", mark=";", where=where)

@@ -183,8 +183,6 @@ def parts(ids: Iterable[int], edges: Iterable[Edge]) -> list[list[int]]:
 
 _AT_M = 2.0  # a person who points at a door points beside it
 
-Place = tuple[float, float]
-
 
 @dataclass(frozen=True, slots=True)
 class Forbidden:
@@ -194,7 +192,7 @@ class Forbidden:
     """
 
     between: Pair
-    at: Place | None = None
+    at: Point | None = None
     later: tuple[BorderEdit, ...] = ()
 
 

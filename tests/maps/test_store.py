@@ -35,17 +35,9 @@ from tests.strategies import seeds
 from tests.turning import turn
 
 FILES = {
-    *(
-        "classifiers.json",
-        "labels.csv",
-        "labels.png",
-        "map.png",
-        "map.yaml",
-        "overview.png",
-        "run.json",
-    ),
+    *("classifiers.json", "labels.csv", "labels.png", "map.png", "map.yaml"),
     *(f"submaps/00{id_}.{end}" for id_ in range(3) for end in ("png", "yaml")),
-    *("topology.json", "trajectory.g2o", "trajectory.tum"),
+    *("overview.png", "run.json", "topology.json", "trajectory.g2o", "trajectory.tum"),
 }
 
 
