@@ -113,12 +113,12 @@ class Views:
         lasers = compose(poses[self.rows], self.mounts)
         older, newer = self.partners(lasers)
         agree, against = 0, np.zeros(len(self.rows), dtype=np.int64)
-        for a, b, of in ((older, newer, newer), (newer, older, newer)):
+        for a, b in ((older, newer), (newer, older)):
             for first in range(0, len(a), _TOGETHER):
                 some = slice(first, first + _TOGETHER)
                 same, pairs = self._compared(lasers, a[some], b[some])
                 agree += same
-                np.add.at(against, of[some][pairs], 1)
+                np.add.at(against, newer[some][pairs], 1)
         contradict = int(against.sum())
         order = np.argsort(-against, kind="stable")
         many = max(int(contradict > 0), int(np.count_nonzero(against > _FEW)))

@@ -210,12 +210,7 @@ def passes_at(
         is_tied = bool(links) or pair in linked
         if is_tied:
             break
-    return Passes(
-        links=tuple(links),
-        guesses=guesses,
-        is_tied=is_tied,
-        older=len(near),
-    )
+    return Passes(links=tuple(links), guesses=guesses, is_tied=is_tied, older=len(near))
 
 
 def candidates(node: int, poses: FloatArray, path: FloatArray) -> list[int]:

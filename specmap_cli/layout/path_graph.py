@@ -29,10 +29,7 @@ from specmap_cli.core.geometry import (
 from specmap_cli.core.records import IntArray
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.matching import observability
-from specmap_cli.layout.pose_graph import (
-    Link,
-    LinkKind,
-)
+from specmap_cli.layout.pose_graph import Link, LinkKind
 
 NODE_M = 0.3  # motion between nodes of the pose graph
 _NODE_RAD = 0.25  # turn between nodes of the pose graph

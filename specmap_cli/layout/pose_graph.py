@@ -84,16 +84,11 @@ class LinkArrays(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Solution:
-    """Optimised poses (n, 3), the robust cost, and the chi2 = e^T W e (E,) of each edge.
-
-    `converged` is False when the solver was stopped by its number of `iterations`.
-    """
+    """Optimised poses (n, 3), the robust cost, and the chi2 = e^T W e (E,) of each edge."""
 
     poses: FloatArray
     cost: float
     chi2: FloatArray
-    iterations: int
-    converged: bool
 
 
 def errors(poses: FloatArray, i: IntArray, j: IntArray, z: FloatArray) -> FloatArray:
@@ -136,10 +131,11 @@ def solve(
     the cost. Deterministic. Every pose must hang on the first by some chain of edges.
     """
     current = np.array(poses, dtype=np.float64)
-    cost, damping, done = _cost(squared(current, edges), edges.width), 0.0, 0
+    cost, damping = _cost(squared(current, edges), edges.width), 0.0
     converged = len(current) < 2 or not len(edges.i)
-    while not converged and done < iterations:
-        done += 1
+    for _ in range(iterations):
+        if converged:
+            break
         step = _step(current, edges, damping)
         trial = current.copy()
         trial[1:] += step
@@ -154,13 +150,7 @@ def solve(
         else:
             converged = damping > _DAMPING_LAST
             damping = max(_DAMPING_FIRST, _DAMPING_FACTOR * damping)
-    return Solution(
-        poses=current,
-        cost=cost,
-        chi2=squared(current, edges),
-        iterations=done,
-        converged=converged,
-    )
+    return Solution(poses=current, cost=cost, chi2=squared(current, edges))
 
 
 def _cost(chi2: FloatArray, width: FloatArray) -> float:

@@ -394,10 +394,8 @@ def match_passes(
     fit = place.match(source, guess, drift_m)
     if fit is None:
         return None
-    sides, others = (
-        walls.sides_around(new, reach, poses),
-        walls.sides_around(old, PLACE_NODES, poses),
-    )
+    sides = walls.sides_around(new, reach, poses)
+    others = walls.sides_around(old, PLACE_NODES, poses)
     behind = from_behind(sides, others, guess, drift_m)
     share = float(behind.mean())
     if share >= _FEW:

@@ -20,12 +20,7 @@ import numpy as np
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import RegistrationConfig
-from specmap_cli.registration.guess import (
-    BEYOND_DOUBT,
-    MotionGuess,
-    near_window,
-    wide_search,
-)
+from specmap_cli.registration.guess import BEYOND_DOUBT, MotionGuess, near_window, wide_search
 from specmap_cli.registration.local_map import Bounds, Fit, Scene, Support
 
 _KERNEL_VOXELS = (2.0, 1.0, 0.5, 0.25)  # widths of the robust kernel, in voxels, coarse to fine

@@ -128,7 +128,6 @@ def test_a_perfect_graph_stays_as_it_is(seed: int, nodes: int) -> None:
     truth, _, links = random_graph(seed, nodes, loops=3, noise=0.0)
     solution = solve(truth, arrays(links, nodes, width=2.0))
     assert solution.cost < 1e-12
-    assert solution.converged
     assert np.allclose(solution.poses[:, :2], truth[:, :2], atol=1e-6)
 
 
@@ -152,15 +151,12 @@ def test_a_solution_costs_no_more_than_its_start(seed: int, loops: int, width: f
     assert (many.poses[:, 2] < np.pi).all()
 
 
-def test_the_number_of_steps_is_a_limit_that_is_told() -> None:
+def test_the_number_of_steps_is_a_limit_and_what_has_settled_stays() -> None:
     _, start, links = random_graph(3, nodes=12, loops=6)
     edges = arrays(links, 12)
     stopped, settled = solve(start, edges, 1), solve(start, edges, 50)
-    assert (stopped.iterations, stopped.converged) == (1, False)
-    assert settled.converged
-    assert 1 < settled.iterations < 50
-    again = solve(settled.poses, edges, 50)
-    assert again.iterations <= 2
+    assert stopped.cost > settled.cost
+    again = solve(settled.poses, edges, 2)
     assert again.cost == pytest.approx(settled.cost, rel=1e-6)
 
 
@@ -171,7 +167,7 @@ def test_what_no_edge_holds_and_the_first_pose_stay_where_they_are() -> None:
     assert np.allclose(solve(more, arrays(links, 10)).poses[9], more[9])
     alone = solve(start[:1], arrays([], 1))
     assert np.array_equal(alone.poses, start[:1])
-    assert (alone.cost, alone.iterations, alone.converged) == (0.0, 0, True)
+    assert alone.cost == 0.0
     assert np.array_equal(solve(start, arrays([], 9)).poses, start)
 
 
