@@ -129,10 +129,9 @@ _OUTLINES_KEPT = 256  # a few megabytes
 
 
 def raw_samples(
-    store: KeyframeStore,
     submaps: Mapping[int, Sequence[int]],
     config: Config,
-    features: KeyframeFeatures | None = None,
+    features: KeyframeFeatures,
     starts: Sequence[int] = (),
 ) -> dict[int, Samples]:
     """The raw scans of every submap that are learned from.
@@ -141,12 +140,10 @@ def raw_samples(
     scans, evenly spread over the recordings, which after the first one begin at `starts`; first of
     all from those whose features are known, which were chosen evenly, too.
     """
-    feature_set, most = config.recognition.feature_set, config.recognition.positives
-    features = features or KeyframeFeatures(store, feature_set)
     samples = {}
     for i, numbers in submaps.items():
         own = np.asarray(numbers, dtype=np.intp)
-        wanted = _by_recording(evenly(own, most), starts)
+        wanted = _by_recording(evenly(own, config.recognition.positives), starts)
         chosen: list[int] = []
         for recorded, share in zip(_by_recording(own, starts), wanted, strict=True):
             known = evenly(np.array(features.known(recorded.tolist()), dtype=np.intp), len(share))

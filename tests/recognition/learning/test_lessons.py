@@ -81,13 +81,13 @@ def test_each_recording_gives_its_share_of_raw_scans_the_known_ones_first(
     config = Config(recognition=RecognitionConfig(positives=10, feature_set="table1"))
     nothing, numbers = KeyframeFeatures(store, "table1"), np.arange(20, 40)
     known = nothing.knowing(numbers, np.ones((20, 52)))
-    found = raw_samples(store, {3: SUBMAPS[3]}, config, known, STARTS)[3]
+    found = raw_samples({3: SUBMAPS[3]}, config, known, STARTS)[3]
     old = found.keyframes < STARTS[0]
     assert int(old.sum()) == 5
     assert (found.features[old] == 1.0).all()
     assert not (found.features[~old] == 1.0).all(axis=1).any()
     known = nothing.knowing(numbers, np.ones((20, 52)))
-    alone = raw_samples(store, {3: SUBMAPS[3]}, config, known)[3]
+    alone = raw_samples({3: SUBMAPS[3]}, config, known)[3]
     assert (alone.keyframes < STARTS[0]).all()  # of one recording the known ones are enough
 
 
