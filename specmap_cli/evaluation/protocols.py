@@ -265,7 +265,7 @@ def labels_of(
 def raw_labels(classifiers: ClassifierSet, store: KeyframeStore) -> IntArray:
     """(n,) submap that the most votes go to, of every keyframe by its single scan."""
     scans = (store.scan(k) for k in range(len(store)))
-    margins = classifiers.margins(scans_features(scans, classifiers.raw.feature_set))
+    margins = classifiers.raw.margins(scans_features(scans, classifiers.raw.feature_set))
     winners: IntArray = np.array(classifiers.ids, dtype=np.int64)[margins.argmax(axis=1)]
     return winners
 

@@ -161,7 +161,7 @@ def _of_raw_scans(
     """What raw scans teach; nothing is told on the way."""
     yield from ()
     store, config = session.store, session.config
-    samples = raw_samples(store, submaps, config, prior.features, starts)
+    samples = raw_samples(submaps, config, prior.features, starts)
     beside = augmented_samples(store, submaps, poses, config, rng, prior.training_data.beside)
     raw, held_out = train_and_test(samples, beside, poses, config, rng, revisits, virtual=False)
     misfit = held_out_misfit(store, submaps, poses)

@@ -297,13 +297,12 @@ class SimulatedTour:
                 full_circle=laser.full_circle,
                 beam_times_s=beam_times,
             )
-            guess = _pose(guesses[index])
             sweep = Sweep(
                 index=index,
                 stamp_ns=planar.stamp_ns,
                 planar=planar,
                 base_from_laser=laser.base_from_laser,
-                odom_from_base=guess,
+                odom_from_base=_pose(guesses[index]),
             )
             yield sweep, _pose(truth[index])
 

@@ -133,9 +133,12 @@ class ClaimRanker:
         for c_new, group in zip(boosters[:count], groups, strict=True):
             for i in group:
                 each = max(_LEAST_ASKED, most // len(self._submaps[i]))
-                asked = [evenly(scans.features, each) for scans in self._submaps[i]]
-                c_old = self._classifiers[i].booster
-                found[i] = _claims(c_new, c_old, new.features, np.concatenate(asked))
+                old = [evenly(scans.features, each) for scans in self._submaps[i]]
+                by_old = self._classifiers[i].booster.margins(new.features) > 0.0
+                by_new = c_new.margins(np.concatenate(old)) > 0.0
+                found[i] = Claims(  # eq. 4
+                    new_by_old=float(by_old.mean()), old_by_new=float(by_new.mean())
+                )
         return found
 
     def _trained(
@@ -177,11 +180,3 @@ class ClaimRanker:
         for scans in (*stays, new):
             if anew or scans.codes is None:
                 scans.codes = self._quantiser.codes(scans.features)
-
-
-def _claims(c_new: Booster, c_old: Booster, new: NDArray[Any], old: NDArray[Any]) -> Claims:
-    """The claims between the scans (n, F) of a new submap and of an old one by two classifiers."""
-    return Claims(
-        new_by_old=float((c_old.margins(new) > 0.0).mean()),  # eq. 4
-        old_by_new=float((c_new.margins(old) > 0.0).mean()),  # eq. 4
-    )

@@ -97,9 +97,6 @@ class Decision(NamedTuple):
     reason: str
 
 
-NO_WALLS = Decision(False, False, "a grid shows too few walls to match")
-
-
 def decide(
     old: Stay, new: Stay, check: Check | None, way_m: float, config: RecognitionConfig
 ) -> Decision:
@@ -338,12 +335,11 @@ class LoopCloser:
         """What the grids of two stays say."""
         grids = self._prepared(old), self._prepared(new)
         if grids[0] is None or grids[1] is None:
-            return _closure(new.number, old.number, claims, NO_WALLS)
+            no_walls = Decision(False, False, "a grid shows too few walls to match")
+            return _closure(new.number, old.number, claims, no_walls)
         way_m = self._way.between(old, new)
         check = verify(
-            grids[0],
-            grids[1],
-            lambda pose: plausible(old, new, pose, way_m, self.config),
+            grids[0], grids[1], lambda pose: plausible(old, new, pose, way_m, self.config)
         )
         found = decide(old, new, check, way_m, self.config)
         if check is not None and found.verified:

@@ -207,15 +207,12 @@ class Check:
 
 
 def verify(
-    old: PreparedGrid,
-    new: PreparedGrid,
-    plausible: Callable[[Pose2], bool] | None = None,
+    old: PreparedGrid, new: PreparedGrid, plausible: Callable[[Pose2], bool]
 ) -> Check | None:
     """The best transform between two grids and its judgement; None when nothing overlaps.
 
-    And how much better it is than a different one. Those that tracking rules out are not weighed,
-    where it is known which are `plausible`. Where the best is ruled out itself and leads, all are:
-    it is to be told.
+    And how much better it is than a different one. Only those that tracking finds `plausible` are
+    weighed. Where the best is ruled out itself and leads, all are: it is to be told.
     """
     points = evenly(new.walls, _ROUGH_POINTS)
     found = search_everywhere(old.wide, new.walls, _PLACES, COARSE_M, headings(old, new))
@@ -225,10 +222,9 @@ def verify(
     checks = sorted((judge(old, new, pose) for pose in poses), key=_rank, reverse=True)
     if not checks:
         return None
-    if plausible is not None:
-        possible = [check for check in checks if plausible(check.old_from_new)]
-        if possible and _rank(checks[0]) - _rank(possible[0]) < MIN_LEAD:
-            checks = possible
+    possible = [check for check in checks if plausible(check.old_from_new)]
+    if possible and _rank(checks[0]) - _rank(possible[0]) < MIN_LEAD:
+        checks = possible
     best, *others = checks
     if best.score < _HOPELESS_SCORE:
         return best

@@ -28,7 +28,6 @@ FINE_EDGES_M = tuple(round(0.2 * k, 1) for k in range(1, 30))
 CLIPS_M = (1.0, 2.0, 3.0, 5.0, 8.0)
 _BREAK_M, _BREAK_PER_M = 0.25, 0.03  # neighbouring beams lie this far apart on a slanted wall
 _LONG_PIECES_M = (0.5, 1.0, 2.0)
-# These define features: classifiers on disk hold thresholds on what comes of them.
 QUANTILES = (0.05, 0.15, 0.25, 0.35, 0.5, 0.65, 0.75, 0.85, 0.95)
 RING_EDGES_M = (0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 8.0, 12.0)
 HARMONICS = 16
@@ -170,7 +169,7 @@ PROFILE_GROUPS: tuple[BatchGroup, ...] = (
 )
 
 
-# These define features: classifiers on disk hold thresholds on what comes of them.
+# These define features, too.
 DISTANCE_EDGES_M = (0.4, 0.8, 1.2, 1.6, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 14.0)
 ORIENTATIONS = ("parallel", "corner_in", "corner_out", "opposed")
 PAIR_COLUMNS = tuple(

@@ -175,12 +175,8 @@ class ClassifierSet:
 
     @property
     def ids(self) -> list[int]:
-        """The submaps, ascending: the columns of `margins`."""
+        """The submaps, ascending: the columns of all margins."""
         return list(self.raw.ids)
-
-    def margins(self, X: NDArray[Any]) -> FloatArray:
-        """(n, m) margins of raw scans' features X (n, F), columns in the order of `ids`."""
-        return self.raw.margins(X)
 
     def to_json(self) -> str:
         """Readable JSON: sensor, then every classifier's rounds by feature name."""

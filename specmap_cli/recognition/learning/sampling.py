@@ -8,7 +8,7 @@ the laser would have seen a step aside, or turned a little, is known from the ke
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any
@@ -65,7 +65,7 @@ class TrainingData:
     @classmethod
     def of(cls, *kinds: Mapping[int, Samples]) -> TrainingData:
         """Those of every submap, a kind after the other."""
-        return cls(*(together(kind) for kind in kinds))
+        return cls(*(together(kind[i] for i in sorted(kind)) for kind in kinds))
 
     @property
     def kinds(self) -> tuple[Samples, ...]:
@@ -83,7 +83,7 @@ class TrainingData:
     def joined(cls, parts: Sequence[TrainingData]) -> TrainingData:
         """Those of several maps in one."""
         of_kinds = zip(*(part.kinds for part in parts), strict=True)
-        return cls(*(together(dict(enumerate(of_kind))) for of_kind in of_kinds))
+        return cls(*(together(of_kind) for of_kind in of_kinds))
 
     def numbered_from(self, first: int) -> TrainingData:
         """Those of the same keyframes, which are numbered from `first` on instead of from 0."""
@@ -98,14 +98,13 @@ NO_SAMPLES = Samples(np.zeros((0, 0)), np.zeros(0, dtype=np.intp))
 NO_TRAINING_DATA = TrainingData(NO_SAMPLES, NO_SAMPLES, NO_SAMPLES, NO_SAMPLES)
 
 
-def together(samples: Mapping[int, Samples]) -> Samples:
-    """The samples of all submaps, one after the other."""
-    ordered = [samples[i] for i in sorted(samples) if len(samples[i].keyframes)]
-    if not ordered:
+def together(samples: Iterable[Samples]) -> Samples:
+    """Samples of several kinds or submaps, one after the other."""
+    some = [own for own in samples if len(own.keyframes)]
+    if not some:
         return NO_SAMPLES
     return Samples(
-        np.vstack([own.features for own in ordered]),
-        np.concatenate([own.keyframes for own in ordered]),
+        np.vstack([own.features for own in some]), np.concatenate([own.keyframes for own in some])
     )
 
 
@@ -129,10 +128,9 @@ _OUTLINES_KEPT = 256  # a few megabytes
 
 
 def raw_samples(
-    store: KeyframeStore,
     submaps: Mapping[int, Sequence[int]],
     config: Config,
-    features: KeyframeFeatures | None = None,
+    features: KeyframeFeatures,
     starts: Sequence[int] = (),
 ) -> dict[int, Samples]:
     """The raw scans of every submap that are learned from.
@@ -141,12 +139,10 @@ def raw_samples(
     scans, evenly spread over the recordings, which after the first one begin at `starts`; first of
     all from those whose features are known, which were chosen evenly, too.
     """
-    feature_set, most = config.recognition.feature_set, config.recognition.positives
-    features = features or KeyframeFeatures(store, feature_set)
     samples = {}
     for i, numbers in submaps.items():
         own = np.asarray(numbers, dtype=np.intp)
-        wanted = _by_recording(evenly(own, most), starts)
+        wanted = _by_recording(evenly(own, config.recognition.positives), starts)
         chosen: list[int] = []
         for recorded, share in zip(_by_recording(own, starts), wanted, strict=True):
             known = evenly(np.array(features.known(recorded.tolist()), dtype=np.intp), len(share))
@@ -187,7 +183,7 @@ def track_samples(
         elif len(share):
             scans = _in_windows(store, own, set(share.tolist()), poses)
             found.append(Samples(scans_features(scans, localization.feature_set), share))
-    every = together(dict(enumerate(found)))
+    every = together(found)
     return {i: every.rows(owner[every.keyframes] == i) for i in sorted(submaps)}
 
 
@@ -297,7 +293,7 @@ def augmented_samples(
     samples = {}
     for i, before in kept.items():
         beside = made.rows(owner[made.keyframes] == i)
-        samples[i] = together({0: before, 1: beside}) if len(before.keyframes) else beside
+        samples[i] = together([before, beside]) if len(before.keyframes) else beside
     return samples
 
 

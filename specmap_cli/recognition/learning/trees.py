@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.records import BoolArray
 
 BINS = 16  # more of them learn no better, and cost a round in proportion
 CodeArray = NDArray[np.uint8]
 VOTE_DECIMALS = 6  # of votes, which are of the order of one: readable, and safe from rounding
 IndexArray = NDArray[np.intp]
-BoolArray = NDArray[np.bool_]
 _FEATURE_SHARE = 0.1  # share of the features that are drawn for a round
 _SHRINKAGE = 0.5  # scale of every vote
 # Weight trimming (Friedman, Hastie and Tibshirani, 2000): every few rounds the samples that hold

@@ -51,7 +51,7 @@ def ready(grid: GridMap) -> PreparedGrid:
 
 def matched(old: PreparedGrid, new: PreparedGrid) -> Check:
     """The match of two grids that both show enough walls."""
-    check = verify(old, new)
+    check = verify(old, new, lambda _: True)
     assert check is not None
     return check
 

@@ -31,10 +31,8 @@ def samples_of(config: Config, n: int = 90, seed: int = 1) -> dict[int, FloatArr
     return made
 
 
-def trees(
-    names: Sequence[str], X: FloatArray, y: FloatArray, rounds: int = 15, seed: int = 0
-) -> Booster:
+def trees(names: Sequence[str], X: FloatArray, y: FloatArray, rounds: int = 15) -> Booster:
     """The trees that tell samples X (n, F) with the label +1 from those with -1."""
     quantiser, question = Quantiser.of(X), Question(np.arange(len(X)), y > 0.0)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     return boosted_trees(names, quantiser.codes(X), quantiser, [question], rounds, rng)[0]

@@ -88,7 +88,7 @@ def test_a_map_of_one_keyframe_is_seen_from_beside_it(store: KeyframeStore) -> N
 
 def test_those_that_are_known_are_not_made_again(store: KeyframeStore, seen: Seen) -> None:
     first = augmented_samples(store, SUBMAPS, store.poses, settings(90), np.random.default_rng(0))
-    made, known = len(seen), together(first)
+    made, known = len(seen), together(first.values())
     again = augmented_samples(
         store, SUBMAPS, store.poses, settings(40), np.random.default_rng(1), known
     )

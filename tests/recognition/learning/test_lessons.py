@@ -81,13 +81,13 @@ def test_each_recording_gives_its_share_of_raw_scans_the_known_ones_first(
     config = Config(recognition=RecognitionConfig(positives=10, feature_set="table1"))
     nothing, numbers = KeyframeFeatures(store, "table1"), np.arange(20, 40)
     known = nothing.knowing(numbers, np.ones((20, 52)))
-    found = raw_samples(store, {3: SUBMAPS[3]}, config, known, STARTS)[3]
+    found = raw_samples({3: SUBMAPS[3]}, config, known, STARTS)[3]
     old = found.keyframes < STARTS[0]
     assert int(old.sum()) == 5
     assert (found.features[old] == 1.0).all()
     assert not (found.features[~old] == 1.0).all(axis=1).any()
     known = nothing.knowing(numbers, np.ones((20, 52)))
-    alone = raw_samples(store, {3: SUBMAPS[3]}, config, known)[3]
+    alone = raw_samples({3: SUBMAPS[3]}, config, known)[3]
     assert (alone.keyframes < STARTS[0]).all()  # of one recording the known ones are enough
 
 
@@ -96,12 +96,12 @@ def test_a_recording_whose_virtual_scans_are_known_is_not_looked_at_again(
 ) -> None:
     anew = track_samples(store, SUBMAPS, store.poses, VIRTUAL, starts=STARTS)
     before = Samples(np.ones((25, 52)), np.arange(10, 35))
-    found = together(track_samples(store, SUBMAPS, store.poses, VIRTUAL, before, STARTS))
+    again = track_samples(store, SUBMAPS, store.poses, VIRTUAL, before, STARTS)
+    found, fresh = together(again.values()), together(anew.values())
     old = found.keyframes < STARTS[0]
     assert int(old.sum()) == 20  # two thirds of thirty
     assert set(found.keyframes[old].tolist()) <= set(range(10, 35))
     assert (found.features[old] == 1.0).all()
-    fresh = together(anew)
     late = fresh.keyframes >= STARTS[0]
     assert np.array_equal(found.features[~old], fresh.features[late])
 
@@ -120,7 +120,7 @@ def test_submaps_with_known_cast_scans_are_not_cast_again(
 
 
 def test_samples_are_put_together_by_submap() -> None:
-    both = together({4: numbered(1), 2: numbered(0, 5)})
+    both, *others = TrainingData.of({4: numbered(1), 2: numbered(0, 5)}, {}, {}, {}).kinds
     assert both.keyframes.tolist() == [0, 5, 1]
     assert of_keyframes(both, [1, 5, 9]).keyframes.tolist() == [5, 1]
-    assert len(together({}).keyframes) == 0
+    assert [len(samples.keyframes) for samples in others] == [0, 0, 0]

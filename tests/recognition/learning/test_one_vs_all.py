@@ -12,10 +12,6 @@ from specmap_cli.recognition.learning.boosting import OneVsAll, StumpBoost
 from tests.recognition.learning.made_up import PAPER, SMALL, samples_of
 
 
-def fitted(config: Config, seed: int = 0) -> OneVsAll:
-    return one_vs_all(config).fit(samples_of(config), np.random.default_rng(seed))
-
-
 def one_vs_all(config: Config) -> OneVsAll:
     return OneVsAll(config.recognition.feature_set, config.recognition)
 
@@ -44,7 +40,7 @@ def test_one_class_is_enough_and_fitting_again_forgets_it() -> None:
 
 @pytest.mark.parametrize("config", [SMALL, PAPER])
 def test_margins_are_those_of_the_boosters(config: Config) -> None:
-    model = fitted(config)
+    model = one_vs_all(config).fit(samples_of(config), np.random.default_rng(0))
     X = samples_of(config, seed=5)[2]
     expected = np.column_stack([b.margins(X) for b in model.boosters_.values()])
     assert model.margins(X) == pytest.approx(expected)

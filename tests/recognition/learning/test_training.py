@@ -85,7 +85,7 @@ def test_of_a_submap_seen_often_the_scans_with_known_features_are_learned_from(
     features = KeyframeFeatures(store, "full")
     features.of([*range(5, 35), 50, 51])
     asked.clear()
-    raw_samples(store, SUBMAPS, config, features)
+    raw_samples(SUBMAPS, config, features)
     (_, enough), (_, few) = asked
     assert (len(enough), enough[0], enough[-1]) == (12, 5, 34)
     assert set(enough) <= set(range(5, 35))
@@ -112,7 +112,7 @@ def test_raw_classifiers_learn_from_the_keyframes_of_the_submaps(store: Keyframe
     assert learned.to_dict() == Recogniser(classifiers, looks.fit(samples)).to_dict()
     known = KeyframeFeatures(store, "table1")
     known.of(range(50))
-    shared = raw_samples(store, SUBMAPS, config, known)
+    shared = raw_samples(SUBMAPS, config, known)
     rng = np.random.default_rng(0)
     again, _ = train_and_test(shared, beside, store.poses, config, rng, virtual=False)
     assert again.to_dict() == learned.to_dict()
@@ -138,7 +138,8 @@ def test_the_sensor_is_that_of_the_first_keyframe_in_a_submap(store: KeyframeSto
 
 def raw_of(store: KeyframeStore, config: Config) -> Recogniser:
     """What raw scans teach."""
-    samples = raw_samples(store, SUBMAPS, config)
+    features = KeyframeFeatures(store, config.recognition.feature_set)
+    samples = raw_samples(SUBMAPS, config, features)
     beside = augmented_samples(store, SUBMAPS, store.poses, config, np.random.default_rng(0))
     rng = np.random.default_rng(0)
     return train_and_test(samples, beside, store.poses, config, rng, virtual=False)[0]

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hypothesis import given
-from numpy.typing import NDArray
 
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.records import IntArray
+from specmap_cli.core.records import BoolArray, IntArray
 from specmap_cli.recognition.learning import trees
 from specmap_cli.recognition.learning.boosting import TreeBoost
 from specmap_cli.recognition.learning.trees import (
@@ -25,7 +24,6 @@ from tests.recognition.watching import watched
 from tests.strategies import few, seeds
 from tests.turning import turn
 
-BoolArray = NDArray[np.bool_]
 NAMES = ("a", "b", "c")
 
 
