@@ -280,8 +280,9 @@ def nearest_labels(
 
 def poses_at(finished: FinishedMap, stamps_ns: Sequence[int]) -> FloatArray:
     """(n, 3) poses in the finished map at stamps of registered scans."""
-    _, rows = associate(finished.trajectory.stamps_ns, np.array(stamps_ns, dtype=np.int64), 0)
-    return finished.trajectory.poses[rows]
+    way = finished.laid.trajectory
+    _, rows = associate(way.stamps_ns, np.array(stamps_ns, dtype=np.int64), 0)
+    return way.poses[rows]
 
 
 @dataclass(frozen=True, slots=True)

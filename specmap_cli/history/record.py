@@ -25,7 +25,7 @@ from pydantic import Field
 from specmap_cli.core.arrays import runs
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.json_values import Amount, Count, Measured, Number, Stamp
-from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels
+from specmap_cli.core.records import NO_SUBMAP, IntArray
 from specmap_cli.core.schemas import ModelSchema
 from specmap_cli.core.text import counted, csv_text, legible
 from specmap_cli.maps.store import Map
@@ -159,17 +159,16 @@ class Tour:
     visits: tuple[Visit, ...]
 
 
-def tour_of(keyframes: Labels, rooms: IntArray, driven_m: float) -> Tour:
-    """The tour of one recording's keyframes, of which `rooms` (n,) holds the room of each.
+def tour_of(stamps_ns: IntArray, rooms: IntArray, driven_m: float) -> Tour:
+    """The tour of one recording's keyframes at `stamps_ns` (n,); `rooms` (n,) is where each was.
 
     A keyframe in no room has NO_SUBMAP. A visit lasts until the scan with which the next begins, so
     that no time is lost between two rooms.
     """
-    stamps = keyframes.stamps_ns.tolist()
-    spans = runs(rooms)
+    stamps = stamps_ns.tolist()
     visits = tuple(
         Visit(int(rooms[start]), stamps[start], stamps[min(end, len(stamps) - 1)])
-        for start, end in spans
+        for start, end in runs(rooms)
         if rooms[start] != NO_SUBMAP
     )
     return Tour(stamps[0], stamps[-1], driven_m, visits)

@@ -46,17 +46,15 @@ def check_map(
     instance_of(rules, Rules, "rules")
     figures, details = figures_of(map_), dict(_told(map_))
     if golden is not None:
-        record, reason = None, ""
         try:
             record = compare_maps(golden, map_, progress=progress).record
         except NoResultError as error:
-            reason = str(error)
-        against_it = figures_against(record)
-        figures |= against_it
-        if record is None:
-            details |= dict.fromkeys(against_it, "not known: see golden.aligned")
-            details["golden.aligned"] = reason
+            unknown = figures_against(None)
+            figures |= unknown
+            details |= dict.fromkeys(unknown, "not known: see golden.aligned")
+            details["golden.aligned"] = str(error)
         else:
+            figures |= figures_against(record)
             details |= _changes(record)
     named = None if golden is None else str(golden.path)
     return judged(str(map_.path), named, plain(figures), map_.verdict, rules, details)

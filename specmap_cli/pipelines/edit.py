@@ -149,7 +149,7 @@ def _drawn(stored: Map, edits: Edits) -> Drawn:
     """The keyframes with the borders of the edits; a finished grid has none that could be moved."""
     graph = stored.record.graph
     if not borders_in(edits) and not graph.edits.borders:
-        return Drawn(np.array(stored.ids, dtype=np.int64), (), graph.next_id, edits)
+        return Drawn(np.array(stored.ids, dtype=np.int64), (), graph.next_id, edits=edits)
     if not (stored.path / filenames.KEYFRAMES).exists():
         raise MapError(
             f"has no {filenames.KEYFRAMES}: merges and splits need the scans of a map "

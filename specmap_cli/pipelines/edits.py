@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from specmap_cli.core.errors import MapError, UsageError
-from specmap_cli.core.records import BoolArray, IntArray, Labels
+from specmap_cli.core.records import BoolArray, Labels
 from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps import filenames
@@ -28,7 +28,7 @@ from specmap_cli.maps.edits import (
     said_in,
 )
 from specmap_cli.maps.store import Map
-from specmap_cli.topology.identity import redrawn
+from specmap_cli.topology.identity import Redrawn, redrawn
 from specmap_cli.topology.navigation import Forbidden, Shut, shut_by, with_detours, with_shut
 from specmap_cli.topology.regions import Regions
 from specmap_cli.topology.topological_map import (
@@ -106,18 +106,10 @@ def _not_undone(edits: Edits, undo: Collection[int]) -> list[Change]:
 
 
 @dataclass(frozen=True, slots=True)
-class Drawn:
-    """Keyframes with the borders of some edits: `submaps` (n,), and the `borders` that were made.
+class Drawn(Redrawn):
+    """Keyframes with the borders of `edits`, in which each split that was made has its new id."""
 
-    In `edits` every split that was made has the id of its new submap. `skipped` says why a change
-    could not be made, by its place in the list.
-    """
-
-    submaps: IntArray
-    borders: tuple[BorderEdit, ...]
-    next_id: int
-    edits: Edits
-    skipped: Mapping[int, str] = field(default_factory=dict)
+    edits: Edits = field(default_factory=Edits)
 
 
 def edits_of_stored(stored: Map) -> Edits:
@@ -173,7 +165,7 @@ def drawn(
         if isinstance(change, SplitEdit) and isinstance(border, Split):
             changes[place] = SplitEdit(split=change.split, line=change.line, new=border.new)
     numbered = Edits(submaps=edits.submaps, changes=tuple(changes))
-    return Drawn(found.submaps, found.borders, found.next_id, numbered, skipped)
+    return Drawn(found.submaps, found.borders, found.next_id, skipped, numbered)
 
 
 def named(

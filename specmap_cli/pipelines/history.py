@@ -18,7 +18,7 @@ from specmap_cli.core.errors import MapError, NoResultError, path_of
 from specmap_cli.core.geometry import BentMotion, FloatArray
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
-from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels
+from specmap_cli.core.records import NO_SUBMAP, IntArray
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.core.text import encodable, to_json
 from specmap_cli.history.record import (
@@ -315,7 +315,7 @@ class _Building:
         entry = replace(entry, room_of=room_of, added=added)
         if added:
             self._plans.append(entry)
-        self._tours(entry.stored, labels, rooms)
+        self._count_tours(entry.stored, rooms)
         for id_, name in entry.stored.names.items():
             if id_ in entry.room_of:
                 self._names[entry.room_of[id_]] = name
@@ -335,23 +335,19 @@ class _Building:
         )
         return entry
 
-    def _tours(self, stored: Map, labels: Labels, rooms: IntArray) -> None:
+    def _count_tours(self, stored: Map, rooms: IntArray) -> None:
         """Count the recordings that no earlier map of the building was made of."""
-        least_m = stored.config.segmentation.region_min_m
+        labels, least_m = stored.labels, stored.config.segmentation.region_min_m
         for log, way_m in zip(stored.logs, ways_m(stored.logs, labels), strict=True):
             recording = log.name, log.start_ns, log.end_ns
             if log.keyframes is None or recording in self._seen:
                 continue
             self._seen.add(recording)
             own = slice(log.keyframes[0], log.keyframes[1] + 1)
-            part = Labels(
-                stamps_ns=labels.stamps_ns[own],
-                poses=labels.poses[own],
-                submaps=labels.submaps[own],
-            )
-            if len(part.stamps_ns):
-                settled = settle_labels(rooms[own], part.poses, least_m)
-                self.tours.append(tour_of(part, settled, way_m))
+            stamps_ns = labels.stamps_ns[own]
+            if len(stamps_ns):
+                settled = settle_labels(rooms[own], labels.poses[own], least_m)
+                self.tours.append(tour_of(stamps_ns, settled, way_m))
 
 
 def _changes(

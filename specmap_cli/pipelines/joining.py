@@ -197,22 +197,19 @@ def _trajectory(old: LaidOut, new: LaidOut, poses: FloatArray) -> Trajectory:
     return Trajectory(
         stamps_ns=np.concatenate([way.stamps_ns for way in ways]),
         poses=np.concatenate(carried),
-        tilt=_both([way.tilt for way in ways], [(n, 3) for n in lengths], np.float64),
-        lost=_both([way.lost for way in ways], [(n,) for n in lengths], np.bool_),
+        tilt=_both([way.tilt for way in ways], [np.zeros((n, 3)) for n in lengths]),
+        lost=_both([way.lost for way in ways], [np.zeros(n, dtype=np.bool_) for n in lengths]),
     )
 
 
 def _both(
-    parts: Sequence[NDArray[Any] | None], shapes: Sequence[tuple[int, ...]], kind: Any
+    parts: Sequence[NDArray[Any] | None], blanks: Sequence[NDArray[Any]]
 ) -> NDArray[Any] | None:
-    """Columns of both trajectories, zero where one has none; None where neither has any."""
+    """Columns of both trajectories, blank where one has none; None where neither has any."""
     if all(part is None for part in parts):
         return None
-    filled = [
-        np.zeros(shape, dtype=kind) if part is None else part
-        for part, shape in zip(parts, shapes, strict=True)
-    ]
-    return np.concatenate(filled)
+    both = zip(parts, blanks, strict=True)
+    return np.concatenate([blank if part is None else part for part, blank in both])
 
 
 def with_edits_of(joint: LaidOut, new: LaidOut, old_from_new: Pose2) -> LaidOut:

@@ -219,16 +219,12 @@ def training_data_of_stored(stored: Map, config: Config) -> TrainingData:
     return found if before.grid == config.grid else replace(found, cast=NO_SAMPLES)
 
 
-def comparable(
-    classifiers: ClassifierSet | None, stored: Map, config: Config
-) -> ClassifierSet | None:
+def comparable(classifiers: ClassifierSet, stored: Map, config: Config) -> ClassifierSet | None:
     """The classifiers of a map where they are of the kind that these settings make, else None.
 
     Those of another version are not: it may have found other features.
     """
-    if classifiers is None or not _of_this_version(stored):
-        return None
-    if stored.config.recognition != config.recognition:
+    if not _of_this_version(stored) or stored.config.recognition != config.recognition:
         return None
     virtual = classifiers.virtual is not None
     same = stored.config.localization.feature_set == config.localization.feature_set

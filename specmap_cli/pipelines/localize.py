@@ -59,7 +59,12 @@ def localize_log(
     given = paths_of(logs, "logs")
     if config is not None:
         instance_of(config, Config, "config")
-    stored = _opened(map_, config, progress)
+    stored = opened_map(map_, "map_", None if config is None else config.limits)
+    if stored.note:
+        progress.note(stored.note)
+    if stored.foreign_settings:
+        foreign = ", ".join(stored.foreign_settings)
+        progress.note(f"{stored.path}: built by another version; its settings left out: {foreign}")
     localizer = Localizer(stored, config, metric=metric)
     if localizer.config.localization.unknown and not localizer.knows_its_walls:
         progress.note(f"{stored.path}: {_NO_MISFIT}")
@@ -87,18 +92,6 @@ def localize_log(
         scans = localizer.told(found, offline=offline)
         name = legible(Path(log.name).name)
         return LocalizationReport(log=name, scans=scans, warnings=warnings, names=stored.names)
-
-
-def _opened(map_: Map | Path | str, config: Config | None, progress: Progress) -> Map:
-    """The map; what it lacks is noted, and settings that only the version that built it knows."""
-    limits = None if config is None else config.limits
-    stored = opened_map(map_, "map_", limits)
-    if stored.note:
-        progress.note(stored.note)
-    if stored.foreign_settings:
-        foreign = ", ".join(stored.foreign_settings)
-        progress.note(f"{stored.path}: built by another version; its settings left out: {foreign}")
-    return stored
 
 
 HEADER = "stamp,submap,margin,runner_up,filtered_submap,name,filtered_probability,probability"
@@ -196,10 +189,8 @@ def _cells(report: LocalizationReport, scan: LocalizedScan, metric: bool) -> lis
     """
     label, fix = scan.label, scan.fix
     pose, covariance = scan.submap_from_base, scan.covariance
-    where: list[str] = []
-    if metric and (fix is None or pose is None or covariance is None):
-        where = [""] * METRIC_HEADER.count(",")
-    elif metric and fix is not None and pose is not None and covariance is not None:
+    where = [""] * METRIC_HEADER.count(",") if metric else []
+    if metric and fix is not None and pose is not None and covariance is not None:
         where = [f"{value:.6f}" for value in (*pose, fix.score)]
         where += [f"{value:.4e}" for value in covariance[np.triu_indices(3)].tolist()]
         where += [f"{value:.6f}" for value in fix.pose]
@@ -225,12 +216,8 @@ def picture_of(report: LocalizationReport, stored: Map, metric: bool) -> NDArray
     from specmap_cli.drawing.palette import colours_of  # slow to load, and seldom wanted
 
     metric = metric and any(scan.fix is not None for scan in report.scans)
-    submaps = np.array(
-        [
-            NO_SUBMAP if scan.label.filtered_submap is None else scan.label.filtered_submap
-            for scan in report.scans
-        ]
-    )
+    rooms = [scan.room for scan in report.scans]
+    submaps = np.array([NO_SUBMAP if room is None else room for room in rooms])
     title = f"{report.log}: predicted submaps"
     if not metric:
         track = np.array([scan.track_from_base[:2] for scan in report.scans])

@@ -189,11 +189,6 @@ class FinishedMap:
         return self.laid.labels
 
     @property
-    def trajectory(self) -> Trajectory:
-        """The poses of all scans."""
-        return self.laid.trajectory
-
-    @property
     def regions(self) -> Regions:
         """The division of the whole grid."""
         return self.laid.regions

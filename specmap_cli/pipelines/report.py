@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -24,6 +27,7 @@ from specmap_cli.report.evidence import Evidence, Learned, SplitTrial
 from specmap_cli.report.layers import Changes
 from specmap_cli.report.page import render
 from specmap_cli.segmentation.online import Occasion, OnlineSegmenter, SplitTest
+from specmap_cli.topology.topological_map import starts_of
 
 
 @one_blas_thread()
@@ -61,6 +65,8 @@ _NEAR_M, _NEAR_CELLS = 0.1, 1.5  # of a wall: a return that lies so near lies on
 _LEAST_SPREAD = 1e-9  # of votes that are always the same
 _LEAST_SHARE = 0.01  # of the votes, or of the scans: less is not worth a word
 
+Name = TypeVar("Name", str, int)
+
 
 def evidence_of(stored: Map, progress: Progress) -> Evidence:
     """What a map's scans and classifiers tell, as far as it has them.
@@ -94,28 +100,36 @@ def evidence_of(stored: Map, progress: Progress) -> Evidence:
 def _features_of(recogniser: Recogniser) -> dict[int, tuple[tuple[str, float], ...]]:
     """What each classifier looks at, what counts most first."""
     names = feature_names(recogniser.feature_set)
-    found = {}
-    for id_, booster in recogniser.classifiers.boosters_.items():
-        shares = feature_shares(booster)
-        ranked = np.argsort(-shares, kind="stable")
-        found[id_] = tuple(
-            (names[k], float(shares[k])) for k in ranked.tolist() if shares[k] >= _LEAST_SHARE
-        )
-    return found
+    boosters = recogniser.classifiers.boosters_
+    return {id_: _ranked(names, feature_shares(booster)) for id_, booster in boosters.items()}
+
+
+def _ranked(names: Sequence[Name], shares: FloatArray) -> tuple[tuple[Name, float], ...]:
+    """Names with their shares, the largest first, without those that are not worth a word."""
+    order = np.argsort(-shares, kind="stable").tolist()
+    return tuple((names[k], float(shares[k])) for k in order if shares[k] >= _LEAST_SHARE)
 
 
 def _learned(stored: Map, recogniser: Recogniser, store: KeyframeStore) -> dict[int, Learned]:
     """What each classifier looks at, and which submaps a submap's scans fit next best."""
     scans = KeyframeFeatures(store, recogniser.feature_set, most=0)
-    shares, submaps = _features_of(recogniser), stored.labels.submaps
-    asked = [evenly(np.flatnonzero(submaps == id_), _ASKED) for id_ in recogniser.ids]
+    features, submaps, ids = _features_of(recogniser), stored.labels.submaps, recogniser.ids
+    asked = [evenly(np.flatnonzero(submaps == id_), _ASKED) for id_ in ids]
     owner = np.repeat(np.arange(len(asked)), [len(own) for own in asked])
     margins = recogniser.margins(scans.of(np.concatenate(asked).tolist()))
     relative = _relative_votes(margins, owner)
-    return {
-        id_: _told(k, recogniser.ids, margins[owner == k], relative[owner == k], shares[id_])
-        for k, id_ in enumerate(recogniser.ids)
-    }
+    learned = {}
+    for column, id_ in enumerate(ids):
+        own, count = owner == column, len(asked[column])
+        found = Learned(features=features[id_])
+        if count:
+            right = float(np.mean(margins[own].argmax(axis=1) == column))
+            found = replace(found, scans=count, right=right)
+        if count and len(ids) > 1:
+            nearest = np.bincount(relative[own].argmax(axis=1), minlength=len(ids))
+            found = replace(found, alike=_ranked(ids, nearest / count))
+        learned[id_] = found
+    return learned
 
 
 def _relative_votes(margins: FloatArray, owner: IntArray) -> FloatArray:
@@ -133,28 +147,6 @@ def _relative_votes(margins: FloatArray, owner: IntArray) -> FloatArray:
             spread = max(float(values.std()), _LEAST_SPREAD)
             relative[foreign, column] = (values - values.mean()) / spread
     return relative
-
-
-def _told(
-    own: int,
-    ids: tuple[int, ...],
-    margins: FloatArray,
-    relative: FloatArray,
-    features: tuple[tuple[str, float], ...],
-) -> Learned:
-    """What the margins (n, m) of a submap's own scans say of it; `own` is its column."""
-    if not len(margins):
-        return Learned(features=features)
-    right = float(np.mean(margins.argmax(axis=1) == own))
-    if len(ids) < 2:
-        return Learned(features=features, scans=len(margins), right=right)
-    shares = np.bincount(relative.argmax(axis=1), minlength=len(ids)) / len(margins)
-    alike = tuple(
-        (ids[k], float(shares[k]))
-        for k in np.argsort(-shares, kind="stable").tolist()
-        if shares[k] >= _LEAST_SHARE
-    )
-    return Learned(features=features, scans=len(margins), right=right, alike=alike)
 
 
 def _fit(stored: Map, store: KeyframeStore) -> FloatArray:
@@ -191,8 +183,7 @@ def _tests(stored: Map, store: KeyframeStore, progress: Progress) -> tuple[Split
             )
         )
 
-    breaks = {each.keyframe for each in stored.record.graph.breaks}
-    breaks |= {log.keyframes[0] for log in stored.logs[1:] if log.keyframes is not None}
+    breaks = {*(each.keyframe for each in stored.record.graph.breaks), *starts_of(stored.logs)}
     config = stored.config
     segmenter = OnlineSegmenter(config.segmentation, config.grid, store, observe)
     for now in range(len(store)):

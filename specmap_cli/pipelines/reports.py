@@ -88,8 +88,7 @@ class RunRecord(Value):
         like: str | None = None,
     ) -> RunRecord:
         """What is to be told of a map that was made in a session of `inputs`."""
-        laid, clock = finished.laid, session.clock
-        limits = {"max_extent_m": laid.beyond}
+        beyond, clock = finished.laid.beyond, session.clock
         return cls(
             inputs=tuple(path.name for path in inputs),
             selection=None
@@ -109,7 +108,7 @@ class RunRecord(Value):
             config=session.config,
             versions=versions(),
             counts=finished.counts,
-            limits={name: count for name, count in limits.items() if count},
+            limits={"max_extent_m": beyond} if beyond else {},
             seconds={name: round(value, 3) for name, value in clock.seconds.items()},
             wall_s=round(time.perf_counter() - clock.began, 3),
             memory_mb=peak_memory_mb(),

@@ -73,10 +73,8 @@ def thinned(session: Session, joint: LaidOut, old: LaidOut, new: LaidOut) -> Thi
         config.grid.max_range_m,
     )
     gone[kept_for_walls] = False
-    if not gone.any():
-        return Thinned(joint, np.arange(len(joint)), len(old), 0, len(kept_for_walls))
     dropped = int(gone.sum())
-    fewer = _without(store, joint, of, gone)
+    fewer = _without(store, joint, of, gone) if dropped else joint
     return Thinned(fewer, np.flatnonzero(~gone), len(old) - dropped, dropped, len(kept_for_walls))
 
 

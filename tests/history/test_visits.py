@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.errors import UsageError
-from specmap_cli.core.records import NO_SUBMAP, Labels
+from specmap_cli.core.records import NO_SUBMAP
 from specmap_cli.history.record import (
     StayRecord,
     Tour,
@@ -24,15 +24,9 @@ _NS = 1_000_000_000
 _MIDNIGHT = int(datetime(2026, 3, 2, tzinfo=UTC).timestamp()) * _NS
 
 
-def labels(seconds: list[float]) -> Labels:
-    stamps = _MIDNIGHT + (np.array(seconds) * _NS).astype(np.int64)
-    poses = np.column_stack([np.array(seconds), np.zeros((len(seconds), 2))])
-    return Labels(stamps_ns=stamps, poses=poses, submaps=np.zeros(len(seconds), dtype=np.int64))
-
-
 def test_a_visit_lasts_until_the_next_begins_and_no_room_is_known_at_first() -> None:
     rooms = np.array([NO_SUBMAP, NO_SUBMAP, 0, 0, 1, 1, 0])
-    tour = tour_of(labels([0, 10, 20, 30, 40, 50, 70]), rooms, 70.0)
+    tour = tour_of(_MIDNIGHT + np.array([0, 10, 20, 30, 40, 50, 70]) * _NS, rooms, 70.0)
     lasted = [(one.room, (one.end_ns - one.start_ns) / _NS) for one in tour.visits]
     assert lasted == [(0, 20), (1, 30), (0, 0)]
     assert tour.driven_m == 70

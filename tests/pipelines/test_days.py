@@ -104,6 +104,8 @@ def test_without_a_map_or_its_visits_there_is_no_history(house: Path) -> None:
     (house / "topology.json").unlink()
     with pytest.raises(MapError, match=re.escape(str(house))):
         history_of([house])
+    with pytest.raises(MapError, match="no maps were named"):
+        history_of([])
 
 
 def test_the_command_writes_all_of_a_history(
@@ -280,8 +282,3 @@ def test_a_map_without_classifiers_is_compared_by_its_grids(
     shutil.copytree(changed, bare)
     (bare / "classifiers.json").unlink()
     assert np.isfinite(compare_maps(before, bare).alignment.rival)
-
-
-def test_no_maps_are_refused() -> None:
-    with pytest.raises(MapError, match="no maps were named"):
-        history_of([])

@@ -12,6 +12,7 @@ import pytest
 from specmap_cli import read_map, segment_map
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import NoResultError, UsageError
+from specmap_cli.core.records import IntArray
 from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap
 from specmap_cli.grids.map_server import write_grid
 from specmap_cli.pipelines.edit import edit_map
@@ -83,36 +84,35 @@ def test_a_fan_of_rays_through_a_window_is_no_room_and_is_told(
     assert (tmp_path / "rooms" / "overview.png").read_bytes() == picture
 
 
+TILES = np.arange(1_098) % 6 < 4
+TOO_FINE = r"wider than 0\.5 m in the map \(.* free\): check the resolution"
+
+
 @pytest.mark.parametrize(
-    ("resolution", "error", "words"),
+    ("pixels", "resolution", "error", "words"),
     [
-        (0.6, UsageError, "too coarse to see a door"),
-        (0.004, NoResultError, r"wider than 0\.5 m in the map \(.* free\): check the resolution"),
+        (None, 0.6, UsageError, "too coarse to see a door"),
+        (None, 0.004, NoResultError, TOO_FINE),
+        (np.outer(TILES, TILES) * 254, 0.2, NoResultError, "more than 32,766 pieces of free space"),
+        (np.full((40, 60), 0), 0.05, NoResultError, r"no free space wider than 0\.5 m"),
+        (np.full((40, 60), 205), 0.05, NoResultError, r"no free space wider than 0\.5 m"),
     ],
+    ids=["coarse", "fine", "more pieces than labels", "walls", "unknown"],
 )
 def test_what_cannot_be_divided_is_one_line_and_leaves_nothing(
-    resolution: float, error: type[Exception], words: str, plan: Path, tmp_path: Path
+    pixels: IntArray | None,
+    resolution: float,
+    error: type[Exception],
+    words: str,
+    plan: Path,
+    tmp_path: Path,
 ) -> None:
-    """What is no plan: tests/cli/test_cli_maps.py."""
+    """The flat, or other pictures; what is no plan: tests/cli/test_cli_maps.py."""
+    picture = plan.with_suffix(".png")
+    if pixels is not None:
+        picture = tmp_path / "plan.png"
+        cv2.imwrite(str(picture), pixels.astype(np.uint8))
     with pytest.raises(error, match=words) as caught:
-        segment_map(plan.with_suffix(".png"), tmp_path / "rooms", resolution=resolution)
+        segment_map(picture, tmp_path / "rooms", resolution=resolution)
     assert "\n" not in str(caught.value)
-    assert not (tmp_path / "rooms").exists()
-
-
-def test_a_plan_of_more_pieces_than_labels_is_one_line(tmp_path: Path) -> None:
-    picture = tmp_path / "plan.png"
-    free = np.arange(1_098) % 6 < 4
-    cv2.imwrite(str(picture), np.outer(free, free).astype(np.uint8) * 254)
-    with pytest.raises(NoResultError, match="more than 32,766 pieces of free space"):
-        segment_map(picture, tmp_path / "rooms", resolution=0.2)
-    assert not (tmp_path / "rooms").exists()
-
-
-@pytest.mark.parametrize("grey", [0, 205])
-def test_a_plan_without_free_space_is_one_line(grey: int, tmp_path: Path) -> None:
-    picture = tmp_path / "plan.png"
-    cv2.imwrite(str(picture), np.full((40, 60), grey, dtype=np.uint8))
-    with pytest.raises(NoResultError, match=r"no free space wider than 0\.5 m"):
-        segment_map(picture, tmp_path / "rooms", resolution=0.05)
     assert not (tmp_path / "rooms").exists()

@@ -92,7 +92,6 @@ def test_classifiers_of_other_settings_are_no_test(flat_map: Map) -> None:
     assert learning.comparable(classifiers, flat_map, flat_map.config) is classifiers
     more = changed(flat_map.config, "recognition", rounds=1 + flat_map.config.recognition.rounds)
     assert learning.comparable(classifiers, flat_map, more) is None
-    assert learning.comparable(None, flat_map, flat_map.config) is None
 
 
 def labels(poses: list[tuple[float, float, float]], submaps: list[int]) -> Labels:
