@@ -96,9 +96,7 @@ def _with_way(edge: Edge, way: Way, doors: Iterable[Door]) -> Edge:
     """
     through = [door for door in doors if door.between == (edge.source, edge.target)]
     if way.path is not None:
-        met = [(crossing_of(way.path, door), door) for door in through]
-        pieces = [(where[0], door.id, door) for where, door in met if where is not None]
-        through = [door for *_, door in sorted(pieces, key=lambda one: one[:2])]
+        through = [*_crossed(way.path, through)]
     first = through[0] if through else None
     return replace(
         edge,
