@@ -21,7 +21,7 @@ UNKNOWN = -1
 RIGHT_M, RIGHT_RAD = 0.1, math.radians(1.0)
 WRONG_M, WRONG_RAD = 0.5, math.radians(10.0)
 _LABEL_M = 0.3  # from a place to the submap that it is said to be in
-_REFUSED = "sees less than the laser of the map"
+_REFUSED = "sees less than that of the map"
 
 
 @dataclass(frozen=True, slots=True)
