@@ -62,9 +62,7 @@ def test_what_is_stored_is_read_back(taken: list[tuple[PlanarScan, Pose2, Pose2]
 
 
 @pytest.mark.parametrize("at_a_place", [True, False])
-def test_a_store_may_be_read_while_it_grows(
-    monkeypatch: pytest.MonkeyPatch, at_a_place: bool
-) -> None:
+def test_a_store_is_read_while_it_grows(monkeypatch: pytest.MonkeyPatch, at_a_place: bool) -> None:
     """Also where the system cannot read at a place, and scans without a beam among them."""
     if not at_a_place:
         monkeypatch.delattr(os, "pread", raising=False)
@@ -96,9 +94,7 @@ def test_scans_do_not_stay_in_memory() -> None:
 
 
 @given(st.lists(st.tuples(planar_scans(beams=24), poses, poses), min_size=1, max_size=3))
-def test_a_grid_of_keyframes_is_that_of_their_scans(
-    taken: list[tuple[PlanarScan, Pose2, Pose2]],
-) -> None:
+def test_a_keyframe_grid_is_that_of_its_scans(taken: list[tuple[PlanarScan, Pose2, Pose2]]) -> None:
     config = GridConfig(resolution_m=0.1, footprint_m=0.3)
     direct = OccupancyGrid(config)
     with store_of(keyframe(*each) for each in taken) as store:
@@ -211,9 +207,7 @@ def laser(beams: int, view_deg: float, range_max: float) -> PlanarScan:
         (laser(1, 0.0, 30.0), 1),
     ],
 )
-def test_so_many_scans_show_a_place_that_every_cell_of_a_wall_is_hit(
-    scan: PlanarScan, looks: int
-) -> None:
+def test_a_place_is_shown_when_every_cell_of_a_wall_is_hit(scan: PlanarScan, looks: int) -> None:
     assert keyframes.views_needed(scan, GridConfig()) == looks
 
 
@@ -265,9 +259,7 @@ WAY, FEW = along(0.0, 3.0), along(1.0, 1.2)
     ],
     ids=["there and back", "there and back, all round", "elsewhere", "side by side"],
 )
-def test_so_many_keyframes_are_repeated(
-    ways: list[FloatArray], all_round: bool, numbers: list[int]
-) -> None:
+def test_so_many_are_repeated(ways: list[FloatArray], all_round: bool, numbers: list[int]) -> None:
     assert [len(own) for own in gone(recorded(ways, all_round))] == numbers
 
 

@@ -85,9 +85,7 @@ def test_a_cell_is_free_only_where_a_beam_passed_and_known_all_along_it(
 
 
 @given(planar_scans(reach=6.0), poses)
-def test_every_return_is_an_occupied_cell_whatever_the_other_beams_say(
-    scan: PlanarScan, pose: Pose2
-) -> None:
+def test_every_return_is_occupied_whatever_other_beams_say(scan: PlanarScan, pose: Pose2) -> None:
     grid = gridded([scan] * 3, [pose] * 3)
     hits = pose.apply(scan.hits())
     # a return on the border of two cells belongs to either
@@ -123,9 +121,7 @@ def test_a_shift_by_whole_cells_shifts_the_grid(
 
 
 @pytest.mark.parametrize("limit", [{"max_extent_m": 40.0}, {"max_area_m2": 1600.0}])
-def test_a_grid_never_grows_past_its_limit_and_counts_the_scans_beyond(
-    limit: dict[str, float],
-) -> None:
+def test_a_grid_never_grows_past_its_limit_and_counts_scans_beyond(limit: dict[str, float]) -> None:
     grid = OccupancyGrid(settings(**limit))
     add(grid, one_beam(0.0, 2.0), IDENTITY)
     before = grid.snapshot()
@@ -194,9 +190,7 @@ def test_between_two_returns_of_one_surface_all_is_free(gap: float, state: int) 
 
 
 @pytest.mark.parametrize("limit", [{"max_extent_m": 5.0}, {"max_area_m2": 2.0}])
-def test_a_scan_that_fits_is_taken_though_the_grid_has_no_cells_to_spare(
-    limit: dict[str, float],
-) -> None:
+def test_a_scan_that_fits_is_taken_though_no_cell_is_to_spare(limit: dict[str, float]) -> None:
     grid = counts_of([(one_beam(0.0, reach), IDENTITY) for reach in (2.0, 4.5)], settings(**limit))
     assert grid.refused == 0
     snapshot = grid.snapshot()
@@ -244,9 +238,7 @@ def test_grids_are_added_and_taken_from_each_other(taken: Taken, cut: int) -> No
 
 
 @given(planar_scans(), poses, st.floats(0.0, 9.0))
-def test_the_part_near_some_places_is_cut_from_the_whole(
-    scan: PlanarScan, pose: Pose2, reach: float
-) -> None:
+def test_the_part_near_places_is_cut_from_all(scan: PlanarScan, pose: Pose2, reach: float) -> None:
     grid = gridded([scan], [pose])
     counts = counts_of([(scan, pose)])
     places = np.array([[0.0, 1.0, 0.3], [2.0, -1.0, 0.0]])

@@ -74,9 +74,7 @@ def test_walls_drawn_into_a_field_make_the_field_of_all(seed: int) -> None:
 
 
 @pytest.mark.parametrize("place", [(4.3, 0.0), (0.0, -3.3), (1e6, 0.0)])
-def test_walls_near_the_edge_of_a_field_or_beyond_cannot_be_drawn_into_it(
-    place: tuple[float, float],
-) -> None:
+def test_walls_at_the_edge_of_a_field_or_beyond_cannot_be_drawn(place: tuple[float, float]) -> None:
     edges = PointCells.of(np.array([[-4.0, -3.0], [4.0, 3.0]]), 0.075)
     field = ScoreField.from_cells([edges], 0.1, 100.0, (0.0, 0.0))
     inside, outside = ([[0.0, 0.0]], [[0.0, 0.0], place])
@@ -92,9 +90,7 @@ def test_the_sharper_field_has_half_the_sigma() -> None:
 
 
 @given(grid_maps(), st.sampled_from([0.05, 0.1, 0.3]))
-def test_the_field_of_a_grid_is_the_score_of_the_exact_distance(
-    grid: GridMap, sigma: float
-) -> None:
+def test_the_field_of_a_grid_is_the_score_of_exact_distances(grid: GridMap, sigma: float) -> None:
     field = ScoreField.from_grid(grid, sigma)
     margin = math.ceil(3.5 * sigma / grid.resolution)
     if not grid.occupied.any():
@@ -153,9 +149,7 @@ def test_points_too_far_from_the_others_are_counted() -> None:
 
 
 @given(seeds, st.floats(1.0, 30.0))
-def test_a_field_is_no_larger_than_allowed_and_shows_what_is_near(
-    seed: int, max_side: float
-) -> None:
+def test_a_field_is_no_larger_than_told_and_shows_what_is_near(seed: int, max_side: float) -> None:
     points = np.random.default_rng(seed).standard_cauchy((200, 2)) * 3.0
     field = ScoreField.from_points(points, 0.1, 0.1, max_side)
     margin = math.ceil(3.5)
@@ -192,9 +186,7 @@ def test_values_are_scipy_s_and_their_derivatives_those_of_finite_differences(se
 
 
 @given(small, small, small)
-def test_the_descent_ends_where_scipy_s_does_and_the_way_some_millimetres_from_a_match(
-    dx: float, dy: float, turn: float
-) -> None:
+def test_the_descent_ends_as_scipy_s_and_the_way_near_it(dx: float, dy: float, turn: float) -> None:
     guess, points = Pose2(dx, dy, turn), ROOM[::5]
     found = descend(FIELD, points, guess, 20, 0.3)
     best = minimize(
@@ -211,9 +203,7 @@ def test_the_descent_ends_where_scipy_s_does_and_the_way_some_millimetres_from_a
 
 
 @given(seeds, st.floats(0.0, 0.5), st.integers(0, 6))
-def test_the_descent_never_makes_it_worse_nor_leaves_its_reach(
-    seed: int, reach: float, iterations: int
-) -> None:
+def test_the_descent_improves_within_its_reach(seed: int, reach: float, iterations: int) -> None:
     guess = Pose2(*np.random.default_rng(seed).uniform(-1.0, 1.0, 3).tolist())
     found = descend(FIELD, ROOM[::5], guess, iterations, reach)
     assert (guess.inverse() @ found).distance <= reach + 1e-9
@@ -401,9 +391,7 @@ def test_a_bare_corridor_is_open_along_itself(noise_m: float, width_m: float, tu
 
 
 @pytest.mark.parametrize("noise_m", [0.0, 0.01, 0.03])
-def test_an_end_in_sight_closes_it_and_a_square_room_fixes_all_directions_alike(
-    noise_m: float,
-) -> None:
+def test_an_end_in_sight_closes_it_and_a_square_fixes_all_directions_alike(noise_m: float) -> None:
     ends = matching.weakest_direction(box(12.0, 2.5, 8.0, noise_m))
     assert ends.count > 5.0
     points = box(5.0, 5.0, 10.0, noise_m)

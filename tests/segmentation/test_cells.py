@@ -46,9 +46,7 @@ from tests.strategies import few, grid_maps, seeds
 
 
 @given(seed=seeds, asked=st.integers(0, 40))
-def test_flooding_fills_every_piece_with_a_node_and_says_of_some_cells_what_it_says_of_all(
-    seed: int, asked: int
-) -> None:
+def test_flooding_fills_pieces_with_a_node_and_some_cells_alike(seed: int, asked: int) -> None:
     rng, free = np.random.default_rng(seed), cluttered(seed)
     free[30] = False
     clearance = clearance_of(free)
@@ -113,9 +111,7 @@ def test_a_flooded_cell_belongs_to_the_node_with_the_widest_way_to_it(seed: int)
 
 
 @given(seed=seeds, rings=st.integers(1, 6))
-def test_labels_spread_to_their_whole_piece_and_change_nothing_that_is_there(
-    seed: int, rings: int
-) -> None:
+def test_labels_spread_to_their_whole_piece_and_change_none(seed: int, rings: int) -> None:
     rng = np.random.default_rng(seed)
     free = rng.random((20, 20)) < 0.6
     labels = np.where(free & (rng.random(free.shape) < 0.05), 7, -1).astype(np.int32)
@@ -217,9 +213,7 @@ def isolated(
 
 
 @given(seed=seeds, largest=st.integers(0, 12), bulky=st.integers(0, 25), thick=st.integers(1, 9))
-def test_small_obstacles_are_those_taken_piece_by_piece(
-    seed: int, largest: int, bulky: int, thick: int
-) -> None:
+def test_small_obstacles_piece_by_piece(seed: int, largest: int, bulky: int, thick: int) -> None:
     free = cluttered(seed)
     found = small_obstacles(free, largest, bulky, thick)
     taken, undecided = isolated(free, largest, bulky if bulky > largest else 0.0, thick)
@@ -310,9 +304,7 @@ def test_a_local_width_is_the_largest_visible_disc_that_covers_the_node(seed: in
 
 
 @given(seeds, st.sampled_from([0.5, 0.8, 1.1]))
-def test_clusters_are_one_where_borders_as_wide_as_asked_for_lead_from_one_to_the_other(
-    seed: int, ratio: float
-) -> None:
+def test_clusters_are_one_where_wide_borders_lead_to_each_other(seed: int, ratio: float) -> None:
     rng = np.random.default_rng(seed)
     widths = rng.uniform(0.0, 2.0, rng.integers(1, 9))
     every = itertools.combinations(range(len(widths)), 2)
@@ -349,9 +341,7 @@ def labels(text: str) -> LabelArray:
         (999, 0.5, "aaaacccccc.d"),
     ],
 )
-def test_a_small_region_with_one_way_in_is_a_part_of_the_next(
-    smallest: int, opening: float, expected: str
-) -> None:
+def test_a_small_dead_end_is_part_of_the_next(smallest: int, opening: float, expected: str) -> None:
     found = np.repeat(labels("aaaabbcccc.d"), 10, axis=0)
     clearance = np.full(found.shape, 3.0)
     clearance[:, 3] = opening

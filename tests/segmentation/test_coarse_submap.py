@@ -105,9 +105,7 @@ def counted_once(submap: CoarseSubmap, drive: KeyframeStore) -> bool:
 
 @pytest.mark.parametrize("asked", [False, True])
 @pytest.mark.parametrize("last", [3, 20])
-def test_a_split_counts_each_keyframe_on_its_side(
-    drive: KeyframeStore, last: int, asked: bool
-) -> None:
+def test_a_split_counts_each_on_its_side(drive: KeyframeStore, last: int, asked: bool) -> None:
     submap = everywhere(drive, range(26))
     if asked:
         submap.grid()

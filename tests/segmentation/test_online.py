@@ -182,9 +182,7 @@ def test_the_paper_compares_the_second_eigenvalue(two_room_tour: KeyframeStore) 
             assert test.eigenvalue > 0.8
 
 
-def test_the_outcome_of_a_test_does_not_depend_on_where_the_map_lies(
-    two_room_tour: KeyframeStore,
-) -> None:
+def test_the_outcome_does_not_depend_on_where_the_map_lies(two_room_tour: KeyframeStore) -> None:
     submap = submap_of(two_room_tour, range(90))
     here = examine(submap.grid(), submap.poses, DEFAULT)
     grid = submap.grid()

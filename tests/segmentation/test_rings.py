@@ -82,9 +82,7 @@ def test_the_sides_of_a_ring_are_regions_and_the_longer_ones_have_its_corners(
     ],
     ids=["pillars", "core", "island", "lobby", "horseshoe"],
 )
-def test_a_hall_round_less_than_it_holds_and_a_corridor_with_ends_stay_whole(
-    grid: GridMap, degrees: float
-) -> None:
+def test_halls_round_little_and_open_corridors_stay_whole(grid: GridMap, degrees: float) -> None:
     assert divided(grid, degrees, [(1.5, 1.5)])[0] == 1
 
 

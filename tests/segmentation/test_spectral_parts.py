@@ -9,6 +9,7 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -248,11 +249,8 @@ def test_what_does_not_converge_is_solved_at_once(monkeypatch: pytest.MonkeyPatc
     dense = rng.random((200, 200))
     matrix = sparse.csr_array(dense + dense.T)
     usual_values, usual = spectral.largest_eigenpairs(matrix, 5)
-
-    def never_ends(*_: Any, **__: Any) -> None:
-        raise ArpackNoConvergence("No convergence", np.zeros(0), np.zeros((200, 0)))
-
-    monkeypatch.setattr(spectral, "eigsh", never_ends)
+    never = ArpackNoConvergence("No convergence", np.zeros(0), np.zeros((200, 0)))
+    monkeypatch.setattr(spectral, "eigsh", Mock(side_effect=never))
     values, vectors = spectral.largest_eigenpairs(matrix, 5)
     assert (np.diff(values) <= 0.0).all()
     assert np.allclose(values, usual_values)
@@ -283,9 +281,7 @@ def farthest_first(rows: FloatArray, clusters: int, first: int) -> list[int]:
 
 
 @given(seeds, st.integers(2, 5))
-def test_labels_are_scikit_learn_s_from_the_same_start_and_of_several_the_best_wins(
-    seed: int, clusters: int
-) -> None:
+def test_labels_are_scikit_learn_s_and_the_best_of_starts_wins(seed: int, clusters: int) -> None:
     rows = directions(seed)
     start = rows[farthest_first(rows, clusters, 3)]
     oracle = KMeans(clusters, init=start, n_init=1, algorithm="lloyd", tol=0.0).fit(rows)
@@ -376,9 +372,7 @@ def test_the_cut_goes_where_least_is_lost() -> None:
     assert [part.tolist() for part in parts] == [list(range(60)), list(range(60, 120))]
 
 
-def test_a_neck_is_found_among_groups_of_nodes_as_among_all(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_neck_is_found_among_groups_as_among_all_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two halls of 30 by 20 m, joined by a corridor of one node across."""
     places = [(row, column) for row in range(20) for column in range(64)]
     nodes = np.array([(r, c) for r, c in places if not 30 <= c < 34 or r == 6])
@@ -404,23 +398,17 @@ def test_a_neck_is_found_among_groups_of_nodes_as_among_all(
         assert (np.abs(columns - end) <= 34).all()
 
 
-def test_rooms_are_the_same_whether_the_graph_is_cut_or_not(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_rooms_are_the_same_whether_a_graph_is_cut_or_not(monkeypatch: pytest.MonkeyPatch) -> None:
     """Twelve rooms on either side of a corridor."""
     lefts = [0.5 + 3.9 * k for k in range(12)]
     rooms = [(x, y, x + 3.7, y + 4.0) for x in lefts for y in (0.5, 6.5)]
     doors = [(x + 1.4, y, x + 2.3, y + 0.2) for x in lefts for y in (4.5, 6.3)]
-    hotel, seen = plan(49.0, 11.0, (0.5, 4.7, 48.5, 6.3), *rooms, *doors), []
-
-    def counted(L: Any, *rest: Any) -> tuple[FloatArray, FloatArray]:
-        seen.append(L.shape[0])
-        return eigenpairs_above(L, *rest)
-
-    monkeypatch.setattr(spectral, "eigenpairs_above", counted)
-    whole, before = segment(hotel, SegmentationConfig()), len(seen)
+    hotel = plan(49.0, 11.0, (0.5, 4.7, 48.5, 6.3), *rooms, *doors)
+    whole, solving = segment(hotel, SegmentationConfig()), Mock(wraps=eigenpairs_above)
+    monkeypatch.setattr(spectral, "eigenpairs_above", solving)
     cut = segment(hotel, SegmentationConfig(part_nodes=300))
-    assert max(seen[before:]) <= 300 < 600 < len(whole.nodes)
+    sizes = [call.args[0].shape[0] for call in solving.call_args_list]
+    assert max(sizes) <= 300 < 600 < len(whole.nodes)
     assert whole.count == cut.count == 25
     both = whole.labels >= 0
     assert adjusted_rand_score(whole.labels[both], cut.labels[both]) > 0.99
