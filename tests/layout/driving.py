@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
@@ -16,7 +16,7 @@ from specmap_cli.layout.path_graph import Bridge, Draft, Graph
 from specmap_cli.layout.pose_graph import Link, LinkKind
 from specmap_cli.layout.relaxation import relax
 from specmap_cli.layout.result import Layout
-from tests.casting import ranges_at
+from tests.casting import keyframe, ranges_at, store_of
 from tests.turning import turned
 
 CONFIG = RelaxationConfig()
@@ -98,23 +98,12 @@ def moved_from(first: int, poses: FloatArray, motion: Sequence[float]) -> FloatA
 
 
 def stored(tracked: FloatArray, scans: Sequence[PlanarScan]) -> KeyframeStore:
-    """A store of scans at their tracked poses."""
-    store = KeyframeStore()
-    for scan in posed(tracked, scans):
-        store.append(scan)
-    return store
+    return store_of(posed(tracked, scans))
 
 
 def posed(tracked: FloatArray, scans: Sequence[PlanarScan]) -> list[PosedScan]:
-    """Scans with their tracked poses."""
     return [
-        PosedScan(
-            index=k,
-            stamp_ns=scan.stamp_ns,
-            map_from_base=Pose2(*pose.tolist()),
-            planar=scan,
-            base_from_laser=IDENTITY,
-        )
+        keyframe(scan, Pose2(*pose.tolist()), number=k)
         for k, (pose, scan) in enumerate(zip(tracked, scans, strict=True))
     ]
 
@@ -125,7 +114,6 @@ def laid_out(
     closures: Sequence[Link] = (),
     breaks: Mapping[int, Bridge | None] | None = None,
 ) -> Layout:
-    """The layout of scans at their tracked poses."""
     with stored(tracked, scans) as store:
         return relax(store, closures, breaks or {}, CONFIG)
 
@@ -174,7 +162,6 @@ def true_link(
     kind: LinkKind = "nearby",
     information: FloatArray = STIFF,
 ) -> Link:
-    """A link that says the truth."""
     return link(source, target, between(truth, source, target), kind, information)
 
 

@@ -190,9 +190,7 @@ def test_what_the_layout_says_is_near_and_none_is_none() -> None:
 
 
 @given(st.integers(1, 18), st.floats(0, 1), seeds)
-def test_votes_are_those_of_a_set_in_which_each_agrees_with_each(
-    count: int, share: float, seed: int
-) -> None:
+def test_votes_are_of_a_set_in_which_all_agree(count: int, share: float, seed: int) -> None:
     """Of claims far apart on the path each is a vote; the most agreed on is in no smaller set."""
     network = nx.gnp_random_graph(count, share, seed=seed % 2**32)
     agree = nx.to_numpy_array(network, dtype=bool) | np.eye(count, dtype=bool)

@@ -103,27 +103,21 @@ def test_loose_parts_are_those_that_networkx_finds_apart(pairs: list[tuple[int, 
     assert loose_starts(graph_by_hand(arc(20)), loops) == ()
 
 
-def test_a_part_is_moved_when_enough_finds_agree() -> None:
+def test_a_part_is_moved_when_enough_finds_agree_and_not_by_one_alone() -> None:
     """The second lap was put metres away and turned; places along it say where it belongs."""
-    truth = round_trip(1.5)[::2]
-    kidnapped = moved_from(260, truth, AWAY)
-    with stored(kidnapped, scans_of(building(), truth)) as store:
-        graph = graph_of(store, [], {260: None})
-        draft, judged = close(graph, Draft(poses=graph.poses), (), Walls(store, graph))
-    finds = [one for one in judged if one.link.target >= 260]
-    assert len(finds) >= 3
-    assert {one.reason for one in finds} == {"votes"}
-    assert draft.tied == {0, 1}
-    assert worst(draft.poses, truth[graph.nodes]) < 0.3
-    for find in (one.link for one in finds):
-        assert missed(between(truth, find.source, find.target), find.source_from_target)[0] < 0.2
-
-
-def test_one_find_alone_moves_no_part() -> None:
     truth = round_trip(1.5)[::2]
     with stored(moved_from(260, truth, AWAY), scans_of(building(), truth)) as store:
         graph = graph_of(store, [], {260: None})
+        start, walls = Draft(poses=graph.poses), Walls(store, graph)
+        draft, judged = close(graph, start, (), walls)
         with turned("layout.passes", _LOST_TRIES=0):
-            draft, judged = close(graph, Draft(poses=graph.poses), (), Walls(store, graph))
-    assert [one.reason for one in judged if one.link.target >= 260] == ["alone"]
-    assert draft.tied == {0}
+            still, one = close(graph, start, (), walls)
+    finds = [each for each in judged if each.link.target >= 260]
+    assert len(finds) >= 3
+    assert {each.reason for each in finds} == {"votes"}
+    assert draft.tied == {0, 1}
+    assert worst(draft.poses, truth[graph.nodes]) < 0.3
+    for find in (each.link for each in finds):
+        assert missed(between(truth, find.source, find.target), find.source_from_target)[0] < 0.2
+    assert [each.reason for each in one if each.link.target >= 260] == ["alone"]
+    assert still.tied == {0}

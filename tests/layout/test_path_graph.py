@@ -37,9 +37,7 @@ NOTHING = np.zeros((0, 2))
 
 
 @given(st.integers(0, 1000), st.integers(1, 60), st.sets(st.integers(0, 59), max_size=4))
-def test_nodes_are_a_step_or_a_turn_apart_and_hold_what_must_be(
-    seed: int, count: int, always: set[int]
-) -> None:
+def test_nodes_are_a_step_or_turn_apart_or_must_be(seed: int, count: int, always: set[int]) -> None:
     rng = np.random.default_rng(seed)
     steps = rng.uniform((0.0, 0.0, -0.3), (0.2, 0.0, 0.3), (count - 1, 3))
     poses = chained(np.zeros(3), steps)
@@ -80,9 +78,7 @@ def test_parts_begin_at_breaks_and_the_path_jumps_there(store: KeyframeStore) ->
 
 
 @given(st.lists(st.floats(0.0, 3.0), min_size=1, max_size=30), st.floats(0.1, 5.0))
-def test_rows_to_look_around_at_are_the_first_past_each_stretch(
-    steps: list[float], every_m: float
-) -> None:
+def test_rows_to_look_from_are_first_past_a_stretch(steps: list[float], every_m: float) -> None:
     path = np.cumsum(steps)
     chosen = rows_every(path, every_m)
     ways = [0.0, *path[chosen].tolist()]
@@ -140,9 +136,7 @@ def test_a_bare_corridor_leaves_the_way_along_it_open() -> None:
 
 
 @given(seeds, st.floats(0.01, 0.5), angles)
-def test_what_walls_tell_is_the_sum_over_their_points_whichever_way_the_robot_looks(
-    seed: int, noise_m: float, angle: float
-) -> None:
+def test_what_walls_tell_is_the_sum_over_points(seed: int, noise_m: float, angle: float) -> None:
     points, turned_by = outline(seed), Pose2(0.0, 0.0, angle)
     assert np.allclose(observability(points, noise_m), by_loops(points, noise_m))
     turn = np.eye(3)

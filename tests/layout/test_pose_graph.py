@@ -66,9 +66,7 @@ def robust_cost(poses: FloatArray, edges: LinkArrays) -> float:
 
 
 @pytest.mark.parametrize(("a", "b"), [(0, 4), (2, 7), (7, 2)])
-def test_the_spread_between_two_poses_is_that_of_their_motion_under_the_noise_of_all_edges(
-    a: int, b: int
-) -> None:
+def test_the_spread_between_poses_is_that_of_their_motion_under_noise(a: int, b: int) -> None:
     """Against the derivatives of the motion and of all errors by differences."""
     _, poses, links = random_graph(3, 8, 3, noise=0.01)
     edges = arrays(links, 8)

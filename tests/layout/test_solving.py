@@ -13,14 +13,7 @@ from specmap_cli.core.geometry import FloatArray, compose, invert
 from specmap_cli.layout.path_graph import Graph
 from specmap_cli.layout.pose_graph import Link, LinkArrays, solve
 from specmap_cli.layout.solving import _KERNEL_SIGMAS, settle, solved, tighten
-from tests.layout.driving import (
-    arc,
-    as_tracked,
-    drifted,
-    graph_by_hand,
-    link,
-    true_link,
-)
+from tests.layout.driving import arc, as_tracked, drifted, graph_by_hand, link, true_link
 from tests.strategies import few
 from tests.turning import turned
 

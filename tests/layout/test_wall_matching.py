@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import partial
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from hypothesis import given
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.records import BoolArray
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.grids.matching import SPREAD_M, Match, Prior, Window, search
+from specmap_cli.grids.matching import SPREAD_M, Prior, search
 from specmap_cli.grids.score_field import ScoreField
 from specmap_cli.layout.path_graph import Graph
 from specmap_cli.layout.walls import (
@@ -48,7 +49,6 @@ def one(graph: Graph, walls: Walls) -> Pass:
 
 
 def matched(source: FloatArray, target: FloatArray, guess: Pose2, drift_m: float) -> WallFit:
-    """The match that is found."""
     fit = Place.of(target).match(source, guess, drift_m)
     assert fit is not None
     return fit
@@ -80,16 +80,11 @@ def test_another_place_does_not_fit(graph: Graph, walls: Walls) -> None:
 
 
 @pytest.fixture
-def windows(monkeypatch: pytest.MonkeyPatch) -> list[Window]:
-    """The windows that are searched from now on."""
-    windows: list[Window] = []
-
-    def counted(field: ScoreField, points: FloatArray, guess: Pose2, window: Window) -> Match:
-        windows.append(window)
-        return search(field, points, guess, window)
-
+def searched(monkeypatch: pytest.MonkeyPatch) -> Mock:
+    """The search of a window, counted from now on."""
+    counted = Mock(wraps=search)
     monkeypatch.setattr("specmap_cli.layout.walls.search", counted)
-    return windows
+    return counted
 
 
 @pytest.mark.parametrize(
@@ -101,20 +96,18 @@ def windows(monkeypatch: pytest.MonkeyPatch) -> list[Window]:
     ],
 )
 def test_what_fits_where_it_is_said_to_be_is_not_searched(
-    one: Pass, windows: list[Window], off_m: float, drift_m: float, searches: int
+    one: Pass, searched: Mock, off_m: float, drift_m: float, searches: int
 ) -> None:
     source, target, truth = one
     fit = matched(source, target, truth @ Pose2(off_m, 0.0, 0.0), drift_m)
     assert missed(truth, fit.target_from_source)[0] < 0.05
-    assert len(windows) == searches
+    assert searched.call_count == searches
 
 
-def test_what_shows_other_walls_is_given_up_after_the_rough_search(
-    one: Pass, windows: list[Window]
-) -> None:
+def test_other_walls_are_given_up_after_the_rough_search(one: Pass, searched: Mock) -> None:
     target = np.column_stack([np.linspace(20.0, 25.0, 200), np.full(200, 20.0)])
     assert Place.of(target).match(one[0], IDENTITY, 0.4) is None
-    assert len(windows) == 1
+    searched.assert_called_once()
 
 
 def test_what_lies_farther_off_than_the_drift_is_not_found(one: Pass) -> None:

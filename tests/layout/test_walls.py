@@ -27,9 +27,7 @@ def seen_from(perfect: Laps, row: int) -> FloatArray:
     return thinned(store.points(int(graph.nodes[row]), 30.0), 0.05)
 
 
-def test_walls_are_those_of_the_neighbours_of_its_part_in_the_frame_of_the_node(
-    perfect: Laps, walls: Walls
-) -> None:
+def test_walls_are_those_of_neighbours_of_a_part_in_its_frame(perfect: Laps, walls: Walls) -> None:
     graph = perfect[1]
     first = int(np.argmax(graph.parts == 1))
     for row, reach in ((10, 3), (1, 3), (50, 0), (first, 4), (first - 1, 4)):
@@ -132,9 +130,7 @@ def test_what_is_not_seen_from_behind() -> None:
     assert from_behind(nothing, lower, IDENTITY, 0.3).shape == (0,)
 
 
-def test_the_corridor_that_was_driven_is_free_and_the_rock_is_not(
-    perfect: Laps, walls: Walls
-) -> None:
+def test_the_corridor_driven_is_free_and_the_rock_is_not(perfect: Laps, walls: Walls) -> None:
     graph, plan = perfect[1], building()
     rows = np.flatnonzero(graph.parts == 0).tolist()
     field = ScoreField.from_points(walls.of_all(rows, graph.poses), 0.25, 0.3)
