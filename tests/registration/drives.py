@@ -75,13 +75,11 @@ def circle(k: int, ranges: FloatArray, odometry: Pose2 | None = None) -> Sweep:
 
 
 def with_odometry(sweep: Sweep, changed: Callable[[Pose2], Pose2]) -> Sweep:
-    """The sweep with a change of its odometry."""
     assert sweep.odom_from_base is not None
     return replace(sweep, odom_from_base=changed(sweep.odom_from_base))
 
 
 def with_ranges(sweep: Sweep, ranges: FloatArray) -> Sweep:
-    """The sweep with other ranges."""
     return replace(sweep, planar=replace(sweep.planar, ranges=ranges))
 
 

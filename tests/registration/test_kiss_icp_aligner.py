@@ -49,9 +49,7 @@ def aligned(method: Aligner, points: FloatArray, guess: FloatArray) -> FloatArra
 @given(
     st.floats(-0.15, 0.15), st.floats(-0.15, 0.15), st.floats(-0.08, 0.08), st.floats(-0.03, 0.03)
 )
-def test_a_displaced_cloud_comes_back_to_its_pose(
-    x: float, y: float, yaw: float, roll: float
-) -> None:
+def test_a_moved_cloud_comes_back_to_its_pose(x: float, y: float, yaw: float, roll: float) -> None:
     """Other points of the same room, so that no point finds itself."""
     method = aligner()
     keyframe = Pose2(5.0, -3.0, 0.7).matrix()

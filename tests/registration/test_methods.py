@@ -86,7 +86,7 @@ def test_a_method_of_another_package_registers_a_simulated_tour(
     assert np.abs(compose(invert(found), other)[:, :2]).max() < 0.1
 
 
-def test_kiss_icp_is_the_default_beside_others_and_an_unknown_method_is_refused(
+def test_kiss_icp_is_the_default_and_unknown_methods_and_names_in_use_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     offered(tmp_path, monkeypatch, **{"tree-icp": "TreeIcp"})
@@ -98,12 +98,8 @@ def test_kiss_icp_is_the_default_beside_others_and_an_unknown_method_is_refused(
         "registration.method: no such method 'magic': choose from kiss-icp, tree-icp, or "
         "install the package that offers it"
     )
-
-
-def test_a_method_that_takes_a_name_in_use_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    offered(tmp_path, monkeypatch, **{"kiss-icp": "TreeIcp"})
+    (tmp_path / "other").mkdir()
+    offered(tmp_path / "other", monkeypatch, **{"kiss-icp": "TreeIcp"})
     with pytest.raises(UsageError, match=r"offers 'kiss-icp' in specmap\.registration"):
         FrontEnd(RegistrationConfig())
 

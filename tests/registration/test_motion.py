@@ -58,9 +58,7 @@ def after(last: Pose2, now: Sweep, **settings: float) -> ExpectedMotion:
         (np.inf, 1.0, True),
     ],
 )
-def test_odometry_farther_than_a_robot_drives_is_a_reset(
-    distance_m: float, gap_s: float, jumped: bool
-) -> None:
+def test_odometry_too_far_on_is_a_reset(distance_m: float, gap_s: float, jumped: bool) -> None:
     before = Pose2(0.1, 0.0, 0.02)
     expected = after(before, sweep(gap_s, Pose2(distance_m, 0.0, 0.0)))
     assert (expected.jumped, expected.measured) == (jumped, not jumped)
@@ -111,9 +109,7 @@ def test_errors_that_alternate_are_not_de_skewed_with() -> None:
         (Pose2(0.5, 0.0, 0.0), sweep(odometry=IDENTITY, times=True), False),
     ],
 )
-def test_a_motion_held_to_the_limits_is_told_where_it_is_used(
-    last: Pose2, now: Sweep, shortened: bool
-) -> None:
+def test_a_shortened_motion_is_told_where_used(last: Pose2, now: Sweep, shortened: bool) -> None:
     assert after(last, now).shortened == shortened
 
 
@@ -162,9 +158,7 @@ def test_a_fifth_of_wrong_registrations_does_not_spoil_the_measure() -> None:
 
 
 @given(st.floats(-math.pi, math.pi), st.floats(-2.0, 2.0), st.floats(0.1, 3.0))
-def test_along_and_across_are_those_of_the_way_driven(
-    heading: float, turn: float, way_m: float
-) -> None:
+def test_along_and_across_are_of_the_way_driven(heading: float, turn: float, way_m: float) -> None:
     """Sideways, backwards or on an arc: a deviation along the way is one along the way."""
     motion = Pose2(way_m * math.cos(heading), way_m * math.sin(heading), turn)
     seen_from_end = motion.inverse() @ Pose2(2 * motion.x, 2 * motion.y, turn)
@@ -184,9 +178,7 @@ def test_along_and_across_are_those_of_the_way_driven(
         (Pose2(0.29, 0.0, 0.0), Pose2(1.0, 0.0, 0.0), True),
     ],
 )
-def test_a_motion_carried_on_errs_by_how_a_robot_speeds_up(
-    away: Pose2, motion: Pose2, near: bool
-) -> None:
+def test_a_carried_motion_errs_as_robots_speed_up(away: Pose2, motion: Pose2, near: bool) -> None:
     start = Pose2(2.0, 1.0, 0.5)
 
     def agrees(reliance: Reliance, *, measured: bool, slacks: float = 1.0) -> bool:
@@ -232,9 +224,7 @@ def test_a_corridor_fixes_the_place_across_it_only(
 
 
 @pytest.mark.parametrize("reading", [np.inf, np.nan])
-def test_the_laser_s_mounting_turns_the_directions_and_without_walls_none_is_fixed(
-    reading: float,
-) -> None:
+def test_a_mounting_turns_the_directions_and_without_walls_none_is_fixed(reading: float) -> None:
     scan = scan_of(50.0, 1.0)
     assert fixed_directions(scan, Pose2(0.2, 0.1, math.pi / 2), AHEAD) == (True, False)
     blank = dataclasses.replace(scan, ranges=np.full(360, reading))
