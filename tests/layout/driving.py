@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert
 from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
@@ -163,6 +163,12 @@ def true_link(
     information: FloatArray = STIFF,
 ) -> Link:
     return link(source, target, between(truth, source, target), kind, information)
+
+
+def closure(truth: FloatArray, source: int, target: int, off: Pose2 = IDENTITY) -> Link:
+    """A closure that is right, or off by a motion of the place in the frame of its source."""
+    motion = np.add(true_link(truth, source, target).source_from_target, off)
+    return link(source, target, motion.tolist(), "closure")
 
 
 def graph_by_hand(tracked: FloatArray, breaks: Iterable[int] = (), every: int = 1) -> Graph:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.core.geometry import FloatArray, compose, invert
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.layout.consistency import (
     _VOTES,
     Judgement,
@@ -24,7 +24,7 @@ from specmap_cli.layout.consistency import (
 from specmap_cli.layout.path_graph import Ends, Graph
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.solving import settle, tighten
-from tests.layout.driving import SOFT, arc, as_tracked, chained, graph_by_hand, link, true_link
+from tests.layout.driving import SOFT, arc, as_tracked, chained, closure, graph_by_hand, link
 from tests.strategies import seeds
 from tests.turning import turned
 
@@ -66,9 +66,7 @@ def graph_of_steps(tracked: FloatArray, breaks: tuple[int, ...] = ()) -> Graph:
 
 def nearly(i: int, j: int, rng: np.random.Generator) -> Link:
     """A closure that is right to a decimetre and a degree."""
-    off = rng.normal(0, 1, 3) * (0.1, 0.1, 0.01)
-    motion = np.add(true_link(TRUTH, i, j).source_from_target, off)
-    return link(i, j, motion.tolist(), "closure")
+    return closure(TRUTH, i, j, Pose2(*rng.normal(0, (0.1, 0.1, 0.01)).tolist()))
 
 
 def killian(seed: int) -> tuple[Graph, list[Link], list[bool]]:
@@ -79,10 +77,9 @@ def killian(seed: int) -> tuple[Graph, list[Link], list[bool]]:
     wrong = []
     for _ in range(3):
         i, j = sorted(rng.choice(len(TRUTH), 2, replace=False).tolist())
-        x, y, theta = true_link(TRUTH, i, j).source_from_target
         away, bearing = rng.uniform(12, 39), rng.uniform(-np.pi, np.pi)
-        motion = (x + away * np.cos(bearing), y + away * np.sin(bearing), theta)
-        wrong.append(link(i, j, motion, "closure"))
+        off = Pose2(away * np.cos(bearing), away * np.sin(bearing), 0.0)
+        wrong.append(closure(TRUTH, i, j, off))
     order = rng.permutation(11).tolist()
     closures = [[*right, *wrong][k] for k in order]
     return graph_of_steps(tracked_by(seed)), closures, [k < 8 for k in order]
@@ -148,8 +145,7 @@ def test_look_alike_offices_agree_and_are_impossible() -> None:
 def test_what_agrees_outvotes_what_drift_would_allow() -> None:
     rng, graph = np.random.default_rng(0), graph_of_steps(tracked_by(3))
     right = [nearly(10 + 20 * k, 10 + 20 * k + LAP, rng) for k in range(5)]
-    x, y, theta = true_link(graph.tracked, 30, 30 + LAP).source_from_target
-    wrong = link(30, 30 + LAP, (x + 6.0, y, theta), "closure")
+    wrong = closure(graph.tracked, 30, 30 + LAP, Pose2(6.0, 0.0, 0.0))
     (alone,) = judged(graph, [wrong])
     assert (alone.believed, alone.reason) == (True, "drift")
     among = judged(graph, [*right, wrong])
@@ -186,7 +182,7 @@ def test_independent_ones_are_counted_in_order() -> None:
 def test_what_the_layout_says_is_near_and_none_is_none() -> None:
     graph, _, _ = killian(0)
     assert judge(graph, as_tracked(graph), []) == ()
-    assert judged(graph, [true_link(graph.tracked, 0, 300, "closure")])[0].reason == "near"
+    assert judged(graph, [closure(graph.tracked, 0, 300)])[0].reason == "near"
 
 
 @given(st.integers(1, 18), st.floats(0, 1), seeds)

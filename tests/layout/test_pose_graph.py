@@ -130,15 +130,6 @@ def test_a_perfect_graph_stays_as_it_is(seed: int, nodes: int) -> None:
     assert np.allclose(solution.poses[:, :2], truth[:, :2], atol=1e-6)
 
 
-@given(st.integers(0, 1000), st.floats(-20, 20), st.floats(-3, 3))
-def test_a_moved_start_moves_the_solution(seed: int, x: float, turn: float) -> None:
-    _, start, links = random_graph(seed, nodes=8, loops=4)
-    edges, motion = arrays(links, 8), np.array([x, -x, turn])
-    plain, moved = solve(start, edges, 50), solve(compose(motion, start), edges, 50)
-    assert moved.cost == pytest.approx(plain.cost, rel=1e-4, abs=1e-9)
-    assert np.allclose(moved.poses[:, :2], compose(motion, plain.poses)[:, :2], atol=1e-2)
-
-
 @given(st.integers(0, 1000), st.integers(0, 6), st.sampled_from([np.inf, 2.0]))
 def test_a_solution_costs_no_more_than_its_start(seed: int, loops: int, width: float) -> None:
     _, start, links = random_graph(seed, nodes=8, loops=loops, noise=0.3)

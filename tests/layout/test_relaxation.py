@@ -9,12 +9,11 @@ from typing import cast
 import numpy as np
 import pytest
 
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert
+from specmap_cli.core.geometry import Pose2, compose, invert
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.audit import Agreement, Views
-from specmap_cli.layout.consistency import Judgement
-from specmap_cli.layout.path_graph import Bridge, Draft, Graph, graph_of
+from specmap_cli.layout.path_graph import Bridge, graph_of
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.relaxation import chosen, close, relax
 from specmap_cli.layout.result import Candidate, Layout
@@ -23,6 +22,7 @@ from tests.layout.driving import (
     CONFIG,
     Drive,
     as_tracked,
+    closure,
     closures_alone,
     drifted,
     graph_by_hand,
@@ -42,12 +42,6 @@ AT = 500  # where tracking breaks
 def alone() -> Iterator[None]:
     with closures_alone():
         yield
-
-
-def closure(truth: FloatArray, source: int, target: int, off: Pose2 = IDENTITY) -> Link:
-    """A closure that is right, or off by a motion of the place in the frame of its source."""
-    motion = np.add(true_link(truth, source, target).source_from_target, off)
-    return link(source, target, motion.tolist(), "closure")
 
 
 def ends_of(links: tuple[Link, ...]) -> list[tuple[int, int, str]]:
@@ -192,49 +186,19 @@ def test_two_closures_that_agree_move_a_piece_of_which_nothing_is_known(drive: D
     assert ends_of(one.dropped) == ends_of((right[0],)), "alone it is not enough"
 
 
-@dataclasses.dataclass(frozen=True)
-class Ring:
-    """The drive as tracked with some drift, and what closing it needs."""
-
-    truth: FloatArray
-    graph: Graph
-    walls: Walls
-
-    def close(self, *closures: Link) -> tuple[Draft, tuple[Judgement, ...]]:
-        start = as_tracked(self.graph)
-        return close(self.graph, start, closures, self.walls)
-
-
-@pytest.fixture
-def ring(drive: Drive, store: KeyframeStore) -> Ring:
-    graph = graph_of(store, [60, 100, 200, 540, 590, 690], {})
-    return Ring(drive[0], graph, Walls(store, graph))
-
-
 @pytest.mark.usefixtures("alone")
 @pytest.mark.parametrize("away", [(3.0, 1.0), (0.0, 1.5)])
 def test_a_wrong_closure_that_drift_would_allow_brings_walls_into_free_space(
-    ring: Ring, store: KeyframeStore, away: tuple[float, float]
+    drive: Drive, store: KeyframeStore, away: tuple[float, float]
 ) -> None:
-    wrong = closure(ring.truth, 60, 540, Pose2(*away, 0.0))
-    draft, (found,) = ring.close(wrong)
+    graph = graph_of(store, [60, 540], {})
+    wrong = closure(drive[0], 60, 540, Pose2(*away, 0.0))
+    draft, (found,) = close(graph, as_tracked(graph), [wrong], Walls(store, graph))
     assert (draft.loops, found.reason) == ((wrong,), "drift")
     assert found.away_m > 1.0
     layout = relax(store, [wrong], {}, CONFIG)
     assert layout.choice != "relaxed"
     assert (layout.kept, layout.dropped) == ((), (wrong,))
-
-
-@pytest.mark.usefixtures("alone")
-def test_right_closures_are_believed_and_stay_beside_a_wrong_one(ring: Ring) -> None:
-    right = [closure(ring.truth, *ends) for ends in ((60, 540), (100, 590), (200, 690))]
-    draft, found = ring.close(*right)
-    assert draft.loops == tuple(right)
-    assert all(one.believed for one in found)
-    wrong = closure(ring.truth, 100, 590, Pose2(-4.0, 0.0, 0.0))
-    mixed, (suspect, *others) = ring.close(wrong, right[0], right[2])
-    assert all(one.believed for one in others)
-    assert not suspect.believed or worst(mixed.poses, ring.truth[ring.graph.nodes]) < 0.5
 
 
 @pytest.mark.usefixtures("alone")
