@@ -74,9 +74,13 @@ def circle(k: int, ranges: FloatArray, odometry: Pose2 | None = None) -> Sweep:
     return sweep_of(k, scan, IDENTITY, odometry)
 
 
-def with_odometry(sweep: Sweep, changed: Callable[[Pose2], Pose2]) -> Sweep:
+def odometry_of(sweep: Sweep) -> Pose2:
     assert sweep.odom_from_base is not None
-    return replace(sweep, odom_from_base=changed(sweep.odom_from_base))
+    return sweep.odom_from_base
+
+
+def with_odometry(sweep: Sweep, changed: Callable[[Pose2], Pose2]) -> Sweep:
+    return replace(sweep, odom_from_base=changed(odometry_of(sweep)))
 
 
 def with_ranges(sweep: Sweep, ranges: FloatArray) -> Sweep:

@@ -17,6 +17,7 @@ from specmap_cli.registration.local_map import Fit
 from specmap_cli.registration.trust import Judgement
 from tests.registration.drives import (
     circle,
+    odometry_of,
     path,
     run,
     sweeps,
@@ -51,10 +52,8 @@ def test_a_kidnapped_robot_is_noticed_and_goes_on_from_a_guess(world: GridMap) -
     there = path()[:40]
     elsewhere = np.column_stack([np.linspace(26, 29, 30), np.full(30, 2.0), np.zeros(30)])
     items = sweeps(world, np.vstack([there, elsewhere]))
-    before, after = items[39].odom_from_base, items[40].odom_from_base
-    assert before is not None
-    assert after is not None
-    back = before @ after.inverse()  # odometry knows nothing of the move
+    # odometry knows nothing of the move
+    back = odometry_of(items[39]) @ odometry_of(items[40]).inverse()
     items[40:] = [with_odometry(sweep, lambda odom: back @ odom) for sweep in items[40:]]
     front_end, scans = run(items)
     assert [scan.index for scan in scans if scan.lost] == [40, 41, 42, 43, 44]
@@ -103,8 +102,7 @@ def test_a_heading_of_odometry_that_jumps_is_no_turn(world: GridMap, jump_rad: f
     """A laser of 180 degrees sees mostly new space where such a turn would have led."""
     truth = path()[:60]
     items = sweeps(world, truth, np.pi, 181)
-    before = items[29].odom_from_base
-    assert before is not None
+    before = odometry_of(items[29])
     jump = before @ Pose2(0.0, 0.0, jump_rad) @ before.inverse()
     items[30:] = [with_odometry(sweep, lambda odom: jump @ odom) for sweep in items[30:]]
     front_end, scans = run(items)

@@ -16,6 +16,7 @@ from specmap_cli.registration.frontend import COUNTS
 from tests.registration.aligners import ToldAligner, offer
 from tests.registration.drives import (
     circle,
+    odometry_of,
     path,
     run,
     sweeps,
@@ -91,8 +92,7 @@ def test_odometry_carries_on_where_too_few_walls_are_seen(world: GridMap, odomet
 def test_odometry_carries_only_so_far(world: GridMap, way_m: float, lost: bool) -> None:
     """An odometry of which nothing is known errs by 5 cm and a fifth of the way: 1.5 m in 5 m."""
     seen = sweeps(world, np.tile(path()[0], (3, 1)))
-    blind, base = with_ranges(seen[-1], np.full(240, np.inf)), seen[-1].odom_from_base
-    assert base is not None
+    blind, base = with_ranges(seen[-1], np.full(240, np.inf)), odometry_of(seen[-1])
     for k, step_m in enumerate(np.arange(0.5, way_m + 0.1, 0.5).tolist(), start=3):
         led = base @ Pose2(step_m, 0.0, 0.0)
         later = (k - 2) * 10**8 + blind.stamp_ns

@@ -70,13 +70,11 @@ def test_turning_and_shifting_the_map_moves_the_labels(
     assert same_parts(np.rot90(labels, -turn), segment(OFFICE, config).labels)
 
 
-LENGTHS = ("cell_m", "obstacle_m", "node_step_m", "clearance_m", "sight_m")
-
-
 @pytest.mark.parametrize("factor", [2.0, 0.5, 3.0])
 def test_scaling_resolution_and_lengths_together_changes_nothing(factor: float) -> None:
+    lengths = ("cell_m", "obstacle_m", "node_step_m", "clearance_m", "sight_m")
     usual = DEFAULT.model_copy(update={"wide_door_m": 0.0})  # a door is as wide as a person needs
-    scaled = usual.model_copy(update={name: getattr(usual, name) * factor for name in LENGTHS})
+    scaled = usual.model_copy(update={name: getattr(usual, name) * factor for name in lengths})
     larger = GridMap(OFFICE.cells, OFFICE.resolution * factor)
     np.testing.assert_array_equal(segment(larger, scaled).labels, segment(OFFICE, usual).labels)
 
