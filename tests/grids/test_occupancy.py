@@ -54,8 +54,9 @@ def known(grid: GridMap) -> dict[tuple[int, int], int]:
     return {(int(c) + column, int(r) + row): int(grid.cells[r, c]) for r, c in cells}
 
 
-def one_beam(bearing: float, reach: float) -> PlanarScan:
-    return PlanarScan(0, np.array([bearing]), np.array([reach]), 20.0, False)
+def ahead(reach: float) -> PlanarScan:
+    """One beam."""
+    return PlanarScan(0, np.zeros(1), np.array([reach]), 20.0, False)
 
 
 def proved_points(scan: PlanarScan, pose: Pose2, config: GridConfig) -> FloatArray:
@@ -99,7 +100,7 @@ def test_beams_without_a_return_prove_nothing_and_those_cut_short_no_wall() -> N
     for empty in (np.inf, np.nan):
         nothing = PlanarScan(0, bearings, np.full(90, empty), 20.0, True)
         assert not known(gridded([nothing], [Pose2(1.0, 2.0, 0.3)]))
-    cut = gridded([one_beam(0.0, 5.0)], [IDENTITY], settings(max_range_m=3.0))
+    cut = gridded([ahead(5.0)], [IDENTITY], settings(max_range_m=3.0))
     places = np.array([[2.5, 0.0], [3.5, 0.0], [5.0, 0.0]])
     assert cut.values_at(places).tolist() == [FREE, UNKNOWN, UNKNOWN]
     assert not cut.occupied.any()
@@ -123,16 +124,16 @@ def test_a_shift_by_whole_cells_shifts_the_grid(
 @pytest.mark.parametrize("limit", [{"max_extent_m": 40.0}, {"max_area_m2": 1600.0}])
 def test_a_grid_never_grows_past_its_limit_and_counts_scans_beyond(limit: dict[str, float]) -> None:
     grid = OccupancyGrid(settings(**limit))
-    add(grid, one_beam(0.0, 2.0), IDENTITY)
+    add(grid, ahead(2.0), IDENTITY)
     before = grid.snapshot()
     for x in (500.0, -500.0):
-        add(grid, one_beam(0.0, 2.0), Pose2(x, 0.0, 0.0))
+        add(grid, ahead(2.0), Pose2(x, 0.0, 0.0))
     assert grid.refused == 2
     add(grid, NOTHING, Pose2(0.0, -500.0, 0.0))  # the robot's footprint is no scan
-    add(grid, one_beam(0.0, np.inf), Pose2(500.0, 0.0, 0.0))  # nor has this one anything
+    add(grid, ahead(np.inf), Pose2(500.0, 0.0, 0.0))  # nor has this one anything
     assert grid.refused == 2
     np.testing.assert_array_equal(grid.snapshot().cells, before.cells)
-    add(grid, one_beam(0.0, 2.0), Pose2(5.0, 5.0, 0.0))
+    add(grid, ahead(2.0), Pose2(5.0, 5.0, 0.0))
     assert grid.refused == 2
     assert grid.snapshot().cells.size * CELL**2 <= 1600.0
     assert grid.snapshot().values_at(np.array([[7.0, 5.0]]))[0] == OCCUPIED
@@ -145,7 +146,7 @@ def test_a_grid_never_grows_past_its_limit_and_counts_scans_beyond(limit: dict[s
 )
 def test_a_cell_is_occupied_from_its_share_of_hits_on(hits: int, passes: int, share: float) -> None:
     turn("grids", occupied_share=share)
-    beams = [one_beam(0.0, 2.0)] * hits + [one_beam(0.0, 4.0)] * passes
+    beams = [ahead(2.0)] * hits + [ahead(4.0)] * passes
     grid = gridded(beams, [IDENTITY] * len(beams))
     expected = UNKNOWN
     if hits + passes:
@@ -191,14 +192,14 @@ def test_between_two_returns_of_one_surface_all_is_free(gap: float, state: int) 
 
 @pytest.mark.parametrize("limit", [{"max_extent_m": 5.0}, {"max_area_m2": 2.0}])
 def test_a_scan_that_fits_is_taken_though_no_cell_is_to_spare(limit: dict[str, float]) -> None:
-    grid = counts_of([(one_beam(0.0, reach), IDENTITY) for reach in (2.0, 4.5)], settings(**limit))
+    grid = counts_of([(ahead(reach), IDENTITY) for reach in (2.0, 4.5)], settings(**limit))
     assert grid.refused == 0
     snapshot = grid.snapshot()
     assert snapshot.values_at(np.array([[2.0, 0.0], [4.5, 0.0]])).tolist() == [OCCUPIED, OCCUPIED]
     height, width = (side * CELL for side in snapshot.cells.shape)
     assert max(height, width) <= limit.get("max_extent_m", np.inf)
     assert height * width <= limit.get("max_area_m2", np.inf)
-    add(grid, one_beam(0.0, 9.0), Pose2(0.0, 3.0, 0.0))
+    add(grid, ahead(9.0), Pose2(0.0, 3.0, 0.0))
     assert grid.refused == 1
 
 

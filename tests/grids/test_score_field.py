@@ -1,7 +1,4 @@
-"""Score fields: the distance to the nearest obstacle as a score, and the way to a match.
-
-The matcher finds the pose a scan was taken from, and says which directions walls fix.
-"""
+"""Score fields, the way to a match on them, its search, and the directions that walls fix."""
 
 from __future__ import annotations
 

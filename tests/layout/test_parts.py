@@ -105,7 +105,7 @@ def test_loose_parts_are_those_that_networkx_finds_apart(pairs: list[tuple[int, 
 
 def test_a_part_is_moved_when_enough_finds_agree_and_not_by_one_alone() -> None:
     """The second lap was put metres away and turned; places along it say where it belongs."""
-    truth = round_trip(1.5)[::2]
+    truth = round_trip()[::2]
     with stored(moved_from(260, truth, AWAY), scans_of(building(), truth)) as store:
         graph = graph_of(store, [], {260: None})
         start, walls = Draft(poses=graph.poses), Walls(store, graph)

@@ -18,10 +18,8 @@ from tests.turning import configured
 KERNELS_M = (0.4, 0.2, 0.1, 0.05)
 
 
-def aligner(
-    voxel_m: float = 0.2, range_m: float = 20.0, in_space: bool = True, **settings: int
-) -> KissIcpAligner:
-    sensor = SensorKind(in_space=in_space, voxel_m=voxel_m, range_m=range_m)
+def aligner(in_space: bool = True, **settings: int) -> KissIcpAligner:
+    sensor = SensorKind(in_space=in_space, voxel_m=0.2, range_m=20.0)
     return KissIcpAligner(configured(RegistrationConfig, "registration", settings), sensor)
 
 

@@ -37,9 +37,9 @@ def sweep(stamp_s: float = 0.0, odometry: Pose2 | None = None, times: bool = Fal
     )
 
 
-def after(last: Pose2, now: Sweep, **settings: float) -> ExpectedMotion:
+def after(last: Pose2, now: Sweep) -> ExpectedMotion:
     """What is expected of `now` when the last two motions were `last`."""
-    model = MotionModel(RegistrationConfig.model_validate(settings))
+    model = MotionModel(RegistrationConfig())
     model.expect(sweep(odometry=IDENTITY))
     model.conclude(last)
     model.conclude(last)
@@ -116,11 +116,10 @@ def test_a_shortened_motion_is_told_where_used(last: Pose2, now: Sweep, shortene
 BOTH = (True, True)
 
 
-def learnt(motion: Pose2, away: Pose2, times: int, fixed: tuple[bool, bool] = BOTH) -> Reliance:
-    """The reliance after so many registrations that were all as far from odometry."""
-    reliance = UNKNOWN
-    for _ in range(times):
-        reliance = reliance.after(motion, away, fixed)
+def learnt(motion: Pose2, away: Pose2, reliance: Reliance = UNKNOWN) -> Reliance:
+    """The reliance after sixty registrations that were all as far from odometry."""
+    for _ in range(60):
+        reliance = reliance.after(motion, away, BOTH)
     return reliance
 
 
@@ -137,13 +136,12 @@ def test_an_unknown_odometry_is_held_to_what_wheels_err(motion: Pose2, away: Pos
 
 def test_bad_odometry_widens_the_slack_and_loses_trust() -> None:
     step = Pose2(0.5, 0.0, 0.0)
-    bad = again = learnt(step, Pose2(0.3, 0.0, 0.0), 60)  # two slacks
+    bad = learnt(step, Pose2(0.3, 0.0, 0.0))  # two slacks
     assert not bad.trusted
     assert bad.slacks(step, Pose2(0.4, 0.0, 0.0)) < 1.0
     assert not bad.slacks(step, Pose2(0.46, 0.0, 0.0)) < 1.0  # never more than three slacks
     assert not bad.slacks(step, Pose2(0.0, 0.16, 0.0)) < 1.0  # it errs along the way alone
-    for _ in range(60):
-        again = again.after(step, IDENTITY, BOTH)
+    again = learnt(step, IDENTITY, bad)
     assert again.trusted  # what was long ago is forgotten
     assert len(again.along) == len(again.turn) == 60
     assert UNKNOWN.along == ()
@@ -185,7 +183,7 @@ def test_a_carried_motion_errs_as_robots_speed_up(away: Pose2, motion: Pose2, ne
         guess = guess_of(start, expecting(motion, measured=measured), reliance)
         return guess.agrees(Fit(pose=(start @ away).matrix(), score=0.5), slacks)
 
-    worthless = learnt(Pose2(0.5, 0.0, 0.0), Pose2(0.9, 0.9, 0.9), 60)
+    worthless = learnt(Pose2(0.5, 0.0, 0.0), Pose2(0.9, 0.9, 0.9))
     for reliance in (UNKNOWN, worthless):  # odometry's worth does not matter without it
         assert agrees(reliance, measured=False) == near
     assert agrees(worthless, measured=True, slacks=3.0)

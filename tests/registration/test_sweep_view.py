@@ -144,10 +144,10 @@ def test_returns_come_back_where_they_are(x: float, y: float, turn: float, share
 
 
 @functools.cache
-def skewed_room(motion: Pose2, laser: Pose2, beams: int = 360) -> PlanarScan:
+def skewed_room(motion: Pose2, laser: Pose2) -> PlanarScan:
     """A full-circle scan, in the round room of radius 3 m about the stamp's base, while moving."""
-    bearings = np.linspace(-np.pi, np.pi, beams, endpoint=False)
-    times = np.linspace(0.0, PERIOD_S, beams, endpoint=False)
+    bearings = np.linspace(-np.pi, np.pi, 360, endpoint=False)
+    times = np.linspace(0.0, PERIOD_S, 360, endpoint=False)
     x, y, turn = np.array([arc(motion, t / PERIOD_S) @ laser for t in times.tolist()]).T
     along = x * np.cos(bearings + turn) + y * np.sin(bearings + turn)
     ranges = -along + np.sqrt(along**2 - x**2 - y**2 + 9.0)

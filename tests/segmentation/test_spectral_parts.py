@@ -1,7 +1,4 @@
-"""The pieces of eq. 1 and Algorithm 2 against dense and slow versions of themselves.
-
-Large graphs are cut into parts before they are clustered.
-"""
+"""The pieces of eq. 1 and Algorithm 2, and of large graphs, against slow versions of themselves."""
 
 from __future__ import annotations
 
@@ -257,12 +254,11 @@ def test_what_does_not_converge_is_solved_at_once(monkeypatch: pytest.MonkeyPatc
     assert np.allclose(vectors, usual, atol=1e-6)
 
 
-def directions(seed: int, count: int = 30, dimensions: int = 3) -> FloatArray:
+def directions(seed: int) -> FloatArray:
     """Unit vectors, some alike."""
     rng = np.random.default_rng(seed)
-    middles = rng.normal(size=(4, dimensions))
-    rows = middles[rng.integers(0, 4, count)]
-    return spectral.unit_rows(rows + rng.normal(0.0, 0.4, (count, dimensions)))
+    middles = rng.normal(size=(4, 3))
+    return spectral.unit_rows(middles[rng.integers(0, 4, 30)] + rng.normal(0.0, 0.4, (30, 3)))
 
 
 def cost(rows: FloatArray, labels: LabelArray) -> float:
