@@ -56,9 +56,8 @@ def test_what_is_stored_is_read_back(taken: list[tuple[PlanarScan, Pose2, Pose2]
             assert found.full_circle == scan.full_circle
             assert store.pose(number) == pose
             assert store.base_from_laser(number) == mounting
-            np.testing.assert_allclose(
-                store.points(number, 3.0), mounting.apply(scan.hits(3.0)), atol=1e-4
-            )
+            hits = mounting.apply(scan.hits(3.0))
+            np.testing.assert_allclose(store.points(number, 3.0), hits, atol=1e-4)
 
 
 @pytest.mark.parametrize("at_a_place", [True, False])

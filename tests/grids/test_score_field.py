@@ -276,9 +276,8 @@ def test_a_scan_is_found_from_a_guess(dx: float, dy: float, turn: float, heading
 def test_a_scan_is_found_without_a_guess_and_places_are_apart(heading: float) -> None:
     true = Pose2(6.0, -9.0, heading)
     scan = true.inverse().apply(ROOM[::2])
-    found = matching.search_everywhere(
-        FIELD, scan, count=5, step=0.2, angles=np.arange(0.0, 2.0 * np.pi, 0.05)
-    )
+    angles = np.arange(0.0, 2.0 * np.pi, 0.05)
+    found = matching.search_everywhere(FIELD, scan, count=5, step=0.2, angles=angles)
     assert len(found) == 5
     best, *others = found
     assert_near(refine(FIELD, scan, best.pose).pose, true, 0.05, 0.02)

@@ -162,13 +162,9 @@ def test_closures_of_other_parts_say_nothing_about_each_other() -> None:
 
 def test_a_closure_told_the_other_way_round_is_the_same() -> None:
     graph, closures, _ = killian(1)
-    back = [
-        link(c.target, c.source, tuple(c.source_from_target.inverse()), "closure") for c in closures
-    ]
-    there, turned_round = (
-        [(one.reason, one.votes) for one in judged(graph, each)] for each in (closures, back)
-    )
-    assert there == turned_round
+    back = [link(c.target, c.source, c.source_from_target.inverse(), "closure") for c in closures]
+    for one, other in zip(judged(graph, closures), judged(graph, back), strict=True):
+        assert (one.reason, one.votes) == (other.reason, other.votes)
 
 
 def test_independent_ones_are_counted_in_order() -> None:

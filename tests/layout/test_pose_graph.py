@@ -180,10 +180,7 @@ EDGE_SE2_XY 0 1 2 3
 
 
 def test_a_graph_by_hand_relaxes_to_what_the_hand_finds() -> None:
-    """Springs of one stiffness in series and parallel: each takes a third of the 0.3 m.
-
-    Other tags are passed over, and what joins successive vertices is odometry.
-    """
+    """Springs of one stiffness: each takes a third of the 0.3 m. Other tags are passed over."""
     vertices, links = read_g2o(BY_HAND)
     assert list(vertices) == [0, 1, 2]
     assert [edge.kind for edge in links] == ["odometry", "odometry", "closure"]

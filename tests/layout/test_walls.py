@@ -50,14 +50,12 @@ def test_farther_returns_are_no_walls(perfect: Laps, walls: Walls) -> None:
 def test_the_walls_of_many_nodes_lie_in_the_map_a_cell_apart(perfect: Laps, walls: Walls) -> None:
     rows, moved = list(range(0, 120, 2)), compose(np.array([5.0, -3.0, 0.7]), perfect[1].poses)
     gathered = walls.of_all(rows, moved)
-    everything = np.concatenate(
-        [Pose2(*moved[k].tolist()).apply(seen_from(perfect, k)) for k in rows]
-    )
-    assert cKDTree(everything).query(gathered)[0].max() < 1e-9, "points are seen ones"
-    assert cKDTree(gathered).query(everything)[0].max() < 0.05 * np.sqrt(2), "all are near one"
+    every = np.concatenate([Pose2(*moved[k].tolist()).apply(seen_from(perfect, k)) for k in rows])
+    assert cKDTree(every).query(gathered)[0].max() < 1e-9, "points are seen ones"
+    assert cKDTree(gathered).query(every)[0].max() < 0.05 * np.sqrt(2), "all are near one"
     cells = np.floor(gathered / 0.05)
     assert len(np.unique(cells, axis=0)) == len(cells)
-    assert len(gathered) < 0.5 * len(everything)
+    assert len(gathered) < 0.5 * len(every)
     assert walls.of_all([], moved).shape == (0, 2)
 
 

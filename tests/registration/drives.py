@@ -59,11 +59,7 @@ def sweeps(
 
 def sweep_of(k: int, scan: PlanarScan, laser: Pose2, odometry: Pose2 | None) -> Sweep:
     return Sweep(
-        index=k,
-        stamp_ns=scan.stamp_ns,
-        planar=scan,
-        base_from_laser=laser,
-        odom_from_base=odometry,
+        index=k, stamp_ns=scan.stamp_ns, planar=scan, base_from_laser=laser, odom_from_base=odometry
     )
 
 
@@ -185,10 +181,7 @@ def scene_of(
     looked_m: Setting = 40.0,
     **settings: Setting,
 ) -> Scene:
-    """Points (N, 2) seen from where the only keyframe of the map saw the `known` (M, 2).
-
-    It looked so far all round.
-    """
+    """Points (N, 2) seen where the map's only keyframe saw the `known` (M, 2), so far all round."""
     assert isinstance(looked_m, float)
     config = configured(RegistrationConfig, "registration", settings)
     sensor = SensorKind(in_space=False, voxel_m=config.voxel_m, range_m=config.max_range_m)

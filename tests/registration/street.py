@@ -61,9 +61,8 @@ def way(steps: int) -> list[Pose2]:
     speeds = np.minimum(np.arange(steps) / 20.0, 1.0) * STEP_M
     x = np.cumsum(speeds)
     y = 1.2 * np.sin(x / 12.0)
-    return [
-        Pose2(*row) for row in np.column_stack([x, y, np.arctan(0.1 * np.cos(x / 12.0))]).tolist()
-    ]
+    rows = np.column_stack([x, y, np.arctan(0.1 * np.cos(x / 12.0))])
+    return [Pose2(*row) for row in rows.tolist()]
 
 
 def drive(poses: list[Pose2]) -> list[Sweep]:

@@ -31,12 +31,6 @@ def test_what_is_said_of_a_limit() -> None:
     front_end = FrontEnd(RegistrationConfig(min_points=12))
     assert set(front_end.counts) == set(COUNTS)
     assert front_end.warnings == []
-    counts = {
-        "odometry_jumps": 1,
-        "shortened_motions": 2000,
-        "few_points": 3,
-        "refused_alignments": 2,
-    }
     sentences = [
         "registration met 1 jump of odometry beyond registration.odometry_jump_m and "
         "odometry_jump_mps: the motion before was carried on instead",
@@ -47,7 +41,9 @@ def test_what_is_said_of_a_limit() -> None:
         "registration refused 2 alignments that ended farther from the guess, or tilted more, "
         "than registration.max_shift_m, max_shift_rad and max_tilt_rad allow",
     ]
-    front_end.counts.update(counts)
+    front_end.counts.update(
+        odometry_jumps=1, shortened_motions=2000, few_points=3, refused_alignments=2
+    )
     assert front_end.warnings == sentences
     front_end.counts.update(dict.fromkeys(COUNTS, 1))
     named = re.findall(r"\w+_\w+", " ".join(front_end.warnings))

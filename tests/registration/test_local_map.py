@@ -141,9 +141,7 @@ def test_space_inside_of_an_outline_was_seen_and_space_outside_was_not(seed: int
     """Against the signed distance of each point from each outline."""
     rng = np.random.default_rng(seed)
     scans = [circle(0, rng.uniform(1.0, 5.0, 24)).planar for _ in range(3)]
-    outlines = [
-        Pose2(*rng.uniform(-2, 2, 3)).apply(outline_of(scan, IDENTITY, 20.0)) for scan in scans
-    ]
+    outlines = [outline_of(scan, Pose2(*rng.uniform(-2, 2, 3)), 20.0) for scan in scans]
     points = rng.uniform(-8, 8, (200, 2))
     polygons = [outline[1:].astype(np.float32) for outline in outlines]
     deep = [[cv2.pointPolygonTest(one, at, True) for one in polygons] for at in points.tolist()]

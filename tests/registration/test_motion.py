@@ -30,11 +30,8 @@ def sweep(stamp_s: float = 0.0, odometry: Pose2 | None = None, times: bool = Fal
     """A sweep whose ranges do not matter."""
     made = circle(0, np.ones(4), odometry)
     beam_times_s = np.linspace(0.0, 0.1, 4) if times else None
-    return dataclasses.replace(
-        made,
-        stamp_ns=round(stamp_s * 1e9),
-        planar=dataclasses.replace(made.planar, beam_times_s=beam_times_s),
-    )
+    planar = dataclasses.replace(made.planar, beam_times_s=beam_times_s)
+    return dataclasses.replace(made, stamp_ns=round(stamp_s * 1e9), planar=planar)
 
 
 def after(last: Pose2, now: Sweep) -> ExpectedMotion:

@@ -215,9 +215,7 @@ def test_a_look_through_walls_refutes_them(walls: FloatArray, share: float, lase
 
 def test_walls_out_of_view_and_beams_without_return_say_nothing() -> None:
     full = circle(0, np.full(90, 4.0)).planar
-    ahead = dataclasses.replace(
-        full, bearings=np.linspace(-0.8, 0.8, 90), full_circle=False, stamp_ns=0
-    )
+    ahead = dataclasses.replace(full, bearings=np.linspace(-0.8, 0.8, 90), full_circle=False)
     assert looked_through(ring(2.0, 1.0, 3.0), ahead, IDENTITY) == 0.0
     assert looked_through(ring(2.0, -0.7, 0.7), ahead, IDENTITY) == 1.0
     blank = dataclasses.replace(full, ranges=np.full(90, np.inf))

@@ -97,10 +97,8 @@ def everywhere(drive: KeyframeStore, numbers: Iterable[int]) -> CoarseSubmap:
 def counted_once(submap: CoarseSubmap, drive: KeyframeStore) -> bool:
     """Whether the grid is that of the keyframes, each counted once."""
     whole = integrate_keyframes(drive, submap.keyframes, submap.poses, ONE_GRID).snapshot()
-    found, expected = submap.grid().cropped(), whole.cropped()
-    return np.allclose(found.origin, expected.origin) and np.array_equal(
-        found.cells, expected.cells
-    )
+    found, whole = submap.grid().cropped(), whole.cropped()
+    return np.allclose(found.origin, whole.origin) and np.array_equal(found.cells, whole.cells)
 
 
 @pytest.mark.parametrize("asked", [False, True])

@@ -132,9 +132,8 @@ def test_a_loss_of_track_ends_the_region_and_joins_nothing(two_room_tour: Keyfra
 @pytest.mark.parametrize("width", [3.0, 12.0])
 def test_a_hall_of_any_width_is_not_split(width: float) -> None:
     grid = plan(width + 0.6, 12.6, (0.3, 0.3, 0.3 + width, 12.3))
-    poses = waypoints_to_poses(
-        (1.0, 1.0), (1.0, 11.5), (width - 0.4, 11.5), (width - 0.4, 1.0), (1.5, 1.0)
-    )
+    right = width - 0.4
+    poses = waypoints_to_poses((1.0, 1.0), (1.0, 11.5), (right, 11.5), (right, 1.0), (1.5, 1.0))
     with record(grid, poses) as store:
         regions = run(store)
     assert len(regions) == 1

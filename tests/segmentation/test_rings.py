@@ -23,8 +23,9 @@ def without_rings(labels: LabelArray) -> LabelArray:
     return found
 
 
-def ring(width: float, height: float, wide: float) -> GridMap:
+def ring(width: float, height: float) -> GridMap:
     """A corridor round a solid core; it begins at (5, 5)."""
+    wide = 1.6
     right, top = 5.0 + width + 2 * wide, 5.0 + height + 2 * wide
     return plan(
         *(right + 5.0, top + 5.0),
@@ -61,9 +62,7 @@ def test_the_sides_of_a_ring_are_regions_and_the_longer_ones_have_its_corners(
     x, y = ((5.8, side / 2 + 6.6, side + 7.4) for side in (width, height))
     sides = [(x[1], y[0]), (x[1], y[2]), (x[0], y[1]), (x[2], y[1])]
     corners = [(x[0], y[0]), (x[2], y[0]), (x[0], y[2]), (x[2], y[2])]
-    count, low, high, left, right, *found = divided(
-        ring(width, height, 1.6), degrees, sides + corners
-    )
+    count, low, high, left, right, *found = divided(ring(width, height), degrees, sides + corners)
     assert count == 4
     assert len({low, high, left, right}) == 4
     along = [low, low, high, high] if width > height else [left, right, left, right]
@@ -77,7 +76,7 @@ def test_the_sides_of_a_ring_are_regions_and_the_longer_ones_have_its_corners(
         hall(14.0, 10.0, 1.0, *((x, y) for x in (3.0, 6.5, 10.0) for y in (3.0, 7.0))),
         hall(12.0, 12.0, 3.0, (5.0, 5.0)),
         hall(8.0, 7.0, 2.6, (3.2, 2.7)),
-        ring(4.2, 4.2, 1.6),
+        ring(4.2, 4.2),
         plan(20.0, 16.0, (1, 1, 19, 3), (1, 1, 3, 15), (17, 1, 19, 15)),  # open at one side
     ],
     ids=["pillars", "core", "island", "lobby", "horseshoe"],

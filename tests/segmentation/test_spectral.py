@@ -315,11 +315,10 @@ def test_what_a_laser_only_saw_is_in_no_room() -> None:
     cells = np.full((210, 290), UNKNOWN, dtype=np.uint8)
     corners = np.array([[4, 5.8], [5, 5.8], [8, 9.5], [1, 9.5]])
     cv2.fillPoly(cells, [(20 * corners).astype(np.int32)], color=(FREE,))
-    walls = [
-        (OCCUPIED, (x - 0.2, y - 0.2, x1 + 0.2, y1 + 0.2)) for x, y, x1, y1 in (*rooms, beyond)
-    ]
+    inner = (*rooms, beyond)
+    walls = [(OCCUPIED, (x - 0.2, y - 0.2, x1 + 0.2, y1 + 0.2)) for x, y, x1, y1 in inner]
     doors = [(2.3, 7, 3.3, 7.9), (2, 3.8, 2.9, 4), (6, 3.8, 6.9, 4)]
-    open_ = [*rooms, beyond, *doors, (4, 5.6, 5, 5.8), (11, 3.8, 11.3, 4)]  # a window, a slit
+    open_ = [*inner, *doors, (4, 5.6, 5, 5.8), (11, 3.8, 11.3, 4)]  # a window, a slit
     rays = [(x, 5.6, x + 0.05, 9) for x in (10, 10.2, 10.4)]
     half = (7.4, 0.3, 9.2, 3.8)  # of a room
     for value, (x, y, x1, y1) in (*walls, *((FREE, one) for one in open_ + rays), (UNKNOWN, half)):

@@ -22,12 +22,7 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.segmentation import spectral
 from specmap_cli.segmentation.division import segment
-from specmap_cli.segmentation.spectral import (
-    eigenpairs_above,
-    parts_of,
-    spectral_clusters,
-    split_again,
-)
+from specmap_cli.segmentation.spectral import parts_of, spectral_clusters, split_again
 from specmap_cli.segmentation.visibility import LabelArray, VisibilityGraph, near_pairs
 from tests.segmentation.plans import plan
 from tests.strategies import few, seeds
@@ -128,17 +123,13 @@ def test_clusters_are_the_groups_whatever_the_order_of_the_nodes(seed: int) -> N
     assert adjusted_rand_score(truth, spectral_clusters(graph, config).labels) == 1.0
     order = np.random.default_rng(seed).permutation(len(graph.nodes))
     place = np.argsort(order)
-    shuffled = VisibilityGraph(
-        graph.nodes[order], np.sort(place[graph.pairs], axis=1), graph.lengths
-    )
+    pairs = np.sort(place[graph.pairs], axis=1)
+    shuffled = VisibilityGraph(graph.nodes[order], pairs, graph.lengths)
     assert adjusted_rand_score(truth[order], spectral_clusters(shuffled, config).labels) == 1.0
 
 
 def by_the_paper(graph: VisibilityGraph, least: float) -> tuple[list[float], list[int]]:
-    """Algorithm 2 in dense matrices, line by line; all eigenvalues of L, and the labels.
-
-    The k-means is scikit-learn's, from many random starts.
-    """
+    """Algorithm 2 in dense matrices, line by line; the k-means of many starts is scikit-learn's."""
     n = len(graph.nodes)
     distance = np.full((n, n), np.inf)
     for (i, j), length in zip(graph.pairs.tolist(), graph.lengths.tolist(), strict=True):
@@ -400,7 +391,7 @@ def test_rooms_are_the_same_whether_a_graph_is_cut_or_not(monkeypatch: pytest.Mo
     rooms = [(x, y, x + 3.7, y + 4.0) for x in lefts for y in (0.5, 6.5)]
     doors = [(x + 1.4, y, x + 2.3, y + 0.2) for x in lefts for y in (4.5, 6.3)]
     hotel = plan(49.0, 11.0, (0.5, 4.7, 48.5, 6.3), *rooms, *doors)
-    whole, solving = segment(hotel, SegmentationConfig()), Mock(wraps=eigenpairs_above)
+    whole, solving = segment(hotel, SegmentationConfig()), Mock(wraps=spectral.eigenpairs_above)
     monkeypatch.setattr(spectral, "eigenpairs_above", solving)
     cut = segment(hotel, SegmentationConfig(part_nodes=300))
     sizes = [call.args[0].shape[0] for call in solving.call_args_list]
