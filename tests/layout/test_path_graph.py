@@ -185,9 +185,7 @@ def test_what_was_guessed_counts_in_the_frame_in_which_a_motion_ends() -> None:
 
 
 @given(st.floats(0, 5), st.floats(0, 5), st.floats(0, 3), st.floats(0, 3))
-def test_a_longer_motion_is_known_less_well(
-    short: float, more: float, turn: float, further: float
-) -> None:
+def test_longer_motions_err_more(short: float, more: float, turn: float, further: float) -> None:
     near = spread_of(Pose2(short, 0.0, turn), outline(1))
     far = spread_of(Pose2(short + more, 0.0, turn + further), outline(1))
     assert (np.diag(far) >= np.diag(near) - 1e-12).all()

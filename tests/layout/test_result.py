@@ -106,9 +106,7 @@ def toured(flat_tour: list[tuple[Sweep, Pose2]]) -> Iterator[tuple[KeyframeStore
 
 
 @given(st.floats(-44.0, 44.0))
-def test_walls_of_any_recorded_frame_end_up_along_the_axes(
-    toured: tuple[KeyframeStore, FloatArray], degrees: float
-) -> None:
+def test_walls_end_up_along_axes(toured: tuple[KeyframeStore, FloatArray], degrees: float) -> None:
     store, truth = toured
     recorded = compose(np.array([3.0, -2.0, math.radians(degrees)]), truth)
     layout = along_walls(Layout(poses=recorded), store, CONFIG)

@@ -192,9 +192,7 @@ def test_of_places_much_alike_a_search_takes_that_near_the_guess(points: int, ta
         (260, True, False),  # a wall that stands half a metre on: wheels slipped
     ],
 )
-def test_trusted_odometry_is_given_up_only_for_what_explains_the_walls_much_better(
-    posts: int, trusted: bool, kept: bool
-) -> None:
+def test_trusted_odometry_gives_way_to_much_better(posts: int, trusted: bool, kept: bool) -> None:
     """The registration method runs 0.5 m ahead, along a corridor with few marks."""
     ahead = Pose2(0.5, 0.0, 0.0)
     marks = np.tile(line(2.0, np.linspace(1.0, 1.4, 9)), (12, 1))  # of a recess, 0.4 m deep

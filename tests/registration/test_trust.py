@@ -54,9 +54,7 @@ def judged(
         (0.15, {"measured": False}),
     ],
 )
-def test_a_contradiction_must_score_well_and_agreement_helps_all_but_the_hopeless(
-    least: float, found: dict[str, Any]
-) -> None:
+def test_agreement_may_score_worse_than_contradiction(least: float, found: dict[str, Any]) -> None:
     for score, lost in ((least - 0.001, True), (least, False)):
         judgement = judged(score, **found)
         assert (judgement.agrees, judgement.lost) == (found.get("agrees", True), lost)

@@ -222,9 +222,7 @@ def test_small_obstacles_piece_by_piece(seed: int, largest: int, bulky: int, thi
 @pytest.mark.parametrize(
     ("count", "gap", "is_furniture"), [(6, 1, False), (6, 2, False), (6, 4, True), (2, 1, True)]
 )
-def test_a_railing_of_dashes_is_a_wall_and_pieces_that_stand_apart_or_end_soon_are_not(
-    count: int, gap: int, is_furniture: bool
-) -> None:
+def test_a_railing_is_a_wall_of_many_near_dashes(count: int, gap: int, is_furniture: bool) -> None:
     free = np.ones((60, 60 + 30 * count), dtype=bool)
     for first in range(20, 20 + count * (20 + gap), 20 + gap):
         free[30, first : first + 20] = False  # a thin piece of a metre

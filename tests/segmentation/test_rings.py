@@ -56,9 +56,7 @@ def divided(grid: GridMap, degrees: float, places: list[tuple[float, float]]) ->
 
 @pytest.mark.parametrize("degrees", TURNS)
 @pytest.mark.parametrize(("width", "height"), [(12.0, 8.0), (8.0, 12.0), (30.0, 24.0)])
-def test_the_sides_of_a_ring_are_regions_and_the_longer_ones_have_its_corners(
-    width: float, height: float, degrees: float
-) -> None:
+def test_the_long_sides_of_a_ring_have_corners(width: float, height: float, degrees: float) -> None:
     x, y = ((5.8, side / 2 + 6.6, side + 7.4) for side in (width, height))
     sides = [(x[1], y[0]), (x[1], y[2]), (x[0], y[1]), (x[2], y[1])]
     corners = [(x[0], y[0]), (x[2], y[0]), (x[0], y[2]), (x[2], y[2])]
