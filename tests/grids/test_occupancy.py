@@ -133,11 +133,7 @@ def test_a_grid_never_grows_past_its_limit_and_counts_scans_beyond(limit: dict[s
     assert grid.snapshot().values_at(np.array([[7.0, 5.0]]))[0] == OCCUPIED
 
 
-@given(
-    hits=st.integers(0, 6),
-    passes=st.integers(0, 12),
-    share=st.sampled_from([0.1, 0.25, 0.5, 1.0]),
-)
+@given(st.integers(0, 6), st.integers(0, 12), st.sampled_from([0.1, 0.25, 0.5, 1.0]))
 def test_a_cell_is_occupied_from_its_share_of_hits_on(hits: int, passes: int, share: float) -> None:
     turn("grids", occupied_share=share)
     beams = [ahead(2.0)] * hits + [ahead(4.0)] * passes

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.matching import observability
 from specmap_cli.layout.path_graph import (
@@ -28,6 +28,7 @@ from specmap_cli.layout.path_graph import (
     rows_every,
     step_information,
 )
+from tests.casting import store_of
 from tests.layout.driving import between, chained, link
 from tests.maps.test_keyframe_log import posed
 from tests.strategies import angles, seeds
@@ -175,11 +176,9 @@ def test_guesses_in_a_row_err_in_one_way_and_others_do_not(sizes: list[float]) -
 
 
 def test_what_was_guessed_counts_in_the_frame_in_which_a_motion_ends() -> None:
-    with KeyframeStore() as store:
-        for k, (pose, guessed_m) in enumerate(
-            [(Pose2(0.0, 0.0, 0.0), (0.0, 0.0)), (Pose2(0.0, 1.0, np.pi / 2), (0.0, 0.5))]
-        ):
-            store.append(replace(posed(k), map_from_base=pose, guessed_m=guessed_m))
+    first = replace(posed(0), map_from_base=IDENTITY, guessed_m=(0.0, 0.0))
+    second = replace(posed(1), map_from_base=Pose2(0.0, 1.0, np.pi / 2), guessed_m=(0.0, 0.5))
+    with store_of([first, second]) as store:
         spread = np.linalg.inv(graph_of(store, [], {}).odometry[0].information)
     assert spread[0, 0] > 0.2 > 0.1 > spread[1, 1]
 

@@ -107,13 +107,9 @@ def cloud_of(world: GridMap, pose: FloatArray) -> FloatArray:
     """Walls from floor to ceiling and the floor itself, as a 3D lidar 0.5 m up would see them."""
     bearings = np.linspace(-np.pi, np.pi, 180, endpoint=False)
     ranges = ranges_at(world, pose[None], bearings, 15.0)[0]
-    rings = [
-        np.column_stack(
-            [ranges * np.cos(bearings), ranges * np.sin(bearings), 0.5 + ranges * np.tan(slope)]
-        )
-        for slope in np.radians([-10, -5, 0, 5, 10, 15])
-    ]
-    points = np.concatenate(rings)
+    x, y = ranges * np.cos(bearings), ranges * np.sin(bearings)
+    slopes = np.tan(np.radians([-10, -5, 0, 5, 10, 15]))
+    points = np.concatenate([np.column_stack([x, y, 0.5 + ranges * slope]) for slope in slopes])
     low = points[:, 2] < 0.0
     points[low] *= (0.5 / (0.5 - points[low, 2]))[:, None] * (1, 1, 0)
     return points

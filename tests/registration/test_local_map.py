@@ -47,7 +47,7 @@ def test_an_alignment_that_runs_off_is_refused_and_ends_the_ladder(
     answers = [before, answer, answer]
     aligner = ToldAligner(lambda _: answers.pop(0))
     fit = scene_in(world, aligner, **settings).align(np.eye(4), (2.0, 1.0, 0.5))
-    assert len(aligner.asked) == 2 + followed
+    assert len(aligner.kernels_m) == 2 + followed
     assert fit.refused == 1 - followed
     assert np.array_equal(fit.pose, answer if followed else before)
 
@@ -62,7 +62,7 @@ def test_a_search_finds_the_place_from_a_wrong_guess(world: GridMap, away: Pose2
     fit = scene_in(world, aligner).search(guess, window, LADDER)
     assert fit.planar.distance < 0.08
     assert abs(fit.planar.theta) < 0.03
-    assert len(aligner.asked) == len(LADDER)  # what was found is aligned
+    assert len(aligner.kernels_m) == len(LADDER)  # what was found is aligned
     assert fit.pose[2, 3] == pytest.approx(0.7)
     assert fit.pose[2, 2] == pytest.approx(guess[2, 2])
     assert np.allclose(fit.pose[:3, :3] @ fit.pose[:3, :3].T, np.eye(3))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -29,24 +28,18 @@ def locate(
 WORTHLESS = Reliance((9.0,) * 60, (9.0,) * 60, (9.0,) * 60)
 
 
-def kernels_m(scene: Scene) -> Sequence[float]:
-    """The kernels of all alignments made in a scene."""
-    assert isinstance(scene.local.aligner, ToldAligner)
-    return [asked.kernel_m for asked in scene.local.aligner.asked]
-
-
 @pytest.mark.parametrize(
     ("guess", "searched"),
     [(IDENTITY, False), (Pose2(0.15, 0.0, 0.0), True), (Pose2(0.0, 0.0, 0.11), True)],
 )
 def test_a_good_fit_far_off_is_searched_for(world: GridMap, guess: Pose2, searched: bool) -> None:
     """The alignment is right; only the guess is off."""
-    scene = scene_in(world, ToldAligner(lambda _: np.eye(4)))
-    located = locate(scene, guess, expecting(), IDENTITY)
+    aligner = ToldAligner(lambda _: np.eye(4))
+    located = locate(scene_in(world, aligner), guess, expecting(), IDENTITY)
     assert (located.searched, located.wide_searched) == (searched, False)
     np.testing.assert_allclose(located.fit.pose, np.eye(4), atol=0.0 if searched else 0.02)
     if not searched:
-        assert kernels_m(scene) == pytest.approx([0.025])
+        assert aligner.kernels_m == pytest.approx([0.025])
 
 
 @pytest.mark.parametrize(
@@ -61,15 +54,15 @@ def test_a_good_fit_far_off_is_searched_for(world: GridMap, guess: Pose2, search
 def test_a_low_score_is_searched_for_near_by_and_a_poor_one_widely(
     world: GridMap, away: Pose2, measured: bool, wide: bool
 ) -> None:
-    scene = scene_in(world, ToldAligner())
-    located = locate(scene, away, expecting(measured=measured), IDENTITY)
+    aligner = ToldAligner()
+    located = locate(scene_in(world, aligner), away, expecting(measured=measured), IDENTITY)
     assert located.searched
     assert located.wide_searched or not wide
     assert located.fit.score > 0.75 or wide
     assert located.fit.planar.distance < (0.15 if wide else 0.08)
     assert abs(located.fit.planar.theta) < (0.05 if wide else 0.03)
     if wide:
-        assert kernels_m(scene)[-5:] == pytest.approx([0.4, 0.2, 0.1, 0.05, 0.025])
+        assert aligner.kernels_m[-5:] == pytest.approx([0.4, 0.2, 0.1, 0.05, 0.025])
 
 
 def test_the_guess_is_odometry_s_unless_the_walls_object(world: GridMap) -> None:

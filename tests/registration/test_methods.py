@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -108,22 +109,13 @@ def test_kiss_icp_is_the_default_and_unknown_methods_and_names_in_use_are_refuse
         FrontEnd(RegistrationConfig())
 
 
-WITHOUT_KISS_ICP = """
-    import sys
-
-    class Missing:
-        def find_spec(self, name, path, target=None):
-            if name.split(".")[0] == "kiss_icp":
-                raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-
-    sys.meta_path.insert(0, Missing())
-"""
+WITHOUT_KISS_ICP = 'import sys; sys.modules["kiss_icp"] = None\n'
 
 
 def in_a_house_without_kiss_icp(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Run Python code where importing kiss_icp fails as if it were not installed."""
     return subprocess.run(
-        [sys.executable, "-c", dedent(WITHOUT_KISS_ICP) + dedent(code), *arguments],
+        [sys.executable, "-c", WITHOUT_KISS_ICP + dedent(code), *arguments],
         capture_output=True,
         text=True,
         check=False,
@@ -154,10 +146,8 @@ def test_every_module_of_registration_can_be_imported_without_kiss_icp() -> None
         """
     )
     assert found.stderr == ""
-    assert found.stdout == (
-        "registration.method 'kiss-icp' needs the package kiss-icp: No module named 'kiss_icp'; "
-        "install it or choose another method\n"
-    )
+    needs = "registration.method 'kiss-icp' needs the package kiss-icp: No module named 'kiss_icp"
+    assert re.fullmatch(f"{needs}.*; install it or choose another method\n", found.stdout)
 
 
 def test_a_floor_plan_is_segmented_without_kiss_icp(flat: GridMap, tmp_path: Path) -> None:

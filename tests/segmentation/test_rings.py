@@ -131,10 +131,7 @@ def test_corridors_that_go_on_and_pillars_move_no_cut() -> None:
 def test_a_ring_is_cut_alike_however_it_is_turned(turns: int) -> None:
     labels = around(60, 10)[:, 5:]
     labels[20:24, 20:70] = 0  # its hole is wider than high
-    found = np.rot90(without_rings(labels), turns)
-    for one, other in (
-        (found, np.rot90(labels, turns)),
-        (found[::-1], np.rot90(labels, turns)[::-1]),
-    ):
+    found, turned = np.rot90(without_rings(labels), turns), np.rot90(labels, turns)
+    for one, other in ((found, turned), (found[::-1], turned[::-1])):
         pairs = np.unique(one * 10 + without_rings(other), return_counts=True)[1]
         assert np.sort(pairs)[-5:].sum() >= labels.size - 4 * 10  # cells of the cuts
