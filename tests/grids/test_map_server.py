@@ -28,7 +28,6 @@ from tests.strategies import few, seeds
 from tests.turning import turn
 
 YAML = "image: m.png\nresolution: 0.1\norigin: [-1.0, 2.5, 0.0]\nnegate: 0\n"
-GREY = np.arange(12, dtype=np.uint8).reshape(3, 4)
 
 
 def write_image(directory: Path, image: NDArray[Any], yaml: str = YAML) -> Path:
@@ -38,7 +37,7 @@ def write_image(directory: Path, image: NDArray[Any], yaml: str = YAML) -> Path:
 
 
 def grey_png(directory: Path) -> Path:
-    assert cv2.imwrite(str(directory / "m.png"), GREY)
+    assert cv2.imwrite(str(directory / "m.png"), np.arange(12, dtype=np.uint8).reshape(3, 4))
     return directory / "m.png"
 
 

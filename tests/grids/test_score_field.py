@@ -149,8 +149,7 @@ def test_points_too_far_from_the_others_are_counted() -> None:
 def test_a_field_is_no_larger_than_told_and_shows_what_is_near(seed: int, max_side: float) -> None:
     points = np.random.default_rng(seed).standard_cauchy((200, 2)) * 3.0
     field = ScoreField.from_points(points, 0.1, 0.1, max_side)
-    margin = math.ceil(3.5)
-    assert max(field.values.shape) <= max_side / 0.1 + 2 * margin + 2
+    assert max(field.values.shape) <= max_side / 0.1 + 2 * math.ceil(3.5) + 2
     near = (np.abs(points - np.median(points, axis=0)) < max_side / 2).all(axis=1)
     assert (field.at(points[near]) == 1.0).all()
     assert field.left_out <= (~near).sum()

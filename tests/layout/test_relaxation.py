@@ -27,7 +27,6 @@ from tests.layout.driving import (
     arc,
     as_tracked,
     between,
-    building,
     closure,
     closures_alone,
     drifted,
@@ -36,8 +35,6 @@ from tests.layout.driving import (
     link,
     missed,
     moved_from,
-    round_trip,
-    scans_of,
     stored,
     true_link,
     worst,
@@ -231,9 +228,9 @@ class Trusting:
         return Agreement(agree=1000)
 
 
-def test_what_the_passes_say_anyway_is_kept_with_them() -> None:
+def test_what_the_passes_say_anyway_is_kept_with_them(drive: Drive) -> None:
     """Closures that agree make the layout worse: those that say what the passes say stay."""
-    truth = round_trip()
+    truth, _ = drive
     graph = graph_by_hand(truth)
     passes = as_tracked(graph, *(true_link(truth, k, k + 480) for k in (20, 120)))
     near = closure(truth, 60, 540)
@@ -319,10 +316,10 @@ def test_loose_parts_are_those_that_networkx_finds_apart(pairs: list[tuple[int, 
     assert loose_starts(graph_by_hand(arc(20)), loops) == ()
 
 
-def test_a_part_is_moved_when_enough_finds_agree_and_not_by_one_alone() -> None:
+def test_a_part_is_moved_when_enough_finds_agree_and_not_by_one_alone(drive: Drive) -> None:
     """The second lap was put metres away and turned; places along it say where it belongs."""
-    truth = round_trip()[::2]
-    with stored(moved_from(260, truth, AWAY), scans_of(building(), truth)) as store:
+    truth, scans = drive[0][::2], drive[1][::2]
+    with stored(moved_from(260, truth, AWAY), scans) as store:
         graph = graph_of(store, [], {260: None})
         start, walls = Draft(poses=graph.poses), Walls(store, graph)
         draft, judged = close(graph, start, (), walls)

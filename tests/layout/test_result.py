@@ -125,8 +125,7 @@ def test_the_direction_of_most_walls_counts_in_any_quarter(seed: int, direction:
     quarters = rng.integers(0, 4, 300) * (math.pi / 2.0)
     walls = direction + quarters + rng.normal(0.0, 0.01, 300)
     others = rng.uniform(-math.pi, math.pi, 60)
-    lengths = np.ones(360)
-    found = wall_direction(np.concatenate([walls, others]), lengths)
+    found = wall_direction(np.concatenate([walls, others]), np.ones(360))
     assert found == pytest.approx(direction, abs=0.01)
 
 

@@ -213,8 +213,7 @@ def scan_of(half_x: float, half_y: float, noise_m: float = 0.0) -> PlanarScan:
 def test_a_corridor_fixes_the_place_across_it_only(
     half_x: float, half_y: float, motion: Pose2, fixed: tuple[bool, bool], noise_m: float
 ) -> None:
-    scan = scan_of(half_x, half_y, noise_m)
-    assert fixed_directions(scan, IDENTITY, motion) == fixed
+    assert fixed_directions(scan_of(half_x, half_y, noise_m), IDENTITY, motion) == fixed
 
 
 @pytest.mark.parametrize("reading", [np.inf, np.nan])

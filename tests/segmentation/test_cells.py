@@ -176,10 +176,7 @@ def test_the_nearest_value_is_that_of_a_cell_no_farther_than_the_nearest(seed: i
 
 
 def rectangles(cells: FloatArray) -> FloatArray:
-    """The sides (n, 2), shorter first, of the rectangles of about the least area around cells.
-
-    Along each line through two of the cells (m, 2), from middle to middle of the outer ones.
-    """
+    """Sides (n, 2), shorter first, of the least rectangles round cells (m, 2) along two of them."""
     steps = np.unique((cells[:, None] - cells[None]).reshape(-1, 2), axis=0)
     angles = np.unique(np.arctan2(steps[:, 1], steps[:, 0]))
     sides = np.array(

@@ -234,12 +234,9 @@ def test_of_a_region_in_scraps_the_largest_stays() -> None:
     np.testing.assert_array_equal(np.argwhere(found.labels == 0), np.argwhere(grid.free[:, :120]))
 
 
-TURN = st.integers(0, 3)
-
-
 @given(
     grid_maps(largest=12),
-    TURN,
+    st.integers(0, 3),
     st.tuples(*[st.integers(0, 5)] * 4),
     st.sampled_from([0.05, 0.1, 0.15]),
 )
@@ -264,7 +261,7 @@ def test_every_copy_of_a_map_looks_the_same_and_labels_and_nodes_go_back(
         assert np.linalg.norm(places - copy.centres_of(cells), axis=1).max(initial=0) <= tolerance
 
 
-@given(TURN)
+@given(st.integers(0, 3))
 def test_the_free_space_lies_and_leans_whatever_single_cells_say(turned: int) -> None:
     free = np.zeros((40, 90), dtype=bool)
     free[5:35, 5:35] = free[15:24, 35:81] = True  # a room, and a corridor to the right of it

@@ -351,8 +351,7 @@ def test_cuts_go_through_the_weak_edges_and_through_no_room(sizes: list[int], se
 
 
 def test_the_cut_goes_where_least_is_lost() -> None:
-    sizes = [30, 30, 30, 30]
-    S = cliques(sizes).tolil()
+    S = cliques([30, 30, 30, 30]).tolil()
     for i, j in ((29, 30), (89, 90)):  # wide openings; between them a narrow one
         S[i, j] = S[j, i] = 5.0
     parts = parts_of(sparse.csr_array(S), 60)
