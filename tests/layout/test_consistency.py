@@ -34,13 +34,12 @@ SIDES_M = (60.0, 35.0)
 LAP = int(2 * sum(SIDES_M))
 
 
-def large_loop(laps: int = 4) -> FloatArray:
-    """True poses 1 m apart around a block of corridors, 190 m a lap."""
+def large_loop() -> FloatArray:
+    """True poses 1 m apart around a block of corridors, four laps of 190 m."""
     poses = [np.zeros(3)]
-    for _ in range(laps):
-        for side in (*SIDES_M, *SIDES_M):
-            poses += [compose(poses[-1], np.array([k + 1.0, 0.0, 0.0])) for k in range(int(side))]
-            poses[-1] = compose(poses[-1], np.array([0.0, 0.0, np.pi / 2]))
+    for side in SIDES_M * 8:
+        poses += [compose(poses[-1], np.array([k + 1.0, 0.0, 0.0])) for k in range(int(side))]
+        poses[-1] = compose(poses[-1], np.array([0.0, 0.0, np.pi / 2]))
     return np.array(poses)
 
 
@@ -205,14 +204,14 @@ def gained(path: FloatArray, end: int, share: float, veer: float) -> FloatArray:
     return np.asarray((Uncertainty.along(path, motions, share, veer).between(i, j) - plain)[0])
 
 
-def sampled(path: FloatArray, i: int, j: int, runs: int = 4000) -> FloatArray:
-    """Errors (runs, 3) of pose j seen from i, of paths whose steps err as SOFT says."""
+def sampled(path: FloatArray, i: int, j: int) -> FloatArray:
+    """Errors (4000, 3) of pose j seen from i, of paths whose steps err as SOFT says."""
     rng = np.random.default_rng(1)
     sigma = np.sqrt(np.diag(np.linalg.inv(SOFT))) / 5  # small, where the first order is enough
     steps = compose(invert(path[:-1]), path[1:])
-    seen = np.tile(path[i], (runs, 1))
+    seen = np.tile(path[i], (4000, 1))
     for step in steps[i:j]:
-        seen = compose(compose(seen, step), rng.normal(0, 1, (runs, 3)) * sigma)
+        seen = compose(compose(seen, step), rng.normal(0, 1, (4000, 3)) * sigma)
     return compose(invert(compose(invert(path[i]), path[j])), compose(invert(path[i]), seen))
 
 

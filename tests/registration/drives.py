@@ -139,17 +139,14 @@ def expecting(
 
 
 def guess_of(
-    place: Pose2,
-    expected: ExpectedMotion,
-    reliance: Reliance = UNKNOWN,
-    by_motion: Pose2 = IDENTITY,
+    place: Pose2, expected: ExpectedMotion, reliance: Reliance = UNKNOWN, motion: Pose2 = IDENTITY
 ) -> MotionGuess:
     """A guess at a place, which the expected motion leads to."""
     return MotionGuess(
         pose=place.matrix(),
         before=(place @ expected.motion.inverse()).matrix(),
         expected=expected,
-        by_motion=by_motion,
+        by_motion=motion,
         reliance=reliance,
     )
 
@@ -171,14 +168,9 @@ def view_of_points(points: FloatArray, looked_m: float = 40.0) -> SweepView:
 
 
 def scene_of(
-    seen: FloatArray,
-    known: FloatArray,
-    aligner: Aligner,
-    looked_m: Setting = 40.0,
-    **settings: Setting,
+    seen: FloatArray, known: FloatArray, aligner: Aligner, looked_m: float = 40.0, **settings: float
 ) -> Scene:
     """Points (N, 2) seen where the map's only keyframe saw the `known` (M, 2), so far all round."""
-    assert isinstance(looked_m, float)
     config = configured(RegistrationConfig, "registration", settings)
     sensor = SensorKind(in_space=False, voxel_m=config.voxel_m, range_m=config.max_range_m)
     local = LocalMap(aligner, sensor, config)
@@ -186,7 +178,7 @@ def scene_of(
     return Scene(view=view_of_points(seen), local=local, config=config)
 
 
-def scene_in(world: GridMap, aligner: Aligner, **settings: Setting) -> Scene:
+def scene_in(world: GridMap, aligner: Aligner, **settings: float) -> Scene:
     """The first sweep of `path` seen twice."""
     sweep = sweeps(world, path()[:2])[0]
     points = LASER.apply(sweep.planar.hits())
