@@ -42,9 +42,7 @@ def test_distances_are_scipys(grid: GridMap) -> None:
         assert (grid.obstacle_distance() > 100.0).all()
 
 
-def test_what_is_near_a_zero_is_the_same_a_few_rows_at_a_time(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_is_near_a_zero_is_the_same_in_bands_of_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     picture = (np.random.default_rng(0).uniform(size=(90, 40)) > 0.01).astype(np.uint8)
     picture[30:70, 5:35] = 1  # some bands of rows hold no zero
     numbers = np.random.default_rng(1).integers(-1, 7, (90, 40)).astype(np.int16)
@@ -91,25 +89,15 @@ def test_a_packed_grid_is_the_grid_in_a_fraction_of_its_memory() -> None:
     assert 20 * len(packed.cells.data) < grid.cells.nbytes
 
 
-def empty_room() -> GridMap:
-    """A room of 5 m x 4 m, its walls at x = 1 and 6, y = 0.5 and 4.5."""
-    cells = np.full((100, 140), OCCUPIED, dtype=np.uint8)
-    cells[10:90, 20:120] = FREE
-    return GridMap(cells, 0.05)
-
-
 def test_rays_end_at_their_range_and_at_the_edge_of_the_grid() -> None:
-    room = empty_room()
-    distance, middle = room.obstacle_distance(), np.array([[3.5, 2.5]])
-    assert cast_rays(distance, room, middle, np.array([0.0]), 2.4)[0] == np.inf
-    assert cast_rays(distance, room, middle, np.array([0.0]), 2.6)[0] == pytest.approx(2.5)
-    open_ = GridMap(np.zeros((10, 10), dtype=np.uint8), 0.1)
-    far = cast_rays(
-        open_.obstacle_distance(), open_, np.array([[0.5, 0.5], [9.0, 9.0]]), np.zeros(2), 50.0
-    )
-    assert (far == np.inf).all()
-    nowhere = np.zeros((0, 2))
-    assert cast_rays(distance, room, nowhere, np.zeros(0), 5.0).shape == (0,)
+    room = GridMap(np.full((100, 140), FREE, dtype=np.uint8), 0.05)
+    room.cells[:, 120:] = OCCUPIED  # from x = 6 m on
+    distance, middle, ahead = room.obstacle_distance(), np.array([[3.5, 2.5]]), np.zeros(1)
+    assert cast_rays(distance, room, middle, ahead, 2.4)[0] == np.inf
+    assert cast_rays(distance, room, middle, ahead, 2.6)[0] == pytest.approx(2.5)
+    assert cast_rays(distance, room, middle, ahead + np.pi, 50.0)[0] == np.inf
+    assert cast_rays(distance, room, middle + 9.0, ahead, 50.0)[0] == np.inf
+    assert cast_rays(distance, room, middle[:0], ahead[:0], 5.0).shape == (0,)
 
 
 def walked(grid: GridMap, origin: np.ndarray, angle: float) -> float:
@@ -147,9 +135,7 @@ def test_ranges_are_those_of_a_walk_through_every_cell(grid: GridMap, seed: int)
 
 
 @given(grid_maps(), st.integers(0, 3))
-def test_a_crop_is_what_is_known_and_a_frame_as_far_as_the_map_goes(
-    grid: GridMap, frame: int
-) -> None:
+def test_a_crop_is_what_is_known_and_a_frame_within_the_map(grid: GridMap, frame: int) -> None:
     crop, known = grid.cropped(frame=frame), np.argwhere(grid.cells != UNKNOWN)
     if not len(known):
         assert crop is grid

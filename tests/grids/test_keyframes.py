@@ -56,15 +56,12 @@ def test_what_is_stored_is_read_back(taken: list[tuple[PlanarScan, Pose2, Pose2]
             assert found.full_circle == scan.full_circle
             assert store.pose(number) == pose
             assert store.base_from_laser(number) == mounting
-            np.testing.assert_allclose(
-                store.points(number, 3.0), mounting.apply(scan.hits(3.0)), atol=1e-4
-            )
+            hits = mounting.apply(scan.hits(3.0))
+            np.testing.assert_allclose(store.points(number, 3.0), hits, atol=1e-4)
 
 
 @pytest.mark.parametrize("at_a_place", [True, False])
-def test_a_store_may_be_read_while_it_grows(
-    monkeypatch: pytest.MonkeyPatch, at_a_place: bool
-) -> None:
+def test_a_store_is_read_while_it_grows(monkeypatch: pytest.MonkeyPatch, at_a_place: bool) -> None:
     """Also where the system cannot read at a place, and scans without a beam among them."""
     if not at_a_place:
         monkeypatch.delattr(os, "pread", raising=False)
@@ -96,9 +93,7 @@ def test_scans_do_not_stay_in_memory() -> None:
 
 
 @given(st.lists(st.tuples(planar_scans(beams=24), poses, poses), min_size=1, max_size=3))
-def test_a_grid_of_keyframes_is_that_of_their_scans(
-    taken: list[tuple[PlanarScan, Pose2, Pose2]],
-) -> None:
+def test_a_keyframe_grid_is_that_of_its_scans(taken: list[tuple[PlanarScan, Pose2, Pose2]]) -> None:
     config = GridConfig(resolution_m=0.1, footprint_m=0.3)
     direct = OccupancyGrid(config)
     with store_of(keyframe(*each) for each in taken) as store:
@@ -191,8 +186,7 @@ def test_a_patrol_of_any_length_tells_as_much_as_the_place_holds() -> None:
     assert (np.diff(chosen) > 0).all()
     laps = np.bincount(chosen // 60, minlength=40)
     assert laps[:20].sum() == pytest.approx(laps[20:].sum(), rel=0.2)  # neither first nor last
-    first_laps = patrol[: 2 * 60]
-    assert len(keyframes.informative(first_laps)) == 2 * 60  # they are taken in whole
+    assert len(keyframes.informative(patrol[: 2 * 60])) == 2 * 60  # first laps are taken in whole
     assert len(keyframes.informative(np.zeros((0, 3)))) == 0
 
 
@@ -211,9 +205,7 @@ def laser(beams: int, view_deg: float, range_max: float) -> PlanarScan:
         (laser(1, 0.0, 30.0), 1),
     ],
 )
-def test_so_many_scans_show_a_place_that_every_cell_of_a_wall_is_hit(
-    scan: PlanarScan, looks: int
-) -> None:
+def test_a_place_is_shown_when_every_cell_of_a_wall_is_hit(scan: PlanarScan, looks: int) -> None:
     assert keyframes.views_needed(scan, GridConfig()) == looks
 
 
@@ -265,9 +257,7 @@ WAY, FEW = along(0.0, 3.0), along(1.0, 1.2)
     ],
     ids=["there and back", "there and back, all round", "elsewhere", "side by side"],
 )
-def test_so_many_keyframes_are_repeated(
-    ways: list[FloatArray], all_round: bool, numbers: list[int]
-) -> None:
+def test_so_many_are_repeated(ways: list[FloatArray], all_round: bool, numbers: list[int]) -> None:
     assert [len(own) for own in gone(recorded(ways, all_round))] == numbers
 
 

@@ -9,6 +9,7 @@ import zlib
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -27,7 +28,6 @@ from tests.strategies import few, seeds
 from tests.turning import turn
 
 YAML = "image: m.png\nresolution: 0.1\norigin: [-1.0, 2.5, 0.0]\nnegate: 0\n"
-GREY = np.arange(12, dtype=np.uint8).reshape(3, 4)
 
 
 def write_image(directory: Path, image: NDArray[Any], yaml: str = YAML) -> Path:
@@ -37,7 +37,7 @@ def write_image(directory: Path, image: NDArray[Any], yaml: str = YAML) -> Path:
 
 
 def grey_png(directory: Path) -> Path:
-    assert cv2.imwrite(str(directory / "m.png"), GREY)
+    assert cv2.imwrite(str(directory / "m.png"), np.arange(12, dtype=np.uint8).reshape(3, 4))
     return directory / "m.png"
 
 
@@ -92,13 +92,9 @@ CELLS = [[OCCUPIED, FREE], [FREE, UNKNOWN]]  # the lowest row first
 
 def heard(path: Path) -> tuple[GridMap, list[str]]:
     """A map as it is read, and the notes on the way."""
-
-    class Notes(Silent):
-        def note(self, message: str) -> None:
-            notes.append(message)
-
-    notes: list[str] = []
-    return read_grid(path, progress=Notes()), notes
+    progress = Mock(Silent)
+    grid = read_grid(path, progress=progress)
+    return grid, [call.args[0] for call in progress.note.call_args_list]
 
 
 def brushed(greys: tuple[int, ...], strokes: int) -> NDArray[np.uint8]:
@@ -121,9 +117,7 @@ def brushed(greys: tuple[int, ...], strokes: int) -> NDArray[np.uint8]:
     ],
     ids=["grey", "colour", "alpha", "16 bit", "white", "painted over", "by a soft brush"],
 )
-def test_the_grey_that_a_map_saver_writes_for_unknown_is_unknown_and_a_note_says_so(
-    tmp_path: Path, picture: NDArray[Any]
-) -> None:
+def test_the_grey_of_map_savers_is_unknown_and_noted(tmp_path: Path, picture: NDArray[Any]) -> None:
     """Nav2 and slam_toolbox give a threshold that makes it free."""
     path = write_image(tmp_path, picture, NAV2)
     if picture.ndim == 2:
@@ -210,12 +204,16 @@ def test_a_given_resolution_wins_and_paths_may_be_text(tmp_path: Path) -> None:
         read_grid(tmp_path / "m.png")
 
 
-def test_unreadable_files_are_one_line(tmp_path: Path) -> None:
+def test_unreadable_files_pipes_and_devices_are_one_line(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.png")
+    (tmp_path / "endless.png").symlink_to("/dev/zero")
     (tmp_path / "empty.png").write_bytes(b"")
     (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
     for name, picture in (("other", "gone.png"), ("itself", "itself.yaml")):
         (tmp_path / f"{name}.yaml").write_text(YAML.replace("m.png", picture))
     for name, resolution, said in (
+        ("pipe.png", 0.1, "cannot read the image: not a regular file"),
+        ("endless.png", 0.1, "cannot read the image: not a regular file"),
         ("empty.png", 0.1, "not an image"),
         ("gone.yaml", None, "No such file"),
         ("binary.yaml", None, "not a text file"),
@@ -244,9 +242,7 @@ def test_any_thresholds_count_and_so_does_negate(
 
 @pytest.mark.parametrize("name", ["floor2.png", "floor #2.png", "it's: 2.png"])
 @pytest.mark.parametrize("absolute", [False, True])
-def test_a_picture_may_lie_elsewhere_and_be_called_anything(
-    tmp_path: Path, name: str, absolute: bool
-) -> None:
+def test_a_picture_lies_anywhere_under_any_name(tmp_path: Path, name: str, absolute: bool) -> None:
     (tmp_path / "pictures").mkdir()
     picture = tmp_path / "pictures" / name
     write_png(picture, np.zeros((1, 1), dtype=np.uint8))
@@ -350,9 +346,7 @@ def with_size(png: bytes, width: int, height: int) -> bytes:
         ("m.png", b""),
     ],
 )
-def test_more_pixels_than_a_building_needs_are_refused(
-    tmp_path: Path, name: str, head: bytes
-) -> None:
+def test_too_many_pixels_are_refused(tmp_path: Path, name: str, head: bytes) -> None:
     head = head or with_size(grey_png(tmp_path).read_bytes(), 20_000, 20_000)
     (tmp_path / name).write_bytes(head)
     with pytest.raises(MapError) as caught:
@@ -374,17 +368,11 @@ def test_the_bounds_are_settings(tmp_path: Path) -> None:
     assert str(caught.value) == f"{path}: cannot read the image: larger than 5e-05 MB"
 
 
-def test_want_of_memory_is_told_as_what_it_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_want_of_memory_is_told_as_such(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = grey_png(tmp_path)
     error = cv2.error("Insufficient memory")
     error.code = cv2.Error.StsNoMem
-
-    def full(*_: object) -> None:
-        raise error
-
-    monkeypatch.setattr(cv2, "imdecode", full)
+    monkeypatch.setattr(cv2, "imdecode", Mock(side_effect=error))
     with pytest.raises(MemoryError, match=r"for the 4 x 3 pixels of .*m\.png"):
         read_picture(path)
 
@@ -394,13 +382,13 @@ def test_a_picture_that_claims_more_than_it_holds_reaches_no_decoder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, claimed: int
 ) -> None:
     """OpenCV would take gigabytes for a file of 52 bytes."""
-    path, asked = tmp_path / "m.png", list[object]()
+    path, decode = tmp_path / "m.png", Mock()
     head = (13).to_bytes(4) + b"IHDR" + (428).to_bytes(4) + (268).to_bytes(4) + bytes(9)
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + head + claimed.to_bytes(4) + b"IDATx\x9c\xed\x9d")
-    monkeypatch.setattr(cv2, "imdecode", lambda *_: asked.append(1))
+    monkeypatch.setattr(cv2, "imdecode", decode)
     with pytest.raises(MapError, match="not an image that can be read"):
         read_picture(path)
-    assert asked == []
+    decode.assert_not_called()
 
 
 @pytest.mark.parametrize("place", [20, 45, 55, -6, -1])
@@ -416,14 +404,6 @@ def test_libraries_keep_silent_about_damage(
         read_picture(path)
     os.write(2, b"heard again\n")
     assert capfd.readouterr().err == "heard again\n"
-
-
-def test_a_pipe_and_a_device_are_refused_at_once(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "pipe.png")
-    (tmp_path / "endless.png").symlink_to("/dev/zero")
-    for name in ("pipe.png", "endless.png"):
-        with pytest.raises(MapError, match="cannot read the image: not a regular file"):
-            read_picture(tmp_path / name)
 
 
 def test_thresholds_are_those_of_map_server(tmp_path: Path) -> None:

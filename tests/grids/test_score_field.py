@@ -1,7 +1,4 @@
-"""Score fields: the distance to the nearest obstacle as a score, and the way to a match.
-
-The matcher finds the pose a scan was taken from, and says which directions walls fix.
-"""
+"""Score fields, the way to a match on them, its search and answers, and what walls fix."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ from scipy.optimize import minimize
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, wrap_angle
 from specmap_cli.grids import matching
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.grids.matching import Window, refine, search
+from specmap_cli.grids.matching import Prior, Window, answers, refine, search
 from specmap_cli.grids.score_field import SIGMA_M, PointCells, Sample, ScoreField, approach, descend
 from tests.strategies import few, grid_maps, poses, seeds
 from tests.turning import turn
@@ -74,9 +71,7 @@ def test_walls_drawn_into_a_field_make_the_field_of_all(seed: int) -> None:
 
 
 @pytest.mark.parametrize("place", [(4.3, 0.0), (0.0, -3.3), (1e6, 0.0)])
-def test_walls_near_the_edge_of_a_field_or_beyond_cannot_be_drawn_into_it(
-    place: tuple[float, float],
-) -> None:
+def test_walls_at_the_edge_of_a_field_or_beyond_cannot_be_drawn(place: tuple[float, float]) -> None:
     edges = PointCells.of(np.array([[-4.0, -3.0], [4.0, 3.0]]), 0.075)
     field = ScoreField.from_cells([edges], 0.1, 100.0, (0.0, 0.0))
     inside, outside = ([[0.0, 0.0]], [[0.0, 0.0], place])
@@ -92,9 +87,7 @@ def test_the_sharper_field_has_half_the_sigma() -> None:
 
 
 @given(grid_maps(), st.sampled_from([0.05, 0.1, 0.3]))
-def test_the_field_of_a_grid_is_the_score_of_the_exact_distance(
-    grid: GridMap, sigma: float
-) -> None:
+def test_the_field_of_a_grid_is_the_score_of_exact_distances(grid: GridMap, sigma: float) -> None:
     field = ScoreField.from_grid(grid, sigma)
     margin = math.ceil(3.5 * sigma / grid.resolution)
     if not grid.occupied.any():
@@ -153,13 +146,10 @@ def test_points_too_far_from_the_others_are_counted() -> None:
 
 
 @given(seeds, st.floats(1.0, 30.0))
-def test_a_field_is_no_larger_than_allowed_and_shows_what_is_near(
-    seed: int, max_side: float
-) -> None:
+def test_a_field_is_no_larger_than_told_and_shows_what_is_near(seed: int, max_side: float) -> None:
     points = np.random.default_rng(seed).standard_cauchy((200, 2)) * 3.0
     field = ScoreField.from_points(points, 0.1, 0.1, max_side)
-    margin = math.ceil(3.5)
-    assert max(field.values.shape) <= max_side / 0.1 + 2 * margin + 2
+    assert max(field.values.shape) <= max_side / 0.1 + 2 * math.ceil(3.5) + 2
     near = (np.abs(points - np.median(points, axis=0)) < max_side / 2).all(axis=1)
     assert (field.at(points[near]) == 1.0).all()
     assert field.left_out <= (~near).sum()
@@ -192,9 +182,7 @@ def test_values_are_scipy_s_and_their_derivatives_those_of_finite_differences(se
 
 
 @given(small, small, small)
-def test_the_descent_ends_where_scipy_s_does_and_the_way_some_millimetres_from_a_match(
-    dx: float, dy: float, turn: float
-) -> None:
+def test_the_descent_ends_as_scipy_s_and_the_way_near_it(dx: float, dy: float, turn: float) -> None:
     guess, points = Pose2(dx, dy, turn), ROOM[::5]
     found = descend(FIELD, points, guess, 20, 0.3)
     best = minimize(
@@ -211,9 +199,7 @@ def test_the_descent_ends_where_scipy_s_does_and_the_way_some_millimetres_from_a
 
 
 @given(seeds, st.floats(0.0, 0.5), st.integers(0, 6))
-def test_the_descent_never_makes_it_worse_nor_leaves_its_reach(
-    seed: int, reach: float, iterations: int
-) -> None:
+def test_the_descent_improves_within_its_reach(seed: int, reach: float, iterations: int) -> None:
     guess = Pose2(*np.random.default_rng(seed).uniform(-1.0, 1.0, 3).tolist())
     found = descend(FIELD, ROOM[::5], guess, iterations, reach)
     assert (guess.inverse() @ found).distance <= reach + 1e-9
@@ -289,9 +275,8 @@ def test_a_scan_is_found_from_a_guess(dx: float, dy: float, turn: float, heading
 def test_a_scan_is_found_without_a_guess_and_places_are_apart(heading: float) -> None:
     true = Pose2(6.0, -9.0, heading)
     scan = true.inverse().apply(ROOM[::2])
-    found = matching.search_everywhere(
-        FIELD, scan, count=5, step=0.2, angles=np.arange(0.0, 2.0 * np.pi, 0.05)
-    )
+    angles = np.arange(0.0, 2.0 * np.pi, 0.05)
+    found = matching.search_everywhere(FIELD, scan, count=5, step=0.2, angles=angles)
     assert len(found) == 5
     best, *others = found
     assert_near(refine(FIELD, scan, best.pose).pose, true, 0.05, 0.02)
@@ -401,9 +386,7 @@ def test_a_bare_corridor_is_open_along_itself(noise_m: float, width_m: float, tu
 
 
 @pytest.mark.parametrize("noise_m", [0.0, 0.01, 0.03])
-def test_an_end_in_sight_closes_it_and_a_square_room_fixes_all_directions_alike(
-    noise_m: float,
-) -> None:
+def test_an_end_in_sight_closes_it_and_a_square_fixes_all_directions_alike(noise_m: float) -> None:
     ends = matching.weakest_direction(box(12.0, 2.5, 8.0, noise_m))
     assert ends.count > 5.0
     points = box(5.0, 5.0, 10.0, noise_m)
@@ -425,3 +408,49 @@ def test_walls_that_are_not_known_fix_nothing() -> None:
     whole, less = (matching.weakest_direction(points, of) for of in (None, half))
     assert less.count == pytest.approx(0.5 * whole.count)
     assert less.heading == pytest.approx(whole.heading)
+
+
+def scatter(seed: int) -> FloatArray:
+    """Random walls of a small place."""
+    return np.random.default_rng(seed).uniform(-4.0, 4.0, (60, 2))
+
+
+@few(8)
+@given(seeds)
+def test_a_place_within_the_prior_is_the_first_answer(seed: int) -> None:
+    rng, points = np.random.default_rng(seed), scatter(seed)
+    there = Pose2(*rng.uniform((-9.0, -9.0, -3.0), (9.0, 9.0, 3.0)).tolist())
+    field = ScoreField.from_points(there.apply(points), 0.1, 0.15)
+    off = rng.uniform(-1.0, 1.0, 3) * (5.0, 1.0, 0.4)
+    guess = Pose2(there.x + off[0], there.y + off[1], there.theta + off[2])
+    prior = Prior(guess, np.diag([2.0, 0.6, 0.2]) ** 2)
+    found = answers(field, points, prior, 0.3, 0.04)
+    assert np.hypot(found[0].pose.x - there.x, found[0].pose.y - there.y) < 0.5
+    assert abs(wrap_angle(found[0].pose.theta - there.theta)) < 0.06
+    assert [one.score for one in found] == sorted((one.score for one in found), reverse=True)
+
+
+def test_two_places_alike_are_two_answers_and_the_prior_leaves_one() -> None:
+    points = scatter(3)
+    field = ScoreField.from_points(np.concatenate([points, points + (0.0, 12.0)]), 0.1, 0.15)
+    wide = Prior(Pose2(0.0, 6.0, 0.0), np.diag([0.3, 3.0, 0.05]) ** 2)
+    first, second = sorted(one.pose.y for one in answers(field, points, wide, 0.3, 0.04)[:2])
+    assert [first, second] == pytest.approx([0.0, 12.0], abs=0.4)
+    narrow = Prior(Pose2(0.0, 11.0, 0.0), np.diag([0.3, 1.0, 0.05]) ** 2)
+    assert all(one.pose.y > 7.0 for one in answers(field, points, narrow, 0.3, 0.04))
+    anywhere = answers(field, points, Prior(Pose2(0.0, 0.0, 0.0)), 0.3, 0.04)
+    assert {round(one.pose.y / 12.0) for one in anywhere[:2]} == {0, 1}
+
+
+def test_where_no_wall_is_there_is_no_answer() -> None:
+    field = ScoreField.from_points(scatter(1), 0.1, 0.15)
+    prior = Prior(Pose2(90.0, 0.0, 0.0), np.diag([0.3, 0.3, 0.05]) ** 2)
+    assert answers(field, scatter(1), prior, 0.3, 0.04) == []
+
+
+def test_a_guess_turns_as_far_as_its_error() -> None:
+    angles = Prior(Pose2(10.0, 5.0, 0.5), np.diag([4.0, 0.01, 0.1**2])).angles(0.05)
+    assert angles.min() == pytest.approx(0.2, abs=0.051)
+    assert angles.max() == pytest.approx(0.8, abs=0.051)
+    unknown = Prior(Pose2(0.0, 0.0, 0.0), np.diag([1.0, 1.0, 100.0]))
+    assert np.ptp(unknown.angles(0.1)) == pytest.approx(2 * np.pi, abs=0.2)

@@ -24,7 +24,7 @@ from tests.layout.driving import (
 @pytest.fixture(scope="session")
 def drive() -> Drive:
     """True poses of 1.5 laps and the scans taken there."""
-    truth = round_trip(1.5)
+    truth = round_trip()
     return truth, scans_of(building(), truth)
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import pairwise
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from specmap_cli.layout.path_graph import Bridge, Draft, Graph
 from specmap_cli.layout.pose_graph import Link, LinkKind
 from specmap_cli.layout.relaxation import relax
 from specmap_cli.layout.result import Layout
-from tests.casting import ranges_at
+from tests.casting import keyframe, ranges_at, store_of
 from tests.turning import turned
 
 CONFIG = RelaxationConfig()
@@ -53,18 +54,14 @@ def building() -> GridMap:
     return GridMap(cells, 0.05)
 
 
-def round_trip(laps: float) -> FloatArray:
-    """True poses every 10 cm along the middle of the ring."""
+def round_trip() -> FloatArray:
+    """True poses every 10 cm along the middle of the ring, one and a half laps."""
     corners = np.array([[2.5, 2.5], [16.5, 2.5], [16.5, 12.5], [2.5, 12.5]])
-    poses, lap = [], 0.0
-    while lap < laps:
-        for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-            heading = float(np.arctan2(*(b - a)[::-1]))
-            steps = int(np.hypot(*(b - a)) / 0.1)
-            poses += [(*(a + (b - a) * k / steps), heading) for k in range(steps)]
-            lap += 0.25
-            if lap >= laps:
-                break
+    poses = []
+    for a, b in pairwise([*corners, *corners[:3]]):
+        heading = float(np.arctan2(*(b - a)[::-1]))
+        steps = int(np.hypot(*(b - a)) / 0.1)
+        poses += [(*(a + (b - a) * k / steps), heading) for k in range(steps)]
     return np.array(poses)
 
 
@@ -98,23 +95,12 @@ def moved_from(first: int, poses: FloatArray, motion: Sequence[float]) -> FloatA
 
 
 def stored(tracked: FloatArray, scans: Sequence[PlanarScan]) -> KeyframeStore:
-    """A store of scans at their tracked poses."""
-    store = KeyframeStore()
-    for scan in posed(tracked, scans):
-        store.append(scan)
-    return store
+    return store_of(posed(tracked, scans))
 
 
 def posed(tracked: FloatArray, scans: Sequence[PlanarScan]) -> list[PosedScan]:
-    """Scans with their tracked poses."""
     return [
-        PosedScan(
-            index=k,
-            stamp_ns=scan.stamp_ns,
-            map_from_base=Pose2(*pose.tolist()),
-            planar=scan,
-            base_from_laser=IDENTITY,
-        )
+        keyframe(scan, Pose2(*pose.tolist()), number=k)
         for k, (pose, scan) in enumerate(zip(tracked, scans, strict=True))
     ]
 
@@ -125,7 +111,6 @@ def laid_out(
     closures: Sequence[Link] = (),
     breaks: Mapping[int, Bridge | None] | None = None,
 ) -> Layout:
-    """The layout of scans at their tracked poses."""
     with stored(tracked, scans) as store:
         return relax(store, closures, breaks or {}, CONFIG)
 
@@ -167,26 +152,23 @@ def link(
     )
 
 
-def true_link(
-    truth: FloatArray,
-    source: int,
-    target: int,
-    kind: LinkKind = "nearby",
-    information: FloatArray = STIFF,
-) -> Link:
-    """A link that says the truth."""
-    return link(source, target, between(truth, source, target), kind, information)
+def true_link(truth: FloatArray, source: int, target: int, kind: LinkKind = "nearby") -> Link:
+    return link(source, target, between(truth, source, target), kind)
 
 
-def graph_by_hand(tracked: FloatArray, breaks: Iterable[int] = (), every: int = 1) -> Graph:
-    """The graph of tracked poses (n, 3), each `every`-th a node; motions are as tracked."""
-    nodes = np.arange(0, len(tracked), every)
-    fresh = np.isin(nodes[1:], list(breaks))
+def closure(truth: FloatArray, source: int, target: int, off: Pose2 = IDENTITY) -> Link:
+    """A closure that is right, or off by a motion of the place in the frame of its source."""
+    motion = np.add(true_link(truth, source, target).source_from_target, off)
+    return link(source, target, motion.tolist(), "closure")
+
+
+def graph_by_hand(tracked: FloatArray, breaks: Collection[int] = ()) -> Graph:
+    """The graph of tracked poses (n, 3), each a node; motions are as tracked."""
     odometry = tuple(
-        true_link(tracked, int(a), int(b), "loose" if lost else "odometry", SOFT)
-        for a, b, lost in zip(nodes[:-1], nodes[1:], fresh, strict=True)
+        link(k, k + 1, motion.tolist(), "loose" if k + 1 in breaks else "odometry", SOFT)
+        for k, motion in enumerate(compose(invert(tracked[:-1]), tracked[1:]))
     )
-    return Graph.of(tracked, nodes, odometry)
+    return Graph.of(tracked, np.arange(len(tracked)), odometry)
 
 
 def as_tracked(graph: Graph, *loops: Link) -> Draft:

@@ -10,14 +10,7 @@ import pytest
 from specmap_cli.core.geometry import compose
 from specmap_cli.layout.audit import Agreement, Views
 from specmap_cli.layout.path_graph import LOOP_PATH_M, Graph, graph_of
-from tests.layout.driving import (
-    SECOND_LAP,
-    Drive,
-    Laps,
-    drifted,
-    moved_from,
-    stored,
-)
+from tests.layout.driving import SECOND_LAP, Drive, Laps, drifted, moved_from, stored
 
 
 @pytest.fixture(scope="module")
@@ -47,9 +40,7 @@ def test_a_pass_that_was_moved_contradicts(
     assert not right.is_doubtful
 
 
-def test_a_person_before_walls_that_both_passes_saw_contradicts_nothing(
-    seen: tuple[Graph, Views],
-) -> None:
+def test_a_person_before_walls_that_both_saw_contradicts_nothing(seen: tuple[Graph, Views]) -> None:
     """Somebody stands a metre before the laser in one view of ten of the second pass, or in all."""
     graph, views = seen
     first = int(np.searchsorted(views.rows, np.searchsorted(graph.nodes, SECOND_LAP)))
@@ -65,9 +56,7 @@ def test_a_person_before_walls_that_both_passes_saw_contradicts_nothing(
     assert everywhere.agree < some.agree
 
 
-def test_the_frame_of_the_map_does_not_matter_and_passes_apart_say_nothing(
-    seen: tuple[Graph, Views],
-) -> None:
+def test_the_frame_does_not_matter_and_passes_apart_say_nothing(seen: tuple[Graph, Views]) -> None:
     graph, views = seen
     moved = compose(np.array([20.0, -7.0, 1.0]), graph.poses)
     plain, other = (views.agreement(poses) for poses in (graph.poses, moved))
@@ -104,9 +93,7 @@ def test_what_is_worse(now: tuple[int, int], before: tuple[int, int], worse: boo
     assert Agreement(*now).is_worse_than(Agreement(*before)) is worse
 
 
-def test_nothing_is_said_of_no_keyframes_and_of_a_robot_that_came_nowhere_again(
-    drive: Drive,
-) -> None:
+def test_nothing_is_said_of_a_robot_that_came_nowhere_again(drive: Drive) -> None:
     truth, scans = drive
     with stored(drifted(truth)[:2], scans[:2]) as store:
         graph = graph_of(store, [], {})

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.core.geometry import FloatArray, compose, invert
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.layout.consistency import (
     _VOTES,
     Judgement,
@@ -24,7 +24,7 @@ from specmap_cli.layout.consistency import (
 from specmap_cli.layout.path_graph import Ends, Graph
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.solving import settle, tighten
-from tests.layout.driving import SOFT, arc, as_tracked, chained, graph_by_hand, link, true_link
+from tests.layout.driving import SOFT, arc, as_tracked, chained, closure, graph_by_hand, link
 from tests.strategies import seeds
 from tests.turning import turned
 
@@ -34,13 +34,12 @@ SIDES_M = (60.0, 35.0)
 LAP = int(2 * sum(SIDES_M))
 
 
-def large_loop(laps: int = 4) -> FloatArray:
-    """True poses 1 m apart around a block of corridors, 190 m a lap."""
+def large_loop() -> FloatArray:
+    """True poses 1 m apart around a block of corridors, four laps of 190 m."""
     poses = [np.zeros(3)]
-    for _ in range(laps):
-        for side in (*SIDES_M, *SIDES_M):
-            poses += [compose(poses[-1], np.array([k + 1.0, 0.0, 0.0])) for k in range(int(side))]
-            poses[-1] = compose(poses[-1], np.array([0.0, 0.0, np.pi / 2]))
+    for side in SIDES_M * 8:
+        poses += [compose(poses[-1], np.array([k + 1.0, 0.0, 0.0])) for k in range(int(side))]
+        poses[-1] = compose(poses[-1], np.array([0.0, 0.0, np.pi / 2]))
     return np.array(poses)
 
 
@@ -66,9 +65,7 @@ def graph_of_steps(tracked: FloatArray, breaks: tuple[int, ...] = ()) -> Graph:
 
 def nearly(i: int, j: int, rng: np.random.Generator) -> Link:
     """A closure that is right to a decimetre and a degree."""
-    off = rng.normal(0, 1, 3) * (0.1, 0.1, 0.01)
-    motion = np.add(true_link(TRUTH, i, j).source_from_target, off)
-    return link(i, j, motion.tolist(), "closure")
+    return closure(TRUTH, i, j, Pose2(*rng.normal(0, (0.1, 0.1, 0.01)).tolist()))
 
 
 def killian(seed: int) -> tuple[Graph, list[Link], list[bool]]:
@@ -79,10 +76,9 @@ def killian(seed: int) -> tuple[Graph, list[Link], list[bool]]:
     wrong = []
     for _ in range(3):
         i, j = sorted(rng.choice(len(TRUTH), 2, replace=False).tolist())
-        x, y, theta = true_link(TRUTH, i, j).source_from_target
         away, bearing = rng.uniform(12, 39), rng.uniform(-np.pi, np.pi)
-        motion = (x + away * np.cos(bearing), y + away * np.sin(bearing), theta)
-        wrong.append(link(i, j, motion, "closure"))
+        off = Pose2(away * np.cos(bearing), away * np.sin(bearing), 0.0)
+        wrong.append(closure(TRUTH, i, j, off))
     order = rng.permutation(11).tolist()
     closures = [[*right, *wrong][k] for k in order]
     return graph_of_steps(tracked_by(seed)), closures, [k < 8 for k in order]
@@ -148,8 +144,7 @@ def test_look_alike_offices_agree_and_are_impossible() -> None:
 def test_what_agrees_outvotes_what_drift_would_allow() -> None:
     rng, graph = np.random.default_rng(0), graph_of_steps(tracked_by(3))
     right = [nearly(10 + 20 * k, 10 + 20 * k + LAP, rng) for k in range(5)]
-    x, y, theta = true_link(graph.tracked, 30, 30 + LAP).source_from_target
-    wrong = link(30, 30 + LAP, (x + 6.0, y, theta), "closure")
+    wrong = closure(graph.tracked, 30, 30 + LAP, Pose2(6.0, 0.0, 0.0))
     (alone,) = judged(graph, [wrong])
     assert (alone.believed, alone.reason) == (True, "drift")
     among = judged(graph, [*right, wrong])
@@ -166,13 +161,9 @@ def test_closures_of_other_parts_say_nothing_about_each_other() -> None:
 
 def test_a_closure_told_the_other_way_round_is_the_same() -> None:
     graph, closures, _ = killian(1)
-    back = [
-        link(c.target, c.source, tuple(c.source_from_target.inverse()), "closure") for c in closures
-    ]
-    there, turned_round = (
-        [(one.reason, one.votes) for one in judged(graph, each)] for each in (closures, back)
-    )
-    assert there == turned_round
+    back = [link(c.target, c.source, c.source_from_target.inverse(), "closure") for c in closures]
+    for one, other in zip(judged(graph, closures), judged(graph, back), strict=True):
+        assert (one.reason, one.votes) == (other.reason, other.votes)
 
 
 def test_independent_ones_are_counted_in_order() -> None:
@@ -186,13 +177,11 @@ def test_independent_ones_are_counted_in_order() -> None:
 def test_what_the_layout_says_is_near_and_none_is_none() -> None:
     graph, _, _ = killian(0)
     assert judge(graph, as_tracked(graph), []) == ()
-    assert judged(graph, [true_link(graph.tracked, 0, 300, "closure")])[0].reason == "near"
+    assert judged(graph, [closure(graph.tracked, 0, 300)])[0].reason == "near"
 
 
 @given(st.integers(1, 18), st.floats(0, 1), seeds)
-def test_votes_are_those_of_a_set_in_which_each_agrees_with_each(
-    count: int, share: float, seed: int
-) -> None:
+def test_votes_are_of_a_set_in_which_all_agree(count: int, share: float, seed: int) -> None:
     """Of claims far apart on the path each is a vote; the most agreed on is in no smaller set."""
     network = nx.gnp_random_graph(count, share, seed=seed % 2**32)
     agree = nx.to_numpy_array(network, dtype=bool) | np.eye(count, dtype=bool)
@@ -215,14 +204,14 @@ def gained(path: FloatArray, end: int, share: float, veer: float) -> FloatArray:
     return np.asarray((Uncertainty.along(path, motions, share, veer).between(i, j) - plain)[0])
 
 
-def sampled(path: FloatArray, i: int, j: int, runs: int = 4000) -> FloatArray:
-    """Errors (runs, 3) of pose j seen from i, of paths whose steps err as SOFT says."""
+def sampled(path: FloatArray, i: int, j: int) -> FloatArray:
+    """Errors (4000, 3) of pose j seen from i, of paths whose steps err as SOFT says."""
     rng = np.random.default_rng(1)
     sigma = np.sqrt(np.diag(np.linalg.inv(SOFT))) / 5  # small, where the first order is enough
     steps = compose(invert(path[:-1]), path[1:])
-    seen = np.tile(path[i], (runs, 1))
+    seen = np.tile(path[i], (4000, 1))
     for step in steps[i:j]:
-        seen = compose(compose(seen, step), rng.normal(0, 1, (runs, 3)) * sigma)
+        seen = compose(compose(seen, step), rng.normal(0, 1, (4000, 3)) * sigma)
     return compose(invert(compose(invert(path[i]), path[j])), compose(invert(path[i]), seen))
 
 

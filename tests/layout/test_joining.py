@@ -168,9 +168,7 @@ def test_a_link_whose_end_is_gone_ends_beside_it(whole: Layout, drive: Drive) ->
         assert np.linalg.eigvalsh(one.information).min() > 0.0
 
 
-def test_a_link_that_ends_elsewhere_is_less_sure_than_the_one_it_comes_from(
-    whole: Layout, drive: Drive
-) -> None:
+def test_a_link_that_ends_elsewhere_is_less_sure_than_before(whole: Layout, drive: Drive) -> None:
     """The end of the link that is gone is 12 keyframes away from the next, and 112."""
     spread = []
     for first in (240, 140, 40):  # the first time it is still there

@@ -1,4 +1,4 @@
-"""The layout of a drifting robot in a building with a loop: consistent again, and told."""
+"""The layout of a drifting robot: consistent again, lost parts moved or looked for, and told."""
 
 from __future__ import annotations
 
@@ -6,34 +6,41 @@ import dataclasses
 from collections.abc import Iterator
 from typing import cast
 
+import networkx as nx
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert
+from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_angles
 from specmap_cli.core.settings import RelaxationConfig
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.audit import Agreement, Views
-from specmap_cli.layout.consistency import Judgement
 from specmap_cli.layout.path_graph import Bridge, Draft, Graph, graph_of
 from specmap_cli.layout.pose_graph import Link
-from specmap_cli.layout.relaxation import chosen, close, relax
-from specmap_cli.layout.result import Candidate, Layout
+from specmap_cli.layout.relaxation import chosen, close, most_voted, place_parts, relax
+from specmap_cli.layout.result import Candidate, Layout, loose_starts
 from specmap_cli.layout.walls import Walls
 from tests.layout.driving import (
     CONFIG,
     Drive,
+    arc,
     as_tracked,
+    between,
+    closure,
     closures_alone,
     drifted,
     graph_by_hand,
     laid_out,
     link,
+    missed,
     moved_from,
-    round_trip,
     stored,
     true_link,
     worst,
 )
+from tests.strategies import pose_arrays, seeds
+from tests.turning import turned
 
 AT = 500  # where tracking breaks
 
@@ -44,22 +51,15 @@ def alone() -> Iterator[None]:
         yield
 
 
-def closure(truth: FloatArray, source: int, target: int, off: Pose2 = IDENTITY) -> Link:
-    """A closure that is right, or off by a motion of the place in the frame of its source."""
-    motion = np.add(true_link(truth, source, target).source_from_target, off)
-    return link(source, target, motion.tolist(), "closure")
-
-
 def ends_of(links: tuple[Link, ...]) -> list[tuple[int, int, str]]:
     return [(one.source, one.target, one.kind) for one in links]
 
 
-def elsewhere(drive: Drive, *closures: Link, bias: float = 0.0) -> Layout:
+def elsewhere(drive: Drive, *closures: Link) -> Layout:
     """The layout of two stretches that have no wall in common, with a break between."""
     truth, scans = drive
     poses = np.vstack([truth[:60], truth[300:360]])
-    tracked = drifted(poses, bias) if bias else poses
-    return laid_out(tracked, [*scans[:60], *scans[300:360]], closures, {60: None})
+    return laid_out(poses, [*scans[:60], *scans[300:360]], closures, {60: None})
 
 
 def test_a_drifted_lap_is_straightened_by_nearby_passes(drive: Drive, store: KeyframeStore) -> None:
@@ -122,27 +122,19 @@ def test_without_relaxation_the_poses_are_those_tracked(drive: Drive, store: Key
         assert np.array_equal(relax(one, [], {0: None}, CONFIG).poses, one.poses)
 
 
-def test_a_wrong_closure_leaves_the_others_alone(drive: Drive) -> None:
+def test_a_wrong_closure_leaves_the_others_alone_in_any_frame(drive: Drive) -> None:
     """It only splits the path at its ends, which are nodes of the right ones here."""
-    truth, scans = drive
+    (truth, scans), motion = drive, np.array([40.0, -25.0, 2.5])
     right = [closure(truth, i, j) for i, j in ((5, 490), (100, 590), (200, 690))]
-    wrong = link(5, 590, (2.0, -1.0, 1.0), "closure")
-    laid = (laid_out(drifted(truth), scans, each) for each in ([*right, wrong], right))
-    with_wrong, without = laid
+    wrong, tracked = link(5, 590, (2.0, -1.0, 1.0), "closure"), drifted(truth)
+    with_wrong, without = (laid_out(tracked, scans, each) for each in ([*right, wrong], right))
     assert (with_wrong.dropped, without.dropped) == ((wrong,), ())
     assert with_wrong.why == {(5, 590): "outlier"}
     assert np.allclose(with_wrong.poses, without.poses, atol=0.01)
-
-
-def test_the_frame_of_the_map_does_not_matter_to_a_layout(drive: Drive) -> None:
-    (truth, scans), motion = drive, np.array([40.0, -25.0, 2.5])
-    known = [closure(truth, 100, 590), link(5, 590, (2.0, -1.0, 1.0), "closure")]
-    both = (drifted(truth), compose(motion, drifted(truth)))
-    plain, moved = (laid_out(tracked, scans, known) for tracked in both)
-    assert plain.dropped == moved.dropped == (known[1],)
-    assert ends_of(plain.kept) == ends_of(moved.kept)
-    expected = compose(motion, plain.poses)
-    assert np.abs(moved.poses[:, :2] - expected[:, :2]).max() < 5e-3
+    moved = laid_out(compose(motion, tracked), scans, [*right, wrong])
+    assert moved.dropped == (wrong,)
+    assert ends_of(moved.kept) == ends_of(with_wrong.kept)
+    assert np.abs(moved.poses - compose(motion, with_wrong.poses))[:, :2].max() < 5e-3
 
 
 def test_the_layout_holds_what_it_was_made_of(store: KeyframeStore) -> None:
@@ -192,49 +184,19 @@ def test_two_closures_that_agree_move_a_piece_of_which_nothing_is_known(drive: D
     assert ends_of(one.dropped) == ends_of((right[0],)), "alone it is not enough"
 
 
-@dataclasses.dataclass(frozen=True)
-class Ring:
-    """The drive as tracked with some drift, and what closing it needs."""
-
-    truth: FloatArray
-    graph: Graph
-    walls: Walls
-
-    def close(self, *closures: Link) -> tuple[Draft, tuple[Judgement, ...]]:
-        start = as_tracked(self.graph)
-        return close(self.graph, start, closures, self.walls)
-
-
-@pytest.fixture
-def ring(drive: Drive, store: KeyframeStore) -> Ring:
-    graph = graph_of(store, [60, 100, 200, 540, 590, 690], {})
-    return Ring(drive[0], graph, Walls(store, graph))
-
-
 @pytest.mark.usefixtures("alone")
 @pytest.mark.parametrize("away", [(3.0, 1.0), (0.0, 1.5)])
 def test_a_wrong_closure_that_drift_would_allow_brings_walls_into_free_space(
-    ring: Ring, store: KeyframeStore, away: tuple[float, float]
+    drive: Drive, store: KeyframeStore, away: tuple[float, float]
 ) -> None:
-    wrong = closure(ring.truth, 60, 540, Pose2(*away, 0.0))
-    draft, (found,) = ring.close(wrong)
+    graph = graph_of(store, [60, 540], {})
+    wrong = closure(drive[0], 60, 540, Pose2(*away, 0.0))
+    draft, (found,) = close(graph, as_tracked(graph), [wrong], Walls(store, graph))
     assert (draft.loops, found.reason) == ((wrong,), "drift")
     assert found.away_m > 1.0
     layout = relax(store, [wrong], {}, CONFIG)
     assert layout.choice != "relaxed"
     assert (layout.kept, layout.dropped) == ((), (wrong,))
-
-
-@pytest.mark.usefixtures("alone")
-def test_right_closures_are_believed_and_stay_beside_a_wrong_one(ring: Ring) -> None:
-    right = [closure(ring.truth, *ends) for ends in ((60, 540), (100, 590), (200, 690))]
-    draft, found = ring.close(*right)
-    assert draft.loops == tuple(right)
-    assert all(one.believed for one in found)
-    wrong = closure(ring.truth, 100, 590, Pose2(-4.0, 0.0, 0.0))
-    mixed, (suspect, *others) = ring.close(wrong, right[0], right[2])
-    assert all(one.believed for one in others)
-    assert not suspect.believed or worst(mixed.poses, ring.truth[ring.graph.nodes]) < 0.5
 
 
 @pytest.mark.usefixtures("alone")
@@ -258,9 +220,9 @@ class Trusting:
         return Agreement(agree=1000)
 
 
-def test_what_the_passes_say_anyway_is_kept_with_them() -> None:
+def test_what_the_passes_say_anyway_is_kept_with_them(drive: Drive) -> None:
     """Closures that agree make the layout worse: those that say what the passes say stay."""
-    truth = round_trip(1.5)
+    truth, _ = drive
     graph = graph_by_hand(truth)
     passes = as_tracked(graph, *(true_link(truth, k, k + 480) for k in (20, 120)))
     near = closure(truth, 60, 540)
@@ -270,3 +232,97 @@ def test_what_the_passes_say_anyway_is_kept_with_them() -> None:
     assert found.choice == "passes"
     assert found.draft.loops == (*passes.loops, near)
     assert found.dropped == (wrong,)
+
+
+AWAY = (3.0, -2.0, 0.9)  # where the second part was put by a guess
+
+
+def kidnapped() -> tuple[FloatArray, Graph]:
+    """True poses, and the graph of a robot that was lost at 20 and again at 40."""
+    truth = arc(60)
+    tracked = moved_from(40, moved_from(20, truth, AWAY), AWAY)
+    return truth, graph_by_hand(tracked, breaks=(20, 40))
+
+
+@given(pose_arrays(4), seeds)
+def test_a_part_goes_where_links_put_it(poses: FloatArray, seed: int) -> None:
+    draft = Draft(poses=poses)
+    z = np.random.default_rng(seed).uniform(-3, 3, 3)
+    there, back = link(1, 3, z.tolist()), link(3, 1, invert(z).tolist())
+    placed = place_parts(graph_by_hand(poses, breaks=(2,)), draft, [there, back])
+    gap = compose(invert(z), compose(invert(placed.poses[1]), placed.poses[3]))
+    assert placed.tied == {0, 1}
+    assert np.hypot(*gap[:2]) < 1e-6
+    assert abs(wrap_angles(gap[2:])[0]) < 1e-9
+
+
+MOTIONS = st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-0.4, 0.4))
+
+
+@given(st.lists(MOTIONS, min_size=1, max_size=8), st.tuples(st.floats(-5, 5), st.floats(-5, 5)))
+def test_votes_are_those_of_a_count_by_hand(
+    motions: list[tuple[float, float, float]], centre: tuple[float, float]
+) -> None:
+    placed = [compose(np.array(motion), np.array([*centre, 0.0])) for motion in motions]
+    votes = [
+        sum(np.hypot(*(a - b)[:2]) <= 0.5 and abs(wrap_angles(a - b)[2]) <= 0.15 for b in placed)
+        for a in placed
+    ]
+    motion, agreeing = most_voted(np.array(motions), np.array(centre))
+    assert agreeing == max(votes)
+    assert np.array_equal(motion, motions[votes.index(max(votes))]), "the first of equals"
+
+
+def test_parts_go_where_most_closures_put_them() -> None:
+    truth, graph = kidnapped()
+    wrong = [link(2, 22, (9.0, 9.0, 1.0)), link(3, 44, (-9.0, 9.0, 1.0))]
+    right = [true_link(truth, *ends) for ends in ((0, 25), (5, 35), (30, 50), (10, 55))]
+    draft = place_parts(graph, Draft(poses=graph.poses), [*wrong, *right])
+    assert np.allclose(draft.poses, truth, atol=1e-9)
+    assert draft.tied == {0, 1, 2}
+    assert draft.loops == (), "they pull when it is solved"
+
+
+def test_links_take_a_part_to_older_ones_and_along_what_hangs_on_it() -> None:
+    truth, graph = kidnapped()
+    draft = Draft(poses=graph.poses)
+    assert place_parts(graph, draft, [true_link(truth, 21, 30)]) == draft, "to no older part"
+    assert place_parts(graph, draft, [true_link(truth, 25, 50)]).tied == {0, 2}
+    finds = [true_link(truth, 0, 25), true_link(truth, 5, 35), link(1, 30, (9.0, 9.0, 1.0))]
+    placed = place_parts(graph, draft, finds)
+    assert placed.tied == {0, 1}
+    assert np.allclose(placed.poses[:40], truth[:40], atol=1e-9)
+    inside = compose(invert(placed.poses[20]), placed.poses[20:])
+    assert np.allclose(inside, compose(invert(graph.poses[20]), graph.poses[20:]), atol=1e-9)
+
+
+@given(st.lists(st.tuples(st.integers(0, 19), st.integers(0, 19)), max_size=8))
+def test_loose_parts_are_those_that_networkx_finds_apart(pairs: list[tuple[int, int]]) -> None:
+    graph = graph_by_hand(arc(20), breaks=range(2, 20, 2))
+    pieces = nx.empty_graph(10)
+    pieces.add_edges_from((a // 2, b // 2) for a, b in pairs)
+    with_first = nx.node_connected_component(pieces, 0)
+    loops = [link(a, b, (0.0, 0.0, 0.0)) for a, b in pairs]
+    expected = tuple(2 * part for part in range(10) if part not in with_first)
+    assert loose_starts(graph, loops) == expected
+    assert loose_starts(graph_by_hand(arc(20)), loops) == ()
+
+
+def test_a_part_is_moved_when_enough_finds_agree_and_not_by_one_alone(drive: Drive) -> None:
+    """The second lap was put metres away and turned; places along it say where it belongs."""
+    truth, scans = drive[0][::2], drive[1][::2]
+    with stored(moved_from(260, truth, AWAY), scans) as store:
+        graph = graph_of(store, [], {260: None})
+        start, walls = Draft(poses=graph.poses), Walls(store, graph)
+        draft, judged = close(graph, start, (), walls)
+        with turned("layout.passes", _LOST_TRIES=0):
+            still, one = close(graph, start, (), walls)
+    finds = [each for each in judged if each.link.target >= 260]
+    assert len(finds) >= 3
+    assert {each.reason for each in finds} == {"votes"}
+    assert draft.tied == {0, 1}
+    assert worst(draft.poses, truth[graph.nodes]) < 0.3
+    for find in (each.link for each in finds):
+        assert missed(between(truth, find.source, find.target), find.source_from_target)[0] < 0.2
+    assert [each.reason for each in one if each.link.target >= 260] == ["alone"]
+    assert still.tied == {0}

@@ -14,22 +14,12 @@ from specmap_cli.registration import SensorKind
 from specmap_cli.registration.aligner import BUILT_IN, AlignerFactory
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Asked:
-    """What an aligner was asked for."""
-
-    points: FloatArray
-    guess: FloatArray
-    kernel_m: float
-    coarse: bool
-
-
 @dataclass
 class ToldAligner:
-    """Answers what `answer` makes of the guess, and remembers everything it was asked for."""
+    """Answers what `answer` makes of the guess, and remembers what it was given."""
 
     answer: Callable[[FloatArray], FloatArray] = lambda guess: guess
-    asked: list[Asked] = field(default_factory=list)
+    kernels_m: list[float] = field(default_factory=list)  # of all alignments
     inserted: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)
     cleared: int = 0
     sensors: list[SensorKind] = field(default_factory=list)  # that one was made for
@@ -43,7 +33,8 @@ class ToldAligner:
     def align(
         self, points: FloatArray, guess: FloatArray, kernel_m: float, *, coarse: bool
     ) -> FloatArray:
-        self.asked.append(Asked(points=points, guess=guess, kernel_m=kernel_m, coarse=coarse))
+        del points, coarse  # the answer is the same for all
+        self.kernels_m.append(kernel_m)
         return self.answer(guess)
 
 

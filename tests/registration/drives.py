@@ -59,11 +59,7 @@ def sweeps(
 
 def sweep_of(k: int, scan: PlanarScan, laser: Pose2, odometry: Pose2 | None) -> Sweep:
     return Sweep(
-        index=k,
-        stamp_ns=scan.stamp_ns,
-        planar=scan,
-        base_from_laser=laser,
-        odom_from_base=odometry,
+        index=k, stamp_ns=scan.stamp_ns, planar=scan, base_from_laser=laser, odom_from_base=odometry
     )
 
 
@@ -74,14 +70,16 @@ def circle(k: int, ranges: FloatArray, odometry: Pose2 | None = None) -> Sweep:
     return sweep_of(k, scan, IDENTITY, odometry)
 
 
-def with_odometry(sweep: Sweep, changed: Callable[[Pose2], Pose2]) -> Sweep:
-    """The sweep with a change of its odometry."""
+def odometry_of(sweep: Sweep) -> Pose2:
     assert sweep.odom_from_base is not None
-    return replace(sweep, odom_from_base=changed(sweep.odom_from_base))
+    return sweep.odom_from_base
+
+
+def with_odometry(sweep: Sweep, changed: Callable[[Pose2], Pose2]) -> Sweep:
+    return replace(sweep, odom_from_base=changed(odometry_of(sweep)))
 
 
 def with_ranges(sweep: Sweep, ranges: FloatArray) -> Sweep:
-    """The sweep with other ranges."""
     return replace(sweep, planar=replace(sweep.planar, ranges=ranges))
 
 
@@ -109,13 +107,9 @@ def cloud_of(world: GridMap, pose: FloatArray) -> FloatArray:
     """Walls from floor to ceiling and the floor itself, as a 3D lidar 0.5 m up would see them."""
     bearings = np.linspace(-np.pi, np.pi, 180, endpoint=False)
     ranges = ranges_at(world, pose[None], bearings, 15.0)[0]
-    rings = [
-        np.column_stack(
-            [ranges * np.cos(bearings), ranges * np.sin(bearings), 0.5 + ranges * np.tan(slope)]
-        )
-        for slope in np.radians([-10, -5, 0, 5, 10, 15])
-    ]
-    points = np.concatenate(rings)
+    x, y = ranges * np.cos(bearings), ranges * np.sin(bearings)
+    slopes = np.tan(np.radians([-10, -5, 0, 5, 10, 15]))
+    points = np.concatenate([np.column_stack([x, y, 0.5 + ranges * slope]) for slope in slopes])
     low = points[:, 2] < 0.0
     points[low] *= (0.5 / (0.5 - points[low, 2]))[:, None] * (1, 1, 0)
     return points
@@ -145,17 +139,14 @@ def expecting(
 
 
 def guess_of(
-    place: Pose2,
-    expected: ExpectedMotion,
-    reliance: Reliance = UNKNOWN,
-    by_motion: Pose2 = IDENTITY,
+    place: Pose2, expected: ExpectedMotion, reliance: Reliance = UNKNOWN, motion: Pose2 = IDENTITY
 ) -> MotionGuess:
     """A guess at a place, which the expected motion leads to."""
     return MotionGuess(
         pose=place.matrix(),
         before=(place @ expected.motion.inverse()).matrix(),
         expected=expected,
-        by_motion=by_motion,
+        by_motion=motion,
         reliance=reliance,
     )
 
@@ -177,17 +168,9 @@ def view_of_points(points: FloatArray, looked_m: float = 40.0) -> SweepView:
 
 
 def scene_of(
-    seen: FloatArray,
-    known: FloatArray,
-    aligner: Aligner,
-    looked_m: Setting = 40.0,
-    **settings: Setting,
+    seen: FloatArray, known: FloatArray, aligner: Aligner, looked_m: float = 40.0, **settings: float
 ) -> Scene:
-    """Points (N, 2) seen from where the only keyframe of the map saw the `known` (M, 2).
-
-    It looked so far all round.
-    """
-    assert isinstance(looked_m, float)
+    """Points (N, 2) seen where the map's only keyframe saw the `known` (M, 2), so far all round."""
     config = configured(RegistrationConfig, "registration", settings)
     sensor = SensorKind(in_space=False, voxel_m=config.voxel_m, range_m=config.max_range_m)
     local = LocalMap(aligner, sensor, config)
@@ -195,7 +178,7 @@ def scene_of(
     return Scene(view=view_of_points(seen), local=local, config=config)
 
 
-def scene_in(world: GridMap, aligner: Aligner, **settings: Setting) -> Scene:
+def scene_in(world: GridMap, aligner: Aligner, **settings: float) -> Scene:
     """The first sweep of `path` seen twice."""
     sweep = sweeps(world, path()[:2])[0]
     points = LASER.apply(sweep.planar.hits())

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.records import Sweep
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.clouds import CloudFlattener
+from tests.registration.drives import sweep_of
 
 HEIGHT_M, REACH_M = 1.8, 60.0  # of the lidar above the road; of its rays
 RINGS, COLUMNS = 64, 900
@@ -61,9 +64,8 @@ def way(steps: int) -> list[Pose2]:
     speeds = np.minimum(np.arange(steps) / 20.0, 1.0) * STEP_M
     x = np.cumsum(speeds)
     y = 1.2 * np.sin(x / 12.0)
-    return [
-        Pose2(*row) for row in np.column_stack([x, y, np.arctan(0.1 * np.cos(x / 12.0))]).tolist()
-    ]
+    rows = np.column_stack([x, y, np.arctan(0.1 * np.cos(x / 12.0))])
+    return [Pose2(*row) for row in rows.tolist()]
 
 
 def drive(poses: list[Pose2]) -> list[Sweep]:
@@ -71,11 +73,7 @@ def drive(poses: list[Pose2]) -> list[Sweep]:
     flattener = CloudFlattener(np.eye(4), -HEIGHT_M, LogConfig())
     world, sweeps = boxes(), []
     for k, pose in enumerate(poses):
-        cloud, stamp = cloud_at(pose, world), (k + 1) * 10**8
-        planar = flattener.flatten(cloud, stamp)
-        sweeps.append(
-            Sweep(
-                index=k, stamp_ns=stamp, planar=planar, base_from_laser=flattener.mount, cloud=cloud
-            )
-        )
+        cloud = cloud_at(pose, world)
+        planar = flattener.flatten(cloud, (k + 1) * 10**8)
+        sweeps.append(replace(sweep_of(k, planar, flattener.mount, None), cloud=cloud))
     return sweeps

@@ -18,6 +18,7 @@ from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.registration import FrontEnd
 from specmap_cli.registration.local_map import Fit, Support
 from specmap_cli.registration.trust import Founding, Judgement, Located, judge, looked_through
+from tests.casting import keyframe
 from tests.registration.drives import circle, expecting, guess_of, path, sweeps, with_ranges, worst
 
 GUESS = Pose2(2.0, 1.0, 0.5)
@@ -53,9 +54,7 @@ def judged(
         (0.15, {"measured": False}),
     ],
 )
-def test_a_contradiction_must_score_well_and_agreement_helps_all_but_the_hopeless(
-    least: float, found: dict[str, Any]
-) -> None:
+def test_agreement_may_score_worse_than_contradiction(least: float, found: dict[str, Any]) -> None:
     for score, lost in ((least - 0.001, True), (least, False)):
         judgement = judged(score, **found)
         assert (judgement.agrees, judgement.lost) == (found.get("agrees", True), lost)
@@ -78,9 +77,7 @@ def test_only_walls_that_could_be_seen_speak_against_odometry(support: Support, 
 @pytest.mark.parametrize(
     ("share", "measured", "lost"), [(0.6, False, False), (0.6, True, True), (0.4, False, True)]
 )
-def test_without_odometry_a_contradiction_may_see_new_space_too(
-    share: float, measured: bool, lost: bool
-) -> None:
+def test_without_odometry_new_space_may_be_seen(share: float, measured: bool, lost: bool) -> None:
     support = Support(score=0.65, share=share, count=round(100 * share))
     assert judged(0.4, support, agrees=False, searched=True, measured=measured).lost == lost
 
@@ -120,9 +117,7 @@ def test_what_walls_alone_prove_and_what_founds_a_map_or_refutes_one(
 
 
 @given(st.floats(-3.1, 3.1), st.floats(-1.2, 1.2), st.floats(-1.2, 1.2), st.floats(0.0, 1.0))
-def test_levelling_takes_back_tilt_and_nothing_else(
-    yaw: float, pitch: float, roll: float, share: float
-) -> None:
+def test_levelling_undoes_tilt_alone(yaw: float, pitch: float, roll: float, share: float) -> None:
     pose = np.eye(4)
     pose[:3, :3] = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
     pose[:3, 3] = 1.0, -2.0, 0.3
@@ -135,15 +130,8 @@ def test_levelling_takes_back_tilt_and_nothing_else(
 
 
 def scan(index: int, *, lost: bool = False, restarted: bool = False) -> PosedScan:
-    return PosedScan(
-        index=index,
-        stamp_ns=index,
-        map_from_base=IDENTITY,
-        planar=circle(index, np.ones(4)).planar,
-        base_from_laser=IDENTITY,
-        lost=lost,
-        restarted=restarted,
-    )
+    made = keyframe(circle(index, np.ones(4)).planar, IDENTITY, number=index)
+    return dataclasses.replace(made, lost=lost, restarted=restarted)
 
 
 def told(scans: tuple[PosedScan, ...]) -> list[tuple[int, bool, bool]]:
@@ -187,9 +175,7 @@ def spoiled(items: list[Sweep], count: int) -> list[Sweep]:
 
 @pytest.mark.parametrize("odometry", [True, False])
 @pytest.mark.parametrize("count", [0, 1, 2, 5, 8])
-def test_spoiled_first_scans_cost_themselves_and_no_other(
-    world: GridMap, count: int, odometry: bool
-) -> None:
+def test_spoiled_first_scans_cost_no_other(world: GridMap, count: int, odometry: bool) -> None:
     truth = path()[:24]
     front_end = FrontEnd(RegistrationConfig())
     scans: list[PosedScan] = []
@@ -220,18 +206,14 @@ def ring(radius_m: float, first: float = -3.0, last: float = 3.0) -> FloatArray:
     ],
 )
 @pytest.mark.parametrize("laser", [IDENTITY, Pose2(3.0, -1.0, 2.0)])
-def test_a_scan_that_looks_through_walls_refutes_them(
-    walls: FloatArray, share: float, laser: Pose2
-) -> None:
+def test_a_look_through_walls_refutes_them(walls: FloatArray, share: float, laser: Pose2) -> None:
     scan = circle(0, np.full(90, 4.0)).planar
     assert looked_through(laser.apply(walls), scan, laser) == pytest.approx(share)
 
 
 def test_walls_out_of_view_and_beams_without_return_say_nothing() -> None:
     full = circle(0, np.full(90, 4.0)).planar
-    ahead = dataclasses.replace(
-        full, bearings=np.linspace(-0.8, 0.8, 90), full_circle=False, stamp_ns=0
-    )
+    ahead = dataclasses.replace(full, bearings=np.linspace(-0.8, 0.8, 90), full_circle=False)
     assert looked_through(ring(2.0, 1.0, 3.0), ahead, IDENTITY) == 0.0
     assert looked_through(ring(2.0, -0.7, 0.7), ahead, IDENTITY) == 1.0
     blank = dataclasses.replace(full, ranges=np.full(90, np.inf))

@@ -46,9 +46,7 @@ from tests.strategies import few, grid_maps, seeds
 
 
 @given(seed=seeds, asked=st.integers(0, 40))
-def test_flooding_fills_every_piece_with_a_node_and_says_of_some_cells_what_it_says_of_all(
-    seed: int, asked: int
-) -> None:
+def test_flooding_fills_pieces_with_a_node_and_some_cells_alike(seed: int, asked: int) -> None:
     rng, free = np.random.default_rng(seed), cluttered(seed)
     free[30] = False
     clearance = clearance_of(free)
@@ -113,9 +111,7 @@ def test_a_flooded_cell_belongs_to_the_node_with_the_widest_way_to_it(seed: int)
 
 
 @given(seed=seeds, rings=st.integers(1, 6))
-def test_labels_spread_to_their_whole_piece_and_change_nothing_that_is_there(
-    seed: int, rings: int
-) -> None:
+def test_labels_spread_to_their_whole_piece_and_change_none(seed: int, rings: int) -> None:
     rng = np.random.default_rng(seed)
     free = rng.random((20, 20)) < 0.6
     labels = np.where(free & (rng.random(free.shape) < 0.05), 7, -1).astype(np.int32)
@@ -131,9 +127,8 @@ def test_labels_spread_to_their_whole_piece_and_change_nothing_that_is_there(
     np.testing.assert_array_equal(crept >= 0, near | (labels >= 0))
     np.testing.assert_array_equal(crept[near], spread[near])
     piece, _ = ndimage.label(free)  # over sides alone
-    np.testing.assert_array_equal(
-        joined(free, labels == 2), free & np.isin(piece, np.unique(piece[labels == 2]))
-    )
+    expected = free & np.isin(piece, piece[labels == 2])
+    np.testing.assert_array_equal(joined(free, labels == 2), expected)
 
 
 def test_labels_creep_round_a_wall_as_far_as_they_are_told() -> None:
@@ -181,10 +176,7 @@ def test_the_nearest_value_is_that_of_a_cell_no_farther_than_the_nearest(seed: i
 
 
 def rectangles(cells: FloatArray) -> FloatArray:
-    """The sides (n, 2), shorter first, of the rectangles of about the least area around cells.
-
-    Along each line through two of the cells (m, 2), from middle to middle of the outer ones.
-    """
+    """Sides (n, 2), shorter first, of the least rectangles round cells (m, 2) along two of them."""
     steps = np.unique((cells[:, None] - cells[None]).reshape(-1, 2), axis=0)
     angles = np.unique(np.arctan2(steps[:, 1], steps[:, 0]))
     sides = np.array(
@@ -217,9 +209,7 @@ def isolated(
 
 
 @given(seed=seeds, largest=st.integers(0, 12), bulky=st.integers(0, 25), thick=st.integers(1, 9))
-def test_small_obstacles_are_those_taken_piece_by_piece(
-    seed: int, largest: int, bulky: int, thick: int
-) -> None:
+def test_small_obstacles_piece_by_piece(seed: int, largest: int, bulky: int, thick: int) -> None:
     free = cluttered(seed)
     found = small_obstacles(free, largest, bulky, thick)
     taken, undecided = isolated(free, largest, bulky if bulky > largest else 0.0, thick)
@@ -229,9 +219,7 @@ def test_small_obstacles_are_those_taken_piece_by_piece(
 @pytest.mark.parametrize(
     ("count", "gap", "is_furniture"), [(6, 1, False), (6, 2, False), (6, 4, True), (2, 1, True)]
 )
-def test_a_railing_of_dashes_is_a_wall_and_pieces_that_stand_apart_or_end_soon_are_not(
-    count: int, gap: int, is_furniture: bool
-) -> None:
+def test_a_railing_is_a_wall_of_many_near_dashes(count: int, gap: int, is_furniture: bool) -> None:
     free = np.ones((60, 60 + 30 * count), dtype=bool)
     for first in range(20, 20 + count * (20 + gap), 20 + gap):
         free[30, first : first + 20] = False  # a thin piece of a metre
@@ -310,9 +298,7 @@ def test_a_local_width_is_the_largest_visible_disc_that_covers_the_node(seed: in
 
 
 @given(seeds, st.sampled_from([0.5, 0.8, 1.1]))
-def test_clusters_are_one_where_borders_as_wide_as_asked_for_lead_from_one_to_the_other(
-    seed: int, ratio: float
-) -> None:
+def test_clusters_are_one_where_wide_borders_lead_to_each_other(seed: int, ratio: float) -> None:
     rng = np.random.default_rng(seed)
     widths = rng.uniform(0.0, 2.0, rng.integers(1, 9))
     every = itertools.combinations(range(len(widths)), 2)
@@ -349,9 +335,7 @@ def labels(text: str) -> LabelArray:
         (999, 0.5, "aaaacccccc.d"),
     ],
 )
-def test_a_small_region_with_one_way_in_is_a_part_of_the_next(
-    smallest: int, opening: float, expected: str
-) -> None:
+def test_a_small_dead_end_is_part_of_the_next(smallest: int, opening: float, expected: str) -> None:
     found = np.repeat(labels("aaaabbcccc.d"), 10, axis=0)
     clearance = np.full(found.shape, 3.0)
     clearance[:, 3] = opening
@@ -399,10 +383,8 @@ def test_a_few_ragged_cells_move_no_border(seed: int) -> None:
     near = np.argwhere(OFFICE.free & (OFFICE.clearance() < 1.5 * OFFICE.resolution))
     flipped = near[np.random.default_rng(seed).random(len(near)) < 0.1]
     cells[tuple(flipped.T)] = OCCUPIED
-    one, other = (
-        segment(GridMap(each, OFFICE.resolution), SegmentationConfig())
-        for each in (OFFICE.cells, cells)
-    )
+    one = segment(OFFICE, SegmentationConfig())
+    other = segment(GridMap(cells, OFFICE.resolution), SegmentationConfig())
     both = (one.labels >= 0) & (other.labels >= 0)
     shared = np.zeros((one.count, other.count))
     np.add.at(shared, (one.labels[both], other.labels[both]), 1.0)

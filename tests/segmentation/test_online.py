@@ -1,22 +1,26 @@
-"""Splitting while the robot moves, on tours with true poses, and single tests of a way."""
+"""Splitting while the robot moves, on tours with true poses; single tests of a way; its submap."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from specmap_cli.core.config import load_config
 from specmap_cli.core.geometry import Pose2, step_lengths
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import GridConfig, SegmentationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
-from specmap_cli.grids.keyframes import KeyframeStore
+from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
 from specmap_cli.segmentation import online
 from specmap_cli.segmentation.online import (
     PATH_MARGIN_M,
+    SPLIT_CELL_M,
+    CoarseSubmap,
     Occasion,
     OnlineSegmenter,
     Region,
@@ -27,9 +31,12 @@ from specmap_cli.segmentation.online import (
 from specmap_cli.segmentation.working_grid import reduced
 from tests.casting import keyframe, ranges_at, store_of
 from tests.segmentation.plans import OFFICE, TWO_ROOMS, plan
-from tests.segmentation.test_coarse_submap import DEFAULT, EVERYWHERE, submap_of
 from tests.turning import turn
 
+DEFAULT = SegmentationConfig()
+EVERYWHERE = DEFAULT.model_copy(update={"path_band_m": 0.0})
+GRID = GridConfig(resolution_m=0.05, footprint_m=0.2)
+ONE_GRID = GRID.model_copy(update={"resolution_m": SPLIT_CELL_M})
 PAPER = load_config(preset="paper").segmentation
 BEARINGS = np.linspace(-np.pi, np.pi, 360, endpoint=False)
 RANGE_M = 20.0
@@ -51,6 +58,18 @@ def record(grid: GridMap, poses: list[Pose2]) -> KeyframeStore:
     seen = ranges_at(grid, np.array(poses), BEARINGS, RANGE_M)
     scans = (PlanarScan(k, BEARINGS, ranges, RANGE_M, True) for k, ranges in enumerate(seen))
     return store_of(map(keyframe, scans, poses))
+
+
+def submap_of(
+    store: KeyframeStore,
+    keyframes: Iterable[int],
+    config: SegmentationConfig = DEFAULT,
+    grid: GridConfig = GRID,
+) -> CoarseSubmap:
+    submap = CoarseSubmap(config, grid, store)
+    for number in keyframes:
+        submap.add(number)
+    return submap
 
 
 def run(
@@ -132,9 +151,8 @@ def test_a_loss_of_track_ends_the_region_and_joins_nothing(two_room_tour: Keyfra
 @pytest.mark.parametrize("width", [3.0, 12.0])
 def test_a_hall_of_any_width_is_not_split(width: float) -> None:
     grid = plan(width + 0.6, 12.6, (0.3, 0.3, 0.3 + width, 12.3))
-    poses = waypoints_to_poses(
-        (1.0, 1.0), (1.0, 11.5), (width - 0.4, 11.5), (width - 0.4, 1.0), (1.5, 1.0)
-    )
+    right = width - 0.4
+    poses = waypoints_to_poses((1.0, 1.0), (1.0, 11.5), (right, 11.5), (right, 1.0), (1.5, 1.0))
     with record(grid, poses) as store:
         regions = run(store)
     assert len(regions) == 1
@@ -158,18 +176,12 @@ def test_the_longer_the_way_in_one_submap_the_rarer_the_tests() -> None:
     """With a share of 0.1, nothing shorter than 3 m is split off a way of 30 m."""
     grid = plan(30.6, 2.6, (0.3, 0.3, 30.3, 2.3))
     poses = waypoints_to_poses((1.0, 1.0), (29.0, 1.0), (1.0, 1.6))
-
-    def ways_at_tests(store: KeyframeStore, share: float) -> list[float]:
-        config = DEFAULT.model_copy(update={"split_share": share})
-        return [float(step_lengths(test.poses).sum()) for test in examined(store, config)]
-
+    config = DEFAULT.model_copy(update={"split_share": 0.1})
     with record(grid, poses) as store:
-        # one a metre, as few metres are split off
-        assert len(ways_at_tests(store, 0.02)) == pytest.approx(50, abs=8)
-        rare = ways_at_tests(store, 0.1)
-    gaps = np.diff(rare)
+        ways = [float(step_lengths(test.poses).sum()) for test in examined(store, config)]
+    gaps = np.diff(ways)
     assert gaps[:4] == pytest.approx(1.0, abs=0.3)
-    assert gaps[-1] == pytest.approx(0.1 * rare[-1], rel=0.15)
+    assert gaps[-1] == pytest.approx(0.1 * ways[-1], rel=0.15)
 
 
 def test_the_paper_compares_the_second_eigenvalue(two_room_tour: KeyframeStore) -> None:
@@ -182,9 +194,7 @@ def test_the_paper_compares_the_second_eigenvalue(two_room_tour: KeyframeStore) 
             assert test.eigenvalue > 0.8
 
 
-def test_the_outcome_of_a_test_does_not_depend_on_where_the_map_lies(
-    two_room_tour: KeyframeStore,
-) -> None:
+def test_the_outcome_does_not_depend_on_where_the_map_lies(two_room_tour: KeyframeStore) -> None:
     submap = submap_of(two_room_tour, range(90))
     here = examine(submap.grid(), submap.poses, DEFAULT)
     grid = submap.grid()
@@ -244,21 +254,15 @@ def driven(grid: GridMap, *corners: tuple[float, float]) -> tuple[GridMap, np.nd
     return grid, np.array(waypoints_to_poses(*corners))
 
 
-def sides(test: SplitTest, x: float) -> tuple[set[bool], set[bool]]:
-    """Who stays of the poses left and right of `x`."""
-    left = test.poses[:, 0] < x
-    return set(test.stays[left].tolist()), set(test.stays[~left].tolist())
-
-
 def test_a_door_divides_the_way_where_it_is() -> None:
     test = examine(*driven(TWO_ROOMS, (1.0, 1.95), (8.5, 1.95)), DEFAULT)
     assert test.eigenvalue > DEFAULT.split_eigenvalue
-    assert sides(test, 5.1) == ({False}, {True, False}) or sides(test, 5.1) == ({False}, {True})
-    assert sides(test, 5.7)[1] == {True}
+    assert not test.stays[test.poses[:, 0] < 5.1].any()
+    assert test.stays[test.poses[:, 0] > 5.7].all()
     assert test.reached.all()
     back = examine(*driven(TWO_ROOMS, (8.5, 1.95), (1.0, 1.95)), DEFAULT)
     assert back.eigenvalue == pytest.approx(test.eigenvalue)
-    assert sides(back, 5.1)[0] == {True}
+    assert back.stays[back.poses[:, 0] < 5.1].all()
 
 
 def test_what_lies_beyond_the_band_and_its_margin_changes_nothing() -> None:
@@ -314,3 +318,139 @@ def test_poses_behind_a_closed_door_stay_where_they_cannot_be_judged() -> None:
     assert not test.reached[left].any()
     assert test.reached[test.poses[:, 0] > 5.6].all()
     assert test.stays[left].all()
+
+
+def stored(poses: list[Pose2]) -> KeyframeStore:
+    """Keyframes that see a wall all round, nearer from keyframe to keyframe."""
+    turn("segmentation", split_step_m=0.25, split_step_rad=0.5)
+    store, bearings = KeyframeStore(), np.linspace(-np.pi, np.pi, 90, endpoint=False)
+    for number, pose in enumerate(poses):
+        scan = PlanarScan(number, bearings, np.full(90, 3.0 - 0.05 * number), 20.0, True)
+        store.append(keyframe(scan, pose, number=number))
+    return store
+
+
+@pytest.fixture
+def drive() -> Iterator[KeyframeStore]:
+    """1.25 m in steps of 0.125 m, then half a turn on the spot in steps of 0.2 rad."""
+    way = [Pose2(0.125 * step, 0.0, 0.0) for step in range(11)]
+    with stored(way + [Pose2(1.25, 0.0, 0.2 * turn) for turn in range(1, 16)]) as store:
+        yield store
+
+
+def same(one: GridMap, other: GridMap) -> bool:
+    return one.origin == other.origin and np.array_equal(one.cells, other.cells)
+
+
+def test_keyframes_enter_the_grid_when_the_robot_moved_or_turned(drive: KeyframeStore) -> None:
+    submap = submap_of(drive, range(26))
+    assert submap.keyframes == tuple(range(26))
+    np.testing.assert_array_equal(submap.poses, drive.poses)
+    mapped = [0, 2, 4, 6, 8, 10, 13, 16, 19, 22, 25]  # every 0.25 m, then every 0.6 rad
+    whole = integrate_keyframes(drive, mapped, drive.poses_of(mapped), ONE_GRID).snapshot()
+    assert same(submap.grid(), whole.near(submap.poses, DEFAULT.path_band_m + PATH_MARGIN_M))
+
+
+def test_where_nodes_lie_anywhere_the_grid_is_whole(drive: KeyframeStore) -> None:
+    far = GRID.model_copy(update={"max_range_m": 2.0})
+    grids = []
+    for band in (0.0, 0.5):
+        turn("segmentation", path_margin_m=0.25)
+        config = DEFAULT.model_copy(update={"path_band_m": band})
+        grids.append(submap_of(drive, [0], config, far).grid())
+    whole, near = grids
+    assert set(near.cells.shape) <= {15, 16}  # 0.75 m to each side
+    assert same(near, whole.near(drive.poses[:1], 0.75))
+    assert min(whole.cells.shape) > 40
+
+
+@pytest.mark.parametrize(("cell", "fine", "expected"), [(0.1, 0.05, 0.1), (0.1, 0.2, 0.2)])
+def test_cells_are_no_finer_than_the_working_grid_s(
+    drive: KeyframeStore, cell: float, fine: float, expected: float
+) -> None:
+    turn("segmentation", split_cell_m=cell)
+    submap = submap_of(drive, [0], grid=GridConfig(resolution_m=fine))
+    assert submap.grid().resolution == expected
+
+
+def everywhere(drive: KeyframeStore, numbers: Iterable[int]) -> CoarseSubmap:
+    turn("segmentation", split_step_m=0.0)
+    return submap_of(drive, numbers, EVERYWHERE)
+
+
+def counted_once(submap: CoarseSubmap, drive: KeyframeStore) -> bool:
+    """Whether the grid is that of the keyframes, each counted once."""
+    whole = integrate_keyframes(drive, submap.keyframes, submap.poses, ONE_GRID).snapshot()
+    found, whole = submap.grid().cropped(), whole.cropped()
+    return np.allclose(found.origin, whole.origin) and np.array_equal(found.cells, whole.cells)
+
+
+@pytest.mark.parametrize("asked", [False, True])
+@pytest.mark.parametrize("last", [3, 20])
+def test_a_split_counts_each_on_its_side(drive: KeyframeStore, last: int, asked: bool) -> None:
+    submap = everywhere(drive, range(26))
+    if asked:
+        submap.grid()
+    stays = np.arange(26) >= last
+    stays[1] = True
+    rest, left = submap.split(stays)
+    assert rest.keyframes == (1, *range(last, 26))
+    assert left.keyframes == (0, *range(2, last))
+    np.testing.assert_array_equal(left.poses, drive.poses_of(left.keyframes))
+    assert counted_once(rest, drive)
+    assert counted_once(left, drive)
+    assert submap.keyframes == tuple(range(26))
+    assert counted_once(submap, drive)
+    rest, _ = everywhere(drive, range(12)).split(np.arange(12) >= 8)  # and goes on
+    assert rest.add(12) == 0.0  # turned on the spot
+    assert rest.keyframes == (8, 9, 10, 11, 12)
+    assert counted_once(rest, drive)
+
+
+def test_what_is_joined_is_counted_once(drive: KeyframeStore) -> None:
+    one, other = everywhere(drive, range(15, 26)), everywhere(drive, range(9))
+    one.grid()
+    both = one.joined(other)
+    assert both.keyframes == (*range(15, 26), *range(9))
+    np.testing.assert_array_equal(both.poses, drive.poses_of(both.keyframes))
+    assert counted_once(both, drive)
+    assert counted_once(one, drive)
+
+
+@pytest.mark.parametrize(("away", "near"), [(3.9, True), (4.1, False)])
+def test_submaps_are_near_when_their_bands_overlap(away: float, near: bool) -> None:
+    with stored([Pose2(-9.0, 0.0, 0.0), Pose2(0.0, 0.0, 0.0), Pose2(away, 0.0, 2.0)]) as store:
+        config = SegmentationConfig(path_band_m=2.0)
+        one, other = (submap_of(store, numbers, config) for numbers in ([0, 1], [2]))
+        assert one.near(other) == near
+        assert everywhere(store, [0]).near(everywhere(store, [2]))  # nodes lie anywhere
+
+
+def apart(numbers: list[int], xs: list[float], reached: set[int], band: float = 2.0) -> list[int]:
+    """Which keyframes of a submap lie apart from those reached; `xs` is where each one is."""
+    with stored([Pose2(x, 0.0, 0.0) for x in xs]) as store:
+        submap = submap_of(store, numbers, SegmentationConfig(path_band_m=band))
+        found = submap.apart(np.array([number in reached for number in numbers]))
+        return [numbers[k] for k in np.flatnonzero(found)]
+
+
+def test_a_stretch_apart_is_one_that_shares_no_node_with_what_is_reached() -> None:
+    xs = [0.0, 1.0, 2.0, 3.1, 6.1, 7.0]
+    assert apart([0, 1, 2, 5], xs, {5}) == [0, 1, 2]
+    assert apart([0, 1, 3, 5], xs, {5}) == [0, 1]  # 3 is less than four metres away
+    assert apart([0, 1, 2, 3, 5], xs, {5}) == []  # a stretch is apart as a whole
+    assert apart([0, 1, 2, 5], xs, {1, 5}) == []
+    assert apart([0, 1, 2, 5], xs, {0, 1, 2, 5}) == []
+    assert apart([0, 1, 2, 5], xs, {5}, band=0.0) == []  # nodes lie anywhere
+
+
+@given(st.sets(st.integers(0, 25)))
+def test_the_way_of_some_keyframes_leaves_out_what_lies_between(numbers: set[int]) -> None:
+    poses = [Pose2(0.1 * k**1.5, 0.3 * (k % 3), 0.0) for k in range(26)]
+    expected = sum(
+        float(np.hypot(poses[k + 1].x - poses[k].x, poses[k + 1].y - poses[k].y))
+        for k in numbers
+        if k + 1 in numbers
+    )
+    with stored(poses) as store:
+        assert way_driven(store, sorted(numbers)) == pytest.approx(expected)

@@ -1,8 +1,9 @@
-"""The division of a map: properties it must have on any map, and plans with a known answer."""
+"""The division of a map: properties of any map, plans of known answers, and rings of corridors."""
 
 from __future__ import annotations
 
 import itertools
+import math
 
 import cv2
 import numpy as np
@@ -16,12 +17,14 @@ from specmap_cli.core.config import load_config
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.segmentation.division import (
+    open_rings,
     region_grid,
     regions_of,
     segment,
     segment_floorplan,
     unentered,
 )
+from specmap_cli.segmentation.visibility import LabelArray
 from specmap_cli.segmentation.working_grid import upright_map, wall_angle
 from tests.segmentation.plans import OFFICE, TWO_ROOMS, plan, same_parts, turned_by
 from tests.strategies import few, grid_maps
@@ -47,9 +50,7 @@ def test_a_convex_room_of_any_size_stays_one(size: tuple[float, float]) -> None:
 
 
 @pytest.mark.parametrize(("side", "count"), [(1.3, 1), (1.5, 2)])
-def test_an_alcove_is_a_part_of_its_room_and_a_closet_of_more_than_2_m2_is_not(
-    side: float, count: int
-) -> None:
+def test_an_alcove_is_of_its_room_and_a_closet_above_2_m2_is_not(side: float, count: int) -> None:
     rooms = (0.3, 0.3, 5.3, 4.3), (5.5, 0.3, 5.5 + side, 0.3 + side)
     grid = plan(8.0, 4.6, *rooms, (5.3, 0.4, 5.5, 1.2))
     assert segment(grid, DEFAULT).count == count
@@ -72,13 +73,11 @@ def test_turning_and_shifting_the_map_moves_the_labels(
     assert same_parts(np.rot90(labels, -turn), segment(OFFICE, config).labels)
 
 
-LENGTHS = ("cell_m", "obstacle_m", "node_step_m", "clearance_m", "sight_m")
-
-
 @pytest.mark.parametrize("factor", [2.0, 0.5, 3.0])
 def test_scaling_resolution_and_lengths_together_changes_nothing(factor: float) -> None:
+    lengths = ("cell_m", "obstacle_m", "node_step_m", "clearance_m", "sight_m")
     usual = DEFAULT.model_copy(update={"wide_door_m": 0.0})  # a door is as wide as a person needs
-    scaled = usual.model_copy(update={name: getattr(usual, name) * factor for name in LENGTHS})
+    scaled = usual.model_copy(update={name: getattr(usual, name) * factor for name in lengths})
     larger = GridMap(OFFICE.cells, OFFICE.resolution * factor)
     np.testing.assert_array_equal(segment(larger, scaled).labels, segment(OFFICE, usual).labels)
 
@@ -238,12 +237,9 @@ def test_of_a_region_in_scraps_the_largest_stays() -> None:
     np.testing.assert_array_equal(np.argwhere(found.labels == 0), np.argwhere(grid.free[:, :120]))
 
 
-TURN = st.integers(0, 3)
-
-
 @given(
     grid_maps(largest=12),
-    TURN,
+    st.integers(0, 3),
     st.tuples(*[st.integers(0, 5)] * 4),
     st.sampled_from([0.05, 0.1, 0.15]),
 )
@@ -268,7 +264,7 @@ def test_every_copy_of_a_map_looks_the_same_and_labels_and_nodes_go_back(
         assert np.linalg.norm(places - copy.centres_of(cells), axis=1).max(initial=0) <= tolerance
 
 
-@given(TURN)
+@given(st.integers(0, 3))
 def test_the_free_space_lies_and_leans_whatever_single_cells_say(turned: int) -> None:
     free = np.zeros((40, 90), dtype=bool)
     free[5:35, 5:35] = free[15:24, 35:81] = True  # a room, and a corridor to the right of it
@@ -319,18 +315,10 @@ def test_what_a_laser_only_saw_is_in_no_room() -> None:
     cells = np.full((210, 290), UNKNOWN, dtype=np.uint8)
     corners = np.array([[4, 5.8], [5, 5.8], [8, 9.5], [1, 9.5]])
     cv2.fillPoly(cells, [(20 * corners).astype(np.int32)], color=(FREE,))
-    walls = [
-        (OCCUPIED, (x - 0.2, y - 0.2, x1 + 0.2, y1 + 0.2)) for x, y, x1, y1 in (*rooms, beyond)
-    ]
-    open_ = [
-        *rooms,
-        beyond,
-        (2.3, 7, 3.3, 7.9),
-        (2, 3.8, 2.9, 4),
-        (6, 3.8, 6.9, 4),
-        (4, 5.6, 5, 5.8),
-        (11, 3.8, 11.3, 4),
-    ]
+    inner = (*rooms, beyond)
+    walls = [(OCCUPIED, (x - 0.2, y - 0.2, x1 + 0.2, y1 + 0.2)) for x, y, x1, y1 in inner]
+    doors = [(2.3, 7, 3.3, 7.9), (2, 3.8, 2.9, 4), (6, 3.8, 6.9, 4)]
+    open_ = [*inner, *doors, (4, 5.6, 5, 5.8), (11, 3.8, 11.3, 4)]  # a window, a slit
     rays = [(x, 5.6, x + 0.05, 9) for x in (10, 10.2, 10.4)]
     half = (7.4, 0.3, 9.2, 3.8)  # of a room
     for value, (x, y, x1, y1) in (*walls, *((FREE, one) for one in open_ + rays), (UNKNOWN, half)):
@@ -360,3 +348,127 @@ def test_rooms_of_a_drawing_stay_without_a_door_and_without_a_wall() -> None:
     bare = GridMap(np.where(OFFICE.free, FREE, UNKNOWN).astype(np.uint8), 0.05)
     found = segment(bare, DEFAULT, rooms=True)
     np.testing.assert_array_equal(found.labels, segment(OFFICE, DEFAULT).labels)
+
+
+TURNS = (0.0, 20.0, 45.0, 90.0)
+
+
+def without_rings(labels: LabelArray) -> LabelArray:
+    """The same regions, those that are rings opened."""
+    found = labels.copy()
+    open_rings(found)
+    return found
+
+
+def ring(width: float, height: float) -> GridMap:
+    """A corridor round a solid core; it begins at (5, 5)."""
+    wide = 1.6
+    right, top = 5.0 + width + 2 * wide, 5.0 + height + 2 * wide
+    return plan(
+        *(right + 5.0, top + 5.0),
+        *((5.0, 5.0, right, 5.0 + wide), (5.0, top - wide, right, top)),
+        *((5.0, 5.0, 5.0 + wide, top), (right - wide, 5.0, right, top)),
+    )
+
+
+def hall(width: float, height: float, side: float, *pillars: tuple[float, float]) -> GridMap:
+    """One room from (0.5, 0.5) on, with square pillars that begin at the places given."""
+    grid = plan(width + 1.0, height + 1.0, (0.5, 0.5, width + 0.5, height + 0.5))
+    for x, y in pillars:
+        rows, columns = (slice(round(n / 0.05), round((n + side) / 0.05)) for n in (y, x))
+        grid.cells[rows, columns] = OCCUPIED
+    return grid
+
+
+def divided(grid: GridMap, degrees: float, places: list[tuple[float, float]]) -> list[int]:
+    """The number of regions of a map that lies turned, and which ones hold places in metres."""
+    turned = turned_by(degrees, grid)
+    found = segment(turned, SegmentationConfig())
+    cosine, sine = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    middles = [np.array(one.cells.shape[::-1]) / 2 for one in (grid, turned)]
+    at = np.array(places) / 0.05 - middles[0]
+    at = at @ np.array([[cosine, -sine], [sine, cosine]]) + middles[1]
+    return [found.count, *(int(found.labels[round(y), round(x)]) for x, y in at.tolist())]
+
+
+@pytest.mark.parametrize("degrees", TURNS)
+@pytest.mark.parametrize(("width", "height"), [(12.0, 8.0), (8.0, 12.0), (30.0, 24.0)])
+def test_the_long_sides_of_a_ring_have_corners(width: float, height: float, degrees: float) -> None:
+    x, y = ((5.8, side / 2 + 6.6, side + 7.4) for side in (width, height))
+    sides = [(x[1], y[0]), (x[1], y[2]), (x[0], y[1]), (x[2], y[1])]
+    corners = [(x[0], y[0]), (x[2], y[0]), (x[0], y[2]), (x[2], y[2])]
+    count, low, high, left, right, *found = divided(ring(width, height), degrees, sides + corners)
+    assert count == 4
+    assert len({low, high, left, right}) == 4
+    along = [low, low, high, high] if width > height else [left, right, left, right]
+    assert found == along
+
+
+@pytest.mark.parametrize("degrees", TURNS[:3])
+@pytest.mark.parametrize(
+    "grid",
+    [
+        hall(14.0, 10.0, 1.0, *((x, y) for x in (3.0, 6.5, 10.0) for y in (3.0, 7.0))),
+        hall(12.0, 12.0, 3.0, (5.0, 5.0)),
+        hall(8.0, 7.0, 2.6, (3.2, 2.7)),
+        ring(4.2, 4.2),
+        plan(20.0, 16.0, (1, 1, 19, 3), (1, 1, 3, 15), (17, 1, 19, 15)),  # open at one side
+    ],
+    ids=["pillars", "core", "island", "lobby", "horseshoe"],
+)
+def test_halls_round_little_and_open_corridors_stay_whole(grid: GridMap, degrees: float) -> None:
+    assert divided(grid, degrees, [(1.5, 1.5)])[0] == 1
+
+
+def test_corridors_round_two_courts_are_seven() -> None:
+    cross = [(1, 1, 33, 3), (1, 17, 33, 19), (1, 1, 3, 19), (31, 1, 33, 19), (16, 1, 18, 19)]
+    assert segment(plan(34.0, 20.0, *cross), SegmentationConfig()).count == 7
+
+
+def around(core: int, wide: int) -> LabelArray:
+    """Cells of a region round a square, in the middle of some that have no label."""
+    labels = np.full((core + 2 * wide + 20, core + 2 * wide + 60), -1, dtype=np.int32)
+    labels[10:-10, 10 : core + 2 * wide + 10] = 0
+    labels[10 + wide : -10 - wide, 10 + wide : core + wide + 10] = -1
+    return labels
+
+
+def test_a_ring_goes_round_more_than_it_holds() -> None:
+    assert len(np.unique(without_rings(around(48, 10)))) == 2  # 68^2 with the floor, 2 x 48^2
+    assert len(np.unique(without_rings(around(49, 10)))) == 5
+
+
+def test_no_cell_is_lost_and_what_lies_beside_a_ring_keeps_its_label() -> None:
+    labels = around(60, 10)
+    labels[0:5, 0:5] = 1  # another region
+    labels[45:50, 95:99] = 0  # a scrap of the ring
+    found = without_rings(labels)
+    np.testing.assert_array_equal(found < 0, labels < 0)
+    assert (found[0:5, 0:5] == 1).all()
+    assert (found[45:50, 95:99] == 0).all()
+    assert np.unique(found).tolist() == [-1, 0, 1, 2, 3, 4]
+    sizes = np.sort(np.bincount(found[10:90, 10:90][labels[10:90, 10:90] == 0]))[1:]
+    np.testing.assert_allclose(sizes, [600, 600, 800, 800], atol=20)  # a cut is one cell wide
+
+
+def test_corridors_that_go_on_and_pillars_move_no_cut() -> None:
+    plain = around(60, 10)
+    expected = without_rings(plain)
+    more = plain.copy()
+    more[10:22, 90:] = 0  # a corridor goes on, wider by two cells than the ring is
+    more[14:18, 12:17] = -1  # a pillar in a corner
+    more[26:29, 12:17] = -1  # and one below it
+    found = without_rings(more)
+    ours = (plain >= 0) & (more >= 0)
+    pairs = np.unique(found[ours] * 10 + expected[ours], return_counts=True)[1]
+    assert np.sort(pairs)[-4:].sum() >= ours.sum() - 4 * 10  # cells of the cuts
+
+
+@pytest.mark.parametrize("turns", range(4))
+def test_a_ring_is_cut_alike_however_it_is_turned(turns: int) -> None:
+    labels = around(60, 10)[:, 5:]
+    labels[20:24, 20:70] = 0  # its hole is wider than high
+    found, turned = np.rot90(without_rings(labels), turns), np.rot90(labels, turns)
+    for one, other in ((found, turned), (found[::-1], turned[::-1])):
+        pairs = np.unique(one * 10 + without_rings(other), return_counts=True)[1]
+        assert np.sort(pairs)[-5:].sum() >= labels.size - 4 * 10  # cells of the cuts

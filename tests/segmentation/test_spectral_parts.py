@@ -1,7 +1,4 @@
-"""The pieces of eq. 1 and Algorithm 2 against dense and slow versions of themselves.
-
-Large graphs are cut into parts before they are clustered.
-"""
+"""The pieces of eq. 1 and Algorithm 2, and of large graphs, against slow versions of themselves."""
 
 from __future__ import annotations
 
@@ -9,6 +6,7 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -24,12 +22,7 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import SegmentationConfig
 from specmap_cli.segmentation import spectral
 from specmap_cli.segmentation.division import segment
-from specmap_cli.segmentation.spectral import (
-    eigenpairs_above,
-    parts_of,
-    spectral_clusters,
-    split_again,
-)
+from specmap_cli.segmentation.spectral import parts_of, spectral_clusters, split_again
 from specmap_cli.segmentation.visibility import LabelArray, VisibilityGraph, near_pairs
 from tests.segmentation.plans import plan
 from tests.strategies import few, seeds
@@ -130,17 +123,13 @@ def test_clusters_are_the_groups_whatever_the_order_of_the_nodes(seed: int) -> N
     assert adjusted_rand_score(truth, spectral_clusters(graph, config).labels) == 1.0
     order = np.random.default_rng(seed).permutation(len(graph.nodes))
     place = np.argsort(order)
-    shuffled = VisibilityGraph(
-        graph.nodes[order], np.sort(place[graph.pairs], axis=1), graph.lengths
-    )
+    pairs = np.sort(place[graph.pairs], axis=1)
+    shuffled = VisibilityGraph(graph.nodes[order], pairs, graph.lengths)
     assert adjusted_rand_score(truth[order], spectral_clusters(shuffled, config).labels) == 1.0
 
 
 def by_the_paper(graph: VisibilityGraph, least: float) -> tuple[list[float], list[int]]:
-    """Algorithm 2 in dense matrices, line by line; all eigenvalues of L, and the labels.
-
-    The k-means is scikit-learn's, from many random starts.
-    """
+    """Algorithm 2 in dense matrices, line by line; the k-means of many starts is scikit-learn's."""
     n = len(graph.nodes)
     distance = np.full((n, n), np.inf)
     for (i, j), length in zip(graph.pairs.tolist(), graph.lengths.tolist(), strict=True):
@@ -248,23 +237,19 @@ def test_what_does_not_converge_is_solved_at_once(monkeypatch: pytest.MonkeyPatc
     dense = rng.random((200, 200))
     matrix = sparse.csr_array(dense + dense.T)
     usual_values, usual = spectral.largest_eigenpairs(matrix, 5)
-
-    def never_ends(*_: Any, **__: Any) -> None:
-        raise ArpackNoConvergence("No convergence", np.zeros(0), np.zeros((200, 0)))
-
-    monkeypatch.setattr(spectral, "eigsh", never_ends)
+    never = ArpackNoConvergence("No convergence", np.zeros(0), np.zeros((200, 0)))
+    monkeypatch.setattr(spectral, "eigsh", Mock(side_effect=never))
     values, vectors = spectral.largest_eigenpairs(matrix, 5)
     assert (np.diff(values) <= 0.0).all()
     assert np.allclose(values, usual_values)
     assert np.allclose(vectors, usual, atol=1e-6)
 
 
-def directions(seed: int, count: int = 30, dimensions: int = 3) -> FloatArray:
+def directions(seed: int) -> FloatArray:
     """Unit vectors, some alike."""
     rng = np.random.default_rng(seed)
-    middles = rng.normal(size=(4, dimensions))
-    rows = middles[rng.integers(0, 4, count)]
-    return spectral.unit_rows(rows + rng.normal(0.0, 0.4, (count, dimensions)))
+    middles = rng.normal(size=(4, 3))
+    return spectral.unit_rows(middles[rng.integers(0, 4, 30)] + rng.normal(0.0, 0.4, (30, 3)))
 
 
 def cost(rows: FloatArray, labels: LabelArray) -> float:
@@ -283,9 +268,7 @@ def farthest_first(rows: FloatArray, clusters: int, first: int) -> list[int]:
 
 
 @given(seeds, st.integers(2, 5))
-def test_labels_are_scikit_learn_s_from_the_same_start_and_of_several_the_best_wins(
-    seed: int, clusters: int
-) -> None:
+def test_labels_are_scikit_learn_s_and_the_best_of_starts_wins(seed: int, clusters: int) -> None:
     rows = directions(seed)
     start = rows[farthest_first(rows, clusters, 3)]
     oracle = KMeans(clusters, init=start, n_init=1, algorithm="lloyd", tol=0.0).fit(rows)
@@ -368,17 +351,14 @@ def test_cuts_go_through_the_weak_edges_and_through_no_room(sizes: list[int], se
 
 
 def test_the_cut_goes_where_least_is_lost() -> None:
-    sizes = [30, 30, 30, 30]
-    S = cliques(sizes).tolil()
+    S = cliques([30, 30, 30, 30]).tolil()
     for i, j in ((29, 30), (89, 90)):  # wide openings; between them a narrow one
         S[i, j] = S[j, i] = 5.0
     parts = parts_of(sparse.csr_array(S), 60)
     assert [part.tolist() for part in parts] == [list(range(60)), list(range(60, 120))]
 
 
-def test_a_neck_is_found_among_groups_of_nodes_as_among_all(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_neck_is_found_among_groups_as_among_all_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two halls of 30 by 20 m, joined by a corridor of one node across."""
     places = [(row, column) for row in range(20) for column in range(64)]
     nodes = np.array([(r, c) for r, c in places if not 30 <= c < 34 or r == 6])
@@ -404,23 +384,17 @@ def test_a_neck_is_found_among_groups_of_nodes_as_among_all(
         assert (np.abs(columns - end) <= 34).all()
 
 
-def test_rooms_are_the_same_whether_the_graph_is_cut_or_not(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_rooms_are_the_same_whether_a_graph_is_cut_or_not(monkeypatch: pytest.MonkeyPatch) -> None:
     """Twelve rooms on either side of a corridor."""
     lefts = [0.5 + 3.9 * k for k in range(12)]
     rooms = [(x, y, x + 3.7, y + 4.0) for x in lefts for y in (0.5, 6.5)]
     doors = [(x + 1.4, y, x + 2.3, y + 0.2) for x in lefts for y in (4.5, 6.3)]
-    hotel, seen = plan(49.0, 11.0, (0.5, 4.7, 48.5, 6.3), *rooms, *doors), []
-
-    def counted(L: Any, *rest: Any) -> tuple[FloatArray, FloatArray]:
-        seen.append(L.shape[0])
-        return eigenpairs_above(L, *rest)
-
-    monkeypatch.setattr(spectral, "eigenpairs_above", counted)
-    whole, before = segment(hotel, SegmentationConfig()), len(seen)
+    hotel = plan(49.0, 11.0, (0.5, 4.7, 48.5, 6.3), *rooms, *doors)
+    whole, solving = segment(hotel, SegmentationConfig()), Mock(wraps=spectral.eigenpairs_above)
+    monkeypatch.setattr(spectral, "eigenpairs_above", solving)
     cut = segment(hotel, SegmentationConfig(part_nodes=300))
-    assert max(seen[before:]) <= 300 < 600 < len(whole.nodes)
+    sizes = [call.args[0].shape[0] for call in solving.call_args_list]
+    assert max(sizes) <= 300 < 600 < len(whole.nodes)
     assert whole.count == cut.count == 25
     both = whole.labels >= 0
     assert adjusted_rand_score(whole.labels[both], cut.labels[both]) > 0.99

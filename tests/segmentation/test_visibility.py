@@ -72,9 +72,8 @@ def test_nobody_sees_through_a_wall_however_thin_and_slanted() -> None:
     free[rows, rows] = free[rows[1:], rows[:-1]] = False  # closed also over corners
     nodes = np.array([[5, 30], [10, 25], [30, 5], [25, 12], [2, 38]])
     pairs = near_pairs(nodes, 90.0)
-    apart = (nodes[pairs[:, 0], 0] < nodes[pairs[:, 0], 1]) != (
-        nodes[pairs[:, 1], 0] < nodes[pairs[:, 1], 1]
-    )
+    below = nodes[:, 0] < nodes[:, 1]
+    apart = below[pairs[:, 0]] != below[pairs[:, 1]]
     np.testing.assert_array_equal(visible(clearance_of(free), nodes, pairs, 0.0), ~apart)
 
 

@@ -167,9 +167,7 @@ def test_a_cupboard_at_a_wall_belongs_to_its_room(inside: int) -> None:
         ((20, 80), (95, 105)),  # between the rooms, 3 m long, 0.5 m thick
     ],
 )
-def test_walls_and_what_is_outside_get_no_label(
-    rows: tuple[int, int], columns: tuple[int, int]
-) -> None:
+def test_walls_and_outside_get_no_label(rows: tuple[int, int], columns: tuple[int, int]) -> None:
     cells = walled()
     cells[slice(*rows), slice(*columns)] = OCCUPIED
     np.testing.assert_array_equal(filled(cells), labelled(cells))
