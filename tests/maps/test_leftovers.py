@@ -113,6 +113,7 @@ def test_overwrite_replaces_the_whole_map_and_follows_no_link_in_it(
     ("place", "complaint"),
     [
         ("thesis", "no map"),
+        ("program", r"holds no map \(no topology.json of specmap in it\)"),
         ("thesis/chapter1.tex", "is a file"),
         ("thesis/chapter1.tex/out", r"cannot write there.*Not a directory"),
         ("/", "not a place for a map"),
@@ -125,11 +126,14 @@ def test_what_is_no_place_for_a_map_is_refused_and_never_touched(
     chapter = tmp_path / "thesis" / "chapter1.tex"
     chapter.parent.mkdir()
     chapter.write_text("years of work")
+    (tmp_path / "program" / "src").mkdir(parents=True)
+    (tmp_path / "program" / TOPOLOGY).write_text('{"mine": 1}')  # a name alone makes no map
     refused = OutputDirectory(tmp_path / place, overwrite)
     with pytest.raises(UsageError, match=complaint) as caught, refused:
         pytest.fail("entered")
     assert "\n" not in str(caught.value)
     assert chapter.read_text() == "years of work"
+    assert (tmp_path / "program" / "src").is_dir()
 
 
 def test_of_two_writers_of_one_place_the_first_wins(tmp_path: Path) -> None:
@@ -247,8 +251,7 @@ def interrupted_at(event: int, out: Path) -> bool:
     gc.disable()  # what earlier writes left must not be taken back in this one
     sys.settrace(trace)
     try:
-        with OutputDirectory(out, overwrite=True) as partial:
-            fill(partial)
+        write(out)
     except KeyboardInterrupt:
         return True
     finally:

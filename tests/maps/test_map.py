@@ -17,25 +17,20 @@ import pytest
 
 from specmap_cli import Map, SpecmapError, read_map, segment_map
 from specmap_cli.core.geometry import Pose2
-from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.grids.map_server import write_grid
 from specmap_cli.pipelines.edit import edit_map
 from specmap_cli.pipelines.edits import RequestedEdits
 from tests.conftest import FLAT_ROOMS
 
 
 @pytest.fixture(scope="module")
-def rooms(flat: GridMap, tmp_path_factory: pytest.TempPathFactory) -> Map:
+def rooms(plan: Path, tmp_path_factory: pytest.TempPathFactory) -> Map:
     """The flat divided: three rooms of known walls above a corridor, two of them with one name."""
-    folder = tmp_path_factory.mktemp("divided")
-    write_grid(folder / "flat", flat)
-    segment_map(folder / "flat.yaml", folder / "map")
-    map_ = read_map(folder / "map")
+    map_ = read_map(segment_map(plan, tmp_path_factory.mktemp("divided") / "map").out)
     ids = [room_of(map_, box).id for box in FLAT_ROOMS]
     names = dict(zip(ids, ["Office", "Lab", "Office", "Corridor"], strict=True))
     properties = {ids[1]: {"floor": 2}}
     edit_map(map_, RequestedEdits(names=names, properties=properties))
-    return read_map(folder / "map")
+    return read_map(map_.path)
 
 
 def room_of(map_: Map, box: Sequence[int]) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shutil
@@ -24,14 +23,13 @@ from specmap_cli.maps.filenames import EDITS, TOPOLOGY
 from specmap_cli.maps.store import Map, read_map
 from specmap_cli.maps.writing import MapResult, write_map
 from specmap_cli.pipelines.map_in_making import laid_out_of_stored
+from tests.maps.conftest import edit
 
 
 @pytest.fixture
-def out(tmp_path: Path, result: MapResult) -> Path:
-    """A map."""
-    (tmp_path / "map").mkdir()
-    write_map(tmp_path / "map", result)
-    return tmp_path / "map"
+def out(house: Path) -> Path:
+    """A map, which is called so."""
+    return house.rename(house.with_name("map"))
 
 
 def anew(out: Path, result: MapResult, frame: str, **options: Any) -> None:
@@ -116,11 +114,9 @@ def test_decisions_are_replaced_by_maps_that_say_them_too_and_by_no_others(
 def test_what_is_not_ours_goes_on_to_the_next_map(
     linked: bool, out: Path, result: MapResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(*_: object, **__: object) -> None:
-        raise OSError(1, "Operation not permitted")
-
     if not linked:
-        monkeypatch.setattr(os, "link", refuse)
+        refused = Mock(side_effect=OSError(1, "Operation not permitted"))
+        monkeypatch.setattr(os, "link", refused)
     (out / "photos" / "none yet").mkdir(parents=True)
     mine = [out / "notes.txt", out / "photos" / "1.jpg", out / "submaps" / "why.txt"]
     for path in mine:
@@ -133,14 +129,6 @@ def test_what_is_not_ours_goes_on_to_the_next_map(
     assert (out / "photos" / "none yet").is_dir()
     assert os.readlink(out / "link") == "nowhere"
     assert not (out / "submaps" / "007.png").exists()
-
-
-def test_a_name_alone_makes_no_map(tmp_path: Path, result: MapResult) -> None:
-    (tmp_path / "mine" / "src").mkdir(parents=True)
-    (tmp_path / "mine" / TOPOLOGY).write_text('{"mine": 1}')
-    with pytest.raises(UsageError, match=r"holds no map \(no topology.json of specmap in it\)"):
-        anew(tmp_path / "mine", result, "new")
-    assert (tmp_path / "mine" / "src").is_dir()
 
 
 class ForgetfulDisk:
@@ -254,11 +242,10 @@ def test_files_of_another_map_are_refused(name: str, flat_map: Map, tmp_path: Pa
     mine = tmp_path / "mine"
     shutil.copytree(flat_map.path, mine)
     READERS[name](read_map(mine))
-    changed = mine / ("run.json" if name == "run.json" else TOPOLOGY)
-    document = json.loads(changed.read_text())
-    digests = document if name == "run.json" else document["graph"]["files"]
-    digests["labels_sha256" if name == "run.json" else name] = "0" * 64
-    changed.write_text(json.dumps(document))
+    if name == "run.json":
+        edit(mine / name, labels_sha256="0" * 64)
+    else:
+        edit(mine / TOPOLOGY, **{f"graph__files__{name}": "0" * 64})
     told = f"{re.escape(str(mine / name))}: is not the file that topology.json was written with"
     with pytest.raises(MapError, match=told):
         READERS[name](read_map(mine))
