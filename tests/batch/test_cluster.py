@@ -215,18 +215,15 @@ def _killing(number: int) -> int:
     return number
 
 
-def test_a_function_of_many_things_is_spread_over_processes() -> None:
+def test_a_function_of_many_things_is_spread_over_processes_or_workers_of_a_scheduler(
+    client: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """One that is killed on the way, as for want of memory, is told of."""
     assert spread(Cluster(2), _tripled, [1, 2, 3]) == [3, 6, 9]
     with pytest.raises(MapError, match="-1: not a map"):
         spread(Cluster(2), _tripled, [-1, *range(9)])
     with pytest.raises(NoResultError, match="a worker was killed"):
         spread(Cluster(1), _killing, [1])
-
-
-def test_a_function_of_many_things_is_spread_over_the_workers_of_a_scheduler(
-    client: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
     monkeypatch.setattr(workers, "_connected", lambda *_: nullcontext(client))
     assert spread(Cluster(scheduler="inproc:"), _tripled, [1, 2]) == [3, 6]
 

@@ -323,15 +323,12 @@ def links(text: str) -> set[str]:
     return set(re.findall(r'<[^>]* (?:href|src)="([^"]*)"', text))
 
 
-def test_the_page_links_what_there_is_and_needs_no_other_file() -> None:
-    text = page(result("a"), failed("b"), waiting="c")
-    of_a = {f"a/{name}" for name in ("map/overview.png", "report.html", "log.txt", "map/")}
-    assert links(text) == of_a | {"b/log.txt"}
-    assert "default-src 'none'" in text
-
-
-def test_what_needs_somebody_stands_first_with_what_to_do() -> None:
+def test_the_page_links_what_there_is_and_what_needs_somebody_stands_first() -> None:
+    """With what to do; and it needs no other file."""
     text = page(result("a"), failed("z"), waiting="b")
+    of_a = {f"a/{name}" for name in ("map/overview.png", "report.html", "log.txt", "map/")}
+    assert links(text) == of_a | {"z/log.txt"}
+    assert "default-src 'none'" in text
     assert re.findall('<tr data-name="(.)"', text) == ["z", "a", "b"]
     assert text.count("What to do:") == 1
     assert "see what `specmap info --check` says of the recording" in text

@@ -15,6 +15,7 @@ from pathlib import Path
 from tempfile import mkdtemp
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -222,10 +223,8 @@ def test_what_somebody_else_keeps_in_the_store_is_not_touched_and_what_cannot_be
     assert record_of(url, tmp_path).kind == "settings"
     assert names(store, "/bucket/maps/monday") == {"thesis.txt"}
 
-    def fail(*_: object, **__: object) -> None:
-        raise ConnectionError("the line is\ncut")
-
-    monkeypatch.setattr(store, "put_file", fail)
+    cut = Mock(side_effect=ConnectionError("the line is\ncut"))
+    monkeypatch.setattr(store, "put_file", cut)
     result = record_of(url, tmp_path, "tuesday")
     assert result.kind == "place", "it may be tried again"
     assert str(result.reason).endswith("cannot be reached or used: the line is cut")

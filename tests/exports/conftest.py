@@ -13,9 +13,7 @@ import pytest
 
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import PlanarScan
-from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.grids.map_server import write_grid
 from specmap_cli.maps.store import Map, read_map
 from specmap_cli.maps.writing import MapResult, write_map, write_scans
 from specmap_cli.pipelines.segment import segment_map
@@ -119,9 +117,6 @@ def home(tmp_path: Path, lived_in: MapResult) -> Map:
 
 
 @pytest.fixture(scope="session")
-def rooms(flat: GridMap, tmp_path_factory: pytest.TempPathFactory) -> Map:
+def rooms(plan: Path, tmp_path_factory: pytest.TempPathFactory) -> Map:
     """The flat divided into rooms, its doors and ways found; not to be changed."""
-    folder = tmp_path_factory.mktemp("rooms")
-    write_grid(folder / "flat", flat)
-    segment_map(folder / "flat.yaml", folder / "out")
-    return read_map(folder / "out")
+    return read_map(segment_map(plan, tmp_path_factory.mktemp("rooms") / "out").out)

@@ -38,7 +38,9 @@ def room_of(map_: Map, box: Sequence[int]) -> Any:
     return map_.room_at((left + right) / 2, (bottom + top) / 2)
 
 
-def test_a_room_is_found_by_id_by_name_and_by_place(rooms: Map) -> None:
+def test_a_room_is_found_by_id_by_the_name_that_it_shows_and_by_place(
+    rooms: Map, flat_map: Map
+) -> None:
     lab = rooms.rooms["Lab"]
     assert lab is rooms.rooms[lab.id]
     assert lab is room_of(rooms, FLAT_ROOMS[1])
@@ -54,9 +56,6 @@ def test_a_room_is_found_by_id_by_name_and_by_place(rooms: Map) -> None:
         rooms.rooms[99]
     with pytest.raises(ValueError, match="expected a room, or x and y"):
         rooms.room_at(math.nan, 1.0)
-
-
-def test_a_room_that_nobody_named_is_found_by_the_name_that_it_shows(flat_map: Map) -> None:
     first = flat_map.ids[0]
     assert flat_map.rooms[f"submap {first}"].id == first
     with pytest.raises(KeyError, match=f"no room 'lab'; there are {first} 'submap {first}'"):
@@ -96,7 +95,9 @@ def test_nothing_of_a_map_can_be_changed(rooms: Map, flat_map: Map) -> None:
             array[0] = 0
 
 
-def test_routes_lead_from_rooms_and_places_to_rooms_and_places(rooms: Map) -> None:
+def test_routes_lead_from_rooms_and_places_to_others_unless_a_person_forbade_it(
+    rooms: Map, tmp_path: Path
+) -> None:
     lab, corridor = rooms.rooms["Lab"], rooms.rooms["Corridor"]
     there = rooms.route("Lab", "Corridor")
     assert there.rooms == (lab.id, corridor.id)
@@ -108,10 +109,6 @@ def test_routes_lead_from_rooms_and_places_to_rooms_and_places(rooms: Map) -> No
     assert "within 1 m of 50, 50" in rooms.route("Lab", (50.0, 50.0)).why
     with pytest.raises(KeyError, match="Lobby"):
         rooms.route("Lab", "Lobby")
-
-
-def test_a_route_keeps_what_a_person_forbade(rooms: Map, tmp_path: Path) -> None:
-    lab, corridor = rooms.rooms["Lab"], rooms.rooms["Corridor"]
     shut = {"forbid": [lab.id, corridor.id]}
     edit_map(rooms, RequestedEdits(changes=(shut,)), tmp_path / "shut")
     refused = read_map(tmp_path / "shut").route("Lab", "Corridor")

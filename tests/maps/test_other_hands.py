@@ -75,21 +75,17 @@ def test_what_a_person_does_meanwhile_is_not_replaced(
     assert frame_of(out) == "map"
 
 
-def test_a_map_is_not_made_of_what_another_run_has_replaced(out: Path, result: MapResult) -> None:
-    """By the time that the lock is taken, what was read may be no more."""
-    read = read_map(out)
+def test_who_read_a_map_that_another_run_has_replaced_hears_of_it(
+    out: Path, result: MapResult
+) -> None:
+    """Also where what is found of the new map makes no sense with what was read of the old one."""
+    read, told = read_map(out), "was replaced meanwhile: run the command again"
     anew(out, result, "newer")
-    with pytest.raises(MapError, match="was replaced meanwhile: run the command again"):
+    with pytest.raises(MapError, match=told):
         anew(out, result, "older", made_of=[read])
     assert frame_of(out) == "newer"
-
-
-def test_a_reader_sees_one_map_or_hears_that_it_was_replaced(out: Path, result: MapResult) -> None:
-    """Also where what it finds of the new map makes no sense with what it read of the old one."""
-    read = read_map(out)
-    anew(out, result, "new")
     (out / "labels.png").write_bytes(b"of submaps that the old one did not have")
-    with pytest.raises(MapError, match="was replaced meanwhile: run the command again"):
+    with pytest.raises(MapError, match=told):
         _ = read.regions
 
 

@@ -179,11 +179,7 @@ def test_the_way_runs_from_centroid_to_centroid_through_the_crossing() -> None:
         found = back(record_of(topology, regions)).edges[0, 1]
         assert found.crossing == edge.crossing
         assert undrawn(found) == undrawn(edge)
-
-
-def test_a_submap_that_owns_nothing_is_where_its_frame_is() -> None:
-    """It has no centroid: the way leads to its origin."""
-    far = submap(1, Pose2(0.0, -6.0, 1.0))
+    far = submap(1, Pose2(0.0, -6.0, 1.0))  # it owns nothing: the way leads to its origin
     edge = Edge(source=0, target=1, kind="loose")
     topology = TopologicalMap(submaps={0: submap(0), 1: far}, edges={(0, 1): edge})
     record = record_of(topology, regions_of(s0=(0.0, 2.0)))

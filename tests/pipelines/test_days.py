@@ -20,6 +20,7 @@ from specmap_cli.pipelines.compare import COMPARISON, PICTURE, SUMMARY, Comparis
 from specmap_cli.pipelines.history import history_of
 from specmap_cli.topology.regions import NOBODY
 from tests.flats import Mapped, rows
+from tests.maps.test_store import files_in
 
 
 @pytest.fixture(scope="module")
@@ -90,11 +91,13 @@ def test_a_map_that_cannot_be_read_is_left_out_and_told(
 ) -> None:
     shutil.copytree(week / "monday", tmp_path / "good")
     shutil.copytree(week / "tuesday", tmp_path / "bad")
+    shutil.copytree(week / "tuesday", tmp_path / ".new.partial-0123abcd" / "map")  # no map yet
     (tmp_path / "bad" / "labels.csv").write_text("nonsense\n", encoding="utf-8")
     assert main(["history", str(tmp_path), "--json", "-q"]) == 3
     printed = json.loads(capsys.readouterr().out)
     assert [Path(one["map"]).name for one in printed["left_out"]] == ["bad"]
-    assert len(printed["buildings"]) == 1
+    (building,) = printed["buildings"]
+    assert [one["map"] for one in building["maps"]] == [str(tmp_path / "good")]
 
 
 def test_without_a_map_or_its_visits_there_is_no_history(house: Path) -> None:
@@ -145,13 +148,6 @@ def test_the_page_links_to_the_maps_and_to_reports_of_a_batch(week: Path, tmp_pa
         job / "report.html",
         tmp_path / "maps" / "wednesday",
     ]
-
-
-def test_what_is_being_written_is_no_map_yet(week: Path, tmp_path: Path) -> None:
-    shutil.copytree(week / "monday", tmp_path / "monday")
-    shutil.copytree(week / "monday", tmp_path / ".tuesday.partial-0123abcd" / "map")
-    (building,) = history_of([tmp_path]).record.buildings
-    assert [one.map for one in building.maps] == [str(tmp_path / "monday")]
 
 
 def test_a_hostile_name_is_neither_markup_nor_formula(week: Path, tmp_path: Path) -> None:
@@ -245,32 +241,31 @@ def test_a_map_of_another_building_is_refused_with_the_reason(
     assert f"{house}: not aligned with {before}: " in capsys.readouterr().err
 
 
-def test_the_command_writes_all_of_a_comparison(
-    before: Path, changed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_the_command_writes_all_of_a_comparison_the_same_bytes_every_time(
+    told: Comparison,
+    before: Path,
+    changed: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    """And replaces nothing but an earlier result."""
     out = tmp_path / "changes"
     assert main(["compare", str(before), str(changed), "-o", str(out), "--json", "-q"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert json.loads((out / COMPARISON).read_text(encoding="utf-8")) == printed
     assert "way closed: " in (out / SUMMARY).read_text(encoding="utf-8")
     assert (out / PICTURE).read_bytes().startswith(b"\x89PNG")
-    assert sorted(path.name for path in out.iterdir()) == sorted([COMPARISON, PICTURE, SUMMARY])
+    written = files_in(out)
+    assert written.keys() == {COMPARISON, PICTURE, SUMMARY}
 
-
-def test_the_same_maps_give_the_same_bytes_and_only_an_earlier_result_is_replaced(
-    told: Comparison, before: Path, tmp_path: Path
-) -> None:
-    def write(out: Path, *, overwrite: bool = False) -> None:
+    def write(out: Path, *, overwrite: bool) -> None:
         with compare.comparison_directory(out, overwrite) as directory:
             compare.write_comparison(told, directory)
 
-    write(tmp_path / "out")
-    files = [tmp_path / "out" / file for file in (COMPARISON, PICTURE, SUMMARY)]
-    written = [file.read_bytes() for file in files]
     with pytest.raises(UsageError, match="already holds a result"):
-        write(tmp_path / "out")
-    write(tmp_path / "out", overwrite=True)
-    assert [file.read_bytes() for file in files] == written
+        write(out, overwrite=False)
+    write(out, overwrite=True)
+    assert files_in(out) == written
     with pytest.raises(UsageError, match=f"no {COMPARISON} in it"):
         write(before, overwrite=True)
 

@@ -33,6 +33,8 @@ from specmap_cli.topology.regions import divide
 from specmap_cli.topology.topological_map import TopologicalMap
 from tests.conftest import SAMPLE_LOGS
 from tests.flats import QUICK, Mapped, forget_digests
+from tests.maps.conftest import edit as edit_json
+from tests.maps.test_store import files_in
 from tests.topology.rooms import two_rooms
 
 
@@ -147,9 +149,8 @@ class TestNames:
 
     def test_a_name_written_into_topology_json_is_a_person_s(self, own: Path) -> None:
         """And edits that the map shows must not be lost unsaid."""
-        document = json.loads((own / "topology.json").read_text(encoding="utf-8"))
-        document["nodes"][0] |= {"name": "Hall", "properties": {"floor": 2}}
-        (own / "topology.json").write_text(json.dumps(document), encoding="utf-8")
+        said = {"nodes__0__name": "Hall", "nodes__0__properties": {"floor": 2}}
+        edit_json(own / "topology.json", **said)
         report = edit(own, names={1: "Lab"})
         assert read_map(own).names == {0: "Hall", 1: "Lab"}
         assert report.edits.submaps[0].properties == {"floor": 2}
@@ -182,9 +183,7 @@ class TestBorders:
         """Each goes into a directory of its own."""
         room, corridor, before = built.rooms[0], built.corridor, read_map(built.map)
         new = before.topology.next_id
-        run = json.loads((own / "run.json").read_text(encoding="utf-8"))
-        run["versions"]["specmap"] = "0.0.1"
-        (own / "run.json").write_text(json.dumps(run), encoding="utf-8")
+        edit_json(own / "run.json", versions__specmap="0.0.1")
         wish = split(before, corridor)
         report = edit(own, wish, names={room: "Lab"}, out=tmp_path / "divided")
         divided = read_map(report.out)
@@ -242,12 +241,11 @@ class TestBorders:
         """Every request that is refused alone is in tests/cli/test_cli_edit.py."""
         rooms, notes = list(built.rooms[:2]), Mock(spec=Silent())
         requests = RequestedEdits(changes=({"merge": rooms}, {"forbid": rooms}))
-        before = {path.name: path.read_bytes() for path in built.map.iterdir() if path.is_file()}
+        before = files_in(built.map)
         with pytest.raises(UsageError, match="there is no link between"):
             edit_map(built.map, requests, progress=notes)
         notes.note.assert_not_called()
-        after = {path.name: path.read_bytes() for path in built.map.iterdir() if path.is_file()}
-        assert after == before
+        assert files_in(built.map) == before
 
     def test_a_keyframe_in_no_submap_leaves_borders_as_they_are(
         self, built: Built, own: Path

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import pickle
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -25,6 +24,7 @@ from specmap_cli.pipelines.update import build_like
 from specmap_cli.recognition.closure.alignment import Alignment
 from specmap_cli.simulation.simulator import SimulationOptions
 from tests.flats import QUICK, Mapped, mapped
+from tests.maps.conftest import edit
 
 # bottom, top, left and right cell of an L of corridor and rooms off it, none like another
 ROOMS = (
@@ -67,10 +67,8 @@ def parts(
         (folder / closed).mkdir()
         options = flat_options.model_copy(update={"laps": 1, "seed": seed})
         made[closed] = mapped(building(closed), options, folder / closed)
-    topology = made["first"].map / "topology.json"
-    document = json.loads(topology.read_text(encoding="utf-8"))
-    document["nodes"][-1]["name"] = "Named"
-    topology.write_text(json.dumps(document), encoding="utf-8")
+    last = len(made["first"].stored.ids) - 1
+    edit(made["first"].map / "topology.json", **{f"nodes__{last}__name": "Named"})
     logs = {name: one.log for name, one in (*made.items(), ("other", other))}
     return Parts(made["third"].stored, made["first"].stored, other.stored, logs)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from specmap_cli.pipelines import learning
 from specmap_cli.pipelines.localizer import classifiers_of
 from specmap_cli.recognition.learning.sampling import Samples, TrainingData
 from tests.flats import QUICK
+from tests.maps.conftest import edit
 
 
 def samples(*keyframes: int) -> Samples:
@@ -77,11 +77,8 @@ def test_a_map_of_another_version_learns_anew(
     footprint_m: float | None, flat_map: Map, tmp_path: Path
 ) -> None:
     shutil.copytree(flat_map.path, tmp_path / "other")
-    run = json.loads((tmp_path / "other" / "run.json").read_text(encoding="utf-8"))
-    run["versions"]["specmap"] = "0.0.1"
-    if footprint_m is not None:
-        run["config"]["grid"]["footprint_m"] = footprint_m
-    (tmp_path / "other" / "run.json").write_text(json.dumps(run), encoding="utf-8")
+    more = {} if footprint_m is None else {"config__grid__footprint_m": footprint_m}
+    edit(tmp_path / "other" / "run.json", versions__specmap="0.0.1", **more)
     other = read_map(tmp_path / "other")
     assert learned_from(other, flat_map.config) == 0
     assert learning.comparable(classifiers_of(other), other, flat_map.config) is None

@@ -29,6 +29,7 @@ from specmap_cli.topology.identity import BorderChange
 from specmap_cli.topology.regions import NOBODY
 from specmap_cli.topology.topological_map import driven_m
 from tests.flats import QUICK, Mapped, forget_digests
+from tests.maps.conftest import edit
 from tests.pipelines.conftest import day
 
 
@@ -70,10 +71,8 @@ def kept(
     with day(0):
         second = simulate(flat, flat_options.model_copy(update=again), folder / "second.mcap")
     shutil.copytree(sunday.map, folder / "old")
-    document = json.loads((folder / "old" / "topology.json").read_text(encoding="utf-8"))
-    document["nodes"][1] |= {"name": "Hallway", "properties": {"floor": 2}}
-    document["graph"]["next_id"] = 7  # some submaps are no more
-    (folder / "old" / "topology.json").write_text(json.dumps(document), encoding="utf-8")
+    said = {"nodes__1__name": "Hallway", "nodes__1__properties": {"floor": 2}}
+    edit(folder / "old" / "topology.json", **said, graph__next_id=7)  # some submaps are no more
     features = read_map(folder / "old").features
     assert features is not None
     ones = {kind: np.ones_like(features[kind]) for kind in ("raw", "along")}

@@ -22,6 +22,7 @@ from specmap_cli.report.layers import MOST_REFUSED, Changes
 from specmap_cli.report.page import render
 from tests.comparisons import comparison, thing, way
 from tests.flats import forget_digests
+from tests.maps.conftest import edit
 from tests.report.conftest import HOSTILE
 
 LAYERS = {"regions", "walls", "badges", "doors", "ways", "track", "findings", "accepted", "refused"}
@@ -219,8 +220,7 @@ def test_of_many_split_tests_and_refused_closures_some_are_drawn_and_how_many_is
     document = json.loads((house.path / "topology.json").read_text())
     (refused,) = (each for each in document["graph"]["closures"] if not each["accepted"])
     many = [{**refused, "xi": 0.001 * k} for k in range(2 * MOST_REFUSED)]
-    document["graph"]["closures"] = many
-    (house.path / "topology.json").write_text(json.dumps(document))
+    edit(house.path / "topology.json", graph__closures=many)
     assert "split tests" not in read.words.split('"use')[0]
     read = Read(render(read_map(house.path), many_tests))
     assert f"Of {3 * MOST_TESTS:,} split tests {MOST_TESTS:,} are shown" in read.words
