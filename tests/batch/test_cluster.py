@@ -163,7 +163,6 @@ def test_a_job_whose_worker_dies_is_tried_again(monkeypatch: pytest.MonkeyPatch)
 
 @contextmanager
 def running(program: str, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
-    """A program of Dask in a process of its own."""
     command = [sys.executable, "-m", f"distributed.cli.dask_{program}", "--no-dashboard"]
     process = subprocess.Popen(
         [*command, *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL

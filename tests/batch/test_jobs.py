@@ -319,7 +319,6 @@ def page(*records: JobRecord, waiting: str = "") -> str:
 
 
 def links(text: str) -> set[str]:
-    """What a page links and shows."""
     return set(re.findall(r'<[^>]* (?:href|src)="([^"]*)"', text))
 
 

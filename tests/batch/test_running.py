@@ -62,7 +62,6 @@ class Bench:
 
     @property
     def builds(self) -> int:
-        """How many builds were begun."""
         return len(self.note.read_text().splitlines()) if self.note.exists() else 0
 
     @property
@@ -72,7 +71,6 @@ class Bench:
 
     @property
     def names(self) -> set[str]:
-        """What lies in the folder of the job."""
         return {path.name for path in self.folder.iterdir()}
 
     @property

@@ -64,7 +64,6 @@ def run(job: Job, output: str, scratch: Path) -> JobResult:
 
 
 def record_of(log: str, scratch: Path, name: str = "monday") -> JobRecord:
-    """What comes of a job of one log."""
     return run(Job(name, (log,), ALL), OUT, scratch).record
 
 

@@ -24,12 +24,10 @@ def of_colour(image: Image, colour: Colour, within: int = 3) -> BoolArray:
 
 
 def near(image: Image, colour: Colour) -> int:
-    """How many pixels are of about that colour."""
     return int(of_colour(image, colour).sum())
 
 
 def colours_in(image: NDArray[Any]) -> int:
-    """How many colours there are in a picture."""
     blue, green, red = (image[..., channel].astype(np.int32) for channel in range(3))
     return len(np.unique(blue << 16 | green << 8 | red))
 
@@ -46,7 +44,6 @@ def bounds(pixels: BoolArray) -> tuple[int, int, int, int]:
 
 
 def pixel(image: Image, place: NDArray[Any]) -> Colour:
-    """The colour at x, y."""
     x, y = np.round(np.asarray(place)).astype(int).tolist()
     blue, green, red = image[y, x].tolist()
     return blue, green, red

@@ -59,7 +59,6 @@ def places_on(regions: Regions, points: list[tuple[float, float]]) -> FloatArray
 
 
 def around(image: Image, place: FloatArray, reach: int) -> Image:
-    """The square about a place of a picture."""
     x, y = place.astype(int).tolist()
     return image[y - reach : y + reach + 1, x - reach : x + reach + 1]
 

@@ -53,7 +53,6 @@ def with_submaps(out: Path, result: MapResult, *changes: dict[str, Any]) -> Map:
 def lengths_are_the_map_s(
     graph: nx.DiGraph, stored: Map, names: Mapping[int, Any], weight: str
 ) -> None:
-    """Each way of the map is as long in an exported graph, in both directions."""
     ways = [edge for edge in stored.record.edges if edge.corners]
     assert len(ways) >= 2
     for way in ways:

@@ -57,7 +57,6 @@ def write(out: Path) -> None:
 
 @pytest.fixture
 def out(tmp_path: Path) -> Path:
-    """An old map."""
     (tmp_path / "out").mkdir()
     fill(tmp_path / "out", "old")
     return tmp_path / "out"

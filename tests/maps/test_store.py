@@ -109,7 +109,6 @@ def test_labels_png_holds_any_division(seed: int, height: int, width: int) -> No
 
 
 def door(other: int, **more: Any) -> dict[str, Any]:
-    """A door between submap 0 and another."""
     place = {"x": 0.0, "y": 0.0, "theta": 0.0, "width_m": 0.9}
     none = {"crossings": [], "driven": False, "forbidden": False}
     return {"id": 0, "between": [0, other], **none, **place, **more}
@@ -341,7 +340,6 @@ def test_files_beyond_the_limits_name_the_setting(stored: Path, name: str, field
 
 
 def test_settings_of_another_version_are_left_out_and_named(stored: Path) -> None:
-    """A map that an older version built can still be used."""
     foreign = {"config__recognition__min_inliers": 100, "config__magic": {"wand": True}}
     edit(stored / "run.json", config__grid__resolution_m=0.08, **foreign)
     read = read_map(stored)

@@ -45,8 +45,6 @@ TRACKED = Tracking(counts={}, warnings=(), seconds=0.0)
 
 @dataclass(frozen=True)
 class Finished:
-    """The flat, explored and finished."""
-
     scans: Sequence[PosedScan]
     store: KeyframeStore
     explored: Explored
@@ -54,7 +52,6 @@ class Finished:
 
 
 def registered(sweeps: Iterator[Sweep]) -> Iterator[PosedScan]:
-    """Sweeps with their poses."""
     front_end = FrontEnd(Config().registration)
     return (front_end.register(sweep) for sweep in sweeps)
 
@@ -65,13 +62,11 @@ def explored_by(
     config: Config,
     accepts: Callable[[PosedScan], bool] | None = None,
 ) -> Explored:
-    """What Algorithm 1 finds in scans."""
     accepts = accepts or KeyframeSelector(config.keyframes).accepts
     return explore(scans, Exploration(Session(config, store)), accepts)
 
 
 def finished_by(explored: Explored, store: KeyframeStore, config: Config) -> FinishedMap:
-    """The map of what was explored."""
     session = Session(config, store)
     laid = lay_out(session, explored, TRACKED, "flat.mcap")
     return finish(session, laid, Prior(explored.features))
@@ -202,7 +197,6 @@ def test_without_a_consistent_layout_the_online_submaps_stay(
 
 
 def test_where_tracking_starts_afresh_a_new_submap_begins(flat_done: Finished) -> None:
-    """A scan marked as restarted breaks the path, and the map says so."""
     scans = [replace(s, restarted=k == 90) for k, s in enumerate(flat_done.scans[:180])]
     with KeyframeStore() as store:
         explored = explored_by(iter(scans), store, QUICK)
@@ -267,8 +261,6 @@ def test_constraints_hold_between_the_nearest_keyframes_of_both_regions(
 
 
 class TestBuildMap:
-    """The whole way, from a file to a directory."""
-
     def test_paths_may_be_text(self, flat_built: Explained) -> None:
         report, out = flat_built.report, flat_built.pictures.parent / "map"
         assert report.out == out

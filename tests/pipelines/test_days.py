@@ -25,7 +25,6 @@ from tests.maps.test_store import files_in
 
 @pytest.fixture(scope="module")
 def building(week: Path) -> BuildingRecord:
-    """The one building of the week."""
     (found,) = history_of([week]).record.buildings
     return found
 

@@ -40,8 +40,6 @@ from tests.topology.rooms import two_rooms
 
 @dataclass(frozen=True)
 class Built:
-    """A map of the flat, and another recording of it."""
-
     map: Path
     again: Mapped
     corridor: int
@@ -63,7 +61,6 @@ def corridor_of(stored: Map) -> int:
 
 @pytest.fixture
 def own(built: Built, tmp_path: Path) -> Path:
-    """A copy of the map."""
     return Path(shutil.copytree(built.map, tmp_path / "own"))
 
 
@@ -82,7 +79,6 @@ def bytes_of(directory: Path, name: str) -> bytes:
 def edit(
     map_: Map | Path, *changes: dict[str, Any], out: Path | None = None, **said: Any
 ) -> EditReport:
-    """What `edit_map` tells of some changes and of what is said of submaps."""
     return edit_map(map_, RequestedEdits(changes=changes, **said), out)
 
 
@@ -180,7 +176,6 @@ class TestBorders:
     def test_a_split_then_a_merge_then_neither(
         self, built: Built, own: Path, tmp_path: Path
     ) -> None:
-        """Each goes into a directory of its own."""
         room, corridor, before = built.rooms[0], built.corridor, read_map(built.map)
         new = before.topology.next_id
         edit_json(own / "run.json", versions__specmap="0.0.1")
@@ -275,12 +270,9 @@ class TestBorders:
 
 
 class TestForbiddenDoors:
-    """The link stays in the map, and nobody goes there."""
-
     def test_the_link_and_its_doors_are_marked_in_exports_too(
         self, built: Built, tmp_path: Path
     ) -> None:
-        """And it holds for what the submaps become."""
         room, other = built.rooms[:2]
         pair = tuple(sorted((room, built.corridor)))
         requested = RequestedEdits(changes=({"forbid": [room, built.corridor]},))

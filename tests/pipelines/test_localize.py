@@ -43,7 +43,6 @@ def own_log(
 
 @pytest.fixture(scope="module")
 def metric(own_log: Path, flat_map: Map) -> LocalizationReport:
-    """It, localised in the map, with poses."""
     return localize_log(own_log, flat_map.path, metric=True)
 
 

@@ -36,7 +36,6 @@ DOORS |= {"first": np.s_[38:42, 60:78], "upper": np.s_[140:158, 38:42]}
 
 
 def building(closed: str) -> GridMap:
-    """The building, 10 m x 9 m, with one of its doors closed."""
     cells = np.full((184, 200), OCCUPIED, dtype=np.uint8)
     for bottom, top, left, right in ROOMS:
         cells[bottom:top, left:right] = FREE

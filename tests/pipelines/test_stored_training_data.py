@@ -34,7 +34,6 @@ def test_features_survive_the_file_in_half_precision() -> None:
 
 
 def changed(config: Config, section: str, **settings: Any) -> Config:
-    """Settings of which some in a section are others."""
     values = config.model_dump()
     values[section] |= settings
     return Config.model_validate(values)

@@ -48,7 +48,6 @@ class Kept:
 
     @property
     def first_new(self) -> int:
-        """The first keyframe of the second recording."""
         assert self.new.logs[1].keyframes is not None
         return self.new.logs[1].keyframes[0]
 

@@ -71,7 +71,6 @@ def evidence() -> Evidence:
 
 @pytest.fixture
 def page(house: Map, evidence: Evidence) -> str:
-    """The page of the house."""
     return render(house, evidence)
 
 

@@ -17,7 +17,6 @@ def chosen(browser: Browser) -> list[str]:
 
 
 def middle(browser: Browser, selector: str) -> tuple[float, float]:
-    """The middle of an element in the window."""
     box = browser.run(
         f"(b => [b.x + b.width / 2, b.y + b.height / 2])(one({selector!r}).getBoundingClientRect())"
     )

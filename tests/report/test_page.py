@@ -60,13 +60,11 @@ class Read(HTMLParser):
 
     @property
     def words(self) -> str:
-        """All that is said."""
         return " ".join(" ".join(self.texts).split())
 
 
 @pytest.fixture
 def read(page: str) -> Read:
-    """The page of the house, read."""
     return Read(page)
 
 
@@ -215,7 +213,6 @@ def test_a_run_that_somebody_changed_is_shown_as_far_as_it_is_one_and_lost_scans
 def test_of_many_split_tests_and_refused_closures_some_are_drawn_and_how_many_is_said(
     house: Map, evidence: Evidence, read: Read
 ) -> None:
-    """Of closures those with the largest xi."""
     many_tests = replace(evidence, tests=evidence.tests * MOST_TESTS)
     document = json.loads((house.path / "topology.json").read_text())
     (refused,) = (each for each in document["graph"]["closures"] if not each["accepted"])

@@ -101,7 +101,6 @@ def test_no_line_is_drawn_between_recordings_and_a_long_way_is_thinned() -> None
 
 
 def bgr(css: str) -> Colour:
-    """A colour of CSS."""
     blue, green, red = (int(css[k : k + 2], 16) for k in (5, 3, 1))
     return blue, green, red
 
