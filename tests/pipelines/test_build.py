@@ -105,9 +105,7 @@ def test_the_map_is_connected_and_its_rooms_are_the_flat_s(
     assert scores.purity > 0.9
 
 
-def test_ids_follow_the_first_visits_and_grids_hold_the_places_driven(
-    flat_done: Finished,
-) -> None:
+def test_ids_follow_the_first_visits_and_grids_hold_the_places_driven(flat_done: Finished) -> None:
     finished = flat_done.finished
     labels = finished.labels.submaps
     first = [int(np.argmax(labels == id_)) for id_ in sorted(finished.topology.submaps)]

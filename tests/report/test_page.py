@@ -177,9 +177,7 @@ def test_what_differs_from_an_older_map_is_drawn_where_it_is(
     assert (f"Against {house.path.name}") in read.texts
 
 
-def test_a_map_of_schema_1_without_evidence_has_a_page_without_these_parts(
-    house: Map,
-) -> None:
+def test_a_map_of_schema_1_without_evidence_has_a_page_without_these_parts(house: Map) -> None:
     old = Path(__file__).parents[1] / "maps" / "topology_1.json"
     for schema_1 in (False, True):
         if schema_1:

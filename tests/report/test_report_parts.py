@@ -34,9 +34,7 @@ def drawn(data: str) -> list[list[tuple[int, int]]]:
 
 
 @given(st.lists(st.tuples(st.integers(-9999, 9999), st.integers(-9999, 9999)), min_size=2))
-def test_a_line_comes_back_as_it_was_but_for_repeated_points(
-    points: list[tuple[int, int]],
-) -> None:
+def test_a_line_comes_back_as_it_was_but_for_repeated_points(points: list[tuple[int, int]]) -> None:
     line = np.array(points)
     moved = np.any(np.diff(line, axis=0) != 0, axis=1)
     kept = line[np.concatenate([[True], moved])]
