@@ -73,9 +73,7 @@ def ran(client: Any, monkeypatch: pytest.MonkeyPatch) -> Ran:
     return ran
 
 
-def test_it_does_what_can_be_done_and_writes_summaries_and_a_journal(
-    ran: Ran, tmp_path: Path
-) -> None:
+def test_it_does_what_can_be_done_writes_summaries_and_a_journal(ran: Ran, tmp_path: Path) -> None:
     ledger, told = ran(tmp_path, "hungry", "bad", "buggy", "a", limits=Limits(memory_mb=500))
     assert (ledger.done, ledger.failed) == (2, 2)
     buggy = ledger.results["buggy"]
@@ -113,9 +111,7 @@ def test_two_batches_do_not_share_a_directory_which_is_the_same_for_all_workers(
     assert outputs == [str(tmp_path / "maps")] * 2
 
 
-def test_a_store_gets_summaries_and_the_journal_at_the_end(
-    ran: Ran, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_store_gets_summaries_and_a_journal(ran: Ran, monkeypatch: pytest.MonkeyPatch) -> None:
     store = pytest.importorskip("fsspec").filesystem("memory")
     for _ in range(2):
         ran("memory://fleet/maps", "a")
@@ -227,9 +223,7 @@ def test_a_function_of_many_things_is_spread_over_processes_or_workers_of_a_sche
     assert spread(Cluster(scheduler="inproc:"), _tripled, [1, 2]) == [3, 6]
 
 
-def test_a_worker_of_this_machine_that_fails_stops_no_other(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_worker_stops_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workers, "run_job", at_once)
     ledger = run_batch([job("a"), job("buggy")], Terms(str(tmp_path)), Cluster(2))
     assert (ledger.done, ledger.failed) == (1, 1)

@@ -79,9 +79,7 @@ def ledger_of(names: Iterable[str]) -> Ledger:
         ({"a": [None, "done"], "b": [None, "done"]}, 2, 0, ["a1", "b1", "a1", "b1"]),
     ],
 )
-def test_jobs_are_handed_out_and_tried_again_as_their_attempts_end(
-    ends: Ends, slots: int, retries: int, got: list[str]
-) -> None:
+def test_jobs_are_tried_again_or_not(ends: Ends, slots: int, retries: int, got: list[str]) -> None:
     ledger, workers = ledger_of(ends), Obedient(ends, slots)
     happened = list(work_off(ledger.jobs, workers, retries, ledger))
     assert happened[0] is None, "nobody is there yet"

@@ -211,9 +211,7 @@ LOGS, NAMED = 'logs = "a.mcap"\n', "[[job]]\nname = "
         (f"[[job]]\n{LOGS}[job.options.build]\nseeed = 1", "job 1: options.build.seeed: no such"),
     ],
 )
-def test_what_a_file_of_jobs_says_wrong_is_told_with_its_place(
-    lay: Lay, text: str, complaint: str
-) -> None:
+def test_what_a_file_of_jobs_says_wrong_has_its_place(lay: Lay, text: str, complaint: str) -> None:
     where = lay("a.mcap", jobs__toml=text)
     with pytest.raises(UsageError) as told:
         jobs_of([str(where / "jobs.toml")])

@@ -94,9 +94,7 @@ def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Bench:
     return bench
 
 
-def test_a_finished_job_leaves_all_that_it_made_and_nothing_else_and_is_made_once(
-    run: Bench,
-) -> None:
+def test_a_finished_job_leaves_what_it_made_and_nothing_else_and_is_made_once(run: Bench) -> None:
     record, folder = run(), run.folder
     assert (record.state, record.kind, record.reason) == ("done", None, None)
     assert run.names == {
@@ -144,9 +142,7 @@ def test_what_is_not_complete_or_of_other_inputs_is_made_again(
     run(words, steps=steps, resumed=True)
 
 
-def test_a_log_that_is_out_of_reach_does_not_cost_its_map_and_one_that_moved_is_the_same(
-    run: Bench, tmp_path: Path
-) -> None:
+def test_a_log_out_of_reach_costs_no_map_and_may_have_moved(run: Bench, tmp_path: Path) -> None:
     """As on a worker that lacks the shared folder."""
     run()
     before = run.files
@@ -173,9 +169,7 @@ def test_a_log_that_is_out_of_reach_does_not_cost_its_map_and_one_that_moved_is_
         ("slow", "time", "the job took more than 0.3 s, the limit; it was in build"),
     ],
 )
-def test_a_failed_job_says_why_and_leaves_its_log(
-    run: Bench, words: str, kind: str, reason: str
-) -> None:
+def test_a_failed_job_says_why_with_its_log(run: Bench, words: str, kind: str, reason: str) -> None:
     limits = Limits(time_s=0.3 if words == "slow" else None)
     record = run(words, limits)
     assert (record.state, record.kind) == ("failed", kind)
@@ -215,9 +209,7 @@ def test_a_job_beyond_its_memory_is_stopped_and_tried_again_with_more(run: Bench
     assert list(run.out.iterdir()) == [run.folder]
 
 
-def test_without_the_extra_one_line_says_what_to_install(
-    run: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_the_extra_a_line_asks_for_it(run: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "psutil", None)
     record = run()
     assert record.kind == "settings"
@@ -232,9 +224,7 @@ def test_a_lost_worker_is_told_of_without_a_file() -> None:
         assert lost.reason == "the worker was lost\\udcff"
 
 
-def test_a_missing_log_fails_the_job_in_a_line_whatever_it_is_called(
-    run: Bench, tmp_path: Path
-) -> None:
+def test_a_missing_log_of_any_name_fails_the_job_in_a_line(run: Bench, tmp_path: Path) -> None:
     for _ in range(2):
         record = run(log=f"{tmp_path}/gone\n\udcff\x1b.mcap")
         assert (record.kind, record.digest) == ("log", "")
@@ -314,9 +304,7 @@ def _lives(pid: int) -> bool:
     return False
 
 
-def test_a_real_log_without_its_end_becomes_a_map_with_figures_and_a_warning(
-    tiny_log: Path, tmp_path: Path
-) -> None:
+def test_a_log_without_its_end_becomes_a_map_with_a_warning(tiny_log: Path, tmp_path: Path) -> None:
     log = tmp_path / "short.mcap"
     log.write_bytes(tiny_log.read_bytes()[:-40])
     options = {"build": {"set": list(QUICK[1::2])}}

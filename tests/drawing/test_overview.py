@@ -206,9 +206,7 @@ def test_badges_do_not_overlap(count: int, seed: int) -> None:
     np.testing.assert_array_equal(spread(roomy, symbols.BADGE_GAP), roomy)
 
 
-def test_the_number_of_a_submap_is_not_hidden_by_the_end_of_the_way(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_end_of_the_way_hides_no_number(monkeypatch: pytest.MonkeyPatch) -> None:
     badge = Mock()
     monkeypatch.setattr(symbols, "badge", badge)
     driven(np.linspace((1.0, 1.0), (5.0, 1.0), 60))

@@ -38,9 +38,7 @@ def test_links_are_solid_dashed_or_dotted(
 
 
 @pytest.mark.parametrize("driven", [True, False])
-def test_a_door_is_a_passage_between_its_jambs_with_dots_where_it_was_only_seen(
-    driven: bool,
-) -> None:
+def test_a_door_is_a_passage_between_jambs_with_dots_where_it_was_only_seen(driven: bool) -> None:
     """No leaf stands in it or out of the wall: who drew the map saw none."""
     canvas = Canvas(120, 120, palette.SHADE)
     symbols.door(canvas, np.array([[30.0, 80.0], [90.0, 80.0]]), driven)

@@ -30,9 +30,7 @@ def geojson(stored: Map, folder: Path) -> Any:
     return json.loads(out.read_text())
 
 
-def test_graphml_is_the_graph_that_networkx_reads_also_from_topology_json(
-    stored: Map, home: Map, rooms: Map, tmp_path: Path
-) -> None:
+def test_graphml_is_the_map_s_graph(stored: Map, home: Map, rooms: Map, tmp_path: Path) -> None:
     for each in (home, rooms, stored):
         record, graph = each.record, graphml(each, tmp_path)
         document = json.loads((each.path / "topology.json").read_text())
@@ -65,9 +63,7 @@ def test_graphml_is_the_graph_that_networkx_reads_also_from_topology_json(
     assert "x" not in closure  # it was never crossed
 
 
-def test_geojson_has_outlines_links_doors_from_wall_to_wall_anchors_and_ways(
-    stored: Map, home: Map, tmp_path: Path
-) -> None:
+def test_geojson_has_outlines_links_doors_and_ways(stored: Map, home: Map, tmp_path: Path) -> None:
     document = geojson(stored, tmp_path)
     assert document["type"] == "FeatureCollection"
     kinds = [feature["geometry"]["type"] for feature in document["features"]]

@@ -26,9 +26,7 @@ def noted(out: Path, result: MapResult, *properties: dict[str, Any]) -> Map:
     return with_submaps(out, result, *({"properties": each} for each in properties))
 
 
-def test_a_fleet_adapter_reads_the_nav_graph_that_the_generator_makes_of_the_building(
-    home: Map, rooms: Map, tmp_path: Path
-) -> None:
+def test_an_adapter_reads_what_the_generator_makes(home: Map, rooms: Map, tmp_path: Path) -> None:
     for stored in (home, rooms):
         out = tmp_path / f"{stored.path.name}.zip"
         (warning,) = export_map(stored, "rmf", out)
@@ -60,9 +58,7 @@ def test_names_that_come_twice_are_told_apart(lived_in: MapResult, tmp_path: Pat
     }  # fmt: skip
 
 
-def test_a_layout_has_a_station_for_each_room_and_edges_as_long_as_the_ways(
-    home: Map, rooms: Map, tmp_path: Path
-) -> None:
+def test_a_layout_has_rooms_and_ways_as_long(home: Map, rooms: Map, tmp_path: Path) -> None:
     for stored in (home, rooms):
         out = tmp_path / f"{stored.path.name}.json"
         export_map(stored, "lif", out)
@@ -77,9 +73,7 @@ def test_a_layout_has_a_station_for_each_room_and_edges_as_long_as_the_ways(
         assert {speed for _, _, speed in graph.edges(data="max_speed")} == {None}
 
 
-def test_a_speed_limit_and_a_penalty_stand_where_each_planner_looks(
-    lived_in: MapResult, tmp_path: Path
-) -> None:
+def test_each_planner_finds_speed_limits_and_penalties(lived_in: MapResult, tmp_path: Path) -> None:
     whole = {"speed_limit": 1, "penalty": 3}  # scorers want floats
     stored = noted(tmp_path / "map", lived_in, whole)
     plain = noted(tmp_path / "plain", lived_in, {})
@@ -121,9 +115,7 @@ def weights_of(path: Path) -> dict[tuple[str, str], float]:
     }
 
 
-def test_a_limit_that_is_none_is_left_out_with_a_warning(
-    lived_in: MapResult, tmp_path: Path
-) -> None:
+def test_a_limit_that_is_none_is_left_out_and_told(lived_in: MapResult, tmp_path: Path) -> None:
     stored = noted(tmp_path / "map", lived_in, {"speed_limit": "slow", "penalty": True})
     for name in ("nav2", "nav2-masks"):
         assert export_map(stored, name, tmp_path / f"{name}.zip") == [
@@ -171,9 +163,7 @@ def test_a_forbidden_link_and_a_forbidden_door_are_shut(rooms: Map, tmp_path: Pa
             assert len(set(parts[cells])) == ways
 
 
-def test_masks_lie_on_the_map_s_grid_and_limit_a_room(
-    home: Map, rooms: Map, tmp_path: Path
-) -> None:
+def test_masks_lie_on_the_grid_and_limit_nothing(home: Map, rooms: Map, tmp_path: Path) -> None:
     for stored in (home, rooms):
         export_map(stored, "nav2-masks", tmp_path / "masks.zip", overwrite=True)
         found = costmap_filters.load(tmp_path / "masks.zip")

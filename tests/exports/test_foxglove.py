@@ -127,9 +127,7 @@ def test_every_keyframe_has_its_pose_and_its_scan(home: Map, found: Found) -> No
     assert np.allclose(way, labels.poses[:, :2], atol=1e-5)
 
 
-def test_a_divided_plan_is_whole_and_has_nothing_over_time(
-    rooms: Map, flat: GridMap, tmp_path: Path
-) -> None:
+def test_a_plan_is_whole_with_nothing_over_time(rooms: Map, flat: GridMap, tmp_path: Path) -> None:
     found = messages(rooms, tmp_path / "rooms.mcap")
     assert not {*OVER_TIME, "/trajectory"} & found.keys()
     for topic, cells in (("/map", flat.cells >= 0), ("/regions", flat.free)):
@@ -138,9 +136,7 @@ def test_a_divided_plan_is_whole_and_has_nothing_over_time(
         assert np.array_equal(shown, cells)
 
 
-def test_scans_are_read_one_by_one(
-    home: Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_scans_are_read_singly(home: Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     taken: list[weakref.ref[np.ndarray]] = []
     alive: list[int] = []
     read = KeyframeStore.scan

@@ -46,9 +46,7 @@ def test_the_server_reads_anchors_doors_and_bends(home: Map, tmp_path: Path) -> 
     assert kinds[5]["class"], kinds[5]["door"] == ("door", 0)
 
 
-def test_a_way_is_driven_both_ways_and_is_as_long_as_in_the_map(
-    home: Map, rooms: Map, tmp_path: Path
-) -> None:
+def test_a_way_is_driven_both_ways_as_long_as_it_is(home: Map, rooms: Map, tmp_path: Path) -> None:
     for stored in (home, rooms):
         graph = exported(stored, tmp_path / f"{stored.path.name}.geojson")
         lengths_are_the_map_s(graph, stored, {id_: id_ for id_ in stored.ids}, "cost")
@@ -58,9 +56,7 @@ def test_a_way_is_driven_both_ways_and_is_as_long_as_in_the_map(
             assert graph.has_edge(end, start)
 
 
-def test_edges_run_through_free_cells_and_doors_stand_in_their_openings(
-    rooms: Map, flat: GridMap, tmp_path: Path
-) -> None:
+def test_edges_are_free_and_doors_in_openings(rooms: Map, flat: GridMap, tmp_path: Path) -> None:
     """Straight from node to node, as the server drives, at the clearance of the map's ways."""
     graph, record = exported(rooms, tmp_path / "rooms.geojson"), rooms.record
     clearance = distance_transform_edt(np.pad(flat.free, 1))[1:-1, 1:-1] * flat.resolution

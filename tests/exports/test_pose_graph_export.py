@@ -22,9 +22,7 @@ def with_graph(directory: Path, result: MapResult, text: str) -> Map:
     return written(directory, dataclasses.replace(result, pose_graph=text))
 
 
-def test_the_fixed_vertices_stand_last_whatever_the_map_has_one_a_part(
-    lived_in: MapResult, tmp_path: Path
-) -> None:
+def test_fixed_vertices_stand_last_one_a_part(lived_in: MapResult, tmp_path: Path) -> None:
     lines = POSE_GRAPH.splitlines(keepends=True)
     earlier = "".join([*lines[:3], lines[-1], *lines[3:-1]])  # as earlier versions wrote it
     for number, text in enumerate((POSE_GRAPH, earlier)):

@@ -66,9 +66,7 @@ def graph_of(found: Any) -> nx.DiGraph:
     return graph
 
 
-def test_the_manager_reads_it_and_its_figures_are_the_map_s(
-    home: Map, rooms: Map, tmp_path: Path
-) -> None:
+def test_the_manager_reads_the_figures_of_the_map(home: Map, rooms: Map, tmp_path: Path) -> None:
     for stored in (home, rooms):
         found = document(stored, tmp_path / "map.tmap2")
         jsonschema.validate(found, RULES)

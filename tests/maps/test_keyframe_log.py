@@ -187,9 +187,7 @@ def test_scans_that_lack_something(tmp_path: Path, lack: str) -> None:
         read_keyframes(tmp_path / "a.mcap", MOST)
 
 
-def test_the_keyframes_of_a_map_are_those_of_its_labels(
-    stored: Path, tmp_path: Path, result: MapResult
-) -> None:
+def test_keyframes_are_those_of_the_labels(stored: Path, tmp_path: Path, result: MapResult) -> None:
     with pytest.raises(MapError, match=r"has no keyframes\.mcap: .*build the map again") as caught:
         read_map(stored).scans()
     assert caught.value.found == "has no keyframes.mcap"
@@ -256,9 +254,7 @@ def test_no_reading_is_made_up_where_there_is_none() -> None:
 
 
 @pytest.mark.parametrize("blind", [(150, 250), (0, 60), (340, 400), (380, 20), (7, 8), (7, 7)])
-def test_a_circle_not_looked_at_all_around_goes_without_its_blind_part(
-    blind: tuple[int, int],
-) -> None:
+def test_a_circle_goes_without_its_blind_part(blind: tuple[int, int]) -> None:
     bearings = np.asarray(-math.pi + (np.arange(400) + 0.5) * (CIRCLE / 400), dtype=np.float64)
     ranges, (start, end) = np.arange(400.0), blind
     run = np.arange(start, end if end >= start else end + 400) % 400

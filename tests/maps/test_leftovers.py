@@ -81,9 +81,7 @@ def test_appears_complete_and_missing_parents_are_made(tmp_path: Path, place: st
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
-def test_an_interruption_leaves_nothing_but_parents_that_somebody_uses_meanwhile(
-    tmp_path: Path, error: type[BaseException]
-) -> None:
+def test_an_interruption_leaves_nothing_of_ours(tmp_path: Path, error: type[BaseException]) -> None:
     for notes in ([], [tmp_path / "a" / "notes.txt"]):
         with pytest.raises(error), OutputDirectory(tmp_path / "a" / "b" / "out") as partial:
             fill_and_raise(partial, error, *notes)
@@ -91,9 +89,7 @@ def test_an_interruption_leaves_nothing_but_parents_that_somebody_uses_meanwhile
     assert os.listdir(tmp_path / "a") == ["notes.txt"]
 
 
-def test_overwrite_replaces_the_whole_map_and_follows_no_link_in_it(
-    tmp_path: Path, out: Path
-) -> None:
+def test_overwrite_replaces_the_whole_map_and_follows_no_link(tmp_path: Path, out: Path) -> None:
     (out / "submaps" / "007.png").write_text("stale")
     (tmp_path / "precious").mkdir()
     (tmp_path / "precious" / "file").write_text("kept")
@@ -174,9 +170,7 @@ def test_a_path_may_be_text_and_relative(tmp_path: Path, monkeypatch: pytest.Mon
     assert (tmp_path / "maps" / "out" / TOPOLOGY).is_file()
 
 
-def test_a_link_to_a_map_stays_one_and_another_thread_writes_as_well(
-    tmp_path: Path, out: Path
-) -> None:
+def test_a_link_to_a_map_stays_and_another_thread_may_write(tmp_path: Path, out: Path) -> None:
     """Only the main thread can hold signals back; others must not try."""
     link = tmp_path / "link"
     link.symlink_to("out")

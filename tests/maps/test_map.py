@@ -38,9 +38,7 @@ def room_of(map_: Map, box: Sequence[int]) -> Any:
     return map_.room_at((left + right) / 2, (bottom + top) / 2)
 
 
-def test_a_room_is_found_by_id_by_the_name_that_it_shows_and_by_place(
-    rooms: Map, flat_map: Map
-) -> None:
+def test_a_room_is_found_by_id_by_name_and_by_place(rooms: Map, flat_map: Map) -> None:
     lab = rooms.rooms["Lab"]
     assert lab is rooms.rooms[lab.id]
     assert lab is room_of(rooms, FLAT_ROOMS[1])
@@ -95,9 +93,7 @@ def test_nothing_of_a_map_can_be_changed(rooms: Map, flat_map: Map) -> None:
             array[0] = 0
 
 
-def test_routes_lead_from_rooms_and_places_to_others_unless_a_person_forbade_it(
-    rooms: Map, tmp_path: Path
-) -> None:
+def test_routes_lead_from_and_to_rooms_and_places_if_allowed(rooms: Map, tmp_path: Path) -> None:
     lab, corridor = rooms.rooms["Lab"], rooms.rooms["Corridor"]
     there = rooms.route("Lab", "Corridor")
     assert there.rooms == (lab.id, corridor.id)

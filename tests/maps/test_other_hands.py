@@ -41,9 +41,7 @@ def frame_of(out: Path) -> str:
     return read_map(out).record.graph.frame
 
 
-def test_a_map_that_a_run_is_about_to_replace_is_refused_to_another_one(
-    out: Path, result: MapResult
-) -> None:
+def test_a_map_that_is_being_replaced_is_refused_to_others(out: Path, result: MapResult) -> None:
     with OutputDirectory(out, overwrite=True) as partial:
         told = rf"map: process {os.getpid()} is about to replace it: wait until that has ended"
         with pytest.raises(UsageError, match=told):
@@ -56,9 +54,7 @@ def test_a_map_that_a_run_is_about_to_replace_is_refused_to_another_one(
 
 
 @pytest.mark.parametrize("there", [True, False])
-def test_what_a_person_does_meanwhile_is_not_replaced(
-    there: bool, tmp_path: Path, out: Path, result: MapResult
-) -> None:
+def test_what_people_do_stays(there: bool, tmp_path: Path, out: Path, result: MapResult) -> None:
     target = out if there else tmp_path / "new"
     name = EDITS if there else TOPOLOGY
     read = [read_map(out)] * there
@@ -75,9 +71,7 @@ def test_what_a_person_does_meanwhile_is_not_replaced(
     assert frame_of(out) == "map"
 
 
-def test_who_read_a_map_that_another_run_has_replaced_hears_of_it(
-    out: Path, result: MapResult
-) -> None:
+def test_who_read_a_map_that_was_replaced_hears_of_it(out: Path, result: MapResult) -> None:
     """Also where what is found of the new map makes no sense with what was read of the old one."""
     read, told = read_map(out), "was replaced meanwhile: run the command again"
     anew(out, result, "newer")
@@ -89,9 +83,7 @@ def test_who_read_a_map_that_another_run_has_replaced_hears_of_it(
         _ = read.regions
 
 
-def test_decisions_are_replaced_by_maps_that_say_them_too_and_by_no_others(
-    tmp_path: Path, out: Path, result: MapResult
-) -> None:
+def test_decisions_are_lost_in_no_other_map(tmp_path: Path, out: Path, result: MapResult) -> None:
     other, said = tmp_path / "other", replace(result, edits="# decided\n")
     other.mkdir()
     write_map(other, said)
@@ -189,9 +181,7 @@ def test_a_power_cut_leaves_a_whole_file(tmp_path: Path, monkeypatch: pytest.Mon
     assert disk.lost(tmp_path) == []
 
 
-def test_a_neighbour_s_link_is_not_followed_when_a_file_is_made(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_neighbour_s_link_is_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where he could guess the name, and elsewhere he cannot."""
     names = {files.partial_of(tmp_path / "table.csv").name for _ in range(3)}
     assert len(names) == 3
@@ -204,9 +194,7 @@ def test_a_neighbour_s_link_is_not_followed_when_a_file_is_made(
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files away")
-def test_a_neighbour_s_directory_is_not_taken_for_a_map_that_was_moved_away(
-    tmp_path: Path, out: Path
-) -> None:
+def test_a_neighbour_s_directory_is_no_map_that_was_moved_away(tmp_path: Path, out: Path) -> None:
     for role in ("replaced", "partial"):
         planted = tmp_path / f".new.{role}-01234567"
         planted.mkdir()

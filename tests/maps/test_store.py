@@ -47,9 +47,7 @@ def files_in(directory: Path) -> dict[str, bytes]:
     return {str(path.relative_to(directory)): path.read_bytes() for path in found}
 
 
-def test_all_files_and_no_other_the_same_bytes_every_time(
-    stored: Path, tmp_path: Path, result: MapResult
-) -> None:
+def test_the_same_files_every_time(stored: Path, tmp_path: Path, result: MapResult) -> None:
     assert set(files_in(stored)) == FILES
     again = tmp_path / "again"
     again.mkdir()
@@ -57,9 +55,7 @@ def test_all_files_and_no_other_the_same_bytes_every_time(
     assert files_in(again) == files_in(stored)
 
 
-def test_the_division_is_read_as_it_was_written_and_made_where_it_is_missing(
-    stored: Path, result: MapResult
-) -> None:
+def test_the_division_is_read_or_made_where_it_is_missing(stored: Path, result: MapResult) -> None:
     written = result.regions.owner
     np.testing.assert_array_equal(read_map(stored).regions.owner, written)
     (stored / "labels.png").unlink()
@@ -225,9 +221,7 @@ def test_keyframes_in_no_submap_are_in_none(tmp_path: Path, result: MapResult) -
         ),
     ],
 )
-def test_a_damaged_topology_is_one_line(
-    stored: Path, changes: dict[str, Any], complaint: str
-) -> None:
+def test_damaged_topology_is_a_line(stored: Path, changes: dict[str, Any], complaint: str) -> None:
     edit(stored / "topology.json", **changes)
     with pytest.raises(MapError, match=complaint) as caught:
         _ = read_map(stored).topology

@@ -252,9 +252,7 @@ def document(stored: Path) -> Any:
         *(("edges", None), ("nodes", [{"id": 0}])),
     ],
 )
-def test_models_and_json_schema_refuse_the_same_documents(
-    document: Any, key: str, value: Any
-) -> None:
+def test_models_and_schema_refuse_the_same(document: Any, key: str, value: Any) -> None:
     *parents, last = key.split("__")
     TopologyRecord.model_validate(document)
     SCHEMA.validate(document)

@@ -229,9 +229,7 @@ def test_a_merge_that_the_layout_drops_is_taken_back(flat_done: Finished) -> Non
             assert after is before
 
 
-def test_constraints_hold_between_the_nearest_keyframes_of_both_regions(
-    flat_done: Finished,
-) -> None:
+def test_constraints_hold_between_the_nearest_keyframes_of_regions(flat_done: Finished) -> None:
     """Or between the nodes before these, from where the same is said of them."""
     explored, store = flat_done.explored, flat_done.store
     closures, regions = explored.closures, explored.regions
@@ -286,9 +284,7 @@ class TestBuildMap:
         assert told is not None
         assert told.as_dict() == stored.run["quality"]
 
-    def test_without_a_grid_there_is_none_and_an_edited_one_is_not_built_over(
-        self, tiny_log: Path, tmp_path: Path
-    ) -> None:
+    def test_without_a_grid_is_none_and_edits_stay(self, tiny_log: Path, tmp_path: Path) -> None:
         out, config = tmp_path / "map", load_config(overrides={"grid": {"max_area_m2": 0.01}})
         with pytest.raises(NoResultError, match=r"grid\.max_extent_m"):
             build_map(tiny_log, out, config)

@@ -29,9 +29,7 @@ def building(week: Path) -> BuildingRecord:
     return found
 
 
-def test_days_of_one_building_are_one_series_in_which_a_recording_in_two_maps_counts_once(
-    building: BuildingRecord,
-) -> None:
+def test_days_are_a_series_in_which_a_recording_counts_once(building: BuildingRecord) -> None:
     assert [Path(one.map).name for one in building.maps] == ["monday", "tuesday", "wednesday"]
     assert [one.compared_with for one in building.maps] == [None, 0, 1]
     assert [day.day for day in building.days] == ["2025-11-24", "2025-11-25", "2025-11-26"]
@@ -215,9 +213,7 @@ def test_the_other_way_round_things_vanish(before: Path, changed: Path) -> None:
     assert (len(back.closed), len(back.opened)) == (1, 1)
 
 
-def test_two_recordings_of_one_building_differ_in_nothing(
-    before: Path, second_tour: Mapped
-) -> None:
+def test_two_recordings_of_one_building_are_alike(before: Path, second_tour: Mapped) -> None:
     """Of two lasers: one sees three quarters of the circle, the other all of it."""
     found = compare_maps(before, second_tour.map)
     assert "the building: no change found" in compare.lines_of(found.record)
@@ -269,9 +265,7 @@ def test_the_command_writes_all_of_a_comparison_the_same_bytes_every_time(
         write(before, overwrite=True)
 
 
-def test_a_map_without_classifiers_is_compared_by_its_grids(
-    before: Path, changed: Path, tmp_path: Path
-) -> None:
+def test_without_classifiers_grids_decide(before: Path, changed: Path, tmp_path: Path) -> None:
     bare = tmp_path / "bare"
     shutil.copytree(changed, bare)
     (bare / "classifiers.json").unlink()

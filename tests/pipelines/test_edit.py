@@ -85,9 +85,7 @@ def edit(
 class TestNames:
     """Names, kinds and properties: at once, and nothing else changes."""
 
-    def test_they_are_in_the_map_and_taken_back_it_is_as_before(
-        self, built: Built, own: Path
-    ) -> None:
+    def test_they_are_in_the_map_and_can_be_taken_back(self, built: Built, own: Path) -> None:
         room = built.rooms[0]
         (own / "notes.txt").write_text("mine", encoding="utf-8")
         (own / "keyframes.mcap").unlink()  # nothing needs them
@@ -173,9 +171,7 @@ class TestNames:
 class TestBorders:
     """Merges and splits: grids, classifiers, regions and links are new, the layout is not."""
 
-    def test_a_split_then_a_merge_then_neither(
-        self, built: Built, own: Path, tmp_path: Path
-    ) -> None:
+    def test_a_split_a_merge_then_neither(self, built: Built, own: Path, tmp_path: Path) -> None:
         room, corridor, before = built.rooms[0], built.corridor, read_map(built.map)
         new = before.topology.next_id
         edit_json(own / "run.json", versions__specmap="0.0.1")
@@ -242,9 +238,7 @@ class TestBorders:
         notes.note.assert_not_called()
         assert files_in(built.map) == before
 
-    def test_a_keyframe_in_no_submap_leaves_borders_as_they_are(
-        self, built: Built, own: Path
-    ) -> None:
+    def test_a_keyframe_in_no_submap_keeps_borders(self, built: Built, own: Path) -> None:
         """It was a traceback: such a map may be read, but not be divided anew."""
         forget_digests(own)
         labels = own / "labels.csv"
@@ -270,9 +264,7 @@ class TestBorders:
 
 
 class TestForbiddenDoors:
-    def test_the_link_and_its_doors_are_marked_in_exports_too(
-        self, built: Built, tmp_path: Path
-    ) -> None:
+    def test_link_and_doors_are_marked_everywhere(self, built: Built, tmp_path: Path) -> None:
         room, other = built.rooms[:2]
         pair = tuple(sorted((room, built.corridor)))
         requested = RequestedEdits(changes=({"forbid": [room, built.corridor]},))
@@ -304,9 +296,7 @@ class TestForbiddenDoors:
         near = edit(own, {"forbid": pair, "at": [x + 0.2, y]})
         assert near.forbidden == ((min(pair), max(pair)),)
 
-    def test_the_way_leads_through_another_door_until_it_is_allowed_again(
-        self, result: MapResult, tmp_path: Path
-    ) -> None:
+    def test_the_way_takes_another_door_meanwhile(self, result: MapResult, tmp_path: Path) -> None:
         """Two rooms side by side, with two doors."""
         whole = two_rooms((5.3, 4.4, 5.5, 5.3), (5.3, 1.5, 5.5, 2.2)).grid
         poses = result.labels.poses.copy()
@@ -334,9 +324,7 @@ class TestForbiddenDoors:
         edit(tmp_path, undo=(1,))
         assert bytes_of(tmp_path, "topology.json") == text
 
-    def test_it_holds_when_the_split_that_made_its_submap_is_undone(
-        self, built: Built, own: Path
-    ) -> None:
+    def test_it_holds_when_the_split_before_is_undone(self, built: Built, own: Path) -> None:
         edit(own, split(read_map(own), built.corridor))
         stored = read_map(own)
         new = stored.topology.next_id - 1
@@ -403,9 +391,7 @@ def test_edits_survive_another_recording(
     assert other in undone.names
 
 
-def test_a_merged_map_has_the_edits_of_both(
-    built: Built, edited: EditReport, tmp_path: Path
-) -> None:
+def test_a_merged_map_has_both_edits(built: Built, edited: EditReport, tmp_path: Path) -> None:
     second = built.again.stored
     (link,) = (edge for edge in second.record.edges if edge.target == max(second.ids))
     wish = {"forbid": [link.source, link.target], "at": [link.x, link.y]}
@@ -419,9 +405,7 @@ def test_a_merged_map_has_the_edits_of_both(
     assert read_map(built.map).topology.next_id in both.ids, "the corridor is divided"
 
 
-def test_borders_moved_in_a_later_map_are_moved_in_the_merged_one(
-    built: Built, own: Path, tmp_path: Path
-) -> None:
+def test_borders_of_a_later_map_move_in_both(built: Built, own: Path, tmp_path: Path) -> None:
     """Though the first map divides the same place in its own way; and they can be undone there."""
     second = read_map(shutil.copytree(built.again.map, tmp_path / "second"))
     corridor = corridor_of(second)

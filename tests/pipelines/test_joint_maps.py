@@ -175,9 +175,7 @@ def test_where_a_part_lies_by_a_guess_nothing_is_divided_anew(whole: GridMap) ->
     assert map_.next_id == 9
 
 
-def test_where_recordings_lie_apart_a_room_that_nobody_entered_stays_nobodys(
-    whole: GridMap,
-) -> None:
+def test_where_recordings_lie_apart_a_room_nobody_entered_is_nobodys(whole: GridMap) -> None:
     joint = replace(laid_out(way(1.0, 7.0), np.zeros(60, dtype=np.int64), (40,)), drawn=whole)
     beyond = np.s_[2:42, 83:123]  # the last room
     for starts, seen_only in (((), False), ((40,), True)):

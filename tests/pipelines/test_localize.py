@@ -58,9 +58,7 @@ def labelled(submaps: Sequence[int | None], poses: Sequence[Pose2 | None]) -> Lo
     return LocalizationReport(log="made.mcap", scans=tuple(scans), warnings=("a warning",))
 
 
-def test_the_map_s_own_log_is_found_where_it_was_taken(
-    flat_map: Map, metric: LocalizationReport
-) -> None:
+def test_its_own_log_is_found_in_place(flat_map: Map, metric: LocalizationReport) -> None:
     """Labels of keyframes are the map's, and poses within submaps meet those of the map."""
     rows = {stamp: k for k, stamp in enumerate(flat_map.labels.stamps_ns.tolist())}
     right, off = [], []
@@ -230,9 +228,7 @@ class TestReport:
             seen = {fill: (image == vivid(fill)).all(axis=-1).sum() for fill in fills.values()}
             assert max(seen, key=seen.__getitem__) == fills[id_]
 
-    def test_the_table_and_the_picture_are_written_together(
-        self, flat_map: Map, tmp_path: Path
-    ) -> None:
+    def test_table_and_picture_come_together(self, flat_map: Map, tmp_path: Path) -> None:
         """When the second one cannot be written there is no first one, and nothing half-written."""
         report = labelled([0] * 20, [None] * 20)
         (tmp_path / "pictures").mkdir()

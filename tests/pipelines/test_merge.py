@@ -78,9 +78,7 @@ def both(parts: Parts, tmp_path_factory: pytest.TempPathFactory) -> MergeReport:
     return merge_maps([parts.third_closed, parts.first_closed], out, QUICK)
 
 
-def test_maps_that_meet_become_one_and_names_and_ids_can_be_followed(
-    parts: Parts, both: MergeReport
-) -> None:
+def test_maps_that_meet_become_one_with_names_and_ids(parts: Parts, both: MergeReport) -> None:
     merged = read_map(both.out)
     assert both.parts == (("first", "third"),) or both.parts == (("third", "first"),)
     scans = sum(parts.logs[name].scans for name in ("third", "first"))
@@ -105,9 +103,7 @@ def test_maps_that_meet_become_one_and_names_and_ids_can_be_followed(
         assert set(both.ids[name].values()) <= set(merged.ids)
 
 
-def test_neither_their_order_nor_where_they_are_aligned_matters(
-    parts: Parts, both: MergeReport, tmp_path: Path
-) -> None:
+def test_order_and_place_do_not_matter(parts: Parts, both: MergeReport, tmp_path: Path) -> None:
     def elsewhere(
         align: Callable[[PairOfMaps], Alignment], pairs: Sequence[PairOfMaps]
     ) -> Iterable[Alignment]:
@@ -142,9 +138,7 @@ def test_what_cannot_be_merged(parts: Parts, both: MergeReport, tmp_path: Path) 
     assert not (tmp_path / "map").exists()
 
 
-def test_a_fresh_map_takes_frame_ids_and_names_of_another(
-    parts: Parts, both: MergeReport, tmp_path: Path
-) -> None:
+def test_a_fresh_map_takes_ids_and_names(parts: Parts, both: MergeReport, tmp_path: Path) -> None:
     like = read_map(both.out)
     log = parts.logs["first"]
     report = build_like(log.log, like, tmp_path / "map", QUICK)

@@ -18,9 +18,7 @@ from specmap_cli.pipelines.edit import edit_map
 from tests.maps.conftest import edit
 
 
-def test_the_rooms_of_the_flat_are_found_with_the_settings_given(
-    plan: Path, tmp_path: Path
-) -> None:
+def test_rooms_of_the_flat_are_found_with_the_settings_given(plan: Path, tmp_path: Path) -> None:
     report = segment_map(str(plan), str(tmp_path / "rooms"))
     found = report.as_dict()
     assert found["out"] == str(tmp_path / "rooms")
@@ -54,9 +52,7 @@ def test_the_rooms_of_the_flat_are_found_with_the_settings_given(
     assert segment_map(plan, tmp_path / "whole", config).as_dict()["submaps"] == 1
 
 
-def test_a_fan_of_rays_through_a_window_is_no_room_and_is_told(
-    flat: GridMap, tmp_path: Path
-) -> None:
+def test_a_fan_of_rays_through_a_window_is_no_room(flat: GridMap, tmp_path: Path) -> None:
     cells = np.pad(flat.cells, ((0, 0), (0, 80)), constant_values=UNKNOWN)
     cells[69:73, 176:180] = FREE  # the window
     for column in range(180, 250):

@@ -44,9 +44,7 @@ def learned_from(stored: Map, config: Config) -> int:
     return len(learning.training_data_of_stored(stored, config).raw.keyframes)
 
 
-def test_a_map_keeps_what_it_learned_from_and_other_settings_or_no_file_learn_anew(
-    flat_map: Map, tmp_path: Path
-) -> None:
+def test_what_was_learned_from_is_kept_for_these_settings(flat_map: Map, tmp_path: Path) -> None:
     config = flat_map.config
     data = learning.training_data_of_stored(flat_map, config)
     for own in data.kinds:
@@ -114,9 +112,7 @@ BEFORE = labels(ROW, [0, 0, 0, 1, 1, 1])
     ],
     ids=["visited again", "a keyframe is gone", "moved as a whole", "bent", "two are one now"],
 )
-def test_scans_cast_in_a_grid_hold_while_the_submap_is_as_it_was(
-    left: list[int], now: Labels, cast: list[int]
-) -> None:
+def test_scans_cast_hold_while_submaps_do(left: list[int], now: Labels, cast: list[int]) -> None:
     data = TrainingData(samples(0, 5), samples(), samples(1), samples(0, 2, 3, 5))
     found = learning.valid_training_data(data, BEFORE, now, np.array(left), 0.05)
     assert found.cast.keyframes.tolist() == cast

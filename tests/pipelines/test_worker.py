@@ -100,9 +100,7 @@ class TestChild:
                 np.testing.assert_array_equal(array, original)
 
     @pytest.mark.parametrize("count", [3, 10**9], ids=["at the end", "early"])
-    def test_they_are_made_in_one_other_process_that_is_gone_when_they_are_left(
-        self, count: int
-    ) -> None:
+    def test_they_are_made_in_one_process_that_is_gone_when_they_are_left(self, count: int) -> None:
         with ahead(lambda: pids(count)) as items:
             (maker,) = {maker for maker, _ in zip(items, range(3), strict=False)}
         assert maker != os.getpid()

@@ -25,9 +25,7 @@ def found(flat_map: Map) -> Evidence:
     return evidence_of(flat_map, Silent())
 
 
-def test_scans_fit_the_walls_that_they_made_and_every_submap_is_told_and_likened_to_others(
-    found: Evidence, flat_map: Map
-) -> None:
+def test_scans_fit_their_walls_and_submaps_are_likened(found: Evidence, flat_map: Map) -> None:
     assert found.fit is not None
     assert len(found.fit) == len(flat_map.labels.stamps_ns)
     assert np.nanmedian(found.fit) > 0.9
@@ -43,9 +41,7 @@ def test_scans_fit_the_walls_that_they_made_and_every_submap_is_told_and_likened
         assert sum(share for _, share in learned.features) <= 1.0 + 1e-9
 
 
-def test_the_tests_are_those_of_the_build(
-    found: Evidence, flat_map: Map, flat_built: Explained
-) -> None:
+def test_tests_are_the_build_s(found: Evidence, flat_map: Map, flat_built: Explained) -> None:
     assert len(found.tests) == len(list(flat_built.pictures.iterdir()))
     assert any(one.split for one in found.tests)
     grid = flat_map.map_grid

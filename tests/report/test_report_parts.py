@@ -104,9 +104,7 @@ def bgr(css: str) -> Colour:
 
 
 @pytest.mark.parametrize("which", ["day", "night"])
-def test_words_and_lines_are_legible_and_what_was_only_seen_is_told_from_the_rest(
-    which: str,
-) -> None:
+def test_words_and_lines_are_legible_and_what_was_only_seen_differs(which: str) -> None:
     colours = {name: bgr(getattr(tone, which)) for name, tone in tones(FILLS).items()}
     for name, colour in colours.items():
         if name.startswith("fill"):
