@@ -347,18 +347,16 @@ def test_in_a_browser_the_page_is_searched_and_sorted(tmp_path: Path) -> None:
     file.write_text(page(slow, result("lobby"), failed("lab")), encoding="utf-8")
     program = installed()
     assert program is not None
-    names = (
-        "[...document.querySelectorAll('#jobs tbody tr:not([hidden])')].map(r => r.dataset.name)"
-    )
+    rows = "[...document.querySelectorAll('#jobs tbody tr:not([hidden])')].map(r => r.dataset.name)"
     with Browser(program) as browser:
         browser.open(file)
         browser.run(
             "const s = document.querySelector('#sought'); s.value = 'L';"
             "s.dispatchEvent(new Event('input'))"
         )
-        assert browser.run(names) == ["lab", "lobby"]
+        assert browser.run(rows) == ["lab", "lobby"]
         browser.run("s.value = ''; s.dispatchEvent(new Event('input'))")
         browser.run("document.querySelectorAll('#jobs thead button')[7].click()")
-        assert browser.run(names) == ["lab", "lobby", "corridor"]
+        assert browser.run(rows) == ["lab", "lobby", "corridor"]
         missing = "ERR_FILE_NOT_FOUND"  # the pictures of these jobs
         assert [error for error in browser.errors if missing not in error] == []

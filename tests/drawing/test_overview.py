@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import tracemalloc
+from dataclasses import replace
 from unittest.mock import Mock
 
 import numpy as np
@@ -38,10 +38,8 @@ UNLABELLED = Labels(stamps_ns=NOWHERE.stamps_ns, poses=NOWHERE.poses, submaps=NO
 ROOM, REGIONS = one_room((80, 120))
 
 
-def drawn(result: MapResult) -> Image:
-    return render_overview(
-        result.topology, result.regions, result.trajectory, result.labels, result.logs
-    )
+def drawn(made: MapResult) -> Image:
+    return render_overview(made.topology, made.regions, made.trajectory, made.labels, made.logs)
 
 
 def driven(way: FloatArray, *findings: Finding) -> Image:
@@ -147,7 +145,7 @@ def test_what_was_only_seen_is_explained_when_it_is_worth_a_word(cells: int, sai
     for image in (overview, plan):
         assert (near(image[TITLE + 1800 + 30 :], palette.SEEN) > 500) is said
         assert (near(image[TITLE : TITLE + 1800], palette.SEEN) > 500) is (cells > 0)
-    untold = render_segmentation(topology, dataclasses.replace(regions, seen=()), log)
+    untold = render_segmentation(topology, replace(regions, seen=()), log)
     assert (untold[:TITLE] != plan[:TITLE]).any() is np.bool_(said)
 
 
@@ -170,9 +168,9 @@ def test_a_link_leads_through_its_crossing_or_along_its_way_and_its_door_is_draw
         render_segmentation(each, regions, LogInfo("plan"))
         for each in (
             bare,
-            dataclasses.replace(bare, edges={(0, 1): crossed}),
-            dataclasses.replace(bare, edges={(0, 1): way}, doors=(door,)),
-            dataclasses.replace(bare, doors=(dataclasses.replace(door, x=2.0, width_m=0.2),)),
+            replace(bare, edges={(0, 1): crossed}),
+            replace(bare, edges={(0, 1): way}, doors=(door,)),
+            replace(bare, doors=(replace(door, x=2.0, width_m=0.2),)),
         )
     )
     for image, place, colour in (
@@ -221,12 +219,10 @@ def test_the_end_of_the_way_hides_no_number(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_a_doubtful_place_is_marked_and_the_title_says_why() -> None:
     place = (2.0, 3.0)
-    said = Finding(
-        code="walls-disagree", severity="poor", message="bent", where=Where(None, *place)
-    )
+    bent = Finding(code="walls-disagree", severity="poor", message="", where=Where(None, *place))
     aside = Finding(code="input", severity="note", message="odd", where=Where(None, 4.0, 3.0))
     way = np.linspace((1.0, 1.0), (5.0, 1.0), 60)
-    good, poor = driven(way, aside), driven(way, aside, said)
+    good, poor = driven(way, aside), driven(way, aside, bent)
     assert near(around(poor, places_on(REGIONS, [place])[0], 20), palette.WRONG) > 50
     assert near(good[: TITLE + 1200], palette.WRONG) == 0
     assert (good[:TITLE] != poor[:TITLE]).any()

@@ -45,10 +45,8 @@ def test_a_door_is_a_passage_between_jambs_with_dots_where_it_was_only_seen(driv
     left, right, top, bottom = bounds(of_colour(canvas.image, palette.DOOR, 60))
     assert (left, right, top, bottom) == pytest.approx((27, 93, 68, 92), abs=1.5)
     for jamb in (30, 90):
-        for along in (73, 87):
-            assert pixel(canvas.image, np.array([jamb, along])) == pytest.approx(
-                palette.DOOR, abs=8
-            )
+        for y in (73, 87):
+            assert pixel(canvas.image, np.array([jamb, y])) == pytest.approx(palette.DOOR, abs=8)
     between = of_colour(canvas.image, palette.DOOR, 60)[80, 36:85]
     assert 0.1 < between.mean() < 0.6 if not driven else not between.any()
     assert near(canvas.image[78:83, 36:85], palette.PAPER) > 60

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -45,9 +45,9 @@ def with_submaps(out: Path, result: MapResult, *changes: dict[str, Any]) -> Map:
     old = result.topology
     submaps = dict(old.submaps)
     for id_, fields in enumerate(changes):
-        submaps[id_] = dataclasses.replace(submaps[id_], **fields)
-    topology = dataclasses.replace(old, submaps=submaps)
-    return written(out, dataclasses.replace(result, topology=topology))
+        submaps[id_] = replace(submaps[id_], **fields)
+    topology = replace(old, submaps=submaps)
+    return written(out, replace(result, topology=topology))
 
 
 def lengths_are_the_map_s(
@@ -71,7 +71,7 @@ def stored(tmp_path: Path, result: MapResult) -> Map:
 def lived_in(result: MapResult) -> MapResult:
     """The house with an anchor in each submap, two ways, a link too narrow and a forbidden one."""
     door = Door(id=0, x=-3.0, y=1.25, width_m=0.9, theta=np.pi / 2, between=(0, 1))
-    doors = (door, dataclasses.replace(door, id=1, x=3.0, width_m=0.8, between=(0, 2)))
+    doors = (door, replace(door, id=1, x=3.0, width_m=0.8, between=(0, 2)))
     ways = {
         (0, 1): (np.array([[0.0, 0.5], [-3.0, 1.0], [-3.0, 3.5]]), 0.4),
         (0, 2): (np.array([[0.0, 0.5], [3.0, 1.25], [3.0, 3.0]]), 0.3),
@@ -79,7 +79,7 @@ def lived_in(result: MapResult) -> MapResult:
     old = result.topology
     edges = dict(old.edges)
     for (pair, (path, clearance)), through in zip(ways.items(), doors, strict=True):
-        edges[pair] = dataclasses.replace(
+        edges[pair] = replace(
             edges[pair],
             path=path,
             doors=(through.id,),
@@ -90,13 +90,11 @@ def lived_in(result: MapResult) -> MapResult:
     edges[1, 2] = Edge(source=1, target=2, kind="seen", clearance_m=0.1)
     anchors = {0: (0.0, 0.5), 1: (-3.0, 3.5), 2: (3.0, 3.0)}
     submaps = {
-        id_: dataclasses.replace(submap, anchor=anchors[id_], anchor_clearance_m=0.8)
+        id_: replace(submap, anchor=anchors[id_], anchor_clearance_m=0.8)
         for id_, submap in old.submaps.items()
     }
-    topology = dataclasses.replace(
-        old, submaps=submaps, edges=edges, doors=doors, robot_radius_m=0.2
-    )
-    return dataclasses.replace(result, topology=topology, pose_graph=POSE_GRAPH)
+    topology = replace(old, submaps=submaps, edges=edges, doors=doors, robot_radius_m=0.2)
+    return replace(result, topology=topology, pose_graph=POSE_GRAPH)
 
 
 @pytest.fixture

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -53,9 +53,8 @@ def test_names_that_come_twice_are_told_apart(lived_in: MapResult, tmp_path: Pat
     stored = with_submaps(tmp_path / "map", lived_in, *[{"name": "Lab"}] * 3)
     export_map(stored, "rmf", tmp_path / "x.zip")
     graph = open_rmf.graph_of(open_rmf.parts(tmp_path / "x.zip")[1])
-    assert {name for _, name in graph.nodes(data="name") if name} == {
-        "Lab (0)", "Lab (1)", "Lab (2)"
-    }  # fmt: skip
+    names = {name for _, name in graph.nodes(data="name") if name}
+    assert names == {"Lab (0)", "Lab (1)", "Lab (2)"}
 
 
 def test_a_layout_has_rooms_and_ways_as_long(home: Map, rooms: Map, tmp_path: Path) -> None:
@@ -66,9 +65,8 @@ def test_a_layout_has_rooms_and_ways_as_long(home: Map, rooms: Map, tmp_path: Pa
         stations = graph.graph["stations"]
         names = {room.id: f"Submap{room.id}" for room in stored.rooms.values() if room.anchor}
         assert stations.keys() == set(names.values())
-        assert {one["stationName"] for one in stations.values()} == {
-            room.name for room in stored.rooms.values()
-        }
+        shown = {one["stationName"] for one in stations.values()}
+        assert shown == {room.name for room in stored.rooms.values()}
         lengths_are_the_map_s(graph, stored, names, "length_m")
         assert {speed for _, _, speed in graph.edges(data="max_speed")} == {None}
 
@@ -83,16 +81,14 @@ def test_each_planner_finds_speed_limits_and_penalties(lived_in: MapResult, tmp_
     export_map(stored, "rmf", tmp_path / "rmf.zip")
     graph = load(files["nav2"])
     door = next(node for node, of in graph.nodes(data="metadata") if of.get("door") == 0)
-    assert [graph.nodes[door]["metadata"]["class"], graph.edges[door, 1]["metadata"]["class"]] == [
-        "door", "traversed"
-    ]  # fmt: skip
+    beyond = graph.edges[door, 1]["metadata"]
+    assert (graph.nodes[door]["metadata"]["class"], beyond["class"]) == ("door", "traversed")
     path = nx.shortest_path(graph, 0, door)
     inside = [graph.edges[pair]["metadata"] for pair in pairwise(path)]
     assert len(inside) == 2, "a bend lies between"
     for metadata in inside:
         assert (metadata["speed_limit"], type(metadata["speed_limit"])) == (1.0, float)
     assert sum(metadata["penalty"] for metadata in inside) == pytest.approx(3.0)
-    beyond = graph.edges[door, 1]["metadata"]
     assert not {"speed_limit", "penalty"} & beyond.keys()
     speeds = {(a, b): speed for a, b, speed in layout.load(files["lif"]).edges(data="max_speed")}
     to_bend = next(speed for (a, b), speed in speeds.items() if a == "Submap0" and "Bend" in b)
@@ -147,11 +143,11 @@ def test_a_forbidden_link_and_a_forbidden_door_are_shut(rooms: Map, tmp_path: Pa
     record, regions = rooms.record, rooms.regions
     link, door = record.edges[0], record.graph.doors[-1]
     assert door.id not in link.doors
-    doors = (*record.graph.doors[:-1], dataclasses.replace(door, forbidden=True))
+    doors = (*record.graph.doors[:-1], replace(door, forbidden=True))
     graph = record.graph.model_copy(update={"doors": doors})
-    edges = (dataclasses.replace(link, forbidden=True), *record.edges[1:])
+    edges = (replace(link, forbidden=True), *record.edges[1:])
     changed = record.model_copy(update={"graph": graph, "edges": edges})
-    export_map(dataclasses.replace(rooms, record=changed), "nav2-masks", tmp_path / "masks.zip")
+    export_map(replace(rooms, record=changed), "nav2-masks", tmp_path / "masks.zip")
     shut = costmap_filters.load(tmp_path / "masks.zip").shut
     for place in (*door.sides, (door.x, door.y)):
         assert shut[tuple(regions.grid.cells_of(np.array([place]))[0])]

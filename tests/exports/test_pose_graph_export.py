@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 
 def with_graph(directory: Path, result: MapResult, text: str) -> Map:
-    return written(directory, dataclasses.replace(result, pose_graph=text))
+    return written(directory, replace(result, pose_graph=text))
 
 
 def test_fixed_vertices_stand_last_one_a_part(lived_in: MapResult, tmp_path: Path) -> None:

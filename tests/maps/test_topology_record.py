@@ -83,10 +83,8 @@ def test_there_and_back(
     frame: Pose2, transform: Pose2, crossings: list[tuple[int, Pose2]], start: int, end: int
 ) -> None:
     """But for what six decimals of metres and whole microseconds take."""
-    traversals = tuple(Traversal(stamp, 3, 7, *pose) for stamp, pose in crossings)
-    edge = Edge(
-        source=3, target=7, kind="traversed", traversals=traversals, source_from_target=transform
-    )
+    ways = tuple(Traversal(stamp, 3, 7, *pose) for stamp, pose in crossings)
+    edge = Edge(source=3, target=7, kind="traversed", traversals=ways, source_from_target=transform)
     visited = replace(submap(3, frame, tuple(range(30, 40))), visits=(Visit(start, end),))
     written = TopologicalMap(submaps={3: visited, 7: submap(7)}, edges={(3, 7): edge})
     read = back(record_of(written))

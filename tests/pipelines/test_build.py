@@ -237,11 +237,9 @@ def test_constraints_hold_between_the_nearest_keyframes_of_regions(flat_done: Fi
     nodes = chosen_nodes(store.poses, ())
     for pair, constraint in constraints_of(closures, regions, store, nodes).items():
         nearest = of_all[pair]
-        for node, keyframe in (
-            (constraint.source, nearest.source),
-            (constraint.target, nearest.target),
-        ):
-            assert node == max(number for number in nodes.tolist() if number <= keyframe)
+        for end in ("source", "target"):
+            before = [number for number in nodes.tolist() if number <= getattr(nearest, end)]
+            assert getattr(constraint, end) == max(before)
         moved = store.pose(constraint.source) @ constraint.source_from_target
         stays = store.pose(nearest.source) @ nearest.source_from_target
         there = store.pose(constraint.target).inverse() @ store.pose(nearest.target)
@@ -251,9 +249,8 @@ def test_constraints_hold_between_the_nearest_keyframes_of_regions(flat_done: Fi
         assert constraint.source in regions[old]
         assert constraint.target in regions[new]
         assert math.hypot(*constraint.source_from_target[:2]) < 1.0  # merged: the tracks overlap
-        np.testing.assert_allclose(
-            np.diag(constraint.information), [625.0, 625.0, 0.0087**-2], rtol=1e-12
-        )
+        found = np.diag(constraint.information)
+        np.testing.assert_allclose(found, [625.0, 625.0, 0.0087**-2], rtol=1e-12)
 
 
 class TestBuildMap:

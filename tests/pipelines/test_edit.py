@@ -376,9 +376,8 @@ def test_edits_survive_another_recording(
     submap = stored.topology.submaps[room]
     assert (submap.name, submap.kind, dict(submap.properties)) == ("Küche", "hall", {"floor": 2})
     assert set(stored.ids) == set(old.ids)
-    assert {pair for pair, edge in stored.topology.edges.items() if edge.forbidden} >= set(
-        edited.forbidden
-    )
+    forbidden = {pair for pair, edge in stored.topology.edges.items() if edge.forbidden}
+    assert forbidden >= set(edited.forbidden)
     kept = (tmp_path / "new" / "edits.toml").read_text(encoding="utf-8")
     assert kept.startswith("# by Ann\n")
     assert "'Attic'" in kept
@@ -429,9 +428,8 @@ def test_borders_of_a_later_map_move_in_both(built: Built, own: Path, tmp_path: 
     assert near == plain.ids["second"][corridor]
     assert plain.ids["second"][room] not in both.ids, "it is a part of the corridor now"
     places = both.map_grid.centres_of(np.argwhere(both.regions.owner == far))
-    motion = nearest_motion(
-        edited.labels.poses[:, :2], both.labels.poses[-len(edited.labels.poses) :, :2]
-    )
+    track = edited.labels.poses[:, :2]
+    motion = nearest_motion(track, both.labels.poses[-len(track) :, :2])
     assert (edited.regions.owners(motion.inverse().apply(places)) == new).mean() > 0.8
     undone = edit(both, undo=(1, 2), out=tmp_path / "undone")
     assert sorted(undone.names) == read_map(tmp_path / "plain").ids

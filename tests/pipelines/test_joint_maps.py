@@ -33,9 +33,7 @@ def laid_out(
     """A map of one recording as far as it is laid out."""
     count = len(poses)
     stamps = np.arange(count, dtype=np.int64)
-    log = LogInfo(
-        name="new.mcap", start_ns=0, end_ns=count - 1, scans=count, keyframes=(0, count - 1)
-    )
+    log = LogInfo("new.mcap", start_ns=0, end_ns=count - 1, scans=count, keyframes=(0, count - 1))
     return LaidOut(
         layout=Layout(poses=poses, nodes=np.arange(count), loose=loose),
         labels=Labels(stamps_ns=stamps, poses=poses, submaps=submaps),
@@ -108,9 +106,8 @@ def test_what_says_nothing_of_the_joint_map_is_told() -> None:
     )
     earlier = {11: SubmapEdit(name="Lobby", properties={"floor": 2})}
     found = both(new, [11, 12, 13, 14], submaps=earlier)
-    assert found.edits.submaps == {
-        11: SubmapEdit(name="Lobby", kind="hall", properties={"floor": 2})
-    }
+    joined = SubmapEdit(name="Lobby", kind="hall", properties={"floor": 2})
+    assert found.edits.submaps == {11: joined}
     assert found.lost == (
         "in the map of new.mcap: merge 7 into 0: there is no submap 7",
         "in the map of new.mcap: forbid the way between 7 and 1: there is no submap 7",

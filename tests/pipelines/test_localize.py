@@ -211,9 +211,8 @@ class TestReport:
         picture = cv2.imread(str(tmp_path / "track.png"))
         assert picture is not None
         assert colours_in(picture) > 3
-        some = labelled(
-            [0] * 20 + [None] * 20, [Pose2(0.0, 0.1 * k, 1.0) for k in range(20)] + [None] * 20
-        )
+        known = [Pose2(0.0, 0.1 * k, 1.0) for k in range(20)]
+        some = labelled([0] * 20 + [None] * 20, [*known, *[None] * 20])
         places = localize._tracked(some.scans)
         assert np.isfinite(places).all()
         motion = Pose2(1.9, 0.0, 0.0).inverse() @ Pose2(3.9, 0.0, 0.0)

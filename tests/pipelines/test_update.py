@@ -121,9 +121,9 @@ def test_old_stays_and_closures_stay_and_loops_close_between_the_logs(kept: Kept
     count, first_new = len(kept.old.topology.closures), kept.first_new
     assert kept.new.topology.closures[:count] == kept.old.topology.closures
     joined = [
-        closure
-        for closure in kept.new.topology.closures
-        if stays[closure.old].keyframes[0] < first_new <= stays[closure.new].keyframes[0]
+        each
+        for each in kept.new.topology.closures
+        if stays[each.old].keyframes[0] < first_new <= stays[each.new].keyframes[0]
     ]
     assert len(joined) >= 2
     assert all(closure.merged and closure.old_from_new is not None for closure in joined)
@@ -168,9 +168,8 @@ def test_with_a_setting_every_keyframe_stays(kept: Kept, tmp_path: Path) -> None
     assert whole.as_dict()["keyframes_dropped"] == 0
     assert not any("dropped" in line for line in whole.lines())
     assert stored.labels.submaps[:count].tolist() == kept.old.labels.submaps.tolist()
-    assert whole.run["counts"]["path_m"] == pytest.approx(
-        kept.report.run["counts"]["path_m"], abs=0.1
-    )
+    path_m = kept.report.run["counts"]["path_m"]
+    assert whole.run["counts"]["path_m"] == pytest.approx(path_m, abs=0.1)
     apart = np.abs(stored.labels.poses[kept.left] - kept.new.labels.poses[: kept.first_new])
     assert apart.max() < 1e-6  # fewer keyframes, the same layout
 
@@ -198,9 +197,8 @@ def test_both_logs_are_in_the_map_and_nobody_drove_from_one_to_the_next(kept: Ke
     assert all(edge.kind == "traversed" for edge in kept.new.record.edges)
     starts = [visit.start_ns for node in kept.new.record.nodes for visit in node.visits]
     assert sum(abs(start - first_new_ns) < 1e4 for start in starts) >= 1
-    assert kept.report.run["counts"]["path_m"] == pytest.approx(
-        kept.old.run["counts"]["path_m"] + 35.0, abs=8.0
-    )
+    path_m = kept.old.run["counts"]["path_m"] + 35.0
+    assert kept.report.run["counts"]["path_m"] == pytest.approx(path_m, abs=8.0)
 
 
 def test_the_joint_layout_is_as_good_as_either(kept: Kept, tmp_path: Path) -> None:
