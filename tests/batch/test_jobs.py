@@ -79,13 +79,6 @@ def test_a_directory_gives_every_recording_below_it_once(lay: Lay) -> None:
     }
 
 
-def test_no_folder_of_a_job_stands_where_the_batch_writes(lay: Lay) -> None:
-    beside = {"events.jsonl", *SUMMARIES}
-    assert beside == jobs.BESIDE_JOBS
-    where = lay(*(f"{name}.mcap" for name in beside))
-    assert beside.isdisjoint(names(jobs_of([str(where)])))
-
-
 def test_a_pattern_gives_what_matches(lay: Lay) -> None:
     where = lay("may/1/run.mcap", "may/2/run.mcap", "june/run.mcap")
     assert names(jobs_of([f"{where}/may/*/run.mcap"])) == ["1-run", "2-run"]
@@ -96,7 +89,7 @@ def test_a_pattern_gives_what_matches(lay: Lay) -> None:
             jobs_of([str(where / place)])
 
 
-def test_names_are_safe_and_stay_when_other_logs_come(lay: Lay) -> None:
+def test_names_are_safe_none_of_the_batch_s_and_stay_when_other_logs_come(lay: Lay) -> None:
     where = lay("x/run one.mcap", "y/run one.mcap", "y/Run_One.bag")
     several = [str(where / "x" / "run one.mcap"), str(where / "y")]
     assert names(jobs_of([str(where / "y" / "run one.mcap")])) == ["run_one"]
@@ -106,6 +99,10 @@ def test_names_are_safe_and_stay_when_other_logs_come(lay: Lay) -> None:
     assert third.startswith("run_one-")
     assert second[-8:] != third[-8:]
     assert [first, second, third] == names(jobs_of(several))
+    beside = {"events.jsonl", *SUMMARIES}
+    assert beside == jobs.BESIDE_JOBS
+    lay(*(f"z/{name}.mcap" for name in beside))
+    assert beside.isdisjoint(names(jobs_of([str(where / "z")])))
 
 
 def test_a_log_is_a_job_called_as_it_with_the_default_steps_or_those_asked_for(lay: Lay) -> None:
@@ -283,16 +280,13 @@ def test_parquet_says_the_same_with_types(rows: list[Row]) -> None:
     assert str(table.schema.field("lost_share").type) == "double"
 
 
-def test_markdown_names_what_failed_and_what_is_doubtful(rows: list[Row]) -> None:
+def test_markdown_names_what_failed_what_is_doubtful_and_warnings(rows: list[Row]) -> None:
     text = as_markdown(rows).decode()
     assert text.startswith("### 2 of 4 jobs done, 1 failed, 1 waiting\n")
     assert "- 910 scans over 46 m in 54 s of work\n- maps: 1 good, 1 poor\n" in text
     assert '| b | log | no scans \\| in "b"\\\\x1b, \\<none\\> | 1 |' in text
     assert "| c | poor | 0.64 |  |" in text
     assert "\n| d |" not in text, "a job that waits took no time"
-
-
-def test_markdown_of_many_failures_is_short_and_tells_of_warnings_once() -> None:
     text = as_markdown(rows_for(*(failed(f"{k:03}") for k in range(100)))).decode()
     assert "... and 80 more: see summary.csv" in text
     assert text.count("holds no scans") == 20

@@ -246,11 +246,18 @@ def test_what_was_measured_in_motion_keeps_the_bearings_of_the_laser(full_circle
     assert np.isfinite(first.ranges).all() or not full_circle
 
 
-def test_no_reading_is_made_up_where_there_is_none() -> None:
+def test_no_reading_is_made_up_in_a_hole_of_a_single_beam_or_of_none() -> None:
     hole = np.concatenate([np.linspace(-1.0, -0.5, 50), np.linspace(0.5, 1.0, 50)])
     beams = seen_along(hole, np.ones(100))
     assert np.isnan(beams.ranges[np.abs(bearings_of(beams)) < 0.45]).all()
     assert np.isnan(beams.ranges).mean() == pytest.approx(0.5, abs=0.03)
+    beams = seen_along(np.array([0.3]), np.array([2.0]))
+    assert (beams.angle_min, beams.increment) == (float(np.float32(0.3)), 0.0)
+    assert beams.ranges.tolist() == [2.0]
+    bearings = np.linspace(-math.pi, math.pi, 90, endpoint=False)
+    blind = seen_along(bearings, np.full(90, np.nan)).ranges
+    assert len(blind) == 1
+    assert np.isnan(blind).all()
 
 
 @pytest.mark.parametrize("blind", [(150, 250), (0, 60), (340, 400), (380, 20), (7, 8), (7, 7)])
@@ -264,13 +271,3 @@ def test_a_circle_goes_without_its_blind_part(blind: tuple[int, int]) -> None:
     assert len(beams.ranges) == 400 - max(len(run), 2)
     places = np.round((bearings_of(beams) + math.pi) / (CIRCLE / 400) - 0.5).astype(int) % 400
     assert (beams.ranges == places).all(), "each reading at its bearing"
-
-
-def test_a_single_beam_and_a_circle_that_saw_nothing() -> None:
-    beams = seen_along(np.array([0.3]), np.array([2.0]))
-    assert (beams.angle_min, beams.increment) == (float(np.float32(0.3)), 0.0)
-    assert beams.ranges.tolist() == [2.0]
-    bearings = np.linspace(-math.pi, math.pi, 90, endpoint=False)
-    blind = seen_along(bearings, np.full(90, np.nan)).ranges
-    assert len(blind) == 1
-    assert np.isnan(blind).all()

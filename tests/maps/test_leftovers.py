@@ -13,7 +13,7 @@ import shutil
 import signal
 import sys
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -60,6 +60,17 @@ def out(tmp_path: Path) -> Path:
     (tmp_path / "out").mkdir()
     fill(tmp_path / "out", "old")
     return tmp_path / "out"
+
+
+@contextlib.contextmanager
+def handled_by(handler: Any) -> Iterator[None]:
+    """What the process does when it is told to end, and what it did before."""
+    before = {number: signal.signal(number, handler) for number in SIGNALS}
+    try:
+        yield
+    finally:
+        for number, earlier in before.items():
+            signal.signal(number, earlier)
 
 
 def hidden(parent: Path) -> list[str]:
@@ -208,16 +219,12 @@ def test_a_signal_while_handlers_are_put_back_swallows_no_other(
     rename = os.rename
     monkeypatch.setattr(module, "exchanged", lambda *_: False)  # as on other systems
     monkeypatch.setattr(os, "rename", renamed)
-    before = {number: put(number, stop) for number in (first, other)}
-    try:
+    with handled_by(stop):
         with pytest.raises(SystemExit):
             write(out)
-        for number in before:
+        for number in (first, other):
             with contextlib.suppress(SystemExit):
                 os.kill(os.getpid(), number)
-    finally:
-        for number, handler in before.items():
-            put(number, handler)
     assert told == [other, first, first, other]
     assert words_of(out) == "new"
     assert hidden(out.parent) == []
@@ -254,9 +261,8 @@ def interrupted_at(event: int, out: Path) -> bool:
 
 
 def test_an_interruption_at_any_line_leaves_a_whole_map(tmp_path: Path, out: Path) -> None:
-    before = {number: signal.signal(number, signal.default_int_handler) for number in SIGNALS}
     event = 1
-    try:
+    with handled_by(signal.default_int_handler):
         while interrupted_at(event, out):
             if len(os.listdir(tmp_path)) > 1:
                 gc.collect()  # the object goes at the latest with the process
@@ -265,9 +271,6 @@ def test_an_interruption_at_any_line_leaves_a_whole_map(tmp_path: Path, out: Pat
             for number in SIGNALS:
                 assert signal.getsignal(number) is signal.default_int_handler, event
             event += 1
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
     assert event > 100
 
 

@@ -236,17 +236,6 @@ def test_a_topology_that_is_none(stored: Path, text: str) -> None:
         read_map(stored)
 
 
-def test_what_is_no_map(tmp_path: Path) -> None:
-    (tmp_path / "empty").mkdir()
-    (tmp_path / "file").write_text("")
-    for place, complaint in (
-        *(("gone", "no such map"), ("file", "is a file"), ("empty", "is empty")),
-        (".", "is not a map"),
-    ):
-        with pytest.raises(MapError, match=complaint):
-            read_map(tmp_path / place)
-
-
 @pytest.mark.parametrize(
     ("name", "field"),
     [

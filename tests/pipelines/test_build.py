@@ -253,42 +253,41 @@ def test_constraints_hold_between_the_nearest_keyframes_of_regions(flat_done: Fi
         np.testing.assert_allclose(found, [625.0, 625.0, 0.0087**-2], rtol=1e-12)
 
 
-class TestBuildMap:
-    def test_paths_may_be_text(self, flat_built: Explained) -> None:
-        report, out = flat_built.report, flat_built.pictures.parent / "map"
-        assert report.out == out
-        stored = read_map(str(out))
-        assert report.run["counts"]["submaps"] == len(stored.ids)
-        assert report.run["counts"] == stored.run["counts"]
-        assert stored.run["inputs"] == ["flat.mcap"]
-        stages = "registration segmentation recognition layout audit grids training ways"
-        assert sorted(stored.run["seconds"]) == sorted(stages.split())
-        assert all(value >= 0.0 for value in stored.run["seconds"].values())
-        assert report.as_dict()["out"] == str(out)
-        assert report.lines()[0].startswith(f"{out}: {len(stored.ids)} submaps, ")
-        assert report.lines()[1] == "quality: good"
-        assert report.as_dict()["quality"] == stored.run["quality"]
-        with stored.scans() as kept:  # all that a layout needs, without the log
-            assert len(kept) == report.run["counts"]["keyframes"]
-        assert report.run["counts"]["doors"] == len(stored.topology.doors) > 0
-        for edge in stored.topology.edges.values():
-            assert edge.path is not None
-            assert edge.path[[0, -1]].tolist() == [
-                list(stored.topology.submaps[id_].anchor or ())
-                for id_ in (edge.source, edge.target)
-            ]
-        told = stored.record.graph.quality
-        assert told is not None
-        assert told.as_dict() == stored.run["quality"]
+def test_what_a_build_tells_is_what_its_map_holds(flat_built: Explained) -> None:
+    report, out = flat_built.report, flat_built.pictures.parent / "map"
+    assert report.out == out
+    stored = read_map(str(out))
+    assert report.run["counts"]["submaps"] == len(stored.ids)
+    assert report.run["counts"] == stored.run["counts"]
+    assert stored.run["inputs"] == ["flat.mcap"]
+    stages = "registration segmentation recognition layout audit grids training ways"
+    assert sorted(stored.run["seconds"]) == sorted(stages.split())
+    assert all(value >= 0.0 for value in stored.run["seconds"].values())
+    assert report.as_dict()["out"] == str(out)
+    assert report.lines()[0].startswith(f"{out}: {len(stored.ids)} submaps, ")
+    assert report.lines()[1] == "quality: good"
+    assert report.as_dict()["quality"] == stored.run["quality"]
+    with stored.scans() as kept:  # all that a layout needs, without the log
+        assert len(kept) == report.run["counts"]["keyframes"]
+    assert report.run["counts"]["doors"] == len(stored.topology.doors) > 0
+    for edge in stored.topology.edges.values():
+        assert edge.path is not None
+        assert edge.path[[0, -1]].tolist() == [
+            list(stored.topology.submaps[id_].anchor or ()) for id_ in (edge.source, edge.target)
+        ]
+    told = stored.record.graph.quality
+    assert told is not None
+    assert told.as_dict() == stored.run["quality"]
 
-    def test_without_a_grid_is_none_and_edits_stay(self, tiny_log: Path, tmp_path: Path) -> None:
-        out, config = tmp_path / "map", load_config(overrides={"grid": {"max_area_m2": 0.01}})
-        with pytest.raises(NoResultError, match=r"grid\.max_extent_m"):
-            build_map(tiny_log, out, config)
-        assert list(tmp_path.iterdir()) == []
-        out.mkdir()
-        (out / "topology.json").write_text('{"schema_version": 2}', encoding="utf-8")
-        (out / "edits.toml").write_text('[submaps.0]\nname = "Kitchen"\n', encoding="utf-8")
-        with pytest.raises(UsageError, match=r"edits\.toml holds .* --like"):
-            build_map(tiny_log, out, overwrite=True)
-        assert (out / "edits.toml").exists()
+
+def test_without_a_grid_is_none_and_edits_stay(tiny_log: Path, tmp_path: Path) -> None:
+    out, config = tmp_path / "map", load_config(overrides={"grid": {"max_area_m2": 0.01}})
+    with pytest.raises(NoResultError, match=r"grid\.max_extent_m"):
+        build_map(tiny_log, out, config)
+    assert list(tmp_path.iterdir()) == []
+    out.mkdir()
+    (out / "topology.json").write_text('{"schema_version": 2}', encoding="utf-8")
+    (out / "edits.toml").write_text('[submaps.0]\nname = "Kitchen"\n', encoding="utf-8")
+    with pytest.raises(UsageError, match=r"edits\.toml holds .* --like"):
+        build_map(tiny_log, out, overwrite=True)
+    assert (out / "edits.toml").exists()

@@ -206,13 +206,6 @@ def test_the_area_of_a_map_is_that_of_the_free_cells_of_its_submaps(told: Compar
     assert compare.lines_of(told.record)[-1].endswith(words)
 
 
-def test_the_other_way_round_things_vanish(before: Path, changed: Path) -> None:
-    back = compare_maps(changed, before).differences
-    assert len(back.vanished) == 1
-    assert not back.appeared
-    assert (len(back.closed), len(back.opened)) == (1, 1)
-
-
 def test_two_recordings_of_one_building_are_alike(before: Path, second_tour: Mapped) -> None:
     """Of two lasers: one sees three quarters of the circle, the other all of it."""
     found = compare_maps(before, second_tour.map)

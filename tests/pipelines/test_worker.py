@@ -92,12 +92,16 @@ def test_another_thread_works_in_one_process() -> None:
 
 @pytest.mark.usefixtures("two_processors")
 class TestChild:
-    def test_the_items_come_in_order_and_as_they_were(self) -> None:
+    def test_the_items_come_in_order_and_as_they_were_and_the_result_after_them(self) -> None:
         made = [(k, np.arange(k, dtype=np.float32)) for k in range(300)]
         with ahead(lambda: (each for each in made)) as items:
             for (number, array), (expected, original) in zip(items, made, strict=True):
                 assert number == expected
                 np.testing.assert_array_equal(array, original)
+        with ahead(lambda: pids(3)) as running:
+            next(running)
+            assert running.result == 3  # what was not taken is skipped
+            assert running.result == 3
 
     @pytest.mark.parametrize("count", [3, 10**9], ids=["at the end", "early"])
     def test_they_are_made_in_one_process_that_is_gone_when_they_are_left(self, count: int) -> None:
@@ -137,14 +141,6 @@ class TestChild:
         notes = getattr(caught.value, "__notes__", [])
         assert notes == [] if kind is LogError else "in work" in notes[0]
 
-    def test_a_child_that_was_killed_is_an_error(self) -> None:
-        def work() -> Generator[int, None, None]:
-            yield 1
-            os.kill(os.getpid(), signal.SIGKILL)
-
-        with ahead(work) as items, pytest.raises(InputError, match="was killed, as a"):
-            list(items)
-
     @pytest.mark.parametrize("size", [10, 100_000, 10_000_000])
     def test_a_child_that_dies_in_the_middle_of_a_message_is_an_error(self, size: int) -> None:
         """The pipe is smaller than the message: the child waits in the middle of it."""
@@ -182,12 +178,6 @@ class TestChild:
         with receiver, pytest.raises(SpecmapError) as caught:
             next(module._received(receiver, child))
         assert (caught.value.exit_code, caught.value.code) == (code, "interrupted")
-
-    def test_what_the_work_returns_is_its_result(self) -> None:
-        with ahead(lambda: pids(3)) as running:
-            next(running)
-            assert running.result == 3  # what was not taken is skipped
-            assert running.result == 3
 
     def test_threads_of_opencv_are_as_before(self) -> None:
         before = cv2.getNumThreads()
