@@ -1,4 +1,7 @@
-"""The MCAP for Foxglove, decoded by mcap and protobuf with the schemas that it carries itself."""
+"""The MCAP for Foxglove, decoded by mcap and protobuf with the schemas that it carries itself.
+
+These are compared with those of Foxglove's SDK.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,7 @@ from mcap.reader import make_reader
 
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import PlanarScan
+from specmap_cli.exports.foxglove import description
 from specmap_cli.exports.table import export_map
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
@@ -22,7 +26,7 @@ from tests.exports.conftest import BEARINGS
 from tests.exports.consumers import consumer
 
 OVER_TIME = ("/tf", "/pose", "/scan")
-
+SCHEMAS = ("Grid", "SceneUpdate", "PoseInFrame", "PosesInFrame", "FrameTransform", "LaserScan")
 
 Found = dict[str, list[tuple[int, Any]]]
 
@@ -151,3 +155,27 @@ def test_scans_are_read_singly(home: Map, tmp_path: Path, monkeypatch: pytest.Mo
     export_map(home, "foxglove", tmp_path / "home.mcap")
     assert len(taken) == 30
     assert max(alive) <= 2
+
+
+def files(data: bytes) -> dict[str, Any]:
+    """The files of a description by name, without their names in JSON and the order of imports."""
+    descriptors = consumer("google.protobuf.descriptor_pb2")
+    found = {}
+    for file in descriptors.FileDescriptorSet.FromString(data).file:
+        for field in file.message_type[0].field:
+            field.ClearField("json_name")
+        found[file.name] = (
+            file.package,
+            sorted(file.dependency),
+            file.syntax,
+            [str(message) for message in file.message_type],
+        )
+    return found
+
+
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_the_schema_is_that_of_the_sdk(name: str) -> None:
+    messages = consumer("foxglove.messages")
+    sdk = getattr(messages, name).get_schema()
+    assert (sdk.name, sdk.encoding) == (f"foxglove.{name}", "protobuf")
+    assert files(description(name)) == files(sdk.data)

@@ -138,9 +138,7 @@ def test_scans_that_were_learned_from_are_learned_from_again(kept: Kept) -> None
         assert ((found[kind] == 1.0).all(axis=0) == old).all()
 
 
-def test_lacking_keyframes_and_damaged_features_are_refused_these_before_the_recording_is_read(
-    kept: Kept, tmp_path: Path
-) -> None:
+def test_what_lacks_keyframes_or_features_is_refused_at_once(kept: Kept, tmp_path: Path) -> None:
     old, new = shutil.copytree(kept.old.path, tmp_path / "old"), tmp_path / "new"
     (old / "features.npz").write_bytes(b"PK")
     stages = Mock(spec=Silent())
