@@ -198,8 +198,7 @@ def test_a_job_beyond_its_memory_is_stopped_and_tried_again_with_more(run: Bench
     small = Limits(memory_mb=80)
     first = run("hungry", small)
     assert first.reason == "build needed more than 80 MB of memory, the limit"
-    assert first.memory_mb is not None
-    assert first.memory_mb > 80
+    assert (first.memory_mb or 0) > 80
     assert (first.kind, may_retry(first, 2)) == ("memory", True)
     run("hungry", small, resumed=True)
     second = run("hungry", small, attempt=2)
@@ -317,8 +316,7 @@ def test_a_log_without_its_end_becomes_a_map_with_a_warning(tiny_log: Path, tmp_
     assert record.figures["verdict"] in ("good", "doubtful", "poor")
     assert (tmp_path / "out" / "short" / "map" / "topology.json").is_file()
     assert record.inputs[0].bytes == log.stat().st_size
-    assert record.memory_mb is not None
-    assert record.memory_mb > 50
+    assert (record.memory_mb or 0) > 50
     assert list(scratch.iterdir()) == []
     (build,) = record.steps
     assert any(f"{log}: cut off" in each for each in build.warnings), build.warnings

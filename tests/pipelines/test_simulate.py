@@ -37,11 +37,8 @@ def messages(path: Path) -> Iterator[tuple[str, int, Any]]:
     with path.open("rb") as file:
         for schema, channel, message in make_reader(file).iter_messages(log_time_order=False):
             assert schema is not None
-            yield (
-                channel.topic,
-                message.log_time,
-                STORE.deserialize_cdr(message.data, schema.name),
-            )
+            decoded = STORE.deserialize_cdr(message.data, schema.name)
+            yield channel.topic, message.log_time, decoded
 
 
 def tum(path: Path) -> np.ndarray[Any, np.dtype[np.float64]]:

@@ -126,8 +126,7 @@ def test_the_keyboard_does_all(browser: Browser) -> None:
     second = browser.run("document.activeElement.dataset.submap")
     browser.press("ArrowLeft")
     browser.press("ArrowUp")
-    assert first is not None
-    assert second is not None
+    assert None not in (first, second)
     browser.press("Enter")
     assert chosen(browser) == [browser.run("document.activeElement.dataset.submap")]
     browser.press("+")
