@@ -36,7 +36,7 @@ from tests.strategies import seeds
 NOWHERE = Trajectory(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
 UNLABELLED = Labels(stamps_ns=NOWHERE.stamps_ns, poses=NOWHERE.poses, submaps=NOWHERE.stamps_ns)
 ROOM, REGIONS = one_room((80, 120))
-MIDDLE = (3.0, 2.0)  # of the room
+MIDDLE = (2.975, 1.975)  # of the cell in the middle of the room
 
 
 def drawn(made: MapResult) -> Image:

@@ -18,12 +18,6 @@ from tests.exports.consumers import consumer
 from tests.plugins import install
 
 
-def graphml(stored: Map, folder: Path) -> nx.Graph:
-    out = folder / f"{stored.path.name}.graphml"
-    export_map(stored, "graphml", out)
-    return nx.read_graphml(out, node_type=int)
-
-
 def geojson(stored: Map, folder: Path) -> Any:
     out = folder / f"{stored.path.name}.geojson"
     export_map(stored, "geojson", out)
@@ -32,7 +26,9 @@ def geojson(stored: Map, folder: Path) -> Any:
 
 def test_graphml_is_the_map_s_graph(stored: Map, home: Map, rooms: Map, tmp_path: Path) -> None:
     for each in (home, rooms, stored):
-        record, graph = each.record, graphml(each, tmp_path)
+        record, out = each.record, tmp_path / f"{each.path.name}.graphml"
+        export_map(each, "graphml", out)
+        graph = nx.read_graphml(out, node_type=int)
         document = json.loads((each.path / "topology.json").read_text())
         own = nx.node_link_graph(document, edges="edges")
         assert sorted(graph.nodes) == [node.id for node in record.nodes]

@@ -44,24 +44,18 @@ def in_a_room(x: float) -> np.ndarray:
     return np.minimum(across, along)
 
 
-def write_hanging(path: Path) -> None:
-    """A robot that drives 3.2 m; the driver of its laser hangs for 1.8 s."""
-    rng = np.random.default_rng(2)
-    held = np.zeros(0)
-    with LogWriter(path) as log:
+def test_scans_that_a_hanging_driver_repeats_are_left_out_and_told(tmp_path: Path) -> None:
+    """Of a robot that drives 3.2 m; the driver of its laser hangs for 1.8 s."""
+    rng, held = np.random.default_rng(2), np.zeros(0)
+    with LogWriter(tmp_path / "log.mcap") as written:
         for number in range(40):
             stamp, x = 100 * SECOND + number * SECOND // 10, 0.08 * number
-            log.odometry("/odom", "odom", "base_link", stamp, Pose2(x, 0.0, 0.0))
+            written.odometry("/odom", "odom", "base_link", stamp, Pose2(x, 0.0, 0.0))
             seen = in_a_room(x) + rng.normal(0.0, 0.01, len(BEARINGS))
             held = held if number in HUNG[1:] else seen
             step = float(BEARINGS[1] - BEARINGS[0])
-            log.scan("/scan", "base_link", stamp, -np.pi, step, held, range_max=20.0)
-
-
-def test_scans_that_a_hanging_driver_repeats_are_left_out_and_told(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
-    write_hanging(path)
-    with open_log([path]) as log:
+            written.scan("/scan", "base_link", stamp, -np.pi, step, held, range_max=20.0)
+    with open_log([tmp_path / "log.mcap"]) as log:
         tracking = Ahead(track(SweepStream(log, Config().log), Config().registration))
         scans, done = list(tracking), tracking.result
     assert [scan.index for scan in scans] == [k for k in range(40) if k not in HUNG[1:]]
