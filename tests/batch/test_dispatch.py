@@ -27,7 +27,9 @@ class Obedient(Workers):
     def __init__(self, ends: Ends, slots: int) -> None:
         self.ends = {name: list(told) for name, told in ends.items()}
         self.most, self.free = slots, 0  # jobs wait while no worker is there
-        self.running, self.got, self.largest = deque[Turn](), list[str](), 0
+        self.running: deque[Turn] = deque()
+        self.got: list[str] = []
+        self.largest = 0
 
     def slots(self) -> int:
         return self.free
