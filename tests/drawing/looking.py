@@ -55,13 +55,11 @@ def is_framed(image: Image) -> bool:
     return not (ink[0].any() or ink[-1].any() or ink[:, 0].any() or ink[:, -1].any())
 
 
-def one_room(
-    shape: tuple[int, int], origin: tuple[float, float] = (0.0, 0.0)
-) -> tuple[TopologicalMap, Regions]:
+def one_room(shape: tuple[int, int]) -> tuple[TopologicalMap, Regions]:
     """Submap 0: a room of free cells of 5 cm within walls one cell thick."""
     cells = np.full(shape, OCCUPIED, dtype=np.uint8)
     cells[1:-1, 1:-1] = FREE
-    grid = GridMap(cells, 0.05, origin)
+    grid = GridMap(cells, 0.05)
     only = Submap(id=0, map_from_submap=Pose2(0.0, 0.0, 0.0), grid=grid)
     topology = TopologicalMap(submaps={0: only})
     return topology, Regions.of(grid, np.where(cells == FREE, 0, NOBODY))

@@ -223,8 +223,7 @@ READERS: dict[str, Callable[[Map], object]] = {
 @pytest.mark.parametrize("name", READERS)
 def test_files_of_another_map_are_refused(name: str, flat_map: Map, tmp_path: Path) -> None:
     """They would be read well, and teach wrong classifiers in silence."""
-    mine = tmp_path / "mine"
-    shutil.copytree(flat_map.path, mine)
+    mine = Path(shutil.copytree(flat_map.path, tmp_path / "mine"))
     READERS[name](read_map(mine))
     if name == "run.json":
         edit(mine / name, labels_sha256="0" * 64)

@@ -52,8 +52,7 @@ class Finished:
 
 
 def registered(sweeps: Iterator[Sweep]) -> Iterator[PosedScan]:
-    front_end = FrontEnd(Config().registration)
-    return (front_end.register(sweep) for sweep in sweeps)
+    return map(FrontEnd(Config().registration).register, sweeps)
 
 
 def explored_by(

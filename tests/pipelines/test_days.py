@@ -58,11 +58,9 @@ def test_what_changed_has_its_days_and_rooms(building: BuildingRecord) -> None:
 
 
 def test_the_last_name_that_a_person_gave_is_used(week: Path, tmp_path: Path) -> None:
-    for day in ("monday", "wednesday"):
-        shutil.copytree(week / day, tmp_path / day)
-    edited = tmp_path / "wednesday"
+    edited = shutil.copytree(week / "wednesday", tmp_path / "wednesday")
     assert main(["edit", str(edited), "--rename", "0", "Kitchen", "-q"]) == 0
-    (building,) = history_of([tmp_path / "monday", edited]).record.buildings
+    (building,) = history_of([week / "monday", edited]).record.buildings
     assert [room.name for room in building.rooms].count("Kitchen") == 1
 
 
@@ -259,7 +257,6 @@ def test_the_command_writes_all_of_a_comparison_the_same_bytes_every_time(
 
 
 def test_without_classifiers_grids_decide(before: Path, changed: Path, tmp_path: Path) -> None:
-    bare = tmp_path / "bare"
-    shutil.copytree(changed, bare)
+    bare = Path(shutil.copytree(changed, tmp_path / "bare"))
     (bare / "classifiers.json").unlink()
     assert np.isfinite(compare_maps(before, bare).alignment.rival)

@@ -21,8 +21,7 @@ from specmap_cli.core.progress import Silent
 from specmap_cli.drawing.palette import colours_of, vivid
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.filenames import CLASSIFIERS
-from specmap_cli.maps.schema import TopologyRecord
-from specmap_cli.maps.store import Map
+from specmap_cli.maps.store import Map, read_map
 from specmap_cli.pipelines import localize, localizer
 from specmap_cli.pipelines.localize import HEADER, METRIC_HEADER, LocalizationReport
 from specmap_cli.pipelines.localizer import LocalizedScan
@@ -30,6 +29,7 @@ from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.recognition.localization.localizer import Fix, Label
 from specmap_cli.simulation.simulator import SimulationOptions
 from tests.drawing.looking import colours_in
+from tests.flats import forget_digests
 
 
 @pytest.fixture(scope="module")
@@ -106,16 +106,13 @@ def test_classifiers_of_other_submaps_are_refused(own_log: Path, flat_map: Map) 
         localize_log(own_log, Map(flat_map.path, fewer))
 
 
-def without_digests(record: TopologyRecord) -> TopologyRecord:
-    """A map that is older than the digests of its files."""
-    return record.model_copy(update={"graph": record.graph.model_copy(update={"files": {}})})
-
-
 def test_damaged_classifiers_keep_what_to_do_about_them(flat_map: Map, tmp_path: Path) -> None:
-    (tmp_path / CLASSIFIERS).write_text("{}")
+    own = Path(shutil.copytree(flat_map.path, tmp_path / "own"))
+    forget_digests(own)
+    (own / CLASSIFIERS).write_text("{}")
     with pytest.raises(MapError, match=r"classifiers\.json: .*; build the map again") as caught:
-        localizer.classifiers_of(Map(tmp_path, without_digests(flat_map.record)))
-    assert caught.value.where == str(tmp_path / CLASSIFIERS)
+        localizer.classifiers_of(read_map(own))
+    assert caught.value.where == str(own / CLASSIFIERS)
     assert caught.value.hint == "build the map again"
 
 
@@ -127,15 +124,15 @@ def test_an_older_map_is_used_offline_without_poses_and_what_it_lacks_is_told(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """It keeps neither its scans, nor how well they fit, nor how sure its classifiers are."""
-    older = tmp_path / "older"
-    shutil.copytree(flat_map.path, older)
+    older = Path(shutil.copytree(flat_map.path, tmp_path / "older"))
     data = json.loads((older / CLASSIFIERS).read_text())
     assert all(data.pop(part)["views"] > 20 for part in ("misfit", "calibration"))
     (older / CLASSIFIERS).write_text(json.dumps(data))
     (older / "keyframes.mcap").unlink()
     progress, notes = Silent(), list[str]()
     monkeypatch.setattr(progress, "note", notes.append)
-    old = Map(older, without_digests(flat_map.record), note="it lacks keyframes")
+    forget_digests(older)
+    old = replace(read_map(older), note="it lacks keyframes")
     report = localize_log(own_log, old, offline=True, progress=progress)
     assert notes[0] == "it lacks keyframes"
     assert [note for note in notes if "fit its walls" in note] == [

@@ -73,10 +73,10 @@ def test_a_map_without_some_kind_of_scans_keeps_the_others(
 def test_a_map_of_another_version_learns_anew(
     footprint_m: float | None, flat_map: Map, tmp_path: Path
 ) -> None:
-    shutil.copytree(flat_map.path, tmp_path / "other")
+    own = Path(shutil.copytree(flat_map.path, tmp_path / "own"))
     more = {} if footprint_m is None else {"config__grid__footprint_m": footprint_m}
-    edit(tmp_path / "other" / "run.json", versions__specmap="0.0.1", **more)
-    other = read_map(tmp_path / "other")
+    edit(own / "run.json", versions__specmap="0.0.1", **more)
+    other = read_map(own)
     assert learned_from(other, flat_map.config) == 0
     assert learning.comparable(classifiers_of(other), other, flat_map.config) is None
 
