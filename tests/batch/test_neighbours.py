@@ -9,6 +9,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -20,7 +21,7 @@ from specmap_cli.core.errors import UsageError
 from tests.batch.results import faked
 
 psutil = pytest.importorskip("psutil")
-NEIGHBOUR = 65534  # nobody
+NEIGHBOUR: Any = {"user": 65534, "group": 65534, "extra_groups": [], "cwd": "/"}  # nobody
 
 
 class SeenError(Exception):
@@ -87,16 +88,8 @@ def test_a_neighbour_may_write_nothing_of_a_batch_and_see_no_temporary_file(
 
     def look() -> None:
         for test in (["-writable"], ["-path", "*/scratch/specmap-job-*/*"]):
-            found = subprocess.run(
-                ["/usr/bin/find", str(shared), *test],
-                user=NEIGHBOUR,
-                group=NEIGHBOUR,
-                extra_groups=[],
-                cwd="/",
-                capture_output=True,
-                text=True,
-                check=False,
-            )
+            command = ["/usr/bin/find", str(shared), *test]
+            found = subprocess.run(command, capture_output=True, text=True, **NEIGHBOUR)
             told.append(found.stdout)
 
     seen_running(shared, monkeypatch, look)

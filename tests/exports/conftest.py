@@ -79,14 +79,9 @@ def lived_in(result: MapResult) -> MapResult:
     old = result.topology
     edges = dict(old.edges)
     for (pair, (path, clearance)), through in zip(ways.items(), doors, strict=True):
-        edges[pair] = replace(
-            edges[pair],
-            path=path,
-            doors=(through.id,),
-            clearance_m=clearance,
-            length_m=float(np.hypot(*np.diff(path, axis=0).T).sum()),
-            width_m=through.width_m,
-        )
+        length_m = float(np.hypot(*np.diff(path, axis=0).T).sum())
+        way = replace(edges[pair], path=path, length_m=length_m, clearance_m=clearance)
+        edges[pair] = replace(way, doors=(through.id,), width_m=through.width_m)
     edges[1, 2] = Edge(source=1, target=2, kind="seen", clearance_m=0.1)
     anchors = {0: (0.0, 0.5), 1: (-3.0, 3.5), 2: (3.0, 3.0)}
     submaps = {

@@ -271,9 +271,8 @@ def test_what_a_build_tells_is_what_its_map_holds(flat_built: Explained) -> None
     assert report.run["counts"]["doors"] == len(stored.topology.doors) > 0
     for edge in stored.topology.edges.values():
         assert edge.path is not None
-        assert edge.path[[0, -1]].tolist() == [
-            list(stored.topology.submaps[id_].anchor or ()) for id_ in (edge.source, edge.target)
-        ]
+        ends = (stored.topology.submaps[id_].anchor for id_ in (edge.source, edge.target))
+        assert edge.path[[0, -1]].tolist() == [list(anchor or ()) for anchor in ends]
     told = stored.record.graph.quality
     assert told is not None
     assert told.as_dict() == stored.run["quality"]

@@ -228,14 +228,10 @@ def test_a_map_of_another_building_is_refused_with_the_reason(
 
 
 def test_the_command_writes_all_of_a_comparison_the_same_bytes_every_time(
-    told: Comparison,
-    before: Path,
-    changed: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    told: Comparison, week: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """And replaces nothing but an earlier result."""
-    out = tmp_path / "changes"
+    before, changed, out = week / "monday", week / "wednesday", tmp_path / "changes"
     assert main(["compare", str(before), str(changed), "-o", str(out), "--json", "-q"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert json.loads((out / COMPARISON).read_text(encoding="utf-8")) == printed

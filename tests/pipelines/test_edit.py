@@ -195,9 +195,8 @@ class TestBorders:
         assert report.remade
         assert merged.ids == sorted({*divided.ids} - {room})
         assert merged.topology.next_id == divided.topology.next_id
-        areas = {node.id: node.area_m2 for node in divided.record.nodes}
-        found = next(node for node in merged.record.nodes if node.id == corridor)
-        assert found.area_m2 == pytest.approx(areas[corridor] + areas[room], abs=0.5)
+        parts_m2 = divided.rooms[corridor].area_m2 + divided.rooms[room].area_m2
+        assert merged.rooms[corridor].area_m2 == pytest.approx(parts_m2, abs=0.5)
         assert json.loads(merged.classifiers)["schema_version"] >= 1
         for name in ("keyframes.mcap", "trajectory.tum", "trajectory.g2o"):
             assert bytes_of(merged.path, name) == bytes_of(built.map, name)

@@ -56,7 +56,7 @@ class StubbornError(Exception):
 
 
 @pytest.mark.parametrize(
-    ("processors", "said", "platform", "ahead_of_us"),
+    ("processors", "said", "platform", "apart"),
     [
         ({0, 1}, "", "linux", True),
         ({0, 1}, "2", "linux", True),
@@ -66,17 +66,13 @@ class StubbornError(Exception):
     ],
 )
 def test_work_is_done_ahead_where_it_can_be(
-    monkeypatch: pytest.MonkeyPatch,
-    processors: set[int],
-    said: str,
-    platform: str,
-    ahead_of_us: bool,
+    processors: set[int], said: str, platform: str, apart: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: processors, raising=False)
     monkeypatch.setattr(sys, "platform", platform)
     monkeypatch.setenv("SPECMAP_PROCESSES", said)
     with ahead(lambda: pids(3)) as work:
-        assert (set(work) != {os.getpid()}) == ahead_of_us
+        assert (set(work) != {os.getpid()}) == apart
         assert work.result == 3
 
 
