@@ -164,12 +164,8 @@ def files(data: bytes) -> dict[str, Any]:
     for file in descriptors.FileDescriptorSet.FromString(data).file:
         for field in file.message_type[0].field:
             field.ClearField("json_name")
-        found[file.name] = (
-            file.package,
-            sorted(file.dependency),
-            file.syntax,
-            [str(message) for message in file.message_type],
-        )
+        types = [str(message) for message in file.message_type]
+        found[file.name] = (file.package, sorted(file.dependency), file.syntax, types)
     return found
 
 

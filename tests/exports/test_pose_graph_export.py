@@ -66,14 +66,12 @@ def test_a_map_without_one_is_refused_in_a_line(
     built = "a pose graph needs one that `specmap build` made of a recording"
     again = "build the map again"
     bad = with_graph(tmp_path / "bad", lived_in, "VERTEX_SE2 0 0\n")
-    line = "g2o, line 1: 'VERTEX_SE2 0 0' is no VERTEX_SE2"
-    cases = [
+    for case, found, hint in (
         (stored, "has no vertices", again),
         (rooms, "has no trajectory.g2o: `specmap segment` makes maps without", built),
         (with_graph(tmp_path / "1", lived_in, POSE_GRAPH + lone), "there is no vertex 9", again),
-        (bad, line, again),
-    ]
-    for case, found, hint in cases:
+        (bad, "g2o, line 1: 'VERTEX_SE2 0 0' is no VERTEX_SE2", again),
+    ):
         with pytest.raises(MapError) as told:
             export_map(case, "pose-graph", tmp_path / "x.g2o")
         assert (told.value.found, told.value.hint) == (found, hint)

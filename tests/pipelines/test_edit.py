@@ -247,10 +247,8 @@ class TestBorders:
         (own / "edits.toml").write_text(text, encoding="utf-8")
         notes = Mock(spec=Silent())
         report = edit_map(own, RequestedEdits(names={0: "Lab"}), progress=notes)
-        assert report.unapplied == (
-            "submaps.99: there is no submap 99",
-            "changes, number 1: there is no submap 99",
-        )
+        none = "there is no submap 99"
+        assert report.unapplied == (f"submaps.99: {none}", f"changes, number 1: {none}")
         told = [call(f"edits.toml: not applied: {line}") for line in report.unapplied]
         assert notes.note.mock_calls == told
         assert "'Attic'" in (own / "edits.toml").read_text(encoding="utf-8")
@@ -303,10 +301,8 @@ class TestForbiddenDoors:
         regions = divide(whole, labels)
         topology = with_ways(TopologicalMap(submaps=rooms), regions, Config().ways, poses)
         way = Trajectory(labels.stamps_ns, poses)
-        write_map(
-            tmp_path,
-            replace(result, topology=topology, regions=regions, labels=labels, trajectory=way),
-        )
+        laid = replace(result, topology=topology, regions=regions, labels=labels, trajectory=way)
+        write_map(tmp_path, laid)
         text, (edge,) = bytes_of(tmp_path, "topology.json"), topology.edges.values()
         used, spare = sorted(topology.doors, key=lambda door: door.id not in edge.doors)
         edit(tmp_path, {"forbid": [0, 1], "at": [used.x, used.y]})
@@ -335,15 +331,10 @@ class TestForbiddenDoors:
 def edited(built: Built, tmp_path_factory: pytest.TempPathFactory) -> EditReport:
     """A room named, described and shut off, the corridor divided, and a word about no submap."""
     room, before = built.rooms[0], read_map(built.map)
-    made = edit(
-        before,
-        split(before, built.corridor),
-        {"forbid": [room, built.corridor]},
-        names={room: "Küche"},
-        kinds={room: "hall"},
-        properties={room: {"floor": 2}},
-        out=tmp_path_factory.mktemp("edited") / "own",
-    )
+    wishes = split(before, built.corridor), {"forbid": [room, built.corridor]}
+    said: Any = {"names": {room: "Küche"}, "kinds": {room: "hall"}}
+    said["properties"] = {room: {"floor": 2}}
+    made = edit(before, *wishes, **said, out=tmp_path_factory.mktemp("edited") / "own")
     text = (made.out / "edits.toml").read_text(encoding="utf-8")
     text = f"# by Ann\n{text}\n[submaps.99]\nname = 'Attic'\n"
     (made.out / "edits.toml").write_text(text, encoding="utf-8")
