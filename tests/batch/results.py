@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -60,11 +60,8 @@ def failed(name: str, kind: str = "log", reason: str = "holds no scans", **more:
 
 def faked(monkeypatch: pytest.MonkeyPatch) -> None:
     """The fake program in the place of specmap; its maps are none."""
-
-    def no_map(path: Path) -> None:
-        raise MapError(f"{path}: of the fake program")
-
     monkeypatch.setattr(running, "PROGRAM", (sys.executable, "-I", "-S", fake_specmap.__file__))
+    no_map = Mock(side_effect=MapError("no map: of the fake program"))
     monkeypatch.setattr(running, "read_map", no_map)
 
 

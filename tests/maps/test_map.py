@@ -11,7 +11,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import networkx as nx
 import numpy as np
 import pytest
 
@@ -110,16 +109,6 @@ def test_routes_lead_from_and_to_rooms_and_places_if_allowed(rooms: Map, tmp_pat
     refused = read_map(tmp_path / "shut").route("Lab", "Corridor")
     assert not refused
     assert f"door {lab.doors[0].id}" in refused.why
-
-
-def test_the_graph_knows_rooms_and_links_and_shortest_paths(rooms: Map) -> None:
-    graph = rooms.to_networkx()
-    lab, corridor = rooms.rooms["Lab"], rooms.rooms["Corridor"]
-    assert set(graph) == set(rooms.rooms)
-    assert graph.nodes[lab.id]["name"] == "Lab"
-    assert graph.nodes[lab.id]["property.floor"] == 2
-    assert nx.shortest_path(graph, lab.id, corridor.id, weight="length_m") == [lab.id, corridor.id]
-    assert graph.edges[lab.id, corridor.id]["doors"] == str(lab.doors[0].id)
 
 
 def test_features_go_to_geopandas_where_it_is(rooms: Map, monkeypatch: pytest.MonkeyPatch) -> None:
