@@ -136,9 +136,8 @@ def test_logs_that_do_not_fit_into_the_scratch_are_refused(
     monkeypatch.setattr(shutil, "disk_usage", lambda _path: SimpleNamespace(free=1_000_000))
     result = record_of(url, tmp_path)
     assert result.kind == "place"
-    assert str(result.reason).endswith(
-        "the logs need 3 MB, 1 MB are free: choose another scratch directory"
-    )
+    told = "the logs need 3 MB, 1 MB are free: choose another scratch directory"
+    assert str(result.reason).endswith(told)
 
 
 def test_a_log_that_did_not_arrive_whole_is_told_of_in_parts(

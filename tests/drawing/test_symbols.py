@@ -68,9 +68,8 @@ def test_a_badge_holds_its_id(name: str) -> None:
     left, right, top, bottom = bounds(inked(canvas.image, palette.SHADE))
     assert (left + right, top + bottom) == (80, 80)
     assert (right - left) / 2 == pytest.approx(radius + 2, abs=1.5)
-    assert pixel(canvas.image, np.array([40 + radius + 1, 40])) == pytest.approx(
-        palette.darker(palette.FILLS[2]), abs=40
-    )
+    rim = pixel(canvas.image, np.array([40 + radius + 1, 40]))
+    assert rim == pytest.approx(palette.darker(palette.FILLS[2]), abs=40)
     letters = bounds(of_colour(canvas.image, palette.INK, 40))
     assert np.hypot(max(40 - letters[0], letters[1] - 40), letters[3] - 40) < radius
 

@@ -221,9 +221,8 @@ def turned(full_circle: bool) -> tuple[PlanarScan, PlanarScan]:
     """A scan at rest, and one in motion with its beams de-skewed."""
     span = CIRCLE if full_circle else 4.0
     bearings = np.linspace(-span / 2, span / 2, 360, endpoint=not full_circle)
-    rest = PlanarScan(
-        0, bearings, 3.0 + np.cos(bearings), 30.0, full_circle, np.linspace(0.0, 0.1, 360)
-    )
+    ranges, times = 3.0 + np.cos(bearings), np.linspace(0.0, 0.1, 360)
+    rest = PlanarScan(0, bearings, ranges, 30.0, full_circle, times)
     moving = deskewed(rest, Pose2(0.2, 0.0, 0.0), Pose2(0.1, 0.0, 0.3), 0.1)
     return rest, moving
 

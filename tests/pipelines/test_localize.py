@@ -200,9 +200,8 @@ class TestReport:
         self, flat_map: Map, tmp_path: Path
     ) -> None:
         report = labelled([None] * 40, [None] * 40)
-        assert report.lines()[0] == (
-            "made.mcap: 40 scans, none of them known: the map does not show this place"
-        )
+        told = "made.mcap: 40 scans, none of them known: the map does not show this place"
+        assert report.lines()[0] == told
         assert (report.known, report.as_dict()["known"]) == (0.0, 0.0)
         localize.write_report(report, flat_map, metric=True, plot=tmp_path / "track.png")
         picture = cv2.imread(str(tmp_path / "track.png"))
