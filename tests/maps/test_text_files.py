@@ -85,7 +85,7 @@ HEADER_TOLD = "line 1 is not 'stamp,x,y,theta,submap': build the map"
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "complaint"),
+    ("name", "data", "told"),
     [
         *(("labels.csv", text.encode(), HEADER_TOLD) for text in HEADERS),
         ("labels.csv", None, "cannot be read: No such file"),
@@ -97,12 +97,10 @@ HEADER_TOLD = "line 1 is not 'stamp,x,y,theta,submap': build the map"
         ("trajectory.tum", None, "cannot be read"),
     ],
 )
-def test_files_that_cannot_be_read(
-    tmp_path: Path, name: str, content: bytes | None, complaint: str
-) -> None:
-    if content is not None:
-        (tmp_path / name).write_bytes(content)
-    with pytest.raises(MapError, match=rf"{name}: {complaint}"):
+def test_files_that_are_not_read(tmp_path: Path, name: str, data: bytes | None, told: str) -> None:
+    if data is not None:
+        (tmp_path / name).write_bytes(data)
+    with pytest.raises(MapError, match=rf"{name}: {told}"):
         (read_labels if name == "labels.csv" else read_trajectory)(tmp_path / name)
 
 

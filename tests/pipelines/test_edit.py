@@ -352,9 +352,7 @@ Rebuilt = Callable[[Path, Path, Path], Any]
     ],
     ids=["update", "build --like"],
 )
-def test_edits_survive_another_recording(
-    built: Built, edited: EditReport, tmp_path: Path, rebuilt: Rebuilt
-) -> None:
+def test_edits_survive(built: Built, edited: EditReport, tmp_path: Path, rebuilt: Rebuilt) -> None:
     room, other = built.rooms[:2]
     rebuilt(edited.out, built.again.log.log, tmp_path / "new")
     stored, old = read_map(tmp_path / "new"), read_map(edited.out)

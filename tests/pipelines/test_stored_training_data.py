@@ -93,22 +93,19 @@ def labels(poses: list[tuple[float, float, float]], submaps: list[int]) -> Label
     return Labels(stamps_ns=stamps, poses=np.array(poses), submaps=np.array(submaps))
 
 
-ROW = [(float(x), 0.0, 0.0) for x in range(6)]
+ALL = [*range(6)]
+ROW = [(float(x), 0.0, 0.0) for x in ALL]
 BEFORE = labels(ROW, [0, 0, 0, 1, 1, 1])
 
 
 @pytest.mark.parametrize(
     ("left", "now", "cast"),
     [
-        ([0, 1, 2, 3, 4, 5], labels([*ROW, (7.0, 0.0, 0.0)], [0, 0, 0, 1, 1, 1, 1]), [0, 2]),
+        (ALL, labels([*ROW, (7.0, 0.0, 0.0)], [0, 0, 0, 1, 1, 1, 1]), [0, 2]),
         ([0, 2, 3, 4, 5], labels([ROW[k] for k in (0, 2, 3, 4, 5)], [0, 0, 1, 1, 1]), [2, 4]),
-        (
-            [*range(6)],
-            labels([(y, x, 0.0) for x, y, _ in ROW], BEFORE.submaps.tolist()),
-            [0, 2, 3, 5],
-        ),
-        ([*range(6)], labels([*ROW[:5], (5.0, 0.5, 0.0)], BEFORE.submaps.tolist()), [0, 2]),
-        ([*range(6)], labels(ROW, [0] * 6), []),
+        (ALL, labels([(y, x, 0.0) for x, y, _ in ROW], BEFORE.submaps.tolist()), [0, 2, 3, 5]),
+        (ALL, labels([*ROW[:5], (5.0, 0.5, 0.0)], BEFORE.submaps.tolist()), [0, 2]),
+        (ALL, labels(ROW, [0] * 6), []),
     ],
     ids=["visited again", "a keyframe is gone", "moved as a whole", "bent", "two are one now"],
 )
