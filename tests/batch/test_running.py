@@ -66,7 +66,6 @@ class Bench:
 
     @property
     def stored(self) -> JobRecord | None:
-        """The record of a complete result."""
         return folder_at(str(self.out), "monday").stored()
 
     @property
@@ -85,7 +84,6 @@ class Bench:
 
 @pytest.fixture
 def run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Bench:
-    """The fake program in the place of specmap."""
     faked(monkeypatch)
     bench = Bench(tmp_path)
     monkeypatch.setattr(processes, "_WATCH_S", 0.01)  # its steps are short

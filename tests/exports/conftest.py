@@ -41,7 +41,6 @@ def written(out: Path, result: MapResult, scans: KeyframeStore | None = None) ->
 
 
 def with_submaps(out: Path, result: MapResult, *changes: dict[str, Any]) -> Map:
-    """The house with some fields of its first submaps changed."""
     old = result.topology
     submaps = dict(old.submaps)
     for id_, fields in enumerate(changes):

@@ -124,7 +124,6 @@ def test_a_laser_that_does_not_look_all_around(tmp_path: Path) -> None:
 
 
 def test_it_is_an_ordinary_recording(path: Path) -> None:
-    """Scans, their odometry and the laser's place, as any reader of recordings finds them."""
     with open_log([path]) as log:
         assert (log.contents.start_ns, log.contents.end_ns) == (START_NS, SCANS[-1].stamp_ns)
         stream = SweepStream(log, LogConfig())

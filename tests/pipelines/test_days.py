@@ -164,7 +164,6 @@ def before(week: Path) -> Path:
 
 @pytest.fixture
 def changed(week: Path) -> Path:
-    """With a closed door, a cabinet more, and a hole in a wall."""
     return week / "wednesday"
 
 

@@ -79,7 +79,6 @@ def test_its_own_log_is_found_in_place(flat_map: Map, metric: LocalizationReport
 def test_offline_poses_are_in_the_frames_of_the_submaps_that_smoothing_gives(
     own_log: Path, flat_map: Map, metric: LocalizationReport
 ) -> None:
-    """A scan has a pose in the submap that smoothing gives it, also before a place led."""
     offline = localize_log(own_log, flat_map, offline=True, metric=True)
     pairs = list(zip(offline.scans, metric.scans, strict=True))
     for a, b in pairs:  # a single scan votes as it did

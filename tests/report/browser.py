@@ -125,7 +125,6 @@ class Browser:
         self._send("Input.dispatchKeyEvent", sent | {"type": "keyUp"})
 
     def click(self, x: float, y: float) -> None:
-        """Click at a place of the window."""
         for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
             self.mouse(kind, x, y)
 
