@@ -5,22 +5,13 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
 from specmap_cli.batch import running
-from specmap_cli.batch.records import (
-    InputRecord,
-    Job,
-    JobRecord,
-    JobResult,
-    Limits,
-    Step,
-    Terms,
-    Turn,
-)
+from specmap_cli.batch.records import Job, JobRecord, JobResult, Limits, Step, Terms, Turn
 from specmap_cli.core.errors import MapError
 from tests.batch import fake_specmap
 
@@ -45,7 +36,7 @@ def result(name: str, **changes: Any) -> JobRecord:
             **{"state": "done", "kind": None, "reason": None, "attempts": 1, "steps": ()},
             **{"limits": Limits(memory_mb=1000), "started_utc": "2026-01-01T00:00:00+00:00"},
             **{"wall_s": 18.0, "cpu_s": 17.0, "memory_mb": 300.5, "figures": FIGURES},
-            "inputs": (InputRecord(log=f"/logs/{name}.mcap", bytes=1, identity="1"),),
+            "inputs": ({"log": f"/logs/{name}.mcap", "bytes": 1, "identity": "1"},),
             "files": dict.fromkeys(files, 1),
             **changes,
         }
@@ -69,11 +60,8 @@ def failed(name: str, kind: str = "log", reason: str = "holds no scans", **more:
 
 def faked(monkeypatch: pytest.MonkeyPatch) -> None:
     """The fake program in the place of specmap; its maps are none."""
-
-    def no_map(path: Path) -> None:
-        raise MapError(f"{path}: of the fake program")
-
     monkeypatch.setattr(running, "PROGRAM", (sys.executable, "-I", "-S", fake_specmap.__file__))
+    no_map = Mock(side_effect=MapError("no map: of the fake program"))
     monkeypatch.setattr(running, "read_map", no_map)
 
 

@@ -79,13 +79,6 @@ def test_a_directory_gives_every_recording_below_it_once(lay: Lay) -> None:
     }
 
 
-def test_no_folder_of_a_job_stands_where_the_batch_writes(lay: Lay) -> None:
-    beside = {"events.jsonl", *SUMMARIES}
-    assert beside == jobs.BESIDE_JOBS
-    where = lay(*(f"{name}.mcap" for name in beside))
-    assert beside.isdisjoint(names(jobs_of([str(where)])))
-
-
 def test_a_pattern_gives_what_matches(lay: Lay) -> None:
     where = lay("may/1/run.mcap", "may/2/run.mcap", "june/run.mcap")
     assert names(jobs_of([f"{where}/may/*/run.mcap"])) == ["1-run", "2-run"]
@@ -96,7 +89,7 @@ def test_a_pattern_gives_what_matches(lay: Lay) -> None:
             jobs_of([str(where / place)])
 
 
-def test_names_are_safe_and_stay_when_other_logs_come(lay: Lay) -> None:
+def test_names_are_safe_none_of_the_batch_s_and_stay_when_other_logs_come(lay: Lay) -> None:
     where = lay("x/run one.mcap", "y/run one.mcap", "y/Run_One.bag")
     several = [str(where / "x" / "run one.mcap"), str(where / "y")]
     assert names(jobs_of([str(where / "y" / "run one.mcap")])) == ["run_one"]
@@ -106,6 +99,10 @@ def test_names_are_safe_and_stay_when_other_logs_come(lay: Lay) -> None:
     assert third.startswith("run_one-")
     assert second[-8:] != third[-8:]
     assert [first, second, third] == names(jobs_of(several))
+    beside = {"events.jsonl", *SUMMARIES}
+    assert beside == jobs.BESIDE_JOBS
+    lay(*(f"z/{name}.mcap" for name in beside))
+    assert beside.isdisjoint(names(jobs_of([str(where / "z")])))
 
 
 def test_a_log_is_a_job_called_as_it_with_the_default_steps_or_those_asked_for(lay: Lay) -> None:
@@ -211,9 +208,7 @@ LOGS, NAMED = 'logs = "a.mcap"\n', "[[job]]\nname = "
         (f"[[job]]\n{LOGS}[job.options.build]\nseeed = 1", "job 1: options.build.seeed: no such"),
     ],
 )
-def test_what_a_file_of_jobs_says_wrong_is_told_with_its_place(
-    lay: Lay, text: str, complaint: str
-) -> None:
+def test_what_a_file_of_jobs_says_wrong_has_its_place(lay: Lay, text: str, complaint: str) -> None:
     where = lay("a.mcap", jobs__toml=text)
     with pytest.raises(UsageError) as told:
         jobs_of([str(where / "jobs.toml")])
@@ -285,16 +280,13 @@ def test_parquet_says_the_same_with_types(rows: list[Row]) -> None:
     assert str(table.schema.field("lost_share").type) == "double"
 
 
-def test_markdown_names_what_failed_and_what_is_doubtful(rows: list[Row]) -> None:
+def test_markdown_names_what_failed_what_is_doubtful_and_warnings(rows: list[Row]) -> None:
     text = as_markdown(rows).decode()
     assert text.startswith("### 2 of 4 jobs done, 1 failed, 1 waiting\n")
     assert "- 910 scans over 46 m in 54 s of work\n- maps: 1 good, 1 poor\n" in text
     assert '| b | log | no scans \\| in "b"\\\\x1b, \\<none\\> | 1 |' in text
     assert "| c | poor | 0.64 |  |" in text
     assert "\n| d |" not in text, "a job that waits took no time"
-
-
-def test_markdown_of_many_failures_is_short_and_tells_of_warnings_once() -> None:
     text = as_markdown(rows_for(*(failed(f"{k:03}") for k in range(100)))).decode()
     assert "... and 80 more: see summary.csv" in text
     assert text.count("holds no scans") == 20
@@ -319,19 +311,15 @@ def page(*records: JobRecord, waiting: str = "") -> str:
 
 
 def links(text: str) -> set[str]:
-    """What a page links and shows."""
     return set(re.findall(r'<[^>]* (?:href|src)="([^"]*)"', text))
 
 
-def test_the_page_links_what_there_is_and_needs_no_other_file() -> None:
-    text = page(result("a"), failed("b"), waiting="c")
-    of_a = {f"a/{name}" for name in ("map/overview.png", "report.html", "log.txt", "map/")}
-    assert links(text) == of_a | {"b/log.txt"}
-    assert "default-src 'none'" in text
-
-
-def test_what_needs_somebody_stands_first_with_what_to_do() -> None:
+def test_the_page_links_what_there_is_and_what_needs_somebody_stands_first() -> None:
+    """With what to do; and it needs no other file."""
     text = page(result("a"), failed("z"), waiting="b")
+    of_a = {f"a/{name}" for name in ("map/overview.png", "report.html", "log.txt", "map/")}
+    assert links(text) == of_a | {"z/log.txt"}
+    assert "default-src 'none'" in text
     assert re.findall('<tr data-name="(.)"', text) == ["z", "a", "b"]
     assert text.count("What to do:") == 1
     assert "see what `specmap info --check` says of the recording" in text
@@ -353,18 +341,16 @@ def test_in_a_browser_the_page_is_searched_and_sorted(tmp_path: Path) -> None:
     file.write_text(page(slow, result("lobby"), failed("lab")), encoding="utf-8")
     program = installed()
     assert program is not None
-    names = (
-        "[...document.querySelectorAll('#jobs tbody tr:not([hidden])')].map(r => r.dataset.name)"
-    )
+    rows = "[...document.querySelectorAll('#jobs tbody tr:not([hidden])')].map(r => r.dataset.name)"
     with Browser(program) as browser:
         browser.open(file)
         browser.run(
             "const s = document.querySelector('#sought'); s.value = 'L';"
             "s.dispatchEvent(new Event('input'))"
         )
-        assert browser.run(names) == ["lab", "lobby"]
+        assert browser.run(rows) == ["lab", "lobby"]
         browser.run("s.value = ''; s.dispatchEvent(new Event('input'))")
         browser.run("document.querySelectorAll('#jobs thead button')[7].click()")
-        assert browser.run(names) == ["lab", "lobby", "corridor"]
+        assert browser.run(rows) == ["lab", "lobby", "corridor"]
         missing = "ERR_FILE_NOT_FOUND"  # the pictures of these jobs
         assert [error for error in browser.errors if missing not in error] == []

@@ -9,6 +9,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -20,7 +21,7 @@ from specmap_cli.core.errors import UsageError
 from tests.batch.results import faked
 
 psutil = pytest.importorskip("psutil")
-NEIGHBOUR = 65534  # nobody
+NEIGHBOUR: Any = {"user": 65534, "group": 65534, "extra_groups": [], "cwd": "/"}  # nobody
 
 
 class SeenError(Exception):
@@ -70,9 +71,7 @@ def seen_running(folder: Path, monkeypatch: pytest.MonkeyPatch, look: Callable[[
         run_batch(jobs, terms, Cluster(2), 0, tell)
 
 
-def test_workers_of_this_machine_can_be_spoken_to_by_nobody(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nobody_can_speak_to_the_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where they had a scheduler at a port, any user ran code as the caller."""
     before = sockets()
     found: list[set[tuple[object, ...]]] = []
@@ -89,16 +88,8 @@ def test_a_neighbour_may_write_nothing_of_a_batch_and_see_no_temporary_file(
 
     def look() -> None:
         for test in (["-writable"], ["-path", "*/scratch/specmap-job-*/*"]):
-            found = subprocess.run(
-                ["/usr/bin/find", str(shared), *test],
-                user=NEIGHBOUR,
-                group=NEIGHBOUR,
-                extra_groups=[],
-                cwd="/",
-                capture_output=True,
-                text=True,
-                check=False,
-            )
+            command = ["/usr/bin/find", str(shared), *test]
+            found = subprocess.run(command, capture_output=True, text=True, **NEIGHBOUR)
             told.append(found.stdout)
 
     seen_running(shared, monkeypatch, look)
@@ -106,9 +97,7 @@ def test_a_neighbour_may_write_nothing_of_a_batch_and_see_no_temporary_file(
 
 
 @pytest.mark.parametrize("kind", ["link", "nowhere", "pipe"])
-def test_what_a_neighbour_put_in_place_of_the_journal_is_not_written(
-    kind: str, tmp_path: Path
-) -> None:
+def test_what_a_neighbour_put_for_the_journal_is_not_written(kind: str, tmp_path: Path) -> None:
     """In a folder of his a batch wrote its lines into a file of the caller, or waited for ever."""
     precious, journal = tmp_path / "precious", tmp_path / "maps" / "events.jsonl"
     journal.parent.mkdir()

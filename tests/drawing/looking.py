@@ -24,12 +24,10 @@ def of_colour(image: Image, colour: Colour, within: int = 3) -> BoolArray:
 
 
 def near(image: Image, colour: Colour) -> int:
-    """How many pixels are of about that colour."""
     return int(of_colour(image, colour).sum())
 
 
 def colours_in(image: NDArray[Any]) -> int:
-    """How many colours there are in a picture."""
     blue, green, red = (image[..., channel].astype(np.int32) for channel in range(3))
     return len(np.unique(blue << 16 | green << 8 | red))
 
@@ -46,7 +44,6 @@ def bounds(pixels: BoolArray) -> tuple[int, int, int, int]:
 
 
 def pixel(image: Image, place: NDArray[Any]) -> Colour:
-    """The colour at x, y."""
     x, y = np.round(np.asarray(place)).astype(int).tolist()
     blue, green, red = image[y, x].tolist()
     return blue, green, red
@@ -58,13 +55,11 @@ def is_framed(image: Image) -> bool:
     return not (ink[0].any() or ink[-1].any() or ink[:, 0].any() or ink[:, -1].any())
 
 
-def one_room(
-    shape: tuple[int, int], origin: tuple[float, float] = (0.0, 0.0)
-) -> tuple[TopologicalMap, Regions]:
+def one_room(shape: tuple[int, int]) -> tuple[TopologicalMap, Regions]:
     """Submap 0: a room of free cells of 5 cm within walls one cell thick."""
     cells = np.full(shape, OCCUPIED, dtype=np.uint8)
     cells[1:-1, 1:-1] = FREE
-    grid = GridMap(cells, 0.05, origin)
+    grid = GridMap(cells, 0.05)
     only = Submap(id=0, map_from_submap=Pose2(0.0, 0.0, 0.0), grid=grid)
     topology = TopologicalMap(submaps={0: only})
     return topology, Regions.of(grid, np.where(cells == FREE, 0, NOBODY))

@@ -39,9 +39,7 @@ def test_what_stands_in_one_map_only_has_the_colour_of_that_map(appears: bool) -
     assert of_colour(picture, other).sum() == of_colour(picture, paler(other, 0.78)).sum() == 0
 
 
-def test_a_new_room_that_has_the_number_of_an_old_one_is_told_from_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_new_room_with_the_number_of_an_old_one_differs(monkeypatch: pytest.MonkeyPatch) -> None:
     rooms = {0: [(0.2, 0.2, 4.9, 5.8), (4.9, 2.9, 5.1, 3.8)], 1: [(5.1, 0.2, 9.8, 5.8)]}
     new = regions_of((10.0, 6.0), {1: rooms[0], 0: rooms[1]})
     cells, owner = flat().grid.cells.copy(), flat().owner.copy()

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import tracemalloc
+from dataclasses import replace
 from unittest.mock import Mock
 
 import numpy as np
@@ -22,26 +22,18 @@ from specmap_cli.drawing.sheet import TITLE, Sheet, extent_of
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.maps.writing import MapResult
 from specmap_cli.topology.regions import NOBODY, Regions
-from specmap_cli.topology.topological_map import (
-    Door,
-    Edge,
-    EdgeKind,
-    LogInfo,
-    Submap,
-    TopologicalMap,
-)
+from specmap_cli.topology.topological_map import Door, Edge, LogInfo, Submap, TopologicalMap
 from tests.drawing.looking import inked, is_framed, near, of_colour, one_room, pixel
 from tests.strategies import seeds
 
 NOWHERE = Trajectory(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
 UNLABELLED = Labels(stamps_ns=NOWHERE.stamps_ns, poses=NOWHERE.poses, submaps=NOWHERE.stamps_ns)
 ROOM, REGIONS = one_room((80, 120))
+MIDDLE = (2.975, 1.975)  # of the cell in the middle of the room
 
 
-def drawn(result: MapResult) -> Image:
-    return render_overview(
-        result.topology, result.regions, result.trajectory, result.labels, result.logs
-    )
+def drawn(made: MapResult) -> Image:
+    return render_overview(made.topology, made.regions, made.trajectory, made.labels, made.logs)
 
 
 def driven(way: FloatArray, *findings: Finding) -> Image:
@@ -59,7 +51,6 @@ def places_on(regions: Regions, points: list[tuple[float, float]]) -> FloatArray
 
 
 def around(image: Image, place: FloatArray, reach: int) -> Image:
-    """The square about a place of a picture."""
     x, y = place.astype(int).tolist()
     return image[y - reach : y + reach + 1, x - reach : x + reach + 1]
 
@@ -115,9 +106,7 @@ def test_a_jump_is_not_drawn_as_a_way() -> None:
 
 def test_a_badge_stays_near_the_way_of_the_robot() -> None:
     """The middle of a room stands for it, unless the robot never came near: glass lies between."""
-    centroid = REGIONS.outline(0).centroid
-    assert centroid is not None
-    (middle,) = places_on(REGIONS, [(float(centroid[0]), float(centroid[1]))])
+    (middle,) = places_on(REGIONS, [MIDDLE])
     rim = middle + (symbols.BADGE_RADIUS - 3.0, 0.0)
     for corner, is_near in (((2.5, 1.5), True), ((0.5, 0.5), False)):
         image = driven(np.linspace(corner, np.array(corner) + 0.2, 20))
@@ -148,7 +137,7 @@ def test_what_was_only_seen_is_explained_when_it_is_worth_a_word(cells: int, sai
     for image in (overview, plan):
         assert (near(image[TITLE + 1800 + 30 :], palette.SEEN) > 500) is said
         assert (near(image[TITLE : TITLE + 1800], palette.SEEN) > 500) is (cells > 0)
-    untold = render_segmentation(topology, dataclasses.replace(regions, seen=()), log)
+    untold = render_segmentation(topology, replace(regions, seen=()), log)
     assert (untold[:TITLE] != plan[:TITLE]).any() is np.bool_(said)
 
 
@@ -171,9 +160,9 @@ def test_a_link_leads_through_its_crossing_or_along_its_way_and_its_door_is_draw
         render_segmentation(each, regions, LogInfo("plan"))
         for each in (
             bare,
-            dataclasses.replace(bare, edges={(0, 1): crossed}),
-            dataclasses.replace(bare, edges={(0, 1): way}, doors=(door,)),
-            dataclasses.replace(bare, doors=(dataclasses.replace(door, x=2.0, width_m=0.2),)),
+            replace(bare, edges={(0, 1): crossed}),
+            replace(bare, edges={(0, 1): way}, doors=(door,)),
+            replace(bare, doors=(replace(door, x=2.0, width_m=0.2),)),
         )
     )
     for image, place, colour in (
@@ -189,11 +178,13 @@ def test_a_link_leads_through_its_crossing_or_along_its_way_and_its_door_is_draw
 
 
 def test_a_link_without_a_way_is_no_line_that_one_could_take() -> None:
-    kinds: dict[EdgeKind, str] = {"traversed": "narrow", "seen": "narrow", "closure": "closure"}
-    for kind, drawn in kinds.items():
-        edge = Edge(source=0, target=1, kind=kind)
+    for edge, drawn in (
+        (Edge(source=0, target=1, kind="traversed"), "narrow"),
+        (Edge(source=0, target=1, kind="seen"), "narrow"),
+        (Edge(source=0, target=1, kind="closure"), "closure"),
+    ):
         assert drawn_as(TopologicalMap(robot_radius_m=0.2), edge) == drawn
-        assert drawn_as(TopologicalMap(), edge) == kind
+        assert drawn_as(TopologicalMap(), edge) == edge.kind
 
 
 @given(st.integers(1, 12), seeds)
@@ -207,29 +198,23 @@ def test_badges_do_not_overlap(count: int, seed: int) -> None:
     np.testing.assert_array_equal(spread(roomy, symbols.BADGE_GAP), roomy)
 
 
-def test_the_number_of_a_submap_is_not_hidden_by_the_end_of_the_way(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_end_of_the_way_hides_no_number(monkeypatch: pytest.MonkeyPatch) -> None:
     badge = Mock()
     monkeypatch.setattr(symbols, "badge", badge)
     driven(np.linspace((1.0, 1.0), (5.0, 1.0), 60))
     drawn_at = badge.call_args.args[1]
-    place = REGIONS.outline(0).centroid
-    assert place is not None
-    driven(np.array([(1.0, 1.0), place]))  # ends where the number would stand
-    end = places_on(REGIONS, [(float(place[0]), float(place[1]))])[0]
+    driven(np.array([(1.0, 1.0), MIDDLE]))  # ends where the number would stand
+    (end,) = places_on(REGIONS, [MIDDLE])
     assert np.linalg.norm(drawn_at - end) < 2.0
     assert np.linalg.norm(badge.call_args.args[1] - end) > symbols.BADGE_RADIUS + 9.0
 
 
 def test_a_doubtful_place_is_marked_and_the_title_says_why() -> None:
     place = (2.0, 3.0)
-    said = Finding(
-        code="walls-disagree", severity="poor", message="bent", where=Where(None, *place)
-    )
+    bent = Finding(code="walls-disagree", severity="poor", message="", where=Where(None, *place))
     aside = Finding(code="input", severity="note", message="odd", where=Where(None, 4.0, 3.0))
     way = np.linspace((1.0, 1.0), (5.0, 1.0), 60)
-    good, poor = driven(way, aside), driven(way, aside, said)
+    good, poor = driven(way, aside), driven(way, aside, bent)
     assert near(around(poor, places_on(REGIONS, [place])[0], 20), palette.WRONG) > 50
     assert near(good[: TITLE + 1200], palette.WRONG) == 0
     assert (good[:TITLE] != poor[:TITLE]).any()

@@ -49,9 +49,7 @@ def test_thin_walls_of_a_large_map_are_seen() -> None:
 
 
 @given(st.floats(0.5, 900.0), st.floats(0.5, 900.0), lengths, lengths)
-def test_places_are_drawn_to_scale_inside_the_frame(
-    width_m: float, height_m: float, x: float, y: float
-) -> None:
+def test_places_are_drawn_to_scale(width_m: float, height_m: float, x: float, y: float) -> None:
     low, high = np.array([x, y]), np.array([x + width_m, y + height_m])
     sheet = Sheet(low, high, ())
     (left, bottom), (right, top) = sheet.pixels(np.array([low, high]))
@@ -66,9 +64,7 @@ def test_places_are_drawn_to_scale_inside_the_frame(
 
 
 @pytest.mark.parametrize("origin", [(0.0, 0.0), (-3.2, 7.7), (1e5, -1e5)])
-def test_each_kind_of_cell_has_its_colour_and_a_border_is_where_regions_touch(
-    origin: tuple[float, float],
-) -> None:
+def test_cells_have_their_colours_and_regions_a_border(origin: tuple[float, float]) -> None:
     cells = np.full((40, 60), FREE, dtype=np.uint8)
     cells[:, 30], cells[:20, 45:] = OCCUPIED, UNKNOWN
     owner = np.where(np.arange(40)[:, None] < 20, 0, 1) * np.ones((1, 60), dtype=np.int64)
@@ -115,9 +111,7 @@ def test_the_scale_bar_has_a_round_length(extent_m: float) -> None:
 
 
 @pytest.mark.parametrize(("width_m", "height_m"), [(1.0, 9.0), (5.0, 5.0), (9.0, 1.0)])
-def test_the_whole_legend_lies_below_the_map_and_its_entries_do_not_touch(
-    width_m: float, height_m: float
-) -> None:
+def test_the_legend_lies_below_and_entries_do_not_touch(width_m: float, height_m: float) -> None:
     bare, full = sheet_of(width_m, height_m), sheet_of(width_m, height_m, EVERYTHING)
     assert full.map_height == bare.map_height
     below = inked(full.canvas.image)

@@ -66,7 +66,6 @@ def spot(x: float, y: float) -> FloatArray:
 
 
 def bars(image: Image) -> list[int]:
-    """The heights of the bars of the spectrum, in pixels."""
     spectrum = image[-SPECTRUM:]
     filled = of_colour(spectrum, (170, 170, 170), 0) | of_colour(spectrum, ORANGE, 0)
     floor = filled[FLOOR - 3]
@@ -102,10 +101,7 @@ def test_the_map_is_white_grey_and_black_and_the_way_ends_in_a_dot_where_the_rob
 
 
 @pytest.mark.parametrize(("chosen", "threshold"), [(0, 0.2), (1, 0.6), (3, 0.95)])
-def test_bars_are_as_high_as_the_eigenvalues_below_the_line_of_the_threshold(
-    chosen: int, threshold: float
-) -> None:
-    """The chosen one stands out."""
+def test_bars_are_as_high_as_the_eigenvalues(chosen: int, threshold: float) -> None:
     values = [1.0, 0.75, 0.5, 0.25]
     image = drawn(split_test(eigenvalues=values, chosen=chosen), threshold)
     heights, spectrum = bars(image), image[-SPECTRUM:]

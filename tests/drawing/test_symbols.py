@@ -38,19 +38,15 @@ def test_links_are_solid_dashed_or_dotted(
 
 
 @pytest.mark.parametrize("driven", [True, False])
-def test_a_door_is_a_passage_between_its_jambs_with_dots_where_it_was_only_seen(
-    driven: bool,
-) -> None:
+def test_a_door_is_a_passage_between_jambs_with_dots_where_it_was_only_seen(driven: bool) -> None:
     """No leaf stands in it or out of the wall: who drew the map saw none."""
     canvas = Canvas(120, 120, palette.SHADE)
     symbols.door(canvas, np.array([[30.0, 80.0], [90.0, 80.0]]), driven)
     left, right, top, bottom = bounds(of_colour(canvas.image, palette.DOOR, 60))
     assert (left, right, top, bottom) == pytest.approx((27, 93, 68, 92), abs=1.5)
     for jamb in (30, 90):
-        for along in (73, 87):
-            assert pixel(canvas.image, np.array([jamb, along])) == pytest.approx(
-                palette.DOOR, abs=8
-            )
+        for y in (73, 87):
+            assert pixel(canvas.image, np.array([jamb, y])) == pytest.approx(palette.DOOR, abs=8)
     between = of_colour(canvas.image, palette.DOOR, 60)[80, 36:85]
     assert 0.1 < between.mean() < 0.6 if not driven else not between.any()
     assert near(canvas.image[78:83, 36:85], palette.PAPER) > 60
@@ -72,9 +68,8 @@ def test_a_badge_holds_its_id(name: str) -> None:
     left, right, top, bottom = bounds(inked(canvas.image, palette.SHADE))
     assert (left + right, top + bottom) == (80, 80)
     assert (right - left) / 2 == pytest.approx(radius + 2, abs=1.5)
-    assert pixel(canvas.image, np.array([40 + radius + 1, 40])) == pytest.approx(
-        palette.darker(palette.FILLS[2]), abs=40
-    )
+    rim = pixel(canvas.image, np.array([40 + radius + 1, 40]))
+    assert rim == pytest.approx(palette.darker(palette.FILLS[2]), abs=40)
     letters = bounds(of_colour(canvas.image, palette.INK, 40))
     assert np.hypot(max(40 - letters[0], letters[1] - 40), letters[3] - 40) < radius
 

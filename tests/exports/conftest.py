@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +13,7 @@ import pytest
 
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import PlanarScan
-from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.grids.map_server import write_grid
 from specmap_cli.maps.store import Map, read_map
 from specmap_cli.maps.writing import MapResult, write_map, write_scans
 from specmap_cli.pipelines.segment import segment_map
@@ -43,19 +41,17 @@ def written(out: Path, result: MapResult, scans: KeyframeStore | None = None) ->
 
 
 def with_submaps(out: Path, result: MapResult, *changes: dict[str, Any]) -> Map:
-    """The house with some fields of its first submaps changed."""
     old = result.topology
     submaps = dict(old.submaps)
     for id_, fields in enumerate(changes):
-        submaps[id_] = dataclasses.replace(submaps[id_], **fields)
-    topology = dataclasses.replace(old, submaps=submaps)
-    return written(out, dataclasses.replace(result, topology=topology))
+        submaps[id_] = replace(submaps[id_], **fields)
+    topology = replace(old, submaps=submaps)
+    return written(out, replace(result, topology=topology))
 
 
 def lengths_are_the_map_s(
     graph: nx.DiGraph, stored: Map, names: Mapping[int, Any], weight: str
 ) -> None:
-    """Each way of the map is as long in an exported graph, in both directions."""
     ways = [edge for edge in stored.record.edges if edge.corners]
     assert len(ways) >= 2
     for way in ways:
@@ -74,7 +70,7 @@ def stored(tmp_path: Path, result: MapResult) -> Map:
 def lived_in(result: MapResult) -> MapResult:
     """The house with an anchor in each submap, two ways, a link too narrow and a forbidden one."""
     door = Door(id=0, x=-3.0, y=1.25, width_m=0.9, theta=np.pi / 2, between=(0, 1))
-    doors = (door, dataclasses.replace(door, id=1, x=3.0, width_m=0.8, between=(0, 2)))
+    doors = (door, replace(door, id=1, x=3.0, width_m=0.8, between=(0, 2)))
     ways = {
         (0, 1): (np.array([[0.0, 0.5], [-3.0, 1.0], [-3.0, 3.5]]), 0.4),
         (0, 2): (np.array([[0.0, 0.5], [3.0, 1.25], [3.0, 3.0]]), 0.3),
@@ -82,24 +78,17 @@ def lived_in(result: MapResult) -> MapResult:
     old = result.topology
     edges = dict(old.edges)
     for (pair, (path, clearance)), through in zip(ways.items(), doors, strict=True):
-        edges[pair] = dataclasses.replace(
-            edges[pair],
-            path=path,
-            doors=(through.id,),
-            clearance_m=clearance,
-            length_m=float(np.hypot(*np.diff(path, axis=0).T).sum()),
-            width_m=through.width_m,
-        )
+        length_m = float(np.hypot(*np.diff(path, axis=0).T).sum())
+        way = replace(edges[pair], path=path, length_m=length_m, clearance_m=clearance)
+        edges[pair] = replace(way, doors=(through.id,), width_m=through.width_m)
     edges[1, 2] = Edge(source=1, target=2, kind="seen", clearance_m=0.1)
     anchors = {0: (0.0, 0.5), 1: (-3.0, 3.5), 2: (3.0, 3.0)}
     submaps = {
-        id_: dataclasses.replace(submap, anchor=anchors[id_], anchor_clearance_m=0.8)
+        id_: replace(submap, anchor=anchors[id_], anchor_clearance_m=0.8)
         for id_, submap in old.submaps.items()
     }
-    topology = dataclasses.replace(
-        old, submaps=submaps, edges=edges, doors=doors, robot_radius_m=0.2
-    )
-    return dataclasses.replace(result, topology=topology, pose_graph=POSE_GRAPH)
+    topology = replace(old, submaps=submaps, edges=edges, doors=doors, robot_radius_m=0.2)
+    return replace(result, topology=topology, pose_graph=POSE_GRAPH)
 
 
 @pytest.fixture
@@ -119,9 +108,6 @@ def home(tmp_path: Path, lived_in: MapResult) -> Map:
 
 
 @pytest.fixture(scope="session")
-def rooms(flat: GridMap, tmp_path_factory: pytest.TempPathFactory) -> Map:
+def rooms(plan: Path, tmp_path_factory: pytest.TempPathFactory) -> Map:
     """The flat divided into rooms, its doors and ways found; not to be changed."""
-    folder = tmp_path_factory.mktemp("rooms")
-    write_grid(folder / "flat", flat)
-    segment_map(folder / "flat.yaml", folder / "out")
-    return read_map(folder / "out")
+    return read_map(segment_map(plan, tmp_path_factory.mktemp("rooms") / "out").out)

@@ -11,7 +11,6 @@ _EXTRAS = {"rerun": "rerun", "evo": "none"}
 
 
 def consumer(module: str) -> Any:
-    """The module of a consumer; skips the test without it."""
     extra = _EXTRAS.get(module.split(".")[0], "consumers")
     how = "install it by hand" if extra == "none" else f"pip install -e '.[{extra}]'"
     return pytest.importorskip(module, reason=f"{module} is not installed: {how}")

@@ -30,7 +30,6 @@ class Masks(NamedTuple):
 
 
 def load(path: Path) -> Masks:
-    """What the two filters make of an export."""
     with zipfile.ZipFile(path) as archive:
         files = {name: archive.read(name) for name in archive.namelist()}
     servers = yaml.safe_load(files["nav2_params.yaml"])

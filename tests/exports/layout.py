@@ -21,12 +21,7 @@ def _object(required: str, **optional: Any) -> dict[str, Any]:
     """An object that must have some texts, and may have others; nothing else."""
     fields = dict.fromkeys(required.split(), TEXT) | optional
     must = [*required.split(), *(name for name in optional if name not in _MAY_BE_LEFT_OUT)]
-    return {
-        "type": "object",
-        "required": must,
-        "properties": fields,
-        "additionalProperties": False,
-    }
+    return {"type": "object", "required": must, "properties": fields, "additionalProperties": False}
 
 
 def _some(items: Any, least: int = 1) -> dict[str, Any]:

@@ -20,7 +20,6 @@ _TYPES = {1: str, 2: int, 3: float, 4: bool}
 
 
 def parts(path: Path) -> tuple[Any, Any]:
-    """The building and the nav graph of an export."""
     with zipfile.ZipFile(path) as archive:
         (building,) = (name for name in archive.namelist() if name.endswith(".building.yaml"))
         texts = (archive.read(name) for name in (building, "nav_graphs/0.yaml"))

@@ -50,9 +50,7 @@ def test_what_a_person_noted_is_no_formula(lived_in: MapResult, tmp_path: Path) 
     assert (row["property.of"], row["property.floor"]) == ("'@Ann", "-2")
 
 
-def test_empty_tables_keep_their_headings_and_a_zip_is_not_called_csv(
-    stored: Map, tmp_path: Path
-) -> None:
+def test_empty_tables_have_headings_and_a_zip_is_not_csv(stored: Map, tmp_path: Path) -> None:
     tables(stored, tmp_path / "house.zip")
     with zipfile.ZipFile(tmp_path / "house.zip") as archive:
         text = archive.read("doors.csv").decode()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -26,9 +26,7 @@ def noted(out: Path, result: MapResult, *properties: dict[str, Any]) -> Map:
     return with_submaps(out, result, *({"properties": each} for each in properties))
 
 
-def test_a_fleet_adapter_reads_the_nav_graph_that_the_generator_makes_of_the_building(
-    home: Map, rooms: Map, tmp_path: Path
-) -> None:
+def test_an_adapter_reads_what_the_generator_makes(home: Map, rooms: Map, tmp_path: Path) -> None:
     for stored in (home, rooms):
         out = tmp_path / f"{stored.path.name}.zip"
         (warning,) = export_map(stored, "rmf", out)
@@ -55,14 +53,11 @@ def test_names_that_come_twice_are_told_apart(lived_in: MapResult, tmp_path: Pat
     stored = with_submaps(tmp_path / "map", lived_in, *[{"name": "Lab"}] * 3)
     export_map(stored, "rmf", tmp_path / "x.zip")
     graph = open_rmf.graph_of(open_rmf.parts(tmp_path / "x.zip")[1])
-    assert {name for _, name in graph.nodes(data="name") if name} == {
-        "Lab (0)", "Lab (1)", "Lab (2)"
-    }  # fmt: skip
+    names = {name for _, name in graph.nodes(data="name") if name}
+    assert names == {"Lab (0)", "Lab (1)", "Lab (2)"}
 
 
-def test_a_layout_has_a_station_for_each_room_and_edges_as_long_as_the_ways(
-    home: Map, rooms: Map, tmp_path: Path
-) -> None:
+def test_a_layout_has_rooms_and_ways_as_long(home: Map, rooms: Map, tmp_path: Path) -> None:
     for stored in (home, rooms):
         out = tmp_path / f"{stored.path.name}.json"
         export_map(stored, "lif", out)
@@ -70,16 +65,13 @@ def test_a_layout_has_a_station_for_each_room_and_edges_as_long_as_the_ways(
         stations = graph.graph["stations"]
         names = {room.id: f"Submap{room.id}" for room in stored.rooms.values() if room.anchor}
         assert stations.keys() == set(names.values())
-        assert {one["stationName"] for one in stations.values()} == {
-            room.name for room in stored.rooms.values()
-        }
+        shown = {one["stationName"] for one in stations.values()}
+        assert shown == {room.name for room in stored.rooms.values()}
         lengths_are_the_map_s(graph, stored, names, "length_m")
         assert {speed for _, _, speed in graph.edges(data="max_speed")} == {None}
 
 
-def test_a_speed_limit_and_a_penalty_stand_where_each_planner_looks(
-    lived_in: MapResult, tmp_path: Path
-) -> None:
+def test_each_planner_finds_speed_limits_and_penalties(lived_in: MapResult, tmp_path: Path) -> None:
     whole = {"speed_limit": 1, "penalty": 3}  # scorers want floats
     stored = noted(tmp_path / "map", lived_in, whole)
     plain = noted(tmp_path / "plain", lived_in, {})
@@ -89,16 +81,14 @@ def test_a_speed_limit_and_a_penalty_stand_where_each_planner_looks(
     export_map(stored, "rmf", tmp_path / "rmf.zip")
     graph = load(files["nav2"])
     door = next(node for node, of in graph.nodes(data="metadata") if of.get("door") == 0)
-    assert [graph.nodes[door]["metadata"]["class"], graph.edges[door, 1]["metadata"]["class"]] == [
-        "door", "traversed"
-    ]  # fmt: skip
+    beyond = graph.edges[door, 1]["metadata"]
+    assert (graph.nodes[door]["metadata"]["class"], beyond["class"]) == ("door", "traversed")
     path = nx.shortest_path(graph, 0, door)
     inside = [graph.edges[pair]["metadata"] for pair in pairwise(path)]
     assert len(inside) == 2, "a bend lies between"
     for metadata in inside:
         assert (metadata["speed_limit"], type(metadata["speed_limit"])) == (1.0, float)
     assert sum(metadata["penalty"] for metadata in inside) == pytest.approx(3.0)
-    beyond = graph.edges[door, 1]["metadata"]
     assert not {"speed_limit", "penalty"} & beyond.keys()
     speeds = {(a, b): speed for a, b, speed in layout.load(files["lif"]).edges(data="max_speed")}
     to_bend = next(speed for (a, b), speed in speeds.items() if a == "Submap0" and "Bend" in b)
@@ -121,9 +111,7 @@ def weights_of(path: Path) -> dict[tuple[str, str], float]:
     }
 
 
-def test_a_limit_that_is_none_is_left_out_with_a_warning(
-    lived_in: MapResult, tmp_path: Path
-) -> None:
+def test_a_limit_that_is_none_is_left_out_and_told(lived_in: MapResult, tmp_path: Path) -> None:
     stored = noted(tmp_path / "map", lived_in, {"speed_limit": "slow", "penalty": True})
     for name in ("nav2", "nav2-masks"):
         assert export_map(stored, name, tmp_path / f"{name}.zip") == [
@@ -155,11 +143,11 @@ def test_a_forbidden_link_and_a_forbidden_door_are_shut(rooms: Map, tmp_path: Pa
     record, regions = rooms.record, rooms.regions
     link, door = record.edges[0], record.graph.doors[-1]
     assert door.id not in link.doors
-    doors = (*record.graph.doors[:-1], dataclasses.replace(door, forbidden=True))
+    doors = (*record.graph.doors[:-1], replace(door, forbidden=True))
     graph = record.graph.model_copy(update={"doors": doors})
-    edges = (dataclasses.replace(link, forbidden=True), *record.edges[1:])
+    edges = (replace(link, forbidden=True), *record.edges[1:])
     changed = record.model_copy(update={"graph": graph, "edges": edges})
-    export_map(dataclasses.replace(rooms, record=changed), "nav2-masks", tmp_path / "masks.zip")
+    export_map(replace(rooms, record=changed), "nav2-masks", tmp_path / "masks.zip")
     shut = costmap_filters.load(tmp_path / "masks.zip").shut
     for place in (*door.sides, (door.x, door.y)):
         assert shut[tuple(regions.grid.cells_of(np.array([place]))[0])]
@@ -171,9 +159,7 @@ def test_a_forbidden_link_and_a_forbidden_door_are_shut(rooms: Map, tmp_path: Pa
             assert len(set(parts[cells])) == ways
 
 
-def test_masks_lie_on_the_map_s_grid_and_limit_a_room(
-    home: Map, rooms: Map, tmp_path: Path
-) -> None:
+def test_masks_lie_on_the_grid_and_limit_nothing(home: Map, rooms: Map, tmp_path: Path) -> None:
     for stored in (home, rooms):
         export_map(stored, "nav2-masks", tmp_path / "masks.zip", overwrite=True)
         found = costmap_filters.load(tmp_path / "masks.zip")

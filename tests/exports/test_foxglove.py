@@ -1,4 +1,7 @@
-"""The MCAP for Foxglove, decoded by mcap and protobuf with the schemas that it carries itself."""
+"""The MCAP for Foxglove, decoded by mcap and protobuf with the schemas that it carries itself.
+
+These are compared with those of Foxglove's SDK.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,7 @@ from mcap.reader import make_reader
 
 from specmap_cli.core.geometry import Pose2
 from specmap_cli.core.records import PlanarScan
+from specmap_cli.exports.foxglove import description
 from specmap_cli.exports.table import export_map
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
@@ -22,7 +26,7 @@ from tests.exports.conftest import BEARINGS
 from tests.exports.consumers import consumer
 
 OVER_TIME = ("/tf", "/pose", "/scan")
-
+SCHEMAS = ("Grid", "SceneUpdate", "PoseInFrame", "PosesInFrame", "FrameTransform", "LaserScan")
 
 Found = dict[str, list[tuple[int, Any]]]
 
@@ -127,9 +131,7 @@ def test_every_keyframe_has_its_pose_and_its_scan(home: Map, found: Found) -> No
     assert np.allclose(way, labels.poses[:, :2], atol=1e-5)
 
 
-def test_a_divided_plan_is_whole_and_has_nothing_over_time(
-    rooms: Map, flat: GridMap, tmp_path: Path
-) -> None:
+def test_a_plan_is_whole_with_nothing_over_time(rooms: Map, flat: GridMap, tmp_path: Path) -> None:
     found = messages(rooms, tmp_path / "rooms.mcap")
     assert not {*OVER_TIME, "/trajectory"} & found.keys()
     for topic, cells in (("/map", flat.cells >= 0), ("/regions", flat.free)):
@@ -138,9 +140,7 @@ def test_a_divided_plan_is_whole_and_has_nothing_over_time(
         assert np.array_equal(shown, cells)
 
 
-def test_scans_are_read_one_by_one(
-    home: Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_scans_are_read_singly(home: Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     taken: list[weakref.ref[np.ndarray]] = []
     alive: list[int] = []
     read = KeyframeStore.scan
@@ -155,3 +155,23 @@ def test_scans_are_read_one_by_one(
     export_map(home, "foxglove", tmp_path / "home.mcap")
     assert len(taken) == 30
     assert max(alive) <= 2
+
+
+def files(data: bytes) -> dict[str, Any]:
+    """The files of a description by name, without their names in JSON and the order of imports."""
+    descriptors = consumer("google.protobuf.descriptor_pb2")
+    found = {}
+    for file in descriptors.FileDescriptorSet.FromString(data).file:
+        for field in file.message_type[0].field:
+            field.ClearField("json_name")
+        types = [str(message) for message in file.message_type]
+        found[file.name] = (file.package, sorted(file.dependency), file.syntax, types)
+    return found
+
+
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_the_schema_is_that_of_the_sdk(name: str) -> None:
+    messages = consumer("foxglove.messages")
+    sdk = getattr(messages, name).get_schema()
+    assert (sdk.name, sdk.encoding) == (f"foxglove.{name}", "protobuf")
+    assert files(description(name)) == files(sdk.data)

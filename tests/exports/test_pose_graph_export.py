@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,18 +19,21 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 
 def with_graph(directory: Path, result: MapResult, text: str) -> Map:
-    return written(directory, dataclasses.replace(result, pose_graph=text))
+    return written(directory, replace(result, pose_graph=text))
 
 
-def test_the_fixed_vertex_stands_last_whatever_the_map_has(
-    lived_in: MapResult, tmp_path: Path
-) -> None:
+def test_fixed_vertices_stand_last_one_a_part(lived_in: MapResult, tmp_path: Path) -> None:
     lines = POSE_GRAPH.splitlines(keepends=True)
     earlier = "".join([*lines[:3], lines[-1], *lines[3:-1]])  # as earlier versions wrote it
     for number, text in enumerate((POSE_GRAPH, earlier)):
         stored = with_graph(tmp_path / str(number), lived_in, text)
         assert export_map(stored, "pose-graph", tmp_path / f"{number}.g2o") == []
         assert (tmp_path / f"{number}.g2o").read_text() == POSE_GRAPH
+    text = "VERTEX_SE2 7 5 5 0\nVERTEX_SE2 8 6 5 0\nEDGE_SE2 7 8 1 0 0 1 0 0 1 0 1\n" + POSE_GRAPH
+    stored = with_graph(tmp_path / "map", lived_in, text)
+    (warning,) = export_map(stored, "pose-graph", tmp_path / "x.g2o")
+    assert warning.startswith("the pose graph is in 2 parts that no edge joins")
+    assert (tmp_path / "x.g2o").read_text().endswith("FIX 0\nFIX 7\n")
 
 
 def test_gtsam_reads_every_vertex_and_every_edge_and_solves_it(home: Map, tmp_path: Path) -> None:
@@ -56,14 +59,6 @@ def test_gtsam_reads_every_vertex_and_every_edge_and_solves_it(home: Map, tmp_pa
     assert "by half a metre at one end" in told  # what the benchmark found; no bound of millimetres
 
 
-def test_a_vertex_of_each_part_is_fixed(lived_in: MapResult, tmp_path: Path) -> None:
-    text = "VERTEX_SE2 7 5 5 0\nVERTEX_SE2 8 6 5 0\nEDGE_SE2 7 8 1 0 0 1 0 0 1 0 1\n" + POSE_GRAPH
-    stored = with_graph(tmp_path / "map", lived_in, text)
-    (warning,) = export_map(stored, "pose-graph", tmp_path / "x.g2o")
-    assert warning.startswith("the pose graph is in 2 parts that no edge joins")
-    assert (tmp_path / "x.g2o").read_text().endswith("FIX 0\nFIX 7\n")
-
-
 def test_a_map_without_one_is_refused_in_a_line(
     stored: Map, rooms: Map, lived_in: MapResult, tmp_path: Path
 ) -> None:
@@ -71,14 +66,12 @@ def test_a_map_without_one_is_refused_in_a_line(
     built = "a pose graph needs one that `specmap build` made of a recording"
     again = "build the map again"
     bad = with_graph(tmp_path / "bad", lived_in, "VERTEX_SE2 0 0\n")
-    line = "g2o, line 1: 'VERTEX_SE2 0 0' is no VERTEX_SE2"
-    cases = [
+    for case, found, hint in (
         (stored, "has no vertices", again),
         (rooms, "has no trajectory.g2o: `specmap segment` makes maps without", built),
         (with_graph(tmp_path / "1", lived_in, POSE_GRAPH + lone), "there is no vertex 9", again),
-        (bad, line, again),
-    ]
-    for case, found, hint in cases:
+        (bad, "g2o, line 1: 'VERTEX_SE2 0 0' is no VERTEX_SE2", again),
+    ):
         with pytest.raises(MapError) as told:
             export_map(case, "pose-graph", tmp_path / "x.g2o")
         assert (told.value.found, told.value.hint) == (found, hint)

@@ -19,7 +19,6 @@ Rows = dict[str, list[dict[str, Any]]]
 
 
 def rows(stored: Map, out: Path) -> Rows:
-    """The rows of each entity, their columns by name."""
     consumer("rerun")
     chunks = consumer("rerun.chunk")
     assert export_map(stored, "rerun", out) == []

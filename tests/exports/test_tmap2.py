@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ import numpy as np
 import pytest
 import yaml
 
-from specmap_cli.core.yaml import yaml_text
 from specmap_cli.exports.table import export_map
 from specmap_cli.maps.store import Map
 from tests.exports.conftest import lengths_are_the_map_s
@@ -66,9 +64,7 @@ def graph_of(found: Any) -> nx.DiGraph:
     return graph
 
 
-def test_the_manager_reads_it_and_its_figures_are_the_map_s(
-    home: Map, rooms: Map, tmp_path: Path
-) -> None:
+def test_the_manager_reads_the_figures_of_the_map(home: Map, rooms: Map, tmp_path: Path) -> None:
     for stored in (home, rooms):
         found = document(stored, tmp_path / "map.tmap2")
         jsonschema.validate(found, RULES)
@@ -92,15 +88,3 @@ def test_a_zone_is_the_outline_of_its_submap_seen_from_the_node(home: Map, tmp_p
     assert kitchen["properties"]["label"] == "submap 1"
     across = [abs(corner["x"]) for corner in nodes["Door0"]["verts"]]
     assert max(across) == pytest.approx(0.45)
-
-
-def test_words_and_numbers_stay_what_they_are() -> None:
-    value: dict[str, Any] = {
-        **{"words": "yes", "umlaut": "Küche #2 \U0001f600\x07\u2028 \\", "none": []},
-        **{"tiny": 1e-6, "great": 123456789.0, "whole": 3, "flag": False},
-        "more": {"number": "1e5", "quote": 'a "b": c\n- d'},
-        "list": [{"a": 1.5, "b": {"c": True}}, {"a": 2.0, "b": {}}],
-    }
-    text = yaml_text(value)
-    assert yaml.safe_load(text) == value
-    assert not re.search(r"\de-", text)

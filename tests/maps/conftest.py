@@ -28,5 +28,4 @@ def edit(path: Path, **changes: Any) -> None:
 
 @pytest.fixture
 def stored(house: Path) -> Path:
-    """A map directory of this test's own."""
     return house

@@ -76,9 +76,7 @@ def meant(edits: Edits) -> tuple[Any, ...]:
 
 
 @given(documents, documents)
-def test_whatever_stood_there_before_the_text_says_what_is_meant(
-    before: dict[str, Any], document: dict[str, Any]
-) -> None:
+def test_the_text_says_what_is_meant(before: dict[str, Any], document: dict[str, Any]) -> None:
     text = written(Edits.model_validate(before))
     edits = Edits.model_validate(document)
     for stood in ("", text):

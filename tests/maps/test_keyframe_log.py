@@ -52,6 +52,9 @@ def posed(number: int, mount: Pose2 = MOUNT) -> PosedScan:
     return keyframe(planar(number), pose, mount, number)
 
 
+SCANS = [posed(number) for number in range(40)]
+
+
 def laid_out(store: KeyframeStore) -> FloatArray:
     return compose(np.array([1.0, -2.0, 0.3]), store.poses)
 
@@ -64,7 +67,7 @@ def written(path: Path, scans: Iterable[PosedScan]) -> Path:
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    return written(tmp_path / "keyframes.mcap", [posed(number) for number in range(40)])
+    return written(tmp_path / "keyframes.mcap", SCANS)
 
 
 def assert_same(read: KeyframeStore, scans: Sequence[PosedScan], range_m: float = 1e-6) -> None:
@@ -93,10 +96,7 @@ def test_any_scans_there_and_back(
 
 def test_what_was_read_is_written_again_with_the_same_bytes(path: Path, tmp_path: Path) -> None:
     again = tmp_path / "again.mcap"
-    with (
-        store_of(posed(number) for number in range(40)) as store,
-        read_keyframes(path, MOST) as back,
-    ):
+    with store_of(SCANS) as store, read_keyframes(path, MOST) as back:
         write_keyframes(again, back, laid_out(store))
     assert again.read_bytes() == path.read_bytes()
 
@@ -124,16 +124,14 @@ def test_a_laser_that_does_not_look_all_around(tmp_path: Path) -> None:
 
 
 def test_it_is_an_ordinary_recording(path: Path) -> None:
-    """Scans, their odometry and the laser's place, as any reader of recordings finds them."""
-    scans = [posed(number) for number in range(40)]
     with open_log([path]) as log:
-        assert (log.contents.start_ns, log.contents.end_ns) == (START_NS, scans[-1].stamp_ns)
+        assert (log.contents.start_ns, log.contents.end_ns) == (START_NS, SCANS[-1].stamp_ns)
         stream = SweepStream(log, LogConfig())
         assert (stream.selection.odometry, stream.selection.base_frame) == ("tf", "base_link")
         sweeps = list(stream)
         last = decode_transforms(list(log.messages(["/tf"]))[-1]).records
-    assert [sweep.stamp_ns for sweep in sweeps] == [scan.stamp_ns for scan in scans]
-    for sweep, scan in zip(sweeps, scans, strict=True):
+    assert [sweep.stamp_ns for sweep in sweeps] == [scan.stamp_ns for scan in SCANS]
+    for sweep, scan in zip(sweeps, SCANS, strict=True):
         assert sweep.odom_from_base is not None
         away = scan.map_from_base.inverse() @ sweep.odom_from_base
         assert tuple(away) == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
@@ -141,7 +139,7 @@ def test_it_is_an_ordinary_recording(path: Path) -> None:
         assert sweep.planar.ranges == pytest.approx(scan.planar.ranges, abs=1e-6, nan_ok=True)
     assert [(t.parent, t.child) for t in last] == [("map", "odom"), ("odom", "base_link")]
     map_from_base = Pose2.from_matrix(last[0].parent_from_child @ last[1].parent_from_child)
-    expected = Pose2(1.0, -2.0, 0.3) @ posed(39).map_from_base
+    expected = Pose2(1.0, -2.0, 0.3) @ SCANS[-1].map_from_base
     assert tuple(map_from_base) == pytest.approx(tuple(expected), abs=1e-5)
 
 
@@ -155,18 +153,17 @@ def test_a_file_that_was_cut_off(path: Path, kept: int) -> None:
 
 def test_any_byte_of_the_data_may_be_damaged(path: Path) -> None:
     """It is refused, or nothing is lost."""
-    whole, scans = path.read_bytes(), [posed(number) for number in range(40)]
+    whole = path.read_bytes()
     for place in range(0, len(whole) // 2, 97):
         path.write_bytes(whole[:place] + bytes([whole[place] ^ 0x5A]) + whole[place + 1 :])
         with suppress(MapError), read_keyframes(path, MOST) as read:
-            assert_same(read, scans)
+            assert_same(read, SCANS)
 
 
 def test_a_file_that_is_none_and_files_beyond_the_limits(path: Path, tmp_path: Path) -> None:
-    for name, text in (("text", b"keyframes " * 100), ("empty", b"")):
-        (tmp_path / name).write_bytes(text)
-        with pytest.raises(MapError, match=f"{name}: .*build the map again"):
-            read_keyframes(tmp_path / name, MOST)
+    (tmp_path / "text").write_text("keyframes " * 100)
+    with pytest.raises(MapError, match=r"text: .*build the map again"):
+        read_keyframes(tmp_path / "text", MOST)
     with pytest.raises(MapError, match="cannot read the keyframes: No such file"):
         read_keyframes(tmp_path / "nowhere", MOST)
     with pytest.raises(MapError, match="not a regular file"):
@@ -189,9 +186,7 @@ def test_scans_that_lack_something(tmp_path: Path, lack: str) -> None:
         read_keyframes(tmp_path / "a.mcap", MOST)
 
 
-def test_the_keyframes_of_a_map_are_those_of_its_labels(
-    stored: Path, tmp_path: Path, result: MapResult
-) -> None:
+def test_keyframes_are_those_of_the_labels(stored: Path, tmp_path: Path, result: MapResult) -> None:
     with pytest.raises(MapError, match=r"has no keyframes\.mcap: .*build the map again") as caught:
         read_map(stored).scans()
     assert caught.value.found == "has no keyframes.mcap"
@@ -212,8 +207,9 @@ def test_the_keyframes_of_a_map_are_those_of_its_labels(
 CIRCLE = 2 * math.pi
 
 
-def seen_along(bearings: FloatArray, ranges: FloatArray) -> PlanarScan:
-    return PlanarScan(0, bearings, ranges, 30.0, False)
+def seen_along(bearings: FloatArray, ranges: FloatArray) -> EvenBeams:
+    """The beams that a first scan of a part of the circle is written with."""
+    return EvenSpacing().beams(PlanarScan(0, bearings, ranges, 30.0, False))
 
 
 def bearings_of(beams: EvenBeams) -> FloatArray:
@@ -224,9 +220,8 @@ def turned(full_circle: bool) -> tuple[PlanarScan, PlanarScan]:
     """A scan at rest, and one in motion with its beams de-skewed."""
     span = CIRCLE if full_circle else 4.0
     bearings = np.linspace(-span / 2, span / 2, 360, endpoint=not full_circle)
-    rest = PlanarScan(
-        0, bearings, 3.0 + np.cos(bearings), 30.0, full_circle, np.linspace(0.0, 0.1, 360)
-    )
+    ranges, times = 3.0 + np.cos(bearings), np.linspace(0.0, 0.1, 360)
+    rest = PlanarScan(0, bearings, ranges, 30.0, full_circle, times)
     moving = deskewed(rest, Pose2(0.2, 0.0, 0.0), Pose2(0.1, 0.0, 0.3), 0.1)
     return rest, moving
 
@@ -244,42 +239,33 @@ def test_what_was_measured_in_motion_keeps_the_bearings_of_the_laser(full_circle
     for bearing, found in zip(bearings_of(beams)[seen], beams.ranges[seen], strict=True):
         away = np.abs((moving.bearings - bearing + math.pi) % CIRCLE - math.pi)
         assert found in moving.ranges[away <= half], "the reading of a neighbour"
+    first = EvenSpacing().beams(moving)  # which may be one in motion
+    assert covers_circle(len(first.ranges), first.increment) == full_circle
+    assert np.isfinite(first.ranges).all() or not full_circle
 
 
-def test_the_first_scan_may_be_one_in_motion() -> None:
-    _, moving = turned(full_circle=True)
-    beams = EvenSpacing().beams(moving)
-    assert covers_circle(len(beams.ranges), beams.increment)
-    assert np.isfinite(beams.ranges).all()
-
-
-def test_no_reading_is_made_up_where_there_is_none() -> None:
+def test_no_reading_is_made_up_in_a_hole_of_a_single_beam_or_of_none() -> None:
     hole = np.concatenate([np.linspace(-1.0, -0.5, 50), np.linspace(0.5, 1.0, 50)])
-    beams = EvenSpacing().beams(seen_along(hole, np.ones(100)))
+    beams = seen_along(hole, np.ones(100))
     assert np.isnan(beams.ranges[np.abs(bearings_of(beams)) < 0.45]).all()
     assert np.isnan(beams.ranges).mean() == pytest.approx(0.5, abs=0.03)
+    beams = seen_along(np.array([0.3]), np.array([2.0]))
+    assert (beams.angle_min, beams.increment) == (float(np.float32(0.3)), 0.0)
+    assert beams.ranges.tolist() == [2.0]
+    bearings = np.linspace(-math.pi, math.pi, 90, endpoint=False)
+    blind = seen_along(bearings, np.full(90, np.nan)).ranges
+    assert len(blind) == 1
+    assert np.isnan(blind).all()
 
 
 @pytest.mark.parametrize("blind", [(150, 250), (0, 60), (340, 400), (380, 20), (7, 8), (7, 7)])
-def test_a_circle_not_looked_at_all_around_goes_without_its_blind_part(
-    blind: tuple[int, int],
-) -> None:
+def test_a_circle_goes_without_its_blind_part(blind: tuple[int, int]) -> None:
     bearings = np.asarray(-math.pi + (np.arange(400) + 0.5) * (CIRCLE / 400), dtype=np.float64)
     ranges, (start, end) = np.arange(400.0), blind
     run = np.arange(start, end if end >= start else end + 400) % 400
     ranges[run] = np.nan
-    beams = EvenSpacing().beams(seen_along(bearings, ranges))
+    beams = seen_along(bearings, ranges)
     assert not covers_circle(len(beams.ranges), beams.increment)
     assert len(beams.ranges) == 400 - max(len(run), 2)
     places = np.round((bearings_of(beams) + math.pi) / (CIRCLE / 400) - 0.5).astype(int) % 400
     assert (beams.ranges == places).all(), "each reading at its bearing"
-
-
-def test_a_single_beam_and_a_circle_that_saw_nothing() -> None:
-    beams = EvenSpacing().beams(seen_along(np.array([0.3]), np.array([2.0])))
-    assert (beams.angle_min, beams.increment) == (float(np.float32(0.3)), 0.0)
-    assert beams.ranges.tolist() == [2.0]
-    bearings = np.linspace(-math.pi, math.pi, 90, endpoint=False)
-    blind = EvenSpacing().beams(seen_along(bearings, np.full(90, np.nan))).ranges
-    assert len(blind) == 1
-    assert np.isnan(blind).all()

@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import json
 import os
 import shutil
 import signal
 import sys
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -40,7 +39,7 @@ def fill(directory: Path, words: str = "new") -> None:
 
 
 def words_of(directory: Path) -> str:
-    return str(json.loads((directory / TOPOLOGY).read_text())["schema_version"])
+    return (directory / "submaps" / "000.png").read_text()
 
 
 def fill_and_raise(directory: Path, error: type[BaseException], *others: Path) -> None:
@@ -57,10 +56,20 @@ def write(out: Path) -> None:
 
 @pytest.fixture
 def out(tmp_path: Path) -> Path:
-    """An old map."""
     (tmp_path / "out").mkdir()
     fill(tmp_path / "out", "old")
     return tmp_path / "out"
+
+
+@contextlib.contextmanager
+def handled_by(handler: Any) -> Iterator[None]:
+    """What the process does when it is told to end, and what it did before."""
+    before = {number: signal.signal(number, handler) for number in SIGNALS}
+    try:
+        yield
+    finally:
+        for number, earlier in before.items():
+            signal.signal(number, earlier)
 
 
 def hidden(parent: Path) -> list[str]:
@@ -76,15 +85,13 @@ def test_appears_complete_and_missing_parents_are_made(tmp_path: Path, place: st
         assert partial.parent == out.parent
         fill(partial)
         assert not (out / TOPOLOGY).exists()
-    assert (out / "submaps" / "000.png").read_text() == "new"
+    assert words_of(out) == "new"
     assert hidden(out.parent) == []
     assert (tmp_path / "real").exists() == (place == "dangling")
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
-def test_an_interruption_leaves_nothing_but_parents_that_somebody_uses_meanwhile(
-    tmp_path: Path, error: type[BaseException]
-) -> None:
+def test_an_interruption_leaves_nothing_of_ours(tmp_path: Path, error: type[BaseException]) -> None:
     for notes in ([], [tmp_path / "a" / "notes.txt"]):
         with pytest.raises(error), OutputDirectory(tmp_path / "a" / "b" / "out") as partial:
             fill_and_raise(partial, error, *notes)
@@ -92,9 +99,7 @@ def test_an_interruption_leaves_nothing_but_parents_that_somebody_uses_meanwhile
     assert os.listdir(tmp_path / "a") == ["notes.txt"]
 
 
-def test_overwrite_replaces_the_whole_map_and_follows_no_link_in_it(
-    tmp_path: Path, out: Path
-) -> None:
+def test_overwrite_replaces_the_whole_map_and_follows_no_link(tmp_path: Path, out: Path) -> None:
     (out / "submaps" / "007.png").write_text("stale")
     (tmp_path / "precious").mkdir()
     (tmp_path / "precious" / "file").write_text("kept")
@@ -113,6 +118,7 @@ def test_overwrite_replaces_the_whole_map_and_follows_no_link_in_it(
     ("place", "complaint"),
     [
         ("thesis", "no map"),
+        ("program", r"holds no map \(no topology.json of specmap in it\)"),
         ("thesis/chapter1.tex", "is a file"),
         ("thesis/chapter1.tex/out", r"cannot write there.*Not a directory"),
         ("/", "not a place for a map"),
@@ -125,11 +131,14 @@ def test_what_is_no_place_for_a_map_is_refused_and_never_touched(
     chapter = tmp_path / "thesis" / "chapter1.tex"
     chapter.parent.mkdir()
     chapter.write_text("years of work")
+    (tmp_path / "program" / "src").mkdir(parents=True)
+    (tmp_path / "program" / TOPOLOGY).write_text('{"mine": 1}')  # a name alone makes no map
     refused = OutputDirectory(tmp_path / place, overwrite)
     with pytest.raises(UsageError, match=complaint) as caught, refused:
         pytest.fail("entered")
     assert "\n" not in str(caught.value)
     assert chapter.read_text() == "years of work"
+    assert (tmp_path / "program" / "src").is_dir()
 
 
 def test_of_two_writers_of_one_place_the_first_wins(tmp_path: Path) -> None:
@@ -171,9 +180,7 @@ def test_a_path_may_be_text_and_relative(tmp_path: Path, monkeypatch: pytest.Mon
     assert (tmp_path / "maps" / "out" / TOPOLOGY).is_file()
 
 
-def test_a_link_to_a_map_stays_one_and_another_thread_writes_as_well(
-    tmp_path: Path, out: Path
-) -> None:
+def test_a_link_to_a_map_stays_and_another_thread_may_write(tmp_path: Path, out: Path) -> None:
     """Only the main thread can hold signals back; others must not try."""
     link = tmp_path / "link"
     link.symlink_to("out")
@@ -211,16 +218,12 @@ def test_a_signal_while_handlers_are_put_back_swallows_no_other(
     rename = os.rename
     monkeypatch.setattr(module, "exchanged", lambda *_: False)  # as on other systems
     monkeypatch.setattr(os, "rename", renamed)
-    before = {number: put(number, stop) for number in (first, other)}
-    try:
+    with handled_by(stop):
         with pytest.raises(SystemExit):
             write(out)
-        for number in before:
+        for number in (first, other):
             with contextlib.suppress(SystemExit):
                 os.kill(os.getpid(), number)
-    finally:
-        for number, handler in before.items():
-            put(number, handler)
     assert told == [other, first, first, other]
     assert words_of(out) == "new"
     assert hidden(out.parent) == []
@@ -247,8 +250,7 @@ def interrupted_at(event: int, out: Path) -> bool:
     gc.disable()  # what earlier writes left must not be taken back in this one
     sys.settrace(trace)
     try:
-        with OutputDirectory(out, overwrite=True) as partial:
-            fill(partial)
+        write(out)
     except KeyboardInterrupt:
         return True
     finally:
@@ -258,9 +260,8 @@ def interrupted_at(event: int, out: Path) -> bool:
 
 
 def test_an_interruption_at_any_line_leaves_a_whole_map(tmp_path: Path, out: Path) -> None:
-    before = {number: signal.signal(number, signal.default_int_handler) for number in SIGNALS}
     event = 1
-    try:
+    with handled_by(signal.default_int_handler):
         while interrupted_at(event, out):
             if len(os.listdir(tmp_path)) > 1:
                 gc.collect()  # the object goes at the latest with the process
@@ -269,9 +270,6 @@ def test_an_interruption_at_any_line_leaves_a_whole_map(tmp_path: Path, out: Pat
             for number in SIGNALS:
                 assert signal.getsignal(number) is signal.default_int_handler, event
             event += 1
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
     assert event > 100
 
 
@@ -334,14 +332,9 @@ def killed_at(
     ids=["exchanged", "one by one"],
 )
 def test_a_run_killed_at_any_call_leaves_a_whole_map(
-    at_once: bool,
-    calls: Sequence[str],
-    least: int,
-    tmp_path: Path,
-    result: MapResult,
-    tmp_path_factory: pytest.TempPathFactory,
+    at_once: bool, calls: Sequence[str], least: int, tmp_path: Path, result: MapResult
 ) -> None:
-    out, old = tmp_path / "map", tmp_path_factory.mktemp("old") / "map"
+    out, old = tmp_path / "maps" / "map", tmp_path / "old"
     write_house(old, result, "old")
     moments = 0
     died = True
@@ -355,7 +348,7 @@ def test_a_run_killed_at_any_call_leaves_a_whole_map(
             assert len(read_map(out).topology.submaps) == 3
         write_house(out, result, "next")
         assert read_map(out).record.graph.frame == "next"
-        assert [path.name for path in tmp_path.iterdir()] == ["map"], moments
+        assert os.listdir(out.parent) == ["map"], moments
     assert moments > least
 
 

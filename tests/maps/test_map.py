@@ -11,31 +11,25 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import networkx as nx
 import numpy as np
 import pytest
 
 from specmap_cli import Map, SpecmapError, read_map, segment_map
 from specmap_cli.core.geometry import Pose2
-from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.grids.map_server import write_grid
 from specmap_cli.pipelines.edit import edit_map
 from specmap_cli.pipelines.edits import RequestedEdits
 from tests.conftest import FLAT_ROOMS
 
 
 @pytest.fixture(scope="module")
-def rooms(flat: GridMap, tmp_path_factory: pytest.TempPathFactory) -> Map:
+def rooms(plan: Path, tmp_path_factory: pytest.TempPathFactory) -> Map:
     """The flat divided: three rooms of known walls above a corridor, two of them with one name."""
-    folder = tmp_path_factory.mktemp("divided")
-    write_grid(folder / "flat", flat)
-    segment_map(folder / "flat.yaml", folder / "map")
-    map_ = read_map(folder / "map")
+    map_ = read_map(segment_map(plan, tmp_path_factory.mktemp("divided") / "map").out)
     ids = [room_of(map_, box).id for box in FLAT_ROOMS]
     names = dict(zip(ids, ["Office", "Lab", "Office", "Corridor"], strict=True))
     properties = {ids[1]: {"floor": 2}}
     edit_map(map_, RequestedEdits(names=names, properties=properties))
-    return read_map(folder / "map")
+    return read_map(map_.path)
 
 
 def room_of(map_: Map, box: Sequence[int]) -> Any:
@@ -43,7 +37,7 @@ def room_of(map_: Map, box: Sequence[int]) -> Any:
     return map_.room_at((left + right) / 2, (bottom + top) / 2)
 
 
-def test_a_room_is_found_by_id_by_name_and_by_place(rooms: Map) -> None:
+def test_a_room_is_found_by_id_by_name_and_by_place(rooms: Map, flat_map: Map) -> None:
     lab = rooms.rooms["Lab"]
     assert lab is rooms.rooms[lab.id]
     assert lab is room_of(rooms, FLAT_ROOMS[1])
@@ -59,9 +53,6 @@ def test_a_room_is_found_by_id_by_name_and_by_place(rooms: Map) -> None:
         rooms.rooms[99]
     with pytest.raises(ValueError, match="expected a room, or x and y"):
         rooms.room_at(math.nan, 1.0)
-
-
-def test_a_room_that_nobody_named_is_found_by_the_name_that_it_shows(flat_map: Map) -> None:
     first = flat_map.ids[0]
     assert flat_map.rooms[f"submap {first}"].id == first
     with pytest.raises(KeyError, match=f"no room 'lab'; there are {first} 'submap {first}'"):
@@ -101,7 +92,7 @@ def test_nothing_of_a_map_can_be_changed(rooms: Map, flat_map: Map) -> None:
             array[0] = 0
 
 
-def test_routes_lead_from_rooms_and_places_to_rooms_and_places(rooms: Map) -> None:
+def test_routes_lead_from_and_to_rooms_and_places_if_allowed(rooms: Map, tmp_path: Path) -> None:
     lab, corridor = rooms.rooms["Lab"], rooms.rooms["Corridor"]
     there = rooms.route("Lab", "Corridor")
     assert there.rooms == (lab.id, corridor.id)
@@ -113,25 +104,11 @@ def test_routes_lead_from_rooms_and_places_to_rooms_and_places(rooms: Map) -> No
     assert "within 1 m of 50, 50" in rooms.route("Lab", (50.0, 50.0)).why
     with pytest.raises(KeyError, match="Lobby"):
         rooms.route("Lab", "Lobby")
-
-
-def test_a_route_keeps_what_a_person_forbade(rooms: Map, tmp_path: Path) -> None:
-    lab, corridor = rooms.rooms["Lab"], rooms.rooms["Corridor"]
     shut = {"forbid": [lab.id, corridor.id]}
     edit_map(rooms, RequestedEdits(changes=(shut,)), tmp_path / "shut")
     refused = read_map(tmp_path / "shut").route("Lab", "Corridor")
     assert not refused
     assert f"door {lab.doors[0].id}" in refused.why
-
-
-def test_the_graph_knows_rooms_and_links_and_shortest_paths(rooms: Map) -> None:
-    graph = rooms.to_networkx()
-    lab, corridor = rooms.rooms["Lab"], rooms.rooms["Corridor"]
-    assert set(graph) == set(rooms.rooms)
-    assert graph.nodes[lab.id]["name"] == "Lab"
-    assert graph.nodes[lab.id]["property.floor"] == 2
-    assert nx.shortest_path(graph, lab.id, corridor.id, weight="length_m") == [lab.id, corridor.id]
-    assert graph.edges[lab.id, corridor.id]["doors"] == str(lab.doors[0].id)
 
 
 def test_features_go_to_geopandas_where_it_is(rooms: Map, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shutil
@@ -24,14 +23,13 @@ from specmap_cli.maps.filenames import EDITS, TOPOLOGY
 from specmap_cli.maps.store import Map, read_map
 from specmap_cli.maps.writing import MapResult, write_map
 from specmap_cli.pipelines.map_in_making import laid_out_of_stored
+from tests.maps.conftest import edit
 
 
 @pytest.fixture
-def out(tmp_path: Path, result: MapResult) -> Path:
-    """A map."""
-    (tmp_path / "map").mkdir()
-    write_map(tmp_path / "map", result)
-    return tmp_path / "map"
+def out(house: Path) -> Path:
+    """A map, which is called so."""
+    return house.rename(house.with_name("map"))
 
 
 def anew(out: Path, result: MapResult, frame: str, **options: Any) -> None:
@@ -43,9 +41,7 @@ def frame_of(out: Path) -> str:
     return read_map(out).record.graph.frame
 
 
-def test_a_map_that_a_run_is_about_to_replace_is_refused_to_another_one(
-    out: Path, result: MapResult
-) -> None:
+def test_a_map_that_is_being_replaced_is_refused_to_others(out: Path, result: MapResult) -> None:
     with OutputDirectory(out, overwrite=True) as partial:
         told = rf"map: process {os.getpid()} is about to replace it: wait until that has ended"
         with pytest.raises(UsageError, match=told):
@@ -58,9 +54,7 @@ def test_a_map_that_a_run_is_about_to_replace_is_refused_to_another_one(
 
 
 @pytest.mark.parametrize("there", [True, False])
-def test_what_a_person_does_meanwhile_is_not_replaced(
-    there: bool, tmp_path: Path, out: Path, result: MapResult
-) -> None:
+def test_what_people_do_stays(there: bool, tmp_path: Path, out: Path, result: MapResult) -> None:
     target = out if there else tmp_path / "new"
     name = EDITS if there else TOPOLOGY
     read = [read_map(out)] * there
@@ -77,27 +71,19 @@ def test_what_a_person_does_meanwhile_is_not_replaced(
     assert frame_of(out) == "map"
 
 
-def test_a_map_is_not_made_of_what_another_run_has_replaced(out: Path, result: MapResult) -> None:
-    """By the time that the lock is taken, what was read may be no more."""
-    read = read_map(out)
+def test_who_read_a_map_that_was_replaced_hears_of_it(out: Path, result: MapResult) -> None:
+    """Also where what is found of the new map makes no sense with what was read of the old one."""
+    read, told = read_map(out), "was replaced meanwhile: run the command again"
     anew(out, result, "newer")
-    with pytest.raises(MapError, match="was replaced meanwhile: run the command again"):
+    with pytest.raises(MapError, match=told):
         anew(out, result, "older", made_of=[read])
     assert frame_of(out) == "newer"
-
-
-def test_a_reader_sees_one_map_or_hears_that_it_was_replaced(out: Path, result: MapResult) -> None:
-    """Also where what it finds of the new map makes no sense with what it read of the old one."""
-    read = read_map(out)
-    anew(out, result, "new")
     (out / "labels.png").write_bytes(b"of submaps that the old one did not have")
-    with pytest.raises(MapError, match="was replaced meanwhile: run the command again"):
+    with pytest.raises(MapError, match=told):
         _ = read.regions
 
 
-def test_decisions_are_replaced_by_maps_that_say_them_too_and_by_no_others(
-    tmp_path: Path, out: Path, result: MapResult
-) -> None:
+def test_decisions_are_lost_in_no_other_map(tmp_path: Path, out: Path, result: MapResult) -> None:
     other, said = tmp_path / "other", replace(result, edits="# decided\n")
     other.mkdir()
     write_map(other, said)
@@ -116,11 +102,9 @@ def test_decisions_are_replaced_by_maps_that_say_them_too_and_by_no_others(
 def test_what_is_not_ours_goes_on_to_the_next_map(
     linked: bool, out: Path, result: MapResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(*_: object, **__: object) -> None:
-        raise OSError(1, "Operation not permitted")
-
     if not linked:
-        monkeypatch.setattr(os, "link", refuse)
+        refused = Mock(side_effect=OSError(1, "Operation not permitted"))
+        monkeypatch.setattr(os, "link", refused)
     (out / "photos" / "none yet").mkdir(parents=True)
     mine = [out / "notes.txt", out / "photos" / "1.jpg", out / "submaps" / "why.txt"]
     for path in mine:
@@ -133,14 +117,6 @@ def test_what_is_not_ours_goes_on_to_the_next_map(
     assert (out / "photos" / "none yet").is_dir()
     assert os.readlink(out / "link") == "nowhere"
     assert not (out / "submaps" / "007.png").exists()
-
-
-def test_a_name_alone_makes_no_map(tmp_path: Path, result: MapResult) -> None:
-    (tmp_path / "mine" / "src").mkdir(parents=True)
-    (tmp_path / "mine" / TOPOLOGY).write_text('{"mine": 1}')
-    with pytest.raises(UsageError, match=r"holds no map \(no topology.json of specmap in it\)"):
-        anew(tmp_path / "mine", result, "new")
-    assert (tmp_path / "mine" / "src").is_dir()
 
 
 class ForgetfulDisk:
@@ -205,9 +181,7 @@ def test_a_power_cut_leaves_a_whole_file(tmp_path: Path, monkeypatch: pytest.Mon
     assert disk.lost(tmp_path) == []
 
 
-def test_a_neighbour_s_link_is_not_followed_when_a_file_is_made(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_neighbour_s_link_is_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where he could guess the name, and elsewhere he cannot."""
     names = {files.partial_of(tmp_path / "table.csv").name for _ in range(3)}
     assert len(names) == 3
@@ -220,9 +194,7 @@ def test_a_neighbour_s_link_is_not_followed_when_a_file_is_made(
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files away")
-def test_a_neighbour_s_directory_is_not_taken_for_a_map_that_was_moved_away(
-    tmp_path: Path, out: Path
-) -> None:
+def test_a_neighbour_s_directory_is_no_map_that_was_moved_away(tmp_path: Path, out: Path) -> None:
     for role in ("replaced", "partial"):
         planted = tmp_path / f".new.{role}-01234567"
         planted.mkdir()
@@ -251,14 +223,12 @@ READERS: dict[str, Callable[[Map], object]] = {
 @pytest.mark.parametrize("name", READERS)
 def test_files_of_another_map_are_refused(name: str, flat_map: Map, tmp_path: Path) -> None:
     """They would be read well, and teach wrong classifiers in silence."""
-    mine = tmp_path / "mine"
-    shutil.copytree(flat_map.path, mine)
+    mine = Path(shutil.copytree(flat_map.path, tmp_path / "mine"))
     READERS[name](read_map(mine))
-    changed = mine / ("run.json" if name == "run.json" else TOPOLOGY)
-    document = json.loads(changed.read_text())
-    digests = document if name == "run.json" else document["graph"]["files"]
-    digests["labels_sha256" if name == "run.json" else name] = "0" * 64
-    changed.write_text(json.dumps(document))
+    if name == "run.json":
+        edit(mine / name, labels_sha256="0" * 64)
+    else:
+        edit(mine / TOPOLOGY, **{f"graph__files__{name}": "0" * 64})
     told = f"{re.escape(str(mine / name))}: is not the file that topology.json was written with"
     with pytest.raises(MapError, match=told):
         READERS[name](read_map(mine))

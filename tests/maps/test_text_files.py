@@ -85,7 +85,7 @@ HEADER_TOLD = "line 1 is not 'stamp,x,y,theta,submap': build the map"
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "complaint"),
+    ("name", "data", "told"),
     [
         *(("labels.csv", text.encode(), HEADER_TOLD) for text in HEADERS),
         ("labels.csv", None, "cannot be read: No such file"),
@@ -97,20 +97,16 @@ HEADER_TOLD = "line 1 is not 'stamp,x,y,theta,submap': build the map"
         ("trajectory.tum", None, "cannot be read"),
     ],
 )
-def test_files_that_cannot_be_read(
-    tmp_path: Path, name: str, content: bytes | None, complaint: str
-) -> None:
-    if content is not None:
-        (tmp_path / name).write_bytes(content)
-    with pytest.raises(MapError, match=rf"{name}: {complaint}"):
+def test_files_that_are_not_read(tmp_path: Path, name: str, data: bytes | None, told: str) -> None:
+    if data is not None:
+        (tmp_path / name).write_bytes(data)
+    with pytest.raises(MapError, match=rf"{name}: {told}"):
         (read_labels if name == "labels.csv" else read_trajectory)(tmp_path / name)
 
 
 @few(30)
 @given(st.lists(st.tuples(st.integers(0, 2**40), FINITE, FINITE, st.floats(-3.2, 3.2)), max_size=9))
-def test_true_poses_are_written_to_the_nanometre(
-    rows: list[tuple[int, float, float, float]],
-) -> None:
+def test_true_poses_have_nine_decimals(rows: list[tuple[int, float, float, float]]) -> None:
     stamps = np.array([1000 * row[0] for row in rows], dtype=np.int64)
     poses = np.array([row[1:] for row in rows], dtype=np.float64).reshape(-1, 3)
     lines = planar_trajectory_text(Trajectory(stamps, poses)).splitlines()
@@ -142,9 +138,7 @@ def test_lost_scans_are_marked_between_the_lines_of_a_trajectory() -> None:
 
 
 @pytest.mark.parametrize("planar", [False, True])
-def test_a_trajectory_comes_back_with_its_tilt_and_its_lost_scans(
-    tmp_path: Path, planar: bool
-) -> None:
+def test_a_trajectory_comes_back_with_tilt_and_lost_scans(tmp_path: Path, planar: bool) -> None:
     rng = np.random.default_rng(0)
     way = Trajectory(
         np.arange(20) * 10**8 + 1_700_000_000_123_456_789,

@@ -83,10 +83,8 @@ def test_there_and_back(
     frame: Pose2, transform: Pose2, crossings: list[tuple[int, Pose2]], start: int, end: int
 ) -> None:
     """But for what six decimals of metres and whole microseconds take."""
-    traversals = tuple(Traversal(stamp, 3, 7, *pose) for stamp, pose in crossings)
-    edge = Edge(
-        source=3, target=7, kind="traversed", traversals=traversals, source_from_target=transform
-    )
+    ways = tuple(Traversal(stamp, 3, 7, *pose) for stamp, pose in crossings)
+    edge = Edge(source=3, target=7, kind="traversed", traversals=ways, source_from_target=transform)
     visited = replace(submap(3, frame, tuple(range(30, 40))), visits=(Visit(start, end),))
     written = TopologicalMap(submaps={3: visited, 7: submap(7)}, edges={(3, 7): edge})
     read = back(record_of(written))
@@ -179,11 +177,7 @@ def test_the_way_runs_from_centroid_to_centroid_through_the_crossing() -> None:
         found = back(record_of(topology, regions)).edges[0, 1]
         assert found.crossing == edge.crossing
         assert undrawn(found) == undrawn(edge)
-
-
-def test_a_submap_that_owns_nothing_is_where_its_frame_is() -> None:
-    """It has no centroid: the way leads to its origin."""
-    far = submap(1, Pose2(0.0, -6.0, 1.0))
+    far = submap(1, Pose2(0.0, -6.0, 1.0))  # it owns nothing: the way leads to its origin
     edge = Edge(source=0, target=1, kind="loose")
     topology = TopologicalMap(submaps={0: submap(0), 1: far}, edges={(0, 1): edge})
     record = record_of(topology, regions_of(s0=(0.0, 2.0)))
@@ -256,9 +250,7 @@ def document(stored: Path) -> Any:
         *(("edges", None), ("nodes", [{"id": 0}])),
     ],
 )
-def test_models_and_json_schema_refuse_the_same_documents(
-    document: Any, key: str, value: Any
-) -> None:
+def test_models_and_schema_refuse_the_same(document: Any, key: str, value: Any) -> None:
     *parents, last = key.split("__")
     TopologyRecord.model_validate(document)
     SCHEMA.validate(document)

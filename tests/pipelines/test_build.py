@@ -45,8 +45,6 @@ TRACKED = Tracking(counts={}, warnings=(), seconds=0.0)
 
 @dataclass(frozen=True)
 class Finished:
-    """The flat, explored and finished."""
-
     scans: Sequence[PosedScan]
     store: KeyframeStore
     explored: Explored
@@ -54,9 +52,7 @@ class Finished:
 
 
 def registered(sweeps: Iterator[Sweep]) -> Iterator[PosedScan]:
-    """Sweeps with their poses."""
-    front_end = FrontEnd(Config().registration)
-    return (front_end.register(sweep) for sweep in sweeps)
+    return map(FrontEnd(Config().registration).register, sweeps)
 
 
 def explored_by(
@@ -65,13 +61,11 @@ def explored_by(
     config: Config,
     accepts: Callable[[PosedScan], bool] | None = None,
 ) -> Explored:
-    """What Algorithm 1 finds in scans."""
     accepts = accepts or KeyframeSelector(config.keyframes).accepts
     return explore(scans, Exploration(Session(config, store)), accepts)
 
 
 def finished_by(explored: Explored, store: KeyframeStore, config: Config) -> FinishedMap:
-    """The map of what was explored."""
     session = Session(config, store)
     laid = lay_out(session, explored, TRACKED, "flat.mcap")
     return finish(session, laid, Prior(explored.features))
@@ -110,9 +104,7 @@ def test_the_map_is_connected_and_its_rooms_are_the_flat_s(
     assert scores.purity > 0.9
 
 
-def test_ids_follow_the_first_visits_and_grids_hold_the_places_driven(
-    flat_done: Finished,
-) -> None:
+def test_ids_follow_the_first_visits_and_grids_hold_the_places_driven(flat_done: Finished) -> None:
     finished = flat_done.finished
     labels = finished.labels.submaps
     first = [int(np.argmax(labels == id_)) for id_ in sorted(finished.topology.submaps)]
@@ -202,7 +194,6 @@ def test_without_a_consistent_layout_the_online_submaps_stay(
 
 
 def test_where_tracking_starts_afresh_a_new_submap_begins(flat_done: Finished) -> None:
-    """A scan marked as restarted breaks the path, and the map says so."""
     scans = [replace(s, restarted=k == 90) for k, s in enumerate(flat_done.scans[:180])]
     with KeyframeStore() as store:
         explored = explored_by(iter(scans), store, QUICK)
@@ -237,9 +228,7 @@ def test_a_merge_that_the_layout_drops_is_taken_back(flat_done: Finished) -> Non
             assert after is before
 
 
-def test_constraints_hold_between_the_nearest_keyframes_of_both_regions(
-    flat_done: Finished,
-) -> None:
+def test_constraints_hold_between_the_nearest_keyframes_of_regions(flat_done: Finished) -> None:
     """Or between the nodes before these, from where the same is said of them."""
     explored, store = flat_done.explored, flat_done.store
     closures, regions = explored.closures, explored.regions
@@ -247,11 +236,9 @@ def test_constraints_hold_between_the_nearest_keyframes_of_both_regions(
     nodes = chosen_nodes(store.poses, ())
     for pair, constraint in constraints_of(closures, regions, store, nodes).items():
         nearest = of_all[pair]
-        for node, keyframe in (
-            (constraint.source, nearest.source),
-            (constraint.target, nearest.target),
-        ):
-            assert node == max(number for number in nodes.tolist() if number <= keyframe)
+        for end in ("source", "target"):
+            before = [number for number in nodes.tolist() if number <= getattr(nearest, end)]
+            assert getattr(constraint, end) == max(before)
         moved = store.pose(constraint.source) @ constraint.source_from_target
         stays = store.pose(nearest.source) @ nearest.source_from_target
         there = store.pose(constraint.target).inverse() @ store.pose(nearest.target)
@@ -261,51 +248,44 @@ def test_constraints_hold_between_the_nearest_keyframes_of_both_regions(
         assert constraint.source in regions[old]
         assert constraint.target in regions[new]
         assert math.hypot(*constraint.source_from_target[:2]) < 1.0  # merged: the tracks overlap
-        np.testing.assert_allclose(
-            np.diag(constraint.information), [625.0, 625.0, 0.0087**-2], rtol=1e-12
-        )
+        found = np.diag(constraint.information)
+        np.testing.assert_allclose(found, [625.0, 625.0, 0.0087**-2], rtol=1e-12)
 
 
-class TestBuildMap:
-    """The whole way, from a file to a directory."""
+def test_what_a_build_tells_is_what_its_map_holds(flat_built: Explained) -> None:
+    report, out = flat_built.report, flat_built.pictures.parent / "map"
+    assert report.out == out
+    stored = read_map(str(out))
+    assert report.run["counts"]["submaps"] == len(stored.ids)
+    assert report.run["counts"] == stored.run["counts"]
+    assert stored.run["inputs"] == ["flat.mcap"]
+    stages = "registration segmentation recognition layout audit grids training ways"
+    assert sorted(stored.run["seconds"]) == sorted(stages.split())
+    assert all(value >= 0.0 for value in stored.run["seconds"].values())
+    assert report.as_dict()["out"] == str(out)
+    assert report.lines()[0].startswith(f"{out}: {len(stored.ids)} submaps, ")
+    assert report.lines()[1] == "quality: good"
+    assert report.as_dict()["quality"] == stored.run["quality"]
+    with stored.scans() as kept:  # all that a layout needs, without the log
+        assert len(kept) == report.run["counts"]["keyframes"]
+    assert report.run["counts"]["doors"] == len(stored.topology.doors) > 0
+    for edge in stored.topology.edges.values():
+        assert edge.path is not None
+        ends = (stored.topology.submaps[id_].anchor for id_ in (edge.source, edge.target))
+        assert edge.path[[0, -1]].tolist() == [list(anchor or ()) for anchor in ends]
+    told = stored.record.graph.quality
+    assert told is not None
+    assert told.as_dict() == stored.run["quality"]
 
-    def test_paths_may_be_text(self, flat_built: Explained) -> None:
-        report, out = flat_built.report, flat_built.pictures.parent / "map"
-        assert report.out == out
-        stored = read_map(str(out))
-        assert report.run["counts"]["submaps"] == len(stored.ids)
-        assert report.run["counts"] == stored.run["counts"]
-        assert stored.run["inputs"] == ["flat.mcap"]
-        stages = "registration segmentation recognition layout audit grids training ways"
-        assert sorted(stored.run["seconds"]) == sorted(stages.split())
-        assert all(value >= 0.0 for value in stored.run["seconds"].values())
-        assert report.as_dict()["out"] == str(out)
-        assert report.lines()[0].startswith(f"{out}: {len(stored.ids)} submaps, ")
-        assert report.lines()[1] == "quality: good"
-        assert report.as_dict()["quality"] == stored.run["quality"]
-        with stored.scans() as kept:  # all that a layout needs, without the log
-            assert len(kept) == report.run["counts"]["keyframes"]
-        assert report.run["counts"]["doors"] == len(stored.topology.doors) > 0
-        for edge in stored.topology.edges.values():
-            assert edge.path is not None
-            assert edge.path[[0, -1]].tolist() == [
-                list(stored.topology.submaps[id_].anchor or ())
-                for id_ in (edge.source, edge.target)
-            ]
-        told = stored.record.graph.quality
-        assert told is not None
-        assert told.as_dict() == stored.run["quality"]
 
-    def test_without_a_grid_there_is_none_and_an_edited_one_is_not_built_over(
-        self, tiny_log: Path, tmp_path: Path
-    ) -> None:
-        out, config = tmp_path / "map", load_config(overrides={"grid": {"max_area_m2": 0.01}})
-        with pytest.raises(NoResultError, match=r"grid\.max_extent_m"):
-            build_map(tiny_log, out, config)
-        assert list(tmp_path.iterdir()) == []
-        out.mkdir()
-        (out / "topology.json").write_text('{"schema_version": 2}', encoding="utf-8")
-        (out / "edits.toml").write_text('[submaps.0]\nname = "Kitchen"\n', encoding="utf-8")
-        with pytest.raises(UsageError, match=r"edits\.toml holds .* --like"):
-            build_map(tiny_log, out, overwrite=True)
-        assert (out / "edits.toml").exists()
+def test_without_a_grid_is_none_and_edits_stay(tiny_log: Path, tmp_path: Path) -> None:
+    out, config = tmp_path / "map", load_config(overrides={"grid": {"max_area_m2": 0.01}})
+    with pytest.raises(NoResultError, match=r"grid\.max_extent_m"):
+        build_map(tiny_log, out, config)
+    assert list(tmp_path.iterdir()) == []
+    out.mkdir()
+    (out / "topology.json").write_text('{"schema_version": 2}', encoding="utf-8")
+    (out / "edits.toml").write_text('[submaps.0]\nname = "Kitchen"\n', encoding="utf-8")
+    with pytest.raises(UsageError, match=r"edits\.toml holds .* --like"):
+        build_map(tiny_log, out, overwrite=True)
+    assert (out / "edits.toml").exists()

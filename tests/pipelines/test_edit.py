@@ -33,13 +33,13 @@ from specmap_cli.topology.regions import divide
 from specmap_cli.topology.topological_map import TopologicalMap
 from tests.conftest import SAMPLE_LOGS
 from tests.flats import QUICK, Mapped, forget_digests
+from tests.maps.conftest import edit as edit_json
+from tests.maps.test_store import files_in
 from tests.topology.rooms import two_rooms
 
 
 @dataclass(frozen=True)
 class Built:
-    """A map of the flat, and another recording of it."""
-
     map: Path
     again: Mapped
     corridor: int
@@ -61,7 +61,6 @@ def corridor_of(stored: Map) -> int:
 
 @pytest.fixture
 def own(built: Built, tmp_path: Path) -> Path:
-    """A copy of the map."""
     return Path(shutil.copytree(built.map, tmp_path / "own"))
 
 
@@ -80,16 +79,13 @@ def bytes_of(directory: Path, name: str) -> bytes:
 def edit(
     map_: Map | Path, *changes: dict[str, Any], out: Path | None = None, **said: Any
 ) -> EditReport:
-    """What `edit_map` tells of some changes and of what is said of submaps."""
     return edit_map(map_, RequestedEdits(changes=changes, **said), out)
 
 
 class TestNames:
     """Names, kinds and properties: at once, and nothing else changes."""
 
-    def test_they_are_in_the_map_and_taken_back_it_is_as_before(
-        self, built: Built, own: Path
-    ) -> None:
+    def test_they_are_in_the_map_and_can_be_taken_back(self, built: Built, own: Path) -> None:
         room = built.rooms[0]
         (own / "notes.txt").write_text("mine", encoding="utf-8")
         (own / "keyframes.mcap").unlink()  # nothing needs them
@@ -100,13 +96,10 @@ class TestNames:
         assert not report.remade
         node = read_map(own).record.nodes[room]
         assert (node.name, node.kind, node.properties) == ("Küche", "hall", {"floor": 2})
-        changed = {"topology.json", "overview.png", "edits.toml"}
-        for path in own.rglob("*"):
-            name = str(path.relative_to(own))
-            if path.is_file() and name not in changed | {"notes.txt"}:
-                assert path.read_bytes() == bytes_of(built.map, name), name
-        assert (own / "notes.txt").read_text(encoding="utf-8") == "mine"
-        assert bytes_of(own, "overview.png") != picture
+        before, after = files_in(built.map), files_in(own)
+        changed = {name for name in after if after[name] != before.get(name)}
+        assert changed == {"topology.json", "overview.png", "edits.toml", "notes.txt"}
+        assert after["notes.txt"] == b"mine"
         assert f"  submap {room}: Küche, hall, floor=2" in report.lines()
         edit(own, names={room: ""})
         assert read_map(own).record.nodes[room].name == f"submap {room}"
@@ -126,9 +119,7 @@ class TestNames:
         edit_map(own)
         assert read_map(own).names == {}
 
-    def test_a_full_disk_is_told_of_the_output(
-        self, own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_full_disk(self, own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         full = OSError(28, "No space left on device", str(own / "map.png"))
         monkeypatch.setattr(shutil, "copyfile", Mock(side_effect=full))
         told = r"out: cannot be written: No space left on device; free some space, or choose"
@@ -147,9 +138,8 @@ class TestNames:
 
     def test_a_name_written_into_topology_json_is_a_person_s(self, own: Path) -> None:
         """And edits that the map shows must not be lost unsaid."""
-        document = json.loads((own / "topology.json").read_text(encoding="utf-8"))
-        document["nodes"][0] |= {"name": "Hall", "properties": {"floor": 2}}
-        (own / "topology.json").write_text(json.dumps(document), encoding="utf-8")
+        said = {"nodes__0__name": "Hall", "nodes__0__properties": {"floor": 2}}
+        edit_json(own / "topology.json", **said)
         report = edit(own, names={1: "Lab"})
         assert read_map(own).names == {0: "Hall", 1: "Lab"}
         assert report.edits.submaps[0].properties == {"floor": 2}
@@ -176,15 +166,10 @@ class TestNames:
 class TestBorders:
     """Merges and splits: grids, classifiers, regions and links are new, the layout is not."""
 
-    def test_a_split_then_a_merge_then_neither(
-        self, built: Built, own: Path, tmp_path: Path
-    ) -> None:
-        """Each goes into a directory of its own."""
+    def test_a_split_a_merge_then_neither(self, built: Built, own: Path, tmp_path: Path) -> None:
         room, corridor, before = built.rooms[0], built.corridor, read_map(built.map)
         new = before.topology.next_id
-        run = json.loads((own / "run.json").read_text(encoding="utf-8"))
-        run["versions"]["specmap"] = "0.0.1"
-        (own / "run.json").write_text(json.dumps(run), encoding="utf-8")
+        edit_json(own / "run.json", versions__specmap="0.0.1")
         wish = split(before, corridor)
         report = edit(own, wish, names={room: "Lab"}, out=tmp_path / "divided")
         divided = read_map(report.out)
@@ -210,9 +195,8 @@ class TestBorders:
         assert report.remade
         assert merged.ids == sorted({*divided.ids} - {room})
         assert merged.topology.next_id == divided.topology.next_id
-        areas = {node.id: node.area_m2 for node in divided.record.nodes}
-        found = next(node for node in merged.record.nodes if node.id == corridor)
-        assert found.area_m2 == pytest.approx(areas[corridor] + areas[room], abs=0.5)
+        parts_m2 = divided.rooms[corridor].area_m2 + divided.rooms[room].area_m2
+        assert merged.rooms[corridor].area_m2 == pytest.approx(parts_m2, abs=0.5)
         assert json.loads(merged.classifiers)["schema_version"] >= 1
         for name in ("keyframes.mcap", "trajectory.tum", "trajectory.g2o"):
             assert bytes_of(merged.path, name) == bytes_of(built.map, name)
@@ -242,16 +226,13 @@ class TestBorders:
         """Every request that is refused alone is in tests/cli/test_cli_edit.py."""
         rooms, notes = list(built.rooms[:2]), Mock(spec=Silent())
         requests = RequestedEdits(changes=({"merge": rooms}, {"forbid": rooms}))
-        before = {path.name: path.read_bytes() for path in built.map.iterdir() if path.is_file()}
+        before = files_in(built.map)
         with pytest.raises(UsageError, match="there is no link between"):
             edit_map(built.map, requests, progress=notes)
         notes.note.assert_not_called()
-        after = {path.name: path.read_bytes() for path in built.map.iterdir() if path.is_file()}
-        assert after == before
+        assert files_in(built.map) == before
 
-    def test_a_keyframe_in_no_submap_leaves_borders_as_they_are(
-        self, built: Built, own: Path
-    ) -> None:
+    def test_a_keyframe_in_no_submap_keeps_borders(self, built: Built, own: Path) -> None:
         """It was a traceback: such a map may be read, but not be divided anew."""
         forget_digests(own)
         labels = own / "labels.csv"
@@ -266,10 +247,8 @@ class TestBorders:
         (own / "edits.toml").write_text(text, encoding="utf-8")
         notes = Mock(spec=Silent())
         report = edit_map(own, RequestedEdits(names={0: "Lab"}), progress=notes)
-        assert report.unapplied == (
-            "submaps.99: there is no submap 99",
-            "changes, number 1: there is no submap 99",
-        )
+        none = "there is no submap 99"
+        assert report.unapplied == (f"submaps.99: {none}", f"changes, number 1: {none}")
         told = [call(f"edits.toml: not applied: {line}") for line in report.unapplied]
         assert notes.note.mock_calls == told
         assert "'Attic'" in (own / "edits.toml").read_text(encoding="utf-8")
@@ -277,12 +256,7 @@ class TestBorders:
 
 
 class TestForbiddenDoors:
-    """The link stays in the map, and nobody goes there."""
-
-    def test_the_link_and_its_doors_are_marked_in_exports_too(
-        self, built: Built, tmp_path: Path
-    ) -> None:
-        """And it holds for what the submaps become."""
+    def test_link_and_doors_are_marked_everywhere(self, built: Built, tmp_path: Path) -> None:
         room, other = built.rooms[:2]
         pair = tuple(sorted((room, built.corridor)))
         requested = RequestedEdits(changes=({"forbid": [room, built.corridor]},))
@@ -314,9 +288,7 @@ class TestForbiddenDoors:
         near = edit(own, {"forbid": pair, "at": [x + 0.2, y]})
         assert near.forbidden == ((min(pair), max(pair)),)
 
-    def test_the_way_leads_through_another_door_until_it_is_allowed_again(
-        self, result: MapResult, tmp_path: Path
-    ) -> None:
+    def test_the_way_takes_another_door_meanwhile(self, result: MapResult, tmp_path: Path) -> None:
         """Two rooms side by side, with two doors."""
         whole = two_rooms((5.3, 4.4, 5.5, 5.3), (5.3, 1.5, 5.5, 2.2)).grid
         poses = result.labels.poses.copy()
@@ -329,10 +301,8 @@ class TestForbiddenDoors:
         regions = divide(whole, labels)
         topology = with_ways(TopologicalMap(submaps=rooms), regions, Config().ways, poses)
         way = Trajectory(labels.stamps_ns, poses)
-        write_map(
-            tmp_path,
-            replace(result, topology=topology, regions=regions, labels=labels, trajectory=way),
-        )
+        laid = replace(result, topology=topology, regions=regions, labels=labels, trajectory=way)
+        write_map(tmp_path, laid)
         text, (edge,) = bytes_of(tmp_path, "topology.json"), topology.edges.values()
         used, spare = sorted(topology.doors, key=lambda door: door.id not in edge.doors)
         edit(tmp_path, {"forbid": [0, 1], "at": [used.x, used.y]})
@@ -344,9 +314,7 @@ class TestForbiddenDoors:
         edit(tmp_path, undo=(1,))
         assert bytes_of(tmp_path, "topology.json") == text
 
-    def test_it_holds_when_the_split_that_made_its_submap_is_undone(
-        self, built: Built, own: Path
-    ) -> None:
+    def test_it_holds_when_the_split_before_is_undone(self, built: Built, own: Path) -> None:
         edit(own, split(read_map(own), built.corridor))
         stored = read_map(own)
         new = stored.topology.next_id - 1
@@ -363,15 +331,10 @@ class TestForbiddenDoors:
 def edited(built: Built, tmp_path_factory: pytest.TempPathFactory) -> EditReport:
     """A room named, described and shut off, the corridor divided, and a word about no submap."""
     room, before = built.rooms[0], read_map(built.map)
-    made = edit(
-        before,
-        split(before, built.corridor),
-        {"forbid": [room, built.corridor]},
-        names={room: "Küche"},
-        kinds={room: "hall"},
-        properties={room: {"floor": 2}},
-        out=tmp_path_factory.mktemp("edited") / "own",
-    )
+    wishes = split(before, built.corridor), {"forbid": [room, built.corridor]}
+    said: Any = {"names": {room: "Küche"}, "kinds": {room: "hall"}}
+    said["properties"] = {room: {"floor": 2}}
+    made = edit(before, *wishes, **said, out=tmp_path_factory.mktemp("edited") / "own")
     text = (made.out / "edits.toml").read_text(encoding="utf-8")
     text = f"# by Ann\n{text}\n[submaps.99]\nname = 'Attic'\n"
     (made.out / "edits.toml").write_text(text, encoding="utf-8")
@@ -389,18 +352,15 @@ Rebuilt = Callable[[Path, Path, Path], Any]
     ],
     ids=["update", "build --like"],
 )
-def test_edits_survive_another_recording(
-    built: Built, edited: EditReport, tmp_path: Path, rebuilt: Rebuilt
-) -> None:
+def test_edits_survive(built: Built, edited: EditReport, tmp_path: Path, rebuilt: Rebuilt) -> None:
     room, other = built.rooms[:2]
     rebuilt(edited.out, built.again.log.log, tmp_path / "new")
     stored, old = read_map(tmp_path / "new"), read_map(edited.out)
     submap = stored.topology.submaps[room]
     assert (submap.name, submap.kind, dict(submap.properties)) == ("Küche", "hall", {"floor": 2})
     assert set(stored.ids) == set(old.ids)
-    assert {pair for pair, edge in stored.topology.edges.items() if edge.forbidden} >= set(
-        edited.forbidden
-    )
+    forbidden = {pair for pair, edge in stored.topology.edges.items() if edge.forbidden}
+    assert forbidden >= set(edited.forbidden)
     kept = (tmp_path / "new" / "edits.toml").read_text(encoding="utf-8")
     assert kept.startswith("# by Ann\n")
     assert "'Attic'" in kept
@@ -413,9 +373,7 @@ def test_edits_survive_another_recording(
     assert other in undone.names
 
 
-def test_a_merged_map_has_the_edits_of_both(
-    built: Built, edited: EditReport, tmp_path: Path
-) -> None:
+def test_a_merged_map_has_both_edits(built: Built, edited: EditReport, tmp_path: Path) -> None:
     second = built.again.stored
     (link,) = (edge for edge in second.record.edges if edge.target == max(second.ids))
     wish = {"forbid": [link.source, link.target], "at": [link.x, link.y]}
@@ -429,9 +387,7 @@ def test_a_merged_map_has_the_edits_of_both(
     assert read_map(built.map).topology.next_id in both.ids, "the corridor is divided"
 
 
-def test_borders_moved_in_a_later_map_are_moved_in_the_merged_one(
-    built: Built, own: Path, tmp_path: Path
-) -> None:
+def test_borders_of_a_later_map_move_in_both(built: Built, own: Path, tmp_path: Path) -> None:
     """Though the first map divides the same place in its own way; and they can be undone there."""
     second = read_map(shutil.copytree(built.again.map, tmp_path / "second"))
     corridor = corridor_of(second)
@@ -455,9 +411,8 @@ def test_borders_moved_in_a_later_map_are_moved_in_the_merged_one(
     assert near == plain.ids["second"][corridor]
     assert plain.ids["second"][room] not in both.ids, "it is a part of the corridor now"
     places = both.map_grid.centres_of(np.argwhere(both.regions.owner == far))
-    motion = nearest_motion(
-        edited.labels.poses[:, :2], both.labels.poses[-len(edited.labels.poses) :, :2]
-    )
+    track = edited.labels.poses[:, :2]
+    motion = nearest_motion(track, both.labels.poses[-len(track) :, :2])
     assert (edited.regions.owners(motion.inverse().apply(places)) == new).mean() > 0.8
     undone = edit(both, undo=(1, 2), out=tmp_path / "undone")
     assert sorted(undone.names) == read_map(tmp_path / "plain").ids

@@ -33,9 +33,7 @@ def laid_out(
     """A map of one recording as far as it is laid out."""
     count = len(poses)
     stamps = np.arange(count, dtype=np.int64)
-    log = LogInfo(
-        name="new.mcap", start_ns=0, end_ns=count - 1, scans=count, keyframes=(0, count - 1)
-    )
+    log = LogInfo("new.mcap", start_ns=0, end_ns=count - 1, scans=count, keyframes=(0, count - 1))
     return LaidOut(
         layout=Layout(poses=poses, nodes=np.arange(count), loose=loose),
         labels=Labels(stamps_ns=stamps, poses=poses, submaps=submaps),
@@ -86,12 +84,8 @@ def test_changes_name_what_the_submaps_became() -> None:
         MergeEdit(merge=(20, 14)),
     )
     assert (found.next_id, found.lost) == (21, ())
-
-
-def test_what_is_one_already_is_not_merged_again() -> None:
-    changes = (MergeEdit(merge=(0, 1)), ForbidEdit(forbid=(0, 2)))
-    found = both(kept(*changes), [11, 11, 13, 14])
-    assert found.edits.changes == (ForbidEdit(forbid=(11, 13)),)
+    found = both(kept(MergeEdit(merge=(0, 1)), ForbidEdit(forbid=(0, 2))), [11, 11, 13, 14])
+    assert found.edits.changes == (ForbidEdit(forbid=(11, 13)),), "they are one already"
 
 
 @pytest.mark.parametrize(("x", "cut"), [(1.0, 11), (4.0, 12)])
@@ -112,9 +106,8 @@ def test_what_says_nothing_of_the_joint_map_is_told() -> None:
     )
     earlier = {11: SubmapEdit(name="Lobby", properties={"floor": 2})}
     found = both(new, [11, 12, 13, 14], submaps=earlier)
-    assert found.edits.submaps == {
-        11: SubmapEdit(name="Lobby", kind="hall", properties={"floor": 2})
-    }
+    joined = SubmapEdit(name="Lobby", kind="hall", properties={"floor": 2})
+    assert found.edits.submaps == {11: joined}
     assert found.lost == (
         "in the map of new.mcap: merge 7 into 0: there is no submap 7",
         "in the map of new.mcap: forbid the way between 7 and 1: there is no submap 7",
@@ -179,9 +172,7 @@ def test_where_a_part_lies_by_a_guess_nothing_is_divided_anew(whole: GridMap) ->
     assert map_.next_id == 9
 
 
-def test_where_recordings_lie_apart_a_room_that_nobody_entered_stays_nobodys(
-    whole: GridMap,
-) -> None:
+def test_where_recordings_lie_apart_a_room_nobody_entered_is_nobodys(whole: GridMap) -> None:
     joint = replace(laid_out(way(1.0, 7.0), np.zeros(60, dtype=np.int64), (40,)), drawn=whole)
     beyond = np.s_[2:42, 83:123]  # the last room
     for starts, seen_only in (((), False), ((40,), True)):

@@ -21,15 +21,15 @@ from specmap_cli.core.progress import Silent
 from specmap_cli.drawing.palette import colours_of, vivid
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.filenames import CLASSIFIERS
-from specmap_cli.maps.schema import TopologyRecord
 from specmap_cli.maps.store import Map, read_map
 from specmap_cli.pipelines import localize, localizer
 from specmap_cli.pipelines.localize import HEADER, METRIC_HEADER, LocalizationReport
-from specmap_cli.pipelines.localizer import LocalizedScan, _own
+from specmap_cli.pipelines.localizer import LocalizedScan
 from specmap_cli.pipelines.simulate import simulate
 from specmap_cli.recognition.localization.localizer import Fix, Label
 from specmap_cli.simulation.simulator import SimulationOptions
 from tests.drawing.looking import colours_in
+from tests.flats import forget_digests
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,6 @@ def own_log(
 
 @pytest.fixture(scope="module")
 def metric(own_log: Path, flat_map: Map) -> LocalizationReport:
-    """It, localised in the map, with poses."""
     return localize_log(own_log, flat_map.path, metric=True)
 
 
@@ -59,9 +58,7 @@ def labelled(submaps: Sequence[int | None], poses: Sequence[Pose2 | None]) -> Lo
     return LocalizationReport(log="made.mcap", scans=tuple(scans), warnings=("a warning",))
 
 
-def test_the_map_s_own_log_is_found_where_it_was_taken(
-    flat_map: Map, metric: LocalizationReport
-) -> None:
+def test_its_own_log_is_found_in_place(flat_map: Map, metric: LocalizationReport) -> None:
     """Labels of keyframes are the map's, and poses within submaps meet those of the map."""
     rows = {stamp: k for k, stamp in enumerate(flat_map.labels.stamps_ns.tolist())}
     right, off = [], []
@@ -82,7 +79,6 @@ def test_the_map_s_own_log_is_found_where_it_was_taken(
 def test_offline_poses_are_in_the_frames_of_the_submaps_that_smoothing_gives(
     own_log: Path, flat_map: Map, metric: LocalizationReport
 ) -> None:
-    """A scan has a pose in the submap that smoothing gives it, also before a place led."""
     offline = localize_log(own_log, flat_map, offline=True, metric=True)
     pairs = list(zip(offline.scans, metric.scans, strict=True))
     for a, b in pairs:  # a single scan votes as it did
@@ -109,16 +105,13 @@ def test_classifiers_of_other_submaps_are_refused(own_log: Path, flat_map: Map) 
         localize_log(own_log, Map(flat_map.path, fewer))
 
 
-def without_digests(record: TopologyRecord) -> TopologyRecord:
-    """A map that is older than the digests of its files."""
-    return record.model_copy(update={"graph": record.graph.model_copy(update={"files": {}})})
-
-
 def test_damaged_classifiers_keep_what_to_do_about_them(flat_map: Map, tmp_path: Path) -> None:
-    (tmp_path / CLASSIFIERS).write_text("{}")
+    own = Path(shutil.copytree(flat_map.path, tmp_path / "own"))
+    forget_digests(own)
+    (own / CLASSIFIERS).write_text("{}")
     with pytest.raises(MapError, match=r"classifiers\.json: .*; build the map again") as caught:
-        localizer.classifiers_of(Map(tmp_path, without_digests(flat_map.record)))
-    assert caught.value.where == str(tmp_path / CLASSIFIERS)
+        localizer.classifiers_of(read_map(own))
+    assert caught.value.where == str(own / CLASSIFIERS)
     assert caught.value.hint == "build the map again"
 
 
@@ -129,15 +122,16 @@ def test_an_older_map_is_used_offline_without_poses_and_what_it_lacks_is_told(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """One made before it was kept how well its scans fit, and how sure its classifiers are."""
-    older = tmp_path / "older"
-    shutil.copytree(flat_map.path, older)
+    """It keeps neither its scans, nor how well they fit, nor how sure its classifiers are."""
+    older = Path(shutil.copytree(flat_map.path, tmp_path / "older"))
     data = json.loads((older / CLASSIFIERS).read_text())
     assert all(data.pop(part)["views"] > 20 for part in ("misfit", "calibration"))
     (older / CLASSIFIERS).write_text(json.dumps(data))
+    (older / "keyframes.mcap").unlink()
     progress, notes = Silent(), list[str]()
     monkeypatch.setattr(progress, "note", notes.append)
-    old = Map(older, without_digests(flat_map.record), note="it lacks keyframes")
+    forget_digests(older)
+    old = replace(read_map(older), note="it lacks keyframes")
     report = localize_log(own_log, old, offline=True, progress=progress)
     assert notes[0] == "it lacks keyframes"
     assert [note for note in notes if "fit its walls" in note] == [
@@ -205,17 +199,15 @@ class TestReport:
         self, flat_map: Map, tmp_path: Path
     ) -> None:
         report = labelled([None] * 40, [None] * 40)
-        assert report.lines()[0] == (
-            "made.mcap: 40 scans, none of them known: the map does not show this place"
-        )
+        told = "made.mcap: 40 scans, none of them known: the map does not show this place"
+        assert report.lines()[0] == told
         assert (report.known, report.as_dict()["known"]) == (0.0, 0.0)
         localize.write_report(report, flat_map, metric=True, plot=tmp_path / "track.png")
         picture = cv2.imread(str(tmp_path / "track.png"))
         assert picture is not None
         assert colours_in(picture) > 3
-        some = labelled(
-            [0] * 20 + [None] * 20, [Pose2(0.0, 0.1 * k, 1.0) for k in range(20)] + [None] * 20
-        )
+        known = [Pose2(0.0, 0.1 * k, 1.0) for k in range(20)]
+        some = labelled([0] * 20 + [None] * 20, [*known, *[None] * 20])
         places = localize._tracked(some.scans)
         assert np.isfinite(places).all()
         motion = Pose2(1.9, 0.0, 0.0).inverse() @ Pose2(3.9, 0.0, 0.0)
@@ -230,9 +222,7 @@ class TestReport:
             seen = {fill: (image == vivid(fill)).all(axis=-1).sum() for fill in fills.values()}
             assert max(seen, key=seen.__getitem__) == fills[id_]
 
-    def test_the_table_and_the_picture_are_written_together(
-        self, flat_map: Map, tmp_path: Path
-    ) -> None:
+    def test_table_and_picture_come_together(self, flat_map: Map, tmp_path: Path) -> None:
         """When the second one cannot be written there is no first one, and nothing half-written."""
         report = labelled([0] * 20, [None] * 20)
         (tmp_path / "pictures").mkdir()
@@ -242,13 +232,3 @@ class TestReport:
                     report, flat_map, metric=False, csv=tmp_path / "labels.csv", plot=plot
                 )
             assert [path.name for path in tmp_path.iterdir()] == ["pictures"]
-
-
-def test_an_older_map_that_keeps_no_scans_is_asked_without_them(
-    flat_map: Map, tmp_path: Path
-) -> None:
-    older = tmp_path / "map"
-    shutil.copytree(flat_map.path, older)
-    assert len(list(_own(read_map(older)))) > 5
-    (older / "keyframes.mcap").unlink()
-    assert list(_own(read_map(older))) == []

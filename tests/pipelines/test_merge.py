@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import pickle
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -25,6 +24,7 @@ from specmap_cli.pipelines.update import build_like
 from specmap_cli.recognition.closure.alignment import Alignment
 from specmap_cli.simulation.simulator import SimulationOptions
 from tests.flats import QUICK, Mapped, mapped
+from tests.maps.conftest import edit
 
 # bottom, top, left and right cell of an L of corridor and rooms off it, none like another
 ROOMS = (
@@ -36,7 +36,6 @@ DOORS |= {"first": np.s_[38:42, 60:78], "upper": np.s_[140:158, 38:42]}
 
 
 def building(closed: str) -> GridMap:
-    """The building, 10 m x 9 m, with one of its doors closed."""
     cells = np.full((184, 200), OCCUPIED, dtype=np.uint8)
     for bottom, top, left, right in ROOMS:
         cells[bottom:top, left:right] = FREE
@@ -67,10 +66,8 @@ def parts(
         (folder / closed).mkdir()
         options = flat_options.model_copy(update={"laps": 1, "seed": seed})
         made[closed] = mapped(building(closed), options, folder / closed)
-    topology = made["first"].map / "topology.json"
-    document = json.loads(topology.read_text(encoding="utf-8"))
-    document["nodes"][-1]["name"] = "Named"
-    topology.write_text(json.dumps(document), encoding="utf-8")
+    last = len(made["first"].stored.ids) - 1
+    edit(made["first"].map / "topology.json", **{f"nodes__{last}__name": "Named"})
     logs = {name: one.log for name, one in (*made.items(), ("other", other))}
     return Parts(made["third"].stored, made["first"].stored, other.stored, logs)
 
@@ -81,9 +78,7 @@ def both(parts: Parts, tmp_path_factory: pytest.TempPathFactory) -> MergeReport:
     return merge_maps([parts.third_closed, parts.first_closed], out, QUICK)
 
 
-def test_maps_that_meet_become_one_and_names_and_ids_can_be_followed(
-    parts: Parts, both: MergeReport
-) -> None:
+def test_maps_that_meet_become_one_with_names_and_ids(parts: Parts, both: MergeReport) -> None:
     merged = read_map(both.out)
     assert both.parts == (("first", "third"),) or both.parts == (("third", "first"),)
     scans = sum(parts.logs[name].scans for name in ("third", "first"))
@@ -108,9 +103,7 @@ def test_maps_that_meet_become_one_and_names_and_ids_can_be_followed(
         assert set(both.ids[name].values()) <= set(merged.ids)
 
 
-def test_neither_their_order_nor_where_they_are_aligned_matters(
-    parts: Parts, both: MergeReport, tmp_path: Path
-) -> None:
+def test_order_and_place_do_not_matter(parts: Parts, both: MergeReport, tmp_path: Path) -> None:
     def elsewhere(
         align: Callable[[PairOfMaps], Alignment], pairs: Sequence[PairOfMaps]
     ) -> Iterable[Alignment]:
@@ -145,17 +138,13 @@ def test_what_cannot_be_merged(parts: Parts, both: MergeReport, tmp_path: Path) 
     assert not (tmp_path / "map").exists()
 
 
-def test_a_fresh_map_takes_frame_ids_and_names_of_another(
-    parts: Parts, both: MergeReport, tmp_path: Path
-) -> None:
+def test_a_fresh_map_takes_ids_and_names(parts: Parts, both: MergeReport, tmp_path: Path) -> None:
     like = read_map(both.out)
     log = parts.logs["first"]
     report = build_like(log.log, like, tmp_path / "map", QUICK)
     fresh = read_map(report.out)
     assert set(fresh.ids) <= set(like.ids)
-    assert {node.id: node.name for node in like.record.nodes if node.id in fresh.ids} == {
-        node.id: node.name for node in fresh.record.nodes
-    }
+    assert all(like.rooms[id_].name == room.name for id_, room in fresh.rooms.items())
     for id_ in fresh.ids:
         cells = np.argwhere(fresh.regions.owner == id_)
         found = like.regions.owners(fresh.regions.grid.centres_of(cells))

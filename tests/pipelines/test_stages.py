@@ -44,24 +44,18 @@ def in_a_room(x: float) -> np.ndarray:
     return np.minimum(across, along)
 
 
-def write_hanging(path: Path) -> None:
-    """A robot that drives 3.2 m; the driver of its laser hangs for 1.8 s."""
-    rng = np.random.default_rng(2)
-    held = np.zeros(0)
-    with LogWriter(path) as log:
+def test_scans_that_a_hanging_driver_repeats_are_left_out_and_told(tmp_path: Path) -> None:
+    """Of a robot that drives 3.2 m; the driver of its laser hangs for 1.8 s."""
+    rng, held = np.random.default_rng(2), np.zeros(0)
+    with LogWriter(tmp_path / "log.mcap") as written:
         for number in range(40):
             stamp, x = 100 * SECOND + number * SECOND // 10, 0.08 * number
-            log.odometry("/odom", "odom", "base_link", stamp, Pose2(x, 0.0, 0.0))
+            written.odometry("/odom", "odom", "base_link", stamp, Pose2(x, 0.0, 0.0))
             seen = in_a_room(x) + rng.normal(0.0, 0.01, len(BEARINGS))
             held = held if number in HUNG[1:] else seen
             step = float(BEARINGS[1] - BEARINGS[0])
-            log.scan("/scan", "base_link", stamp, -np.pi, step, held, range_max=20.0)
-
-
-def test_scans_that_a_hanging_driver_repeats_are_left_out_and_told(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
-    write_hanging(path)
-    with open_log([path]) as log:
+            written.scan("/scan", "base_link", stamp, -np.pi, step, held, range_max=20.0)
+    with open_log([tmp_path / "log.mcap"]) as log:
         tracking = Ahead(track(SweepStream(log, Config().log), Config().registration))
         scans, done = list(tracking), tracking.result
     assert [scan.index for scan in scans] == [k for k in range(40) if k not in HUNG[1:]]
@@ -76,9 +70,7 @@ def test_scans_that_a_hanging_driver_repeats_are_left_out_and_told(tmp_path: Pat
 
 
 @pytest.mark.parametrize("rolls", [{}, {1: (0.1, -0.2, 0.5), 3: (-0.3, 0.05, 2.0)}])
-def test_height_roll_and_pitch_are_kept_from_the_first_3d_pose_on(
-    rolls: dict[int, tuple[float, float, float]],
-) -> None:
+def test_tilt_is_kept_from_the_first_3d_pose(rolls: dict[int, tuple[float, float, float]]) -> None:
     """Scans before it, and planar ones between, are level; a planar trajectory has no tilt."""
     recorder = TrajectoryRecorder()
     for k in range(5):
@@ -104,9 +96,7 @@ def test_height_roll_and_pitch_are_kept_from_the_first_3d_pose_on(
     assert np.abs(found.tilt[[0, 2, 4]]).max() == 0.0
 
 
-def test_a_region_that_grew_is_compared_again_whole_and_the_last_word_counts(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_region_that_grew_is_compared_again_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "online_labels", Mock(return_value=np.zeros(0, dtype=np.int64)))
     monkeypatch.setattr(Exploration, "_stay", lambda self, number: list(self.regions[number]))
     with KeyframeStore() as store:
@@ -138,9 +128,7 @@ def test_the_nearest_poses_of_two_tracks_are_those_of_all_pairs(seed: int) -> No
     assert nearest_pair(row, row + (0.0, 1.0, 0.0)) == (0, 0), "of those as near the first"
 
 
-def test_a_stage_inside_another_is_counted_once_and_one_that_fails_is_counted(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_each_stage_is_counted_once_though_it_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where each look at the clock takes a second."""
     ticks = itertools.count()
     monkeypatch.setattr(time, "perf_counter", lambda: float(next(ticks)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from specmap_cli.pipelines import learning
 from specmap_cli.pipelines.localizer import classifiers_of
 from specmap_cli.recognition.learning.sampling import Samples, TrainingData
 from tests.flats import QUICK
+from tests.maps.conftest import edit
 
 
 def samples(*keyframes: int) -> Samples:
@@ -34,7 +34,6 @@ def test_features_survive_the_file_in_half_precision() -> None:
 
 
 def changed(config: Config, section: str, **settings: Any) -> Config:
-    """Settings of which some in a section are others."""
     values = config.model_dump()
     values[section] |= settings
     return Config.model_validate(values)
@@ -45,9 +44,7 @@ def learned_from(stored: Map, config: Config) -> int:
     return len(learning.training_data_of_stored(stored, config).raw.keyframes)
 
 
-def test_a_map_keeps_what_it_learned_from_and_other_settings_or_no_file_learn_anew(
-    flat_map: Map, tmp_path: Path
-) -> None:
+def test_what_was_learned_from_is_kept_for_these_settings(flat_map: Map, tmp_path: Path) -> None:
     config = flat_map.config
     data = learning.training_data_of_stored(flat_map, config)
     for own in data.kinds:
@@ -76,13 +73,10 @@ def test_a_map_without_some_kind_of_scans_keeps_the_others(
 def test_a_map_of_another_version_learns_anew(
     footprint_m: float | None, flat_map: Map, tmp_path: Path
 ) -> None:
-    shutil.copytree(flat_map.path, tmp_path / "other")
-    run = json.loads((tmp_path / "other" / "run.json").read_text(encoding="utf-8"))
-    run["versions"]["specmap"] = "0.0.1"
-    if footprint_m is not None:
-        run["config"]["grid"]["footprint_m"] = footprint_m
-    (tmp_path / "other" / "run.json").write_text(json.dumps(run), encoding="utf-8")
-    other = read_map(tmp_path / "other")
+    own = Path(shutil.copytree(flat_map.path, tmp_path / "own"))
+    more = {} if footprint_m is None else {"config__grid__footprint_m": footprint_m}
+    edit(own / "run.json", versions__specmap="0.0.1", **more)
+    other = read_map(own)
     assert learned_from(other, flat_map.config) == 0
     assert learning.comparable(classifiers_of(other), other, flat_map.config) is None
 
@@ -99,28 +93,23 @@ def labels(poses: list[tuple[float, float, float]], submaps: list[int]) -> Label
     return Labels(stamps_ns=stamps, poses=np.array(poses), submaps=np.array(submaps))
 
 
-ROW = [(float(x), 0.0, 0.0) for x in range(6)]
+ALL = [*range(6)]
+ROW = [(float(x), 0.0, 0.0) for x in ALL]
 BEFORE = labels(ROW, [0, 0, 0, 1, 1, 1])
 
 
 @pytest.mark.parametrize(
     ("left", "now", "cast"),
     [
-        ([0, 1, 2, 3, 4, 5], labels([*ROW, (7.0, 0.0, 0.0)], [0, 0, 0, 1, 1, 1, 1]), [0, 2]),
+        (ALL, labels([*ROW, (7.0, 0.0, 0.0)], [0, 0, 0, 1, 1, 1, 1]), [0, 2]),
         ([0, 2, 3, 4, 5], labels([ROW[k] for k in (0, 2, 3, 4, 5)], [0, 0, 1, 1, 1]), [2, 4]),
-        (
-            [*range(6)],
-            labels([(y, x, 0.0) for x, y, _ in ROW], BEFORE.submaps.tolist()),
-            [0, 2, 3, 5],
-        ),
-        ([*range(6)], labels([*ROW[:5], (5.0, 0.5, 0.0)], BEFORE.submaps.tolist()), [0, 2]),
-        ([*range(6)], labels(ROW, [0] * 6), []),
+        (ALL, labels([(y, x, 0.0) for x, y, _ in ROW], BEFORE.submaps.tolist()), [0, 2, 3, 5]),
+        (ALL, labels([*ROW[:5], (5.0, 0.5, 0.0)], BEFORE.submaps.tolist()), [0, 2]),
+        (ALL, labels(ROW, [0] * 6), []),
     ],
     ids=["visited again", "a keyframe is gone", "moved as a whole", "bent", "two are one now"],
 )
-def test_scans_cast_in_a_grid_hold_while_the_submap_is_as_it_was(
-    left: list[int], now: Labels, cast: list[int]
-) -> None:
+def test_scans_cast_hold_while_submaps_do(left: list[int], now: Labels, cast: list[int]) -> None:
     data = TrainingData(samples(0, 5), samples(), samples(1), samples(0, 2, 3, 5))
     found = learning.valid_training_data(data, BEFORE, now, np.array(left), 0.05)
     assert found.cast.keyframes.tolist() == cast

@@ -36,7 +36,6 @@ class BrowserGoneError(Exception):
 
 
 def installed() -> str | None:
-    """Where a Chromium is installed, if one is."""
     return next((path for name in NAMES if (path := shutil.which(name))), None)
 
 
@@ -116,7 +115,6 @@ class Browser:
         return answer["result"].get("value")
 
     def press(self, key: str, *, shift: bool = False) -> None:
-        """Press a key and let go."""
         text = {"Enter": "\r", "Space": " "}.get(key, key if len(key) == 1 else "")
         codes = {"Enter": 13, "Escape": 27, "Tab": 9, "ArrowLeft": 37, "ArrowUp": 38}
         codes |= {"ArrowRight": 39, "ArrowDown": 40, "End": 35, "Home": 36}
@@ -127,7 +125,6 @@ class Browser:
         self._send("Input.dispatchKeyEvent", sent | {"type": "keyUp"})
 
     def click(self, x: float, y: float) -> None:
-        """Click at a place of the window."""
         for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
             self.mouse(kind, x, y)
 
@@ -138,7 +135,6 @@ class Browser:
         self._send("Input.dispatchMouseEvent", {"type": kind, "x": x, "y": y, **button, **more})
 
     def touch(self, kind: str, *points: tuple[float, float]) -> None:
-        """One event of some fingers."""
         fingers = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(points)]
         self._send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": fingers})
 
@@ -148,7 +144,6 @@ class Browser:
         return base64.b64decode(self._send("Page.printToPDF", sent)["data"])
 
     def _send(self, method: str, values: Json | None = None) -> Json:
-        """Ask for something and wait for its answer."""
         self._number += 1
         message = {"id": self._number, "method": method, "params": values or {}}
         if self._session is not None:
@@ -161,7 +156,6 @@ class Browser:
                 return dict(answer["result"])
 
     def _take(self) -> Json:
-        """The next message of the browser."""
         while b"\0" not in self._waiting:
             ready, _, _ = select.select([self._in], [], [], _PATIENCE_S)
             part = os.read(self._in, 1 << 20) if ready else b""

@@ -35,16 +35,14 @@ def house(tmp_path: Path, result: MapResult) -> Map:
         replace(door, crossings=topology.edges[0, 1].traversals, driven=True),
         Door(id=1, x=3.0, y=1.5, width_m=0.8, theta=1.5, between=(0, 2), forbidden=True),
     )
+    gap = Finding(code="hole-in-log", severity="note", message=f"a gap {HOSTILE}")
     place = Where(None, 1.0, 0.5)
-    findings = (
-        Finding(code="hole-in-log", severity="note", message=f"a gap {HOSTILE}"),
-        Finding(code="walls-disagree", severity="doubtful", message="walls", where=place),
-    )
+    bent = Finding(code="walls-disagree", severity="doubtful", message="walls", where=place)
     changed = replace(topology, submaps=submaps, closures=closures, doors=doors)
     logs = tuple(replace(log, name=f"{HOSTILE}.mcap") for log in result.logs)
     out = tmp_path / "house"
     out.mkdir()
-    quality = Quality.of(findings)
+    quality = Quality.of((gap, bent))
     write_map(out, replace(result, topology=changed, logs=logs, quality=quality))
     return read_map(out)
 
@@ -71,7 +69,6 @@ def evidence() -> Evidence:
 
 @pytest.fixture
 def page(house: Map, evidence: Evidence) -> str:
-    """The page of the house."""
     return render(house, evidence)
 
 

@@ -17,7 +17,6 @@ def chosen(browser: Browser) -> list[str]:
 
 
 def middle(browser: Browser, selector: str) -> tuple[float, float]:
-    """The middle of an element in the window."""
     box = browser.run(
         f"(b => [b.x + b.width / 2, b.y + b.height / 2])(one({selector!r}).getBoundingClientRect())"
     )
@@ -127,8 +126,7 @@ def test_the_keyboard_does_all(browser: Browser) -> None:
     second = browser.run("document.activeElement.dataset.submap")
     browser.press("ArrowLeft")
     browser.press("ArrowUp")
-    assert first is not None
-    assert second is not None
+    assert None not in (first, second)
     browser.press("Enter")
     assert chosen(browser) == [browser.run("document.activeElement.dataset.submap")]
     browser.press("+")
@@ -191,9 +189,7 @@ def test_split_tests_show_their_spectrum_and_their_nodes(browser: Browser) -> No
 
 
 @pytest.mark.parametrize("size", [(320, 800), (390, 844), (820, 1180), (1280, 900), (1920, 1080)])
-def test_map_and_slider_fit_on_any_screen_and_nobody_scrolls_sideways(
-    browser: Browser, size: tuple[int, int]
-) -> None:
+def test_it_fits_any_screen_from_side_to_side(browser: Browser, size: tuple[int, int]) -> None:
     browser.size(*size, phone=size[0] < 400)
     low = "one('#time').getBoundingClientRect().bottom"
     assert browser.run(f"{low} - stage.getBoundingClientRect().top") < size[1]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from pathlib import Path
 
@@ -11,8 +10,6 @@ import pytest
 
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.progress import Silent
-from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.grids.map_server import write_grid
 from specmap_cli.maps.store import Map, read_map
 from specmap_cli.pipelines.report import evidence_of, report_map
 from specmap_cli.pipelines.segment import segment_map
@@ -20,6 +17,7 @@ from specmap_cli.recognition.learning.boosting import StumpBoost, TreeBoost, fea
 from specmap_cli.recognition.learning.trees import Forest
 from specmap_cli.report.evidence import Evidence
 from tests.flats import Explained
+from tests.maps.conftest import edit
 
 
 @pytest.fixture(scope="module")
@@ -27,14 +25,11 @@ def found(flat_map: Map) -> Evidence:
     return evidence_of(flat_map, Silent())
 
 
-def test_scans_fit_the_walls_that_they_made(found: Evidence, flat_map: Map) -> None:
+def test_scans_fit_their_walls_and_submaps_are_likened(found: Evidence, flat_map: Map) -> None:
     assert found.fit is not None
     assert len(found.fit) == len(flat_map.labels.stamps_ns)
     assert np.nanmedian(found.fit) > 0.9
     assert np.nanmax(found.fit) <= 1.0
-
-
-def test_every_submap_is_told_and_likened_to_others(found: Evidence, flat_map: Map) -> None:
     assert sorted(found.learned) == flat_map.ids
     for id_, learned in found.learned.items():
         assert learned.right > 0.8
@@ -46,9 +41,7 @@ def test_every_submap_is_told_and_likened_to_others(found: Evidence, flat_map: M
         assert sum(share for _, share in learned.features) <= 1.0 + 1e-9
 
 
-def test_the_tests_are_those_of_the_build(
-    found: Evidence, flat_map: Map, flat_built: Explained
-) -> None:
+def test_tests_are_the_build_s(found: Evidence, flat_map: Map, flat_built: Explained) -> None:
     assert len(found.tests) == len(list(flat_built.pictures.iterdir()))
     assert any(one.split for one in found.tests)
     grid = flat_map.map_grid
@@ -70,19 +63,15 @@ def test_a_map_without_scans_says_so(flat_map: Map, tmp_path: Path) -> None:
     assert "keeps no scans" in note
 
 
-def test_a_divided_plan_has_a_page_unless_it_is_torn_apart(flat: GridMap, tmp_path: Path) -> None:
-    rooms = tmp_path / "rooms"
-    write_grid(tmp_path / "plan", flat)
-    segment_map(tmp_path / "plan.yaml", rooms)
+def test_a_divided_plan_has_a_page_unless_it_is_torn_apart(plan: Path, tmp_path: Path) -> None:
+    rooms = segment_map(plan, tmp_path / "rooms").out
     page = report_map(rooms)
     assert page.count('class="region"') == len(read_map(rooms).ids) > 2
     assert 'id="time"' not in page
     assert "No classifiers" in page
     (rooms / "map.yaml").unlink()  # which earlier versions did not write
     assert report_map(rooms).count('class="region"') == page.count('class="region"')
-    document = json.loads((rooms / "topology.json").read_text())
-    document["nodes"][0]["x"] = 1e8
-    (rooms / "topology.json").write_text(json.dumps(document))
+    edit(rooms / "topology.json", nodes__0__x=1e8)
     with pytest.raises(MapError, match="its submaps lie so far apart"):
         report_map(rooms)
 

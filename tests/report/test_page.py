@@ -22,6 +22,7 @@ from specmap_cli.report.layers import MOST_REFUSED, Changes
 from specmap_cli.report.page import render
 from tests.comparisons import comparison, thing, way
 from tests.flats import forget_digests
+from tests.maps.conftest import edit
 from tests.report.conftest import HOSTILE
 
 LAYERS = {"regions", "walls", "badges", "doors", "ways", "track", "findings", "accepted", "refused"}
@@ -59,13 +60,11 @@ class Read(HTMLParser):
 
     @property
     def words(self) -> str:
-        """All that is said."""
         return " ".join(" ".join(self.texts).split())
 
 
 @pytest.fixture
 def read(page: str) -> Read:
-    """The page of the house, read."""
     return Read(page)
 
 
@@ -93,9 +92,7 @@ def test_every_layer_is_there_and_can_be_hidden_and_the_fit_has_its_own_colours(
     assert f"stroke:var(--time-{11})" in styles
 
 
-def test_nothing_comes_from_elsewhere_and_the_browser_runs_no_script_but_ours(
-    page: str, read: Read
-) -> None:
+def test_nothing_comes_from_elsewhere_and_no_script_but_ours_runs(page: str, read: Read) -> None:
     loading = {"src", "href", "xlink:href", "action", "srcset", "data"}
     places = [of[name] for _, of in read.tags for name in of if name in loading]
     assert places
@@ -145,9 +142,7 @@ def test_headings_and_names_for_those_who_hear_the_page(read: Read) -> None:
     assert all(each.get("alt") for each in read.of("img"))
 
 
-def test_what_differs_from_an_older_map_is_drawn_where_it_is(
-    house: Map, evidence: Evidence
-) -> None:
+def test_what_differs_from_an_older_map_is_drawn_in_place(house: Map, evidence: Evidence) -> None:
     """The house against one that lies a metre beside it, with a thing gone and a way closed."""
     record = comparison(
         names=("a", HOSTILE, "c"),
@@ -178,9 +173,7 @@ def test_what_differs_from_an_older_map_is_drawn_where_it_is(
     assert (f"Against {house.path.name}") in read.texts
 
 
-def test_a_map_of_schema_1_without_evidence_has_a_page_without_these_parts(
-    house: Map,
-) -> None:
+def test_a_map_of_schema_1_without_evidence_has_a_page_without_these_parts(house: Map) -> None:
     old = Path(__file__).parents[1] / "maps" / "topology_1.json"
     for schema_1 in (False, True):
         if schema_1:
@@ -195,9 +188,7 @@ def test_a_map_of_schema_1_without_evidence_has_a_page_without_these_parts(
         render(read_map(house.path), Evidence())
 
 
-def test_a_run_that_somebody_changed_is_shown_as_far_as_it_is_one_and_lost_scans_are_marked(
-    house: Map, evidence: Evidence
-) -> None:
+def test_a_changed_run_is_shown_and_lost_scans_are_marked(house: Map, evidence: Evidence) -> None:
     run = {"counts": {"scans": 30, "odd": "x"}, "seconds": {"a": "b"}, "inputs": 4, "config": {}}
     forget_digests(house.path)
     (house.path / "run.json").write_text(json.dumps(run))
@@ -211,16 +202,12 @@ def test_a_run_that_somebody_changed_is_shown_as_far_as_it_is_one_and_lost_scans
     assert "of 30 scans lost" in read.texts
 
 
-def test_of_many_split_tests_and_refused_closures_some_are_drawn_and_how_many_is_said(
-    house: Map, evidence: Evidence, read: Read
-) -> None:
-    """Of closures those with the largest xi."""
+def test_not_all_tests_and_closures_are_drawn(house: Map, evidence: Evidence, read: Read) -> None:
     many_tests = replace(evidence, tests=evidence.tests * MOST_TESTS)
     document = json.loads((house.path / "topology.json").read_text())
     (refused,) = (each for each in document["graph"]["closures"] if not each["accepted"])
     many = [{**refused, "xi": 0.001 * k} for k in range(2 * MOST_REFUSED)]
-    document["graph"]["closures"] = many
-    (house.path / "topology.json").write_text(json.dumps(document))
+    edit(house.path / "topology.json", graph__closures=many)
     assert "split tests" not in read.words.split('"use')[0]
     read = Read(render(read_map(house.path), many_tests))
     assert f"Of {3 * MOST_TESTS:,} split tests {MOST_TESTS:,} are shown" in read.words
