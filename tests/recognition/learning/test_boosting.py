@@ -1,4 +1,4 @@
-"""Boosting: eq. 2 by brute force, eq. 3 and the votes against scikit-learn."""
+"""Boosting: eq. 2 by brute force, eq. 3 and the votes by scikit-learn; one classifier a class."""
 
 from __future__ import annotations
 
@@ -14,9 +14,12 @@ from hypothesis import strategies as st
 from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.ensemble import AdaBoostClassifier
 
+from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.recognition.learning.boosting import Booster, StumpBoost
-from tests.recognition.learning.made_up import trees
+from specmap_cli.core.settings import RecognitionConfig
+from specmap_cli.recognition.features.sets import feature_names
+from specmap_cli.recognition.learning.boosting import Booster, OneVsAll, StumpBoost
+from tests.recognition.learning.made_up import PAPER, SMALL, samples_of, trees
 from tests.strategies import few
 from tests.turning import turn
 
@@ -166,3 +169,26 @@ def test_the_vote_of_a_tree_s_leaf_is_half_the_log_odds_shrunk(shrinkage: float)
     low = 0.5 * shrinkage * np.log((2.5 / 3) / (1.5 / 5))
     high = 0.5 * shrinkage * np.log((1.5 / 3) / (4.5 / 5))
     assert booster.margins(np.array([[0.0], [1.0]])) == pytest.approx([low, high], abs=1e-5)
+
+
+def test_each_booster_is_one_fitted_against_an_even_choice_of_the_others() -> None:
+    config = RecognitionConfig(feature_set="table1", booster="stumps", rounds=6, negatives=40)
+    made = samples_of(PAPER)
+    model = OneVsAll("table1", config).fit(made, np.random.default_rng(0))
+    for own, booster in model.boosters_.items():
+        others = np.vstack([X for i, X in made.items() if i != own])
+        chosen = evenly(others, 40)
+        y = np.repeat([1.0, -1.0], [len(made[own]), len(chosen)])
+        alone = StumpBoost(feature_names("table1"), 6).fit(np.vstack([made[own], chosen]), y)
+        assert booster.to_dict() == alone.to_dict()
+
+
+def test_one_class_is_enough_and_fitting_again_forgets_it() -> None:
+    made = samples_of(SMALL)
+    model = OneVsAll("pairs", SMALL.recognition)
+    model.fit({7: made[0]}, np.random.default_rng(0))
+    assert list(model.classes_) == [7]
+    assert (model.margins(made[0]) > 0.0).all()
+    model.fit({9: made[0], 5: made[2]}, np.random.default_rng(1))
+    assert model.classes_ == tuple(model.boosters_) == (5, 9)
+    assert model.margins(made[0]).shape == (90, 2)

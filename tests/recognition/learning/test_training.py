@@ -72,19 +72,13 @@ def grids(store: KeyframeStore) -> dict[int, GridMap]:
     return made
 
 
-@pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """Whose features and which keyframes were asked for, call by call."""
-    return watched(monkeypatch, KeyframeFeatures, "of")
-
-
 def test_of_a_submap_seen_often_the_scans_with_known_features_are_learned_from(
-    store: KeyframeStore, asked: list[Any]
+    store: KeyframeStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = Config(recognition=RecognitionConfig(positives=12))
     features = KeyframeFeatures(store, "full")
     features.of([*range(5, 35), 50, 51])
-    asked.clear()
+    asked = watched(monkeypatch, KeyframeFeatures, "of")
     raw_samples(SUBMAPS, config, features)
     (_, enough), (_, few) = asked
     assert (len(enough), enough[0], enough[-1]) == (12, 5, 34)

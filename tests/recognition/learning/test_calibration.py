@@ -1,0 +1,190 @@
+"""How sure margins are, how well held-out keyframes fit, and which scans look like no place."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.distance import cdist
+
+from specmap_cli.core.arrays import evenly
+from specmap_cli.core.geometry import FloatArray
+from specmap_cli.core.records import PlanarScan
+from specmap_cli.recognition.features.sets import feature_names, histogram_columns
+from specmap_cli.recognition.learning.calibration import (
+    Calibration,
+    Familiarity,
+    HeldOutMargins,
+    HeldOutMisfit,
+    calibrated,
+    held_out_misfit,
+    near_returns,
+    steadiness,
+)
+from tests.recognition.learning.made_up import SMALL, samples_of
+from tests.recognition.posed import stored
+
+NOTHING = HeldOutMargins(np.zeros((0, 3)), np.zeros(0, dtype=np.intp))
+
+
+def drawn(ratio: float, scans: int, submaps: int = 8) -> HeldOutMargins:
+    """Margins of which the truth is drawn as a calibration of this ratio says."""
+    rng = np.random.default_rng(5)
+    margins = rng.normal(-10.0, 12.0, (scans, submaps))
+    told = np.exp(Calibration(raw=ratio).alone(margins))
+    column = [int(rng.choice(submaps, p=row / row.sum())) for row in told]
+    return HeldOutMargins(margins, np.array(column, dtype=np.intp))
+
+
+@pytest.mark.parametrize("virtual", [None, [[0.0, -3.0, 2.0]]])
+def test_probabilities_sum_to_one_and_rise_with_the_margin(virtual: Any) -> None:
+    seen = None if virtual is None else np.array(virtual)
+    for first in (-400.0, -4.0, 0.0, 4.0, 400.0):
+        told = np.exp(Calibration().together(np.array([[first, -1.0, 0.0]]), seen))
+        assert told.sum() == pytest.approx(1.0)
+        assert told.min() > 0.0
+        more = np.exp(Calibration().together(np.array([[first + 3.0, -1.0, 0.0]]), seen))
+        assert more[0, 0] >= told[0, 0]
+
+
+def test_by_how_much_a_submap_refuses_a_scan_says_nothing() -> None:
+    near, far = (Calibration().alone(np.array([[5.0, m, m]])) for m in (-60.0, -600.0))
+    assert near == pytest.approx(far, abs=1e-6)
+    unclaimed = np.exp(Calibration().alone(np.array([[-60.0, -90.0, -300.0]])))
+    assert unclaimed == pytest.approx(np.full((1, 3), 1.0 / 3.0), abs=1e-3)
+
+
+def test_scans_that_were_held_out_say_how_sure_a_map_is() -> None:
+    usual = calibrated(drawn(0.48, 4000), None)
+    assert usual.raw == pytest.approx(1.0, rel=0.15)
+    assert (usual.virtual, usual.views) == (1.0, 400)
+    sure, unsure = (calibrated(drawn(0.48 * ratio, 4000), None).raw for ratio in (4.0, 0.25))
+    assert unsure < 0.7 * usual.raw < usual.raw < sure / 1.3
+    few = calibrated(drawn(0.48 * 0.25, 12), None)
+    assert unsure < few.raw
+
+
+def test_both_kinds_are_calibrated_apart_and_without_a_scan_held_out_as_usual() -> None:
+    found = calibrated(drawn(0.1, 400), drawn(2.0, 400))
+    assert found.raw < 1.0 < found.virtual
+    assert found.views == 800
+    assert calibrated(NOTHING, None) == calibrated(NOTHING, NOTHING) == Calibration()
+
+
+def test_a_view_that_leaves_more_open_goes_on_for_longer() -> None:
+    def among(count: int) -> FloatArray:
+        told: FloatArray = Calibration().alone(np.where(np.arange(9) < count, 50.0, -99.0)[None])
+        return np.asarray(told[0])
+
+    found = [steadiness(among(count)) for count in (1, 2, 9)]
+    assert found == pytest.approx([0.3, 0.6, 2.7], rel=0.12)
+
+
+def misfit_of(building: Any, poses: FloatArray, noise_m: float = 0.0) -> HeldOutMisfit:
+    """What the scans from some poses of one submap say, with noise in their ranges."""
+    rng = np.random.default_rng(3)
+    noisy = [
+        replace(scan, ranges=scan.ranges + rng.normal(0.0, noise_m, len(scan.ranges)))
+        for scan in building.scans(poses)
+    ]
+    with stored(noisy, poses) as store:
+        return held_out_misfit(store, {5: range(len(poses))}, store.poses)
+
+
+def test_views_of_one_room_fit_the_rest_and_noise_shows(building: Any) -> None:
+    poses = building.path(0, 2)
+    clear, noisy = misfit_of(building, poses), misfit_of(building, poses, 0.15)
+    assert clear.views == noisy.views == 40
+    assert clear.typical < 0.05
+    assert noisy.typical > clear.typical + 0.02
+
+
+def test_what_was_seen_just_before_and_after_is_held_out_too(building: Any) -> None:
+    """A robot that never moved a metre has nothing left to compare with."""
+    poses = np.zeros((12, 3)) + building.path(0, 2)[:1]
+    poses[:, 0] += 0.05 * np.arange(12)
+    assert misfit_of(building, poses) == HeldOutMisfit(0.0, 0)
+
+
+def test_views_of_places_seen_once_are_not_held_out(building: Any) -> None:
+    """Two keyframes metres apart: neither is a place that the other knows."""
+    assert misfit_of(building, building.path(0, 2)[[0, 20]]).views == 0
+
+
+def test_near_returns_are_those_in_reach_or_the_nearer_half() -> None:
+    bearings = np.linspace(-1.0, 1.0, 41)
+    scan = PlanarScan(0, bearings, np.linspace(1.0, 21.0, 41), 30.0, full_circle=False)
+    for reach, farthest in ((15.0, 15.0), (3.0, 11.0)):
+        ranges = np.hypot(*near_returns(scan, reach).T)
+        assert ranges.max() == pytest.approx(farthest)
+    assert len(near_returns(PlanarScan(0, bearings, np.full(41, np.inf), 30.0, False), 8.0)) == 0
+
+
+WIDTH = len(feature_names("pairs"))
+
+
+def places(seed: int, counts: tuple[int, ...]) -> dict[int, FloatArray]:
+    """Features of submaps 3, 6, ...: any shares in the histograms, anything in other columns."""
+    rng = np.random.default_rng(seed)
+    return {3 * k + 3: rng.uniform(0.0, 1.0, (count, WIDTH)) for k, count in enumerate(counts)}
+
+
+@given(st.integers(0, 999))
+def test_distances_are_those_of_scipy_to_the_nearest_exemplar(seed: int) -> None:
+    made = places(seed, (30, 41))
+    known = Familiarity("pairs", per_submap=10).fit(made)
+    columns = histogram_columns("pairs")
+    kept = np.vstack([evenly(X, 10) for X in made.values()])[:, columns]
+    assert known.exemplars_.tolist() == np.round(255.0 * np.sqrt(kept)).tolist()
+    fresh = places(seed + 1, (25,))[3]
+    roots = np.sqrt(fresh[:, columns])
+    expected = cdist(roots, known.exemplars_ / 255.0, "cityblock").min(axis=1)
+    assert known.strangeness(fresh) == pytest.approx(expected / known.limit_, rel=1e-4)
+
+
+@pytest.mark.parametrize("share", [0.02, 0.1, 0.4])
+def test_about_the_wanted_share_of_samples_is_strange(share: float) -> None:
+    known = Familiarity("pairs", share).fit(places(1, (400, 400)))
+    fresh = np.vstack(list(places(2, (400, 400)).values()))
+    assert (known.strangeness(fresh) > 1.0).mean() == pytest.approx(share, abs=0.06)
+
+
+def test_columns_that_are_no_histogram_do_not_count_and_shares_are_cut_to_their_bounds() -> None:
+    made = samples_of(SMALL)
+    known = Familiarity("pairs").fit(made)
+    changed = made[4].copy()
+    others = np.setdiff1d(np.arange(WIDTH), histogram_columns("pairs"))
+    changed[:, others] = -1e6
+    assert known.strangeness(changed).tolist() == known.strangeness(made[4]).tolist()
+    bounds, beyond = (np.where(np.arange(WIDTH) % 2, *ends)[None] for ends in ((0, 1.0), (-3, 4.0)))
+    assert known.strangeness(beyond).tolist() == known.strangeness(bounds).tolist()
+
+
+@pytest.mark.parametrize(
+    ("feature_set", "counts", "can"),
+    [
+        ("pairs", (40,), True),
+        ("pairs", (39,), False),  # 20 exemplars, 19 left for the limit
+        ("pairs", (20, 20), True),
+        ("pairs", (1,) * 100, False),  # a single sample of a submap is its exemplar
+        ("pairs", (), False),
+        ("table1", (60,), True),
+    ],
+)
+def test_a_limit_needs_enough_samples(feature_set: str, counts: tuple[int, ...], can: bool) -> None:
+    width = len(feature_names(feature_set))
+    made = {k: np.zeros((count, width)) for k, count in enumerate(counts)}
+    assert Familiarity(feature_set).can_fit(made) is can
+
+
+def test_samples_that_are_all_alike_leave_a_limit_of_nought() -> None:
+    alike = {0: np.full((60, WIDTH), 0.25)}
+    known = Familiarity("pairs").fit(alike)
+    assert known.limit_ == pytest.approx(0.0, abs=0.2)  # 0.5 is between two steps of 1 / 255
+    other = np.full((1, WIDTH), 0.5)
+    assert np.isfinite(known.strangeness(other)).all()
+    assert known.strangeness(other)[0] > 1.0
