@@ -35,7 +35,7 @@ def scan(range_m: float = 3.0, beams: int = 180) -> PlanarScan:
 
 
 @pytest.mark.parametrize("name", BUILT_IN)
-def test_a_set_names_every_column_once_and_it_holds_what_its_group_gives(name: str) -> None:
+def test_a_set_holds_what_its_groups_give_and_histograms_are_shares_of_one(name: str) -> None:
     columns, features = feature_names(name), scans_features([scan()], name)[0]
     assert len(set(columns)) == len(columns)
     assert features.shape == (len(columns),)
@@ -45,6 +45,11 @@ def test_a_set_names_every_column_once_and_it_holds_what_its_group_gives(name: s
         assert isinstance(group, BatchGroup)
         given = group.compute(ReturnsBatch.of([scan()]))[0].astype(np.float32).tolist()
         assert [values[column] for column in group.columns] == given
+        shares = [values[column] for column in group.histogram]
+        assert min(shares, default=0.0) >= 0.0
+        assert not shares or sum(shares) == pytest.approx(1.0)
+    marked = [column for group in BUILT_IN[name] for column in group.histogram]
+    assert [columns[k] for k in histogram_columns(name)] == marked != []
 
 
 @pytest.mark.parametrize("name", BUILT_IN)
@@ -55,20 +60,6 @@ def test_a_scan_has_the_same_features_whatever_comes_with_it(name: str) -> None:
     scans = [scan(), lost, *(scan(2.0 + 0.1 * k, 60 + k) for k in range(40)), nothing, half]
     together = scans_features(iter(scans), name)
     assert together.tolist() == [scans_features([each], name)[0].tolist() for each in scans]
-
-
-@pytest.mark.parametrize("name", BUILT_IN)
-def test_histograms_are_shares_that_sum_to_one(name: str) -> None:
-    features = scans_features([scan()], name)[0]
-    columns = feature_names(name)
-    groups = [group for group in BUILT_IN[name] if group.histogram]
-    assert groups
-    for group in groups:
-        shares = features[[columns.index(column) for column in group.histogram]]
-        assert (shares >= 0.0).all()
-        assert shares.sum() == pytest.approx(1.0)
-    marked = [column for group in groups for column in group.histogram]
-    assert [columns[k] for k in histogram_columns(name)] == marked
 
 
 def test_the_paper_s_set_is_part_of_all_others() -> None:
