@@ -55,6 +55,12 @@ def line_of_poses(count: int, step_m: float = 1.0) -> FloatArray:
     return poses
 
 
+def labelled(poses: FloatArray, submaps: IntArray | None = None) -> Labels:
+    """Keyframes of some submaps, or all of submap 0."""
+    own = np.zeros(len(poses), dtype=np.int64) if submaps is None else submaps
+    return Labels(stamps_ns=np.arange(len(poses)), poses=poses, submaps=own)
+
+
 def topology_of(
     labels: Sequence[int],
     breaks: Collection[int] = (),
@@ -269,8 +275,7 @@ def labels_after(
     The joint division says the room and `joint`, or one submap for all; the layout may have moved.
     """
     submaps = room_of(first)
-    known_as = Labels(stamps_ns=np.arange(len(first)), poses=first, submaps=submaps)
-    old = Heritage(first, submaps, divide(known, known_as), next_id)
+    old = Heritage(first, submaps, divide(known, labelled(first, submaps)), next_id)
     poses = np.concatenate([first, second])
     division = np.zeros_like(room_of(poses)) if joint is None else joint + room_of(poses)
     placed = poses if moved is None else compose(moved, poses)
@@ -308,8 +313,7 @@ def test_a_new_room_only_looked_into_is_none_and_all_in_new_space_is_a_submap() 
 
 def test_a_room_that_was_only_looked_into_is_new() -> None:
     first, second = way(1.0, 3.5), way(2.0, 7.8)
-    labels = Labels(stamps_ns=np.arange(len(first)), poses=first, submaps=room_of(first))
-    owner = divide(rooms(2), labels).owner
+    owner = divide(rooms(2), labelled(first, room_of(first))).owner
     assert (owner[:, 50:80] == 0).any(), "seen through the door, and nobody else's"
     _, found = labels_after(rooms(2), first, second, next_id=1, joint=10)
     assert (found != room_of(second)).sum() <= 3
@@ -330,8 +334,7 @@ def hall() -> GridMap:
 def driven() -> Labels:
     """Keyframes along the middle, from left to right: ten a metre, the hall is 0, the room 1."""
     poses = way(0.3, 5.9, 1.0)
-    submaps = (poses[:, 0] > 4.05).astype(np.int64)
-    return Labels(stamps_ns=np.arange(len(poses)), poses=poses, submaps=submaps)
+    return labelled(poses, (poses[:, 0] > 4.05).astype(np.int64))
 
 
 def after(*wished: BorderEdit) -> tuple[IntArray, tuple[BorderEdit, ...]]:
@@ -375,9 +378,7 @@ def test_no_region_crosses_the_fence() -> None:
     """The robot stood near the line on one side only: its region still ends there."""
     labels, whole = driven(), hall()
     kept = np.flatnonzero((labels.poses[:, 0] < 0.8) | (labels.poses[:, 0] > 2.2))
-    seen = Labels(
-        stamps_ns=labels.stamps_ns[kept], poses=labels.poses[kept], submaps=labels.submaps[kept]
-    )
+    seen = labelled(labels.poses[kept], labels.submaps[kept])
     found = redrawn(whole, seen, (), [Split(submap=0, line=ACROSS, new=5)], 2)
     divided = replace(seen, submaps=found.submaps)
     regions = divide(whole, divided, fences_of(found.borders))
@@ -392,8 +393,7 @@ def test_no_region_crosses_the_fence() -> None:
 
 def test_a_keyframe_on_the_fence_takes_nothing_beyond_it() -> None:
     whole, poses = hall(), np.array([[1.0, 1.0, 0.0], [2.0, 1.0, 0.0], [3.0, 1.0, 0.0]])
-    seen = Labels(stamps_ns=np.arange(3), poses=poses, submaps=np.array([0, 0, 1]))
-    owner = divide(whole, seen, [ACROSS]).owner
+    owner = divide(whole, labelled(poses, np.array([0, 0, 1])), [ACROSS]).owner
     for submap, side in ((0, np.max), (1, np.min)):
         x = whole.centres_of(np.argwhere(owner == submap))[:, 0]
         assert side(x) == pytest.approx(2.0, abs=0.16)
@@ -408,10 +408,7 @@ def test_a_line_through_one_leg_of_a_building_splits_on_foot() -> None:
     whole = GridMap(cells, 0.1)
     there = way(0.5, 3.6, 0.5)
     poses = np.concatenate([there, way(3.5, 0.45, 1.7)])
-    labels = Labels(
-        stamps_ns=np.arange(len(poses)), poses=poses, submaps=np.zeros(len(poses), dtype=np.int64)
-    )
-    found = redrawn(whole, labels, (), [Split(submap=0, line=((2.0, 0.8), (2.0, 0.2)))], 1)
+    found = redrawn(whole, labelled(poses), (), [Split(submap=0, line=((2.0, 0.8), (2.0, 0.2)))], 1)
     assert np.flatnonzero(found.submaps == 1).tolist() == np.flatnonzero(there[:, 0] < 2).tolist()
 
 
@@ -463,9 +460,7 @@ def test_the_way_of_a_map_is_that_of_its_recordings_from_keyframe_to_keyframe(
 ) -> None:
     """Nobody drove from one to the next; of a recording that lost keyframes it was kept."""
     poses, ends = np.concatenate(tracks), np.cumsum([len(track) for track in tracks])
-    labels = Labels(
-        stamps_ns=np.arange(len(poses)), poses=poses, submaps=np.zeros(len(poses), dtype=np.int64)
-    )
+    labels = labelled(poses)
     logs = [
         LogInfo(f"{end}.bag", keyframes=(end - len(track), end - 1) if len(track) else None)
         for track, end in zip(tracks, ends.tolist(), strict=True)

@@ -119,13 +119,9 @@ def _fill(cells: CellArray, box: Box, state: int) -> None:
 ALIKE = floor([(3.5, 4.5)] * 6, [0.5] * 6)
 
 
-def aligned(old: MapToAlign, new: MapToAlign) -> Alignment:
-    return align(old, new)
-
-
 def refused(old: MapToAlign, new: MapToAlign) -> Alignment:
     """What is told of maps that are not aligned."""
-    found = aligned(old, new)
+    found = align(old, new)
     assert found.old_from_new is None
     assert found.reason
     return found
@@ -142,9 +138,9 @@ def assert_right(found: Alignment, truth: Pose2, metres: float = 0.02) -> None:
 def test_two_maps_of_one_floor(seed: int, turn: float) -> None:
     plan, frame = random_floor(seed), Pose2(3.0, 2.0, turn)
     old, new = seen(plan), seen(plan, ALL, frame)
-    found = aligned(old, new)
+    found = align(old, new)
     assert_right(found, frame)
-    assert_right(aligned(new, old), frame.inverse())
+    assert_right(align(new, old), frame.inverse())
     assert found.submaps >= 6
     assert {(joint.old, joint.new) for joint in found.joints} >= {(k, k) for k in range(6)}
     for joint in found.joints:
@@ -154,7 +150,7 @@ def test_two_maps_of_one_floor(seed: int, turn: float) -> None:
 
 def test_maps_that_share_some_rooms_but_two_may_be_of_two_buildings() -> None:
     plan, frame = random_floor(1, rooms=9), Pose2(5.0, 1.0, 0.4)
-    assert_right(aligned(seen(plan, range(6)), seen(plan, range(3, 9), frame)), frame)
+    assert_right(align(seen(plan, range(6)), seen(plan, range(3, 9), frame)), frame)
     plan = random_floor(1, rooms=7)
     told = refused(seen(plan, range(4)), seen(plan, range(2, 6), frame)).reason
     assert "too little in common" in told
@@ -164,7 +160,7 @@ def test_a_large_place_that_was_divided_otherwise_is_found_by_few_submaps() -> N
     plan, frame = random_floor(6), Pose2(2.0, 0.0, 0.8)
     whole = seen(plan, ALL, frame).whole
     undivided = MapToAlign(whole=whole, grids={0: whole}, frames={0: IDENTITY})
-    found = aligned(seen(plan), undivided)
+    found = align(seen(plan), undivided)
     assert found.submaps == 1
     assert_right(found, frame)
 
@@ -172,7 +168,7 @@ def test_a_large_place_that_was_divided_otherwise_is_found_by_few_submaps() -> N
 def test_furniture_that_was_moved_does_not_matter() -> None:
     plan, frame = random_floor(4), Pose2(1.0, 1.0, -2.0)
     boxes = [(a + 0.5, b + 1.2, a + 1.3, b + 1.6) for a, b, _, _ in plan.rooms[:3]]
-    assert_right(aligned(seen(plan), seen(plan.with_boxes(*boxes), ALL, frame)), frame)
+    assert_right(align(seen(plan), seen(plan.with_boxes(*boxes), ALL, frame)), frame)
 
 
 @pytest.mark.parametrize(("one", "other"), [(0, 1), (2, 3), (4, 5), (6, 7)])
@@ -269,15 +265,12 @@ def test_a_hallway_whose_length_was_guessed_is_found_by_another_length(longer_m:
     assert f"was made 1.5 m {'longer' if longer_m > 0 else 'shorter'}" in found.reason
 
 
-def test_a_map_that_is_right_keeps_its_length() -> None:
-    found = align(of_length(10.0), of_length(10.0), [of_length(10.0, step) for step in _STEPS])
+def test_a_map_that_is_right_keeps_its_length_and_one_of_another_building_stays_refused() -> None:
+    new, bent = of_length(10.0), [of_length(10.0, step) for step in _STEPS]
+    found = align(new, new, bent)
     assert_right(found, IDENTITY)
     assert found.longer_m == 0.0
-
-
-def test_with_other_lengths_a_hallway_of_another_building_stays_refused() -> None:
-    bent = [of_length(10.0, step) for step in _STEPS]
-    assert align(seen(random_floor(7)), of_length(10.0), bent).old_from_new is None
+    assert align(seen(random_floor(7)), new, bent).old_from_new is None
 
 
 def test_what_fits_with_two_lengths_is_refused() -> None:

@@ -12,14 +12,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
-from specmap_cli.core.geometry import (
-    IDENTITY,
-    FloatArray,
-    Pose2,
-    compose,
-    invert,
-    wrap_angle,
-)
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose, invert, wrap_angle
 from specmap_cli.core.settings import GridConfig, RecognitionConfig
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.grids.occupancy import OccupancyGrid

@@ -49,7 +49,8 @@ def test_a_set_holds_what_its_groups_give_and_histograms_are_shares_of_one(name:
         assert min(shares, default=0.0) >= 0.0
         assert not shares or sum(shares) == pytest.approx(1.0)
     marked = [column for group in BUILT_IN[name] for column in group.histogram]
-    assert [columns[k] for k in histogram_columns(name)] == marked != []
+    assert marked
+    assert [columns[k] for k in histogram_columns(name)] == marked
 
 
 @pytest.mark.parametrize("name", BUILT_IN)
