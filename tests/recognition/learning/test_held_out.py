@@ -21,7 +21,8 @@ from specmap_cli.recognition.learning.training import (
 )
 
 CONFIG = RecognitionConfig(rounds=10)
-SET = "table1"
+COLUMNS = len(feature_names("table1"))
+FIRST = 2  # keyframes 0 and 1 are of the map, at (0, 0) and (10, 0), both facing along x
 
 
 def straight(metres: float) -> np.ndarray:
@@ -32,8 +33,11 @@ def straight(metres: float) -> np.ndarray:
 
 def samples(centre: float, keyframes: np.ndarray) -> Samples:
     rng = np.random.default_rng(int(100 * centre))
-    shape = len(keyframes), len(feature_names(SET))
-    return Samples(rng.normal(centre, 1.0, shape), keyframes)
+    return Samples(rng.normal(centre, 1.0, (len(keyframes), COLUMNS)), keyframes)
+
+
+def none() -> Samples:
+    return samples(0.0, np.zeros(0, dtype=np.intp))
 
 
 def test_only_places_that_the_rest_shows_are_tested() -> None:
@@ -51,33 +55,21 @@ def test_only_places_that_the_rest_shows_are_tested() -> None:
     assert not len(known_places(own, in_pieces_held_out(line), line).keyframes)
 
 
-def test_held_out_scans_are_told_by_what_was_learned_of_the_rest() -> None:
+def test_held_out_scans_are_told_by_what_was_learned_of_the_rest_of_two_submaps_or_more() -> None:
     rest = {2: samples(0.0, np.arange(40)), 5: samples(3.0, np.arange(40)), 7: none()}
     asked = {
         2: samples(0.1, np.arange(9)),
         5: samples(3.1, np.arange(7)),
         7: samples(6.0, np.arange(3)),
     }
-    found = held_out_margins(rest, asked, SET, CONFIG, np.random.default_rng(0))
+    found = held_out_margins(rest, asked, "table1", CONFIG, np.random.default_rng(0))
     assert found.column.tolist() == [0] * 9 + [1] * 7
     assert (found.margins.argmax(axis=1) == found.column).mean() > 0.9
     assert (found.margins[:, 2] < -100.0).all()
-
-
-def test_one_submap_alone_is_not_tested() -> None:
-    rest = {2: samples(0.0, np.arange(40)), 5: none()}
-    asked = {2: samples(0.1, np.arange(9)), 5: samples(3.0, np.arange(9))}
-    found = held_out_margins(rest, asked, SET, CONFIG, np.random.default_rng(0))
-    assert found.margins.shape == (0, 2)
-    assert not len(found.column)
-
-
-def none() -> Samples:
-    return samples(0.0, np.zeros(0, dtype=np.intp))
-
-
-COLUMNS = len(feature_names("table1"))
-FIRST = 2  # keyframes 0 and 1 are of the map, at (0, 0) and (10, 0), both facing along x
+    del rest[5], asked[5]
+    alone = held_out_margins(rest, asked, "table1", CONFIG, np.random.default_rng(0))
+    assert alone.margins.shape == (0, 2)
+    assert not len(alone.column)
 
 
 def features(*values: float) -> FloatArray:
