@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
+from specmap_cli.core.geometry import IDENTITY, Pose2
 from specmap_cli.core.records import PlanarScan, PosedScan
-from specmap_cli.grids.keyframes import KeyframeStore
 
 EMPTY = PlanarScan(0, np.zeros(0), np.zeros(0), 10.0, full_circle=True)
 
@@ -30,14 +28,6 @@ def posed(
         base_from_laser=base_from_laser,
         **more,
     )
-
-
-def stored(scans: Iterable[PlanarScan], poses: FloatArray) -> KeyframeStore:
-    """A store of scans at poses (n, 3)."""
-    store = KeyframeStore()
-    for number, (scan, pose) in enumerate(zip(scans, poses, strict=True)):
-        store.append(posed(scan, Pose2(*pose.tolist()), number))
-    return store
 
 
 def at(x: float, theta: float = 0.0, lost: bool = False) -> PosedScan:

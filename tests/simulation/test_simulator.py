@@ -208,11 +208,9 @@ def test_every_beam_ends_on_the_first_surface_and_points_come_as_the_columns_tur
     assert cloud_of(lidar_of(), hall).times_s is None
 
 
-BRIEF = SimulationOptions(beams=30, rate_hz=4, max_duration_s=5.0, seed=2)
-
-
 def brief(**changes: Any) -> SimulationOptions:
-    return BRIEF.model_copy(update=changes)
+    usual = SimulationOptions(beams=30, rate_hz=4, max_duration_s=5.0, seed=2)
+    return usual.model_copy(update=changes)
 
 
 def test_the_scans_of_a_tour_are_the_same_every_time(flat: GridMap) -> None:

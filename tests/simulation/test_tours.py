@@ -17,7 +17,7 @@ from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import FloatArray, path_length, step_lengths
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.simulation import tours
-from specmap_cli.simulation.tours import Drive, Limits, drive, reachable_space
+from specmap_cli.simulation.tours import Limits, drive, reachable_space
 from specmap_cli.simulation.worlds import RoomTruth, World, read_rooms
 from tests.strategies import grid_maps, seeds
 
@@ -116,12 +116,6 @@ def test_ways_on_the_lattice_are_those_of_a_king_on_a_board_and_cost_more_near_w
     assert (ratio[~roomy] > 1.0).all()
 
 
-def rates(driven: Drive) -> tuple[FloatArray, FloatArray]:
-    """Metres and radians a second between the poses of a drive."""
-    seconds = np.diff(driven.times_s)
-    return step_lengths(driven.poses) / seconds, np.abs(np.diff(driven.poses[:, 2])) / seconds
-
-
 def winding(seed: int, points: int, step_m: float) -> FloatArray:
     """A path (N, 2) of equal steps whose heading wanders, now and then by a sharp corner."""
     rng = np.random.default_rng(seed)
@@ -137,10 +131,10 @@ def test_a_drive_keeps_speed_and_turn_rate_and_passes_every_point(
 ) -> None:
     path = winding(seed, points, step_m)
     driven = drive(path, USUAL)
-    speeds, turns = rates(driven)
-    assert (np.diff(driven.times_s) > 0).all()
-    assert speeds.max() <= USUAL.speed_mps + 1e-9
-    assert turns.max() <= USUAL.turn_rate_radps + 1e-9
+    seconds, turns = np.diff(driven.times_s), np.abs(np.diff(driven.poses[:, 2]))
+    assert (seconds > 0).all()
+    assert (step_lengths(driven.poses) / seconds).max() <= USUAL.speed_mps + 1e-9
+    assert (turns / seconds).max() <= USUAL.turn_rate_radps + 1e-9
     away, _ = cKDTree(driven.poses[:, :2]).query(path)
     assert away.max() < 1e-9
     assert path_length(driven.poses) == pytest.approx(path_length(path))

@@ -33,8 +33,6 @@ from specmap_cli.recognition.closure.verification import (
 from tests.strategies import angles, few, pose_arrays, poses
 from tests.turning import turn
 
-CONFIG = RecognitionConfig()
-
 
 def ready(grid: GridMap) -> PreparedGrid:
     made = prepared(grid)
@@ -134,7 +132,7 @@ def test_a_corridor_that_fits_in_two_ways_keeps_its_rival_on_coarse_cells(
 def test_grids_of_two_rooms_contradict_each_other_and_are_left_rough(building: Any) -> None:
     """Below hope nothing is gained by the fine steps, so they are not made: no lead is known."""
     first, other = ready(building.visit(0, 1).grid), ready(building.visit(1, 2).grid)
-    assert matched(first, other).score < CONFIG.min_score
+    assert matched(first, other).score < RecognitionConfig().min_score
     turn("recognition", hopeless_score=1.0)
     assert matched(first, other).lead == 0.0
 

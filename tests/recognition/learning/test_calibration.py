@@ -25,8 +25,8 @@ from specmap_cli.recognition.learning.calibration import (
     near_returns,
     steadiness,
 )
+from tests.casting import store_of
 from tests.recognition.learning.made_up import SMALL, samples_of
-from tests.recognition.posed import stored
 
 NOTHING = HeldOutMargins(np.zeros((0, 3)), np.zeros(0, dtype=np.intp))
 
@@ -87,11 +87,11 @@ def test_a_view_that_leaves_more_open_goes_on_for_longer() -> None:
 def misfit_of(building: Any, poses: FloatArray, noise_m: float = 0.0) -> HeldOutMisfit:
     """What the scans from some poses of one submap say, with noise in their ranges."""
     rng = np.random.default_rng(3)
-    noisy = [
-        replace(scan, ranges=scan.ranges + rng.normal(0.0, noise_m, len(scan.ranges)))
-        for scan in building.scans(poses)
-    ]
-    with stored(noisy, poses) as store:
+    noisy = []
+    for scan in building.posed(poses):
+        ranges = scan.planar.ranges + rng.normal(0.0, noise_m, len(scan.planar.ranges))
+        noisy.append(replace(scan, planar=replace(scan.planar, ranges=ranges)))
+    with store_of(noisy) as store:
         return held_out_misfit(store, {5: range(len(poses))}, store.poses)
 
 

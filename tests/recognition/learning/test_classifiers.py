@@ -236,14 +236,6 @@ def test_what_is_no_object_is_refused(text: str) -> None:
 
 HALF = Sensor(beams=181, field_of_view=math.pi, range_max=20.0, full_circle=False)
 
-sensors = st.builds(
-    Sensor,
-    beams=st.integers(1, 2000),
-    field_of_view=st.floats(0.0, 2.0 * math.pi),
-    range_max=st.floats(0.5, 100.0),
-    full_circle=st.booleans(),
-)
-
 
 def scan(bearings: Any, full: bool = False) -> PlanarScan:
     return PlanarScan(0, np.asarray(bearings), np.ones(len(bearings)), 20.0, full_circle=full)
@@ -264,7 +256,15 @@ def test_a_scan_of_hardly_a_beam_has_no_field_of_view(bearings: list[float]) -> 
     assert sensor.sees_as(sensor)
 
 
-@given(sensors)
+@given(
+    st.builds(
+        Sensor,
+        beams=st.integers(1, 2000),
+        field_of_view=st.floats(0.0, 2.0 * math.pi),
+        range_max=st.floats(0.5, 100.0),
+        full_circle=st.booleans(),
+    )
+)
 def test_bearings_are_even_and_symmetric_and_a_laser_sees_as_itself(sensor: Sensor) -> None:
     assert sensor.sees_as(sensor)
     bearings = sensor.bearings()
