@@ -50,7 +50,6 @@ from tests.recognition.localization.scanned import walls_of
 from tests.recognition.watching import watched
 from tests.turning import turn
 
-Seen = list[tuple[FloatArray, float, Pose2, FloatArray]]
 SUBMAPS = {0: list(range(0, 40)), 2: list(range(44, 80))}  # keyframes 40 to 43 are in none
 
 
@@ -263,11 +262,9 @@ def test_samples_are_repeatable_and_drawn_anew_for_another_seed(
 
 def test_exemplars_and_the_share_given_up_are_settings(store: KeyframeStore) -> None:
     turn("recognition", exemplars=5)
-    few = raw_of(store, settings()).familiarity
+    few: Any = raw_of(store, settings()).familiarity
     turn("recognition", exemplars=12)
-    many = raw_of(store, settings(false_unknown=0.4)).familiarity
-    assert few is not None
-    assert many is not None
+    many: Any = raw_of(store, settings(false_unknown=0.4)).familiarity
     assert (len(few.exemplars_), len(many.exemplars_)) == (10, 24)
     assert many.limit_ < few.limit_
 
@@ -288,20 +285,6 @@ def beside(
     return augmented_samples(store, submaps, store.poses, config, rng, known)
 
 
-@pytest.fixture
-def seen(monkeypatch: pytest.MonkeyPatch) -> Seen:
-    """How far, from where what was seen: bearings, reach, pose and ranges of every scan."""
-    calls: Seen = []
-
-    def seeing(lines: FloatArray, pose: Pose2, bearings: FloatArray, reach_m: float) -> FloatArray:
-        ranges = seen_from(lines, pose, bearings, reach_m)
-        calls.append((bearings, reach_m, pose, ranges))
-        return ranges
-
-    monkeypatch.setattr(sampling, "seen_from", seeing)
-    return calls
-
-
 def test_a_submap_gets_the_scans_beside_its_way_that_it_lacks(store: KeyframeStore) -> None:
     found = beside(store, 90)
     # of 30 and 6 keyframes; what comes to lie in the other submap is left out
@@ -315,18 +298,20 @@ def test_a_submap_gets_the_scans_beside_its_way_that_it_lacks(store: KeyframeSto
 
 
 def test_scans_beside_the_way_lie_a_step_aside_and_look_as_scans_taken_there(
-    store: KeyframeStore, seen: Seen, building: Any
+    store: KeyframeStore, building: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    seen = watched(monkeypatch, sampling, "seen_from")
     found = beside(store, 60, seed=1)
     assert len(seen) == sum(len(own.keyframes) for own in found.values())
     keyframes = np.concatenate([found[i].keyframes for i in sorted(found)])
-    poses = np.array([pose for *_, pose, _ in seen])
+    poses = np.array([pose for _, pose, _, _ in seen])
     laser = store.scan(3)
-    assert all(b.tolist() == laser.bearings.tolist() and r == laser.range_max for b, r, *_ in seen)
+    assert all(b.tolist() == laser.bearings.tolist() and r == laser.range_max for *_, b, r in seen)
     away = np.hypot(*(poses - store.poses[keyframes])[:, :2].T)
     assert 0.02 < np.median(away) < 0.2
     off = []
-    for scan, (*_, ranges) in zip(building.scans(poses), seen, strict=True):
+    for scan, given in zip(building.scans(poses), seen, strict=True):
+        ranges = seen_from(*given)
         both = np.isfinite(scan.ranges) & np.isfinite(ranges)
         assert both.sum() > 0.8 * np.isfinite(scan.ranges).sum()
         off.append(np.median(np.abs(scan.ranges - ranges)[both]))
@@ -338,7 +323,10 @@ def test_a_map_of_one_keyframe_is_seen_from_beside_it(store: KeyframeStore) -> N
     assert found[0].keyframes.tolist() == [7] * 5
 
 
-def test_known_scans_beside_the_way_are_not_made_again(store: KeyframeStore, seen: Seen) -> None:
+def test_known_scans_beside_the_way_are_not_made_again(
+    store: KeyframeStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = watched(monkeypatch, sampling, "seen_from")
     known = together(beside(store, 90).values())
     made, again = len(seen), beside(store, 40, seed=1, known=known)
     assert len(seen) == made > 40

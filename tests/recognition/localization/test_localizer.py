@@ -34,6 +34,7 @@ from specmap_cli.recognition.localization.walls import MapWalls
 from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
 from tests.recognition.localization.scanned import walls_of
 from tests.recognition.posed import posed
+from tests.recognition.watching import watched
 from tests.turning import turn
 
 CONFIG = load_config(
@@ -219,14 +220,8 @@ def test_all_scans_of_a_view_are_smoothed_alike_by_what_the_last_of_them_knows(
     trained: Trained, again: list[PosedScan], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two tracks: one of two views, of three scans and one, and one of a single view."""
-    guide, seen = trained.localizer(), list[np.ndarray[Any, Any]]()
-    smooth = guide.filter.smooth
-
-    def smoothing(rows: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-        seen.append(rows)
-        return smooth(rows)
-
-    monkeypatch.setattr(guide.filter, "smooth", smoothing)
+    guide = trained.localizer()
+    smoothed = watched(monkeypatch, guide.filter, "smooth")
     scans = [again[0], again[0], again[0], again[9], replace(again[30], restarted=True)]
     found = [guide.add(scan) for scan in scans]
     assert [where.again for where in found] == [False, True, True, False, False]
@@ -234,7 +229,7 @@ def test_all_scans_of_a_view_are_smoothed_alike_by_what_the_last_of_them_knows(
     chances = [where.label.filtered_probability for where in guide.smoothed(after)]
     assert chances[0] == chances[1] == chances[2]
     expected = [[found[2].evidence, found[3].evidence], [found[4].evidence]]
-    for rows, wanted in zip(seen, expected, strict=True):
+    for (rows,), wanted in zip(smoothed, expected, strict=True):
         np.testing.assert_array_equal(rows, wanted)
 
 
