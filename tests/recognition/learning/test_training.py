@@ -46,7 +46,7 @@ from specmap_cli.recognition.learning.sampling import (
 from specmap_cli.recognition.learning.training import _EXEMPLARS, sensor_of, train_and_test
 from specmap_cli.recognition.localization.localizer import Localizer
 from tests.casting import store_of
-from tests.recognition.localization.scanned import walls_of
+from tests.recognition.posed import walls_of
 from tests.recognition.watching import watched
 from tests.turning import turn
 

@@ -10,10 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.core.records import PosedScan
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.recognition.localization.filtering import Clue, HiddenMarkovFilter, ViewGrouping
-from tests.recognition.posed import at
+from tests.recognition.posed import posed
 from tests.turning import configured, turn
 
 LINE: dict[int, list[int]] = {0: [1], 1: [0, 2], 2: [1], 5: []}
@@ -121,6 +122,12 @@ def test_unknown_gains_by_its_worth_and_by_nothing_else(worth: float) -> None:
         belief = model.update(model.with_unknown(spread * np.arange(4.0), worth))
         odds = (belief[4] / belief[:4].sum()) / (prior[4] / prior[:4].sum())
         assert np.log(odds) == pytest.approx(worth)
+
+
+def at(x: float, theta: float = 0.0, lost: bool = False) -> PosedScan:
+    """A scan without a return, x metres along a line."""
+    nothing = PlanarScan(0, np.zeros(0), np.zeros(0), 10.0, full_circle=True)
+    return posed(nothing, Pose2(x, 0.0, theta), lost=lost)
 
 
 @pytest.mark.parametrize(

@@ -32,8 +32,7 @@ from specmap_cli.recognition.localization.filtering import HiddenMarkovFilter
 from specmap_cli.recognition.localization.localizer import BeamSampler, Label, Localizer
 from specmap_cli.recognition.localization.walls import MapWalls
 from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
-from tests.recognition.localization.scanned import walls_of
-from tests.recognition.posed import posed
+from tests.recognition.posed import posed, walls_of
 from tests.recognition.watching import watched
 from tests.turning import turn
 

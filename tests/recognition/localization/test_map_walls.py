@@ -16,8 +16,7 @@ from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.recognition.learning.calibration import _USUAL_MISFIT, HeldOutMisfit, pooled
 from specmap_cli.recognition.localization import walls as walls_module
 from specmap_cli.recognition.localization.walls import Fitted, MapWalls, View
-from tests.recognition.localization.scanned import scanned, walls_of
-from tests.recognition.posed import posed
+from tests.recognition.posed import posed, scanned, walls_of
 from tests.recognition.watching import watched
 
 CONFIG = LocalizationConfig()

@@ -20,8 +20,7 @@ from specmap_cli.recognition.localization.filtering import LEAP
 from specmap_cli.recognition.localization.places import Estimate, Place, WeighedPlaces, information
 from specmap_cli.recognition.localization.walls import Fitted, MapWalls, View
 from tests.casting import ranges_at
-from tests.recognition.localization.scanned import walls_of
-from tests.recognition.posed import posed
+from tests.recognition.posed import posed, walls_of
 from tests.recognition.watching import watched
 from tests.turning import turn
 
