@@ -212,14 +212,6 @@ def test_one_class_is_enough_and_fitting_again_forgets_it() -> None:
     assert model.margins(made[0]).shape == (90, 2)
 
 
-def data(seed: int, n: int = 120) -> tuple[FloatArray, FloatArray]:
-    """Samples of three features; the label depends on two of them, with some noise."""
-    rng = np.random.default_rng(seed)
-    X = rng.normal(size=(n, 3))
-    y = np.where(X[:, 0] + (X[:, 1] > 0.0) + 0.5 * rng.normal(size=n) > 0.5, 1.0, -1.0)
-    return X, y
-
-
 def test_edges_of_many_different_values_are_their_quantiles() -> None:
     X = np.random.default_rng(0).permutation(3200.0 * np.linspace(0, 1, 3201))[:, None]
     edges = Quantiser.of(X).edges[0]
@@ -229,7 +221,7 @@ def test_edges_of_many_different_values_are_their_quantiles() -> None:
 
 
 def test_a_constant_feature_has_one_bin_and_is_never_a_reason() -> None:
-    X, y = data(0)
+    X, y = blobs(0)
     X[:, 2] = 7.0
     model = trees_of(X, y, 30, share=1.0)
     changed = X.copy()
@@ -260,7 +252,7 @@ def best_split(
 @given(seeds)
 @few(10)
 def test_the_first_tree_s_splits_are_the_best_of_all(seed: int) -> None:
-    X, y = data(seed, n=60)
+    X, y = blobs(seed, n=60)
     positive = y > 0.0
     quantiser = Quantiser.of(X)
     codes = quantiser.codes(X)
@@ -278,7 +270,7 @@ def test_the_first_tree_s_splits_are_the_best_of_all(seed: int) -> None:
 
 
 def test_both_classes_weigh_alike_however_many_samples_they_have() -> None:
-    X, y = data(3)
+    X, y = blobs(3)
     quantiser = Quantiser.of(X)
     many = np.concatenate([np.arange(len(y)), np.repeat(np.flatnonzero(y < 0.0), 4)])
 
@@ -295,17 +287,17 @@ def test_both_classes_weigh_alike_however_many_samples_they_have() -> None:
 
 
 def test_a_smaller_share_of_the_features_is_drawn_anew_each_round() -> None:
-    X, y = data(5)
-    third = trees_of(X, y, 40, share=0.34).forest_.features
-    assert (third == third[:, :1]).all()  # one of three features a round: all nodes ask for it
-    assert len(np.unique(third)) == 3
+    X, y = blobs(5)
+    sixth = trees_of(X, y, 40, share=0.17).forest_.features
+    assert (sixth == sixth[:, :1]).all()  # one of six features a round: all nodes ask for it
+    assert len(np.unique(sixth)) == 6
 
 
 @given(seeds)
 @few(10)
 def test_the_order_of_the_samples_changes_no_bit(seed: int) -> None:
     """Sums of weights are exact. Equal columns are equally good: the first of them is taken."""
-    X, y = data(seed)
+    X, y = blobs(seed)
     X[:, 2] = X[:, 0]
     order = np.random.default_rng(seed).permutation(len(y))
     one = trees_of(X, y, 8, share=1.0).to_dict()
