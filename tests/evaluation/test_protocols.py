@@ -187,32 +187,24 @@ def test_the_lines_of_the_baseline(
     )
 
 
-SPREAD = trajectories.Spread(mean=0.1, std=0.02, median=0.09, p95=0.2, max=1.25)
-ERRORS = trajectories.RelativeErrors(
-    translation_m=SPREAD, rotation_deg=SPREAD, matched=1200, total=2000
-)
-SPREAD_TEXT = "mean 0.1000  std 0.0200  median 0.0900  p95 0.2000  max 1.2500"
-
-
-@pytest.mark.parametrize("lengths", [(), (1.0,), (1.0, 20.0)])
-def test_the_lines_of_relations_and_of_a_reference(lengths: tuple[float, ...]) -> None:
-    errors = trajectories.ReferenceErrors(
-        relative=dict.fromkeys(lengths, ERRORS),
-        ate_m=0.03435,
-        end_m=2.5,
-        end_deg=0.1234,
-        matched=12,
-        total=4000,
+def test_the_lines_of_relations_and_of_a_reference() -> None:
+    spread = trajectories.Spread(mean=0.1, std=0.02, median=0.09, p95=0.2, max=1.25)
+    relative = trajectories.RelativeErrors(
+        translation_m=spread, rotation_deg=spread, matched=1200, total=2000
     )
-    assert trajectories.relation_lines(ERRORS) == [
-        "1,200 of 2,000 relations matched",
-        f"  translation m  {SPREAD_TEXT}",
-        f"  rotation deg   {SPREAD_TEXT}",
-    ]
-    lines = trajectories.reference_lines(errors)
-    assert lines[0] == "12 of 4,000 poses matched"
-    assert lines[1:-2:3] == [f"relative errors over {length:g} m of path" for length in lengths]
-    assert lines[-2:] == [
+    text = "mean 0.1000  std 0.0200  median 0.0900  p95 0.2000  max 1.2500"
+    spreads = [f"  translation m  {text}", f"  rotation deg   {text}"]
+    told = trajectories.relation_lines(relative)
+    assert told == ["1,200 of 2,000 relations matched", *spreads]
+    by_length = {1.0: relative, 20.0: relative}
+    absolute = {"ate_m": 0.03435, "end_m": 2.5, "end_deg": 0.1234}
+    errors = trajectories.ReferenceErrors(relative=by_length, **absolute, matched=12, total=4000)
+    assert trajectories.reference_lines(errors) == [
+        "12 of 4,000 poses matched",
+        "relative errors over 1 m of path",
+        *spreads,
+        "relative errors over 20 m of path",
+        *spreads,
         "absolute error (rmse, aligned)  0.0343 m",
         "from first to last pose         2.5000 m, 0.123 deg",
     ]

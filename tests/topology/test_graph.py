@@ -46,9 +46,6 @@ from specmap_cli.topology.topological_map import (
 from tests.house import closure
 from tests.strategies import pose_arrays
 
-LABELS = st.lists(st.integers(0, 4), min_size=1, max_size=30)
-PAIRS = st.lists(st.tuples(st.integers(0, 12), st.integers(0, 12)), max_size=20)
-
 
 def line_of_poses(count: int, step_m: float = 1.0) -> FloatArray:
     poses = np.zeros((count, 3))
@@ -153,7 +150,7 @@ def test_a_closure_names_regions_whose_submaps_may_have_changed() -> None:
     assert broken.edges[0, 1].kind == "closure", "stronger than the guess over a break"
 
 
-@given(LABELS, st.sets(st.integers(0, 29)))
+@given(st.lists(st.integers(0, 4), min_size=1, max_size=30), st.sets(st.integers(0, 29)))
 def test_the_graph_of_a_driven_tour_is_connected_and_complete_and_visits_are_its_stays(
     labels: list[int], breaks: set[int]
 ) -> None:
@@ -187,17 +184,17 @@ def test_the_graph_of_a_driven_tour_is_connected_and_complete_and_visits_are_its
         assert submap.map_from_submap.x == labels.index(id_), "the frame is its first keyframe's"
 
 
-EXCURSIONS = [
-    *(("", ""), ("a", "a"), ("ab", "ab")),
-    ("abc", "abc"),  # a way through, no excursion
-    ("abacaca", "aaaaaaa"),
-    ("abab", "aaab"),  # the last stay is followed by none
-    ("abbbbbba", "abbbbbba"),  # 1 m long
-    ("abbbbba", "aaaaaaa"),  # 0.8 m
-]
-
-
-@pytest.mark.parametrize(("labels", "settled"), EXCURSIONS)
+@pytest.mark.parametrize(
+    ("labels", "settled"),
+    [
+        *(("", ""), ("a", "a"), ("ab", "ab")),
+        ("abc", "abc"),  # a way through, no excursion
+        ("abacaca", "aaaaaaa"),
+        ("abab", "aaab"),  # the last stay is followed by none
+        ("abbbbbba", "abbbbbba"),  # 1 m long
+        ("abbbbba", "aaaaaaa"),  # 0.8 m
+    ],
+)
 def test_what_is_an_excursion(labels: str, settled: str) -> None:
     numbers = np.array([ord(letter) for letter in labels], dtype=np.int64)
     found = settle_labels(numbers, line_of_poses(len(labels), 0.2), 0.9)
@@ -205,7 +202,10 @@ def test_what_is_an_excursion(labels: str, settled: str) -> None:
     assert "".join(map(chr, found)) == settled
 
 
-@given(PAIRS, st.randoms(use_true_random=False))
+@given(
+    st.lists(st.tuples(st.integers(0, 12), st.integers(0, 12)), max_size=20),
+    st.randoms(use_true_random=False),
+)
 def test_merging_agrees_with_connected_components_in_any_order(
     pairs: list[tuple[int, int]], shuffle: random.Random
 ) -> None:

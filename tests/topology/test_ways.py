@@ -333,6 +333,7 @@ def test_a_submap_where_the_robot_does_not_fit_has_an_anchor_and_no_way() -> Non
 
 CONFIG = WaysConfig()
 GRID = GridMap(np.zeros((2, 2), dtype=np.uint8), 0.1)
+DRIVEN = Edge(source=0, target=1, kind="traversed", traversals=(crossing(5.4, 4.8, 7),))
 NORTH, SOUTH = (5.3, 4.4, 5.5, 5.3), (5.3, 1.5, 5.5, 2.2)
 
 
@@ -345,16 +346,12 @@ def map_of(regions: Regions, *edges: Edge) -> TopologicalMap:
     return TopologicalMap(submaps=submaps, edges={(e.source, e.target): e for e in edges})
 
 
-def driven(y: float) -> Edge:
-    return Edge(source=0, target=1, kind="traversed", traversals=(crossing(5.4, y, 7),))
-
-
 def found_in(regions: Regions, *edges: Edge, **more: Any) -> TopologicalMap:
     return with_ways(map_of(regions, *edges), regions, CONFIG, **more)
 
 
 def test_a_driven_edge_gets_its_way_and_its_door() -> None:
-    found = found_in(two_rooms(NORTH), driven(4.8))
+    found = found_in(two_rooms(NORTH), DRIVEN)
     (door,) = found.doors
     edge = found.edges[0, 1]
     assert (edge.kind, edge.doors, len(edge.traversals)) == ("traversed", (0,), 1)
@@ -444,7 +441,7 @@ NARROW = (5.3, 1.5, 5.5, 1.8)  # the robot does not fit through
 
 def two_doors(*doors: Box) -> tuple[TopologicalMap, Regions]:
     regions = two_rooms(*doors)
-    return found_in(regions, driven(4.8)), regions
+    return found_in(regions, DRIVEN), regions
 
 
 def forbidden(topology: TopologicalMap, regions: Regions, *doors: int) -> TopologicalMap:

@@ -41,10 +41,10 @@ from tests.turning import turn
 NAMES = tuple(f"f{k}" for k in range(6))
 
 
-def blobs(seed: int = 0, n: int = 240, noise: float = 1.0) -> tuple[FloatArray, FloatArray]:
+def blobs(seed: int, n: int = 240) -> tuple[FloatArray, FloatArray]:
     rng = np.random.default_rng(seed)
     X = rng.normal(size=(n, len(NAMES)))
-    y = np.where(X[:, 0] + 0.7 * X[:, 1] ** 2 + noise * rng.normal(size=n) > 0.5, 1.0, -1.0)
+    y = np.where(X[:, 0] + 0.7 * X[:, 1] ** 2 + rng.normal(size=n) > 0.5, 1.0, -1.0)
     return X, y
 
 
