@@ -280,11 +280,6 @@ def claim(older: int, newer: int, motion: Pose2) -> Link:
     return link(older, newer, a.inverse() @ motion @ b, kind="closure")
 
 
-def backwards(one: Link) -> Link:
-    """The same claim, from the newer keyframe to the older."""
-    return link(one.target, one.source, one.source_from_target.inverse(), kind="closure")
-
-
 def rivals(refuted: Sequence[Link], *, odometry: bool = False) -> list[str]:
     measured = POSES if odometry else np.full_like(POSES, np.nan)
     left_out = {"dropped": tuple(refuted)}
@@ -299,7 +294,8 @@ def test_refuted_closures_that_agree_on_another_place_are_told() -> None:
     at_start = Pose2(*POSES[BREAK].tolist())
     away = (at_start.inverse() @ ELSEWHERE @ at_start).distance
     assert f"lies {away:.1f} m elsewhere" in message
-    assert rivals([backwards(one) for one in agreeing]) == [message]
+    backwards = [(one.target, one.source, one.source_from_target.inverse()) for one in agreeing]
+    assert rivals([link(*one, kind="closure") for one in backwards]) == [message]
     assert rivals(agreeing, odometry=True) == [], "where odometry measured the way"
 
 

@@ -96,14 +96,9 @@ def test_orders_start_at_the_first_target_and_are_nearly_the_shortest(seed: int)
         assert tours.shortest_order(np.abs(places[:, None] - places[None])).tolist() == expected
 
 
-def room(width_m: float, height_m: float, resolution: float = 0.05) -> GridMap:
-    """One empty room within walls of one cell."""
-    cells = np.full((round(height_m / resolution), round(width_m / resolution)), FREE, np.uint8)
-    return GridMap(np.pad(cells, 1, constant_values=OCCUPIED), resolution)
-
-
 def test_ways_on_the_lattice_are_those_of_a_king_on_a_board_and_cost_more_near_walls() -> None:
-    space = reachable_space(World.of(room(4.0, 4.0)), RADIUS, COMFORT)
+    cells = np.pad(np.full((80, 80), FREE, np.uint8), 1, constant_values=OCCUPIED)
+    space = reachable_space(World.of(GridMap(cells, 0.05)), RADIUS, COMFORT)
     found = shortest_path(space.lengths, indices=0)
     across = np.abs(space.points - space.points[0]) / 0.1
     steps = 0.1 * (across.max(axis=1) + (np.sqrt(2.0) - 1.0) * across.min(axis=1))

@@ -238,21 +238,16 @@ def test_maps_without_walls_say_so() -> None:
     refused(MapToAlign(whole=unknown, grids={}, frames={}), seen(ALIKE, [0]))
 
 
-_ENDS = (0, 1, 3, 4, 5)  # the rooms of a hallway, and its corridor
 _STEPS = [k * 0.5 for k in range(-6, 7) if k]
 
 
-def hallway(bare_m: float) -> Floor:
-    """Two rooms at either end of a corridor that is bare between them."""
-    sizes = [(4.0, 5.0), (3.0, 4.0), (bare_m, 3.0), (5.0, 3.5), (3.5, 5.5)]
+def of_length(bare_m: float, longer_m: float = 0.0) -> MapToAlign:
+    """Two rooms at either end of a corridor that is bare between them, and was made longer."""
+    sizes = [(4.0, 5.0), (3.0, 4.0), (bare_m + longer_m, 3.0), (5.0, 3.5), (3.5, 5.5)]
     made = floor(sizes, [0.2, 0.6, 0.5, 0.8, 0.3])
     left, low, right, high = made.rooms[2]
-    return made.with_boxes((left, low - _WALL_M, right, high))
-
-
-def of_length(bare_m: float, longer_m: float = 0.0) -> MapToAlign:
-    """The map of a hallway with a stretch that was made longer."""
-    return replace(seen(hallway(bare_m + longer_m), _ENDS), longer_m=longer_m)
+    hallway = made.with_boxes((left, low - _WALL_M, right, high))
+    return replace(seen(hallway, (0, 1, 3, 4, 5)), longer_m=longer_m)
 
 
 @pytest.mark.parametrize("longer_m", [-1.5, 1.5])
