@@ -253,9 +253,7 @@ def test_rooms_and_hallways_from_file_to_figures(
     assert found.borders >= 3
 
 
-def test_a_building_without_both_kinds_is_refused(
-    first_tour: Mapped, flat_rooms: RoomTruth
-) -> None:
+def test_a_building_of_one_kind_is_refused(first_tour: Mapped, flat_rooms: RoomTruth) -> None:
     rooms = RoomTruth(np.where(flat_rooms.labels == 4, 0, flat_rooms.labels), 0.05)
     labelled = Labelled(first_tour.log.log, first_tour.log.truth, rooms)
     with pytest.raises(InputError, match="not of both rooms and hallways"):
@@ -400,9 +398,7 @@ def test_one_common_pose_is_too_few(common: int, words: str) -> None:
 
 
 @given(seeds, poses)
-def test_the_best_motion_is_that_of_a_singular_value_decomposition(
-    seed: int, motion: Pose2
-) -> None:
+def test_the_best_motion_is_that_of_singular_value_decomposition(seed: int, motion: Pose2) -> None:
     """Arun et al. (PAMI 1987), by numpy, on points that do not fit exactly."""
     rng = np.random.default_rng(seed)
     points = rng.uniform(-5, 5, (12, 2))

@@ -78,9 +78,7 @@ def told(seen: Hole) -> list[str]:
 @pytest.mark.parametrize(
     ("on_m", "is_told"), [(1.2, False), (0.0, False), (0.6, True), (2.0, True)]
 )
-def test_a_robot_that_went_on_as_before_is_found_there_without_odometry(
-    on_m: float, is_told: bool
-) -> None:
+def test_a_robot_that_went_on_is_found_there_without_odometry(on_m: float, is_told: bool) -> None:
     """Six seconds without scans, at two decimetres a second."""
     places = np.concatenate([np.arange(1.5, 2.8, 0.1), 2.7 + on_m + np.arange(0.0, 0.3, 0.1)])
     times = np.concatenate([0.5 * np.arange(13), 12.0 + 0.5 * np.arange(3)])
@@ -243,9 +241,7 @@ def test_places_known_from_before_confirm_what_follows_a_hole(
 
 
 @pytest.mark.parametrize(("seconds", "told"), [(30.0, 0), (3500.0, 0), (9000.0, 1)])
-def test_a_hole_of_hours_is_another_session_also_where_the_robot_is_known(
-    seconds: float, told: int
-) -> None:
+def test_a_hole_of_hours_is_another_session(seconds: float, told: int) -> None:
     stood = replace(hole(Pose2(0.0, 0.0, 0.0), Pose2(0.0, 0.0, 0.0), 1.0), seconds=seconds)
     assert not list(unwatched(evidence(stood)))
     found = [one for one in noted(evidence(stood)) if "another session" in one.message]
@@ -268,9 +264,7 @@ def test_a_hole_of_hours_is_another_session_also_where_the_robot_is_known(
         (STUCK, False),
     ],
 )
-def test_that_walls_alone_say_where_a_robot_stood_over_a_hole_is_a_note(
-    seen: Hole, told: bool
-) -> None:
+def test_that_walls_alone_say_where_a_robot_stood_is_a_note(seen: Hole, told: bool) -> None:
     """Carried to a twin of its room it seems to have stood there."""
     notes = list(noted(evidence(seen)))
     assert [(note.code, note.severity) for note in notes] == [("hole-in-log", "note")] * told

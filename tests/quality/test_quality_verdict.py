@@ -113,9 +113,7 @@ def test_a_recording_that_meets_no_other_is_doubtful_however_long_it_is() -> Non
 
 
 @pytest.mark.parametrize(("share", "severity"), [(0.02, "doubtful"), (0.2, "poor")])
-def test_walls_that_contradict_weigh_by_their_share_a_finding_a_place(
-    share: float, severity: Severity
-) -> None:
+def test_walls_that_contradict_weigh_by_their_share(share: float, severity: Severity) -> None:
     wrong = round(10_000 * share)
     agreement = Agreement(agree=10_000 - wrong, contradict=wrong, worst=(5, 6, 60, 4))
     found = judged(laid(agreement=agreement, nodes=np.arange(SCANS), choice="relaxed")).findings

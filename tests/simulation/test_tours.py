@@ -121,9 +121,7 @@ def winding(seed: int, points: int, step_m: float) -> FloatArray:
 
 
 @given(seeds, st.integers(2, 60), st.sampled_from([0.02, 0.3, 4.0]))
-def test_a_drive_keeps_speed_and_turn_rate_and_passes_every_point(
-    seed: int, points: int, step_m: float
-) -> None:
+def test_a_drive_keeps_limits_and_passes_every_point(seed: int, points: int, step_m: float) -> None:
     path = winding(seed, points, step_m)
     driven = drive(path, USUAL)
     seconds, turns = np.diff(driven.times_s), np.abs(np.diff(driven.poses[:, 2]))
@@ -175,9 +173,7 @@ def test_a_path_of_one_place_is_a_robot_that_stands_as_before_the_start_and_afte
 
 
 @given(grid_maps(largest=12))
-def test_what_is_not_free_is_a_wall_and_clearance_is_that_to_the_nearest_less_half_a_cell(
-    plan: GridMap,
-) -> None:
+def test_what_is_not_free_is_a_wall_and_clearance_is_to_the_nearest_one(plan: GridMap) -> None:
     """Against every wall, one by one; what is off the plan is a wall, too."""
     before = plan.cells.copy()
     world = World.of(plan)
@@ -214,9 +210,7 @@ def test_rooms_are_the_large_white_regions_of_a_picture(tmp_path: Path, kind: ty
 
 
 @given(seeds, st.integers(1, 12), st.integers(1, 12))
-def test_a_point_is_in_the_room_of_its_cell_else_in_the_nearest(
-    seed: int, height: int, width: int
-) -> None:
+def test_a_point_is_in_the_room_of_the_nearest_cell(seed: int, height: int, width: int) -> None:
     """Against every painted cell, one by one; of rooms equally near either will do."""
     rng = np.random.default_rng(seed)
     labels = rng.choice([0, 0, 0, 1, 2], size=(height, width)).astype(np.int32)

@@ -93,9 +93,7 @@ def test_an_old_submap_is_never_among_the_negatives_that_judge_it(
     assert sorted(i for out in left_out["new"] for i in out) == [0, 1, 2, 3, 4]
 
 
-def test_negatives_are_capped_and_of_all_submaps_alike_however_often_they_were_visited(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_negatives_are_capped_and_of_all_submaps_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     config = PAPER.model_copy(update={"closure_negatives": 40, "groups": 1})
     made = ranker(altered(config, "recognition", {"samples_per_submap": 10}), 3)
     for visit in range(1, 9):

@@ -101,9 +101,7 @@ def driven(building: Any, room: int, resolution: float, frame: Pose2) -> Prepare
 
 @pytest.mark.parametrize("resolution", [0.02, 0.03, 0.05, 0.06, 0.08, 0.12, 0.15, 0.2, 0.25])
 @pytest.mark.parametrize("frame", [IDENTITY, Pose2(1.3, -0.7, 1.1), Pose2(-0.83, 0.41, -2.3)])
-def test_every_room_is_found_in_itself_on_cells_of_any_size(
-    building: Any, resolution: float, frame: Pose2
-) -> None:
+def test_rooms_are_found_at_any_resolution(building: Any, resolution: float, frame: Pose2) -> None:
     for room in range(4):
         old, new = (driven(building, room, resolution, by) for by in (IDENTITY, frame))
         check = matched(old, new)
@@ -115,9 +113,7 @@ def test_every_room_is_found_in_itself_on_cells_of_any_size(
 
 
 @pytest.mark.parametrize("resolution", [0.05, 0.08, 0.15])
-def test_a_corridor_that_fits_in_two_ways_keeps_its_rival_on_coarse_cells(
-    resolution: float,
-) -> None:
+def test_a_corridor_that_fits_twice_keeps_its_rival_on_coarse_cells(resolution: float) -> None:
     """Many rotations are tried there: turns of the best must not hide the second place."""
     long = [(-3.5, -1.0, 3.5, -1.0), (-3.5, 1.0, 3.5, 1.0)]
     short = [(-1.2, -1.0, 1.2, -1.0), (-1.2, 1.0, 1.2, 1.0)]
@@ -137,9 +133,7 @@ def test_grids_of_two_rooms_contradict_each_other_and_are_left_rough(building: A
 
 
 @pytest.mark.parametrize("resolution", [0.02, 0.05, 0.12, 0.25])
-def test_a_grid_agrees_with_itself_wholly_and_not_with_one_that_it_does_not_meet(
-    resolution: float,
-) -> None:
+def test_a_grid_agrees_with_itself_and_not_with_one_far_away(resolution: float) -> None:
     """The room has 21 m of wall, in 84 to 1,050 cells."""
     room = ready(walls_at(ROOM, free=True, resolution=resolution))
     check = judge(room, room, IDENTITY)

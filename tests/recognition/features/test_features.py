@@ -58,9 +58,7 @@ def boundary_of(batch: ReturnsBatch) -> tuple[FloatArray, FloatArray, float]:
 
 
 @given(readings, st.booleans())
-def test_readings_are_returns_at_points_or_no_returns_or_invalid(
-    ranges: list[float], full: bool
-) -> None:
+def test_readings_are_returns_or_no_returns_or_invalid(ranges: list[float], full: bool) -> None:
     returns = returns_of(scan_of(np.array(ranges), full))
     assert returns.no_return == sum(r >= 30.0 for r in ranges)
     assert returns.beams == len(ranges)
@@ -74,9 +72,7 @@ def test_readings_are_returns_at_points_or_no_returns_or_invalid(
 
 
 @given(planar_scans(), st.integers(1, 71))
-def test_returns_of_a_circle_begin_behind_its_widest_step_however_the_robot_turns(
-    scan: PlanarScan, shift: int
-) -> None:
+def test_returns_of_a_circle_begin_behind_its_widest_step(scan: PlanarScan, shift: int) -> None:
     turned = returns_of(scan_of(np.roll(scan.ranges, shift)))
     still = returns_of(scan_of(scan.ranges))
     assert turned.ranges.tolist() == still.ranges.tolist()
@@ -275,9 +271,7 @@ def test_area_axes_and_centroid_are_those_of_scipy_numpy_and_a_loop(scan: Planar
 
 @pytest.mark.parametrize("ranges", [[1e-59, 1e-160], [5e-60] * 7, [1e-30, 1e-59, math.inf, 1e-59]])
 @pytest.mark.parametrize("full", [True, False])
-def test_a_scan_within_the_smallest_number_of_single_precision_is_a_point(
-    ranges: list[float], full: bool
-) -> None:
+def test_a_scan_within_single_precision_s_least_is_a_point(ranges: list[float], full: bool) -> None:
     values = of_one(table1.area_and_convexity, batch_of(scan_of(np.array(ranges), full)))
     assert values == pytest.approx([0.0, 0.0, 0.0, 0.0], abs=1e-29)
 

@@ -122,9 +122,7 @@ from specmap_cli.recognition.features.group import BatchGroup, FeatureGroup
         ("[FeatureGroup(len, ('a',), ('b',))]", "a group has no columns, or"),
     ],
 )
-def test_a_set_that_is_none_is_refused_in_one_line(
-    groups: str, why: str, install: Callable[..., None]
-) -> None:
+def test_what_is_no_set_is_refused(groups: str, why: str, install: Callable[..., None]) -> None:
     install("mine", f"{HEAD}GROUPS = {groups}")
     with pytest.raises(UsageError) as error:
         feature_names("full")

@@ -76,9 +76,7 @@ def test_the_nearest_return_is_taken_at_each_bearing(seed: int, count: int, beam
 
 
 @given(seeds, poses)
-def test_a_virtual_scan_sees_the_same_points_from_wherever_it_is_taken(
-    seed: int, origin: Pose2
-) -> None:
+def test_a_virtual_scan_sees_the_same_points_from_anywhere(seed: int, origin: Pose2) -> None:
     """What one scan saw, seen from the place where it was taken, is that scan."""
     ranges = np.random.default_rng(seed).uniform(0.5, 9.0, 36)
     bearings = circle(36)

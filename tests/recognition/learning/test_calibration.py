@@ -279,9 +279,7 @@ def asked(found: Revisits) -> Samples:
     return Samples(features(*np.linspace(0.0, 0.2, len(own)).tolist()), own)
 
 
-def test_scans_of_the_recording_are_told_by_the_classifiers_before_it(
-    recogniser: Recogniser,
-) -> None:
+def test_scans_of_a_recording_are_told_by_the_classifiers_before_it(recogniser: Recogniser) -> None:
     found = revisits(recogniser, [(0.5, 0.0, 0.0), (1.0, 0.0, 0.0)])
     told = found.told({1: asked(found)}, recogniser)
     assert told.column.tolist() == [0, 0]

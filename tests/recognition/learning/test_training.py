@@ -252,9 +252,7 @@ def test_cast_scans_are_dealt_out_half_alike_and_half_by_area(
     assert along == 30
 
 
-def test_samples_are_repeatable_and_drawn_anew_for_another_seed(
-    store: KeyframeStore, grids: dict[int, GridMap]
-) -> None:
+def test_another_seed_draws_other_samples(store: KeyframeStore, grids: dict[int, GridMap]) -> None:
     first, again, other = (samples_of(store, grids, seed)[0].tolist() for seed in (0, 0, 1))
     assert first == again
     assert first != other
@@ -368,9 +366,7 @@ def test_lessons_of_several_maps_are_one() -> None:
     assert both.raw.features.ravel().tolist() == [100.0, 101.0, 100.0, 101.0]
 
 
-def test_each_recording_gives_its_share_of_raw_scans_the_known_ones_first(
-    store: KeyframeStore,
-) -> None:
+def test_each_recording_gives_its_share_of_raw_scans_known_ones_first(store: KeyframeStore) -> None:
     config = Config(recognition=RecognitionConfig(positives=10, feature_set="table1"))
     nothing, numbers = KeyframeFeatures(store, "table1"), np.arange(44, 62)
     known = nothing.knowing(numbers, np.ones((18, 52)))
@@ -384,9 +380,7 @@ def test_each_recording_gives_its_share_of_raw_scans_the_known_ones_first(
     assert (alone.keyframes < STARTS[0]).all()  # of one recording the known ones are enough
 
 
-def test_a_recording_whose_virtual_scans_are_known_is_not_looked_at_again(
-    store: KeyframeStore,
-) -> None:
+def test_a_recording_of_known_virtual_scans_is_not_looked_at_again(store: KeyframeStore) -> None:
     anew = track_samples(store, SUBMAPS, store.poses, VIRTUAL, starts=STARTS)
     before = Samples(np.ones((25, 52)), np.arange(10, 35))
     again = track_samples(store, SUBMAPS, store.poses, VIRTUAL, before, STARTS)
@@ -399,9 +393,7 @@ def test_a_recording_whose_virtual_scans_are_known_is_not_looked_at_again(
     assert np.array_equal(found.features[~old], fresh.features[late])
 
 
-def test_submaps_with_known_cast_scans_are_not_cast_again(
-    store: KeyframeStore, grids: dict[int, GridMap]
-) -> None:
+def test_known_casts_are_not_cast_again(store: KeyframeStore, grids: dict[int, GridMap]) -> None:
     known, rng = Samples(np.ones((40, 52)), np.full(40, 50)), np.random.default_rng(0)
     found = cast_samples(SUBMAPS, store.poses, grids, VIRTUAL, rng, known)
     assert (found[2].features == 1.0).all()

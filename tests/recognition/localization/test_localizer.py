@@ -131,9 +131,7 @@ def test_another_tour_is_labelled_with_its_rooms_and_smoothing_changes_what_is_f
     assert smoothed[-1].filtered_probability == pytest.approx(labels[-1].filtered_probability)
 
 
-def test_scans_labelled_together_have_the_labels_that_they_have_one_by_one(
-    trained: Trained, again: list[PosedScan]
-) -> None:
+def test_labels_are_the_same_together_and_alone(trained: Trained, again: list[PosedScan]) -> None:
     scans = [*again[:40], replace(again[40], restarted=True), *again[41:70]]
     labelled = list(trained.localizer().located(iter(scans)))
     assert [where.track_from_base for where in labelled] == [scan.map_from_base for scan in scans]
@@ -205,9 +203,7 @@ def test_the_single_scan_votes_for_the_raw_label_and_without_virtual_ones_for_th
         assert label.filtered_probability == pytest.approx(belief.max())
 
 
-def test_after_a_restart_nothing_of_before_counts_nor_is_it_smoothed_by_what_comes(
-    trained: Trained, again: list[PosedScan]
-) -> None:
+def test_after_a_restart_nothing_of_before_counts(trained: Trained, again: list[PosedScan]) -> None:
     """Two tracks in one log are labelled and smoothed like two logs."""
     first, second = again[:20], [replace(again[60], restarted=True), *again[61:80]]
     whole, early, late = (trained.localizer() for _ in range(3))
@@ -232,9 +228,7 @@ def test_all_scans_of_a_view_are_smoothed_alike_by_what_the_last_of_them_knows(
         np.testing.assert_array_equal(rows, wanted)
 
 
-def test_what_a_localizer_holds_does_not_grow_with_the_log(
-    trained: Trained, again: list[PosedScan]
-) -> None:
+def test_a_localizer_does_not_grow_with_the_log(trained: Trained, again: list[PosedScan]) -> None:
     """A robot feeds it for days."""
     guide = trained.localizer()
 
@@ -269,9 +263,7 @@ _ANOTHER = pytest.mark.xfail(strict=True, reason="half of another room fits wall
     ("room", "known"),
     [(0, 1.0), pytest.param(1, 0.0, marks=_ANOTHER), pytest.param(2, 0.0, marks=_ANOTHER)],
 )
-def test_a_narrow_view_of_a_one_room_map_is_recognised_standing(
-    building: Any, room: int, known: float
-) -> None:
+def test_a_narrow_view_of_one_room_is_recognised(building: Any, room: int, known: float) -> None:
     """What shows from one place is half of the room, and unlike all that was learned of it."""
 
     def tour_of(number: int, seed: int) -> list[PosedScan]:
@@ -380,9 +372,7 @@ def test_what_looks_strange_because_somebody_stands_beside_is_not_held_against_w
     assert labels[-1].filtered_submap == 1
 
 
-def test_a_lost_scan_is_labelled_but_adds_nothing_to_the_window(
-    trained: Trained, again: list[PosedScan]
-) -> None:
+def test_a_lost_scan_is_labelled_but_adds_nothing(trained: Trained, again: list[PosedScan]) -> None:
     """Its pose is a guess: what it saw is nowhere."""
     guide, spared = trained.localizer(), trained.localizer()
     astray = replace(again[3], map_from_base=Pose2(50.0, 50.0, 1.0), lost=True)
