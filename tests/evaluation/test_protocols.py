@@ -178,20 +178,16 @@ def test_the_lines_of_the_baseline(
     scores: protocols.ClassificationScores, rooms: str, hallways: str, accuracy: str
 ) -> None:
     found = SemanticResult(scores=scores, borders_seen=0.375, borders=8)
-    first, second = semantic.semantic_lines(found)
-    assert first == (
-        f"{scores.scans} scans: rooms recognised {rooms}, hallways {hallways}, all {accuracy}"
-    )
-    assert second == (
-        "8 borders between submaps, 38 % between a room and a hallway: no other can be seen"
-    )
+    assert semantic.semantic_lines(found) == [
+        f"{scores.scans} scans: rooms recognised {rooms}, hallways {hallways}, all {accuracy}",
+        "8 borders between submaps, 38 % between a room and a hallway: no other can be seen",
+    ]
 
 
 def test_the_lines_of_relations_and_of_a_reference() -> None:
     spread = trajectories.Spread(mean=0.1, std=0.02, median=0.09, p95=0.2, max=1.25)
-    relative = trajectories.RelativeErrors(
-        translation_m=spread, rotation_deg=spread, matched=1200, total=2000
-    )
+    both = {"translation_m": spread, "rotation_deg": spread}
+    relative = trajectories.RelativeErrors(**both, matched=1200, total=2000)
     text = "mean 0.1000  std 0.0200  median 0.0900  p95 0.2000  max 1.2500"
     spreads = [f"  translation m  {text}", f"  rotation deg   {text}"]
     told = trajectories.relation_lines(relative)

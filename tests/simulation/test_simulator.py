@@ -53,11 +53,8 @@ def true_ranges(x: float | FloatArray, y: float | FloatArray, angles: FloatArray
 
 def laser_of(field_of_view: float, beams: int, **changes: Any) -> Laser:
     """A laser without errors, in the middle of the robot unless told otherwise."""
-    laser = Laser(
-        bearings=simulator.laser_bearings(field_of_view, beams),
-        range_max_m=20.0,
-        base_from_laser=Pose2(0.0, 0.0, 0.0),
-    )
+    bearings = simulator.laser_bearings(field_of_view, beams)
+    laser = Laser(bearings=bearings, range_max_m=20.0, base_from_laser=Pose2(0.0, 0.0, 0.0))
     return replace(laser, **changes)
 
 

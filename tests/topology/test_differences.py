@@ -5,7 +5,7 @@ All is judged in one frame, where both saw.
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -141,9 +141,7 @@ def _finer(cells: NDArray[Any]) -> NDArray[Any]:
 HOUSE = "#########\n#000#111#\n#000#111#\n#2222222#\n#########"
 SPLIT = "#########\n#000#111#\n#000#111#\n#2222233#\n#########"
 MERGED = "#########\n#000#111#\n#000#111#\n#1111111#\n#########"
-NOTHING: dict[str, Any] = {
-    each.name: () for each in dataclasses.fields(Identity) if each.name != "same"
-}
+NOTHING: dict[str, Any] = {each.name: () for each in fields(Identity) if each.name != "same"}
 
 
 def same_of(identity: Identity) -> dict[int, int]:

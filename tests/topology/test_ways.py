@@ -135,9 +135,8 @@ def test_a_door_ends_at_what_nobody_saw_and_at_the_edge_of_the_map() -> None:
 
 
 def test_who_crosses_in_the_open_goes_through_no_door() -> None:
-    regions = regions_of(
-        (9.8, 6.6), {0: [(0.3, 0.3, 5.3, 6.3)], 1: [(5.3, 0.3, 9.5, 6.3)]}, [(5.2, 1.5, 5.4, 3.0)]
-    )
+    rooms = {0: [(0.3, 0.3, 5.3, 6.3)], 1: [(5.3, 0.3, 9.5, 6.3)]}
+    regions = regions_of((9.8, 6.6), rooms, [(5.2, 1.5, 5.4, 3.0)])
     doors, openings = found_between(regions, crossing(5.3, 5.0))
     assert (0, 1) in openings
     assert not any(door.driven for door in doors)

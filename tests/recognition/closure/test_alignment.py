@@ -94,9 +94,8 @@ def _drawn(plan: Floor, boxes: Sequence[Box], plan_from_map: Pose2) -> GridMap:
     placed = plan_from_map.inverse().apply(corners)
     low = np.floor(placed.min(axis=0) - 2.0)
     size = np.ceil((placed.max(axis=0) + 2.0 - low) / CELL_M).astype(int)
-    grid = GridMap(
-        np.full((size[1], size[0]), UNKNOWN, dtype=np.uint8), CELL_M, (float(low[0]), float(low[1]))
-    )
+    cells = np.full((size[1], size[0]), UNKNOWN, dtype=np.uint8)
+    grid = GridMap(cells, CELL_M, (float(low[0]), float(low[1])))
     places = plan_from_map.apply(grid.centres_of(np.argwhere(grid.cells == UNKNOWN)))
     near = np.zeros(len(places), dtype=bool)
     for box in boxes:
@@ -271,8 +270,6 @@ def test_a_map_that_is_right_keeps_its_length_and_one_of_another_building_stays_
 def test_what_fits_with_two_lengths_is_refused() -> None:
     """The rival lies at the same place: only what is beyond the stretch is elsewhere."""
     old = new = of_length(10.0)
-    found = align(old, new, [replace(new, longer_m=3.0)])
-    assert found.old_from_new is None
-    assert found.reason == (
-        "ambiguous: the maps fit in more than one way, 3.0 m and 0 degrees apart"
-    )
+    told = align(old, new, [replace(new, longer_m=3.0)])
+    assert told.old_from_new is None
+    assert told.reason == "ambiguous: the maps fit in more than one way, 3.0 m and 0 degrees apart"

@@ -179,10 +179,8 @@ TWIN = "ambiguous: looks the same but is too far away, a twin"
 
 def stay(number: int = 0, **known: Any) -> Stay:
     """A stay along a line of 8 m; only its track and what is known of its frame matter."""
-    grid = GridMap(np.full((2, 2), FREE, dtype=np.uint8), 0.05)
-    return Stay(
-        number=number, features=np.zeros((1, 1)), packed=PackedGrid.of(grid), track=LINE, **known
-    )
+    packed = PackedGrid.of(GridMap(np.full((2, 2), FREE, dtype=np.uint8), 0.05))
+    return Stay(number=number, features=np.zeros((1, 1)), packed=packed, track=LINE, **known)
 
 
 def told(old: Stay, new: Stay, check: Check | None) -> Decision:

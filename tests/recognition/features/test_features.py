@@ -106,11 +106,8 @@ def test_a_batch_holds_each_of_its_scans(scans: list[tuple[list[float], bool]]) 
         assert batch[k].no_return == alone.no_return
 
 
-every_group = pytest.mark.parametrize(
-    "group",
-    [group.compute for group in BUILT_IN["full"]],
-    ids=[group.columns[0] for group in BUILT_IN["full"]],
-)
+named_groups = [pytest.param(group.compute, id=group.columns[0]) for group in BUILT_IN["full"]]
+every_group = pytest.mark.parametrize("group", named_groups)
 
 
 def rectangle(width: float, height: float, x: float, y: float, *, beams: int = 720) -> FloatArray:

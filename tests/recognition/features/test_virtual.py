@@ -177,9 +177,8 @@ def test_the_nearest_surface_hides_those_behind_it() -> None:
     near, far = [1.0, -1.0, 1.0, 1.0], [2.0, -4.0, 2.0, 4.0]
     bearings = np.radians([-50.0, 0.0, 50.0])
     ranges = seen_from(np.array([far, near]), Pose2(0.0, 0.0, 0.0), bearings, 20.0)
-    assert ranges == pytest.approx(
-        [2.0 / math.cos(bearings[0]), 1.0, 2.0 / math.cos(bearings[2])], abs=1e-6
-    )
+    behind = 2.0 / np.cos(bearings)
+    assert ranges == pytest.approx([behind[0], 1.0, behind[2]], abs=1e-6)
     assert np.isinf(seen_from(np.array([far]), Pose2(0.0, 0.0, 0.0), bearings, 1.5)).all()
 
 

@@ -232,11 +232,8 @@ def test_only_places_that_the_rest_shows_are_tested() -> None:
 def test_held_out_scans_are_told_by_what_was_learned_of_the_rest_of_two_submaps_or_more() -> None:
     rest = {2: samples(0.0, np.arange(40)), 5: samples(3.0, np.arange(40))}
     rest[7] = samples(0.0, np.arange(0))
-    asked = {
-        2: samples(0.1, np.arange(9)),
-        5: samples(3.1, np.arange(7)),
-        7: samples(6.0, np.arange(3)),
-    }
+    asked = {2: samples(0.1, np.arange(9)), 5: samples(3.1, np.arange(7))}
+    asked[7] = samples(6.0, np.arange(3))
     found = held_out_margins(rest, asked, "table1", CONFIG, np.random.default_rng(0))
     assert found.column.tolist() == [0] * 9 + [1] * 7
     assert (found.margins.argmax(axis=1) == found.column).mean() > 0.9

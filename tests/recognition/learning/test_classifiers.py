@@ -92,18 +92,12 @@ def test_the_file_has_a_round_a_line_and_is_plain_json() -> None:
 votes = st.floats(-10.0, 10.0)
 split = {"feature": st.sampled_from(feature_names("table1")), "threshold": st.floats(-1e9, 1e9)}
 splits = st.fixed_dictionaries(split)
-stump_rounds = st.fixed_dictionaries(
-    {**split, "polarity": st.sampled_from([1, -1]), "votes": votes}
-)
-tree_rounds = st.fixed_dictionaries(
-    {
-        **dict.fromkeys(("root", "below", "above"), splits),
-        "votes": st.lists(votes, min_size=4, max_size=4),
-    }
-)
+stumps = st.fixed_dictionaries({**split, "polarity": st.sampled_from([1, -1]), "votes": votes})
+nodes = dict.fromkeys(("root", "below", "above"), splits)
+trees = st.fixed_dictionaries({**nodes, "votes": st.lists(votes, min_size=4, max_size=4)})
 boosters = st.one_of(
-    st.builds(lambda r: {"kind": "stumps", "rounds": r}, st.lists(stump_rounds, max_size=3)),
-    st.builds(lambda r: {"kind": "trees", "rounds": r}, st.lists(tree_rounds, max_size=3)),
+    st.builds(lambda r: {"kind": "stumps", "rounds": r}, st.lists(stumps, max_size=3)),
+    st.builds(lambda r: {"kind": "trees", "rounds": r}, st.lists(trees, max_size=3)),
 )
 
 
@@ -111,10 +105,8 @@ boosters = st.one_of(
 def test_dump_after_load_is_identity(classifiers: dict[int, Any]) -> None:
     """Also of sets that no training makes: mixed kinds, other numbers of rounds, none at all."""
     data = json.loads(ClassifierSet(sensor=CIRCLE, raw=recogniser(PAPER)).to_json())
-    data["raw"] = {
-        "feature_set": "table1",
-        "classifiers": {str(i): booster for i, booster in classifiers.items()},
-    }
+    by_name = {str(i): booster for i, booster in classifiers.items()}
+    data["raw"] = {"feature_set": "table1", "classifiers": by_name}
     back = ClassifierSet.from_json(json.dumps(data))
     assert json.loads(back.to_json()) == data
     assert back.ids == sorted(classifiers)

@@ -56,12 +56,8 @@ SUBMAPS = {0: list(range(0, 40)), 2: list(range(44, 80))}  # keyframes 40 to 43 
 def settings(**localization: Any) -> Config:
     """Few rounds and few samples, so that training takes a moment."""
     chosen = {"augmentation": 60, "track_samples": 30, "feature_set": "table1"} | localization
-    return load_config(
-        overrides={
-            "recognition": {"rounds": 8, "feature_set": "table1", "augmentation": 60},
-            "localization": chosen,
-        }
-    )
+    few = {"rounds": 8, "feature_set": "table1", "augmentation": 60}
+    return load_config(overrides={"recognition": few, "localization": chosen})
 
 
 @pytest.fixture(scope="module")
@@ -202,12 +198,9 @@ def test_a_feature_set_of_another_package_is_trained_and_used(
 ) -> None:
     """From an entry point to labels, by way of a file; without the package, one clear line."""
     install("mine")
-    config = load_config(
-        overrides={
-            "recognition": {"rounds": 20, "feature_set": "mine"},
-            "localization": {"augmentation": 60, "feature_set": "mine"},
-        }
-    )
+    raw = {"rounds": 20, "feature_set": "mine"}
+    virtual = {"augmentation": 60, "feature_set": "mine"}
+    config = load_config(overrides={"recognition": raw, "localization": virtual})
     found = learned(store, config)
     text = found.classifiers.to_json()
     assert '"rings_middle"' in text

@@ -20,10 +20,8 @@ from tests.turning import configured, turn
 LINE: dict[int, list[int]] = {0: [1], 1: [0, 2], 2: [1], 5: []}
 
 
-def hidden_markov(
-    adjacency: Mapping[int, Collection[int]], **settings: float
-) -> HiddenMarkovFilter:
-    return HiddenMarkovFilter(adjacency, configured(LocalizationConfig, "recognition", settings))
+def hidden_markov(links: Mapping[int, Collection[int]], **settings: float) -> HiddenMarkovFilter:
+    return HiddenMarkovFilter(links, configured(LocalizationConfig, "recognition", settings))
 
 
 @given(st.integers(0, 10_000), st.integers(1, 4), st.floats(-999.0, 999.0))

@@ -195,10 +195,8 @@ def test_what_fits_is_not_sought_and_elsewhere_ever_more_rarely_standing_and_by_
 ) -> None:
     searches = watched(monkeypatch, walls, "search_everywhere")
     known = walls_of(building.plan)
-    scans = [
-        replace(scan, map_from_base=Pose2(0.06 * k, 0.0, 0.0))
-        for k, scan in enumerate(building.posed(building.path(0, 3)[:1]) * 9)
-    ]
+    (standing,) = building.posed(building.path(0, 3)[:1])
+    scans = [replace(standing, map_from_base=Pose2(0.06 * k, 0.0, 0.0)) for k in range(9)]
     found = WeighedPlaces(known, [0], LocalizationConfig())
     for scan in scans[:1] * 5:
         found.see(scan, scan, np.ones(1))
