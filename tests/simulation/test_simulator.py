@@ -165,12 +165,9 @@ def test_scans_in_a_row_are_those_cast_one_by_one(hall: World) -> None:
 
 def lidar_of(rings: int = 9, **changes: Any) -> Lidar:
     """A lidar of 60 columns and 80 degrees up and down, without errors unless told otherwise."""
-    return Lidar(
-        level=laser_of(2 * np.pi, 60, **changes),
-        elevations=np.radians(np.linspace(-40.0, 40.0, rings)),
-        height_m=HEIGHT,
-        ceiling_m=CEILING,
-    )
+    level = laser_of(2 * np.pi, 60, **changes)
+    elevations = np.radians(np.linspace(-40.0, 40.0, rings))
+    return Lidar(level=level, elevations=elevations, height_m=HEIGHT, ceiling_m=CEILING)
 
 
 def cloud_of(lidar: Lidar, world: World) -> Cloud:

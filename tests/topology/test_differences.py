@@ -1,7 +1,4 @@
-"""What differs between two maps, which submap is which, and what became of borders.
-
-All is judged in one frame, where both saw.
-"""
+"""What differs between two maps where both saw, which submap is which, and moved borders."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The topology as a pure function of the submap of each keyframe, and what a new log inherits.
-
-Borders that a person moved are made, undone, and never crossed by a region.
-"""
+"""The topology of the submap of each keyframe, what a new log inherits, and moved borders."""
 
 from __future__ import annotations
 
@@ -425,22 +422,18 @@ def test_changes_are_made_in_order_and_undone() -> None:
 
 
 def test_what_cannot_be_made_is_told_and_the_rest_made() -> None:
-    wished: list[BorderEdit] = [
-        Merge((0, 9)),
-        Split(submap=9, line=ACROSS),
-        Split(submap=0, line=((9.0, 9.0), (8.0, 8.0))),
-        Split(submap=0, line=((0.05, 1.9), (0.05, 0.1))),
-        Split(submap=0, line=ACROSS, new=1),
-        Split(submap=0, line=ACROSS),
+    outside, at_the_end = ((9.0, 9.0), (8.0, 8.0)), ((0.05, 1.9), (0.05, 0.1))
+    one_side = "the robot was on one side of the line only in submap 0"
+    refused: list[tuple[BorderEdit, str]] = [
+        (Merge((0, 9)), "there is no submap 9"),
+        (Split(submap=9, line=ACROSS), "there is no submap 9"),
+        (Split(submap=0, line=outside), "the line does not cross submap 0"),
+        (Split(submap=0, line=at_the_end), one_side),
+        (Split(submap=0, line=ACROSS, new=1), "submap 1 exists already"),
     ]
+    wished = [*(edit for edit, _ in refused), Split(submap=0, line=ACROSS)]
     found = redrawn(hall(), driven(), (), wished, 2)
-    assert found.skipped == {
-        0: "there is no submap 9",
-        1: "there is no submap 9",
-        2: "the line does not cross submap 0",
-        3: "the robot was on one side of the line only in submap 0",
-        4: "submap 1 exists already",
-    }
+    assert found.skipped == dict(enumerate(why for _, why in refused))
     assert len(found.borders) == 1
     assert (found.submaps == 2).any()
 

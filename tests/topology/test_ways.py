@@ -1,7 +1,4 @@
-"""Doors of small plans whose walls are known to the centimetre, anchors, and ways through them.
-
-These are found as by other searches and distances; of a map that has them some may be forbidden.
-"""
+"""Doors of plans that are known to the centimetre, anchors, and ways; some are forbidden."""
 
 from __future__ import annotations
 
@@ -90,11 +87,9 @@ def test_two_doors_between_two_rooms_are_two_and_each_has_its_traversals() -> No
 
 def test_two_doors_are_two_though_the_border_lies_beyond_both() -> None:
     """Where the robot did not drive, a border lies in the room, and is one for both doors."""
-    regions = regions_of(
-        (9.8, 6.6),
-        {1: [(5.5, 0.3, 9.5, 6.3)], 0: [(0.3, 0.3, 5.3, 6.3), (5.3, 2.0, 5.9, 4.0)]},
-        [(5.3, 2.0, 5.5, 2.1), (5.3, 3.0, 5.5, 3.1), (5.3, 3.9, 5.5, 4.0)],
-    )
+    rooms = {1: [(5.5, 0.3, 9.5, 6.3)], 0: [(0.3, 0.3, 5.3, 6.3), (5.3, 2.0, 5.9, 4.0)]}
+    posts = [(5.3, 2.0, 5.5, 2.1), (5.3, 3.0, 5.5, 3.1), (5.3, 3.9, 5.5, 4.0)]
+    regions = regions_of((9.8, 6.6), rooms, posts)
     doors, _ = found_between(regions)
     assert [door.y for door in doors] == pytest.approx([2.55, 3.5], abs=0.1)
     assert [door.width_m for door in doors] == pytest.approx([0.9, 0.8], abs=0.01)

@@ -192,15 +192,13 @@ def test_overlap_by_a_loop_and_the_same_both_ways(
 
 @pytest.mark.parametrize("turned", [False, True])
 def test_of_two_ways_that_a_hall_fits_the_plausible_one_is_sure(turned: bool) -> None:
-    """A rectangle fits as well when it is turned by half; tracking knows which way it stands.
-
-    What leads though it is not plausible is told, so that the reason can be said: a twin.
-    """
+    """A rectangle fits as well when it is turned by half; tracking knows which way it stands."""
     hall, room = ready(walls_at(HALL)), ready(walls_at(ROOM))
     known = verify(hall, hall, lambda pose: (math.cos(pose.theta) < 0.0) is turned)
     assert known is not None
     assert matched(hall, hall).lead < MIN_LEAD < known.lead
     assert (math.cos(known.old_from_new.theta) < 0.0) is turned
+    # what leads though it is not plausible is told, so that the reason can be said: a twin
     assert verify(room, room, lambda pose: pose.distance > 1.0) == matched(room, room)
 
 

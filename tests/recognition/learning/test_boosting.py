@@ -1,7 +1,4 @@
-"""Boosting: eq. 2 by brute force, eq. 3 and the votes by scikit-learn; one classifier a class.
-
-And boosted trees: bins, the best splits by brute force, weights, and classifiers grown together.
-"""
+"""Boosted stumps by brute force (eq. 2) and scikit-learn (eq. 3); trees; one class a classifier."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Training for localisation: which scans are learned from, made beside the way, and kept.
-
-And with a feature set of another package.
-"""
+"""Training for localisation: which scans are learned from, made beside the way, and kept."""
 
 from __future__ import annotations
 
@@ -104,10 +101,8 @@ def test_raw_classifiers_learn_from_the_keyframes_of_the_submaps(store: Keyframe
     }
     beside = augmented_samples(store, SUBMAPS, store.poses, config, np.random.default_rng(0))
     assert all(len(own.keyframes) for own in beside.values())
-    classifiers = OneVsAll("table1", config.recognition).fit(
-        {i: np.vstack([X, beside[i].features]) for i, X in samples.items()},
-        np.random.default_rng(0),
-    )
+    both = {i: np.vstack([X, beside[i].features]) for i, X in samples.items()}
+    classifiers = OneVsAll("table1", config.recognition).fit(both, np.random.default_rng(0))
     looks = Familiarity("table1", config.localization.false_unknown, _EXEMPLARS)
     assert learned.to_dict() == Recogniser(classifiers, looks.fit(samples)).to_dict()
     known = KeyframeFeatures(store, "table1")
