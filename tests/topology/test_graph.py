@@ -446,9 +446,7 @@ def test_heirs_are_what_a_submap_became() -> None:
 
 
 @given(st.lists(pose_arrays(), min_size=1, max_size=3), st.booleans())
-def test_the_way_of_a_map_is_that_of_its_recordings_from_keyframe_to_keyframe(
-    tracks: list[np.ndarray], dropped: bool
-) -> None:
+def test_the_way_of_a_map_is_that_of_recordings(tracks: list[np.ndarray], dropped: bool) -> None:
     """Nobody drove from one to the next; of a recording that lost keyframes it was kept."""
     poses, ends = np.concatenate(tracks), np.cumsum([len(track) for track in tracks])
     labels = labelled(poses)

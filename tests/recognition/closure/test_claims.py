@@ -74,9 +74,7 @@ def test_claims_are_the_shares_of_classifiers_trained_as_the_paper_says() -> Non
 
 
 @pytest.mark.parametrize("groups", [0, 1, 2, 3, 50])
-def test_an_old_submap_is_never_among_the_negatives_that_judge_it(
-    groups: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_submap_is_no_negative_of_itself(groups: int, monkeypatch: pytest.MonkeyPatch) -> None:
     config = PAPER.model_copy(update={"groups": groups})
     made, new = ranker(config, 5), scans_of(7)
     learning = watched(monkeypatch, claims, "boosted")

@@ -162,9 +162,7 @@ def by_hand(old: GridMap, new: GridMap, old_from_new: Pose2) -> Any:
 @example(0.2, 0.0, 0.0)
 @example(0.4, 0.0, 0.0)
 @example(1.0, 0.0, 0.0)
-def test_the_judgement_counts_what_is_confirmed_and_what_is_contradicted_the_same_both_ways(
-    x: float, y: float, theta: float
-) -> None:
+def test_confirmed_and_contradicted_count_both_ways(x: float, y: float, theta: float) -> None:
     there = Pose2(x, y, theta)
     for old, new in ((ROOM_WITH_FLOOR, ROOM_WITH_FLOOR), (ROOM_WITH_FLOOR, HALF_WITH_FLOOR)):
         check, other = judge(old, new, there), judge(new, old, there.inverse())

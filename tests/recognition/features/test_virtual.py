@@ -89,7 +89,6 @@ def test_a_virtual_scan_sees_the_same_points_from_anywhere(seed: int, origin: Po
 
 @pytest.mark.parametrize(("share", "far_m"), [(1.0, 2.0), (0.5, 1.0), (0.1, 0.0)])
 def test_a_share_of_the_window_is_what_was_seen_last(share: float, far_m: float) -> None:
-    """What lies farther back is forgotten."""
     recent = recent_scans(virtual_beams=360)
     here = drive(recent, 7.25)
     assert recent.filled == 1.0

@@ -132,7 +132,6 @@ def test_the_sensor_is_that_of_the_first_keyframe_in_a_submap(store: KeyframeSto
 
 
 def raw_of(store: KeyframeStore, config: Config) -> Recogniser:
-    """What raw scans teach."""
     features = KeyframeFeatures(store, config.recognition.feature_set)
     samples = raw_samples(SUBMAPS, config, features)
     beside = augmented_samples(store, SUBMAPS, store.poses, config, np.random.default_rng(0))

@@ -141,9 +141,7 @@ def test_labels_are_the_same_together_and_alone(trained: Trained, again: list[Po
 
 
 @pytest.mark.parametrize("unknown", [True, False])
-def test_scans_of_another_place_are_unknown_unless_that_is_switched_off(
-    trained: Trained, building: Any, unknown: bool
-) -> None:
+def test_scans_of_another_place_are_unknown(trained: Trained, building: Any, unknown: bool) -> None:
     guide, labels = trained.localizer(unknown=unknown), list[Label]()
     for room in (1, 2):
         first, *others = building.posed(building.path(room, 5)[::2])
@@ -229,7 +227,6 @@ def test_all_scans_of_a_view_are_smoothed_alike_by_what_the_last_of_them_knows(
 
 
 def test_a_localizer_does_not_grow_with_the_log(trained: Trained, again: list[PosedScan]) -> None:
-    """A robot feeds it for days."""
     guide = trained.localizer()
 
     def held() -> int:
