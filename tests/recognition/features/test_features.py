@@ -23,10 +23,8 @@ from tests.strategies import planar_scans, seeds
 Function = Callable[[ReturnsBatch], FloatArray]
 RANGE_MAX_M = 30.0
 
-readings = st.lists(
-    st.one_of(st.floats(0.0, 40.0), st.sampled_from([math.inf, math.nan, RANGE_MAX_M, 0.0])),
-    max_size=40,
-)
+limits = st.sampled_from([math.inf, math.nan, RANGE_MAX_M, 0.0])
+readings = st.lists(st.one_of(st.floats(0.0, 40.0), limits), max_size=40)
 
 
 def scan_of(ranges: FloatArray, full: bool = True, turn: float = 0.0) -> PlanarScan:

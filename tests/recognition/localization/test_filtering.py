@@ -46,9 +46,8 @@ def test_filter_and_smoother_are_sums_over_all_paths(seed: int, steps: int, shif
     assert filtered == pytest.approx(ends / ends.sum())
 
 
-networks = st.dictionaries(
-    st.integers(0, 9), st.lists(st.integers(0, 9), max_size=4), min_size=1, max_size=6
-)
+neighbours = st.lists(st.integers(0, 9), max_size=4)
+networks = st.dictionaries(st.integers(0, 9), neighbours, min_size=1, max_size=6)
 chances = st.floats(0.001, 0.4)
 
 
