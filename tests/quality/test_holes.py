@@ -78,9 +78,7 @@ def told(seen: Hole) -> list[str]:
 @pytest.mark.parametrize(
     ("on_m", "is_told"), [(1.2, False), (0.0, False), (0.6, True), (2.0, True)]
 )
-def test_a_robot_that_went_on_as_before_is_found_there_without_odometry(
-    on_m: float, is_told: bool
-) -> None:
+def test_a_robot_that_went_on_is_found_there_without_odometry(on_m: float, is_told: bool) -> None:
     """Six seconds without scans, at two decimetres a second."""
     places = np.concatenate([np.arange(1.5, 2.8, 0.1), 2.7 + on_m + np.arange(0.0, 0.3, 0.1)])
     times = np.concatenate([0.5 * np.arange(13), 12.0 + 0.5 * np.arange(3)])
@@ -190,6 +188,7 @@ def test_what_is_a_hole_depends_on_the_usual_interval(
 
 
 ANOTHER = "odometry tells another motion than the map"
+CARRIED_AWAY = "the wheels did not turn though the map has the robot 1.4 m and 20 degrees away"
 
 
 @pytest.mark.parametrize(
@@ -201,12 +200,7 @@ ANOTHER = "odometry tells another motion than the map"
         (None, STILL, 0.3, "no odometry tells of it"),
         (Pose2(8.0, 0.0, 1.2), Pose2(2.0, 1.0, 0.4), 0.0, None),  # it drove on, as measured
         (None, Pose2(9.0, 0.0, 1.0), 1.0, "no odometry tells of it"),
-        (
-            STILL,
-            Pose2(1.3, 0.4, -0.35),
-            1.0,
-            "the wheels did not turn though the map has the robot 1.4 m and 20 degrees away",
-        ),
+        (STILL, Pose2(1.3, 0.4, -0.35), 1.0, CARRIED_AWAY),
         (Pose2(8.0, 0.0, 0.0), Pose2(3.0, 0.0, 0.0), 1.0, ANOTHER),
         (Pose2(8.0, 0.0, 0.0), Pose2(0.0, 0.0, 0.3), 1.0, ANOTHER),
     ],
@@ -247,9 +241,7 @@ def test_places_known_from_before_confirm_what_follows_a_hole(
 
 
 @pytest.mark.parametrize(("seconds", "told"), [(30.0, 0), (3500.0, 0), (9000.0, 1)])
-def test_a_hole_of_hours_is_another_session_also_where_the_robot_is_known(
-    seconds: float, told: int
-) -> None:
+def test_a_hole_of_hours_is_another_session(seconds: float, told: int) -> None:
     stood = replace(hole(Pose2(0.0, 0.0, 0.0), Pose2(0.0, 0.0, 0.0), 1.0), seconds=seconds)
     assert not list(unwatched(evidence(stood)))
     found = [one for one in noted(evidence(stood)) if "another session" in one.message]
@@ -272,9 +264,7 @@ def test_a_hole_of_hours_is_another_session_also_where_the_robot_is_known(
         (STUCK, False),
     ],
 )
-def test_that_walls_alone_say_where_a_robot_stood_over_a_hole_is_a_note(
-    seen: Hole, told: bool
-) -> None:
+def test_that_walls_alone_say_where_a_robot_stood_is_a_note(seen: Hole, told: bool) -> None:
     """Carried to a twin of its room it seems to have stood there."""
     notes = list(noted(evidence(seen)))
     assert [(note.code, note.severity) for note in notes] == [("hole-in-log", "note")] * told

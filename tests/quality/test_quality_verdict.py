@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import tracemalloc
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -7,11 +9,13 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.findings import Finding, Severity, Where, summary
-from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.layout.audit import Agreement
 from specmap_cli.layout.path_graph import step_information
+from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.result import Layout, PartMove
 from specmap_cli.quality.evidence import Evidence, Stretch, stretches_of
+from specmap_cli.quality.findings import rival_places
 from tests.layout.driving import link
 from tests.quality.evidence import evidence_of, judged
 
@@ -109,9 +113,7 @@ def test_a_recording_that_meets_no_other_is_doubtful_however_long_it_is() -> Non
 
 
 @pytest.mark.parametrize(("share", "severity"), [(0.02, "doubtful"), (0.2, "poor")])
-def test_walls_that_contradict_weigh_by_their_share_a_finding_a_place(
-    share: float, severity: Severity
-) -> None:
+def test_walls_that_contradict_weigh_by_their_share(share: float, severity: Severity) -> None:
     wrong = round(10_000 * share)
     agreement = Agreement(agree=10_000 - wrong, contradict=wrong, worst=(5, 6, 60, 4))
     found = judged(laid(agreement=agreement, nodes=np.arange(SCANS), choice="relaxed")).findings
@@ -120,19 +122,15 @@ def test_walls_that_contradict_weigh_by_their_share_a_finding_a_place(
     assert [one.value for one in found] == pytest.approx([share, share])
 
 
-def test_all_that_reading_had_to_say_is_told_and_of_others_the_worst() -> None:
+def test_the_gravest_come_first_and_of_all_but_the_input_the_worst_is_told() -> None:
     base = evidence(lost=(1,), breaks=(20, 40))
-    found = judged(replace(base, warnings=("cut off", "laser tilted")))
-    told = summary(found.findings)
+    found = judged(replace(base, beyond=1, warnings=("cut off", "laser tilted"))).findings
+    codes = ["beyond-grid", "lost-scans", *["tracking-break"] * 2, *["input"] * 2]
+    assert [one.code for one in found] == codes
+    told = summary(found)
     assert told[-2:] == ["cut off", "laser tilted"]
     (broken,) = (line for line in told if line.startswith("registration lost the robot"))
     assert broken.endswith(" (and 1 more like it)")
-
-
-def test_the_gravest_come_first_and_the_input_is_told() -> None:
-    found = replace(evidence(lost=(1,)), beyond=1, warnings=("scans without any return: 2",))
-    codes = [one.code for one in judged(found).findings]
-    assert codes == ["beyond-grid", "lost-scans", "input"]
 
 
 @pytest.mark.parametrize(
@@ -212,12 +210,8 @@ def test_wheels_that_stand_say_nothing_of_odometry_elsewhere(end: int, count: in
     carried = np.array(base.trajectory.poses)
     carried[10:end] = carried[10]
     carried[end:] -= carried[end] - carried[10]
-    doubts = [
-        one
-        for one in judged(travelled(base, odometry=carried)).findings
-        if one.severity == "doubtful"
-    ]
-    assert len(doubts) == count
+    found = judged(travelled(base, odometry=carried)).findings
+    assert [one.severity for one in found].count("doubtful") == count
 
 
 @pytest.mark.parametrize(("votes", "severity"), [(1, "doubtful"), (2, "doubtful"), (3, "note")])
@@ -270,3 +264,60 @@ TIES = tuple(link(1, 9, (0.0, 0.0, 0.0), kind) for kind in ("closure", "closure"
 def test_what_is_told_of_a_layout(found: Evidence, told: str) -> None:
     finding = only(found)
     assert f"{finding.severity} {finding.code}: {finding.message}" == told
+
+
+BREAK = 30
+POSES: FloatArray = np.array([(k % BREAK, k // BREAK, 0.0) for k in range(60)], dtype=np.float64)
+ELSEWHERE = Pose2(20.0, -3.0, 0.5)  # a motion of the map
+NEARLY = Pose2(0.2, 0.1, 0.02)
+
+
+def claim(older: int, newer: int, motion: Pose2) -> Link:
+    """A refuted closure by which a motion of the map takes keyframe `newer` to its place."""
+    a, b = (Pose2(*POSES[k].tolist()) for k in (older, newer))
+    return link(older, newer, a.inverse() @ motion @ b, kind="closure")
+
+
+def rivals(refuted: Sequence[Link], *, odometry: bool = False) -> list[str]:
+    measured = POSES if odometry else np.full_like(POSES, np.nan)
+    left_out = {"dropped": tuple(refuted)}
+    base = evidence_of(POSES, odometry=measured, layout=left_out, breaks=(BREAK,))
+    return [finding.message for finding in rival_places(base)]
+
+
+def test_refuted_closures_that_agree_on_another_place_are_told() -> None:
+    agreeing = [claim(3, 40, ELSEWHERE), claim(8, 50, ELSEWHERE @ NEARLY)]
+    (message,) = rivals([*agreeing, claim(5, 45, Pose2(-9.0, 4.0, 2.0))])
+    assert message.startswith("2 refuted loop closures agree that what follows 30.000 s lies ")
+    at_start = Pose2(*POSES[BREAK].tolist())
+    away = (at_start.inverse() @ ELSEWHERE @ at_start).distance
+    assert f"lies {away:.1f} m elsewhere" in message
+    backwards = [(one.target, one.source, one.source_from_target.inverse()) for one in agreeing]
+    assert rivals([link(*one, kind="closure") for one in backwards]) == [message]
+    assert rivals(agreeing, odometry=True) == [], "where odometry measured the way"
+
+
+@pytest.mark.parametrize(
+    "refuted",
+    [
+        [claim(3, 40, ELSEWHERE)],
+        [claim(3, 40, ELSEWHERE), claim(8, 50, Pose2(-9.0, 4.0, 2.0))],
+        [claim(3, 40, ELSEWHERE), claim(3, 50, ELSEWHERE)],  # one view, two matches with it
+        [claim(3, 40, NEARLY), claim(8, 50, NEARLY)],  # nearly where it is
+        [claim(3, 10, ELSEWHERE), claim(8, 20, ELSEWHERE)],  # on one side of the break
+    ],
+)
+def test_what_does_not_agree_on_another_place_is_not_told(refuted: list[Link]) -> None:
+    assert rivals(refuted) == []
+
+
+def test_the_memory_does_not_grow_with_the_square_of_the_refuted_closures() -> None:
+    refuted = [claim(k % BREAK, BREAK + k % BREAK, ELSEWHERE) for k in range(1000)]
+    tracemalloc.start()
+    try:
+        (message,) = rivals(refuted)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert message.startswith("30 refuted loop closures agree")
+    assert peak < 5e6, "one motion a pair of them is 24 MB"

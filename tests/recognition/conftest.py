@@ -46,25 +46,21 @@ class Building:
         rng = np.random.default_rng(seed)
         (x, y), (width, height) = self.corners[room], self.sizes[room]
         t = np.linspace(0.0, 1.0, 40)
-        places = np.column_stack(
-            [x + width * (0.5 + 0.22 * np.cos(2 * np.pi * t)), y + height * (0.55 + 0.2 * t)]
-        )
+        across, along = 0.5 + 0.22 * np.cos(2 * np.pi * t), 0.55 + 0.2 * t
+        places = np.column_stack([x + width * across, y + height * along])
         places += rng.normal(0.0, 0.02, places.shape)
         return np.column_stack([places, rng.uniform(-np.pi, np.pi, len(t))])
 
     def scans(self, poses: FloatArray) -> list[PlanarScan]:
         """What a laser sees all round from each pose."""
-        return [
-            PlanarScan(0, BEARINGS, ranges, range_max=20.0, full_circle=True)
-            for ranges in ranges_at(self.plan, poses, BEARINGS, 20.0)
-        ]
+        cast = ranges_at(self.plan, poses, BEARINGS, 20.0)
+        return [PlanarScan(0, BEARINGS, ranges, 20.0, full_circle=True) for ranges in cast]
 
     def posed(self, poses: FloatArray) -> list[PosedScan]:
         """The scans from each pose, at that pose."""
         places = [Pose2(*pose) for pose in poses.tolist()]
-        return [
-            posed(s, p, k) for k, (s, p) in enumerate(zip(self.scans(poses), places, strict=True))
-        ]
+        seen = zip(self.scans(poses), places, strict=True)
+        return [posed(scan, place, k) for k, (scan, place) in enumerate(seen)]
 
     def frame(self, room: int, seed: int = 0) -> Pose2:
         """Where a walk through the room begins."""

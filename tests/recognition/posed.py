@@ -1,17 +1,20 @@
-"""Scans at poses."""
+"""Scans at poses, and plans as a robot maps them: walls that it saw, and nothing behind them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Mapping
 from typing import Any
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
-from specmap_cli.core.records import PlanarScan, PosedScan
-from specmap_cli.grids.keyframes import KeyframeStore
-
-EMPTY = PlanarScan(0, np.zeros(0), np.zeros(0), 10.0, full_circle=True)
+from specmap_cli.core.geometry import IDENTITY, Pose2
+from specmap_cli.core.records import NO_SUBMAP, PlanarScan, PosedScan
+from specmap_cli.core.settings import LocalizationConfig
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
+from specmap_cli.recognition.learning.calibration import HeldOutMisfit
+from specmap_cli.recognition.localization.walls import MapWalls
 
 
 def posed(
@@ -32,14 +35,23 @@ def posed(
     )
 
 
-def stored(scans: Iterable[PlanarScan], poses: FloatArray) -> KeyframeStore:
-    """A store of scans at poses (n, 3)."""
-    store = KeyframeStore()
-    for number, (scan, pose) in enumerate(zip(scans, poses, strict=True)):
-        store.append(posed(scan, Pose2(*pose.tolist()), number))
-    return store
+def scanned(plan: GridMap) -> GridMap:
+    """The plan without what lies deeper in its walls than two cells."""
+    near = cv2.dilate(plan.free.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    cells = np.where(plan.free, FREE, np.where(near & plan.occupied, OCCUPIED, UNKNOWN))
+    return GridMap(cells.astype(np.uint8), plan.resolution, plan.origin)
 
 
-def at(x: float, theta: float = 0.0, lost: bool = False) -> PosedScan:
-    """A scan without a return, x metres along a line."""
-    return posed(EMPTY, Pose2(x, 0.0, theta), lost=lost)
+def walls_of(
+    plan: GridMap,
+    owner: NDArray[Any] | None = None,
+    misfit: HeldOutMisfit | None = None,
+    submaps: Mapping[int, slice] | None = None,
+) -> MapWalls:
+    """The walls of a plan, of which `owner` (H, W), or some columns, are of submaps; 0 without."""
+    grid = scanned(plan)
+    if owner is None:
+        owner = np.full(grid.cells.shape, NO_SUBMAP if submaps else 0)
+        for id_, columns in (submaps or {}).items():
+            owner[:, columns] = id_
+    return MapWalls(grid, owner, misfit, LocalizationConfig())

@@ -53,11 +53,8 @@ def true_ranges(x: float | FloatArray, y: float | FloatArray, angles: FloatArray
 
 def laser_of(field_of_view: float, beams: int, **changes: Any) -> Laser:
     """A laser without errors, in the middle of the robot unless told otherwise."""
-    laser = Laser(
-        bearings=simulator.laser_bearings(field_of_view, beams),
-        range_max_m=20.0,
-        base_from_laser=Pose2(0.0, 0.0, 0.0),
-    )
+    bearings = simulator.laser_bearings(field_of_view, beams)
+    laser = Laser(bearings=bearings, range_max_m=20.0, base_from_laser=Pose2(0.0, 0.0, 0.0))
     return replace(laser, **changes)
 
 
@@ -79,9 +76,7 @@ def test_without_errors_ranges_are_those_of_the_mounted_laser(hall: World) -> No
     np.testing.assert_allclose(measure(laser, hall)[0], expected, atol=1e-5)
 
 
-def test_dropouts_and_far_walls_are_beams_without_a_return_and_ranges_are_rounded(
-    hall: World,
-) -> None:
+def test_dropouts_and_far_walls_give_no_return_and_ranges_are_rounded(hall: World) -> None:
     dropped = measure(laser_of(2 * np.pi, 360, dropouts=0.2, step_m=0.001), hall, 40)
     assert np.isinf(dropped).mean() == pytest.approx(0.2, abs=0.02)
     steps = dropped[np.isfinite(dropped)] / 0.001
@@ -115,9 +110,7 @@ def test_odometry_without_errors_is_the_truth_seen_from_the_start(seed: int) -> 
 
 
 @pytest.mark.parametrize(("turning", "step"), [(0.03, 0.01), (0.03, 0.1), (0.0, 0.05)])
-def test_random_odometry_errors_spread_with_the_root_of_the_way_at_any_rate(
-    turning: float, step: float
-) -> None:
+def test_odometry_errors_spread_with_the_root_of_the_way(turning: float, step: float) -> None:
     """And wheels slip less sideways than along."""
     errors = errors_of(translation_per_m=0.05, rotation_per_m=turning)
     straight = np.arange(round(4.0 / step) + 1)[:, None] * np.array([step, 0.0, 0.0])
@@ -172,12 +165,9 @@ def test_scans_in_a_row_are_those_cast_one_by_one(hall: World) -> None:
 
 def lidar_of(rings: int = 9, **changes: Any) -> Lidar:
     """A lidar of 60 columns and 80 degrees up and down, without errors unless told otherwise."""
-    return Lidar(
-        level=laser_of(2 * np.pi, 60, **changes),
-        elevations=np.radians(np.linspace(-40.0, 40.0, rings)),
-        height_m=HEIGHT,
-        ceiling_m=CEILING,
-    )
+    level = laser_of(2 * np.pi, 60, **changes)
+    elevations = np.radians(np.linspace(-40.0, 40.0, rings))
+    return Lidar(level=level, elevations=elevations, height_m=HEIGHT, ceiling_m=CEILING)
 
 
 def cloud_of(lidar: Lidar, world: World) -> Cloud:
@@ -185,9 +175,7 @@ def cloud_of(lidar: Lidar, world: World) -> Cloud:
     return cloud
 
 
-def test_every_beam_ends_on_the_first_surface_and_points_come_as_the_columns_turn(
-    hall: World,
-) -> None:
+def test_every_beam_ends_on_the_first_surface_and_columns_come_as_they_turn(hall: World) -> None:
     lidar = lidar_of(sweep_s=0.1)
     points, times_s = cloud_of(lidar, hall)
     places = np.column_stack([AT.apply(points[:, :2]), points[:, 2] + HEIGHT])
@@ -208,11 +196,9 @@ def test_every_beam_ends_on_the_first_surface_and_points_come_as_the_columns_tur
     assert cloud_of(lidar_of(), hall).times_s is None
 
 
-BRIEF = SimulationOptions(beams=30, rate_hz=4, max_duration_s=5.0, seed=2)
-
-
 def brief(**changes: Any) -> SimulationOptions:
-    return BRIEF.model_copy(update=changes)
+    usual = SimulationOptions(beams=30, rate_hz=4, max_duration_s=5.0, seed=2)
+    return usual.model_copy(update=changes)
 
 
 def test_the_scans_of_a_tour_are_the_same_every_time(flat: GridMap) -> None:
@@ -245,9 +231,7 @@ def test_a_longest_duration_ends_the_recording_else_the_tour_does(
 
 
 @pytest.mark.parametrize("rate", [0.5, 7.0, 200.0])
-def test_odometry_begins_before_the_first_scan_and_ends_after_the_last(
-    flat: GridMap, rate: float
-) -> None:
+def test_odometry_begins_before_and_ends_after_the_scans(flat: GridMap, rate: float) -> None:
     tour = simulated_tour(flat, brief(odometry_rate_hz=rate))
     stamps = [stamp for stamp, _ in tour.odometry_messages()]
     assert stamps[0] < simulator.START_NS
@@ -256,9 +240,7 @@ def test_odometry_begins_before_the_first_scan_and_ends_after_the_last(
 
 
 @pytest.mark.parametrize("sweep_s", [0.0, 0.2])
-def test_the_mounting_the_range_and_times_of_beams_reach_the_sweeps(
-    flat: GridMap, sweep_s: float
-) -> None:
+def test_mounting_range_and_times_of_beams_reach_the_sweeps(flat: GridMap, sweep_s: float) -> None:
     mounting = {"laser_x_m": 0.2, "laser_y_m": -0.1, "laser_yaw_deg": 90.0}
     for sweep, _ in simulate_sweeps(flat, brief(**mounting, range_max_m=3.0, sweep_s=sweep_s)):
         assert sweep.base_from_laser == Pose2(0.2, -0.1, np.pi / 2)
@@ -290,9 +272,7 @@ def test_options_out_of_range_are_one_line(values: dict[str, Any], message: str)
     assert "\n" not in str(caught.value)
 
 
-def test_a_lidar_alone_must_stand_below_the_ceiling_and_its_clouds_are_no_planar_scans(
-    flat: GridMap,
-) -> None:
+def test_only_a_lidar_must_stand_below_the_ceiling_and_has_no_planar_scans(flat: GridMap) -> None:
     assert simulator.simulation_options(ceiling_m=0.6).rings == 1
     with pytest.raises(UsageError, match="rings: a 3D lidar has clouds"):
         next(simulate_sweeps(flat, brief(rings=8)))

@@ -1,11 +1,8 @@
-"""What differs between two maps, which submap is which, and what became of borders.
-
-All is judged in one frame, where both saw.
-"""
+"""What differs between two maps where both saw, which submap is which, and moved borders."""
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -138,33 +135,32 @@ def _finer(cells: NDArray[Any]) -> NDArray[Any]:
     return np.kron(cells, np.ones((side, side), dtype=cells.dtype))
 
 
-HOUSE = """
-#########
-#000#111#
-#000#111#
-#2222222#
-#########
-"""
-
-
-NOTHING: dict[str, Any] = {
-    each.name: () for each in dataclasses.fields(Identity) if each.name != "same"
-}
+HOUSE = "#########\n#000#111#\n#000#111#\n#2222222#\n#########"
+SPLIT = "#########\n#000#111#\n#000#111#\n#2222233#\n#########"
+MERGED = "#########\n#000#111#\n#000#111#\n#1111111#\n#########"
+NOTHING: dict[str, Any] = {each.name: () for each in fields(Identity) if each.name != "same"}
 
 
 def same_of(identity: Identity) -> dict[int, int]:
     return {pair.old: pair.new for pair in identity.same}
 
 
-def test_a_split_submap_keeps_its_id_in_the_larger_part_as_does_a_merged_one() -> None:
-    split = pictured("#########\n#000#111#\n#000#111#\n#2222233#\n#########")
-    found = identify(pictured(HOUSE), split, IDENTITY)
-    assert same_of(found) == {0: 0, 1: 1, 2: 2}
-    assert found == Identity(same=found.same, **NOTHING | {"split": (Divided(old=2, new=(2, 3)),)})
-    merged = pictured("#########\n#000#111#\n#000#111#\n#1111111#\n#########")
-    found = identify(pictured(HOUSE), merged, IDENTITY)
-    assert same_of(found) == {0: 0, 2: 1}
-    assert found == Identity(same=found.same, **NOTHING | {"merged": (United(old=(1, 2), new=1),)})
+@pytest.mark.parametrize(
+    ("new", "same", "ious", "changed"),
+    [
+        (HOUSE, {0: 0, 1: 1, 2: 2}, [1.0, 1.0, 1.0], {}),
+        (SPLIT, {0: 0, 1: 1, 2: 2}, [1.0, 1.0, 5 / 7], {"split": (Divided(old=2, new=(2, 3)),)}),
+        (MERGED, {0: 0, 2: 1}, [1.0, 7 / 13], {"merged": (United(old=(1, 2), new=1),)}),
+    ],
+    ids=["itself", "split", "merged"],
+)
+def test_a_split_or_merged_submap_keeps_its_id_in_the_larger_part(
+    new: str, same: dict[int, int], ious: list[float], changed: dict[str, Any]
+) -> None:
+    found = identify(pictured(HOUSE), pictured(new), IDENTITY)
+    assert same_of(found) == same
+    assert [pair.iou for pair in found.same] == pytest.approx(ious)
+    assert found == Identity(same=found.same, **NOTHING | changed)
 
 
 def test_what_only_one_map_saw_is_new_or_unseen_and_a_filled_room_is_gone() -> None:
@@ -201,10 +197,3 @@ def test_what_went_to_others_and_came_from_them_is_told_of_floor_that_both_saw()
         assert not change.taken
     (change,) = border_changes(pictured("00"), pictured("0?"))
     assert (change.iou, change.was_m2) == pytest.approx((1.0, 1.0))
-
-
-def test_a_map_is_the_same_as_itself() -> None:
-    found = identify(pictured(HOUSE), pictured(HOUSE), IDENTITY)
-    assert same_of(found) == {0: 0, 1: 1, 2: 2}
-    assert all(pair.iou == pytest.approx(1.0) for pair in found.same)
-    assert found == Identity(same=found.same, **NOTHING)

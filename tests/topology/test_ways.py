@@ -1,7 +1,4 @@
-"""Doors of small plans whose walls are known to the centimetre, anchors, and ways through them.
-
-These are found as by other searches and distances; of a map that has them some may be forbidden.
-"""
+"""Doors of plans that are known to the centimetre, anchors, and ways; some are forbidden."""
 
 from __future__ import annotations
 
@@ -90,11 +87,9 @@ def test_two_doors_between_two_rooms_are_two_and_each_has_its_traversals() -> No
 
 def test_two_doors_are_two_though_the_border_lies_beyond_both() -> None:
     """Where the robot did not drive, a border lies in the room, and is one for both doors."""
-    regions = regions_of(
-        (9.8, 6.6),
-        {1: [(5.5, 0.3, 9.5, 6.3)], 0: [(0.3, 0.3, 5.3, 6.3), (5.3, 2.0, 5.9, 4.0)]},
-        [(5.3, 2.0, 5.5, 2.1), (5.3, 3.0, 5.5, 3.1), (5.3, 3.9, 5.5, 4.0)],
-    )
+    rooms = {1: [(5.5, 0.3, 9.5, 6.3)], 0: [(0.3, 0.3, 5.3, 6.3), (5.3, 2.0, 5.9, 4.0)]}
+    posts = [(5.3, 2.0, 5.5, 2.1), (5.3, 3.0, 5.5, 3.1), (5.3, 3.9, 5.5, 4.0)]
+    regions = regions_of((9.8, 6.6), rooms, posts)
     doors, _ = found_between(regions)
     assert [door.y for door in doors] == pytest.approx([2.55, 3.5], abs=0.1)
     assert [door.width_m for door in doors] == pytest.approx([0.9, 0.8], abs=0.01)
@@ -135,9 +130,8 @@ def test_a_door_ends_at_what_nobody_saw_and_at_the_edge_of_the_map() -> None:
 
 
 def test_who_crosses_in_the_open_goes_through_no_door() -> None:
-    regions = regions_of(
-        (9.8, 6.6), {0: [(0.3, 0.3, 5.3, 6.3)], 1: [(5.3, 0.3, 9.5, 6.3)]}, [(5.2, 1.5, 5.4, 3.0)]
-    )
+    rooms = {0: [(0.3, 0.3, 5.3, 6.3)], 1: [(5.3, 0.3, 9.5, 6.3)]}
+    regions = regions_of((9.8, 6.6), rooms, [(5.2, 1.5, 5.4, 3.0)])
     doors, openings = found_between(regions, crossing(5.3, 5.0))
     assert (0, 1) in openings
     assert not any(door.driven for door in doors)
@@ -160,7 +154,7 @@ def anchored(
     return space, anchor, space.place(np.array(anchor.cell))
 
 
-def way_of(regions: Regions) -> Way:
+def way_of(regions: Regions) -> Any:
     space = Space.of(regions)
     return ways(space, anchors(space), [(0, 1)], RADIUS_M)[0, 1]
 
@@ -283,7 +277,6 @@ def test_all_cells_under_a_line_are_known(seed: int) -> None:
 def test_a_way_leads_straight_through_a_door_in_line() -> None:
     regions = two_rooms((5.3, 2.85, 5.5, 3.75))
     way = way_of(regions)
-    assert way.path is not None
     assert way.path[[0, -1]] == pytest.approx(np.array([[2.8, 3.3], [7.5, 3.3]]), abs=0.06)
     assert way.length_m == pytest.approx(4.7, abs=0.1)
     assert way.clearance_m == pytest.approx(0.45, abs=0.03)
@@ -294,11 +287,10 @@ def test_a_way_leads_straight_through_a_door_in_line() -> None:
 def test_ways_keep_the_radius_off_all_things(seed: int) -> None:
     regions = cluttered(seed)
     way = way_of(regions)
-    assert way.path is not None
     least = least_room(regions.grid, way.path)
     assert least >= RADIUS_M
     assert least == pytest.approx(way.clearance_m, abs=0.03)
-    assert (way.length_m or 0.0) >= math.dist(way.path[0], way.path[-1]) - 1e-9
+    assert way.length_m >= math.dist(way.path[0], way.path[-1]) - 1e-9
 
 
 def test_ways_stay_in_their_two_submaps() -> None:
@@ -320,7 +312,6 @@ def test_a_way_may_leave_and_enter_a_submap_in_two_pieces() -> None:
     strip = (columns >= 95) & (columns < 100)
     owner = np.where(strip & (regions.owner == 0), 1, regions.owner)
     found = way_of(Regions.of(regions.grid, owner))
-    assert found.path is not None
     assert least_room(regions.grid, found.path) >= RADIUS_M
 
 
@@ -336,6 +327,7 @@ def test_a_submap_where_the_robot_does_not_fit_has_an_anchor_and_no_way() -> Non
 
 CONFIG = WaysConfig()
 GRID = GridMap(np.zeros((2, 2), dtype=np.uint8), 0.1)
+DRIVEN = Edge(source=0, target=1, kind="traversed", traversals=(crossing(5.4, 4.8, 7),))
 NORTH, SOUTH = (5.3, 4.4, 5.5, 5.3), (5.3, 1.5, 5.5, 2.2)
 
 
@@ -348,16 +340,12 @@ def map_of(regions: Regions, *edges: Edge) -> TopologicalMap:
     return TopologicalMap(submaps=submaps, edges={(e.source, e.target): e for e in edges})
 
 
-def driven(y: float) -> Edge:
-    return Edge(source=0, target=1, kind="traversed", traversals=(crossing(5.4, y, 7),))
-
-
 def found_in(regions: Regions, *edges: Edge, **more: Any) -> TopologicalMap:
     return with_ways(map_of(regions, *edges), regions, CONFIG, **more)
 
 
 def test_a_driven_edge_gets_its_way_and_its_door() -> None:
-    found = found_in(two_rooms(NORTH), driven(4.8))
+    found = found_in(two_rooms(NORTH), DRIVEN)
     (door,) = found.doors
     edge = found.edges[0, 1]
     assert (edge.kind, edge.doors, len(edge.traversals)) == ("traversed", (0,), 1)
@@ -447,7 +435,7 @@ NARROW = (5.3, 1.5, 5.5, 1.8)  # the robot does not fit through
 
 def two_doors(*doors: Box) -> tuple[TopologicalMap, Regions]:
     regions = two_rooms(*doors)
-    return found_in(regions, driven(4.8)), regions
+    return found_in(regions, DRIVEN), regions
 
 
 def forbidden(topology: TopologicalMap, regions: Regions, *doors: int) -> TopologicalMap:

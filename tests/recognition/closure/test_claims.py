@@ -74,9 +74,7 @@ def test_claims_are_the_shares_of_classifiers_trained_as_the_paper_says() -> Non
 
 
 @pytest.mark.parametrize("groups", [0, 1, 2, 3, 50])
-def test_an_old_submap_is_never_among_the_negatives_that_judge_it(
-    groups: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_submap_is_no_negative_of_itself(groups: int, monkeypatch: pytest.MonkeyPatch) -> None:
     config = PAPER.model_copy(update={"groups": groups})
     made, new = ranker(config, 5), scans_of(7)
     learning = watched(monkeypatch, claims, "boosted")
@@ -93,9 +91,7 @@ def test_an_old_submap_is_never_among_the_negatives_that_judge_it(
     assert sorted(i for out in left_out["new"] for i in out) == [0, 1, 2, 3, 4]
 
 
-def test_negatives_are_capped_and_of_all_submaps_alike_however_often_they_were_visited(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_negatives_are_capped_and_of_all_submaps_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     config = PAPER.model_copy(update={"closure_negatives": 40, "groups": 1})
     made = ranker(altered(config, "recognition", {"samples_per_submap": 10}), 3)
     for visit in range(1, 9):
@@ -181,10 +177,8 @@ TWIN = "ambiguous: looks the same but is too far away, a twin"
 
 def stay(number: int = 0, **known: Any) -> Stay:
     """A stay along a line of 8 m; only its track and what is known of its frame matter."""
-    grid = GridMap(np.full((2, 2), FREE, dtype=np.uint8), 0.05)
-    return Stay(
-        number=number, features=np.zeros((1, 1)), packed=PackedGrid.of(grid), track=LINE, **known
-    )
+    packed = PackedGrid.of(GridMap(np.full((2, 2), FREE, dtype=np.uint8), 0.05))
+    return Stay(number=number, features=np.zeros((1, 1)), packed=packed, track=LINE, **known)
 
 
 def told(old: Stay, new: Stay, check: Check | None) -> Decision:

@@ -1,8 +1,9 @@
-"""Features of one scan: hand-made scans, plain loops, NumPy, SciPy and OpenCV."""
+"""The returns of scans, and their features: plain loops, NumPy, SciPy and OpenCV."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from itertools import combinations, pairwise
 
 import cv2
@@ -15,23 +16,96 @@ from scipy.spatial import ConvexHull
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import PlanarScan
 from specmap_cli.recognition.features import shape, table1
-from specmap_cli.recognition.features.returns import ReturnsBatch
+from specmap_cli.recognition.features.returns import Returns, ReturnsBatch
 from specmap_cli.recognition.features.sets import BUILT_IN, feature_names, scans_features
-from tests.recognition.features.one_scan import (
-    Function,
-    batch_of,
-    boundary_of,
-    of_one,
-    readings,
-    scan_of,
-)
 from tests.strategies import planar_scans, seeds
 
-every_group = pytest.mark.parametrize(
-    "group",
-    [group.compute for group in BUILT_IN["full"]],
-    ids=[group.columns[0] for group in BUILT_IN["full"]],
-)
+Function = Callable[[ReturnsBatch], FloatArray]
+RANGE_MAX_M = 30.0
+
+limits = st.sampled_from([math.inf, math.nan, RANGE_MAX_M, 0.0])
+readings = st.lists(st.one_of(st.floats(0.0, 40.0), limits), max_size=40)
+
+
+def scan_of(ranges: FloatArray, full: bool = True, turn: float = 0.0) -> PlanarScan:
+    """A scan all round, or of half a circle, by a laser that is turned."""
+    span = np.linspace(-np.pi, np.pi, len(ranges), endpoint=False)
+    bearings = (span if full else span / 2.0) + turn
+    return PlanarScan(0, bearings, np.asarray(ranges, dtype=np.float64), RANGE_MAX_M, full)
+
+
+def batch_of(scan: PlanarScan) -> ReturnsBatch:
+    """The returns of one scan, as functions of features take them."""
+    return ReturnsBatch.of([scan])
+
+
+def returns_of(scan: PlanarScan) -> Returns:
+    """The returns of one scan, as groups of other packages are given them."""
+    return batch_of(scan)[0]
+
+
+def of_one(function: Function, batch: ReturnsBatch) -> list[float]:
+    """The values of the first scan of a batch."""
+    return [float(value) for value in function(batch)[0]]
+
+
+def boundary_of(batch: ReturnsBatch) -> tuple[FloatArray, FloatArray, float]:
+    """Points (K, 2), normals (K, 2) and length of the boundary of a batch of one."""
+    _, points, lengths = shape.boundary(batch)
+    return points[:2].T, points[2:].T, float(lengths[0])
+
+
+@given(readings, st.booleans())
+def test_readings_are_returns_or_no_returns_or_invalid(ranges: list[float], full: bool) -> None:
+    returns = returns_of(scan_of(np.array(ranges), full))
+    assert returns.no_return == sum(r >= 30.0 for r in ranges)
+    assert returns.beams == len(ranges)
+    kept = [r for r in ranges if 0.0 < r < 30.0]
+    assert sorted(returns.ranges) == sorted(kept)
+    assert full or returns.ranges.tolist() == kept  # in the order of the beams
+    polar = zip(returns.ranges.tolist(), returns.bearings.tolist(), strict=True)
+    expected = [(r * math.cos(b), r * math.sin(b)) for r, b in polar]
+    assert returns.points == pytest.approx(np.reshape(expected, (-1, 2)))
+    assert returns.steps.tolist() == pytest.approx([math.dist(a, b) for a, b in pairwise(expected)])
+
+
+@given(planar_scans(), st.integers(1, 71))
+def test_returns_of_a_circle_begin_behind_its_widest_step(scan: PlanarScan, shift: int) -> None:
+    turned = returns_of(scan_of(np.roll(scan.ranges, shift)))
+    still = returns_of(scan_of(scan.ranges))
+    assert turned.ranges.tolist() == still.ranges.tolist()
+    assert turned.steps == pytest.approx(still.steps)
+    left_out = math.dist(still.points[-1], still.points[0])
+    assert still.steps.max() <= left_out + 1e-9
+
+
+def test_the_polygon_of_a_half_circle_holds_the_laser() -> None:
+    half, whole = (scan_of(np.full(181, 2.0), full=full) for full in (False, True))
+    batch = ReturnsBatch.of([half, whole])
+    segments, vertices = batch.polygons
+    assert segments.counts.tolist() == [182, 181]
+    assert vertices[:, 0].tolist() == [0.0, 0.0]
+    areas, perimeters = batch.areas_and_perimeters
+    assert areas == pytest.approx([math.pi * 2.0, math.pi * 4.0], rel=0.01)  # discs of 2 m
+    assert perimeters[0] == pytest.approx(math.pi * 2.0 + 4.0, rel=0.01)
+
+
+@given(st.lists(st.tuples(readings, st.booleans()), max_size=5))
+def test_a_batch_holds_each_of_its_scans(scans: list[tuple[list[float], bool]]) -> None:
+    given_scans = [scan_of(np.array(ranges), full) for ranges, full in scans]
+    batch = ReturnsBatch.of(given_scans)
+    assert len(batch) == len(scans)
+    for k, scan in enumerate(given_scans):
+        alone = returns_of(scan)
+        assert batch[k].ranges.tolist() == alone.ranges.tolist()
+        assert batch[k].points.tolist() == alone.points.tolist()
+        assert batch[k].steps.tolist() == alone.steps.tolist()
+        assert (batch[k].closed, batch[k].beams) == (alone.closed, alone.beams)
+        assert batch[k].no_return == alone.no_return
+
+
+named_groups = [pytest.param(group.compute, id=group.columns[0]) for group in BUILT_IN["full"]]
+every_group = pytest.mark.parametrize("group", named_groups)
 
 
 def rectangle(width: float, height: float, x: float, y: float, *, beams: int = 720) -> FloatArray:
@@ -171,11 +245,6 @@ def test_normals_of_the_boundary_point_to_the_robot_and_it_does_not_cross_leaps(
     assert length == pytest.approx(np.pi * 6.0, rel=0.02)
 
 
-def half_circle(ranges: FloatArray) -> ReturnsBatch:
-    bearings = np.linspace(-np.pi / 2, np.pi / 2, len(ranges))
-    return batch_of(PlanarScan(0, bearings, np.asarray(ranges), 30.0, full_circle=False))
-
-
 @given(planar_scans())
 def test_area_axes_and_centroid_are_those_of_scipy_numpy_and_a_loop(scan: PlanarScan) -> None:
     returns = batch_of(scan)
@@ -197,16 +266,14 @@ def test_area_axes_and_centroid_are_those_of_scipy_numpy_and_a_loop(scan: Planar
 
 @pytest.mark.parametrize("ranges", [[1e-59, 1e-160], [5e-60] * 7, [1e-30, 1e-59, math.inf, 1e-59]])
 @pytest.mark.parametrize("full", [True, False])
-def test_a_scan_within_the_smallest_number_of_single_precision_is_a_point(
-    ranges: list[float], full: bool
-) -> None:
+def test_a_scan_within_single_precision_s_least_is_a_point(ranges: list[float], full: bool) -> None:
     values = of_one(table1.area_and_convexity, batch_of(scan_of(np.array(ranges), full)))
     assert values == pytest.approx([0.0, 0.0, 0.0, 0.0], abs=1e-29)
 
 
 @given(st.lists(st.floats(0.5, 20.0), min_size=2, max_size=60))
 def test_changes_gaps_and_flips_by_loops(ranges: list[float]) -> None:
-    returns = half_circle(np.array(ranges))
+    returns = batch_of(scan_of(np.array(ranges), full=False))
     changes = [abs(b - a) for a, b in pairwise(ranges)]
     expected = [np.mean(changes), np.std(changes)]
     assert of_one(table1.consecutive_differences, returns) == pytest.approx(expected)
@@ -239,8 +306,7 @@ def test_quantiles_rings_and_clips_are_numpy_s(scan: PlanarScan) -> None:
 def test_harmonics_are_the_terms_of_the_fourier_series() -> None:
     bearings = np.linspace(-np.pi, np.pi, 720, endpoint=False)
     ranges = 5.0 + 1.0 * np.cos(3.0 * bearings - 0.7) + 0.25 * np.sin(7.0 * bearings)
-    scan = PlanarScan(0, bearings, ranges, 50.0, full_circle=True)
-    values = of_one(shape.harmonics, batch_of(scan))
+    values = of_one(shape.harmonics, batch_of(scan_of(ranges)))
     expected = [{3: 0.5, 7: 0.125}.get(k, 0.0) for k in range(1, shape.HARMONICS + 1)]
     assert values == pytest.approx(expected, abs=2e-3)
 
@@ -248,7 +314,7 @@ def test_harmonics_are_the_terms_of_the_fourier_series() -> None:
 @given(seeds)
 def test_pieces_by_a_loop(seed: int) -> None:
     ranges = np.random.default_rng(seed).choice([2.0, 2.1, 5.0], 60, p=[0.5, 0.3, 0.2])
-    returns = half_circle(ranges)
+    returns = batch_of(scan_of(ranges, full=False))
     lengths, current = [], 0.0
     for k, step in enumerate(returns.onward[:-1].tolist()):
         if step > 0.25 + 0.03 * min(ranges[k], ranges[k + 1]):
@@ -266,7 +332,8 @@ def test_pieces_by_a_loop(seed: int) -> None:
 def test_the_boundary_is_even_along_a_smooth_wall(seed: int) -> None:
     rng = np.random.default_rng(seed)
     phase, height = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.1, 0.5)
-    returns = half_circle(4.0 + height * np.sin(np.linspace(0.0, 3.0, 180) + phase))
+    wall = 4.0 + height * np.sin(np.linspace(0.0, 3.0, 180) + phase)
+    returns = batch_of(scan_of(wall, full=False))
     points, normals, length = boundary_of(returns)
     assert length == pytest.approx(returns.onward[:-1].sum())
     assert len(points) == 110  # the most: the wall is longer than 110 steps of 8 cm
@@ -277,25 +344,17 @@ def test_the_boundary_is_even_along_a_smooth_wall(seed: int) -> None:
 
 
 @given(seeds, st.floats(0.3, 3.0), st.floats(-3.0, 3.0))
-def test_moment_invariants_do_not_change_with_size_nor_direction(
+def test_moment_invariants_ignore_size_and_direction_and_the_seventh_tells_a_mirrored_room(
     seed: int, scale: float, turn: float
 ) -> None:
-    rng = np.random.default_rng(seed)
-    bearings = np.linspace(-np.pi, np.pi, 60, endpoint=False)
-    ranges = 3.0 + np.sin(2.0 * bearings + 1.0) + rng.uniform(-0.3, 0.3, 60)
-    plain = batch_of(PlanarScan(0, bearings, ranges, 50.0, full_circle=True))
-    changed = batch_of(PlanarScan(0, bearings + turn, scale * ranges, 50.0, full_circle=True))
-    values = of_one(table1.moment_invariants, plain)
-    assert of_one(table1.moment_invariants, changed) == pytest.approx(values, rel=1e-6, abs=1e-12)
+    def invariants(ranges: FloatArray, turn: float = 0.0) -> list[float]:
+        return of_one(table1.moment_invariants, batch_of(scan_of(ranges, turn=turn)))
 
-
-def test_a_mirrored_room_differs_in_the_seventh_invariant_alone() -> None:
     bearings = np.linspace(-np.pi, np.pi, 60, endpoint=False)
     ranges = 3.0 + np.sin(2.0 * bearings + 1.0) + 0.8 * np.cos(3.0 * bearings)
-    room = batch_of(PlanarScan(0, bearings, ranges, 50.0, full_circle=True))
-    mirrored = batch_of(PlanarScan(0, -bearings[::-1], ranges[::-1], 50.0, full_circle=True))
-    values = of_one(table1.moment_invariants, room)
-    seen = of_one(table1.moment_invariants, mirrored)
-    assert seen[:6] == pytest.approx(values[:6])
-    assert seen[6] == pytest.approx(-values[6])
-    assert abs(values[6]) > 1e-9
+    assert abs(invariants(ranges)[6]) > 1e-9
+    ranges += np.random.default_rng(seed).uniform(-0.3, 0.3, 60)
+    *same, seventh = invariants(ranges)
+    changed, mirrored = invariants(scale * ranges, turn), invariants(ranges[::-1])
+    assert changed == pytest.approx([*same, seventh], rel=1e-6, abs=1e-12)
+    assert mirrored == pytest.approx([*same, -seventh], rel=1e-6, abs=1e-12)

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from specmap_cli.core.config import load_config
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.settings import Config
 from specmap_cli.recognition.features.sets import feature_names
-from specmap_cli.recognition.learning.boosting import Booster, boosted_trees
-from specmap_cli.recognition.learning.trees import Quantiser, Question
 
 SMALL = load_config(overrides={"recognition": {"rounds": 25, "feature_set": "pairs"}})
 PAPER = load_config(
@@ -29,10 +25,3 @@ def samples_of(config: Config, n: int = 90, seed: int = 1) -> dict[int, FloatArr
         X[:, 3 * k : 3 * k + 3] += 0.3
         made[2 * k] = X
     return made
-
-
-def trees(names: Sequence[str], X: FloatArray, y: FloatArray, rounds: int = 15) -> Booster:
-    """The trees that tell samples X (n, F) with the label +1 from those with -1."""
-    quantiser, question = Quantiser.of(X), Question(np.arange(len(X)), y > 0.0)
-    rng = np.random.default_rng(0)
-    return boosted_trees(names, quantiser.codes(X), quantiser, [question], rounds, rng)[0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -13,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.errors import MapError
+from specmap_cli.core.records import PlanarScan
 from specmap_cli.core.settings import Config
 from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.boosting import OneVsAll
@@ -20,7 +22,7 @@ from specmap_cli.recognition.learning.calibration import Calibration, Familiarit
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser, Sensor
 from tests.recognition.learning.made_up import PAPER, SMALL, samples_of
 
-SENSOR = Sensor(beams=360, field_of_view=2 * math.pi, range_max=20.0, full_circle=True)
+CIRCLE = Sensor(beams=360, field_of_view=2.0 * math.pi, range_max=20.0, full_circle=True)
 
 
 def recogniser(config: Config, seed: int = 0) -> Recogniser:
@@ -32,7 +34,7 @@ def recogniser(config: Config, seed: int = 0) -> Recogniser:
 
 def classifier_set(config: Config = SMALL) -> ClassifierSet:
     return ClassifierSet(
-        sensor=SENSOR,
+        sensor=CIRCLE,
         raw=recogniser(config),
         virtual=recogniser(config, 1),
         misfit=HeldOutMisfit(0.0371, 55),
@@ -53,7 +55,7 @@ def test_a_file_gives_the_same_set_back(config: Config) -> None:
     model = classifier_set(config)
     back = ClassifierSet.from_json(model.to_json())
     assert back.to_json() == model.to_json()
-    assert back.sensor == SENSOR
+    assert back.sensor == CIRCLE
     assert back.misfit == model.misfit
     assert back.calibration == model.calibration
     assert back.ids == model.ids == [0, 2, 4]
@@ -90,29 +92,21 @@ def test_the_file_has_a_round_a_line_and_is_plain_json() -> None:
 votes = st.floats(-10.0, 10.0)
 split = {"feature": st.sampled_from(feature_names("table1")), "threshold": st.floats(-1e9, 1e9)}
 splits = st.fixed_dictionaries(split)
-stump_rounds = st.fixed_dictionaries(
-    {**split, "polarity": st.sampled_from([1, -1]), "votes": votes}
-)
-tree_rounds = st.fixed_dictionaries(
-    {
-        **dict.fromkeys(("root", "below", "above"), splits),
-        "votes": st.lists(votes, min_size=4, max_size=4),
-    }
-)
+stumps = st.fixed_dictionaries({**split, "polarity": st.sampled_from([1, -1]), "votes": votes})
+nodes = dict.fromkeys(("root", "below", "above"), splits)
+trees = st.fixed_dictionaries({**nodes, "votes": st.lists(votes, min_size=4, max_size=4)})
 boosters = st.one_of(
-    st.builds(lambda r: {"kind": "stumps", "rounds": r}, st.lists(stump_rounds, max_size=3)),
-    st.builds(lambda r: {"kind": "trees", "rounds": r}, st.lists(tree_rounds, max_size=3)),
+    st.builds(lambda r: {"kind": "stumps", "rounds": r}, st.lists(stumps, max_size=3)),
+    st.builds(lambda r: {"kind": "trees", "rounds": r}, st.lists(trees, max_size=3)),
 )
 
 
 @given(st.dictionaries(st.integers(0, 99), boosters, min_size=1, max_size=4))
 def test_dump_after_load_is_identity(classifiers: dict[int, Any]) -> None:
     """Also of sets that no training makes: mixed kinds, other numbers of rounds, none at all."""
-    data = json.loads(ClassifierSet(sensor=SENSOR, raw=recogniser(PAPER)).to_json())
-    data["raw"] = {
-        "feature_set": "table1",
-        "classifiers": {str(i): booster for i, booster in classifiers.items()},
-    }
+    data = json.loads(ClassifierSet(sensor=CIRCLE, raw=recogniser(PAPER)).to_json())
+    by_name = {str(i): booster for i, booster in classifiers.items()}
+    data["raw"] = {"feature_set": "table1", "classifiers": by_name}
     back = ClassifierSet.from_json(json.dumps(data))
     assert json.loads(back.to_json()) == data
     assert back.ids == sorted(classifiers)
@@ -230,3 +224,59 @@ def test_a_mistake_in_the_program_is_no_fault_of_the_file(monkeypatch: pytest.Mo
 def test_what_is_no_object_is_refused(text: str) -> None:
     with pytest.raises(MapError):
         ClassifierSet.from_json(text)
+
+
+HALF = Sensor(beams=181, field_of_view=math.pi, range_max=20.0, full_circle=False)
+
+
+def scan(bearings: Any, full: bool = False) -> PlanarScan:
+    return PlanarScan(0, np.asarray(bearings), np.ones(len(bearings)), 20.0, full_circle=full)
+
+
+def test_the_sensor_of_a_scan_and_its_words_and_that_of_hardly_a_beam() -> None:
+    assert Sensor.of(scan(np.linspace(-np.pi / 2, np.pi / 2, 181))) == HALF
+    circle = np.linspace(-np.pi, np.pi, 360, endpoint=False)
+    assert Sensor.of(scan(circle, full=True)) == CIRCLE
+    assert str(HALF) == "181 beams over 180 degrees, 20 m"
+    assert str(replace(CIRCLE, range_max=7.5)) == "360 beams over 360 degrees, 7.5 m"
+    none, one = Sensor.of(scan([])), Sensor.of(scan([0.3]))
+    assert (none.beams, none.field_of_view) == (0, 0.0)
+    assert (one.beams, one.field_of_view) == (1, 0.0)
+
+
+@given(
+    st.builds(
+        Sensor,
+        beams=st.integers(1, 2000),
+        field_of_view=st.floats(0.0, 2.0 * math.pi),
+        range_max=st.floats(0.5, 100.0),
+        full_circle=st.booleans(),
+    )
+)
+def test_bearings_are_even_and_symmetric_and_a_laser_sees_as_itself(sensor: Sensor) -> None:
+    assert sensor.sees_as(sensor)
+    bearings = sensor.bearings()
+    assert len(bearings) == sensor.beams
+    if sensor.beams > 1:
+        assert np.diff(bearings, n=2) == pytest.approx(0.0, abs=1e-9)
+        step = sensor.field_of_view / (sensor.beams - (0 if sensor.full_circle else 1))
+        assert bearings[1] - bearings[0] == pytest.approx(step, abs=1e-9)
+        ends = bearings[0] + bearings[-1] + (step if sensor.full_circle else 0.0)
+        assert ends == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "same"),
+    [
+        ({"beams": 380}, True),
+        ({"beams": 400}, False),
+        ({"beams": 180}, False),
+        ({"range_max": 24.0}, True),
+        ({"range_max": 26.0}, False),
+        ({"field_of_view": 2.0 * math.pi - math.radians(2.5)}, True),
+        ({"field_of_view": 2.0 * math.pi - math.radians(3.5)}, False),
+        ({"full_circle": False}, False),
+    ],
+)
+def test_small_differences_are_none(change: dict[str, Any], same: bool) -> None:
+    assert CIRCLE.sees_as(replace(CIRCLE, **change)) is same

@@ -1,4 +1,4 @@
-"""Training for localisation: which scans are learned from, and a feature set of another package."""
+"""Training for localisation: which scans are learned from, made beside the way, and kept."""
 
 from __future__ import annotations
 
@@ -23,20 +23,27 @@ from specmap_cli.recognition.features.sets import (
     feature_sets,
     scans_features,
 )
+from specmap_cli.recognition.features.virtual import seen_from
 from specmap_cli.recognition.learning import sampling
 from specmap_cli.recognition.learning.boosting import OneVsAll
 from specmap_cli.recognition.learning.calibration import Familiarity
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
 from specmap_cli.recognition.learning.sampling import (
+    NO_SAMPLES,
+    NO_TRAINING_DATA,
+    Samples,
+    TrainingData,
     augmented_samples,
     cast_samples,
+    of_keyframes,
     raw_samples,
+    together,
     track_samples,
 )
 from specmap_cli.recognition.learning.training import _EXEMPLARS, sensor_of, train_and_test
 from specmap_cli.recognition.localization.localizer import Localizer
-from tests.recognition.localization.scanned import walls_of
-from tests.recognition.posed import stored
+from tests.casting import store_of
+from tests.recognition.posed import walls_of
 from tests.recognition.watching import watched
 from tests.turning import turn
 
@@ -46,19 +53,15 @@ SUBMAPS = {0: list(range(0, 40)), 2: list(range(44, 80))}  # keyframes 40 to 43 
 def settings(**localization: Any) -> Config:
     """Few rounds and few samples, so that training takes a moment."""
     chosen = {"augmentation": 60, "track_samples": 30, "feature_set": "table1"} | localization
-    return load_config(
-        overrides={
-            "recognition": {"rounds": 8, "feature_set": "table1", "augmentation": 60},
-            "localization": chosen,
-        }
-    )
+    few = {"rounds": 8, "feature_set": "table1", "augmentation": 60}
+    return load_config(overrides={"recognition": few, "localization": chosen})
 
 
 @pytest.fixture(scope="module")
 def store(building: Any) -> Iterator[KeyframeStore]:
     """Forty keyframes in each of two rooms of the building."""
     poses = np.vstack([building.path(room, 1) for room in (0, 2)])
-    with stored(building.scans(poses), poses) as made:
+    with store_of(building.posed(poses)) as made:
         yield made
 
 
@@ -72,19 +75,13 @@ def grids(store: KeyframeStore) -> dict[int, GridMap]:
     return made
 
 
-@pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """Whose features and which keyframes were asked for, call by call."""
-    return watched(monkeypatch, KeyframeFeatures, "of")
-
-
 def test_of_a_submap_seen_often_the_scans_with_known_features_are_learned_from(
-    store: KeyframeStore, asked: list[Any]
+    store: KeyframeStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = Config(recognition=RecognitionConfig(positives=12))
     features = KeyframeFeatures(store, "full")
     features.of([*range(5, 35), 50, 51])
-    asked.clear()
+    asked = watched(monkeypatch, KeyframeFeatures, "of")
     raw_samples(SUBMAPS, config, features)
     (_, enough), (_, few) = asked
     assert (len(enough), enough[0], enough[-1]) == (12, 5, 34)
@@ -104,10 +101,8 @@ def test_raw_classifiers_learn_from_the_keyframes_of_the_submaps(store: Keyframe
     }
     beside = augmented_samples(store, SUBMAPS, store.poses, config, np.random.default_rng(0))
     assert all(len(own.keyframes) for own in beside.values())
-    classifiers = OneVsAll("table1", config.recognition).fit(
-        {i: np.vstack([X, beside[i].features]) for i, X in samples.items()},
-        np.random.default_rng(0),
-    )
+    both = {i: np.vstack([X, beside[i].features]) for i, X in samples.items()}
+    classifiers = OneVsAll("table1", config.recognition).fit(both, np.random.default_rng(0))
     looks = Familiarity("table1", config.localization.false_unknown, _EXEMPLARS)
     assert learned.to_dict() == Recogniser(classifiers, looks.fit(samples)).to_dict()
     known = KeyframeFeatures(store, "table1")
@@ -137,7 +132,6 @@ def test_the_sensor_is_that_of_the_first_keyframe_in_a_submap(store: KeyframeSto
 
 
 def raw_of(store: KeyframeStore, config: Config) -> Recogniser:
-    """What raw scans teach."""
     features = KeyframeFeatures(store, config.recognition.feature_set)
     samples = raw_samples(SUBMAPS, config, features)
     beside = augmented_samples(store, SUBMAPS, store.poses, config, np.random.default_rng(0))
@@ -198,12 +192,9 @@ def test_a_feature_set_of_another_package_is_trained_and_used(
 ) -> None:
     """From an entry point to labels, by way of a file; without the package, one clear line."""
     install("mine")
-    config = load_config(
-        overrides={
-            "recognition": {"rounds": 20, "feature_set": "mine"},
-            "localization": {"augmentation": 60, "feature_set": "mine"},
-        }
-    )
+    raw = {"rounds": 20, "feature_set": "mine"}
+    virtual = {"augmentation": 60, "feature_set": "mine"}
+    config = load_config(overrides={"recognition": raw, "localization": virtual})
     found = learned(store, config)
     text = found.classifiers.to_json()
     assert '"rings_middle"' in text
@@ -248,9 +239,7 @@ def test_cast_scans_are_dealt_out_half_alike_and_half_by_area(
     assert along == 30
 
 
-def test_samples_are_repeatable_and_drawn_anew_for_another_seed(
-    store: KeyframeStore, grids: dict[int, GridMap]
-) -> None:
+def test_another_seed_draws_other_samples(store: KeyframeStore, grids: dict[int, GridMap]) -> None:
     first, again, other = (samples_of(store, grids, seed)[0].tolist() for seed in (0, 0, 1))
     assert first == again
     assert first != other
@@ -258,10 +247,149 @@ def test_samples_are_repeatable_and_drawn_anew_for_another_seed(
 
 def test_exemplars_and_the_share_given_up_are_settings(store: KeyframeStore) -> None:
     turn("recognition", exemplars=5)
-    few = raw_of(store, settings()).familiarity
+    few: Any = raw_of(store, settings()).familiarity
     turn("recognition", exemplars=12)
-    many = raw_of(store, settings(false_unknown=0.4)).familiarity
-    assert few is not None
-    assert many is not None
+    many: Any = raw_of(store, settings(false_unknown=0.4)).familiarity
     assert (len(few.exemplars_), len(many.exemplars_)) == (10, 24)
     assert many.limit_ < few.limit_
+
+
+BESIDE = {1: list(range(0, 30)), 4: list(range(32, 38))}  # all in the first room
+
+
+def beside(
+    store: KeyframeStore,
+    wanted: int,
+    seed: int = 0,
+    known: Samples = NO_SAMPLES,
+    submaps: dict[int, list[int]] = BESIDE,
+) -> dict[int, Samples]:
+    """Scans as taken beside the way, by which each submap has as many samples as are wanted."""
+    config = Config(recognition=RecognitionConfig(feature_set="table1", augmentation=wanted))
+    rng = np.random.default_rng(seed)
+    return augmented_samples(store, submaps, store.poses, config, rng, known)
+
+
+def test_a_submap_gets_the_scans_beside_its_way_that_it_lacks(store: KeyframeStore) -> None:
+    found = beside(store, 90)
+    # of 30 and 6 keyframes; what comes to lie in the other submap is left out
+    assert 0.85 * 60 < len(found[1].keyframes) <= 60
+    assert 0.5 * 84 < len(found[4].keyframes) <= 84
+    assert all(set(own.keyframes) <= set(BESIDE[i]) for i, own in found.items())
+    assert all(own.features.shape[0] == len(own.keyframes) for own in found.values())
+    enough = beside(store, 30)
+    assert not len(enough[1].keyframes)
+    assert len(enough[4].keyframes)
+
+
+def test_scans_beside_the_way_lie_a_step_aside_and_look_as_scans_taken_there(
+    store: KeyframeStore, building: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = watched(monkeypatch, sampling, "seen_from")
+    found = beside(store, 60, seed=1)
+    assert len(seen) == sum(len(own.keyframes) for own in found.values())
+    keyframes = np.concatenate([found[i].keyframes for i in sorted(found)])
+    poses = np.array([pose for _, pose, _, _ in seen])
+    laser = store.scan(3)
+    assert all(b.tolist() == laser.bearings.tolist() and r == laser.range_max for *_, b, r in seen)
+    away = np.hypot(*(poses - store.poses[keyframes])[:, :2].T)
+    assert 0.02 < np.median(away) < 0.2
+    off = []
+    for scan, given in zip(building.scans(poses), seen, strict=True):
+        ranges = seen_from(*given)
+        both = np.isfinite(scan.ranges) & np.isfinite(ranges)
+        assert both.sum() > 0.8 * np.isfinite(scan.ranges).sum()
+        off.append(np.median(np.abs(scan.ranges - ranges)[both]))
+    assert np.median(off) < 0.03
+
+
+def test_a_map_of_one_keyframe_is_seen_from_beside_it(store: KeyframeStore) -> None:
+    found = beside(store, 6, submaps={0: [7]})
+    assert found[0].keyframes.tolist() == [7] * 5
+
+
+def test_known_scans_beside_the_way_are_not_made_again(
+    store: KeyframeStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = watched(monkeypatch, sampling, "seen_from")
+    known = together(beside(store, 90).values())
+    made, again = len(seen), beside(store, 40, seed=1, known=known)
+    assert len(seen) == made > 40
+    assert [len(again[i].keyframes) for i in (1, 4)] == [10, 34]
+    of_first = {row.tobytes() for row in known.features}
+    assert all(row.tobytes() in of_first for own in again.values() for row in own.features)
+
+
+STARTS = (62,)
+VIRTUAL = settings(augmentation=24).localization
+
+
+def numbered(*keyframes: int) -> Samples:
+    """Samples whose only feature is a hundred and the keyframe."""
+    numbers = np.array(keyframes, dtype=np.intp)
+    return Samples(100.0 + numbers[:, None].astype(np.float64), numbers)
+
+
+def kept(lessons: TrainingData) -> list[list[int]]:
+    """The keyframes of all four kinds of samples."""
+    kinds = lessons.raw, lessons.beside, lessons.along, lessons.cast
+    return [samples.keyframes.tolist() for samples in kinds]
+
+
+def test_lessons_of_keyframes_that_are_gone_are_gone() -> None:
+    lessons = TrainingData(numbered(0, 3, 7), numbered(0, 7), numbered(3), numbered(0, 7, 7))
+    left = lessons.left(np.array([1, 3, 7]))
+    assert kept(left) == [[1, 2], [2], [1], [2, 2]]
+    assert left.raw.features.ravel().tolist() == [103.0, 107.0]
+    assert kept(NO_TRAINING_DATA.left(np.array([0]))) == [[]] * 4
+    near = lessons.cast_near(np.arange(8) == 7)  # of cast samples those near some keyframes stay
+    assert kept(near) == [[0, 3, 7], [0, 7], [3], [7, 7]]
+
+
+def test_lessons_of_several_maps_are_one() -> None:
+    one = TrainingData(numbered(0, 1), numbered(0), numbered(1), numbered())
+    both = TrainingData.joined([one, NO_TRAINING_DATA, one.numbered_from(10)])
+    assert kept(both) == [[0, 1, 10, 11], [0, 10], [1, 11], []]
+    assert both.raw.features.ravel().tolist() == [100.0, 101.0, 100.0, 101.0]
+
+
+def test_each_recording_gives_its_share_of_raw_scans_known_ones_first(store: KeyframeStore) -> None:
+    config = Config(recognition=RecognitionConfig(positives=10, feature_set="table1"))
+    nothing, numbers = KeyframeFeatures(store, "table1"), np.arange(44, 62)
+    known = nothing.knowing(numbers, np.ones((18, 52)))
+    found = raw_samples({2: SUBMAPS[2]}, config, known, STARTS)[2]
+    old = found.keyframes < STARTS[0]
+    assert int(old.sum()) == 5
+    assert (found.features[old] == 1.0).all()
+    assert not (found.features[~old] == 1.0).all(axis=1).any()
+    known = nothing.knowing(numbers, np.ones((18, 52)))
+    alone = raw_samples({2: SUBMAPS[2]}, config, known)[2]
+    assert (alone.keyframes < STARTS[0]).all()  # of one recording the known ones are enough
+
+
+def test_a_recording_of_known_virtual_scans_is_not_looked_at_again(store: KeyframeStore) -> None:
+    anew = track_samples(store, SUBMAPS, store.poses, VIRTUAL, starts=STARTS)
+    before = Samples(np.ones((25, 52)), np.arange(10, 35))
+    again = track_samples(store, SUBMAPS, store.poses, VIRTUAL, before, STARTS)
+    found, fresh = together(again.values()), together(anew.values())
+    old = found.keyframes < STARTS[0]
+    assert int(old.sum()) == 23  # of thirty, as 58 of 76 keyframes are in the first recording
+    assert set(found.keyframes[old].tolist()) <= set(range(10, 35))
+    assert (found.features[old] == 1.0).all()
+    late = fresh.keyframes >= STARTS[0]
+    assert np.array_equal(found.features[~old], fresh.features[late])
+
+
+def test_known_casts_are_not_cast_again(store: KeyframeStore, grids: dict[int, GridMap]) -> None:
+    known, rng = Samples(np.ones((40, 52)), np.full(40, 50)), np.random.default_rng(0)
+    found = cast_samples(SUBMAPS, store.poses, grids, VIRTUAL, rng, known)
+    assert (found[2].features == 1.0).all()
+    assert 0 < len(found[2].features) < 24
+    assert not (found[0].features == 1.0).all(axis=1).any()
+
+
+def test_samples_are_put_together_by_submap() -> None:
+    both, *others = TrainingData.of({4: numbered(1), 2: numbered(0, 5)}, {}, {}, {}).kinds
+    assert both.keyframes.tolist() == [0, 5, 1]
+    assert of_keyframes(both, [1, 5, 9]).keyframes.tolist() == [5, 1]
+    assert [len(samples.keyframes) for samples in others] == [0, 0, 0]

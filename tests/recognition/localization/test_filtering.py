@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from itertools import pairwise, product
 
 import numpy as np
@@ -10,19 +10,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from specmap_cli.core.records import PosedScan
+from specmap_cli.core.geometry import Pose2
+from specmap_cli.core.records import PlanarScan, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.recognition.localization.filtering import Clue, HiddenMarkovFilter, ViewGrouping
-from tests.recognition.posed import at
+from tests.recognition.posed import posed
 from tests.turning import configured, turn
 
 LINE: dict[int, list[int]] = {0: [1], 1: [0, 2], 2: [1], 5: []}
 
 
-def hidden_markov(
-    adjacency: Mapping[int, Collection[int]], **settings: float
-) -> HiddenMarkovFilter:
-    return HiddenMarkovFilter(adjacency, configured(LocalizationConfig, "recognition", settings))
+def hidden_markov(links: Mapping[int, Collection[int]], **settings: float) -> HiddenMarkovFilter:
+    return HiddenMarkovFilter(links, configured(LocalizationConfig, "recognition", settings))
 
 
 @given(st.integers(0, 10_000), st.integers(1, 4), st.floats(-999.0, 999.0))
@@ -47,9 +46,8 @@ def test_filter_and_smoother_are_sums_over_all_paths(seed: int, steps: int, shif
     assert filtered == pytest.approx(ends / ends.sum())
 
 
-networks = st.dictionaries(
-    st.integers(0, 9), st.lists(st.integers(0, 9), max_size=4), min_size=1, max_size=6
-)
+neighbours = st.lists(st.integers(0, 9), max_size=4)
+networks = st.dictionaries(st.integers(0, 9), neighbours, min_size=1, max_size=6)
 chances = st.floats(0.001, 0.4)
 
 
@@ -123,11 +121,10 @@ def test_unknown_gains_by_its_worth_and_by_nothing_else(worth: float) -> None:
         assert np.log(odds) == pytest.approx(worth)
 
 
-@pytest.fixture
-def views() -> ViewGrouping:
-    """Views begin after 0.1 m or 0.2 rad."""
-    turn("recognition", view_m=0.1, view_rad=0.2)
-    return ViewGrouping()
+def at(x: float, theta: float = 0.0, lost: bool = False) -> PosedScan:
+    """A scan without a return, x metres along a line."""
+    nothing = PlanarScan(0, np.zeros(0), np.zeros(0), 10.0, full_circle=True)
+    return posed(nothing, Pose2(x, 0.0, theta), lost=lost)
 
 
 @pytest.mark.parametrize(
@@ -143,8 +140,10 @@ def views() -> ViewGrouping:
     ],
 )
 def test_a_view_begins_where_the_robot_moved_or_a_track_begins_though_lost_or_unmoved(
-    views: ViewGrouping, scans: list[PosedScan], begins: list[bool]
+    scans: list[PosedScan], begins: list[bool]
 ) -> None:
+    turn("recognition", view_m=0.1, view_rad=0.2)
+    views = ViewGrouping()
     assert [views.begins(scan) for scan in scans] == begins
 
 
@@ -159,21 +158,12 @@ def test_what_a_view_says_is_the_mean_of_its_scans(said: list[float]) -> None:
     assert mean == pytest.approx([np.mean(said), -np.mean(said)], abs=1e-9)
 
 
-def worths(
-    said: Sequence[float | None], scans: Sequence[PosedScan], again: Sequence[bool]
-) -> list[float]:
-    """What a clue is worth, scan by scan."""
-    turn("recognition", independent_m=1.0, independent_rad=2.0)
-    clue, found = Clue(), []
-    for each, scan, same in zip(said, scans, again, strict=True):
-        clue.see(scan, same)
-        clue.add(each)
-        found.append(clue.worth)
-    return found
-
-
 def test_motion_that_nothing_was_said_of_counts_when_something_is_but_a_lost_scan_is_none() -> None:
+    turn("recognition", independent_m=1.0, independent_rad=2.0)
     scans = [*(at(0.3 * k) for k in range(4)), at(50.0, lost=True), at(1.0)]
-    again = [False] * 4 + [True, False]
-    found = worths([4.0, None, None, 2.0, None, 4.0], scans, again)
-    assert found == pytest.approx([4.0, 0.0, 0.0, 1.8, 1.8, 0.4])
+    clue, worths = Clue(), []
+    for said, scan in zip([4.0, None, None, 2.0, None, 4.0], scans, strict=True):
+        clue.see(scan, scan.lost)
+        clue.add(said)
+        worths.append(clue.worth)
+    assert worths == pytest.approx([4.0, 0.0, 0.0, 1.8, 1.8, 0.4])

@@ -16,8 +16,7 @@ from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, GridMap
 from specmap_cli.recognition.learning.calibration import _USUAL_MISFIT, HeldOutMisfit, pooled
 from specmap_cli.recognition.localization import walls as walls_module
 from specmap_cli.recognition.localization.walls import Fitted, MapWalls, View
-from tests.recognition.localization.scanned import scanned, walls_of
-from tests.recognition.posed import posed
+from tests.recognition.posed import posed, scanned, walls_of
 from tests.recognition.watching import watched
 
 CONFIG = LocalizationConfig()
@@ -69,9 +68,7 @@ def test_few_views_widen_what_is_taken_for_known() -> None:
 
 
 @pytest.mark.parametrize("room", [0, 1, 2, 3])
-def test_own_scans_are_found_anywhere_in_the_map_and_fit_far_better_than_those_of_another_room(
-    building: Any, room: int
-) -> None:
+def test_own_scans_are_found_anywhere_and_others_fit_far_worse(building: Any, room: int) -> None:
     whole = scanned(building.plan)
     middle = [190 * k + 5 for k in range(5)]
     cells = whole.cells.copy()

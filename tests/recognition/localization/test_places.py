@@ -20,8 +20,7 @@ from specmap_cli.recognition.localization.filtering import LEAP
 from specmap_cli.recognition.localization.places import Estimate, Place, WeighedPlaces, information
 from specmap_cli.recognition.localization.walls import Fitted, MapWalls, View
 from tests.casting import ranges_at
-from tests.recognition.localization.scanned import walls_of
-from tests.recognition.posed import posed
+from tests.recognition.posed import posed, walls_of
 from tests.recognition.watching import watched
 from tests.turning import turn
 
@@ -54,7 +53,8 @@ class Home:
         config = LocalizationConfig()
         known = MapWalls(self.grid, owner, HeldOutMisfit(0.02, 60), config)
         self.places = WeighedPlaces(known, [0, 1, 2], config)
-        self.lead: Place | None = None
+        self.lead: Any = None
+        self.told: Any = None
 
     def at(self, number: int, pose: Pose2) -> Pose2:
         """A pose in a room, in the map; the frame of a room is in its middle."""
@@ -82,8 +82,7 @@ class Home:
 
     def off(self, number: int, pose: Pose2) -> float:
         """How far the place that leads is from a pose in a room."""
-        assert self.lead is not None
-        return (self.at(number, pose).inverse() @ self.lead.estimate.pose).distance
+        return float((self.at(number, pose).inverse() @ self.lead.estimate.pose).distance)
 
 
 def north(step: int) -> Pose2:
@@ -95,7 +94,6 @@ def test_a_place_that_no_other_looks_like_leads_till_a_scan_is_lost_or_tracking_
     """What walls said of it is remembered no longer than a leap is unlikely."""
     home = Home()
     belief = home.see(2, ASIDE)
-    assert home.told is not None
     assert home.told < 0.0
     assert belief.argmax() == 2
     assert belief.sum() == pytest.approx(1.0)
@@ -181,7 +179,6 @@ def test_a_place_found_where_a_likely_one_fails_speaks_for_the_map_when_it_goes_
     home = Home()
     for step in range(8):
         home.see(2, ASIDE @ Pose2(0.0, 0.0, 0.3 * step))
-    assert home.told is not None
     assert home.told < -1.0
     told = []
     for step in range(6):
@@ -198,10 +195,8 @@ def test_what_fits_is_not_sought_and_elsewhere_ever_more_rarely_standing_and_by_
 ) -> None:
     searches = watched(monkeypatch, walls, "search_everywhere")
     known = walls_of(building.plan)
-    scans = [
-        replace(scan, map_from_base=Pose2(0.06 * k, 0.0, 0.0))
-        for k, scan in enumerate(building.posed(building.path(0, 3)[:1]) * 9)
-    ]
+    (standing,) = building.posed(building.path(0, 3)[:1])
+    scans = [replace(standing, map_from_base=Pose2(0.06 * k, 0.0, 0.0)) for k in range(9)]
     found = WeighedPlaces(known, [0], LocalizationConfig())
     for scan in scans[:1] * 5:
         found.see(scan, scan, np.ones(1))
@@ -232,7 +227,7 @@ class Walk:
         self.places = WeighedPlaces(walls_of(building.plan), [0], LocalizationConfig())
         self.places.see(self.scans[0], self.scans[0], np.ones(1))
 
-    def locate(self, scan: PosedScan) -> Place | None:
+    def locate(self, scan: PosedScan) -> Any:
         """The place that leads, at a scan."""
         return self.places.follow(scan, np.ones(1))
 
@@ -243,7 +238,6 @@ def test_a_slip_of_the_registration_is_followed(building: Any) -> None:
         walk.locate(scan)
     slipped = replace(right, map_from_base=right.map_from_base @ Pose2(0.15, 0.0, 0.05))
     place = walk.locate(slipped)
-    assert place is not None
     assert place.score > 0.8
     assert (right.map_from_base.inverse() @ place.estimate.pose).distance < 0.05
 
@@ -253,14 +247,10 @@ def test_without_a_return_or_a_fit_there_is_no_pose(building: Any) -> None:
     scan = walk.scans[0]
     blind = replace(scan, planar=building.scans(np.array([[1e6, 1e6, 0.0]]))[0])
     for seen in (blind, scan):
-        place = walk.locate(seen)
-        assert place is not None
-        assert place.has_pose == (seen is scan)
+        assert walk.locate(seen).has_pose == (seen is scan)
     assert walk.locate(replace(scan, lost=True)) is None
     turn("recognition", lost_score=1.0)
-    place = walk.locate(scan)
-    assert place is not None
-    assert not place.has_pose, "it fits no walls"
+    assert not walk.locate(scan).has_pose, "it fits no walls"
 
 
 def test_the_covariance_is_large_along_what_the_walls_do_not_tell() -> None:
