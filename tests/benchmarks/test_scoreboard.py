@@ -167,13 +167,14 @@ class TestPage:
 
 
 def test_the_command_lists_what_can_be_asked_for_and_refuses_an_unknown_row(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["scoreboard", "--list"])
     assert main() == 0
     listed = capsys.readouterr().out
     assert "cold: Rooms of real maps" in listed
     assert re.search(r"cold\.iou +IoU", listed)
-    monkeypatch.setattr(sys, "argv", ["scoreboard", "--only", "cold.walls"])
+    asked = ["scoreboard", "--work", str(tmp_path), "--only", "cold.walls"]
+    monkeypatch.setattr(sys, "argv", asked)
     assert main() == 2
     assert capsys.readouterr().err == "no section or row cold.walls: see --list\n"
