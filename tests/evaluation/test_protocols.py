@@ -194,6 +194,10 @@ def test_the_lines_of_relations_and_of_a_reference() -> None:
     assert told == ["1,200 of 2,000 relations matched", *spreads]
     by_length = {1.0: relative, 20.0: relative}
     absolute = {"ate_m": 0.03435, "end_m": 2.5, "end_deg": 0.1234}
+    whole = [
+        "absolute error (rmse, aligned)  0.0343 m",
+        "from first to last pose         2.5000 m, 0.123 deg",
+    ]
     errors = trajectories.ReferenceErrors(relative=by_length, **absolute, matched=12, total=4000)
     assert trajectories.reference_lines(errors) == [
         "12 of 4,000 poses matched",
@@ -201,9 +205,10 @@ def test_the_lines_of_relations_and_of_a_reference() -> None:
         *spreads,
         "relative errors over 20 m of path",
         *spreads,
-        "absolute error (rmse, aligned)  0.0343 m",
-        "from first to last pose         2.5000 m, 0.123 deg",
+        *whole,
     ]
+    errors = trajectories.ReferenceErrors(relative={}, **absolute, matched=12, total=4000)
+    assert trajectories.reference_lines(errors) == ["12 of 4,000 poses matched", *whole]
 
 
 def test_a_map_of_the_first_log_is_built_for_the_purpose_and_removed(

@@ -202,10 +202,13 @@ class TestReport:
         told = "made.mcap: 40 scans, none of them known: the map does not show this place"
         assert report.lines()[0] == told
         assert (report.known, report.as_dict()["known"]) == (0.0, 0.0)
-        localize.write_report(report, flat_map, metric=True, plot=tmp_path / "track.png")
-        picture = cv2.imread(str(tmp_path / "track.png"))
-        assert picture is not None
-        assert colours_in(picture) > 3
+        without_poses = labelled([0] * 20 + [1] * 20, [None] * 40)
+        for each, metric in ((report, True), (without_poses, False)):
+            localize.write_report(each, flat_map, metric=metric, plot=tmp_path / "track.png")
+            picture = cv2.imread(str(tmp_path / "track.png"))
+            assert picture is not None
+            assert colours_in(picture) > 3
+            (tmp_path / "track.png").unlink()
         known = [Pose2(0.0, 0.1 * k, 1.0) for k in range(20)]
         some = labelled([0] * 20 + [None] * 20, [*known, *[None] * 20])
         places = localize._tracked(some.scans)

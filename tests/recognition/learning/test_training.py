@@ -277,6 +277,8 @@ def test_a_submap_gets_the_scans_beside_its_way_that_it_lacks(store: KeyframeSto
     assert 0.5 * 84 < len(found[4].keyframes) <= 84
     assert all(set(own.keyframes) <= set(BESIDE[i]) for i, own in found.items())
     assert all(own.features.shape[0] == len(own.keyframes) for own in found.values())
+    again, other = beside(store, 90), beside(store, 90, seed=1)
+    assert found[1].features.tolist() == again[1].features.tolist() != other[1].features.tolist()
     enough = beside(store, 30)
     assert not len(enough[1].keyframes)
     assert len(enough[4].keyframes)
