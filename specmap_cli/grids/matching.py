@@ -139,7 +139,11 @@ def search_everywhere(
         # peaks, which no neighbour passes in single precision, the highest first, then by row
         single = sums.astype(np.float32)
         peaks = np.flatnonzero(single >= cv2.dilate(single, np.ones((3, 3), dtype=np.uint8)))
-        peaks = peaks[np.argsort(-sums.ravel()[peaks], kind="stable")[:count]]
+        worse = -sums.ravel()[peaks]
+        if count < len(peaks):  # most are not worth to be put in order
+            least = worse <= np.partition(worse, count - 1)[count - 1]
+            peaks, worse = peaks[least], worse[least]
+        peaks = peaks[np.argsort(worse, kind="stable")[:count]]
         for row, column in (divmod(peak, shape[1]) for peak in peaks.tolist()):
             value = float(sums[row, column])
             # shifts past the field are negative ones
@@ -147,7 +151,7 @@ def search_everywhere(
             column -= shape[1] if column > (shape[1] + coarse.values.shape[1]) // 2 else 0
             found.append((-value, (column + 0.5) * cell + x, (row + 0.5) * cell + y, angle))
     places = (
-        (min(1.0, -worse), Pose2(x, y, wrap_angle(angle))) for worse, x, y, angle in sorted(found)
+        (min(1.0, -low), Pose2(x, y, wrap_angle(angle))) for low, x, y, angle in sorted(found)
     )
     return different_places(places, middle, count)
 

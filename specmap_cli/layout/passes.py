@@ -37,7 +37,7 @@ from specmap_cli.layout.path_graph import (
 )
 from specmap_cli.layout.pose_graph import Link, LinkArrays, errors
 from specmap_cli.layout.solving import solved
-from specmap_cli.layout.walls import PLACE_NODES, Walls, found, link_to_nearest, match_passes
+from specmap_cli.layout.walls import PLACE_NODES, Surroundings, Walls, link_to_nearest, match_passes
 
 LOOPS_PER_NODE = 2  # passes tried until one fits
 _NEAR_M = 3.0  # two passes nearer than this are matched
@@ -241,9 +241,9 @@ def far_passes(graph: Graph, draft: Draft, walls: Walls, first: int = 0) -> tupl
     links: list[Link] = []
 
     @lru_cache(1)  # parts are asked for in their order
-    def before(part: int) -> tuple[IntArray, FloatArray]:
+    def before(part: int) -> tuple[IntArray, Surroundings]:
         old = np.flatnonzero(graph.parts < part)[::_LOST_EVERY]
-        return old, walls.of_all(old.tolist(), draft.poses)
+        return old, Surroundings.of(walls.of_all(old.tolist(), draft.poses))
 
     for row in rows_every(graph.path, _WIDE_EVERY_M):
         part, pose = int(graph.parts[row]), Pose2(*draft.poses[row].tolist())
@@ -253,7 +253,7 @@ def far_passes(graph: Graph, draft: Draft, walls: Walls, first: int = 0) -> tupl
             start = float(graph.path[np.argmax(graph.parts == part)])
             if graph.path[row] - start > _LOST_TRIES * _WIDE_EVERY_M:
                 continue
-            prior, (old, points) = Prior(pose), before(part)
+            prior, (old, around) = Prior(pose), before(part)
         else:
             last = int(ties[np.searchsorted(ties, row, side="right") - 1])
             if graph.parts[last] != part:
@@ -267,11 +267,11 @@ def far_passes(graph: Graph, draft: Draft, walls: Walls, first: int = 0) -> tupl
             old = np.flatnonzero(graph.path < graph.path[row] - LOOP_PATH_M)
             old = old[within_ellipse(draft.poses[old, :2] - draft.poses[row, :2], reach)]
             prior, old = Prior(pose, error), old[:: max(1, -(-len(old) // _MOST_ROWS))]
-            points = walls.of_all(old.tolist(), draft.poses)
+            around = Surroundings.of(walls.of_all(old.tolist(), draft.poses))
         if len(old):
             seen = partial(walls.seen_of_all, old.tolist(), draft.poses)
             view = walls.around(row, PLACE_NODES, draft.poses)
-            fit = found(points, seen, view, prior)
+            fit = around.find(view, seen, prior)
             links += [] if fit is None else [link_to_nearest(graph, draft.poses, old, row, fit)]
     return tuple(links)
 

@@ -331,28 +331,42 @@ class Place:
         return WallFit(pose, told * known)
 
 
-def found(points: FloatArray, seen: Seen, source: FloatArray, prior: Prior) -> WallFit | None:
-    """The pose of a view `source` (N, 2) among walls (M, 2), however far the prior reaches.
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """Walls (M, 2) in the map, however far they reach, and the field on which a view is sought."""
 
-    It must fit well, nowhere else nearly as well, and leave no direction open: in a bare corridor
-    nothing is found. `seen` says which cells of a field, and so near to them, were looked into.
-    """
-    few = thinned(source, FINE_POINTS_M)
-    if len(few) < MATCH_POINTS:
-        return None
-    field = ScoreField.from_points(points, _WIDE_CELL_M, _BLUR_M, _WIDE_SIDE * MATCH_RANGE_M)
-    rough = answers(field, thinned(source, _SPARSE_M), prior, _WIDE_STEP_M, _WIDE_STEP_RAD)
-    fine = [search(field, few, match.pose, _AROUND) for match in rough]
-    fine.sort(key=lambda match: -match.score)
-    if not fine or (len(fine) > 1 and fine[1].score > fine[0].score - _LEAD):
-        return None
-    best = fine[0].pose
-    near = np.hypot(*(points - (best.x, best.y)).T) < _NEAR_RANGES * MATCH_RANGE_M
-    fit = Place.of(points[near], seen).confirmed(source, best, SURE)
-    if fit is None:
-        return None
-    variance = float(inverse3(fit.information)[:2, :2].trace())
-    return fit if variance <= 2 * _PINNED_M**2 else None
+    points: FloatArray
+    field: ScoreField
+
+    @classmethod
+    def of(cls, points: FloatArray) -> Surroundings:
+        """Those of walls (M, 2)."""
+        most_m = _WIDE_SIDE * MATCH_RANGE_M
+        return cls(points, ScoreField.from_points(points, _WIDE_CELL_M, _BLUR_M, most_m))
+
+    def find(self, source: FloatArray, seen: Seen, prior: Prior) -> WallFit | None:
+        """The pose of a view `source` (N, 2) among the walls, however far the prior reaches.
+
+        It must fit well, nowhere else nearly as well, and leave no direction open: in a bare
+        corridor nothing is found. `seen` says which cells of a field, and so near to them, were
+        looked into.
+        """
+        few = thinned(source, FINE_POINTS_M)
+        if len(few) < MATCH_POINTS:
+            return None
+        some = thinned(source, _SPARSE_M)
+        rough = answers(self.field, some, prior, _WIDE_STEP_M, _WIDE_STEP_RAD)
+        fine = [search(self.field, few, match.pose, _AROUND) for match in rough]
+        fine.sort(key=lambda match: -match.score)
+        if not fine or (len(fine) > 1 and fine[1].score > fine[0].score - _LEAD):
+            return None
+        best = fine[0].pose
+        near = np.hypot(*(self.points - (best.x, best.y)).T) < _NEAR_RANGES * MATCH_RANGE_M
+        fit = Place.of(self.points[near], seen).confirmed(source, best, SURE)
+        if fit is None:
+            return None
+        variance = float(inverse3(fit.information)[:2, :2].trace())
+        return fit if variance <= 2 * _PINNED_M**2 else None
 
 
 def opened(spread: FloatArray) -> FloatArray:

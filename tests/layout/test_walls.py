@@ -23,10 +23,10 @@ from specmap_cli.layout.walls import (
     LEAST_EVIDENCE,
     Place,
     Sides,
+    Surroundings,
     WallFit,
     Walls,
     everywhere,
-    found,
     from_behind,
     link_to_nearest,
     match_passes,
@@ -401,7 +401,7 @@ def test_a_place_is_found_at_any_angle(graph: Graph, walls: Walls, turn: float) 
     row = int(np.argmax(graph.parts == 1)) + 20
     source = walls.around(row, 8, graph.poses)
     truth, turned = Pose2(*graph.poses[row].tolist()), Pose2(0.0, 0.0, turn)
-    fit = found(older, everywhere, turned.inverse().apply(source), ANYWHERE)
+    fit = Surroundings.of(older).find(turned.inverse().apply(source), everywhere, ANYWHERE)
     assert fit is not None
     assert np.less(missed(truth, fit.target_from_source @ turned.inverse()), (0.1, 0.03)).all()
 
@@ -420,13 +420,13 @@ def plans_of(*plans: tuple[int, int]) -> FloatArray:
 
 def test_what_fits_two_places_is_found_in_neither() -> None:
     source = plans_of((60, 90))
-    only = found(plans_of((60, 90), (80, 40)), everywhere, source, ANYWHERE)
+    only = Surroundings.of(plans_of((60, 90), (80, 40))).find(source, everywhere, ANYWHERE)
     assert only is not None
     assert np.hypot(*only.target_from_source[:2]) < 0.1
     twins = plans_of((60, 90), (60, 90))
-    assert found(twins, everywhere, source, ANYWHERE) is None
+    assert Surroundings.of(twins).find(source, everywhere, ANYWHERE) is None
     near = Prior(Pose2(5.0, 0.4, 0.1), np.diag([0.3, 0.3, 0.05]) ** 2)
-    second = found(twins, everywhere, source, near)
+    second = Surroundings.of(twins).find(source, everywhere, near)
     assert second is not None, "the prior reaches the second of them alone"
     assert second.target_from_source[:2] == pytest.approx((5.0, 0.0), abs=0.1)
 
@@ -434,7 +434,10 @@ def test_what_fits_two_places_is_found_in_neither() -> None:
 def test_a_bare_corridor_too_few_points_and_no_walls_are_no_place() -> None:
     x = np.arange(0.0, 40.0, 0.05)
     walls = np.vstack([np.column_stack([x, 0 * x]), np.column_stack([x, 0 * x + 2.0])])
-    assert found(walls, everywhere, walls[np.abs(walls[:, 0] - 20.0) < 5.0], ANYWHERE) is None
+    assert (
+        Surroundings.of(walls).find(walls[np.abs(walls[:, 0] - 20.0) < 5.0], everywhere, ANYWHERE)
+        is None
+    )
     few = np.column_stack([np.arange(0.0, 4.0, 0.25), np.zeros(16)])
-    assert found(walls, everywhere, few, ANYWHERE) is None
-    assert found(np.zeros((0, 2)), everywhere, plans_of((60, 90)), ANYWHERE) is None
+    assert Surroundings.of(walls).find(few, everywhere, ANYWHERE) is None
+    assert Surroundings.of(np.zeros((0, 2))).find(plans_of((60, 90)), everywhere, ANYWHERE) is None
