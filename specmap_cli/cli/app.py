@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import sys
 from collections.abc import Callable, Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -147,6 +147,26 @@ for _command in _COMMANDS:
     app.command(_command.__name__, epilog=EXIT_CODES, cls=JoinedCommand)(unfolded(_command))
 
 
+def _advice(error: Any, context: Any) -> str:
+    """What to do about a wrong line: how a setting or a map is given, where one was meant."""
+    if context is None:
+        return "see `specmap --help`"
+    usual = f"see `{context.command_path} --help`"
+    takes_settings = any("--preset" in each.opts for each in context.command.params)
+    if takes_settings and hasattr(error, "possibilities"):  # there is no such option
+        from specmap_cli.core.config import SETTINGS
+
+        key = SETTINGS.meant(error.option_name.strip("-").replace("-", "_"))
+        return f"a setting is given as --set {key}=VALUE; {usual}" if "." in key else usual
+    if "--map" in getattr(getattr(error, "param", None), "opts", ()):
+        from specmap_cli.maps.filenames import TOPOLOGY
+
+        for path in context.params.get("logs") or ():
+            if (path / TOPOLOGY).is_file():
+                return f"a map is given as --map {path}; {usual}"
+    return usual
+
+
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code; UsageError for arguments that make no command."""
     given = sys.argv[1:] if arguments is None else arguments
@@ -158,7 +178,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
         code = own(args=arguments, prog_name="specmap", standalone_mode=False)
     except _WRONG_LINE as error:
         context = getattr(error, "ctx", None)
-        command = context.command_path if context is not None else "specmap"
         message = error.format_message().rstrip(".")  # type: ignore[attr-defined]
         findings = getattr(error.__cause__, "errors", None)  # Typer holds bounds by pydantic
         if findings is not None:
@@ -167,7 +186,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
             theirs = error.message  # type: ignore[attr-defined]
             message = message.replace(theirs, said(findings()[0]), 1)
         message = message.replace(": Value error, ", ": ", 1)  # pydantic's word, not ours
-        told = UsageError(message, f"see `{command} --help`", mark=";")
+        told = UsageError(message, _advice(error, context), mark=";")
         # the option or the argument that it complains of, which stands within the message
         parameter = getattr(error, "param", None)
         if parameter is None:

@@ -105,6 +105,10 @@ class TomlFormat(Generic[Model]):
         key, found, hint = self._complaint(finding)
         raise self._error(before, f"{key}{found}", f"{hint}{self.advice}", key)
 
+    def meant(self, key: str) -> str:
+        """The key that somebody meant by another one; empty where none is near."""
+        return _meant(key, list(_keys(self.model)))
+
     def _parsed(self, text: str, where: str) -> dict[str, Any]:
         try:
             return tomllib.loads(text)
@@ -133,8 +137,8 @@ class TomlFormat(Generic[Model]):
             key, known = ".".join(str(part) for part in place), list(_keys(self.model))
         kind, value = finding["type"], finding["input"]
         if kind == "extra_forbidden":
-            # which key was meant, by its dotted name or its last part; which there are, if few
-            near = _nearest(key, known) or _nearest(re.split(r"[.\s]", key)[-1], known)
+            # which key was meant; which there are, if few
+            near = _meant(key, known)
             hint = near and f", did you mean {near}?"
             if not near and len(known) <= _MOST_LISTED:
                 hint = f", expected {', '.join(known)}"
@@ -165,6 +169,11 @@ def choice(name: str, known: Iterable[str]) -> str:
     """What to do about a name that is none of those known."""
     near = _nearest(name, known)
     return f"did you mean {near}?" if near else f"choose from {', '.join(known)}"
+
+
+def _meant(key: str, known: Iterable[str]) -> str:
+    """The key that was meant, by its dotted name or its last part; empty where none is near."""
+    return _nearest(key, known) or _nearest(re.split(r"[.\s]", key)[-1], known)
 
 
 def _nearest(name: str, known: Iterable[str]) -> str:

@@ -109,6 +109,8 @@ def survey(
     config = session.config
     check_feature_sets(config)
     session.progress.note(stream.selection.note)
+    for warning in stream.selection.warnings:  # before the work, which may be in vain
+        session.progress.warn(warning)
     session.progress.start("mapping", stream.expected)
     with ahead(lambda: track(stream, config.registration)) as scans:
         from specmap_cli.pipelines.exploration import Exploration  # all are loaded meanwhile

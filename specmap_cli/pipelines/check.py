@@ -24,6 +24,7 @@ from specmap_cli.maps.comparison import ComparisonRecord
 from specmap_cli.maps.store import Map, opened_map
 from specmap_cli.pipelines.compare import compare_maps
 
+_OF_NO_RECORDING = "not known: of no recording; rules with `defaults = false` leave this one out"
 _GRAVITY: tuple[Severity, ...] = ("note", "doubtful", "poor")
 
 
@@ -45,6 +46,9 @@ def check_map(
         rules = read_rules(None, against=golden is not None)
     instance_of(rules, Rules, "rules")
     figures, details = figures_of(map_), dict(_told(map_))
+    if not map_.of_recording:
+        left_out = [VERDICT, *(name for name, value in figures.items() if value is None)]
+        details |= dict.fromkeys(left_out, _OF_NO_RECORDING)
     if golden is not None:
         try:
             record = compare_maps(golden, map_, progress=progress).record

@@ -13,6 +13,7 @@ from typing import Any
 
 from specmap_cli.core.findings import Quality, summary
 from specmap_cli.core.process import give_memory_back
+from specmap_cli.core.text import legible
 from specmap_cli.drawing.overview import render_overview
 from specmap_cli.logs.selection import Selection
 from specmap_cli.maps import filenames
@@ -105,13 +106,16 @@ def write_made(
 ) -> Mapping[str, Any]:
     """Write a map that was made of `inputs` into an empty directory; returns its run.json.
 
-    Before it is told which edits do not apply, what is grave, and what is worth knowing of it.
-    What follows `inputs` is as in `RunRecord`.
+    Before it is told which edits do not apply, what is grave, and what is worth knowing of it, but
+    for what was told of the `selection` when the log was opened. What follows `inputs` is as in
+    `RunRecord`.
     """
     for line in finished.unapplied:
         session.progress.note(f"{filenames.EDITS}: not applied: {line}")
+    told = set() if selection is None else {legible(line) for line in selection.warnings}
     for warning in summary(finished.quality.warnings):
-        session.progress.warn(warning)
+        if warning not in told:
+            session.progress.warn(warning)
     for note in summary(finished.quality.notes):
         session.progress.note(note)
     return write_finished(

@@ -102,6 +102,15 @@ def test_a_figure_that_is_not_known_breaks_its_rule(changed: House) -> None:
         (path / "run.json").unlink(missing_ok=True)
 
 
+def test_a_map_of_no_recording_is_told_how_to_leave_the_default_rules_out(changed: House) -> None:
+    path = changed(verdict=None)
+    for name in ("run.json", "labels.csv"):  # as `specmap segment` leaves it
+        (path / name).unlink()
+    found = broken(path, read_rules(None, against=False))
+    assert list(found) == ["verdict", "lost_share"]
+    assert all("rules with `defaults = false` leave" in one.detail for one in found.values())
+
+
 def test_bounds_are_kept_up_to_their_value(changed: House) -> None:
     path = changed(edges=1)
     kept = Rules("poor", {"submaps": 3, "lost_share": 0.025}, {"submaps": 3})

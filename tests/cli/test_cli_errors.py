@@ -48,6 +48,18 @@ def as_json(said: Outcome) -> dict[str, object]:
         ),
         ("localize x", "usage", "--map", "Missing option", "see `specmap localize --help`"),
         ("info x --frob", "usage", "--frob", "No such option", "see `specmap info --help`"),
+        (
+            "build x --resolution 1",
+            *("usage", "--resolution", "No such option: --resolution"),
+            "a setting is given as --set grid.resolution_m=VALUE; see `specmap build --help`",
+        ),
+        (
+            "build x --sed 1",
+            "usage",
+            "--sed",
+            "No such option: --sed",
+            "see `specmap build --help`",
+        ),
         ("config --set seed=-1", "setting", "seed", "seed: must be", "run `specmap config`"),
         ("config --set seed", "setting", "--set seed", "--set seed:", "expected KEY=VALUE"),
         ("info", "usage", "LOG", "Missing argument", "see `specmap info --help`"),
@@ -90,6 +102,12 @@ def test_an_error_is_json_too(
     assert error["message"] == said.line
     assert said.line.startswith(told)
     assert said.err.count("\n") == 1
+
+
+def test_a_map_given_as_a_log_is_told_as_the_option_that_it_is(tmp_path: Path, run: Run) -> None:
+    (tmp_path / "topology.json").touch()
+    told = f"Missing option '--map' / '-m'; a map is given as --map {tmp_path}; see `specmap loc"
+    run("localize", "x.mcap", tmp_path).fails(2, told)
 
 
 def test_outputs_and_logs_have_codes_of_their_own(tmp_path: Path, plan: Path, run: Run) -> None:

@@ -92,6 +92,15 @@ def test_what_makes_no_map(
     assert [each.name for each in tmp_path.iterdir()] == ["log.mcap"]
 
 
+def test_two_recordings_given_as_one_are_warned_of_first_and_once(tmp_path: Path, run: Run) -> None:
+    paths = [standing_log(tmp_path / name, 3.0, scans=32) for name in ("a.mcap", "b.mcap")]
+    said = run("build", *paths, "-o", tmp_path / "map", *QUICK)
+    first, *others = [line for line in said.err.splitlines() if "warning: " in line]
+    assert " both hold /scan for the same 6 s: if they are not parts of one recording" in first
+    assert others
+    assert first not in others
+
+
 def test_a_blind_robot_is_somewhere_all_the_same(tiny_map: Path, tmp_path: Path, run: Run) -> None:
     said = run("localize", standing_log(tmp_path / "blind.mcap", math.nan), "--map", tiny_map)
     assert said.code == 0

@@ -166,6 +166,10 @@ class TestInfo:
         none = run("info", log, "--odom-topic", "/odom", "--no-odometry")
         none.fails(2, "--odom-topic and --no-odometry do not go together")
 
+    def test_a_log_without_scans_is_shown_and_no_error(self, tmp_path: Path, run: Run) -> None:
+        found = run("info", standing_log(tmp_path / "log.mcap", 3.0, topics=()), "--json").result
+        assert "no LaserScan, MultiEchoLaserScan or PointCloud2 in it" in found["problem"]
+
     def test_the_topics_and_frames_given_or_settings_of_a_file(
         self, tmp_path: Path, run: Run
     ) -> None:
