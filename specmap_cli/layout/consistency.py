@@ -54,17 +54,10 @@ Reason = Literal["near", "drift", "votes", "alone", "impossible", "outvoted"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judgement:
-    """A claim, and why it is believed or not.
-
-    It would move its end by `away_m`, of which the path alone allows `allowed_m`. `votes`
-    independent claims agree with it, itself included.
-    """
+    """A claim, and why it is believed or not."""
 
     link: Link
     reason: Reason
-    away_m: float
-    allowed_m: float
-    votes: int
 
     @property
     def believed(self) -> bool:
@@ -108,14 +101,7 @@ def judge(graph: Graph, draft: Draft, claims: Sequence[Link]) -> tuple[Judgement
             reason = "near"
         elif explained[k]:
             reason = "drift" if link.kind == "closure" else "alone"
-        one = Judgement(
-            link=link,
-            reason=reason,
-            away_m=float(away_m[k]),
-            allowed_m=float(allowed_m[k]),
-            votes=int(votes[k]),
-        )
-        judged.append(one)
+        judged.append(Judgement(link=link, reason=reason))
     return tuple(judged)
 
 

@@ -182,6 +182,11 @@ def missed(truth: Pose2, found: Pose2) -> tuple[float, float]:
     return off.distance, abs(off.theta)
 
 
+def away_m(graph: Graph, claim: Link) -> float:
+    """How far a claim would move its end, metres."""
+    return missed(between(graph.tracked, claim.source, claim.target), claim.source_from_target)[0]
+
+
 def arc(count: int, turn: float = 0.05) -> FloatArray:
     """Poses half a metre apart along a wide arc."""
     return chained(np.zeros(3), np.tile([0.5, 0.0, turn], (count - 1, 1)))

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
 from specmap_cli.layout.consistency import (
-    _VOTES,
     Judgement,
     Pairs,
     Uncertainty,
@@ -24,7 +23,16 @@ from specmap_cli.layout.consistency import (
 from specmap_cli.layout.path_graph import Ends, Graph
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.solving import settle, tighten
-from tests.layout.driving import SOFT, arc, as_tracked, chained, closure, graph_by_hand, link
+from tests.layout.driving import (
+    SOFT,
+    arc,
+    as_tracked,
+    away_m,
+    chained,
+    closure,
+    graph_by_hand,
+    link,
+)
 from tests.strategies import seeds
 from tests.turning import turned
 
@@ -100,9 +108,8 @@ def test_eight_that_agree_win_and_three_that_agree_with_nothing_go(seed: int) ->
     kept = settle(graph, tighten(graph, believed))[0].loops
     assert len(kept) >= 7
     assert not {one.link for one in wrong} & set(kept), "the solution leaves it out"
-    assert max(one.away_m for one in far) > 3.0
+    assert max(away_m(graph, one.link) for one in far) > 3.0
     assert {one.reason for one in far} <= {"votes", "near", "drift"}
-    assert min(one.votes for one in far if one.reason == "votes") >= _VOTES
     assert judged(graph, closures) == found
 
 
@@ -110,9 +117,7 @@ def test_one_alone_is_what_the_path_errs_by_and_two_are_not_several() -> None:
     graph, closures, right = killian(2)
     some = [c for c, r in zip(closures, right, strict=True) if r]
     for few in (some[:1], some[:2]):
-        found = judged(graph, few)
-        assert all(one.believed is (one.away_m <= one.allowed_m) for one in found)
-        assert max(one.votes for one in found) < _VOTES
+        assert {one.reason for one in judged(graph, few)} == {"drift"}
     with turned("layout.consistency", **ALONE, CLAIM_SLACK_M=0.0):
         assert not any(one.believed for one in judged(graph, some[:2]))
         assert sum(one.believed for one in judged(graph, some)) >= 7
@@ -163,7 +168,8 @@ def test_a_closure_told_the_other_way_round_is_the_same() -> None:
     graph, closures, _ = killian(1)
     back = [link(c.target, c.source, c.source_from_target.inverse(), "closure") for c in closures]
     for one, other in zip(judged(graph, closures), judged(graph, back), strict=True):
-        assert (one.reason, one.votes) == (other.reason, other.votes)
+        assert one.reason == other.reason
+    assert np.array_equal(compared(graph, closures).agree, compared(graph, back).agree)
 
 
 def test_independent_ones_are_counted_in_order() -> None:

@@ -26,6 +26,7 @@ from tests.layout.driving import (
     Drive,
     arc,
     as_tracked,
+    away_m,
     between,
     closure,
     closures_alone,
@@ -193,7 +194,7 @@ def test_a_wrong_closure_that_drift_would_allow_brings_walls_into_free_space(
     wrong = closure(drive[0], 60, 540, Pose2(*away, 0.0))
     draft, (found,) = close(graph, as_tracked(graph), [wrong], Walls(store, graph))
     assert (draft.loops, found.reason) == ((wrong,), "drift")
-    assert found.away_m > 1.0
+    assert away_m(graph, wrong) > 1.0
     layout = relax(store, [wrong], {}, CONFIG)
     assert layout.choice != "relaxed"
     assert (layout.kept, layout.dropped) == ((), (wrong,))
