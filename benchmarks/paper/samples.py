@@ -9,7 +9,6 @@ import numpy as np
 
 from benchmarks.paper.workshop import Built
 from specmap_cli.core.config import load_config
-from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import IntArray
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.evaluation.protocols import (
@@ -19,7 +18,7 @@ from specmap_cli.evaluation.protocols import (
     poses_at,
 )
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.recognition.features.sets import scans_features
+from specmap_cli.recognition.features.sets import FeatureArray, scans_features
 from specmap_cli.recognition.learning.boosting import OneVsAll
 
 
@@ -27,7 +26,7 @@ from specmap_cli.recognition.learning.boosting import OneVsAll
 class Samples:
     """Features X (n, F) and submaps y (n,) of some scans; -1 for a scan without a submap."""
 
-    X: FloatArray
+    X: FeatureArray
     y: IntArray
 
     def without(self, columns: Sequence[int]) -> Samples:
@@ -74,5 +73,5 @@ def of_keyframes(built: Built, feature_set: str) -> Samples:
     return Samples(_features(built.store, feature_set), built.finished.labels.submaps)
 
 
-def _features(store: KeyframeStore, feature_set: str) -> FloatArray:
+def _features(store: KeyframeStore, feature_set: str) -> FeatureArray:
     return scans_features((store.scan(k) for k in range(len(store))), feature_set)

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli.core.errors import InputError
-from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.records import IntArray, PlanarScan
@@ -34,7 +33,7 @@ from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.text_files import read_tum
 from specmap_cli.pipelines.build import map_log
 from specmap_cli.pipelines.session import Session
-from specmap_cli.recognition.features.sets import feature_names, scans_features
+from specmap_cli.recognition.features.sets import FeatureArray, feature_names, scans_features
 from specmap_cli.recognition.learning.boosting import StumpBoost
 from specmap_cli.simulation.worlds import RoomTruth
 
@@ -60,7 +59,7 @@ class SemanticResult:
         }
 
 
-def room_hallway_model(X: FloatArray, kinds: IntArray) -> StumpBoost:
+def room_hallway_model(X: FeatureArray, kinds: IntArray) -> StumpBoost:
     """What features (n, F) of Table I of scans of known kind (n,) teach: hallways are claimed."""
     model = StumpBoost(feature_names(_FEATURES), _ROUNDS)
     return model.fit(X, np.where(kinds == HALLWAY, 1.0, -1.0))

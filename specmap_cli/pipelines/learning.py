@@ -111,9 +111,7 @@ def learn(
             if config.localization.virtual:
                 data, virtually = prior.training_data, config.localization
                 cast = cast_samples(submaps, poses, grids, virtually, virtual_rng, data.cast)
-                along = _single(
-                    track_samples(session.store, submaps, poses, virtually, data.along, starts)
-                )
+                along = track_samples(session.store, submaps, poses, virtually, data.along, starts)
                 virtual, of_virtual = train_and_test(
                     along, cast, poses, config, virtual_rng, revisits, virtual=True
                 )
@@ -165,14 +163,7 @@ def _of_raw_scans(
     beside = augmented_samples(store, submaps, poses, config, rng, prior.training_data.beside)
     raw, held_out = train_and_test(samples, beside, poses, config, rng, revisits, virtual=False)
     misfit = held_out_misfit(store, submaps, poses)
-    return raw, held_out, misfit, _single(samples), _single(beside)
-
-
-def _single(samples: OfSubmaps) -> OfSubmaps:
-    """Samples in single precision, which they are of: so they fit into the pipe."""
-    return {
-        i: Samples(own.features.astype(np.float32), own.keyframes) for i, own in samples.items()
-    }
+    return raw, held_out, misfit, samples, beside
 
 
 def arrays_of(data: TrainingData) -> dict[str, NDArray[Any]]:

@@ -200,7 +200,7 @@ class LoopCloser:
         Returns the pairs that were considered, best first; at most one has `merged` set, and stays
         advice until `merge` is called.
         """
-        features = evenly(new.features, SAMPLES_PER_SUBMAP).astype(np.float32)
+        features = evenly(new.features, SAMPLES_PER_SUBMAP)
         new = replace(new, features=features, packed=PackedGrid.of(new.grid.cropped()))
         claims = self._claims[new.number] = self._ranker.claims(features)
         self._ranker.remember(new.number, features)

@@ -31,8 +31,9 @@ from specmap_cli.recognition.features.group import BatchGroup, FeatureGroup
 from specmap_cli.recognition.features.returns import ReturnsBatch
 
 FeatureSet = tuple[FeatureGroup | BatchGroup, ...]
+FeatureArray = NDArray[np.float32]
 
-_KEPT = 4096  # keyframes whose features are kept: those of some sixty visits, 4 MB
+_KEPT = 4096  # keyframes whose features are kept: those of some sixty visits, 2 MB
 _TOGETHER = 32  # scans in a batch: much more of them leave the caches of a processor
 _LARGEST = float(np.finfo(np.float32).max)  # moments of odd scans are larger
 
@@ -88,7 +89,7 @@ def histogram_columns(feature_set: str) -> list[int]:
     return [k for k, name in enumerate(feature_names(feature_set)) if name in wanted]
 
 
-def scans_features(scans: Iterable[PlanarScan], feature_set: str) -> FloatArray:
+def scans_features(scans: Iterable[PlanarScan], feature_set: str) -> FeatureArray:
     """(n, F) features of scans, in the order of `feature_names(feature_set)`; always finite.
 
     They are rounded to single precision, and cut to its largest numbers. A processor that rounds a
@@ -98,7 +99,7 @@ def scans_features(scans: Iterable[PlanarScan], feature_set: str) -> FloatArray:
     Raises UsageError for a set that does not exist, and for one whose functions break their word.
     """
     names, groups = feature_names(feature_set), _groups_of(feature_set)
-    rows = [np.zeros((0, len(names)))]
+    rows = [np.zeros((0, len(names)), dtype=np.float32)]
     left = iter(scans)
     while some := list(islice(left, _TOGETHER)):
         batch, parts = ReturnsBatch.of(some), []
@@ -123,22 +124,22 @@ def scans_features(scans: Iterable[PlanarScan], feature_set: str) -> FloatArray:
             first = names[int(np.argmin(finite))]
             raise _unusable(feature_set, f"{first!r} is not finite for a scan")
         cut = np.clip(features, -_LARGEST, _LARGEST)
-        rows.append(cut.astype(np.float32).astype(np.float64))
+        rows.append(cut.astype(np.float32))
     return np.vstack(rows)
 
 
 class KeyframeFeatures:
     """Features of the keyframes of a store, each computed once while there is room.
 
-    The first `most` are kept, a kilobyte each: in single precision, to which they are rounded
-    anyway. A robot that drives on all day has others computed again when they are asked for again.
+    The first `most` are kept, half a kilobyte each. A robot that drives on all day has others
+    computed again when they are asked for again.
     """
 
     def __init__(self, store: KeyframeStore, feature_set: str, most: int = _KEPT) -> None:
         self.store = store
         self.feature_set = feature_set
         self.most = most
-        self._rows: dict[int, NDArray[np.float32]] = {}
+        self._rows: dict[int, FeatureArray] = {}
 
     def among(self, store: KeyframeStore, first: int) -> KeyframeFeatures:
         """What is known, for a store that holds the same keyframes from number `first` on."""
@@ -157,14 +158,14 @@ class KeyframeFeatures:
         """Those of some keyframes whose features were computed already, in their order."""
         return [number for number in numbers if number in self._rows]
 
-    def of(self, numbers: Sequence[int]) -> FloatArray:
+    def of(self, numbers: Sequence[int]) -> FeatureArray:
         """(n, F) features of some keyframes, by their numbers."""
         missing = [number for number in dict.fromkeys(numbers) if number not in self._rows]
         features = scans_features((self.store.scan(k) for k in missing), self.feature_set)
-        new = dict(zip(missing, features.astype(np.float32), strict=True))
+        new = dict(zip(missing, features, strict=True))
         rows = [self._rows[k] if k in self._rows else new[k] for k in numbers]
         self._rows.update(islice(new.items(), max(0, self.most - len(self._rows))))
-        values = np.array(rows, dtype=np.float64)
+        values = np.array(rows, dtype=np.float32)
         return values.reshape(len(numbers), len(feature_names(self.feature_set)))
 
 

@@ -224,7 +224,7 @@ def booster_of(part: TreesPart | StumpsPart, names: Sequence[str], where: str) -
 
 
 def boosted(
-    names: Sequence[str], X: FloatArray, questions: Sequence[Question], rounds: int
+    names: Sequence[str], X: NDArray[Any], questions: Sequence[Question], rounds: int
 ) -> list[Booster]:
     """The stumps that answer each question about features X (n, F)."""
     return [
@@ -281,7 +281,7 @@ class OneVsAll:
         self.boosters_: dict[int, Booster] = {}
         self.forest_: Forest | None = None
 
-    def fit(self, samples: Mapping[int, FloatArray], rng: np.random.Generator) -> OneVsAll:
+    def fit(self, samples: Mapping[int, NDArray[Any]], rng: np.random.Generator) -> OneVsAll:
         """Learn from features (n, F) of every class; returns self."""
         ids, names, rounds = sorted(samples), feature_names(self.feature_set), self.config.rounds
         X = np.vstack([samples[i] for i in ids])

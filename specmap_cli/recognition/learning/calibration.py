@@ -254,15 +254,15 @@ class Familiarity:
         self._columns = histogram_columns(feature_set)
         self._places: NDArray[np.float32] = np.zeros((0, 0), dtype=np.float32)
 
-    def can_fit(self, samples: Mapping[int, FloatArray]) -> bool:
+    def can_fit(self, samples: Mapping[int, NDArray[Any]]) -> bool:
         """Whether the feature set holds histograms, and enough samples are left for a limit."""
         left = sum(len(X) - len(self._chosen(len(X))) for X in samples.values())
         return bool(self._columns) and left >= _LEAST_LEFT
 
-    def fit(self, samples: Mapping[int, FloatArray]) -> Familiarity:
+    def fit(self, samples: Mapping[int, NDArray[Any]]) -> Familiarity:
         """Learn from the features (n, F) of every submap's samples in turn; returns self."""
         chosen = {i: self._chosen(len(X)) for i, X in sorted(samples.items())}
-        kept = np.vstack([samples[i][rows] for i, rows in chosen.items()])
+        kept = np.vstack([samples[i][rows] for i, rows in chosen.items()]).astype(np.float64)
         self._keep(np.round(self._roots(kept) * _STEPS).astype(np.uint8))
         # of samples that are no exemplars: how far the nearest one of another stretch is
         owners = np.concatenate([np.full(len(rows), i) for i, rows in chosen.items()])

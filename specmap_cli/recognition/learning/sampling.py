@@ -94,7 +94,7 @@ class TrainingData:
         return replace(self, cast=self.cast.rows(keyframes[self.cast.keyframes]))
 
 
-NO_SAMPLES = Samples(np.zeros((0, 0)), np.zeros(0, dtype=np.intp))
+NO_SAMPLES = Samples(np.zeros((0, 0), dtype=np.float32), np.zeros(0, dtype=np.intp))
 NO_TRAINING_DATA = TrainingData(NO_SAMPLES, NO_SAMPLES, NO_SAMPLES, NO_SAMPLES)
 
 
