@@ -125,7 +125,6 @@ def result() -> MapResult:
     )
     labels = Labels(stamps_ns=stamps, poses=poses, submaps=np.repeat(np.arange(3), 10))
     log = LogInfo("house.mcap", int(stamps[0]), int(stamps[-1]), 30, (0, 29))
-    run = {"config": Config().model_dump(), "seconds": {"write": 0.25}, "warnings": []}
     return MapResult(
         topology=topology,
         regions=divide(whole_of(submaps.values()), labels),
@@ -133,7 +132,7 @@ def result() -> MapResult:
         labels=labels,
         classifiers="{}\n",
         logs=(log,),
-        run=run,
+        run={"config": Config().model_dump(), "seconds": {"write": 0.25}, "warnings": []},
         pose_graph="",
         overview=np.full((30, 40, 3), 200, dtype=np.uint8),
     )

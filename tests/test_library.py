@@ -162,9 +162,8 @@ def test_the_example_of_a_node_feeds_the_localizer(
             for number in (0, 1):
                 scan = scans.scan(number)
                 sec, nanosec = divmod(scan.stamp_ns, 10**9)
-                stamp = SimpleNamespace(sec=sec, nanosec=nanosec)
                 message = SimpleNamespace(
-                    header=SimpleNamespace(stamp=stamp),
+                    header=SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=nanosec)),
                     ranges=scan.ranges.tolist(),
                     angle_min=float(scan.bearings[0]),
                     angle_increment=float(scan.bearings[1] - scan.bearings[0]),

@@ -140,8 +140,7 @@ class TestPage:
         first["digest"] = "another tree"
         second = page_of(made(0.9, [4.0]), first)
         assert second["sections"][0]["rows"][0]["before"] == 0.8
-        again = page_of(made(0.91, [4.0]), second)
-        assert again["sections"][0]["rows"][0]["before"] == 0.8
+        assert page_of(made(0.91, [4.0]), second)["sections"][0]["rows"][0]["before"] == 0.8
 
     def test_changes_are_those_beyond_what_repeats_show(self) -> None:
         old = page_of(made(0.90, [4.0, 4.4, 5.0]))

@@ -32,8 +32,7 @@ from tests.strategies import seeds
 def scores(rooms: list[int], labels: list[int]) -> MapScores:
     """Keyframes in the given rooms, one cell of 1 m a room, with the given submaps."""
     truth = RoomTruth(np.arange(1, 7, dtype=np.int32)[None, :], 1.0)
-    places = np.array([[room - 0.5, 0.5] for room in rooms])
-    return map_scores(truth, places, np.array(labels))
+    return map_scores(truth, np.array([[room - 0.5, 0.5] for room in rooms]), np.array(labels))
 
 
 def test_a_submap_a_room_is_perfect_and_a_room_opened_again_on_the_second_lap_is_counted() -> None:

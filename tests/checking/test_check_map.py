@@ -104,8 +104,7 @@ def test_a_figure_that_is_not_known_breaks_its_rule(changed: House) -> None:
 
 def test_bounds_are_kept_up_to_their_value(changed: House) -> None:
     path = changed(edges=1)
-    kept = Rules("poor", {"submaps": 3, "lost_share": 0.025}, {"submaps": 3})
-    assert broken(path, kept) == {}
+    assert broken(path, Rules("poor", {"submaps": 3, "lost_share": 0.025}, {"submaps": 3})) == {}
     low = Rules("poor", {"submaps": 2.9, "lost_share": 0.024}, {})
     assert list(broken(path, low)) == ["submaps", "lost_share"]
     assert list(broken(path, Rules("poor", {}, {"submaps": 3.1}))) == ["submaps"]

@@ -161,8 +161,7 @@ def test_the_line_of_cron_keeps_a_map_and_is_silent(server: Server) -> None:
 def test_the_line_of_cron_tells_what_is_wrong_and_leaves_the_map(server: Server) -> None:
     (server.place / "golden").rename(server.place / "map")
     (server.place / "tonight.mcap").write_bytes(b"nothing")
-    done = server.sh(cron_line())
-    assert done.stderr.startswith("specmap: error: tonight.mcap: ")
+    assert server.sh(cron_line()).stderr.startswith("specmap: error: tonight.mcap: ")
     assert not (server.place / "before").exists()
 
 

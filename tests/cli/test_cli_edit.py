@@ -85,5 +85,4 @@ def test_what_cannot_be_is_one_line_and_changes_nothing(
 
 def test_a_broken_file_is_one_line(own_map: Path, run: Run) -> None:
     (own_map / "edits.toml").write_text('[submaps.0]\nname = "Lab\n', encoding="utf-8")
-    told = "edits.toml: not valid TOML: Illegal character '\\n' (at line 2,"
-    run("edit", own_map).fails(3, told)
+    run("edit", own_map).fails(3, "edits.toml: not valid TOML: Illegal character '\\n' (at line 2,")

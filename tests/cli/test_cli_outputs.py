@@ -94,8 +94,7 @@ def test_an_output_without_a_place_is_told_before_the_work(
     option: str, place: str, told: str, tiny_map: Path, tmp_path: Path, run: Run
 ) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
-    said = run("localize", "never-opened.mcap", "--map", tiny_map, option, tmp_path / place)
-    said.fails(2, told)
+    run("localize", "never-opened.mcap", "--map", tiny_map, option, tmp_path / place).fails(2, told)
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 

@@ -143,8 +143,7 @@ def test_a_number_out_of_bounds_is_told_in_our_words(run: Run) -> None:
     said = run("evaluate", "log.mcap", "--share", "5")
     said.fails(2, "--share")
     assert "Input should" not in said.error
-    plan = ROOT / "sample_logs" / "office.yaml"
-    tour = run("simulate", plan, "-o", "tour.mcap", "--fov", "720")
+    tour = run("simulate", ROOT / "sample_logs" / "office.yaml", "-o", "tour.mcap", "--fov", "720")
     tour.fails(2, "--fov: must be 360 or less, found 720.0")
 
 

@@ -161,8 +161,7 @@ def test_a_retired_setting_is_told_with_its_last_default(tmp_path: Path) -> None
     fixed = r"^relaxation\.node_m was retired: its value is now fixed at 0\.3$"
     with pytest.warns(RetiredSetting, match=fixed):
         assert load_config(path).grid.resolution_m == 0.1
-    other = fixed.replace("$", r"; 0\.5 has no effect$")
-    with pytest.warns(RetiredSetting, match=other) as told:
+    with pytest.warns(RetiredSetting, match=fixed.replace("$", r"; 0\.5 has no effect$")) as told:
         assert with_overrides(Config(), {"relaxation": {"node_m": 0.5}}) == Config()
     assert len(told) == 1
 

@@ -61,5 +61,4 @@ def one_room(shape: tuple[int, int]) -> tuple[TopologicalMap, Regions]:
     cells[1:-1, 1:-1] = FREE
     grid = GridMap(cells, 0.05)
     only = Submap(id=0, map_from_submap=Pose2(0.0, 0.0, 0.0), grid=grid)
-    topology = TopologicalMap(submaps={0: only})
-    return topology, Regions.of(grid, np.where(cells == FREE, 0, NOBODY))
+    return TopologicalMap(submaps={0: only}), Regions.of(grid, np.where(cells == FREE, 0, NOBODY))

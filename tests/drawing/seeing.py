@@ -45,8 +45,7 @@ def contrast(one: Colour, other: Colour) -> float:
 def seen_lab(colours: Sequence[Colour], eyes: str) -> FloatArray:
     """(n, 3) CIELAB of colours (blue, green, red) as those eyes see them."""
     seen = np.clip(linear_rgb(colours) @ EYES[eyes].T, 0.0, 1.0) @ _XYZ_FROM_RGB.T / _WHITE
-    f = np.where(seen > 216 / 24389, np.cbrt(seen), (24389 / 27 * seen + 16) / 116)
-    x, y, z = f.T
+    x, y, z = np.where(seen > 216 / 24389, np.cbrt(seen), (24389 / 27 * seen + 16) / 116).T
     return np.column_stack([116 * y - 16, 500 * (x - y), 200 * (y - z)])
 
 

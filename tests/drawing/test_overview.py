@@ -75,8 +75,7 @@ def test_nothing_known(shape: tuple[int, int]) -> None:
     empty = Regions.of(grid, np.full(shape, NOBODY))
     no_map = TopologicalMap(submaps={}, edges={})
     overview = render_overview(no_map, empty, NOWHERE, UNLABELLED, [LogInfo("empty")])
-    plan = render_segmentation(no_map, empty, LogInfo("empty"))
-    for image in (overview, plan):
+    for image in (overview, render_segmentation(no_map, empty, LogInfo("empty"))):
         assert is_framed(image)
         assert not inked(image[TITLE : TITLE + 1700]).any()
 

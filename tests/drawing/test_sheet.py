@@ -99,8 +99,7 @@ def test_the_extent_is_that_of_the_known_cells_if_there_are_any(grid: GridMap) -
 @pytest.mark.parametrize("extent_m", [0.1, 0.5, 3.0, 17.0, 60.0, 300.0, 2750.0])
 def test_the_scale_bar_has_a_round_length(extent_m: float) -> None:
     sheet = sheet_of(extent_m, extent_m)
-    below = sheet.canvas.image[TITLE + sheet.map_height :]
-    dark = of_colour(below, palette.INK, 0)
+    dark = of_colour(sheet.canvas.image[TITLE + sheet.map_height :], palette.INK, 0)
     top = int(np.argmax(dark[:, MARGIN]))
     length = int(np.argmin(dark[top, MARGIN:])) - 1
     length_m = length / sheet.pixels_per_m

@@ -45,8 +45,7 @@ def with_submaps(out: Path, result: MapResult, *changes: dict[str, Any]) -> Map:
     submaps = dict(old.submaps)
     for id_, fields in enumerate(changes):
         submaps[id_] = replace(submaps[id_], **fields)
-    topology = replace(old, submaps=submaps)
-    return written(out, replace(result, topology=topology))
+    return written(out, replace(result, topology=replace(old, submaps=submaps)))
 
 
 def lengths_are_the_map_s(

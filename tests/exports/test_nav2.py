@@ -40,8 +40,7 @@ def test_the_server_reads_anchors_doors_and_bends(home: Map, tmp_path: Path) -> 
     assert {graph.nodes[node]["frame"] for node in graph} == {"map"}
     assert kinds[1]["name"] == "submap 1"
     assert kinds[1]["properties"] == {"floor": 2, "heated": True, "owner": "Ann", "rent": 9.5}
-    outline = home.record.nodes[1].polygon
-    assert list(zip(*kinds[1]["region"].values(), strict=True)) == outline
+    assert list(zip(*kinds[1]["region"].values(), strict=True)) == home.record.nodes[1].polygon
     assert kinds[5]["class"], kinds[5]["door"] == ("door", 0)
 
 
@@ -79,8 +78,7 @@ def test_narrow_and_forbidden_links_are_left_out_and_told(
 ) -> None:
     old = lived_in.topology
     edges = {**old.edges, (0, 2): replace(old.edges[0, 2], forbidden=True)}
-    topology = replace(old, edges=edges)
-    stored = written(tmp_path / "map", replace(lived_in, topology=topology))
+    stored = written(tmp_path / "map", replace(lived_in, topology=replace(old, edges=edges)))
     progress, notes = Silent(), list[str]()
     monkeypatch.setattr(progress, "note", notes.append)
     (told,) = export_map(stored, "nav2", tmp_path / "x.geojson", progress=progress)
@@ -102,10 +100,8 @@ def test_what_would_mislead_is_a_warning(lived_in: MapResult, tmp_path: Path) ->
     nowhere = replace(old.submaps[2], anchor=None, anchor_clearance_m=None)
     topology = replace(old, edges=edges, submaps={**old.submaps, 2: nowhere})
     poor = Quality.of([Finding(code="walls", severity="poor", message="walls stand twice")])
-    judged = replace(lived_in, topology=topology, quality=poor)
-    stored = written(tmp_path / "map", judged)
-    warnings = export_map(stored, "nav2", tmp_path / "x.geojson")
-    assert warnings == [
+    stored = written(tmp_path / "map", replace(lived_in, topology=topology, quality=poor))
+    assert export_map(stored, "nav2", tmp_path / "x.geojson") == [
         "the map is judged poor: a robot that follows its ways may meet walls",
         "no place to stand in submap 2: left out",
         "1 link (0-1) joined by a guess only, where tracking was lost: check the map before a "

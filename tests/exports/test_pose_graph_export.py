@@ -46,8 +46,7 @@ def test_gtsam_reads_every_vertex_and_every_edge_and_solves_it(home: Map, tmp_pa
         assert (graph.size(), values.size()) == (3, 3)
     last = graph.at(2)
     assert last.measured().x() == 2.3
-    information = last.noiseModel().information()
-    assert np.allclose(information, [[100, 1, 2], [1, 90, 3], [2, 3, 1000]])
+    assert np.allclose(last.noiseModel().information(), [[100, 1, 2], [1, 90, 3], [2, 3, 1000]])
     graph.addPriorPose2(0, gtsam.Pose2(), gtsam.noiseModel.Isotropic.Sigma(3, 1e-6))
     solved = gtsam.GaussNewtonOptimizer(graph, values).optimize()
     found = [solved.atPose2(number).x() for number in range(3)]

@@ -74,8 +74,7 @@ def test_the_manager_reads_the_figures_of_the_map(home: Map, rooms: Map, tmp_pat
         passed = sum(len(edge.doors) for edge in ways)
         assert len(graph) == len(stored.record.nodes) + passed
         assert graph.number_of_edges() == 2 * (len(ways) + passed)
-        names = {id_: f"Submap{id_}" for id_ in stored.ids}
-        lengths_are_the_map_s(graph, stored, names, "weight")
+        lengths_are_the_map_s(graph, stored, {id_: f"Submap{id_}" for id_ in stored.ids}, "weight")
 
 
 def test_a_zone_is_the_outline_of_its_submap_seen_from_the_node(home: Map, tmp_path: Path) -> None:
@@ -86,5 +85,4 @@ def test_a_zone_is_the_outline_of_its_submap_seen_from_the_node(home: Map, tmp_p
     place = kitchen["pose"]["position"]
     assert np.allclose(corners + [place["x"], place["y"]], record.polygon, atol=1e-5)
     assert kitchen["properties"]["label"] == "submap 1"
-    across = [abs(corner["x"]) for corner in nodes["Door0"]["verts"]]
-    assert max(across) == pytest.approx(0.45)
+    assert max([abs(corner["x"]) for corner in nodes["Door0"]["verts"]]) == pytest.approx(0.45)

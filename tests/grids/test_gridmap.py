@@ -111,8 +111,7 @@ def walked(grid: GridMap, origin: np.ndarray, angle: float) -> float:
         for line in range(count + 1)
         if step[axis]
     ]
-    crossings = np.array([0.0, *sorted(t for t in borders if t > 0.0)])
-    for near, far in itertools.pairwise(crossings):
+    for near, far in itertools.pairwise(np.array([0.0, *sorted(t for t in borders if t > 0.0)])):
         column, row = np.floor(start + step * (near + far) / 2.0).astype(int)
         if not (0 <= row < height and 0 <= column < width):
             return math.inf
@@ -153,8 +152,7 @@ POINTS = np.array([[0.0, 0.0], [5.0, 2.0], [-4.0, 8.0]])
 
 
 def local(x: float, y: float, off_x: float) -> LocalMotion:
-    motion = Pose2(RIGID.x + off_x, RIGID.y, RIGID.theta)
-    return LocalMotion(np.array([x, y]), motion, 10.0)
+    return LocalMotion(np.array([x, y]), Pose2(RIGID.x + off_x, RIGID.y, RIGID.theta), 10.0)
 
 
 def test_each_local_motion_rules_where_it_is_and_between_them_it_blends() -> None:

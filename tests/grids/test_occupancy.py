@@ -151,8 +151,7 @@ def test_the_footprint_is_every_cell_whose_centre_it_covers(seed: int, radius: f
     cells = np.argwhere(np.ones_like(snapshot.cells))
     away = np.hypot(*(snapshot.centres_of(cells) - (x, y)).T)
     clear_cut = np.abs(away - radius) > 1e-9
-    free = snapshot.free.reshape(-1)
-    np.testing.assert_array_equal(free[clear_cut], (away <= radius)[clear_cut])
+    np.testing.assert_array_equal(snapshot.free.reshape(-1)[clear_cut], (away <= radius)[clear_cut])
     assert not snapshot.occupied.any()
 
 

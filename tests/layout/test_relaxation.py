@@ -240,8 +240,7 @@ AWAY = (3.0, -2.0, 0.9)  # where the second part was put by a guess
 def kidnapped() -> tuple[FloatArray, Graph]:
     """True poses, and the graph of a robot that was lost at 20 and again at 40."""
     truth = arc(60)
-    tracked = moved_from(40, moved_from(20, truth, AWAY), AWAY)
-    return truth, graph_by_hand(tracked, breaks=(20, 40))
+    return truth, graph_by_hand(moved_from(40, moved_from(20, truth, AWAY), AWAY), breaks=(20, 40))
 
 
 @given(pose_arrays(4), seeds)

@@ -141,8 +141,7 @@ def test_a_compressed_log_is_read_in_all_its_blocks_and_what_follows_them_is_tol
 
 def test_no_room_to_unpack_is_told(drive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drive.write_bytes(gzip.compress(drive.read_bytes()))
-    missing = drive.parent / "missing"
-    monkeypatch.setattr(tempfile, "tempdir", str(missing))
+    monkeypatch.setattr(tempfile, "tempdir", str(drive.parent / "missing"))
     assert refusal(drive) == (
         f"{drive}: cannot unpack into the temporary directory: No such file or directory; "
         "set TMPDIR to another one"
@@ -225,8 +224,7 @@ def mcap_with_chunk(compression: bytes, data: bytes, size: int) -> bytes:
     body = struct.pack("<QQQII", 5, 9, size, 0, len(compression)) + compression
     body += struct.pack("<Q", len(data)) + data
     record = struct.pack("<BQ", 6, len(body)) + body
-    end = struct.pack("<BQI", 0x0F, 4, 0)
-    return b"\x89MCAP0\r\n" + record + end + b"\x89MCAP0\r\n"
+    return b"\x89MCAP0\r\n" + record + struct.pack("<BQI", 0x0F, 4, 0) + b"\x89MCAP0\r\n"
 
 
 def bag_with_chunk(compression: bytes, data: bytes, size: int) -> bytes:

@@ -41,8 +41,7 @@ def test_scans_of_99_999_beams_cost_what_those_of_a_dense_laser_do() -> None:
     """A log of 24 kB with 61 of them took 3.7 GB: all beams of all scans went on to the map."""
     count = 61
     messages = [scan(START + each * SECOND // 10, beams=99_999) for each in range(count)]
-    sweeps = list(stream_of(messages))
-    kept = [sweep.planar for sweep in sweeps]
+    kept = [sweep.planar for sweep in list(stream_of(messages))]
     assert len(kept) == count
     assert max(len(planar.ranges) for planar in kept) <= 3600
     own = sum(planar.ranges.nbytes for planar in kept)
@@ -212,8 +211,7 @@ def test_odometry_that_changes_its_frames_in_the_middle_is_told(
             log.scan("/scan", "laser", START + number, -1.0, 0.2, np.full(10, 2.0), range_max=8.0)
     sweeps, stream = sweeps_of(path)
     assert len(sweeps) == 6
-    said = [line for line in stream.warnings if "other frames" in line]
-    assert said == (
+    assert [line for line in stream.warnings if "other frames" in line] == (
         [
             "the odometry moves 'odom' -> 'base_link', but in 2 later messages other frames, "
             f"such as {told}: they are taken to be the same"

@@ -46,8 +46,7 @@ def workshop(
 ) -> Iterator[Workshop]:
     """The flat in the manner of either building, one recording for both."""
     folder = tmp_path_factory.mktemp("paper")
-    drawing = Drawing(flat, flat_rooms)
-    found = tour("flat, simulated", FREIBURG, drawing, folder, QUICK)
+    found = tour("flat, simulated", FREIBURG, Drawing(flat, flat_rooms), folder, QUICK)
     with Workshop(Cases((found, replace(found, manner=STATA, again=None)))) as shop:
         yield shop
 
@@ -164,8 +163,7 @@ def test_nothing_is_learned_from_columns_taken_away_nor_from_samples_without_a_s
 
 def test_table_2_stands_beside_the_published_figures(workshop: Workshop) -> None:
     (table,) = tables(table2.make(workshop))
-    published = [row.cells[3:7] for row in table.rows if row.published]
-    assert published == [
+    assert [row.cells[3:7] for row in table.rows if row.published] == [
         ("0.9728", "0.9818", "0.9089", "0.9212"),
         ("0.9689", "0.9739", "0.8300", "0.8458"),
     ]

@@ -112,8 +112,7 @@ def test_ids_follow_the_first_visits_and_grids_hold_the_places_driven(flat_done:
     assert sorted(finished.topology.submaps) == list(range(len(first)))
     assert finished.classifiers.ids == sorted(finished.topology.submaps)
     for id_, submap in finished.topology.submaps.items():
-        poses = finished.labels.poses[labels == id_]
-        inside = submap.map_from_submap.inverse().apply(poses[:, :2])
+        inside = submap.map_from_submap.inverse().apply(finished.labels.poses[labels == id_][:, :2])
         assert (submap.grid.values_at(inside) == 0).mean() > 0.99
 
 
@@ -129,8 +128,7 @@ def test_a_map_can_be_laid_out_again_from_its_directory_alone(flat_map: Map) -> 
         constraints = constraints_of(topology.closures, regions, store, nodes)
         layout = relax(store, tuple(constraints.values()), {}, config)
         layout = along_walls(layout, store, config)
-    known = flat_map.labels.poses
-    assert np.abs(layout.poses[:, :2] - known[:, :2]).max() < 0.001
+    assert np.abs(layout.poses[:, :2] - flat_map.labels.poses[:, :2]).max() < 0.001
 
 
 def test_to_finish_changes_nothing_of_what_was_explored(flat_done: Finished) -> None:
@@ -189,8 +187,7 @@ def test_without_a_consistent_layout_the_online_submaps_stay(
         online = online_labels(explored.regions, explored.closures, len(store))
         assert len(finished.topology.submaps) <= len(explored.regions)
         joined = np.column_stack([online, finished.labels.submaps])
-        commonest = np.unique(joined, axis=0, return_counts=True)[1].max()
-        assert commonest >= np.bincount(online).max()
+        assert np.unique(joined, axis=0, return_counts=True)[1].max() >= np.bincount(online).max()
 
 
 def test_where_tracking_starts_afresh_a_new_submap_begins(flat_done: Finished) -> None:

@@ -92,8 +92,7 @@ def test_changes_name_what_the_submaps_became() -> None:
 def test_the_submap_at_the_line_is_cut(x: float, cut: int) -> None:
     new = kept(SplitEdit(split=0, line=((x, -1.0), (x, 1.0)), new=8))
     spread = np.array([11, 11, 11, 12, 12, *[13] * 15])
-    found = both(new, spread)
-    (change,) = found.edits.changes
+    (change,) = both(new, spread).edits.changes
     assert isinstance(change, SplitEdit)
     assert change.split == cut
 
@@ -119,8 +118,7 @@ def test_what_says_nothing_of_the_joint_map_is_told() -> None:
 def test_a_submap_that_went_to_very_many_is_the_commonest_of_them() -> None:
     new = kept(ForbidEdit(forbid=(0, 1)))
     new = replace(new, labels=replace(new.labels, submaps=np.repeat([0, 1], [19, 1])))
-    found = both(new, np.arange(30, 50))
-    assert found.edits.changes == (ForbidEdit(forbid=(30, 49)),)
+    assert both(new, np.arange(30, 50)).edits.changes == (ForbidEdit(forbid=(30, 49)),)
 
 
 SIDE_M = 4.1  # of a room and a wall

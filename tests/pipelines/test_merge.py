@@ -141,8 +141,7 @@ def test_what_cannot_be_merged(parts: Parts, both: MergeReport, tmp_path: Path) 
 def test_a_fresh_map_takes_ids_and_names(parts: Parts, both: MergeReport, tmp_path: Path) -> None:
     like = read_map(both.out)
     log = parts.logs["first"]
-    report = build_like(log.log, like, tmp_path / "map", QUICK)
-    fresh = read_map(report.out)
+    fresh = read_map(build_like(log.log, like, tmp_path / "map", QUICK).out)
     assert set(fresh.ids) <= set(like.ids)
     assert all(like.rooms[id_].name == room.name for id_, room in fresh.rooms.items())
     for id_ in fresh.ids:

@@ -59,8 +59,7 @@ def test_scans_that_a_hanging_driver_repeats_are_left_out_and_told(tmp_path: Pat
         tracking = Ahead(track(SweepStream(log, Config().log), Config().registration))
         scans, done = list(tracking), tracking.result
     assert [scan.index for scan in scans] == [k for k in range(40) if k not in HUNG[1:]]
-    errors = [abs(scan.map_from_base.x - 0.08 * scan.index) for scan in scans]
-    assert max(errors) < 0.03
+    assert max([abs(scan.map_from_base.x - 0.08 * scan.index) for scan in scans]) < 0.03
     assert not any(scan.lost for scan in scans)
     assert done.counts["stale_scans"] == len(HUNG) - 1
     assert done.warnings == (

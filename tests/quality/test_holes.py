@@ -125,8 +125,7 @@ def test_a_break_over_which_the_robot_drove_is_no_hole(odometry: bool) -> None:
 
 def hung(odometry_x: FloatArray) -> tuple[Hole, ...]:
     """A laser that shows the same for ten scans while odometry goes along x."""
-    places = np.array([2.0, 2.1, *[2.2] * 10, 2.4, 2.6])
-    scans, poses = drive(places, 0.2 * np.arange(14.0))
+    scans, poses = drive(np.array([2.0, 2.1, *[2.2] * 10, 2.4, 2.6]), 0.2 * np.arange(14.0))
     odometry = poses.copy()
     odometry[:, 0] = odometry_x
     return found(scans, poses, odometry)
@@ -250,8 +249,7 @@ def test_a_hole_of_hours_is_another_session(seconds: float, told: int) -> None:
         assert (finding.code, finding.severity) == ("hole-in-log", "note")
         assert finding.message.startswith("no scan for 2.5 h before ")
         assert "specmap update" in finding.advice
-    hung = replace(stood, kind="rest")
-    assert not list(noted(evidence(hung)))
+    assert not list(noted(evidence(replace(stood, kind="rest"))))
 
 
 @pytest.mark.parametrize(

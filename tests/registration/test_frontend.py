@@ -65,8 +65,7 @@ def test_a_kidnapped_robot_is_noticed_and_goes_on_from_a_guess(world: GridMap) -
     assert [scan.index for scan in scans if scan.restarted] == [45]
     assert front_end.counts["breaks"] == 1
     assert worst(scans[45:], np.array(elsewhere[5:]))[0] < 0.08
-    jumps = np.hypot(*np.diff([scan.map_from_base[:2] for scan in scans], axis=0).T)
-    assert jumps.max() < 0.3
+    assert np.hypot(*np.diff([scan.map_from_base[:2] for scan in scans], axis=0).T).max() < 0.3
 
 
 @pytest.mark.parametrize(("reading", "lost"), [(np.nan, [10, 11]), (np.inf, [])])
@@ -249,8 +248,7 @@ def test_what_was_guessed_adds_up_and_says_little_of_the_next_motion() -> None:
     track = Track()
     for x, loose in ((1.0, 0.6), (2.0, 0.0), (3.0, 0.1)):
         fit = Fit(pose=Pose2(x, 0.0, 0.0).matrix(), score=0.9)
-        judgement = Judgement(fit=fit, loose=np.array([loose, 0.0]))
-        track = track.guessing(judgement, Pose2(x, 0.0, 0.0))
+        track = track.guessing(Judgement(fit=fit, loose=np.array([loose, 0.0])), Pose2(x, 0.0, 0.0))
         track = dataclasses.replace(track, pose=fit.pose)
     assert track.guessed_m == pytest.approx((0.2 * (0.36 + 0.01), 0.0))
     assert track.steady == (Pose2(2.0, 0.0, 0.0), Pose2(3.0, 0.0, 0.0))
@@ -347,8 +345,7 @@ def test_so_many_lost_sweeps_in_a_row_end_a_map_but_for_the_first() -> None:
 def test_keyframes_lie_where_scans_lie(world: GridMap, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also the first one of a new map, at a tilt that is partly taken back."""
     aligner = ToldAligner(lambda guess: guess @ turned(0.0, 0.0, 0.02))
-    truth = path()[:30:2]
-    items = with_clouds(world, truth)
+    items = with_clouds(world, path()[:30:2])
     items[6:11] = [with_ranges(sweep, np.full(240, np.nan)) for sweep in items[6:11]]
     method = offer(monkeypatch, aligner)
     front_end, scans = run(items, method=method, cloud_voxel_m=0.15, cloud_range_m=12.0)

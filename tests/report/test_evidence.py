@@ -88,8 +88,7 @@ def test_features_share_by_how_far_apart_the_votes_lie() -> None:
     y = np.array([-1, -1, 1, 1])
     assert feature_shares(StumpBoost(("a", "b")).fit(X, y)).tolist() == [1.0, 0.0]
     assert feature_shares(StumpBoost(("a", "b"))).tolist() == [0.0, 0.0]
-    votes = np.array([[-1.0, -1.0, 1.0, 3.0]])
-    forest = Forest(np.array([[0, 1, 2]]), np.full((1, 3), 0.5), votes)
+    forest = Forest(np.array([[0, 1, 2]]), np.full((1, 3), 0.5), np.array([[-1.0, -1.0, 1.0, 3.0]]))
     shares = feature_shares(TreeBoost(("a", "b", "c", "d"), forest))
     # the root parts -1 from 2, on average; the node above parts 1 from 3 for every second scan
     assert shares == pytest.approx([0.75, 0.0, 0.25, 0.0])

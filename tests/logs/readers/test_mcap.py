@@ -149,8 +149,7 @@ def test_an_unknown_compression_costs_its_chunks(path: Path, drive_messages: lis
     write_mcap(path, drive_messages, compression=CompressionType.ZSTD)
     _, *chunks = chunks_of(path)
     for chunk in chunks:
-        place = path.read_bytes().index(b"zstd", chunk.chunk_start_offset)
-        overwrite(path, place, b"best")
+        overwrite(path, path.read_bytes().index(b"zstd", chunk.chunk_start_offset), b"best")
     found, said = read_rest(path)
     assert found == drive_messages[: len(found)]
     assert 0 < len(found) < len(drive_messages)
@@ -190,8 +189,7 @@ def test_chunks_of_one_topic_each_are_joined_in_time_and_only_those_wanted_are_r
     with open_log(path) as log:
         assert len(list(log.messages(["/tf_static"]))) == 1
         assert len(read) == 1
-        found = [m.time_ns for m in log.messages()]
-        assert found == sorted(m.time_ns for m in drive_messages)
+        assert [m.time_ns for m in log.messages()] == sorted(m.time_ns for m in drive_messages)
         assert len(read) > 3
 
 

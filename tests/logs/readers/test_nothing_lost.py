@@ -27,8 +27,7 @@ def scans_read(path: Path) -> tuple[int, int, list[str]]:
         with open_log(path) as log:
             stream = SweepStream(log, LogConfig())
             found = sum(1 for _ in stream)
-            missing = log.missing["/scan"] + stream.counts["unusable_scans"]
-            return found, missing, stream.warnings
+            return found, log.missing["/scan"] + stream.counts["unusable_scans"], stream.warnings
     except (InputError, UsageError) as error:
         return 0, 0, [str(error)]
 
@@ -138,8 +137,7 @@ def test_every_variety_gives_the_same_messages(
     with open_log(path) as log:
         assert log.format == FORMATS[name.split()[0]]
         assert list(log.messages()) == drive_messages
-        counted = Counter(m.topic for m in drive_messages)
-        assert {t.name: t.count for t in log.topics()} == counted
+        assert {t.name: t.count for t in log.topics()} == Counter(m.topic for m in drive_messages)
         assert log.contents.start_ns == drive_messages[0].time_ns
         assert log.contents.end_ns == max(m.time_ns for m in drive_messages)
         assert list(log.messages(["/odom"])) == odometry

@@ -30,10 +30,9 @@ def test_a_rosbag2_directory_is_read(
 ) -> None:
     store = get_typestore(Stores.ROS2_JAZZY)
     with Rosbag2Writer(tmp_path / "bag", version=9, storage_plugin=storage) as writer:
-        types = {m.topic: m.type for m in drive_messages}
         connections = {
             topic: writer.add_connection(topic, name, typestore=store)
-            for topic, name in types.items()
+            for topic, name in {m.topic: m.type for m in drive_messages}.items()
         }
         for m in drive_messages:
             writer.write(connections[m.topic], m.time_ns, m.data)
@@ -79,8 +78,7 @@ def test_a_bag_with_wrong_index_records_is_read_by_its_list_of_chunks(
 ) -> None:
     write_bag(path, drive_messages)
     data = path.read_bytes()
-    index_record = data.index(b"op=\x04")
-    start = data.rindex(struct.pack("<I", 47), 0, index_record)
+    start = data.rindex(struct.pack("<I", 47), 0, data.index(b"op=\x04"))
     overwrite(path, start + 4 + 47, struct.pack("<I", 77_777))
     found, (said,) = read_rest(path)
     assert found == drive_messages
@@ -214,8 +212,7 @@ def leaves(data: bytes, page: int) -> Iterator[int]:
     if data[place] in (INDEX_LEAF, TABLE_LEAF):
         yield page
         return
-    cells = int.from_bytes(data[place + 3 : place + 5], "big")
-    for cell in range(cells):
+    for cell in range(int.from_bytes(data[place + 3 : place + 5], "big")):
         pointer = place + 12 + 2 * cell
         start = place + int.from_bytes(data[pointer : pointer + 2], "big")
         yield from leaves(data, int.from_bytes(data[start : start + 4], "big"))
@@ -316,8 +313,7 @@ def test_a_message_that_is_too_large_costs_only_itself(
 @pytest.mark.parametrize("stored", [False], indirect=True)
 def test_rows_may_have_any_number_of_64_bits(stored: Path, drive_messages: list[Message]) -> None:
     change_db3(stored, "UPDATE messages SET id = id - 100")
-    place = leaf(stored, "messages", 0.4)
-    overwrite(stored, place, b"\x00" * 8)
+    overwrite(stored, leaf(stored, "messages", 0.4), b"\x00" * 8)
     found, (said,) = read(stored)
     assert len(found) > 0.5 * len(drive_messages)
     assert said.endswith("some of what followed is lost")
