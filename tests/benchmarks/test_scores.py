@@ -90,9 +90,7 @@ def test_poses_of_another_frame_are_refused(places: np.ndarray[tuple[int, int]])
 
 
 @given(truth=st.lists(st.integers(0, 4), min_size=1, max_size=40), seed=st.integers(0, 1000))
-def test_homogeneity_and_completeness_are_those_of_scikit_learn(
-    truth: list[int], seed: int
-) -> None:
+def test_homogeneity_and_completeness_are_scikit_learn_s(truth: list[int], seed: int) -> None:
     rooms = np.array(truth)
     found = np.random.default_rng(seed).integers(0, 4, len(rooms))
     assert homogeneity(rooms, found) == pytest.approx(homogeneity_score(rooms, found), abs=1e-9)
@@ -132,9 +130,7 @@ def test_room_scores_and_overlaps_are_those_of_loops_over_rooms_and_segments(
 
 
 @given(st.lists(st.integers(0, 2), min_size=1, max_size=50), st.floats(0.05, 3.0))
-def test_visits_begin_where_the_robot_stays_long_enough_in_another_room(
-    rooms: list[int], least_m: float
-) -> None:
+def test_a_visit_begins_with_a_long_stay_in_another_room(rooms: list[int], least_m: float) -> None:
     """Against a walk from room to room, with keyframes 0.3 m apart."""
     steps = np.full(len(rooms), 0.3)
     way, here, expected = np.cumsum(steps), [rooms[0]], list[int]()  # `here` has a room a visit

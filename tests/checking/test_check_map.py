@@ -145,9 +145,7 @@ def test_what_differs_from_a_golden_map_is_counted() -> None:
     assert (unknown["golden.aligned"], unknown["golden.gone"]) == (0, None)
 
 
-def test_why_a_golden_map_does_not_fit_is_told_once(
-    changed: House, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_does_not_fit_is_told_once(changed: House, monkeypatch: pytest.MonkeyPatch) -> None:
     path = changed()
     refused = Mock(side_effect=NoResultError("they do not fit"))
     monkeypatch.setattr("specmap_cli.pipelines.check.compare_maps", refused)

@@ -129,9 +129,7 @@ def test_the_workflow_makes_a_map_and_checks_it(server: Server) -> None:
         assert (server.place / path).exists(), path
 
 
-def test_the_workflow_fails_on_a_map_of_one_room_and_shows_why(
-    server: Server, tiny_log: Path
-) -> None:
+def test_a_workflow_fails_on_a_map_of_one_room_and_says_why(server: Server, tiny_log: Path) -> None:
     shutil.copy(tiny_log, server.place)
     one_room = replace(server, environment={**server.environment, "LOG": tiny_log.name})
     assert one_room.job(github_steps()) == 3, "the last step finds no route to export"

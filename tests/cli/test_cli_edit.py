@@ -43,9 +43,7 @@ def test_another_directory_may_be_written(own_map: Path, tmp_path: Path, run: Ru
     assert "would replace the input" in run("edit", own_map, "-o", tmp_path).error
 
 
-def test_names_are_in_the_table_of_localize(
-    own_map: Path, tiny_log: Path, tmp_path: Path, run: Run
-) -> None:
+def test_localize_tells_the_names(own_map: Path, tiny_log: Path, tmp_path: Path, run: Run) -> None:
     assert run("edit", own_map, "--rename", "0", 'the "lab", west').code == 0
     assert run("localize", tiny_log, "--map", own_map, "-o", tmp_path / "labels.csv").code == 0
     assert ',0,"the ""lab"", west",' in (tmp_path / "labels.csv").read_text(encoding="utf-8")

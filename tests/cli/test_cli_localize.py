@@ -59,9 +59,7 @@ class TestWhoseSettings:
         assert (over.stay, over.unknown) == (0.8, False), "assignments go over the file"
 
     @pytest.mark.parametrize("preset", ["default", "paper"])
-    def test_a_preset_takes_the_place_of_all(
-        self, preset: str, stored: Map, tmp_path: Path
-    ) -> None:
+    def test_a_preset_replaces_all(self, preset: str, stored: Map, tmp_path: Path) -> None:
         assert settings_for(stored, {}, preset=preset) == load_config(preset=preset)
         path = settings_file(tmp_path, f"preset = '{preset}'\n[localization]\nstay = 0.9\n")
         found = settings_for(stored, {"seed": 3}, path)
@@ -104,9 +102,7 @@ class TestWhoseSettings:
         assert written[0] != written[1] == written[2]
 
 
-def test_offline_labels_know_the_whole_log(
-    tiny_log: Path, tiny_map: Path, tmp_path: Path, run: Run
-) -> None:
+def test_offline_labels_know_all(tiny_log: Path, tiny_map: Path, tmp_path: Path, run: Run) -> None:
     line = ("localize", tiny_log, "--map", tiny_map, "-q", "--metric")
     assert run(*line, "-o", tmp_path / "online.csv").code == 0
     assert run(*line, "-o", tmp_path / "offline.csv", "--offline").code == 0

@@ -56,9 +56,7 @@ def test_what_is_no_map(
         assert not out.exists()
 
 
-def test_a_divided_floor_plan_is_no_map(
-    plan: Path, tiny_log: Path, tmp_path: Path, run: Run
-) -> None:
+def test_a_divided_plan_is_no_map(plan: Path, tiny_log: Path, tmp_path: Path, run: Run) -> None:
     assert run("segment", plan, "-o", tmp_path / "rooms").code == 0
     needs = "`specmap segment` makes maps without; here one is needed that `specmap build` made"
     for line, missing in (

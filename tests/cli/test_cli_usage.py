@@ -20,9 +20,7 @@ from tests.test_architecture import HEAVY
 COMMANDS = ("info", "build", "localize", "segment", "evaluate", "simulate", "convert", "config")
 
 
-def test_the_version_names_what_it_stands_on_or_what_is_missing(
-    run: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_version_names_what_it_needs_or_lacks(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     said = run("--version")
     assert (said.code, said.err) == (0, "")
     first, second, *libraries = said.out.splitlines()

@@ -34,9 +34,7 @@ def write(folder: Path, text: str) -> Path:
     return path
 
 
-def test_a_flag_goes_over_the_file_the_file_over_the_preset_and_it_over_the_default(
-    tmp_path: Path,
-) -> None:
+def test_flags_go_over_files_files_over_presets_and_these_over_defaults(tmp_path: Path) -> None:
     path = write(tmp_path, "[segmentation]\nneighbours = 9\nsight_m = 4.0\n")
     config = load_config(path, "paper", {"segmentation": {"sight_m": 3.0}})
     assert config.preset == "paper"

@@ -48,9 +48,7 @@ def with_submaps(out: Path, result: MapResult, *changes: dict[str, Any]) -> Map:
     return written(out, replace(result, topology=replace(old, submaps=submaps)))
 
 
-def lengths_are_the_map_s(
-    graph: nx.DiGraph, stored: Map, names: Mapping[int, Any], weight: str
-) -> None:
+def lengths_agree(graph: nx.DiGraph, stored: Map, names: Mapping[int, Any], weight: str) -> None:
     ways = [edge for edge in stored.record.edges if edge.corners]
     assert len(ways) >= 2
     for way in ways:

@@ -17,7 +17,7 @@ from specmap_cli.exports.table import export_map
 from specmap_cli.maps.store import Map
 from specmap_cli.maps.writing import MapResult
 from tests.exports import costmap_filters, layout, open_rmf
-from tests.exports.conftest import lengths_are_the_map_s, with_submaps
+from tests.exports.conftest import lengths_agree, with_submaps
 from tests.exports.route_server import load
 
 
@@ -41,7 +41,7 @@ def test_an_adapter_reads_what_the_generator_makes(home: Map, rooms: Map, tmp_pa
         names = {name: node for node, name in graph.nodes(data="name") if name}
         assert sorted(names) == sorted(node.name for node in stored.record.nodes)
         by_id = {room.id: names[room.name] for room in stored.rooms.values()}
-        lengths_are_the_map_s(graph, stored, by_id, "length_m")
+        lengths_agree(graph, stored, by_id, "length_m")
         through = {name for _, _, name in graph.edges(data="door_name") if name}
         ways = [edge for edge in stored.record.edges if edge.corners]
         assert through == {f"Door{door}" for edge in ways for door in edge.doors}
@@ -67,7 +67,7 @@ def test_a_layout_has_rooms_and_ways_as_long(home: Map, rooms: Map, tmp_path: Pa
         assert stations.keys() == set(names.values())
         shown = {one["stationName"] for one in stations.values()}
         assert shown == {room.name for room in stored.rooms.values()}
-        lengths_are_the_map_s(graph, stored, names, "length_m")
+        lengths_agree(graph, stored, names, "length_m")
         assert {speed for _, _, speed in graph.edges(data="max_speed")} == {None}
 
 

@@ -19,7 +19,7 @@ from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.store import Map
 from specmap_cli.maps.writing import MapResult
 from specmap_cli.topology.navigation import parts
-from tests.exports.conftest import lengths_are_the_map_s, written
+from tests.exports.conftest import lengths_agree, written
 from tests.exports.route_server import load
 
 
@@ -47,7 +47,7 @@ def test_the_server_reads_anchors_doors_and_bends(home: Map, tmp_path: Path) -> 
 def test_a_way_is_driven_both_ways_as_long_as_it_is(home: Map, rooms: Map, tmp_path: Path) -> None:
     for stored in (home, rooms):
         graph = exported(stored, tmp_path / f"{stored.path.name}.geojson")
-        lengths_are_the_map_s(graph, stored, {id_: id_ for id_ in stored.ids}, "cost")
+        lengths_agree(graph, stored, {id_: id_ for id_ in stored.ids}, "cost")
         for start, end, cost in graph.edges(data="cost"):
             straight = math.dist(graph.nodes[start]["at"], graph.nodes[end]["at"])
             assert cost == pytest.approx(straight, abs=1e-5)  # as its DistanceScorer has it

@@ -13,7 +13,7 @@ import yaml
 
 from specmap_cli.exports.table import export_map
 from specmap_cli.maps.store import Map
-from tests.exports.conftest import lengths_are_the_map_s
+from tests.exports.conftest import lengths_agree
 
 TEXT, OBJECT = {"type": "string"}, {"type": "object"}
 # What the consumer's schema asks for, in our words.
@@ -74,7 +74,7 @@ def test_the_manager_reads_the_figures_of_the_map(home: Map, rooms: Map, tmp_pat
         passed = sum(len(edge.doors) for edge in ways)
         assert len(graph) == len(stored.record.nodes) + passed
         assert graph.number_of_edges() == 2 * (len(ways) + passed)
-        lengths_are_the_map_s(graph, stored, {id_: f"Submap{id_}" for id_ in stored.ids}, "weight")
+        lengths_agree(graph, stored, {id_: f"Submap{id_}" for id_ in stored.ids}, "weight")
 
 
 def test_a_zone_is_the_outline_of_its_submap_seen_from_the_node(home: Map, tmp_path: Path) -> None:

@@ -73,9 +73,7 @@ def proved_points(scan: PlanarScan, pose: Pose2, config: GridConfig) -> FloatArr
 
 
 @given(planar_scans(beams=48, reach=4.5), poses)
-def test_a_cell_is_free_only_where_a_beam_passed_and_known_all_along_it(
-    scan: PlanarScan, pose: Pose2
-) -> None:
+def test_only_where_a_beam_passed_is_free_and_along_it_known(scan: PlanarScan, pose: Pose2) -> None:
     grid, proved = gridded([scan], [pose]), proved_points(scan, pose, CONFIG)
     free = grid.centres_of(np.argwhere(grid.free))
     seen = grid.centres_of(np.argwhere(grid.cells != UNKNOWN))

@@ -48,16 +48,12 @@ def tenths(count: int, start: int = TODAY) -> list[int]:
         (tenths(9)[::-1], tenths(9), "recorder"),
     ],
 )
-def test_stamps_are_used_while_they_say_when(
-    stamps: list[int], times: list[int], source: str
-) -> None:
+def test_stamps_count_while_they_say_when(stamps: list[int], times: list[int], source: str) -> None:
     assert choose_clock(glimpses(stamps, times), []).source == source
 
 
 @pytest.mark.parametrize("before_s", [0, 10])
-def test_scans_that_come_in_a_burst_behind_one_message_say_nothing_about_its_clock(
-    before_s: int,
-) -> None:
+def test_scans_in_a_burst_behind_one_message_say_nothing_about_its_clock(before_s: int) -> None:
     """Nor are stamps shifted that go on for seconds while the recorder hears all scans at once."""
     at_once = [TODAY + 9 * SECOND + n * MS for n in range(90)]
     scans = glimpses(tenths(90), at_once)

@@ -203,9 +203,7 @@ def test_a_time_that_is_not_finite_counts_only_with_its_point() -> None:
         pytest.param("Timestamp", "<f8", SWEEP_S + STAMP / 1e9, 1e-6, id="capital"),
     ],
 )
-def test_the_times_of_the_usual_drivers(
-    name: str, kind: str, values: FloatArray, precision: float
-) -> None:
+def test_times_of_usual_drivers(name: str, kind: str, values: FloatArray, precision: float) -> None:
     found = points_of(cloud(name, kind, values))
     assert found.times_s is not None
     assert not found.far_times
@@ -263,9 +261,7 @@ def room(seed: int = 0) -> FloatArray:
 @pytest.mark.parametrize("roll", [-0.6, -0.2, 0.0, 0.3])
 @pytest.mark.parametrize("pitch", [-0.4, 0.0, 0.25])
 @pytest.mark.parametrize("yaw", [0.0, 2.0])
-def test_a_tilted_lidar_is_levelled_and_keeps_its_heading(
-    roll: float, pitch: float, yaw: float
-) -> None:
+def test_a_tilted_lidar_is_levelled_not_turned(roll: float, pitch: float, yaw: float) -> None:
     turned = Rotation.from_euler("Z", yaw).apply(room())
     level_from_lidar = Rotation.from_euler("YX", [pitch, roll])
     found = floor_of(level_from_lidar.inv().apply(turned))

@@ -97,9 +97,7 @@ def test_an_unknown_name_is_refused_with_those_there_are(path: Path) -> None:
 @pytest.mark.parametrize(
     ("after_s", "shared_s"), [(0, 10), (7, 3), (8, None), (10, None), (20, None)]
 )
-def test_two_recordings_given_as_one_are_said(
-    tmp_path: Path, after_s: int, shared_s: int | None
-) -> None:
+def test_two_recordings_as_one_are_said(tmp_path: Path, after_s: int, shared_s: int | None) -> None:
     paths = [tmp_path / "first.mcap", tmp_path / "second.mcap"]
     for path, begins_s in zip(paths, (0, after_s), strict=True):
         with LogWriter(path) as log:
@@ -133,9 +131,7 @@ def test_the_settings_say_how_long_readable_scans_and_odometry_are_looked_for(pa
 
 
 @pytest.mark.parametrize(("most", "found"), [(2_500, False), (3_001, True)])
-def test_the_settings_say_how_long_the_lasers_place_is_searched(
-    path: Path, most: int, found: bool
-) -> None:
+def test_settings_say_how_long_a_laser_is_searched(path: Path, most: int, found: bool) -> None:
     with LogWriter(path) as log:
         for i in range(3000):
             log.transform("odom", "base_link", START + i, Pose2(0.001 * i, 0.0, 0.0))

@@ -287,10 +287,8 @@ def test_messages_that_cannot_be_decoded_are_unusable(path: Path) -> None:
     assert (grid.read, grid.unusable) == (1, 0)
 
 
-def test_info_counts_what_is_lost_even_all_of_a_topic_only_when_all_is_read(
-    path: Path, drive_messages: list[Message]
-) -> None:
-    write_db3(path, drive_messages)
+def test_only_a_check_counts_losses_even_of_whole_topics(path: Path, driven: list[Message]) -> None:
+    write_db3(path, driven)
     last = "(SELECT MAX(id) FROM messages WHERE topic_id = 3)"
     change_db3(path, f"UPDATE messages SET data = 'no bytes' WHERE id = {last}")
     quick = summary_of(path, look_scans=3)

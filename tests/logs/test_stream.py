@@ -80,9 +80,7 @@ def test_waiting_ends_when_log_time_goes_on() -> None:
 
 
 @pytest.mark.parametrize(("every", "late_s", "said"), [(10, 0.0, 0), (1, 0.7, 1), (1, 0.3, 0)])
-def test_slow_odometry_and_such_that_is_recorded_late_measures_every_scan(
-    every: int, late_s: float, said: int
-) -> None:
+def test_slow_and_late_odometry_measures_every_scan(every: int, late_s: float, said: int) -> None:
     """Scans waited for half a second: odometry at 1 Hz, or over a radio, was not used."""
     step = SECOND // 10
     messages = [scan(START + number * step) for number in range(101)]
@@ -276,9 +274,7 @@ def test_a_cloud_becomes_points_in_the_base_frame_and_a_planar_scan(path: Path) 
 
 
 @pytest.mark.parametrize(("longest_s", "counted"), [(10.0, 0), (0.05, 2)])
-def test_times_that_reach_too_far_are_counted_and_said(
-    path: Path, longest_s: float, counted: int
-) -> None:
+def test_times_too_far_are_counted_and_said(path: Path, longest_s: float, counted: int) -> None:
     with LogWriter(path) as log:
         for stamp in (START, START + SECOND):
             far = {"range_max": 8.0, "time_increment": 0.15}

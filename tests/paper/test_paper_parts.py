@@ -146,9 +146,7 @@ def test_table_1_shares_out_all_votes(workshop: Workshop, monkeypatch: pytest.Mo
             assert sum(shares) == pytest.approx(100.0, abs=0.7)
 
 
-def test_nothing_is_learned_from_columns_taken_away_nor_from_samples_without_a_submap(
-    workshop: Workshop,
-) -> None:
+def test_nothing_is_learned_from_columns_taken_away_nor_without_submap(workshop: Workshop) -> None:
     built = workshop.built(workshop.cases.found[0], OURS, HoldOut(seed=0))
     train, test = samples_of(built, "table1")
     config = the_papers(rounds=5)
@@ -180,9 +178,7 @@ def test_figure_6_labels_another_way(workshop: Workshop) -> None:
     assert all(float(cells[6]) > 0.8 for cells in filtered)
 
 
-def test_without_data_only_simulated_buildings_are_shown(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_data_all_is_simulated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SPECMAP_DATA", str(tmp_path / "nowhere"))
     found = cases(tmp_path)
     assert {case.manner for case in found.found} == {FREIBURG, STATA}

@@ -102,9 +102,7 @@ def two_room_tour() -> Iterator[KeyframeStore]:
         yield store
 
 
-def test_two_rooms_are_two_and_the_first_goes_on_when_the_robot_is_back(
-    two_room_tour: KeyframeStore,
-) -> None:
+def test_two_rooms_are_two_and_the_first_is_taken_up_again(two_room_tour: KeyframeStore) -> None:
     regions = run(two_room_tour)
     assert [region.continues for region in regions] == [None, None, 0, 1]
     assert [region.number for region in regions] == [0, 1, 2, 3]

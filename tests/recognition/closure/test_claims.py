@@ -268,9 +268,7 @@ places = st.floats(0.0, 500.0)
 
 
 @given(st.lists(st.tuples(places, places, st.floats(0.0, 0.5)), max_size=12), places, places)
-def test_no_match_makes_a_way_longer(
-    ties: list[tuple[float, float, float]], start: float, end: float
-) -> None:
+def test_no_way_is_longer(ties: list[tuple[float, float, float]], start: float, end: float) -> None:
     way = DriftGraph(CONFIG)
     last = abs(end - start)
     for old, new, mended_m in ties:

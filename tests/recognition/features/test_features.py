@@ -129,9 +129,7 @@ def room(seed: int, beams: int = 180, holes: float = 0.1) -> FloatArray:
 
 @every_group
 @given(seed=st.integers(0, 10_000), shift=st.integers(1, 179))
-def test_every_group_is_unchanged_when_the_robot_turns(
-    group: Function, seed: int, shift: int
-) -> None:
+def test_no_group_changes_when_the_robot_turns(group: Function, seed: int, shift: int) -> None:
     ranges = room(seed)
     still = of_one(group, batch_of(scan_of(ranges)))
     turned = of_one(group, batch_of(scan_of(np.roll(ranges, shift))))

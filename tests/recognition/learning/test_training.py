@@ -305,9 +305,7 @@ def test_a_map_of_one_keyframe_is_seen_from_beside_it(store: KeyframeStore) -> N
     assert beside(store, 6, submaps={0: [7]})[0].keyframes.tolist() == [7] * 5
 
 
-def test_known_scans_beside_the_way_are_not_made_again(
-    store: KeyframeStore, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_known_scans_are_made_once(store: KeyframeStore, monkeypatch: pytest.MonkeyPatch) -> None:
     seen = watched(monkeypatch, sampling, "seen_from")
     known = together(beside(store, 90).values())
     made, again = len(seen), beside(store, 40, seed=1, known=known)
