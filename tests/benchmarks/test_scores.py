@@ -117,12 +117,8 @@ def test_room_scores_and_overlaps_are_those_of_loops_over_rooms_and_segments(
         assert (scores.recall, scores.precision, scores.iou) == (0.0, 0.0, 0.0)
         return
     recall = [max(len(room & its) for its in found.values()) / len(room) for room in here.values()]
-    precision = [
-        max(len(room & its) for room in here.values()) / len(its) for its in found.values()
-    ]
-    iou = [
-        max(len(room & its) / len(room | its) for its in found.values()) for room in here.values()
-    ]
+    precision = [max(len(own & its) for own in here.values()) / len(its) for its in found.values()]
+    iou = [max(len(own & its) / len(own | its) for its in found.values()) for own in here.values()]
     assert scores.recall == pytest.approx(np.mean(recall))
     assert scores.precision == pytest.approx(np.mean(precision))
     assert scores.iou == pytest.approx(np.mean(iou))

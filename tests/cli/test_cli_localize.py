@@ -124,11 +124,9 @@ def test_a_log_of_another_place_says_so_in_its_first_line_and_by_its_code(
 ) -> None:
     line = ("--map", tiny_map, "-q", "--fail-on", "unknown")
     assert run("localize", tiny_log, *line).code == 0
-    failed = run("localize", elsewhere, *line)
-    assert failed.code == 5
-    assert failed.out.splitlines()[0].endswith(
-        "none of them known: the map does not show this place"
-    )
+    lost = run("localize", elsewhere, *line)
+    assert lost.code == 5
+    assert lost.out.splitlines()[0].endswith("none of them known: the map does not show this place")
 
 
 def test_while_the_place_is_not_known_a_line_says_so_every_ten_seconds(
@@ -139,11 +137,8 @@ def test_while_the_place_is_not_known_a_line_says_so_every_ten_seconds(
     for log, known in ((tiny_log, True), (elsewhere, False)):
         ticks = (2.5 * k for k in count())
         monkeypatch.setattr("specmap_cli.pipelines.localize.monotonic", lambda t=ticks: next(t))
-        lines = [
-            line
-            for line in run("localize", log, "--map", tiny_map).err.splitlines()
-            if told in line
-        ]
+        err = run("localize", log, "--map", tiny_map).err
+        lines = [line for line in err.splitlines() if told in line]
         if known:
             assert len(lines) <= 1, "at its start it knows nothing"
         else:

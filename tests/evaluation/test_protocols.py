@@ -43,9 +43,8 @@ def test_scores_equal_scikit_learn_s(pairs: list[tuple[int, int]], seed: int) ->
     guesses = [None if name == names[-1] else int(name) for name in said]
     ours = classification_scores(truth, guesses, ids[::-1])
     assert ours.ids == tuple(ids)
-    precision, recall, _, support = precision_recall_fscore_support(
-        truth, said, labels=ids, zero_division=0
-    )
+    scores = precision_recall_fscore_support(truth, said, labels=ids, zero_division=0)
+    precision, recall, _, support = scores
     visited = [name for name, scans in zip(ids, support, strict=True) if scans]
     of = {name: k for k, name in enumerate(ids)}
     assert ours.recall_of == {name: pytest.approx(recall[of[name]]) for name in visited}

@@ -145,9 +145,7 @@ def carmen(path: Path, stamps: list[float]) -> None:
     [
         pytest.param([0.0] * 30, [n * 2 * SECOND for n in range(30)], id="zero"),
         pytest.param([5.0] * 30, [(5 + 2 * n) * SECOND for n in range(30)], id="constant"),
-        pytest.param(
-            [float(n // 10) for n in range(31)], [n * SECOND // 10 for n in range(31)], id="whole"
-        ),
+        pytest.param([float(n // 10) for n in range(31)], tenths(31, 0), id="whole"),
         pytest.param(TO_AND_FRO, [round(s * SECOND) for s in TO_AND_FRO], id="to and fro"),
     ],
 )

@@ -57,10 +57,8 @@ def cloud_message(table: np.ndarray[Any, Any], row_padding: int = 0, **changes: 
         "is_dense": False,
         **changes,
     }
-    message = message_class(POINT_CLOUD)(**values)
-    return Message(
-        "/points", POINT_CLOUD, 1, bytes(typestore().serialize_cdr(message, POINT_CLOUD))
-    )
+    made = message_class(POINT_CLOUD)(**values)
+    return Message("/points", POINT_CLOUD, 1, bytes(typestore().serialize_cdr(made, POINT_CLOUD)))
 
 
 def decoded_cloud(message: Message) -> CloudRecord:

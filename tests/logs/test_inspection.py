@@ -207,12 +207,10 @@ def test_an_ambiguous_log_gets_a_command_that_runs(tmp_path: Path) -> None:
         log.odometry("/odom", "odom", "base", 1, Pose2(0.0, 0.0, 0.0))
         for i in range(2):
             log.odometry("/visual", "odom", "base", i, Pose2(0.0, 0.0, 0.0))
-    summary = summary_of(path)
-    assert summary.problem is not None
-    assert "3 topics carry scans" in summary.problem
-    assert summary.next_command == (
-        f"specmap build '{path}' --scan-topic /rear --odom-topic /visual"
-    )
+    found = summary_of(path)
+    assert found.problem is not None
+    assert "3 topics carry scans" in found.problem
+    assert found.next_command == f"specmap build '{path}' --scan-topic /rear --odom-topic /visual"
     assert len(sweeps_of(path, scan_topic="/rear", odom_topic="/visual")[0]) == 3
 
 

@@ -127,10 +127,7 @@ def decoded(data: bytes, kind: str) -> Any:
     return OTHER.deserialize_cdr(data, kind)
 
 
-@given(
-    stamp=st.integers(-(2**31) * NS, 2**31 * NS - 1),
-    ranges=st.lists(st.floats(width=32), max_size=9),
-)
+@given(st.integers(-(2**31) * NS, 2**31 * NS - 1), st.lists(st.floats(width=32), max_size=9))
 def test_a_scan_says_what_was_given(stamp: int, ranges: list[float]) -> None:
     more = {"range_min": 0.5, "range_max": 9.0, "scan_time": 0.125, "time_increment": 0.5}
     data = scan_cdr("/laser", stamp, -1.0, 0.25, ranges, **more)

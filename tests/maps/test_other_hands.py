@@ -135,9 +135,7 @@ class ForgetfulDisk:
     def lost(self, path: Path) -> list[str]:
         """What of a file or a directory a power cut would take."""
         each = [path, *path.rglob("*")]
-        return [
-            one.name for one in each if self.safe.get(one.stat().st_ino) != one.stat().st_mtime_ns
-        ]
+        return [p.name for p in each if self.safe.get(p.stat().st_ino) != p.stat().st_mtime_ns]
 
 
 @pytest.mark.parametrize(("at_once", "threads"), [(True, True), (False, True), (True, False)])

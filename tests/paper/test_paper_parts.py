@@ -209,9 +209,7 @@ def test_one_can_walk_from_every_room_of_the_ring_to_every_other() -> None:
     plan, rooms = ring.plan(), ring.rooms()
     wide = (plan.clearance() > 0.3).astype(np.uint8)
     _, part = cv2.connectedComponents(wide)
-    reached = [
-        set(part[(rooms.labels == room) & (wide > 0)].tolist())
-        for room in range(1, rooms.count + 1)
-    ]
+    inside = ((rooms.labels == number) & (wide > 0) for number in range(1, rooms.count + 1))
+    reached = [set(part[cells].tolist()) for cells in inside]
     assert rooms.count == len(ring.ROOMS) + 1
     assert set.intersection(*reached)

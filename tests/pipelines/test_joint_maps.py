@@ -149,9 +149,8 @@ def updated(whole: GridMap, loose: tuple[int, ...] = ()) -> tuple[LaidOut, IntAr
     provisional = np.concatenate([old.labels.submaps, np.zeros(len(second), dtype=np.int64)])
     joint = laid_out(np.concatenate([first, second]), provisional, loose)
     left = np.flatnonzero(np.arange(len(rooms)) % 7 != 3)  # some were let go
-    labels = Labels(
-        stamps_ns=left, poses=joint.layout.poses[left], submaps=joint.labels.submaps[left]
-    )
+    poses, submaps = joint.layout.poses[left], joint.labels.submaps[left]
+    labels = Labels(stamps_ns=left, poses=poses, submaps=submaps)
     division = division_of(whole, joint.layout, Config())
     drawn = replace(joint, labels=labels, drawn=whole, division=division)
     fewer = Thinned(drawn, left, int((left < len(first)).sum()))

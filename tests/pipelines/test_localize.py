@@ -226,9 +226,8 @@ class TestReport:
         """When the second one cannot be written there is no first one, and nothing half-written."""
         report = labelled([0] * 20, [None] * 20)
         (tmp_path / "pictures").mkdir()
+        csv = tmp_path / "labels.csv"
         for plot in (tmp_path / "gone" / "plot.png", tmp_path / "pictures"):
             with pytest.raises(UsageError, match="choose another place"):
-                localize.write_report(
-                    report, flat_map, metric=False, csv=tmp_path / "labels.csv", plot=plot
-                )
+                localize.write_report(report, flat_map, metric=False, csv=csv, plot=plot)
             assert [path.name for path in tmp_path.iterdir()] == ["pictures"]

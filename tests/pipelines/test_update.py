@@ -155,9 +155,8 @@ def test_with_a_setting_every_keyframe_stays(kept: Kept, tmp_path: Path) -> None
     settings = QUICK.model_copy(update=changed)
     whole = update_map(kept.old, kept.second.log, tmp_path / "map", settings)
     stored, count = read_map(whole.out), len(kept.old.labels.submaps)
-    views, held_out = (
-        json.loads(each.classifiers)["calibration"]["views"] for each in (kept.new, stored)
-    )
+    of_both = (json.loads(map_.classifiers)["calibration"] for map_ in (kept.new, stored))
+    views, held_out = (told["views"] for told in of_both)
     assert 0 < views != held_out
     assert whole.as_dict()["keyframes_dropped"] == 0
     assert not any("dropped" in line for line in whole.lines())

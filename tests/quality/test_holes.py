@@ -75,16 +75,14 @@ def told(seen: Hole) -> list[str]:
     return [finding.message for finding in unwatched(found_in)]
 
 
-@pytest.mark.parametrize(
-    ("on_m", "is_told"), [(1.2, False), (0.0, False), (0.6, True), (2.0, True)]
-)
-def test_a_robot_that_went_on_is_found_there_without_odometry(on_m: float, is_told: bool) -> None:
+@pytest.mark.parametrize(("on_m", "said"), [(1.2, False), (0.0, False), (0.6, True), (2.0, True)])
+def test_a_robot_that_went_on_is_found_there_without_odometry(on_m: float, said: bool) -> None:
     """Six seconds without scans, at two decimetres a second."""
     places = np.concatenate([np.arange(1.5, 2.8, 0.1), 2.7 + on_m + np.arange(0.0, 0.3, 0.1)])
     times = np.concatenate([0.5 * np.arange(13), 12.0 + 0.5 * np.arange(3)])
     (seen,) = found(*drive(places, times))
     assert seen.measured is None
-    assert bool(told(seen)) == is_told
+    assert bool(told(seen)) == said
 
 
 def test_scans_lost_behind_a_hole_do_not_say_where_the_robot_is() -> None:

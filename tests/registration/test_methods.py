@@ -184,9 +184,7 @@ def aligned(method: Aligner, points: FloatArray, guess: FloatArray) -> FloatArra
 
 
 @few(15)
-@given(
-    st.floats(-0.15, 0.15), st.floats(-0.15, 0.15), st.floats(-0.08, 0.08), st.floats(-0.03, 0.03)
-)
+@given(*(st.floats(-most, most) for most in (0.15, 0.15, 0.08, 0.03)))
 def test_a_moved_cloud_comes_back_to_its_pose(x: float, y: float, yaw: float, roll: float) -> None:
     """Other points of the same room, so that no point finds itself."""
     method = aligner()

@@ -130,10 +130,7 @@ def test_what_no_reader_knows_is_refused_with_the_formats_known(path: Path, offe
 @pytest.mark.parametrize(
     ("code", "said"),
     [
-        (
-            "def Reader(file, path): ...",
-            "is no class derived from specmap_cli.logs.readers.Recording",
-        ),
+        ("def Reader(file): ...", "is no class derived from specmap_cli.logs.readers.Recording"),
         (BARE.format(name="Reader", body='format = "x"; magic = b"x"'), "lacks contents, messages"),
         (BARE.format(name="Reader", body=WHOLE), "lacks format, magic or sniff"),
     ],

@@ -271,10 +271,8 @@ def test_changes_gaps_and_flips_by_loops(ranges: list[float]) -> None:
     changes = [abs(b - a) for a, b in pairwise(ranges)]
     expected = [np.mean(changes), np.std(changes)]
     assert of_one(table1.consecutive_differences, returns) == pytest.approx(expected)
-    for threshold, counted in zip(
-        table1.GAP_THRESHOLDS_M, of_one(table1.gaps, returns), strict=True
-    ):
-        assert counted == sum(change > threshold for change in changes)
+    for gap, counted in zip(table1.GAP_THRESHOLDS_M, of_one(table1.gaps, returns), strict=True):
+        assert counted == sum(change > gap for change in changes)
     bends = [c - 2.0 * b + a for a, b, c in zip(ranges, ranges[1:], ranges[2:], strict=False)]
     if all(abs(bend) > 1e-9 for bend in bends):
         flips = sum((a > 0.0) != (b > 0.0) for a, b in pairwise(bends))
