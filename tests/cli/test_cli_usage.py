@@ -64,8 +64,7 @@ def test_the_help_of_a_command_has_an_example_and_the_exit_codes(name: str, run:
 
 @pytest.mark.parametrize("arguments", [["--help"], ["build", "--help"], ["frobnicate"]])
 def test_help_and_usage_errors_load_nothing_heavy(arguments: list[str]) -> None:
-    loaded = HEAVY & loaded_by(*arguments)
-    assert loaded <= (set() if arguments == ["--help"] else {"pydantic"})
+    assert (HEAVY & loaded_by(*arguments)) <= (set() if arguments == ["--help"] else {"pydantic"})
 
 
 def test_localize_waits_for_nothing_that_it_does_not_need(tiny_log: Path, tiny_map: Path) -> None:

@@ -45,11 +45,10 @@ def split_test(
 ) -> SplitTest:
     """A robot that drove from left to right, with nodes along the middle of the corridor."""
     vector = np.array([-1.0, 1.0] if eigenvector is None else eigenvector)
-    nodes = np.column_stack([np.linspace(11.0, 17.0, len(vector)), np.zeros(len(vector))])
     return SplitTest(
         grid=corridor(),
         poses=np.column_stack([np.linspace(11.0, 17.0, 30), np.full(30, -1.0), np.zeros(30)]),
-        nodes=nodes,
+        nodes=np.column_stack([np.linspace(11.0, 17.0, len(vector)), np.zeros(len(vector))]),
         eigenvalues=np.array([1.0, 0.9] if eigenvalues is None else eigenvalues),
         chosen=chosen,
         eigenvector=vector,

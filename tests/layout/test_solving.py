@@ -213,12 +213,11 @@ def test_there_and_back_as_text(poses: FloatArray, motions: FloatArray, seed: in
 def test_the_text_is_what_g2o_reads() -> None:
     """The first vertex is fixed, last; of the information the upper triangle goes row by row."""
     information = np.array([[1.0, 2.0, 3.0], [2.0, 4.0, 5.0], [3.0, 5.0, 6.0]])
-    layout = Layout(
+    assert Layout(
         poses=np.array([[0.0, 0.0, 0.0], [1.0, -0.25, 0.5]]),
         nodes=np.array([0, 1]),
         odometry=(link(0, 1, (1.0, -0.25, 0.5), "odometry", information),),
-    )
-    assert layout.g2o().splitlines() == [
+    ).g2o().splitlines() == [
         "VERTEX_SE2 0 0 0 0",
         "VERTEX_SE2 1 1 -0.25 0.5",
         "EDGE_SE2 0 1 1 -0.25 0.5 1 2 3 4 5 6",

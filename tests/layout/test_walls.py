@@ -324,8 +324,7 @@ def test_a_window_that_fits_all_over_says_nothing_of_the_way(heading: float) -> 
     sharp = spread_of(0.02, 0.01)
     assert np.allclose(opened(sharp), sharp, rtol=0.02, atol=1e-9)
     half = opened(spread_of(0.1, 0.02))
-    known = 1.0 / 0.1**2 - 1.0 / window_m**2
-    assert axis @ half[:2, :2] @ axis == pytest.approx(1.0 / known)
+    assert axis @ half[:2, :2] @ axis == pytest.approx(1.0 / (1.0 / 0.1**2 - 1.0 / window_m**2))
     assert half[2, 2] == 0.01**2
 
 

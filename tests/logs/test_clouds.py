@@ -264,8 +264,7 @@ def test_a_tilted_lidar_is_levelled_not_turned(roll: float, pitch: float, yaw: f
     level_from_lidar = Rotation.from_euler("YX", [pitch, roll])
     found = floor_of(level_from_lidar.inv().apply(turned))
     assert found is not None
-    off = Rotation.from_matrix(found.rotation) * level_from_lidar.inv()
-    assert off.magnitude() < 0.004
+    assert (Rotation.from_matrix(found.rotation) * level_from_lidar.inv()).magnitude() < 0.004
     assert found.floor_m == pytest.approx(-1.2, abs=0.01)
 
 

@@ -328,8 +328,7 @@ def write(path: Path, times_s: list[float], step_m: float = 0.1, hangs: range = 
 def lines_of(path: Path, complete: bool = False, **options: object) -> list[str]:
     lines = summary_of(path, complete, **options).lines()
     place = next(n for n, line in enumerate(lines) if line.startswith("build would meet"))
-    end = next(n for n, line in enumerate(lines) if line.startswith("checked"))
-    return lines[place:end]
+    return lines[place : next(n for n, line in enumerate(lines) if line.startswith("checked"))]
 
 
 MOVES = "from one to the next while the robot moves"

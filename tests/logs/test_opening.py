@@ -361,8 +361,7 @@ def test_a_cut_yields_what_precedes_it(name: str) -> None:
         found, complete, _ = decompress(packed[: len(packed) * tenth // 10], name, LIMIT)
         assert not complete
         assert TEXT.startswith(found)
-    second = PACK[name](TEXT) + PACK[name](TEXT)[:-8]
-    found, complete, _ = decompress(second, name, LIMIT)
+    found, complete, _ = decompress(PACK[name](TEXT) + PACK[name](TEXT)[:-8], name, LIMIT)
     assert not complete
     assert (TEXT + TEXT).startswith(found)
     assert len(found) >= len(TEXT)

@@ -223,8 +223,7 @@ def test_a_merge_that_the_layout_drops_is_taken_back(flat_done: Finished) -> Non
     assert merged
     wrong = replace(merged[0], old_from_new=Pose2(25.0, 25.0, 1.0))
     closures = tuple(wrong if c is merged[0] else c for c in explored.closures)
-    nodes = chosen_nodes(store.poses, ())
-    constraints = constraints_of(closures, explored.regions, store, nodes)
+    constraints = constraints_of(closures, explored.regions, store, chosen_nodes(store.poses, ()))
     assert set(constraints) == {(c.old, c.new) for c in merged}
     finished = finished_by(replace(explored, closures=closures), store, QUICK)
     kept = refute(closures, constraints, finished.laid.layout)

@@ -91,8 +91,7 @@ def test_changes_name_what_the_submaps_became() -> None:
 @pytest.mark.parametrize(("x", "cut"), [(1.0, 11), (4.0, 12)])
 def test_the_submap_at_the_line_is_cut(x: float, cut: int) -> None:
     new = kept(SplitEdit(split=0, line=((x, -1.0), (x, 1.0)), new=8))
-    spread = np.array([11, 11, 11, 12, 12, *[13] * 15])
-    (change,) = both(new, spread).edits.changes
+    (change,) = both(new, np.array([11, 11, 11, 12, 12, *[13] * 15])).edits.changes
     assert isinstance(change, SplitEdit)
     assert change.split == cut
 

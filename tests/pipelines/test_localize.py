@@ -207,8 +207,7 @@ class TestReport:
             assert colours_in(picture) > 3
             (tmp_path / "track.png").unlink()
         known = [Pose2(0.0, 0.1 * k, 1.0) for k in range(20)]
-        some = labelled([0] * 20 + [None] * 20, [*known, *[None] * 20])
-        places = localize._tracked(some.scans)
+        places = localize._tracked(labelled([0] * 20 + [None] * 20, [*known, *[None] * 20]).scans)
         assert np.isfinite(places).all()
         motion = Pose2(1.9, 0.0, 0.0).inverse() @ Pose2(3.9, 0.0, 0.0)
         assert places[-1] == pytest.approx((Pose2(0.0, 1.9, 1.0) @ motion)[:2])

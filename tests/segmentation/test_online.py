@@ -264,8 +264,7 @@ def test_a_door_divides_the_way_where_it_is() -> None:
 def test_what_lies_beyond_the_band_and_its_margin_changes_nothing() -> None:
     near = examine(*driven(TWO_ROOMS, (1.0, 1.0), (2.0, 1.0)), DEFAULT)
     cells = TWO_ROOMS.cells.copy()
-    reach = DEFAULT.path_band_m + PATH_MARGIN_M
-    cells[:, round((2.0 + reach) / 0.05) + 2 :] = OCCUPIED
+    cells[:, round((2.0 + (DEFAULT.path_band_m + PATH_MARGIN_M)) / 0.05) + 2 :] = OCCUPIED
     same = examine(*driven(GridMap(cells, TWO_ROOMS.resolution), (1.0, 1.0), (2.0, 1.0)), DEFAULT)
     np.testing.assert_array_equal(near.eigenvalues, same.eigenvalues)
     np.testing.assert_array_equal(near.grid.cells, same.grid.cells)

@@ -397,8 +397,7 @@ def test_the_long_sides_of_a_ring_have_corners(width: float, height: float, degr
     count, low, high, left, right, *found = divided(ring(width, height), degrees, sides + corners)
     assert count == 4
     assert len({low, high, left, right}) == 4
-    along = [low, low, high, high] if width > height else [left, right, left, right]
-    assert found == along
+    assert found == ([low, low, high, high] if width > height else [left, right, left, right])
 
 
 @pytest.mark.parametrize("degrees", TURNS[:3])

@@ -135,8 +135,7 @@ def test_weights_sum_to_one_and_make_the_last_classifier_worthless(seed: int, ro
 def test_a_monotone_change_of_the_features_changes_no_label(fitted: Fitted) -> None:
     """Only the order of the values counts, but for where between two of them a threshold stands."""
     X, y = blobs(8)
-    plain = fitted(X, y).margins(X)
-    assert fitted(np.exp(X), y).margins(np.exp(X)) == pytest.approx(plain)
+    assert fitted(np.exp(X), y).margins(np.exp(X)) == pytest.approx(fitted(X, y).margins(X))
 
 
 @of_both_kinds
@@ -157,8 +156,7 @@ def vote_of(entry: dict[str, Any], sample: dict[str, float]) -> float:
         return float(entry["votes"] if claims else -entry["votes"])
     upper = sample[entry["root"]["feature"]] >= entry["root"]["threshold"]
     node = entry["above" if upper else "below"]
-    leaf = 2 * upper + (sample[node["feature"]] >= node["threshold"])
-    return float(entry["votes"][leaf])
+    return float(entry["votes"][2 * upper + (sample[node["feature"]] >= node["threshold"])])
 
 
 def test_trees_learn_what_no_sum_of_stumps_can() -> None:
