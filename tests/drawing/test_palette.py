@@ -16,7 +16,7 @@ from specmap_cli.drawing.palette import Colour
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.topology.regions import NOBODY, Regions
 from specmap_cli.topology.topological_map import Submap, TopologicalMap
-from tests.drawing.seeing import ciede2000, contrast, least_difference
+from tests.drawing.looking import ciede2000, contrast, least_difference
 from tests.strategies import few, seeds
 
 APART = 15.0  # CIEDE2000: told apart at a glance

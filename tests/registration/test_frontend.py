@@ -1,9 +1,12 @@
-"""The front end on simulated drives: accurate, honest about what is lost and what limits it hit."""
+"""The front end on simulated drives and a real log: accurate, honest about losses and limits."""
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
+import os
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +15,12 @@ from hypothesis import given
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
-from specmap_cli.core.settings import RegistrationConfig
+from specmap_cli.core.records import Trajectory
+from specmap_cli.core.settings import LogConfig, RegistrationConfig
+from specmap_cli.evaluation.trajectories import read_relations, relation_errors
 from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.logs import open_log
+from specmap_cli.logs.stream import SweepStream
 from specmap_cli.registration import FrontEnd, SensorKind
 from specmap_cli.registration.frontend import COUNTS, Track
 from specmap_cli.registration.local_map import Fit
@@ -383,3 +390,28 @@ def test_walls_beyond_the_score_field_are_counted(world: GridMap) -> None:
     assert run(items, max_range_m=4.0)[0].counts["walls_left_out"] == 0
     narrow, _ = run(items, max_range_m=4.0, field_ranges=1.0)
     assert narrow.counts["walls_left_out"] == 9  # all but the first, which is scored on nothing
+
+
+DATA = Path(os.environ.get("SPECMAP_DATA", "../shared/data"))
+
+
+@pytest.mark.skipif(
+    not (DATA / "logs" / "fr079.mcap").exists(),
+    reason=f"no fr079.mcap in {DATA}/logs; SPECMAP_DATA names the folder",
+)
+@pytest.mark.parametrize("odometry", [True, False])
+def test_relations_of_fr079_hold(odometry: bool) -> None:
+    config = LogConfig(use_odometry=odometry)
+    front_end = FrontEnd(RegistrationConfig())
+    with open_log([DATA / "logs" / "fr079.mcap"]) as log:
+        sweeps = itertools.islice(SweepStream(log, config), 700)
+        scans = [front_end.register(sweep) for sweep in sweeps]
+    trajectory = Trajectory(
+        np.array([scan.stamp_ns for scan in scans]),
+        np.array([scan.map_from_base for scan in scans]),
+    )
+    found = relation_errors(trajectory, read_relations(DATA / "truth" / "fr079.relations"))
+    assert found.matched > 150
+    assert found.translation_m.mean < 0.045
+    assert found.rotation_deg.mean < 0.7
+    assert front_end.counts["lost"] <= 1
