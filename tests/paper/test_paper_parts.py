@@ -146,9 +146,8 @@ def test_figure_5c_sees_only_borders_of_hallways(workshop: Workshop) -> None:
 def test_table_1_shares_out_all_votes(workshop: Workshop, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(table1, "ROUNDS", 10)
     papers, ours = tables(table1.make(workshop))
-    assert [row.cells[0].partition(".")[0] for row in papers.rows[:12]] == [
-        str(number) for number in range(1, 13)
-    ]
+    numbers = [row.cells[0].partition(".")[0] for row in papers.rows[:12]]
+    assert numbers == [str(number) for number in range(1, 13)]
     for table in (papers, ours):
         for column in (2, 3):
             shares = [float(row.cells[column].split()[0]) for row in table.rows[:-1]]

@@ -83,10 +83,8 @@ def with_ranges(sweep: Sweep, ranges: FloatArray) -> Sweep:
 
 def with_clouds(world: GridMap, truth: FloatArray) -> list[Sweep]:
     """What a 3D lidar sees from the poses."""
-    return [
-        replace(sweep, cloud=cloud_of(world, pose))
-        for sweep, pose in zip(sweeps(world, truth), truth, strict=True)
-    ]
+    posed = zip(sweeps(world, truth), truth, strict=True)
+    return [replace(sweep, cloud=cloud_of(world, pose)) for sweep, pose in posed]
 
 
 def run(items: Sequence[Sweep], **settings: Setting) -> tuple[FrontEnd, list[PosedScan]]:

@@ -259,10 +259,8 @@ def test_contacts_are_all_pairs_of_cells_that_touch_and_differ(seed: int) -> Non
     labels = rng.integers(-1, 4, tuple(rng.integers(1, 8, 2)), dtype=np.int32)
     clearance = rng.random(labels.shape)
     found = contacts(labels)
-    pairs = [
-        (tuple(one), tuple(other))
-        for one, other in zip(found.one.tolist(), found.other.tolist(), strict=True)
-    ]
+    both = zip(found.one.tolist(), found.other.tolist(), strict=True)
+    pairs = [(tuple(one), tuple(other)) for one, other in both]
     assert len(set(pairs)) == len(pairs)
     assert set(pairs) == touching(labels)
     expected: dict[tuple[int, int], float] = {}
