@@ -64,8 +64,8 @@ def mounted(roll: float, pitch: float, yaw: float, x: float, y: float, z: float)
 def test_of_too_many_beams_every_so_manieth_is_read(turned: float) -> None:
     count, step = 50_001, 1e-4
     ranges = 2.0 + np.sin(-2.5 + step * np.arange(count))
-    start, step = -2.5 * turned, step * turned
-    found = levelled(record(ranges[:: round(turned)], start, step, time_increment=1e-6))
+    angles = -2.5 * turned, step * turned
+    found = levelled(record(ranges[:: round(turned)], *angles, time_increment=1e-6))
     assert 1000 < len(found.ranges) <= 3600
     np.testing.assert_allclose(np.diff(found.bearings), np.diff(found.bearings)[0], atol=1e-9)
     np.testing.assert_allclose(found.ranges, 2.0 + np.sin(found.bearings), atol=1e-3)
