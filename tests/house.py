@@ -117,23 +117,17 @@ def result() -> MapResult:
         next_id=5,
     )
     stamps = START_NS + np.arange(30) * 1_000_000_000
-    poses = np.array(
-        [
-            submaps[k // 10].map_from_submap @ Pose2(0.08 * (k % 10) - 0.4, 0.1, 0.1 * k)
-            for k in range(30)
-        ]
-    )
+    way = [Pose2(0.08 * (k % 10) - 0.4, 0.1, 0.1 * k) for k in range(30)]
+    poses = np.array([submaps[k // 10].map_from_submap @ at for k, at in enumerate(way)])
     labels = Labels(stamps_ns=stamps, poses=poses, submaps=np.repeat(np.arange(3), 10))
-    log = LogInfo("house.mcap", int(stamps[0]), int(stamps[-1]), 30, (0, 29))
-    run = {"config": Config().model_dump(), "seconds": {"write": 0.25}, "warnings": []}
     return MapResult(
         topology=topology,
         regions=divide(whole_of(submaps.values()), labels),
         trajectory=Trajectory(stamps, poses),
         labels=labels,
         classifiers="{}\n",
-        logs=(log,),
-        run=run,
+        logs=(LogInfo("house.mcap", int(stamps[0]), int(stamps[-1]), 30, (0, 29)),),
+        run={"config": Config().model_dump(), "seconds": {"write": 0.25}, "warnings": []},
         pose_graph="",
         overview=np.full((30, 40, 3), 200, dtype=np.uint8),
     )

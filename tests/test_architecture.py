@@ -103,8 +103,7 @@ def imports(path: Path, *, late: bool = True) -> list[tuple[int, str]]:
             # `from specmap_cli import gridmap` imports a module, the others name theirs
             whole = node.module == "specmap_cli"
             for alias in node.names:
-                name = f"{node.module}.{alias.name}" if whole else node.module
-                found.append((node.lineno, name))
+                found.append((node.lineno, f"{node.module}.{alias.name}" if whole else node.module))
         elif isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING" and not late:
             continue  # read by type checkers alone
         elif isinstance(node, ast.stmt | ast.ExceptHandler | ast.match_case):

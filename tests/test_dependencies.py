@@ -18,9 +18,7 @@ from tests.test_architecture import MODULES, imports
 ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 RUNTIME = [*map(Requirement, PROJECT["dependencies"])]
-EXTRAS = {
-    name: [*map(Requirement, lines)] for name, lines in PROJECT["optional-dependencies"].items()
-}
+EXTRAS = {name: [*map(Requirement, of)] for name, of in PROJECT["optional-dependencies"].items()}
 BOTH_ENDS = [*RUNTIME, *EXTRAS["dev"], *EXTRAS["batch"]]  # tested with the lowest versions, too
 PINNED = [*BOTH_ENDS, *EXTRAS["consumers"]]
 DECLARED = [*PINNED, *EXTRAS["rerun"]]

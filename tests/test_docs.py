@@ -81,8 +81,7 @@ def test_the_way_to_a_change_names_every_package_and_files_that_exist() -> None:
     assert [name for name in re.findall(r"\w+\.py\b", text) if name not in modules] == []
     paths = [name for name in quoted(text) if re.fullmatch(r"\w+(/\w+)+\.\w+", name)]
     assert len(paths) > 20
-    missing = [name for name in paths if not (PACKAGE / name).exists() | (ROOT / name).exists()]
-    assert missing == []
+    assert [name for name in paths if not (PACKAGE / name).exists() | (ROOT / name).exists()] == []
 
 
 def test_links_lead_somewhere() -> None:

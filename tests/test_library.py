@@ -162,9 +162,8 @@ def test_the_example_of_a_node_feeds_the_localizer(
             for number in (0, 1):
                 scan = scans.scan(number)
                 sec, nanosec = divmod(scan.stamp_ns, 10**9)
-                stamp = SimpleNamespace(sec=sec, nanosec=nanosec)
                 message = SimpleNamespace(
-                    header=SimpleNamespace(stamp=stamp),
+                    header=SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=nanosec)),
                     ranges=scan.ranges.tolist(),
                     angle_min=float(scan.bearings[0]),
                     angle_increment=float(scan.bearings[1] - scan.bearings[0]),
@@ -224,9 +223,7 @@ def test_wrong_types_are_refused_before_the_work(
         ({"odometry": (0.0, 0.0, math.nan)}, "odometry is (0.0, 0.0, nan): expected x, y"),
     ],
 )
-def test_a_scan_that_cannot_be_meant_is_refused(
-    flat_map: Map, wrong: dict[str, Any], told: str
-) -> None:
+def test_a_scan_that_cannot_be_is_refused(flat_map: Map, wrong: dict[str, Any], told: str) -> None:
     circle = {"ranges": [2.0] * 360, "angles": np.radians(np.arange(360)).tolist()}
     localizer = specmap_cli.Localizer(flat_map)
     with pytest.raises(specmap_cli.SpecmapError, match=f"^{re.escape(told)}"):

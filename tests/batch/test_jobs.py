@@ -273,8 +273,7 @@ def test_csv_says_what_is_known(rows: list[Row]) -> None:
 
 
 def test_parquet_says_the_same_with_types(rows: list[Row]) -> None:
-    parquet = pytest.importorskip("pyarrow.parquet")
-    table = parquet.read_table(io.BytesIO(as_parquet(rows)))
+    table = pytest.importorskip("pyarrow.parquet").read_table(io.BytesIO(as_parquet(rows)))
     assert table.to_pylist() == [dict(row) for row in rows]
     assert str(table.schema.field("scans").type) == "int64"
     assert str(table.schema.field("lost_share").type) == "double"
@@ -306,8 +305,7 @@ def test_junit_is_a_test_a_job(rows: list[Row]) -> None:
 
 
 def page(*records: JobRecord, waiting: str = "") -> str:
-    rows = rows_for(*records, waiting=waiting)
-    return as_html(rows, {one.name: one for one in records}).decode()
+    return as_html(rows_for(*records, waiting=waiting), {one.name: one for one in records}).decode()
 
 
 def links(text: str) -> set[str]:

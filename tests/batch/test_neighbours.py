@@ -89,8 +89,7 @@ def test_a_neighbour_may_write_nothing_of_a_batch_and_see_no_temporary_file(
     def look() -> None:
         for test in (["-writable"], ["-path", "*/scratch/specmap-job-*/*"]):
             command = ["/usr/bin/find", str(shared), *test]
-            found = subprocess.run(command, capture_output=True, text=True, **NEIGHBOUR)
-            told.append(found.stdout)
+            told.append(subprocess.run(command, capture_output=True, text=True, **NEIGHBOUR).stdout)
 
     seen_running(shared, monkeypatch, look)
     assert told == ["", ""]

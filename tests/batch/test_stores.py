@@ -83,8 +83,7 @@ def test_a_job_from_store_to_store(store: Any, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
     assert run(job, OUT, tmp_path).resumed
     put(store, "logs/monday.mcap", "changed")
-    again = run(job, OUT, tmp_path)
-    assert not again.resumed
+    assert not run(job, OUT, tmp_path).resumed
     assert b"changed" in store.cat("/bucket/maps/monday/map/part-0")
     store.rm("/bucket/maps/monday/report.html")
     assert folder_at(OUT, "monday").stored() is None
@@ -159,8 +158,7 @@ class _Cut(BaseException):
 def test_cut_off_at_any_call_there_is_a_complete_result_or_none(
     store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    url = put(store, "logs/monday.mcap")
-    result = record_of(url, tmp_path)
+    result = record_of(put(store, "logs/monday.mcap"), tmp_path)
     old, new = tmp_path / "old", tmp_path / "new"
     store.get("/bucket/maps/monday", str(old), recursive=True)
     shutil.copytree(old, new)
@@ -171,8 +169,7 @@ def test_cut_off_at_any_call_there_is_a_complete_result_or_none(
 
     def publish(source: Path) -> None:
         """What a job makes becomes its result in the store."""
-        scratch = Path(mkdtemp(dir=tmp_path))
-        with folder_at(OUT, "monday").fresh(scratch) as directory:
+        with folder_at(OUT, "monday").fresh(Path(mkdtemp(dir=tmp_path))) as directory:
             shutil.copytree(source, directory, dirs_exist_ok=True)
 
     seen: set[int | None] = set()
@@ -219,8 +216,7 @@ def test_what_somebody_else_keeps_in_the_store_is_not_touched_and_what_cannot_be
     assert record_of(url, tmp_path).kind == "settings"
     assert names(store, "/bucket/maps/monday") == {"thesis.txt"}
 
-    cut = Mock(side_effect=ConnectionError("the line is\ncut"))
-    monkeypatch.setattr(store, "put_file", cut)
+    monkeypatch.setattr(store, "put_file", Mock(side_effect=ConnectionError("the line is\ncut")))
     result = record_of(url, tmp_path, "tuesday")
     assert result.kind == "place", "it may be tried again"
     assert str(result.reason).endswith("cannot be reached or used: the line is cut")

@@ -17,9 +17,7 @@ from tests.conftest import SAMPLE_LOGS
         ("", "## 1.0.01 (2026-11-23)\n", ["CHANGELOG.md does not begin with"]),
     ],
 )
-def test_a_tree_that_is_no_release_is_refused(
-    changes: str, changelog: str, said: list[str]
-) -> None:
+def test_what_is_no_release_is_refused(changes: str, changelog: str, said: list[str]) -> None:
     found = faults(changes, changelog, "1.0.0")
     assert len(found) == len(said)
     assert all(one.startswith(words) for one, words in zip(found, said, strict=True))

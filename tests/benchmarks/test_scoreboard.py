@@ -70,9 +70,7 @@ class TestRows:
 
 
 class TestRunning:
-    def test_what_was_measured_is_not_measured_again(
-        self, measured: list[Figures], tmp_path: Path
-    ) -> None:
+    def test_nothing_is_measured_twice(self, measured: list[Figures], tmp_path: Path) -> None:
         measured.append({"walls": 0.5, "seconds": Figure.of([1.0, 3.0]), "told": 2})
         folder = tmp_path / digest()
         done = measure(SECTION, folder)
@@ -84,9 +82,7 @@ class TestRunning:
         assert run([SECTION], folder_of(tmp_path))["made"].figures == done.figures
         assert not (tmp_path / "another tree").exists()
 
-    def test_rows_without_data_say_so(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_rows_of_no_data_say_so(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv("SPECMAP_DATA", str(tmp_path / "nowhere"))
         lacking = Section("cold", "Rooms", "benchmarks.real.cold", ("cold", "rooms"))
         assert run([lacking], folder_of(tmp_path))["cold"].why == "no data: cold, rooms"
@@ -140,8 +136,7 @@ class TestPage:
         first["digest"] = "another tree"
         second = page_of(made(0.9, [4.0]), first)
         assert second["sections"][0]["rows"][0]["before"] == 0.8
-        again = page_of(made(0.91, [4.0]), second)
-        assert again["sections"][0]["rows"][0]["before"] == 0.8
+        assert page_of(made(0.91, [4.0]), second)["sections"][0]["rows"][0]["before"] == 0.8
 
     def test_changes_are_those_beyond_what_repeats_show(self) -> None:
         old = page_of(made(0.90, [4.0, 4.4, 5.0]))
@@ -153,9 +148,7 @@ class TestPage:
         assert page.compared(old, page_of({}))[0] == "gone:"
         assert page.compared(page_of({}), old)[0] == "new:"
 
-    def test_a_page_of_another_tree_says_so_in_one_line(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_another_tree_is_told(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(page, "JSON", tmp_path / "scoreboard.json")
         assert "no page yet" in page.state()
         mine = page_of(made(0.9, [4.0]))

@@ -32,8 +32,7 @@ from tests.strategies import seeds
 def scores(rooms: list[int], labels: list[int]) -> MapScores:
     """Keyframes in the given rooms, one cell of 1 m a room, with the given submaps."""
     truth = RoomTruth(np.arange(1, 7, dtype=np.int32)[None, :], 1.0)
-    places = np.array([[room - 0.5, 0.5] for room in rooms])
-    return map_scores(truth, places, np.array(labels))
+    return map_scores(truth, np.array([[room - 0.5, 0.5] for room in rooms]), np.array(labels))
 
 
 def test_a_submap_a_room_is_perfect_and_a_room_opened_again_on_the_second_lap_is_counted() -> None:
@@ -91,9 +90,7 @@ def test_poses_of_another_frame_are_refused(places: np.ndarray[tuple[int, int]])
 
 
 @given(truth=st.lists(st.integers(0, 4), min_size=1, max_size=40), seed=st.integers(0, 1000))
-def test_homogeneity_and_completeness_are_those_of_scikit_learn(
-    truth: list[int], seed: int
-) -> None:
+def test_homogeneity_and_completeness_are_scikit_learn_s(truth: list[int], seed: int) -> None:
     rooms = np.array(truth)
     found = np.random.default_rng(seed).integers(0, 4, len(rooms))
     assert homogeneity(rooms, found) == pytest.approx(homogeneity_score(rooms, found), abs=1e-9)
@@ -120,12 +117,8 @@ def test_room_scores_and_overlaps_are_those_of_loops_over_rooms_and_segments(
         assert (scores.recall, scores.precision, scores.iou) == (0.0, 0.0, 0.0)
         return
     recall = [max(len(room & its) for its in found.values()) / len(room) for room in here.values()]
-    precision = [
-        max(len(room & its) for room in here.values()) / len(its) for its in found.values()
-    ]
-    iou = [
-        max(len(room & its) / len(room | its) for its in found.values()) for room in here.values()
-    ]
+    precision = [max(len(own & its) for own in here.values()) / len(its) for its in found.values()]
+    iou = [max(len(own & its) / len(own | its) for its in found.values()) for own in here.values()]
     assert scores.recall == pytest.approx(np.mean(recall))
     assert scores.precision == pytest.approx(np.mean(precision))
     assert scores.iou == pytest.approx(np.mean(iou))
@@ -133,9 +126,7 @@ def test_room_scores_and_overlaps_are_those_of_loops_over_rooms_and_segments(
 
 
 @given(st.lists(st.integers(0, 2), min_size=1, max_size=50), st.floats(0.05, 3.0))
-def test_visits_begin_where_the_robot_stays_long_enough_in_another_room(
-    rooms: list[int], least_m: float
-) -> None:
+def test_a_visit_begins_with_a_long_stay_in_another_room(rooms: list[int], least_m: float) -> None:
     """Against a walk from room to room, with keyframes 0.3 m apart."""
     steps = np.full(len(rooms), 0.3)
     way, here, expected = np.cumsum(steps), [rooms[0]], list[int]()  # `here` has a room a visit

@@ -113,8 +113,7 @@ def test_a_map_of_no_recording_is_told_how_to_leave_the_default_rules_out(change
 
 def test_bounds_are_kept_up_to_their_value(changed: House) -> None:
     path = changed(edges=1)
-    kept = Rules("poor", {"submaps": 3, "lost_share": 0.025}, {"submaps": 3})
-    assert broken(path, kept) == {}
+    assert broken(path, Rules("poor", {"submaps": 3, "lost_share": 0.025}, {"submaps": 3})) == {}
     low = Rules("poor", {"submaps": 2.9, "lost_share": 0.024}, {})
     assert list(broken(path, low)) == ["submaps", "lost_share"]
     assert list(broken(path, Rules("poor", {}, {"submaps": 3.1}))) == ["submaps"]
@@ -155,9 +154,7 @@ def test_what_differs_from_a_golden_map_is_counted() -> None:
     assert (unknown["golden.aligned"], unknown["golden.gone"]) == (0, None)
 
 
-def test_why_a_golden_map_does_not_fit_is_told_once(
-    changed: House, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_does_not_fit_is_told_once(changed: House, monkeypatch: pytest.MonkeyPatch) -> None:
     path = changed()
     refused = Mock(side_effect=NoResultError("they do not fit"))
     monkeypatch.setattr("specmap_cli.pipelines.check.compare_maps", refused)

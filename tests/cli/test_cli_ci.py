@@ -129,9 +129,7 @@ def test_the_workflow_makes_a_map_and_checks_it(server: Server) -> None:
         assert (server.place / path).exists(), path
 
 
-def test_the_workflow_fails_on_a_map_of_one_room_and_shows_why(
-    server: Server, tiny_log: Path
-) -> None:
+def test_a_workflow_fails_on_a_map_of_one_room_and_says_why(server: Server, tiny_log: Path) -> None:
     shutil.copy(tiny_log, server.place)
     one_room = replace(server, environment={**server.environment, "LOG": tiny_log.name})
     assert one_room.job(github_steps()) == 3, "the last step finds no route to export"
@@ -161,8 +159,7 @@ def test_the_line_of_cron_keeps_a_map_and_is_silent(server: Server) -> None:
 def test_the_line_of_cron_tells_what_is_wrong_and_leaves_the_map(server: Server) -> None:
     (server.place / "golden").rename(server.place / "map")
     (server.place / "tonight.mcap").write_bytes(b"nothing")
-    done = server.sh(cron_line())
-    assert done.stderr.startswith("specmap: error: tonight.mcap: ")
+    assert server.sh(cron_line()).stderr.startswith("specmap: error: tonight.mcap: ")
     assert not (server.place / "before").exists()
 
 

@@ -35,8 +35,7 @@ def test_there_are_maps_of_both_schemas_without_anything_that_runs() -> None:
     for path in ARCHIVES:
         with zipfile.ZipFile(path) as archive:
             endings = {Path(name).suffix for name in archive.namelist()}
-        allowed = {".json", ".csv", ".tum", ".g2o", ".png", ".yaml", ".mcap"}
-        assert endings <= allowed
+        assert endings <= {".json", ".csv", ".tum", ".g2o", ".png", ".yaml", ".mcap"}
         assert path.stat().st_size < 30_000
 
 
@@ -60,9 +59,7 @@ def test_a_log_is_localised_in_it(earlier: Path, tmp_path: Path, run: Run) -> No
     assert out.read_text().startswith("stamp")
 
 
-def test_its_borders_are_edited_if_it_keeps_its_scans(
-    earlier: Path, tmp_path: Path, run: Run
-) -> None:
+def test_borders_are_edited_if_it_keeps_its_scans(earlier: Path, tmp_path: Path, run: Run) -> None:
     """An edit makes classifiers, doors and ways anew from the scans, as an update does."""
     named = run("edit", earlier, "--rename", "0", "Kitchen", "-o", tmp_path / "named")
     assert named.code == 0, named.err

@@ -43,9 +43,7 @@ def test_another_directory_may_be_written(own_map: Path, tmp_path: Path, run: Ru
     assert "would replace the input" in run("edit", own_map, "-o", tmp_path).error
 
 
-def test_names_are_in_the_table_of_localize(
-    own_map: Path, tiny_log: Path, tmp_path: Path, run: Run
-) -> None:
+def test_localize_tells_the_names(own_map: Path, tiny_log: Path, tmp_path: Path, run: Run) -> None:
     assert run("edit", own_map, "--rename", "0", 'the "lab", west').code == 0
     assert run("localize", tiny_log, "--map", own_map, "-o", tmp_path / "labels.csv").code == 0
     assert ',0,"the ""lab"", west",' in (tmp_path / "labels.csv").read_text(encoding="utf-8")
@@ -85,5 +83,4 @@ def test_what_cannot_be_is_one_line_and_changes_nothing(
 
 def test_a_broken_file_is_one_line(own_map: Path, run: Run) -> None:
     (own_map / "edits.toml").write_text('[submaps.0]\nname = "Lab\n', encoding="utf-8")
-    told = "edits.toml: not valid TOML: Illegal character '\\n' (at line 2,"
-    run("edit", own_map).fails(3, told)
+    run("edit", own_map).fails(3, "edits.toml: not valid TOML: Illegal character '\\n' (at line 2,")

@@ -135,8 +135,7 @@ def test_an_interruption_is_json_too(
     number: int, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ConsoleProgress, "note", lambda *_: os.kill(os.getpid(), number))
-    log = standing_log(tmp_path / "log.mcap", 3.0)
-    said = run("build", log, "-o", tmp_path / "map", "--json")
+    said = run("build", standing_log(tmp_path / "log.mcap", 3.0), "-o", tmp_path / "map", "--json")
     assert said.code == 128 + number
     error = as_json(said)
     assert (error["code"], error["exit_code"]) == ("interrupted", 128 + number)

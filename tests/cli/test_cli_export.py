@@ -70,8 +70,7 @@ def test_warnings_are_told_and_stand_in_the_result(house: Path, run: Run) -> Non
     record["edges"][0] |= {"path": ends, "length_m": 4.5, "clearance_m": 0.4}
     record["graph"]["robot_radius_m"] = 0.2
     topology.write_text(json.dumps(record))
-    target = house.parent / "house.geojson"
-    shown = run("export", house, "-f", "nav2", "-o", target, "--json")
+    shown = run("export", house, "-f", "nav2", "-o", house.parent / "house.geojson", "--json")
     result = json.loads(shown.out)
     assert result["warnings"] == [
         "no place to stand in submap 2: left out",

@@ -59,9 +59,7 @@ class TestWhoseSettings:
         assert (over.stay, over.unknown) == (0.8, False), "assignments go over the file"
 
     @pytest.mark.parametrize("preset", ["default", "paper"])
-    def test_a_preset_takes_the_place_of_all(
-        self, preset: str, stored: Map, tmp_path: Path
-    ) -> None:
+    def test_a_preset_replaces_all(self, preset: str, stored: Map, tmp_path: Path) -> None:
         assert settings_for(stored, {}, preset=preset) == load_config(preset=preset)
         path = settings_file(tmp_path, f"preset = '{preset}'\n[localization]\nstay = 0.9\n")
         found = settings_for(stored, {"seed": 3}, path)
@@ -104,9 +102,7 @@ class TestWhoseSettings:
         assert written[0] != written[1] == written[2]
 
 
-def test_offline_labels_know_the_whole_log(
-    tiny_log: Path, tiny_map: Path, tmp_path: Path, run: Run
-) -> None:
+def test_offline_labels_know_all(tiny_log: Path, tiny_map: Path, tmp_path: Path, run: Run) -> None:
     line = ("localize", tiny_log, "--map", tiny_map, "-q", "--metric")
     assert run(*line, "-o", tmp_path / "online.csv").code == 0
     assert run(*line, "-o", tmp_path / "offline.csv", "--offline").code == 0
@@ -128,11 +124,9 @@ def test_a_log_of_another_place_says_so_in_its_first_line_and_by_its_code(
 ) -> None:
     line = ("--map", tiny_map, "-q", "--fail-on", "unknown")
     assert run("localize", tiny_log, *line).code == 0
-    failed = run("localize", elsewhere, *line)
-    assert failed.code == 5
-    assert failed.out.splitlines()[0].endswith(
-        "none of them known: the map does not show this place"
-    )
+    lost = run("localize", elsewhere, *line)
+    assert lost.code == 5
+    assert lost.out.splitlines()[0].endswith("none of them known: the map does not show this place")
 
 
 def test_while_the_place_is_not_known_a_line_says_so_every_ten_seconds(
@@ -143,11 +137,8 @@ def test_while_the_place_is_not_known_a_line_says_so_every_ten_seconds(
     for log, known in ((tiny_log, True), (elsewhere, False)):
         ticks = (2.5 * k for k in count())
         monkeypatch.setattr("specmap_cli.pipelines.localize.monotonic", lambda t=ticks: next(t))
-        lines = [
-            line
-            for line in run("localize", log, "--map", tiny_map).err.splitlines()
-            if told in line
-        ]
+        err = run("localize", log, "--map", tiny_map).err
+        lines = [line for line in err.splitlines() if told in line]
         if known:
             assert len(lines) <= 1, "at its start it knows nothing"
         else:

@@ -37,9 +37,7 @@ def line(request: pytest.FixtureRequest, tmp_path: Path, tiny_map: Path) -> tupl
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_what_is_no_recording(
-    name: str, line: tuple[str | Path, ...], tmp_path: Path, run: Run
-) -> None:
+def test_no_recording(name: str, line: tuple[str | Path, ...], tmp_path: Path, run: Run) -> None:
     content, told = BAD[name]
     if content is not None:
         (tmp_path / name).write_bytes(content)

@@ -126,9 +126,7 @@ class TestEnvironment:
         assert run("config", "--config", others, "--json").result["seed"] == 6
 
     @pytest.mark.parametrize("yes", ["1", "true", "Yes"])
-    def test_json_of_results_and_errors(
-        self, yes: str, run: Run, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_json_also_of_errors(self, yes: str, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv("SPECMAP_JSON", yes)
         assert run("config").result["seed"] == 0
         assert json.loads(run("info", "none.mcap").out)["error"]["code"] == "log-missing"
@@ -147,9 +145,7 @@ class TestEnvironment:
         monkeypatch.setenv("SPECMAP_QUIET", "1")
         assert run(*line, "--log-level", "debug").err == ""
 
-    def test_a_wrong_value_is_named_with_its_variable(
-        self, run: Run, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_wrong_value_is_named(self, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv("SPECMAP_LOG_LEVEL", "loud")
         assert "env var: 'SPECMAP_LOG_LEVEL'" in run("config").error
 
@@ -170,9 +166,7 @@ class TestInfo:
         found = run("info", standing_log(tmp_path / "log.mcap", 3.0, topics=()), "--json").result
         assert "no LaserScan, MultiEchoLaserScan or PointCloud2 in it" in found["problem"]
 
-    def test_the_topics_and_frames_given_or_settings_of_a_file(
-        self, tmp_path: Path, run: Run
-    ) -> None:
+    def test_topics_and_frames_given_or_settings_of_a_file(self, tmp_path: Path, run: Run) -> None:
         log = standing_log(tmp_path / "one.mcap", 3.0)
         options = ["--odom-topic", "/odom", "--base-frame", "base_link"]
         for flags in (options, ["--no-odometry"], []):

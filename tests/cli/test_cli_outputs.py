@@ -31,9 +31,7 @@ def test_two_builds_are_byte_identical(tiny_log: Path, tiny_map: Path, tmp_path:
     assert first == second
 
 
-def test_localizing_twice_is_byte_identical(
-    tiny_log: Path, tiny_map: Path, tmp_path: Path, run: Run
-) -> None:
+def test_localize_is_repeatable(tiny_log: Path, tiny_map: Path, tmp_path: Path, run: Run) -> None:
     written = []
     for name in ("first", "second"):
         csv, plot = tmp_path / f"{name}.csv", tmp_path / f"{name}.png"
@@ -94,14 +92,11 @@ def test_an_output_without_a_place_is_told_before_the_work(
     option: str, place: str, told: str, tiny_map: Path, tmp_path: Path, run: Run
 ) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
-    said = run("localize", "never-opened.mcap", "--map", tiny_map, option, tmp_path / place)
-    said.fails(2, told)
+    run("localize", "never-opened.mcap", "--map", tiny_map, option, tmp_path / place).fails(2, told)
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-def test_a_map_below_a_file_or_in_a_foreign_directory(
-    tiny_log: Path, tmp_path: Path, run: Run
-) -> None:
+def test_maps_below_a_file_or_in_a_foreign_folder(tiny_log: Path, tmp_path: Path, run: Run) -> None:
     (tmp_path / "file").write_text("mine", encoding="utf-8")
     for out, options, told in (
         (tmp_path / "file" / "a" / "map", (), "Not a directory"),
@@ -187,9 +182,7 @@ def test_the_true_poses_are_not_replaced_either(plan: Path, tmp_path: Path, run:
 
 @pytest.mark.parametrize("unbuffered", ["1", ""])
 @pytest.mark.parametrize("line", [["--help"], ["config"], ["info"]])
-def test_a_reader_that_leaves_early_is_no_error(
-    line: list[str], unbuffered: str, tiny_log: Path
-) -> None:
+def test_readers_may_leave_early(line: list[str], unbuffered: str, tiny_log: Path) -> None:
     arguments = [*line, str(tiny_log)] if line[0] == "info" else line
     reading, writing = os.pipe()
     os.close(reading)

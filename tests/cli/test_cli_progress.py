@@ -103,5 +103,4 @@ def test_a_file_gets_notes_alone_and_every_stage_with_its_time_when_asked(
     told = "scans from /scan (LaserScan, 61), odometry from /odom, base frame base_link"
     assert note == f"specmap: {told}"
     found = [re.fullmatch(r"specmap: debug: (.*): .*\d\.\d s", line) for line in stages]
-    names = [stage and stage[1] for stage in found]
-    assert names == ["mapping", "layout", "grids", "training"]
+    assert [stage and stage[1] for stage in found] == ["mapping", "layout", "grids", "training"]

@@ -94,11 +94,8 @@ def versions_in(schema: Mapping[str, Any]) -> Iterator[int]:
 
 
 def test_every_schema_is_of_a_command_or_a_file_and_parts_are_the_same_in_all_of_them() -> None:
-    assert set(schema_names()) == {
-        *map(name_of_command, COMMANDS),
-        *FILE_SCHEMAS.values(),
-        ERROR_SCHEMA,
-    }
+    expected = {*map(name_of_command, COMMANDS), *FILE_SCHEMAS.values(), ERROR_SCHEMA}
+    assert set(schema_names()) == expected
     parts: dict[str, Any] = {}
     for name in ("build", "update", "merge", "run"):
         for title, part in read_schema(name)["$defs"].items():

@@ -20,9 +20,7 @@ from tests.test_architecture import HEAVY
 COMMANDS = ("info", "build", "localize", "segment", "evaluate", "simulate", "convert", "config")
 
 
-def test_the_version_names_what_it_stands_on_or_what_is_missing(
-    run: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_version_names_what_it_needs_or_lacks(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     said = run("--version")
     assert (said.code, said.err) == (0, "")
     first, second, *libraries = said.out.splitlines()
@@ -66,8 +64,7 @@ def test_the_help_of_a_command_has_an_example_and_the_exit_codes(name: str, run:
 
 @pytest.mark.parametrize("arguments", [["--help"], ["build", "--help"], ["frobnicate"]])
 def test_help_and_usage_errors_load_nothing_heavy(arguments: list[str]) -> None:
-    loaded = HEAVY & loaded_by(*arguments)
-    assert loaded <= (set() if arguments == ["--help"] else {"pydantic"})
+    assert (HEAVY & loaded_by(*arguments)) <= (set() if arguments == ["--help"] else {"pydantic"})
 
 
 def test_localize_waits_for_nothing_that_it_does_not_need(tiny_log: Path, tiny_map: Path) -> None:
@@ -143,8 +140,7 @@ def test_a_number_out_of_bounds_is_told_in_our_words(run: Run) -> None:
     said = run("evaluate", "log.mcap", "--share", "5")
     said.fails(2, "--share")
     assert "Input should" not in said.error
-    plan = ROOT / "sample_logs" / "office.yaml"
-    tour = run("simulate", plan, "-o", "tour.mcap", "--fov", "720")
+    tour = run("simulate", ROOT / "sample_logs" / "office.yaml", "-o", "tour.mcap", "--fov", "720")
     tour.fails(2, "--fov: must be 360 or less, found 720.0")
 
 

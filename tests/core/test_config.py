@@ -34,9 +34,7 @@ def write(folder: Path, text: str) -> Path:
     return path
 
 
-def test_a_flag_goes_over_the_file_the_file_over_the_preset_and_it_over_the_default(
-    tmp_path: Path,
-) -> None:
+def test_flags_go_over_files_files_over_presets_and_these_over_defaults(tmp_path: Path) -> None:
     path = write(tmp_path, "[segmentation]\nneighbours = 9\nsight_m = 4.0\n")
     config = load_config(path, "paper", {"segmentation": {"sight_m": 3.0}})
     assert config.preset == "paper"
@@ -161,8 +159,7 @@ def test_a_retired_setting_is_told_with_its_last_default(tmp_path: Path) -> None
     fixed = r"^relaxation\.node_m was retired: its value is now fixed at 0\.3$"
     with pytest.warns(RetiredSetting, match=fixed):
         assert load_config(path).grid.resolution_m == 0.1
-    other = fixed.replace("$", r"; 0\.5 has no effect$")
-    with pytest.warns(RetiredSetting, match=other) as told:
+    with pytest.warns(RetiredSetting, match=fixed.replace("$", r"; 0\.5 has no effect$")) as told:
         assert with_overrides(Config(), {"relaxation": {"node_m": 0.5}}) == Config()
     assert len(told) == 1
 

@@ -195,9 +195,7 @@ def test_notes_about_the_result_are_no_warnings() -> None:
 GROUP = "specmap.test"
 
 
-def test_plugins_follow_the_built_in_ones_by_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_plugins_come_last_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert with_plugins(GROUP, {"m": 13}) == {"m": 13}, "there is none"
     install(tmp_path, monkeypatch, GROUP, {"z": "Z", "b": "B"}, "Z, B = 26, 2")
     assert list(with_plugins(GROUP, {"m": 13}).items()) == [("m", 13), ("b", 2), ("z", 26)]
@@ -287,9 +285,7 @@ def test_threads_in_a_program(program: str, tiny_log: Path, tmp_path: Path) -> N
     assert done.returncode == 0, done.stderr
 
 
-def test_a_file_is_replaced_whole_or_left_as_it_was(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_is_replaced_whole_or_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "run.json"
     path.write_text("a longer text than the new one")
     write_text(path, "für\n")
@@ -304,9 +300,7 @@ def test_a_file_is_replaced_whole_or_left_as_it_was(
     assert os.listdir(tmp_path) == ["run.json"]
 
 
-def test_two_files_appear_together_or_not_at_all(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_two_files_appear_together_or_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The disk is full when the second one is written."""
     calls: list[int] = []
 

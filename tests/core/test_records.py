@@ -32,8 +32,7 @@ def test_neighbours_are_those_of_networkx(pairs: list[tuple[int, int]]) -> None:
     graph = nx.Graph()
     graph.add_nodes_from(range(6))
     graph.add_edges_from(pair for pair in pairs if pair[0] != pair[1])
-    expected = {node: frozenset(graph[node]) for node in graph}
-    assert neighbours(range(6), pairs) == expected
+    assert neighbours(range(6), pairs) == {node: frozenset(graph[node]) for node in graph}
     with pytest.raises(KeyError):  # a pair of strangers
         neighbours(range(6), [*pairs, (0, 7)])
 
@@ -108,8 +107,7 @@ def test_poses_are_their_matrices(a: Pose2, b: Pose2) -> None:
     assert_same(a @ a.inverse(), IDENTITY)
     assert_same(a.inverse() @ a, IDENTITY)
     points = np.array([[0.0, 0.0], [1.0, -2.0], [30.0, 4.0]])
-    moved_points = points @ expected[:2, :2].T + (a.x, a.y)
-    np.testing.assert_allclose(a.apply(points), moved_points, atol=1e-9)
+    np.testing.assert_allclose(a.apply(points), points @ expected[:2, :2].T + (a.x, a.y), atol=1e-9)
 
 
 @given(pose_arrays(4), pose_arrays(4))

@@ -66,9 +66,7 @@ VALUES = st.recursive(
 
 
 @given(st.integers(-(2**62), 2**62), st.integers(-(2**50), 2**50))
-def test_a_stamp_survives_as_text_and_to_the_microsecond_as_seconds(
-    stamp: int, micros: int
-) -> None:
+def test_a_stamp_stays_as_text_and_to_the_microsecond_as_seconds(stamp: int, micros: int) -> None:
     assert stamp_ns(stamp_text(stamp)) == stamp
     assert nanoseconds(seconds(micros * 1000)) == micros * 1000
 
@@ -135,9 +133,7 @@ def test_things_are_counted_in_english() -> None:
 
 
 @given(VALUES, st.integers(0, 6))
-def test_exact_json_is_read_back_to_the_last_bit_however_it_is_laid_out(
-    value: Any, levels: int
-) -> None:
+def test_exact_json_is_read_to_the_last_bit_however_it_is_laid_out(value: Any, levels: int) -> None:
     assert json.loads(to_exact_json(value, levels)) == value
 
 
@@ -196,9 +192,7 @@ def meant(cell: str) -> str:
 
 
 @pytest.mark.parametrize("name", FORMULAS + PLAIN + NUMBERS)
-def test_a_spreadsheet_runs_no_name_and_other_texts_and_numbers_stand_as_they_are(
-    name: str,
-) -> None:
+def test_a_spreadsheet_runs_no_name_and_other_texts_and_numbers_stay_as_they_are(name: str) -> None:
     said = f"'{name}" if name in FORMULAS else name
     assert read(csv_text(["name", name], [[1, name]])) == [["name", said], ["1", said]]
 

@@ -45,8 +45,7 @@ def test_a_new_room_with_the_number_of_an_old_one_differs(monkeypatch: pytest.Mo
     cells, owner = flat().grid.cells.copy(), flat().owner.copy()
     cells[:, 101:], owner[:, 101:] = UNKNOWN, NOBODY
     old = Regions.of(flat().grid.__class__(cells, flat().grid.resolution, (0.0, 0.0)), owner)
-    track = TRACK[TRACK[:, 0] < 4.5]
-    found = differences(old, new, (track, TRACK), RIGID)
+    found = differences(old, new, (TRACK[TRACK[:, 0] < 4.5], TRACK), RIGID)
     assert list(found.identity.new) == [0]
     text = Mock()
     monkeypatch.setattr(Canvas, "text", text)

@@ -16,7 +16,7 @@ from specmap_cli.drawing.palette import Colour
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.topology.regions import NOBODY, Regions
 from specmap_cli.topology.topological_map import Submap, TopologicalMap
-from tests.drawing.seeing import ciede2000, contrast, least_difference
+from tests.drawing.looking import ciede2000, contrast, least_difference
 from tests.strategies import few, seeds
 
 APART = 15.0  # CIEDE2000: told apart at a glance
@@ -41,8 +41,7 @@ def test_differences_are_as_published(
 
 @pytest.mark.parametrize("colours", [palette.FILLS, palette.LINES], ids=["fills", "lines"])
 def test_any_two_colours_are_told_apart_by_all_eyes(colours: tuple[Colour, ...]) -> None:
-    nearest = min(least_difference(a, b) for a, b in itertools.combinations(colours, 2))
-    assert nearest >= APART
+    assert min(least_difference(a, b) for a, b in itertools.combinations(colours, 2)) >= APART
 
 
 @pytest.mark.parametrize("fill", palette.FILLS)
@@ -105,8 +104,7 @@ def test_nearly_all_ids_keep_their_colours_when_a_map_grows(seed: int, count: in
 
 
 def test_more_neighbours_than_colours() -> None:
-    pairs = list(itertools.combinations(range(20), 2))
-    fills = palette.colour_graph(range(20), pairs)
+    fills = palette.colour_graph(range(20), list(itertools.combinations(range(20), 2)))
     assert len(fills) == 20
     assert set(fills.values()) == set(palette.FILLS)
 
@@ -137,8 +135,7 @@ def test_rooms_on_both_sides_of_a_wall_are_neighbours() -> None:
     first, second = 0, len(palette.FILLS)
     owner = np.full((40, 93), NOBODY)
     owner[:, :40], owner[:, 53:] = first, second  # 0.65 m apart
-    cells = np.where(owner == NOBODY, OCCUPIED, FREE).astype(np.uint8)
-    grid = GridMap(cells, 0.05)
+    grid = GridMap(np.where(owner == NOBODY, OCCUPIED, FREE).astype(np.uint8), 0.05)
     submaps = {id_: Submap(id=id_, map_from_submap=IDENTITY, grid=grid) for id_ in (first, second)}
     fills = palette.colours_of(TopologicalMap(submaps=submaps), Regions.of(grid, owner))
     assert fills[first] != fills[second]

@@ -144,8 +144,7 @@ def test_a_cell_of_less_than_a_percent_does_not_say_nought(few: int) -> None:
 @pytest.mark.parametrize("size", [0, 1, 12, 150])
 @pytest.mark.parametrize("name", ["{}", "the room with a long name, number {}"])
 def test_any_number_of_classes_and_any_names_fit(size: int, name: str) -> None:
-    names = [name.format(i) for i in range(size)]
-    image = render_confusion(np.eye(size) * 3, names)
+    image = render_confusion(np.eye(size) * 3, [name.format(i) for i in range(size)])
     assert max(image.shape) < 3000
     assert min(image.shape[:2]) > 90
     assert is_framed(image)

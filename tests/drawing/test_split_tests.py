@@ -45,12 +45,10 @@ def split_test(
 ) -> SplitTest:
     """A robot that drove from left to right, with nodes along the middle of the corridor."""
     vector = np.array([-1.0, 1.0] if eigenvector is None else eigenvector)
-    nodes = np.column_stack([np.linspace(11.0, 17.0, len(vector)), np.zeros(len(vector))])
-    poses = np.column_stack([np.linspace(11.0, 17.0, 30), np.full(30, -1.0), np.zeros(30)])
     return SplitTest(
         grid=corridor(),
-        poses=poses,
-        nodes=nodes,
+        poses=np.column_stack([np.linspace(11.0, 17.0, 30), np.full(30, -1.0), np.zeros(30)]),
+        nodes=np.column_stack([np.linspace(11.0, 17.0, len(vector)), np.zeros(len(vector))]),
         eigenvalues=np.array([1.0, 0.9] if eigenvalues is None else eigenvalues),
         chosen=chosen,
         eigenvector=vector,
@@ -94,8 +92,7 @@ def test_the_map_is_white_grey_and_black_and_the_way_ends_in_a_dot_where_the_rob
         column, row = spot(x, -1.0).astype(int).tolist()
         assert of_colour(image[row - 1 : row + 2, column : column + 1], DARK, 60).any()
     column, row = spot(17.0, -1.0).astype(int).tolist()
-    dot = of_colour(image[row - 10 : row + 11, column + 1 : column + 10], DARK, 60)
-    assert dot.sum() > 30
+    assert of_colour(image[row - 10 : row + 11, column + 1 : column + 10], DARK, 60).sum() > 30
     left, right, _, _ = bounds(of_colour(image[HEIGHT - 18 : HEIGHT - 14, :80], INK, 0))
     assert right - left == pytest.approx(60.0, abs=2)  # the scale: a metre
 
@@ -136,8 +133,7 @@ def test_the_words_tell_the_decision_and_when_it_was_made_and_fit() -> None:
         assert [np.array_equal(*pair) for pair in pairs] == [k != line for k in range(3)]
         np.testing.assert_array_equal(image[:HEIGHT], usual[:HEIGHT])
         np.testing.assert_array_equal(image[-SPECTRUM:], usual[-SPECTRUM:])
-    late = Occasion(100_000, 200_000, 90_061.0)
-    for words in lines_of(draw_test(test, 0.123456, False, late)):
+    for words in lines_of(draw_test(test, 0.123456, False, Occasion(100_000, 200_000, 90_061.0))):
         left, right, *_ = bounds(inked(words))
         assert 7 <= left < right <= 473
 
@@ -164,8 +160,7 @@ def test_nodes_of_a_division_have_a_colour_a_region() -> None:
     ]
     assert seen[0] == seen[1]
     assert len({seen[1], seen[2], seen[3]}) == 3
-    saturation = cv2.cvtColor(np.array([seen], dtype=np.uint8), cv2.COLOR_BGR2HSV)[0, :, 1]
-    assert saturation.min() > 150
+    assert cv2.cvtColor(np.array([seen], dtype=np.uint8), cv2.COLOR_BGR2HSV)[0, :, 1].min() > 150
 
 
 def test_sight_lines_between_regions_are_red_and_the_longer_half_is_left_out() -> None:

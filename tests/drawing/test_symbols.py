@@ -21,9 +21,7 @@ from tests.drawing.looking import bounds, inked, near, of_colour, pixel
         ("narrow", palette.TRAVERSED, 17),
     ],
 )
-def test_links_are_solid_dashed_or_dotted(
-    kind: symbols.LinkKind, colour: palette.Colour, strokes: int
-) -> None:
+def test_the_lines_of_links(kind: symbols.LinkKind, colour: palette.Colour, strokes: int) -> None:
     canvas = Canvas(240, 40, palette.SHADE)
     symbols.edge(canvas, np.array([[20.0, 20.0], [220.0, 20.0]]), kind)
     along = of_colour(canvas.image, colour, 60)[20]

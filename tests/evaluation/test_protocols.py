@@ -43,9 +43,8 @@ def test_scores_equal_scikit_learn_s(pairs: list[tuple[int, int]], seed: int) ->
     guesses = [None if name == names[-1] else int(name) for name in said]
     ours = classification_scores(truth, guesses, ids[::-1])
     assert ours.ids == tuple(ids)
-    precision, recall, _, support = precision_recall_fscore_support(
-        truth, said, labels=ids, zero_division=0
-    )
+    scores = precision_recall_fscore_support(truth, said, labels=ids, zero_division=0)
+    precision, recall, _, support = scores
     visited = [name for name, scans in zip(ids, support, strict=True) if scans]
     of = {name: k for k, name in enumerate(ids)}
     assert ours.recall_of == {name: pytest.approx(recall[of[name]]) for name in visited}
@@ -56,8 +55,7 @@ def test_scores_equal_scikit_learn_s(pairs: list[tuple[int, int]], seed: int) ->
     assert (ours.recall, ours.precision) == pytest.approx((recall, precision))
     assert ours.accuracy == pytest.approx(accuracy_score(truth, said))
     assert ours.scans == len(pairs)
-    unknown = np.where(np.isin(said, ids), said, -1)
-    theirs = confusion_matrix(truth, unknown, labels=[*ids, -1])
+    theirs = confusion_matrix(truth, np.where(np.isin(said, ids), said, -1), labels=[*ids, -1])
     np.testing.assert_array_equal(ours.confusion, theirs[:5])
 
 
@@ -190,8 +188,7 @@ def test_the_lines_of_relations_and_of_a_reference() -> None:
     relative = trajectories.RelativeErrors(**both, matched=1200, total=2000)
     text = "mean 0.1000  std 0.0200  median 0.0900  p95 0.2000  max 1.2500"
     spreads = [f"  translation m  {text}", f"  rotation deg   {text}"]
-    told = trajectories.relation_lines(relative)
-    assert told == ["1,200 of 2,000 relations matched", *spreads]
+    assert trajectories.relation_lines(relative) == ["1,200 of 2,000 relations matched", *spreads]
     by_length = {1.0: relative, 20.0: relative}
     absolute = {"ate_m": 0.03435, "end_m": 2.5, "end_deg": 0.1234}
     whole = [
@@ -340,8 +337,7 @@ def test_a_scale_error_grows_with_the_length_of_path_as_far_as_it_reaches() -> N
     for length, errors in found.relative.items():
         assert errors.translation_m.mean == pytest.approx(0.02 * length, rel=0.1)
         assert errors.rotation_deg.max == 0.0
-    end = float(straight.poses[-1, 0] - straight.poses[0, 0])
-    assert found.end_m == pytest.approx(0.02 * end)
+    assert found.end_m == pytest.approx(0.02 * float(straight.poses[-1, 0] - straight.poses[0, 0]))
     assert found.as_dict()["relative"]["5"]["matched"] == found.relative[5.0].matched
     for count, lengths in ((5, []), (30, [1.0]), (120, [1.0, 5.0]), (400, [1.0, 5.0, 20.0])):
         short = walk(count)

@@ -45,13 +45,10 @@ def with_submaps(out: Path, result: MapResult, *changes: dict[str, Any]) -> Map:
     submaps = dict(old.submaps)
     for id_, fields in enumerate(changes):
         submaps[id_] = replace(submaps[id_], **fields)
-    topology = replace(old, submaps=submaps)
-    return written(out, replace(result, topology=topology))
+    return written(out, replace(result, topology=replace(old, submaps=submaps)))
 
 
-def lengths_are_the_map_s(
-    graph: nx.DiGraph, stored: Map, names: Mapping[int, Any], weight: str
-) -> None:
+def lengths_agree(graph: nx.DiGraph, stored: Map, names: Mapping[int, Any], weight: str) -> None:
     ways = [edge for edge in stored.record.edges if edge.corners]
     assert len(ways) >= 2
     for way in ways:

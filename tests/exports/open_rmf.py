@@ -64,9 +64,7 @@ def generated(building: Any) -> Any:
                     options["door_name"] = _values(door)["name"]
             if told["speed_limit"] > 0.0:
                 options["speed_limit"] = told["speed_limit"]
-            lanes += [[*ends, options]] + (
-                [[*ends[::-1], options]] if told["bidirectional"] else []
-            )
+            lanes += [[*ends, options]] + [[*ends[::-1], options]] * bool(told["bidirectional"])
         kept = [vertices[row] for row in rows]
         made = [[x, y, {"name": called, **_values(typed)}] for x, y, _, called, typed in kept]
         graph["levels"][name] = {"vertices": made, "lanes": lanes}

@@ -69,8 +69,7 @@ def test_grids_have_the_cells_and_the_colours_of_the_map(home: Map, found: Found
         assert [field.name for field in grid.fields] == ["red", "green", "blue", "alpha"]
         assert grid.cell_size.x == whole.resolution
         assert pose_of(grid.pose) == pytest.approx((*whole.origin, 0.0))
-        data = np.frombuffer(grid.data, dtype=np.uint8)
-        layers[topic] = data.reshape(-1, grid.column_count, 4)
+        layers[topic] = np.frombuffer(grid.data, dtype=np.uint8).reshape(-1, grid.column_count, 4)
         assert layers[topic].shape[:2] == whole.cells.shape
     assert (layers["/map"][whole.cells == FREE] == 255).all()
     assert (layers["/map"][whole.cells == OCCUPIED][:, :3] < 60).all()
@@ -171,7 +170,6 @@ def files(data: bytes) -> dict[str, Any]:
 
 @pytest.mark.parametrize("name", SCHEMAS)
 def test_the_schema_is_that_of_the_sdk(name: str) -> None:
-    messages = consumer("foxglove.messages")
-    sdk = getattr(messages, name).get_schema()
+    sdk = getattr(consumer("foxglove.messages"), name).get_schema()
     assert (sdk.name, sdk.encoding) == (f"foxglove.{name}", "protobuf")
     assert files(description(name)) == files(sdk.data)

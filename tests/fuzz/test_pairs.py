@@ -14,8 +14,7 @@ from tests.flats import Mapped
 def test_two_commands_on_one_map_lose_nothing(
     kinds: tuple[str, str], first_tour: Mapped, second_tour: Mapped, tmp_path: Path
 ) -> None:
-    bench = Bench(first_tour.map, second_tour.log.log, tmp_path)
-    faults, ends = try_pair(bench, kinds, 0.5)
+    faults, ends = try_pair(Bench(first_tour.map, second_tour.log.log, tmp_path), kinds, 0.5)
     assert faults == []
     assert 0 in ends
 

@@ -78,8 +78,7 @@ def test_a_store_is_read_while_it_grows(monkeypatch: pytest.MonkeyPatch, at_a_pl
 
 def test_scans_do_not_stay_in_memory() -> None:
     beams, scans = 2000, 1000
-    bearings = np.linspace(-3, 3, beams)
-    scan = PlanarScan(0, bearings, np.full(beams, 5.0), 10.0, False)
+    scan = PlanarScan(0, np.linspace(-3, 3, beams), np.full(beams, 5.0), 10.0, False)
     tracemalloc.start()
     with KeyframeStore() as store:
         for number in range(scans):
@@ -179,8 +178,7 @@ def test_a_grid_says_how_many_keyframes_it_had_to_refuse() -> None:
 
 def test_a_patrol_of_any_length_tells_as_much_as_the_place_holds() -> None:
     lap = [(0.1 * step, 0.2, 0.1) for step in range(30)]
-    back = [(x, y, -3.0) for x, y, _ in lap[::-1]]
-    patrol = np.array([*lap, *back] * 40)
+    patrol = np.array([*lap, *[(x, y, -3.0) for x, y, _ in lap[::-1]]] * 40)
     chosen = keyframes.informative(patrol)
     assert len(chosen) == 2 * 6 * 16  # two directions, six places half a metre wide
     assert (np.diff(chosen) > 0).all()
@@ -291,6 +289,5 @@ def test_the_only_keyframe_that_shows_a_wall_stays(
     dropped = np.isin(np.arange(len(xs)), marked)
     scan = PlanarScan(0, np.array([np.pi / 2]), np.array([1.04]), 10.0, False)
     with store_of(at(x, scan) for x in xs) as store:
-        grid = GridMap(cells, 0.1)
-        found = keyframes.sole_views(store, dropped, store.poses, grid, old, 20.0)
+        found = keyframes.sole_views(store, dropped, store.poses, GridMap(cells, 0.1), old, 20.0)
     assert [int(number) for number in found] == left

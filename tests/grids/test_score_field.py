@@ -221,8 +221,7 @@ def test_too_few_points_or_cells_leave_the_guess_as_it_is() -> None:
 def test_the_way_follows_what_half_a_sigma_tells_apart() -> None:
     wall = np.column_stack([np.linspace(-4.0, 4.0, 400), np.full(400, 0.025)])
     double = np.vstack([wall, wall + (0.0, 0.15)])  # its second one, a sigma and a half behind it
-    field = ScoreField.from_points(double)
-    near = approach(field, wall[100:300], Pose2(0.0, 0.03, 0.0), SIGMA_M)
+    near = approach(ScoreField.from_points(double), wall[100:300], Pose2(0.0, 0.03, 0.0), SIGMA_M)
     assert near.y == pytest.approx(0.0, abs=0.01)
 
 
@@ -288,8 +287,7 @@ def test_a_scan_is_found_without_a_guess_and_places_are_apart(heading: float) ->
     for match in found:  # scores are never below the true ones
         assert match.score <= 1.0
         assert 0.0 <= FIELD.score(scan, match.pose) <= match.score + 1e-9
-        near = search(FIELD, scan, match.pose, NARROW)
-        assert near.score >= FIELD.score(scan, match.pose)
+        assert search(FIELD, scan, match.pose, NARROW).score >= FIELD.score(scan, match.pose)
 
 
 def test_a_place_beyond_either_end_of_the_field_is_found_and_ties_go_to_the_first() -> None:
@@ -340,8 +338,7 @@ def test_of_poses_that_fit_alike_the_search_takes_the_nearest() -> None:
     corridor = np.vstack([wall(-9, 0, 9, 0), wall(-9, 2, 9, 2)])
     field = ScoreField.from_points(corridor)
     middle = corridor[np.abs(corridor[:, 0]) < 2]
-    empty = ScoreField(np.zeros((50, 50), dtype=np.float32), 0.1, (0.0, 0.0))
-    for place in (field, empty):
+    for place in (field, ScoreField(np.zeros((50, 50), dtype=np.float32), 0.1, (0.0, 0.0))):
         guess = Pose2(0.013, 0.0, 0.0)
         assert search(place, middle, guess, NARROW).pose == guess
 
@@ -357,8 +354,7 @@ def test_covariance_is_that_of_weights_summed_pose_by_pose(seed: int) -> None:
     window = Window(distance_m=reach, angle_rad=angle, step_m=resolution)
     offsets = np.array(lattice(window, resolution, 6))
     scores = np.array([field.score(points, Pose2(*(pose + o).tolist())) for o in offsets])
-    weights = np.exp((scores - scores.max()) / 0.05)
-    expected = np.cov(offsets.T, aweights=weights, ddof=0)
+    expected = np.cov(offsets.T, aweights=np.exp((scores - scores.max()) / 0.05), ddof=0)
     turn("grids", spread_temperature=0.05, spread_m=reach, spread_rad=angle)
     found = matching.covariance(field, points, pose)
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-9)
@@ -368,8 +364,7 @@ def box(length_m: float, width_m: float, range_m: float, noise_m: float) -> Floa
     """What a laser in the middle of a box sees, its long side along x."""
     rng = np.random.default_rng(0)
     to_end = 0.5 * length_m / np.maximum(np.abs(np.cos(BEARINGS)), 1e-9)
-    to_side = 0.5 * width_m / np.maximum(np.abs(np.sin(BEARINGS)), 1e-9)
-    ranges = np.minimum(to_end, to_side)
+    ranges = np.minimum(to_end, 0.5 * width_m / np.maximum(np.abs(np.sin(BEARINGS)), 1e-9))
     seen = ranges < range_m
     ranges = ranges + rng.normal(0.0, noise_m, len(ranges))
     return np.column_stack([ranges * np.cos(BEARINGS), ranges * np.sin(BEARINGS)])[seen]
@@ -423,8 +418,7 @@ def test_a_place_within_the_prior_is_the_first_answer(seed: int) -> None:
     field = ScoreField.from_points(there.apply(points), 0.1, 0.15)
     off = rng.uniform(-1.0, 1.0, 3) * (5.0, 1.0, 0.4)
     guess = Pose2(there.x + off[0], there.y + off[1], there.theta + off[2])
-    prior = Prior(guess, np.diag([2.0, 0.6, 0.2]) ** 2)
-    found = answers(field, points, prior, 0.3, 0.04)
+    found = answers(field, points, Prior(guess, np.diag([2.0, 0.6, 0.2]) ** 2), 0.3, 0.04)
     assert np.hypot(found[0].pose.x - there.x, found[0].pose.y - there.y) < 0.5
     assert abs(wrap_angle(found[0].pose.theta - there.theta)) < 0.06
     assert [one.score for one in found] == sorted((one.score for one in found), reverse=True)

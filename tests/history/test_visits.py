@@ -55,5 +55,4 @@ def test_a_visit_counts_on_the_day_it_began() -> None:
     assert first.rooms == [StayRecord(room=3, visits=1, minutes=1.5)]
     assert (second.recordings, second.minutes) == (0, 0)
     assert second.rooms == [StayRecord(room=4, visits=1, minutes=0.5)]
-    visits = [Visit(1, 0, 60 * _NS), Visit(2, 0, _NS), Visit(1, 0, 30 * _NS)]
-    assert totals(visits)[1] == (2, 1.5)
+    assert totals([Visit(1, 0, 60 * _NS), Visit(2, 0, _NS), Visit(1, 0, 30 * _NS)])[1] == (2, 1.5)

@@ -85,8 +85,7 @@ def chained(first: FloatArray, steps: FloatArray) -> FloatArray:
 
 def drifted(truth: FloatArray, bias: float = 0.0003) -> FloatArray:
     """Tracked poses: each step turns a little too far."""
-    steps = compose(invert(truth[:-1]), truth[1:])
-    return chained(truth[0], steps + (0.0, 0.0, bias))
+    return chained(truth[0], compose(invert(truth[:-1]), truth[1:]) + (0.0, 0.0, bias))
 
 
 def moved_from(first: int, poses: FloatArray, motion: Sequence[float]) -> FloatArray:

@@ -42,8 +42,7 @@ class Twice:
     @property
     def true_motion(self) -> Pose2:
         """The frame of the second piece in that of the first, by the first keyframe."""
-        old_from_world = compose(self.old.poses[0], invert(self.truth[0]))
-        first = compose(old_from_world, self.truth[CUT])
+        first = compose(compose(self.old.poses[0], invert(self.truth[0])), self.truth[CUT])
         return Pose2(*compose(first, invert(self.new.poses[0])).tolist())
 
 
@@ -58,16 +57,14 @@ def twice(drive: Drive) -> Iterator[Twice]:
 
 
 def joined(twice: Twice, motion: Pose2, ties: tuple[Link, ...] = ()) -> Layout:
-    new = placed(twice.new, motion, CUT)
-    return join_layouts(twice.store, twice.old, new, ties, {CUT: None})
+    return join_layouts(twice.store, twice.old, placed(twice.new, motion, CUT), ties, {CUT: None})
 
 
 def test_the_second_recording_comes_to_lie_where_it_belongs(twice: Twice) -> None:
     layout = joined(twice, twice.true_motion @ Pose2(0.15, -0.1, 0.01))
     assert worst(layout.poses, twice.truth) < 0.4
     assert layout.loose == ()
-    across = [one for one in layout.kept if one.source < CUT <= one.target]
-    assert len(across) >= 5
+    assert len([one for one in layout.kept if one.source < CUT <= one.target]) >= 5
     assert layout.agreement.share < 0.02
     assert [move.first for move in layout.parts] == [CUT]
     ends = {(one.source, one.target) for one in (*layout.kept, *layout.dropped)}
@@ -111,16 +108,14 @@ def moved(poses: FloatArray) -> FloatArray:
 def test_motions_stay_as_tracked_and_over_gaps_as_laid_out() -> None:
     rng = np.random.default_rng(1)
     tracked, placed = rng.normal(size=(9, 3)), rng.normal(size=(9, 3))
-    numbers = np.array([0, 1, 4, 5, 8])
-    found = moved(tracked_over_gaps(tracked, placed, numbers, ()))
+    found = moved(tracked_over_gaps(tracked, placed, np.array([0, 1, 4, 5, 8]), ()))
     np.testing.assert_allclose(found[[0, 2]], moved(tracked)[[0, 4]], atol=1e-12)
     over = [compose(invert(placed[a]), placed[b]) for a, b in ((1, 4), (5, 8))]
     np.testing.assert_allclose(found[[1, 3]], over, atol=1e-12)
 
 
 def test_a_long_step_of_a_recording_that_was_thinned_before_is_a_gap() -> None:
-    rng = np.random.default_rng(3)
-    tracked, placed = rng.normal(size=(5, 3)), np.zeros((5, 3))
+    tracked, placed = np.random.default_rng(3).normal(size=(5, 3)), np.zeros((5, 3))
     placed[:, 0] = [0.0, 0.1, 2.0, 2.1, 4.0]
     gaps = gaps_of(placed, np.array([0, 0, 0, 0, 1]))
     assert list(gaps) == [2]  # the last step leads into another recording

@@ -84,8 +84,7 @@ def test_a_pass_is_linked_and_noted_and_none_per_node_is_none(graph: Graph, wall
 def test_a_pass_is_searched_as_far_as_the_way_to_it_may_drift(graph: Graph, walls: Walls) -> None:
     poses = np.array(graph.poses)
     poses[150:, 0] += 0.8
-    free = passes_at(190, graph, poses, walls, {}, set(), Ties(graph, ()))
-    (found,) = free.links
+    (found,) = passes_at(190, graph, poses, walls, {}, set(), Ties(graph, ())).links
     truth = between(graph.tracked, found.source, found.target)
     assert (truth.inverse() @ found.source_from_target).distance < 0.1
     near = link(found.source, int(graph.nodes[188]), (0, 0, 0))  # its other tie, a step before
@@ -138,8 +137,7 @@ def test_where_more_passes_came_by_fewer_nodes_are_asked(graph: Graph, walls: Wa
             found = find_passes(known, as_tracked(graph), walls)
         with turned("layout.consistency", DRIFT_SHARE=0.02):
             often = find_passes(known, as_tracked(graph), walls)
-    newer = sorted(graph.row[link.target] for link in found.loops)
-    ways = np.diff(known.path[newer])
+    ways = np.diff(known.path[sorted(graph.row[link.target] for link in found.loops)])
     assert ways.min() >= 20.0
     assert np.median(ways) < 45.0, "no farther than the path drifts by half of the least search"
     assert len(often.loops) > 1.5 * len(found.loops)

@@ -39,8 +39,7 @@ NOTHING = np.zeros((0, 2))
 
 @given(st.integers(0, 1000), st.integers(1, 60), st.sets(st.integers(0, 59), max_size=4))
 def test_nodes_are_a_step_or_turn_apart_or_must_be(seed: int, count: int, always: set[int]) -> None:
-    rng = np.random.default_rng(seed)
-    steps = rng.uniform((0.0, 0.0, -0.3), (0.2, 0.0, 0.3), (count - 1, 3))
+    steps = np.random.default_rng(seed).uniform((0.0, 0.0, -0.3), (0.2, 0.0, 0.3), (count - 1, 3))
     poses = chained(np.zeros(3), steps)
     nodes = chosen_nodes(poses, always).tolist()
     due = {0, count - 1} | {k for k in always if k < count}
@@ -68,8 +67,7 @@ def test_parts_begin_at_breaks_and_the_path_jumps_there(store: KeyframeStore) ->
     assert loose == [bool(k in over) for k in range(len(graph.nodes) - 1)]
     for edge, ends in zip(graph.odometry, pairwise(graph.nodes.tolist()), strict=True):
         assert (edge.source, edge.target) == ends
-        expected = between(store.poses, *ends)
-        assert edge.source_from_target == pytest.approx(expected, abs=1e-12)
+        assert edge.source_from_target == pytest.approx(between(store.poses, *ends), abs=1e-12)
         assert np.array_equal(edge.information, GUESS_INFORMATION) == (edge.kind == "loose")
     assert graph.odometry[0].information[0, 0] > 100 * GUESS_INFORMATION[0, 0]
     assert [graph.row[number] for number in graph.nodes.tolist()] == list(range(len(graph.nodes)))
@@ -85,8 +83,7 @@ def test_rows_to_look_from_are_first_past_a_stretch(steps: list[float], every_m:
     ways = [0.0, *path[chosen].tolist()]
     assert (np.diff(ways) >= every_m).all()
     for k in set(range(len(path))) - set(chosen):
-        last = max(way for way in ways if way <= path[k])
-        assert path[k] - last < every_m
+        assert path[k] - max(way for way in ways if way <= path[k]) < every_m
 
 
 def spread_of(

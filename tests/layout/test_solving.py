@@ -58,8 +58,7 @@ def oracle(start: FloatArray, edges: LinkArrays) -> FloatArray:
     roots = np.linalg.cholesky(edges.w).transpose(0, 2, 1)
 
     def residuals(x: FloatArray) -> FloatArray:
-        poses = np.vstack([start[:1], x.reshape(-1, 3)])
-        missed = errors(poses, edges.i, edges.j, edges.z)
+        missed = errors(np.vstack([start[:1], x.reshape(-1, 3)]), edges.i, edges.j, edges.z)
         return np.asarray(np.einsum("eab,eb->ea", roots, missed).ravel())
 
     found = least_squares(residuals, start[1:].ravel(), xtol=1e-14, ftol=1e-14, gtol=1e-12)
@@ -152,8 +151,7 @@ def test_the_number_of_steps_is_a_limit_and_what_has_settled_stays() -> None:
     edges = arrays(links, 12)
     stopped, settled = solve(start, edges, 1), solve(start, edges, 50)
     assert stopped.cost > settled.cost
-    again = solve(settled.poses, edges, 2)
-    assert again.cost == pytest.approx(settled.cost, rel=1e-6)
+    assert solve(settled.poses, edges, 2).cost == pytest.approx(settled.cost, rel=1e-6)
 
 
 def test_what_no_edge_holds_and_the_first_pose_stay_where_they_are() -> None:
@@ -215,12 +213,11 @@ def test_there_and_back_as_text(poses: FloatArray, motions: FloatArray, seed: in
 def test_the_text_is_what_g2o_reads() -> None:
     """The first vertex is fixed, last; of the information the upper triangle goes row by row."""
     information = np.array([[1.0, 2.0, 3.0], [2.0, 4.0, 5.0], [3.0, 5.0, 6.0]])
-    layout = Layout(
+    assert Layout(
         poses=np.array([[0.0, 0.0, 0.0], [1.0, -0.25, 0.5]]),
         nodes=np.array([0, 1]),
         odometry=(link(0, 1, (1.0, -0.25, 0.5), "odometry", information),),
-    )
-    assert layout.g2o().splitlines() == [
+    ).g2o().splitlines() == [
         "VERTEX_SE2 0 0 0 0",
         "VERTEX_SE2 1 1 -0.25 0.5",
         "EDGE_SE2 0 1 1 -0.25 0.5 1 2 3 4 5 6",

@@ -117,8 +117,7 @@ def test_normals_point_to_the_viewer_whichever_way_the_beams_turn(y: float, step
 
 
 def test_posts_have_no_side() -> None:
-    posts = np.column_stack([np.arange(8.0), np.zeros(8)])
-    assert not seen(posts, LOWER).normals.any()
+    assert not seen(np.column_stack([np.arange(8.0), np.zeros(8)]), LOWER).normals.any()
     assert not seen(np.zeros((9, 2)), LOWER).normals.any()
     assert seen(np.zeros((0, 2)), LOWER).normals.shape == (0, 2)
 
@@ -148,8 +147,7 @@ def test_what_is_not_seen_from_behind() -> None:
     both = Sides(*np.concatenate([astuple(lower), astuple(upper)], axis=1))
     assert not from_behind(lower, both, IDENTITY, 0.3).any()
     assert not from_behind(upper, both, IDENTITY, 0.3).any()
-    across = Pose2(-2.0, 0.0, math.pi / 2)
-    for away in (across, Pose2(0.0, 3.0, 0.0), Pose2(50.0, 0.0, 0.0)):
+    for away in (Pose2(-2.0, 0.0, math.pi / 2), Pose2(0.0, 3.0, 0.0), Pose2(50.0, 0.0, 0.0)):
         assert not from_behind(seen(wall(), UPPER).placed(away), lower, IDENTITY, 0.3).any()
     nothing = seen(np.zeros((0, 2)), UPPER)
     assert not from_behind(lower, nothing, IDENTITY, 0.3).any()
@@ -326,8 +324,7 @@ def test_a_window_that_fits_all_over_says_nothing_of_the_way(heading: float) -> 
     sharp = spread_of(0.02, 0.01)
     assert np.allclose(opened(sharp), sharp, rtol=0.02, atol=1e-9)
     half = opened(spread_of(0.1, 0.02))
-    known = 1.0 / 0.1**2 - 1.0 / window_m**2
-    assert axis @ half[:2, :2] @ axis == pytest.approx(1.0 / known)
+    assert axis @ half[:2, :2] @ axis == pytest.approx(1.0 / (1.0 / 0.1**2 - 1.0 / window_m**2))
     assert half[2, 2] == 0.01**2
 
 

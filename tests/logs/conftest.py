@@ -25,6 +25,6 @@ def drive(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def drive_messages(drive: Path) -> list[Message]:
+def driven(drive: Path) -> list[Message]:
     with open_log(drive) as log:
         return list(log.messages())

@@ -145,14 +145,12 @@ def write_bag(
     if compression is not None:
         writer.set_compression(compression)
     with writer:
-        types = {m.topic: m.type for m in messages}
         connections = {
             topic: writer.add_connection(topic, name, typestore=typestore())
-            for topic, name in types.items()
+            for topic, name in {m.topic: m.type for m in messages}.items()
         }
         for m in messages:
-            raw = typestore().cdr_to_ros1(m.data, m.type)
-            writer.write(connections[m.topic], m.time_ns, raw)
+            writer.write(connections[m.topic], m.time_ns, typestore().cdr_to_ros1(m.data, m.type))
     if not indexed:  # as a recorder leaves it that was killed
         overwrite(path, path.read_bytes().index(b"index_pos=") + len(b"index_pos="), bytes(8))
 

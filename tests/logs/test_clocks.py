@@ -48,16 +48,12 @@ def tenths(count: int, start: int = TODAY) -> list[int]:
         (tenths(9)[::-1], tenths(9), "recorder"),
     ],
 )
-def test_stamps_are_used_while_they_say_when(
-    stamps: list[int], times: list[int], source: str
-) -> None:
+def test_stamps_count_while_they_say_when(stamps: list[int], times: list[int], source: str) -> None:
     assert choose_clock(glimpses(stamps, times), []).source == source
 
 
 @pytest.mark.parametrize("before_s", [0, 10])
-def test_scans_that_come_in_a_burst_behind_one_message_say_nothing_about_its_clock(
-    before_s: int,
-) -> None:
+def test_scans_in_a_burst_behind_one_message_say_nothing_about_its_clock(before_s: int) -> None:
     """Nor are stamps shifted that go on for seconds while the recorder hears all scans at once."""
     at_once = [TODAY + 9 * SECOND + n * MS for n in range(90)]
     scans = glimpses(tenths(90), at_once)
@@ -67,10 +63,8 @@ def test_scans_that_come_in_a_burst_behind_one_message_say_nothing_about_its_clo
 
 
 def test_a_zero_among_stamps_of_the_recorders_clock_was_never_set() -> None:
-    same = choose_clock(glimpses([0, *tenths(9)[1:]], tenths(9)), [])
-    assert same.scan_ns(0, 0, TODAY) == TODAY
-    simulated = choose_clock(glimpses(tenths(9, 0), tenths(9)), [])
-    assert simulated.scan_ns(0, 0, TODAY) == 0
+    assert choose_clock(glimpses([0, *tenths(9)[1:]], tenths(9)), []).scan_ns(0, 0, TODAY) == TODAY
+    assert choose_clock(glimpses(tenths(9, 0), tenths(9)), []).scan_ns(0, 0, TODAY) == 0
     assert Clock(odometry_shift_ns=5).odometry_ns(0, TODAY) == TODAY
 
 
@@ -151,9 +145,7 @@ def carmen(path: Path, stamps: list[float]) -> None:
     [
         pytest.param([0.0] * 30, [n * 2 * SECOND for n in range(30)], id="zero"),
         pytest.param([5.0] * 30, [(5 + 2 * n) * SECOND for n in range(30)], id="constant"),
-        pytest.param(
-            [float(n // 10) for n in range(31)], [n * SECOND // 10 for n in range(31)], id="whole"
-        ),
+        pytest.param([float(n // 10) for n in range(31)], tenths(31, 0), id="whole"),
         pytest.param(TO_AND_FRO, [round(s * SECOND) for s in TO_AND_FRO], id="to and fro"),
     ],
 )

@@ -57,10 +57,8 @@ def cloud_message(table: np.ndarray[Any, Any], row_padding: int = 0, **changes: 
         "is_dense": False,
         **changes,
     }
-    message = message_class(POINT_CLOUD)(**values)
-    return Message(
-        "/points", POINT_CLOUD, 1, bytes(typestore().serialize_cdr(message, POINT_CLOUD))
-    )
+    made = message_class(POINT_CLOUD)(**values)
+    return Message("/points", POINT_CLOUD, 1, bytes(typestore().serialize_cdr(made, POINT_CLOUD)))
 
 
 def decoded_cloud(message: Message) -> CloudRecord:
@@ -203,9 +201,7 @@ def test_a_time_that_is_not_finite_counts_only_with_its_point() -> None:
         pytest.param("Timestamp", "<f8", SWEEP_S + STAMP / 1e9, 1e-6, id="capital"),
     ],
 )
-def test_the_times_of_the_usual_drivers(
-    name: str, kind: str, values: FloatArray, precision: float
-) -> None:
+def test_times_of_usual_drivers(name: str, kind: str, values: FloatArray, precision: float) -> None:
     found = points_of(cloud(name, kind, values))
     assert found.times_s is not None
     assert not found.far_times
@@ -263,15 +259,12 @@ def room(seed: int = 0) -> FloatArray:
 @pytest.mark.parametrize("roll", [-0.6, -0.2, 0.0, 0.3])
 @pytest.mark.parametrize("pitch", [-0.4, 0.0, 0.25])
 @pytest.mark.parametrize("yaw", [0.0, 2.0])
-def test_a_tilted_lidar_is_levelled_and_keeps_its_heading(
-    roll: float, pitch: float, yaw: float
-) -> None:
+def test_a_tilted_lidar_is_levelled_not_turned(roll: float, pitch: float, yaw: float) -> None:
     turned = Rotation.from_euler("Z", yaw).apply(room())
     level_from_lidar = Rotation.from_euler("YX", [pitch, roll])
     found = floor_of(level_from_lidar.inv().apply(turned))
     assert found is not None
-    off = Rotation.from_matrix(found.rotation) * level_from_lidar.inv()
-    assert off.magnitude() < 0.004
+    assert (Rotation.from_matrix(found.rotation) * level_from_lidar.inv()).magnitude() < 0.004
     assert found.floor_m == pytest.approx(-1.2, abs=0.01)
 
 

@@ -95,11 +95,9 @@ def test_an_unknown_name_is_refused_with_those_there_are(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("after_s", "shared_s"), [(0, 10), (7, 3), (8, None), (10, None), (20, None)]
+    ("after_s", "both_s"), [(0, 10), (7, 3), (8, None), (10, None), (20, None)]
 )
-def test_two_recordings_given_as_one_are_said(
-    tmp_path: Path, after_s: int, shared_s: int | None
-) -> None:
+def test_two_recordings_as_one_are_said(tmp_path: Path, after_s: int, both_s: int | None) -> None:
     paths = [tmp_path / "first.mcap", tmp_path / "second.mcap"]
     for path, begins_s in zip(paths, (0, after_s), strict=True):
         with LogWriter(path) as log:
@@ -109,8 +107,8 @@ def test_two_recordings_given_as_one_are_said(
     with open_log(paths) as both:
         warnings = select(both, LogConfig()).warnings
     said = [line.partition(": ")[0] for line in warnings if "not parts of one" in line]
-    both_hold = f"{paths[0]} and {paths[1]} both hold /scan for the same {shared_s} s"
-    assert said == ([] if shared_s is None else [both_hold])
+    both_hold = f"{paths[0]} and {paths[1]} both hold /scan for the same {both_s} s"
+    assert said == ([] if both_s is None else [both_hold])
 
 
 def test_the_settings_say_how_long_readable_scans_and_odometry_are_looked_for(path: Path) -> None:
@@ -133,9 +131,7 @@ def test_the_settings_say_how_long_readable_scans_and_odometry_are_looked_for(pa
 
 
 @pytest.mark.parametrize(("most", "found"), [(2_500, False), (3_001, True)])
-def test_the_settings_say_how_long_the_lasers_place_is_searched(
-    path: Path, most: int, found: bool
-) -> None:
+def test_settings_say_how_long_a_laser_is_searched(path: Path, most: int, found: bool) -> None:
     with LogWriter(path) as log:
         for i in range(3000):
             log.transform("odom", "base_link", START + i, Pose2(0.001 * i, 0.0, 0.0))

@@ -207,12 +207,10 @@ def test_an_ambiguous_log_gets_a_command_that_runs(tmp_path: Path) -> None:
         log.odometry("/odom", "odom", "base", 1, Pose2(0.0, 0.0, 0.0))
         for i in range(2):
             log.odometry("/visual", "odom", "base", i, Pose2(0.0, 0.0, 0.0))
-    summary = summary_of(path)
-    assert summary.problem is not None
-    assert "3 topics carry scans" in summary.problem
-    assert summary.next_command == (
-        f"specmap build '{path}' --scan-topic /rear --odom-topic /visual"
-    )
+    found = summary_of(path)
+    assert found.problem is not None
+    assert "3 topics carry scans" in found.problem
+    assert found.next_command == f"specmap build '{path}' --scan-topic /rear --odom-topic /visual"
     assert len(sweeps_of(path, scan_topic="/rear", odom_topic="/visual")[0]) == 3
 
 
@@ -287,10 +285,8 @@ def test_messages_that_cannot_be_decoded_are_unusable(path: Path) -> None:
     assert (grid.read, grid.unusable) == (1, 0)
 
 
-def test_info_counts_what_is_lost_even_all_of_a_topic_only_when_all_is_read(
-    path: Path, drive_messages: list[Message]
-) -> None:
-    write_db3(path, drive_messages)
+def test_only_a_check_counts_losses_even_of_whole_topics(path: Path, driven: list[Message]) -> None:
+    write_db3(path, driven)
     last = "(SELECT MAX(id) FROM messages WHERE topic_id = 3)"
     change_db3(path, f"UPDATE messages SET data = 'no bytes' WHERE id = {last}")
     quick = summary_of(path, look_scans=3)
@@ -332,8 +328,7 @@ def write(path: Path, times_s: list[float], step_m: float = 0.1, hangs: range = 
 def lines_of(path: Path, complete: bool = False, **options: object) -> list[str]:
     lines = summary_of(path, complete, **options).lines()
     place = next(n for n, line in enumerate(lines) if line.startswith("build would meet"))
-    end = next(n for n, line in enumerate(lines) if line.startswith("checked"))
-    return lines[place:end]
+    return lines[place : next(n for n, line in enumerate(lines) if line.startswith("checked"))]
 
 
 MOVES = "from one to the next while the robot moves"
@@ -409,5 +404,4 @@ def test_faulty_stamps_are_counted(path: Path, stamps_s: list[float], said: str)
     times = [START + n * SECOND // 10 for n in range(len(stamps_s))]
     write_scans(path, [round(stamp_s * SECOND) for stamp_s in stamps_s], times)
     found = [line for line in lines_of(path) if "stamps on" in line]
-    expected = f"  stamps on /scan, of {len(stamps_s)} messages: {said}"
-    assert found == ([expected] if said else [])
+    assert found == ([f"  stamps on /scan, of {len(stamps_s)} messages: {said}"] if said else [])

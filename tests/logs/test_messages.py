@@ -85,9 +85,7 @@ def test_rubbish_and_every_cut_of_a_message_are_refused(kind: str) -> None:
 
 @pytest.mark.parametrize("decode", [decode_odometry, decode_transforms, decode_scan])
 @pytest.mark.parametrize("kind", ["geometry_msgs/msg/Twist", "foxglove.LaserScan (protobuf)"])
-def test_messages_of_another_type_on_a_topic_are_refused(
-    decode: Callable[[Message], object], kind: str
-) -> None:
+def test_other_types_on_a_topic_are_refused(decode: Callable[[Message], object], kind: str) -> None:
     with pytest.raises(BadMessageError) as caught:
         decode(Message("/topic", kind, 1, bytes(100)))
     assert str(caught.value).startswith(kind)
@@ -129,10 +127,7 @@ def decoded(data: bytes, kind: str) -> Any:
     return OTHER.deserialize_cdr(data, kind)
 
 
-@given(
-    stamp=st.integers(-(2**31) * NS, 2**31 * NS - 1),
-    ranges=st.lists(st.floats(width=32), max_size=9),
-)
+@given(st.integers(-(2**31) * NS, 2**31 * NS - 1), st.lists(st.floats(width=32), max_size=9))
 def test_a_scan_says_what_was_given(stamp: int, ranges: list[float]) -> None:
     more = {"range_min": 0.5, "range_max": 9.0, "scan_time": 0.125, "time_increment": 0.5}
     data = scan_cdr("/laser", stamp, -1.0, 0.25, ranges, **more)
@@ -290,11 +285,9 @@ def test_what_a_killed_run_had_begun_is_removed(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["log.mcap", "other.mcap"]
 
 
-def test_a_bag_is_converted_and_reads_the_same(
-    tmp_path: Path, drive_messages: list[Message]
-) -> None:
+def test_a_bag_is_converted_and_reads_the_same(tmp_path: Path, driven: list[Message]) -> None:
     bag, out = tmp_path / "log.bag", tmp_path / "out.mcap"
-    write_bag(bag, drive_messages)
+    write_bag(bag, driven)
     result = convert(bag, out)
     assert {t.name: t.count for t in result.written} == COUNTS
     assert result.skipped == ()
@@ -304,16 +297,14 @@ def test_a_bag_is_converted_and_reads_the_same(
     convert(bag, out, overwrite=True)
     assert out.read_bytes() == first
     for _ in range(2):  # and onto itself
-        assert read_rest(out) == (drive_messages, [])
+        assert read_rest(out) == (driven, [])
         convert(out, out, overwrite=True)
     assert {path.name for path in tmp_path.iterdir()} == {"drive.mcap", "log.bag", "out.mcap"}
 
 
-def test_what_no_stage_reads_is_left_out_and_said(
-    tmp_path: Path, drive_messages: list[Message]
-) -> None:
-    extra = Message("/cmd_vel", "geometry_msgs/msg/Twist", drive_messages[-1].time_ns, bytes(52))
-    write_db3(tmp_path / "log.db3", [*drive_messages, extra])
+def test_what_no_stage_reads_is_left_out_and_said(tmp_path: Path, driven: list[Message]) -> None:
+    extra = Message("/cmd_vel", "geometry_msgs/msg/Twist", driven[-1].time_ns, bytes(52))
+    write_db3(tmp_path / "log.db3", [*driven, extra])
     result = convert(tmp_path / "log.db3", tmp_path / "out.mcap")
     assert result.lines()[0] == f"wrote {tmp_path / 'out.mcap'}: 91 messages"
     assert result.lines()[-1] == "left out /cmd_vel: 1 message of geometry_msgs/msg/Twist"
@@ -323,9 +314,7 @@ def test_what_no_stage_reads_is_left_out_and_said(
     assert not (tmp_path / "nothing.mcap").exists()
 
 
-def test_what_was_converted_is_told(
-    tmp_path: Path, drive: Path, drive_messages: list[Message]
-) -> None:
+def test_what_was_converted_is_told(tmp_path: Path, drive: Path, driven: list[Message]) -> None:
     drive.write_bytes(drive.read_bytes()[:-700])
     found, damage = read_rest(drive)
     kept, steps = len(found), Mock(spec=Silent)
@@ -335,7 +324,7 @@ def test_what_was_converted_is_told(
     assert result.path == tmp_path / "out.mcap"
     assert result.damage == tuple(damage) != ()
     written = {topic.name: topic for topic in result.written}
-    lasers = sum(m.topic == "/scan" for m in drive_messages[:kept])
+    lasers = sum(m.topic == "/scan" for m in driven[:kept])
     assert written["/scan"] == TopicInfo("/scan", "sensor_msgs/msg/LaserScan", lasers)
     assert result.lines() == [
         f"wrote {tmp_path / 'out.mcap'}: {kept} messages",

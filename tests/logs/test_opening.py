@@ -126,14 +126,14 @@ def test_a_file_counts_once_however_it_is_named(tmp_path: Path, drive: Path) -> 
 
 @pytest.mark.parametrize("name", ["gzip", "lz4"])
 def test_a_compressed_log_is_read_in_all_its_blocks_and_what_follows_them_is_told(
-    drive: Path, drive_messages: list[Message], name: str
+    drive: Path, driven: list[Message], name: str
 ) -> None:
     whole = drive.read_bytes()
     drive.write_bytes(PACK[name](whole[:3000]) + PACK[name](whole[3000:]))
-    assert read_rest(drive) == (drive_messages, [])
+    assert read_rest(drive) == (driven, [])
     drive.write_bytes(drive.read_bytes() + b"garbage")
     said = f"{drive}: what follows the {name} compression is no part of it and was left out"
-    assert read_rest(drive) == (drive_messages, [said])
+    assert read_rest(drive) == (driven, [said])
     drive.write_bytes(PACK[name](CARMEN)[:-5])
     said = f"{drive}: the {name} compression is damaged or ends early: the rest is lost"
     assert said in read_rest(drive)[1]
@@ -141,8 +141,7 @@ def test_a_compressed_log_is_read_in_all_its_blocks_and_what_follows_them_is_tol
 
 def test_no_room_to_unpack_is_told(drive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drive.write_bytes(gzip.compress(drive.read_bytes()))
-    missing = drive.parent / "missing"
-    monkeypatch.setattr(tempfile, "tempdir", str(missing))
+    monkeypatch.setattr(tempfile, "tempdir", str(drive.parent / "missing"))
     assert refusal(drive) == (
         f"{drive}: cannot unpack into the temporary directory: No such file or directory; "
         "set TMPDIR to another one"
@@ -159,13 +158,11 @@ def test_a_failure_releases_what_was_opened_before_it(
     assert closed == [drive]
 
 
-def test_a_damaged_file_beside_a_sound_one_is_no_error(
-    tmp_path: Path, drive: Path, drive_messages: list[Message]
-) -> None:
+def test_one_damaged_file_is_no_error(tmp_path: Path, drive: Path, driven: list[Message]) -> None:
     rubble = tmp_path / "rubble.mcap"
     rubble.write_bytes(drive.read_bytes()[:40])
     lost = f"{rubble}: cut off at byte 40: everything is lost"
-    assert read_rest([rubble, drive]) == (drive_messages, [lost])
+    assert read_rest([rubble, drive]) == (driven, [lost])
     assert f"{lost}; no message can be" in refusal(rubble)
 
 
@@ -175,9 +172,7 @@ def test_text_is_text_wherever_its_head_ends(text: str, length: int) -> None:
 
 
 @pytest.mark.parametrize("step", ["open", "iterdir", "stat"])
-def test_what_the_system_refuses_is_one_line(
-    drive: Path, monkeypatch: pytest.MonkeyPatch, step: str
-) -> None:
+def test_refusals_are_one_line(drive: Path, monkeypatch: pytest.MonkeyPatch, step: str) -> None:
     def refuse(*_: object, **__: object) -> None:
         raise PermissionError(13, "Permission denied")
 
@@ -225,8 +220,7 @@ def mcap_with_chunk(compression: bytes, data: bytes, size: int) -> bytes:
     body = struct.pack("<QQQII", 5, 9, size, 0, len(compression)) + compression
     body += struct.pack("<Q", len(data)) + data
     record = struct.pack("<BQ", 6, len(body)) + body
-    end = struct.pack("<BQI", 0x0F, 4, 0)
-    return b"\x89MCAP0\r\n" + record + end + b"\x89MCAP0\r\n"
+    return b"\x89MCAP0\r\n" + record + struct.pack("<BQI", 0x0F, 4, 0) + b"\x89MCAP0\r\n"
 
 
 def bag_with_chunk(compression: bytes, data: bytes, size: int) -> bytes:
@@ -270,9 +264,7 @@ def test_what_swells_costs_little_memory(
 
 
 @pytest.mark.parametrize("name", sorted(PACK))
-def test_what_is_no_log_is_not_unpacked(
-    path: Path, name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_other_file_is_unpacked(path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compression, "LOOKED_AT_BYTES", 5000)
     path.write_bytes(PACK[name](bytes(80_000_000)) + b"garbage that would be told otherwise")
     written: list[int] = []
@@ -292,13 +284,11 @@ def test_the_copy_of_a_compressed_file_is_bounded(path: Path, name: str) -> None
     )
 
 
-def test_a_chunk_and_a_message_have_their_bound(
-    tmp_path: Path, drive: Path, drive_messages: list[Message]
-) -> None:
+def test_chunk_and_message_have_bounds(tmp_path: Path, drive: Path, driven: list[Message]) -> None:
     small = LogConfig(chunk_max_mb=0.0003)  # a scan has 240 bytes, an odometry message 700
     assert re.search(r"beyond log\.chunk_max_mb|no message can be read", refusal(drive, small))
     path = tmp_path / "log.db3"
-    write_db3(path, [m._replace(data=zstandard.compress(m.data)) for m in drive_messages])
+    write_db3(path, [m._replace(data=zstandard.compress(m.data)) for m in driven])
     with open_log(path, small) as log:
         assert {m.topic for m in log.messages()} == {"/scan", "/tf_static"}
         assert "is beyond log.chunk_max_mb: one on /odom is lost" in log.damage[0]
@@ -371,8 +361,7 @@ def test_a_cut_yields_what_precedes_it(name: str) -> None:
         found, complete, _ = decompress(packed[: len(packed) * tenth // 10], name, LIMIT)
         assert not complete
         assert TEXT.startswith(found)
-    second = PACK[name](TEXT) + PACK[name](TEXT)[:-8]
-    found, complete, _ = decompress(second, name, LIMIT)
+    found, complete, _ = decompress(PACK[name](TEXT) + PACK[name](TEXT)[:-8], name, LIMIT)
     assert not complete
     assert (TEXT + TEXT).startswith(found)
     assert len(found) >= len(TEXT)

@@ -41,8 +41,7 @@ def test_scans_of_99_999_beams_cost_what_those_of_a_dense_laser_do() -> None:
     """A log of 24 kB with 61 of them took 3.7 GB: all beams of all scans went on to the map."""
     count = 61
     messages = [scan(START + each * SECOND // 10, beams=99_999) for each in range(count)]
-    sweeps = list(stream_of(messages))
-    kept = [sweep.planar for sweep in sweeps]
+    kept = [sweep.planar for sweep in list(stream_of(messages))]
     assert len(kept) == count
     assert max(len(planar.ranges) for planar in kept) <= 3600
     own = sum(planar.ranges.nbytes for planar in kept)
@@ -81,9 +80,7 @@ def test_waiting_ends_when_log_time_goes_on() -> None:
 
 
 @pytest.mark.parametrize(("every", "late_s", "said"), [(10, 0.0, 0), (1, 0.7, 1), (1, 0.3, 0)])
-def test_slow_odometry_and_such_that_is_recorded_late_measures_every_scan(
-    every: int, late_s: float, said: int
-) -> None:
+def test_slow_and_late_odometry_measures_every_scan(every: int, late_s: float, said: int) -> None:
     """Scans waited for half a second: odometry at 1 Hz, or over a radio, was not used."""
     step = SECOND // 10
     messages = [scan(START + number * step) for number in range(101)]
@@ -212,8 +209,7 @@ def test_odometry_that_changes_its_frames_in_the_middle_is_told(
             log.scan("/scan", "laser", START + number, -1.0, 0.2, np.full(10, 2.0), range_max=8.0)
     sweeps, stream = sweeps_of(path)
     assert len(sweeps) == 6
-    said = [line for line in stream.warnings if "other frames" in line]
-    assert said == (
+    assert [line for line in stream.warnings if "other frames" in line] == (
         [
             "the odometry moves 'odom' -> 'base_link', but in 2 later messages other frames, "
             f"such as {told}: they are taken to be the same"
@@ -278,9 +274,7 @@ def test_a_cloud_becomes_points_in_the_base_frame_and_a_planar_scan(path: Path) 
 
 
 @pytest.mark.parametrize(("longest_s", "counted"), [(10.0, 0), (0.05, 2)])
-def test_times_that_reach_too_far_are_counted_and_said(
-    path: Path, longest_s: float, counted: int
-) -> None:
+def test_times_too_far_are_counted_and_said(path: Path, longest_s: float, counted: int) -> None:
     with LogWriter(path) as log:
         for stamp in (START, START + SECOND):
             far = {"range_max": 8.0, "time_increment": 0.15}

@@ -62,12 +62,9 @@ said = st.fixed_dictionaries(
         "properties": st.dictionaries(names, values, max_size=3),
     },
 )
-documents = st.fixed_dictionaries(
-    {
-        "submaps": st.dictionaries(ids.map(str), said, max_size=4),
-        "changes": st.lists(changes, max_size=4),
-    }
-)
+of_submaps = st.dictionaries(ids.map(str), said, max_size=4)
+of_both = {"submaps": of_submaps, "changes": st.lists(changes, max_size=4)}
+documents = st.fixed_dictionaries(of_both)
 
 
 def meant(edits: Edits) -> tuple[Any, ...]:

@@ -67,9 +67,7 @@ def test_a_file_of_an_older_map_has_none_from_beside(tmp_path: Path) -> None:
         ("raw", None),
     ],
 )
-def test_arrays_that_make_no_sense_are_refused(
-    tmp_path: Path, name: str, values: NDArray[Any] | None
-) -> None:
+def test_absurd_arrays_are_refused(tmp_path: Path, name: str, values: NDArray[Any] | None) -> None:
     others = {each: kept for each, kept in arrays().items() if each != name}
     path = tmp_path / "features.npz"
     write_features(path, others if values is None else {**others, name: values})

@@ -222,8 +222,7 @@ def turned(full_circle: bool) -> tuple[PlanarScan, PlanarScan]:
     bearings = np.linspace(-span / 2, span / 2, 360, endpoint=not full_circle)
     ranges, times = 3.0 + np.cos(bearings), np.linspace(0.0, 0.1, 360)
     rest = PlanarScan(0, bearings, ranges, 30.0, full_circle, times)
-    moving = deskewed(rest, Pose2(0.2, 0.0, 0.0), Pose2(0.1, 0.0, 0.3), 0.1)
-    return rest, moving
+    return rest, deskewed(rest, Pose2(0.2, 0.0, 0.0), Pose2(0.1, 0.0, 0.3), 0.1)
 
 
 @pytest.mark.parametrize("full_circle", [True, False])

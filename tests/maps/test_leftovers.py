@@ -298,9 +298,7 @@ def killing(at: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     return around
 
 
-def killed_at(
-    at: int, out: Path, result: MapResult, calls: Sequence[str], *, at_once: bool
-) -> bool:
+def died_at(at: int, out: Path, result: MapResult, calls: Sequence[str], *, at_once: bool) -> bool:
     """Overwrite the map in a child that dies at one of its `calls`; False when it came to its end.
 
     `at` is the number of the call.
@@ -342,7 +340,7 @@ def test_a_run_killed_at_any_call_leaves_a_whole_map(
         moments += 1
         shutil.rmtree(out, ignore_errors=True)
         shutil.copytree(old, out)
-        died = killed_at(moments, out, result, calls, at_once=at_once)
+        died = died_at(moments, out, result, calls, at_once=at_once)
         if out.exists():  # not between the two renames
             assert read_map(out).record.graph.frame in ("old", "new")
             assert len(read_map(out).topology.submaps) == 3

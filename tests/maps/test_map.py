@@ -27,8 +27,7 @@ def rooms(plan: Path, tmp_path_factory: pytest.TempPathFactory) -> Map:
     map_ = read_map(segment_map(plan, tmp_path_factory.mktemp("divided") / "map").out)
     ids = [room_of(map_, box).id for box in FLAT_ROOMS]
     names = dict(zip(ids, ["Office", "Lab", "Office", "Corridor"], strict=True))
-    properties = {ids[1]: {"floor": 2}}
-    edit_map(map_, RequestedEdits(names=names, properties=properties))
+    edit_map(map_, RequestedEdits(names=names, properties={ids[1]: {"floor": 2}}))
     return read_map(map_.path)
 
 
@@ -104,8 +103,7 @@ def test_routes_lead_from_and_to_rooms_and_places_if_allowed(rooms: Map, tmp_pat
     assert "within 1 m of 50, 50" in rooms.route("Lab", (50.0, 50.0)).why
     with pytest.raises(KeyError, match="Lobby"):
         rooms.route("Lab", "Lobby")
-    shut = {"forbid": [lab.id, corridor.id]}
-    edit_map(rooms, RequestedEdits(changes=(shut,)), tmp_path / "shut")
+    edit_map(rooms, RequestedEdits(changes=({"forbid": [lab.id, corridor.id]},)), tmp_path / "shut")
     refused = read_map(tmp_path / "shut").route("Lab", "Corridor")
     assert not refused
     assert f"door {lab.doors[0].id}" in refused.why

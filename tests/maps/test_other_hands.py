@@ -103,8 +103,7 @@ def test_what_is_not_ours_goes_on_to_the_next_map(
     linked: bool, out: Path, result: MapResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if not linked:
-        refused = Mock(side_effect=OSError(1, "Operation not permitted"))
-        monkeypatch.setattr(os, "link", refused)
+        monkeypatch.setattr(os, "link", Mock(side_effect=OSError(1, "Operation not permitted")))
     (out / "photos" / "none yet").mkdir(parents=True)
     mine = [out / "notes.txt", out / "photos" / "1.jpg", out / "submaps" / "why.txt"]
     for path in mine:
@@ -136,9 +135,7 @@ class ForgetfulDisk:
     def lost(self, path: Path) -> list[str]:
         """What of a file or a directory a power cut would take."""
         each = [path, *path.rglob("*")]
-        return [
-            one.name for one in each if self.safe.get(one.stat().st_ino) != one.stat().st_mtime_ns
-        ]
+        return [p.name for p in each if self.safe.get(p.stat().st_ino) != p.stat().st_mtime_ns]
 
 
 @pytest.mark.parametrize(("at_once", "threads"), [(True, True), (False, True), (True, False)])
@@ -183,8 +180,7 @@ def test_a_power_cut_leaves_a_whole_file(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_no_neighbour_s_link_is_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where he could guess the name, and elsewhere he cannot."""
-    names = {files.partial_of(tmp_path / "table.csv").name for _ in range(3)}
-    assert len(names) == 3
+    assert len({files.partial_of(tmp_path / "table.csv").name for _ in range(3)}) == 3
     (tmp_path / "precious").write_text("precious")
     monkeypatch.setattr(os, "urandom", lambda count: b"\xab" * count)
     files.partial_of(tmp_path / "table.csv").symlink_to(tmp_path / "precious")

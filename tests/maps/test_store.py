@@ -56,11 +56,9 @@ def test_the_same_files_every_time(stored: Path, tmp_path: Path, result: MapResu
 
 
 def test_the_division_is_read_or_made_where_it_is_missing(stored: Path, result: MapResult) -> None:
-    written = result.regions.owner
-    np.testing.assert_array_equal(read_map(stored).regions.owner, written)
+    np.testing.assert_array_equal(read_map(stored).regions.owner, result.regions.owner)
     (stored / "labels.png").unlink()
-    made = read_map(stored).regions.owner
-    assert set(np.unique(made).tolist()) >= {0, 1, 2}
+    assert set(np.unique(read_map(stored).regions.owner).tolist()) >= {0, 1, 2}
     cv2.imwrite(str(stored / "labels.png"), np.zeros((2, 2), dtype=np.uint16))
     with pytest.raises(MapError, match=r"labels\.png.*make the map again"):
         _ = read_map(stored).regions
@@ -89,8 +87,7 @@ def test_run_json_is_plain_json(tmp_path: Path, result: MapResult) -> None:
 @given(seeds, st.integers(2, 30), st.integers(2, 30))
 def test_labels_png_holds_any_division(seed: int, height: int, width: int) -> None:
     """Ids up to 65534 there and back, the picture upside down: its first row is the highest y."""
-    rng = np.random.default_rng(seed)
-    owner = rng.choice([NOBODY, 0, 7, 300, 65_534], size=(height, width))
+    owner = np.random.default_rng(seed).choice([NOBODY, 0, 7, 300, 65_534], size=(height, width))
     grid = GridMap(np.zeros((height, width), dtype=np.uint8), 0.1)
     regions = Regions(grid, owner, {})
     with tempfile.TemporaryDirectory() as folder:
@@ -162,15 +159,13 @@ def test_there_and_back(stored: Path, result: MapResult) -> None:
     assert (read.labels.submaps == result.labels.submaps).all()
     assert (read.labels.stamps_ns == result.labels.stamps_ns).all()
     assert read.labels.poses == pytest.approx(result.labels.poses, abs=1e-6)
-    drawn = result.regions.outline(1).area_m2
-    assert read.regions.outline(1).area_m2 == pytest.approx(drawn)
+    assert read.regions.outline(1).area_m2 == pytest.approx(result.regions.outline(1).area_m2)
 
 
 def test_keyframes_in_no_submap_are_in_none(tmp_path: Path, result: MapResult) -> None:
     submaps = result.labels.submaps.copy()
     submaps[5:12] = NO_SUBMAP
-    labels = replace(result.labels, submaps=submaps)
-    write_map(tmp_path, replace(result, labels=labels))
+    write_map(tmp_path, replace(result, labels=replace(result.labels, submaps=submaps)))
     read = read_map(tmp_path)
     np.testing.assert_array_equal(read.labels.submaps, submaps)
     assert [len(submap.keyframes) for submap in read.topology.submaps.values()] == [5, 8, 10]

@@ -76,8 +76,7 @@ def test_a_line_that_is_no_keyframe_is_quoted(tmp_path: Path, line: str) -> None
     path.write_text(f"stamp,x,y,theta,submap\n0.5,1,2,3,0\n{line}\n0.7,1,2,3,0\n")
     with pytest.raises(MapError) as caught:
         read_labels(path)
-    expected = f"{path}: line 3 is {line!r}: expected stamp,x,y,theta,submap"
-    assert str(caught.value) == expected
+    assert str(caught.value) == f"{path}: line 3 is {line!r}: expected stamp,x,y,theta,submap"
 
 
 HEADERS = ("", "stamp,x,y,theta\n", "stamp;x;y;theta;submap\n", "\ufeff")

@@ -1,7 +1,9 @@
-"""The page of the paper's figures: its parts on a small simulated building, and their inputs."""
+"""The page of the paper's figures: its parts on a small building, and its frame by itself."""
 
 from __future__ import annotations
 
+import base64
+import importlib.util
 import re
 from collections.abc import Iterator
 from dataclasses import replace
@@ -11,8 +13,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import typer
 
 from benchmarks.paper import (
+    blocks,
     cost,
     figure1,
     figure2,
@@ -24,12 +28,17 @@ from benchmarks.paper import (
     table2,
     topology,
 )
-from benchmarks.paper.blocks import Block, Chart, Gallery, Table, Words
+from benchmarks.paper.__main__ import main
+from benchmarks.paper.blocks import Block, Chart, Gallery, Table, Words, figure
 from benchmarks.paper.cases import FREIBURG, LACKING, STATA, Cases, Drawing, cases, tour
+from benchmarks.paper.charts import drawn, ticks
 from benchmarks.paper.first_return import first_return
+from benchmarks.paper.page import Done, render
+from benchmarks.paper.parts import PARTS
 from benchmarks.paper.samples import Samples, fitted, samples_of, scored, the_papers
 from benchmarks.paper.workshop import OURS, PAPER, Workshop
 from benchmarks.real.closure_truth import judged, true_poses
+from specmap_cli.cli.app import app
 from specmap_cli.evaluation.protocols import HoldOut
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.simulation.simulator import SimulationOptions
@@ -46,8 +55,7 @@ def workshop(
 ) -> Iterator[Workshop]:
     """The flat in the manner of either building, one recording for both."""
     folder = tmp_path_factory.mktemp("paper")
-    drawing = Drawing(flat, flat_rooms)
-    found = tour("flat, simulated", FREIBURG, drawing, folder, QUICK)
+    found = tour("flat, simulated", FREIBURG, Drawing(flat, flat_rooms), folder, QUICK)
     with Workshop(Cases((found, replace(found, manner=STATA, again=None)))) as shop:
         yield shop
 
@@ -138,18 +146,15 @@ def test_figure_5c_sees_only_borders_of_hallways(workshop: Workshop) -> None:
 def test_table_1_shares_out_all_votes(workshop: Workshop, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(table1, "ROUNDS", 10)
     papers, ours = tables(table1.make(workshop))
-    assert [row.cells[0].partition(".")[0] for row in papers.rows[:12]] == [
-        str(number) for number in range(1, 13)
-    ]
+    numbers = [row.cells[0].partition(".")[0] for row in papers.rows[:12]]
+    assert numbers == [str(number) for number in range(1, 13)]
     for table in (papers, ours):
         for column in (2, 3):
             shares = [float(row.cells[column].split()[0]) for row in table.rows[:-1]]
             assert sum(shares) == pytest.approx(100.0, abs=0.7)
 
 
-def test_nothing_is_learned_from_columns_taken_away_nor_from_samples_without_a_submap(
-    workshop: Workshop,
-) -> None:
+def test_nothing_is_learned_from_columns_taken_away_nor_without_submap(workshop: Workshop) -> None:
     built = workshop.built(workshop.cases.found[0], OURS, HoldOut(seed=0))
     train, test = samples_of(built, "table1")
     config = the_papers(rounds=5)
@@ -164,8 +169,7 @@ def test_nothing_is_learned_from_columns_taken_away_nor_from_samples_without_a_s
 
 def test_table_2_stands_beside_the_published_figures(workshop: Workshop) -> None:
     (table,) = tables(table2.make(workshop))
-    published = [row.cells[3:7] for row in table.rows if row.published]
-    assert published == [
+    assert [row.cells[3:7] for row in table.rows if row.published] == [
         ("0.9728", "0.9818", "0.9089", "0.9212"),
         ("0.9689", "0.9739", "0.8300", "0.8458"),
     ]
@@ -182,9 +186,7 @@ def test_figure_6_labels_another_way(workshop: Workshop) -> None:
     assert all(float(cells[6]) > 0.8 for cells in filtered)
 
 
-def test_without_data_only_simulated_buildings_are_shown(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_data_all_is_simulated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SPECMAP_DATA", str(tmp_path / "nowhere"))
     found = cases(tmp_path)
     assert {case.manner for case in found.found} == {FREIBURG, STATA}
@@ -215,9 +217,85 @@ def test_one_can_walk_from_every_room_of_the_ring_to_every_other() -> None:
     plan, rooms = ring.plan(), ring.rooms()
     wide = (plan.clearance() > 0.3).astype(np.uint8)
     _, part = cv2.connectedComponents(wide)
-    reached = [
-        set(part[(rooms.labels == room) & (wide > 0)].tolist())
-        for room in range(1, rooms.count + 1)
-    ]
+    inside = ((rooms.labels == number) & (wide > 0) for number in range(1, rooms.count + 1))
+    reached = [set(part[cells].tolist()) for cells in inside]
     assert rooms.count == len(ring.ROOMS) + 1
     assert set.intersection(*reached)
+
+
+BLOCKS: list[blocks.Block] = [
+    blocks.Found("three of <four>.", "because of this"),
+    blocks.Words("plain <words>"),
+    blocks.Words("a warning", warning=True),
+    blocks.Table(
+        ("map", "recall"),
+        [blocks.Row(("a & b", "0.900")), blocks.Row(("paper", "0.8"), published=True)],
+    ),
+    blocks.Gallery([blocks.Picture(np.full((4, 6, 3), 7, dtype=np.uint8), "a picture")], across=3),
+    blocks.Chart(
+        [blocks.Series("one", [(0.0, 0.1), (2.0, 0.9)], frozenset({1}), 0.8)], "s", "value", top=1.0
+    ),
+]
+
+
+@pytest.fixture(scope="module")
+def page() -> str:
+    done = [Done(PARTS[1], BLOCKS, 12.3), Done(PARTS[2], [], 0.0)]
+    return render(done, Cases((), missing=("plans", "fr079")), "python -m this")
+
+
+def test_every_kind_of_block_is_shown_and_what_is_missing_and_how_it_was_made(page: str) -> None:
+    assert "plain &lt;words&gt;" in page
+    assert '<p class="warning">a warning</p>' in page
+    assert '<tr class="published"><td>paper</td><td class="n">0.8</td></tr>' in page
+    assert "a &amp; b" in page
+    assert 'three of &lt;four&gt;. <span class="why">because of this</span>' in page
+    assert page.count('class="filled"') == 1
+    assert "SPECMAP_DATA names no folder with the plans" in page
+    assert page.count("Missing here: the plans drawn by hand (rooms/).") == 2
+    assert "<code>python -m this</code>" in page
+    assert "<code>python -m benchmarks.paper --only figure2</code>" in page
+    assert "12 s of processor time" in page
+    assert page.count("<section") == 2
+
+
+def test_a_picture_is_in_the_page_itself_and_nothing_is_loaded_from_elsewhere(page: str) -> None:
+    assert not re.search(r"https?:|<script|<link|@import|url\(", page)
+    (data,) = re.findall(r'src="data:image/png;base64,([^"]+)"', page)
+    decoded = cv2.imdecode(np.frombuffer(base64.b64decode(data), dtype=np.uint8), cv2.IMREAD_COLOR)
+    assert decoded is not None
+    assert (decoded.min(), decoded.max()) == (7, 7)
+
+
+def test_every_part_of_the_paper_is_there_and_its_commands_exist(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["paper", "--only", "figure9"])
+    with pytest.raises(SystemExit):
+        main()
+    assert "figure9" in capsys.readouterr().err
+    names = "figure1 figure2 figure3 figure4 figure5 figure5c table1 table2 figure6 cost"
+    assert [part.name for part in PARTS] == names.split()
+    assert len({part.title for part in PARTS}) == len(PARTS)
+    commands = [command for part in PARTS for command in part.commands]
+    known = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    for command in commands:
+        words = command.split()
+        if words[0] == "specmap":
+            options = {option for p in known[words[1]].params for option in p.opts}
+            assert {word for word in words if word.startswith("-")} <= options, command
+        else:
+            assert importlib.util.find_spec(words[2]) is not None, command
+
+
+def test_a_chart_is_drawn_to_scale_with_round_ticks_and_no_figure_is_a_dash() -> None:
+    at = drawn(blocks.Chart([blocks.Series("one", [(0.0, 0.0), (5.0, 2.0)])], "x", "y"))
+    (line,) = at.lines
+    assert line.points.split() == [f"{at.left}.0,{at.bottom}.0", f"{at.right}.0,{at.top}.0"]
+    assert line.level is None
+    assert [tick.text for tick in at.up] == ["0", "0.5", "1", "1.5", "2"]
+    assert at.across[-1].at == at.right
+    assert ticks(1.0) == [0.0, 0.2, 0.4, 0.6, 0.8, 1.0]
+    assert ticks(160) == [0.0, 50.0, 100.0, 150.0]
+    assert figure(float("nan")) == "–"
+    assert figure(0.12345) == "0.123"

@@ -34,8 +34,7 @@ def test_days_are_a_series_in_which_a_recording_counts_once(building: BuildingRe
     assert [one.compared_with for one in building.maps] == [None, 0, 1]
     assert [day.day for day in building.days] == ["2025-11-24", "2025-11-25", "2025-11-26"]
     assert [day.recordings for day in building.days] == [1, 1, 1]
-    rooms = {room.number: room for room in building.rooms}
-    for number, room in rooms.items():
+    for number, room in {room.number: room for room in building.rooms}.items():
         by_day = [stay for day in building.days for stay in day.rooms if stay.room == number]
         assert room.visits == sum(stay.visits for stay in by_day)
         assert room.minutes == pytest.approx(sum(stay.minutes for stay in by_day), abs=1e-5)
@@ -43,8 +42,7 @@ def test_days_are_a_series_in_which_a_recording_counts_once(building: BuildingRe
     assert {room.map for room in building.rooms} == {0}
     assert sum(room.days == 3 for room in building.rooms) >= 3
     for day in building.days:
-        stayed = sum(stay.minutes for stay in day.rooms)
-        assert 0.9 * day.minutes <= stayed <= day.minutes + 1e-6
+        assert 0.9 * day.minutes <= sum(stay.minutes for stay in day.rooms) <= day.minutes + 1e-6
 
 
 def test_what_changed_has_its_days_and_rooms(building: BuildingRecord) -> None:

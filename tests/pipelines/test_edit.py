@@ -153,8 +153,7 @@ class TestNames:
         edge = stored.record.edges[0]
         picture = bytes_of(tmp_path / "seg", "overview.png")
         pair = [edge.source, edge.target]
-        report = edit(stored, {"forbid": pair}, names={0: "Lab"})
-        assert report.forbidden == (tuple(pair),)
+        assert edit(stored, {"forbid": pair}, names={0: "Lab"}).forbidden == (tuple(pair),)
         assert read_map(tmp_path / "seg").names == {0: "Lab"}
         assert bytes_of(tmp_path / "seg", "overview.png") != picture
         with pytest.raises(MapError, match=r"has no keyframes\.mcap: merges and splits need"):
@@ -179,8 +178,7 @@ class TestBorders:
         (x, y), (x2, y2) = wish["line"]
         length = float(np.hypot(x2 - x, y2 - y))
         for id_, side in ((corridor, 1.0), (new, -1.0)):
-            cells = np.argwhere(divided.regions.owner == id_)
-            places = divided.map_grid.centres_of(cells)
+            places = divided.map_grid.centres_of(np.argwhere(divided.regions.owner == id_))
             left = (x2 - x) * (places[:, 1] - y) - (y2 - y) * (places[:, 0] - x)
             assert (side * left / length > -0.15).mean() > 0.98
         assert (min(new, corridor), max(new, corridor)) in divided.topology.edges
@@ -365,8 +363,7 @@ def test_edits_survive(built: Built, edited: EditReport, tmp_path: Path, rebuilt
     assert kept.startswith("# by Ann\n")
     assert "'Attic'" in kept
     new = read_map(built.map).topology.next_id
-    cells = np.argwhere(old.regions.owner == new)
-    there = stored.regions.owners(old.map_grid.centres_of(cells))
+    there = stored.regions.owners(old.map_grid.centres_of(np.argwhere(old.regions.owner == new)))
     assert (there == new).mean() > 0.9
     undone = edit(stored, undo=(1,), out=tmp_path / "undone")
     assert new not in undone.names

@@ -91,9 +91,7 @@ def test_changes_name_what_the_submaps_became() -> None:
 @pytest.mark.parametrize(("x", "cut"), [(1.0, 11), (4.0, 12)])
 def test_the_submap_at_the_line_is_cut(x: float, cut: int) -> None:
     new = kept(SplitEdit(split=0, line=((x, -1.0), (x, 1.0)), new=8))
-    spread = np.array([11, 11, 11, 12, 12, *[13] * 15])
-    found = both(new, spread)
-    (change,) = found.edits.changes
+    (change,) = both(new, np.array([11, 11, 11, 12, 12, *[13] * 15])).edits.changes
     assert isinstance(change, SplitEdit)
     assert change.split == cut
 
@@ -119,8 +117,7 @@ def test_what_says_nothing_of_the_joint_map_is_told() -> None:
 def test_a_submap_that_went_to_very_many_is_the_commonest_of_them() -> None:
     new = kept(ForbidEdit(forbid=(0, 1)))
     new = replace(new, labels=replace(new.labels, submaps=np.repeat([0, 1], [19, 1])))
-    found = both(new, np.arange(30, 50))
-    assert found.edits.changes == (ForbidEdit(forbid=(30, 49)),)
+    assert both(new, np.arange(30, 50)).edits.changes == (ForbidEdit(forbid=(30, 49)),)
 
 
 SIDE_M = 4.1  # of a room and a wall
@@ -151,9 +148,8 @@ def updated(whole: GridMap, loose: tuple[int, ...] = ()) -> tuple[LaidOut, IntAr
     provisional = np.concatenate([old.labels.submaps, np.zeros(len(second), dtype=np.int64)])
     joint = laid_out(np.concatenate([first, second]), provisional, loose)
     left = np.flatnonzero(np.arange(len(rooms)) % 7 != 3)  # some were let go
-    labels = Labels(
-        stamps_ns=left, poses=joint.layout.poses[left], submaps=joint.labels.submaps[left]
-    )
+    poses, submaps = joint.layout.poses[left], joint.labels.submaps[left]
+    labels = Labels(stamps_ns=left, poses=poses, submaps=submaps)
     division = division_of(whole, joint.layout, Config())
     drawn = replace(joint, labels=labels, drawn=whole, division=division)
     fewer = Thinned(drawn, left, int((left < len(first)).sum()))

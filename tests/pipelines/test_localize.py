@@ -53,8 +53,7 @@ def labelled(submaps: Sequence[int | None], poses: Sequence[Pose2 | None]) -> Lo
     for k, (id_, pose) in enumerate(zip(submaps, poses, strict=True)):
         label = Label(stamp_ns=k * 10**8, submap=id_, runner_up=None, filtered_submap=id_, **sure)
         fix = None if pose is None else Fix(pose, 1e-4 * np.eye(3), 0.9, 0.99)
-        way = Pose2(0.1 * k, 0.0, 0.0)
-        scans.append(LocalizedScan(label=label, track_from_base=way, fix=fix))
+        scans.append(LocalizedScan(label=label, track_from_base=Pose2(0.1 * k, 0.0, 0.0), fix=fix))
     return LocalizationReport(log="made.mcap", scans=tuple(scans), warnings=("a warning",))
 
 
@@ -153,8 +152,7 @@ class TestReport:
         report = labelled([0, 0, 2, None], [None] * 4)
         other = replace(report.scans[0].label, filtered_submap=2)
         scans = (replace(report.scans[0], label=other), *report.scans[1:])
-        found = replace(report, scans=scans).as_dict()
-        assert found == {
+        assert replace(report, scans=scans).as_dict() == {
             "log": "made.mcap",
             "scans": 4,
             "raw": {"0": 2, "2": 1, "unknown": 1},
@@ -181,8 +179,7 @@ class TestReport:
 
     @pytest.mark.parametrize("with_poses", [False, True])
     def test_its_csv_has_a_line_a_scan(self, with_poses: bool) -> None:
-        report = labelled([4, None], [Pose2(1.0, 2.0, 0.5), None])
-        text = localize.table_of(report, with_poses)
+        text = localize.table_of(labelled([4, None], [Pose2(1.0, 2.0, 0.5), None]), with_poses)
         assert text.splitlines()[0] == HEADER + (METRIC_HEADER if with_poses else "")
         first, second = csv.DictReader(text.splitlines())
         assert (first["stamp"], first["submap"]) == ("0.000000000", "4")
@@ -210,8 +207,7 @@ class TestReport:
             assert colours_in(picture) > 3
             (tmp_path / "track.png").unlink()
         known = [Pose2(0.0, 0.1 * k, 1.0) for k in range(20)]
-        some = labelled([0] * 20 + [None] * 20, [*known, *[None] * 20])
-        places = localize._tracked(some.scans)
+        places = localize._tracked(labelled([0] * 20 + [None] * 20, [*known, *[None] * 20]).scans)
         assert np.isfinite(places).all()
         motion = Pose2(1.9, 0.0, 0.0).inverse() @ Pose2(3.9, 0.0, 0.0)
         assert places[-1] == pytest.approx((Pose2(0.0, 1.9, 1.0) @ motion)[:2])
@@ -229,9 +225,8 @@ class TestReport:
         """When the second one cannot be written there is no first one, and nothing half-written."""
         report = labelled([0] * 20, [None] * 20)
         (tmp_path / "pictures").mkdir()
+        csv = tmp_path / "labels.csv"
         for plot in (tmp_path / "gone" / "plot.png", tmp_path / "pictures"):
             with pytest.raises(UsageError, match="choose another place"):
-                localize.write_report(
-                    report, flat_map, metric=False, csv=tmp_path / "labels.csv", plot=plot
-                )
+                localize.write_report(report, flat_map, metric=False, csv=csv, plot=plot)
             assert [path.name for path in tmp_path.iterdir()] == ["pictures"]

@@ -37,8 +37,7 @@ def messages(path: Path) -> Iterator[tuple[str, int, Any]]:
     with path.open("rb") as file:
         for schema, channel, message in make_reader(file).iter_messages(log_time_order=False):
             assert schema is not None
-            decoded = STORE.deserialize_cdr(message.data, schema.name)
-            yield channel.topic, message.log_time, decoded
+            yield channel.topic, message.log_time, STORE.deserialize_cdr(message.data, schema.name)
 
 
 def tum(path: Path) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -183,8 +182,7 @@ def test_a_lidar_of_several_rings_is_recorded_as_clouds(flat: GridMap, tmp_path:
     lidar = {"beams": 90, "rings": 16, "range_max_m": 30.0, "sweep_s": 0.08}
     mounted = {"laser_x_m": 0.2, "laser_y_m": -0.1, "laser_yaw_deg": 90, "laser_height_m": 0.8}
     usual = SimulationOptions(field_of_view_deg=360, max_duration_s=0.5)
-    options = usual.model_copy(update=lidar | mounted)
-    made = simulate(flat, options, tmp_path / "a.mcap")
+    made = simulate(flat, usual.model_copy(update=lidar | mounted), tmp_path / "a.mcap")
     found = list(messages(made.log))
     assert {topic for topic, _, _ in found} == {"/tf_static", "/points", "/odom"}
     (mounted,) = found[0][2].transforms

@@ -70,9 +70,7 @@ def test_a_map_without_some_kind_of_scans_keeps_the_others(
 
 
 @pytest.mark.parametrize("footprint_m", [None, 7], ids=["known settings", "unknown settings"])
-def test_a_map_of_another_version_learns_anew(
-    footprint_m: float | None, flat_map: Map, tmp_path: Path
-) -> None:
+def test_versions_learn_anew(footprint_m: float | None, flat_map: Map, tmp_path: Path) -> None:
     own = Path(shutil.copytree(flat_map.path, tmp_path / "own"))
     more = {} if footprint_m is None else {"config__grid__footprint_m": footprint_m}
     edit(own / "run.json", versions__specmap="0.0.1", **more)

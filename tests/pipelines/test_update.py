@@ -1,9 +1,11 @@
-"""A map takes in another log: what is known stays, what is new is added, strangers are refused."""
+"""A map takes in another log; maps made one, in any order; a map in the frame of another."""
 
 from __future__ import annotations
 
 import json
+import pickle
 import shutil
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from unittest.mock import Mock
@@ -12,23 +14,26 @@ import numpy as np
 import pytest
 
 from specmap_cli import read_map
-from specmap_cli.core.errors import InputError, MapError, NoResultError
+from specmap_cli.core.errors import InputError, MapError, NoResultError, UsageError
 from specmap_cli.core.progress import Silent
 from specmap_cli.core.records import IntArray
 from specmap_cli.core.settings import UpdateConfig
 from specmap_cli.evaluation.trajectories import reference_errors
-from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.maps.features_file import write_features
 from specmap_cli.maps.store import Map
 from specmap_cli.maps.text_files import read_tum
-from specmap_cli.pipelines.reports import UpdateReport
+from specmap_cli.pipelines.merge import merge_maps
+from specmap_cli.pipelines.overlaps import PairOfMaps
+from specmap_cli.pipelines.reports import MergeReport, UpdateReport
 from specmap_cli.pipelines.simulate import SimulationResult, simulate
-from specmap_cli.pipelines.update import update_map
+from specmap_cli.pipelines.update import build_like, update_map
+from specmap_cli.recognition.closure.alignment import Alignment
 from specmap_cli.simulation.simulator import SimulationOptions
 from specmap_cli.topology.identity import BorderChange
 from specmap_cli.topology.regions import NOBODY
 from specmap_cli.topology.topological_map import driven_m
-from tests.flats import QUICK, Mapped, forget_digests
+from tests.flats import QUICK, Mapped, forget_digests, mapped
 from tests.maps.conftest import edit
 from tests.pipelines.conftest import day
 
@@ -155,9 +160,8 @@ def test_with_a_setting_every_keyframe_stays(kept: Kept, tmp_path: Path) -> None
     settings = QUICK.model_copy(update=changed)
     whole = update_map(kept.old, kept.second.log, tmp_path / "map", settings)
     stored, count = read_map(whole.out), len(kept.old.labels.submaps)
-    views, held_out = (
-        json.loads(each.classifiers)["calibration"]["views"] for each in (kept.new, stored)
-    )
+    of_both = (json.loads(map_.classifiers)["calibration"] for map_ in (kept.new, stored))
+    views, held_out = (told["views"] for told in of_both)
     assert 0 < views != held_out
     assert whole.as_dict()["keyframes_dropped"] == 0
     assert not any("dropped" in line for line in whole.lines())
@@ -234,3 +238,132 @@ def test_borders_that_moved_are_said_with_the_reason(kept: Kept) -> None:
     told = report.as_dict()["borders_moved"][0]
     assert told["given"] == [{"submap": 7, "m2": 9.0}, {"submap": 0, "m2": 1.0}]
     assert told["taken"] == [{"submap": None, "m2": 2}]
+
+
+# bottom, top, left and right cell of an L of corridor and rooms off it, none like another
+ROOMS = (
+    (4, 38, 4, 196), (38, 180, 4, 38), (42, 110, 42, 96),
+    (42, 90, 100, 140), (42, 130, 144, 196), (114, 180, 42, 120),
+)  # fmt: skip
+DOORS = {"third": np.s_[38:42, 160:178], "second": np.s_[38:42, 112:130]}
+DOORS |= {"first": np.s_[38:42, 60:78], "upper": np.s_[140:158, 38:42]}
+
+
+def building(closed: str) -> GridMap:
+    cells = np.full((184, 200), OCCUPIED, dtype=np.uint8)
+    for bottom, top, left, right in ROOMS:
+        cells[bottom:top, left:right] = FREE
+    cells[60:76, 60:80] = OCCUPIED  # a table
+    cells[120:132, 100:112] = OCCUPIED
+    for name, door in DOORS.items():
+        cells[door] = OCCUPIED if name == closed else FREE
+    return GridMap(cells, 0.05)
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Maps of the building with one of two rooms closed, of another building, and their logs."""
+
+    third_closed: Map
+    first_closed: Map
+    other: Map
+    logs: dict[str, SimulationResult]
+
+
+@pytest.fixture(scope="module")
+def parts(
+    flat_options: SimulationOptions, other: Mapped, tmp_path_factory: pytest.TempPathFactory
+) -> Parts:
+    folder = tmp_path_factory.mktemp("merge")
+    made = {}
+    for seed, closed in enumerate(("third", "first")):
+        (folder / closed).mkdir()
+        options = flat_options.model_copy(update={"laps": 1, "seed": seed})
+        made[closed] = mapped(building(closed), options, folder / closed)
+    last = len(made["first"].stored.ids) - 1
+    edit(made["first"].map / "topology.json", **{f"nodes__{last}__name": "Named"})
+    logs = {name: one.log for name, one in (*made.items(), ("other", other))}
+    return Parts(made["third"].stored, made["first"].stored, other.stored, logs)
+
+
+@pytest.fixture(scope="module")
+def both(parts: Parts, tmp_path_factory: pytest.TempPathFactory) -> MergeReport:
+    out = tmp_path_factory.mktemp("both") / "map"
+    return merge_maps([parts.third_closed, parts.first_closed], out, QUICK)
+
+
+def test_maps_that_meet_become_one_with_names_and_ids(parts: Parts, both: MergeReport) -> None:
+    merged = read_map(both.out)
+    assert both.parts == (("first", "third"),) or both.parts == (("third", "first"),)
+    scans = sum(parts.logs[name].scans for name in ("third", "first"))
+    counts = both.run["counts"]
+    assert counts["scans"] == scans
+    assert counts["doors"] == len(merged.record.graph.doors)
+    assert both.quality.verdict == "good"
+    areas = [parts.third_closed.map_grid.free_area_m2, parts.first_closed.map_grid.free_area_m2]
+    assert merged.map_grid.free_area_m2 > max(areas) + 5.0, "each map knew a room more"
+    assert len(merged.ids) >= 4
+    starts = [0, *(log.scans for log in merged.record.graph.logs)]
+    lines = (both.out / "trajectory.tum").read_text(encoding="utf-8").splitlines()
+    for log, start in zip(merged.record.graph.logs, np.cumsum(starts), strict=False):
+        piece = both.out.parent / "piece.tum"
+        piece.write_text("\n".join(lines[start : start + log.scans]) + "\n", encoding="utf-8")
+        truth = read_tum(parts.logs[log.name.removesuffix(".mcap")].truth)
+        assert reference_errors(read_tum(piece), truth).ate_m < 0.06
+    named = both.ids["first"][max(parts.first_closed.ids)]
+    assert merged.topology.submaps[named].name == "Named"
+    for name, stored in (("third", parts.third_closed), ("first", parts.first_closed)):
+        assert set(both.ids[name]) == set(stored.ids)
+        assert set(both.ids[name].values()) <= set(merged.ids)
+
+
+def test_order_and_place_do_not_matter(parts: Parts, both: MergeReport, tmp_path: Path) -> None:
+    def elsewhere(
+        align: Callable[[PairOfMaps], Alignment], pairs: Sequence[PairOfMaps]
+    ) -> Iterable[Alignment]:
+        """As on a worker: all that goes there and comes back is pickled."""
+        sent_align, sent_pairs = pickle.loads(pickle.dumps((align, pairs)))
+        assert len(sent_pairs) == 1
+        return [pickle.loads(pickle.dumps(sent_align(pair))) for pair in sent_pairs]
+
+    maps = [parts.first_closed, parts.third_closed]
+    again = merge_maps(maps, tmp_path / "map", QUICK, spread=elsewhere)
+    assert again.ids == both.ids
+    for file in ("topology.json", "labels.csv", "trajectory.tum", "classifiers.json", "map.png"):
+        assert (again.out / file).read_bytes() == (both.out / file).read_bytes()
+
+
+def test_maps_that_do_not_meet_stay_apart_and_are_named(parts: Parts, tmp_path: Path) -> None:
+    report = merge_maps([parts.other, parts.third_closed], tmp_path / "map", QUICK)
+    assert sorted(report.parts) == [("other",), ("third",)]
+    assert any("2 parts that do not meet: " in line for line in report.lines())
+    assert report.quality.verdict == "doubtful"
+    assert not set(report.ids["other"].values()) & set(report.ids["third"].values())
+    merged = read_map(tmp_path / "map")
+    one = set(report.ids["other"].values())
+    assert not any((edge.source in one) != (edge.target in one) for edge in merged.record.edges)
+
+
+def test_what_cannot_be_merged(parts: Parts, both: MergeReport, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="1 map to merge: give two or more"):
+        merge_maps([parts.other], tmp_path / "map", QUICK)
+    with pytest.raises(InputError, match=r"holds (first|third)\.mcap, and so does"):
+        merge_maps([parts.third_closed, parts.first_closed, both.out], tmp_path / "map", QUICK)
+    assert not (tmp_path / "map").exists()
+
+
+def test_a_fresh_map_takes_ids_and_names(parts: Parts, both: MergeReport, tmp_path: Path) -> None:
+    like = read_map(both.out)
+    log = parts.logs["first"]
+    fresh = read_map(build_like(log.log, like, tmp_path / "map", QUICK).out)
+    assert set(fresh.ids) <= set(like.ids)
+    assert all(like.rooms[id_].name == room.name for id_, room in fresh.rooms.items())
+    for id_ in fresh.ids:
+        cells = np.argwhere(fresh.regions.owner == id_)
+        found = like.regions.owners(fresh.regions.grid.centres_of(cells))
+        assert (found == id_).mean() > 0.9, "same place, same id, same border"
+    assert fresh.record.graph.logs[0].scans == log.scans
+    assert len(fresh.record.graph.logs) == 1
+    with pytest.raises(NoResultError, match=r"other\.mcap: fits nowhere .* without --like"):
+        build_like(parts.logs["other"].log, like, tmp_path / "no", QUICK)
+    assert not (tmp_path / "no").exists()

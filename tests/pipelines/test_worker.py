@@ -143,8 +143,7 @@ class TestChild:
 
         def work() -> Generator[bytes, None, None]:
             yield bytes(size)
-            killer = threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGKILL))
-            killer.start()
+            threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGKILL)).start()
             while True:
                 yield bytes(size)
 

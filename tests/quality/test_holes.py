@@ -75,16 +75,14 @@ def told(seen: Hole) -> list[str]:
     return [finding.message for finding in unwatched(found_in)]
 
 
-@pytest.mark.parametrize(
-    ("on_m", "is_told"), [(1.2, False), (0.0, False), (0.6, True), (2.0, True)]
-)
-def test_a_robot_that_went_on_is_found_there_without_odometry(on_m: float, is_told: bool) -> None:
+@pytest.mark.parametrize(("on_m", "said"), [(1.2, False), (0.0, False), (0.6, True), (2.0, True)])
+def test_a_robot_that_went_on_is_found_there_without_odometry(on_m: float, said: bool) -> None:
     """Six seconds without scans, at two decimetres a second."""
     places = np.concatenate([np.arange(1.5, 2.8, 0.1), 2.7 + on_m + np.arange(0.0, 0.3, 0.1)])
     times = np.concatenate([0.5 * np.arange(13), 12.0 + 0.5 * np.arange(3)])
     (seen,) = found(*drive(places, times))
     assert seen.measured is None
-    assert bool(told(seen)) == is_told
+    assert bool(told(seen)) == said
 
 
 def test_scans_lost_behind_a_hole_do_not_say_where_the_robot_is() -> None:
@@ -125,8 +123,7 @@ def test_a_break_over_which_the_robot_drove_is_no_hole(odometry: bool) -> None:
 
 def hung(odometry_x: FloatArray) -> tuple[Hole, ...]:
     """A laser that shows the same for ten scans while odometry goes along x."""
-    places = np.array([2.0, 2.1, *[2.2] * 10, 2.4, 2.6])
-    scans, poses = drive(places, 0.2 * np.arange(14.0))
+    scans, poses = drive(np.array([2.0, 2.1, *[2.2] * 10, 2.4, 2.6]), 0.2 * np.arange(14.0))
     odometry = poses.copy()
     odometry[:, 0] = odometry_x
     return found(scans, poses, odometry)
@@ -250,8 +247,7 @@ def test_a_hole_of_hours_is_another_session(seconds: float, told: int) -> None:
         assert (finding.code, finding.severity) == ("hole-in-log", "note")
         assert finding.message.startswith("no scan for 2.5 h before ")
         assert "specmap update" in finding.advice
-    hung = replace(stood, kind="rest")
-    assert not list(noted(evidence(hung)))
+    assert not list(noted(evidence(replace(stood, kind="rest"))))
 
 
 @pytest.mark.parametrize(

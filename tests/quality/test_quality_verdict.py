@@ -66,9 +66,8 @@ def test_lost_scans_weigh_by_their_share(count: int, severity: Severity, limit: 
 
 def test_lost_scans_are_told_at_the_longest_run() -> None:
     finding = only(evidence(lost=(3, 50, 51, 52, 80, 81)))
-    assert finding.message == (
-        "6 scans of 100 (6.0%) could not be registered, 3 in a row from 50.000 s on"
-    )
+    said = "6 scans of 100 (6.0%) could not be registered, 3 in a row from 50.000 s on"
+    assert finding.message == said
     assert finding.advice.startswith("has the laser returns all the time, and is the odometry of")
     alone = only(evidence(lost=(50, 51, 52), odometry=False))
     assert alone.advice == "record odometry, or more scans a second"

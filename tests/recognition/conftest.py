@@ -58,8 +58,7 @@ class Building:
 
     def posed(self, poses: FloatArray) -> list[PosedScan]:
         """The scans from each pose, at that pose."""
-        places = [Pose2(*pose) for pose in poses.tolist()]
-        seen = zip(self.scans(poses), places, strict=True)
+        seen = zip(self.scans(poses), [Pose2(*pose) for pose in poses.tolist()], strict=True)
         return [posed(scan, place, k) for k, (scan, place) in enumerate(seen)]
 
     def frame(self, room: int, seed: int = 0) -> Pose2:
@@ -132,8 +131,7 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install
     """Installs a package whose `GROUPS` are offered as a feature set of the given name."""
 
     def installed(feature_set: str, text: str = MINE) -> None:
-        offered = {feature_set: "GROUPS"}
-        plugins.install(tmp_path, monkeypatch, ENTRY_POINTS, offered, text)
+        plugins.install(tmp_path, monkeypatch, ENTRY_POINTS, {feature_set: "GROUPS"}, text)
         feature_sets.cache_clear()
 
     yield installed

@@ -46,6 +46,5 @@ def offer(monkeypatch: pytest.MonkeyPatch, aligner: ToldAligner) -> str:
         aligner.sensors.append(sensor)
         return aligner
 
-    methods = cast("MutableMapping[str, AlignerFactory]", BUILT_IN)
-    monkeypatch.setitem(methods, "told", factory)
+    monkeypatch.setitem(cast("MutableMapping[str, AlignerFactory]", BUILT_IN), "told", factory)
     return "told"

@@ -27,8 +27,7 @@ def path() -> FloatArray:
     """True base poses every 8 cm from the first room into the second."""
     x = np.arange(1.5, 9.0, 0.08)
     y = 2.4 + 0.25 * np.sin(2 * (x - 1.5))
-    heading = np.arctan2(np.gradient(y), np.gradient(x))
-    return np.column_stack([x, y, heading])
+    return np.column_stack([x, y, np.arctan2(np.gradient(y), np.gradient(x))])
 
 
 def sweeps(
@@ -52,8 +51,7 @@ def sweeps(
         if k:
             odom = compose(odom, steps[k - 1] * (1.05, 1.0, 1.0) + rng.normal(0, 0.004, 3))
         scan = PlanarScan((k + 1) * 10**8, bearings, ranges, reach, full_circle=full)
-        told = Pose2(*odom.tolist()) if odometry else None
-        result.append(sweep_of(k, scan, LASER, told))
+        result.append(sweep_of(k, scan, LASER, Pose2(*odom.tolist()) if odometry else None))
     return result
 
 
@@ -85,10 +83,8 @@ def with_ranges(sweep: Sweep, ranges: FloatArray) -> Sweep:
 
 def with_clouds(world: GridMap, truth: FloatArray) -> list[Sweep]:
     """What a 3D lidar sees from the poses."""
-    return [
-        replace(sweep, cloud=cloud_of(world, pose))
-        for sweep, pose in zip(sweeps(world, truth), truth, strict=True)
-    ]
+    posed = zip(sweeps(world, truth), truth, strict=True)
+    return [replace(sweep, cloud=cloud_of(world, pose)) for sweep, pose in posed]
 
 
 def run(items: Sequence[Sweep], **settings: Setting) -> tuple[FrontEnd, list[PosedScan]]:
@@ -154,9 +150,8 @@ def guess_of(
 def view_of_points(points: FloatArray, looked_m: float = 40.0) -> SweepView:
     """A view whose points (N, 2) are all there is, of a laser that looked so far all round."""
     cloud = np.column_stack([points, np.zeros(len(points))])
-    planar = circle(0, np.full(90, looked_m)).planar
     return SweepView(
-        planar=planar,
+        planar=circle(0, np.full(90, looked_m)).planar,
         cloud=cloud,
         sparse=cloud[::2],
         walls=points,
@@ -180,6 +175,5 @@ def scene_of(
 
 def scene_in(world: GridMap, aligner: Aligner, **settings: float) -> Scene:
     """The first sweep of `path` seen twice."""
-    sweep = sweeps(world, path()[:2])[0]
-    points = LASER.apply(sweep.planar.hits())
+    points = LASER.apply(sweeps(world, path()[:2])[0].planar.hits())
     return scene_of(points, points, aligner, **settings)

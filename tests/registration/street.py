@@ -61,10 +61,8 @@ def cloud_at(pose: Pose2, world: FloatArray) -> FloatArray:
 
 def way(steps: int) -> list[Pose2]:
     """Poses a step apart along the road: from rest to full speed in two seconds, then on."""
-    speeds = np.minimum(np.arange(steps) / 20.0, 1.0) * STEP_M
-    x = np.cumsum(speeds)
-    y = 1.2 * np.sin(x / 12.0)
-    rows = np.column_stack([x, y, np.arctan(0.1 * np.cos(x / 12.0))])
+    x = np.cumsum(np.minimum(np.arange(steps) / 20.0, 1.0) * STEP_M)
+    rows = np.column_stack([x, 1.2 * np.sin(x / 12.0), np.arctan(0.1 * np.cos(x / 12.0))])
     return [Pose2(*row) for row in rows.tolist()]
 
 

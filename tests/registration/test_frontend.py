@@ -1,9 +1,12 @@
-"""The front end on simulated drives: accurate, honest about what is lost and what limits it hit."""
+"""The front end on simulated drives and a real log: accurate, honest about losses and limits."""
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
+import os
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +15,12 @@ from hypothesis import given
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import UsageError
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
-from specmap_cli.core.settings import RegistrationConfig
+from specmap_cli.core.records import Trajectory
+from specmap_cli.core.settings import LogConfig, RegistrationConfig
+from specmap_cli.evaluation.trajectories import read_relations, relation_errors
 from specmap_cli.grids.gridmap import GridMap
+from specmap_cli.logs import open_log
+from specmap_cli.logs.stream import SweepStream
 from specmap_cli.registration import FrontEnd, SensorKind
 from specmap_cli.registration.frontend import COUNTS, Track
 from specmap_cli.registration.local_map import Fit
@@ -65,8 +72,7 @@ def test_a_kidnapped_robot_is_noticed_and_goes_on_from_a_guess(world: GridMap) -
     assert [scan.index for scan in scans if scan.restarted] == [45]
     assert front_end.counts["breaks"] == 1
     assert worst(scans[45:], np.array(elsewhere[5:]))[0] < 0.08
-    jumps = np.hypot(*np.diff([scan.map_from_base[:2] for scan in scans], axis=0).T)
-    assert jumps.max() < 0.3
+    assert np.hypot(*np.diff([scan.map_from_base[:2] for scan in scans], axis=0).T).max() < 0.3
 
 
 @pytest.mark.parametrize(("reading", "lost"), [(np.nan, [10, 11]), (np.inf, [])])
@@ -249,8 +255,7 @@ def test_what_was_guessed_adds_up_and_says_little_of_the_next_motion() -> None:
     track = Track()
     for x, loose in ((1.0, 0.6), (2.0, 0.0), (3.0, 0.1)):
         fit = Fit(pose=Pose2(x, 0.0, 0.0).matrix(), score=0.9)
-        judgement = Judgement(fit=fit, loose=np.array([loose, 0.0]))
-        track = track.guessing(judgement, Pose2(x, 0.0, 0.0))
+        track = track.guessing(Judgement(fit=fit, loose=np.array([loose, 0.0])), Pose2(x, 0.0, 0.0))
         track = dataclasses.replace(track, pose=fit.pose)
     assert track.guessed_m == pytest.approx((0.2 * (0.36 + 0.01), 0.0))
     assert track.steady == (Pose2(2.0, 0.0, 0.0), Pose2(3.0, 0.0, 0.0))
@@ -347,8 +352,7 @@ def test_so_many_lost_sweeps_in_a_row_end_a_map_but_for_the_first() -> None:
 def test_keyframes_lie_where_scans_lie(world: GridMap, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also the first one of a new map, at a tilt that is partly taken back."""
     aligner = ToldAligner(lambda guess: guess @ turned(0.0, 0.0, 0.02))
-    truth = path()[:30:2]
-    items = with_clouds(world, truth)
+    items = with_clouds(world, path()[:30:2])
     items[6:11] = [with_ranges(sweep, np.full(240, np.nan)) for sweep in items[6:11]]
     method = offer(monkeypatch, aligner)
     front_end, scans = run(items, method=method, cloud_voxel_m=0.15, cloud_range_m=12.0)
@@ -386,3 +390,28 @@ def test_walls_beyond_the_score_field_are_counted(world: GridMap) -> None:
     assert run(items, max_range_m=4.0)[0].counts["walls_left_out"] == 0
     narrow, _ = run(items, max_range_m=4.0, field_ranges=1.0)
     assert narrow.counts["walls_left_out"] == 9  # all but the first, which is scored on nothing
+
+
+DATA = Path(os.environ.get("SPECMAP_DATA", "../shared/data"))
+
+
+@pytest.mark.skipif(
+    not (DATA / "logs" / "fr079.mcap").exists(),
+    reason=f"no fr079.mcap in {DATA}/logs; SPECMAP_DATA names the folder",
+)
+@pytest.mark.parametrize("odometry", [True, False])
+def test_relations_of_fr079_hold(odometry: bool) -> None:
+    config = LogConfig(use_odometry=odometry)
+    front_end = FrontEnd(RegistrationConfig())
+    with open_log([DATA / "logs" / "fr079.mcap"]) as log:
+        sweeps = itertools.islice(SweepStream(log, config), 700)
+        scans = [front_end.register(sweep) for sweep in sweeps]
+    trajectory = Trajectory(
+        np.array([scan.stamp_ns for scan in scans]),
+        np.array([scan.map_from_base for scan in scans]),
+    )
+    found = relation_errors(trajectory, read_relations(DATA / "truth" / "fr079.relations"))
+    assert found.matched > 150
+    assert found.translation_m.mean < 0.045
+    assert found.rotation_deg.mean < 0.7
+    assert front_end.counts["lost"] <= 1

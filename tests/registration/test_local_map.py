@@ -73,8 +73,7 @@ def test_a_search_finds_the_place_from_a_wrong_guess(world: GridMap, away: Pose2
 )
 def test_another_fit_must_be_clearly_better(score: float, taken: bool) -> None:
     first = Fit(pose=np.eye(4), score=0.5, refused=1)
-    second = Fit(pose=Pose2(1.0, 0.0, 0.0).matrix(), score=score, refused=2)
-    best = first.or_better(second)
+    best = first.or_better(Fit(pose=Pose2(1.0, 0.0, 0.0).matrix(), score=score, refused=2))
     assert best.planar.x == float(taken)
     assert best.score == (score if taken else 0.5)
     assert best.refused == 3
@@ -118,8 +117,7 @@ def test_the_field_follows_the_robot_when_keyframes_are_far_apart() -> None:
 def test_support_counts_only_what_could_be_seen() -> None:
     """Against the score of each half alone."""
     old = np.column_stack([np.linspace(-2.0, 2.0, 80), np.full(80, 1.0)])
-    new = old + (0.0, 20.0)
-    scene = scene_of(np.concatenate([old, new]), old, ToldAligner(), looked_m=5.0)
+    scene = scene_of(np.concatenate([old, old + (0.0, 20.0)]), old, ToldAligner(), looked_m=5.0)
     support = scene.support(IDENTITY)
     assert support.score == pytest.approx(1.0, abs=1e-6)
     assert (support.share, support.count) == (0.5, 40)

@@ -84,8 +84,7 @@ def test_a_step_back_told_as_one_forwards_is_found(world: GridMap, backwards: fl
     """The truth is the identity; odometry leads 2 m on, or as far as half of it was backwards."""
     step = Pose2(1.0, 0.0, 0.0)
     guess = Pose2(2.0 * backwards * step.x, 0.0, 0.0)
-    scene = scene_in(world, ToldAligner(), max_shift_m=0.8)
-    located = locate(scene, guess, expecting(step), guess)
+    located = locate(scene_in(world, ToldAligner(), max_shift_m=0.8), guess, expecting(step), guess)
     assert located.fit.planar.distance < 0.1
     assert located.fit.score > 0.85
 
@@ -219,8 +218,7 @@ def test_along_a_bare_corridor_the_way_is_odometry_s(
 def with_beams(scene: Scene) -> Scene:
     """The scene, its scan made of the points in order of bearing."""
     points = scene.view.walls
-    order = np.argsort(np.arctan2(points[:, 1], points[:, 0]), kind="stable")
-    x, y = points[order].T
+    x, y = points[np.argsort(np.arctan2(points[:, 1], points[:, 0]), kind="stable")].T
     planar = dataclasses.replace(
         scene.view.planar, bearings=np.arctan2(y, x), ranges=np.hypot(x, y), range_max=30.0
     )
@@ -236,8 +234,7 @@ def test_without_odometry_the_motion_goes_on_along_a_bare_corridor_and_only_ther
     way, ahead = Pose2(0.0, 0.0, turn), Pose2(0.3, 0.2, 0.1)
     seen, known = (way.apply(corridor(length, end_m)) for length in (20.0, 30.0))
     scene = with_beams(scene_of(seen, known, ToldAligner()))
-    by_motion = way @ ahead
-    found = locate(scene, IDENTITY, expecting(measured=False), by_motion).fit.planar
+    found = locate(scene, IDENTITY, expecting(measured=False), way @ ahead).fit.planar
     along, across, heading = way.inverse() @ found @ way
     assert along == pytest.approx(ahead.x if carried else 0.0, abs=1e-3)
     assert (across, heading) == pytest.approx((0.0, 0.0), abs=1e-3)
@@ -308,8 +305,7 @@ def test_where_nothing_could_be_seen_trusted_odometry_stands() -> None:
 
 def test_walls_that_contradict_trusted_odometry_everywhere_do_not_agree() -> None:
     """Walls at random where the map has looked: the robot is somewhere else."""
-    rng = np.random.default_rng(2)
-    scene = scene_of(rng.uniform(-4, 4, (80, 2)), corridor(8.0), ToldAligner())
+    scene = scene_of(np.random.default_rng(2).uniform(-4, 4, (80, 2)), corridor(8.0), ToldAligner())
     located = locate(scene, IDENTITY, expecting(), IDENTITY)
     assert located.support.share > 0.9
     assert located.support.score < 0.5

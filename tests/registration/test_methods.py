@@ -166,8 +166,7 @@ def aligner(in_space: bool = True, **settings: int) -> KissIcpAligner:
 
 def room(seed: int) -> FloatArray:
     """Points (N, 3) on floor and four walls of a room, the two long ones with a step in them."""
-    rng = np.random.default_rng(seed)
-    u, v = rng.uniform(0.0, 1.0, (2, 250))
+    u, v = np.random.default_rng(seed).uniform(0.0, 1.0, (2, 250))
     faces = [
         np.column_stack([6 * u, 4 * v, 0 * u]),
         np.column_stack([6 * u, 0.5 * (u > 0.4), 2 * v]),
@@ -185,16 +184,13 @@ def aligned(method: Aligner, points: FloatArray, guess: FloatArray) -> FloatArra
 
 
 @few(15)
-@given(
-    st.floats(-0.15, 0.15), st.floats(-0.15, 0.15), st.floats(-0.08, 0.08), st.floats(-0.03, 0.03)
-)
+@given(*(st.floats(-most, most) for most in (0.15, 0.15, 0.08, 0.03)))
 def test_a_moved_cloud_comes_back_to_its_pose(x: float, y: float, yaw: float, roll: float) -> None:
     """Other points of the same room, so that no point finds itself."""
     method = aligner()
     keyframe = Pose2(5.0, -3.0, 0.7).matrix()
     method.insert(room(0), keyframe)
-    guess = keyframe @ turned(x, yaw, roll) @ Pose2(0.0, y, 0.0).matrix()
-    found = aligned(method, room(1), guess)
+    found = aligned(method, room(1), keyframe @ turned(x, yaw, roll) @ Pose2(0.0, y, 0.0).matrix())
     assert np.linalg.norm((found - keyframe)[:3, 3]) < 0.02
     assert np.abs(found[:3, :3] - keyframe[:3, :3]).max() < 0.01
 
@@ -246,8 +242,7 @@ def test_a_full_voxel_keeps_the_newest_keyframe_s_points(in_space: bool, name: s
     """Two keyframes of one room 8 cm apart, with one point a voxel: the newer decides."""
     ahead = []
     for rebuild_keyframes in (1, 4):  # not rebuilt: the older stays
-        settings = {name: 1, "rebuild_keyframes": rebuild_keyframes}
-        method = aligner(in_space=in_space, **settings)
+        method = aligner(in_space=in_space, **{name: 1, "rebuild_keyframes": rebuild_keyframes})
         for place_m in (0.0, 0.08):
             method.insert(room(0), Pose2(place_m, 0.0, 0.0).matrix())
         ahead.append(aligned(method, room(1), np.eye(4))[0, 3])

@@ -193,8 +193,7 @@ def scan_of(half_x: float, half_y: float, noise_m: float = 0.0) -> PlanarScan:
     """A laser amid a box; what lies beyond 8 m returns nothing."""
     bearings = np.linspace(-math.pi, math.pi, 360, endpoint=False)
     to_end = half_x / np.maximum(np.abs(np.cos(bearings)), 1e-9)
-    to_side = half_y / np.maximum(np.abs(np.sin(bearings)), 1e-9)
-    ranges = np.minimum(to_end, to_side)
+    ranges = np.minimum(to_end, half_y / np.maximum(np.abs(np.sin(bearings)), 1e-9))
     ranges += np.random.default_rng(0).normal(0.0, noise_m, 360) if noise_m else 0.0
     return PlanarScan(0, bearings, np.where(ranges < 8.0, ranges, np.inf), 8.0, full_circle=True)
 

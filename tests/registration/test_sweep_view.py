@@ -47,8 +47,7 @@ def cells(points: FloatArray, side_m: float) -> set[tuple[float, ...]]:
 
 def test_only_returns_in_range_are_walls() -> None:
     """Not the robot itself, nor what is beyond max_range_m, nor what is no return."""
-    ranges = np.array([0.05, 0.051, 4.0, 4.001, np.inf, np.nan])
-    view = seen(circle(0, ranges), max_range_m=4.0)
+    view = seen(circle(0, np.array([0.05, 0.051, 4.0, 4.001, np.inf, np.nan])), max_range_m=4.0)
     for points in (view.walls, view.probe, view.cloud[:, :2]):
         assert sorted(np.hypot(*points.T)) == pytest.approx([0.051, 4.0])
     # some drivers round: 9.995 of 10 m says that nothing came back
@@ -71,8 +70,7 @@ def test_thinning_keeps_one_return_a_cell_and_every_cell(seed: int, beams: int) 
 
 
 def cloud_sweep(cloud: FloatArray, times_s: FloatArray | None = None) -> Sweep:
-    sweep = circle(0, np.full(64, 5.0))
-    return dataclasses.replace(sweep, cloud=cloud, cloud_times_s=times_s)
+    return dataclasses.replace(circle(0, np.full(64, 5.0)), cloud=cloud, cloud_times_s=times_s)
 
 
 @given(seeds)

@@ -38,8 +38,7 @@ def judged(
         support=support or Support(score=score, share=1.0, count=100),
         **{"searched": False, "wide_searched": False, "agrees": True, **found},
     )
-    guess = guess_of(GUESS, expecting(measured=measured))
-    return judge(located, guess, RegistrationConfig())
+    return judge(located, guess_of(GUESS, expecting(measured=measured)), RegistrationConfig())
 
 
 @pytest.mark.parametrize(
@@ -88,8 +87,7 @@ def test_a_lost_sweep_is_put_back_on_its_guess() -> None:
     assert lost.lost
     assert lost.fit.planar == GUESS
     assert (lost.fit.score, lost.fit.refused) == (0.3, 2)
-    kept = judged(0.8, away=away, agrees=False)
-    assert np.allclose(kept.fit.planar, GUESS @ away)
+    assert np.allclose(judged(0.8, away=away, agrees=False).fit.planar, GUESS @ away)
 
 
 @pytest.mark.parametrize(

@@ -42,8 +42,7 @@ def house(tmp_path: Path, result: MapResult) -> Map:
     logs = tuple(replace(log, name=f"{HOSTILE}.mcap") for log in result.logs)
     out = tmp_path / "house"
     out.mkdir()
-    quality = Quality.of((gap, bent))
-    write_map(out, replace(result, topology=changed, logs=logs, quality=quality))
+    write_map(out, replace(result, topology=changed, logs=logs, quality=Quality.of((gap, bent))))
     return read_map(out)
 
 

@@ -120,8 +120,7 @@ def test_labels_spread_to_their_whole_piece_and_change_none(seed: int, rings: in
     spread_labels(spread, free, rings)
     spread_labels(crept, free, rings, everywhere=False)
     piece, _ = ndimage.label(free, np.ones((3, 3)))
-    held = np.isin(piece, np.unique(piece[labels >= 0])) & free
-    np.testing.assert_array_equal(spread >= 0, held)
+    np.testing.assert_array_equal(spread >= 0, np.isin(piece, np.unique(piece[labels >= 0])) & free)
     np.testing.assert_array_equal(spread[labels >= 0], labels[labels >= 0])
     near = ndimage.binary_dilation(labels >= 0, np.ones((3, 3)), rings, mask=free)
     np.testing.assert_array_equal(crept >= 0, near | (labels >= 0))
@@ -178,11 +177,10 @@ def test_the_nearest_value_is_that_of_a_cell_no_farther_than_the_nearest(seed: i
 def rectangles(cells: FloatArray) -> FloatArray:
     """Sides (n, 2), shorter first, of the least rectangles round cells (m, 2) along two of them."""
     steps = np.unique((cells[:, None] - cells[None]).reshape(-1, 2), axis=0)
-    angles = np.unique(np.arctan2(steps[:, 1], steps[:, 0]))
     sides = np.array(
         [
             sorted(np.ptp(cells @ way) for way in ((np.cos(a), np.sin(a)), (-np.sin(a), np.cos(a))))
-            for a in angles
+            for a in np.unique(np.arctan2(steps[:, 1], steps[:, 0]))
         ]
     )
     area = sides.prod(axis=1)
@@ -261,10 +259,8 @@ def test_contacts_are_all_pairs_of_cells_that_touch_and_differ(seed: int) -> Non
     labels = rng.integers(-1, 4, tuple(rng.integers(1, 8, 2)), dtype=np.int32)
     clearance = rng.random(labels.shape)
     found = contacts(labels)
-    pairs = [
-        (tuple(one), tuple(other))
-        for one, other in zip(found.one.tolist(), found.other.tolist(), strict=True)
-    ]
+    both = zip(found.one.tolist(), found.other.tolist(), strict=True)
+    pairs = [(tuple(one), tuple(other)) for one, other in both]
     assert len(set(pairs)) == len(pairs)
     assert set(pairs) == touching(labels)
     expected: dict[tuple[int, int], float] = {}

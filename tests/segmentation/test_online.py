@@ -102,9 +102,7 @@ def two_room_tour() -> Iterator[KeyframeStore]:
         yield store
 
 
-def test_two_rooms_are_two_and_the_first_goes_on_when_the_robot_is_back(
-    two_room_tour: KeyframeStore,
-) -> None:
+def test_two_rooms_are_two_and_the_first_is_taken_up_again(two_room_tour: KeyframeStore) -> None:
     regions = run(two_room_tour)
     assert [region.continues for region in regions] == [None, None, 0, 1]
     assert [region.number for region in regions] == [0, 1, 2, 3]
@@ -159,8 +157,7 @@ def test_a_hall_of_any_width_is_not_split(width: float) -> None:
 
 
 def test_looking_into_a_room_does_not_split_the_corridor() -> None:
-    poses = waypoints_to_poses((1.0, 5.5), (14.0, 5.5), (1.0, 5.4))
-    with record(OFFICE, poses) as store:
+    with record(OFFICE, waypoints_to_poses((1.0, 5.5), (14.0, 5.5), (1.0, 5.4))) as store:
         assert len(run(store)) == 1
         assert len(run(store, PAPER)) > 1
 
@@ -206,8 +203,7 @@ def test_the_outcome_does_not_depend_on_where_the_map_lies(two_room_tour: Keyfra
 
 
 def test_the_number_of_nodes_is_bounded() -> None:
-    poses = waypoints_to_poses((1.0, 5.5), (14.0, 5.5))
-    with record(OFFICE, poses) as store:
+    with record(OFFICE, waypoints_to_poses((1.0, 5.5), (14.0, 5.5))) as store:
         submap = submap_of(store, range(len(store)))
         assert len(examine(submap.grid(), submap.poses, DEFAULT).nodes) > 20
         turn("segmentation", split_nodes=20)
@@ -268,10 +264,8 @@ def test_a_door_divides_the_way_where_it_is() -> None:
 def test_what_lies_beyond_the_band_and_its_margin_changes_nothing() -> None:
     near = examine(*driven(TWO_ROOMS, (1.0, 1.0), (2.0, 1.0)), DEFAULT)
     cells = TWO_ROOMS.cells.copy()
-    reach = DEFAULT.path_band_m + PATH_MARGIN_M
-    cells[:, round((2.0 + reach) / 0.05) + 2 :] = OCCUPIED
-    other = GridMap(cells, TWO_ROOMS.resolution)
-    same = examine(*driven(other, (1.0, 1.0), (2.0, 1.0)), DEFAULT)
+    cells[:, round((2.0 + (DEFAULT.path_band_m + PATH_MARGIN_M)) / 0.05) + 2 :] = OCCUPIED
+    same = examine(*driven(GridMap(cells, TWO_ROOMS.resolution), (1.0, 1.0), (2.0, 1.0)), DEFAULT)
     np.testing.assert_array_equal(near.eigenvalues, same.eigenvalues)
     np.testing.assert_array_equal(near.grid.cells, same.grid.cells)
     assert near.grid.cells.size < TWO_ROOMS.cells.size
@@ -285,8 +279,7 @@ def test_the_margin_keeps_obstacles_at_the_band_s_edge_whole(margin: float) -> N
     cells[50:69, 133:152] = OCCUPIED  # a table of 0.95 m where the window without a margin ends
     grid, poses = driven(GridMap(cells, 0.05), (3.0, 3.0), (5.6, 3.0))
     turn("segmentation", path_margin_m=margin)
-    nodes = examine(grid, poses, DEFAULT).nodes
-    on_it = (np.abs(nodes - (7.12, 2.97)) < 0.47).all(axis=1)
+    on_it = (np.abs(examine(grid, poses, DEFAULT).nodes - (7.12, 2.97)) < 0.47).all(axis=1)
     assert on_it.any() == (margin > 0.0)
 
 
@@ -369,8 +362,7 @@ def test_cells_are_no_finer_than_the_working_grid_s(
     drive: KeyframeStore, cell: float, fine: float, expected: float
 ) -> None:
     turn("segmentation", split_cell_m=cell)
-    submap = submap_of(drive, [0], grid=GridConfig(resolution_m=fine))
-    assert submap.grid().resolution == expected
+    assert submap_of(drive, [0], grid=GridConfig(resolution_m=fine)).grid().resolution == expected
 
 
 def everywhere(drive: KeyframeStore, numbers: Iterable[int]) -> CoarseSubmap:

@@ -85,8 +85,7 @@ def test_scaling_resolution_and_lengths_together_changes_nothing(factor: float) 
 @pytest.mark.parametrize("config", [DEFAULT, PAPER], ids=["default", "paper"])
 def test_every_free_cell_reachable_from_a_node_is_labelled(config: SegmentationConfig) -> None:
     cells = OFFICE.cells.copy()
-    rng = np.random.default_rng(3)
-    cells[rng.random(cells.shape) < 0.002] = OCCUPIED
+    cells[np.random.default_rng(3).random(cells.shape) < 0.002] = OCCUPIED
     cells[40:44, 100:104] = FREE  # a pocket in a wall, and a slit into it of one cell
     found = segment(GridMap(cells, OFFICE.resolution), config)
     _, piece = cv2.connectedComponents((cells == FREE).astype(np.uint8), connectivity=4)
@@ -114,8 +113,7 @@ def test_chairs_do_not_split_a_room_and_are_filled() -> None:
 def test_the_paper_preset_uses_only_the_paper() -> None:
     found = segment(OFFICE, PAPER)
     assert found.count >= 5
-    used = found.spectrum.used
-    assert (found.spectrum.eigenvalues[:used] > PAPER.eigenvalue_min).all()
+    assert (found.spectrum.eigenvalues[: found.spectrum.used] > PAPER.eigenvalue_min).all()
     cells = np.argwhere(found.labels >= 0)[::97]
     points = OFFICE.centres_of(cells)
     distance = np.hypot(*(points[:, None] - found.nodes[None]).transpose(2, 0, 1))
@@ -202,8 +200,7 @@ def without_grazed(labels: list[int], poses: np.ndarray, way_m: float) -> list[i
 def test_regions_hardly_driven_through_go_to_the_one_before(seed: int, way_m: float) -> None:
     rng = np.random.default_rng(seed)
     stops = np.concatenate([[rng.uniform(0.6, 9.0)], rng.uniform(4.3, 6.8, 4)])
-    xs = np.concatenate([np.linspace(a, b, 15) for a, b in itertools.pairwise(stops)])
-    poses = drive(xs)
+    poses = drive(np.concatenate([np.linspace(a, b, 15) for a, b in itertools.pairwise(stops)]))
     division = segment(TWO_ROOMS, DEFAULT).labels
     every, found = (regions_of(TWO_ROOMS, division, poses, least_m) for least_m in (0.0, way_m))
     assert found.tolist() == without_grazed(every.tolist(), poses, way_m)
@@ -400,8 +397,7 @@ def test_the_long_sides_of_a_ring_have_corners(width: float, height: float, degr
     count, low, high, left, right, *found = divided(ring(width, height), degrees, sides + corners)
     assert count == 4
     assert len({low, high, left, right}) == 4
-    along = [low, low, high, high] if width > height else [left, right, left, right]
-    assert found == along
+    assert found == ([low, low, high, high] if width > height else [left, right, left, right])
 
 
 @pytest.mark.parametrize("degrees", TURNS[:3])

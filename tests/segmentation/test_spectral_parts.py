@@ -69,14 +69,12 @@ def test_similarity_is_equation_1(seed: int, multiple: float) -> None:
     assert not S.diagonal().any()
     for (i, j), length in zip(graph.pairs[::5], graph.lengths[::5], strict=True):
         assert S[i, j] == pytest.approx(np.exp(-(length**2) / (scales[i] * scales[j])))
-    dense = spectral.similarity(graph, 3, multiple, dense=True)
-    np.testing.assert_array_equal(dense, S)
+    np.testing.assert_array_equal(spectral.similarity(graph, 3, multiple, dense=True), S)
 
 
 @given(seed=seeds)
 def test_the_normalised_affinity_has_largest_eigenvalue_one(seed: int) -> None:
-    graph = blobs(seed, each=6)
-    S = spectral.similarity(graph, 0)
+    S = spectral.similarity(blobs(seed, each=6), 0)
     L, degrees = spectral.normalised(S)
     dense = S.toarray()
     np.testing.assert_allclose(degrees, dense.sum(axis=1))
@@ -122,8 +120,7 @@ def test_clusters_are_the_groups_whatever_the_order_of_the_nodes(seed: int) -> N
     truth = np.repeat(np.arange(3), 25)
     assert adjusted_rand_score(truth, spectral_clusters(graph, config).labels) == 1.0
     order = np.random.default_rng(seed).permutation(len(graph.nodes))
-    place = np.argsort(order)
-    pairs = np.sort(place[graph.pairs], axis=1)
+    pairs = np.sort(np.argsort(order)[graph.pairs], axis=1)
     shuffled = VisibilityGraph(graph.nodes[order], pairs, graph.lengths)
     assert adjusted_rand_score(truth[order], spectral_clusters(shuffled, config).labels) == 1.0
 
@@ -182,8 +179,7 @@ def test_nodes_that_see_nothing_are_clusters_of_their_own() -> None:
 
 @pytest.mark.parametrize("used", [1, 2, 5, 24])
 def test_k_is_the_number_of_eigenvalues_above_the_level(used: int) -> None:
-    graph = blobs(0, clusters=2, each=12)
-    S = spectral.similarity(graph, 0)
+    S = spectral.similarity(blobs(0, clusters=2, each=12), 0)
     L, _ = spectral.normalised(S)
     every = np.append(np.linalg.eigvalsh(L.toarray())[::-1], -2.0)
     whole, level = [np.arange(24)], float(every[used - 1] + every[used]) / 2.0
@@ -233,8 +229,7 @@ def test_a_cluster_of_four_rooms_is_halved_until_each_stands_alone() -> None:
 
 
 def test_what_does_not_converge_is_solved_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(0)
-    dense = rng.random((200, 200))
+    dense = np.random.default_rng(0).random((200, 200))
     matrix = sparse.csr_array(dense + dense.T)
     usual_values, usual = spectral.largest_eigenpairs(matrix, 5)
     never = ArpackNoConvergence("No convergence", np.zeros(0), np.zeros((200, 0)))
@@ -281,8 +276,7 @@ def test_labels_are_scikit_learn_s_and_the_best_of_starts_wins(seed: int, cluste
 
 def test_more_clusters_than_rows_are_as_many_as_rows() -> None:
     for rows in range(1, 4):
-        labels = spectral.kmeans_unit(np.eye(4)[:rows], 9, [0])
-        assert sorted(labels.tolist()) == list(range(rows))
+        assert sorted(spectral.kmeans_unit(np.eye(4)[:rows], 9, [0]).tolist()) == list(range(rows))
 
 
 @given(seeds)
@@ -328,8 +322,7 @@ def cliques(sizes: Sequence[int], bridge: float = 0.05) -> sparse.csr_array:
 
 
 def test_a_small_graph_is_one_part_a_component() -> None:
-    two = cliques([5, 4, 6], bridge=0.0)
-    parts = [part.tolist() for part in parts_of(two, 6)]
+    parts = [part.tolist() for part in parts_of(cliques([5, 4, 6], bridge=0.0), 6)]
     assert parts == [[*range(5)], [*range(5, 9)], [*range(9, 15)]]
     assert [part.tolist() for part in parts_of(cliques([5, 4]), 9)] == [list(range(9))]
     assert parts_of(sparse.csr_array((0, 0)), 10) == []
@@ -380,8 +373,7 @@ def test_a_neck_is_found_among_groups_as_among_all_nodes(monkeypatch: pytest.Mon
     assert len(parts) == 2
     assert max(sizes) < len(nodes) / 3
     for part, end in zip(parts, (0, 63), strict=True):
-        columns = nodes[part][:, 1]
-        assert (np.abs(columns - end) <= 34).all()
+        assert (np.abs(nodes[part][:, 1] - end) <= 34).all()
 
 
 def test_rooms_are_the_same_whether_a_graph_is_cut_or_not(monkeypatch: pytest.MonkeyPatch) -> None:

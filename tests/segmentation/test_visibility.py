@@ -28,8 +28,7 @@ def test_sight_lines_are_those_of_a_cell_by_cell_check(seed: int) -> None:
 
 
 def _least_clearance(clearance: LengthArray, start: np.ndarray, end: np.ndarray) -> float:
-    share = np.linspace(0.0, 1.0, 400)[:, None]
-    cells = np.rint(start + (end - start) * share).astype(int)
+    cells = np.rint(start + (end - start) * np.linspace(0.0, 1.0, 400)[:, None]).astype(int)
     return float(clearance[cells[:, 0], cells[:, 1]].min())
 
 
@@ -38,8 +37,7 @@ def test_a_block_has_one_node_or_none(seed: int, choice: str, step: int) -> None
     rng = np.random.default_rng(seed)
     clearance = np.maximum(rng.normal(1.0, 1.5, (rng.integers(1, 25), rng.integers(1, 25))), 0.0)
     expected = []
-    corners = (range(0, side, step) for side in clearance.shape)
-    for row, column in itertools.product(*corners):
+    for row, column in itertools.product(*(range(0, side, step) for side in clearance.shape)):
         block = clearance[row : row + step, column : column + step]
         inner = divmod(int(block.argmax()), block.shape[1])
         if choice == "centre":

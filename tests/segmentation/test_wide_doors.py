@@ -147,8 +147,7 @@ def labelled(cells: CellArray) -> LabelArray:
 
 
 def filled(cells: CellArray) -> LabelArray:
-    pieces = pieces_at_walls(GridMap(cells, CELL_M), 0.4)
-    return fill_cupboards(labelled(cells), pieces, CELL_M)
+    return fill_cupboards(labelled(cells), pieces_at_walls(GridMap(cells, CELL_M), 0.4), CELL_M)
 
 
 @pytest.mark.parametrize("inside", [OCCUPIED, UNKNOWN])

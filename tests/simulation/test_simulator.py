@@ -180,8 +180,7 @@ def test_every_beam_ends_on_the_first_surface_and_columns_come_as_they_turn(hall
     points, times_s = cloud_of(lidar, hall)
     places = np.column_stack([AT.apply(points[:, :2]), points[:, 2] + HEIGHT])
     low, high = np.array([LEFT, BOTTOM, 0.0]), np.array([RIGHT, TOP, CEILING])
-    off = np.minimum(np.abs(places - low), np.abs(places - high))
-    assert off.min(axis=1).max() < 1e-5
+    assert np.minimum(np.abs(places - low), np.abs(places - high)).min(axis=1).max() < 1e-5
     assert ((places > low - 1e-5) & (places < high + 1e-5)).all()
     assert (places[:, 2].min(), places[:, 2].max()) == pytest.approx((0.0, CEILING), abs=1e-6)
     columns = points.reshape(60, 9, 3)
@@ -245,8 +244,7 @@ def test_mounting_range_and_times_of_beams_reach_the_sweeps(flat: GridMap, sweep
     for sweep, _ in simulate_sweeps(flat, brief(**mounting, range_max_m=3.0, sweep_s=sweep_s)):
         assert sweep.base_from_laser == Pose2(0.2, -0.1, np.pi / 2)
         assert sweep.planar.range_max == 3.0
-        finite = sweep.planar.ranges[np.isfinite(sweep.planar.ranges)]
-        assert finite.max(initial=0.0) <= 3.0
+        assert sweep.planar.ranges[np.isfinite(sweep.planar.ranges)].max(initial=0.0) <= 3.0
         times = sweep.planar.beam_times_s
         assert (times is None) is (sweep_s == 0.0)
         assert times is None or (times[0], times[-1], len(times)) == (0.0, sweep_s, 30)

@@ -88,8 +88,7 @@ def test_orders_start_at_the_first_target_and_are_nearly_the_shortest(seed: int)
     assert length_of(order) <= 1.25 * shortest
     for i in range(1, 7):
         for j in range(i + 1, 8):
-            other = order[:i] + order[i:j][::-1] + order[j:]
-            assert length_of(order) <= length_of(other) + 1e-9
+            assert length_of(order) <= length_of(order[:i] + order[i:j][::-1] + order[j:]) + 1e-9
     for expected in ([0], [0, 1], [0, 2, 1]):
         places = np.array([0.0, 5.0, 1.0])[: len(expected)]
         assert tours.shortest_order(np.abs(places[:, None] - places[None])).tolist() == expected
@@ -142,15 +141,13 @@ def test_a_straight_way_is_driven_as_fast_as_physics_lets(length: float) -> None
     peak = min(v, np.sqrt(a * length))
     for points in (2, 2000):
         path = np.column_stack([np.linspace(0.0, length, points), np.zeros(points)])
-        expected = length / peak + peak / a
-        assert drive(path, USUAL).duration_s == pytest.approx(expected, rel=2e-3)
+        assert drive(path, USUAL).duration_s == pytest.approx(length / peak + peak / a, rel=2e-3)
 
 
 def test_the_robot_looks_where_it_drives_and_turns_in_place_at_corners() -> None:
     corner = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [1.0, 0.0]])
     driven = drive(corner, Limits(1.0, 1.0, 0.5))
-    moving = step_lengths(driven.poses) > 1e-9
-    headings = driven.poses[1:][moving][:, 2]
+    headings = driven.poses[1:][step_lengths(driven.poses) > 1e-9][:, 2]
     np.testing.assert_allclose(headings, [0.0, np.pi / 2, -np.pi / 2], atol=1e-9)
     # the ease of a turn is 1.5 times as steep in its middle as on average
     turning_s = 1.5 * (np.pi / 2 + np.pi)
@@ -180,14 +177,12 @@ def test_what_is_not_free_is_a_wall_and_clearance_is_to_the_nearest_one(plan: Gr
     np.testing.assert_array_equal(world.distance, world.plan.obstacle_distance())
     np.testing.assert_array_equal(plan.cells, before)
     height, width = plan.cells.shape
-    framed = np.pad(plan.free, 1)
-    walls = np.argwhere(~framed) - 1
+    walls = np.argwhere(~np.pad(plan.free, 1)) - 1
     everywhere = np.argwhere(np.ones((height, width), dtype=bool))
     gaps = np.linalg.norm(everywhere[:, None] - walls[None], axis=2).min(axis=1)
     expected = np.maximum(gaps * plan.resolution - 0.5 * plan.resolution, 0.0)
     expected[~plan.free.reshape(-1)] = 0.0
-    found = world.clearance_at(plan.centres_of(everywhere))
-    np.testing.assert_allclose(found, expected, atol=1e-6)
+    np.testing.assert_allclose(world.clearance_at(plan.centres_of(everywhere)), expected, atol=1e-6)
 
 
 @pytest.mark.parametrize("kind", [str, Path])
@@ -225,8 +220,7 @@ def test_a_point_is_in_the_room_of_the_nearest_cell(seed: int, height: int, widt
         nearest = np.linalg.norm(own - centres[k], axis=1).min()
         assert nearest <= 1.05 * away[k] + 1e-9  # OpenCV's mask of 5 is right to some percent
     np.testing.assert_array_equal(found[painted], labels.reshape(-1)[painted])
-    bare = rooms.at(centres, reach_m=0.0)
-    np.testing.assert_array_equal(bare, labels.reshape(-1))
+    np.testing.assert_array_equal(rooms.at(centres, reach_m=0.0), labels.reshape(-1))
 
 
 def test_points_beside_the_picture_are_measured_from_its_border_up_to_half_a_metre() -> None:

@@ -84,8 +84,7 @@ def test_a_cabinet_appears_and_vanishes_and_a_moved_one_does_both() -> None:
 
 
 def test_what_was_seen_from_afar_or_by_one_map_only_is_not_judged() -> None:
-    far = TRACK[TRACK[:, 0] > 8.5]
-    assert changes(told(drawn(flat(), CABINET), flat(), far)) == 0
+    assert changes(told(drawn(flat(), CABINET), flat(), TRACK[TRACK[:, 0] > 8.5])) == 0
     assert len(told(drawn(flat(), CABINET), flat(), TRACK).vanished) == 1
     assert changes(told(HALF_SEEN, flat())) == 0
     seen = Surveyed(flat().grid, np.zeros((0, 3)))

@@ -64,7 +64,6 @@ def topology_of(
     submap_of_region: dict[int, int] | None = None,
 ) -> TopologicalMap:
     """Keyframes a metre and 1000 ns apart, on a line unless `poses` say where."""
-    grids = {label: GridMap(np.full((2, 2), FREE, dtype=np.uint8), 0.1) for label in set(labels)}
     return build_topology(
         labels=np.array(labels, dtype=np.int64),
         poses=line_of_poses(len(labels)) if poses is None else poses,
@@ -75,7 +74,7 @@ def topology_of(
             Stay(number=region, submap=submap, runs=((0, 0),), origin=0, start_ns=0, end_ns=0)
             for region, submap in (submap_of_region or {label: label for label in labels}).items()
         ],
-        grids=grids,
+        grids={label: GridMap(np.full((2, 2), FREE, dtype=np.uint8), 0.1) for label in set(labels)},
     )
 
 
@@ -83,8 +82,7 @@ def test_visits_traversals_and_frames_follow_the_robot() -> None:
     topology = topology_of([0, 0, 1, 1, 0, 2])
     assert [len(topology.submaps[i].visits) for i in (0, 1, 2)] == [2, 1, 1]
     assert topology.submaps[0].keyframes == (0, 1, 4)
-    visits = topology.submaps[0].visits
-    assert [(v.start_ns, v.end_ns) for v in visits] == [(0, 1000), (4000, 4000)]
+    assert [(v.start_ns, v.end_ns) for v in topology.submaps[0].visits] == [(0, 1000), (4000, 4000)]
     kinds = {key: edge.kind for key, edge in topology.edges.items()}
     assert kinds == {(0, 1): "traversed", (0, 2): "traversed"}
     there, back = topology.edges[0, 1].traversals
@@ -137,8 +135,7 @@ def test_a_closure_names_regions_whose_submaps_may_have_changed() -> None:
     poses = line_of_poses(3, 10.0)
     poses[2] = poses[0]
     regions = {7: 0, 9: 2, 11: 0}
-    found = topology_of([0, 1, 2], (), [closure(7, 9)], poses, regions)
-    assert found.edges[0, 2].kind == "closure"
+    assert topology_of([0, 1, 2], (), [closure(7, 9)], poses, regions).edges[0, 2].kind == "closure"
     same = topology_of([0, 1, 2], (), [closure(7, 11)], poses, regions)
     assert set(same.edges) == {(0, 1), (1, 2)}, "both became one submap"
     with pytest.raises(KeyError):
@@ -272,8 +269,7 @@ def labels_after(
     old = Heritage(first, submaps, divide(known, labelled(first, submaps)), next_id)
     poses = np.concatenate([first, second])
     division = np.zeros_like(room_of(poses)) if joint is None else joint + room_of(poses)
-    placed = poses if moved is None else compose(moved, poses)
-    labels = inherited(old, placed, division, 1.0)
+    labels = inherited(old, poses if moved is None else compose(moved, poses), division, 1.0)
     return labels[: len(first)], labels[len(first) :]
 
 
@@ -332,8 +328,7 @@ def driven() -> Labels:
 
 
 def after(*wished: BorderEdit) -> tuple[IntArray, Any]:
-    labels = driven()
-    found = redrawn(hall(), labels, (), wished, 2)
+    found = redrawn(hall(), driven(), (), wished, 2)
     assert not found.skipped
     return found.submaps, found.borders
 
@@ -346,8 +341,7 @@ def test_a_merge_takes_all_keyframes_and_those_that_came_later_are_parted_by_the
     assert merge.keyframes == tuple(np.flatnonzero(labels.submaps == 0).tolist())
     assert merge.known == len(submaps)
     poses = np.concatenate([labels.poses, [[1.0, 1.2, 0.0], [5.0, 0.8, 0.0]]])
-    before = undone(np.append(submaps, [1, 1]), poses, borders)
-    assert before[-2:].tolist() == [0, 1]
+    assert undone(np.append(submaps, [1, 1]), poses, borders)[-2:].tolist() == [0, 1]
     (moved,) = carried(borders, labels.poses, poses[-2:])
     assert isinstance(moved, Merge)
     assert (moved.keyframes, moved.known) == ((0,), 2)
@@ -378,8 +372,7 @@ def test_no_region_crosses_the_fence() -> None:
     others = whole.centres_of(np.argwhere(regions.owner == 0))
     assert others[:, 0].min() == pytest.approx(2.0, abs=0.16)
     assert found.next_id == 6
-    free = divide(whole, divided)
-    assert whole.centres_of(np.argwhere(free.owner == 5))[:, 0].max() < 1.8
+    assert whole.centres_of(np.argwhere(divide(whole, divided).owner == 5))[:, 0].max() < 1.8
 
 
 def test_a_keyframe_on_the_fence_takes_nothing_beyond_it() -> None:
@@ -410,8 +403,7 @@ def test_changes_are_made_in_order_and_undone() -> None:
     labels = driven()
     assert undone(submaps, labels.poses, borders).tolist() == labels.submaps.tolist()
     changed = replace(labels, submaps=submaps)
-    fewer = redrawn(hall(), changed, borders, wished[:2], 8)
-    assert set(fewer.submaps.tolist()) == {1, 7}
+    assert set(redrawn(hall(), changed, borders, wished[:2], 8).submaps.tolist()) == {1, 7}
     same = redrawn(hall(), changed, borders, wished, 8)
     assert same.submaps.tolist() == submaps.tolist()
     assert same.borders == borders

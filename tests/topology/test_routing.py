@@ -28,8 +28,7 @@ def test_a_route_leads_from_place_to_place_through_the_door() -> None:
     assert found
     assert found.why == ""
     assert found.points[[0, -1]].tolist() == [[1.0, 1.0], [9.0, 1.0]]
-    steps = np.hypot(*np.diff(found.points, axis=0).T)
-    assert found.length_m == pytest.approx(steps.sum())
+    assert found.length_m == pytest.approx(np.hypot(*np.diff(found.points, axis=0).T).sum())
     straight = sum(math.dist((door.x, door.y), end) for end in [(1.0, 1.0), (9.0, 1.0)])
     assert straight <= found.length_m < 1.1 * straight
     assert found.rooms == (0, 1)
@@ -72,6 +71,5 @@ def test_no_route_leads_through_what_is_forbidden_but_round_it_by_another_door()
     ],
 )
 def test_why_there_is_none(door: Any, goal: tuple[float, float], why: str) -> None:
-    regions = two_rooms(door)
-    found: Route = Roads(regions, (), [], RADIUS_M).route((1.0, 1.0), goal)
+    found: Route = Roads(two_rooms(door), (), [], RADIUS_M).route((1.0, 1.0), goal)
     assert why in found.why

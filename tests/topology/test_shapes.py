@@ -158,8 +158,7 @@ def test_regions_are_connected_and_hold_their_keyframes(seed: int) -> None:
         region = regions.owner == id_
         assert region[row, column] or cells[row, column] == OCCUPIED
         count, _, stats, _ = cv2.connectedComponentsWithStats(region.astype(np.uint8))
-        largest = stats[1:, cv2.CC_STAT_AREA].max() if count > 1 else 0
-        assert largest >= 0.97 * region.sum()
+        assert (stats[1:, cv2.CC_STAT_AREA].max() if count > 1 else 0) >= 0.97 * region.sum()
     owned = regions.owner != NOBODY
     assert (owned <= grid.free).all()
     assert owned.sum() > 0.97 * grid.free.sum()

@@ -69,8 +69,7 @@ def test_a_building_may_stand_at_any_angle(degrees: int) -> None:
     door = door_of(Regions.of(GridMap(cells, 0.05), owner))
     assert door.width_m == pytest.approx(0.9, abs=0.1)
     assert math.cos(door.theta - math.radians(degrees)) > math.cos(0.25)
-    middle = to_picture @ [5.4 / 0.05, 2.95 / 0.05, 1.0] * 0.05
-    assert math.dist((door.x, door.y), middle) < 0.2
+    assert math.dist((door.x, door.y), to_picture @ [5.4 / 0.05, 2.95 / 0.05, 1.0] * 0.05) < 0.2
 
 
 def test_two_doors_between_two_rooms_are_two_and_each_has_its_traversals() -> None:
@@ -89,8 +88,7 @@ def test_two_doors_are_two_though_the_border_lies_beyond_both() -> None:
     """Where the robot did not drive, a border lies in the room, and is one for both doors."""
     rooms = {1: [(5.5, 0.3, 9.5, 6.3)], 0: [(0.3, 0.3, 5.3, 6.3), (5.3, 2.0, 5.9, 4.0)]}
     posts = [(5.3, 2.0, 5.5, 2.1), (5.3, 3.0, 5.5, 3.1), (5.3, 3.9, 5.5, 4.0)]
-    regions = regions_of((9.8, 6.6), rooms, posts)
-    doors, _ = found_between(regions)
+    doors, _ = found_between(regions_of((9.8, 6.6), rooms, posts))
     assert [door.y for door in doors] == pytest.approx([2.55, 3.5], abs=0.1)
     assert [door.width_m for door in doors] == pytest.approx([0.9, 0.8], abs=0.01)
 
@@ -264,8 +262,7 @@ def told(cells: IntArray) -> set[tuple[int, ...]]:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_all_cells_under_a_line_are_known(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    start, end = rng.integers(0, 30, (2, 2))
+    start, end = np.random.default_rng(seed).integers(0, 30, (2, 2))
     cells, lengths = cells_on(start, end)
     assert lengths.sum() == pytest.approx(math.dist(start, end))
     points = start + np.linspace(0.0, 1.0, 5000)[:, None] * (end - start)
@@ -275,8 +272,7 @@ def test_all_cells_under_a_line_are_known(seed: int) -> None:
 
 
 def test_a_way_leads_straight_through_a_door_in_line() -> None:
-    regions = two_rooms((5.3, 2.85, 5.5, 3.75))
-    way = way_of(regions)
+    way = way_of(two_rooms((5.3, 2.85, 5.5, 3.75)))
     assert way.path[[0, -1]] == pytest.approx(np.array([[2.8, 3.3], [7.5, 3.3]]), abs=0.06)
     assert way.length_m == pytest.approx(4.7, abs=0.1)
     assert way.clearance_m == pytest.approx(0.45, abs=0.03)
@@ -311,8 +307,7 @@ def test_a_way_may_leave_and_enter_a_submap_in_two_pieces() -> None:
     columns = np.arange(regions.owner.shape[1])[None, :]
     strip = (columns >= 95) & (columns < 100)
     owner = np.where(strip & (regions.owner == 0), 1, regions.owner)
-    found = way_of(Regions.of(regions.grid, owner))
-    assert least_room(regions.grid, found.path) >= RADIUS_M
+    assert least_room(regions.grid, way_of(Regions.of(regions.grid, owner)).path) >= RADIUS_M
 
 
 def test_a_submap_where_the_robot_does_not_fit_has_an_anchor_and_no_way() -> None:
@@ -353,8 +348,7 @@ def test_a_driven_edge_gets_its_way_and_its_door() -> None:
     assert edge.crossing == (door.x, door.y)
     assert door.crossings == edge.traversals
     assert edge.path is not None
-    ends = [list(found.submaps[id_].anchor or ()) for id_ in (0, 1)]
-    assert edge.path[[0, -1]].tolist() == ends
+    assert edge.path[[0, -1]].tolist() == [list(found.submaps[id_].anchor or ()) for id_ in (0, 1)]
     assert (edge.clearance_m or 0.0) >= CONFIG.robot_radius_m
     assert found.robot_radius_m == 0.2
     assert found.joined == [(0, 1)]
@@ -379,8 +373,7 @@ def test_an_edge_in_the_open_has_a_way_and_no_door() -> None:
 
 def test_an_edge_without_a_way_names_all_doors_and_the_widest_clearance() -> None:
     regions = two_rooms(NORTH, SOUTH)
-    wide = WaysConfig(robot_radius_m=0.6)
-    edge = with_ways(map_of(regions), regions, wide).edges[0, 1]
+    edge = with_ways(map_of(regions), regions, WaysConfig(robot_radius_m=0.6)).edges[0, 1]
     assert (edge.path, edge.length_m, edge.doors) == (None, None, (0, 1))
     assert edge.clearance_m == pytest.approx(0.45, abs=0.03)
 

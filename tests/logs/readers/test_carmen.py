@@ -182,9 +182,7 @@ def test_data_may_come_after_many_comments(path: Path, comments: int, known: boo
         assert "a text file, not a recording" in refusal(path)
 
 
-def test_a_reading_of_80_m_is_no_return_and_a_line_without_ipc_time_takes_the_loggers(
-    path: Path,
-) -> None:
+def test_80_m_are_no_return_and_a_line_without_ipc_time_takes_the_loggers(path: Path) -> None:
     path.write_text("FLASER 3 79.99 80.00 81.83 1.0 2.0 0.0 1.0 2.0 0.0 0.000000 nohost 7.25\n")
     (sweep,), _ = sweeps_of(path)
     assert sweep.planar.ranges.tolist() == pytest.approx([79.99, math.inf, math.inf])
@@ -249,9 +247,7 @@ def test_a_log_cut_inside_its_last_stamp_has_no_scan_of_another_time(path: Path,
 
 
 @pytest.mark.parametrize("method", ["seek", "readline"])
-def test_a_disk_that_fails_is_one_line(
-    method: str, front: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failing_disk_is_told(method: str, front: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Failing(BytesIO):
         pass
 

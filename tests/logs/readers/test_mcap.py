@@ -65,9 +65,9 @@ def rewrite(path: Path, found: list[bytes]) -> None:
 
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, PLAIN])
 def test_a_damaged_chunk_costs_only_itself(
-    path: Path, drive_messages: list[Message], compression: CompressionType
+    path: Path, driven: list[Message], compression: CompressionType
 ) -> None:
-    write_mcap(path, drive_messages, compression=compression)
+    write_mcap(path, driven, compression=compression)
     overwrite(path, chunks_of(path)[3].chunk_start_offset + 200, b"damaged" * 5)
     with open_log(path) as log:
         found = list(log.messages())
@@ -76,36 +76,34 @@ def test_a_damaged_chunk_costs_only_itself(
         assert ", between 100.350 s and 100.450 s, are lost" in log.damage[0]
         assert list(log.messages()) == found
         assert len(log.damage) == 1, "said once, however often it is read"
-        assert len(found) + log.missing.total() == len(drive_messages)
-    assert 0.5 * len(drive_messages) < len(found) < len(drive_messages)
-    assert all(m in drive_messages for m in found)
+        assert len(found) + log.missing.total() == len(driven)
+    assert 0.5 * len(driven) < len(found) < len(driven)
+    assert all(m in driven for m in found)
 
 
-def test_ros1_messages_in_mcap_are_read(path: Path, drive_messages: list[Message]) -> None:
-    scans = [m for m in drive_messages if m.topic == "/scan"]
+def test_ros1_messages_in_mcap_are_read(path: Path, driven: list[Message]) -> None:
+    scans = [m for m in driven if m.topic == "/scan"]
     rows = [(m.time_ns, bytes(typestore().cdr_to_ros1(m.data, m.type))) for m in scans]
     write_channel(path, "sensor_msgs/LaserScan", ("ros1msg", "ros1"), *rows)
     assert read_rest(path) == (scans, [])
 
 
-def test_what_is_wrong_beside_the_messages_costs_nothing(
-    path: Path, drive_messages: list[Message]
-) -> None:
+def test_what_is_wrong_beside_the_messages_costs_nothing(path: Path, driven: list[Message]) -> None:
     """A wrong checksum of the index, a private record, statistics that contradict themselves."""
-    write_mcap(path, drive_messages)
+    write_mcap(path, driven)
     last = path.read_bytes()[-9]  # of the checksum, right before the closing magic
     overwrite(path, path.stat().st_size - 9, bytes([last ^ 0xFF]))
-    assert read_rest(path) == (drive_messages, [])
-    write_mcap(path, drive_messages, use_chunking=False)
+    assert read_rest(path) == (driven, [])
+    write_mcap(path, driven, use_chunking=False)
     head, *rest = records(path.read_bytes())
     rewrite(path, [head, struct.pack("<BQ", 0x93, 5) + b"extra", *rest])
-    assert read_rest(path) == (drive_messages, [])
+    assert read_rest(path) == (driven, [])
     found = [head, *rest]
     (place,) = places_of(found, 0x0B)
     count = struct.unpack_from("<Q", found[place], 9)[0]
     found[place] = found[place][:9] + struct.pack("<Q", count + 1) + found[place][17:]
     rewrite(path, found)
-    assert read_rest(path) == (drive_messages, [])
+    assert read_rest(path) == (driven, [])
 
 
 @pytest.mark.parametrize(
@@ -117,17 +115,17 @@ def test_what_is_wrong_beside_the_messages_costs_nothing(
     ],
 )
 def test_a_record_that_is_no_message_any_more_is_passed_over_and_said(
-    path: Path, drive_messages: list[Message], opcode: int, length: int | None, told: str
+    path: Path, driven: list[Message], opcode: int, length: int | None, told: str
 ) -> None:
-    write_mcap(path, drive_messages, use_chunking=False, index_types=IndexType.NONE)
-    found, lost = records(path.read_bytes()), drive_messages[40]
+    write_mcap(path, driven, use_chunking=False, index_types=IndexType.NONE)
+    found, lost = records(path.read_bytes()), driven[40]
     place = places_of(found, 5)[40]
     body = found[place][9:] if length is None else bytes(length)
     found[place] = struct.pack("<BQ", opcode, len(body)) + body
     rewrite(path, found)
     start = 8 + sum(map(len, found[:place]))
     with open_log(path) as log:
-        assert list(log.messages()) == drive_messages[:40] + drive_messages[41:]
+        assert list(log.messages()) == driven[:40] + driven[41:]
         assert log.damage[0] == (
             f"{path}: the record at byte {start} {told}: what it holds in its {9 + len(body)} "
             "bytes is lost"
@@ -135,36 +133,32 @@ def test_a_record_that_is_no_message_any_more_is_passed_over_and_said(
         assert log.missing == {lost.topic: 1}
         said = log.damage[1:]
     if length is None:
-        total = sum(m.topic == lost.topic for m in drive_messages)
-        assert said == [
-            f"{path}: 1 of {total} messages on {lost.topic} of the index are not in the file"
-        ]
+        total = sum(m.topic == lost.topic for m in driven)
+        gone = f"1 of {total} messages on {lost.topic} of the index are not in the file"
+        assert said == [f"{path}: {gone}"]
         overwrite(path, start, b"\x7a\x01")  # of a length behind which no record follows
-        last, size = drive_messages[39].time_ns / 1e9, path.stat().st_size
+        last, size = driven[39].time_ns / 1e9, path.stat().st_size
         end = f"damaged at byte {start} of {size}: what followed {last:.3f} s is lost"
-        assert read_rest(path) == (drive_messages[:40], [f"{path}: {end}"])
+        assert read_rest(path) == (driven[:40], [f"{path}: {end}"])
 
 
-def test_an_unknown_compression_costs_its_chunks(path: Path, drive_messages: list[Message]) -> None:
-    write_mcap(path, drive_messages, compression=CompressionType.ZSTD)
+def test_an_unknown_compression_costs_its_chunks(path: Path, driven: list[Message]) -> None:
+    write_mcap(path, driven, compression=CompressionType.ZSTD)
     _, *chunks = chunks_of(path)
     for chunk in chunks:
-        place = path.read_bytes().index(b"zstd", chunk.chunk_start_offset)
-        overwrite(path, place, b"best")
+        overwrite(path, path.read_bytes().index(b"zstd", chunk.chunk_start_offset), b"best")
     found, said = read_rest(path)
-    assert found == drive_messages[: len(found)]
-    assert 0 < len(found) < len(drive_messages)
+    assert found == driven[: len(found)]
+    assert 0 < len(found) < len(driven)
     assert len(said) == min(len(chunks), 21)
 
 
-def test_a_damaged_head_of_an_indexed_chunk_costs_nothing(
-    path: Path, drive_messages: list[Message]
-) -> None:
-    write_mcap(path, drive_messages, compression=PLAIN)
+def test_a_damaged_head_of_indexed_chunks_costs_nothing(path: Path, driven: list[Message]) -> None:
+    write_mcap(path, driven, compression=PLAIN)
     place = chunks_of(path)[2].chunk_start_offset
     overwrite(path, place, b"\x05")  # no chunk any more
     said = f"chunk at byte {place} is damaged, but all of its 4 messages are found"
-    assert read_rest(path) == (drive_messages, [f"{path}: {said}"])
+    assert read_rest(path) == (driven, [f"{path}: {said}"])
 
 
 def test_a_file_without_messages_is_a_log_without_messages(path: Path) -> None:
@@ -176,9 +170,9 @@ def test_a_file_without_messages_is_a_log_without_messages(path: Path) -> None:
 
 
 def test_chunks_of_one_topic_each_are_joined_in_time_and_only_those_wanted_are_read(
-    path: Path, drive_messages: list[Message], monkeypatch: pytest.MonkeyPatch
+    path: Path, driven: list[Message], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write_mcap(path, sorted(drive_messages, key=lambda m: (m.topic, m.time_ns)))
+    write_mcap(path, sorted(driven, key=lambda m: (m.topic, m.time_ns)))
     read: list[int] = []
     opened = McapFile._open_chunk
 
@@ -190,8 +184,7 @@ def test_chunks_of_one_topic_each_are_joined_in_time_and_only_those_wanted_are_r
     with open_log(path) as log:
         assert len(list(log.messages(["/tf_static"]))) == 1
         assert len(read) == 1
-        found = [m.time_ns for m in log.messages()]
-        assert found == sorted(m.time_ns for m in drive_messages)
+        assert [m.time_ns for m in log.messages()] == sorted(m.time_ns for m in driven)
         assert len(read) > 3
 
 
@@ -202,18 +195,17 @@ def test_chunks_of_one_topic_each_are_joined_in_time_and_only_those_wanted_are_r
     ids=["opcode", "other opcode", "length", "huge length", "channel"],
 )
 def test_a_damaged_record_in_a_chunk_without_checksum_is_told(
-    path: Path, drive_messages: list[Message], indexed: bool, place: int, value: int
+    path: Path, driven: list[Message], indexed: bool, place: int, value: int
 ) -> None:
     index = IndexType.ALL if indexed else IndexType.NONE
-    write_mcap(path, drive_messages, enable_crcs=False, compression=PLAIN, index_types=index)
-    record = path.read_bytes().index(drive_messages[50].data) - 31
+    write_mcap(path, driven, enable_crcs=False, compression=PLAIN, index_types=index)
+    record = path.read_bytes().index(driven[50].data) - 31
     overwrite(path, record + place, bytes([value]))
     with open_log(path) as log:
         found = list(log.messages())
-        assert len(found) + log.missing.total() >= len(drive_messages)
-        assert [m for m in found if m not in drive_messages] == found[50:51] * (
-            place == 1 and value == 0xF0
-        )
+        assert len(found) + log.missing.total() >= len(driven)
+        wrong = [m for m in found if m not in driven]
+        assert wrong == found[50:51] * (place == 1 and value == 0xF0)
         assert len(log.damage) == (1 if indexed else 2)  # the place, and the numbers
         assert "is damaged" in log.damage[0]
 
@@ -227,20 +219,20 @@ WITHOUT_INDEX: list[dict[str, object]] = [
 
 @pytest.mark.parametrize("style", WITHOUT_INDEX)
 def test_what_was_taken_out_of_a_file_without_index_is_counted(
-    path: Path, drive_messages: list[Message], style: dict[str, object]
+    path: Path, driven: list[Message], style: dict[str, object]
 ) -> None:
-    write_mcap(path, drive_messages, **style)
+    write_mcap(path, driven, **style)
     found = records(path.read_bytes())
     data = places_of(found, 6 if "index_types" in style else 5)
     del found[data[len(data) // 2]]
     rewrite(path, found)
     with open_log(path) as log:
         read = list(log.messages({"/scan", "/odom"}))
-        lost = Counter(m.topic for m in drive_messages) - Counter(m.topic for m in log.messages())
+        lost = Counter(m.topic for m in driven) - Counter(m.topic for m in log.messages())
         assert log.missing == lost != {}
         (said,) = log.damage
         assert said.endswith(" of the index are not in the file")
-        assert len(read) == len(drive_messages) - 1 - lost.total()  # one is on /tf_static
+        assert len(read) == len(driven) - 1 - lost.total()  # one is on /tf_static
 
 
 def end_of_data_moved_up(path: Path) -> tuple[int, int]:
@@ -255,43 +247,41 @@ def end_of_data_moved_up(path: Path) -> tuple[int, int]:
 
 @pytest.mark.parametrize("style", WITHOUT_INDEX)
 def test_what_stands_behind_the_end_of_the_data_is_read_and_told(
-    path: Path, drive_messages: list[Message], style: dict[str, object]
+    path: Path, driven: list[Message], style: dict[str, object]
 ) -> None:
-    write_mcap(path, drive_messages, **style)
+    write_mcap(path, driven, **style)
     behind, end = end_of_data_moved_up(path)
     said = f"the record at byte {behind} stands behind the end of the data at byte {end}"
-    assert read_rest(path) == (drive_messages, [f"{path}: {said}: it is read all the same"])
+    assert read_rest(path) == (driven, [f"{path}: {said}: it is read all the same"])
     whole = path.read_bytes()
     path.write_bytes(whole[: behind + 12])
     found, (cut,) = read_rest(path)
-    assert len(found) < len(drive_messages)
+    assert len(found) < len(driven)
     assert cut.startswith(f"{path}: cut off in the index at byte {behind}: no message should")
     if "use_chunking" in style:
         path.write_bytes(whole)
         overwrite(path, behind, b"\x05" + b"\xff" * 8)  # a message longer than any file
         found, told = read_rest(path)
-        assert len(found) == len(drive_messages) - 1
+        assert len(found) == len(driven) - 1
         assert f"{path}: damaged in the index at byte {behind}: " in told[-1]
 
 
 @pytest.mark.parametrize("checked", [True, False])
-def test_a_chunk_that_is_not_where_the_index_has_it_is_told(
-    path: Path, drive_messages: list[Message], checked: bool
-) -> None:
-    write_mcap(path, drive_messages, enable_crcs=checked)
+def test_a_chunk_in_another_place_is_told(path: Path, driven: list[Message], checked: bool) -> None:
+    write_mcap(path, driven, enable_crcs=checked)
     end_of_data_moved_up(path)
     with open_log(path) as log:
         read = list(log.messages())
-        assert 0 < log.missing.total() == len(drive_messages) - len(read)
+        assert 0 < log.missing.total() == len(driven) - len(read)
         assert log.damage
 
 
-def test_a_second_file_behind_the_end_is_told(path: Path, drive_messages: list[Message]) -> None:
-    write_mcap(path, drive_messages)
+def test_a_second_file_behind_the_end_is_told(path: Path, driven: list[Message]) -> None:
+    write_mcap(path, driven)
     size = path.stat().st_size
     path.write_bytes(path.read_bytes() * 2)
     said = f"{size:,} bytes follow the end of the file at byte {size}: what they hold is lost"
-    assert read_rest(path) == (drive_messages, [f"{path}: {said}"])
+    assert read_rest(path) == (driven, [f"{path}: {said}"])
 
 
 @pytest.mark.parametrize(
@@ -301,9 +291,7 @@ def test_a_second_file_behind_the_end_is_told(path: Path, drive_messages: list[M
         (None, "", "unknown (no encoding)"),
     ],
 )
-def test_messages_of_other_encodings_are_listed(
-    path: Path, schema: str | None, encoding: str, kind: str
-) -> None:
+def test_any_encoding_is_listed(path: Path, schema: str | None, encoding: str, kind: str) -> None:
     write_channel(path, schema, (encoding, encoding), (5, b"?"))
     with open_log(path) as log:
         assert log.topics() == [TopicInfo("/scan", kind, 1)]

@@ -27,8 +27,7 @@ def scans_read(path: Path) -> tuple[int, int, list[str]]:
         with open_log(path) as log:
             stream = SweepStream(log, LogConfig())
             found = sum(1 for _ in stream)
-            missing = log.missing["/scan"] + stream.counts["unusable_scans"]
-            return found, missing, stream.warnings
+            return found, log.missing["/scan"] + stream.counts["unusable_scans"], stream.warnings
     except (InputError, UsageError) as error:
         return 0, 0, [str(error)]
 
@@ -49,9 +48,9 @@ def damage_everywhere(path: Path, scans: int) -> None:
 
 
 @pytest.fixture
-def few(drive_messages: list[Message]) -> list[Message]:
+def few(driven: list[Message]) -> list[Message]:
     """A third of the drive: ten scans."""
-    return drive_messages[:31]
+    return driven[:31]
 
 
 @pytest.mark.parametrize("name", VARIETIES)
@@ -73,9 +72,7 @@ def test_a_byte_of_a_carmen_log(path: Path) -> None:
 
 
 @pytest.mark.parametrize("listed", [True, False])
-def test_a_message_moved_to_another_topic_is_missed_on_its_own(
-    path: Path, few: list[Message], listed: bool
-) -> None:
+def test_a_message_on_another_topic_is_missed(path: Path, few: list[Message], listed: bool) -> None:
     index = IndexType.ALL if listed else IndexType.CHUNK
     write_mcap(path, few, compression=PLAIN, enable_crcs=False, index_types=index)
     data = path.read_bytes()
@@ -129,19 +126,16 @@ CHUNKED = [name for name in VARIETIES if not name.startswith("db3")]
 
 
 @pytest.mark.parametrize("name", VARIETIES)
-def test_every_variety_gives_the_same_messages(
-    path: Path, drive_messages: list[Message], name: str
-) -> None:
+def test_every_variety_has_the_same_messages(path: Path, driven: list[Message], name: str) -> None:
     """Also where the file's name says something else."""
-    VARIETIES[name](path, drive_messages)
-    odometry, scans = ([m for m in drive_messages if m.topic == t] for t in ("/odom", "/scan"))
+    VARIETIES[name](path, driven)
+    odometry, scans = ([m for m in driven if m.topic == t] for t in ("/odom", "/scan"))
     with open_log(path) as log:
         assert log.format == FORMATS[name.split()[0]]
-        assert list(log.messages()) == drive_messages
-        counted = Counter(m.topic for m in drive_messages)
-        assert {t.name: t.count for t in log.topics()} == counted
-        assert log.contents.start_ns == drive_messages[0].time_ns
-        assert log.contents.end_ns == max(m.time_ns for m in drive_messages)
+        assert list(log.messages()) == driven
+        assert {t.name: t.count for t in log.topics()} == Counter(m.topic for m in driven)
+        assert log.contents.start_ns == driven[0].time_ns
+        assert log.contents.end_ns == max(m.time_ns for m in driven)
         assert list(log.messages(["/odom"])) == odometry
         assert list(log.messages(["/scan"])) == scans
         assert all(a == b for a, b in zip(log.messages(), log.messages(), strict=True))
@@ -151,24 +145,24 @@ def test_every_variety_gives_the_same_messages(
 
 
 @pytest.mark.parametrize("name", CHUNKED)
-def test_what_precedes_a_cut_is_read(path: Path, drive_messages: list[Message], name: str) -> None:
+def test_what_precedes_a_cut_is_read(path: Path, driven: list[Message], name: str) -> None:
     """And one line says what was lost."""
-    VARIETIES[name](path, drive_messages)
+    VARIETIES[name](path, driven)
     whole = path.read_bytes()
     counts: list[int] = []
     for tenth in range(10):
         path.write_bytes(whole[: len(whole) * tenth // 10 + 3])
         found, (said,) = read_rest(path)
         assert str(path) in said
-        assert found == drive_messages[: len(found)]
+        assert found == driven[: len(found)]
         counts.append(len(found))
     assert counts == sorted(counts)
-    assert counts[-1] > 0.5 * len(drive_messages)
+    assert counts[-1] > 0.5 * len(driven)
 
 
 @pytest.mark.parametrize("name", CHUNKED)
-def test_random_damage_is_survived(path: Path, drive_messages: list[Message], name: str) -> None:
-    VARIETIES[name](path, drive_messages[:20])
+def test_random_damage_is_survived(path: Path, driven: list[Message], name: str) -> None:
+    VARIETIES[name](path, driven[:20])
     whole, head = path.read_bytes(), 8 if name.startswith("mcap") else 13
     for seed in range(25):
         data, rng = bytearray(whole), random.Random(seed)

@@ -70,9 +70,7 @@ def test_a_reader_of_another_package_reads_its_log(tmp_path: Path, path: Path) -
 
 @pytest.mark.usefixtures("range_lines")
 @pytest.mark.parametrize("compress", [gzip.compress, bz2.compress])
-def test_its_log_is_read_inside_a_compressed_file(
-    path: Path, compress: Callable[[bytes], bytes]
-) -> None:
+def test_its_log_may_be_compressed(path: Path, compress: Callable[[bytes], bytes]) -> None:
     path.write_bytes(compress(LINES + b"oops\n"))
     before = set(Path(tempfile.gettempdir()).glob("specmap-*"))
     with open_log(path) as log:
@@ -83,9 +81,7 @@ def test_its_log_is_read_inside_a_compressed_file(
 
 
 @pytest.mark.usefixtures("range_lines")
-def test_its_logs_are_found_in_a_directory(
-    tmp_path: Path, drive: Path, drive_messages: list[Message]
-) -> None:
+def test_its_logs_are_found_in_a_folder(tmp_path: Path, drive: Path, driven: list[Message]) -> None:
     folder = tmp_path / "recording"
     folder.mkdir()
     (folder / "a.txt").write_bytes(LINES)
@@ -94,7 +90,7 @@ def test_its_logs_are_found_in_a_directory(
     with open_log(folder) as log:
         assert log.format == "MCAP + range lines"
         assert log.paths == [folder / "b.mcap", folder / "a.txt"]
-        assert log.contents.messages == len(drive_messages) + 5
+        assert log.contents.messages == len(driven) + 5
 
 
 @pytest.mark.parametrize(
@@ -134,17 +130,12 @@ def test_what_no_reader_knows_is_refused_with_the_formats_known(path: Path, offe
 @pytest.mark.parametrize(
     ("code", "said"),
     [
-        (
-            "def Reader(file, path): ...",
-            "is no class derived from specmap_cli.logs.readers.Recording",
-        ),
+        ("def Reader(file): ...", "is no class derived from specmap_cli.logs.readers.Recording"),
         (BARE.format(name="Reader", body='format = "x"; magic = b"x"'), "lacks contents, messages"),
         (BARE.format(name="Reader", body=WHOLE), "lacks format, magic or sniff"),
     ],
 )
-def test_a_broken_entry_point_is_one_clear_line(
-    drive: Path, offer: Offer, code: str, said: str
-) -> None:
+def test_a_broken_entry_point_is_one_line(drive: Path, offer: Offer, code: str, said: str) -> None:
     offer({"broken": "Reader"}, code)
     with pytest.raises(UsageError) as caught:
         open_log(drive)

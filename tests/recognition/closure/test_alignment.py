@@ -158,8 +158,7 @@ def test_maps_that_share_some_rooms_but_two_may_be_of_two_buildings() -> None:
 def test_a_large_place_that_was_divided_otherwise_is_found_by_few_submaps() -> None:
     plan, frame = random_floor(6), Pose2(2.0, 0.0, 0.8)
     whole = seen(plan, ALL, frame).whole
-    undivided = MapToAlign(whole=whole, grids={0: whole}, frames={0: IDENTITY})
-    found = align(seen(plan), undivided)
+    found = align(seen(plan), MapToAlign(whole=whole, grids={0: whole}, frames={0: IDENTITY}))
     assert found.submaps == 1
     assert_right(found, frame)
 

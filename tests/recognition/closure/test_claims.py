@@ -75,8 +75,7 @@ def test_claims_are_the_shares_of_classifiers_trained_as_the_paper_says() -> Non
 
 @pytest.mark.parametrize("groups", [0, 1, 2, 3, 50])
 def test_a_submap_is_no_negative_of_itself(groups: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    config = PAPER.model_copy(update={"groups": groups})
-    made, new = ranker(config, 5), scans_of(7)
+    made, new = ranker(PAPER.model_copy(update={"groups": groups}), 5), scans_of(7)
     learning = watched(monkeypatch, claims, "boosted")
     assert sorted(made.claims(new)) == list(range(5))
     left_out: dict[str, list[set[int]]] = {"new": [], "old": []}
@@ -103,8 +102,7 @@ def test_negatives_are_capped_and_of_all_submaps_alike(monkeypatch: pytest.Monke
     assert {int((~question.positive).sum()) for question in questions[1:]} == {40}
     assert {int(question.positive.sum()) for question in questions} == {20}  # twice the samples
     pool = X[:60]  # half as many again as are used
-    visits = {1: range(9), 0: [0], 2: [0]}
-    for place, seeds in visits.items():
+    for place, seeds in {1: range(9), 0: [0], 2: [0]}.items():
         known = np.vstack([scans_of(place, seed=seed) for seed in seeds])
         of_place = (pool[:, None] == known).all(axis=2)
         assert of_place.any(axis=1).sum() == 20
@@ -204,8 +202,7 @@ def told(old: Stay, new: Stay, check: Check | None) -> Decision:
 def test_every_verdict_says_why(
     change: dict[str, Any] | None, verified: bool, merged: bool, reason: str
 ) -> None:
-    check = None if change is None else replace(SURE, **change)
-    found = told(stay(), stay(1), check)
+    found = told(stay(), stay(1), None if change is None else replace(SURE, **change))
     assert (found.verified, found.merged, found.reason) == (verified, merged, reason)
 
 
@@ -271,9 +268,7 @@ places = st.floats(0.0, 500.0)
 
 
 @given(st.lists(st.tuples(places, places, st.floats(0.0, 0.5)), max_size=12), places, places)
-def test_no_match_makes_a_way_longer(
-    ties: list[tuple[float, float, float]], start: float, end: float
-) -> None:
+def test_no_way_is_longer(ties: list[tuple[float, float, float]], start: float, end: float) -> None:
     way = DriftGraph(CONFIG)
     last = abs(end - start)
     for old, new, mended_m in ties:

@@ -119,8 +119,7 @@ def test_a_stay_that_went_on_is_compared_whole(building: Any) -> None:
 
 
 def test_the_paper_s_rule_waits_for_two_submaps_and_takes_the_best_xi(building: Any) -> None:
-    config = load_config(preset="paper").recognition.model_copy(update={"closure_rounds": 8})
-    loop = closer(config)
+    loop = closer(load_config(preset="paper").recognition.model_copy(update={"closure_rounds": 8}))
     for number in range(2):
         assert loop.consider(building.visit(number, number, feature_set="table1")) == []
     considered = loop.consider(building.visit(2, 0, seed=9, feature_set="table1"))

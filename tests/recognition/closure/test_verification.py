@@ -84,8 +84,7 @@ def test_a_room_is_found_however_it_lies(x: float, y: float, theta: float) -> No
     """The frame of the second grid lies anywhere; its rows and columns cut the walls otherwise."""
     truth = Pose2(x, y, theta)
     first, second = ready(walls_at(ROOM)), ready(walls_at(moved(ROOM, truth)))
-    check = matched(first, second)
-    error = truth.inverse() @ check.old_from_new
+    error = truth.inverse() @ matched(first, second).old_from_new
     assert error.distance < 0.08
     assert abs(error.theta) < 0.03
 
@@ -118,8 +117,7 @@ def test_a_corridor_that_fits_twice_keeps_its_rival_on_coarse_cells(resolution: 
     long = [(-3.5, -1.0, 3.5, -1.0), (-3.5, 1.0, 3.5, 1.0)]
     short = [(-1.2, -1.0, 1.2, -1.0), (-1.2, 1.0, 1.2, 1.0)]
     old, new = (ready(walls_at(walls, resolution=resolution)) for walls in (long, short))
-    check = matched(old, new)
-    assert check.lead < MIN_LEAD
+    assert matched(old, new).lead < MIN_LEAD
     room = ready(walls_at(ROOM, resolution=resolution))
     assert matched(room, room).lead > MIN_LEAD
 
@@ -148,8 +146,7 @@ def by_hand(old: GridMap, new: GridMap, old_from_new: Pose2) -> Any:
     walls = old.centres_of(np.argwhere(old.occupied))
     closed = old.centres_of(np.argwhere(old.cells != FREE))
     points = old_from_new.apply(new.centres_of(np.argwhere(new.occupied)))
-    known = old.values_at(points) != UNKNOWN
-    at = old.centres_of(old.cells_of(points[known]))
+    at = old.centres_of(old.cells_of(points[old.values_at(points) != UNKNOWN]))
     distance, _ = cKDTree(walls).query(at)
     depth, _ = cKDTree(closed).query(at)
     confirmed = distance <= _INLIER_M + 1e-6

@@ -75,8 +75,7 @@ def test_returns_of_a_circle_begin_behind_its_widest_step(scan: PlanarScan, shif
     still = returns_of(scan_of(scan.ranges))
     assert turned.ranges.tolist() == still.ranges.tolist()
     assert turned.steps == pytest.approx(still.steps)
-    left_out = math.dist(still.points[-1], still.points[0])
-    assert still.steps.max() <= left_out + 1e-9
+    assert still.steps.max() <= math.dist(still.points[-1], still.points[0]) + 1e-9
 
 
 def test_the_polygon_of_a_half_circle_holds_the_laser() -> None:
@@ -130,9 +129,7 @@ def room(seed: int, beams: int = 180, holes: float = 0.1) -> FloatArray:
 
 @every_group
 @given(seed=st.integers(0, 10_000), shift=st.integers(1, 179))
-def test_every_group_is_unchanged_when_the_robot_turns(
-    group: Function, seed: int, shift: int
-) -> None:
+def test_no_group_changes_when_the_robot_turns(group: Function, seed: int, shift: int) -> None:
     ranges = room(seed)
     still = of_one(group, batch_of(scan_of(ranges)))
     turned = of_one(group, batch_of(scan_of(np.roll(ranges, shift))))
@@ -168,8 +165,7 @@ def test_readings_without_a_return_are_only_counted() -> None:
     ranges = room(5, holes=0.0)
     kept = scans_features([scan_of(ranges)], "table1")[0]
     ranges = np.insert(ranges, 50, [np.nan] * 20)  # invalid: not even counted as no return
-    counted = of_one(table1.readings_at_max_range, batch_of(scan_of(ranges)))
-    assert counted == [0.0]
+    assert of_one(table1.readings_at_max_range, batch_of(scan_of(ranges))) == [0.0]
     assert kept[feature_names("table1").index("no_return_share")] == 0.0
     ranges[60:80] = np.inf
     share = of_one(table1.readings_at_max_range, batch_of(scan_of(ranges)))[0]
@@ -199,8 +195,7 @@ def test_gaps_extents_and_flips_of_scans_made_by_hand() -> None:
     assert of_one(table1.gaps, batch_of(scan_of(step))) == [2.0, 2.0, 0.0]  # all round
     two = np.full(360, 2.0)
     two[0], two[90] = 1.0, 5.0
-    extent = of_one(table1.range_extent, batch_of(scan_of(two)))
-    assert extent == pytest.approx([4.0, math.pi / 2])
+    assert of_one(table1.range_extent, batch_of(scan_of(two))) == pytest.approx([4.0, math.pi / 2])
     bumpy = 3.0 + 0.5 * np.sin(np.linspace(0.0, 8.0 * np.pi, 400, endpoint=False))
     assert of_one(table1.second_derivative_flips, batch_of(scan_of(bumpy))) == [8.0]
 
@@ -240,8 +235,7 @@ def test_normals_of_the_boundary_point_to_the_robot_and_it_does_not_cross_leaps(
     assert length == pytest.approx(18.0, rel=0.03)
     assert ((points * normals).sum(axis=1) < 0.0).all()
     assert np.hypot(*normals.T) == pytest.approx(np.ones(len(normals)))
-    ranges = np.where(np.arange(360) < 180, 2.0, 4.0)
-    _, _, length = boundary_of(batch_of(scan_of(ranges)))
+    _, _, length = boundary_of(batch_of(scan_of(np.where(np.arange(360) < 180, 2.0, 4.0))))
     assert length == pytest.approx(np.pi * 6.0, rel=0.02)
 
 
@@ -277,10 +271,8 @@ def test_changes_gaps_and_flips_by_loops(ranges: list[float]) -> None:
     changes = [abs(b - a) for a, b in pairwise(ranges)]
     expected = [np.mean(changes), np.std(changes)]
     assert of_one(table1.consecutive_differences, returns) == pytest.approx(expected)
-    for threshold, counted in zip(
-        table1.GAP_THRESHOLDS_M, of_one(table1.gaps, returns), strict=True
-    ):
-        assert counted == sum(change > threshold for change in changes)
+    for gap, counted in zip(table1.GAP_THRESHOLDS_M, of_one(table1.gaps, returns), strict=True):
+        assert counted == sum(change > gap for change in changes)
     bends = [c - 2.0 * b + a for a, b, c in zip(ranges, ranges[1:], ranges[2:], strict=False)]
     if all(abs(bend) > 1e-9 for bend in bends):
         flips = sum((a > 0.0) != (b > 0.0) for a, b in pairwise(bends))
@@ -293,8 +285,7 @@ def test_quantiles_rings_and_clips_are_numpy_s(scan: PlanarScan) -> None:
     ranges = returns.ranges
     expected = np.quantile(ranges, shape.QUANTILES)
     assert of_one(shape.range_quantiles, returns) == pytest.approx(expected.tolist())
-    edges = [0.0, *shape.RING_EDGES_M, np.inf]
-    rings = np.histogram(ranges, edges)[0] / len(ranges)
+    rings = np.histogram(ranges, [0.0, *shape.RING_EDGES_M, np.inf])[0] / len(ranges)
     assert of_one(shape.ring_histogram, returns) == pytest.approx(rings.tolist())
     clipped = iter(of_one(shape.clipped_ranges, returns))
     for clip in shape.CLIPS_M:

@@ -101,11 +101,9 @@ def test_a_share_of_the_window_is_what_was_seen_last(share: float, far_m: float)
 def test_scans_too_near_to_the_last_are_left_out_but_their_way_counts() -> None:
     recent = recent_scans(virtual_spacing_m=0.5)
     for k in range(5):  # 0.1 m apart, each with another point
-        point = np.array([[0.0, 1.0 + k]])
-        add(recent, point, Pose2(0.1 * k, 0.0, 0.0))
+        add(recent, np.array([[0.0, 1.0 + k]]), Pose2(0.1 * k, 0.0, 0.0))
     assert recent.filled == pytest.approx(0.2)
-    ranges = recent.scan(0, IDENTITY).ranges
-    assert np.isfinite(ranges).sum() == 1
+    assert np.isfinite(recent.scan(0, IDENTITY).ranges).sum() == 1
     add(recent, np.array([[1.0, 0.0]]), Pose2(0.5, 0.0, 0.0))
     assert np.isfinite(recent.scan(0, IDENTITY).ranges).sum() == 2
 
@@ -167,8 +165,7 @@ def test_what_lies_behind_a_narrow_laser_is_not_made_up() -> None:
     ranges = seen_from(lines, there, scan.bearings, 20.0)
     assert np.isfinite(ranges[:150]).all()
     assert np.isinf(ranges[152:]).all()
-    turned = scan_at(there, 181, full_circle=False)
-    both = np.vstack([lines, outline(turned, there, 20.0)])
+    both = np.vstack([lines, outline(scan_at(there, 181, full_circle=False), there, 20.0)])
     assert np.isfinite(seen_from(both, there, scan.bearings, 20.0)).all()
 
 

@@ -41,8 +41,7 @@ NAMES = tuple(f"f{k}" for k in range(6))
 def blobs(seed: int, n: int = 240) -> tuple[FloatArray, FloatArray]:
     rng = np.random.default_rng(seed)
     X = rng.normal(size=(n, len(NAMES)))
-    y = np.where(X[:, 0] + 0.7 * X[:, 1] ** 2 + rng.normal(size=n) > 0.5, 1.0, -1.0)
-    return X, y
+    return X, np.where(X[:, 0] + 0.7 * X[:, 1] ** 2 + rng.normal(size=n) > 0.5, 1.0, -1.0)
 
 
 def stumps_of(X: FloatArray, y: FloatArray) -> Booster:
@@ -136,9 +135,7 @@ def test_weights_sum_to_one_and_make_the_last_classifier_worthless(seed: int, ro
 def test_a_monotone_change_of_the_features_changes_no_label(fitted: Fitted) -> None:
     """Only the order of the values counts, but for where between two of them a threshold stands."""
     X, y = blobs(8)
-    plain = fitted(X, y).margins(X)
-    stretched = fitted(np.exp(X), y).margins(np.exp(X))
-    assert stretched == pytest.approx(plain)
+    assert fitted(np.exp(X), y).margins(np.exp(X)) == pytest.approx(fitted(X, y).margins(X))
 
 
 @of_both_kinds
@@ -159,8 +156,7 @@ def vote_of(entry: dict[str, Any], sample: dict[str, float]) -> float:
         return float(entry["votes"] if claims else -entry["votes"])
     upper = sample[entry["root"]["feature"]] >= entry["root"]["threshold"]
     node = entry["above" if upper else "below"]
-    leaf = 2 * upper + (sample[node["feature"]] >= node["threshold"])
-    return float(entry["votes"][leaf])
+    return float(entry["votes"][2 * upper + (sample[node["feature"]] >= node["threshold"])])
 
 
 def test_trees_learn_what_no_sum_of_stumps_can() -> None:
@@ -191,8 +187,7 @@ def test_each_booster_is_one_fitted_against_an_even_choice_of_the_others() -> No
     made = samples_of(PAPER)
     model = OneVsAll("table1", config).fit(made, np.random.default_rng(0))
     for own, booster in model.boosters_.items():
-        others = np.vstack([X for i, X in made.items() if i != own])
-        chosen = evenly(others, 40)
+        chosen = evenly(np.vstack([X for i, X in made.items() if i != own]), 40)
         y = np.repeat([1.0, -1.0], [len(made[own]), len(chosen)])
         alone = StumpBoost(feature_names("table1"), 6).fit(np.vstack([made[own], chosen]), y)
         assert booster.to_dict() == alone.to_dict()
@@ -211,10 +206,8 @@ def test_one_class_is_enough_and_fitting_again_forgets_it() -> None:
 
 def test_edges_of_many_different_values_are_their_quantiles() -> None:
     X = np.random.default_rng(0).permutation(3200.0 * np.linspace(0, 1, 3201))[:, None]
-    edges = Quantiser.of(X).edges[0]
-    assert edges == pytest.approx(3200.0 / BINS * np.arange(1, BINS), abs=1.0)
-    counts = np.bincount(Quantiser.of(X).codes(X)[0], minlength=BINS)
-    assert counts.min() >= 3200 // BINS - 1
+    assert Quantiser.of(X).edges[0] == pytest.approx(3200.0 / BINS * np.arange(1, BINS), abs=1.0)
+    assert np.bincount(Quantiser.of(X).codes(X)[0], minlength=BINS).min() >= 3200 // BINS - 1
 
 
 def test_a_constant_feature_has_one_bin_and_is_never_a_reason() -> None:
@@ -251,8 +244,7 @@ def best_split(
 def test_the_first_tree_s_splits_are_the_best_of_all(seed: int) -> None:
     X, y = blobs(seed, n=60)
     positive = y > 0.0
-    quantiser = Quantiser.of(X)
-    codes = quantiser.codes(X)
+    codes = Quantiser.of(X).codes(X)
     weights = np.where(positive, 0.5 / positive.sum(), 0.5 / (~positive).sum())
     forest = trees_of(X, y, 1, share=1.0).forest_
     features, thresholds = forest.features[0].tolist(), forest.thresholds[0].tolist()
@@ -352,8 +344,7 @@ def test_what_is_left_out_of_a_search_holds_little_of_each_question_s_weight() -
     raw = np.random.default_rng(1).random(len(asked)) ** 6
     weights = shares(raw, asked, len(questions))
     kept = trees._heavy(weights, counts)
-    held = np.bincount(asked[kept], weights[kept])
-    assert held.min() >= 0.98 - 1e-9
+    assert np.bincount(asked[kept], weights[kept]).min() >= 0.98 - 1e-9
     assert len(kept) < 0.8 * len(raw)
     for k in range(len(questions)):
         left = np.setdiff1d(np.flatnonzero(asked == k), kept)

@@ -75,8 +75,7 @@ def test_scans_that_were_held_out_say_how_sure_a_map_is() -> None:
     assert (usual.virtual, usual.views) == (1.0, 400)
     sure, unsure = (calibrated(drawn(0.48 * ratio, 4000), None).raw for ratio in (4.0, 0.25))
     assert unsure < 0.7 * usual.raw < usual.raw < sure / 1.3
-    few = calibrated(drawn(0.48 * 0.25, 12), None)
-    assert unsure < few.raw
+    assert unsure < calibrated(drawn(0.48 * 0.25, 12), None).raw
 
 
 def test_both_kinds_are_calibrated_apart_and_without_a_scan_held_out_as_usual() -> None:
@@ -127,8 +126,7 @@ def test_near_returns_are_those_in_reach_or_the_nearer_half() -> None:
     bearings = np.linspace(-1.0, 1.0, 41)
     scan = PlanarScan(0, bearings, np.linspace(1.0, 21.0, 41), 30.0, full_circle=False)
     for reach, farthest in ((15.0, 15.0), (3.0, 11.0)):
-        ranges = np.hypot(*near_returns(scan, reach).T)
-        assert ranges.max() == pytest.approx(farthest)
+        assert np.hypot(*near_returns(scan, reach).T).max() == pytest.approx(farthest)
     assert len(near_returns(PlanarScan(0, bearings, np.full(41, np.inf), 30.0, False), 8.0)) == 0
 
 
@@ -149,8 +147,7 @@ def test_distances_are_those_of_scipy_to_the_nearest_exemplar(seed: int) -> None
     kept = np.vstack([evenly(X, 10) for X in made.values()])[:, columns]
     assert known.exemplars_.tolist() == np.round(255.0 * np.sqrt(kept)).tolist()
     fresh = places(seed + 1, (25,))[3]
-    roots = np.sqrt(fresh[:, columns])
-    expected = cdist(roots, known.exemplars_ / 255.0, "cityblock").min(axis=1)
+    expected = cdist(np.sqrt(fresh[:, columns]), known.exemplars_ / 255.0, "cityblock").min(axis=1)
     assert known.strangeness(fresh) == pytest.approx(expected / known.limit_, rel=1e-4)
 
 
@@ -165,8 +162,7 @@ def test_columns_that_are_no_histogram_do_not_count_and_shares_are_cut_to_their_
     made = samples_of(SMALL)
     known = Familiarity("pairs").fit(made)
     changed = made[4].copy()
-    others = np.setdiff1d(np.arange(WIDTH), histogram_columns("pairs"))
-    changed[:, others] = -1e6
+    changed[:, np.setdiff1d(np.arange(WIDTH), histogram_columns("pairs"))] = -1e6
     assert known.strangeness(changed).tolist() == known.strangeness(made[4]).tolist()
     bounds, beyond = (np.where(np.arange(WIDTH) % 2, *ends)[None] for ends in ((0, 1.0), (-3, 4.0)))
     assert known.strangeness(beyond).tolist() == known.strangeness(bounds).tolist()
@@ -190,8 +186,7 @@ def test_a_limit_needs_enough_samples(feature_set: str, counts: tuple[int, ...],
 
 
 def test_samples_that_are_all_alike_leave_a_limit_of_nought() -> None:
-    alike = {0: np.full((60, WIDTH), 0.25)}
-    known = Familiarity("pairs").fit(alike)
+    known = Familiarity("pairs").fit({0: np.full((60, WIDTH), 0.25)})
     assert known.limit_ == pytest.approx(0.0, abs=0.2)  # 0.5 is between two steps of 1 / 255
     other = np.full((1, WIDTH), 0.5)
     assert np.isfinite(known.strangeness(other)).all()
@@ -223,8 +218,7 @@ def test_only_places_that_the_rest_shows_are_tested() -> None:
     assert {51, 97} <= set(tested)
     assert not {75} & set(tested)
     held_out = in_pieces_held_out(there_and_back)
-    again = known_places(everywhere, held_out, there_and_back).keyframes
-    assert len(again) == held_out.sum()
+    assert len(known_places(everywhere, held_out, there_and_back).keyframes) == held_out.sum()
     own = samples(0.0, np.arange(55, 90))  # a submap of which nothing is left
     assert not len(known_places(own, in_pieces_held_out(line), line).keyframes)
 

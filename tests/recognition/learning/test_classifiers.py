@@ -235,8 +235,7 @@ def scan(bearings: Any, full: bool = False) -> PlanarScan:
 
 def test_the_sensor_of_a_scan_and_its_words_and_that_of_hardly_a_beam() -> None:
     assert Sensor.of(scan(np.linspace(-np.pi / 2, np.pi / 2, 181))) == HALF
-    circle = np.linspace(-np.pi, np.pi, 360, endpoint=False)
-    assert Sensor.of(scan(circle, full=True)) == CIRCLE
+    assert Sensor.of(scan(np.linspace(-np.pi, np.pi, 360, endpoint=False), full=True)) == CIRCLE
     assert str(HALF) == "181 beams over 180 degrees, 20 m"
     assert str(replace(CIRCLE, range_max=7.5)) == "360 beams over 360 degrees, 7.5 m"
     none, one = Sensor.of(scan([])), Sensor.of(scan([0.3]))

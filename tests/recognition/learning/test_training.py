@@ -127,13 +127,11 @@ def test_virtual_classifiers_are_left_out_when_not_wanted(store: KeyframeStore) 
 
 def test_the_sensor_is_that_of_the_first_keyframe_in_a_submap(store: KeyframeStore) -> None:
     assert sensor_of(store, SUBMAPS).beams == 180
-    late = {5: [70, 71], 1: [60, 61]}
-    assert sensor_of(store, late).full_circle
+    assert sensor_of(store, {5: [70, 71], 1: [60, 61]}).full_circle
 
 
 def raw_of(store: KeyframeStore, config: Config) -> Recogniser:
-    features = KeyframeFeatures(store, config.recognition.feature_set)
-    samples = raw_samples(SUBMAPS, config, features)
+    samples = raw_samples(SUBMAPS, config, KeyframeFeatures(store, config.recognition.feature_set))
     beside = augmented_samples(store, SUBMAPS, store.poses, config, np.random.default_rng(0))
     rng = np.random.default_rng(0)
     return train_and_test(samples, beside, store.poses, config, rng, virtual=False)[0]
@@ -195,8 +193,7 @@ def test_a_feature_set_of_another_package_is_trained_and_used(
     raw = {"rounds": 20, "feature_set": "mine"}
     virtual = {"augmentation": 60, "feature_set": "mine"}
     config = load_config(overrides={"recognition": raw, "localization": virtual})
-    found = learned(store, config)
-    text = found.classifiers.to_json()
+    text = learned(store, config).classifiers.to_json()
     assert '"rings_middle"' in text
     read = ClassifierSet.from_json(text)
     assert read.raw.familiarity is not None
@@ -294,8 +291,7 @@ def test_scans_beside_the_way_lie_a_step_aside_and_look_as_scans_taken_there(
     poses = np.array([pose for _, pose, _, _ in seen])
     laser = store.scan(3)
     assert all(b.tolist() == laser.bearings.tolist() and r == laser.range_max for *_, b, r in seen)
-    away = np.hypot(*(poses - store.poses[keyframes])[:, :2].T)
-    assert 0.02 < np.median(away) < 0.2
+    assert 0.02 < np.median(np.hypot(*(poses - store.poses[keyframes])[:, :2].T)) < 0.2
     off = []
     for scan, given in zip(building.scans(poses), seen, strict=True):
         ranges = seen_from(*given)
@@ -306,13 +302,10 @@ def test_scans_beside_the_way_lie_a_step_aside_and_look_as_scans_taken_there(
 
 
 def test_a_map_of_one_keyframe_is_seen_from_beside_it(store: KeyframeStore) -> None:
-    found = beside(store, 6, submaps={0: [7]})
-    assert found[0].keyframes.tolist() == [7] * 5
+    assert beside(store, 6, submaps={0: [7]})[0].keyframes.tolist() == [7] * 5
 
 
-def test_known_scans_beside_the_way_are_not_made_again(
-    store: KeyframeStore, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_known_scans_are_made_once(store: KeyframeStore, monkeypatch: pytest.MonkeyPatch) -> None:
     seen = watched(monkeypatch, sampling, "seen_from")
     known = together(beside(store, 90).values())
     made, again = len(seen), beside(store, 40, seed=1, known=known)
@@ -378,8 +371,7 @@ def test_a_recording_of_known_virtual_scans_is_not_looked_at_again(store: Keyfra
     assert int(old.sum()) == 23  # of thirty, as 58 of 76 keyframes are in the first recording
     assert set(found.keyframes[old].tolist()) <= set(range(10, 35))
     assert (found.features[old] == 1.0).all()
-    late = fresh.keyframes >= STARTS[0]
-    assert np.array_equal(found.features[~old], fresh.features[late])
+    assert np.array_equal(found.features[~old], fresh.features[fresh.keyframes >= STARTS[0]])
 
 
 def test_known_casts_are_not_cast_again(store: KeyframeStore, grids: dict[int, GridMap]) -> None:

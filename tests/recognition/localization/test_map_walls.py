@@ -50,8 +50,7 @@ def seen_in(width_m: float, height_m: float, pose: Pose2) -> PosedScan:
     with np.errstate(divide="ignore"):
         x = np.where(np.cos(angles) > 0.0, width_m - pose.x, -pose.x) / np.cos(angles)
         y = np.where(np.sin(angles) > 0.0, height_m - pose.y, -pose.y) / np.sin(angles)
-    planar = PlanarScan(0, BEARINGS, np.minimum(x, y), range_max=30.0, full_circle=False)
-    return posed(planar, pose)
+    return posed(PlanarScan(0, BEARINGS, np.minimum(x, y), range_max=30.0, full_circle=False), pose)
 
 
 def behind(scan: PosedScan, pose: Pose2, width_m: float = 5.0) -> float:

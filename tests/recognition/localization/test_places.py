@@ -63,8 +63,7 @@ class Home:
     def scan(self, number: int, pose: Pose2, track: Pose2 | None = None) -> PosedScan:
         """What half a circle sees at a pose in a room; `track` is where registration puts it."""
         bearings = np.radians(np.arange(-90.0, 90.0))
-        here = self.at(number, pose)
-        ranges = ranges_at(self.grid, np.array([here]), bearings, 20.0)[0]
+        ranges = ranges_at(self.grid, np.array([self.at(number, pose)]), bearings, 20.0)[0]
         planar = PlanarScan(0, bearings, ranges, 20.0, full_circle=False)
         return posed(planar, pose if track is None else track)
 
@@ -103,8 +102,7 @@ def test_a_place_that_no_other_looks_like_leads_till_a_scan_is_lost_or_tracking_
     for step in range(40):
         home.see(2, ASIDE @ Pose2(0.0, 0.0, 0.2 * step))
     assert home.places.places[0].weight == pytest.approx(-math.log(LEAP))
-    lost = replace(home.scan(2, ASIDE, Pose2(50.0, 0.0, 0.0)), lost=True)
-    home.show(lost)
+    home.show(replace(home.scan(2, ASIDE, Pose2(50.0, 0.0, 0.0)), lost=True))
     assert home.lead is None
     assert home.told is None
     home.see(2, ASIDE)
@@ -164,8 +162,7 @@ def test_a_robot_that_is_carried_away_has_no_pose_and_then_the_right_one() -> No
     wheels, given = north(8), []
     for step in range(16):
         pose = Pose2(-0.8 + 0.08 * step, 1.5 - 0.2 * step, -1.4)
-        track = wheels @ (Pose2(-0.8, 1.5, -1.4).inverse() @ pose)
-        belief = home.see(2, pose, track=track)
+        belief = home.see(2, pose, track=wheels @ (Pose2(-0.8, 1.5, -1.4).inverse() @ pose))
         given.append(home.lead)
         if home.lead is not None:
             assert home.off(2, pose) < 0.15
@@ -236,8 +233,7 @@ def test_a_slip_of_the_registration_is_followed(building: Any) -> None:
     walk, right = Walk(building), Walk(building).scans[3]
     for scan in walk.scans[:3]:
         walk.locate(scan)
-    slipped = replace(right, map_from_base=right.map_from_base @ Pose2(0.15, 0.0, 0.05))
-    place = walk.locate(slipped)
+    place = walk.locate(replace(right, map_from_base=right.map_from_base @ Pose2(0.15, 0.0, 0.05)))
     assert place.score > 0.8
     assert (right.map_from_base.inverse() @ place.estimate.pose).distance < 0.05
 
