@@ -126,10 +126,10 @@ def _look(log: Log, config: LogConfig, *, complete: bool) -> _Look:
         stream = SweepStream(log, config)
         met, first = _preview(stream, complete=complete)
     except InputError as error:
-        return _Look(read_frames(log, "", [], config)[0], str(error))
+        return _Look(read_frames(log, config)[0], str(error))
     except UsageError as error:
         command = _command(log, _likeliest(log, error, config))
-        return _Look(read_frames(log, "", [], config)[0], str(error), command)
+        return _Look(read_frames(log, config)[0], str(error), command)
     chosen = stream.selection
     warnings = [*chosen.warnings]
     without, scans = stream.counts["without_odometry"], stream.counts["scans"]

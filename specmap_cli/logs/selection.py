@@ -39,6 +39,7 @@ from specmap_cli.logs.sensors import (
 )
 
 _MAX_DEPTH = 100  # a longer chain of frames is a loop
+_SAME_M, _SAME_RAD = 0.01, 0.0175  # two transforms that differ by less are one, measured twice
 
 
 class TransformTree:
@@ -46,6 +47,8 @@ class TransformTree:
 
     def __init__(self) -> None:
         self._edges: dict[str, TransformRecord] = {}  # by child
+        self._first: dict[str, TransformRecord] = {}
+        self._other: dict[str, TransformRecord] = {}  # the latest that is not as the first
         self.moving: set[str] = set()  # children of which a transform came on a dynamic topic
 
     def add(self, record: TransformRecord, *, dynamic: bool) -> None:
@@ -53,8 +56,29 @@ class TransformTree:
         if record.parent == record.child:
             return
         self._edges[record.child] = record
+        first = self._first.setdefault(record.child, record)
+        if not np.array_equal(first.parent_from_child, record.parent_from_child):
+            self._other[record.child] = record
         if dynamic:
             self.moving.add(record.child)
+
+    def changes(self, base: str, frame: str) -> Iterator[str]:
+        """What is said of each transform between a frame and its base that is not always one."""
+        for child, parent in pairwise(self.ancestors(frame)):
+            if child == base:
+                return
+            first, other = self._first[child], self._other.get(child)
+            if other is None:
+                continue
+            off = np.linalg.inv(first.parent_from_child) @ other.parent_from_child
+            turn = math.acos(float(np.clip((np.trace(off[:3, :3]) - 1.0) / 2.0, -1.0, 1.0)))
+            shift_m = math.hypot(*off[:3, 3].tolist())
+            if shift_m > _SAME_M or turn > _SAME_RAD or first.parent != other.parent:
+                yield (
+                    f"the transform {parent!r} -> {child!r} changes, by {shift_m:.2f} m and "
+                    f"{math.degrees(turn):.0f} degrees: the laser is taken to sit on {base!r} "
+                    "as the last one says; does it move, or do two robots name their frames alike?"
+                )
 
     @property
     def frames(self) -> set[str]:
@@ -92,6 +116,7 @@ class TransformTree:
 _TILT_MAX_RAD = 0.175  # a laser tilted more is warned of: it is read as level
 USUAL_BASES = ("base_link", "base_footprint", "base")  # by REP 105 and by custom
 _FLOOR_FRAME = "base_footprint"  # by REP 120 the base's projection on the floor
+_STANDING = ("map", "world")  # by REP 105 frames that no robot moves, as are those of odometry
 _ABSURD_NAMED = 3  # transforms; with more of them the log is beyond help
 _ENOUGH_MESSAGES = 2_000  # some seconds of transforms, in which every frame is heard of
 
@@ -110,19 +135,23 @@ class Placement:
 
 
 def read_frames(
-    log: Log, laser_frame: str, bases: Iterable[str], config: LogConfig
+    log: Log,
+    config: LogConfig,
+    scan_topic: str = "",
+    laser_frame: str = "",
+    bases: Sequence[str] = (),
 ) -> tuple[TransformTree, list[str]]:
     """The frames of a log, by the first static and dynamic transforms, and warnings of these.
 
     The search goes on while none of `bases` is joined to the laser's frame, up to
-    `config.transform_messages` of each kind. Reads only the topics of transforms.
+    `config.transform_messages` of each kind. Reads only the topics of transforms that tell of the
+    robot of a topic of scans.
     """
     tree = TransformTree()
-    wanted = list(bases)
     given_up, unreadable = False, 0
     absurd: dict[tuple[str, str], None] = {}  # in the order they were met
     for dynamic in (False, True):
-        names = _transform_topics(log, dynamic=dynamic)
+        names = _transform_topics(log, scan_topic, dynamic=dynamic)
         for number, message in enumerate(log.messages(names) if names else ()):
             if number >= config.transform_messages:
                 given_up = True
@@ -135,7 +164,7 @@ def read_frames(
                 for record in transforms.records:
                     tree.add(record, dynamic=dynamic)
                 absurd.update(dict.fromkeys(transforms.absurd))
-            if number >= _ENOUGH_MESSAGES and _any_joined(tree, wanted, laser_frame):
+            if number >= _ENOUGH_MESSAGES and _any_joined(tree, bases, laser_frame):
                 break
     warnings = [
         f"the transform {parent!r} -> {child!r} is not finite or absurd, and was left out"
@@ -143,7 +172,7 @@ def read_frames(
     ]
     if unreadable:
         warnings.append(f"messages of transforms that could not be read: {unreadable:,}")
-    if given_up and not _any_joined(tree, wanted, laser_frame):
+    if given_up and not _any_joined(tree, bases, laser_frame):
         warnings.append(
             f"the laser's place was searched in the first {config.transform_messages:,} messages "
             "of transforms only: log.transform_messages says how many"
@@ -151,9 +180,20 @@ def read_frames(
     return tree, warnings
 
 
-def _transform_topics(log: Log, *, dynamic: bool) -> list[str]:
+def _transform_topics(log: Log, scan_topic: str, *, dynamic: bool) -> list[str]:
+    """Topics of transforms; those in the namespace of the scans are not of another robot."""
     of_tf = [topic.name for topic in log.topics() if topic.type == TF_MESSAGE]
-    return [name for name in of_tf if name.endswith("tf_static") != dynamic]
+    of_tf = [name for name in of_tf if name.endswith("tf_static") != dynamic]
+    spaces = {name: name.strip("/").rpartition("/")[0] for name in of_tf}
+    own = [n for n in of_tf if spaces[n] and scan_topic.lstrip("/").startswith(spaces[n] + "/")]
+    return [name for name in of_tf if name in own or not spaces[name]] if own else of_tf
+
+
+def usual_frames(names: Sequence[str], laser_frame: str) -> list[str]:
+    """Frames of usual names that a laser may belong to, those of its own namespace first."""
+    parts = laser_frame.split("/")[:-1]
+    spaces = ["/".join(parts[:many]) + "/" for many in range(len(parts), 0, -1)]
+    return [space + name for space in (*spaces, "") for name in names]
 
 
 def _any_joined(tree: TransformTree, bases: Iterable[str], laser_frame: str) -> bool:
@@ -170,39 +210,53 @@ def place_laser(
     """Choose the base frame and look up the laser's place on it.
 
     The base is the first of `bases` that is joined to the laser's frame. Otherwise it is assumed:
-    the frame `moving` in the odometry, or a usual one. Raises UsageError if one was `asked` for.
+    the frame `moving` in the odometry, or a usual one, or what carries the laser. Raises UsageError
+    if one was `asked` for.
     """
-    for base in bases:
-        base_from_laser = tree.lookup(base, laser_frame)
-        if base_from_laser is None:
-            continue
-        base_from_floor = tree.lookup(base, _FLOOR_FRAME)
-        floor = 0.0 if base != laser_frame else None
-        if base_from_floor is not None:
-            floor = float(base_from_floor[2, 3])
-        tilt = math.acos(float(np.clip(base_from_laser[2, 2], -1.0, 1.0)))
-        tilted = (
-            f"the laser's frame {laser_frame!r} is tilted by {np.degrees(tilt):.0f} degrees "
-            f"against {base!r}: a planar scan is read as if it were level"
-        )
-        return Placement(
-            base_frame=base,
-            base_from_laser=base_from_laser,
-            floor_m=floor,
-            warnings=(tilted,) if _TILT_MAX_RAD < tilt < np.pi - _TILT_MAX_RAD else (),
-        )
-    if asked is not None:
+    joined = next((base for base in bases if tree.lookup(base, laser_frame) is not None), None)
+    if joined is None and asked is not None:
         above = sorted({laser_frame, *tree.ancestors(laser_frame)})
         none = f"no transform joins it to the laser's frame {laser_frame!r}"
         hint, where = f"choose from {', '.join(above)}", f"--base-frame {bases[0]}"
         raise UsageError(none, legible(hint), mark=";", where=legible(where))
-    base = moving or next((b for b in USUAL_BASES if b in tree.frames), laser_frame)
-    unknown = (
-        f"no transform from {base!r} to the laser's frame {laser_frame!r}: "
-        f"the laser is taken to sit at the origin of {base!r}, looking ahead"
+    carrier = joined or _carrier(tree, laser_frame)
+    base = joined or moving or next((b for b in bases if b in tree.frames), carrier)
+    base_from_laser = tree.lookup(carrier, laser_frame)
+    assert base_from_laser is not None, "the carrier is joined to the laser"
+    floors = usual_frames((_FLOOR_FRAME,), laser_frame)
+    heights = [tree.lookup(base, frame) for frame in floors if joined is not None]
+    floor = next((float(one[2, 3]) for one in heights if one is not None), None)
+    if floor is None and joined not in (None, laser_frame):
+        floor = 0.0
+    warnings = list(tree.changes(carrier, laser_frame))
+    tilt = math.acos(float(np.clip(base_from_laser[2, 2], -1.0, 1.0)))
+    if _TILT_MAX_RAD < tilt < np.pi - _TILT_MAX_RAD:
+        warnings.append(
+            f"the laser's frame {laser_frame!r} is tilted by {np.degrees(tilt):.0f} degrees "
+            f"against {carrier!r}: a planar scan is read as if it were level"
+        )
+    if base != carrier:
+        at_origin = f"the laser is taken to sit at the origin of {base!r}, looking ahead"
+        told = at_origin if carrier == laser_frame else f"{carrier!r} is taken to be it"
+        warnings.insert(
+            0, f"no transform from {base!r} to the laser's frame {laser_frame!r}: {told}"
+        )
+    return Placement(
+        base_frame=base, base_from_laser=base_from_laser, floor_m=floor, warnings=tuple(warnings)
     )
-    warnings = (unknown,) if base != laser_frame else ()
-    return Placement(base_frame=base, base_from_laser=np.eye(4), floor_m=None, warnings=warnings)
+
+
+def _carrier(tree: TransformTree, laser_frame: str) -> str:
+    """The frame that carries the laser, by no name: what odometry moves, else the highest frame.
+
+    That is the highest that stands still against the laser.
+    """
+    steps = list(pairwise(tree.ancestors(laser_frame)))
+    for below, above in steps:
+        if "odom" in above.lower() or above.rpartition("/")[2] in _STANDING:
+            return below
+    moved = next((below for below, _ in steps if below in tree.moving), None)
+    return moved or (steps[-1][1] if steps else laser_frame)
 
 
 _UNKNOWN_FLOOR = (
@@ -283,9 +337,10 @@ def select(log: Log, config: LogConfig) -> Selection:
             with suppress(BadMessageError):
                 child = decode_odometry(message).child or None
                 break
-    usual = [frame for frame in (child, *USUAL_BASES) if frame]
+    usual = [child] if child else []
+    usual += usual_frames(USUAL_BASES, sensor.frame)
     bases = usual if config.base_frame is None else [config.base_frame.lstrip("/")]
-    tree, warnings = read_frames(log, sensor.frame, bases, config)
+    tree, warnings = read_frames(log, config, topic.name, sensor.frame, bases)
     placement = place_laser(tree, sensor.frame, bases, child, config.base_frame)
     placement = replace(placement, warnings=(*placement.warnings, *warnings))
     odometry: OdometryKind | None = None
@@ -296,7 +351,7 @@ def select(log: Log, config: LogConfig) -> Selection:
     elif config.use_odometry:
         odom_frame = odometry_ancestor(tree, placement.base_frame)
         if odom_frame is not None:
-            odometry, topics = "tf", tuple(_transform_topics(log, dynamic=True))
+            odometry, topics = "tf", tuple(_transform_topics(log, topic.name, dynamic=True))
     pairs = stamp_pairs(log, topic.name, sensor, topics, odom_frame)
     clock = choose_clock([(scan.stamp_ns, scan.time_ns) for scan in scans], pairs)
     return Selection(

@@ -18,6 +18,7 @@ from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.inspection import summarize
 from specmap_cli.logs.messages import TransformRecord
 from specmap_cli.logs.opening import open_log
+from specmap_cli.logs.readers import encoding
 from specmap_cli.logs.selection import Selection, TransformTree, odometry_ancestor, select
 from specmap_cli.logs.sensors import SeveralSensorsError
 from specmap_cli.logs.writer import LogWriter
@@ -171,7 +172,7 @@ MOVES_ANOTHER = "the odometry moves 'body', which no transform joins to 'base_li
         (["base_link laser 0.3"], "body", "base_link", 0.0, MOVES_ANOTHER),
         (["base laser 0.3"], "", "base", 0.0, ""),
         (["base_footprint laser 0.3"], "", "base_footprint", 0.0, ""),
-        (["body laser 0.3"], "", "laser", None, ""),
+        (["body laser 0.3"], "", "body", None, ""),
         (["base_link camera 0.3"], "", "base_link", None, ""),
         ([], "", "laser", None, ""),
         ([], "base_link", "base_link", None, AT_THE_ORIGIN),
@@ -191,6 +192,74 @@ def test_the_base_is_the_first_usual_frame_that_is_joined_to_the_laser(
     assert chosen.floor_m == pytest.approx(floor)
     assert said in "".join(chosen.warnings[:1])
     assert said != AT_THE_ORIGIN or len(chosen.warnings) == 1
+
+
+@pytest.mark.parametrize(
+    ("static", "moving", "laser", "base", "from_odom"),
+    [
+        (["robot1/base_link robot1/laser"], ["robot1/odom robot1/base_link"], "robot1/laser", 0, 1),
+        (["base robot1/laser"], [], "robot1/laser", 0, None),
+        (["robot1/base_link robot1/front/laser"], [], "robot1/front/laser", 0, None),
+        # of another robot, which the map joins to this one
+        (["map robot2/base_link", "map robot1/body", "robot1/body robot1/laser"], [],
+         "robot1/laser", 2, None),
+        (["chassis mast", "mast laser"], ["odom chassis"], "laser", 0, 1),
+        (["chassis mast", "mast laser"], [], "laser", 0, None),
+        (["mast laser"], ["chassis mast"], "laser", 0, None),
+        (["map chassis", "chassis laser"], [], "laser", 1, None),
+    ],
+)  # fmt: skip
+def test_a_base_is_found_by_its_namespace_or_by_what_carries_the_laser(
+    path: Path, static: list[str], moving: list[str], laser: str, base: int, from_odom: int | None
+) -> None:
+    """Upside down it must be: the map of a laser that is taken for its own base is mirrored."""
+    with LogWriter(path) as log:
+        for one in static:
+            parent, child = one.split()
+            roll = (1.0, 0.0, 0.0, 0.0) if child == laser else (0.0, 0.0, 0.0, 1.0)
+            log.static_transform(parent, child, (0.1, 0.0, 0.0), roll, START)
+        for one in moving:
+            parent, child = one.split()
+            log.transform(parent, child, START, Pose2(1.0, 0.0, 0.0))
+        log.scan("/scan", laser, START, -1.0, 1.0, [1.0, 1.0], range_max=8.0)
+    chosen = choose(path)
+    assert chosen.base_frame == static[base].split()[0]
+    assert chosen.base_from_laser[2, 2] == pytest.approx(-1.0)
+    assert chosen.odom_frame == (None if from_odom is None else moving[0].split()[0])
+    assert not chosen.warnings
+
+
+def place(log: LogWriter, topic: str, x: float, stamp_ns: int = START) -> None:
+    """A transform of the laser from its base, on a topic."""
+    there = encoding.Transform("base_link", "laser", (x, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    data = encoding.transforms_cdr(stamp_ns, [there])
+    log.raw(topic, encoding.TF_MESSAGE, data, stamp_ns)
+
+
+def test_of_two_robots_each_has_its_own_transforms(path: Path) -> None:
+    with LogWriter(path) as log:
+        for number in (1, 2):
+            log.scan(f"/robot{number}/scan", "laser", START, -1.0, 1.0, [1.0, 1.0], range_max=8.0)
+            place(log, f"/robot{number}/tf_static", 0.1 * number)
+    for number in (1, 2):
+        chosen = choose(path, scan_topic=f"/robot{number}/scan")
+        assert chosen.base_from_laser[0, 3] == pytest.approx(0.1 * number)
+        assert not chosen.warnings
+
+
+@pytest.mark.parametrize("topic", ["/tf_static", "/tf"])
+@pytest.mark.parametrize(("second", "said"), [(0.102, False), (0.4, True)])
+def test_a_mounting_that_changes_is_warned_of(
+    path: Path, topic: str, second: float, said: bool
+) -> None:
+    with LogWriter(path) as log:
+        write_scan(log)
+        place(log, topic, 0.1)
+        place(log, topic, second, START + 1)
+    chosen = choose(path)
+    assert chosen.base_from_laser[0, 3] == pytest.approx(second)
+    changes = "the transform 'base_link' -> 'laser' changes, by 0.30 m and 0 degrees"
+    assert any(changes in line for line in chosen.warnings) is said
 
 
 @pytest.mark.parametrize(
