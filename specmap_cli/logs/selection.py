@@ -116,7 +116,7 @@ class TransformTree:
 _TILT_MAX_RAD = 0.175  # a laser tilted more is warned of: it is read as level
 USUAL_BASES = ("base_link", "base_footprint", "base")  # by REP 105 and by custom
 _FLOOR_FRAME = "base_footprint"  # by REP 120 the base's projection on the floor
-_STANDING = ("map", "world")  # by REP 105 frames that no robot moves, as are those of odometry
+_STANDING = ("earth", "map", "world")  # no robot moves these, nor frames of odometry (REP 105)
 _ABSURD_NAMED = 3  # transforms; with more of them the log is beyond help
 _ENOUGH_MESSAGES = 2_000  # some seconds of transforms, in which every frame is heard of
 
