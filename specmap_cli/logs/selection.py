@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from itertools import islice, pairwise
+from itertools import chain, islice, pairwise, takewhile
 
 import numpy as np
 
@@ -57,25 +57,28 @@ class TransformTree:
             return
         self._edges[record.child] = record
         first = self._first.setdefault(record.child, record)
-        if not np.array_equal(first.parent_from_child, record.parent_from_child):
+        if first.parent != record.parent:
+            self._first[record.child] = record
+            self._other.pop(record.child, None)
+        elif not np.array_equal(first.parent_from_child, record.parent_from_child):
             self._other[record.child] = record
         if dynamic:
             self.moving.add(record.child)
 
     def changes(self, base: str, frame: str) -> Iterator[str]:
         """What is said of each transform between a frame and its base that is not always one."""
-        for child, parent in pairwise(self.ancestors(frame)):
-            if child == base:
-                return
+        common = self._common(base, frame)
+        below = (takewhile(lambda one: one != common, self.ancestors(end)) for end in (frame, base))
+        for child in chain.from_iterable(below):
             first, other = self._first[child], self._other.get(child)
             if other is None:
                 continue
             off = np.linalg.inv(first.parent_from_child) @ other.parent_from_child
             turn = math.acos(float(np.clip((np.trace(off[:3, :3]) - 1.0) / 2.0, -1.0, 1.0)))
             shift_m = math.hypot(*off[:3, 3].tolist())
-            if shift_m > _SAME_M or turn > _SAME_RAD or first.parent != other.parent:
+            if shift_m > _SAME_M or turn > _SAME_RAD:
                 yield (
-                    f"the transform {parent!r} -> {child!r} changes, by {shift_m:.2f} m and "
+                    f"the transform {first.parent!r} -> {child!r} changes, by {shift_m:.2f} m and "
                     f"{math.degrees(turn):.0f} degrees: the laser is taken to sit on {base!r} "
                     "as the last one says; does it move, or do two robots name their frames alike?"
                 )
@@ -99,8 +102,7 @@ class TransformTree:
 
     def lookup(self, target: str, source: str) -> FloatArray | None:
         """target_from_source (4, 4), None when no chain of transforms joins the frames."""
-        above = list(self.ancestors(target))
-        common = next((frame for frame in self.ancestors(source) if frame in above), None)
+        common = self._common(target, source)
         if common is None:
             return None
         from_common = [np.eye(4), np.eye(4)]
@@ -111,6 +113,11 @@ class TransformTree:
                 frame = edge.parent
         up, down = from_common
         return np.asarray(np.linalg.inv(up) @ down)
+
+    def _common(self, target: str, source: str) -> str | None:
+        """The lowest frame above both, None where there is none."""
+        above = list(self.ancestors(target))
+        return next((frame for frame in self.ancestors(source) if frame in above), None)
 
 
 _TILT_MAX_RAD = 0.175  # a laser tilted more is warned of: it is read as level

@@ -229,11 +229,13 @@ def test_a_base_is_found_by_its_namespace_or_by_what_carries_the_laser(
     assert not chosen.warnings
 
 
-def place(log: LogWriter, topic: str, x: float, stamp_ns: int = START) -> None:
+def place(
+    log: LogWriter, topic: str, x: float, at: int = START, child: str = "laser"
+) -> None:
     """A transform of the laser from its base, on a topic."""
-    there = encoding.Transform("base_link", "laser", (x, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-    data = encoding.transforms_cdr(stamp_ns, [there])
-    log.raw(topic, encoding.TF_MESSAGE, data, stamp_ns)
+    there = encoding.Transform("base_link", child, (x, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+    data = encoding.transforms_cdr(at, [there])
+    log.raw(topic, encoding.TF_MESSAGE, data, at)
 
 
 def test_of_two_robots_each_has_its_own_transforms(path: Path) -> None:
@@ -254,10 +256,13 @@ def test_a_mounting_that_changes_is_warned_of(
 ) -> None:
     with LogWriter(path) as log:
         write_scan(log)
-        place(log, topic, 0.1)
-        place(log, topic, second, START + 1)
-    chosen = choose(path)
+        place(log, "/tf_static", 0.0, child="foot")
+        for number, x in enumerate((0.1, second)):
+            place(log, topic, x, START + number)
+            log.transform("odom", "base_link", START + number, Pose2(x, 0.0, 0.0))
+    chosen = choose(path, base_frame="foot")  # beside the laser's frame, not above it
     assert chosen.base_from_laser[0, 3] == pytest.approx(second)
+    assert len(chosen.warnings) == said
     changes = "the transform 'base_link' -> 'laser' changes, by 0.30 m and 0 degrees"
     assert any(changes in line for line in chosen.warnings) is said
 
