@@ -229,9 +229,7 @@ def test_a_base_is_found_by_its_namespace_or_by_what_carries_the_laser(
     assert not chosen.warnings
 
 
-def place(
-    log: LogWriter, topic: str, x: float, at: int = START, child: str = "laser"
-) -> None:
+def place(log: LogWriter, topic: str, x: float, at: int = START, child: str = "laser") -> None:
     """A transform of the laser from its base, on a topic."""
     there = encoding.Transform("base_link", child, (x, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
     data = encoding.transforms_cdr(at, [there])
