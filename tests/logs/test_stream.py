@@ -107,6 +107,17 @@ def test_ranges_in_millimetres_are_told_of(ranges_m: float, told: bool) -> None:
     ] * told
 
 
+@pytest.mark.parametrize(("step", "told"), [(0.5, False), (-2.0, False), (-2.6, True), (6.0, True)])
+def test_angles_in_degrees_are_told_of(step: float, told: bool) -> None:
+    """Beams that go round twice, as of a driver that puts two turns together, are none."""
+    data = scan_cdr("laser", START, -3.0, step, np.full(6, 2.0), range_max=10.0)
+    warnings = stream_of([Message("/scan", LASER_SCAN, START, data)]).warnings
+    assert [line for line in warnings if "degrees" in line] == [
+        f"the angles of the first scan on /scan span {abs(5 * step):.0f} radians, more than a "
+        "turn: are they in degrees? They must be in radians"
+    ] * told
+
+
 def test_a_scan_outside_the_odometry_is_counted_and_no_warning() -> None:
     """A drive begins and ends with one: one of two hundred is worth no word."""
     messages = [scan(START - SECOND)]
