@@ -206,5 +206,9 @@ def _read(stored: Map) -> tuple[dict[int, FloatArray], list[Link]]:
     if strangers:
         raise MapError.damaged(f"there is no vertex {min(strangers)}", path)
     if not poses:
-        raise MapError.damaged("has no vertices", path)
+        alone = stored.labels.poses
+        if len(alone) != 1:
+            again = "build the map again, without `--no-relax`"
+            raise MapError("has no vertices", again, where=path)
+        poses = {0: alone[0]}  # the robot never moved
     return poses, links

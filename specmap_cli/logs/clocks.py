@@ -33,6 +33,9 @@ _ORDER_SPEED_MPS = 0.5
 _LATE_S = 0.5  # odometry stamped this far from scans recorded beside it is told of
 _PERIODS = 1.5  # of odometry, in which the next message comes: it may be half of one late
 _CLOCKS_APART_S = 2.0  # odometry stamped this far from scans recorded beside it has another clock
+_DISORDER_S = 1.0  # a scan that comes so late is not out of order: the clock was set back
+_MOST_SET_BACK = 2  # steps back of a clock that is set; more of them are scans out of order
+_LATER = 1.5  # the first scans do not show how late one can come: it may be half as much again
 _FEWEST = 3  # stamps: two that are equal may be a scan that was sent twice
 _PAIRS = 20  # of scans and odometry: their median does not heed some late messages
 _LONGEST_S = 60.0  # between scans stamped by order: a longer step is no driving
@@ -50,9 +53,9 @@ class Clock:
     heard last. `odometry_shift_ns` is added to header stamps of odometry, which then are of the
     scans' clock. `odometry_apart_ns` is how far these are behind those of scans recorded beside
     them, where odometry that is recorded late looks the same as another clock. Odometry newer than
-    a scan is due `odometry_wait_ns` after it. `zero_is_unset` says that a header stamp of zero
-    stands for the recorder's time, as the two clocks otherwise agree. `why` is the fault of the
-    header stamps, if they have one.
+    a scan is due `odometry_wait_ns` after it, and so long as `scan_wait_ns` a scan stamped before
+    it may come. `zero_is_unset` says that a header stamp of zero stands for the recorder's time, as
+    the two clocks otherwise agree. `why` is the fault of the header stamps, if they have one.
     """
 
     source: TimeSource = "header"
@@ -63,6 +66,7 @@ class Clock:
     odometry_shift_ns: int = 0
     odometry_apart_ns: int = 0
     odometry_wait_ns: int = 0
+    scan_wait_ns: int = 0
 
     def scan_ns(self, number: int, stamp_ns: int, time_ns: int) -> int:
         """The stamp of the scan of that number with these header and recorder's times."""
@@ -112,7 +116,7 @@ def choose_clock(scans: Sequence[tuple[int, int]], pairs: Sequence[StampPair]) -
         return Clock(source="order", why=why, first_ns=max(known[0], 0), interval_ns=interval)
     apart = nanoseconds(_CLOCKS_APART_S)
     near = [abs(stamp - time) <= apart for stamp, time in zip(stamps, times, strict=True) if stamp]
-    header = Clock(zero_is_unset=2 * sum(near) > len(near))
+    header = Clock(zero_is_unset=2 * sum(near) > len(near), scan_wait_ns=_scan_wait_ns(scans))
     # a message counts once, with the first scan after it: in a burst many scans follow one message
     told = list({pair.odometry: pair for pair in reversed(pairs) if pair.odometry[0] != 0}.values())
     if not told:
@@ -139,6 +143,23 @@ def choose_clock(scans: Sequence[tuple[int, int]], pairs: Sequence[StampPair]) -
         odometry_wait_ns=round(_PERIODS * period) + max(0, late),
         odometry_apart_ns=late if abs(late) > nanoseconds(_LATE_S) else 0,
     )
+
+
+def _scan_wait_ns(scans: Sequence[tuple[int, int]]) -> int:
+    """How long after a scan one stamped before it may still come, by the recorder's times.
+
+    0 where the first scans are in order, or step back so seldom that their clock was set.
+    """
+    if sum(b[0] < a[0] for a, b in pairwise(scans)) <= _MOST_SET_BACK:
+        return 0
+    late = [
+        after[1] - before[1]
+        for number, after in enumerate(scans)
+        for before in scans[:number]
+        if after[0] < before[0] and before[1] < after[1]
+        if before[0] - after[0] + after[1] - before[1] < nanoseconds(_DISORDER_S)
+    ]
+    return round(_LATER * max(late, default=0))
 
 
 def _ascends(stamps: Sequence[int]) -> bool:

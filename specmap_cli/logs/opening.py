@@ -26,11 +26,12 @@ from specmap_cli.core.errors import (
 )
 from specmap_cli.core.plugins import with_plugins
 from specmap_cli.core.settings import LogConfig
-from specmap_cli.core.text import legible
+from specmap_cli.core.text import counted, legible
 from specmap_cli.logs.readers.carmen import CarmenFile
 from specmap_cli.logs.readers.compression import compression_of, unpacked
 from specmap_cli.logs.readers.mcap import McapFile
 from specmap_cli.logs.readers.recording import (
+    MAX_DAMAGE_LINES,
     Contents,
     Message,
     Recording,
@@ -42,7 +43,7 @@ from specmap_cli.logs.readers.recording import (
     unreadable,
 )
 from specmap_cli.logs.readers.rosbag1 import Rosbag1File
-from specmap_cli.logs.readers.rosbag2 import Rosbag2File
+from specmap_cli.logs.readers.rosbag2 import Rosbag2File, recorded_files
 
 GROUP = "specmap.readers"
 BUILT_IN: Mapping[str, type[Recording]] = MappingProxyType(
@@ -128,7 +129,8 @@ def open_log(paths: Paths, config: LogConfig | None = None) -> Log:
             where = legible(str(damaged.path))
             found = damaged.damage[0].removeprefix(f"{where}: ")
             raise LogError(f"{found}; no message can be read", where=where, code=LOG_DAMAGED)
-        return Log(recordings, given, held.pop_all())
+        lost = [line for path in given for line in _not_read(path, recordings)]
+        return Log(recordings, given, held.pop_all(), lost)
 
 
 def _files_at(path: Path, readers: _Readers) -> Iterator[Path]:
@@ -159,6 +161,39 @@ def _files_at(path: Path, readers: _Readers) -> Iterator[Path]:
     if not found:
         raise refused(path, "no recording in this directory", _expected(readers))
     yield from found
+
+
+_PACKED = (".zst", ".zstd", ".gz", ".bz2", ".lz4")  # a file may be compressed after the recording
+
+
+def _not_read(folder: Path, recordings: Sequence[Recording]) -> Iterator[str]:
+    """A line for each file that the metadata of a directory names and that is not read.
+
+    One that was renamed is read: another in the directory has as many messages.
+    """
+
+    def bare(name: str) -> str:
+        return name.removesuffix(next(filter(name.endswith, _PACKED), ""))
+
+    recorded = recorded_files(folder)
+    named, read = set(map(bare, recorded)), {bare(one.path.name) for one in recordings}
+    here = [one for one in recordings if one.path.parent == folder]
+    others = [one.contents.messages for one in here if bare(one.path.name) not in named]
+    lost: list[str] = []
+    for name, messages in recorded.items():
+        if bare(name) in read or messages == 0:
+            continue
+        if messages in others:
+            others.remove(messages)
+            continue
+        unless = "unless it was renamed, " if others else ""
+        what = "messages" if messages is None else counted(messages, "message")
+        found = f"{name}, which metadata.yaml names, is missing or no recording"
+        lost.append(f"{found}: {unless}its {what} cannot be read")
+    if len(lost) > MAX_DAMAGE_LINES:
+        more = counted(len(lost) - MAX_DAMAGE_LINES, "more file")
+        lost[MAX_DAMAGE_LINES:] = [f"{more} that metadata.yaml names cannot be read"]
+    yield from (legible(f"{folder}: {line}") for line in lost)
 
 
 def _expected(readers: _Readers) -> str:
@@ -230,17 +265,22 @@ class Log:
 
     `given` are the paths the user named, files or directories, `paths` the files, earliest first,
     and `name` is what to call the log in messages. `held` is what must be released
-    with the log, by default the recordings.
+    with the log, by default the recordings. `lost` are lines on files that are not there.
     """
 
     def __init__(
-        self, recordings: Sequence[Recording], given: Sequence[Path], held: ExitStack | None = None
+        self,
+        recordings: Sequence[Recording],
+        given: Sequence[Path],
+        held: ExitStack | None = None,
+        lost: Sequence[str] = (),
     ) -> None:
         self.given = tuple(given)
         self._recordings = sorted(recordings, key=lambda r: (r.contents.start_ns, str(r.path)))
         self.paths = [recording.path for recording in self._recordings]
         more = len(self.given) - 1
         self.name = f"{self.given[0]}" + (f" and {more} more" if more else "")
+        self._lost = tuple(lost)
         self._held = held if held is not None else ExitStack()
         if held is None:
             for recording in recordings:
@@ -254,7 +294,7 @@ class Log:
     @property
     def damage(self) -> list[str]:
         """One line for each loss met so far: file, byte or message, time."""
-        return [line for recording in self._recordings for line in recording.damage]
+        return [*self._lost, *(line for each in self._recordings for line in each.damage)]
 
     @property
     def missing(self) -> Counter[str]:

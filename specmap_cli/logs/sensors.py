@@ -256,11 +256,15 @@ def first_scans(log: Log, topic: TopicInfo) -> list[FirstScan]:
     return found
 
 
+_MOST_RAD = 2.0 * math.tau  # a scan that looks all round spans half of it; in degrees, 360
+
+
 class Glance(NamedTuple):
     """What the first scans of one sensor show.
 
     `is_flat` says that all points of its clouds have one height: they are of a planar laser.
-    `ceilings_m` are the distances that stand for no return, `warnings` what is odd about ranges.
+    `ceilings_m` are the distances that stand for no return, `warnings` what is odd about ranges
+    and angles.
     """
 
     is_flat: bool
@@ -272,7 +276,7 @@ def glance(log: Log, topic: TopicInfo, sensor: ScanSensor) -> Glance:
     """Look at the first scans of one sensor, one in memory at a time."""
     leveller = ScanLeveller(np.eye(4))
     size = points = 0
-    has_height, middle_m = False, math.nan
+    has_height, middle_m, span_rad = False, math.nan, math.nan
     for message in islice(log.messages([topic.name]), LOOK_SCANS):
         size += len(message.data)
         with suppress(BadMessageError):
@@ -280,6 +284,8 @@ def glance(log: Log, topic: TopicInfo, sensor: ScanSensor) -> Glance:
             if sensor.made(record):
                 middle_m = _middle_m(record) if math.isnan(middle_m) else middle_m
                 if isinstance(record, ScanRecord):
+                    if math.isnan(span_rad):
+                        span_rad = abs(increment(record.layout)) * (record.layout.beams - 1)
                     leveller.level(record, record.stamp_ns)
                 else:
                     heights = cloud_points(record, record.stamp_ns).points[:, 2]
@@ -291,10 +297,17 @@ def glance(log: Log, topic: TopicInfo, sensor: ScanSensor) -> Glance:
         f"half of the returns of the first scan on {topic.name} are farther than "
         f"{middle_m:,.0f} m: are they in millimetres or centimetres? They must be in metres"
     )
+    wide = (
+        f"the angles of the first scan on {topic.name} span {span_rad:,.0f} radians, more than a "
+        "turn: are they in degrees? They must be in radians"
+    )
     return Glance(
         is_flat=points >= _FLAT_POINTS and not has_height,
         ceilings_m=leveller.ceiling.values_m,
-        warnings=(far,) if middle_m > CLOUD_RANGE_MAX_M else (),
+        warnings=(
+            *((far,) if middle_m > CLOUD_RANGE_MAX_M else ()),
+            *((wide,) if span_rad > _MOST_RAD else ()),
+        ),
     )
 
 

@@ -1,7 +1,8 @@
 """The stream of sweeps that registration reads: one scan in memory at a time.
 
 Each has the odometry at its stamp, from a topic or from transforms. A scan waits for the odometry
-that follows its stamp, but never longer than a few scans.
+that follows its stamp, but never longer than a few scans; where scans are recorded out of order,
+for those stamped before it, too.
 """
 
 from __future__ import annotations
@@ -252,9 +253,14 @@ class SweepStream:
         sweeps = _SweepMaker(chosen, self.config, counts, leveller)
         waiting: deque[_Waiting] = deque()
         expected_ns = min(chosen.clock.odometry_wait_ns, nanoseconds(_ODOMETRY_GAP_S))
+        wait_ns = chosen.clock.scan_wait_ns
         for message in self.log.messages([chosen.topic.name, *chosen.odom_topics]):
             if message.topic == chosen.topic.name:
-                waiting.extend(sweeps.decoded(message, odometry))
+                for scan in sweeps.decoded(message, odometry):
+                    place = len(waiting)
+                    while place and 0 < waiting[place - 1].stamp_ns - scan.stamp_ns <= wait_ns:
+                        place -= 1
+                    waiting.insert(place, scan)
             else:
                 try:
                     odometry.take(message)
@@ -268,7 +274,8 @@ class SweepStream:
                 many = len(waiting) > _ODOMETRY_WAIT_SCANS
                 late = many or waited_ns > nanoseconds(_ODOMETRY_WAIT_S)
                 late &= waited_ns > expected_ns or len(waiting) > _MOST_WAITING
-                if not (chosen.odometry is None or heard or late):
+                early = 0 <= waited_ns < wait_ns and len(waiting) <= _MOST_WAITING
+                if early or not (chosen.odometry is None or heard or late):
                     break
                 yield from sweeps.made(waiting.popleft(), odometry.poses)
         while waiting:

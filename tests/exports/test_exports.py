@@ -20,6 +20,7 @@ import pytest
 import yaml
 
 from specmap_cli.core.errors import MapError, UsageError
+from specmap_cli.core.records import Labels
 from specmap_cli.exports.table import GROUP, export_map, exporters
 from specmap_cli.maps.store import Map
 from specmap_cli.maps.writing import MapResult
@@ -247,6 +248,14 @@ def test_gtsam_reads_every_vertex_and_every_edge_and_solves_it(home: Map, tmp_pa
     assert "by half a metre at one end" in told  # what the benchmark found; no bound of millimetres
 
 
+def test_a_robot_that_never_moved_is_one_vertex(lived_in: MapResult, tmp_path: Path) -> None:
+    zero = np.zeros(1, dtype=np.int64)
+    one = Labels(stamps_ns=zero, poses=np.array([[1.0, 2.0, 0.5]]), submaps=zero)
+    stored = written(tmp_path / "map", replace(lived_in, labels=one, pose_graph=""))
+    assert export_map(stored, "pose-graph", tmp_path / "x.g2o") == []
+    assert (tmp_path / "x.g2o").read_text() == "VERTEX_SE2 0 1 2 0.5\nFIX 0\n"
+
+
 def test_a_map_without_one_is_refused_in_a_line(
     stored: Map, rooms: Map, lived_in: MapResult, tmp_path: Path
 ) -> None:
@@ -255,7 +264,7 @@ def test_a_map_without_one_is_refused_in_a_line(
     again = "build the map again"
     bad = with_graph(tmp_path / "bad", lived_in, "VERTEX_SE2 0 0\n")
     for case, found, hint in (
-        (stored, "has no vertices", again),
+        (stored, "has no vertices", f"{again}, without `--no-relax`"),
         (rooms, "has no trajectory.g2o: `specmap segment` makes maps without", built),
         (with_graph(tmp_path / "1", lived_in, POSE_GRAPH + lone), "there is no vertex 9", again),
         (bad, "g2o, line 1: 'VERTEX_SE2 0 0' is no VERTEX_SE2", again),

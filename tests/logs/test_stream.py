@@ -96,6 +96,36 @@ def test_slow_and_late_odometry_measures_every_scan(every: int, late_s: float, s
     assert all(line.startswith("the stamps of the odometry are 0.7") for line in told)
 
 
+@pytest.mark.parametrize(
+    ("late_s", "every", "with_odometry", "sorted_"),
+    [
+        (0.3, 3, True, True),
+        (0.3, 3, False, True),
+        (0.9, 3, True, True),
+        (1.1, 3, True, False),
+        (0.3, 40, True, False),
+    ],
+)
+def test_scans_recorded_out_of_order_are_sorted_by_their_stamps(
+    late_s: float, every: int, with_odometry: bool, sorted_: bool
+) -> None:
+    """Each third one comes late; by a second or more, or once or twice, the clock was set back."""
+    messages = []
+    for number in range(60):
+        stamp = START + number * SECOND // 10
+        messages.append(scan(stamp, time=stamp + (number % every == 0) * round(late_s * SECOND)))
+        messages += [odometry(stamp, 0.1 * number)] * with_odometry
+    stream = stream_of(sorted(messages, key=lambda message: message.time_ns))
+    sweeps = list(stream)
+    stamps = [sweep.stamp_ns for sweep in sweeps]
+    assert len(stamps) == len(set(stamps)) == 60
+    assert (stamps == sorted(stamps)) is sorted_
+    assert (stream.counts["backward_stamps"] == 0) is sorted_
+    for sweep in sweeps if with_odometry else []:
+        assert sweep.odom_from_base is not None
+        assert sweep.odom_from_base.x == pytest.approx((sweep.stamp_ns - START) / SECOND)
+
+
 @pytest.mark.parametrize(("ranges_m", "told"), [(2.0, False), (90.0, False), (3400.0, True)])
 def test_ranges_in_millimetres_are_told_of(ranges_m: float, told: bool) -> None:
     ranges = np.array([np.inf, np.nan, 0.0, *[ranges_m] * 9])
@@ -104,6 +134,17 @@ def test_ranges_in_millimetres_are_told_of(ranges_m: float, told: bool) -> None:
     assert [line for line in warnings if "millimetres" in line] == [
         "half of the returns of the first scan on /scan are farther than 3,400 m: are they in "
         "millimetres or centimetres? They must be in metres"
+    ] * told
+
+
+@pytest.mark.parametrize(("step", "told"), [(0.5, False), (-2.0, False), (-2.6, True), (6.0, True)])
+def test_angles_in_degrees_are_told_of(step: float, told: bool) -> None:
+    """Beams that go round twice, as of a driver that puts two turns together, are none."""
+    data = scan_cdr("laser", START, -3.0, step, np.full(6, 2.0), range_max=10.0)
+    warnings = stream_of([Message("/scan", LASER_SCAN, START, data)]).warnings
+    assert [line for line in warnings if "degrees" in line] == [
+        f"the angles of the first scan on /scan span {abs(5 * step):.0f} radians, more than a "
+        "turn: are they in degrees? They must be in radians"
     ] * told
 
 

@@ -30,19 +30,23 @@ _LARGEST_MB = 4.0  # of a metadata.yaml: some kilobytes, with many topics and fi
 _MOST = 10**18  # messages in a file
 
 
-def recorded_messages(file: Path) -> int | None:
-    """The messages in one file of a recording by the metadata beside it; None when it says nothing.
+def recorded_files(folder: Path) -> dict[str, int | None]:
+    """The names of the files of a recording by its metadata, and how many messages each has.
 
-    The list `files` has a path and a number for each file; recorders before ROS 2 Galactic wrote
-    no such list.
+    None stands for a number that it does not tell: recorders before ROS 2 Galactic wrote a list of
+    paths alone. Empty where there is no metadata, or a damaged one.
     """
-    try:
-        found = read_yaml(read_bytes(file.with_name("metadata.yaml"), _LARGEST_MB))
-        files = {one["path"]: one for one in found["rosbag2_bagfile_information"]["files"]}
-        messages = int(files[file.name]["message_count"])
-    except (OSError, ValueError, TypeError, KeyError):  # missing, damaged, or without the list
-        return None
-    return messages if 0 <= messages < _MOST else None
+    found: dict[str, int | None] = {}
+    with suppress(OSError, ValueError, TypeError, KeyError):
+        read = read_yaml(read_bytes(folder / "metadata.yaml", _LARGEST_MB))
+        about = read["rosbag2_bagfile_information"]
+        with suppress(TypeError, KeyError):
+            found = {Path(path).name: None for path in about["relative_file_paths"]}
+        for one in about["files"]:
+            messages = int(one["message_count"])
+            found[Path(one["path"]).name] = messages if 0 <= messages < _MOST else None
+    found.pop("", None)
+    return found
 
 
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/\w+){1,2}")  # package/msg/Name
@@ -173,7 +177,7 @@ class Rosbag2File(recording.Recording):
                     "the index of time is damaged: read in the order of recording, "
                     "nothing is lost by this"
                 )
-        whole = max(numbered, listed, recorded_messages(self.path) or 0)
+        whole = max(numbered, listed, recorded_files(self.path.parent).get(self.path.name) or 0)
         if whole > there:
             self.report(
                 f"{whole - there:,} of {counted(whole, 'message')} are not in its table: the "

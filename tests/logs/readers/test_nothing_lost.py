@@ -107,6 +107,50 @@ def test_rows_of_a_database_that_are_gone_are_counted(tmp_path: Path, few: list[
         ]
 
 
+UNLESS = "unless it was renamed, "
+
+
+@pytest.mark.parametrize(
+    ("there", "counts", "said"),
+    [
+        ("a b c", "12 7 13", {}),
+        ("a b", "12 7 13", {"c": "its 13 messages"}),
+        ("a c.gz", "12 7 13", {"b": "its 7 messages"}),
+        ("a b other", "12 7 12", {}),
+        ("b other", "13 7 1", {"a": UNLESS + "its 13 messages", "c": UNLESS + "its 1 message"}),
+        ("b c", "", {"a": "its messages"}),
+        ("b c", "0 7 12", {}),
+        ("b c", "-1 7 12", {"a": "its messages"}),
+    ],
+)
+def test_files_that_are_named_and_missing_are_told(
+    tmp_path: Path, few: list[Message], there: str, counts: str, said: dict[str, str]
+) -> None:
+    """One that was renamed has as many messages as the metadata says, one of an old recorder none.
+
+    An empty file, as a full disk leaves it, is none.
+    """
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    (bag / "c").touch()
+    for name, part in zip(there.split(), (few[:12], few[12:19], few[19:]), strict=False):
+        write_mcap(bag / name, part)
+    files = [
+        f"    - {{path: {name}, message_count: {count}}}"
+        for name, count in zip("abc", counts.split(), strict=False)
+    ]
+    told = ["rosbag2_bagfile_information:", "  relative_file_paths: [bag/a, bag/b, bag/c]"]
+    told += ["  files:", *files] if files else []
+    (bag / "metadata.yaml").write_text("\n".join(told))
+    with open_log(bag) as log:
+        assert log.damage == [
+            f"{bag}: {name}, which metadata.yaml names, is missing or no recording: {what} "
+            "cannot be read"
+            for name, what in said.items()
+        ]
+        assert SweepStream(log, LogConfig()).warnings[: len(said)] == log.damage
+
+
 @pytest.mark.parametrize(
     ("lost", "of", "said"),
     [
