@@ -158,7 +158,7 @@ def _scans_of(
     """The scans of a recording in turn; `stamps` gets theirs."""
     with open_log([path], config.log) as log:
         stream = SweepStream(log, config.log)
-        progress.start("learning", stream.expected)
+        progress.start("learning", stream.selection.topic.count)
         for sweep in stream:
             progress.advance()
             stamps.append(sweep.stamp_ns)

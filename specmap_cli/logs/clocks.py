@@ -116,7 +116,9 @@ def choose_clock(scans: Sequence[tuple[int, int]], pairs: Sequence[StampPair]) -
         return Clock(source="order", why=why, first_ns=max(known[0], 0), interval_ns=interval)
     apart = nanoseconds(_CLOCKS_APART_S)
     near = [abs(stamp - time) <= apart for stamp, time in zip(stamps, times, strict=True) if stamp]
-    header = Clock(zero_is_unset=2 * sum(near) > len(near), scan_wait_ns=_scan_wait_ns(scans))
+    set_back = sum(after < before for before, after in pairwise(stamps)) <= _MOST_SET_BACK
+    wait_ns = 0 if set_back else _scan_wait_ns(scans)
+    header = Clock(zero_is_unset=2 * sum(near) > len(near), scan_wait_ns=wait_ns)
     # a message counts once, with the first scan after it: in a burst many scans follow one message
     told = list({pair.odometry: pair for pair in reversed(pairs) if pair.odometry[0] != 0}.values())
     if not told:
@@ -146,12 +148,7 @@ def choose_clock(scans: Sequence[tuple[int, int]], pairs: Sequence[StampPair]) -
 
 
 def _scan_wait_ns(scans: Sequence[tuple[int, int]]) -> int:
-    """How long after a scan one stamped before it may still come, by the recorder's times.
-
-    0 where the first scans are in order, or step back so seldom that their clock was set.
-    """
-    if sum(b[0] < a[0] for a, b in pairwise(scans)) <= _MOST_SET_BACK:
-        return 0
+    """How long after a scan one stamped before it may still come, by the recorder's times."""
     late = [
         after[1] - before[1]
         for number, after in enumerate(scans)

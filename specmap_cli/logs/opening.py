@@ -6,6 +6,7 @@ several files are one `Log`, joined in time.
 
 from __future__ import annotations
 
+import re
 import stat
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -129,7 +130,8 @@ def open_log(paths: Paths, config: LogConfig | None = None) -> Log:
             where = legible(str(damaged.path))
             found = damaged.damage[0].removeprefix(f"{where}: ")
             raise LogError(f"{found}; no message can be read", where=where, code=LOG_DAMAGED)
-        lost = [line for path in given for line in _not_read(path, recordings)]
+        folders = (path for path in given if path.is_dir())
+        lost = [line for folder in folders for line in _not_read(folder, recordings)]
         return Log(recordings, given, held.pop_all(), lost)
 
 
@@ -163,7 +165,8 @@ def _files_at(path: Path, readers: _Readers) -> Iterator[Path]:
     yield from found
 
 
-_PACKED = (".zst", ".zstd", ".gz", ".bz2", ".lz4")  # a file may be compressed after the recording
+# the name of a file that was compressed after the recording
+_PACKED = re.compile(r"\.(zstd?|gz|bz2|lz4)$")
 
 
 def _not_read(folder: Path, recordings: Sequence[Recording]) -> Iterator[str]:
@@ -171,17 +174,13 @@ def _not_read(folder: Path, recordings: Sequence[Recording]) -> Iterator[str]:
 
     One that was renamed is read: another in the directory has as many messages.
     """
-
-    def bare(name: str) -> str:
-        return name.removesuffix(next(filter(name.endswith, _PACKED), ""))
-
-    recorded = recorded_files(folder)
-    named, read = set(map(bare, recorded)), {bare(one.path.name) for one in recordings}
-    here = [one for one in recordings if one.path.parent == folder]
-    others = [one.contents.messages for one in here if bare(one.path.name) not in named]
+    recorded = {_PACKED.sub("", name): told for name, told in recorded_files(folder).items()}
+    read = {_PACKED.sub("", one.path.name): one for one in recordings}
+    here = {name: one for name, one in read.items() if one.path.parent == folder}
+    others = [one.contents.messages for name, one in here.items() if name not in recorded]
     lost: list[str] = []
     for name, messages in recorded.items():
-        if bare(name) in read or messages == 0:
+        if name in read or messages == 0:
             continue
         if messages in others:
             others.remove(messages)

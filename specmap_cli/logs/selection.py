@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from itertools import chain, islice, pairwise, takewhile
+from itertools import islice, pairwise
 
 import numpy as np
 
@@ -67,9 +67,7 @@ class TransformTree:
 
     def changes(self, base: str, frame: str) -> Iterator[str]:
         """What is said of each transform between a frame and its base that is not always one."""
-        common = self._common(base, frame)
-        below = (takewhile(lambda one: one != common, self.ancestors(end)) for end in (frame, base))
-        for child in chain.from_iterable(below):
+        for child in sorted({*self.ancestors(frame)} ^ {*self.ancestors(base)}):
             first, other = self._first[child], self._other.get(child)
             if other is None:
                 continue
@@ -102,7 +100,8 @@ class TransformTree:
 
     def lookup(self, target: str, source: str) -> FloatArray | None:
         """target_from_source (4, 4), None when no chain of transforms joins the frames."""
-        common = self._common(target, source)
+        above = list(self.ancestors(target))
+        common = next((frame for frame in self.ancestors(source) if frame in above), None)
         if common is None:
             return None
         from_common = [np.eye(4), np.eye(4)]
@@ -113,11 +112,6 @@ class TransformTree:
                 frame = edge.parent
         up, down = from_common
         return np.asarray(np.linalg.inv(up) @ down)
-
-    def _common(self, target: str, source: str) -> str | None:
-        """The lowest frame above both, None where there is none."""
-        above = list(self.ancestors(target))
-        return next((frame for frame in self.ancestors(source) if frame in above), None)
 
 
 _TILT_MAX_RAD = 0.175  # a laser tilted more is warned of: it is read as level

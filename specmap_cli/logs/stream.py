@@ -227,11 +227,6 @@ class SweepStream:
         self._odometry = OdometryListener(self.selection)
 
     @property
-    def expected(self) -> int:
-        """How many scans the topic holds, usable or not."""
-        return self.selection.topic.count
-
-    @property
     def warnings(self) -> list[str]:
         """What to know about the input: assumptions, and messages that were not as they should."""
         found = [

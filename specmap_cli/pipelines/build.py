@@ -111,7 +111,7 @@ def survey(
     session.progress.note(stream.selection.note)
     for warning in stream.selection.warnings:  # before the work, which may be in vain
         session.progress.warn(warning)
-    session.progress.start("mapping", stream.expected)
+    session.progress.start("mapping", stream.selection.topic.count)
     with ahead(lambda: track(stream, config.registration)) as scans:
         from specmap_cli.pipelines.exploration import Exploration  # all are loaded meanwhile
         from specmap_cli.pipelines.laying_out import lay_out
@@ -123,8 +123,9 @@ def survey(
     session.clock.seconds["registration"] = tracking.seconds
     if not len(session.store):
         found = "; ".join(tracking.warnings) or "too few returns in them"
+        scans = counted(stream.selection.topic.count, "scan")
         raise NoResultError(
-            f"none of {counted(stream.expected, 'scan')} could be registered ({found})",
+            f"none of {scans} could be registered ({found})",
             "look at them with `specmap info`",
             where=stream.log.name,
         )

@@ -71,7 +71,7 @@ def localize_log(
     with open_log(given, localizer.config.log) as log:
         stream = SweepStream(log, localizer.config.log)
         progress.note(stream.selection.note)
-        progress.start("localising", stream.expected)
+        progress.start("localising", stream.selection.topic.count)
         found, told = list[Where](), monotonic()
         try:
             for where in localizer.located(stream):

@@ -61,7 +61,7 @@ def test_a_reader_of_another_package_reads_its_log(tmp_path: Path, path: Path) -
         stream = SweepStream(log, LogConfig())
         sweeps = list(stream)
         summary = summarize(log)
-    assert stream.expected == len(sweeps) == 5
+    assert stream.selection.topic.count == len(sweeps) == 5
     assert [s.planar.ranges.tolist() for s in sweeps] == [[1, 2, 3, n + 0.5] for n in range(1, 6)]
     assert summary.chosen == "scans from /scan (LaserScan, 5), no odometry, base frame laser"
     assert summary.next_command == f"specmap build {path}"
