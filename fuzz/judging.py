@@ -153,7 +153,7 @@ def read_log(log: Path) -> Reading:
 def _told(stream: SweepStream, stamps: list[int], damage: Sequence[str], error: Any) -> Reading:
     return Reading(
         stamps_ns=tuple(stamps),
-        expected=stream.expected,
+        expected=stream.selection.topic.count,
         damage=tuple(line for line in damage if not _NO_LOSS.search(line)),
         warnings=tuple(stream.warnings),
         unusable=_unusable(stream),

@@ -123,9 +123,9 @@ def survey(
     session.clock.seconds["registration"] = tracking.seconds
     if not len(session.store):
         found = "; ".join(tracking.warnings) or "too few returns in them"
-        scans = counted(stream.selection.topic.count, "scan")
+        all_ = counted(stream.selection.topic.count, "scan")
         raise NoResultError(
-            f"none of {scans} could be registered ({found})",
+            f"none of {all_} could be registered ({found})",
             "look at them with `specmap info`",
             where=stream.log.name,
         )
