@@ -1,4 +1,4 @@
-"""Wheel and source archive: they hold the package with all its data, and nothing else."""
+"""Wheel and source archive hold the package and its data alone; what is no release is refused."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ import zipfile
 from pathlib import Path
 
 import pytest
+
+from benchmarks.release import faults, tried_on
+from tests.conftest import SAMPLE_LOGS
 
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "specmap_cli"
@@ -75,3 +78,23 @@ def test_the_source_archive_holds_what_is_needed_to_test_it(archives: Path) -> N
     assert of_the_package() <= names
     assert {name.split("/")[0] for name in names} - BY_HATCHLING == FOLDERS | BESIDE
     assert not {name for name in names if "__pycache__" in name}
+
+
+@pytest.mark.parametrize(
+    ("changes", "changelog", "said"),
+    [
+        ("", "# Changelog\n## 1.0.0 (2026-11-23)\n## 0.9.0 (2026-01-01)\n", []),
+        (" M x.py\n", "## 1.0.0 (2026-11-23)\n", ["the tree is not clean: M x.py"]),
+        ("", "## Unreleased\n## 1.0.0 (2026-11-23)\n", ["CHANGELOG.md does not begin with"]),
+        ("", "## 1.0.01 (2026-11-23)\n", ["CHANGELOG.md does not begin with"]),
+    ],
+)
+def test_what_is_no_release_is_refused(changes: str, changelog: str, said: list[str]) -> None:
+    found = faults(changes, changelog, "1.0.0")
+    assert len(found) == len(said)
+    assert all(one.startswith(words) for one, words in zip(found, said, strict=True))
+
+
+def test_a_python_that_is_not_there_is_told() -> None:
+    told = tried_on("python3.no", SAMPLE_LOGS / "office.mcap")
+    assert told == "not tried: it is not on this machine"

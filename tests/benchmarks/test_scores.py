@@ -67,7 +67,6 @@ def test_scores_are_those_counted_by_hand(tour: list[tuple[int, int]], numbers: 
     }
     pairs = {frozenset(pair) for pair in pairwise(rooms)} - {frozenset([room]) for room in rooms}
     assert found.doors == len(pairs)
-    assert found.found + found.invented <= 15
     assert found.found <= found.doors
     assert set(found.reopened) <= set(rooms)
     assert 0.0 <= found.recognised <= 1.0
@@ -175,13 +174,6 @@ def test_regions_over_visits_and_one_submap_for_all_rooms_that_says_nothing() ->
         scores = visit_scores(rooms=rooms, visits=visits, submaps=submaps, regions=visits)
         assert scores.homogeneity == pytest.approx(homogeneous, abs=1e-12)
         assert (scores.completeness, scores.segments_per_visit) == (1.0, 1.0)
-
-
-@pytest.mark.parametrize(("way_m", "visits"), [(0.9, 1), (1.1, 2)])
-def test_a_visit_is_as_long_as_asked(way_m: float, visits: int) -> None:
-    rooms = np.repeat([0, 1], 12)
-    steps = np.r_[np.full(12, 1.0), np.full(12, way_m / 11)]
-    assert len(np.unique(visits_of(rooms, steps))) == visits
 
 
 @pytest.mark.parametrize("kind", sorted(BUILDINGS))

@@ -41,7 +41,7 @@ def test_a_map_with_one_submap(tiny_log: Path, tiny_map: Path, run: Run) -> None
     ],
     ids=["missing", "empty", "file", "foreign"],
 )
-def test_what_is_no_map(
+def test_no_map(
     make: Damage, told: str, tiny_log: Path, tiny_map: Path, tmp_path: Path, run: Run
 ) -> None:
     place, out = tmp_path / "no_map", tmp_path / "out"
@@ -254,7 +254,7 @@ def test_a_map_without_scans_whose_length_was_guessed_is_compared_as_it_is(
         assert said.result["alignment"]["longer_m"] == 0.0
 
 
-def test_a_map_of_nav2_is_divided_without_its_unknown_and_told_so(
+def test_a_map_of_nav2_loses_its_unknown_and_is_told(
     flat: GridMap, tmp_path: Path, run: Run
 ) -> None:
     """Round the flat, in a wall, is as much unknown, that would be rooms if it were free."""

@@ -32,9 +32,7 @@ APART = 15.0  # CIEDE2000: told apart at a glance
         ((90.8027, -2.0831, 1.4410), (91.1528, -1.6435, 0.0447), 1.4441),
     ],
 )
-def test_differences_are_as_published(
-    one: tuple[float, ...], other: tuple[float, ...], difference: float
-) -> None:
+def test_as_published(one: tuple[float, ...], other: tuple[float, ...], difference: float) -> None:
     """Sharma, Wu and Dalal (2005), table 1."""
     assert ciede2000(np.array(one), np.array(other)) == pytest.approx(difference, abs=1e-4)
 

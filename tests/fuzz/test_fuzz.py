@@ -1,4 +1,4 @@
-"""The fuzzer: some of its cases pass, and it notices every kind of failure."""
+"""The fuzzer: some of its cases and pairs pass, and it notices every kind of failure."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ import fuzz.__main__
 from fuzz.__main__ import main
 from fuzz.cases import KEEPERS, LogCase, MapCase, case_of
 from fuzz.judging import Failure, judge
+from fuzz.pairs import Bench, try_pair
 from fuzz.report import Tally
 from fuzz.seeds import Seeds, make_seeds, write_intact
 from fuzz.workers import Limits, Outcome, Pool, _Worker
@@ -24,6 +25,7 @@ from specmap_cli.core.errors import UsageError
 from specmap_cli.logs.readers.chunked import ChunkedFile
 from specmap_cli.logs.readers.recording import Message
 from specmap_cli.maps.store import Map
+from tests.flats import Mapped
 
 SEED, CASES = 2026, 100
 CHUNKED = range(0, 40)  # cases of which most are MCAP files or bags
@@ -248,3 +250,23 @@ def test_failures_are_grouped_and_can_be_repeated() -> None:
         "    bag: cut",
         "    python -m fuzz --seed 7 --case 5",
     ]
+
+
+@pytest.mark.parametrize("kinds", [("edit", "property"), ("update", "edit"), ("report", "edit")])
+def test_two_commands_on_one_map_lose_nothing(
+    kinds: tuple[str, str], first_tour: Mapped, second_tour: Mapped, tmp_path: Path
+) -> None:
+    faults, ends = try_pair(Bench(first_tour.map, second_tour.log.log, tmp_path), kinds, 0.5)
+    assert faults == []
+    assert 0 in ends
+
+
+def test_a_lost_name_is_noticed(
+    first_tour: Mapped, second_tour: Mapped, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As it was lost when commands did not look whether the map had changed meanwhile."""
+    bench = Bench(first_tour.map, second_tour.log.log, tmp_path)
+    monkeypatch.setattr(Bench, "command", lambda *_: ["check", str(tmp_path / "map")])
+    faults, ends = try_pair(bench, ("edit", "check"), 0.0)
+    assert ends == [0, 0]
+    assert faults == ["lost: the name Kitchen"]

@@ -392,7 +392,7 @@ def test_a_picture_that_claims_more_than_it_holds_reaches_no_decoder(
 
 
 @pytest.mark.parametrize("place", [20, 45, 55, -6, -1])
-def test_libraries_keep_silent_about_damage(
+def test_libraries_say_nothing(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], place: int
 ) -> None:
     """libpng and OpenCV would write to stderr by themselves."""

@@ -22,7 +22,7 @@ def seen(perfect: Laps) -> tuple[Graph, Views]:
 
 
 @pytest.mark.parametrize("motion", [(0.0, 1.0, 0.0), (1.5, 0.0, 0.0), (0.0, 0.0, 0.1)])
-def test_a_pass_that_was_moved_contradicts(
+def test_a_moved_pass_is_told(
     seen: tuple[Graph, Views], motion: tuple[float, float, float]
 ) -> None:
     graph, views = seen

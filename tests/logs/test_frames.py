@@ -214,12 +214,10 @@ def test_a_base_is_found_by_its_namespace_or_by_what_carries_the_laser(
 ) -> None:
     """Upside down it must be: the map of a laser that is taken for its own base is mirrored."""
     with LogWriter(path) as log:
-        for one in static:
-            parent, child = one.split()
+        for parent, child in map(str.split, static):
             roll = (1.0, 0.0, 0.0, 0.0) if child == laser else (0.0, 0.0, 0.0, 1.0)
             log.static_transform(parent, child, (0.1, 0.0, 0.0), roll, START)
-        for one in moving:
-            parent, child = one.split()
+        for parent, child in map(str.split, moving):
             log.transform(parent, child, START, Pose2(1.0, 0.0, 0.0))
         log.scan("/scan", laser, START, -1.0, 1.0, [1.0, 1.0], range_max=8.0)
     chosen = choose(path)
@@ -232,8 +230,7 @@ def test_a_base_is_found_by_its_namespace_or_by_what_carries_the_laser(
 def place(log: LogWriter, topic: str, x: float, at: int = START, child: str = "laser") -> None:
     """A transform of the laser from its base, on a topic."""
     there = encoding.Transform("base_link", child, (x, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-    data = encoding.transforms_cdr(at, [there])
-    log.raw(topic, encoding.TF_MESSAGE, data, at)
+    log.raw(topic, encoding.TF_MESSAGE, encoding.transforms_cdr(at, [there]), at)
 
 
 def test_of_two_robots_each_has_its_own_transforms(path: Path) -> None:
@@ -249,7 +246,7 @@ def test_of_two_robots_each_has_its_own_transforms(path: Path) -> None:
 
 @pytest.mark.parametrize("topic", ["/tf_static", "/tf"])
 @pytest.mark.parametrize(("second", "said"), [(0.102, False), (0.4, True)])
-def test_a_mounting_that_changes_is_warned_of(
+def test_a_changing_mounting_is_warned_of(
     path: Path, topic: str, second: float, said: bool
 ) -> None:
     with LogWriter(path) as log:
@@ -269,9 +266,7 @@ def test_a_mounting_that_changes_is_warned_of(
     ("degrees", "limit", "said"),
     [(8, {}, False), (12, {}, True), (12, {"tilt_max_rad": 0.3}, False), (172, {}, False)],
 )
-def test_only_a_tilted_laser_is_warned_of(
-    path: Path, degrees: float, limit: dict[str, Any], said: bool
-) -> None:
+def test_a_tilt_is_warned_of(path: Path, degrees: float, limit: dict[str, Any], said: bool) -> None:
     half = math.radians(degrees) / 2
     with LogWriter(path) as log:
         roll = (math.sin(half), 0.0, 0.0, math.cos(half))

@@ -254,7 +254,7 @@ OF_FILE = "unpacks to more than 500 times its size, as no log does; if it is a l
     ],
     ids=["MCAP", "MCAP of a wrong size", "bag", "whole file"],
 )
-def test_what_swells_costs_little_memory(
+def test_swelling_is_cheap(
     path: Path, content: Callable[[], bytes], said: str, most_mb: int
 ) -> None:
     path.write_bytes(content())

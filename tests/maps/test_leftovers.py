@@ -153,7 +153,7 @@ def test_of_two_writers_of_one_place_the_first_wins(tmp_path: Path) -> None:
     assert hidden(tmp_path) == []
 
 
-def test_a_failing_swap_restores_the_old_map(
+def test_a_failing_swap_is_undone(
     tmp_path: Path, out: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rename = os.rename

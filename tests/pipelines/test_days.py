@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,9 @@ import pytest
 from specmap_cli.checking.rules import figures_of
 from specmap_cli.cli import main
 from specmap_cli.core.errors import MapError, NoResultError, UsageError
+from specmap_cli.core.records import NO_SUBMAP
 from specmap_cli.grids.gridmap import FREE
+from specmap_cli.history import record
 from specmap_cli.history.record import BuildingRecord
 from specmap_cli.pipelines import compare
 from specmap_cli.pipelines.compare import COMPARISON, PICTURE, SUMMARY, Comparison, compare_maps
@@ -251,3 +254,43 @@ def test_without_classifiers_grids_decide(before: Path, changed: Path, tmp_path:
     bare = Path(shutil.copytree(changed, tmp_path / "bare"))
     (bare / "classifiers.json").unlink()
     assert np.isfinite(compare_maps(before, bare).alignment.rival)
+
+
+NS = 1_000_000_000
+MIDNIGHT = int(datetime(2026, 3, 2, tzinfo=UTC).timestamp()) * NS
+
+
+def test_a_visit_lasts_until_the_next_begins_and_no_room_is_known_at_first() -> None:
+    rooms = np.array([NO_SUBMAP, NO_SUBMAP, 0, 0, 1, 1, 0])
+    tour = record.tour_of(MIDNIGHT + np.array([0, 10, 20, 30, 40, 50, 70]) * NS, rooms, 70.0)
+    lasted = [(one.room, (one.end_ns - one.start_ns) / NS) for one in tour.visits]
+    assert lasted == [(0, 20), (1, 30), (0, 0)]
+    assert tour.driven_m == 70
+
+
+def test_a_day_ends_at_midnight_of_the_zone() -> None:
+    assert record.day_of(MIDNIGHT, record.zone_of("UTC")) == "2026-03-02"
+    assert record.day_of(MIDNIGHT - 1, record.zone_of("UTC")) == "2026-03-01"
+    assert record.day_of(MIDNIGHT - 1, record.zone_of("Europe/Berlin")) == "2026-03-02"
+    assert record.day_of(-5 * NS, record.zone_of("UTC")) == "1969-12-31"
+
+
+@pytest.mark.parametrize("name", ["Mars/Base", "", "../../etc/passwd", "/etc/localtime"])
+def test_an_unknown_zone_is_refused(name: str) -> None:
+    with pytest.raises(UsageError, match="time zone"):
+        record.zone_of(name)
+
+
+def test_a_visit_counts_on_the_day_it_began() -> None:
+    late = record.Tour(MIDNIGHT - 60 * NS, MIDNIGHT + 60 * NS, 12.0, (
+        record.Visit(3, MIDNIGHT - 60 * NS, MIDNIGHT + 30 * NS),
+        record.Visit(4, MIDNIGHT + 30 * NS, MIDNIGHT + 60 * NS),
+    ))  # fmt: skip
+    first, second = record.days_of([late], record.zone_of("UTC"))
+    assert (first.day, first.recordings, first.driven_m) == ("2026-03-01", 1, 12.0)
+    assert first.rooms == [record.StayRecord(room=3, visits=1, minutes=1.5)]
+    assert (second.recordings, second.minutes) == (0, 0)
+    assert second.rooms == [record.StayRecord(room=4, visits=1, minutes=0.5)]
+    assert record.totals(
+        [record.Visit(1, 0, 60 * NS), record.Visit(2, 0, NS), record.Visit(1, 0, 30 * NS)]
+    )[1] == (2, 1.5)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copyreg
 import multiprocessing
 import os
+import platform
 import signal
 import struct
 import subprocess
@@ -23,6 +24,7 @@ import numpy as np
 import pytest
 
 from specmap_cli.core.errors import InputError, LogError, SpecmapError
+from specmap_cli.core.process import give_memory_back
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.maps.writing import write_scans
 from specmap_cli.pipelines import finishing
@@ -262,3 +264,19 @@ def test_a_map_is_the_same_with_and_without_the_child(
     one, two = files_in(tmp_path / "one"), files_in(tmp_path / "two")
     assert len(one) > 5
     assert [name for name in one if one[name] != two[name]] == ["run.json"], "which holds seconds"
+
+
+def resident_kb() -> int:
+    status = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+    return next(int(line.split()[1]) for line in status if line.startswith("VmRSS:"))
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library keeps no holes")
+def test_holes_between_what_is_held_go_back() -> None:
+    blocks = [np.ones(12_000) for _ in range(1000)]  # 96 kB each: too small to be mapped alone
+    held = blocks[99::100]  # the last among them: what lies before are holes
+    full = resident_kb()
+    del blocks
+    give_memory_back()
+    assert full - resident_kb() > 0.9 * 1000 * 12_000 * 8 / 1024
+    assert sum(float(each.sum()) for each in held) == 12_000.0 * 1000 / 100

@@ -47,9 +47,7 @@ from tests.strategies import few, poses
     ("view", "beams", "reach"),
     [(np.pi, 180, 10.0), (1.5 * np.pi, 720, 10.0), (2 * np.pi, 240, 10.0), (2 * np.pi, 360, 4.0)],
 )
-def test_tracks_lasers_of_all_kinds(
-    world: GridMap, view: float, beams: int, reach: float, odometry: bool
-) -> None:
+def test_all_lasers(world: GridMap, view: float, beams: int, reach: float, odometry: bool) -> None:
     truth = path()
     front_end, scans = run(sweeps(world, truth, view, beams, reach, odometry))
     assert np.less(worst(scans, truth), (0.08, 0.03)).all()

@@ -71,9 +71,7 @@ def test_what_a_cut_database_still_holds_is_read(path: Path, driven: list[Messag
     assert outcomes == {True, False}
 
 
-def test_a_bag_with_wrong_index_records_is_read_by_its_list_of_chunks(
-    path: Path, driven: list[Message]
-) -> None:
+def test_a_bag_with_a_wrong_index_is_read_by_its_chunks(path: Path, driven: list[Message]) -> None:
     write_bag(path, driven)
     data = path.read_bytes()
     start = data.rindex(struct.pack("<I", 47), 0, data.index(b"op=\x04"))

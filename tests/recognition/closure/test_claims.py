@@ -199,7 +199,7 @@ def told(old: Stay, new: Stay, check: Check | None) -> Decision:
         ({"old_from_new": Pose2(0.0, 1.01, 0.0)}, True, False, APART),
     ],
 )
-def test_every_verdict_says_why(
+def test_why_is_said(
     change: dict[str, Any] | None, verified: bool, merged: bool, reason: str
 ) -> None:
     found = told(stay(), stay(1), None if change is None else replace(SURE, **change))
