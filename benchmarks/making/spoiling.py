@@ -195,12 +195,13 @@ def stretched(factor: float) -> Spoiling:
     return stretch
 
 
-def turned_laser(turn_rad: float) -> Spoiling:
-    """A laser that looks elsewhere than the log says."""
+def misplaced_laser(ahead_m: float, turn_rad: float) -> Spoiling:
+    """A laser that sits, or looks, elsewhere than the log says."""
+    away = Pose2(ahead_m, 0.0, turn_rad)
 
     def turn(sweeps: Sweeps) -> Iterator[Sweep]:
         for sweep in sweeps:
-            yield replace(sweep, base_from_laser=sweep.base_from_laser @ Pose2(0.0, 0.0, turn_rad))
+            yield replace(sweep, base_from_laser=away @ sweep.base_from_laser)
 
     return turn
 

@@ -48,7 +48,14 @@ _AGAINST = (
 )
 _CODES = (
     *("lost-scans", "tracking-break", "hole-in-log", "unmeasured-way", "odometry-disagrees"),
-    *("loose-part", "walls-disagree", "part-moved", "rival-place", "layout-refused"),
+    *(
+        "laser-misplaced",
+        "loose-part",
+        "walls-disagree",
+        "part-moved",
+        "rival-place",
+        "layout-refused",
+    ),
     *("closures-refuted", "beyond-grid", "too-narrow", "input"),
 )
 BOUNDED = (*_FIGURES, *_AGAINST, *(FINDINGS + code for code in _CODES))  # what a rule can bound

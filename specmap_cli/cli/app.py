@@ -159,10 +159,12 @@ def _advice(error: Any, context: Any) -> str:
         key = SETTINGS.meant(error.option_name.strip("-").replace("-", "_"))
         return f"a setting is given as --set {key}=VALUE; {usual}" if "." in key else usual
     if "--map" in getattr(getattr(error, "param", None), "opts", ()):
+        from pathlib import Path
+
         from specmap_cli.maps.filenames import TOPOLOGY
 
         for path in context.params.get("logs") or ():
-            if (path / TOPOLOGY).is_file():
+            if (Path(path) / TOPOLOGY).is_file():
                 return f"a map is given as --map {path}; {usual}"
     return usual
 

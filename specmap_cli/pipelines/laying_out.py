@@ -84,6 +84,7 @@ def lay_out(session: Session, explored: Explored, tracking: Tracking, name: str)
             warnings=tracking.warnings,
             holes=holes_of(store, rows, trajectory, layout, explored.breaks),
             stretches=stretches_of(store.guessed_m, layout),
+            mounting=store.base_from_laser(0),
         )
         findings = tuple(of_recording(evidence))
     stamps = np.array(store.stamps_ns, dtype=np.int64)

@@ -27,6 +27,8 @@ from specmap_cli.core.geometry import (
     moved,
     path_length,
     step_lengths,
+    travelled,
+    wrap_angles,
 )
 from specmap_cli.core.records import BoolArray, IntArray, Trajectory
 from specmap_cli.grids.keyframes import KeyframeStore
@@ -50,6 +52,16 @@ _OFF_M = 0.1  # by which a stretch may be off before anybody asks
 _JUMP = 0.5  # share of a drive in one step that makes it a jump
 _BEFORE = 10  # keyframes before a hole that tell which walls stood around: one sees not all
 _RANGE_M = 12.0  # of walls that are compared: farther ones show every error of the heading
+
+# By which a laser may sit elsewhere than the log says, and look elsewhere, before it is told.
+MISPLACED_M, MISPLACED_RAD = 0.3, 0.1
+_PIECE_M, _PIECE_RAD = 1.0, 0.5  # way and turn of a piece that tells where the laser is
+_PIECES = 20  # fewer of them tell nothing
+_SLOW = 0.5  # share of a piece below which it is the noise of a robot that stands
+_TURNED_ALIKE_RAD = 0.1  # in a piece, or odometry is late: that would look like a wrong place
+_HUBER, _MEDIAN_OFF = 1.345, 1.177  # standard deviations: where doubt begins; of half of all
+_LEAST_OFF_M = 1e-3  # by which pieces differ at least: the last digit of a log
+_ROUNDS = 20  # of weighting the pieces anew: later ones change nothing
 
 HoleKind = Literal["missing", "lost", "rest"]
 
@@ -95,7 +107,7 @@ class Evidence:
     keyframes, `breaks` the numbers of those at which tracking started afresh. `beyond` of them did
     not fit into the largest grid allowed. `warnings` are of reading and registration, `holes` those
     of the recording, `stretches` what of its way was guessed. Recordings after the first one begin
-    with the keyframes `starts`.
+    with the keyframes `starts`. `mounting` is the place of the laser on the base by the log.
     """
 
     trajectory: Trajectory
@@ -107,6 +119,7 @@ class Evidence:
     holes: tuple[Hole, ...] = ()
     stretches: tuple[Stretch, ...] = ()
     starts: tuple[int, ...] = ()
+    mounting: Pose2 = IDENTITY
 
     def at_keyframe(self, number: int) -> Where:
         """When a keyframe was seen, and where it lies in the map."""
@@ -278,3 +291,48 @@ def _alike(store: KeyframeStore, poses: FloatArray, keyframe: int) -> float:
 def is_still(motion: Pose2) -> bool:
     """Whether a robot with this motion over a hole stood."""
     return motion.distance <= STILL_M and abs(motion.theta) <= STILL_RAD
+
+
+def base_by_odometry(trajectory: Trajectory) -> Pose2:
+    """The base that odometry moves, seen from that of the map.
+
+    Where the laser is not where the log says, the base of the map goes in a circle round the right
+    one when the robot turns. In complex numbers a piece of the way that the map has as m, turned by
+    a, is q = s (m + (exp(ia) - 1) p) by odometry: p is the place of the right base, s has its
+    heading and the scale of the wheels (Censi et al., "Simultaneous Calibration of Odometry and
+    Sensor Parameters for Mobile Robots", T-RO 2013). They follow by least squares with Huber's
+    weights. IDENTITY where too little of the way tells of them, or where they are no more than
+    `MISPLACED_M` and `MISPLACED_RAD` and two standard deviations off.
+    """
+    if trajectory.odometry is None:
+        return IDENTITY
+    known = np.isfinite(trajectory.odometry[:, 0])
+    if trajectory.lost is not None:
+        known &= ~trajectory.lost
+    poses, odometry = trajectory.poses[known], trajectory.odometry[known]
+    turned = np.append(0.0, np.abs(wrap_angles(np.diff(poses[:, 2])))).cumsum()[: len(poses)]
+    pieces = travelled(poses) / _PIECE_M + turned / _PIECE_RAD
+    cuts = np.flatnonzero(np.diff(pieces // 1.0))
+    by_map, by_odometry = (compose(invert(p[cuts[:-1]]), p[cuts[1:]]) for p in (poses, odometry))
+    used = np.abs(wrap_angles(by_map[:, 2] - by_odometry[:, 2])) <= _TURNED_ALIKE_RAD
+    used &= np.hypot(*by_map[:, :2].T) / _PIECE_M + np.abs(by_map[:, 2]) / _PIECE_RAD > _SLOW
+    m, q = (motions[used, 0] + 1j * motions[used, 1] for motions in (by_map, by_odometry))
+    c, weights = np.exp(1j * by_map[used, 2]) - 1.0, np.ones(len(m))
+    if len(m) < _PIECES:
+        return IDENTITY
+    for _ in range(_ROUNDS):
+        mm, cc = (weights * abs(m) ** 2).sum(), (weights * abs(c) ** 2).sum()
+        mc, mq, cq = ((weights * a.conj() * b).sum() for a, b in ((m, c), (m, q), (c, q)))
+        free = mm * cc - abs(mc) ** 2
+        if not free > 0.0:  # it never turned, or drove one circle
+            return IDENTITY
+        s, sp = (cc * mq - mc * cq) / free, (mm * cq - mc.conj() * mq) / free
+        off = abs(q - s * m - sp * c)
+        usual = max(float(np.median(off)) / _MEDIAN_OFF, _LEAST_OFF_M)
+        weights = _HUBER * usual / np.maximum(off, _HUBER * usual)
+    place, turn = sp / s, -float(np.angle(s))
+    sure_m, sure_rad = 2.0 * usual / abs(s) * np.sqrt(np.array([mm, cc]) / free)
+    elsewhere = abs(place) - sure_m > MISPLACED_M or abs(turn) - sure_rad > MISPLACED_RAD
+    if sure_rad > MISPLACED_RAD or not elsewhere:
+        return IDENTITY
+    return Pose2(float(place.real), float(place.imag), turn)

@@ -12,12 +12,21 @@ import numpy as np
 
 from specmap_cli.core.arrays import runs
 from specmap_cli.core.findings import INPUT, Finding
-from specmap_cli.core.geometry import FloatArray, compose, invert, step_lengths, travelled
+from specmap_cli.core.geometry import (
+    IDENTITY,
+    FloatArray,
+    compose,
+    invert,
+    step_lengths,
+    travelled,
+)
 from specmap_cli.core.text import counted
 from specmap_cli.layout.audit import DOUBTFUL
 from specmap_cli.layout.path_graph import Ends
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.quality.evidence import (
+    MISPLACED_M,
+    MISPLACED_RAD,
     MOVED_M,
     MOVED_VOTES,
     ODOMETRY_SLIP_SHARE,
@@ -26,13 +35,14 @@ from specmap_cli.quality.evidence import (
     STILL_M,
     STILL_RAD,
     Evidence,
+    base_by_odometry,
     graded,
     told,
 )
 from specmap_cli.quality.holes import ODOMETRY_SHARE, noted, unwatched
 
 LOST, BREAK = "lost-scans", "tracking-break"
-UNMEASURED, ODOMETRY = "unmeasured-way", "odometry-disagrees"
+UNMEASURED, ODOMETRY, MISPLACED = "unmeasured-way", "odometry-disagrees", "laser-misplaced"
 
 _LOST_SHARE = 0.02  # share of lost scans above which a map is doubtful
 _LOST_SHARE_POOR = 0.2  # share of lost scans above which a map is poor
@@ -117,15 +127,37 @@ def unmeasured_way(evidence: Evidence) -> Iterator[Finding]:
         )
 
 
+def laser_misplaced(evidence: Evidence) -> Iterator[Finding]:
+    """A laser that is not where the log says: the way of the map is not that of the base."""
+    base = base_by_odometry(evidence.trajectory)
+    if base == IDENTITY:
+        return
+    laser, turn_rad = base.inverse() @ evidence.mounting, abs(base.theta)
+    away = base.distance > MISPLACED_M
+    yield Finding(
+        code=MISPLACED,
+        # without a mounting in the log, the laser is the base, and the map is right of it
+        severity="note" if evidence.mounting == IDENTITY else "doubtful",
+        message=f"by odometry the laser sits on the base at x {laser.x:.2f} m, y {laser.y:.2f} m, "
+        f"turned by {_degrees(laser.theta)}: {base.distance:.2f} m and {_degrees(turn_rad)} from "
+        "where the log has it",
+        advice="correct the transform from the base to the laser",
+        value=base.distance if away else turn_rad,
+        limit=MISPLACED_M if away else MISPLACED_RAD,
+    )
+
+
 def odometry_disagrees(evidence: Evidence) -> Iterator[Finding]:
     """Odometry that tells another way than the map: everywhere, or in single places.
 
-    Everywhere that wheels turn: it is of another robot or clock, or the laser is not where the log
-    says. In a single place wheels slip, or the robot is carried, which is no fault of the map.
+    Everywhere that wheels turn: the laser is not where the log says, or the odometry is of another
+    robot or clock. In a single place wheels slip, or the robot is carried, which is no fault of the
+    map.
     """
     poses, odometry = evidence.trajectory.poses, evidence.trajectory.odometry
     if odometry is None or not evidence.measured.any():
         return
+    poses = compose(poses, np.array(base_by_odometry(evidence.trajectory)))  # that of the wheels
     way = travelled(poses)
     starts = np.searchsorted(
         way, np.arange(0.0, way[-1] - ODOMETRY_WINDOW_M, 0.5 * ODOMETRY_WINDOW_M)
@@ -151,7 +183,7 @@ def odometry_disagrees(evidence: Evidence) -> Iterator[Finding]:
         return
     where = evidence.at_scan(int(starts[worst]))
     place = "nearly everywhere" if everywhere else f"at {told(where)}, elsewhere by {usual:.0%}"
-    advice = "is the odometry of this robot and this clock, is the laser where the log says?"
+    advice = "is the odometry of this robot and this clock?"
     yield Finding(
         code=ODOMETRY,
         severity="doubtful" if everywhere else "note",
@@ -163,9 +195,22 @@ def odometry_disagrees(evidence: Evidence) -> Iterator[Finding]:
     )
 
 
+def _degrees(angle: float) -> str:
+    return counted(round(math.degrees(angle)), "degree")
+
+
 def of_recording(evidence: Evidence) -> list[Finding]:
     """What is to be said of a recording, wherever its map is laid into another one."""
-    checks = (lost_scans, unmoved, breaks, unwatched, noted, unmeasured_way, odometry_disagrees)
+    checks = (
+        lost_scans,
+        unmoved,
+        breaks,
+        unwatched,
+        noted,
+        unmeasured_way,
+        laser_misplaced,
+        odometry_disagrees,
+    )
     inputs = [Finding(code=INPUT, severity="note", message=text) for text in evidence.warnings]
     return [finding for check in checks for finding in check(evidence)] + inputs
 

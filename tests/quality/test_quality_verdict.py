@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 import tracemalloc
 from collections.abc import Sequence
 from dataclasses import replace
@@ -8,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from specmap_cli.core.findings import Finding, Severity, Where, summary
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.findings import Finding, Quality, Severity, Where, summary
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, compose
 from specmap_cli.layout.audit import Agreement
 from specmap_cli.layout.path_graph import step_information
 from specmap_cli.layout.pose_graph import Link
@@ -200,6 +201,49 @@ def test_odometry_is_compared_where_there_is_some_and_a_slip_of_wheels_is_a_note
     assert finding.message.endswith("elsewhere by 0%")
     assert finding.place is not None
     assert 44.0 <= finding.place[0] <= 50.0
+
+
+def wandering(away: Pose2 = IDENTITY, late: int = 0, turn: float = 1.0, **told: Any) -> Quality:
+    """A drive whose map has the base `away` from that of odometry, which comes `late`."""
+    rng = np.random.default_rng(0)
+    angles = np.repeat(rng.uniform(-1.0, 1.0, 60), 8).cumsum() * 0.1
+    steps = np.append(np.stack([np.cos(angles), np.sin(angles)]) * 0.1, [angles], axis=0).T
+    wheels = np.append(steps[:, :2].cumsum(axis=0), angles[:, None], axis=1)
+    odometry = np.roll(wheels, late, axis=0) * (1.0, 1.0, turn)
+    noise = rng.normal(0.0, 0.01, wheels.shape) * (1.0, 1.0, 0.1)
+    poses = compose(wheels, np.array(away)) + noise
+    return judged(evidence_of(poses, 10**8, odometry=odometry, **told))
+
+
+@pytest.mark.parametrize(
+    ("away", "said"),
+    [
+        (Pose2(1.0, 0.2, 0.0), (1.2, 0.2, 0, 1.02, 0)),
+        (Pose2(0.0, 0.0, -0.2), (0.196, -0.04, -11, 0, 11)),
+        (Pose2(0.0, 0.2, 3.1), (-0.2, 0.21, 178, 0.2, 178)),
+    ],
+)
+def test_odometry_and_map_tell_where_the_laser_is(away: Pose2, said: tuple[float, ...]) -> None:
+    """The base is away from the right one as the log has the laser away from where it is."""
+    (finding,) = wandering(away, mounting=Pose2(0.2, 0.0, 0.0)).findings
+    assert (finding.code, finding.severity) == ("laser-misplaced", "doubtful")
+    found = [float(number) for number in re.findall(r"-?\d+(?:\.\d+)?", finding.message)]
+    assert found == pytest.approx(said, abs=0.02)
+    (unknown,) = wandering(away).findings
+    assert unknown.severity == "note"
+
+
+def test_late_or_foreign_odometry_and_a_drive_without_turns_put_no_laser_elsewhere() -> None:
+    for found in (
+        wandering(),
+        wandering(late=5),
+        wandering(turn=-1.0),
+        wandering(Pose2(0.2, 0, 0.05)),
+    ):
+        assert "laser-misplaced" not in [one.code for one in found.findings]
+    base = evidence()
+    moved = compose(base.trajectory.poses, np.array((1.0, 0.0, 0.0)))
+    assert judged(travelled(base, poses=moved)).findings == ()
 
 
 @pytest.mark.parametrize(("end", "count"), [(70, 0), (90, 1)])
