@@ -58,7 +58,7 @@ MISPLACED_M, MISPLACED_RAD = 0.3, 0.1
 _PIECE_M, _PIECE_RAD = 1.0, 0.5  # way and turn of a piece that tells where the laser is
 _PIECES = 20  # fewer of them tell nothing
 _SLOW = 0.5  # share of a piece below which it is the noise of a robot that stands
-_TURNED_ALIKE_RAD = 0.1  # in a piece, or odometry is late: that would look like a wrong place
+_ALIKE_RAD = 0.1  # turns of map and odometry, in most pieces that turn: late odometry has others
 _HUBER, _MEDIAN_OFF = 1.345, 1.177  # standard deviations: where doubt begins; of half of all
 _LEAST_OFF_M = 1e-3  # by which pieces differ at least: the last digit of a log
 _ROUNDS = 20  # of weighting the pieces anew: later ones change nothing
@@ -314,12 +314,14 @@ def base_by_odometry(trajectory: Trajectory) -> Pose2:
     pieces = travelled(poses) / _PIECE_M + turned / _PIECE_RAD
     cuts = np.flatnonzero(np.diff(pieces // 1.0))
     by_map, by_odometry = (compose(invert(p[cuts[:-1]]), p[cuts[1:]]) for p in (poses, odometry))
-    used = np.abs(wrap_angles(by_map[:, 2] - by_odometry[:, 2])) <= _TURNED_ALIKE_RAD
-    used &= np.hypot(*by_map[:, :2].T) / _PIECE_M + np.abs(by_map[:, 2]) / _PIECE_RAD > _SLOW
+    alike = np.abs(wrap_angles(by_map[:, 2] - by_odometry[:, 2])) <= _ALIKE_RAD
+    turning = np.abs(by_map[:, 2]) > _ALIKE_RAD
+    driven = np.hypot(*by_map[:, :2].T) / _PIECE_M + np.abs(by_map[:, 2]) / _PIECE_RAD > _SLOW
+    used = alike & driven
+    if used.sum() < _PIECES or 2 * (alike & turning).sum() < turning.sum():
+        return IDENTITY
     m, q = (motions[used, 0] + 1j * motions[used, 1] for motions in (by_map, by_odometry))
     c, weights = np.exp(1j * by_map[used, 2]) - 1.0, np.ones(len(m))
-    if len(m) < _PIECES:
-        return IDENTITY
     for _ in range(_ROUNDS):
         mm, cc = (weights * abs(m) ** 2).sum(), (weights * abs(c) ** 2).sum()
         mc, mq, cq = ((weights * a.conj() * b).sum() for a, b in ((m, c), (m, q), (c, q)))
