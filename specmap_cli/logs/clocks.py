@@ -206,5 +206,5 @@ def odometry_of(message: Message, odometry_frame: str | None) -> TransformRecord
     """
     if message.type != TF_MESSAGE:
         return decode_odometry(message)
-    records = decode_transforms(message).records
+    records = decode_transforms(message)[0]
     return next((record for record in records if record.parent == odometry_frame), None)

@@ -139,13 +139,13 @@ class OdometryListener:
                 self.renamed += 1
             heard.append((record.stamp_ns, odom_from_base))
         else:
-            transforms = decode_transforms(message)
-            for record in transforms.records:  # the chain to the base: its first link sets the time
+            records, left_out = decode_transforms(message)
+            for record in records:  # the chain to the base: its first link sets the time
                 if record.child in self._chain:
                     self._tree.add(record, dynamic=True)
                     if record.parent == odom:
                         heard.append((record.stamp_ns, self._tree.lookup(odom, base)))
-            absurd = [child for _, child in transforms.absurd if child in self._chain]
+            absurd = [child for _, child in left_out if child in self._chain]
         for stamp_ns, pose in heard:
             if pose is not None:
                 self.heard += 1

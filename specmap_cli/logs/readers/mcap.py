@@ -13,14 +13,12 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from io import BytesIO
-from pathlib import Path
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.records import Channel as ChannelRecord
 from mcap.records import ChunkIndex, Footer, Schema, Statistics
 
-from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.readers import chunked
 from specmap_cli.logs.readers.compression import Unpacked, decompress
 from specmap_cli.logs.readers.encoding import normalized_type
@@ -52,14 +50,9 @@ class McapFile(chunked.ChunkedFile):
     format = "MCAP"
     magic = MAGIC
 
-    def __init__(
-        self, file: Path, path: Path | None = None, config: LogConfig | None = None
-    ) -> None:
+    def _read_index(self) -> chunked.Index | None:
         self._schemas: dict[int, str] = {}
         self._told: dict[int, int] = {}  # messages by channel, as a statistics record has them
-        super().__init__(file, path, config)
-
-    def _read_index(self) -> chunked.Index | None:
         footer = self._footer()
         if footer is None:
             return None
