@@ -99,10 +99,7 @@ def known_settings(settings: Mapping[str, Any]) -> tuple[dict[str, Any], list[st
 
 
 def _validated(settings: dict[str, Any], where: str, given: Mapping[str, Any]) -> Config:
-    """The configuration; `where` is to blame for a wrong key that is not among the overrides given.
-
-    Warns of retired settings.
-    """
+    """The configuration; warns of retired settings. `where` is to blame but for what was given."""
     left, retired = without_retired(settings)
     for key, value in retired.items():
         no_effect = f"; {json.dumps(value, default=str)} has no effect"

@@ -199,11 +199,17 @@ def exact(distances: LengthArray) -> FloatArray:
     return np.asarray(np.sqrt(np.rint(squares, out=squares), out=squares))
 
 
-def joined(cells: BoolArray, seeds: BoolArray) -> BoolArray:
-    """(H, W) the parts of `cells` that hold one of the `seeds`; cells join over their sides."""
-    _, parts = cv2.connectedComponents(cells.view(np.uint8), connectivity=4)
-    held = np.zeros(int(parts.max(initial=0)) + 1, dtype=np.bool_)
-    held[parts[seeds & cells]] = True
+def joined(
+    cells: BoolArray, seeds: BoolArray | tuple[NDArray[np.intp], ...], connectivity: int = 4
+) -> BoolArray:
+    """(H, W) the parts of `cells` that hold one of the `seeds`, a mask or rows and columns.
+
+    Cells join over their sides, with a `connectivity` of 8 over corners, too.
+    """
+    count, parts = cv2.connectedComponents(cells.view(np.uint8), connectivity=connectivity)
+    held = np.zeros(count, dtype=np.bool_)
+    held[parts[seeds]] = True
+    held[0] = False  # what is no cell
     return looked_up(held, parts)
 
 

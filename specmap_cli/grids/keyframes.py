@@ -320,11 +320,7 @@ def _shown(
     numbers: IntArray,
     wanted: BoolArray,
 ) -> Iterator[tuple[int, IntArray]]:
-    """Keyframes, in turn, that hit any of the cells `wanted` (H, W) by then, with all they hit.
-
-    After its turn what it hit is not wanted any more, nor are the cells around, as far as a scan
-    errs. It ends when nothing is wanted.
-    """
+    """Keyframes, in turn, that hit cells `wanted` (H, W) by then; these are wanted no more."""
     from scipy.spatial import cKDTree  # slow to load, and only an update asks
 
     centres = walls.centres_of(np.argwhere(wanted))

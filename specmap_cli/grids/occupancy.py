@@ -255,11 +255,7 @@ def fans_of(
 def _stars(
     beams: _Indices, x: FloatArray, y: FloatArray, laser: FloatArray, first: _Indices, gap: float
 ) -> tuple[NDArray[np.int32], _Indices]:
-    """The stars of all scans, one after the other, and where each begins.
-
-    A star stands at its scan's laser (n, 2) before the first end of each surface: a beam is left
-    out before it, or its end is more than `gap` from that of the beam before.
-    """
+    """The stars of all scans and where each begins: at the laser before each new surface's ends."""
     begins = np.empty(len(x), dtype=np.bool_)
     begins[1:] = np.diff(beams) != 1
     begins[1:] |= np.diff(x) ** 2 + np.diff(y) ** 2 > gap * gap

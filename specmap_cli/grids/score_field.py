@@ -278,10 +278,7 @@ def _size(step: Step) -> float:
 
 
 def _step(here: Sample, damping: float) -> Step:
-    """The Gauss-Newton step from a pose, cut to the longest allowed; `damping` is that of a point.
-
-    The normal equations are solved by L D L^T: LAPACK rounds otherwise on another processor.
-    """
+    """The Gauss-Newton step, cut, by L D L^T: LAPACK rounds otherwise on another processor."""
     equations = here.equations()
     # the lower half of the normal matrix, and the right side
     (a, *_), (b, c, *_), (d, e, f, _), (x, y, z, _) = product(equations, equations.T).tolist()

@@ -172,10 +172,7 @@ def without_keyframes(
 
 
 def _links_of(layout: Layout, numbers: IntArray, recordings: IntArray) -> list[Link]:
-    """The links with ends that are kept, by their old numbers; of those moved there one a pair.
-
-    An end that is gone moves to the keyframe next to it along the way, of the same recording.
-    """
+    """Links by old numbers; ends that are gone move along the way, and one a pair is kept then."""
     nearest = np.arange(len(recordings))
     kept = np.isin(nearest, numbers)
     for recording in np.unique(recordings[~kept]).tolist():
@@ -197,10 +194,7 @@ def _links_of(layout: Layout, numbers: IntArray, recordings: IntArray) -> list[L
 
 
 def _between(layout: Layout, spread: Uncertainty, source: int, target: int, link: Link) -> Link:
-    """A link between two other keyframes, which lie as in the layout.
-
-    To the error of the link come those of the ways from its ends to these two, by `spread`.
-    """
+    """A link moved to two other keyframes as laid out; to its error comes that of the ways."""
     ends = layout.poses[[source, link.source, link.target, target]]
     rows = np.searchsorted(layout.nodes, [source, link.source, link.target, target], side="right")
     way_there, way_on = (

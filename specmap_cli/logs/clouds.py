@@ -98,10 +98,7 @@ def cloud_points(
 
 
 def _times(table: NDArray[np.void], stamp_ns: int, clock: PointClock) -> FloatArray | None:
-    """Seconds (N,) after the stamp as recorded, None without such a field.
-
-    Times nearer to the stamp than to zero are absolute.
-    """
+    """Seconds (N,) after the stamp, None without such a field; as recorded, absolute or not."""
     name = next((field for field in table.dtype.names or () if field.lower() in TIME_FIELDS), None)
     if name is None or not len(table):
         return None
@@ -212,11 +209,7 @@ def _best_layer(points: FloatArray, tilts: FloatArray) -> tuple[int, float]:
 
 
 def _plane(points: FloatArray) -> tuple[FloatArray, float] | None:
-    """The plane z = a x + b y + c of points (N, 3) by least squares: its normal, its height.
-
-    The height is that of the point of the plane nearest the origin, along the normal. None for
-    points that are too few, or too near each other some way, to fix a plane.
-    """
+    """The normal and height along it of a plane through points (N, 3); None of no clear one."""
     if len(points) < _FEWEST:
         return None
     x, y = (points[:, :2] - points[:, :2].mean(axis=0)).T
@@ -310,11 +303,7 @@ class CloudFlattener:
         )
 
     def _choose_bearings(self, turn: FloatArray) -> None:
-        """Settle on the bearings from the first cloud's returns at any height.
-
-        Beams of a planar laser that are as far apart as the bearings would lie on the borders of
-        these, two in the one bin and none in the next: the bearings are shifted to where they lie.
-        """
+        """Settle on the bearings, such that beams of a planar laser lie on no border of theirs."""
         for halvings in range(_MAX_HALVINGS + 1):
             beams = _CLOUD_BEAMS >> halvings
             if self._planar:

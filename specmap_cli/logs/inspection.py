@@ -88,10 +88,7 @@ def summarize(
 
 
 def _start_of(log: Log) -> tuple[int, list[str]]:
-    """When a log begins, ns, and a line of topics that begin before there were robots' logs.
-
-    These do not count: a recorder that never set the time of one message says nothing of the rest.
-    """
+    """When a log begins, ns, and a line of topics whose recorder's clock had not been set."""
     earliest_ns, contents = summary.EARLIEST_STAMP_S * NS_PER_S, log.contents
     if not contents.start_ns < earliest_ns <= contents.end_ns:
         return contents.start_ns, []
@@ -148,10 +145,7 @@ def _look(log: Log, config: LogConfig, *, complete: bool) -> _Look:
 
 
 def _preview(stream: SweepStream, *, complete: bool) -> tuple[summary.Preview | None, Sweep | None]:
-    """What the first scans, or all of them, tell but for their stamps; and the first sweep.
-
-    None twice when there is no usable scan among them.
-    """
+    """What the first scans, or all, tell but for their stamps; the first sweep; or None twice."""
     first: Sweep | None = None
     stamps, places = array("q"), array("d")
     readings = invalid = stale = 0
@@ -216,11 +210,7 @@ class _Steps:
 
 
 class _Reading:
-    """The stamps of messages: of all topics by name and type, and header stamps of those chosen.
-
-    Stamps are those of the headers of scans and odometry, otherwise the recorder's times.
-    `unusable` counts the messages that cannot be decoded.
-    """
+    """Stamps of all topics by name and type, header stamps of those chosen, what is unusable."""
 
     def __init__(self, chosen: Selection | None) -> None:
         topics = (chosen.topic.name, *chosen.odom_topics) if chosen is not None else ()

@@ -136,11 +136,7 @@ def open_log(paths: Paths, config: LogConfig | None = None) -> Log:
 
 
 def _files_at(path: Path, readers: _Readers) -> Iterator[Path]:
-    """The file at a path, or the recordings in a directory by name.
-
-    Raises LogError for other things: a pipe, a socket or a device would keep a reader waiting,
-    perhaps for ever.
-    """
+    """The file at a path, or the recordings in a directory by name; LogError for other things."""
     try:
         mode = path.stat().st_mode
     except OSError as error:
@@ -170,10 +166,7 @@ _PACKED = re.compile(r"\.(zstd?|gz|bz2|lz4)$")
 
 
 def _not_read(folder: Path, recordings: Sequence[Recording]) -> Iterator[str]:
-    """A line for each file that the metadata of a directory names and that is not read.
-
-    One that was renamed is read: another in the directory has as many messages.
-    """
+    """A line for each file that the metadata names and that is neither read nor renamed."""
     recorded = {_PACKED.sub("", name): told for name, told in recorded_files(folder).items()}
     read = {_PACKED.sub("", one.path.name): one for one in recordings}
     here = {name: one for name, one in read.items() if one.path.parent == folder}

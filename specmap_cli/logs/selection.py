@@ -233,10 +233,7 @@ def place_laser(
 
 
 def _carrier(tree: TransformTree, laser_frame: str) -> str:
-    """The frame that carries the laser, by no name: what odometry moves, else the highest frame.
-
-    That is the highest that stands still against the laser.
-    """
+    """The frame that odometry moves, by no name; else the highest that the laser is fixed to."""
     steps = list(pairwise(tree.ancestors(laser_frame)))
     for below, above in steps:
         if "odom" in above.lower() or above.rpartition("/")[2] in _STANDING:

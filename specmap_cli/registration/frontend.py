@@ -177,10 +177,7 @@ class FrontEnd:
         )
 
     def _judged(self, view: SweepView, expected: ExpectedMotion, local: LocalMap) -> Judgement:
-        """Where the sweep was taken, and whether that can be believed.
-
-        If it refutes the first one of a map, it begins a map itself.
-        """
+        """Where the sweep was taken, and if that is believed; it may refute the first of a map."""
         scene, track = Scene(view=view, local=local, config=self.config), self._track
         guess = MotionGuess(
             pose=best_guess(scene, track.pose, expected),
@@ -211,10 +208,7 @@ class FrontEnd:
     def _conclude(
         self, judgement: Judgement, view: SweepView, local: LocalMap, *, walls: bool
     ) -> None:
-        """Keep the pose, insert a keyframe when due, end the map after a run of lost sweeps.
-
-        The sweep sees `walls` enough for a keyframe, unless it is lost.
-        """
+        """Keep the pose, insert a keyframe when due if `walls` are seen, end a map that is lost."""
         fit, track = judgement.fit, self._track
         step = Pose2.from_matrix(track.pose).inverse() @ fit.planar
         self._motion.conclude(step, confirmed=judgement.proven)

@@ -23,6 +23,7 @@ from specmap_cli.grids.gridmap import (
     LengthArray,
     bands_of,
     contacts,
+    joined,
     looked_up,
     nearest_values,
     window_of,
@@ -100,11 +101,9 @@ def _watershed(
 ) -> LabelArray:
     """(h, w) labels flooded from the nodes (n, 2); -1 on the lines between two of them and apart.
 
-    This is Meyer's watershed on a relief whose height falls with the clearance, from `top` on: two
-    fronts meet where the passage between them is narrowest. OpenCV takes cells in the order of the
-    difference between neighbours. So the heights stand on a checkerboard of signs, where that
-    difference is the sum of both, and a second channel makes the step into a wall the last of all.
-    It floods walls, too, and free cells behind them.
+    Meyer's watershed: two fronts meet where the passage is narrowest, as height falls with the
+    clearance from `top` on. OpenCV takes cells by the difference between neighbours, so heights
+    stand on a checkerboard of signs; a second channel makes the step into a wall the last.
     """
     rows, columns = clearance.shape
     picture = np.full((rows + 2, columns + 2, 3), (0, 255, 0), dtype=np.uint8)
@@ -127,17 +126,8 @@ def _watershed(
     flooded = markers[1:-1, 1:-1].astype(np.int16)
     del markers
     flooded -= 1
-    flooded[(flooded < 0) | ~_held(clearance > 0.0, nodes)] = -1
+    flooded[(flooded < 0) | ~joined(clearance > 0.0, tuple(nodes.T), connectivity=8)] = -1
     return flooded
-
-
-def _held(free: BoolArray, seeds: IndexArray) -> BoolArray:
-    """(h, w) the pieces of `free` that hold a seed (n, 2); cells join over sides and corners."""
-    count, piece = cv2.connectedComponents(free.view(np.uint8), connectivity=8)
-    held = np.zeros(count, dtype=bool)
-    held[piece[tuple(seeds.T)]] = True
-    held[0] = False
-    return looked_up(held, piece)
 
 
 def nearest_labels(free: BoolArray, nodes: IndexArray, labels: LabelArray) -> LabelArray:
@@ -313,10 +303,7 @@ def consensus(divisions: Sequence[LabelArray]) -> LabelArray:
 
 
 def _agreed(others: list[LabelArray], cells: FloatArray) -> LabelArray:
-    """(k,) `consensus` of kinds of cells, of each of which there are so many `cells` (k,).
-
-    `others` (k,) are their labels from 1 on, 0 for none.
-    """
+    """(k,) `consensus` of kinds of so many `cells` (k,); labels `others` (k,) from 1 on, or 0."""
     likeness = [math.fsum(_alike(one, other, cells)[1] for other in others) for one in others]
     middle = others.pop(int(np.argmax(likeness)))
     for other in others:
@@ -335,11 +322,7 @@ def _agreed(others: list[LabelArray], cells: FloatArray) -> LabelArray:
 
 
 def _alike(one: LabelArray, other: LabelArray, cells: FloatArray) -> tuple[FloatArray, float]:
-    """Intersection over union (k, l) of the regions 1, 2, ... of two divisions (n,); 0: no region.
-
-    Each of the n stands for so many `cells`. Also the mean, over the regions of both that have
-    cells, of the best of each.
-    """
+    """IoU (k, l) of regions 1, 2, ... of two divisions (n,) of such `cells`; mean of the best."""
     shape = int(one.max(initial=0)) + 1, int(other.max(initial=0)) + 1
     pairs = np.multiply(one, shape[1], dtype=np.intp) + other
     shared = np.bincount(pairs, cells, shape[0] * shape[1]).reshape(shape)

@@ -138,10 +138,7 @@ def segment(grid: GridMap, config: SegmentationConfig, *, rooms: bool = False) -
 def _divided(
     work: GridMap, config: SegmentationConfig, block: int
 ) -> tuple[LabelArray, VisibilityGraph, Spectrum]:
-    """Steps 1 to 4 of `segment`: the regions (h, w) of a working grid, with its furniture.
-
-    Also what the first placement led to. Nodes stand in blocks of `block` x `block` cells.
-    """
+    """Steps 1 to 4 of `segment`: regions (h, w); and what the first placement led to."""
     cell_m = work.resolution
     small = furniture(work.free, cell_m, config)  # step 1
     opened = space = work.free | small
@@ -178,11 +175,7 @@ def _placement(
     block: int,
     number: int,
 ) -> tuple[LabelArray, VisibilityGraph, Spectrum]:
-    """The labels (n,) of the `space` (h, w) by one placement of the nodes, and what led to them.
-
-    Placements differ in how far before the grid the blocks of the nodes begin. Lengths in the graph
-    are coarse cells.
-    """
+    """The labels (n,) of the `space` (h, w) by one placement of the nodes, and what led to them."""
     give_memory_back()  # the graph is the most memory of a large map
     least, sight = config.clearance_m / cell_m, config.sight_m / cell_m
     before = round(number / config.placements * block)
@@ -378,9 +371,7 @@ def open_rings(labels: LabelArray) -> None:
 def _cut_round(hole: BoolArray, solid: BoolArray, cuts: BoolArray) -> None:
     """Mark in `cuts` (h, w) where a region is cut that is a ring round a hole (h, w).
 
-    It is one when the hole is larger than the floor round it, as wide as it is at the corners of
-    the hole; nothing farther away than the hole is wide can matter. The longer sides own these
-    corners: the others end where the longer ones go by.
+    It is one when the hole is larger than the floor round it. The longer sides own the corners.
     """
     sides = [int(np.ptp(_extent(hole.sum(axis=axis)))) + 1 for axis in (0, 1)]
     whole = 1
@@ -396,11 +387,7 @@ def _cut_round(hole: BoolArray, solid: BoolArray, cuts: BoolArray) -> None:
 
 
 def _cut(hole: BoolArray, solid: BoolArray) -> tuple[int, int, int]:
-    """Row, first column and end of the cut from the left of a hole (h, w) to what is solid beyond.
-
-    It is looked for from the first row of the hole to its middle; a row farther has to be shorter
-    by as much. So no cut runs along another corridor, or through a bay.
-    """
+    """Row, first column and end of the shortest cut from the left of a hole to what is solid."""
     first, last = _extent(hole.sum(axis=1))
     cuts = []
     for row in range(first, (first + last) // 2 + 1):

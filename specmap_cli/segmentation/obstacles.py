@@ -140,10 +140,7 @@ def fill_cupboards(labels: LabelArray, pieces: NDArray[np.int32], resolution: fl
 
 
 def _pieces(mask: BoolArray, resolution: float) -> tuple[NDArray[np.int32], BoolArray]:
-    """The number (H, W) of each piece of a mask, 0 outside; which (k,) are longer than furniture.
-
-    Pieces are joined over edges.
-    """
+    """The number (H, W) of each piece of a mask, over edges, 0 outside; which (k,) are long."""
     _, piece, stats, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=4)
     longest = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1)
     return np.asarray(piece, dtype=np.int32), np.asarray(longest * resolution > _LONGEST_M)
@@ -179,11 +176,9 @@ def _along_rows(
 ) -> tuple[BoolArray, BoolArray]:
     """What narrows the openings (H, W) of walls along the rows, and the posts (H, W) in them.
 
-    The edge of `free` is a wall. On one side of an opening a thin wall points at it, with open
-    space on both faces. On the other side is a wall with open space on one face at least: a corner
-    does, or a partition that ends where the line of the wall is. Half of the opening is open to
-    both sides: beside a cupboard that stands at a wall the wall itself goes on, and nobody comes
-    through. Posts divide an opening into several, none of which is wider than two doors.
+    On one side of an opening a thin wall points at it, with open space on both faces; on the other
+    one face is enough, as at a corner. Half of the opening is open to both sides: beside a cupboard
+    the wall goes on. Posts divide it into openings, none wider than two doors.
     """
     cells, pieces = (np.ascontiguousarray(mask, dtype=np.uint8) for mask in (free, small))
     across = np.ones((space // 2 * 2 + 1, 1), dtype=np.uint8)  # odd: it has a middle

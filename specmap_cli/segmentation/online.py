@@ -152,11 +152,7 @@ class OnlineSegmenter:
         return [region]
 
     def _finish(self, left: CoarseSubmap) -> Region:
-        """The next finished region, a piece of an earlier one where the robot came back to it.
-
-        It came back to the region left before the last one, if that and what was `left` now are
-        one region: no eigenvector divides their keyframes.
-        """
+        """The next region, a piece of the one before the last where nothing divides the two."""
         continues = None
         if self.config.regrow and len(self._recent) == 2:
             earlier, before = self._recent[0]
@@ -290,10 +286,9 @@ def _spectrum(
 def _dividing(
     vectors: FloatArray, home: IndexArray, weight: FloatArray, share: float
 ) -> tuple[int, LabelArray]:
-    """The first eigenvector from the second on that divides the way, and the sides of the nodes.
+    """The first eigenvector from the second on by which each side has its share of the way.
 
-    A division is Algorithm 2 with k = 2 on that eigenvector and the first; each side must hold more
-    than `share` of the way, of which each pose has a `weight` (p,). Number 0 and one side when none
+    Also the sides of the nodes, by Algorithm 2 with k = 2; poses have a `weight` (p,). 0: none
     does.
     """
     for column in range(1, vectors.shape[1]):

@@ -147,10 +147,7 @@ def _within(S: Any, nodes: IndexArray) -> Any:
 
 
 def _bands(S: Any) -> Iterator[tuple[slice, slice, IndexArray]]:
-    """Rows of S (n, n), in CSR, a bounded number of entries at once: this bounds the memory.
-
-    Each time the rows, their entries, and where in these each row begins.
-    """
+    """Rows of S (n, n), in CSR, their entries, and where rows begin: some at once, for memory."""
     first = 0
     while first < S.shape[0]:
         least = int(S.indptr[first]) + _AT_ONCE
@@ -163,10 +160,9 @@ def _bands(S: Any) -> Iterator[tuple[slice, slice, IndexArray]]:
 def _beyond_the_neck(S: Any) -> BoolArray:
     """(n,) the nodes on one side of the best cut of a connected graph S (n, n).
 
-    The nodes stand in the order of the second eigenvector, which is that of the graph of groups of
-    like nodes, evened out: many times smaller, this shows the same necks. Of all cuts of this order
-    the one with the smallest normalised cut is taken (Shi and Malik, "Normalized Cuts and Image
-    Segmentation", PAMI 2000): similarity lost, over the sum of the degrees of either side.
+    Of all cuts in the order of the second eigenvector, that of a graph of groups, evened out, it is
+    the smallest normalised cut (Shi and Malik, "Normalized Cuts and Image Segmentation", PAMI
+    2000).
     """
     degrees, group = np.asarray(S.sum(axis=1)).ravel(), _groups(S)
     ones = sparse.csr_array((np.ones(len(group)), (np.arange(len(group)), group)))
@@ -199,9 +195,8 @@ def _beyond_the_neck(S: Any) -> BoolArray:
 def _groups(S: Any) -> IndexArray:
     """(n,) the number of the group of like nodes that each node of a connected graph is in.
 
-    Nodes have heights between 0 and 1, which are the same in every run. Each goes with the one it
-    sees whose height times their similarity is the largest, up to the nodes that have none above
-    them: these are far apart, and what they see is a group.
+    Nodes have fixed random heights. Each goes up to the one it sees whose height times their
+    similarity is the largest; those with none above them are far apart.
     """
     size, counts = S.shape[0], np.diff(S.indptr)
     heights = np.random.default_rng(_START_SEED).uniform(size=size)

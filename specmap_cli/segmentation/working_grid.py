@@ -120,10 +120,7 @@ def upright_map(fine: GridMap, cell_m: float, node_step_m: float) -> UprightMap:
 
 
 def _turns(mass: BoolArray) -> list[int]:
-    """The quarter turns that make a mass (H, W) wide, and lean to the upper right: one, if it can.
-
-    Its second and third central moments say it, along the rows and the columns, exact, times n^3.
-    """
+    """The quarter turns that make a mass (H, W) wide and lean up and right, by exact moments."""
     spread, skew = [], []
     for counts in (mass.sum(axis=1).tolist(), mass.sum(axis=0).tolist()):
         total = sum(counts)
@@ -157,10 +154,7 @@ def reduced(cells: CellArray, step: int) -> CellArray:
 def _along_walls(
     cells: CellArray, corner: NDArray[np.intp], block: int
 ) -> tuple[CellArray, FloatArray | None]:
-    """Some cells (h, w) turned about `corner`, so that most walls lie along rows and columns.
-
-    Also the transform, by which the corner stays the corner of a block. None when they do already.
-    """
+    """Cells (h, w) turned about a block's `corner` to lie along walls, and how; None: they do."""
     around = np.ones((2 * _FRAME + 1, 2 * _FRAME + 1), dtype=np.uint8)
     beside = cv2.dilate((cells == FREE).astype(np.uint8), around) > 0  # no depths of solid blocks
     angle = wall_angle(np.argwhere(beside & (cells == OCCUPIED)))

@@ -149,11 +149,7 @@ def _preference(lattice: Lattice, distance: Any) -> FloatArray:
 
 
 def _distances(lattice: Lattice, targets: IndexArray, spacing_m: float) -> FloatArray:
-    """Costs (t, t) between targets, by way of their neighbours, which is enough to order them.
-
-    Neighbours within 2.5 spacings join all: along any way, the target nearest to its points
-    changes only between targets less than two spacings and a step apart.
-    """
+    """Costs (t, t) between targets by way of neighbours within 2.5 spacings, which join all."""
     limit = 2.5 * spacing_m * (1.0 + _WALL_COST)
     n = len(targets)
     near = np.zeros((n, n))

@@ -196,10 +196,7 @@ def _pose(words: list[bytes], start: int) -> Pose2:
 
 
 def _check_host(words: list[bytes], place: int) -> None:
-    """Raise ValueError when a line is too long, and has a number where the host should be.
-
-    It has then lost the end of itself, and what follows is of another line.
-    """
+    """Raise ValueError for a number where a host should be: the end of another line follows."""
     if len(words) > place + 2 and _is_number(words[place]):
         raise ValueError(words[place])
 
@@ -333,10 +330,7 @@ class CarmenFile(recording.Recording):
                 yield recording.Message(line.topic, encoding.LASER_SCAN, stamp_ns, data)
 
     def _lines(self) -> Iterator[CarmenLine]:
-        """The lines that carry data; one that cannot be parsed is reported and left out.
-
-        Lines of other sensors come again and again. So a keyword that comes once is damaged.
-        """
+        """The lines that carry data; damage is told, such as a keyword that comes only once."""
         offset, number, last = 0, 0, 0
         once = dict[bytes, str]()  # by keywords that are not read; empty for one that came again
         while True:
@@ -372,10 +366,7 @@ class CarmenFile(recording.Recording):
 
 
 def _read(text: bytes) -> tuple[CarmenLine | None, list[str], bytes]:
-    """What a line holds, None for nothing, and what of it is lost.
-
-    And the keyword of another sensor's line, if it is one: then nothing is lost.
-    """
+    """What a line holds, what of it is lost, and the keyword of another sensor's whole line."""
     keyword, words = keyword_of(text), text.split()
     lost: list[str] = []  # of lines whose line break was damaged
     if any(text.find(part, 1) >= 0 for part in _PARTS):  # much quicker than the pattern
@@ -401,11 +392,7 @@ def _read(text: bytes) -> tuple[CarmenLine | None, list[str], bytes]:
 
 
 def _first_end(keyword: str, words: list[bytes]) -> int | None:
-    """How many words end at the host of a line into which the end of another ran; else None.
-
-    Its last words are those of the other: a time, the host of both, a time. If its own host was
-    cut, its length tells.
-    """
+    """How many words end at the host of a line into which the end of another ran; else None."""
     host = words[-2] if len(words) > 2 else b"0"
     if _is_number(host):
         return None

@@ -221,10 +221,7 @@ class McapFile(chunked.ChunkedFile):
         return opcode == DATA_END and length == _DATA_END_BYTES
 
     def _is_of_data(self, opcode: int, ref: chunked.ChunkRef) -> bool:
-        """Whether the record at a place is built like those of its opcode among the data.
-
-        Schemas and channels are judged where they are parsed.
-        """
+        """Whether a record is built like those of its opcode; two kinds are judged when parsed."""
         length = ref.length - RECORD_HEAD.size
         if opcode == HEADER:
             return ref.offset == len(MAGIC)

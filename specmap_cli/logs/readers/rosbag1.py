@@ -175,10 +175,7 @@ class Rosbag1File(chunked.ChunkedFile):
         return index
 
     def _broken_record(self, chunks: list[int]) -> int | None:
-        """Offset of a record that does not lead to the next chunk, None when all is well.
-
-        Looks at so many records only, as it explains damage but is not needed for reading.
-        """
+        """Offset of a record, of the first ones, that does not lead to the next chunk; or None."""
         offset = before = _FIRST_RECORD
         checked = 0
         for chunk in chunks:

@@ -325,10 +325,7 @@ class Rows:
         return Row(topic, time, found[0]), _Place(time, row)
 
     def _readable(self, last: int) -> _Place | None:
-        """The first place behind the rows after `last` that cannot be read; None when all cannot.
-
-        Steps double until one leads out of the damage; halving finds where it ends.
-        """
+        """The first place after row `last` that can be read, by steps that double, then halving."""
 
         def can_go_on(row: int) -> bool:
             try:
