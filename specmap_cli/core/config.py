@@ -69,10 +69,7 @@ def load_config(
 
 
 def with_overrides(config: Config, overrides: dict[str, Any], where: str = "") -> Config:
-    """The configuration with nested `overrides` over it; UsageError as in `load_config`.
-
-    `where` stands before the complaint: the file that the overrides are from, and a colon.
-    """
+    """The configuration with nested `overrides` over it; a complaint begins with `where`."""
     return _validated(_merge(config.model_dump(), overrides), where, {})
 
 

@@ -73,10 +73,7 @@ def write_bytes(path: Path | str, data: bytes) -> None:
 
 
 def write_together(contents: Mapping[Path, bytes]) -> None:
-    """Write several files, replacing those of their names: all of them, or none.
-
-    UsageError when one cannot be written.
-    """
+    """Write several files, replacing those of their names: all or none. Raises UsageError."""
     with ExitStack() as files:  # each takes its name only when all have been written
         for path, data in contents.items():
             file = files.enter_context(complete_file(path))

@@ -67,10 +67,7 @@ class Quality(Value):
 
     @classmethod
     def of(cls, findings: Iterable[Finding]) -> Quality:
-        """The findings, the gravest first, what reading had to say last of its kind.
-
-        The worst of them decides the verdict.
-        """
+        """The findings, gravest first, input last of its kind; the worst decides the verdict."""
         told = sorted(findings, key=lambda one: (-VERDICTS.index(_verdict(one)), one.code == INPUT))
         return cls(verdict=_verdict(told[0]) if told else VERDICTS[0], findings=tuple(told))
 

@@ -61,11 +61,7 @@ class KeyframeSelector:
 def integrate_keyframes(
     store: KeyframeStore, numbers: Iterable[int], poses: FloatArray, config: GridConfig
 ) -> OccupancyGrid:
-    """A grid of keyframes `numbers` of the store taken at `poses` (n, 3), grid frame from base.
-
-    `refused` of the result counts the scans that reach beyond the largest grid allowed. A robot
-    that patrols sees a place again and again: see `informative`.
-    """
+    """A grid of keyframes `numbers` at `poses` (n, 3), as many as are `informative`."""
     grid = OccupancyGrid(config)
     taken = list(zip(numbers, poses, strict=True))
     chosen = informative(np.asarray(poses))
@@ -110,10 +106,7 @@ class _Laser:
 
 
 class KeyframeStore:
-    """Keyframes by number 0, 1, ...: scans on disk, poses in memory. Close it, or use `with`.
-
-    Memory grows by 64 bytes a keyframe, not by its beams.
-    """
+    """Keyframes by number 0, 1, ...: scans on disk, poses in memory. Close it, or use `with`."""
 
     def __init__(self) -> None:
         with temporary_files():
@@ -232,11 +225,7 @@ class KeyframeStore:
 
 
 def views_needed(scan: PlanarScan, config: GridConfig) -> int:
-    """How many scans from one place show every cell of a surface, as far as the grid reaches.
-
-    There two beams of a scan are as many cells apart, at most; and no cell needs more than
-    `ENOUGH_VIEWS`.
-    """
+    """How many scans from one place show every cell of a surface, as far as the grid reaches."""
     spacing = float(scan.bearings[-1] - scan.bearings[0]) / max(len(scan.bearings) - 1, 1)
     reach_m = min(scan.range_max, config.max_range_m)
     return min(ENOUGH_VIEWS, max(1, math.ceil(reach_m * spacing / config.resolution_m)))
@@ -257,11 +246,7 @@ class Recorded:
 
 
 def repeated(recorded: Recorded, needed: BoolArray) -> BoolArray:
-    """(n,) the keyframes that the map can do without, none of those `needed` (n,) for themselves.
-
-    The last recording was there, and it and the ones between, of what is kept of them, were there
-    often enough.
-    """
+    """(n,) keyframes not `needed` (n,), where the last recording, and newer ones enough, were."""
     from scipy.spatial import cKDTree  # slow to load, and only an update asks
 
     gone = np.zeros(len(needed), dtype=bool)

@@ -158,10 +158,7 @@ def search_everywhere(
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Where points may be: about `pose`, with an error of this covariance (3, 3) in the field.
-
-    Without a covariance they may be anywhere, at any angle.
-    """
+    """Where points may be: about `pose` with a covariance (3, 3) in the field; None: anywhere."""
 
     pose: Pose2
     covariance: FloatArray | None = None
@@ -225,10 +222,7 @@ def within_ellipse(away: FloatArray, covariance: FloatArray) -> BoolArray:
 def different_places(
     found: Iterable[tuple[float, Pose2]], middle: FloatArray, count: int
 ) -> list[Match]:
-    """Of scores and poses of the `middle` (2,) of some points, the first `count` that differ.
-
-    Two are different answers from `_APART_M` or `_APART_RAD` on. A match is told of the points.
-    """
+    """Of scores and poses of the `middle` (2,) of some points, the first `count` that differ."""
     back = Pose2(-float(middle[0]), -float(middle[1]), 0.0)
     centres: list[Pose2] = []
     kept: list[Match] = []

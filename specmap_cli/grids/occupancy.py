@@ -121,10 +121,7 @@ class OccupancyGrid:
         self._misses[window] += other._misses
 
     def without(self, part: OccupancyGrid) -> OccupancyGrid:
-        """What was counted besides `part`, a grid of some of the same scans; it may be smaller.
-
-        A grid next to its largest size may have refused what the part took: none counts below 0.
-        """
+        """What was counted besides `part`, a grid of some of the same scans; none falls below 0."""
         rest = OccupancyGrid(self.config)
         if not self._hits.size:
             return rest

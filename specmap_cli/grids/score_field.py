@@ -45,10 +45,7 @@ _NEAR_STEP = 1e-3  # metres and radians: what follows mends as much
 
 @dataclass(frozen=True, slots=True)
 class PointCells:
-    """The cells `cells` (2, N), columns and rows from the origin of the frame, of N points.
-
-    `low` and `high` are the least and greatest x and y of the points, metres.
-    """
+    """Columns and rows (2, N) of N points from the origin; least and greatest x and y, metres."""
 
     cells: NDArray[np.int64]
     low: tuple[float, float]
@@ -131,11 +128,7 @@ class ScoreField:
         return cls(_field_values(empty, resolution, sigma), resolution, origin, left_out)
 
     def with_cells(self, part: PointCells, sigma: float) -> ScoreField | None:
-        """The same field with more points, whose cells are of its resolution; sigma is its own.
-
-        Where the new points are far from, past the reach of sigma, it stays as it was. None if one
-        of them is too near the edge: then the field must be made anew.
-        """
+        """The field with more points, unchanged far from them; None: one is too near the edge."""
         stamp = _stamp(self.resolution, sigma)
         reach, (height, width) = len(stamp) // 2, self.values.shape
         corner = [round(place / self.resolution) for place in self.origin]

@@ -123,10 +123,7 @@ def searched(graph: Graph, search: Search, walls: Walls, end: int) -> Search:
 
 
 class PassesOnTheWay:
-    """The search for nearby passes of a path that is still driven, a stretch at a time.
-
-    A stretch ends where the path has grown by a share: each makes the graph anew.
-    """
+    """The search for passes of a path still driven, each time that it has grown by a share."""
 
     def __init__(self, store: KeyframeStore) -> None:
         self._store = store
@@ -214,10 +211,7 @@ def passes_at(
 
 
 def candidates(node: int, poses: FloatArray, path: FloatArray) -> list[int]:
-    """Older rows near row `node`, one a pass, the best to match with first.
-
-    They lie far from it along the path, and from each other.
-    """
+    """Older rows near row `node`, far along the path and from each other, the best first."""
     older = int(np.searchsorted(path, path[node] - LOOP_PATH_M))
     away = poses[:older, :2] - poses[node, :2]
     distance = np.sqrt((away**2).sum(axis=1))
@@ -232,9 +226,9 @@ def candidates(node: int, poses: FloatArray, path: FloatArray) -> list[int]:
 
 
 def far_passes(graph: Graph, draft: Draft, walls: Walls, first: int = 0) -> tuple[Link, ...]:
-    """Where walls are found, every `_WIDE_EVERY_M` from row `first` on, that no pass ties enough.
+    """Where walls are found, every `_WIDE_EVERY_M` from row `first` on, as far as the path's error.
 
-    As far as the path's error reaches; where nothing but a guess ties the path, anywhere.
+    Where nothing but a guess ties the path, anywhere; where passes tie it well, nowhere.
     """
     newer = [max(graph.row[link.source], graph.row[link.target]) for link in draft.loops]
     ties, spread = np.unique(np.array([0, *newer])), path_error(graph, draft.poses)

@@ -51,10 +51,7 @@ RowPair = tuple[int, int]
 
 @dataclass(frozen=True, slots=True)
 class Bridge:
-    """How well the motion over a break of the tracking is known, where odometry measured it.
-
-    Standard deviations of the first pose after the break, seen from the last one before.
-    """
+    """How well odometry knows the motion over a break: sigmas of the first pose after it."""
 
     position_m: float
     heading_rad: float
@@ -158,8 +155,7 @@ def graph_of(
 ) -> Graph:
     """The graph of a store's keyframes, with nodes at the `ends` of closures and at `breaks`.
 
-    `breaks` are the keyframes at which tracking started afresh, and what is known of the motion.
-    `known` is as in `motion_links`.
+    What is known of the motion stands with the breaks; `known` is as in `motion_links`.
     """
     fresh = {number: bridge for number, bridge in breaks.items() if number != 0}
     nodes = chosen_nodes(store.poses, {*ends, *fresh})

@@ -62,10 +62,7 @@ def relax(
 
 
 def measured(graph: Graph, walls: Walls, closure: Link) -> Link:
-    """A closure told more precisely, by the walls around its two keyframes where these fit.
-
-    Grids of whole submaps match to their cells, and a path that drifts within one bends its grid.
-    """
+    """A closure told more precisely than by grids, where the walls around its keyframes fit."""
     rows = graph.row[closure.source], graph.row[closure.target]
     guess = closure.source_from_target
     near = match_passes(graph, walls, graph.poses, rows, guess, CLOSURE_OFF_M, PLACE_NODES)
@@ -77,10 +74,10 @@ def measured(graph: Graph, walls: Walls, closure: Link) -> Link:
 def close(
     graph: Graph, draft: Draft, closures: Sequence[Link], walls: Walls, first: int = 0
 ) -> tuple[Draft, tuple[Judgement, ...]]:
-    """The draft with the claims that are believed, and what was found of each, in their order.
+    """The draft with the claims believed, and what was found of each, in order.
 
     Claims are closures, and walls found from row `first` on where none were expected. They bring
-    passes near each other that were far apart: these are searched then.
+    passes near each other, which are searched then.
     """
     judged = judge(graph, draft, [*closures, *far_passes(graph, draft, walls, first)])
     believed = [one.link for one in judged if one.believed]
@@ -125,11 +122,7 @@ def place_parts(graph: Graph, draft: Draft, links: Sequence[Link]) -> Draft:
 
 
 def most_voted(motions: FloatArray, centre: FloatArray) -> tuple[FloatArray, int]:
-    """The motion that most others agree with, and how many do, itself included.
-
-    `centre` (2,) is where the motions (L, 3) are compared: a turn far from the origin moves much.
-    The first of equals is taken.
-    """
+    """The first of the motions (L, 3) that most agree with at `centre` (2,), and how many do."""
     placed = compose(motions, np.array([centre[0], centre[1], 0.0]))
     apart = np.hypot(*(placed[:, None, :2] - placed[None, :, :2]).transpose(2, 0, 1))
     turned = np.abs(wrap_angles(placed[:, None, 2] - placed[None, :, 2]))
@@ -139,11 +132,7 @@ def most_voted(motions: FloatArray, centre: FloatArray) -> tuple[FloatArray, int
 
 
 def chosen(graph: Graph, passes: Draft, best: Candidate, views: Views) -> Candidate:
-    """The best layout, or one nearer to what was tracked that fewer walls contradict.
-
-    That is the layout of nearby passes and of the closures that say what these say, or the path as
-    it was tracked.
-    """
+    """The best layout, or one nearer to what was tracked that fewer walls contradict."""
     links = (*best.draft.loops, *best.dropped)
     closures = tuple(link for link in links if link.kind == "closure")
     if closures:

@@ -121,10 +121,7 @@ class Layout:
         )
 
     def g2o(self) -> str:
-        """The pose graph in the format of g2o.
-
-        Vertices carry keyframe numbers, dropped edges are left out.
-        """
+        """The pose graph in the format of g2o: vertices are keyframes, dropped edges left out."""
         nodes = self.nodes.tolist()
         poses = {number: self.poses[number] for number in nodes}
         return graph_text(poses, [*self.odometry, *self.kept], nodes[:1])
@@ -132,10 +129,7 @@ class Layout:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A draft that is settled, the links it was settled without, and what it is made of.
-
-    `agreement` is how its passes stand to each other.
-    """
+    """A settled draft, the links it went without, and how its passes agree."""
 
     choice: Choice
     draft: Draft
@@ -168,11 +162,7 @@ def along_walls(layout: Layout, store: KeyframeStore, config: RelaxationConfig) 
 
 
 def wall_direction(directions: FloatArray, lengths: FloatArray) -> float:
-    """The direction, in [-pi/4, pi/4], of most metres of wall, or of walls at right angles to them.
-
-    `directions` (n,) are those of pieces of wall, `lengths` (n,) their metres. 0 when no direction
-    stands out.
-    """
+    """The direction, in [-pi/4, pi/4], of most metres of pieces of wall (n,); 0: none is clear."""
     if not len(lengths):
         return 0.0
     # the direction round which there are most metres of wall
@@ -268,11 +258,7 @@ def bridged(poses: FloatArray, tracked: FloatArray, lost: BoolArray) -> FloatArr
 
 
 def rows_of(trajectory: Trajectory, stamps_ns: Sequence[int], poses: FloatArray) -> IntArray:
-    """Rows of the trajectory that are some keyframes, by their stamps and poses (n, 3), in order.
-
-    Stamps may repeat or step back, so that the two are walked together. Poses may differ by what
-    text files round.
-    """
+    """Rows that are some keyframes, by stamps, which may repeat, and poses (n, 3), in order."""
     rows: list[int] = []
     ways = zip(trajectory.stamps_ns.tolist(), trajectory.poses.tolist(), strict=True)
     wanted = list(zip(stamps_ns, poses.tolist(), strict=True))

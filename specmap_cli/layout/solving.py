@@ -50,10 +50,7 @@ def tighten(graph: Graph, draft: Draft) -> Draft:
 
 
 def settle(graph: Graph, draft: Draft) -> tuple[Draft, tuple[Link, ...]]:
-    """The draft solved without the loops that do not fit, and these loops.
-
-    What does not fit is dropped and the rest solved anew until all that is left fits.
-    """
+    """The draft solved anew until all its loops fit, and the loops dropped on the way."""
     dropped: list[Link] = []
     while True:
         solution = _solution(graph, draft, _KERNEL_SIGMAS)

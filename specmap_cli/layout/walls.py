@@ -102,10 +102,7 @@ class Walls:
         return self._sides(int(self._graph.nodes[node]))
 
     def around(self, node: int, reach: int, poses: FloatArray) -> FloatArray:
-        """Points (N, 2) seen from nodes within `reach` of row `node`, in the frame of `node`.
-
-        `poses` (M, 3) place the nodes. Only nodes between the same breaks are used.
-        """
+        """Points (N, 2) within `reach` rows of `node`, between the same breaks, in its frame."""
         near = self._near(node, reach, poses)
         return np.concatenate([pose.apply(self.points(k)) for k, pose in near])
 
@@ -162,10 +159,7 @@ class Walls:
 
 @dataclass(frozen=True, slots=True)
 class Sides:
-    """Wall points (N, 2) and the unit normals (N, 2) of their surfaces, to where they are seen.
-
-    A normal is nought where no surface is known: a post, the end of a wall.
-    """
+    """Wall points (N, 2) and unit normals (N, 2) to where they are seen, 0 of no surface."""
 
     points: FloatArray
     normals: FloatArray
@@ -281,10 +275,7 @@ class Place:
     def match(
         self, source: FloatArray, guess: Pose2, drift_m: float, least: float = LEAST_EVIDENCE
     ) -> WallFit | None:
-        """The pose of points `source` (N, 2), if there is at least so much evidence for it.
-
-        `guess` is `target_from_source`; `drift_m` bounds how wrong it may be.
-        """
+        """The pose of points (N, 2), a `guess` off by `drift_m` at most, if evidence is enough."""
         few = thinned(source, FINE_POINTS_M)
         if len(few) < MATCH_POINTS:
             return None
@@ -370,11 +361,7 @@ class Surroundings:
 
 
 def opened(spread: FloatArray) -> FloatArray:
-    """A covariance (3, 3) of a match without what it owes to the window that was looked at.
-
-    Along a bare corridor all of the window fits alike: nothing is known of the way there, and the
-    spread is that of the window. Information is what is known beyond that.
-    """
+    """A covariance (3, 3) of a match without what it owes to the window: a corridor is open."""
     half = 0.5 * (spread[0, 0] - spread[1, 1])
     turn = 0.5 * np.arctan2(spread[0, 1], half)  # of the longer axis
     axis = np.array([np.cos(turn), np.sin(turn)])
@@ -429,10 +416,7 @@ def match_passes(
 def link_to_nearest(
     graph: Graph, poses: FloatArray, rows: IntArray, row: int, fit: WallFit
 ) -> Link:
-    """The link to a row whose walls were found in the map, from the nearest of other `rows`.
-
-    `poses` (M, 3) are those of the map.
-    """
+    """The link to a row found in the map at poses (M, 3), from the nearest of other `rows`."""
     found = fit.target_from_source
     nearest = int(rows[np.argmin(np.hypot(poses[rows, 0] - found.x, poses[rows, 1] - found.y))])
     relative = compose(invert(poses[nearest]), np.array(found))

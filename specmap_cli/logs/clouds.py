@@ -32,10 +32,7 @@ _ENOUGH_POINTS = 100  # a sweep of fewer may be a sliver, whose span misleads
 
 
 class CloudPoints(NamedTuple):
-    """Points (N, 3) in the lidar's frame and seconds (N,) after the stamp, or None.
-
-    `far_times` says that there were times, but farther from the stamp than `_CLOUD_TIME_MAX_S`.
-    """
+    """Points (N, 3) in the lidar's frame and seconds (N,) after the stamp, None if `far_times`."""
 
     points: FloatArray
     times_s: FloatArray | None
@@ -134,21 +131,17 @@ _FEWEST = 30  # returns that fix a plane well: a tilt of 0.05 m / 10 m / sqrt(30
 
 
 class Level(NamedTuple):
-    """A cloud's rotation (3, 3) into a level frame, and the floor's height there if it is known.
-
-    The level frame looks where the lidar's x axis looks, and has its origin.
-    """
+    """A cloud's rotation (3, 3) into a level frame of its origin and heading; a floor's height."""
 
     rotation: FloatArray
     floor_m: float | None
 
 
 def floor_of(cloud: FloatArray) -> Level | None:
-    """The floor in a cloud (N, 3), None when it shows none.
+    """The plane below the lidar with the most returns near it, and few below; None: no floor.
 
-    It is the plane below the lidar with the most returns near it, those still lower counted against
-    it: under a table top or a shelf there are returns. Without a base frame nothing in a log says
-    which way is up: a lidar may be tilted, or carried by hand. The floor says so in every cloud.
+    Without a base frame nothing else in a log says which way is up: a lidar may be tilted, or
+    carried by hand. Under a table top or a shelf there are returns.
     """
     squares = np.einsum("ij,ij->i", cloud, cloud)
     near = cloud[np.flatnonzero(squares <= FLOOR_RADIUS_M**2)]
@@ -262,10 +255,9 @@ class CloudFlattener:
         floor_m: float | None = None,
         times_s: FloatArray | None = None,
     ) -> PlanarScan:
-        """The planar scan, seen from the lidar's place, of points (N, 3) in the base frame.
+        """The planar scan of points (N, 3) in the base frame, seen from the lidar's place.
 
-        `floor_m` is the height of the floor in this cloud, if it was found, `times_s` (N,) seconds
-        after the stamp.
+        `floor_m` is the height of the floor in this cloud, `times_s` (N,) seconds after the stamp.
         """
         dx, dy = cloud[:, 0] - self.mount.x, cloud[:, 1] - self.mount.y
         distance = np.hypot(dx, dy)

@@ -110,10 +110,7 @@ def decode_odometry(message: Message) -> TransformRecord:
 
 
 def decode_transforms(message: Message) -> tuple[list[TransformRecord], list[tuple[str, str]]]:
-    """The transforms in a TFMessage, and (parent, child) of those no robot can have.
-
-    Raises BadMessageError.
-    """
+    """Transforms in a TFMessage, (parent, child) of absurd ones; raises BadMessageError."""
     records: list[TransformRecord] = []
     absurd: list[tuple[str, str]] = []
     for stamped in _decoded(message, encoding.TF_MESSAGE).transforms:

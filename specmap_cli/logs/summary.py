@@ -65,10 +65,7 @@ class TopicCheck:
 
 @dataclass(frozen=True, slots=True)
 class Spacing:
-    """How scans follow one another: scans a second, metres between, whether these are many.
-
-    The median step while the robot moves, by odometry; None where nothing is known of it.
-    """
+    """Scans a second, and the median metres between while the robot moves (None: unknown)."""
 
     rate_hz: float
     step_m: float | None = None

@@ -84,11 +84,7 @@ class ExpectedMotion:
 
 
 class MotionModel:
-    """Expects the next motion; tell it by `conclude` what the motion turned out to be.
-
-    Increments are per sweep and never divided by time: stamps of some logs come in bursts or step
-    backwards.
-    """
+    """Expects the next motion, by sweep and not by time; tell it by `conclude` what it was."""
 
     def __init__(self, config: RegistrationConfig) -> None:
         self._config = config
@@ -158,10 +154,7 @@ class Slack:
 
 @dataclass(frozen=True, slots=True)
 class Reliance:
-    """The latest deviations from odometry, in slacks of an unknown odometry; never changed.
-
-    `limits` are the deviations that still agree, in the same slacks.
-    """
+    """The latest deviations from odometry and the `limits`, in slacks of an unknown odometry."""
 
     along: tuple[float, ...] = field(default=())
     across: tuple[float, ...] = field(default=())
@@ -285,9 +278,7 @@ class MotionGuess:
     def misread(self) -> list[FloatArray]:
         """Poses (4, 4) that odometry may have misread, where a search around its own looks not.
 
-        Wheels that only count tell nothing of the direction in which they turn: a step of the log
-        may be driven backwards as a whole, or half of it. The heading of some odometry jumps, when
-        it is corrected or begins anew: there the motion before goes on.
+        Wheels that only count do not tell driving backwards; some headings jump when corrected.
         """
         expected, places = self.expected, []
         if expected.motion.distance > SEARCH_M:

@@ -99,10 +99,7 @@ def view_of(
 
 
 def outline_of(scan: PlanarScan, base_from_laser: Pose2, reach_m: float) -> FloatArray:
-    """Corners (N, 2), base frame, of the space that a scan looked through, the laser first.
-
-    A beam without a return says nothing about the space along it: it ends at the laser.
-    """
+    """Corners (N, 2), base frame, of the space a scan looked through, the laser first."""
     stride = max(1, math.ceil(len(scan.ranges) / _MOST_BEAMS))
     ranges, bearings = scan.ranges[::stride], scan.bearings[::stride]
     r = np.where(np.isfinite(ranges), np.minimum(ranges, reach_m), 0.0)
@@ -161,10 +158,7 @@ def moved_returns(
 def deskewed(
     scan: PlanarScan, base_from_laser: Pose2, motion: Pose2, interval_s: float
 ) -> PlanarScan:
-    """The scan as it would have been taken at once at its stamp; the same object if it was.
-
-    Bearings come back ascending, within one turn; beams without a return keep none.
-    """
+    """The scan as taken at once at its stamp, bearings ascending; the same object if it was."""
     times = scan.beam_times_s
     if times is None or _is_still(motion) or not usable_times(times, len(scan.bearings)):
         return scan

@@ -112,11 +112,7 @@ def clusters_of(S: Any, parts: Sequence[IndexArray], least: float) -> Spectrum:
 
 
 def parts_of(S: Any, most: int) -> list[IndexArray]:
-    """The nodes, ascending, of each part of a graph, the parts in the order of their first nodes.
-
-    S (n, n) sparse is the similarity of eq. 1. A part is connected. One with more than `most` nodes
-    is cut in two.
-    """
+    """Ascending nodes of each part of S (n, n), sparse: connected, `most` at most, in order."""
     parts, pending = [], [np.arange(S.shape[0])]
     while pending:
         nodes = pending.pop()
@@ -219,8 +215,7 @@ def split_again(
 ) -> LabelArray:
     """(n,) labels after halving every cluster whose own second eigenvalue is above `least`.
 
-    Inside a cluster the scales of eq. 1 are measured anew, so that a room is seen apart from the
-    piece of corridor it was put together with among all the rooms of the map.
+    Its scales of eq. 1 are measured anew, so that a room comes apart from a piece of corridor.
     """
     labels = labels.copy()
     (i, j), count = graph.pairs.T.copy(), int(labels.max(initial=-1)) + 1
@@ -257,10 +252,7 @@ def numbered(labels: LabelArray) -> LabelArray:
 
 
 def local_scales(graph: VisibilityGraph, neighbours: int) -> FloatArray:
-    """(n,) sigma of eq. 1: the median distance to the `neighbours` nearest visible nodes, 0: all.
-
-    Nodes that see no other get 1, which is never used.
-    """
+    """(n,) sigma of eq. 1: median distance to the `neighbours` nearest visible nodes, 0: all."""
     nodes, rising = len(graph.nodes), np.argsort(graph.lengths)
     owner, distance = graph.pairs[rising].ravel(), graph.lengths[rising]
     del rising
@@ -279,11 +271,7 @@ def local_scales(graph: VisibilityGraph, neighbours: int) -> FloatArray:
 def similarity(
     graph: VisibilityGraph, neighbours: int, multiple: float = 1.0, *, dense: bool = False
 ) -> Any:
-    """S of eq. 1, (n, n), symmetric: zero on the diagonal and between nodes that see no other.
-
-    Sigma is a `multiple` of `local_scales`. S is sparse, or `dense`, an array: quicker for some
-    hundred nodes.
-    """
+    """S of eq. 1, (n, n), symmetric, 0 where none sees another; sparse, or `dense` of few nodes."""
     scales, nodes = multiple * local_scales(graph, neighbours), len(graph.nodes)
     i, j = graph.pairs.T
     weight = -(graph.lengths**2)
@@ -299,10 +287,7 @@ def similarity(
 
 
 def normalised(S: Any, degrees: FloatArray | None = None) -> tuple[Any, FloatArray]:
-    """L = D^-1/2 S D^-1/2 (n, n), and the degrees D_ii (n,); rows of zeros stay zero.
-
-    S is sparse, or an array, and L is like it. `degrees` are given for a part of a graph.
-    """
+    """L = D^-1/2 S D^-1/2 (n, n), an array or sparse as S is, and the degrees D_ii (n,)."""
     if degrees is None:
         degrees = np.asarray(S.sum(axis=1), dtype=np.float64).ravel()  # Algorithm 2, line 2
     inverse = np.zeros(len(degrees))
@@ -318,9 +303,8 @@ def largest_eigenpairs(
 ) -> tuple[FloatArray, FloatArray]:
     """The `count` largest eigenvalues (k,), falling, and eigenvectors (n, k) of a symmetric matrix.
 
-    `matrix` (n, n) is an array, or sparse; `tolerance`, relative, is that of the iteration, which
-    starts from a fixed vector. Each eigenvector's sign makes its sum of cubes positive, so equal
-    input gives equal output.
+    `matrix` (n, n) is an array, or sparse: then it is iterated, from a fixed vector, to a relative
+    `tolerance`. Equal input gives equal output, signs included.
     """
     size = matrix.shape[0]
     count = min(count, size)
@@ -349,10 +333,7 @@ def with_fixed_signs(vectors: FloatArray) -> FloatArray:
 
 
 def eigenpairs_above(matrix: Any, least: float) -> tuple[FloatArray, FloatArray]:
-    """All eigenpairs with eigenvalues above `least`, and at least one below where there is one.
-
-    `matrix` (n, n) is sparse and symmetric.
-    """
+    """All eigenpairs of a sparse symmetric matrix (n, n) above `least`, and one below if any."""
     size = matrix.shape[0]
     count = min(2 + math.ceil(_ABOVE * (matrix.data**2).sum()), size)
     while True:

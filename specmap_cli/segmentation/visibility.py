@@ -95,11 +95,7 @@ def near_pairs(nodes: IndexArray, reach: float) -> IndexArray:
 def visible(
     clearance: LengthArray, nodes: IndexArray, pairs: IndexArray, least: float
 ) -> BoolArray:
-    """(m,) whether the straight line between each pair keeps more than `least` of clearance.
-
-    A line is walked by the free distance it stands on, which cannot jump over an obstacle, and by
-    one cell at least.
-    """
+    """(m,) whether the line of each pair keeps more than `least` clear, by steps of free space."""
     # cells from the first one on as they lie in memory, be they a window of a larger grid
     width, size = clearance.strides[0] // clearance.itemsize, clearance.itemsize
     lying = max((clearance.shape[0] - 1) * width + clearance.shape[1], 0)

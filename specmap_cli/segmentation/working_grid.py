@@ -136,10 +136,7 @@ def _turns(mass: BoolArray) -> list[int]:
 
 
 def reduced(cells: CellArray, step: int) -> CellArray:
-    """Cells of `step` x `step` of some (H, W): occupied where one is, free where half of them are.
-
-    The rest is unknown. So no wall is lost, and no gap between two rays counts.
-    """
+    """Cells of `step` x `step` of some (H, W): occupied where any is, free where half is."""
     if step == 1:
         return cells
     height, width = cells.shape
@@ -172,10 +169,10 @@ def _along_walls(
 
 
 def wall_angle(walls: NDArray[np.intp]) -> float:
-    """By how many degrees, in [-45, 45), a picture with `walls` (n, 2) has to be turned.
+    """Degrees in [-45, 45) to turn a picture by, so that `walls` (n, 2) are in the fewest lines.
 
-    After that they lie in the fewest rows and columns: the sum of the squares of what each holds is
-    the largest. Deterministic: of equals the least turn counts, so without walls 0.
+    The sum of the squares of what each row and column holds is the largest; of equals the least
+    turn.
     """
     best, most = 0.0, -1
     for step, reach in zip(_STEPS_DEGREES, (45.0, _STEPS_DEGREES[0]), strict=True):

@@ -54,11 +54,7 @@ class Lattice:
 
 
 def reachable_space(world: World, radius_m: float, comfort_m: float) -> Lattice:
-    """The largest connected part of the plan in which a disc of `radius_m` fits.
-
-    From `comfort_m` on, farther from a wall is no better. Raises MapError when the disc fits
-    nowhere.
-    """
+    """The largest part of the plan where a disc of `radius_m` fits. Raises MapError for none."""
     stride = max(1, round(_LATTICE_M / world.plan.resolution))
     rows, columns = (np.arange(stride // 2, side, stride) for side in world.plan.cells.shape)
     cells = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1)

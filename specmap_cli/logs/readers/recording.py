@@ -108,10 +108,7 @@ class Recording(ABC):
 
     @property
     def damage(self) -> tuple[str, ...]:
-        """One line for each loss met so far: file, byte or message, time, what was lost.
-
-        From a number of lines on, one more line sums the others up.
-        """
+        """A line for each loss met so far, where, when and what; of many the last sums up more."""
         lines = tuple(f"{legible(str(self.path))}: {line}" for line in self._damage)
         more = len(lines) - MAX_DAMAGE_LINES
         if more <= 0:
@@ -126,10 +123,7 @@ class Recording(ABC):
         return sum(self._damage.values(), Counter())
 
     def report(self, damage: str, lost: Mapping[str, int] | None = None) -> None:
-        """Note what was lost, once however often the file is read.
-
-        `lost` are the numbers of messages by topic, where they are known.
-        """
+        """Note what was lost, once however often the file is read; `lost` messages by topic."""
         self._damage.setdefault(legible(damage), Counter(lost or {}))
 
 

@@ -253,10 +253,7 @@ class Row(NamedTuple):
 
 
 class Fault(NamedTuple):
-    """What could not be read behind a time (None: at first).
-
-    `topic` is that of the one message that is lost; None when nobody knows which ones are.
-    """
+    """What cannot be read behind a time: one message on a `topic`, or nobody knows which (None)."""
 
     error: str
     time_ns: object
