@@ -32,11 +32,12 @@ from specmap_cli.layout.path_graph import (
     chosen_nodes,
     graph_of,
     motion_links,
+    settle,
+    tighten,
 )
 from specmap_cli.layout.pose_graph import Link, adjoint, moved_covariance
 from specmap_cli.layout.relaxation import close, explained
 from specmap_cli.layout.result import Candidate, Layout
-from specmap_cli.layout.solving import settle, tighten
 from specmap_cli.layout.walls import Walls
 
 # What a layout knows of two places that walls tie, seen by several passes: two fifths of a cell of

@@ -34,9 +34,9 @@ from specmap_cli.layout.path_graph import (
     Ties,
     graph_of,
     rows_every,
+    solved,
 )
 from specmap_cli.layout.pose_graph import Link, LinkArrays, errors
-from specmap_cli.layout.solving import solved
 from specmap_cli.layout.walls import PLACE_NODES, Surroundings, Walls, link_to_nearest, match_passes
 
 LOOPS_PER_NODE = 2  # passes tried until one fits

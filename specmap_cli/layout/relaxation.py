@@ -20,10 +20,18 @@ from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.audit import Views
 from specmap_cli.layout.consistency import CLAIM_SLACK_M, Judgement, judge
 from specmap_cli.layout.passes import PassesOnTheWay, far_passes, find_passes
-from specmap_cli.layout.path_graph import Bridge, Draft, Ends, Graph, RowPair
+from specmap_cli.layout.path_graph import (
+    Bridge,
+    Draft,
+    Ends,
+    Graph,
+    RowPair,
+    settle,
+    solved,
+    tighten,
+)
 from specmap_cli.layout.pose_graph import Link, errors
 from specmap_cli.layout.result import Candidate, Layout, Reason
-from specmap_cli.layout.solving import settle, solved, tighten
 from specmap_cli.layout.walls import PLACE_NODES, Walls, match_passes
 
 CLOSURE_OFF_M = 0.3  # grids of submaps were compared that near: what lies beyond was not

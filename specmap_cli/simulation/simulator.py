@@ -19,7 +19,7 @@ from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, path_l
 from specmap_cli.core.records import PlanarScan, Sweep
 from specmap_cli.core.text import nanoseconds, said
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.simulation.tours import Drive, Limits, drive, plan_tour, reachable_space
+from specmap_cli.simulation.tours import Drive, drive, plan_tour, reachable_space
 from specmap_cli.simulation.worlds import World
 
 _NEAREST_M = 0.02  # noise never makes a return nearer: a range is above 0
@@ -342,10 +342,8 @@ def tour_along(
 ) -> SimulatedTour:
     """The tour along a path (N, 2), with the errors that `options.seed` draws for its own."""
     _, wheels, noise = np.random.SeedSequence(options.seed).spawn(3)
-    limits = Limits(
-        options.speed_mps, math.radians(options.turn_rate_degps), options.acceleration_mps2
-    )
-    truth = drive(path, limits)
+    turn_rate = math.radians(options.turn_rate_degps)
+    truth = drive(path, options.speed_mps, turn_rate, options.acceleration_mps2)
     duration = min(truth.duration_s, options.max_duration_s or math.inf)
     scan_times = np.arange(0.0, duration + _ROUNDING_S, 1.0 / options.rate_hz)
     laser = Laser(

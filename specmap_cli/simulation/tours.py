@@ -208,17 +208,8 @@ class Drive:
         return np.stack(columns, axis=-1)
 
 
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """What the robot's wheels can do; all are above 0."""
-
-    speed_mps: float
-    turn_rate_radps: float
-    acceleration_mps2: float
-
-
-def drive(path: FloatArray, limits: Limits) -> Drive:
-    """Drive along a path (N, 2), N >= 1, as fast as the limits let the robot.
+def drive(path: FloatArray, highest: float, turn_rate: float, acceleration: float) -> Drive:
+    """Drive along a path (N, 2), N >= 1, as fast as wheels can: m/s, radians/s and m/s^2, above 0.
 
     It starts and ends at a standstill, looks where it drives, and turns in place at sharp corners.
     A path of one place is a robot that stands there, its heading 0.
@@ -235,10 +226,9 @@ def drive(path: FloatArray, limits: Limits) -> Drive:
     reached = np.concatenate([np.where(sharp, heading[:-1], middle), heading[-1:]])
     left = np.concatenate([heading[:1], np.where(sharp, heading[1:], middle)])
     bend = np.abs(reached - left)
-    limit = np.minimum(limits.speed_mps, limits.turn_rate_radps * lengths / np.maximum(bend, _TINY))
+    limit = np.minimum(highest, turn_rate * lengths / np.maximum(bend, _TINY))
     corner = np.minimum(limit[:-1], limit[1:])
     speeds = np.concatenate([[0.0], np.where(sharp, 0.0, corner), [0.0]])
-    highest, acceleration = limits.speed_mps, limits.acceleration_mps2
     # neither speeding up nor braking passes the acceleration: forwards, then backwards in time
     for ahead, steps in ((speeds, lengths), (speeds[::-1], lengths[::-1])):
         for i, length in enumerate(steps):
@@ -249,7 +239,7 @@ def drive(path: FloatArray, limits: Limits) -> Drive:
     stopped = np.where(lengths * acceleration > highest**2, coasting, peaked)
     both = speeds[:-1] + speeds[1:]
     seconds = np.where(both > 0.0, 2.0 * lengths / np.maximum(both, _TINY), stopped)
-    return _knots(path, reached, left, seconds, limits.turn_rate_radps)
+    return _knots(path, reached, left, seconds, turn_rate)
 
 
 def _knots(

@@ -21,9 +21,8 @@ from specmap_cli.layout.consistency import (
     pairs_of,
     path_error,
 )
-from specmap_cli.layout.path_graph import Ends, Graph
+from specmap_cli.layout.path_graph import Ends, Graph, settle, tighten
 from specmap_cli.layout.pose_graph import Link
-from specmap_cli.layout.solving import settle, tighten
 from tests.layout.driving import (
     SOFT,
     arc,
