@@ -74,9 +74,8 @@ def with_overrides(config: Config, overrides: dict[str, Any], where: str = "") -
 
 
 def known_settings(settings: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """The settings that this version has, and the dotted keys of the others.
+    """The settings that this version has, and the dotted keys of others, for those of another one.
 
-    For settings that another version wrote down: it may have had more, or called them otherwise.
     Retired ones are among the others only with a value that is not the one they are fixed at.
     """
     left, retired = without_retired(settings)

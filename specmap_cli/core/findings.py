@@ -95,8 +95,7 @@ def at_least_as_bad(verdict: Verdict, limit: Verdict) -> bool:
 def summary(findings: Sequence[Finding]) -> list[str]:
     """A line a code, in the order of first appearance: its worst finding and how many more.
 
-    The first finding of the worst severity stands for its code. What reading had to say is told in
-    full.
+    The first of the worst stands for its code. What reading had to say is told in full.
     """
     kinds: dict[str, list[Finding]] = {}
     for finding in findings:

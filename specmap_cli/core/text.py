@@ -113,8 +113,7 @@ _UNSHOWN = re.compile(
 def legible(text: str) -> str:
     """`text` in one line that shows what it holds.
 
-    Escaped are line breaks and other control characters, which a terminal would obey, those that
-    turn the direction of writing, and what is no Unicode.
+    Control characters, which a terminal would obey, turns of direction and no Unicode are escaped.
     """
     return encodable(_UNSHOWN.sub(lambda match: ascii(match[0])[1:-1], text))
 

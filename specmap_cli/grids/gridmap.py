@@ -243,10 +243,9 @@ def cast_rays(
 ) -> FloatArray:
     """Ranges (N,) of single rays from origins (N, 2) along angles (N,), +inf past `max_range`.
 
-    `distance` is `grid.obstacle_distance()`. A ray leaps by the free distance it stands in and
-    walks from cell border to cell border near obstacles, so that its range is where it enters the
-    first occupied cell it touches, exact to a thousandth of a millimetre. Rays that leave the grid
-    return +inf.
+    `distance` is `grid.obstacle_distance()`, by which a ray leaps; near obstacles it walks from
+    border to border, so that its range is where it enters the first occupied cell, exact to a
+    micrometre. Rays that leave the grid return +inf.
     """
     (height, width), flat = distance.shape, distance.reshape(-1)
     limit = max_range / grid.resolution

@@ -72,9 +72,8 @@ def integrate_keyframes(
 def informative(poses: FloatArray) -> IntArray:
     """Which of the poses (n, 3) say enough about a map between them, ascending (k,).
 
-    Of those that look from one place, half a metre wide, into one direction, a twelfth of a turn,
-    sixteen, evenly spread. A cell's share of hits is known from so many, and the work that a map
-    takes follows the building, however often the robot drives through it.
+    Sixteen of those in one place, half a metre wide, that look into one twelfth of a turn, evenly
+    spread: so the work follows the building, however often the robot drives through it.
     """
     looks = np.floor(poses / (PLACE_M, PLACE_M, DIRECTION_RAD)).astype(np.int64)
     _, look, counts = np.unique(looks, axis=0, return_inverse=True, return_counts=True)
@@ -235,8 +234,7 @@ def views_needed(scan: PlanarScan, config: GridConfig) -> int:
 class Recorded:
     """Keyframes at `poses` (n, 3) of the recordings `of` (n,), 0, 1, ... in the order of adding.
 
-    For each recording: `enough` (R,) scans of it show a place, and whether these look `all_round`
-    (R,), so that it does not matter which way the robot faced.
+    `enough` (R,) scans of each show a place, whichever way they face if `all_round` (R,).
     """
 
     poses: FloatArray
@@ -279,9 +277,8 @@ def sole_views(
 ) -> IntArray:
     """Those of the keyframes `gone` (n,) that show walls which no other one shows, ascending (k,).
 
-    The first n keyframes of the store stood at `poses` (n, 3) in the map of the grid `walls`; its
-    cells `unseen` (H, W) are those of walls that recordings after these did not look at. Of several
-    that show such a wall the last one stays.
+    The first n of the store stood at `poses` (n, 3) in the map of `walls`, whose cells `unseen` (H,
+    W) no later recording looked at. Of several that show such a wall the last one stays.
     """
     shown = partial(_shown, store, poses, walls, max_range_m)
     claims, left = {}, np.asarray(unseen).copy()

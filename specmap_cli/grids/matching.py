@@ -88,8 +88,7 @@ class Match:
 def search(field: ScoreField, points: NDArray[Any], guess: Pose2, window: Window) -> Match:
     """The best pose of points (N, 2) on the steps of `window` around `guess`, exhaustively.
 
-    Ties go to the pose nearest the guess. With N points, A angles and S shifts the cost is A S N
-    lookups. Without points the guess comes back with score 0.
+    Ties go to the pose nearest the guess, which comes back with score 0 without points.
     """
     if not len(points):
         return Match(guess, 0.0)
@@ -178,8 +177,7 @@ def answers(
 ) -> list[Match]:
     """The best poses of points (N, 2) on a field that differ, best first, at most `_ANSWERS`.
 
-    Of those within three sigmas of the prior, or anywhere, on the field pooled to cells of about
-    `step_m`: as for `search_everywhere`, scores are upper bounds.
+    Within three sigmas of the prior, on the field pooled to cells of `step_m`: upper bounds.
     """
     angles = prior.angles(step_rad)
     if prior.covariance is None:

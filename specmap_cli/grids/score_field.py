@@ -84,10 +84,9 @@ class ScoreField:
     ) -> ScoreField:
         """The field of obstacle points (N, 2), metres.
 
-        The grid covers all points if they spread over no more than `max_side` metres in x and in y,
-        else those within half of that from their median. So a stray point
-        kilometres away costs neither time nor memory. But walls beyond do not count either: what
-        is matched there scores 0. `left_out` of the result says how many points that were.
+        If they spread over more than `max_side` metres in x or y, of those within half of that from
+        their median: a stray point far away costs no time and no memory. `left_out` counts the
+        others, beyond which what is matched scores 0.
         """
         points = np.asarray(points, dtype=np.float64).reshape(-1, 2)
         cells = PointCells.of(points, resolution)

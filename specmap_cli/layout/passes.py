@@ -61,8 +61,7 @@ _MOST_ROWS = 80  # whose walls make one search: some 25 m of path, or every othe
 class Search:
     """A search for nearby passes along the path: what was found, and how far it has come.
 
-    It goes on at row `row`, and looks at the path again from `due_m` along it on. `news` links say
-    what the draft did not say when it was solved.
+    It goes on at row `row`, but not before `due_m`; `news` links say what the draft did not.
     """
 
     draft: Draft
@@ -81,9 +80,8 @@ def find_passes(graph: Graph, draft: Draft, walls: Walls, first: int = 0) -> Dra
 def searched(graph: Graph, search: Search, walls: Walls, end: int) -> Search:
     """A search that has gone on along the path, up to row `end`.
 
-    Parts that hang on the others by a guess only are left out. Nodes that the draft was matched at
-    are asked again, but matched only when they moved. Links that say what the draft says anyway are
-    no reason to solve it.
+    Parts that only a guess ties are left out. Nodes that were matched are asked again, but matched
+    only when they moved. Links that say what the draft says are no reason to solve it.
     """
     draft, due_m, news = search.draft, search.due_m, search.news
     ties = Ties(graph, draft.loops)
@@ -167,8 +165,7 @@ class PassesOnTheWay:
 class Passes:
     """The links found at one node, and the pairs of rows that were matched from which `guesses`.
 
-    `is_tied` says that the node is tied to an older pass, by these links or from before; `older`
-    counts the passes that came by.
+    The node `is_tied` to an older pass, now or before; `older` counts those that came by.
     """
 
     links: tuple[Link, ...]

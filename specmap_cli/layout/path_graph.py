@@ -127,8 +127,7 @@ class Graph:
 class Ties:
     """What ties the path of a graph to itself: how far it may drift from one row to another.
 
-    Links are ways of no length. So is a link to an older pass for all rows near by, but not for a
-    third pass, which that older one met long ago.
+    A link is a way of no length, for all rows near by, but not for a third pass met long ago.
     """
 
     def __init__(self, graph: Graph, links: Sequence[Link]) -> None:
@@ -201,9 +200,8 @@ def motion_links(
 ) -> tuple[Link, ...]:
     """Links from each of the keyframes `nodes` (M,) to the next, as tracked.
 
-    Those that end in one of `breaks`, where tracking started afresh, are bridges, or loose where
-    nothing is known of the motion: a guess. Who asks often keeps in `known` what the walls seen
-    from each keyframe tell of its place.
+    Those that end in one of `breaks`, where tracking started afresh, are bridges, or loose: a
+    guess. `known` keeps what the walls seen from each keyframe tell of its place.
     """
     poses, ends = store.poses[nodes], nodes[1:].tolist()
     steps = [Pose2(*motion) for motion in compose(invert(poses[:-1]), poses[1:]).tolist()]
@@ -239,9 +237,8 @@ def step_information(
 ) -> FloatArray:
     """Information (L, 3, 3) of motions `steps` (L,), each weighed in the frame it ends in.
 
-    `fisher` (L, 3, 3) is what the walls seen from its end tell of a place. By `guessed_m` (L, 2)
-    each may be off as it was guessed. A guess that goes on errs in one way, so that errors add up,
-    and not their squares: each counts for more, the more there are in a row.
+    `fisher` (L, 3, 3) is what walls tell of a place there, `guessed_m` (L, 2) what may be off as
+    guessed. Guesses in a row err in one way: errors add up, and not their squares.
     """
     position = [_LEAST_M + _STEP_SHARE * step.distance for step in steps]
     angle = [_LEAST_RAD + _TURN_SHARE * abs(step.theta) for step in steps]

@@ -48,12 +48,10 @@ def relax(
 ) -> Layout:
     """The consistent layout of the store's keyframes.
 
-    `closures` are verified and may span any drift; `breaks` are the numbers of keyframes at which
-    tracking started afresh, with the `Bridge` over each: how well odometry knows the motion there,
-    None where nothing does. A piece after a break with a bridge moves no farther than that allows.
-    `passes` is the search for nearby passes, where it has begun on the way. Scans are read from the
-    store, a few at a time. With `config.enabled` false the poses stay as they were tracked.
-    Deterministic.
+    `closures` are verified and may span any drift; `breaks` are the keyframes at which tracking
+    started afresh, with the `Bridge` over each, which a piece keeps to, or None. `passes` is the
+    search for nearby passes, where it has begun on the way. Scans are read a few at a time. With
+    `config.enabled` false the poses stay as they were tracked. Deterministic.
     """
     if not config.enabled or len(store) < 2:
         return Layout(poses=store.poses)
@@ -111,8 +109,7 @@ def explained(layout: Layout, judged: Sequence[Judgement]) -> dict[RowPair, Reas
 def place_parts(graph: Graph, draft: Draft, links: Sequence[Link]) -> Draft:
     """The draft with each part moved as a whole to where most links to older parts put it.
 
-    A robust solution takes what is metres off for an outlier. Parts that hang on a moved one move
-    with it. Those without a link stay a guess.
+    Else what is metres off is an outlier. Parts that hang on it move along; others stay a guess.
     """
     ends = Ends.of(graph.row, links)
     older, newer = ends.parts(graph)

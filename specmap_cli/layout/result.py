@@ -148,10 +148,9 @@ def loose_starts(graph: Graph, loops: Sequence[Link]) -> tuple[int, ...]:
 
 
 def along_walls(layout: Layout, store: KeyframeStore, config: RelaxationConfig) -> Layout:
-    """The layout turned about the map's origin so that most walls are parallel to an axis.
+    """The layout turned, by 45 degrees at most, so that most walls are parallel to an axis.
 
-    Of the four such turns it is the smallest, so none is above 45 degrees. A building of which no
-    direction stands out stays as it is. Deterministic.
+    A building of which no direction stands out stays as it is. Deterministic.
     """
     if not config.follow_walls:
         return layout
@@ -238,8 +237,7 @@ def propagated_places(places: FloatArray, before: FloatArray, after: FloatArray)
 def bridged(poses: FloatArray, tracked: FloatArray, lost: BoolArray) -> FloatArray:
     """Poses (n, 3) in which the guesses of lost scans lead from the scan before to the one after.
 
-    `tracked` (n, 3) are the poses before any relaxing, `lost` (n,) marks the guesses. What a chain
-    of guesses misses the next known pose by is spread over the way.
+    `tracked` (n, 3) are unrelaxed, `lost` (n,) guesses. What a chain misses is spread over the way.
     """
     result = np.array(poses)
     for start, end in runs(lost):

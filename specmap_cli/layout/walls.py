@@ -187,9 +187,8 @@ class Sides:
 def from_behind(source: Sides, target: Sides, guess: Pose2, drift_m: float) -> BoolArray:
     """(N,) whether the target shows the wall under a point of the source from its other side only.
 
-    `guess` is `target_from_source`; `drift_m` bounds how wrong it may be: sides are compared that
-    far around, and the thickness of a wall. Where walls face each other within that, nothing is
-    said.
+    `guess`, `target_from_source`, is wrong by up to `drift_m`: so far around, and the thickness of
+    a wall, sides are compared. Where walls face each other nothing is said.
     """
     cells = np.floor(target.points / _CELL_M).astype(np.int64)
     if not len(cells):
@@ -338,9 +337,8 @@ class Surroundings:
     def find(self, source: FloatArray, seen: Seen, prior: Prior) -> WallFit | None:
         """The pose of a view `source` (N, 2) among the walls, however far the prior reaches.
 
-        It must fit well, nowhere else nearly as well, and leave no direction open: in a bare
-        corridor nothing is found. `seen` says which cells of a field, and so near to them, were
-        looked into.
+        It must fit well, nowhere else nearly as well, and leave no direction open, as a bare
+        corridor does. `seen` says which cells of a field, and so near to them, were looked into.
         """
         few = thinned(source, FINE_POINTS_M)
         if len(few) < MATCH_POINTS:

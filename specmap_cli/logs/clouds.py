@@ -40,10 +40,9 @@ class CloudPoints(NamedTuple):
 
 
 class PointClock:
-    """What the point times of a lidar are: their unit, and whether its clock is that of the stamps.
+    """The unit of a lidar's point times, and whether their clock is that of the stamps.
 
-    The unit is the one by which a sweep takes between 2 ms and 2 s; the first full sweep settles
-    it. `foreign` counts the sweeps whose times are of another clock than their stamps.
+    A full sweep settles the unit: it takes 2 ms to 2 s. `foreign` counts those of another clock.
     """
 
     def __init__(self) -> None:
@@ -225,12 +224,11 @@ _MAX_HALVINGS = 2  # a planar scan has no fewer bearings than a quarter of those
 class CloudFlattener:
     """Turns clouds in the base frame into planar scans: the nearest return per bearing in a band.
 
-    The band lies between two heights above the floor. A bearing with nothing in the band is +inf
-    where the lidar has had a return at any height in this or an earlier cloud, so that it looked
-    there, and NaN where it never had one, outside its field of view. The number of bearings is
-    `_CLOUD_BEAMS`, halved until the lidar's resolution fills them. A floor of unknown height
-    (None) is taken to be where the lowest returns of the first cloud are. The clouds of a `planar`
-    laser have one height, whichever it is, and their scans keep the times of the beams.
+    The band lies between two heights above the floor. A bearing with nothing in it is +inf where
+    the lidar ever had a return at any height, and NaN outside its field of view. The number of
+    bearings, `_CLOUD_BEAMS`, is halved until its resolution fills them. A floor of unknown height
+    (None) is where the lowest returns of the first cloud are. The scans of a `planar` laser keep
+    the times of the beams.
     """
 
     def __init__(

@@ -103,10 +103,9 @@ class FirstScan(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScanSensor:
-    """A sensor of a topic. `name` is what `--scan-frame` calls it: its frame, or `frame#number`.
+    """A sensor of a topic, whose `name` for `--scan-frame` is its frame, or `frame#number`.
 
-    `count` is how many of the scans looked at are its own. `view` is set where the frame has
-    several sensors; a scan is of this one when its own view is near.
+    `count` of the scans looked at are its own. Where the frame has several, its `view` tells.
     """
 
     name: str

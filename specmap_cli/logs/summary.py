@@ -32,9 +32,8 @@ class Pauses:
 class TopicCheck:
     """What came of reading a topic to its end.
 
-    `expected` is the number that the file counts, `read` how many were read, `unusable` how many of
-    these cannot be decoded. `steps_back` counts messages whose stamp is earlier than that of the
-    message before, `repeats` those with the same stamp.
+    `expected` messages are counted by the file, `unusable` ones cannot be decoded; stamps of others
+    are earlier than the one before (`steps_back`), or equal it (`repeats`).
     """
 
     name: str
@@ -128,9 +127,8 @@ class StampFaults:
 class Preview:
     """What `build` will meet, by the first `scans` of the chosen sensor, or by all of them.
 
-    `stale_scans` only repeat others, see `Repeats`. `invalid_share` is that of readings which say
-    nothing, None for clouds. `sensors` are the sensors of the topic with their numbers among the
-    scans that were looked at.
+    `stale_scans` repeat others, see `Repeats`; `invalid_share` is of readings, None for clouds;
+    `sensors` have their numbers among the scans that were looked at.
     """
 
     scans: int

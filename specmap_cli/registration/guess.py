@@ -69,9 +69,8 @@ _WIDE_PER_M2, _WIDE_PER_RAD2 = 0.15, 0.05
 class ExpectedMotion:
     """The motion of the base expected since the sweep before, `interval_s` seconds.
 
-    `motion` is odometry's when it was `measured`, else `carried`: the motion before carried on.
-    `during` is the motion to de-skew with. `jumped` tells of an odometry increment too large to be
-    a motion, `shortened` of a motion before that was too large to be carried on as it was.
+    It is odometry's when `measured`, else `carried`: the one before goes on. `during` is for
+    de-skewing. `jumped`: odometry's was too large; `shortened`: the one before was.
     """
 
     motion: Pose2
@@ -255,8 +254,7 @@ def fixed_directions(scan: PlanarScan, base_from_laser: Pose2, motion: Pose2) ->
 class MotionGuess:
     """Where a sweep is expected: at `pose` (4, 4), after `before` (4, 4) and a motion.
 
-    `by_motion` is the place that the expected motions since the last keyframe lead to, or without
-    odometry the usual one. `reliance` is what odometry has been worth.
+    All motions since the last keyframe, or the usual one without odometry, lead to `by_motion`.
     """
 
     pose: FloatArray
@@ -324,8 +322,7 @@ class MotionGuess:
 def best_guess(scene: Scene, before: FloatArray, expected: ExpectedMotion) -> FloatArray:
     """The pose (4, 4) expected after the pose `before`: by odometry or by the motion before.
 
-    The motion before is carried on where odometry puts the sweep visibly off the walls. Stamps of
-    wheels and laser may be apart: in turns odometry is then off by many degrees.
+    The latter where odometry, its clock apart in a turn, puts the sweep visibly off the walls.
     """
     guess = product(before, expected.motion.matrix())
     if not expected.measured:
@@ -357,8 +354,7 @@ def near_window(*, measured: bool) -> Window:
 def wide_search(guess: MotionGuess, config: RegistrationConfig) -> tuple[Window, Bounds]:
     """Where the robot can have come in a hole of the log, or by wheels that slipped; and bounds.
 
-    Trusted odometry does not err by a wide turn, but wheels may have turned in vain. Without it a
-    result may be as far from the guess as the search looks.
+    Trusted odometry does not err by a wide turn; without it the search itself is the bound.
     """
     free, slipped_m = not guess.trusted, _WIDE_SEARCH_M + guess.expected.motion.distance
     window = Window(

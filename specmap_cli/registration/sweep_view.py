@@ -33,11 +33,10 @@ _GROWTH = 1.4  # of the cell from one try to the next at thinning: about half th
 class SweepView:
     """The points of a sweep, in the base frame.
 
-    `cloud` (N, 3) is registered; `sparse` (K, 3) is enough for coarse alignments. `walls` (M, 2) go
-    into the score field and `probe` (L, 2) is scored on it. `dense` (D, 3) goes into the local map:
-    thinned alike, two clouds of one street fit best where they stand alike to the lidar, as if it
-    had not moved. `planar` is the scan to hand on.
-    Its laser stood at `base_from_laser`, and walls beyond `reach_m` of it are not looked at.
+    `cloud` (N, 3) is registered, `sparse` (K, 3) for coarse alignments; `probe` (L, 2) of the
+    `walls` (M, 2) is scored on their field. `dense` (D, 3) goes into the local map: thinned alike,
+    two clouds fit best as if the lidar had not moved. `planar` is handed on, with its laser at
+    `base_from_laser`; walls beyond `reach_m` are not looked at.
     """
 
     planar: PlanarScan

@@ -140,9 +140,8 @@ def spread_labels(
 ) -> None:
     """Fill, in place, what is unlabelled (-1) of every piece of `free` (H, W) that holds a label.
 
-    Labels creep `rings` cells through free space, so that none crosses a thin wall; what is left
-    takes the nearest label of all, if they are to go `everywhere`. Time and memory go with the
-    cells to fill, which are few, and not with the map.
+    Labels creep `rings` cells, so that none crosses a thin wall; then, if `everywhere`, the nearest
+    counts. Time and memory go with the cells to fill, and not with the map.
     """
     lacking = [np.argwhere(free[rows] & (labels[rows] < 0)) for rows in bands_of(labels.shape)]
     for rows, some in zip(bands_of(labels.shape), lacking, strict=True):
@@ -228,8 +227,7 @@ def border_widths(labels: LabelArray, clearance: LengthArray) -> dict[Pair, floa
 def joined_wide(borders: dict[Pair, float], widths: list[float], ratio: float) -> LabelArray:
     """(k,) the new label of each cluster, of some `widths` (k,), after joining those it goes on in.
 
-    A border joins two clusters when it is at least `ratio` times as wide as they are, by their
-    geometric mean: a corridor goes on where its width goes on, and ends where it opens into a hall.
+    Their border is at least `ratio` times as wide as the geometric mean of theirs.
     """
     joins = [
         (one, other)

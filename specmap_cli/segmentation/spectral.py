@@ -49,10 +49,9 @@ _TINY = 1e-12  # keeps a row of zeros from dividing by zero
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Spectrum:
-    """What Algorithm 2 found in a graph of n nodes.
+    """What Algorithm 2 found in a graph of n nodes: their `labels` (n,) 0, 1, ...
 
-    `labels` (n,) 0, 1, ... the cluster of each node; `eigenvalues` (m,) falling, of all parts
-    together; `used` is the number of those that count, which is k summed over the parts.
+    `eigenvalues` (m,) fall, of all parts together; `used` of them count, k of each part.
     """
 
     labels: LabelArray
@@ -84,10 +83,9 @@ def spectral_clusters(graph: VisibilityGraph, config: SegmentationConfig) -> Spe
 def clusters_of(S: Any, parts: Sequence[IndexArray], least: float) -> Spectrum:
     """Lines 2 to 7 of Algorithm 2 for each of some parts of a graph; label -1 outside them.
 
-    The D_ii are those of the whole graph S (n, n), sparse: what a cut takes from the row of a node
-    stays in its degree, as it goes to a neighbour elsewhere. k is the number of eigenvalues above
-    `least`. k-means starts at the row of the best and of the least connected node, so it needs no
-    random numbers.
+    The D_ii are those of the whole graph S (n, n), sparse: what a cut takes goes to a neighbour
+    elsewhere. k eigenvalues are above `least`. k-means starts at the row of the best and of the
+    least connected node, without random numbers.
     """
     degrees = np.asarray(S.sum(axis=1)).ravel()
     labels = np.full(len(degrees), -1, dtype=np.int16)
@@ -346,10 +344,9 @@ def eigenpairs_above(matrix: Any, least: float) -> tuple[FloatArray, FloatArray]
 def kmeans_unit(rows: FloatArray, clusters: int, first: list[int]) -> LabelArray:
     """Cluster unit vectors `rows` (n, d) into at most `clusters`; (n,) labels.
 
-    Lloyd's iteration runs once for each row number in `first`. The labels with the smallest sum of
-    squared distances win, those of the earlier start on a tie. A start takes its row and then, one
-    at a time, the row most nearly orthogonal to all taken before (Ng, Jordan and Weiss, "On
-    Spectral Clustering", NIPS 2001).
+    The best of Lloyd's iterations, one for each row in `first`, which takes that and, one by one,
+    the row most nearly orthogonal to all taken before (Ng, Jordan and Weiss, "On Spectral
+    Clustering", NIPS 2001).
     """
     best, least = np.zeros(len(rows), dtype=np.int16), np.inf
     for row in first:

@@ -50,10 +50,9 @@ def sample_nodes(
 ) -> IndexArray:
     """(n, 2) row and column of one node in each block of `step` x `step` cells, in block order.
 
-    `choice` "clearest" takes the cell with the largest clearance of a block, so that nodes stand in
-    the middle of rooms and doorways; "centre" takes the block's middle cell. Blocks whose cell has
-    no more clearance than `least` give no node. The first block begins `before` rows and columns
-    off the grid.
+    `choice` "clearest" takes the cell with the largest clearance, the middle of rooms and doorways,
+    "centre" the middle one; no more than `least` of it gives no node. Blocks begin `before` rows
+    and columns off the grid.
     """
     height, width = clearance.shape
     columns = max(1, -(-(before + width) // step))

@@ -104,8 +104,7 @@ def plan_tour(
 ) -> FloatArray:
     """A path (N, 2) that comes within about `spacing_m` of every reachable point in each lap.
 
-    `rng` draws the start and each lap's targets, so that every lap and every seed is a new path.
-    Each lap starts where the one before ended.
+    `rng` draws the start and each lap's targets; a lap starts where the one before ended.
     """
     here = int(rng.choice(len(lattice.points), p=_preference(lattice, np.inf)))
     nodes = [np.array([here])]
@@ -211,8 +210,7 @@ class Drive:
 def drive(path: FloatArray, highest: float, turn_rate: float, acceleration: float) -> Drive:
     """Drive along a path (N, 2), N >= 1, as fast as wheels can: m/s, radians/s and m/s^2, above 0.
 
-    It starts and ends at a standstill, looks where it drives, and turns in place at sharp corners.
-    A path of one place is a robot that stands there, its heading 0.
+    From standstill to standstill, with turns in place at sharp corners; one place is a stop.
     """
     path = path[np.concatenate([[True], step_lengths(path) > _TINY])]
     if len(path) < 2:
