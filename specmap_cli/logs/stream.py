@@ -210,9 +210,9 @@ _COUNTED = ("scans", "odometry", *_SAID)
 class SweepStream:
     """Iterable of the sweeps of a log; every iteration reads the log anew.
 
-    `selection` says what was chosen; `expected` is the number of scans on the topic; `counts`,
-    `ceiling`, `own_body` and `warnings` are of the iteration so far. Raises what `selection.select`
-    raises, and TypeError for arguments that are no `Log` and `LogConfig`.
+    `selection` says what was chosen; `counts`, `ceiling`, `own_body` and `warnings` are of the
+    iteration so far. Raises what `selection.select` raises, and TypeError for arguments that are no
+    `Log` and `LogConfig`.
     """
 
     def __init__(self, log: Log, config: LogConfig) -> None:
