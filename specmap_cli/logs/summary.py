@@ -218,16 +218,16 @@ class LogSummary:
     format: str
     size_bytes: int
     messages: int
-    start_s: float
+    start_s: float = 0.0
     end_s: float
-    duration_s: float
+    duration_s: float = 0.0
     chosen: str | None = None
     problem: str | None = None
     next_command: str | None = None
     warnings: tuple[str, ...] = ()
-    topics: tuple[TopicSummary, ...]
-    frames: tuple[FrameSummary, ...]
-    scan: ScanSummary | None
+    topics: tuple[TopicSummary, ...] = ()
+    frames: tuple[FrameSummary, ...] = ()
+    scan: ScanSummary | None = None
     checked: tuple[TopicCheck, ...] | None = None
     preview: Preview | None = None
     damage: tuple[str, ...] = ()
