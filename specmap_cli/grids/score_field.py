@@ -96,11 +96,7 @@ class ScoreField:
 
     @classmethod
     def from_cells(
-        cls,
-        parts: Sequence[PointCells],
-        sigma: float,
-        max_side: float,
-        middle: tuple[float, float],
+        cls, parts: Sequence[PointCells], sigma: float, max_side: float, middle: tuple[float, float]
     ) -> ScoreField:
         """As `from_points`, of points whose cells, all of one resolution, are known already."""
         resolution = parts[0].resolution

@@ -133,7 +133,8 @@ def solve(
     for _ in range(iterations):
         if converged:
             break
-        step = _step(current, edges, damping)
+        factor, gradient = _normal(current, edges, damping)
+        step = np.asarray(factor.solve(-gradient[1:].ravel()), dtype=np.float64).reshape(-1, 3)
         trial = current.copy()
         trial[1:] += step
         trial[:, 2] = wrap_angles(trial[:, 2])
@@ -172,12 +173,6 @@ def spread_between(poses: FloatArray, edges: LinkArrays, a: int, b: int) -> Floa
     right = moved[1:].reshape(-1, 3)
     factor, _ = _normal(poses, edges, 0.0)
     return product(right.T, np.asarray(factor.solve(right), dtype=np.float64))
-
-
-def _step(poses: FloatArray, edges: LinkArrays, damping: float) -> FloatArray:
-    """The Gauss-Newton step (n - 1, 3) of all poses but the first."""
-    factor, gradient = _normal(poses, edges, damping)
-    return np.asarray(factor.solve(-gradient[1:].ravel()), dtype=np.float64).reshape(-1, 3)
 
 
 def _normal(poses: FloatArray, edges: LinkArrays, damping: float) -> tuple[SuperLU, FloatArray]:

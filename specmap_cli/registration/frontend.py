@@ -121,11 +121,7 @@ class FrontEnd:
         """The sweep, de-skewed, with its pose in the map, provisional at first: see `take`."""
         expected = self._motion.expect(sweep)
         view = view_of(
-            sweep,
-            expected.during,
-            expected.interval_s,
-            self.config,
-            measured=expected.measured,
+            sweep, expected.during, expected.interval_s, self.config, measured=expected.measured
         )
         if self._map is None:  # made for the sensor of the first sweep
             config, planar = self.config, sweep.cloud is None

@@ -241,11 +241,7 @@ def drive(path: FloatArray, highest: float, turn_rate: float, acceleration: floa
 
 
 def _knots(
-    path: FloatArray,
-    reached: FloatArray,
-    left: FloatArray,
-    seconds: FloatArray,
-    turn_rate: float,
+    path: FloatArray, reached: FloatArray, left: FloatArray, seconds: FloatArray, turn_rate: float
 ) -> Drive:
     """The drive through all corners, with eased turns where a corner is left in another heading."""
     times, poses = [np.zeros(1)], [np.array([[*path[0], left[0]]])]
