@@ -244,7 +244,7 @@ class Recorded:
 
 
 def repeated(recorded: Recorded, needed: BoolArray) -> BoolArray:
-    """(n,) keyframes not `needed` (n,), where the last recording, and newer ones enough, were."""
+    """(n,) those not `needed` (n,) where the last recording was, and newer ones often enough."""
     from scipy.spatial import cKDTree  # slow to load, and only an update asks
 
     gone = np.zeros(len(needed), dtype=bool)

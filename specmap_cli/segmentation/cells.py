@@ -240,7 +240,7 @@ def joined_wide(borders: dict[Pair, float], widths: list[float], ratio: float) -
 def without_dead_ends(
     labels: LabelArray, clearance: LengthArray, least: float, smallest: float
 ) -> LabelArray:
-    """Regions (h, w) without small ones that a robot (radius `least`) enters from one other."""
+    """Regions (h, w): one of few cells, entered from one other alone (`least`), is its part."""
     size = np.bincount(labels[labels >= 0], minlength=1)
     around: dict[int, set[int]] = {}
     for (one, other), border in border_widths(labels, clearance).items():

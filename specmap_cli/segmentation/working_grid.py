@@ -151,7 +151,7 @@ def reduced(cells: CellArray, step: int) -> CellArray:
 def _along_walls(
     cells: CellArray, corner: NDArray[np.intp], block: int
 ) -> tuple[CellArray, FloatArray | None]:
-    """Cells (h, w) turned about a block's `corner` to lie along walls, and how; None: they do."""
+    """Cells (h, w), turned about `corner` so that walls lie along rows; the transform, or None."""
     around = np.ones((2 * _FRAME + 1, 2 * _FRAME + 1), dtype=np.uint8)
     beside = cv2.dilate((cells == FREE).astype(np.uint8), around) > 0  # no depths of solid blocks
     angle = wall_angle(np.argwhere(beside & (cells == OCCUPIED)))
