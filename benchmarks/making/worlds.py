@@ -15,7 +15,7 @@ from specmap_cli.simulation.simulator import (
     drifting_odometry,
     laser_bearings,
 )
-from specmap_cli.simulation.tours import Limits, drive
+from specmap_cli.simulation.tours import drive
 from specmap_cli.simulation.worlds import World
 
 Place = tuple[float, float]
@@ -90,7 +90,7 @@ def drive_along(
 ) -> SimulatedTour:
     """A drive from place to place, with odometry of the given errors."""
     wheels, noise = np.random.SeedSequence(seed).spawn(2)
-    truth = drive(_rounded(np.array(places)), Limits(speed_mps, 1.5, 0.5))
+    truth = drive(_rounded(np.array(places)), speed_mps, 1.5, 0.5)
     times = np.arange(0.0, truth.duration_s, 1.0 / rate_hz)
     laser = Laser(
         bearings=laser_bearings(np.radians(field_of_view_deg), beams),

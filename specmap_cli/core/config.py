@@ -69,17 +69,13 @@ def load_config(
 
 
 def with_overrides(config: Config, overrides: dict[str, Any], where: str = "") -> Config:
-    """The configuration with nested `overrides` over it; UsageError as in `load_config`.
-
-    `where` stands before the complaint: the file that the overrides are from, and a colon.
-    """
+    """The configuration with nested `overrides` over it; a complaint begins with `where`."""
     return _validated(_merge(config.model_dump(), overrides), where, {})
 
 
 def known_settings(settings: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """The settings that this version has, and the dotted keys of the others.
+    """The settings that this version has, and the dotted keys of others, for those of another one.
 
-    For settings that another version wrote down: it may have had more, or called them otherwise.
     Retired ones are among the others only with a value that is not the one they are fixed at.
     """
     left, retired = without_retired(settings)
@@ -99,10 +95,7 @@ def known_settings(settings: Mapping[str, Any]) -> tuple[dict[str, Any], list[st
 
 
 def _validated(settings: dict[str, Any], where: str, given: Mapping[str, Any]) -> Config:
-    """The configuration; `where` is to blame for a wrong key that is not among the overrides given.
-
-    Warns of retired settings.
-    """
+    """The configuration; warns of retired settings. `where` is to blame but for what was given."""
     left, retired = without_retired(settings)
     for key, value in retired.items():
         no_effect = f"; {json.dumps(value, default=str)} has no effect"

@@ -29,9 +29,8 @@ _inside = 0  # calls under way: the first takes the threads, the last gives them
 def one_blas_thread() -> Iterator[None]:
     """Keep every BLAS of this process on one thread, also those that are loaded meanwhile.
 
-    Calls may be nested or run in several threads. After the last has ended every BLAS has as many
-    threads as before; one that was loaded meanwhile has as many as the others. It also decorates
-    functions.
+    Calls may be nested or run in threads; it also decorates functions. After the last has ended
+    every BLAS has as many threads as before; one loaded meanwhile has as many as others.
     """
     global _inside
     with _LOCK:
@@ -78,8 +77,7 @@ _LARGE = 1 << 24  # bytes: of smaller arrays new pages would take more time than
 def give_memory_back() -> None:
     """Give the system the pages that hold nothing any more; where glibc is not, do nothing.
 
-    Arrays of some megabytes that come and go leave holes, which glibc keeps for later ones. From
-    the first call on the largest arrays leave none: each has pages of its own.
+    Arrays of megabytes that come and go leave holes; from now on the largest leave none.
     """
     import ctypes  # slow to load, and no need of a command that only tells
 

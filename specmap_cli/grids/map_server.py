@@ -18,14 +18,7 @@ from typing import Annotated, Any, Literal
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    ValidationError,
-    field_validator,
-    model_validator,
-)
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from specmap_cli.core.errors import TOO_LARGE, MapError
 from specmap_cli.core.files import read_bytes, write_bytes, write_text
@@ -68,10 +61,7 @@ _PNM = re.compile(rb"P[1-6]\s+(?:#[^\n]*\n\s*)*(\d+)\s+(?:#[^\n]*\n\s*)*(\d+)")
 
 
 def write_png(path: str | Path, image: NDArray[Any]) -> None:
-    """Write an image, 8 or 16 bit, grey (H, W) or BGR (H, W, 3): the same bytes every time.
-
-    The file appears complete or not at all. UsageError when it cannot be written.
-    """
+    """Write an image as `png_bytes` makes it, complete or not at all; UsageError if it cannot."""
     write_bytes(path, png_bytes(image))
 
 
@@ -82,10 +72,7 @@ def png_bytes(image: NDArray[Any]) -> bytes:
 
 
 def write_grid(stem: str | Path, grid: GridMap) -> None:
-    """Write `stem`.png and `stem`.yaml, the image first. UsageError when they cannot be written.
-
-    A grid without cells becomes one unknown cell: no image is empty.
-    """
+    """Write `stem`.png and `stem`.yaml, one unknown cell at least; UsageError if it cannot."""
     stem = Path(stem)
     image = stem.with_name(stem.name + ".png")
     cells = grid.cells if grid.cells.size else np.full((1, 1), UNKNOWN, dtype=np.uint8)
@@ -163,10 +150,7 @@ def read_grid(
 
 
 def files_of_grid(path: Path) -> tuple[Path, ...]:
-    """The files that `read_grid` reads: a YAML and the picture that it names, or a bare picture.
-
-    Raises MapError.
-    """
+    """What `read_grid` reads: a YAML and the picture it names, or a bare one. Raises MapError."""
     if path.suffix.lower() not in _YAMLS:
         return (path,)
     image = _entries(path).get("image")
@@ -190,10 +174,7 @@ def _entries(path: Path) -> dict[str, Any]:
 
 
 def _with_outlines(cells: CellArray, picture: NDArray[Any]) -> CellArray:
-    """The cells (H, W) of a drawing of which white ends at walls, however light they are drawn.
-
-    The grey that map_saver writes for unknown, and what is transparent, stay what they are.
-    """
+    """The cells (H, W) of a drawing whose white ends at walls, however light they are drawn."""
     beside = cv2.dilate((cells == FREE).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     unsure = beside & (cells == UNKNOWN)
     channels, unit = picture.shape[2], 257 if picture.dtype == np.uint16 else 1
@@ -230,10 +211,7 @@ _Share = Annotated[float, Field(ge=0.0, le=1.0, description="a number from 0 to 
 
 
 class _MapYaml(BaseModel):
-    """The entries of a map_server YAML: where its picture is, and how greys become cells.
-
-    The description of each is what a complaint says was expected.
-    """
+    """The entries of a map_server YAML; the description of each says what was expected."""
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
@@ -266,11 +244,7 @@ class _MapYaml(BaseModel):
         return self
 
     def frees_unknown(self, picture: NDArray[Any]) -> bool:
-        """Whether a picture (H, W, C) is a saved map whose grey for unknown would be read as free.
-
-        Such a picture has the greys of map_saver, nearly no others, and one for free among them: of
-        two greys that are both free, none would say anything.
-        """
+        """Whether a picture (H, W, C) is of a map_saver, whose grey for unknown would be free."""
         if self.mode != "trinary" or self.negate:
             return False
         if self.free_thresh <= (255 - _UNKNOWN_GREY) / 255.0:
@@ -285,9 +259,7 @@ class _MapYaml(BaseModel):
     def cells(self, picture: NDArray[Any]) -> CellArray:
         """(H, W) cells of a picture (H, W, C): the darker the pixel, the surer the obstacle.
 
-        With `negate` it is the lighter; in mode raw values are percent as they stand, and what is
-        more than a hundred is unknown. So is what lies between the thresholds in any mode, and what
-        is transparent.
+        With `negate` it is the lighter; mode raw has percent. Transparent is unknown.
         """
         channels = picture.shape[2]
         plain = channels == 1 and picture.dtype == np.uint8  # the usual one, and large at times
@@ -344,10 +316,7 @@ def read_picture(path: Path, limits: LimitsConfig | None = None) -> NDArray[Any]
 
 
 def _is_whole(data: bytes) -> bool:
-    """Whether a PNG holds every byte that its chunks claim, which decoders ask memory for.
-
-    Pictures of other formats have no chunks.
-    """
+    """Whether a PNG holds all bytes that its chunks claim, which decoders ask memory for."""
     place = len(_PNG_MAGIC)
     while data.startswith(_PNG_MAGIC) and place < len(data):
         length = int.from_bytes(data[place : place + 4])

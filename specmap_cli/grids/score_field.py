@@ -45,10 +45,7 @@ _NEAR_STEP = 1e-3  # metres and radians: what follows mends as much
 
 @dataclass(frozen=True, slots=True)
 class PointCells:
-    """The cells `cells` (2, N), columns and rows from the origin of the frame, of N points.
-
-    `low` and `high` are the least and greatest x and y of the points, metres.
-    """
+    """Columns and rows (2, N) of N points from the origin; least and greatest x and y, metres."""
 
     cells: NDArray[np.int64]
     low: tuple[float, float]
@@ -87,10 +84,9 @@ class ScoreField:
     ) -> ScoreField:
         """The field of obstacle points (N, 2), metres.
 
-        The grid covers all points if they spread over no more than `max_side` metres in x and in y,
-        else those within half of that from their median. So a stray point
-        kilometres away costs neither time nor memory. But walls beyond do not count either: what
-        is matched there scores 0. `left_out` of the result says how many points that were.
+        If they spread over more than `max_side` metres in x or y, of those within half of that from
+        their median: a stray point far away costs no time and no memory. `left_out` counts the
+        others, beyond which what is matched scores 0.
         """
         points = np.asarray(points, dtype=np.float64).reshape(-1, 2)
         cells = PointCells.of(points, resolution)
@@ -100,11 +96,7 @@ class ScoreField:
 
     @classmethod
     def from_cells(
-        cls,
-        parts: Sequence[PointCells],
-        sigma: float,
-        max_side: float,
-        middle: tuple[float, float],
+        cls, parts: Sequence[PointCells], sigma: float, max_side: float, middle: tuple[float, float]
     ) -> ScoreField:
         """As `from_points`, of points whose cells, all of one resolution, are known already."""
         resolution = parts[0].resolution
@@ -131,11 +123,7 @@ class ScoreField:
         return cls(_field_values(empty, resolution, sigma), resolution, origin, left_out)
 
     def with_cells(self, part: PointCells, sigma: float) -> ScoreField | None:
-        """The same field with more points, whose cells are of its resolution; sigma is its own.
-
-        Where the new points are far from, past the reach of sigma, it stays as it was. None if one
-        of them is too near the edge: then the field must be made anew.
-        """
+        """The field with more points, unchanged far from them; None: one is too near the edge."""
         stamp = _stamp(self.resolution, sigma)
         reach, (height, width) = len(stamp) // 2, self.values.shape
         corner = [round(place / self.resolution) for place in self.origin]
@@ -278,10 +266,7 @@ def _size(step: Step) -> float:
 
 
 def _step(here: Sample, damping: float) -> Step:
-    """The Gauss-Newton step from a pose, cut to the longest allowed; `damping` is that of a point.
-
-    The normal equations are solved by L D L^T: LAPACK rounds otherwise on another processor.
-    """
+    """The Gauss-Newton step, cut, by L D L^T: LAPACK rounds otherwise on another processor."""
     equations = here.equations()
     # the lower half of the normal matrix, and the right side
     (a, *_), (b, c, *_), (d, e, f, _), (x, y, z, _) = product(equations, equations.T).tolist()

@@ -18,12 +18,7 @@ from scipy.spatial import cKDTree
 from specmap_cli.core.geometry import FloatArray, compose
 from specmap_cli.core.records import BoolArray, IntArray
 from specmap_cli.grids.keyframes import KeyframeStore
-from specmap_cli.layout.path_graph import (
-    LOOP_EVERY_M,
-    LOOP_PATH_M,
-    Graph,
-    rows_every,
-)
+from specmap_cli.layout.path_graph import LOOP_EVERY_M, LOOP_PATH_M, Graph, rows_every
 
 _RANGE_M = 12.0  # farther returns show every error of the heading
 _BEARINGS = 180  # two degrees each: neighbours cover what headings err by
@@ -141,11 +136,7 @@ class Views:
         return both[:, 0], both[:, 1]
 
     def _compared(self, lasers: FloatArray, a: IntArray, b: IntArray) -> tuple[int, IntArray]:
-        """How many walls seen from `b` (P,) agree with what `a` saw, and those that contradict it.
-
-        A contradiction stands clear before what `a` saw, and no other view of the pass of `b` saw
-        through it or what `a` saw: it hid that from all of them. The pair of each is told.
-        """
+        """How many walls seen from `b` (P,) agree with what `a` saw, and pairs of those against."""
         pair, beam = np.nonzero(np.isfinite(self.ranges[b]))
         bearing = lasers[b[pair], 2] + (beam + 0.5) * (2 * np.pi / _BEARINGS) - np.pi
         reach = self.ranges[b[pair], beam].astype(np.float64)
@@ -166,10 +157,7 @@ class Views:
     def _seen(
         self, lasers: FloatArray, views: IntArray, places: FloatArray
     ) -> tuple[BoolArray, BoolArray, FloatArray]:
-        """Whether each view (n,) saw a wall at its place (n, 2), or looked clear through it.
-
-        Also how much farther its reading there reaches.
-        """
+        """Whether a view (n,) saw a wall at its place (n, 2) or through it; how much farther."""
         away = places - lasers[views, :2]
         share = (np.arctan2(away[:, 1], away[:, 0]) - lasers[views, 2]) / (2 * np.pi) + 0.5
         column = np.floor(share * _BEARINGS).astype(np.int64)

@@ -76,14 +76,14 @@ def judge(graph: Graph, draft: Draft, claims: Sequence[Link]) -> tuple[Judgement
     missed = errors(graph.poses, ends.i, ends.j, ends.z)
     sigmas = np.sqrt(np.einsum("la,lab,lb->l", missed, inverse3(error), missed))
     known_m = _sigma_m(spread.between(ends.i, ends.j))
-    pairs = Pairs.of(graph, draft.poses, ends, spread)
+    agree, told_m = pairs_of(graph, draft.poses, ends, spread)
     possible = (older != newer) | (sigmas <= _MEND_SIGMAS)
-    votes = _votes(graph, ends, pairs.agree, pairs.told_m <= known_m / _SURE, possible)
+    votes = _votes(graph, ends, agree, told_m <= known_m / _SURE, possible)
     winners = votes >= _VOTES
     # of those that agree, the one that knows its place best, if better than the path
-    told_m, rows = np.where(winners, pairs.told_m, np.inf), np.arange(len(claims))
+    told_m, rows = np.where(winners, told_m, np.inf), np.arange(len(claims))
     best = told_m.argmin(axis=1)
-    outvoted = (told_m[rows, best] < known_m) & ~pairs.agree[rows, best]
+    outvoted = (told_m[rows, best] < known_m) & ~agree[rows, best]
     way_m = np.abs(graph.path[ends.j] - graph.path[ends.i])
     allowed_m = CLAIM_SLACK_M + np.maximum(_ALONE_SHARE * way_m, _ALONE_SIGMAS * known_m)
     is_beside = np.isfinite(told_m[rows, best])
@@ -105,41 +105,33 @@ def judge(graph: Graph, draft: Draft, claims: Sequence[Link]) -> tuple[Judgement
     return tuple(judged)
 
 
-@dataclass(frozen=True, slots=True)
-class Pairs:
-    """Which links `agree`, (L, L), and how well one says where another would be: `told_m` (L, L).
+def pairs_of(
+    graph: Graph, poses: FloatArray, ends: Ends, spread: Uncertainty
+) -> tuple[BoolArray, FloatArray]:
+    """Which links agree, (L, L), and how well one says where another would be, a sigma (L, L).
 
-    That is a standard deviation. Of links between other parts one says nothing: inf.
+    Of links between other parts one says nothing: inf. The way home leads from the older end of
+    link a over it, along the newer pass, back over link b, and along the older pass. Its error is
+    told in the frame of the newer end of b. `poses` (M, 3) are those of the graph's nodes.
     """
-
-    agree: BoolArray
-    told_m: FloatArray
-
-    @classmethod
-    def of(cls, graph: Graph, poses: FloatArray, ends: Ends, spread: Uncertainty) -> Pairs:
-        """Of links at poses (M, 3).
-
-        The way home leads from the older end of link a over it, along the newer pass, back over
-        link b, and along the older pass. Its error is told in the frame of the newer end of b.
-        """
-        older, newer = ends.parts(graph)
-        same = (older[:, None] == older) & (newer[:, None] == newer)
-        a, b = np.nonzero(np.triu(same, 1))
-        later = compose(invert(poses[ends.j[a]]), poses[ends.j[b]])  # ja from jb
-        before = compose(invert(poses[ends.i[b]]), poses[ends.i[a]])  # ib from ia
-        over = compose(compose(before, ends.z[a]), later)  # ib from jb, by way of link a
-        error = compose(invert(ends.z[b]), over)
-        # each piece's error, moved to the frame of jb: that of a link acts in the frame of its end
-        covariance = spread.between(ends.j[a], ends.j[b]) + _CLAIM_ERROR
-        covariance = covariance + moved_covariance(adjoint(invert(later)), _CLAIM_ERROR[None])
-        back = adjoint(invert(compose(ends.z[a], later)))  # jb from ia
-        covariance = covariance + moved_covariance(back, spread.between(ends.i[b], ends.i[a]))
-        agree = np.eye(len(older), dtype=bool)
-        chi2 = np.einsum("la,lab,lb->l", error, inverse3(covariance), error)
-        agree[a, b] = agree[b, a] = chi2 <= _AGREE_CHI2
-        told_m = np.full(same.shape, np.inf)
-        told_m[a, b] = told_m[b, a] = _sigma_m(covariance)
-        return cls(agree, told_m)
+    older, newer = ends.parts(graph)
+    same = (older[:, None] == older) & (newer[:, None] == newer)
+    a, b = np.nonzero(np.triu(same, 1))
+    later = compose(invert(poses[ends.j[a]]), poses[ends.j[b]])  # ja from jb
+    before = compose(invert(poses[ends.i[b]]), poses[ends.i[a]])  # ib from ia
+    over = compose(compose(before, ends.z[a]), later)  # ib from jb, by way of link a
+    error = compose(invert(ends.z[b]), over)
+    # each piece's error, moved to the frame of jb: that of a link acts in the frame of its end
+    covariance = spread.between(ends.j[a], ends.j[b]) + _CLAIM_ERROR
+    covariance = covariance + moved_covariance(adjoint(invert(later)), _CLAIM_ERROR[None])
+    back = adjoint(invert(compose(ends.z[a], later)))  # jb from ia
+    covariance = covariance + moved_covariance(back, spread.between(ends.i[b], ends.i[a]))
+    agree = np.eye(len(older), dtype=bool)
+    chi2 = np.einsum("la,lab,lb->l", error, inverse3(covariance), error)
+    agree[a, b] = agree[b, a] = chi2 <= _AGREE_CHI2
+    told_m = np.full(same.shape, np.inf)
+    told_m[a, b] = told_m[b, a] = _sigma_m(covariance)
+    return agree, told_m
 
 
 def _sigma_m(covariance: FloatArray) -> FloatArray:
@@ -152,9 +144,8 @@ def _votes(
 ) -> IntArray:
     """(c,) with how many independent claims each agrees that agree with each other, with itself.
 
-    Sets of claims in which each agrees with each are gathered from those with the most that agree
-    on, one after the other. Within a set those count that hang together by `sure` pairs (c, c), of
-    which one knows the place of the other much better than the path: far along it anything agrees.
+    Sets in which each agrees with each are gathered, the largest first. In a set those count that
+    hang together by `sure` pairs (c, c): far along the path anything agrees.
     """
     votes, left = np.ones(len(agree), dtype=np.int64), possible
     while left.any():

@@ -32,11 +32,12 @@ from specmap_cli.layout.path_graph import (
     chosen_nodes,
     graph_of,
     motion_links,
+    settle,
+    tighten,
 )
 from specmap_cli.layout.pose_graph import Link, adjoint, moved_covariance
 from specmap_cli.layout.relaxation import close, explained
 from specmap_cli.layout.result import Candidate, Layout
-from specmap_cli.layout.solving import settle, tighten
 from specmap_cli.layout.walls import Walls
 
 # What a layout knows of two places that walls tie, seen by several passes: two fifths of a cell of
@@ -136,9 +137,8 @@ def without_keyframes(
 ) -> Layout:
     """The layout of the keyframes `numbers` (k,) alone, ascending, which get new numbers from 0 on.
 
-    `store` and `breaks`, gaps among them, are those of the new numbers already; `recordings` (n,)
-    are those of all keyframes, of each of which some are left. What was found out about the layout
-    stays as it was said of all of them.
+    `store` and `breaks`, gaps among them, have the new numbers; `recordings` (n,) are of all. What
+    was found out about the layout stays as it was said of all of them.
     """
     row = {number: k for k, number in enumerate(numbers.tolist())}
     links = _links_of(layout, numbers, recordings)
@@ -172,10 +172,7 @@ def without_keyframes(
 
 
 def _links_of(layout: Layout, numbers: IntArray, recordings: IntArray) -> list[Link]:
-    """The links with ends that are kept, by their old numbers; of those moved there one a pair.
-
-    An end that is gone moves to the keyframe next to it along the way, of the same recording.
-    """
+    """Links by old numbers; ends that are gone move along the way, and one a pair is kept then."""
     nearest = np.arange(len(recordings))
     kept = np.isin(nearest, numbers)
     for recording in np.unique(recordings[~kept]).tolist():
@@ -197,10 +194,7 @@ def _links_of(layout: Layout, numbers: IntArray, recordings: IntArray) -> list[L
 
 
 def _between(layout: Layout, spread: Uncertainty, source: int, target: int, link: Link) -> Link:
-    """A link between two other keyframes, which lie as in the layout.
-
-    To the error of the link come those of the ways from its ends to these two, by `spread`.
-    """
+    """A link moved to two other keyframes as laid out; to its error comes that of the ways."""
     ends = layout.poses[[source, link.source, link.target, target]]
     rows = np.searchsorted(layout.nodes, [source, link.source, link.target, target], side="right")
     way_there, way_on = (

@@ -1,4 +1,4 @@
-"""The path of the robot as a graph, and a layout of it in the making: the values of `relax`.
+"""The path of the robot as a graph, and a layout of it in the making, drafted and solved.
 
 Nodes are some of the keyframes. The motion from each to the next is that of the front end. Its
 covariance has three parts: noise in proportion to the motion; what the walls in sight leave
@@ -29,7 +29,16 @@ from specmap_cli.core.geometry import (
 from specmap_cli.core.records import IntArray
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.matching import observability
-from specmap_cli.layout.pose_graph import Link, LinkKind
+from specmap_cli.layout.pose_graph import (
+    SETTLED,
+    Link,
+    LinkArrays,
+    LinkKind,
+    Solution,
+    errors,
+    solve,
+    squared,
+)
 
 NODE_M = 0.3  # motion between nodes of the pose graph
 _NODE_RAD = 0.25  # turn between nodes of the pose graph
@@ -46,15 +55,21 @@ _GUESS_RAD = 0.2  # error of the turn of such a motion
 GUESS_INFORMATION = np.diag([GUESS_M**-2, GUESS_M**-2, _GUESS_RAD**-2])
 _RANGE_NOISE_M = 0.1  # error of a reading; more than the laser's: neighbours err alike
 
+_KERNEL_SIGMAS = 2.0  # closures and passes farther off than this pull less and less
+_OUTLIER_CHI2 = 25.0  # closures and passes above it, five sigmas off, are dropped in the end
+_SOLVE_ITERATIONS = 20  # steps of the solver at the most
+_HASTY = 5  # steps at a width that the next one replaces
+_ROUGHLY = 1e-3  # share of the cost below which a step moves nodes by a millimetre or two
+_EXACT = 1e-8  # metres and radians: what rounding makes of a motion that fits
+_DECIMALS = 9  # of poses solved: a nanometre; libraries differ from the fourteenth on
+_NARROWER = 3.0  # from one width of the kernel to the next: outvoted closures let go one by one
+
 RowPair = tuple[int, int]
 
 
 @dataclass(frozen=True, slots=True)
 class Bridge:
-    """How well the motion over a break of the tracking is known, where odometry measured it.
-
-    Standard deviations of the first pose after the break, seen from the last one before.
-    """
+    """How well odometry knows the motion over a break: sigmas of the first pose after it."""
 
     position_m: float
     heading_rad: float
@@ -112,8 +127,7 @@ class Graph:
 class Ties:
     """What ties the path of a graph to itself: how far it may drift from one row to another.
 
-    Links are ways of no length. So is a link to an older pass for all rows near by, but not for a
-    third pass, which that older one met long ago.
+    A link is a way of no length, for all rows near by, but not for a third pass met long ago.
     """
 
     def __init__(self, graph: Graph, links: Sequence[Link]) -> None:
@@ -158,8 +172,7 @@ def graph_of(
 ) -> Graph:
     """The graph of a store's keyframes, with nodes at the `ends` of closures and at `breaks`.
 
-    `breaks` are the keyframes at which tracking started afresh, and what is known of the motion.
-    `known` is as in `motion_links`.
+    What is known of the motion stands with the breaks; `known` is as in `motion_links`.
     """
     fresh = {number: bridge for number, bridge in breaks.items() if number != 0}
     nodes = chosen_nodes(store.poses, {*ends, *fresh})
@@ -187,9 +200,8 @@ def motion_links(
 ) -> tuple[Link, ...]:
     """Links from each of the keyframes `nodes` (M,) to the next, as tracked.
 
-    Those that end in one of `breaks`, where tracking started afresh, are bridges, or loose where
-    nothing is known of the motion: a guess. Who asks often keeps in `known` what the walls seen
-    from each keyframe tell of its place.
+    Those that end in one of `breaks`, where tracking started afresh, are bridges, or loose: a
+    guess. `known` keeps what the walls seen from each keyframe tell of its place.
     """
     poses, ends = store.poses[nodes], nodes[1:].tolist()
     steps = [Pose2(*motion) for motion in compose(invert(poses[:-1]), poses[1:]).tolist()]
@@ -225,9 +237,8 @@ def step_information(
 ) -> FloatArray:
     """Information (L, 3, 3) of motions `steps` (L,), each weighed in the frame it ends in.
 
-    `fisher` (L, 3, 3) is what the walls seen from its end tell of a place. By `guessed_m` (L, 2)
-    each may be off as it was guessed. A guess that goes on errs in one way, so that errors add up,
-    and not their squares: each counts for more, the more there are in a row.
+    `fisher` (L, 3, 3) is what walls tell of a place there, `guessed_m` (L, 2) what may be off as
+    guessed. Guesses in a row err in one way: errors add up, and not their squares.
     """
     position = [_LEAST_M + _STEP_SHARE * step.distance for step in steps]
     angle = [_LEAST_RAD + _TURN_SHARE * abs(step.theta) for step in steps]
@@ -269,6 +280,67 @@ class Draft:
     def adding(self, links: Sequence[Link]) -> Draft:
         """The draft with some more loops, which have not moved it yet."""
         return replace(self, loops=(*self.loops, *links))
+
+
+def solved(graph: Graph, draft: Draft, *, roughly: bool = False) -> Draft:
+    """The draft with the poses that fit its links best; roughly to look for more from there."""
+    solution = _solution(graph, draft, _KERNEL_SIGMAS, _ROUGHLY if roughly else SETTLED)
+    return replace(draft, poses=solution.poses)
+
+
+def tighten(graph: Graph, draft: Draft) -> Draft:
+    """Loops pull over any drift at first; those outvoted are let go step by step.
+
+    Graduated non-convexity (Yang et al., RA-L 2020): Cauchy's kernel starts wider than the largest
+    error and narrows to its usual width. Solved roughly: others follow, `settle` the last of them.
+    """
+    solution = _solution(graph, draft, np.inf, _ROUGHLY)
+    width = float(np.sqrt(solution.chi2[len(graph.odometry) :].max(initial=0.0)))
+    while width > _KERNEL_SIGMAS:
+        rounded = replace(draft, poses=np.round(solution.poses, _DECIMALS))
+        solution = _solution(graph, rounded, width, _ROUGHLY, hasty=True)
+        width /= _NARROWER
+    return solved(graph, replace(draft, poses=solution.poses), roughly=True)
+
+
+def settle(graph: Graph, draft: Draft) -> tuple[Draft, tuple[Link, ...]]:
+    """The draft solved anew until all its loops fit, and the loops dropped on the way."""
+    dropped: list[Link] = []
+    while True:
+        solution = _solution(graph, draft, _KERNEL_SIGMAS)
+        fits = solution.chi2[len(graph.odometry) :] <= _OUTLIER_CHI2
+        dropped += [link for link, fit in zip(draft.loops, fits, strict=True) if not fit]
+        loops = tuple(link for link, fit in zip(draft.loops, fits, strict=True) if fit)
+        draft = replace(draft, poses=solution.poses, loops=loops)
+        if fits.all():
+            return draft, tuple(dropped)
+
+
+def _solution(
+    graph: Graph, draft: Draft, width: float, settled: float = SETTLED, *, hasty: bool = False
+) -> Solution:
+    """The solution with Cauchy's kernel of `width` sigmas on the loops."""
+    widths = {"closure": width, "nearby": width, "loose": _KERNEL_SIGMAS, "bridge": _KERNEL_SIGMAS}
+    motions = list(graph.odometry)
+    for row, motion in enumerate(motions):
+        # where a part was placed, the guess that led to it says nothing any more: it holds the part
+        # where it is, so that it does not bend the path that closures tie
+        if motion.kind == "loose" and int(graph.parts[row + 1]) in draft.tied:
+            placed = compose(invert(draft.poses[row]), draft.poses[row + 1])
+            motions[row] = replace(motion, source_from_target=Pose2(*placed.tolist()))
+    links = LinkArrays.of((*motions, *draft.loops), graph.row, widths)
+    steps = _HASTY if hasty else _SOLVE_ITERATIONS
+    # what follows the last row that a link may move hangs on it by motions and goes with it
+    missed = errors(draft.poses, links.i, links.j, links.z)
+    pulls = np.abs(missed).max(axis=1, initial=0.0) > _EXACT
+    pulls[len(motions) :] = True
+    count = 1 + int(np.maximum(links.i, links.j)[pulls].max(initial=0))
+    path, inner = draft.poses[:count], (links.i < count) & (links.j < count)
+    some = LinkArrays._make(each[inner] for each in links)
+    found = solve(path, some, steps, settled)
+    tail = compose(invert(draft.poses[count - 1]), draft.poses[count:])
+    poses = np.concatenate([found.poses, compose(found.poses[-1], tail)])
+    return replace(found, poses=poses, chi2=squared(poses, links))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

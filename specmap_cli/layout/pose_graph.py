@@ -92,10 +92,7 @@ class Solution:
 
 
 def errors(poses: FloatArray, i: IntArray, j: IntArray, z: FloatArray) -> FloatArray:
-    """(E, 3) what edges from rows `i` to `j` (E,), measured as `z` (E, 3), miss at poses (n, 3).
-
-    It is the motion inv(z) inv(x_i) x_j, in the frame of row j.
-    """
+    """(E, 3) the motion inv(z) inv(x_i) x_j, in the frame of row j, of edges at poses (n, 3)."""
     return compose(invert(z), compose(invert(poses[i]), poses[j]))
 
 
@@ -136,7 +133,8 @@ def solve(
     for _ in range(iterations):
         if converged:
             break
-        step = _step(current, edges, damping)
+        factor, gradient = _normal(current, edges, damping)
+        step = np.asarray(factor.solve(-gradient[1:].ravel()), dtype=np.float64).reshape(-1, 3)
         trial = current.copy()
         trial[1:] += step
         trial[:, 2] = wrap_angles(trial[:, 2])
@@ -161,10 +159,7 @@ def _cost(chi2: FloatArray, width: FloatArray) -> float:
 
 
 def spread_between(poses: FloatArray, edges: LinkArrays, a: int, b: int) -> FloatArray:
-    """Covariance (3, 3) of the pose of row `b` seen from that of row `a`, by all edges.
-
-    In the frame of row `b`, as the errors of edges.
-    """
+    """Covariance (3, 3) of row `b` seen from row `a`, by all edges, in the frame of row `b`."""
     pair = LinkArrays(
         i=np.array([a]),
         j=np.array([b]),
@@ -178,12 +173,6 @@ def spread_between(poses: FloatArray, edges: LinkArrays, a: int, b: int) -> Floa
     right = moved[1:].reshape(-1, 3)
     factor, _ = _normal(poses, edges, 0.0)
     return product(right.T, np.asarray(factor.solve(right), dtype=np.float64))
-
-
-def _step(poses: FloatArray, edges: LinkArrays, damping: float) -> FloatArray:
-    """The Gauss-Newton step (n - 1, 3) of all poses but the first."""
-    factor, gradient = _normal(poses, edges, damping)
-    return np.asarray(factor.solve(-gradient[1:].ravel()), dtype=np.float64).reshape(-1, 3)
 
 
 def _normal(poses: FloatArray, edges: LinkArrays, damping: float) -> tuple[SuperLU, FloatArray]:
@@ -247,11 +236,7 @@ def graph_text(poses: Mapping[int, FloatArray], links: Iterable[Link], fixed: It
 
 
 def read_g2o(text: str) -> tuple[dict[int, FloatArray], list[Link]]:
-    """Poses (3,) by vertex number, and the edges, of a planar graph in g2o's format.
-
-    Other tags than VERTEX_SE2 and EDGE_SE2 are passed over. Raises InputError for a line that
-    cannot be read.
-    """
+    """Poses (3,) by vertex number, and edges, of a planar g2o graph; InputError names the line."""
     poses: dict[int, FloatArray] = {}
     links: list[Link] = []
     for number, line in enumerate(text.splitlines(), start=1):

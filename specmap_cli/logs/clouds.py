@@ -32,10 +32,7 @@ _ENOUGH_POINTS = 100  # a sweep of fewer may be a sliver, whose span misleads
 
 
 class CloudPoints(NamedTuple):
-    """Points (N, 3) in the lidar's frame and seconds (N,) after the stamp, or None.
-
-    `far_times` says that there were times, but farther from the stamp than `_CLOUD_TIME_MAX_S`.
-    """
+    """Points (N, 3) in the lidar's frame and seconds (N,) after the stamp, None if `far_times`."""
 
     points: FloatArray
     times_s: FloatArray | None
@@ -43,10 +40,9 @@ class CloudPoints(NamedTuple):
 
 
 class PointClock:
-    """What the point times of a lidar are: their unit, and whether its clock is that of the stamps.
+    """The unit of a lidar's point times, and whether their clock is that of the stamps.
 
-    The unit is the one by which a sweep takes between 2 ms and 2 s; the first full sweep settles
-    it. `foreign` counts the sweeps whose times are of another clock than their stamps.
+    A full sweep settles the unit: it takes 2 ms to 2 s. `foreign` counts those of another clock.
     """
 
     def __init__(self) -> None:
@@ -98,10 +94,7 @@ def cloud_points(
 
 
 def _times(table: NDArray[np.void], stamp_ns: int, clock: PointClock) -> FloatArray | None:
-    """Seconds (N,) after the stamp as recorded, None without such a field.
-
-    Times nearer to the stamp than to zero are absolute.
-    """
+    """Seconds (N,) after the stamp, None without such a field; as recorded, absolute or not."""
     name = next((field for field in table.dtype.names or () if field.lower() in TIME_FIELDS), None)
     if name is None or not len(table):
         return None
@@ -137,21 +130,17 @@ _FEWEST = 30  # returns that fix a plane well: a tilt of 0.05 m / 10 m / sqrt(30
 
 
 class Level(NamedTuple):
-    """A cloud's rotation (3, 3) into a level frame, and the floor's height there if it is known.
-
-    The level frame looks where the lidar's x axis looks, and has its origin.
-    """
+    """A cloud's rotation (3, 3) into a level frame of its origin and heading; a floor's height."""
 
     rotation: FloatArray
     floor_m: float | None
 
 
 def floor_of(cloud: FloatArray) -> Level | None:
-    """The floor in a cloud (N, 3), None when it shows none.
+    """The plane below the lidar with the most returns near it, and few below; None: no floor.
 
-    It is the plane below the lidar with the most returns near it, those still lower counted against
-    it: under a table top or a shelf there are returns. Without a base frame nothing in a log says
-    which way is up: a lidar may be tilted, or carried by hand. The floor says so in every cloud.
+    Without a base frame nothing else in a log says which way is up: a lidar may be tilted, or
+    carried by hand. Under a table top or a shelf there are returns.
     """
     squares = np.einsum("ij,ij->i", cloud, cloud)
     near = cloud[np.flatnonzero(squares <= FLOOR_RADIUS_M**2)]
@@ -212,11 +201,7 @@ def _best_layer(points: FloatArray, tilts: FloatArray) -> tuple[int, float]:
 
 
 def _plane(points: FloatArray) -> tuple[FloatArray, float] | None:
-    """The plane z = a x + b y + c of points (N, 3) by least squares: its normal, its height.
-
-    The height is that of the point of the plane nearest the origin, along the normal. None for
-    points that are too few, or too near each other some way, to fix a plane.
-    """
+    """The normal and height along it of a plane through points (N, 3); None of no clear one."""
     if len(points) < _FEWEST:
         return None
     x, y = (points[:, :2] - points[:, :2].mean(axis=0)).T
@@ -239,12 +224,11 @@ _MAX_HALVINGS = 2  # a planar scan has no fewer bearings than a quarter of those
 class CloudFlattener:
     """Turns clouds in the base frame into planar scans: the nearest return per bearing in a band.
 
-    The band lies between two heights above the floor. A bearing with nothing in the band is +inf
-    where the lidar has had a return at any height in this or an earlier cloud, so that it looked
-    there, and NaN where it never had one, outside its field of view. The number of bearings is
-    `_CLOUD_BEAMS`, halved until the lidar's resolution fills them. A floor of unknown height
-    (None) is taken to be where the lowest returns of the first cloud are. The clouds of a `planar`
-    laser have one height, whichever it is, and their scans keep the times of the beams.
+    The band lies between two heights above the floor. A bearing with nothing in it is +inf where
+    the lidar ever had a return at any height, and NaN outside its field of view. The number of
+    bearings, `_CLOUD_BEAMS`, is halved until its resolution fills them. A floor of unknown height
+    (None) is where the lowest returns of the first cloud are. The scans of a `planar` laser keep
+    the times of the beams.
     """
 
     def __init__(
@@ -269,10 +253,9 @@ class CloudFlattener:
         floor_m: float | None = None,
         times_s: FloatArray | None = None,
     ) -> PlanarScan:
-        """The planar scan, seen from the lidar's place, of points (N, 3) in the base frame.
+        """The planar scan of points (N, 3) in the base frame, seen from the lidar's place.
 
-        `floor_m` is the height of the floor in this cloud, if it was found, `times_s` (N,) seconds
-        after the stamp.
+        `floor_m` is the height of the floor in this cloud, `times_s` (N,) seconds after the stamp.
         """
         dx, dy = cloud[:, 0] - self.mount.x, cloud[:, 1] - self.mount.y
         distance = np.hypot(dx, dy)
@@ -310,11 +293,7 @@ class CloudFlattener:
         )
 
     def _choose_bearings(self, turn: FloatArray) -> None:
-        """Settle on the bearings from the first cloud's returns at any height.
-
-        Beams of a planar laser that are as far apart as the bearings would lie on the borders of
-        these, two in the one bin and none in the next: the bearings are shifted to where they lie.
-        """
+        """Settle on the bearings, such that beams of a planar laser lie on no border of theirs."""
         for halvings in range(_MAX_HALVINGS + 1):
             beams = _CLOUD_BEAMS >> halvings
             if self._planar:

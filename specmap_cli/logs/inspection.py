@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import islice
-from typing import NamedTuple
 
 import numpy as np
 
@@ -48,50 +47,35 @@ def summarize(
 ) -> summary.LogSummary:
     """Look at a log as `build` would; what `build` would refuse becomes `problem`.
 
-    Messages are counted as the file counts them, and only the first ones are read. With `complete`
-    all of them are read, too, and compared with the counts.
-
+    Only the first messages are read; with `complete` all, to be compared with the file's counts.
     Raises TypeError for what is no `Log` or no `LogConfig`.
     """
     instance_of(log, Log, "log")
     settings = LogConfig() if config is None else instance_of(config, LogConfig, "config")
-    look = _look(log, settings, complete=complete)
-    reading = _read(log, look, progress, complete=complete)
-    contents = log.contents
+    told, chosen = _look(log, settings, complete=complete)
+    reading = _read(log, chosen if told.preview is not None else None, progress, complete=complete)
     start_ns, odd = _start_of(log)
-    duration_s = (contents.end_ns - start_ns) / NS_PER_S
-    return summary.LogSummary(
-        files=tuple(str(path) for path in log.paths),
-        format=log.format,
-        size_bytes=sum(path.stat().st_size for path in log.paths),
-        messages=contents.messages,
+    duration_s = (log.contents.end_ns - start_ns) / NS_PER_S
+    return replace(
+        told,
         start_s=start_ns / NS_PER_S,
-        end_s=contents.end_ns / NS_PER_S,
         duration_s=duration_s,
-        chosen=look.chosen.note if look.chosen is not None else None,
-        problem=look.problem,
-        next_command=look.next_command,
-        warnings=(*odd, *look.warnings),
+        warnings=(*odd, *told.warnings),
         topics=tuple(
             summary.TopicSummary(
                 *(topic.name, topic.type, topic.count),
                 rate_hz=max(topic.count - 1, 0) / duration_s if duration_s > 0 else 0.0,
             )
-            for topic in contents.topics
+            for topic in log.contents.topics
         ),
-        frames=tuple(_frames(look.tree)),
-        scan=look.scan,
         checked=_checked(log, reading) if complete else None,
-        preview=look.met and replace(look.met, stamps=tuple(_faults(reading))),
+        preview=told.preview and replace(told.preview, stamps=tuple(_faults(reading))),
         damage=tuple(log.damage),
     )
 
 
 def _start_of(log: Log) -> tuple[int, list[str]]:
-    """When a log begins, ns, and a line of topics that begin before there were robots' logs.
-
-    These do not count: a recorder that never set the time of one message says nothing of the rest.
-    """
+    """When a log begins, ns, and a line of topics whose recorder's clock had not been set."""
     earliest_ns, contents = summary.EARLIEST_STAMP_S * NS_PER_S, log.contents
     if not contents.start_ns < earliest_ns <= contents.end_ns:
         return contents.start_ns, []
@@ -108,50 +92,47 @@ def _start_of(log: Log) -> tuple[int, list[str]]:
     return min(usual), [f"{told}of the log are those of the other topics"]
 
 
-class _Look(NamedTuple):
-    """The frames, what `build` would read and the first scan of it, and what would come of it."""
-
-    tree: TransformTree
-    problem: str | None
-    next_command: str | None = None
-    warnings: tuple[str, ...] = ()
-    scan: summary.ScanSummary | None = None
-    met: summary.Preview | None = None
-    chosen: Selection | None = None
-
-
-def _look(log: Log, config: LogConfig, *, complete: bool) -> _Look:
-    """Read the first scans, or all of them, as `build` would."""
+def _look(
+    log: Log, config: LogConfig, *, complete: bool
+) -> tuple[summary.LogSummary, Selection | None]:
+    """What the first scans, or all, tell when read as `build` would; and what it would read."""
+    told = summary.LogSummary(
+        files=tuple(str(path) for path in log.paths),
+        format=log.format,
+        size_bytes=sum(path.stat().st_size for path in log.paths),
+        messages=log.contents.messages,
+        end_s=log.contents.end_ns / NS_PER_S,
+    )
     try:
         stream = SweepStream(log, config)
         met, first = _preview(stream, complete=complete)
-    except InputError as error:
-        return _Look(read_frames(log, config)[0], str(error))
-    except UsageError as error:
-        command = _command(log, _likeliest(log, error, config))
-        return _Look(read_frames(log, config)[0], str(error), command)
+    except (InputError, UsageError) as error:
+        command = None
+        if isinstance(error, UsageError):
+            command = _command(log, _likeliest(log, error, config))
+        frames = tuple(_frames(read_frames(log, config)[0]))
+        return replace(told, frames=frames, problem=str(error), next_command=command), None
     chosen = stream.selection
     warnings = [*chosen.warnings]
     without, scans = stream.counts["without_odometry"], stream.counts["scans"]
     if 2 * without > scans:  # although the log has some
         warnings.append(f"scans without odometry near their stamp: {without:,} of {scans:,}")
     warnings += [*stream.ceiling.notes, *stream.own_body.notes]
-    return _Look(
-        tree=chosen.tree,
+    seen = replace(
+        told,
+        chosen=chosen.note,
+        frames=tuple(_frames(chosen.tree)),
         problem=f"no usable scan on {chosen.topic.name}" if first is None else None,
         next_command=_command(log, _given(config)) if first is not None else None,
         warnings=tuple(warnings),
         scan=_describe(chosen, first) if first is not None else None,
-        met=met,
-        chosen=chosen,
+        preview=met,
     )
+    return seen, chosen
 
 
 def _preview(stream: SweepStream, *, complete: bool) -> tuple[summary.Preview | None, Sweep | None]:
-    """What the first scans, or all of them, tell but for their stamps; and the first sweep.
-
-    None twice when there is no usable scan among them.
-    """
+    """What the first scans, or all, tell but for their stamps; the first sweep; or None twice."""
     first: Sweep | None = None
     stamps, places = array("q"), array("d")
     readings = invalid = stale = 0
@@ -216,11 +197,7 @@ class _Steps:
 
 
 class _Reading:
-    """The stamps of messages: of all topics by name and type, and header stamps of those chosen.
-
-    Stamps are those of the headers of scans and odometry, otherwise the recorder's times.
-    `unusable` counts the messages that cannot be decoded.
-    """
+    """Stamps of all topics by name and type, header stamps of those chosen, what is unusable."""
 
     def __init__(self, chosen: Selection | None) -> None:
         topics = (chosen.topic.name, *chosen.odom_topics) if chosen is not None else ()
@@ -229,9 +206,10 @@ class _Reading:
         self.unusable: Counter[tuple[str, str]] = Counter()
 
 
-def _read(log: Log, look: _Look, progress: Progress | None, *, complete: bool) -> _Reading:
+def _read(
+    log: Log, chosen: Selection | None, progress: Progress | None, *, complete: bool
+) -> _Reading:
     """The stamps of all messages, or of the first ones on the topics that build would read."""
-    chosen = look.chosen if look.met is not None else None
     reading = _Reading(chosen)
     messages: Iterator[Message] = iter(())
     told = Silent() if progress is None else progress

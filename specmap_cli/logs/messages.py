@@ -67,14 +67,6 @@ class TransformRecord:
     parent_from_child: FloatArray
 
 
-@dataclass(frozen=True, slots=True)
-class Transforms:
-    """The transforms of a message, and (parent, child) of those no robot can have."""
-
-    records: tuple[TransformRecord, ...]
-    absurd: tuple[tuple[str, str], ...] = ()
-
-
 def decode_scan(message: Message) -> ScanRecord | CloudRecord:
     """The scan in a message of one of SCAN_TYPES; raises BadMessageError."""
     if message.type not in encoding.SCAN_TYPES:
@@ -117,8 +109,8 @@ def decode_odometry(message: Message) -> TransformRecord:
     )
 
 
-def decode_transforms(message: Message) -> Transforms:
-    """The transforms in a TFMessage; raises BadMessageError."""
+def decode_transforms(message: Message) -> tuple[list[TransformRecord], list[tuple[str, str]]]:
+    """Transforms in a TFMessage, (parent, child) of absurd ones; raises BadMessageError."""
     records: list[TransformRecord] = []
     absurd: list[tuple[str, str]] = []
     for stamped in _decoded(message, encoding.TF_MESSAGE).transforms:
@@ -128,7 +120,7 @@ def decode_transforms(message: Message) -> Transforms:
             records.append(TransformRecord(_stamp(stamped.header), parent, child, matrix))
         else:
             absurd.append((parent, child))
-    return Transforms(tuple(records), tuple(absurd))
+    return records, absurd
 
 
 def frame_name(frame: str) -> str:

@@ -53,10 +53,9 @@ BUILT_IN: Mapping[str, type[Recording]] = MappingProxyType(
 
 
 def known_readers() -> dict[str, type[Recording]]:
-    """The readers by name, those of other packages first, as they are asked first.
+    """The readers by name, those of other packages first: one may read a dialect of a format.
 
-    So a package can read a dialect of a format that a built-in reader would take. Raises
-    UsageError for an entry point that cannot be loaded or that is no whole `Recording`.
+    Raises UsageError for an entry point that cannot be loaded or that is no whole `Recording`.
     """
     table = with_plugins(GROUP, BUILT_IN)
     added = {name: _checked(name, table[name]) for name in table if name not in BUILT_IN}
@@ -104,10 +103,9 @@ _Readers = Mapping[str, type[Recording]]
 def open_log(paths: Paths, config: LogConfig | None = None) -> Log:
     """Open one recording, or several files of it, as one log in time order.
 
-    A path is a file, or a directory whose recordings are taken together. The readers are those of
-    `known_readers`; `config` bounds what they unpack. Raises LogError for a path that is missing,
-    empty, no recording or given twice, and when nothing in it can be read; TypeError for what is
-    no path or no `LogConfig`.
+    A directory stands for the recordings in it; `config` bounds what is unpacked. Raises LogError
+    for a path that is missing, empty, no recording or given twice, and when nothing in it can be
+    read; TypeError for what is no path or no `LogConfig`.
     """
     given = paths_of(paths, "paths")
     settings = LogConfig() if config is None else instance_of(config, LogConfig, "config")
@@ -136,11 +134,7 @@ def open_log(paths: Paths, config: LogConfig | None = None) -> Log:
 
 
 def _files_at(path: Path, readers: _Readers) -> Iterator[Path]:
-    """The file at a path, or the recordings in a directory by name.
-
-    Raises LogError for other things: a pipe, a socket or a device would keep a reader waiting,
-    perhaps for ever.
-    """
+    """The file at a path, or the recordings in a directory by name; LogError for other things."""
     try:
         mode = path.stat().st_mode
     except OSError as error:
@@ -170,10 +164,7 @@ _PACKED = re.compile(r"\.(zstd?|gz|bz2|lz4)$")
 
 
 def _not_read(folder: Path, recordings: Sequence[Recording]) -> Iterator[str]:
-    """A line for each file that the metadata of a directory names and that is not read.
-
-    One that was renamed is read: another in the directory has as many messages.
-    """
+    """A line for each file that the metadata names and that is neither read nor renamed."""
     recorded = {_PACKED.sub("", name): told for name, told in recorded_files(folder).items()}
     read = {_PACKED.sub("", one.path.name): one for one in recordings}
     here = {name: one for name, one in read.items() if one.path.parent == folder}
@@ -262,9 +253,9 @@ def _reader_of(file: Path, path: Path, readers: _Readers) -> type[Recording]:
 class Log:
     """Recordings joined in time: what `open_log` returns. Use it in a `with` block.
 
-    `given` are the paths the user named, files or directories, `paths` the files, earliest first,
-    and `name` is what to call the log in messages. `held` is what must be released
-    with the log, by default the recordings. `lost` are lines on files that are not there.
+    `given` are the paths the user named, `paths` the files, earliest first, and `name` is what to
+    call the log in messages. `held` is released with it, by default the recordings; `lost` are
+    lines on files that are not there.
     """
 
     def __init__(

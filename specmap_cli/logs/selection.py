@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import islice, pairwise
 
 import numpy as np
@@ -122,19 +122,6 @@ _ABSURD_NAMED = 3  # transforms; with more of them the log is beyond help
 _ENOUGH_MESSAGES = 2_000  # some seconds of transforms, in which every frame is heard of
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Placement:
-    """The base frame, base_from_laser (4, 4) on it, and what was assumed.
-
-    `floor_m` is the height of the floor in the base frame, None when it is unknown.
-    """
-
-    base_frame: str
-    base_from_laser: FloatArray
-    floor_m: float | None
-    warnings: tuple[str, ...] = ()
-
-
 def read_frames(
     log: Log,
     config: LogConfig,
@@ -144,9 +131,8 @@ def read_frames(
 ) -> tuple[TransformTree, list[str]]:
     """The frames of a log, by the first static and dynamic transforms, and warnings of these.
 
-    The search goes on while none of `bases` is joined to the laser's frame, up to
-    `config.transform_messages` of each kind. Reads only the topics of transforms that tell of the
-    robot of a topic of scans.
+    It searches up to `config.transform_messages` of each kind for a chain from the laser to one of
+    `bases`, on topics that tell of the robot of a topic of scans.
     """
     tree = TransformTree()
     given_up, unreadable = False, 0
@@ -158,13 +144,13 @@ def read_frames(
                 given_up = True
                 break
             try:
-                transforms = decode_transforms(message)
+                records, odd = decode_transforms(message)
             except BadMessageError:
                 unreadable += 1
             else:
-                for record in transforms.records:
+                for record in records:
                     tree.add(record, dynamic=dynamic)
-                absurd.update(dict.fromkeys(transforms.absurd))
+                absurd.update(dict.fromkeys(odd))
             if number >= _ENOUGH_MESSAGES and _any_joined(tree, bases, laser_frame):
                 break
     warnings = [
@@ -207,12 +193,12 @@ def place_laser(
     bases: Sequence[str],
     moving: str | None,
     asked: str | None,
-) -> Placement:
-    """Choose the base frame and look up the laser's place on it.
+) -> tuple[str, FloatArray, float | None, list[str]]:
+    """The base frame, base_from_laser (4, 4) on it, the floor's height there, what was assumed.
 
-    The base is the first of `bases` that is joined to the laser's frame. Otherwise it is assumed:
-    the frame `moving` in the odometry, or a usual one, or what carries the laser. Raises UsageError
-    if one was `asked` for.
+    The height is None when it is unknown. The base is the first of `bases` that is joined to the
+    laser's frame. Otherwise it is assumed: the frame `moving` in the odometry, or a usual one, or
+    what carries the laser. Raises UsageError if one was `asked` for.
     """
     joined = next((base for base in bases if tree.lookup(base, laser_frame) is not None), None)
     if joined is None and asked is not None:
@@ -242,16 +228,11 @@ def place_laser(
         warnings.insert(
             0, f"no transform from {base!r} to the laser's frame {laser_frame!r}: {told}"
         )
-    return Placement(
-        base_frame=base, base_from_laser=base_from_laser, floor_m=floor, warnings=tuple(warnings)
-    )
+    return base, base_from_laser, floor, warnings
 
 
 def _carrier(tree: TransformTree, laser_frame: str) -> str:
-    """The frame that carries the laser, by no name: what odometry moves, else the highest frame.
-
-    That is the highest that stands still against the laser.
-    """
+    """The frame that odometry moves, by no name; else the highest that the laser is fixed to."""
     steps = list(pairwise(tree.ancestors(laser_frame)))
     for below, above in steps:
         if "odom" in above.lower() or above.rpartition("/")[2] in _STANDING:
@@ -338,19 +319,19 @@ def select(log: Log, config: LogConfig) -> Selection:
             with suppress(BadMessageError):
                 child = decode_odometry(message).child or None
                 break
-    usual = [child] if child else []
-    usual += usual_frames(USUAL_BASES, sensor.frame)
+    usual = ([child] if child else []) + usual_frames(USUAL_BASES, sensor.frame)
     bases = usual if config.base_frame is None else [config.base_frame.lstrip("/")]
-    tree, warnings = read_frames(log, config, topic.name, sensor.frame, bases)
-    placement = place_laser(tree, sensor.frame, bases, child, config.base_frame)
-    placement = replace(placement, warnings=(*placement.warnings, *warnings))
+    tree, left_out = read_frames(log, config, topic.name, sensor.frame, bases)
+    base, base_from_laser, floor_m, assumed = place_laser(
+        tree, sensor.frame, bases, child, config.base_frame
+    )
     odometry: OdometryKind | None = None
     topics: tuple[str, ...] = ()
     odom_frame = None
     if odometry_topic is not None:
         odometry, topics = "topic", (odometry_topic.name,)
     elif config.use_odometry:
-        odom_frame = odometry_ancestor(tree, placement.base_frame)
+        odom_frame = odometry_ancestor(tree, base)
         if odom_frame is not None:
             odometry, topics = "tf", tuple(_transform_topics(log, topic.name, dynamic=True))
     pairs = stamp_pairs(log, topic.name, sensor, topics, odom_frame)
@@ -359,9 +340,9 @@ def select(log: Log, config: LogConfig) -> Selection:
         topic=topic,
         sensor=sensor,
         sensors=sensors,
-        base_frame=placement.base_frame,
-        base_from_laser=placement.base_from_laser,
-        floor_m=placement.floor_m,
+        base_frame=base,
+        base_from_laser=base_from_laser,
+        floor_m=floor_m,
         tree=tree,
         odometry=odometry,
         odom_topics=topics,
@@ -371,8 +352,8 @@ def select(log: Log, config: LogConfig) -> Selection:
         ceilings_m=shown.ceilings_m,
         warnings=(
             *shown.warnings,
-            *_assumptions(log, topic.name, placement, tree, child, clock),
-            *([_UNKNOWN_FLOOR] if in_space and placement.floor_m is None else []),
+            *_assumptions(log, topic.name, base, [*assumed, *left_out], tree, child, clock),
+            *([_UNKNOWN_FLOOR] if in_space and floor_m is None else []),
         ),
     )
 
@@ -380,13 +361,13 @@ def select(log: Log, config: LogConfig) -> Selection:
 def _assumptions(
     log: Log,
     topic: str,
-    placement: Placement,
+    base: str,
+    of_frames: Sequence[str],
     tree: TransformTree,
     odometry_child: str | None,
     clock: Clock,
 ) -> Iterator[str]:
     """What is taken for granted of files, frames and stamps as the log does not say it."""
-    base = placement.base_frame
     for earlier, later, shared_ns in log.side_by_side(topic) if len(log.paths) > 1 else ():
         if shared_ns > _PARTS_OVERLAP_NS:
             yield (
@@ -394,7 +375,7 @@ def _assumptions(
                 "if they are not parts of one recording, build a map of one of them and add the "
                 "other with `specmap update`"
             )
-    yield from placement.warnings
+    yield from of_frames
     if odometry_child is not None and tree.lookup(odometry_child, base) is None:
         yield (
             f"the odometry moves {odometry_child!r}, which no transform joins to {base!r}: "

@@ -42,10 +42,9 @@ MAX_POSES = 8192  # kept at once: 8 s of odometry at 1 kHz, more than any scan w
 
 
 class OdometryBuffer:
-    """Odometry of the last while, interpolated at the stamps of scans.
+    """Odometry in any order, interpolated at the stamps of scans; only MAX_POSES are kept.
 
-    Poses may come in any order; only MAX_POSES are kept. A pose that lies `_CLOCK_RESET_S` or more
-    back in time starts the buffer anew, as the clock was set back.
+    A pose `_CLOCK_RESET_S` or more back in time starts it anew: the clock was set back.
     """
 
     def __init__(self) -> None:
@@ -139,13 +138,13 @@ class OdometryListener:
                 self.renamed += 1
             heard.append((record.stamp_ns, odom_from_base))
         else:
-            transforms = decode_transforms(message)
-            for record in transforms.records:  # the chain to the base: its first link sets the time
+            records, left_out = decode_transforms(message)
+            for record in records:  # the chain to the base: its first link sets the time
                 if record.child in self._chain:
                     self._tree.add(record, dynamic=True)
                     if record.parent == odom:
                         heard.append((record.stamp_ns, self._tree.lookup(odom, base)))
-            absurd = [child for _, child in transforms.absurd if child in self._chain]
+            absurd = [child for _, child in left_out if child in self._chain]
         for stamp_ns, pose in heard:
             if pose is not None:
                 self.heard += 1
@@ -169,9 +168,7 @@ class OdometryListener:
     def own(self, stamp_ns: int, time_ns: int) -> Pose2 | None:
         """odom_from_base of a scan with these header and recorder's times, by the order of the log.
 
-        Odometry with the very times of the scan behind it, such as that of a CARMEN line, belongs
-        to this scan, whatever the stamps are. Scans that are stamped by their order have the
-        odometry heard last.
+        So has odometry of the very same times, as in a CARMEN line, and scans stamped by order.
         """
         if self.last is None:
             return None
@@ -213,9 +210,9 @@ _COUNTED = ("scans", "odometry", *_SAID)
 class SweepStream:
     """Iterable of the sweeps of a log; every iteration reads the log anew.
 
-    `selection` says what was chosen; `expected` is the number of scans on the topic; `counts`,
-    `ceiling`, `own_body` and `warnings` are of the iteration so far. Raises what `selection.select`
-    raises, and TypeError for arguments that are no `Log` and `LogConfig`.
+    `selection` says what was chosen; `counts`, `ceiling`, `own_body` and `warnings` are of the
+    iteration so far. Raises what `selection.select` raises, and TypeError for arguments that are no
+    `Log` and `LogConfig`.
     """
 
     def __init__(self, log: Log, config: LogConfig) -> None:

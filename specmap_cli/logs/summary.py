@@ -32,9 +32,8 @@ class Pauses:
 class TopicCheck:
     """What came of reading a topic to its end.
 
-    `expected` is the number that the file counts, `read` how many were read, `unusable` how many of
-    these cannot be decoded. `steps_back` counts messages whose stamp is earlier than that of the
-    message before, `repeats` those with the same stamp.
+    `expected` messages are counted by the file, `unusable` ones cannot be decoded; stamps of others
+    are earlier than the one before (`steps_back`), or equal it (`repeats`).
     """
 
     name: str
@@ -65,10 +64,7 @@ class TopicCheck:
 
 @dataclass(frozen=True, slots=True)
 class Spacing:
-    """How scans follow one another: scans a second, metres between, whether these are many.
-
-    The median step while the robot moves, by odometry; None where nothing is known of it.
-    """
+    """Scans a second, and the median metres between while the robot moves (None: unknown)."""
 
     rate_hz: float
     step_m: float | None = None
@@ -131,9 +127,8 @@ class StampFaults:
 class Preview:
     """What `build` will meet, by the first `scans` of the chosen sensor, or by all of them.
 
-    `stale_scans` only repeat others, see `Repeats`. `invalid_share` is that of readings which say
-    nothing, None for clouds. `sensors` are the sensors of the topic with their numbers among the
-    scans that were looked at.
+    `stale_scans` repeat others, see `Repeats`; `invalid_share` is of readings, None for clouds;
+    `sensors` have their numbers among the scans that were looked at.
     """
 
     scans: int
@@ -223,16 +218,16 @@ class LogSummary:
     format: str
     size_bytes: int
     messages: int
-    start_s: float
+    start_s: float = 0.0
     end_s: float
-    duration_s: float
+    duration_s: float = 0.0
     chosen: str | None = None
     problem: str | None = None
     next_command: str | None = None
     warnings: tuple[str, ...] = ()
-    topics: tuple[TopicSummary, ...]
-    frames: tuple[FrameSummary, ...]
-    scan: ScanSummary | None
+    topics: tuple[TopicSummary, ...] = ()
+    frames: tuple[FrameSummary, ...] = ()
+    scan: ScanSummary | None = None
     checked: tuple[TopicCheck, ...] | None = None
     preview: Preview | None = None
     damage: tuple[str, ...] = ()

@@ -170,13 +170,13 @@ class _Reader:
             self._moved = message
             return None
         if message.topic != SCAN_TOPIC:
-            for each in decode_transforms(message).records:
+            for each in decode_transforms(message)[0]:
                 self._lasers[each.child] = _mounting(Pose2.from_matrix(each.parent_from_child))
             return None
         number, self._count = self._count, self._count + 1
         if self._wanted is not None and number not in self._wanted:
             return None
-        for each in decode_transforms(self._moved).records if self._moved is not None else ():
+        for each in decode_transforms(self._moved)[0] if self._moved is not None else ():
             if each.child == BASE_FRAME:
                 self._pose = each.stamp_ns, Pose2.from_matrix(each.parent_from_child)
         self._moved = None

@@ -118,17 +118,10 @@ class FrontEnd:
         return self._founding.rest()
 
     def register(self, sweep: Sweep) -> PosedScan:
-        """The sweep with its pose in the map, de-skewed; every result is bounded.
-
-        The first scans of a map are provisional, see `take`.
-        """
+        """The sweep, de-skewed, with its pose in the map, provisional at first: see `take`."""
         expected = self._motion.expect(sweep)
         view = view_of(
-            sweep,
-            expected.during,
-            expected.interval_s,
-            self.config,
-            measured=expected.measured,
+            sweep, expected.during, expected.interval_s, self.config, measured=expected.measured
         )
         if self._map is None:  # made for the sensor of the first sweep
             config, planar = self.config, sweep.cloud is None
@@ -177,10 +170,7 @@ class FrontEnd:
         )
 
     def _judged(self, view: SweepView, expected: ExpectedMotion, local: LocalMap) -> Judgement:
-        """Where the sweep was taken, and whether that can be believed.
-
-        If it refutes the first one of a map, it begins a map itself.
-        """
+        """Where the sweep was taken, and if that is believed; it may refute the first of a map."""
         scene, track = Scene(view=view, local=local, config=self.config), self._track
         guess = MotionGuess(
             pose=best_guess(scene, track.pose, expected),
@@ -211,10 +201,7 @@ class FrontEnd:
     def _conclude(
         self, judgement: Judgement, view: SweepView, local: LocalMap, *, walls: bool
     ) -> None:
-        """Keep the pose, insert a keyframe when due, end the map after a run of lost sweeps.
-
-        The sweep sees `walls` enough for a keyframe, unless it is lost.
-        """
+        """Keep the pose, insert a keyframe when due if `walls` are seen, end a map that is lost."""
         fit, track = judgement.fit, self._track
         step = Pose2.from_matrix(track.pose).inverse() @ fit.planar
         self._motion.conclude(step, confirmed=judgement.proven)
@@ -305,11 +292,7 @@ class Track:
         return slack.place_m, slack.turn_rad
 
     def is_carried(self, config: RegistrationConfig) -> bool:
-        """Whether odometry alone tells the place well enough to go on with it.
-
-        Since the last keyframe of a founded map it measured every motion, and what it has been
-        worth leaves it no farther off than a result may be from its guess.
-        """
+        """Whether odometry alone tells the place, since the last keyframe, to within the bounds."""
         if self.keyframe is None or not (self.founded and self.measured and self.reliance.trusted):
             return False
         slack = self.reliance.slack(self.keyframe.inverse() @ self.by_motion)

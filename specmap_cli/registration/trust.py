@@ -119,10 +119,9 @@ def _concluded(
 ) -> Located:
     """The result, or trusted odometry's own place where that is the better one.
 
-    A result that is a little too far from odometry's place agrees if the walls speak for it.
-    Otherwise the walls may object to odometry's own only if they are clearly better explained at
-    the result, over those that could be seen from both: rooms and corridors that look alike explain
-    new walls well.
+    Walls speak for a result a little too far from it, and against its own only if they are clearly
+    better explained, over those that could be seen from both: rooms that look alike explain new
+    walls.
     """
     if fit.score > GOOD_SCORE:  # nearly all walls fit: they all count
         support = Support(score=fit.score, share=1.0, count=len(scene.view.probe))
@@ -160,11 +159,7 @@ def _speaks_against(support: Support, config: RegistrationConfig) -> bool:
 
 
 def _searched(scene: Scene, guess: MotionGuess, fit: Fit, bounds: Bounds) -> Fit:
-    """The best one of a doubtful result and of what searches find around all that is expected.
-
-    A place that odometry misread is taken if most walls there are known and fit. Where odometry is
-    right, walls come into sight that are new at other places.
-    """
+    """The best of a doubtful result and of searches around all that is expected, or was misread."""
     window = near_window(measured=guess.expected.measured)
     found = scene.search(guess.pose, window, _KERNEL_VOXELS, bounds)
     fit = _better(scene, guess, fit, found, guess.planar)
@@ -180,9 +175,8 @@ def _searched(scene: Scene, guess: MotionGuess, fit: Fit, bounds: Bounds) -> Fit
 def _better(scene: Scene, guess: MotionGuess, fit: Fit, found: Fit, place: Pose2) -> Fit:
     """The better one of a result and of what a search around a place found.
 
-    A place that agrees with trusted odometry and that the walls speak for is not given up for one
-    that does not agree: new walls that lie on old ones somewhere else do not prove it. Where hardly
-    any wall is new, it is given up for a place that fits better by so much that odometry errs so.
+    New walls that lie on old ones somewhere else do not outweigh trusted odometry. Where hardly any
+    is new, a place that fits better by so much that odometry errs so does.
     """
     if not (guess.agrees(fit) and guess.denies(found)):
         return fit.or_better(found)
@@ -203,11 +197,7 @@ def _is_far(guess: MotionGuess, fit: Fit) -> bool:
 
 
 def _slid(scene: Scene, guess: MotionGuess, fit: Fit) -> Fit:
-    """The place nearest the one by odometry that the walls speak for as well as for `fit`.
-
-    How far the robot came since the last keyframe is believed from odometry, as long as the score
-    does not object. Heading and offset from the walls stay those of `fit`.
-    """
+    """The place nearest to odometry's, along the heading, that walls speak for as for `fit`."""
     here, by_motion = fit.planar, guess.by_motion
     forward = np.array([np.cos(here.theta), np.sin(here.theta)])
     behind = float(np.dot((by_motion.x - here.x, by_motion.y - here.y), forward))
@@ -231,9 +221,8 @@ def _slid(scene: Scene, guess: MotionGuess, fit: Fit) -> Fit:
 def _carried_along(scene: Scene, guess: MotionGuess, fit: Fit) -> tuple[Fit, FloatArray]:
     """A result that comes as far as the motion expected, along what the walls do not fix.
 
-    Else the robot seems to stand still. Odometry counts there wholly, and where nothing but noise
-    fixes the place. A motion carried on counts as much as it is known better. The place is taken
-    unless walls object. Also what `Located.loose` says. A cloud shows more than its planar scan.
+    There odometry counts wholly, and a motion carried on by how well it is known, unless walls
+    object: else the robot seems to stand still. Also what `Located.loose` says.
     """
     here, measured = fit.planar, guess.expected.measured
     weakest = scene.weakest(fit.planar, known=not measured)
@@ -276,10 +265,7 @@ class Judgement:
     loose: FloatArray = field(default_factory=lambda: np.zeros(2))
 
     def levelled(self, share: float) -> Judgement:
-        """The same with `share` of the roll and pitch taken back, heading and place kept.
-
-        A lidar of few rings says little about its own tilt, whose drift would lift the robot off.
-        """
+        """The same with `share` of roll and pitch taken back, as few rings say little of tilt."""
         from scipy.spatial.transform import Rotation  # slow to load, and for 3D alone
 
         yaw, pitch, roll = Rotation.from_matrix(self.fit.pose[:3, :3]).as_euler("ZYX")
@@ -327,10 +313,7 @@ class Founding:
         self._restarts = False
 
     def refute(self) -> int:
-        """The map of the scans held is given up: they are lost. Returns how many were not before.
-
-        Where they restarted the map after a break, the next one does.
-        """
+        """The map of the scans held is given up; returns how many of them were not lost before."""
         believed = sum(not scan.lost for scan in self._held)
         self._restarts = self._restarts or any(scan.restarted for scan in self._held)
         lost = (replace(scan, lost=True, restarted=False) for scan in self._held)
@@ -354,10 +337,7 @@ class Founding:
 
 
 def looked_through(walls: FloatArray, scan: PlanarScan, map_from_laser: Pose2) -> float:
-    """Share in [0, 1] of the walls (N, 2) of a map that a scan looks through, of those in its view.
-
-    Two neighbouring beams must end well behind a wall. A beam without a return says nothing.
-    """
+    """Share in [0, 1] of the walls (N, 2) in view that two neighbouring beams end well behind."""
     seen = map_from_laser.inverse().apply(walls)
     first = float(scan.bearings[0])
     bearings = first + np.mod(np.arctan2(seen[:, 1], seen[:, 0]) - first, 2 * np.pi)

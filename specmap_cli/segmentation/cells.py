@@ -23,6 +23,7 @@ from specmap_cli.grids.gridmap import (
     LengthArray,
     bands_of,
     contacts,
+    joined,
     looked_up,
     nearest_values,
     window_of,
@@ -48,8 +49,7 @@ _SAME = 0.5  # intersection over union above which regions are the same: each ha
 def flood_labels(clearance: LengthArray, nodes: IndexArray, labels: LabelArray) -> LabelArray:
     """(h, w) labels grown from the nodes (n, 2) in order of falling clearance; -1 unreached.
 
-    A large map is flooded a tile after the other, each with what is around it: a front comes from a
-    node of its own block of cells, or of one near by, and tiles without free space cost nothing.
+    A large map is flooded a tile after the other, each with what is around it.
     """
     found = np.full(clearance.shape, -1, dtype=np.int16)
     top = float(clearance.max(initial=0.0))
@@ -77,10 +77,7 @@ def flood_labels(clearance: LengthArray, nodes: IndexArray, labels: LabelArray) 
 def flooded_at(
     clearance: LengthArray, nodes: IndexArray, labels: LabelArray, cells: IndexArray
 ) -> LabelArray:
-    """(p,) the labels of a flood from the nodes (n, 2) at cells (p, 2), there being a node.
-
-    Only the box round the nodes and the cells is flooded, and labels are spread only where asked.
-    """
+    """(p,) labels of a flood from the nodes (n, 2) at cells (p, 2), only in the box round both."""
     low = np.minimum(nodes.min(axis=0), cells.min(axis=0))
     high = np.maximum(nodes.max(axis=0), cells.max(axis=0)) + 1
     clearance, nodes = clearance[low[0] : high[0], low[1] : high[1]], nodes - low
@@ -100,11 +97,9 @@ def _watershed(
 ) -> LabelArray:
     """(h, w) labels flooded from the nodes (n, 2); -1 on the lines between two of them and apart.
 
-    This is Meyer's watershed on a relief whose height falls with the clearance, from `top` on: two
-    fronts meet where the passage between them is narrowest. OpenCV takes cells in the order of the
-    difference between neighbours. So the heights stand on a checkerboard of signs, where that
-    difference is the sum of both, and a second channel makes the step into a wall the last of all.
-    It floods walls, too, and free cells behind them.
+    Meyer's watershed: two fronts meet where the passage is narrowest, as height falls with the
+    clearance from `top` on. OpenCV takes cells by the difference between neighbours, so heights
+    stand on a checkerboard of signs; a second channel makes the step into a wall the last.
     """
     rows, columns = clearance.shape
     picture = np.full((rows + 2, columns + 2, 3), (0, 255, 0), dtype=np.uint8)
@@ -127,17 +122,8 @@ def _watershed(
     flooded = markers[1:-1, 1:-1].astype(np.int16)
     del markers
     flooded -= 1
-    flooded[(flooded < 0) | ~_held(clearance > 0.0, nodes)] = -1
+    flooded[(flooded < 0) | ~joined(clearance > 0.0, tuple(nodes.T), connectivity=8)] = -1
     return flooded
-
-
-def _held(free: BoolArray, seeds: IndexArray) -> BoolArray:
-    """(h, w) the pieces of `free` that hold a seed (n, 2); cells join over sides and corners."""
-    count, piece = cv2.connectedComponents(free.view(np.uint8), connectivity=8)
-    held = np.zeros(count, dtype=bool)
-    held[piece[tuple(seeds.T)]] = True
-    held[0] = False
-    return looked_up(held, piece)
 
 
 def nearest_labels(free: BoolArray, nodes: IndexArray, labels: LabelArray) -> LabelArray:
@@ -154,9 +140,8 @@ def spread_labels(
 ) -> None:
     """Fill, in place, what is unlabelled (-1) of every piece of `free` (H, W) that holds a label.
 
-    Labels creep `rings` cells through free space, so that none crosses a thin wall; what is left
-    takes the nearest label of all, if they are to go `everywhere`. Time and memory go with the
-    cells to fill, which are few, and not with the map.
+    Labels creep `rings` cells, so that none crosses a thin wall; then, if `everywhere`, the nearest
+    counts. Time and memory go with the cells to fill, and not with the map.
     """
     lacking = [np.argwhere(free[rows] & (labels[rows] < 0)) for rows in bands_of(labels.shape)]
     for rows, some in zip(bands_of(labels.shape), lacking, strict=True):
@@ -196,10 +181,7 @@ def _chunks(rows: IndexArray) -> list[IndexArray]:
 
 
 def labels_near(labels: LabelArray | IntArray, cells: IndexArray) -> LabelArray | IntArray:
-    """(n,) the label of the cell that is nearest to each of some cells (n, 2) and has one.
-
-    Only what is round the cells is looked at, wider where no label is as near.
-    """
+    """(n,) the label of the nearest cell that has one, looked for round the cells (n, 2)."""
     found, tiles = np.empty(len(cells), dtype=labels.dtype), cells // _NEAR_TILE
     order = np.lexsort(tiles.T)
     ends = np.flatnonzero(np.diff(tiles[order], axis=0).any(axis=1)) + 1
@@ -222,9 +204,8 @@ def local_widths(
 ) -> LengthArray:
     """(n,) local thickness at each node: the largest free disc of a visible node that covers it.
 
-    `clearance` (n,) is each node's own, `lengths` (m,) the distances of the visible `pairs` (m, 2).
-    No width is above `widest`. A hall falls into pieces no larger than a sight line, and a border
-    that is wide compared with those pieces has to count as wide.
+    `clearance` (n,) is their own, `lengths` (m,) those of the visible `pairs` (m, 2). `widest` is
+    the most: a hall falls into pieces of a sight line, whose borders have to count as wide.
     """
     widths = clearance.copy()
     for one, other in ((pairs[:, 0], pairs[:, 1]), (pairs[:, 1], pairs[:, 0])):
@@ -246,8 +227,7 @@ def border_widths(labels: LabelArray, clearance: LengthArray) -> dict[Pair, floa
 def joined_wide(borders: dict[Pair, float], widths: list[float], ratio: float) -> LabelArray:
     """(k,) the new label of each cluster, of some `widths` (k,), after joining those it goes on in.
 
-    A border joins two clusters when it is at least `ratio` times as wide as they are, by their
-    geometric mean: a corridor goes on where its width goes on, and ends where it opens into a hall.
+    Their border is at least `ratio` times as wide as the geometric mean of theirs.
     """
     joins = [
         (one, other)
@@ -260,10 +240,7 @@ def joined_wide(borders: dict[Pair, float], widths: list[float], ratio: float) -
 def without_dead_ends(
     labels: LabelArray, clearance: LengthArray, least: float, smallest: float
 ) -> LabelArray:
-    """Regions (h, w) of which none is a dead end of fewer than `smallest` cells.
-
-    A dead end has one neighbour that a robot of the radius `least` gets to, and is a part of it.
-    """
+    """Regions (h, w): one of few cells, entered from one other alone (`least`), is its part."""
     size = np.bincount(labels[labels >= 0], minlength=1)
     around: dict[int, set[int]] = {}
     for (one, other), border in border_widths(labels, clearance).items():
@@ -290,10 +267,8 @@ def _joined(count: int, pairs: IndexArray) -> IndexArray:
 def consensus(divisions: Sequence[LabelArray]) -> LabelArray:
     """(h, w) labels 0, 1, ... of what some divisions (h, w) agree on; -1 where all have none.
 
-    The division that is most like the others gives the regions; what it leaves without a label, the
-    first that has one. Each cell goes to the region in which most divisions have it; a region of
-    another division is the one with which it shares more than `_SAME`. Deterministic: of equals
-    that division counts, then the first.
+    The division most like the others gives the regions, and each cell goes where most have it: a
+    region of another division is the one it shares more than `_SAME` with. First of equals.
     """
     # cells that have the same labels in all divisions are of one kind; a run of a kind is looked at
     # once
@@ -313,10 +288,7 @@ def consensus(divisions: Sequence[LabelArray]) -> LabelArray:
 
 
 def _agreed(others: list[LabelArray], cells: FloatArray) -> LabelArray:
-    """(k,) `consensus` of kinds of cells, of each of which there are so many `cells` (k,).
-
-    `others` (k,) are their labels from 1 on, 0 for none.
-    """
+    """(k,) `consensus` of kinds of so many `cells` (k,); labels `others` (k,) from 1 on, or 0."""
     likeness = [math.fsum(_alike(one, other, cells)[1] for other in others) for one in others]
     middle = others.pop(int(np.argmax(likeness)))
     for other in others:
@@ -335,11 +307,7 @@ def _agreed(others: list[LabelArray], cells: FloatArray) -> LabelArray:
 
 
 def _alike(one: LabelArray, other: LabelArray, cells: FloatArray) -> tuple[FloatArray, float]:
-    """Intersection over union (k, l) of the regions 1, 2, ... of two divisions (n,); 0: no region.
-
-    Each of the n stands for so many `cells`. Also the mean, over the regions of both that have
-    cells, of the best of each.
-    """
+    """IoU (k, l) of regions 1, 2, ... of two divisions (n,) of such `cells`; mean of the best."""
     shape = int(one.max(initial=0)) + 1, int(other.max(initial=0)) + 1
     pairs = np.multiply(one, shape[1], dtype=np.intp) + other
     shared = np.bincount(pairs, cells, shape[0] * shape[1]).reshape(shape)

@@ -138,10 +138,7 @@ def segment(grid: GridMap, config: SegmentationConfig, *, rooms: bool = False) -
 def _divided(
     work: GridMap, config: SegmentationConfig, block: int
 ) -> tuple[LabelArray, VisibilityGraph, Spectrum]:
-    """Steps 1 to 4 of `segment`: the regions (h, w) of a working grid, with its furniture.
-
-    Also what the first placement led to. Nodes stand in blocks of `block` x `block` cells.
-    """
+    """Steps 1 to 4 of `segment`: regions (h, w); and what the first placement led to."""
     cell_m = work.resolution
     small = furniture(work.free, cell_m, config)  # step 1
     opened = space = work.free | small
@@ -178,11 +175,7 @@ def _placement(
     block: int,
     number: int,
 ) -> tuple[LabelArray, VisibilityGraph, Spectrum]:
-    """The labels (n,) of the `space` (h, w) by one placement of the nodes, and what led to them.
-
-    Placements differ in how far before the grid the blocks of the nodes begin. Lengths in the graph
-    are coarse cells.
-    """
+    """The labels (n,) of the `space` (h, w) by one placement of the nodes, and what led to them."""
     give_memory_back()  # the graph is the most memory of a large map
     least, sight = config.clearance_m / cell_m, config.sight_m / cell_m
     before = round(number / config.placements * block)
@@ -229,10 +222,7 @@ def regions_of(
 
 
 def unentered(grid: GridMap, division: LabelArray | IntArray, poses: FloatArray) -> BoolArray:
-    """(H, W) the cells of regions without a keyframe, and of no region, as in `regions_of`.
-
-    That is what the robot saw through doors and windows, and never drove into.
-    """
+    """(H, W) the cells that the robot saw and never drove into: of no region with a keyframe."""
     nobodys = np.ones(int(division.max(initial=-1)) + 2, dtype=np.bool_)  # the last is no region
     there = _regions_at(grid, division, poses)
     nobodys[there[there >= 0]] = False
@@ -250,10 +240,7 @@ def _regions_at(grid: GridMap, division: LabelArray | IntArray, poses: FloatArra
 
 
 def segment_floorplan(grid: GridMap, config: SegmentationConfig) -> Segmentation:
-    """Divide `grid` into regions of one piece, the largest of each; scraps have no label.
-
-    NoResultError when no free space holds a node.
-    """
+    """Divide `grid` into regions of one piece, the largest of each; NoResultError without any."""
     found = segment(grid, config, rooms=config.rooms_only)
     if not found.count:
         raise NoResultError(
@@ -271,10 +258,7 @@ def segment_floorplan(grid: GridMap, config: SegmentationConfig) -> Segmentation
 
 
 def region_grid(grid: GridMap, region: BoolArray) -> GridMap:
-    """The cells `region` (H, W) of a grid with the obstacles round them, cropped; else unknown.
-
-    At least one cell is of the region.
-    """
+    """The cells `region` (H, W), one at least, with the obstacles round them, cropped."""
     reach = np.ones((2 * _WALL_CELLS + 1, 2 * _WALL_CELLS + 1), dtype=np.uint8)
     shown = cv2.dilate(region.astype(np.uint8), reach).astype(bool)
     cells: CellArray = np.full(grid.cells.shape, UNKNOWN, dtype=np.uint8)
@@ -378,9 +362,7 @@ def open_rings(labels: LabelArray) -> None:
 def _cut_round(hole: BoolArray, solid: BoolArray, cuts: BoolArray) -> None:
     """Mark in `cuts` (h, w) where a region is cut that is a ring round a hole (h, w).
 
-    It is one when the hole is larger than the floor round it, as wide as it is at the corners of
-    the hole; nothing farther away than the hole is wide can matter. The longer sides own these
-    corners: the others end where the longer ones go by.
+    It is one when the hole is larger than the floor round it. The longer sides own the corners.
     """
     sides = [int(np.ptp(_extent(hole.sum(axis=axis)))) + 1 for axis in (0, 1)]
     whole = 1
@@ -396,11 +378,7 @@ def _cut_round(hole: BoolArray, solid: BoolArray, cuts: BoolArray) -> None:
 
 
 def _cut(hole: BoolArray, solid: BoolArray) -> tuple[int, int, int]:
-    """Row, first column and end of the cut from the left of a hole (h, w) to what is solid beyond.
-
-    It is looked for from the first row of the hole to its middle; a row farther has to be shorter
-    by as much. So no cut runs along another corridor, or through a bay.
-    """
+    """Row, first column and end of the shortest cut from the left of a hole to what is solid."""
     first, last = _extent(hole.sum(axis=1))
     cuts = []
     for row in range(first, (first + last) // 2 + 1):

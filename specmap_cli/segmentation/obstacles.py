@@ -43,9 +43,8 @@ _LINE_M = 6.0  # the longest row of openings and posts between two walls
 def furniture(free: BoolArray, resolution: float, config: SegmentationConfig) -> BoolArray:
     """(H, W) the isolated obstacles that are no walls; `free` is (H, W), cells of `resolution`.
 
-    A row of pieces with no more than slits between them is a wall when it is longer than any
-    furniture: of a railing or a window front a laser sees dashes, here longer, there shorter than a
-    chair. What is solid by itself stays furniture, whatever stands beside it.
+    A row of pieces with slits between them is a wall when it is longer than any furniture: a laser
+    sees dashes of railings. What is solid by itself stays furniture.
     """
     sizes = np.array([config.obstacle_m, config.furniture_m, FURNITURE_THICK_M])
     largest, bulky, thick = (sizes / resolution).tolist()
@@ -90,10 +89,7 @@ def small_obstacles(
 
 
 def pieces_at_walls(grid: GridMap, thick_m: float) -> NDArray[np.int32]:
-    """The number (H, W) of each piece at a wall that is `thick_m` or more, 0 where there is none.
-
-    What is outside of the building is none: what is unknown and large, and all at the map's edge.
-    """
+    """The number (H, W) of each piece at a wall, `thick_m` or more; 0: none, or outside."""
     nowhere = np.zeros(grid.cells.shape, dtype=np.int32)
     radius = (round(thick_m / grid.resolution) - 1) // 2
     if radius < 1:  # of so few cells it could be a wall
@@ -119,10 +115,7 @@ def pieces_at_walls(grid: GridMap, thick_m: float) -> NDArray[np.int32]:
 
 
 def fill_cupboards(labels: LabelArray, pieces: NDArray[np.int32], resolution: float) -> LabelArray:
-    """`labels` (H, W) with those of the `pieces` (H, W) at walls, which had none.
-
-    A piece takes the label that more than half of the labelled cells around it have.
-    """
+    """`labels` (H, W) with those of the `pieces` (H, W) at walls, by most cells around each."""
     if not pieces.any():
         return labels
     # exact: there are fewer than 16 million
@@ -140,10 +133,7 @@ def fill_cupboards(labels: LabelArray, pieces: NDArray[np.int32], resolution: fl
 
 
 def _pieces(mask: BoolArray, resolution: float) -> tuple[NDArray[np.int32], BoolArray]:
-    """The number (H, W) of each piece of a mask, 0 outside; which (k,) are longer than furniture.
-
-    Pieces are joined over edges.
-    """
+    """The number (H, W) of each piece of a mask, over edges, 0 outside; which (k,) are long."""
     _, piece, stats, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8), connectivity=4)
     longest = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1)
     return np.asarray(piece, dtype=np.int32), np.asarray(longest * resolution > _LONGEST_M)
@@ -154,8 +144,7 @@ def with_narrow_doors(
 ) -> tuple[BoolArray, BoolArray]:
     """Free space (H, W) with its `small` obstacles; and the same with wide openings narrowed.
 
-    What stands in the line of a wall and is thin, such as a post between two doors, is a part of
-    the wall and no furniture. Openings up to `widest_m` are narrowed.
+    Thin things in the line of a wall are a part of it, as posts are. `widest_m` is narrowed.
     """
     framed, pieces = np.pad(free | small, 1), np.pad(small, 1)
     metres = widest_m, _DOOR_M, _SPACE_M, _WALL_M, _LINE_M
@@ -179,11 +168,9 @@ def _along_rows(
 ) -> tuple[BoolArray, BoolArray]:
     """What narrows the openings (H, W) of walls along the rows, and the posts (H, W) in them.
 
-    The edge of `free` is a wall. On one side of an opening a thin wall points at it, with open
-    space on both faces. On the other side is a wall with open space on one face at least: a corner
-    does, or a partition that ends where the line of the wall is. Half of the opening is open to
-    both sides: beside a cupboard that stands at a wall the wall itself goes on, and nobody comes
-    through. Posts divide an opening into several, none of which is wider than two doors.
+    On one side of an opening a thin wall points at it, with open space on both faces; on the other
+    one face is enough, as at a corner. Half of the opening is open to both sides: beside a cupboard
+    the wall goes on. Posts divide it into openings, none wider than two doors.
     """
     cells, pieces = (np.ascontiguousarray(mask, dtype=np.uint8) for mask in (free, small))
     across = np.ones((space // 2 * 2 + 1, 1), dtype=np.uint8)  # odd: it has a middle

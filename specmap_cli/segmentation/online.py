@@ -48,11 +48,7 @@ Observer = Callable[["SplitTest", bool, "Occasion"], None]
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """A finished region: the keyframes, ascending, that belong to the submap just left.
-
-    `continues` is the number of the earlier region that this one is a piece of, because the robot
-    came straight back to it; None for a submap of its own.
-    """
+    """A region left, its keyframes ascending, and which one it `continues` as a piece, if any."""
 
     number: int
     keyframes: tuple[int, ...]
@@ -71,7 +67,7 @@ class Occasion:
 class OnlineSegmenter:
     """Takes keyframes into the current submap and says which regions were left.
 
-    `observer` is called after every test with the test, whether the submap was split, and when.
+    `observer` is told every test, whether it split, and when.
     """
 
     def __init__(
@@ -152,11 +148,7 @@ class OnlineSegmenter:
         return [region]
 
     def _finish(self, left: CoarseSubmap) -> Region:
-        """The next finished region, a piece of an earlier one where the robot came back to it.
-
-        It came back to the region left before the last one, if that and what was `left` now are
-        one region: no eigenvector divides their keyframes.
-        """
+        """The next region, a piece of the one before the last where nothing divides the two."""
         continues = None
         if self.config.regrow and len(self._recent) == 2:
             earlier, before = self._recent[0]
@@ -290,10 +282,9 @@ def _spectrum(
 def _dividing(
     vectors: FloatArray, home: IndexArray, weight: FloatArray, share: float
 ) -> tuple[int, LabelArray]:
-    """The first eigenvector from the second on that divides the way, and the sides of the nodes.
+    """The first eigenvector from the second on by which each side has its share of the way.
 
-    A division is Algorithm 2 with k = 2 on that eigenvector and the first; each side must hold more
-    than `share` of the way, of which each pose has a `weight` (p,). Number 0 and one side when none
+    Also the sides of the nodes, by Algorithm 2 with k = 2; poses have a `weight` (p,). 0: none
     does.
     """
     for column in range(1, vectors.shape[1]):
@@ -307,9 +298,8 @@ def _dividing(
 class CoarseSubmap:
     """Keyframes of a submap in order, and a grid of them that is just good enough to find doors.
 
-    Its cells are no finer than `SPLIT_CELL_M`, the working grid's. A keyframe enters the grid when
-    the robot moved `_SPLIT_STEP_M` or turned `_SPLIT_STEP_RAD` since the last that did, and does so
-    once: what a split leaves of a grid is counted by taking out the rest.
+    A keyframe enters the grid once, after `_SPLIT_STEP_M` or `_SPLIT_STEP_RAD`: what a split leaves
+    of a grid is counted by taking out the rest.
     """
 
     def __init__(
@@ -383,11 +373,7 @@ class CoarseSubmap:
         return bool((away <= reach).any())
 
     def apart(self, reached: BoolArray) -> BoolArray:
-        """Those of the keyframes (p,) whose stretch of way lies apart from all that is `reached`.
-
-        What free space does not join with the robot, and has no node in common with what it does,
-        stays alone wherever the robot goes on from there. A stretch is driven without a gap.
-        """
+        """Those of the keyframes (p,) whose stretch of way has no node in common with `reached`."""
         near, poses = reached.copy(), self.poses
         reach = 2.0 * self.config.path_band_m or np.inf
         tree = cKDTree(poses[reached, :2])

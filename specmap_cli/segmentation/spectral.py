@@ -49,10 +49,9 @@ _TINY = 1e-12  # keeps a row of zeros from dividing by zero
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Spectrum:
-    """What Algorithm 2 found in a graph of n nodes.
+    """What Algorithm 2 found in a graph of n nodes: their `labels` (n,) 0, 1, ...
 
-    `labels` (n,) 0, 1, ... the cluster of each node; `eigenvalues` (m,) falling, of all parts
-    together; `used` is the number of those that count, which is k summed over the parts.
+    `eigenvalues` (m,) fall, of all parts together; `used` of them count, k of each part.
     """
 
     labels: LabelArray
@@ -84,10 +83,9 @@ def spectral_clusters(graph: VisibilityGraph, config: SegmentationConfig) -> Spe
 def clusters_of(S: Any, parts: Sequence[IndexArray], least: float) -> Spectrum:
     """Lines 2 to 7 of Algorithm 2 for each of some parts of a graph; label -1 outside them.
 
-    The D_ii are those of the whole graph S (n, n), sparse: what a cut takes from the row of a node
-    stays in its degree, as it goes to a neighbour elsewhere. k is the number of eigenvalues above
-    `least`. k-means starts at the row of the best and of the least connected node, so it needs no
-    random numbers.
+    The D_ii are those of the whole graph S (n, n), sparse: what a cut takes goes to a neighbour
+    elsewhere. k eigenvalues are above `least`. k-means starts at the row of the best and of the
+    least connected node, without random numbers.
     """
     degrees = np.asarray(S.sum(axis=1)).ravel()
     labels = np.full(len(degrees), -1, dtype=np.int16)
@@ -112,11 +110,7 @@ def clusters_of(S: Any, parts: Sequence[IndexArray], least: float) -> Spectrum:
 
 
 def parts_of(S: Any, most: int) -> list[IndexArray]:
-    """The nodes, ascending, of each part of a graph, the parts in the order of their first nodes.
-
-    S (n, n) sparse is the similarity of eq. 1. A part is connected. One with more than `most` nodes
-    is cut in two.
-    """
+    """Ascending nodes of each part of S (n, n), sparse: connected, `most` at most, in order."""
     parts, pending = [], [np.arange(S.shape[0])]
     while pending:
         nodes = pending.pop()
@@ -147,10 +141,7 @@ def _within(S: Any, nodes: IndexArray) -> Any:
 
 
 def _bands(S: Any) -> Iterator[tuple[slice, slice, IndexArray]]:
-    """Rows of S (n, n), in CSR, a bounded number of entries at once: this bounds the memory.
-
-    Each time the rows, their entries, and where in these each row begins.
-    """
+    """Rows of S (n, n), in CSR, their entries, and where rows begin: some at once, for memory."""
     first = 0
     while first < S.shape[0]:
         least = int(S.indptr[first]) + _AT_ONCE
@@ -163,10 +154,9 @@ def _bands(S: Any) -> Iterator[tuple[slice, slice, IndexArray]]:
 def _beyond_the_neck(S: Any) -> BoolArray:
     """(n,) the nodes on one side of the best cut of a connected graph S (n, n).
 
-    The nodes stand in the order of the second eigenvector, which is that of the graph of groups of
-    like nodes, evened out: many times smaller, this shows the same necks. Of all cuts of this order
-    the one with the smallest normalised cut is taken (Shi and Malik, "Normalized Cuts and Image
-    Segmentation", PAMI 2000): similarity lost, over the sum of the degrees of either side.
+    Of all cuts in the order of the second eigenvector, that of a graph of groups, evened out, it is
+    the smallest normalised cut (Shi and Malik, "Normalized Cuts and Image Segmentation", PAMI
+    2000).
     """
     degrees, group = np.asarray(S.sum(axis=1)).ravel(), _groups(S)
     ones = sparse.csr_array((np.ones(len(group)), (np.arange(len(group)), group)))
@@ -199,9 +189,8 @@ def _beyond_the_neck(S: Any) -> BoolArray:
 def _groups(S: Any) -> IndexArray:
     """(n,) the number of the group of like nodes that each node of a connected graph is in.
 
-    Nodes have heights between 0 and 1, which are the same in every run. Each goes with the one it
-    sees whose height times their similarity is the largest, up to the nodes that have none above
-    them: these are far apart, and what they see is a group.
+    Nodes have fixed random heights. Each goes up to the one it sees whose height times their
+    similarity is the largest; those with none above them are far apart.
     """
     size, counts = S.shape[0], np.diff(S.indptr)
     heights = np.random.default_rng(_START_SEED).uniform(size=size)
@@ -224,8 +213,7 @@ def split_again(
 ) -> LabelArray:
     """(n,) labels after halving every cluster whose own second eigenvalue is above `least`.
 
-    Inside a cluster the scales of eq. 1 are measured anew, so that a room is seen apart from the
-    piece of corridor it was put together with among all the rooms of the map.
+    Its scales of eq. 1 are measured anew, so that a room comes apart from a piece of corridor.
     """
     labels = labels.copy()
     (i, j), count = graph.pairs.T.copy(), int(labels.max(initial=-1)) + 1
@@ -262,10 +250,7 @@ def numbered(labels: LabelArray) -> LabelArray:
 
 
 def local_scales(graph: VisibilityGraph, neighbours: int) -> FloatArray:
-    """(n,) sigma of eq. 1: the median distance to the `neighbours` nearest visible nodes, 0: all.
-
-    Nodes that see no other get 1, which is never used.
-    """
+    """(n,) sigma of eq. 1: median distance to the `neighbours` nearest visible nodes, 0: all."""
     nodes, rising = len(graph.nodes), np.argsort(graph.lengths)
     owner, distance = graph.pairs[rising].ravel(), graph.lengths[rising]
     del rising
@@ -284,11 +269,7 @@ def local_scales(graph: VisibilityGraph, neighbours: int) -> FloatArray:
 def similarity(
     graph: VisibilityGraph, neighbours: int, multiple: float = 1.0, *, dense: bool = False
 ) -> Any:
-    """S of eq. 1, (n, n), symmetric: zero on the diagonal and between nodes that see no other.
-
-    Sigma is a `multiple` of `local_scales`. S is sparse, or `dense`, an array: quicker for some
-    hundred nodes.
-    """
+    """S of eq. 1, (n, n), symmetric, 0 where none sees another; sparse, or `dense` of few nodes."""
     scales, nodes = multiple * local_scales(graph, neighbours), len(graph.nodes)
     i, j = graph.pairs.T
     weight = -(graph.lengths**2)
@@ -304,10 +285,7 @@ def similarity(
 
 
 def normalised(S: Any, degrees: FloatArray | None = None) -> tuple[Any, FloatArray]:
-    """L = D^-1/2 S D^-1/2 (n, n), and the degrees D_ii (n,); rows of zeros stay zero.
-
-    S is sparse, or an array, and L is like it. `degrees` are given for a part of a graph.
-    """
+    """L = D^-1/2 S D^-1/2 (n, n), an array or sparse as S is, and the degrees D_ii (n,)."""
     if degrees is None:
         degrees = np.asarray(S.sum(axis=1), dtype=np.float64).ravel()  # Algorithm 2, line 2
     inverse = np.zeros(len(degrees))
@@ -323,9 +301,8 @@ def largest_eigenpairs(
 ) -> tuple[FloatArray, FloatArray]:
     """The `count` largest eigenvalues (k,), falling, and eigenvectors (n, k) of a symmetric matrix.
 
-    `matrix` (n, n) is an array, or sparse; `tolerance`, relative, is that of the iteration, which
-    starts from a fixed vector. Each eigenvector's sign makes its sum of cubes positive, so equal
-    input gives equal output.
+    `matrix` (n, n) is an array, or sparse: then it is iterated, from a fixed vector, to a relative
+    `tolerance`. Equal input gives equal output, signs included.
     """
     size = matrix.shape[0]
     count = min(count, size)
@@ -354,10 +331,7 @@ def with_fixed_signs(vectors: FloatArray) -> FloatArray:
 
 
 def eigenpairs_above(matrix: Any, least: float) -> tuple[FloatArray, FloatArray]:
-    """All eigenpairs with eigenvalues above `least`, and at least one below where there is one.
-
-    `matrix` (n, n) is sparse and symmetric.
-    """
+    """All eigenpairs of a sparse symmetric matrix (n, n) above `least`, and one below if any."""
     size = matrix.shape[0]
     count = min(2 + math.ceil(_ABOVE * (matrix.data**2).sum()), size)
     while True:
@@ -370,10 +344,9 @@ def eigenpairs_above(matrix: Any, least: float) -> tuple[FloatArray, FloatArray]
 def kmeans_unit(rows: FloatArray, clusters: int, first: list[int]) -> LabelArray:
     """Cluster unit vectors `rows` (n, d) into at most `clusters`; (n,) labels.
 
-    Lloyd's iteration runs once for each row number in `first`. The labels with the smallest sum of
-    squared distances win, those of the earlier start on a tie. A start takes its row and then, one
-    at a time, the row most nearly orthogonal to all taken before (Ng, Jordan and Weiss, "On
-    Spectral Clustering", NIPS 2001).
+    The best of Lloyd's iterations, one for each row in `first`, which takes that and, one by one,
+    the row most nearly orthogonal to all taken before (Ng, Jordan and Weiss, "On Spectral
+    Clustering", NIPS 2001).
     """
     best, least = np.zeros(len(rows), dtype=np.int16), np.inf
     for row in first:

@@ -120,10 +120,7 @@ def upright_map(fine: GridMap, cell_m: float, node_step_m: float) -> UprightMap:
 
 
 def _turns(mass: BoolArray) -> list[int]:
-    """The quarter turns that make a mass (H, W) wide, and lean to the upper right: one, if it can.
-
-    Its second and third central moments say it, along the rows and the columns, exact, times n^3.
-    """
+    """The quarter turns that make a mass (H, W) wide and lean up and right, by exact moments."""
     spread, skew = [], []
     for counts in (mass.sum(axis=1).tolist(), mass.sum(axis=0).tolist()):
         total = sum(counts)
@@ -139,10 +136,7 @@ def _turns(mass: BoolArray) -> list[int]:
 
 
 def reduced(cells: CellArray, step: int) -> CellArray:
-    """Cells of `step` x `step` of some (H, W): occupied where one is, free where half of them are.
-
-    The rest is unknown. So no wall is lost, and no gap between two rays counts.
-    """
+    """Cells of `step` x `step` of some (H, W): occupied where any is, free where half is."""
     if step == 1:
         return cells
     height, width = cells.shape
@@ -157,10 +151,7 @@ def reduced(cells: CellArray, step: int) -> CellArray:
 def _along_walls(
     cells: CellArray, corner: NDArray[np.intp], block: int
 ) -> tuple[CellArray, FloatArray | None]:
-    """Some cells (h, w) turned about `corner`, so that most walls lie along rows and columns.
-
-    Also the transform, by which the corner stays the corner of a block. None when they do already.
-    """
+    """Cells (h, w), turned about `corner` so that walls lie along rows; the transform, or None."""
     around = np.ones((2 * _FRAME + 1, 2 * _FRAME + 1), dtype=np.uint8)
     beside = cv2.dilate((cells == FREE).astype(np.uint8), around) > 0  # no depths of solid blocks
     angle = wall_angle(np.argwhere(beside & (cells == OCCUPIED)))
@@ -178,10 +169,10 @@ def _along_walls(
 
 
 def wall_angle(walls: NDArray[np.intp]) -> float:
-    """By how many degrees, in [-45, 45), a picture with `walls` (n, 2) has to be turned.
+    """Degrees in [-45, 45) to turn a picture by, so that `walls` (n, 2) are in the fewest lines.
 
-    After that they lie in the fewest rows and columns: the sum of the squares of what each holds is
-    the largest. Deterministic: of equals the least turn counts, so without walls 0.
+    The sum of the squares of what each row and column holds is the largest; of equals the least
+    turn.
     """
     best, most = 0.0, -1
     for step, reach in zip(_STEPS_DEGREES, (45.0, _STEPS_DEGREES[0]), strict=True):

@@ -19,7 +19,7 @@ from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, path_l
 from specmap_cli.core.records import PlanarScan, Sweep
 from specmap_cli.core.text import nanoseconds, said
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.simulation.tours import Drive, Limits, drive, plan_tour, reachable_space
+from specmap_cli.simulation.tours import Drive, drive, plan_tour, reachable_space
 from specmap_cli.simulation.worlds import World
 
 _NEAREST_M = 0.02  # noise never makes a return nearer: a range is above 0
@@ -328,8 +328,7 @@ def stamp_of(time_s: float) -> int:
 def simulated_tour(plan: GridMap, options: SimulationOptions) -> SimulatedTour:
     """Plan and drive the tour. Raises MapError when the robot fits nowhere in the plan.
 
-    The route, the odometry's errors and the laser's are drawn from seeds of their own: another
-    noise leaves the route as it is.
+    Route, odometry's errors and laser's have seeds of their own: no noise moves the route.
     """
     route = np.random.default_rng(np.random.SeedSequence(options.seed).spawn(1)[0])
     world = World.of(plan)
@@ -341,15 +340,10 @@ def simulated_tour(plan: GridMap, options: SimulationOptions) -> SimulatedTour:
 def tour_along(
     path: FloatArray, world: World, options: SimulationOptions, area_m2: float
 ) -> SimulatedTour:
-    """The tour along a path (N, 2) in the world, of which the robot can reach `area_m2`.
-
-    Its errors are those that `options.seed` draws for a tour of its own.
-    """
+    """The tour along a path (N, 2), with the errors that `options.seed` draws for its own."""
     _, wheels, noise = np.random.SeedSequence(options.seed).spawn(3)
-    limits = Limits(
-        options.speed_mps, math.radians(options.turn_rate_degps), options.acceleration_mps2
-    )
-    truth = drive(path, limits)
+    turn_rate = math.radians(options.turn_rate_degps)
+    truth = drive(path, options.speed_mps, turn_rate, options.acceleration_mps2)
     duration = min(truth.duration_s, options.max_duration_s or math.inf)
     scan_times = np.arange(0.0, duration + _ROUNDING_S, 1.0 / options.rate_hz)
     laser = Laser(

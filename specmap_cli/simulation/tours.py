@@ -54,11 +54,7 @@ class Lattice:
 
 
 def reachable_space(world: World, radius_m: float, comfort_m: float) -> Lattice:
-    """The largest connected part of the plan in which a disc of `radius_m` fits.
-
-    From `comfort_m` on, farther from a wall is no better. Raises MapError when the disc fits
-    nowhere.
-    """
+    """The largest part of the plan where a disc of `radius_m` fits. Raises MapError for none."""
     stride = max(1, round(_LATTICE_M / world.plan.resolution))
     rows, columns = (np.arange(stride // 2, side, stride) for side in world.plan.cells.shape)
     cells = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1)
@@ -108,8 +104,7 @@ def plan_tour(
 ) -> FloatArray:
     """A path (N, 2) that comes within about `spacing_m` of every reachable point in each lap.
 
-    `rng` draws the start and each lap's targets, so that every lap and every seed is a new path.
-    Each lap starts where the one before ended.
+    `rng` draws the start and each lap's targets; a lap starts where the one before ended.
     """
     here = int(rng.choice(len(lattice.points), p=_preference(lattice, np.inf)))
     nodes = [np.array([here])]
@@ -149,11 +144,7 @@ def _preference(lattice: Lattice, distance: Any) -> FloatArray:
 
 
 def _distances(lattice: Lattice, targets: IndexArray, spacing_m: float) -> FloatArray:
-    """Costs (t, t) between targets, by way of their neighbours, which is enough to order them.
-
-    Neighbours within 2.5 spacings join all: along any way, the target nearest to its points
-    changes only between targets less than two spacings and a step apart.
-    """
+    """Costs (t, t) between targets by way of neighbours within 2.5 spacings, which join all."""
     limit = 2.5 * spacing_m * (1.0 + _WALL_COST)
     n = len(targets)
     near = np.zeros((n, n))
@@ -216,20 +207,10 @@ class Drive:
         return np.stack(columns, axis=-1)
 
 
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """What the robot's wheels can do; all are above 0."""
+def drive(path: FloatArray, highest: float, turn_rate: float, acceleration: float) -> Drive:
+    """Drive along a path (N, 2), N >= 1, as fast as wheels can: m/s, radians/s and m/s^2, above 0.
 
-    speed_mps: float
-    turn_rate_radps: float
-    acceleration_mps2: float
-
-
-def drive(path: FloatArray, limits: Limits) -> Drive:
-    """Drive along a path (N, 2), N >= 1, as fast as the limits let the robot.
-
-    It starts and ends at a standstill, looks where it drives, and turns in place at sharp corners.
-    A path of one place is a robot that stands there, its heading 0.
+    From standstill to standstill, with turns in place at sharp corners; one place is a stop.
     """
     path = path[np.concatenate([[True], step_lengths(path) > _TINY])]
     if len(path) < 2:
@@ -243,10 +224,9 @@ def drive(path: FloatArray, limits: Limits) -> Drive:
     reached = np.concatenate([np.where(sharp, heading[:-1], middle), heading[-1:]])
     left = np.concatenate([heading[:1], np.where(sharp, heading[1:], middle)])
     bend = np.abs(reached - left)
-    limit = np.minimum(limits.speed_mps, limits.turn_rate_radps * lengths / np.maximum(bend, _TINY))
+    limit = np.minimum(highest, turn_rate * lengths / np.maximum(bend, _TINY))
     corner = np.minimum(limit[:-1], limit[1:])
     speeds = np.concatenate([[0.0], np.where(sharp, 0.0, corner), [0.0]])
-    highest, acceleration = limits.speed_mps, limits.acceleration_mps2
     # neither speeding up nor braking passes the acceleration: forwards, then backwards in time
     for ahead, steps in ((speeds, lengths), (speeds[::-1], lengths[::-1])):
         for i, length in enumerate(steps):
@@ -257,15 +237,11 @@ def drive(path: FloatArray, limits: Limits) -> Drive:
     stopped = np.where(lengths * acceleration > highest**2, coasting, peaked)
     both = speeds[:-1] + speeds[1:]
     seconds = np.where(both > 0.0, 2.0 * lengths / np.maximum(both, _TINY), stopped)
-    return _knots(path, reached, left, seconds, limits.turn_rate_radps)
+    return _knots(path, reached, left, seconds, turn_rate)
 
 
 def _knots(
-    path: FloatArray,
-    reached: FloatArray,
-    left: FloatArray,
-    seconds: FloatArray,
-    turn_rate: float,
+    path: FloatArray, reached: FloatArray, left: FloatArray, seconds: FloatArray, turn_rate: float
 ) -> Drive:
     """The drive through all corners, with eased turns where a corner is left in another heading."""
     times, poses = [np.zeros(1)], [np.array([[*path[0], left[0]]])]

@@ -11,18 +11,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
+from specmap_cli.core.records import BoolArray
 from specmap_cli.layout.consistency import (
     Judgement,
-    Pairs,
     Uncertainty,
     _votes,
     independent,
     judge,
+    pairs_of,
     path_error,
 )
-from specmap_cli.layout.path_graph import Ends, Graph
+from specmap_cli.layout.path_graph import Ends, Graph, settle, tighten
 from specmap_cli.layout.pose_graph import Link
-from specmap_cli.layout.solving import settle, tighten
 from tests.layout.driving import (
     SOFT,
     arc,
@@ -132,16 +132,16 @@ def test_the_same_place_seen_again_and_again_is_one_vote() -> None:
         assert all(one.believed for one in judged(graph, along))
 
 
-def compared(graph: Graph, closures: list[Link]) -> Pairs:
+def compared(graph: Graph, closures: list[Link]) -> tuple[BoolArray, FloatArray]:
     ends = Ends.of(graph.row, closures)
-    return Pairs.of(graph, graph.poses, ends, path_error(graph, graph.poses))
+    return pairs_of(graph, graph.poses, ends, path_error(graph, graph.poses))
 
 
 def test_look_alike_offices_agree_and_are_impossible() -> None:
     """Seven closures agree pair by pair, but the way between is too short to be off by 5 m."""
     graph = graph_of_steps(np.array([(k * 0.5, 0.0, 0.0) for k in range(80)]))
     twins = [link(10 * k, 10 * k + 10, (0.0, 0.0, 0.0), "closure") for k in range(7)]
-    assert compared(graph, twins).agree.all()
+    assert compared(graph, twins)[0].all()
     assert independent(Ends.of(graph.row, twins), range(7), graph.path, 4.0) == 7
     assert [one.reason for one in judged(graph, twins)] == ["impossible"] * 7
 
@@ -159,9 +159,9 @@ def test_what_agrees_outvotes_what_drift_would_allow() -> None:
 
 def test_closures_of_other_parts_say_nothing_about_each_other() -> None:
     rng, graph = np.random.default_rng(0), graph_of_steps(TRUTH, breaks=(100, LAP + 100))
-    pairs = compared(graph, [nearly(k, k + LAP, rng) for k in (10, 50, 120, 160)])
-    assert np.array_equal(pairs.agree, np.kron(np.eye(2), np.ones((2, 2))))
-    assert np.array_equal(np.isfinite(pairs.told_m), pairs.agree & ~np.eye(4, dtype=bool))
+    agree, told_m = compared(graph, [nearly(k, k + LAP, rng) for k in (10, 50, 120, 160)])
+    assert np.array_equal(agree, np.kron(np.eye(2), np.ones((2, 2))))
+    assert np.array_equal(np.isfinite(told_m), agree & ~np.eye(4, dtype=bool))
 
 
 def test_a_closure_told_the_other_way_round_is_the_same() -> None:
@@ -169,7 +169,7 @@ def test_a_closure_told_the_other_way_round_is_the_same() -> None:
     back = [link(c.target, c.source, c.source_from_target.inverse(), "closure") for c in closures]
     for one, other in zip(judged(graph, closures), judged(graph, back), strict=True):
         assert one.reason == other.reason
-    assert np.array_equal(compared(graph, closures).agree, compared(graph, back).agree)
+    assert np.array_equal(compared(graph, closures)[0], compared(graph, back)[0])
 
 
 def test_independent_ones_are_counted_in_order() -> None:

@@ -19,10 +19,9 @@ from specmap_cli.layout.joining import (
     tracked_over_gaps,
     without_keyframes,
 )
-from specmap_cli.layout.path_graph import Draft, Graph
+from specmap_cli.layout.path_graph import Draft, Graph, solved
 from specmap_cli.layout.pose_graph import Link
 from specmap_cli.layout.result import Layout
-from specmap_cli.layout.solving import solved
 from tests.layout.driving import Drive, between, drifted, laid_out, stored, true_link, worst
 
 CUT = 470  # keyframes of the first lap

@@ -16,9 +16,8 @@ from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert, wrap_a
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.layout.consistency import judge
 from specmap_cli.layout.passes import PassesOnTheWay, candidates, far_passes, find_passes, passes_at
-from specmap_cli.layout.path_graph import LOOP_PATH_M, Bridge, Draft, Graph, Ties, graph_of
+from specmap_cli.layout.path_graph import LOOP_PATH_M, Bridge, Draft, Graph, Ties, graph_of, solved
 from specmap_cli.layout.pose_graph import Link
-from specmap_cli.layout.solving import solved
 from specmap_cli.layout.walls import Walls
 from tests.layout.driving import (
     SECOND_LAP,

@@ -12,7 +12,7 @@ from scipy.optimize import least_squares, minimize
 
 from specmap_cli.core.errors import InputError
 from specmap_cli.core.geometry import FloatArray, compose, invert, wrap_angles
-from specmap_cli.layout.path_graph import Graph
+from specmap_cli.layout.path_graph import _KERNEL_SIGMAS, Graph, settle, solved, tighten
 from specmap_cli.layout.pose_graph import (
     Link,
     LinkArrays,
@@ -23,7 +23,6 @@ from specmap_cli.layout.pose_graph import (
     squared,
 )
 from specmap_cli.layout.result import Layout
-from specmap_cli.layout.solving import _KERNEL_SIGMAS, settle, solved, tighten
 from tests.layout.driving import arc, as_tracked, chained, drifted, graph_by_hand, link, true_link
 from tests.strategies import few, pose_arrays, seeds
 from tests.turning import turned
@@ -307,7 +306,7 @@ def test_what_counts_as_an_outlier_is_set() -> None:
     unlikely = link(0, LAP, (x + 0.16, y, theta))  # four sigmas off
     loops = (*rightly(truth, *range(20)), unlikely)
     for limit, expected in ((25.0, ()), (4.0, (unlikely,))):
-        with turned("layout.solving", _OUTLIER_CHI2=limit):
+        with turned("layout.path_graph", _OUTLIER_CHI2=limit):
             assert settle(graph, as_tracked(graph, *loops))[1] == expected
 
 

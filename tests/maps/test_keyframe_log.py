@@ -129,7 +129,7 @@ def test_it_is_an_ordinary_recording(path: Path) -> None:
         stream = SweepStream(log, LogConfig())
         assert (stream.selection.odometry, stream.selection.base_frame) == ("tf", "base_link")
         sweeps = list(stream)
-        last = decode_transforms(list(log.messages(["/tf"]))[-1]).records
+        last = decode_transforms(list(log.messages(["/tf"]))[-1])[0]
     assert [sweep.stamp_ns for sweep in sweeps] == [scan.stamp_ns for scan in SCANS]
     for sweep, scan in zip(sweeps, SCANS, strict=True):
         assert sweep.odom_from_base is not None

@@ -25,7 +25,7 @@ from specmap_cli.simulation.simulator import (
     simulate_sweeps,
     simulated_tour,
 )
-from specmap_cli.simulation.tours import Drive, Limits, drive
+from specmap_cli.simulation.tours import Drive, drive
 from specmap_cli.simulation.worlds import World
 
 LEFT, RIGHT, BOTTOM, TOP = 1.0, 6.0, 0.5, 4.5
@@ -101,7 +101,7 @@ def test_beams_of_a_sweep_are_cast_from_where_the_robot_then_is(hall: World) -> 
 @given(st.integers(0, 1000))
 def test_odometry_without_errors_is_the_truth_seen_from_the_start(seed: int) -> None:
     path = np.array([[0, 0], [4, 0], [4, 3], [1, 3], [1, 1], [3, 1]], dtype=np.float64)
-    driven = drive(path + 5.0, Limits(0.5, 1.0, 0.5))
+    driven = drive(path + 5.0, 0.5, 1.0, 0.5)
     poses = driven.at(np.arange(0.0, driven.duration_s, 0.1))
     found = drifting_odometry(poses, OdometryErrors().times(0.0), np.random.default_rng(seed))
     expected = compose(invert(poses[0]), poses)

@@ -17,12 +17,12 @@ from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import FloatArray, path_length, step_lengths
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, GridMap
 from specmap_cli.simulation import tours
-from specmap_cli.simulation.tours import Limits, drive, reachable_space
+from specmap_cli.simulation.tours import drive, reachable_space
 from specmap_cli.simulation.worlds import RoomTruth, World, read_rooms
 from tests.strategies import grid_maps, seeds
 
 RADIUS, COMFORT = 0.25, 0.8
-USUAL = Limits(speed_mps=0.7, turn_rate_radps=1.2, acceleration_mps2=0.5)
+SPEED, TURN_RATE, ACCELERATION = USUAL = (0.7, 1.2, 0.5)  # m/s, rad/s, m/s^2
 
 
 def tour(plan: GridMap, seed: int, laps: int = 1, spacing_m: float = 1.5) -> FloatArray:
@@ -121,15 +121,15 @@ def winding(seed: int, points: int, step_m: float) -> FloatArray:
 @given(seeds, st.integers(2, 60), st.sampled_from([0.02, 0.3, 4.0]))
 def test_a_drive_keeps_limits_and_passes_every_point(seed: int, points: int, step_m: float) -> None:
     path = winding(seed, points, step_m)
-    driven = drive(path, USUAL)
+    driven = drive(path, *USUAL)
     seconds, turns = np.diff(driven.times_s), np.abs(np.diff(driven.poses[:, 2]))
     assert (seconds > 0).all()
-    assert (step_lengths(driven.poses) / seconds).max() <= USUAL.speed_mps + 1e-9
-    assert (turns / seconds).max() <= USUAL.turn_rate_radps + 1e-9
+    assert (step_lengths(driven.poses) / seconds).max() <= SPEED + 1e-9
+    assert (turns / seconds).max() <= TURN_RATE + 1e-9
     away, _ = cKDTree(driven.poses[:, :2]).query(path)
     assert away.max() < 1e-9
     assert path_length(driven.poses) == pytest.approx(path_length(path))
-    repeated = drive(np.repeat(path, 2, axis=0), USUAL)  # which changes nothing
+    repeated = drive(np.repeat(path, 2, axis=0), *USUAL)  # which changes nothing
     np.testing.assert_array_equal(repeated.poses, driven.poses)
     np.testing.assert_array_equal(repeated.times_s, driven.times_s)
 
@@ -137,32 +137,32 @@ def test_a_drive_keeps_limits_and_passes_every_point(seed: int, points: int, ste
 @pytest.mark.parametrize("length", [0.1, 0.98, 3.0, 50.0])
 def test_a_straight_way_is_driven_as_fast_as_physics_lets(length: float) -> None:
     """Closed form: a triangle of speed over time, or a trapezium once the limit is reached."""
-    v, a = USUAL.speed_mps, USUAL.acceleration_mps2
+    v, a = SPEED, ACCELERATION
     peak = min(v, np.sqrt(a * length))
     for points in (2, 2000):
         path = np.column_stack([np.linspace(0.0, length, points), np.zeros(points)])
-        assert drive(path, USUAL).duration_s == pytest.approx(length / peak + peak / a, rel=2e-3)
+        assert drive(path, *USUAL).duration_s == pytest.approx(length / peak + peak / a, rel=2e-3)
 
 
 def test_the_robot_looks_where_it_drives_and_turns_in_place_at_corners() -> None:
     corner = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [1.0, 0.0]])
-    driven = drive(corner, Limits(1.0, 1.0, 0.5))
+    driven = drive(corner, 1.0, 1.0, 0.5)
     headings = driven.poses[1:][step_lengths(driven.poses) > 1e-9][:, 2]
     np.testing.assert_allclose(headings, [0.0, np.pi / 2, -np.pi / 2], atol=1e-9)
     # the ease of a turn is 1.5 times as steep in its middle as on average
     turning_s = 1.5 * (np.pi / 2 + np.pi)
     assert driven.duration_s == pytest.approx(3 * 2 * np.sqrt(1.0 / 0.5) + turning_s)
-    gentle = drive(np.array([[0.0, 0.0], [2.0, 0.0], [4.0, 0.6]]), USUAL)  # rounded without a stop
+    gentle = drive(np.array([[0.0, 0.0], [2.0, 0.0], [4.0, 0.6]]), *USUAL)  # rounded without a stop
     assert len(gentle.times_s) == 3
     assert gentle.poses[1, 2] == pytest.approx(0.5 * np.arctan2(0.6, 2.0))
 
 
 def test_a_path_of_one_place_is_a_robot_that_stands_as_before_the_start_and_after_the_end() -> None:
     for places in (1, 2, 5):
-        driven = drive(np.array([[2.0, 3.0]] * places), USUAL)
+        driven = drive(np.array([[2.0, 3.0]] * places), *USUAL)
         assert driven.duration_s == 0.0
         np.testing.assert_array_equal(driven.at(np.array([0.0, 9.0])), [[2.0, 3.0, 0.0]] * 2)
-    driven = drive(np.array([[0.0, 0.0], [1.0, 1.0]]), USUAL)
+    driven = drive(np.array([[0.0, 0.0], [1.0, 1.0]]), *USUAL)
     ends = driven.at(np.array([-5.0, 0.0, driven.duration_s, 1e6]))
     np.testing.assert_array_equal(ends[[0, 3]], ends[[1, 2]])
     np.testing.assert_allclose(ends[:, 2], np.pi / 4)

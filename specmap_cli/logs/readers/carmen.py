@@ -12,13 +12,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2
 from specmap_cli.core.settings import LogConfig
 from specmap_cli.core.text import stamp_ns
 from specmap_cli.logs.readers import encoding, recording
@@ -47,25 +48,19 @@ _FIELDS_OF_VIEW = {541: 270.0, 1081: 270.0, 682: 239.41, 683: 239.77}
 _OPEN_ENDED = (180, 360, 720)  # beams of a SICK LMS that stops one increment before the end
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LaserReading:
-    """What a laser line says of its laser: the laser's pose, its angles (rad), ranges (B,) in m."""
+class CarmenLine(NamedTuple):
+    """One parsed line, with the laser's pose, first angle and increment (rad), ranges (B,) in m.
 
-    odom_from_laser: Pose2
-    angle_min: float
-    angle_increment: float
-    range_max: float
-    ranges: FloatArray
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CarmenLine:
-    """One parsed line; `scan` is None for ODOM."""
+    ODOM has no ranges.
+    """
 
     topic: str
     stamp_ns: int
     odom_from_base: Pose2
-    scan: LaserReading | None = None
+    odom_from_laser: Pose2 = IDENTITY
+    angles: tuple[float, float] = (0.0, 0.0)
+    range_max: float = 0.0
+    ranges: FloatArray | None = None
 
 
 def damaged_keyword(line: bytes) -> str | None:
@@ -148,16 +143,16 @@ def parse_line(keyword: str, words: list[bytes]) -> CarmenLine:
     """
     if keyword == "ODOM":
         _check_host(words, 8)
-        stamp = _stamp(words, 7)
-        return CarmenLine(topic=ODOM_TOPIC, stamp_ns=stamp, odom_from_base=_pose(words, 1))
+        return CarmenLine(ODOM_TOPIC, _stamp(words, 7), _pose(words, 1))
     if keyword == "ROBOTLASER1":
         count, first, behind = int(words[8]), 9, 11
         poses = first + count + 1 + int(words[first + count])  # behind the remissions
-        angle_min, step, range_max = (_finite(words[place]) for place in (2, 4, 5))
+        first_rad, step_rad, range_max = (_finite(words[place]) for place in (2, 4, 5))
+        angles = first_rad, step_rad
     else:
         count, first, behind = int(words[1]), 2, 6
         poses = first + count
-        (angle_min, step), range_max = flaser_angles(count), _FLASER_RANGE_MAX_M
+        angles, range_max = flaser_angles(count), _FLASER_RANGE_MAX_M
     _check_host(words, poses + behind + 1)
     if count < 1 or len(words) < first + count:
         raise ValueError(count)
@@ -170,13 +165,10 @@ def parse_line(keyword: str, words: list[bytes]) -> CarmenLine:
         topic=topic_of(keyword),
         stamp_ns=_stamp(words, poses + behind),
         odom_from_base=_pose(words, poses + 3),
-        scan=LaserReading(
-            odom_from_laser=_pose(words, poses),
-            angle_min=angle_min,
-            angle_increment=step,
-            range_max=range_max,
-            ranges=ranges,
-        ),
+        odom_from_laser=_pose(words, poses),
+        angles=angles,
+        range_max=range_max,
+        ranges=ranges,
     )
 
 
@@ -196,10 +188,7 @@ def _pose(words: list[bytes], start: int) -> Pose2:
 
 
 def _check_host(words: list[bytes], place: int) -> None:
-    """Raise ValueError when a line is too long, and has a number where the host should be.
-
-    It has then lost the end of itself, and what follows is of another line.
-    """
+    """Raise ValueError for a number where a host should be: the end of another line follows."""
     if len(words) > place + 2 and _is_number(words[place]):
         raise ValueError(words[place])
 
@@ -296,10 +285,10 @@ class CarmenFile(recording.Recording):
         """Topic, type and time of every message but the mountings, which go into `mounts`."""
         for line in self._lines():
             yield ODOM_TOPIC, encoding.ODOMETRY, line.stamp_ns
-            if line.scan is None:
+            if line.ranges is None:
                 continue
             yield line.topic, encoding.LASER_SCAN, line.stamp_ns
-            mount = line.odom_from_base.inverse() @ line.scan.odom_from_laser
+            mount = line.odom_from_base.inverse() @ line.odom_from_laser
             known = mounts.setdefault(line.topic, mount)
             if known is None or _same(known, mount):
                 continue
@@ -317,8 +306,8 @@ class CarmenFile(recording.Recording):
         """The messages on `topics`, in the order of the lines."""
         mounts = dict(self._survey[1])  # of lasers whose mounting has not been told
         for line in self._lines():
-            scan, stamp_ns, frame = line.scan, line.stamp_ns, line.topic.strip("/")
-            mount = mounts.pop(line.topic, None) if scan is not None else None
+            ranges, stamp_ns, frame = line.ranges, line.stamp_ns, line.topic.strip("/")
+            mount = mounts.pop(line.topic, None) if ranges is not None else None
             if mount is not None and (topics is None or encoding.TF_STATIC in topics):
                 mounting = encoding.Transform(BASE_FRAME, frame, *encoding.in_space(mount))
                 data = encoding.transforms_cdr(stamp_ns, [mounting])
@@ -326,17 +315,14 @@ class CarmenFile(recording.Recording):
             if topics is None or ODOM_TOPIC in topics:
                 data = encoding.odometry_cdr(ODOM_FRAME, BASE_FRAME, stamp_ns, line.odom_from_base)
                 yield recording.Message(ODOM_TOPIC, encoding.ODOMETRY, stamp_ns, data)
-            if scan is not None and (topics is None or line.topic in topics):
-                ranges = np.where(scan.ranges >= scan.range_max, np.inf, scan.ranges)
-                angles, range_max = (scan.angle_min, scan.angle_increment), scan.range_max
-                data = encoding.scan_cdr(frame, stamp_ns, *angles, ranges, range_max=range_max)
+            if ranges is not None and (topics is None or line.topic in topics):
+                far, range_max = ranges >= line.range_max, line.range_max
+                ranges = np.where(far, np.inf, ranges)
+                data = encoding.scan_cdr(frame, stamp_ns, *line.angles, ranges, range_max=range_max)
                 yield recording.Message(line.topic, encoding.LASER_SCAN, stamp_ns, data)
 
     def _lines(self) -> Iterator[CarmenLine]:
-        """The lines that carry data; one that cannot be parsed is reported and left out.
-
-        Lines of other sensors come again and again. So a keyword that comes once is damaged.
-        """
+        """The lines that carry data; damage is told, such as a keyword that comes only once."""
         offset, number, last = 0, 0, 0
         once = dict[bytes, str]()  # by keywords that are not read; empty for one that came again
         while True:
@@ -372,10 +358,7 @@ class CarmenFile(recording.Recording):
 
 
 def _read(text: bytes) -> tuple[CarmenLine | None, list[str], bytes]:
-    """What a line holds, None for nothing, and what of it is lost.
-
-    And the keyword of another sensor's line, if it is one: then nothing is lost.
-    """
+    """What a line holds, what of it is lost, and the keyword of another sensor's whole line."""
     keyword, words = keyword_of(text), text.split()
     lost: list[str] = []  # of lines whose line break was damaged
     if any(text.find(part, 1) >= 0 for part in _PARTS):  # much quicker than the pattern
@@ -401,11 +384,7 @@ def _read(text: bytes) -> tuple[CarmenLine | None, list[str], bytes]:
 
 
 def _first_end(keyword: str, words: list[bytes]) -> int | None:
-    """How many words end at the host of a line into which the end of another ran; else None.
-
-    Its last words are those of the other: a time, the host of both, a time. If its own host was
-    cut, its length tells.
-    """
+    """How many words end at the host of a line into which the end of another ran; else None."""
     host = words[-2] if len(words) > 2 else b"0"
     if _is_number(host):
         return None

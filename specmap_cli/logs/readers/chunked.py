@@ -164,10 +164,7 @@ class ChunkedFile(Recording):
 
     @abstractmethod
     def _spots(self, records: bytes, listing: Listing) -> tuple[list[Spot], bool]:
-        """The whole messages of known channels among records; whether all records are whole.
-
-        Behind a record that is not whole, reading goes on where the listing has the next one.
-        """
+        """Whole messages of known channels, by the listing behind damage; whether all is whole."""
 
     @cached_property
     def contents(self) -> Contents:
@@ -178,10 +175,7 @@ class ChunkedFile(Recording):
         return survey((*self.channels[entry.channel][:2], entry.time_ns) for entry in entries)
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """The messages on `topics`, in time order with an index and as written without.
-
-        They come chunk by chunk when too many chunks overlap.
-        """
+        """The messages on `topics`, in time order with an index and as written without."""
         if self._index is None:
             for entry in self._salvaged():
                 if topics is None or self.channels[entry.channel].topic in topics:
@@ -275,10 +269,7 @@ class ChunkedFile(Recording):
             yield from self._message(*entry)
 
     def _read_spots(self, ref: ChunkRef) -> tuple[bytes, list[Spot]]:
-        """The records of a chunk and where its messages stand in them, as written.
-
-        Damage is reported, not raised.
-        """
+        """Records of a chunk and where messages stand in them, as written; damage is reported."""
         chunk, listing = self._open_chunk(ref), self._listing(ref)
         spots, whole = self._spots(chunk.data, listing)
         expected = Counter(ref.counts) | Counter(listing.counts)  # one may be damaged: the larger

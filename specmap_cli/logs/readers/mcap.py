@@ -13,14 +13,12 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from io import BytesIO
-from pathlib import Path
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.records import Channel as ChannelRecord
 from mcap.records import ChunkIndex, Footer, Schema, Statistics
 
-from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs.readers import chunked
 from specmap_cli.logs.readers.compression import Unpacked, decompress
 from specmap_cli.logs.readers.encoding import normalized_type
@@ -52,14 +50,9 @@ class McapFile(chunked.ChunkedFile):
     format = "MCAP"
     magic = MAGIC
 
-    def __init__(
-        self, file: Path, path: Path | None = None, config: LogConfig | None = None
-    ) -> None:
+    def _read_index(self) -> chunked.Index | None:
         self._schemas: dict[int, str] = {}
         self._told: dict[int, int] = {}  # messages by channel, as a statistics record has them
-        super().__init__(file, path, config)
-
-    def _read_index(self) -> chunked.Index | None:
         footer = self._footer()
         if footer is None:
             return None
@@ -228,10 +221,7 @@ class McapFile(chunked.ChunkedFile):
         return opcode == DATA_END and length == _DATA_END_BYTES
 
     def _is_of_data(self, opcode: int, ref: chunked.ChunkRef) -> bool:
-        """Whether the record at a place is built like those of its opcode among the data.
-
-        Schemas and channels are judged where they are parsed.
-        """
+        """Whether a record is built like those of its opcode; two kinds are judged when parsed."""
         length = ref.length - RECORD_HEAD.size
         if opcode == HEADER:
             return ref.offset == len(MAGIC)

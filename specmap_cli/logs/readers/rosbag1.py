@@ -64,10 +64,7 @@ class BadRecordError(ValueError):
 
 
 def parse_record(data: bytes, position: int) -> Record:
-    """The record at `position` of `data`, whose own data may reach beyond the end.
-
-    Raises BadRecordError where there is none.
-    """
+    """The record at `position`, whose data may reach beyond the end; raises BadRecordError."""
     try:
         header = U32.unpack_from(data, position)[0]
         start = position + 4 + header
@@ -175,10 +172,7 @@ class Rosbag1File(chunked.ChunkedFile):
         return index
 
     def _broken_record(self, chunks: list[int]) -> int | None:
-        """Offset of a record that does not lead to the next chunk, None when all is well.
-
-        Looks at so many records only, as it explains damage but is not needed for reading.
-        """
+        """Offset of a record, of the first ones, that does not lead to the next chunk; or None."""
         offset = before = _FIRST_RECORD
         checked = 0
         for chunk in chunks:

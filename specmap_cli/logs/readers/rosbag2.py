@@ -253,10 +253,7 @@ class Row(NamedTuple):
 
 
 class Fault(NamedTuple):
-    """What could not be read behind a time (None: at first).
-
-    `topic` is that of the one message that is lost; None when nobody knows which ones are.
-    """
+    """What cannot be read behind a time: one message on a `topic`, or nobody knows which (None)."""
 
     error: str
     time_ns: object
@@ -325,10 +322,7 @@ class Rows:
         return Row(topic, time, found[0]), _Place(time, row)
 
     def _readable(self, last: int) -> _Place | None:
-        """The first place behind the rows after `last` that cannot be read; None when all cannot.
-
-        Steps double until one leads out of the damage; halving finds where it ends.
-        """
+        """The first place after row `last` that can be read, by steps that double, then halving."""
 
         def can_go_on(row: int) -> bool:
             try:

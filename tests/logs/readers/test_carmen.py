@@ -122,7 +122,7 @@ def test_stamps_are_exact(written: str, stamp_ns: int) -> None:
     line = parse_line("ODOM", odom(written).encode().split())
     assert line.stamp_ns == stamp_ns
     assert line.odom_from_base == (1.0, 2.0, 0.5)
-    assert line.scan is None
+    assert line.ranges is None
 
 
 @pytest.mark.parametrize(

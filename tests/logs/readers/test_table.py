@@ -5,7 +5,6 @@ from __future__ import annotations
 import bz2
 import gzip
 import tempfile
-import textwrap
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -18,7 +17,6 @@ from specmap_cli.core.settings import LogConfig
 from specmap_cli.logs import Message, open_log
 from specmap_cli.logs.inspection import summarize
 from specmap_cli.logs.opening import BUILT_IN, known_readers
-from specmap_cli.logs.readers import Recording
 from specmap_cli.logs.stream import SweepStream
 from specmap_cli.logs.writer import convert
 from tests.logs.recordings import refusal
@@ -46,9 +44,10 @@ def offer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Offer:
 
 @pytest.fixture
 def range_lines(offer: Offer) -> None:
-    """The reader that the docstring of `Recording` shows as an installed package."""
-    text = textwrap.dedent(f"    {Recording.__doc__}")
-    offer({"range_lines": "RangeLines"}, text.partition("A whole reader")[2].partition("::\n")[2])
+    """The reader that docs/logs.md shows as an installed package."""
+    shown = (Path(__file__).parents[3] / "docs" / "logs.md").read_text(encoding="utf-8")
+    code = shown.partition("## A reader of your own")[2].partition("```python\n")[2]
+    offer({"range_lines": "RangeLines"}, code.partition("```")[0])
 
 
 @pytest.mark.usefixtures("range_lines")
