@@ -27,7 +27,10 @@ def runs(labels: Sequence[Any] | NDArray[Any]) -> list[tuple[int, int]]:
 
 
 def neighbours(ids: Iterable[int], pairs: Iterable[tuple[int, int]]) -> Neighbours:
-    """The ids that share a pair with each id, itself aside; KeyError for an end that is no id."""
+    """The ids that share a pair with each id, which may be none; a pair of equals counts nothing.
+
+    Raises KeyError for a pair with an end that is no id.
+    """
     found: dict[int, set[int]] = {id_: set() for id_ in ids}
     for a, b in pairs:
         if a != b:

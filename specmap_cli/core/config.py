@@ -69,13 +69,17 @@ def load_config(
 
 
 def with_overrides(config: Config, overrides: dict[str, Any], where: str = "") -> Config:
-    """The configuration with nested `overrides` over it; a complaint begins with `where`."""
+    """The configuration with nested `overrides` over it; UsageError as in `load_config`.
+
+    `where` stands before the complaint: the file that the overrides are from, and a colon.
+    """
     return _validated(_merge(config.model_dump(), overrides), where, {})
 
 
 def known_settings(settings: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """The settings that this version has, and the dotted keys of others, for those of another one.
+    """The settings that this version has, and the dotted keys of the others.
 
+    For settings that another version wrote down: it may have had more, or called them otherwise.
     Retired ones are among the others only with a value that is not the one they are fixed at.
     """
     left, retired = without_retired(settings)

@@ -73,7 +73,10 @@ def write_bytes(path: Path | str, data: bytes) -> None:
 
 
 def write_together(contents: Mapping[Path, bytes]) -> None:
-    """Write several files, replacing those of their names: all or none. Raises UsageError."""
+    """Write several files, replacing those of their names: all of them, or none.
+
+    UsageError when one cannot be written.
+    """
     with ExitStack() as files:  # each takes its name only when all have been written
         for path, data in contents.items():
             file = files.enter_context(complete_file(path))
@@ -143,7 +146,8 @@ def partial_of(target: Path) -> Path:
 def continued(path: Path) -> IO[str]:
     """A file to write more lines to, made where there is none.
 
-    Raises OSError, also for a link, by which another file would be written, a pipe or a device.
+    Raises OSError, also for a link, by which a neighbour may have another file written, and for a
+    pipe or a device.
     """
     flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | _AT_ONCE | getattr(os, "O_NOFOLLOW", 0)
     if os.path.lexists(path) and not stat.S_ISREG(path.lstat().st_mode):

@@ -67,7 +67,10 @@ class Quality(Value):
 
     @classmethod
     def of(cls, findings: Iterable[Finding]) -> Quality:
-        """The findings, gravest first, input last of its kind; the worst decides the verdict."""
+        """The findings, the gravest first, what reading had to say last of its kind.
+
+        The worst of them decides the verdict.
+        """
         told = sorted(findings, key=lambda one: (-VERDICTS.index(_verdict(one)), one.code == INPUT))
         return cls(verdict=_verdict(told[0]) if told else VERDICTS[0], findings=tuple(told))
 
@@ -95,7 +98,8 @@ def at_least_as_bad(verdict: Verdict, limit: Verdict) -> bool:
 def summary(findings: Sequence[Finding]) -> list[str]:
     """A line a code, in the order of first appearance: its worst finding and how many more.
 
-    The first of the worst stands for its code. What reading had to say is told in full.
+    The first finding of the worst severity stands for its code. What reading had to say is told in
+    full.
     """
     kinds: dict[str, list[Finding]] = {}
     for finding in findings:

@@ -37,7 +37,10 @@ def product(a: NDArray[Any], b: NDArray[Any]) -> FloatArray:
 
 
 def inverse3(matrices: NDArray[Any]) -> FloatArray:
-    """Inverses (..., 3, 3), far from singular, by cofactors: the same bits on every processor."""
+    """The inverses of matrices (..., 3, 3), by cofactors, the same bits on every processor.
+
+    Good for matrices that are far from singular, as covariances with a floor are.
+    """
     rows = np.asarray(matrices, dtype=np.float64)
     one, two = rows[..., _NEXT, :], rows[..., _LAST, :]  # np.cross takes four times as long
     cofactors = one[..., _NEXT] * two[..., _LAST] - one[..., _LAST] * two[..., _NEXT]
@@ -196,7 +199,10 @@ def travelled(poses: NDArray[Any]) -> FloatArray:
 
 
 def moved(before: Pose2 | None, now: Pose2, distance_m: float, angle_rad: float) -> bool:
-    """Whether the robot drove or turned so far since `before`; without one it has."""
+    """Whether the robot drove `distance_m` or turned `angle_rad` since `before`, or more.
+
+    Without a pose before, it has: the first scan always counts.
+    """
     if before is None:
         return True
     step = before.inverse() @ now

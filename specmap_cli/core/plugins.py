@@ -19,9 +19,10 @@ Kind = TypeVar("Kind")
 
 
 def with_plugins(group: str, built_in: Mapping[str, Kind]) -> dict[str, Kind]:
-    """The built-in things of a kind and, behind, those that installed packages offer, by name.
+    """The built-in things of a kind and those that installed packages offer, by name.
 
-    Raises UsageError for an entry point that cannot be loaded or takes the name of another.
+    Built-in ones come first, the others follow by name. Raises UsageError for an entry point that
+    cannot be loaded, and for one that takes the name of another.
     """
     table = dict(built_in)
     for point in sorted(entry_points(group=group), key=lambda point: (point.name, point.value)):

@@ -29,8 +29,9 @@ _inside = 0  # calls under way: the first takes the threads, the last gives them
 def one_blas_thread() -> Iterator[None]:
     """Keep every BLAS of this process on one thread, also those that are loaded meanwhile.
 
-    Calls may be nested or run in threads; it also decorates functions. After the last has ended
-    every BLAS has as many threads as before; one loaded meanwhile has as many as others.
+    Calls may be nested or run in several threads. After the last has ended every BLAS has as many
+    threads as before; one that was loaded meanwhile has as many as the others. It also decorates
+    functions.
     """
     global _inside
     with _LOCK:
@@ -77,7 +78,8 @@ _LARGE = 1 << 24  # bytes: of smaller arrays new pages would take more time than
 def give_memory_back() -> None:
     """Give the system the pages that hold nothing any more; where glibc is not, do nothing.
 
-    Arrays of megabytes that come and go leave holes; from now on the largest leave none.
+    Arrays of some megabytes that come and go leave holes, which glibc keeps for later ones. From
+    the first call on the largest arrays leave none: each has pages of its own.
     """
     import ctypes  # slow to load, and no need of a command that only tells
 

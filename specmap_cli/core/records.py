@@ -157,7 +157,10 @@ class Trajectory:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Labels:
-    """Keyframes of a map: `stamps_ns` (n,), `poses` (n, 3), `submaps` (n,) ids or NO_SUBMAP."""
+    """The keyframes of a map: `stamps_ns` (n,), `poses` (n, 3) in the map, `submaps` (n,) ids.
+
+    A keyframe in no submap has NO_SUBMAP.
+    """
 
     stamps_ns: IntArray
     poses: FloatArray
@@ -170,6 +173,9 @@ class Labels:
             yield stamp_ns, Pose2(*pose), None if submap == NO_SUBMAP else submap
 
     def duration_s(self, starts: Sequence[int] = ()) -> float:
-        """Seconds from first keyframe to last, of each recording, begun at `starts`, by itself."""
+        """Seconds from first keyframe to last, of each recording by itself.
+
+        `starts` are the keyframes with which further recordings begin, ascending.
+        """
         recordings = np.split(self.stamps_ns, starts)
         return sum(float(np.ptp(own)) for own in recordings if len(own)) / _NS

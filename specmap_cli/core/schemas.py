@@ -57,7 +57,10 @@ def meanings(kind: type) -> dict[str, str]:
 
 @dataclass(frozen=True, slots=True)
 class ModelSchema:
-    """The JSON Schema that a model makes, of a `schema_version`: a file of the package holds it."""
+    """The JSON Schema that a model makes, for other tools: a file of the package holds the same.
+
+    `version` is the `schema_version` of what it describes.
+    """
 
     model: type[BaseModel]
     name: str

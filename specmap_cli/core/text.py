@@ -21,7 +21,10 @@ _NUMBERS = re.compile(r"\[\n([-+.\deE,\s]+)\]")
 
 
 def to_json(value: Any) -> str:
-    """JSON, keys sorted, six decimals, null for NaN and infinity; lists of numbers on a line."""
+    """JSON with sorted keys, six decimals at the most, null for NaN and infinity.
+
+    Lists of numbers, such as points, stay on one line.
+    """
     dumped = json.dumps(plain(value), indent=1, sort_keys=True, ensure_ascii=False) + "\n"
     # JSON's own escapes for what `legible` escapes: it is read back as it was
     text = _UNSHOWN.sub(lambda it: it[0] if it[0] == "\n" else f"\\u{ord(it[0]):04x}", dumped)
@@ -29,7 +32,10 @@ def to_json(value: Any) -> str:
 
 
 def to_exact_json(value: Any, levels: int) -> str:
-    """JSON of plain types, exact, sorted keys: an entry a line in `levels`, dense below."""
+    """JSON with sorted keys and exact numbers: a line an entry in the outer `levels`, dense below.
+
+    For plain types only: what is learned is read back to the last bit.
+    """
     return _indented(value, levels, "") + "\n"
 
 
@@ -113,7 +119,8 @@ _UNSHOWN = re.compile(
 def legible(text: str) -> str:
     """`text` in one line that shows what it holds.
 
-    Control characters, which a terminal would obey, turns of direction and no Unicode are escaped.
+    Escaped are line breaks and other control characters, which a terminal would obey, those that
+    turn the direction of writing, and what is no Unicode.
     """
     return encodable(_UNSHOWN.sub(lambda match: ascii(match[0])[1:-1], text))
 
@@ -231,7 +238,10 @@ def _defused(cell: Any) -> Any:
 def markdown_table(
     head: Sequence[str], rows: Iterable[Sequence[str]], numbers: Collection[str] = ()
 ) -> list[str]:
-    """The lines of a table of `markdown_text`; columns of the headings `numbers` to the right."""
+    """The lines of a table; columns of the headings `numbers` stand to the right.
+
+    Cells are Markdown already: see `markdown_text`.
+    """
     return [
         "|" + "".join(f" {name} |" if name else " |" for name in head),
         "|" + "".join("---:|" if name in numbers else "---|" for name in head),
@@ -249,7 +259,10 @@ def markdown_text(text: str) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """A test case of JUnit XML, by its `failure` of some `kind`; `seconds` may be unknown."""
+    """A test case of JUnit XML: it passed, was skipped, or failed for a reason of some kind.
+
+    `detail` is a longer text beside the reason; `seconds` is None where nobody measured it.
+    """
 
     name: str
     seconds: float | None = None

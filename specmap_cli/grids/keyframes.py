@@ -61,7 +61,11 @@ class KeyframeSelector:
 def integrate_keyframes(
     store: KeyframeStore, numbers: Iterable[int], poses: FloatArray, config: GridConfig
 ) -> OccupancyGrid:
-    """A grid of keyframes `numbers` at `poses` (n, 3), as many as are `informative`."""
+    """A grid of keyframes `numbers` of the store taken at `poses` (n, 3), grid frame from base.
+
+    `refused` of the result counts the scans that reach beyond the largest grid allowed. A robot
+    that patrols sees a place again and again: see `informative`.
+    """
     grid = OccupancyGrid(config)
     taken = list(zip(numbers, poses, strict=True))
     chosen = informative(np.asarray(poses))
@@ -72,8 +76,9 @@ def integrate_keyframes(
 def informative(poses: FloatArray) -> IntArray:
     """Which of the poses (n, 3) say enough about a map between them, ascending (k,).
 
-    Sixteen of those in one place, half a metre wide, that look into one twelfth of a turn, evenly
-    spread: so the work follows the building, however often the robot drives through it.
+    Of those that look from one place, half a metre wide, into one direction, a twelfth of a turn,
+    sixteen, evenly spread. A cell's share of hits is known from so many, and the work that a map
+    takes follows the building, however often the robot drives through it.
     """
     looks = np.floor(poses / (PLACE_M, PLACE_M, DIRECTION_RAD)).astype(np.int64)
     _, look, counts = np.unique(looks, axis=0, return_inverse=True, return_counts=True)
@@ -105,7 +110,10 @@ class _Laser:
 
 
 class KeyframeStore:
-    """Keyframes by number 0, 1, ...: scans on disk, poses in memory. Close it, or use `with`."""
+    """Keyframes by number 0, 1, ...: scans on disk, poses in memory. Close it, or use `with`.
+
+    Memory grows by 64 bytes a keyframe, not by its beams.
+    """
 
     def __init__(self) -> None:
         with temporary_files():
@@ -224,7 +232,11 @@ class KeyframeStore:
 
 
 def views_needed(scan: PlanarScan, config: GridConfig) -> int:
-    """How many scans from one place show every cell of a surface, as far as the grid reaches."""
+    """How many scans from one place show every cell of a surface, as far as the grid reaches.
+
+    There two beams of a scan are as many cells apart, at most; and no cell needs more than
+    `ENOUGH_VIEWS`.
+    """
     spacing = float(scan.bearings[-1] - scan.bearings[0]) / max(len(scan.bearings) - 1, 1)
     reach_m = min(scan.range_max, config.max_range_m)
     return min(ENOUGH_VIEWS, max(1, math.ceil(reach_m * spacing / config.resolution_m)))
@@ -234,7 +246,8 @@ def views_needed(scan: PlanarScan, config: GridConfig) -> int:
 class Recorded:
     """Keyframes at `poses` (n, 3) of the recordings `of` (n,), 0, 1, ... in the order of adding.
 
-    `enough` (R,) scans of each show a place, whichever way they face if `all_round` (R,).
+    For each recording: `enough` (R,) scans of it show a place, and whether these look `all_round`
+    (R,), so that it does not matter which way the robot faced.
     """
 
     poses: FloatArray
@@ -244,7 +257,11 @@ class Recorded:
 
 
 def repeated(recorded: Recorded, needed: BoolArray) -> BoolArray:
-    """(n,) those not `needed` (n,) where the last recording was, and newer ones often enough."""
+    """(n,) the keyframes that the map can do without, none of those `needed` (n,) for themselves.
+
+    The last recording was there, and it and the ones between, of what is kept of them, were there
+    often enough.
+    """
     from scipy.spatial import cKDTree  # slow to load, and only an update asks
 
     gone = np.zeros(len(needed), dtype=bool)
@@ -277,8 +294,9 @@ def sole_views(
 ) -> IntArray:
     """Those of the keyframes `gone` (n,) that show walls which no other one shows, ascending (k,).
 
-    The first n of the store stood at `poses` (n, 3) in the map of `walls`, whose cells `unseen` (H,
-    W) no later recording looked at. Of several that show such a wall the last one stays.
+    The first n keyframes of the store stood at `poses` (n, 3) in the map of the grid `walls`; its
+    cells `unseen` (H, W) are those of walls that recordings after these did not look at. Of several
+    that show such a wall the last one stays.
     """
     shown = partial(_shown, store, poses, walls, max_range_m)
     claims, left = {}, np.asarray(unseen).copy()

@@ -61,7 +61,10 @@ _PNM = re.compile(rb"P[1-6]\s+(?:#[^\n]*\n\s*)*(\d+)\s+(?:#[^\n]*\n\s*)*(\d+)")
 
 
 def write_png(path: str | Path, image: NDArray[Any]) -> None:
-    """Write an image as `png_bytes` makes it, complete or not at all; UsageError if it cannot."""
+    """Write an image, 8 or 16 bit, grey (H, W) or BGR (H, W, 3): the same bytes every time.
+
+    The file appears complete or not at all. UsageError when it cannot be written.
+    """
     write_bytes(path, png_bytes(image))
 
 
@@ -72,7 +75,10 @@ def png_bytes(image: NDArray[Any]) -> bytes:
 
 
 def write_grid(stem: str | Path, grid: GridMap) -> None:
-    """Write `stem`.png and `stem`.yaml, one unknown cell at least; UsageError if it cannot."""
+    """Write `stem`.png and `stem`.yaml, the image first. UsageError when they cannot be written.
+
+    A grid without cells becomes one unknown cell: no image is empty.
+    """
     stem = Path(stem)
     image = stem.with_name(stem.name + ".png")
     cells = grid.cells if grid.cells.size else np.full((1, 1), UNKNOWN, dtype=np.uint8)
@@ -150,7 +156,10 @@ def read_grid(
 
 
 def files_of_grid(path: Path) -> tuple[Path, ...]:
-    """What `read_grid` reads: a YAML and the picture it names, or a bare one. Raises MapError."""
+    """The files that `read_grid` reads: a YAML and the picture that it names, or a bare picture.
+
+    Raises MapError.
+    """
     if path.suffix.lower() not in _YAMLS:
         return (path,)
     image = _entries(path).get("image")

@@ -88,7 +88,8 @@ class Match:
 def search(field: ScoreField, points: NDArray[Any], guess: Pose2, window: Window) -> Match:
     """The best pose of points (N, 2) on the steps of `window` around `guess`, exhaustively.
 
-    Ties go to the pose nearest the guess, which comes back with score 0 without points.
+    Ties go to the pose nearest the guess. With N points, A angles and S shifts the cost is A S N
+    lookups. Without points the guess comes back with score 0.
     """
     if not len(points):
         return Match(guess, 0.0)
@@ -157,7 +158,10 @@ def search_everywhere(
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Where points may be: about `pose` with a covariance (3, 3) in the field; None: anywhere."""
+    """Where points may be: about `pose`, with an error of this covariance (3, 3) in the field.
+
+    Without a covariance they may be anywhere, at any angle.
+    """
 
     pose: Pose2
     covariance: FloatArray | None = None
@@ -177,7 +181,8 @@ def answers(
 ) -> list[Match]:
     """The best poses of points (N, 2) on a field that differ, best first, at most `_ANSWERS`.
 
-    Within three sigmas of the prior, on the field pooled to cells of `step_m`: upper bounds.
+    Of those within three sigmas of the prior, or anywhere, on the field pooled to cells of about
+    `step_m`: as for `search_everywhere`, scores are upper bounds.
     """
     angles = prior.angles(step_rad)
     if prior.covariance is None:
@@ -220,7 +225,10 @@ def within_ellipse(away: FloatArray, covariance: FloatArray) -> BoolArray:
 def different_places(
     found: Iterable[tuple[float, Pose2]], middle: FloatArray, count: int
 ) -> list[Match]:
-    """Of scores and poses of the `middle` (2,) of some points, the first `count` that differ."""
+    """Of scores and poses of the `middle` (2,) of some points, the first `count` that differ.
+
+    Two are different answers from `_APART_M` or `_APART_RAD` on. A match is told of the points.
+    """
     back = Pose2(-float(middle[0]), -float(middle[1]), 0.0)
     centres: list[Pose2] = []
     kept: list[Match] = []

@@ -35,9 +35,10 @@ SUBPIXEL_BITS = 4  # OpenCV draws on a lattice of 1/16 cell, finer than a laser'
 class OccupancyGrid:
     """Hit and miss counts on a grid that grows with what is integrated.
 
-    A cell is occupied when `_OCCUPIED_SHARE` of the scans that saw it ended in it, else free when
-    some beam passed through, else unknown. A beam without a return proves nothing. Scans for which
-    it would grow past `max_extent_m` or `max_area_m2` are left out and counted in `refused`.
+    A cell is occupied when at least `_OCCUPIED_SHARE` of the scans that saw it ended in it, free
+    when some beam passed through and it is not occupied, and unknown otherwise. A beam without a
+    return proves nothing and carves nothing. A scan for which the grid would grow past
+    `max_extent_m` or `max_area_m2` is left out and counted in `refused`.
     """
 
     def __init__(self, config: GridConfig) -> None:
@@ -120,7 +121,10 @@ class OccupancyGrid:
         self._misses[window] += other._misses
 
     def without(self, part: OccupancyGrid) -> OccupancyGrid:
-        """What was counted besides `part`, a grid of some of the same scans; none falls below 0."""
+        """What was counted besides `part`, a grid of some of the same scans; it may be smaller.
+
+        A grid next to its largest size may have refused what the part took: none counts below 0.
+        """
         rest = OccupancyGrid(self.config)
         if not self._hits.size:
             return rest

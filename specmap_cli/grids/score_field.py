@@ -45,7 +45,10 @@ _NEAR_STEP = 1e-3  # metres and radians: what follows mends as much
 
 @dataclass(frozen=True, slots=True)
 class PointCells:
-    """Columns and rows (2, N) of N points from the origin; least and greatest x and y, metres."""
+    """The cells `cells` (2, N), columns and rows from the origin of the frame, of N points.
+
+    `low` and `high` are the least and greatest x and y of the points, metres.
+    """
 
     cells: NDArray[np.int64]
     low: tuple[float, float]
@@ -84,9 +87,10 @@ class ScoreField:
     ) -> ScoreField:
         """The field of obstacle points (N, 2), metres.
 
-        If they spread over more than `max_side` metres in x or y, of those within half of that from
-        their median: a stray point far away costs no time and no memory. `left_out` counts the
-        others, beyond which what is matched scores 0.
+        The grid covers all points if they spread over no more than `max_side` metres in x and in y,
+        else those within half of that from their median. So a stray point
+        kilometres away costs neither time nor memory. But walls beyond do not count either: what
+        is matched there scores 0. `left_out` of the result says how many points that were.
         """
         points = np.asarray(points, dtype=np.float64).reshape(-1, 2)
         cells = PointCells.of(points, resolution)
@@ -123,7 +127,11 @@ class ScoreField:
         return cls(_field_values(empty, resolution, sigma), resolution, origin, left_out)
 
     def with_cells(self, part: PointCells, sigma: float) -> ScoreField | None:
-        """The field with more points, unchanged far from them; None: one is too near the edge."""
+        """The same field with more points, whose cells are of its resolution; sigma is its own.
+
+        Where the new points are far from, past the reach of sigma, it stays as it was. None if one
+        of them is too near the edge: then the field must be made anew.
+        """
         stamp = _stamp(self.resolution, sigma)
         reach, (height, width) = len(stamp) // 2, self.values.shape
         corner = [round(place / self.resolution) for place in self.origin]

@@ -137,8 +137,9 @@ def without_keyframes(
 ) -> Layout:
     """The layout of the keyframes `numbers` (k,) alone, ascending, which get new numbers from 0 on.
 
-    `store` and `breaks`, gaps among them, have the new numbers; `recordings` (n,) are of all. What
-    was found out about the layout stays as it was said of all of them.
+    `store` and `breaks`, gaps among them, are those of the new numbers already; `recordings` (n,)
+    are those of all keyframes, of each of which some are left. What was found out about the layout
+    stays as it was said of all of them.
     """
     row = {number: k for k, number in enumerate(numbers.tolist())}
     links = _links_of(layout, numbers, recordings)

@@ -61,7 +61,8 @@ _MOST_ROWS = 80  # whose walls make one search: some 25 m of path, or every othe
 class Search:
     """A search for nearby passes along the path: what was found, and how far it has come.
 
-    It goes on at row `row`, but not before `due_m`; `news` links say what the draft did not.
+    It goes on at row `row`, and looks at the path again from `due_m` along it on. `news` links say
+    what the draft did not say when it was solved.
     """
 
     draft: Draft
@@ -80,8 +81,9 @@ def find_passes(graph: Graph, draft: Draft, walls: Walls, first: int = 0) -> Dra
 def searched(graph: Graph, search: Search, walls: Walls, end: int) -> Search:
     """A search that has gone on along the path, up to row `end`.
 
-    Parts that only a guess ties are left out. Nodes that were matched are asked again, but matched
-    only when they moved. Links that say what the draft says are no reason to solve it.
+    Parts that hang on the others by a guess only are left out. Nodes that the draft was matched at
+    are asked again, but matched only when they moved. Links that say what the draft says anyway are
+    no reason to solve it.
     """
     draft, due_m, news = search.draft, search.due_m, search.news
     ties = Ties(graph, draft.loops)
@@ -121,7 +123,10 @@ def searched(graph: Graph, search: Search, walls: Walls, end: int) -> Search:
 
 
 class PassesOnTheWay:
-    """The search for passes of a path still driven, each time that it has grown by a share."""
+    """The search for nearby passes of a path that is still driven, a stretch at a time.
+
+    A stretch ends where the path has grown by a share: each makes the graph anew.
+    """
 
     def __init__(self, store: KeyframeStore) -> None:
         self._store = store
@@ -165,7 +170,8 @@ class PassesOnTheWay:
 class Passes:
     """The links found at one node, and the pairs of rows that were matched from which `guesses`.
 
-    The node `is_tied` to an older pass, now or before; `older` counts those that came by.
+    `is_tied` says that the node is tied to an older pass, by these links or from before; `older`
+    counts the passes that came by.
     """
 
     links: tuple[Link, ...]
@@ -208,7 +214,10 @@ def passes_at(
 
 
 def candidates(node: int, poses: FloatArray, path: FloatArray) -> list[int]:
-    """Older rows near row `node`, far along the path and from each other, the best first."""
+    """Older rows near row `node`, one a pass, the best to match with first.
+
+    They lie far from it along the path, and from each other.
+    """
     older = int(np.searchsorted(path, path[node] - LOOP_PATH_M))
     away = poses[:older, :2] - poses[node, :2]
     distance = np.sqrt((away**2).sum(axis=1))

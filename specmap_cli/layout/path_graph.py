@@ -69,7 +69,10 @@ RowPair = tuple[int, int]
 
 @dataclass(frozen=True, slots=True)
 class Bridge:
-    """How well odometry knows the motion over a break: sigmas of the first pose after it."""
+    """How well the motion over a break of the tracking is known, where odometry measured it.
+
+    Standard deviations of the first pose after the break, seen from the last one before.
+    """
 
     position_m: float
     heading_rad: float
@@ -127,7 +130,8 @@ class Graph:
 class Ties:
     """What ties the path of a graph to itself: how far it may drift from one row to another.
 
-    A link is a way of no length, for all rows near by, but not for a third pass met long ago.
+    Links are ways of no length. So is a link to an older pass for all rows near by, but not for a
+    third pass, which that older one met long ago.
     """
 
     def __init__(self, graph: Graph, links: Sequence[Link]) -> None:
@@ -172,7 +176,8 @@ def graph_of(
 ) -> Graph:
     """The graph of a store's keyframes, with nodes at the `ends` of closures and at `breaks`.
 
-    What is known of the motion stands with the breaks; `known` is as in `motion_links`.
+    `breaks` are the keyframes at which tracking started afresh, and what is known of the motion.
+    `known` is as in `motion_links`.
     """
     fresh = {number: bridge for number, bridge in breaks.items() if number != 0}
     nodes = chosen_nodes(store.poses, {*ends, *fresh})
@@ -200,8 +205,9 @@ def motion_links(
 ) -> tuple[Link, ...]:
     """Links from each of the keyframes `nodes` (M,) to the next, as tracked.
 
-    Those that end in one of `breaks`, where tracking started afresh, are bridges, or loose: a
-    guess. `known` keeps what the walls seen from each keyframe tell of its place.
+    Those that end in one of `breaks`, where tracking started afresh, are bridges, or loose where
+    nothing is known of the motion: a guess. Who asks often keeps in `known` what the walls seen
+    from each keyframe tell of its place.
     """
     poses, ends = store.poses[nodes], nodes[1:].tolist()
     steps = [Pose2(*motion) for motion in compose(invert(poses[:-1]), poses[1:]).tolist()]
@@ -237,8 +243,9 @@ def step_information(
 ) -> FloatArray:
     """Information (L, 3, 3) of motions `steps` (L,), each weighed in the frame it ends in.
 
-    `fisher` (L, 3, 3) is what walls tell of a place there, `guessed_m` (L, 2) what may be off as
-    guessed. Guesses in a row err in one way: errors add up, and not their squares.
+    `fisher` (L, 3, 3) is what the walls seen from its end tell of a place. By `guessed_m` (L, 2)
+    each may be off as it was guessed. A guess that goes on errs in one way, so that errors add up,
+    and not their squares: each counts for more, the more there are in a row.
     """
     position = [_LEAST_M + _STEP_SHARE * step.distance for step in steps]
     angle = [_LEAST_RAD + _TURN_SHARE * abs(step.theta) for step in steps]
@@ -304,7 +311,10 @@ def tighten(graph: Graph, draft: Draft) -> Draft:
 
 
 def settle(graph: Graph, draft: Draft) -> tuple[Draft, tuple[Link, ...]]:
-    """The draft solved anew until all its loops fit, and the loops dropped on the way."""
+    """The draft solved without the loops that do not fit, and these loops.
+
+    What does not fit is dropped and the rest solved anew until all that is left fits.
+    """
     dropped: list[Link] = []
     while True:
         solution = _solution(graph, draft, _KERNEL_SIGMAS)

@@ -92,7 +92,10 @@ class Solution:
 
 
 def errors(poses: FloatArray, i: IntArray, j: IntArray, z: FloatArray) -> FloatArray:
-    """(E, 3) the motion inv(z) inv(x_i) x_j, in the frame of row j, of edges at poses (n, 3)."""
+    """(E, 3) what edges from rows `i` to `j` (E,), measured as `z` (E, 3), miss at poses (n, 3).
+
+    It is the motion inv(z) inv(x_i) x_j, in the frame of row j.
+    """
     return compose(invert(z), compose(invert(poses[i]), poses[j]))
 
 
@@ -159,7 +162,10 @@ def _cost(chi2: FloatArray, width: FloatArray) -> float:
 
 
 def spread_between(poses: FloatArray, edges: LinkArrays, a: int, b: int) -> FloatArray:
-    """Covariance (3, 3) of row `b` seen from row `a`, by all edges, in the frame of row `b`."""
+    """Covariance (3, 3) of the pose of row `b` seen from that of row `a`, by all edges.
+
+    In the frame of row `b`, as the errors of edges.
+    """
     pair = LinkArrays(
         i=np.array([a]),
         j=np.array([b]),
@@ -236,7 +242,11 @@ def graph_text(poses: Mapping[int, FloatArray], links: Iterable[Link], fixed: It
 
 
 def read_g2o(text: str) -> tuple[dict[int, FloatArray], list[Link]]:
-    """Poses (3,) by vertex number, and edges, of a planar g2o graph; InputError names the line."""
+    """Poses (3,) by vertex number, and the edges, of a planar graph in g2o's format.
+
+    Other tags than VERTEX_SE2 and EDGE_SE2 are passed over. Raises InputError for a line that
+    cannot be read.
+    """
     poses: dict[int, FloatArray] = {}
     links: list[Link] = []
     for number, line in enumerate(text.splitlines(), start=1):

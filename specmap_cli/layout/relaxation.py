@@ -48,10 +48,12 @@ def relax(
 ) -> Layout:
     """The consistent layout of the store's keyframes.
 
-    `closures` are verified and may span any drift; `breaks` are the keyframes at which tracking
-    started afresh, with the `Bridge` over each, which a piece keeps to, or None. `passes` is the
-    search for nearby passes, where it has begun on the way. Scans are read a few at a time. With
-    `config.enabled` false the poses stay as they were tracked. Deterministic.
+    `closures` are verified and may span any drift; `breaks` are the numbers of keyframes at which
+    tracking started afresh, with the `Bridge` over each: how well odometry knows the motion there,
+    None where nothing does. A piece after a break with a bridge moves no farther than that allows.
+    `passes` is the search for nearby passes, where it has begun on the way. Scans are read from the
+    store, a few at a time. With `config.enabled` false the poses stay as they were tracked.
+    Deterministic.
     """
     if not config.enabled or len(store) < 2:
         return Layout(poses=store.poses)
@@ -68,7 +70,10 @@ def relax(
 
 
 def measured(graph: Graph, walls: Walls, closure: Link) -> Link:
-    """A closure told more precisely than by grids, where the walls around its keyframes fit."""
+    """A closure told more precisely, by the walls around its two keyframes where these fit.
+
+    Grids of whole submaps match to their cells, and a path that drifts within one bends its grid.
+    """
     rows = graph.row[closure.source], graph.row[closure.target]
     guess = closure.source_from_target
     near = match_passes(graph, walls, graph.poses, rows, guess, CLOSURE_OFF_M, PLACE_NODES)
@@ -109,7 +114,8 @@ def explained(layout: Layout, judged: Sequence[Judgement]) -> dict[RowPair, Reas
 def place_parts(graph: Graph, draft: Draft, links: Sequence[Link]) -> Draft:
     """The draft with each part moved as a whole to where most links to older parts put it.
 
-    Else what is metres off is an outlier. Parts that hang on it move along; others stay a guess.
+    A robust solution takes what is metres off for an outlier. Parts that hang on a moved one move
+    with it. Those without a link stay a guess.
     """
     ends = Ends.of(graph.row, links)
     older, newer = ends.parts(graph)
@@ -127,7 +133,11 @@ def place_parts(graph: Graph, draft: Draft, links: Sequence[Link]) -> Draft:
 
 
 def most_voted(motions: FloatArray, centre: FloatArray) -> tuple[FloatArray, int]:
-    """The first of the motions (L, 3) that most agree with at `centre` (2,), and how many do."""
+    """The motion that most others agree with, and how many do, itself included.
+
+    `centre` (2,) is where the motions (L, 3) are compared: a turn far from the origin moves much.
+    The first of equals is taken.
+    """
     placed = compose(motions, np.array([centre[0], centre[1], 0.0]))
     apart = np.hypot(*(placed[:, None, :2] - placed[None, :, :2]).transpose(2, 0, 1))
     turned = np.abs(wrap_angles(placed[:, None, 2] - placed[None, :, 2]))
@@ -137,7 +147,11 @@ def most_voted(motions: FloatArray, centre: FloatArray) -> tuple[FloatArray, int
 
 
 def chosen(graph: Graph, passes: Draft, best: Candidate, views: Views) -> Candidate:
-    """The best layout, or one nearer to what was tracked that fewer walls contradict."""
+    """The best layout, or one nearer to what was tracked that fewer walls contradict.
+
+    That is the layout of nearby passes and of the closures that say what these say, or the path as
+    it was tracked.
+    """
     links = (*best.draft.loops, *best.dropped)
     closures = tuple(link for link in links if link.kind == "closure")
     if closures:

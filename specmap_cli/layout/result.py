@@ -121,7 +121,10 @@ class Layout:
         )
 
     def g2o(self) -> str:
-        """The pose graph in the format of g2o: vertices are keyframes, dropped edges left out."""
+        """The pose graph in the format of g2o.
+
+        Vertices carry keyframe numbers, dropped edges are left out.
+        """
         nodes = self.nodes.tolist()
         poses = {number: self.poses[number] for number in nodes}
         return graph_text(poses, [*self.odometry, *self.kept], nodes[:1])
@@ -129,7 +132,10 @@ class Layout:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A settled draft, the links it went without, and how its passes agree."""
+    """A draft that is settled, the links it was settled without, and what it is made of.
+
+    `agreement` is how its passes stand to each other.
+    """
 
     choice: Choice
     draft: Draft
@@ -148,9 +154,10 @@ def loose_starts(graph: Graph, loops: Sequence[Link]) -> tuple[int, ...]:
 
 
 def along_walls(layout: Layout, store: KeyframeStore, config: RelaxationConfig) -> Layout:
-    """The layout turned, by 45 degrees at most, so that most walls are parallel to an axis.
+    """The layout turned about the map's origin so that most walls are parallel to an axis.
 
-    A building of which no direction stands out stays as it is. Deterministic.
+    Of the four such turns it is the smallest, so none is above 45 degrees. A building of which no
+    direction stands out stays as it is. Deterministic.
     """
     if not config.follow_walls:
         return layout
@@ -161,7 +168,11 @@ def along_walls(layout: Layout, store: KeyframeStore, config: RelaxationConfig) 
 
 
 def wall_direction(directions: FloatArray, lengths: FloatArray) -> float:
-    """The direction, in [-pi/4, pi/4], of most metres of pieces of wall (n,); 0: none is clear."""
+    """The direction, in [-pi/4, pi/4], of most metres of wall, or of walls at right angles to them.
+
+    `directions` (n,) are those of pieces of wall, `lengths` (n,) their metres. 0 when no direction
+    stands out.
+    """
     if not len(lengths):
         return 0.0
     # the direction round which there are most metres of wall
@@ -237,7 +248,8 @@ def propagated_places(places: FloatArray, before: FloatArray, after: FloatArray)
 def bridged(poses: FloatArray, tracked: FloatArray, lost: BoolArray) -> FloatArray:
     """Poses (n, 3) in which the guesses of lost scans lead from the scan before to the one after.
 
-    `tracked` (n, 3) are unrelaxed, `lost` (n,) guesses. What a chain misses is spread over the way.
+    `tracked` (n, 3) are the poses before any relaxing, `lost` (n,) marks the guesses. What a chain
+    of guesses misses the next known pose by is spread over the way.
     """
     result = np.array(poses)
     for start, end in runs(lost):
@@ -256,7 +268,11 @@ def bridged(poses: FloatArray, tracked: FloatArray, lost: BoolArray) -> FloatArr
 
 
 def rows_of(trajectory: Trajectory, stamps_ns: Sequence[int], poses: FloatArray) -> IntArray:
-    """Rows that are some keyframes, by stamps, which may repeat, and poses (n, 3), in order."""
+    """Rows of the trajectory that are some keyframes, by their stamps and poses (n, 3), in order.
+
+    Stamps may repeat or step back, so that the two are walked together. Poses may differ by what
+    text files round.
+    """
     rows: list[int] = []
     ways = zip(trajectory.stamps_ns.tolist(), trajectory.poses.tolist(), strict=True)
     wanted = list(zip(stamps_ns, poses.tolist(), strict=True))

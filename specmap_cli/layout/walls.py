@@ -102,7 +102,10 @@ class Walls:
         return self._sides(int(self._graph.nodes[node]))
 
     def around(self, node: int, reach: int, poses: FloatArray) -> FloatArray:
-        """Points (N, 2) within `reach` rows of `node`, between the same breaks, in its frame."""
+        """Points (N, 2) seen from nodes within `reach` of row `node`, in the frame of `node`.
+
+        `poses` (M, 3) place the nodes. Only nodes between the same breaks are used.
+        """
         near = self._near(node, reach, poses)
         return np.concatenate([pose.apply(self.points(k)) for k, pose in near])
 
@@ -159,7 +162,10 @@ class Walls:
 
 @dataclass(frozen=True, slots=True)
 class Sides:
-    """Wall points (N, 2) and unit normals (N, 2) to where they are seen, 0 of no surface."""
+    """Wall points (N, 2) and the unit normals (N, 2) of their surfaces, to where they are seen.
+
+    A normal is nought where no surface is known: a post, the end of a wall.
+    """
 
     points: FloatArray
     normals: FloatArray
@@ -187,8 +193,9 @@ class Sides:
 def from_behind(source: Sides, target: Sides, guess: Pose2, drift_m: float) -> BoolArray:
     """(N,) whether the target shows the wall under a point of the source from its other side only.
 
-    `guess`, `target_from_source`, is wrong by up to `drift_m`: so far around, and the thickness of
-    a wall, sides are compared. Where walls face each other nothing is said.
+    `guess` is `target_from_source`; `drift_m` bounds how wrong it may be: sides are compared that
+    far around, and the thickness of a wall. Where walls face each other within that, nothing is
+    said.
     """
     cells = np.floor(target.points / _CELL_M).astype(np.int64)
     if not len(cells):
@@ -274,7 +281,10 @@ class Place:
     def match(
         self, source: FloatArray, guess: Pose2, drift_m: float, least: float = LEAST_EVIDENCE
     ) -> WallFit | None:
-        """The pose of points (N, 2), a `guess` off by `drift_m` at most, if evidence is enough."""
+        """The pose of points `source` (N, 2), if there is at least so much evidence for it.
+
+        `guess` is `target_from_source`; `drift_m` bounds how wrong it may be.
+        """
         few = thinned(source, FINE_POINTS_M)
         if len(few) < MATCH_POINTS:
             return None
@@ -337,8 +347,9 @@ class Surroundings:
     def find(self, source: FloatArray, seen: Seen, prior: Prior) -> WallFit | None:
         """The pose of a view `source` (N, 2) among the walls, however far the prior reaches.
 
-        It must fit well, nowhere else nearly as well, and leave no direction open, as a bare
-        corridor does. `seen` says which cells of a field, and so near to them, were looked into.
+        It must fit well, nowhere else nearly as well, and leave no direction open: in a bare
+        corridor nothing is found. `seen` says which cells of a field, and so near to them, were
+        looked into.
         """
         few = thinned(source, FINE_POINTS_M)
         if len(few) < MATCH_POINTS:
@@ -359,7 +370,11 @@ class Surroundings:
 
 
 def opened(spread: FloatArray) -> FloatArray:
-    """A covariance (3, 3) of a match without what it owes to the window: a corridor is open."""
+    """A covariance (3, 3) of a match without what it owes to the window that was looked at.
+
+    Along a bare corridor all of the window fits alike: nothing is known of the way there, and the
+    spread is that of the window. Information is what is known beyond that.
+    """
     half = 0.5 * (spread[0, 0] - spread[1, 1])
     turn = 0.5 * np.arctan2(spread[0, 1], half)  # of the longer axis
     axis = np.array([np.cos(turn), np.sin(turn)])
@@ -414,7 +429,10 @@ def match_passes(
 def link_to_nearest(
     graph: Graph, poses: FloatArray, rows: IntArray, row: int, fit: WallFit
 ) -> Link:
-    """The link to a row found in the map at poses (M, 3), from the nearest of other `rows`."""
+    """The link to a row whose walls were found in the map, from the nearest of other `rows`.
+
+    `poses` (M, 3) are those of the map.
+    """
     found = fit.target_from_source
     nearest = int(rows[np.argmin(np.hypot(poses[rows, 0] - found.x, poses[rows, 1] - found.y))])
     relative = compose(invert(poses[nearest]), np.array(found))

@@ -84,7 +84,10 @@ class Clock:
 
 @dataclass(frozen=True, slots=True)
 class StampPair:
-    """Odometry at a place (x, y) and the scan recorded next: header stamp and recorder's, ns."""
+    """Odometry and the scan recorded next: header stamp and recorder's time of each, ns.
+
+    `place` is (x, y) by the odometry, metres.
+    """
 
     odometry: tuple[int, int]
     scan: tuple[int, int]
@@ -94,9 +97,10 @@ class StampPair:
 def choose_clock(scans: Sequence[tuple[int, int]], pairs: Sequence[StampPair]) -> Clock:
     """The clock of a log by the stamps and times of its sensor's first scans, and the odometry.
 
-    Where header stamps say nothing, it is the recorder's, or the order of the scans. Stamps that
-    never step back, such as whole seconds, still give the rate of that order; otherwise scans are
-    so far apart that the robot can have driven from one to the next.
+    Where header stamps say nothing, it is the recorder's, or the order of the scans where its times
+    say nothing either. Stamps that never step back, such as whole seconds, still give the first
+    stamp and the rate of that order. Otherwise scans are so far apart in time that the robot can
+    have driven from one to the next.
     """
     stamps, times = [stamp for stamp, _ in scans], [time for _, time in scans]
     if not _ascends(stamps):
@@ -196,7 +200,10 @@ def stamp_pairs(
 
 
 def odometry_of(message: Message, odometry_frame: str | None) -> TransformRecord | None:
-    """The odometry in a message, None in one of other transforms. Raises BadMessageError."""
+    """The odometry in a message, None in one of other transforms.
+
+    Raises BadMessageError for a message that cannot be read.
+    """
     if message.type != TF_MESSAGE:
         return decode_odometry(message)
     records = decode_transforms(message)[0]

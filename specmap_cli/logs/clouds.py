@@ -32,7 +32,10 @@ _ENOUGH_POINTS = 100  # a sweep of fewer may be a sliver, whose span misleads
 
 
 class CloudPoints(NamedTuple):
-    """Points (N, 3) in the lidar's frame and seconds (N,) after the stamp, None if `far_times`."""
+    """Points (N, 3) in the lidar's frame and seconds (N,) after the stamp, or None.
+
+    `far_times` says that there were times, but farther from the stamp than `_CLOUD_TIME_MAX_S`.
+    """
 
     points: FloatArray
     times_s: FloatArray | None
@@ -40,9 +43,10 @@ class CloudPoints(NamedTuple):
 
 
 class PointClock:
-    """The unit of a lidar's point times, and whether their clock is that of the stamps.
+    """What the point times of a lidar are: their unit, and whether its clock is that of the stamps.
 
-    A full sweep settles the unit: it takes 2 ms to 2 s. `foreign` counts those of another clock.
+    The unit is the one by which a sweep takes between 2 ms and 2 s; the first full sweep settles
+    it. `foreign` counts the sweeps whose times are of another clock than their stamps.
     """
 
     def __init__(self) -> None:
@@ -130,17 +134,21 @@ _FEWEST = 30  # returns that fix a plane well: a tilt of 0.05 m / 10 m / sqrt(30
 
 
 class Level(NamedTuple):
-    """A cloud's rotation (3, 3) into a level frame of its origin and heading; a floor's height."""
+    """A cloud's rotation (3, 3) into a level frame, and the floor's height there if it is known.
+
+    The level frame looks where the lidar's x axis looks, and has its origin.
+    """
 
     rotation: FloatArray
     floor_m: float | None
 
 
 def floor_of(cloud: FloatArray) -> Level | None:
-    """The plane below the lidar with the most returns near it, and few below; None: no floor.
+    """The floor in a cloud (N, 3), None when it shows none.
 
-    Without a base frame nothing else in a log says which way is up: a lidar may be tilted, or
-    carried by hand. Under a table top or a shelf there are returns.
+    It is the plane below the lidar with the most returns near it, those still lower counted against
+    it: under a table top or a shelf there are returns. Without a base frame nothing in a log says
+    which way is up: a lidar may be tilted, or carried by hand. The floor says so in every cloud.
     """
     squares = np.einsum("ij,ij->i", cloud, cloud)
     near = cloud[np.flatnonzero(squares <= FLOOR_RADIUS_M**2)]
@@ -224,11 +232,12 @@ _MAX_HALVINGS = 2  # a planar scan has no fewer bearings than a quarter of those
 class CloudFlattener:
     """Turns clouds in the base frame into planar scans: the nearest return per bearing in a band.
 
-    The band lies between two heights above the floor. A bearing with nothing in it is +inf where
-    the lidar ever had a return at any height, and NaN outside its field of view. The number of
-    bearings, `_CLOUD_BEAMS`, is halved until its resolution fills them. A floor of unknown height
-    (None) is where the lowest returns of the first cloud are. The scans of a `planar` laser keep
-    the times of the beams.
+    The band lies between two heights above the floor. A bearing with nothing in the band is +inf
+    where the lidar has had a return at any height in this or an earlier cloud, so that it looked
+    there, and NaN where it never had one, outside its field of view. The number of bearings is
+    `_CLOUD_BEAMS`, halved until the lidar's resolution fills them. A floor of unknown height
+    (None) is taken to be where the lowest returns of the first cloud are. The clouds of a `planar`
+    laser have one height, whichever it is, and their scans keep the times of the beams.
     """
 
     def __init__(
@@ -253,9 +262,10 @@ class CloudFlattener:
         floor_m: float | None = None,
         times_s: FloatArray | None = None,
     ) -> PlanarScan:
-        """The planar scan of points (N, 3) in the base frame, seen from the lidar's place.
+        """The planar scan, seen from the lidar's place, of points (N, 3) in the base frame.
 
-        `floor_m` is the height of the floor in this cloud, `times_s` (N,) seconds after the stamp.
+        `floor_m` is the height of the floor in this cloud, if it was found, `times_s` (N,) seconds
+        after the stamp.
         """
         dx, dy = cloud[:, 0] - self.mount.x, cloud[:, 1] - self.mount.y
         distance = np.hypot(dx, dy)

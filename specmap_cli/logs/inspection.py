@@ -47,7 +47,9 @@ def summarize(
 ) -> summary.LogSummary:
     """Look at a log as `build` would; what `build` would refuse becomes `problem`.
 
-    Only the first messages are read; with `complete` all, to be compared with the file's counts.
+    Messages are counted as the file counts them, and only the first ones are read. With `complete`
+    all of them are read, too, and compared with the counts.
+
     Raises TypeError for what is no `Log` or no `LogConfig`.
     """
     instance_of(log, Log, "log")

@@ -53,9 +53,10 @@ BUILT_IN: Mapping[str, type[Recording]] = MappingProxyType(
 
 
 def known_readers() -> dict[str, type[Recording]]:
-    """The readers by name, those of other packages first: one may read a dialect of a format.
+    """The readers by name, those of other packages first, as they are asked first.
 
-    Raises UsageError for an entry point that cannot be loaded or that is no whole `Recording`.
+    So a package can read a dialect of a format that a built-in reader would take. Raises
+    UsageError for an entry point that cannot be loaded or that is no whole `Recording`.
     """
     table = with_plugins(GROUP, BUILT_IN)
     added = {name: _checked(name, table[name]) for name in table if name not in BUILT_IN}
@@ -103,9 +104,10 @@ _Readers = Mapping[str, type[Recording]]
 def open_log(paths: Paths, config: LogConfig | None = None) -> Log:
     """Open one recording, or several files of it, as one log in time order.
 
-    A directory stands for the recordings in it; `config` bounds what is unpacked. Raises LogError
-    for a path that is missing, empty, no recording or given twice, and when nothing in it can be
-    read; TypeError for what is no path or no `LogConfig`.
+    A path is a file, or a directory whose recordings are taken together. The readers are those of
+    `known_readers`; `config` bounds what they unpack. Raises LogError for a path that is missing,
+    empty, no recording or given twice, and when nothing in it can be read; TypeError for what is
+    no path or no `LogConfig`.
     """
     given = paths_of(paths, "paths")
     settings = LogConfig() if config is None else instance_of(config, LogConfig, "config")

@@ -41,9 +41,10 @@ class _Beams(NamedTuple):
 
 
 class ScanLeveller:
-    """Turns the scans of one laser, mounted at `base_from_laser` (4, 4), into `PlanarScan`.
+    """Turns the scans of one laser into `PlanarScan`; keeps what they have in common.
 
-    One upside down is described by the level frame of its x axis: bearings change sign.
+    `base_from_laser` (4, 4) is its mounting. A laser upside down is described by the level frame
+    that shares its x axis, in which its bearings have the opposite sign.
     """
 
     def __init__(
@@ -130,7 +131,10 @@ def increment(layout: ScanLayout) -> float:
 
 
 def changed_share(ranges: FloatArray, before: FloatArray, least_m: float) -> float:
-    """The share of readings (B,) more than `least_m` off those before; NaN is no difference."""
+    """The share of readings (B,) that differ from those before (B,) by more than `least_m`.
+
+    A return where there was none is a difference, an invalid reading (NaN) is not.
+    """
     with np.errstate(invalid="ignore"):  # inf - inf: no return then and now
         changed = np.abs(ranges - before) > least_m
     return float(changed.mean()) if len(changed) else 0.0
@@ -144,10 +148,13 @@ _ELSEWHERE_M, _ELSEWHERE_SHARE = 0.1, 0.3  # readings that change so, and how ma
 class Ceiling:
     """Finds a distance that stands for no return although it is below the maximum of the scans.
 
-    Some drivers give a constant for it, such as 8.19 m where the scans claim 30 m. Taken for walls,
-    it is an arc that goes with the robot. No wall is like that: several beams read the longest
-    distance of all, to the last bit, again and again. Call `clear` for each scan of one laser in
-    turn. `values_m` are those found; `cleared` readings were one of them.
+    Some drivers give a constant for it, such as 8.19 m where the scans claim 30 m, and some formats
+    do not tell the maximum. Taken for walls, such readings are an arc around the robot that goes
+    with it, and scan matching finds that it stands still. No wall looks like that: several beams
+    read the longest distance of all, to the last bit, and do so again when the robot is elsewhere.
+    Call `clear` for each scan of one laser in turn.
+
+    `values_m` are those found so far; of the readings of a scan, `cleared` were one of them.
     """
 
     def __init__(self, values_m: Iterable[float] = ()) -> None:
@@ -200,8 +207,9 @@ _MOVED_M, _MOVED_SHARE = 0.2, 0.5  # other beams that change so, and how many of
 class OwnBody:
     """Finds the beams of a laser that see its robot: posts, a bumper, the body beside it.
 
-    They read the same short distance wherever it goes: taken for walls, an obstacle at every place,
-    where the passes contradict each other. Call `clear` for successive scans.
+    Such beams read the same short distance wherever the robot goes. Taken for walls, they are an
+    obstacle at every place where the robot was, until it looks there again; and the passes through
+    one place contradict each other, though the map is right. Call `clear` for successive scans.
     """
 
     def __init__(self) -> None:
@@ -263,7 +271,11 @@ _STILL_M, _STILL_RAD = 0.02, math.radians(1.0)
 
 
 class Repeats:
-    """Finds scans that repeat the one before while odometry moves: the driver of a laser hangs."""
+    """Finds scans that repeat the one before them although odometry says that the robot moved.
+
+    The driver of a laser that hangs repeats one scan while the robot drives on. The noise of a
+    laser makes two scans with the same readings unlikely even where nothing moves.
+    """
 
     def __init__(self) -> None:
         self._ranges: FloatArray = np.zeros(0)

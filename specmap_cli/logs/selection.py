@@ -131,8 +131,9 @@ def read_frames(
 ) -> tuple[TransformTree, list[str]]:
     """The frames of a log, by the first static and dynamic transforms, and warnings of these.
 
-    It searches up to `config.transform_messages` of each kind for a chain from the laser to one of
-    `bases`, on topics that tell of the robot of a topic of scans.
+    The search goes on while none of `bases` is joined to the laser's frame, up to
+    `config.transform_messages` of each kind. Reads only the topics of transforms that tell of the
+    robot of a topic of scans.
     """
     tree = TransformTree()
     given_up, unreadable = False, 0

@@ -103,9 +103,10 @@ class FirstScan(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScanSensor:
-    """A sensor of a topic, whose `name` for `--scan-frame` is its frame, or `frame#number`.
+    """A sensor of a topic. `name` is what `--scan-frame` calls it: its frame, or `frame#number`.
 
-    `count` of the scans looked at are its own. Where the frame has several, its `view` tells.
+    `count` is how many of the scans looked at are its own. `view` is set where the frame has
+    several sensors; a scan is of this one when its own view is near.
     """
 
     name: str
@@ -259,9 +260,11 @@ _MOST_RAD = 2.0 * math.tau  # a scan that looks all round spans half of it; in d
 
 
 class Glance(NamedTuple):
-    """What the first scans of one sensor show: a planar laser if its clouds are flat.
+    """What the first scans of one sensor show.
 
-    `ceilings_m` stand for no return, `warnings` tell what is odd about ranges and angles.
+    `is_flat` says that all points of its clouds have one height: they are of a planar laser.
+    `ceilings_m` are the distances that stand for no return, `warnings` what is odd about ranges
+    and angles.
     """
 
     is_flat: bool

@@ -42,9 +42,10 @@ MAX_POSES = 8192  # kept at once: 8 s of odometry at 1 kHz, more than any scan w
 
 
 class OdometryBuffer:
-    """Odometry in any order, interpolated at the stamps of scans; only MAX_POSES are kept.
+    """Odometry of the last while, interpolated at the stamps of scans.
 
-    A pose `_CLOCK_RESET_S` or more back in time starts it anew: the clock was set back.
+    Poses may come in any order; only MAX_POSES are kept. A pose that lies `_CLOCK_RESET_S` or more
+    back in time starts the buffer anew, as the clock was set back.
     """
 
     def __init__(self) -> None:
@@ -168,7 +169,9 @@ class OdometryListener:
     def own(self, stamp_ns: int, time_ns: int) -> Pose2 | None:
         """odom_from_base of a scan with these header and recorder's times, by the order of the log.
 
-        So has odometry of the very same times, as in a CARMEN line, and scans stamped by order.
+        Odometry with the very times of the scan behind it, such as that of a CARMEN line, belongs
+        to this scan, whatever the stamps are. Scans that are stamped by their order have the
+        odometry heard last.
         """
         if self.last is None:
             return None

@@ -32,8 +32,9 @@ class Pauses:
 class TopicCheck:
     """What came of reading a topic to its end.
 
-    `expected` messages are counted by the file, `unusable` ones cannot be decoded; stamps of others
-    are earlier than the one before (`steps_back`), or equal it (`repeats`).
+    `expected` is the number that the file counts, `read` how many were read, `unusable` how many of
+    these cannot be decoded. `steps_back` counts messages whose stamp is earlier than that of the
+    message before, `repeats` those with the same stamp.
     """
 
     name: str
@@ -64,7 +65,10 @@ class TopicCheck:
 
 @dataclass(frozen=True, slots=True)
 class Spacing:
-    """Scans a second, and the median metres between while the robot moves (None: unknown)."""
+    """How scans follow one another: scans a second, metres between, whether these are many.
+
+    The median step while the robot moves, by odometry; None where nothing is known of it.
+    """
 
     rate_hz: float
     step_m: float | None = None
@@ -127,8 +131,9 @@ class StampFaults:
 class Preview:
     """What `build` will meet, by the first `scans` of the chosen sensor, or by all of them.
 
-    `stale_scans` repeat others, see `Repeats`; `invalid_share` is of readings, None for clouds;
-    `sensors` have their numbers among the scans that were looked at.
+    `stale_scans` only repeat others, see `Repeats`. `invalid_share` is that of readings which say
+    nothing, None for clouds. `sensors` are the sensors of the topic with their numbers among the
+    scans that were looked at.
     """
 
     scans: int

@@ -83,7 +83,11 @@ AlignerFactory = Callable[[RegistrationConfig, SensorKind], Aligner]
 
 
 class KissIcpAligner:
-    """The last keyframes in KISS-ICP's voxels, rebuilt often: old passes would bend the path."""
+    """The points of the last keyframes in KISS-ICP's voxel map, in the map frame.
+
+    The voxels are rebuilt every few keyframes, so that old passes and bad scans leave them again:
+    met after some drift they would bend the trajectory.
+    """
 
     def __init__(self, _config: RegistrationConfig, sensor: SensorKind) -> None:
         try:

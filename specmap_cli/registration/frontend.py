@@ -118,7 +118,10 @@ class FrontEnd:
         return self._founding.rest()
 
     def register(self, sweep: Sweep) -> PosedScan:
-        """The sweep, de-skewed, with its pose in the map, provisional at first: see `take`."""
+        """The sweep with its pose in the map, de-skewed; every result is bounded.
+
+        The first scans of a map are provisional, see `take`.
+        """
         expected = self._motion.expect(sweep)
         view = view_of(
             sweep, expected.during, expected.interval_s, self.config, measured=expected.measured
@@ -292,7 +295,11 @@ class Track:
         return slack.place_m, slack.turn_rad
 
     def is_carried(self, config: RegistrationConfig) -> bool:
-        """Whether odometry alone tells the place, since the last keyframe, to within the bounds."""
+        """Whether odometry alone tells the place well enough to go on with it.
+
+        Since the last keyframe of a founded map it measured every motion, and what it has been
+        worth leaves it no farther off than a result may be from its guess.
+        """
         if self.keyframe is None or not (self.founded and self.measured and self.reliance.trusted):
             return False
         slack = self.reliance.slack(self.keyframe.inverse() @ self.by_motion)

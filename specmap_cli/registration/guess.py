@@ -69,8 +69,9 @@ _WIDE_PER_M2, _WIDE_PER_RAD2 = 0.15, 0.05
 class ExpectedMotion:
     """The motion of the base expected since the sweep before, `interval_s` seconds.
 
-    It is odometry's when `measured`, else `carried`: the one before goes on. `during` is for
-    de-skewing. `jumped`: odometry's was too large; `shortened`: the one before was.
+    `motion` is odometry's when it was `measured`, else `carried`: the motion before carried on.
+    `during` is the motion to de-skew with. `jumped` tells of an odometry increment too large to be
+    a motion, `shortened` of a motion before that was too large to be carried on as it was.
     """
 
     motion: Pose2
@@ -83,7 +84,11 @@ class ExpectedMotion:
 
 
 class MotionModel:
-    """Expects the next motion, by sweep and not by time; tell it by `conclude` what it was."""
+    """Expects the next motion; tell it by `conclude` what the motion turned out to be.
+
+    Increments are per sweep and never divided by time: stamps of some logs come in bursts or step
+    backwards.
+    """
 
     def __init__(self, config: RegistrationConfig) -> None:
         self._config = config
@@ -153,7 +158,10 @@ class Slack:
 
 @dataclass(frozen=True, slots=True)
 class Reliance:
-    """The latest deviations from odometry and the `limits`, in slacks of an unknown odometry."""
+    """The latest deviations from odometry, in slacks of an unknown odometry; never changed.
+
+    `limits` are the deviations that still agree, in the same slacks.
+    """
 
     along: tuple[float, ...] = field(default=())
     across: tuple[float, ...] = field(default=())
@@ -254,7 +262,8 @@ def fixed_directions(scan: PlanarScan, base_from_laser: Pose2, motion: Pose2) ->
 class MotionGuess:
     """Where a sweep is expected: at `pose` (4, 4), after `before` (4, 4) and a motion.
 
-    All motions since the last keyframe, or the usual one without odometry, lead to `by_motion`.
+    `by_motion` is the place that the expected motions since the last keyframe lead to, or without
+    odometry the usual one. `reliance` is what odometry has been worth.
     """
 
     pose: FloatArray
@@ -276,7 +285,9 @@ class MotionGuess:
     def misread(self) -> list[FloatArray]:
         """Poses (4, 4) that odometry may have misread, where a search around its own looks not.
 
-        Wheels that only count do not tell driving backwards; some headings jump when corrected.
+        Wheels that only count tell nothing of the direction in which they turn: a step of the log
+        may be driven backwards as a whole, or half of it. The heading of some odometry jumps, when
+        it is corrected or begins anew: there the motion before goes on.
         """
         expected, places = self.expected, []
         if expected.motion.distance > SEARCH_M:
@@ -322,7 +333,8 @@ class MotionGuess:
 def best_guess(scene: Scene, before: FloatArray, expected: ExpectedMotion) -> FloatArray:
     """The pose (4, 4) expected after the pose `before`: by odometry or by the motion before.
 
-    The latter where odometry, its clock apart in a turn, puts the sweep visibly off the walls.
+    The motion before is carried on where odometry puts the sweep visibly off the walls. Stamps of
+    wheels and laser may be apart: in turns odometry is then off by many degrees.
     """
     guess = product(before, expected.motion.matrix())
     if not expected.measured:
@@ -354,7 +366,8 @@ def near_window(*, measured: bool) -> Window:
 def wide_search(guess: MotionGuess, config: RegistrationConfig) -> tuple[Window, Bounds]:
     """Where the robot can have come in a hole of the log, or by wheels that slipped; and bounds.
 
-    Trusted odometry does not err by a wide turn; without it the search itself is the bound.
+    Trusted odometry does not err by a wide turn, but wheels may have turned in vain. Without it a
+    result may be as far from the guess as the search looks.
     """
     free, slipped_m = not guess.trusted, _WIDE_SEARCH_M + guess.expected.motion.distance
     window = Window(

@@ -59,7 +59,11 @@ def seen_space(outlines: Sequence[FloatArray], cell_m: float, side_m: float) -> 
 
 
 class LocalMap:
-    """The last `WINDOW_KEYFRAMES` keyframes in the map, and a score field rebuilt as the voxels."""
+    """The last `WINDOW_KEYFRAMES` keyframes, in the map frame.
+
+    The score field forgets older ones when the registration method rebuilds its voxels; until then
+    new walls are drawn into it.
+    """
 
     def __init__(self, aligner: Aligner, sensor: SensorKind, config: RegistrationConfig) -> None:
         self.aligner, self.sensor = aligner, sensor
@@ -109,7 +113,10 @@ class LocalMap:
 
     @property
     def field(self) -> ScoreField:
-        """The score field of the walls that are near enough for it, built when first asked for."""
+        """The score field of the walls, built when first asked for.
+
+        Walls too far from the last keyframe for a field of `_FIELD_RANGES` are left out.
+        """
         if self._field is None:
             x, y = self._outlines[0][0].tolist()  # the last laser
             self._field = ScoreField.from_cells(self._cells, self._sigma_m, self._side_m, (x, y))
@@ -126,7 +133,10 @@ class LocalMap:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fit:
-    """A pose (4, 4) in the map, a score in [0, 1], and how many alignments were `refused`."""
+    """A pose (4, 4) of the base in the map, the same in the plane, and its score in [0, 1].
+
+    `refused` alignments on the way to it ran off and were not followed.
+    """
 
     pose: FloatArray
     score: float
@@ -149,7 +159,11 @@ class Fit:
 
 @dataclass(frozen=True, slots=True)
 class Support:
-    """What the walls say of a place: the mean `score` over a `share` that could be seen there."""
+    """What the walls say of a place that could be seen there: new space says nothing.
+
+    `score` in [0, 1] is the mean over the points that fall where the local map has looked, `share`
+    of all of them, `count` in number. Without any the score is 0.
+    """
 
     score: float
     share: float
@@ -204,7 +218,10 @@ class Scene:
         return Support(score=score, share=count / len(placed), count=count)
 
     def gain(self, place: Pose2, other: Pose2) -> float:
-        """The score `other` has more than `place`, over points both could have seen; 0 without."""
+        """The score that `other` has more than `place`, over points that both could have seen.
+
+        It is 0 where there are none of them.
+        """
         here, there = (pose.apply(self.view.probe) for pose in (place, other))
         seen = self.local.seen
         both = (seen.values_at(here) == FREE) & (seen.values_at(there) == FREE)
@@ -227,9 +244,10 @@ class Scene:
     def align(
         self, start: FloatArray, kernels: Sequence[float], bounds: Bounds | None = None
     ) -> Fit:
-        """The registration method from a pose (4, 4), by one kernel (in voxels) after another.
+        """The registration method from a pose (4, 4), with one kernel (in voxels) after another.
 
-        A result out of bounds, by default those of the settings, is refused: the one before stands.
+        A result out of bounds, by default those of the settings around `start`, is refused: the
+        one before it stands, at first the start.
         """
         pose, refused = start, 0
         bounds = bounds or Bounds.around(start, self.config)

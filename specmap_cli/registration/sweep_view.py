@@ -33,10 +33,11 @@ _GROWTH = 1.4  # of the cell from one try to the next at thinning: about half th
 class SweepView:
     """The points of a sweep, in the base frame.
 
-    `cloud` (N, 3) is registered, `sparse` (K, 3) for coarse alignments; `probe` (L, 2) of the
-    `walls` (M, 2) is scored on their field. `dense` (D, 3) goes into the local map: thinned alike,
-    two clouds fit best as if the lidar had not moved. `planar` is handed on, with its laser at
-    `base_from_laser`; walls beyond `reach_m` are not looked at.
+    `cloud` (N, 3) is registered; `sparse` (K, 3) is enough for coarse alignments. `walls` (M, 2) go
+    into the score field and `probe` (L, 2) is scored on it. `dense` (D, 3) goes into the local map:
+    thinned alike, two clouds of one street fit best where they stand alike to the lidar, as if it
+    had not moved. `planar` is the scan to hand on.
+    Its laser stood at `base_from_laser`, and walls beyond `reach_m` of it are not looked at.
     """
 
     planar: PlanarScan
@@ -98,7 +99,10 @@ def view_of(
 
 
 def outline_of(scan: PlanarScan, base_from_laser: Pose2, reach_m: float) -> FloatArray:
-    """Corners (N, 2), base frame, of the space a scan looked through, the laser first."""
+    """Corners (N, 2), base frame, of the space that a scan looked through, the laser first.
+
+    A beam without a return says nothing about the space along it: it ends at the laser.
+    """
     stride = max(1, math.ceil(len(scan.ranges) / _MOST_BEAMS))
     ranges, bearings = scan.ranges[::stride], scan.bearings[::stride]
     r = np.where(np.isfinite(ranges), np.minimum(ranges, reach_m), 0.0)
@@ -157,7 +161,10 @@ def moved_returns(
 def deskewed(
     scan: PlanarScan, base_from_laser: Pose2, motion: Pose2, interval_s: float
 ) -> PlanarScan:
-    """The scan as taken at once at its stamp, bearings ascending; the same object if it was."""
+    """The scan as it would have been taken at once at its stamp; the same object if it was.
+
+    Bearings come back ascending, within one turn; beams without a return keep none.
+    """
     times = scan.beam_times_s
     if times is None or _is_still(motion) or not usable_times(times, len(scan.bearings)):
         return scan

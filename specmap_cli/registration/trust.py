@@ -265,7 +265,10 @@ class Judgement:
     loose: FloatArray = field(default_factory=lambda: np.zeros(2))
 
     def levelled(self, share: float) -> Judgement:
-        """The same with `share` of roll and pitch taken back, as few rings say little of tilt."""
+        """The same with `share` of the roll and pitch taken back, heading and place kept.
+
+        A lidar of few rings says little about its own tilt, whose drift would lift the robot off.
+        """
         from scipy.spatial.transform import Rotation  # slow to load, and for 3D alone
 
         yaw, pitch, roll = Rotation.from_matrix(self.fit.pose[:3, :3]).as_euler("ZYX")
@@ -313,7 +316,10 @@ class Founding:
         self._restarts = False
 
     def refute(self) -> int:
-        """The map of the scans held is given up; returns how many of them were not lost before."""
+        """The map of the scans held is given up: they are lost. Returns how many were not before.
+
+        Where they restarted the map after a break, the next one does.
+        """
         believed = sum(not scan.lost for scan in self._held)
         self._restarts = self._restarts or any(scan.restarted for scan in self._held)
         lost = (replace(scan, lost=True, restarted=False) for scan in self._held)
@@ -337,7 +343,10 @@ class Founding:
 
 
 def looked_through(walls: FloatArray, scan: PlanarScan, map_from_laser: Pose2) -> float:
-    """Share in [0, 1] of the walls (N, 2) in view that two neighbouring beams end well behind."""
+    """Share in [0, 1] of the walls (N, 2) of a map that a scan looks through, of those in its view.
+
+    Two neighbouring beams must end well behind a wall. A beam without a return says nothing.
+    """
     seen = map_from_laser.inverse().apply(walls)
     first = float(scan.bearings[0])
     bearings = first + np.mod(np.arctan2(seen[:, 1], seen[:, 0]) - first, 2 * np.pi)

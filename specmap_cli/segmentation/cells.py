@@ -49,7 +49,8 @@ _SAME = 0.5  # intersection over union above which regions are the same: each ha
 def flood_labels(clearance: LengthArray, nodes: IndexArray, labels: LabelArray) -> LabelArray:
     """(h, w) labels grown from the nodes (n, 2) in order of falling clearance; -1 unreached.
 
-    A large map is flooded a tile after the other, each with what is around it.
+    A large map is flooded a tile after the other, each with what is around it: a front comes from a
+    node of its own block of cells, or of one near by, and tiles without free space cost nothing.
     """
     found = np.full(clearance.shape, -1, dtype=np.int16)
     top = float(clearance.max(initial=0.0))
@@ -77,7 +78,10 @@ def flood_labels(clearance: LengthArray, nodes: IndexArray, labels: LabelArray) 
 def flooded_at(
     clearance: LengthArray, nodes: IndexArray, labels: LabelArray, cells: IndexArray
 ) -> LabelArray:
-    """(p,) labels of a flood from the nodes (n, 2) at cells (p, 2), only in the box round both."""
+    """(p,) the labels of a flood from the nodes (n, 2) at cells (p, 2), there being a node.
+
+    Only the box round the nodes and the cells is flooded, and labels are spread only where asked.
+    """
     low = np.minimum(nodes.min(axis=0), cells.min(axis=0))
     high = np.maximum(nodes.max(axis=0), cells.max(axis=0)) + 1
     clearance, nodes = clearance[low[0] : high[0], low[1] : high[1]], nodes - low
@@ -140,8 +144,9 @@ def spread_labels(
 ) -> None:
     """Fill, in place, what is unlabelled (-1) of every piece of `free` (H, W) that holds a label.
 
-    Labels creep `rings` cells, so that none crosses a thin wall; then, if `everywhere`, the nearest
-    counts. Time and memory go with the cells to fill, and not with the map.
+    Labels creep `rings` cells through free space, so that none crosses a thin wall; what is left
+    takes the nearest label of all, if they are to go `everywhere`. Time and memory go with the
+    cells to fill, which are few, and not with the map.
     """
     lacking = [np.argwhere(free[rows] & (labels[rows] < 0)) for rows in bands_of(labels.shape)]
     for rows, some in zip(bands_of(labels.shape), lacking, strict=True):
@@ -181,7 +186,10 @@ def _chunks(rows: IndexArray) -> list[IndexArray]:
 
 
 def labels_near(labels: LabelArray | IntArray, cells: IndexArray) -> LabelArray | IntArray:
-    """(n,) the label of the nearest cell that has one, looked for round the cells (n, 2)."""
+    """(n,) the label of the cell that is nearest to each of some cells (n, 2) and has one.
+
+    Only what is round the cells is looked at, wider where no label is as near.
+    """
     found, tiles = np.empty(len(cells), dtype=labels.dtype), cells // _NEAR_TILE
     order = np.lexsort(tiles.T)
     ends = np.flatnonzero(np.diff(tiles[order], axis=0).any(axis=1)) + 1
@@ -204,8 +212,9 @@ def local_widths(
 ) -> LengthArray:
     """(n,) local thickness at each node: the largest free disc of a visible node that covers it.
 
-    `clearance` (n,) is their own, `lengths` (m,) those of the visible `pairs` (m, 2). `widest` is
-    the most: a hall falls into pieces of a sight line, whose borders have to count as wide.
+    `clearance` (n,) is each node's own, `lengths` (m,) the distances of the visible `pairs` (m, 2).
+    No width is above `widest`. A hall falls into pieces no larger than a sight line, and a border
+    that is wide compared with those pieces has to count as wide.
     """
     widths = clearance.copy()
     for one, other in ((pairs[:, 0], pairs[:, 1]), (pairs[:, 1], pairs[:, 0])):
@@ -227,7 +236,8 @@ def border_widths(labels: LabelArray, clearance: LengthArray) -> dict[Pair, floa
 def joined_wide(borders: dict[Pair, float], widths: list[float], ratio: float) -> LabelArray:
     """(k,) the new label of each cluster, of some `widths` (k,), after joining those it goes on in.
 
-    Their border is at least `ratio` times as wide as the geometric mean of theirs.
+    A border joins two clusters when it is at least `ratio` times as wide as they are, by their
+    geometric mean: a corridor goes on where its width goes on, and ends where it opens into a hall.
     """
     joins = [
         (one, other)
@@ -240,7 +250,10 @@ def joined_wide(borders: dict[Pair, float], widths: list[float], ratio: float) -
 def without_dead_ends(
     labels: LabelArray, clearance: LengthArray, least: float, smallest: float
 ) -> LabelArray:
-    """Regions (h, w): one of few cells, entered from one other alone (`least`), is its part."""
+    """Regions (h, w) of which none is a dead end of fewer than `smallest` cells.
+
+    A dead end has one neighbour that a robot of the radius `least` gets to, and is a part of it.
+    """
     size = np.bincount(labels[labels >= 0], minlength=1)
     around: dict[int, set[int]] = {}
     for (one, other), border in border_widths(labels, clearance).items():
@@ -267,8 +280,10 @@ def _joined(count: int, pairs: IndexArray) -> IndexArray:
 def consensus(divisions: Sequence[LabelArray]) -> LabelArray:
     """(h, w) labels 0, 1, ... of what some divisions (h, w) agree on; -1 where all have none.
 
-    The division most like the others gives the regions, and each cell goes where most have it: a
-    region of another division is the one it shares more than `_SAME` with. First of equals.
+    The division that is most like the others gives the regions; what it leaves without a label, the
+    first that has one. Each cell goes to the region in which most divisions have it; a region of
+    another division is the one with which it shares more than `_SAME`. Deterministic: of equals
+    that division counts, then the first.
     """
     # cells that have the same labels in all divisions are of one kind; a run of a kind is looked at
     # once

@@ -222,7 +222,10 @@ def regions_of(
 
 
 def unentered(grid: GridMap, division: LabelArray | IntArray, poses: FloatArray) -> BoolArray:
-    """(H, W) the cells that the robot saw and never drove into: of no region with a keyframe."""
+    """(H, W) the cells of regions without a keyframe, and of no region, as in `regions_of`.
+
+    That is what the robot saw through doors and windows, and never drove into.
+    """
     nobodys = np.ones(int(division.max(initial=-1)) + 2, dtype=np.bool_)  # the last is no region
     there = _regions_at(grid, division, poses)
     nobodys[there[there >= 0]] = False
@@ -240,7 +243,10 @@ def _regions_at(grid: GridMap, division: LabelArray | IntArray, poses: FloatArra
 
 
 def segment_floorplan(grid: GridMap, config: SegmentationConfig) -> Segmentation:
-    """Divide `grid` into regions of one piece, the largest of each; NoResultError without any."""
+    """Divide `grid` into regions of one piece, the largest of each; scraps have no label.
+
+    NoResultError when no free space holds a node.
+    """
     found = segment(grid, config, rooms=config.rooms_only)
     if not found.count:
         raise NoResultError(
@@ -258,7 +264,10 @@ def segment_floorplan(grid: GridMap, config: SegmentationConfig) -> Segmentation
 
 
 def region_grid(grid: GridMap, region: BoolArray) -> GridMap:
-    """The cells `region` (H, W), one at least, with the obstacles round them, cropped."""
+    """The cells `region` (H, W) of a grid with the obstacles round them, cropped; else unknown.
+
+    At least one cell is of the region.
+    """
     reach = np.ones((2 * _WALL_CELLS + 1, 2 * _WALL_CELLS + 1), dtype=np.uint8)
     shown = cv2.dilate(region.astype(np.uint8), reach).astype(bool)
     cells: CellArray = np.full(grid.cells.shape, UNKNOWN, dtype=np.uint8)

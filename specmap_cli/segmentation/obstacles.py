@@ -43,8 +43,9 @@ _LINE_M = 6.0  # the longest row of openings and posts between two walls
 def furniture(free: BoolArray, resolution: float, config: SegmentationConfig) -> BoolArray:
     """(H, W) the isolated obstacles that are no walls; `free` is (H, W), cells of `resolution`.
 
-    A row of pieces with slits between them is a wall when it is longer than any furniture: a laser
-    sees dashes of railings. What is solid by itself stays furniture.
+    A row of pieces with no more than slits between them is a wall when it is longer than any
+    furniture: of a railing or a window front a laser sees dashes, here longer, there shorter than a
+    chair. What is solid by itself stays furniture, whatever stands beside it.
     """
     sizes = np.array([config.obstacle_m, config.furniture_m, FURNITURE_THICK_M])
     largest, bulky, thick = (sizes / resolution).tolist()
@@ -89,7 +90,10 @@ def small_obstacles(
 
 
 def pieces_at_walls(grid: GridMap, thick_m: float) -> NDArray[np.int32]:
-    """The number (H, W) of each piece at a wall, `thick_m` or more; 0: none, or outside."""
+    """The number (H, W) of each piece at a wall that is `thick_m` or more, 0 where there is none.
+
+    What is outside of the building is none: what is unknown and large, and all at the map's edge.
+    """
     nowhere = np.zeros(grid.cells.shape, dtype=np.int32)
     radius = (round(thick_m / grid.resolution) - 1) // 2
     if radius < 1:  # of so few cells it could be a wall
@@ -115,7 +119,10 @@ def pieces_at_walls(grid: GridMap, thick_m: float) -> NDArray[np.int32]:
 
 
 def fill_cupboards(labels: LabelArray, pieces: NDArray[np.int32], resolution: float) -> LabelArray:
-    """`labels` (H, W) with those of the `pieces` (H, W) at walls, by most cells around each."""
+    """`labels` (H, W) with those of the `pieces` (H, W) at walls, which had none.
+
+    A piece takes the label that more than half of the labelled cells around it have.
+    """
     if not pieces.any():
         return labels
     # exact: there are fewer than 16 million
@@ -144,7 +151,8 @@ def with_narrow_doors(
 ) -> tuple[BoolArray, BoolArray]:
     """Free space (H, W) with its `small` obstacles; and the same with wide openings narrowed.
 
-    Thin things in the line of a wall are a part of it, as posts are. `widest_m` is narrowed.
+    What stands in the line of a wall and is thin, such as a post between two doors, is a part of
+    the wall and no furniture. Openings up to `widest_m` are narrowed.
     """
     framed, pieces = np.pad(free | small, 1), np.pad(small, 1)
     metres = widest_m, _DOOR_M, _SPACE_M, _WALL_M, _LINE_M

@@ -48,7 +48,11 @@ Observer = Callable[["SplitTest", bool, "Occasion"], None]
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """A region left, its keyframes ascending, and which one it `continues` as a piece, if any."""
+    """A finished region: the keyframes, ascending, that belong to the submap just left.
+
+    `continues` is the number of the earlier region that this one is a piece of, because the robot
+    came straight back to it; None for a submap of its own.
+    """
 
     number: int
     keyframes: tuple[int, ...]
@@ -298,8 +302,9 @@ def _dividing(
 class CoarseSubmap:
     """Keyframes of a submap in order, and a grid of them that is just good enough to find doors.
 
-    A keyframe enters the grid once, after `_SPLIT_STEP_M` or `_SPLIT_STEP_RAD`: what a split leaves
-    of a grid is counted by taking out the rest.
+    Its cells are no finer than `SPLIT_CELL_M`, the working grid's. A keyframe enters the grid when
+    the robot moved `_SPLIT_STEP_M` or turned `_SPLIT_STEP_RAD` since the last that did, and does so
+    once: what a split leaves of a grid is counted by taking out the rest.
     """
 
     def __init__(
@@ -373,7 +378,11 @@ class CoarseSubmap:
         return bool((away <= reach).any())
 
     def apart(self, reached: BoolArray) -> BoolArray:
-        """Those of the keyframes (p,) whose stretch of way has no node in common with `reached`."""
+        """Those of the keyframes (p,) whose stretch of way lies apart from all that is `reached`.
+
+        What free space does not join with the robot, and has no node in common with what it does,
+        stays alone wherever the robot goes on from there. A stretch is driven without a gap.
+        """
         near, poses = reached.copy(), self.poses
         reach = 2.0 * self.config.path_band_m or np.inf
         tree = cKDTree(poses[reached, :2])

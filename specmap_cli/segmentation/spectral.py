@@ -49,9 +49,10 @@ _TINY = 1e-12  # keeps a row of zeros from dividing by zero
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Spectrum:
-    """What Algorithm 2 found in a graph of n nodes: their `labels` (n,) 0, 1, ...
+    """What Algorithm 2 found in a graph of n nodes.
 
-    `eigenvalues` (m,) fall, of all parts together; `used` of them count, k of each part.
+    `labels` (n,) 0, 1, ... the cluster of each node; `eigenvalues` (m,) falling, of all parts
+    together; `used` is the number of those that count, which is k summed over the parts.
     """
 
     labels: LabelArray
@@ -83,9 +84,10 @@ def spectral_clusters(graph: VisibilityGraph, config: SegmentationConfig) -> Spe
 def clusters_of(S: Any, parts: Sequence[IndexArray], least: float) -> Spectrum:
     """Lines 2 to 7 of Algorithm 2 for each of some parts of a graph; label -1 outside them.
 
-    The D_ii are those of the whole graph S (n, n), sparse: what a cut takes goes to a neighbour
-    elsewhere. k eigenvalues are above `least`. k-means starts at the row of the best and of the
-    least connected node, without random numbers.
+    The D_ii are those of the whole graph S (n, n), sparse: what a cut takes from the row of a node
+    stays in its degree, as it goes to a neighbour elsewhere. k is the number of eigenvalues above
+    `least`. k-means starts at the row of the best and of the least connected node, so it needs no
+    random numbers.
     """
     degrees = np.asarray(S.sum(axis=1)).ravel()
     labels = np.full(len(degrees), -1, dtype=np.int16)
@@ -110,7 +112,11 @@ def clusters_of(S: Any, parts: Sequence[IndexArray], least: float) -> Spectrum:
 
 
 def parts_of(S: Any, most: int) -> list[IndexArray]:
-    """Ascending nodes of each part of S (n, n), sparse: connected, `most` at most, in order."""
+    """The nodes, ascending, of each part of a graph, the parts in the order of their first nodes.
+
+    S (n, n) sparse is the similarity of eq. 1. A part is connected. One with more than `most` nodes
+    is cut in two.
+    """
     parts, pending = [], [np.arange(S.shape[0])]
     while pending:
         nodes = pending.pop()
@@ -213,7 +219,8 @@ def split_again(
 ) -> LabelArray:
     """(n,) labels after halving every cluster whose own second eigenvalue is above `least`.
 
-    Its scales of eq. 1 are measured anew, so that a room comes apart from a piece of corridor.
+    Inside a cluster the scales of eq. 1 are measured anew, so that a room is seen apart from the
+    piece of corridor it was put together with among all the rooms of the map.
     """
     labels = labels.copy()
     (i, j), count = graph.pairs.T.copy(), int(labels.max(initial=-1)) + 1
@@ -250,7 +257,10 @@ def numbered(labels: LabelArray) -> LabelArray:
 
 
 def local_scales(graph: VisibilityGraph, neighbours: int) -> FloatArray:
-    """(n,) sigma of eq. 1: median distance to the `neighbours` nearest visible nodes, 0: all."""
+    """(n,) sigma of eq. 1: the median distance to the `neighbours` nearest visible nodes, 0: all.
+
+    Nodes that see no other get 1, which is never used.
+    """
     nodes, rising = len(graph.nodes), np.argsort(graph.lengths)
     owner, distance = graph.pairs[rising].ravel(), graph.lengths[rising]
     del rising
@@ -269,7 +279,11 @@ def local_scales(graph: VisibilityGraph, neighbours: int) -> FloatArray:
 def similarity(
     graph: VisibilityGraph, neighbours: int, multiple: float = 1.0, *, dense: bool = False
 ) -> Any:
-    """S of eq. 1, (n, n), symmetric, 0 where none sees another; sparse, or `dense` of few nodes."""
+    """S of eq. 1, (n, n), symmetric: zero on the diagonal and between nodes that see no other.
+
+    Sigma is a `multiple` of `local_scales`. S is sparse, or `dense`, an array: quicker for some
+    hundred nodes.
+    """
     scales, nodes = multiple * local_scales(graph, neighbours), len(graph.nodes)
     i, j = graph.pairs.T
     weight = -(graph.lengths**2)
@@ -285,7 +299,10 @@ def similarity(
 
 
 def normalised(S: Any, degrees: FloatArray | None = None) -> tuple[Any, FloatArray]:
-    """L = D^-1/2 S D^-1/2 (n, n), an array or sparse as S is, and the degrees D_ii (n,)."""
+    """L = D^-1/2 S D^-1/2 (n, n), and the degrees D_ii (n,); rows of zeros stay zero.
+
+    S is sparse, or an array, and L is like it. `degrees` are given for a part of a graph.
+    """
     if degrees is None:
         degrees = np.asarray(S.sum(axis=1), dtype=np.float64).ravel()  # Algorithm 2, line 2
     inverse = np.zeros(len(degrees))
@@ -301,8 +318,9 @@ def largest_eigenpairs(
 ) -> tuple[FloatArray, FloatArray]:
     """The `count` largest eigenvalues (k,), falling, and eigenvectors (n, k) of a symmetric matrix.
 
-    `matrix` (n, n) is an array, or sparse: then it is iterated, from a fixed vector, to a relative
-    `tolerance`. Equal input gives equal output, signs included.
+    `matrix` (n, n) is an array, or sparse; `tolerance`, relative, is that of the iteration, which
+    starts from a fixed vector. Each eigenvector's sign makes its sum of cubes positive, so equal
+    input gives equal output.
     """
     size = matrix.shape[0]
     count = min(count, size)
@@ -331,7 +349,10 @@ def with_fixed_signs(vectors: FloatArray) -> FloatArray:
 
 
 def eigenpairs_above(matrix: Any, least: float) -> tuple[FloatArray, FloatArray]:
-    """All eigenpairs of a sparse symmetric matrix (n, n) above `least`, and one below if any."""
+    """All eigenpairs with eigenvalues above `least`, and at least one below where there is one.
+
+    `matrix` (n, n) is sparse and symmetric.
+    """
     size = matrix.shape[0]
     count = min(2 + math.ceil(_ABOVE * (matrix.data**2).sum()), size)
     while True:
@@ -344,9 +365,10 @@ def eigenpairs_above(matrix: Any, least: float) -> tuple[FloatArray, FloatArray]
 def kmeans_unit(rows: FloatArray, clusters: int, first: list[int]) -> LabelArray:
     """Cluster unit vectors `rows` (n, d) into at most `clusters`; (n,) labels.
 
-    The best of Lloyd's iterations, one for each row in `first`, which takes that and, one by one,
-    the row most nearly orthogonal to all taken before (Ng, Jordan and Weiss, "On Spectral
-    Clustering", NIPS 2001).
+    Lloyd's iteration runs once for each row number in `first`. The labels with the smallest sum of
+    squared distances win, those of the earlier start on a tie. A start takes its row and then, one
+    at a time, the row most nearly orthogonal to all taken before (Ng, Jordan and Weiss, "On
+    Spectral Clustering", NIPS 2001).
     """
     best, least = np.zeros(len(rows), dtype=np.int16), np.inf
     for row in first:

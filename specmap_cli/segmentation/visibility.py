@@ -50,9 +50,10 @@ def sample_nodes(
 ) -> IndexArray:
     """(n, 2) row and column of one node in each block of `step` x `step` cells, in block order.
 
-    `choice` "clearest" takes the cell with the largest clearance, the middle of rooms and doorways,
-    "centre" the middle one; no more than `least` of it gives no node. Blocks begin `before` rows
-    and columns off the grid.
+    `choice` "clearest" takes the cell with the largest clearance of a block, so that nodes stand in
+    the middle of rooms and doorways; "centre" takes the block's middle cell. Blocks whose cell has
+    no more clearance than `least` give no node. The first block begins `before` rows and columns
+    off the grid.
     """
     height, width = clearance.shape
     columns = max(1, -(-(before + width) // step))
@@ -94,7 +95,11 @@ def near_pairs(nodes: IndexArray, reach: float) -> IndexArray:
 def visible(
     clearance: LengthArray, nodes: IndexArray, pairs: IndexArray, least: float
 ) -> BoolArray:
-    """(m,) whether the line of each pair keeps more than `least` clear, by steps of free space."""
+    """(m,) whether the straight line between each pair keeps more than `least` of clearance.
+
+    A line is walked by the free distance it stands on, which cannot jump over an obstacle, and by
+    one cell at least.
+    """
     # cells from the first one on as they lie in memory, be they a window of a larger grid
     width, size = clearance.strides[0] // clearance.itemsize, clearance.itemsize
     lying = max((clearance.shape[0] - 1) * width + clearance.shape[1], 0)

@@ -136,7 +136,10 @@ def _turns(mass: BoolArray) -> list[int]:
 
 
 def reduced(cells: CellArray, step: int) -> CellArray:
-    """Cells of `step` x `step` of some (H, W): occupied where any is, free where half is."""
+    """Cells of `step` x `step` of some (H, W): occupied where one is, free where half of them are.
+
+    The rest is unknown. So no wall is lost, and no gap between two rays counts.
+    """
     if step == 1:
         return cells
     height, width = cells.shape

@@ -328,7 +328,8 @@ def stamp_of(time_s: float) -> int:
 def simulated_tour(plan: GridMap, options: SimulationOptions) -> SimulatedTour:
     """Plan and drive the tour. Raises MapError when the robot fits nowhere in the plan.
 
-    Route, odometry's errors and laser's have seeds of their own: no noise moves the route.
+    The route, the odometry's errors and the laser's are drawn from seeds of their own: another
+    noise leaves the route as it is.
     """
     route = np.random.default_rng(np.random.SeedSequence(options.seed).spawn(1)[0])
     world = World.of(plan)
@@ -340,7 +341,10 @@ def simulated_tour(plan: GridMap, options: SimulationOptions) -> SimulatedTour:
 def tour_along(
     path: FloatArray, world: World, options: SimulationOptions, area_m2: float
 ) -> SimulatedTour:
-    """The tour along a path (N, 2), with the errors that `options.seed` draws for its own."""
+    """The tour along a path (N, 2) in the world, of which the robot can reach `area_m2`.
+
+    Its errors are those that `options.seed` draws for a tour of its own.
+    """
     _, wheels, noise = np.random.SeedSequence(options.seed).spawn(3)
     turn_rate = math.radians(options.turn_rate_degps)
     truth = drive(path, options.speed_mps, turn_rate, options.acceleration_mps2)

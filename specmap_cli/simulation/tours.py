@@ -54,7 +54,11 @@ class Lattice:
 
 
 def reachable_space(world: World, radius_m: float, comfort_m: float) -> Lattice:
-    """The largest part of the plan where a disc of `radius_m` fits. Raises MapError for none."""
+    """The largest connected part of the plan in which a disc of `radius_m` fits.
+
+    From `comfort_m` on, farther from a wall is no better. Raises MapError when the disc fits
+    nowhere.
+    """
     stride = max(1, round(_LATTICE_M / world.plan.resolution))
     rows, columns = (np.arange(stride // 2, side, stride) for side in world.plan.cells.shape)
     cells = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1)
@@ -104,7 +108,8 @@ def plan_tour(
 ) -> FloatArray:
     """A path (N, 2) that comes within about `spacing_m` of every reachable point in each lap.
 
-    `rng` draws the start and each lap's targets; a lap starts where the one before ended.
+    `rng` draws the start and each lap's targets, so that every lap and every seed is a new path.
+    Each lap starts where the one before ended.
     """
     here = int(rng.choice(len(lattice.points), p=_preference(lattice, np.inf)))
     nodes = [np.array([here])]

@@ -175,7 +175,10 @@ class ChunkedFile(Recording):
         return survey((*self.channels[entry.channel][:2], entry.time_ns) for entry in entries)
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """The messages on `topics`, in time order with an index and as written without."""
+        """The messages on `topics`, in time order with an index and as written without.
+
+        They come chunk by chunk when too many chunks overlap.
+        """
         if self._index is None:
             for entry in self._salvaged():
                 if topics is None or self.channels[entry.channel].topic in topics:

@@ -41,7 +41,10 @@ NS_PER_S = 1_000_000_000
 
 @cache
 def typestore() -> Typestore:
-    """The ROS 2 types of `ros2.msg`, with codecs: to load all there are takes thrice as long."""
+    """The store of the ROS 2 types that are read and written, with the generated codecs.
+
+    It is made of `ros2.msg`: to load all the types of ROS 2 takes three times as long.
+    """
     text = Path(__file__).with_name("ros2.msg").read_text(encoding="utf-8")
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg(text.removeprefix(f"MSG: {LASER_SCAN}\n"), LASER_SCAN))

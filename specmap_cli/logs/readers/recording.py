@@ -51,7 +51,7 @@ class Contents:
 
 
 class Recording(ABC):
-    """A reader: one file of one format, read in pieces of bounded size.
+    '''A reader: one file of one format, read in pieces of bounded size.
 
     A class for a format derives from this one and gives all of the following.
 
@@ -72,8 +72,48 @@ class Recording(ABC):
       the number of messages by topic where that is known.
     - `close` releases what the constructor opened.
 
-    docs/logs.md has a whole reader, and how a package adds its own by an entry point.
-    """
+    A package adds its reader by an entry point in its pyproject.toml::
+
+        [project.entry-points."specmap.readers"]
+        range_lines = "range_lines:RangeLines"
+
+    A whole reader, of lines with a stamp in nanoseconds and ranges in metres::
+
+        from specmap_cli.logs.readers import Message, Recording, survey
+        from specmap_cli.logs.readers.encoding import scan_cdr
+
+        SCAN = "sensor_msgs/msg/LaserScan"
+
+        class RangeLines(Recording):
+            """One scan a line, a degree between its beams."""
+
+            format = "range lines"
+            magic = b"RANGES 1\\n"
+
+            @property
+            def contents(self):
+                return survey((m.topic, m.type, m.time_ns) for m in self.messages())
+
+            def messages(self, topics=None):
+                if topics is not None and "/scan" not in topics:
+                    return
+                with self.file.open("rb") as lines:
+                    for number, line in enumerate(lines, start=1):
+                        if number == 1:
+                            continue
+                        try:
+                            stamp, *words = line.split()
+                            stamp_ns, ranges = int(stamp), [float(word) for word in words]
+                        except ValueError:
+                            what = f"line {number} is damaged: one scan is lost"
+                            self.report(what, {"/scan": 1})
+                            continue
+                        data = scan_cdr("laser", stamp_ns, 0.0, 0.01745, ranges, range_max=30.0)
+                        yield Message("/scan", SCAN, stamp_ns, data)
+
+            def close(self):
+                """The file is closed after each reading."""
+    '''
 
     format: ClassVar[str]
     magic: ClassVar[bytes] = b""
@@ -108,7 +148,10 @@ class Recording(ABC):
 
     @property
     def damage(self) -> tuple[str, ...]:
-        """A line for each loss met so far, where, when and what; of many the last sums up more."""
+        """One line for each loss met so far: file, byte or message, time, what was lost.
+
+        From a number of lines on, one more line sums the others up.
+        """
         lines = tuple(f"{legible(str(self.path))}: {line}" for line in self._damage)
         more = len(lines) - MAX_DAMAGE_LINES
         if more <= 0:
@@ -123,7 +166,10 @@ class Recording(ABC):
         return sum(self._damage.values(), Counter())
 
     def report(self, damage: str, lost: Mapping[str, int] | None = None) -> None:
-        """Note what was lost, once however often the file is read; `lost` messages by topic."""
+        """Note what was lost, once however often the file is read.
+
+        `lost` are the numbers of messages by topic, where they are known.
+        """
         self._damage.setdefault(legible(damage), Counter(lost or {}))
 
 

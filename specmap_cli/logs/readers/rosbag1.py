@@ -64,7 +64,10 @@ class BadRecordError(ValueError):
 
 
 def parse_record(data: bytes, position: int) -> Record:
-    """The record at `position`, whose data may reach beyond the end; raises BadRecordError."""
+    """The record at `position` of `data`, whose own data may reach beyond the end.
+
+    Raises BadRecordError where there is none.
+    """
     try:
         header = U32.unpack_from(data, position)[0]
         start = position + 4 + header

@@ -253,7 +253,10 @@ class Row(NamedTuple):
 
 
 class Fault(NamedTuple):
-    """What cannot be read behind a time: one message on a `topic`, or nobody knows which (None)."""
+    """What could not be read behind a time (None: at first).
+
+    `topic` is that of the one message that is lost; None when nobody knows which ones are.
+    """
 
     error: str
     time_ns: object
