@@ -17,6 +17,7 @@ from typing import IO, Any, Literal
 
 from specmap_cli.batch.records import Kind, Limits, Step, StepOutcome
 from specmap_cli.core.errors import BROKEN_RULE, MACHINE, MEMORY, PACKAGE, UsageError
+from specmap_cli.core.json_values import part_of
 from specmap_cli.core.text import legible
 
 _WATCH_S = 0.05  # how often memory and time are looked at: some 20 microseconds each
@@ -189,7 +190,7 @@ def judged(
     reason = None
     if ended.exit_code != 0:
         reason = _reason(step, ended, told, log, limits)
-        code = _part(told, "error").get("code")
+        code = part_of(told, "error").get("code")
         if ended.stopped is not None:
             kind = ended.stopped
         elif isinstance(code, str) and code in _BY_WORD:
@@ -214,12 +215,6 @@ def judged(
     return outcome, kind
 
 
-def _part(told: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """An object in what a step printed; empty when there is none."""
-    found = told.get(name)
-    return found if isinstance(found, dict) else {}
-
-
 def _reason(step: Step, ended: Ended, told: Mapping[str, Any], log: bytes, limits: Limits) -> str:
     """Why a step failed, in a line."""
     if ended.stopped == "memory":
@@ -231,9 +226,9 @@ def _reason(step: Step, ended: Ended, told: Mapping[str, Any], log: bytes, limit
         if isinstance(rules, list):
             broken = [str(rule.get("rule")) for rule in rules if not rule.get("passed")]
             return legible(f"breaks {len(broken)} of {len(rules)} rules: {', '.join(broken)}")
-        verdict = _part(told, "quality").get("verdict", "doubtful or poor")
+        verdict = part_of(told, "quality").get("verdict", "doubtful or poor")
         return f"{step.command}: the map is {verdict}"
-    message = _part(told, "error").get("message")
+    message = part_of(told, "error").get("message")
     if isinstance(message, str) and message:
         return legible(message)[:_MOST_CHARACTERS]
     if ended.exit_code == -signal.SIGKILL:

@@ -28,7 +28,7 @@ from specmap_cli.core.json_values import Record
 from specmap_cli.core.schemas import ModelSchema
 from specmap_cli.core.text import Case, counted, legible, markdown_table, markdown_text
 from specmap_cli.core.text import junit as test_suite
-from specmap_cli.core.toml import TomlFormat, UnfitError, choice, unless
+from specmap_cli.core.toml import TomlFormat, UnfitError, choice, flat, unless
 from specmap_cli.maps import filenames
 from specmap_cli.maps.comparison import ComparisonRecord
 from specmap_cli.maps.store import Map
@@ -143,20 +143,8 @@ def _figure(name: str) -> str:
     return name
 
 
-def _flat(table: Any) -> Any:
-    """The entries of nested tables by dotted key; what is no table as it is."""
-    if not isinstance(table, Mapping):
-        return table
-    found: dict[str, Any] = {}
-    for key, value in table.items():
-        inner = _flat(value)
-        below = isinstance(value, Mapping)
-        found |= {f"{key}.{name}": each for name, each in inner.items()} if below else {key: inner}
-    return found
-
-
 _Limit = Annotated[int | float, unless(_is_number, "expected a number")]
-_Limits = Annotated[dict[Annotated[str, AfterValidator(_figure)], _Limit], BeforeValidator(_flat)]
+_Limits = Annotated[dict[Annotated[str, AfterValidator(_figure)], _Limit], BeforeValidator(flat)]
 
 
 class _Written(BaseModel):

@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.findings import Verdict
+from specmap_cli.core.json_values import part_of
 from specmap_cli.core.settings import Config
 from specmap_cli.core.text import counted, seconds
+from specmap_cli.core.toml import flat
 from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap
 from specmap_cli.grids.map_server import png_bytes
 from specmap_cli.maps import filenames
@@ -215,34 +217,19 @@ def _run_of(map_: DrawnMap) -> dict[str, Any]:
     known = (stored.path / filenames.RUN).exists()
     run = stored.run if known else {}
     warnings = run.get("warnings")
-    usual, own = _dotted(Config()), _dotted(stored.config) if known else {}
+    usual, own = flat(Config().model_dump()), flat(stored.config.model_dump()) if known else {}
     settings = [(key, str(own[key]), str(usual[key])) for key in own if own[key] != usual[key]]
-    took = _dict(run, "seconds").items()
+    took = part_of(run, "seconds").items()
     seconds = [(key, float(value)) for key, value in took if type(value) in (int, float)]
     counts = stored.counts if known else {}
     return {
-        "selection": _pairs(_dict(run, "selection")),
+        "selection": _pairs(part_of(run, "selection")),
         "settings": settings,
         "counts": [(key, f"{count:,}") for key, count in counts.items() if count],
         "seconds": sorted(seconds, key=lambda one: -one[1]),
-        "versions": _pairs(_dict(run, "versions")),
+        "versions": _pairs(part_of(run, "versions")),
         "warnings": list(map(str, warnings)) if isinstance(warnings, list) else [],
     }
-
-
-def _dotted(config: Config) -> dict[str, Any]:
-    """All settings by their dotted keys."""
-    found: dict[str, Any] = {}
-    for section, values in config.model_dump().items():
-        inner = values if isinstance(values, dict) else {"": values}
-        found |= {f"{section}.{key}".rstrip("."): value for key, value in inner.items()}
-    return found
-
-
-def _dict(run: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    """A part of run.json, which a person may have changed; empty when it is something else."""
-    found = run.get(key)
-    return found if isinstance(found, dict) else {}
 
 
 def _pairs(values: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
