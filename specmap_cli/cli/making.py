@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast, get_args
 
 import typer
 
@@ -240,15 +240,8 @@ def segment(
     common.show(report.as_dict(), report.lines())
 
 
-class StepName(StrEnum):
-    """The steps that a job may have; more of them, with options, in a TOML file of jobs."""
-
-    build = "build"
-    localize = "localize"
-    evaluate = "evaluate"
-    export = "export"
-    report = "report"
-    check = "check"
+# The steps that a job may have; more of them, with options, in a TOML file of jobs.
+StepName = StrEnum("StepName", "build localize evaluate export report check")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -350,7 +343,8 @@ def _plan(steps: list[StepName] | None, settings: Settings) -> Plan:
     }
     options = {"build": {name: value for name, value in given.items() if value}}
     plan = Plan(options=options, known=known_options())
-    return replace(plan, steps=tuple(one.value for one in steps)) if steps else plan
+    chosen = cast("tuple[Command, ...]", tuple(map(str, steps or ())))
+    return replace(plan, steps=chosen) if chosen else plan
 
 
 def known_options() -> dict[Command, dict[str, Option]]:
