@@ -16,8 +16,6 @@ from pydantic import Field
 from specmap_cli.core.json_values import Record, Value
 from specmap_cli.core.schemas import ModelSchema
 
-SCHEMA_VERSION = 1
-
 Command = Literal["build", "localize", "evaluate", "export", "report", "check"]
 COMMANDS: tuple[Command, ...] = get_args(Command)
 
@@ -179,4 +177,4 @@ class JobResult:
     resumed: bool = False
 
 
-SCHEMA = ModelSchema(JobRecord, "job", SCHEMA_VERSION, "specmap batch: job.json")
+SCHEMA = ModelSchema(JobRecord, "job", 1, "specmap batch: job.json")

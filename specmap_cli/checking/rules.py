@@ -227,7 +227,6 @@ def judged(
     )
 
 
-SCHEMA_VERSION = 1
 _SIGNS = {"most": "<=", "least": ">="}
 
 
@@ -319,4 +318,4 @@ def _value(value: float | str | None) -> str:
     return f"{value:.0f}" if value == round(value) or abs(value) >= 1e4 else f"{value:.4g}"
 
 
-SCHEMA = ModelSchema(CheckRecord, "check", SCHEMA_VERSION, "specmap check --json")
+SCHEMA = ModelSchema(CheckRecord, "check", 1, "specmap check --json")

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from specmap_cli.cli import edit, evaluate, making, maps, recordings
+from specmap_cli.cli import edit, making, maps, recordings
 from specmap_cli.cli.entry import print_text
 from specmap_cli.cli.options import Common, JoinedCommand, Settings, unfolded
 from specmap_cli.core.errors import UsageError
@@ -136,7 +136,7 @@ _COMMANDS: tuple[Callable[..., None], ...] = (  # in the order of the help
     edit.edit,
     maps.report,
     making.segment,
-    evaluate.evaluate,
+    recordings.evaluate,
     recordings.simulate,
     recordings.convert,
     maps.export,

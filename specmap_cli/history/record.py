@@ -33,8 +33,6 @@ from specmap_cli.report import layers
 from specmap_cli.report.html import html_page, shown, tones
 from specmap_cli.report.layers import DrawnMap
 
-SCHEMA_VERSION = 1
-
 ChangeKind = Literal[
     "door-closed", "door-opened", "appeared", "vanished", "room-gone", "room-added"
 ]
@@ -133,7 +131,7 @@ class HistoryRecord(Measured):
     left_out: list[LeftOutRecord] = Field(description="what was named and is not in it")
 
 
-SCHEMA = ModelSchema(HistoryRecord, "history", SCHEMA_VERSION, "specmap history.json")
+SCHEMA = ModelSchema(HistoryRecord, "history", 1, "specmap history.json")
 
 
 _NS = 1_000_000_000

@@ -14,8 +14,6 @@ from specmap_cli.core.json_values import Amount, Count, Measured, Number, Point,
 from specmap_cli.core.schemas import ModelSchema
 from specmap_cli.topology.identity import Identity
 
-SCHEMA_VERSION = 1
-
 Pair = tuple[Count, Count]
 
 
@@ -107,4 +105,4 @@ class ComparisonRecord(Measured):
     things: ThingsRecord
 
 
-SCHEMA = ModelSchema(ComparisonRecord, "comparison", SCHEMA_VERSION, "specmap compare.json")
+SCHEMA = ModelSchema(ComparisonRecord, "comparison", 1, "specmap compare.json")

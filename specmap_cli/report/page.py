@@ -26,16 +26,18 @@ from specmap_cli.grids.map_server import png_bytes
 from specmap_cli.maps import filenames
 from specmap_cli.maps.store import Map
 from specmap_cli.report import layers
-from specmap_cli.report.evidence import (
+from specmap_cli.report.html import PACKAGE, fill_names, html_page, lasting, shown, tones
+from specmap_cli.report.layers import (
+    Changes,
+    DrawnMap,
     Evidence,
     Learned,
     Spectra,
     Track,
+    old_map,
     running_seconds,
     spectra_of,
 )
-from specmap_cli.report.html import PACKAGE, fill_names, html_page, lasting, shown, tones
-from specmap_cli.report.layers import Changes, DrawnMap, old_map
 from specmap_cli.topology.topological_map import starts_of
 
 # the parts of the script in their order; each uses only what stands before it

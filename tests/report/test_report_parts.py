@@ -24,8 +24,8 @@ from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.boosting import StumpBoost, TreeBoost, feature_shares
 from specmap_cli.recognition.learning.trees import Forest
 from specmap_cli.report import html
-from specmap_cli.report.evidence import MOST_POINTS, Evidence, Track
 from specmap_cli.report.html import Frame, outlines, path_data, tones
+from specmap_cli.report.layers import MOST_POINTS, Evidence, Track
 from tests.drawing.looking import contrast, least_difference, seen_lab
 from tests.flats import Explained
 from tests.maps.conftest import edit
