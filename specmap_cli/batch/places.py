@@ -11,9 +11,8 @@ import os
 import re
 import shutil
 import tempfile
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -139,7 +138,7 @@ _FLAT = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "oss", "memory"}
 _BEGUN = "job.begun"  # lies in a folder of a store while it is written
 
 
-class Folder(ABC):
+class Folder:
     """Where the result of one job is kept: a directory here, or a folder of a store."""
 
     def __init__(self, place: str) -> None:
@@ -163,16 +162,25 @@ class Folder(ABC):
         """Where a person's decisions about the map lie that are not of the job; None for none."""
         return f"{self.place}/{_EDITS}" if self._found()[2] else None
 
-    @abstractmethod
-    def fresh(self, scratch: Path) -> AbstractContextManager[Path]:
+    @contextmanager
+    def fresh(self, scratch: Path) -> Iterator[Path]:
         """A directory to write a new result into; it takes its place when the block ends well.
 
         Raises UsageError when something else lies there, PlaceError for a store out of reach.
         """
+        del scratch  # a hidden sibling is renamed, which needs the same file system
+        with OutputDirectory(
+            self.place, overwrite=True, marker=JOB, ours=lambda _: True
+        ) as directory:
+            yield directory
 
-    @abstractmethod
     def _read(self) -> tuple[bytes, Mapping[str, int]] | None:
         """What job.json holds, and the files beside it in bytes; None where there is none."""
+        path = Path(self.place)
+        try:
+            return read_bytes(path / JOB, _MOST_MB), files_in(path)
+        except OSError:
+            return None
 
     def _found(self) -> tuple[JobRecord | None, Mapping[str, int], bool]:
         """The record that lies there, the files beside it in bytes, and whether it was edited.
@@ -193,7 +201,7 @@ class Folder(ABC):
 def folder_at(output: str, name: str) -> Folder:
     """The folder of the job `name` in an output directory, a path or a URL."""
     path = path_at(output)
-    return _InStore(f"{output.rstrip('/')}/{name}") if path is None else _Here(path / name)
+    return _InStore(f"{output.rstrip('/')}/{name}") if path is None else Folder(str(path / name))
 
 
 def files_in(directory: Path) -> dict[str, int]:
@@ -210,29 +218,6 @@ def files_in(directory: Path) -> dict[str, int]:
 def write_record(directory: Path, record: JobRecord) -> None:
     """Write job.json."""
     (directory / JOB).write_text(to_json(record.model_dump()), encoding="utf-8")
-
-
-class _Here(Folder):
-    """A folder on this machine: a hidden sibling is renamed when it is complete."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(str(path))
-        self._path = path
-
-    def _read(self) -> tuple[bytes, Mapping[str, int]] | None:
-        try:
-            return read_bytes(self._path / JOB, _MOST_MB), files_in(self._path)
-        except OSError:
-            return None
-
-    @contextmanager
-    def fresh(self, scratch: Path) -> Iterator[Path]:
-        """A new result beside the old one, which goes when it is complete."""
-        del scratch  # a rename needs the same file system
-        with OutputDirectory(
-            self._path, overwrite=True, marker=JOB, ours=lambda _: True
-        ) as directory:
-            yield directory
 
 
 class _InStore(Folder):

@@ -271,22 +271,12 @@ class Evidence:
     notes: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Spectra:
+def spectra_of(evidence: Evidence, seconds: Sequence[float], frame: Frame) -> dict[str, Any]:
     """The tests that are kept, of `total` in all, and what the page needs to draw each.
 
-    `dots` are the tests in the chart, each with the seconds of recording at which it was made.
+    `dots` are those in the chart, each with the `seconds` of recording of its keyframe; `table` has
+    of each at most so many nodes.
     """
-
-    dots: tuple[tuple[float, SplitTrial], ...]
-    table: tuple[dict[str, Any], ...]
-    threshold: float
-    total: int
-    thinned: bool
-
-
-def spectra_of(evidence: Evidence, seconds: Sequence[float], frame: Frame) -> Spectra:
-    """The tests, of each at most so many nodes; `seconds` of recording of each keyframe."""
     # all that split a submap, and others, evenly spread
     splits, others = (
         np.array([k for k, one in enumerate(evidence.tests) if one.split == split], dtype=np.int64)
@@ -296,13 +286,13 @@ def spectra_of(evidence: Evidence, seconds: Sequence[float], frame: Frame) -> Sp
     more = evenly(others, MOST_TESTS - len(some)) if len(some) < MOST_TESTS else others[:0]
     kept = [evidence.tests[k] for k in sorted([*some.tolist(), *more.tolist()])]
     most = MOST_NODES // max(len(kept), 1)
-    return Spectra(
-        dots=tuple((seconds[one.keyframe], one) for one in kept),
-        table=tuple(_row(one, seconds[one.keyframe], most, frame) for one in kept),
-        threshold=evidence.threshold,
-        total=len(evidence.tests),
-        thinned=any(len(one.nodes) > most for one in kept),
-    )
+    return {
+        "dots": [(seconds[one.keyframe], one) for one in kept],
+        "table": [_row(one, seconds[one.keyframe], most, frame) for one in kept],
+        "threshold": evidence.threshold,
+        "total": len(evidence.tests),
+        "thinned": any(len(one.nodes) > most for one in kept),
+    }
 
 
 def _row(test: SplitTrial, seconds: float, most: int, frame: Frame) -> dict[str, Any]:

@@ -32,7 +32,6 @@ from specmap_cli.report.layers import (
     DrawnMap,
     Evidence,
     Learned,
-    Spectra,
     Track,
     old_map,
     running_seconds,
@@ -83,8 +82,8 @@ def render(stored: Map, evidence: Evidence, changes: Changes | None = None) -> s
             "height": map_.frame.height,
             "track": track.table(map_.frame),
             "names": {str(id_): name for id_, name in map_.names.items()},
-            "tests": list(spectra.table),
-            "threshold": spectra.threshold,
+            "tests": spectra["table"],
+            "threshold": spectra["threshold"],
             "logs": [log.name for log in stored.record.graph.logs],
         },
         "thinned": _left_out(track, spectra, len(closures["refused"]), refused),
@@ -152,16 +151,16 @@ def _words(map_: DrawnMap, track: Track, evidence: Evidence) -> dict[str, Any]:
     }
 
 
-def _left_out(track: Track, spectra: Spectra, drawn: int, refused: int) -> list[str]:
+def _left_out(track: Track, spectra: Mapping[str, Any], drawn: int, refused: int) -> list[str]:
     """A sentence for each part of the map that is not shown whole."""
     found = ["Outlines are simplified by half a cell; places are rounded to centimetres."]
     if len(track.seconds) < track.total:
         kept, total = len(track.seconds), counted(track.total, "keyframe")
         found.append(f"The way is drawn through {kept:,} of {total}, evenly spread.")
-    if len(spectra.dots) < spectra.total:
-        kept, total = len(spectra.dots), counted(spectra.total, "split test")
+    if len(spectra["dots"]) < spectra["total"]:
+        kept, total = len(spectra["dots"]), counted(spectra["total"], "split test")
         found.append(f"Of {total} {kept:,} are shown, those that split a submap first.")
-    if spectra.thinned:
+    if spectra["thinned"]:
         found.append("Split tests show some of their nodes, evenly spread.")
     if drawn < refused:
         found.append(
