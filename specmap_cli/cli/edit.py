@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from specmap_cli.cli.options import (
     Bounds,
     Common,
     MapDirectory,
     Overwrite,
     keep_inputs,
+    option,
     output,
     uses_of,
 )
@@ -29,49 +28,42 @@ class Said:
     """What is said of submaps, and what is changed of borders and ways."""
 
     rename: Annotated[
-        list[str] | None,
-        typer.Option(metavar="ID NAME", help='Name a submap; "" takes the name back.'),
+        list[str] | None, option('Name a submap; "" takes the name back.', metavar="ID NAME")
     ] = None
     kind: Annotated[
-        list[str] | None,
-        typer.Option(metavar="ID KIND", help="Say what it is: room, corridor or hall."),
+        list[str] | None, option("Say what it is: room, corridor or hall.", metavar="ID KIND")
     ] = None
     set_property: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
+            "Note something: text, a number, true or false; KEY= takes it back.",
             metavar="ID KEY=VALUE",
-            help="Note something: text, a number, true or false; KEY= takes it back.",
         ),
     ] = None
     forget: Annotated[
-        list[int] | None,
-        typer.Option(metavar="ID", help="Take back name, kind and properties of a submap."),
+        list[int] | None, option("Take back name, kind and properties of a submap.", metavar="ID")
     ] = None
     merge: Annotated[
-        list[str] | None,
-        typer.Option(metavar="ID ID", help="Make the second submap a part of the first."),
+        list[str] | None, option("Make the second submap a part of the first.", metavar="ID ID")
     ] = None
     split: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="ID X1,Y1,X2,Y2",
-            help="Cut a submap along a line; what is right of it, seen from the first point, gets "
+        option(
+            "Cut a submap along a line; what is right of it, seen from the first point, gets "
             "a new id.",
+            metavar="ID X1,Y1,X2,Y2",
         ),
     ] = None
     forbid_door: Annotated[
-        list[str] | None,
-        typer.Option(metavar="ID ID", help="Robots must not go from one to the other."),
+        list[str] | None, option("Robots must not go from one to the other.", metavar="ID ID")
     ] = None
     at: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="X,Y", help="Place of the forbidden door, once for each --forbid-door."
-        ),
+        option("Place of the forbidden door, once for each --forbid-door.", metavar="X,Y"),
     ] = None
     undo: Annotated[
         list[int] | None,
-        typer.Option(metavar="NUMBER", help="Take back a change by its number in edits.toml."),
+        option("Take back a change by its number in edits.toml.", metavar="NUMBER"),
     ] = None
 
 

@@ -17,8 +17,10 @@ from specmap_cli.cli.options import (
     MapDirectory,
     Overwrite,
     Settings,
+    argument,
     check_files,
     keep_inputs,
+    option,
     output,
 )
 from specmap_cli.core.errors import BROKEN_RULE, MapError, UsageError
@@ -29,24 +31,22 @@ _MOST_SCANS = 0.5  # share of the scans that makes most of them
 def localize(
     logs: Logs,
     map_directory: Annotated[
-        Path, typer.Option("--map", "-m", help="Map directory written by `specmap build`.")
+        Path, option("Map directory written by `specmap build`.", "--map", "-m")
     ],
     out: Annotated[Path | None, output("CSV to write, a line a scan.", "--output")] = None,
     plot: Annotated[
-        Path | None,
-        typer.Option(help="PNG to write: the predicted submap along the trajectory."),
-        WRITTEN,
+        Path | None, option("PNG to write: the predicted submap along the trajectory."), WRITTEN
     ] = None,
     offline: Annotated[
-        bool, typer.Option("--offline", help="Smooth over the whole log instead of filtering.")
+        bool, option("Smooth over the whole log instead of filtering.", "--offline")
     ] = False,
     metric: Annotated[
-        bool, typer.Option("--metric", help="Also match each scan within its submap's grid.")
+        bool, option("Also match each scan within its submap's grid.", "--metric")
     ] = False,
     overwrite: Overwrite = False,
     fail_on: Annotated[
         Literal["unknown"] | None,
-        typer.Option(help="Exit with code 5 when most scans are unknown. All is written anyway."),
+        option("Exit with code 5 when most scans are unknown. All is written anyway."),
     ] = None,
     *,
     settings: LogSettings,
@@ -81,10 +81,8 @@ def localize(
 
 
 def compare(
-    old: Annotated[
-        Path, typer.Argument(metavar="OLD", help="Map directory written by `specmap build`.")
-    ],
-    new: Annotated[Path, typer.Argument(metavar="NEW", help="A later map of the same building.")],
+    old: Annotated[Path, argument("OLD", "Map directory written by `specmap build`.")],
+    new: Annotated[Path, argument("NEW", "A later map of the same building.")],
     out: Annotated[
         Path | None, output("Directory to write: summary.txt, compare.json, compare.png.")
     ] = None,
@@ -131,20 +129,13 @@ def compare(
 
 def check(
     map_: MapDirectory,
-    rules: Annotated[
-        Path | None, typer.Option(help="TOML file of rules; they go over the defaults.")
-    ] = None,
+    rules: Annotated[Path | None, option("TOML file of rules; they go over the defaults.")] = None,
     against: Annotated[
-        Path | None,
-        typer.Option(metavar="GOLDEN", help="A map of the same building that is right."),
+        Path | None, option("A map of the same building that is right.", metavar="GOLDEN")
     ] = None,
-    junit: Annotated[
-        Path | None, typer.Option(help="JUnit XML to write, a test a rule."), WRITTEN
-    ] = None,
+    junit: Annotated[Path | None, option("JUnit XML to write, a test a rule."), WRITTEN] = None,
     markdown: Annotated[
-        Path | None,
-        typer.Option(help="Markdown to write: a table for the summary page of a CI."),
-        WRITTEN,
+        Path | None, option("Markdown to write: a table for the summary page of a CI."), WRITTEN
     ] = None,
     overwrite: Overwrite = False,
     *,
@@ -181,12 +172,7 @@ def check(
 
 
 def history(
-    maps: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="MAP...", help="Map directories, or directories of them.", show_default=False
-        ),
-    ],
+    maps: Annotated[list[Path], argument("MAP...", "Map directories, or directories of them.")],
     out: Annotated[
         Path | None,
         output(
@@ -194,7 +180,7 @@ def history(
         ),
     ] = None,
     timezone: Annotated[
-        str, typer.Option(metavar="NAME", help="Where days begin and end, such as Europe/Berlin.")
+        str, option("Where days begin and end, such as Europe/Berlin.", metavar="NAME")
     ] = "UTC",
     overwrite: Overwrite = False,
     *,
@@ -232,9 +218,8 @@ def report(
     out: Annotated[Path, output("HTML file to write.")] = Path("report.html"),
     compare: Annotated[
         Path | None,
-        typer.Option(
-            metavar="OLD",
-            help="An older map of the same building: what differs is drawn and listed.",
+        option(
+            "An older map of the same building: what differs is drawn and listed.", metavar="OLD"
         ),
     ] = None,
     overwrite: Overwrite = False,
@@ -275,7 +260,7 @@ def report(
 def export(
     map_: MapDirectory,
     format_: Annotated[
-        str, typer.Option("--format", "-f", help="One of those above, or of an installed package.")
+        str, option("One of those above, or of an installed package.", "--format", "-f")
     ],
     out: Annotated[Path, output("File to write.")],
     overwrite: Overwrite = False,

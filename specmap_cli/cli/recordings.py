@@ -16,7 +16,9 @@ from specmap_cli.cli.options import (
     LogSettings,
     Overwrite,
     Resolution,
+    argument,
     check_files,
+    option,
     output,
 )
 from specmap_cli.core.errors import UsageError
@@ -31,10 +33,7 @@ def info(
     settings: LogSettings,
     common: Common,
     check: Annotated[
-        bool,
-        typer.Option(
-            "--check", help="Read every message, and compare with the counts of the recording."
-        ),
+        bool, option("Read every message, and compare with the counts of the recording.", "--check")
     ] = False,
 ) -> None:
     """Show what a recording holds, and what to run next.
@@ -63,12 +62,7 @@ _OTHERS = frozenset({".bag", ".db3", ".log", ".clf", ".gz"})  # names of recordi
 
 def convert(
     paths: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="LOG",
-            help=f"{RECORDING} Without --out the last one is the MCAP to write.",
-            show_default=False,
-        ),
+        list[Path], argument("LOG", f"{RECORDING} Without --out the last one is the MCAP to write.")
     ],
     out: Annotated[Path | None, output("MCAP to write.")] = None,
     overwrite: Overwrite = False,
@@ -106,53 +100,43 @@ def convert(
 class Simulated:
     """The options of the laser, then of the robot and its tour, as in `SimulationOptions`."""
 
-    field_of_view_deg: Annotated[float, typer.Option("--fov", help="Field of view, degrees.")] = (
-        270.0
-    )
-    beams: Annotated[int, typer.Option(help="Beams a scan.")] = 541
-    range_max_m: Annotated[float, typer.Option("--range", help="Longest range, metres.")] = 20.0
-    rate_hz: Annotated[float, typer.Option("--rate", help="Scans a second.")] = 10.0
+    field_of_view_deg: Annotated[float, option("Field of view, degrees.", "--fov")] = 270.0
+    beams: Annotated[int, option("Beams a scan.")] = 541
+    range_max_m: Annotated[float, option("Longest range, metres.", "--range")] = 20.0
+    rate_hz: Annotated[float, option("Scans a second.", "--rate")] = 10.0
     sweep_s: Annotated[
-        float, typer.Option("--sweep", help="Seconds from a scan's first beam to its last.")
+        float, option("Seconds from a scan's first beam to its last.", "--sweep")
     ] = 0.0
-    noise_m: Annotated[
-        float, typer.Option("--noise", help="Standard deviation of a range, metres.")
-    ] = 0.01
-    dropouts: Annotated[float, typer.Option(help="Share of beams that return nothing.")] = 0.0
-    rings: Annotated[
-        int, typer.Option(help="Of a 3D lidar, each of so many beams. 1: a planar laser.")
-    ] = 1
+    noise_m: Annotated[float, option("Standard deviation of a range, metres.", "--noise")] = 0.01
+    dropouts: Annotated[float, option("Share of beams that return nothing.")] = 0.0
+    rings: Annotated[int, option("Of a 3D lidar, each of so many beams. 1: a planar laser.")] = 1
     vertical_fov_deg: Annotated[
-        float, typer.Option("--vertical-fov", help="3D: lowest ring to highest, degrees.")
+        float, option("3D: lowest ring to highest, degrees.", "--vertical-fov")
     ] = 45.0
     laser_height_m: Annotated[
-        float, typer.Option("--laser-height", help="3D: lidar above the floor, metres.")
+        float, option("3D: lidar above the floor, metres.", "--laser-height")
     ] = 0.6
     ceiling_m: Annotated[
-        float, typer.Option("--ceiling", help="3D: walls and ceiling above the floor, metres.")
+        float, option("3D: walls and ceiling above the floor, metres.", "--ceiling")
     ] = 2.5
-    speed_mps: Annotated[float, typer.Option("--speed", help="Metres a second.")] = 0.6
+    speed_mps: Annotated[float, option("Metres a second.", "--speed")] = 0.6
     odometry_drift: Annotated[
-        float, typer.Option(help="Errors of the odometry: 0 exact, 1 a usual robot.")
+        float, option("Errors of the odometry: 0 exact, 1 a usual robot.")
     ] = 1.0
     spacing_m: Annotated[
-        float, typer.Option("--spacing", help="The path comes this near to every place, metres.")
+        float, option("The path comes this near to every place, metres.", "--spacing")
     ] = 2.0
-    laps: Annotated[int, typer.Option(help="Tours, each by another route.")] = 1
+    laps: Annotated[int, option("Tours, each by another route.")] = 1
     max_duration_s: Annotated[
-        float | None,
-        typer.Option("--max-duration", help="End the recording after so many seconds."),
+        float | None, option("End the recording after so many seconds.", "--max-duration")
     ] = None
-    seed: Annotated[int, typer.Option(help="Another seed, another route and other errors.")] = 0
+    seed: Annotated[int, option("Another seed, another route and other errors.")] = 0
 
 
 def simulate(
     context: typer.Context,
     plan: Annotated[
-        Path,
-        typer.Argument(
-            metavar="PLAN", help="Floor plan: map_server .yaml, or .png with --resolution."
-        ),
+        Path, argument("PLAN", "Floor plan: map_server .yaml, or .png with --resolution.")
     ],
     out: Annotated[Path, output("MCAP to write; the true poses go beside it, as .tum.")],
     resolution: Resolution = None,
@@ -198,17 +182,17 @@ class Task:
 
     protocol: Annotated[
         Literal["holdout", "revisit"] | None,
-        typer.Option(
-            help="holdout: label scans held out of the map (Table II of the paper); "
+        option(
+            "holdout: label scans held out of the map (Table II of the paper); "
             "revisit: label another log (Figure 6)."
         ),
     ] = None
     baseline: Annotated[
         Literal["room-hallway"] | None,
-        typer.Option(help="room-hallway: kinds of places instead of places (Figure 5c)."),
+        option("room-hallway: kinds of places instead of places (Figure 5c)."),
     ] = None
     trajectory: Annotated[
-        Path | None, typer.Option(help="Trajectory to score, such as out/trajectory.tum.")
+        Path | None, option("Trajectory to score, such as out/trajectory.tum.")
     ] = None
 
 
@@ -217,20 +201,20 @@ class Truth:
     """What is known to be true."""
 
     relations: Annotated[
-        Path | None, typer.Option(help="True relative poses: t1 t2 x y z roll pitch yaw.")
+        Path | None, option("True relative poses: t1 t2 x y z roll pitch yaw.")
     ] = None
     reference: Annotated[
         list[Path] | None,
-        typer.Option(help="True poses, TUM. With two logs: of the first, then of the second."),
+        option("True poses, TUM. With two logs: of the first, then of the second."),
     ] = None
     rooms: Annotated[
         list[Path] | None,
-        typer.Option(
-            help="room-hallway: picture of the rooms, white, its lower left corner the origin of "
+        option(
+            "room-hallway: picture of the rooms, white, its lower left corner the origin of "
             "the true poses; a second one when LOG2 is of another building."
         ),
     ] = None
-    resolution: Annotated[float, typer.Option(min=0.001, help="Metres a pixel of --rooms.")] = 0.05
+    resolution: Annotated[float, option("Metres a pixel of --rooms.", min=0.001)] = 0.05
 
     @property
     def references(self) -> list[Path]:
@@ -247,12 +231,10 @@ class Truth:
 class Drawing:
     """How the scans of a hold-out are drawn, named as in `HoldOut`."""
 
-    split: Annotated[Literal["random", "blocks"], typer.Option(help="How scans are held out.")] = (
-        "random"
-    )
-    share: Annotated[float, typer.Option(min=0.01, max=0.9, help="Share held out.")] = 0.2
-    block: Annotated[int, typer.Option(min=1, help="Scans of a block.")] = 100
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the split.")] = 0
+    split: Annotated[Literal["random", "blocks"], option("How scans are held out.")] = "random"
+    share: Annotated[float, option("Share held out.", min=0.01, max=0.9)] = 0.2
+    block: Annotated[int, option("Scans of a block.", min=1)] = 100
+    seed: Annotated[int, option("Seed of the split.", min=0)] = 0
 
 
 class Found(NamedTuple):
@@ -266,11 +248,10 @@ class Found(NamedTuple):
 def evaluate(
     logs: Annotated[
         list[Path] | None,
-        typer.Argument(
-            metavar="[LOG] [LOG2]",
-            help="holdout: a log. revisit: a log or its map directory, and the other log. "
+        argument(
+            "[LOG] [LOG2]",
+            "holdout: a log. revisit: a log or its map directory, and the other log. "
             "room-hallway: the log to learn from, and the log to name.",
-            show_default=False,
         ),
     ] = None,
     out: Annotated[
