@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from specmap_cli.cli import edit, making, maps, recordings
+from specmap_cli.cli import making, maps, recordings
 from specmap_cli.cli.entry import print_text
 from specmap_cli.cli.options import Common, JoinedCommand, Settings, argument, option, unfolded
 from specmap_cli.core.errors import UsageError
@@ -128,7 +128,7 @@ _COMMANDS: tuple[Callable[..., None], ...] = (  # in the order of the help
     maps.check,
     maps.history,
     making.batch,
-    edit.edit,
+    maps.edit,
     maps.report,
     making.segment,
     recordings.evaluate,
