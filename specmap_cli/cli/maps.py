@@ -111,13 +111,7 @@ def compare(
     specmap compare monday friday
     specmap compare monday friday -o changes --json
     """
-    from specmap_cli.pipelines.compare import (
-        PICTURE,
-        compare_maps,
-        comparison_directory,
-        lines_of,
-        write_comparison,
-    )
+    from specmap_cli.pipelines import compare as comparing
     from specmap_cli.pipelines.history import span_ns
 
     if out is not None:
@@ -125,14 +119,16 @@ def compare(
     one, other = settings.read(old), settings.read(new)
     effective = settings.of_map(one)
     with common.progress() as progress, ExitStack() as outputs:
-        partial = out and outputs.enter_context(comparison_directory(out, overwrite, progress))
-        found = compare_maps(one, other, effective, progress)
+        partial = out and outputs.enter_context(
+            comparing.comparison_directory(out, overwrite, progress)
+        )
+        found = comparing.compare_maps(one, other, effective, progress)
         if partial is not None:
-            write_comparison(found, partial)
+            comparing.write_comparison(found, partial)
         if span_ns(one)[1] > span_ns(other)[1]:
             progress.note(f"{new}: its last scan is older than that of {old}: are they swapped?")
-    record, look = found.record, [f"look at {out / PICTURE}"] if out else []
-    common.show(record.model_dump(), [*lines_of(record), *look])
+    record, look = found.record, [f"look at {out / comparing.PICTURE}"] if out else []
+    common.show(record.model_dump(), [*comparing.lines_of(record), *look])
 
 
 def check(

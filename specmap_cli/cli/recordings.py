@@ -309,13 +309,7 @@ def _need(condition: bool, usage: str) -> None:
 
 
 def _score_trajectory(trajectory: Path, truth: Truth) -> Found:
-    from specmap_cli.evaluation.trajectories import (
-        read_relations,
-        reference_errors,
-        reference_lines,
-        relation_errors,
-        relation_lines,
-    )
+    from specmap_cli.evaluation import trajectories
     from specmap_cli.maps.text_files import read_tum
 
     _need(
@@ -324,10 +318,10 @@ def _score_trajectory(trajectory: Path, truth: Truth) -> Found:
     )
     poses = read_tum(trajectory)
     if truth.relations is not None:
-        errors = relation_errors(poses, read_relations(truth.relations))
-        return Found(asdict(errors), relation_lines(errors))
-    found = reference_errors(poses, read_tum(truth.references[0]))
-    return Found(found.as_dict(), reference_lines(found))
+        errors = trajectories.relation_errors(poses, trajectories.read_relations(truth.relations))
+        return Found(asdict(errors), trajectories.relation_lines(errors))
+    found = trajectories.reference_errors(poses, read_tum(truth.references[0]))
+    return Found(found.as_dict(), trajectories.reference_lines(found))
 
 
 def _hold_out(logs: list[Path], drawing: Drawing, config: Config, common: Common) -> Found:

@@ -33,16 +33,7 @@ from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.json_values import Point
 from specmap_cli.core.progress import Progress
 from specmap_cli.drawing.palette import darker
-from specmap_cli.exports.layers import (
-    LAYER_STEP_M,
-    WAY,
-    Layer,
-    Rgb,
-    colours,
-    graph_lines,
-    layers,
-    scans_of,
-)
+from specmap_cli.exports import layers
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps.keyframe_log import EvenSpacing
 from specmap_cli.maps.rooms import Fields, known, told_of
@@ -187,12 +178,12 @@ def foxglove(stored: Map, target: IO[bytes], progress: Progress) -> None:
     stamps_ns, frame = stored.keyframes.stamps_ns, stored.frame
     start_ns = max(int(stamps_ns[0]), 0) if len(stamps_ns) else 0
     log = _Log(target, start_ns)
-    fills = colours(stored)
-    for number, layer in enumerate(layers(stored, fills)):
+    fills = layers.colours(stored)
+    for number, layer in enumerate(layers.layers(stored, fills)):
         log.add(f"/{layer.name}", "Grid", log.head(frame) | _grid(layer, number))
     log.add("/submaps", "SceneUpdate", submap_scene(stored, log.head(frame), fills))
     log.add("/graph", "SceneUpdate", graph_scene(stored, log.head(frame)))
-    with scans_of(stored, progress) as scans:
+    with layers.scans_of(stored, progress) as scans:
         if scans is not None:
             poses = [_pose(Pose2(*pose)) for pose in stored.trajectory.driven.tolist()]
             log.add("/trajectory", "PosesInFrame", log.head(frame) | {"poses": poses})
@@ -268,12 +259,12 @@ def _write_scans(
         progress.advance()
 
 
-def _grid(layer: Layer, number: int) -> Fields:
+def _grid(layer: layers.Layer, number: int) -> Fields:
     """A grid of coloured cells; Foxglove takes such fields as they are."""
     width = layer.rgba.shape[1]
     channels = ("red", "green", "blue", "alpha")
     return {
-        "pose": _pose(Pose2(*layer.origin, 0.0), number * LAYER_STEP_M),
+        "pose": _pose(Pose2(*layer.origin, 0.0), number * layers.LAYER_STEP_M),
         "column_count": width,
         "cell_size": {"x": layer.resolution, "y": layer.resolution},
         "row_stride": 4 * width,
@@ -304,7 +295,7 @@ _ANCHOR_M = 0.25
 _OUTLINE_Z, _WAY_Z, _ANCHOR_Z, _TEXT_Z = 0.02, 0.04, 0.06, 0.5
 
 
-def submap_scene(stored: Map, head: Fields, fills: Mapping[int, Rgb]) -> dict[str, Any]:
+def submap_scene(stored: Map, head: Fields, fills: Mapping[int, layers.Rgb]) -> dict[str, Any]:
     """The outline and the name of each submap; `head` is what each begins with."""
     entities = []
     for node in stored.rooms.values():
@@ -330,10 +321,10 @@ def graph_scene(stored: Map, head: Fields) -> dict[str, Any]:
     for node in stored.rooms.values():
         if node.anchor is not None:
             pose = _pose(Pose2(*node.anchor, 0.0), _ANCHOR_Z)
-            spheres = [{"pose": pose, "size": size, "color": _colour(WAY)}]
+            spheres = [{"pose": pose, "size": size, "color": _colour(layers.WAY)}]
             told = {"clearance_m": node.anchor_clearance_m}
             entities.append(_entity(f"anchor {node.id}", head, told, spheres=spheres))
-    for one in graph_lines(stored):
+    for one in layers.graph_lines(stored):
         width_px = _LINE_PX if one.is_way else _NO_WAY_PX
         if one.kind == "door":
             width_px = 2.0 * _LINE_PX
@@ -349,7 +340,11 @@ def _entity(id_: str, head: Fields, told: Fields, **drawn: Any) -> dict[str, Any
 
 
 def _line(
-    points: Sequence[Point], colour: Rgb, thickness_px: float, z: float, kind: int = LINE_STRIP
+    points: Sequence[Point],
+    colour: layers.Rgb,
+    thickness_px: float,
+    z: float,
+    kind: int = LINE_STRIP,
 ) -> dict[str, Any]:
     """A line as wide on the screen at any distance."""
     return {
@@ -362,6 +357,6 @@ def _line(
     }
 
 
-def _colour(rgb: Rgb) -> dict[str, float]:
+def _colour(rgb: layers.Rgb) -> dict[str, float]:
     red, green, blue = (channel / 255.0 for channel in rgb)
     return {"r": red, "g": green, "b": blue, "a": 1.0}

@@ -27,16 +27,6 @@ from specmap_cli.maps import filenames
 from specmap_cli.maps.store import Map
 from specmap_cli.report import layers
 from specmap_cli.report.html import PACKAGE, fill_names, html_page, lasting, shown, tones
-from specmap_cli.report.layers import (
-    Changes,
-    DrawnMap,
-    Evidence,
-    Learned,
-    Track,
-    old_map,
-    running_seconds,
-    spectra_of,
-)
 from specmap_cli.topology.topological_map import starts_of
 
 # the parts of the script in their order; each uses only what stands before it
@@ -60,23 +50,23 @@ _LEARNED_COLUMNS = (("told right", "number"), ("most like", "text"))
 _MOST_LOST = 500  # places of lost scans that are drawn, evenly spread
 
 
-def render(stored: Map, evidence: Evidence, changes: Changes | None = None) -> str:
+def render(stored: Map, evidence: layers.Evidence, changes: layers.Changes | None = None) -> str:
     """The report on a stored map as the text of one HTML page.
 
     Raises MapError when a file of the map is missing or damaged.
     """
-    map_ = DrawnMap(stored)
+    map_ = layers.DrawnMap(stored)
     starts = starts_of(stored.logs)  # of the recordings after the first one, in keyframes
-    track = Track.of(stored.keyframes, starts, evidence.fit)
-    seconds = running_seconds(stored.keyframes.stamps_ns, starts).tolist()
-    spectra = spectra_of(evidence, seconds, map_.frame)
+    track = layers.Track.of(stored.keyframes, starts, evidence.fit)
+    seconds = layers.running_seconds(stored.keyframes.stamps_ns, starts).tolist()
+    spectra = layers.spectra_of(evidence, seconds, map_.frame)
     closures, refused = layers.closures_of(map_)
     context = {
         **_drawn(map_, track),
         **_words(map_, track, evidence),
         "closures": closures,
         "spectra": spectra,
-        "old": None if changes is None else old_map(changes, map_),
+        "old": None if changes is None else layers.old_map(changes, map_),
         "data": {  # what the script needs to know
             "width": map_.frame.width,
             "height": map_.frame.height,
@@ -91,7 +81,7 @@ def render(stored: Map, evidence: Evidence, changes: Changes | None = None) -> s
     return html_page(PACKAGE, "page.html", context, _STYLES, _SCRIPTS)
 
 
-def _drawn(map_: DrawnMap, track: Track) -> dict[str, Any]:
+def _drawn(map_: layers.DrawnMap, track: layers.Track) -> dict[str, Any]:
     """What is drawn of the map, and of the robot's way."""
     doors = map_.stored.doors
     fills = fill_names(map_.fills.values())
@@ -119,7 +109,7 @@ def _drawn(map_: DrawnMap, track: Track) -> dict[str, Any]:
     }
 
 
-def _words(map_: DrawnMap, track: Track, evidence: Evidence) -> dict[str, Any]:
+def _words(map_: layers.DrawnMap, track: layers.Track, evidence: layers.Evidence) -> dict[str, Any]:
     """What is written beside the map."""
     quality, gravity = map_.stored.quality, ("poor", "doubtful", "note")
     findings = [] if quality is None else list(quality.findings)
@@ -151,7 +141,9 @@ def _words(map_: DrawnMap, track: Track, evidence: Evidence) -> dict[str, Any]:
     }
 
 
-def _left_out(track: Track, spectra: Mapping[str, Any], drawn: int, refused: int) -> list[str]:
+def _left_out(
+    track: layers.Track, spectra: Mapping[str, Any], drawn: int, refused: int
+) -> list[str]:
     """A sentence for each part of the map that is not shown whole."""
     found = ["Outlines are simplified by half a cell; places are rounded to centimetres."]
     if len(track.seconds) < track.total:
@@ -181,7 +173,7 @@ _VERDICTS: Mapping[Verdict | None, str] = {
 }
 
 
-def _facts_of(map_: DrawnMap, track: Track) -> list[tuple[str, str, str]]:
+def _facts_of(map_: layers.DrawnMap, track: layers.Track) -> list[tuple[str, str, str]]:
     """The figures at the top of the page, each with its unit and what it counts."""
     record, doors = map_.stored.record, map_.stored.doors
     driven = sum(door.driven for door in doors)
@@ -212,7 +204,7 @@ def _plural(count: int, noun: str) -> str:
     return counted(count, noun).split(" ", 1)[1]
 
 
-def _run_of(map_: DrawnMap) -> dict[str, Any]:
+def _run_of(map_: layers.DrawnMap) -> dict[str, Any]:
     """How the map was made, by parts; they are empty for a map without run.json."""
     stored = map_.stored
     known = (stored.path / filenames.RUN).exists()
@@ -241,7 +233,9 @@ def _pairs(values: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     )
 
 
-def _sheets_of(map_: DrawnMap, learned: Mapping[int, Learned]) -> list[dict[str, Any]]:
+def _sheets_of(
+    map_: layers.DrawnMap, learned: Mapping[int, layers.Learned]
+) -> list[dict[str, Any]]:
     """All that is told of each submap, by id; `visits` are start and length in seconds."""
     edges = map_.stored.record.edges
     ends = [(edge.source, edge.target) for edge in edges if not edge.doors]
@@ -267,7 +261,7 @@ def _sheets_of(map_: DrawnMap, learned: Mapping[int, Learned]) -> list[dict[str,
                 "sides_m": sides_m,
                 "thumbnail": thumbnail,
                 "thumbnail_size": size,
-                "learned": learned.get(id_, Learned()),
+                "learned": learned.get(id_, layers.Learned()),
             }
         )
     return sheets
