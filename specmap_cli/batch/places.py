@@ -18,9 +18,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from specmap_cli.batch.records import JOB, MAP, JobRecord
+from specmap_cli.batch.records import EXTRA, JOB, MAP, JobRecord
 from specmap_cli.core.errors import MACHINE, PACKAGE, SpecmapError, UsageError
 from specmap_cli.core.files import continued, lock, read_bytes, write_together
+from specmap_cli.core.plugins import extra
 from specmap_cli.core.text import to_json
 from specmap_cli.maps import filenames
 from specmap_cli.maps.directory import OutputDirectory
@@ -49,12 +50,7 @@ def path_at(place: str) -> Path | None:
 
 def store_at(url: str) -> tuple[Any, str]:
     """The file system of a URL and the path in it. Raises UsageError for one that is not known."""
-    try:
-        import fsspec
-    except ImportError:
-        raise UsageError(
-            "needs an extra", "pip install 'specmap-cli[batch]'", where=url, code=PACKAGE
-        ) from None
+    fsspec = extra("fsspec", EXTRA, "needs an extra", url)
     try:
         with reaching(url):
             system, path = fsspec.core.url_to_fs(url)

@@ -35,6 +35,8 @@ Kind = Literal["log", "no-result", "rule", "settings", "memory", "time", "place"
 MAP, REPORT, LABELS, CONFUSION = "map", "report.html", "labels.csv", "confusion.png"
 JOB, LOG_TEXT = "job.json", "log.txt"
 
+EXTRA = "'specmap-cli[batch]'"  # the extra of this package that a batch needs
+
 OptionValue = str | int | float | bool | list[Any]
 Meaning = Literal["flag", "text", "input", "output"]
 

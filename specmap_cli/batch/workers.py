@@ -20,15 +20,15 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from importlib import import_module
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, TypeVar
 from uuid import uuid4
 
 from specmap_cli import __version__
-from specmap_cli.batch.records import JobResult, Terms, Turn
+from specmap_cli.batch.records import EXTRA, JobResult, Terms, Turn
 from specmap_cli.batch.running import failure, run_job
-from specmap_cli.core.errors import PACKAGE, NoResultError, UsageError
+from specmap_cli.core.errors import NoResultError, UsageError
+from specmap_cli.core.plugins import extra
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -121,12 +121,7 @@ def share_of_memory_mb(cluster: Cluster) -> int:
 
 def require_dask() -> None:
     """UsageError unless Dask is installed."""
-    try:
-        import_module("distributed")
-    except ImportError as error:
-        raise UsageError(
-            f"workers need Dask ({error})", "pip install 'specmap-cli[batch]'", code=PACKAGE
-        ) from None
+    extra("distributed", EXTRA, "workers need Dask ({error})")
 
 
 def _version() -> str:

@@ -15,9 +15,9 @@ from typing import IO, Any
 
 import numpy as np
 
-from specmap_cli.core.errors import PACKAGE, UsageError
 from specmap_cli.core.files import temporary_files
 from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.plugins import extra
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.text import encodable
 from specmap_cli.drawing.palette import darker
@@ -35,14 +35,8 @@ def rerun(stored: Map, target: IO[bytes], progress: Progress) -> None:
     Entities map, regions, submaps, graph, trajectory; robot and robot/scan on a timeline.
     Raises UsageError when rerun-sdk is not installed.
     """
-    try:
-        import rerun as sdk
-    except ImportError:
-        raise UsageError(
-            "the format rerun needs rerun-sdk, which is not installed",
-            "pip install 'specmap-cli[rerun]'",
-            code=PACKAGE,
-        ) from None
+    needed = "the format rerun needs rerun-sdk, which is not installed"
+    sdk = extra("rerun", "'specmap-cli[rerun]'", needed)
     with temporary_files():
         folder = TemporaryDirectory(prefix="specmap-")
     with folder as name:
