@@ -1,8 +1,7 @@
 """A whole batch: which job is done when, what is told and written meanwhile, and the summaries.
 
 Long jobs are handed out first, those in want of memory last. A batch holds nothing that its death
-would lose, since each result lies in the output before it is told here. An event is a line of JSON:
-`EventRecord` is its format, `batch.schema.json` beside this file the same for other tools.
+would lose, since each result lies in the output before it is told here.
 """
 
 from __future__ import annotations

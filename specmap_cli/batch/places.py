@@ -179,10 +179,7 @@ class Folder:
             return None
 
     def _found(self) -> tuple[JobRecord | None, Mapping[str, int], bool]:
-        """The record that lies there, the files beside it in bytes, and whether it was edited.
-
-        That is: whether a person decided about the map since the job made it, by `specmap edit`.
-        """
+        """The record there, the files beside it in bytes, and whether a person edited the map."""
         found = self._read()
         if found is None:
             return None, {}, False

@@ -2,7 +2,6 @@
 
 `Job` and its parts say what is to be done; they are made by `batch.jobs`, and can be pickled.
 `JobRecord` and its parts are the format of `job.json`, which a finished job leaves in its folder.
-`job.schema.json` beside this file is the same as JSON Schema, for other tools.
 """
 
 from __future__ import annotations

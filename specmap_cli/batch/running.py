@@ -248,10 +248,7 @@ def _run_step(
 
 
 def _environment(temporary: Path) -> dict[str, str]:
-    """The environment of a step: this one, with a processor and temporary files of its own.
-
-    What SPECMAP_ variables a worker happens to have must not change a result.
-    """
+    """The environment of a step: one processor, own temporary files, no SPECMAP_ variables."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith("SPECMAP_")}
     found = {**kept, **_ONE_PROCESSOR, "TMPDIR": str(temporary)}
     root = Path(specmap_cli.__file__).parent.parent

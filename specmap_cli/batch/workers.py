@@ -205,10 +205,7 @@ class Workers:
         return turn, failure(turn, "worker", told, self._terms.limits)
 
     def _roomiest_host(self) -> tuple[list[str], int | None]:
-        """The workers of the host whose workers have the most memory together, and how much.
-
-        That is in megabytes; None: any.
-        """
+        """The workers of the host with the most memory together, and the megabytes (None: any)."""
         told = self._client.scheduler_info(n_workers=-1)["workers"]
         limit = self._terms.limits.memory_mb
         hosts: dict[str, tuple[list[str], int]] = {}

@@ -6,8 +6,7 @@ none. Figures that begin with `golden.` are of a comparison with another map.
 A file of rules is TOML (docs/check.md shows one). What it says goes over `default_rules.toml`
 beside this file; an infinite bound takes a default away, and `defaults = false` all of them.
 
-What a check found is told for a machine, a person and a CI. The models are the format of
-`specmap check --json`; `check.schema.json` beside this file is the same as JSON Schema.
+What a check found is told for a machine, a person and a CI.
 """
 
 from __future__ import annotations

@@ -188,10 +188,7 @@ def _fail(error: SpecmapError, as_json: bool) -> int:
 
 
 def _print_error(error: SpecmapError, as_json: bool) -> None:
-    """The error as one object on stdout, when it is to be JSON: schemas/error.schema.json.
-
-    It is one line, as `batch` prints lines.
-    """
+    """The error as an object in one line of stdout, if it is to be JSON: error.schema.json."""
     if not as_json:
         return
     parts = {

@@ -1,7 +1,6 @@
 """The contents of history.json: buildings, their rooms, visits by day, and what changed when.
 
-These models are the format. `history.schema.json` beside this file is the same as JSON Schema, for
-other tools. Lengths are metres; places are in the frame of a building, that of its first map.
+Lengths are metres; places are in the frame of a building, that of its first map.
 Visits of rooms are counted by day (`days_of`), from the room that each keyframe was taken in.
 
 For people there are tables for spreadsheets, lines, and a page without a script: a section a

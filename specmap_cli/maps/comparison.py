@@ -1,7 +1,6 @@
 """The contents of compare.json: two maps against each other.
 
-These models are the format. `comparison.schema.json` beside this file is the same as JSON Schema,
-for other tools. Lengths are metres, angles radians; places are in the frame of the old map.
+Lengths are metres, angles radians; places are in the frame of the old map.
 """
 
 from __future__ import annotations

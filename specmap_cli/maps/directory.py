@@ -276,10 +276,7 @@ def _keep(source: Path, target: Path) -> None:
 
 
 def _remove(partial: Path, parents: list[Path], locks: ExitStack) -> None:
-    """Take back what entering made: the partial directory, its parents while they are empty, locks.
-
-    After the partial directory was renamed there is nothing to take back. It may run twice.
-    """
+    """Take back what entering made and is still there: partial directory, empty parents, locks."""
     with _signals_held():
         shutil.rmtree(partial, ignore_errors=True)
         with suppress(OSError):

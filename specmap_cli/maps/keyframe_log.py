@@ -257,10 +257,7 @@ def _nearest(scan: PlanarScan, bearings: FloatArray) -> FloatArray:
 
 
 def _looked_at(bearings: FloatArray, ranges: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A circle of beams without the longest run of those that saw nothing, the first of equals.
-
-    Two beams go at the least.
-    """
+    """A circle of beams without the longest run that saw nothing: the first, two beams at least."""
     count, seen = len(ranges), np.flatnonzero(~np.isnan(ranges))
     start, length = 0, count
     if len(seen):

@@ -1,7 +1,6 @@
 """The contents of topology.json: node-link JSON that networkx reads as it is, read and checked.
 
-These models are the format. `topology.schema.json` beside this file is the same as JSON Schema, for
-other tools. Lengths are metres, angles radians, stamps seconds; everything is in the frame named by
+Lengths are metres, angles radians, stamps seconds; everything is in the frame named by
 `graph.frame` unless it says otherwise.
 
 A map of schema 1 is read as one of schema 2, and so is one of the first versions of schema 2, which
