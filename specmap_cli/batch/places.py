@@ -20,7 +20,7 @@ from pydantic import ValidationError
 
 from specmap_cli.batch.records import EXTRA, JOB, MAP, JobRecord
 from specmap_cli.core.errors import MACHINE, PACKAGE, SpecmapError, UsageError
-from specmap_cli.core.files import continued, lock, read_bytes, write_together
+from specmap_cli.core.files import continued, held, lock, read_bytes, write_together
 from specmap_cli.core.plugins import extra
 from specmap_cli.core.text import to_json
 from specmap_cli.maps import filenames
@@ -89,13 +89,9 @@ def scratch_directory(root: str | None) -> Iterator[Path]:
         parent.mkdir(parents=True, exist_ok=True)
         for left in list(parent.iterdir()):
             if _OURS.fullmatch(left.name) and not left.is_symlink():
-                with suppress(OSError):
-                    descriptor = os.open(left, os.O_RDONLY | os.O_DIRECTORY)
-                    try:
-                        if lock(descriptor):
-                            shutil.rmtree(left, ignore_errors=True)
-                    finally:
-                        os.close(descriptor)
+                with suppress(OSError), held(left) as nobody_s:
+                    if nobody_s:
+                        shutil.rmtree(left, ignore_errors=True)
         directory, descriptor = _locked(parent)
     except OSError as error:
         found, advice = "no temporary files can be made there", "choose another scratch directory"
