@@ -134,8 +134,8 @@ class Workers:
     def __init__(self, client: Client, terms: Terms) -> None:
         self._client = client
         self._terms = terms
-        self._turns: dict[str, Turn] = {}
-        self._futures: dict[str, Future] = {}  # a future that nobody holds is given up by Dask
+        # a future that nobody holds is given up by Dask
+        self._running: dict[str, tuple[Turn, Future]] = {}
         self._ended: SimpleQueue[Future] = SimpleQueue()
 
     def __enter__(self) -> Workers:
@@ -143,8 +143,8 @@ class Workers:
 
     def __exit__(self, *_: object) -> None:
         """Jobs that still run are given up: the workers end their steps."""
-        if self._futures and self._client.status == "running":
-            self._client.cancel(list(self._futures.values()), force=True)
+        if self._running and self._client.status == "running":
+            self._client.cancel([future for _, future in self._running.values()], force=True)
 
     def slots(self) -> int:
         """How many jobs the workers can do at once, now. NoResultError without a scheduler."""
@@ -170,7 +170,6 @@ class Workers:
             terms = replace(terms, limits=replace(terms.limits, memory_mb=memory_mb))
             workers = addresses or None
         key = f"specmap-{uuid4().hex}"
-        self._turns[key] = turn
         future = self._client.submit(
             on_worker,
             turn,
@@ -181,7 +180,7 @@ class Workers:
             workers=workers,
             allow_other_workers=workers is not None,  # where these have gone meanwhile
         )
-        self._futures[key] = future
+        self._running[key] = turn, future
         future.add_done_callback(self._ended.put)
 
     def next_result(self) -> tuple[Turn, JobResult | None] | None:
@@ -190,8 +189,7 @@ class Workers:
             future = self._ended.get(timeout=_POLL_S)
         except Empty:
             return None
-        turn = self._turns.pop(future.key)
-        del self._futures[future.key]
+        turn, _ = self._running.pop(future.key)
         if future.status == "finished":
             return turn, future.result()
         if future.status != "error":
