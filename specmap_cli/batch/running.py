@@ -43,7 +43,7 @@ from specmap_cli.batch.records import (
 from specmap_cli.batch.sources import digest_of, fetched, inputs_of
 from specmap_cli.checking.rules import figures_of
 from specmap_cli.core.errors import LogError, MapError, SpecmapError, UsageError
-from specmap_cli.core.text import legible
+from specmap_cli.core.text import one_line
 from specmap_cli.maps.store import read_map
 
 PROGRAM = (sys.executable, "-P", "-m", "specmap_cli")
@@ -164,7 +164,7 @@ class _Attempt:
             version=__version__,
             state="done" if kind is None else "failed",
             kind=kind,
-            reason=None if reason is None else legible(" ".join(reason.split())),
+            reason=None if reason is None else one_line(reason),
             attempts=self.turn.attempt,
             limits=self.limits,
             started_utc=self._started_utc,

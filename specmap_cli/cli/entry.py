@@ -31,7 +31,7 @@ from specmap_cli.core.errors import (
     reason,
 )
 from specmap_cli.core.progress import Level
-from specmap_cli.core.text import legible
+from specmap_cli.core.text import one_line
 
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
@@ -239,14 +239,6 @@ def discard_stdout() -> None:
     with suppress(OSError, AttributeError):  # closed, or no file at all
         os.dup2(nowhere, sys.stdout.fileno())
     os.close(nowhere)
-
-
-def one_line(text: str) -> str:
-    """`text` as one line: spaces for white space, escapes for what no terminal can show.
-
-    That is control characters, which it would obey, and bytes of a file name that are no text.
-    """
-    return legible(" ".join(text.split()))
 
 
 def bars() -> RichProgress:

@@ -17,6 +17,7 @@ import numpy as np
 from specmap_cli.core.arrays import evenly, runs
 from specmap_cli.core.geometry import BentMotion, FloatArray
 from specmap_cli.core.records import BoolArray, Closure, IntArray, Labels
+from specmap_cli.core.text import one_line
 from specmap_cli.drawing.overview import drawn_as
 from specmap_cli.drawing.palette import Colour, colours_of
 from specmap_cli.drawing.sheet import extent_of, strokes
@@ -29,7 +30,6 @@ from specmap_cli.report.html import (
     fill_names,
     outlines,
     path_data,
-    shown,
     simplified,
 )
 from specmap_cli.topology.regions import NOBODY
@@ -67,7 +67,7 @@ class DrawnMap:
     @cached_property
     def names(self) -> dict[int, str]:
         """What the submaps are called: by a person, or by their numbers."""
-        return {id_: shown(node.name) for id_, node in self.stored.rooms.items()}
+        return {id_: one_line(node.name) for id_, node in self.stored.rooms.items()}
 
     @property
     def walls(self) -> str:

@@ -19,14 +19,14 @@ from specmap_cli.core.arrays import evenly
 from specmap_cli.core.findings import Verdict
 from specmap_cli.core.json_values import part_of
 from specmap_cli.core.settings import Config
-from specmap_cli.core.text import counted, seconds
+from specmap_cli.core.text import counted, one_line, seconds
 from specmap_cli.core.toml import flat
 from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap
 from specmap_cli.grids.map_server import png_bytes
 from specmap_cli.maps import filenames
 from specmap_cli.maps.store import Map
 from specmap_cli.report import layers
-from specmap_cli.report.html import PACKAGE, fill_names, html_page, lasting, shown, tones
+from specmap_cli.report.html import PACKAGE, fill_names, html_page, lasting, tones
 from specmap_cli.topology.topological_map import starts_of
 
 # the parts of the script in their order; each uses only what stands before it
@@ -120,8 +120,8 @@ def _words(map_: layers.DrawnMap, track: layers.Track, evidence: layers.Evidence
     headline, *others = [log.name for log in map_.stored.record.graph.logs]
     headline += f" and {counted(len(others), 'more recording')}" if others else ""
     return {
-        "title": shown(headline),
-        "place": shown(map_.stored.path.resolve().name),
+        "title": one_line(headline),
+        "place": one_line(map_.stored.path.resolve().name),
         "verdict": "not judged" if quality is None else quality.verdict,
         "sentence": _VERDICTS[map_.stored.verdict],
         "facts": _facts_of(map_, track),
