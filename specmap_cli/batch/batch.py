@@ -1,8 +1,7 @@
 """A whole batch: which job is done when, what is told and written meanwhile, and the summaries.
 
 Long jobs are handed out first, those in want of memory last. A batch holds nothing that its death
-would lose, since each result lies in the output before it is told here. An event is a line of JSON:
-`EventRecord` is its format, `batch.schema.json` beside this file the same for other tools.
+would lose, since each result lies in the output before it is told here.
 """
 
 from __future__ import annotations
@@ -31,8 +30,6 @@ from specmap_cli.core.json_values import Record
 from specmap_cli.core.schemas import ModelSchema
 from specmap_cli.core.text import counted
 from specmap_cli.report.html import lasting
-
-SCHEMA_VERSION = 1
 
 # What happens:
 #   began    the batch, with so many jobs
@@ -76,7 +73,8 @@ class Ledger:
 
     def __init__(self, jobs: Sequence[Job], sizes: Mapping[str, int]) -> None:
         self.results: dict[str, JobRecord] = {}
-        self.jobs = tuple(jobs)
+        # no long one is left when all others are done
+        self.jobs = sorted(jobs, key=lambda job: (-sizes[job.name], job.name))
         self.resumed = 0  # results that were there already
         self._sizes = sizes
         self._began = time.monotonic()
@@ -161,7 +159,7 @@ def _scans(record: JobRecord) -> int | None:
     return int(scans) if isinstance(scans, int | float) else None
 
 
-SCHEMA = ModelSchema(EventRecord, "batch", SCHEMA_VERSION, "specmap batch --json: one line")
+SCHEMA = ModelSchema(EventRecord, "batch", 1, "specmap batch --json: one line")
 
 
 _SUMMARY_EVERY_S = 60.0  # while the batch runs; each costs about a second for 10,000 jobs
@@ -210,7 +208,7 @@ def run_batch(
             workers = stack.enter_context(opened(cluster, terms))
             stack.callback(summarise)  # however it ends, once there are workers
             written = time.monotonic()
-            for event in work_off(longest_first(jobs, sizes), workers, retries, ledger):
+            for event in work_off(workers, retries, ledger):
                 note(event)
                 show(ledger)
                 if time.monotonic() - written > _SUMMARY_EVERY_S:
@@ -220,20 +218,13 @@ def run_batch(
     return ledger
 
 
-def longest_first(jobs: Sequence[Job], sizes: Mapping[str, int]) -> list[Job]:
-    """The jobs by the bytes of their logs, so that no long one is left when all others are done."""
-    return sorted(jobs, key=lambda job: (-sizes[job.name], job.name))
-
-
-def work_off(
-    jobs: Sequence[Job], workers: Workers, retries: int, ledger: Ledger
-) -> Iterator[EventRecord | None]:
-    """Do the jobs in their order, each tried `retries` times more where that may help.
+def work_off(workers: Workers, retries: int, ledger: Ledger) -> Iterator[EventRecord | None]:
+    """Do the jobs of a ledger in its order, each tried `retries` times more where that may help.
 
     Yields what happens as it happens, and None while nothing does. Never more jobs are handed out
     than there are workers: nothing queues up elsewhere.
     """
-    waiting, alone = deque(Turn(job) for job in jobs), deque[Turn]()
+    waiting, alone = deque(Turn(job) for job in ledger.jobs), deque[Turn]()
     running = 0
     while waiting or running or alone:
         if not waiting and not running:

@@ -319,10 +319,7 @@ def _export_name(step: Step) -> str:
 
 
 def _made(command: Command, plan: Plan, base: Path) -> tuple[list[Step], list[str]]:
-    """The steps of one command: an export for each format, else a single one.
-
-    And the files that they write by names of a person's choice.
-    """
+    """The steps of one command, an export for each format; the files that they write by name."""
     given = list(_given(command, plan, base))
     options = tuple(text for text, _ in given)
     inputs = tuple(text for text, meaning in given if meaning == "input")

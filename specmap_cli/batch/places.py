@@ -11,17 +11,17 @@ import os
 import re
 import shutil
 import tempfile
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
-from specmap_cli.batch.records import JOB, MAP, JobRecord
+from specmap_cli.batch.records import EXTRA, JOB, MAP, JobRecord
 from specmap_cli.core.errors import MACHINE, PACKAGE, SpecmapError, UsageError
-from specmap_cli.core.files import continued, lock, read_bytes, write_together
+from specmap_cli.core.files import continued, held, lock, read_bytes, write_together
+from specmap_cli.core.plugins import extra
 from specmap_cli.core.text import to_json
 from specmap_cli.maps import filenames
 from specmap_cli.maps.directory import OutputDirectory
@@ -50,12 +50,7 @@ def path_at(place: str) -> Path | None:
 
 def store_at(url: str) -> tuple[Any, str]:
     """The file system of a URL and the path in it. Raises UsageError for one that is not known."""
-    try:
-        import fsspec
-    except ImportError:
-        raise UsageError(
-            "needs an extra", "pip install 'specmap-cli[batch]'", where=url, code=PACKAGE
-        ) from None
+    fsspec = extra("fsspec", EXTRA, "needs an extra", url)
     try:
         with reaching(url):
             system, path = fsspec.core.url_to_fs(url)
@@ -94,13 +89,9 @@ def scratch_directory(root: str | None) -> Iterator[Path]:
         parent.mkdir(parents=True, exist_ok=True)
         for left in list(parent.iterdir()):
             if _OURS.fullmatch(left.name) and not left.is_symlink():
-                with suppress(OSError):
-                    descriptor = os.open(left, os.O_RDONLY | os.O_DIRECTORY)
-                    try:
-                        if lock(descriptor):
-                            shutil.rmtree(left, ignore_errors=True)
-                    finally:
-                        os.close(descriptor)
+                with suppress(OSError), held(left) as nobody_s:
+                    if nobody_s:
+                        shutil.rmtree(left, ignore_errors=True)
         directory, descriptor = _locked(parent)
     except OSError as error:
         found, advice = "no temporary files can be made there", "choose another scratch directory"
@@ -139,7 +130,7 @@ _FLAT = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "oss", "memory"}
 _BEGUN = "job.begun"  # lies in a folder of a store while it is written
 
 
-class Folder(ABC):
+class Folder:
     """Where the result of one job is kept: a directory here, or a folder of a store."""
 
     def __init__(self, place: str) -> None:
@@ -163,22 +154,28 @@ class Folder(ABC):
         """Where a person's decisions about the map lie that are not of the job; None for none."""
         return f"{self.place}/{_EDITS}" if self._found()[2] else None
 
-    @abstractmethod
-    def fresh(self, scratch: Path) -> AbstractContextManager[Path]:
+    @contextmanager
+    def fresh(self, scratch: Path) -> Iterator[Path]:
         """A directory to write a new result into; it takes its place when the block ends well.
 
         Raises UsageError when something else lies there, PlaceError for a store out of reach.
         """
+        del scratch  # a hidden sibling is renamed, which needs the same file system
+        with OutputDirectory(
+            self.place, overwrite=True, marker=JOB, ours=lambda _: True
+        ) as directory:
+            yield directory
 
-    @abstractmethod
     def _read(self) -> tuple[bytes, Mapping[str, int]] | None:
         """What job.json holds, and the files beside it in bytes; None where there is none."""
+        path = Path(self.place)
+        try:
+            return read_bytes(path / JOB, _MOST_MB), files_in(path)
+        except OSError:
+            return None
 
     def _found(self) -> tuple[JobRecord | None, Mapping[str, int], bool]:
-        """The record that lies there, the files beside it in bytes, and whether it was edited.
-
-        That is: whether a person decided about the map since the job made it, by `specmap edit`.
-        """
+        """The record there, the files beside it in bytes, and whether a person edited the map."""
         found = self._read()
         if found is None:
             return None, {}, False
@@ -193,7 +190,7 @@ class Folder(ABC):
 def folder_at(output: str, name: str) -> Folder:
     """The folder of the job `name` in an output directory, a path or a URL."""
     path = path_at(output)
-    return _InStore(f"{output.rstrip('/')}/{name}") if path is None else _Here(path / name)
+    return _InStore(f"{output.rstrip('/')}/{name}") if path is None else Folder(str(path / name))
 
 
 def files_in(directory: Path) -> dict[str, int]:
@@ -210,29 +207,6 @@ def files_in(directory: Path) -> dict[str, int]:
 def write_record(directory: Path, record: JobRecord) -> None:
     """Write job.json."""
     (directory / JOB).write_text(to_json(record.model_dump()), encoding="utf-8")
-
-
-class _Here(Folder):
-    """A folder on this machine: a hidden sibling is renamed when it is complete."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(str(path))
-        self._path = path
-
-    def _read(self) -> tuple[bytes, Mapping[str, int]] | None:
-        try:
-            return read_bytes(self._path / JOB, _MOST_MB), files_in(self._path)
-        except OSError:
-            return None
-
-    @contextmanager
-    def fresh(self, scratch: Path) -> Iterator[Path]:
-        """A new result beside the old one, which goes when it is complete."""
-        del scratch  # a rename needs the same file system
-        with OutputDirectory(
-            self._path, overwrite=True, marker=JOB, ours=lambda _: True
-        ) as directory:
-            yield directory
 
 
 class _InStore(Folder):

@@ -15,8 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Literal
 
-from specmap_cli.batch.records import Kind, Limits, Step, StepOutcome
-from specmap_cli.core.errors import BROKEN_RULE, MACHINE, MEMORY, PACKAGE, UsageError
+from specmap_cli.batch.records import EXTRA, Kind, Limits, Step, StepOutcome
+from specmap_cli.core.errors import BROKEN_RULE, MACHINE, MEMORY
+from specmap_cli.core.json_values import part_of
+from specmap_cli.core.plugins import extra
 from specmap_cli.core.text import legible
 
 _WATCH_S = 0.05  # how often memory and time are looked at: some 20 microseconds each
@@ -95,12 +97,7 @@ def run_process(
     It is killed with all its children when it breaks a bound, when this function is left by an
     exception, and when this process ends. Raises GivenUpError when it is not wanted any more.
     """
-    try:
-        import psutil  # noqa: F401  before there is a process
-    except ImportError:
-        raise UsageError(
-            "jobs need an extra", "pip install 'specmap-cli[batch]'", code=PACKAGE
-        ) from None
+    psutil = extra("psutil", EXTRA, "jobs need an extra")  # before there is a process
     began = time.monotonic()
     process = subprocess.Popen(
         [sys.executable, "-I", "-S", "-c", _TIED_TO_PARENT, str(os.getpid()), *command],
@@ -111,7 +108,7 @@ def run_process(
         env=dict(environment),
         start_new_session=True,
     )
-    tree = _Tree(process.pid)
+    tree = _Tree(process.pid, psutil)
     stopped: Literal["memory", "time"] | None = None
     try:
         # WNOWAIT leaves a child that has ended as it is, so that its number stays its own
@@ -143,9 +140,7 @@ def run_process(
 class _Tree:
     """A process and its children: the megabytes that they hold together."""
 
-    def __init__(self, pid: int) -> None:
-        import psutil
-
+    def __init__(self, pid: int, psutil: Any) -> None:
         self.pid = pid
         self.most_mb = 0.0
         self._gone = psutil.Error
@@ -189,7 +184,7 @@ def judged(
     reason = None
     if ended.exit_code != 0:
         reason = _reason(step, ended, told, log, limits)
-        code = _part(told, "error").get("code")
+        code = part_of(told, "error").get("code")
         if ended.stopped is not None:
             kind = ended.stopped
         elif isinstance(code, str) and code in _BY_WORD:
@@ -214,12 +209,6 @@ def judged(
     return outcome, kind
 
 
-def _part(told: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """An object in what a step printed; empty when there is none."""
-    found = told.get(name)
-    return found if isinstance(found, dict) else {}
-
-
 def _reason(step: Step, ended: Ended, told: Mapping[str, Any], log: bytes, limits: Limits) -> str:
     """Why a step failed, in a line."""
     if ended.stopped == "memory":
@@ -231,9 +220,9 @@ def _reason(step: Step, ended: Ended, told: Mapping[str, Any], log: bytes, limit
         if isinstance(rules, list):
             broken = [str(rule.get("rule")) for rule in rules if not rule.get("passed")]
             return legible(f"breaks {len(broken)} of {len(rules)} rules: {', '.join(broken)}")
-        verdict = _part(told, "quality").get("verdict", "doubtful or poor")
+        verdict = part_of(told, "quality").get("verdict", "doubtful or poor")
         return f"{step.command}: the map is {verdict}"
-    message = _part(told, "error").get("message")
+    message = part_of(told, "error").get("message")
     if isinstance(message, str) and message:
         return legible(message)[:_MOST_CHARACTERS]
     if ended.exit_code == -signal.SIGKILL:

@@ -2,7 +2,6 @@
 
 `Job` and its parts say what is to be done; they are made by `batch.jobs`, and can be pickled.
 `JobRecord` and its parts are the format of `job.json`, which a finished job leaves in its folder.
-`job.schema.json` beside this file is the same as JSON Schema, for other tools.
 """
 
 from __future__ import annotations
@@ -15,8 +14,6 @@ from pydantic import Field
 
 from specmap_cli.core.json_values import Record, Value
 from specmap_cli.core.schemas import ModelSchema
-
-SCHEMA_VERSION = 1
 
 Command = Literal["build", "localize", "evaluate", "export", "report", "check"]
 COMMANDS: tuple[Command, ...] = get_args(Command)
@@ -36,6 +33,8 @@ Kind = Literal["log", "no-result", "rule", "settings", "memory", "time", "place"
 # What lies in the folder of a job.
 MAP, REPORT, LABELS, CONFUSION = "map", "report.html", "labels.csv", "confusion.png"
 JOB, LOG_TEXT = "job.json", "log.txt"
+
+EXTRA = "'specmap-cli[batch]'"  # the extra of this package that a batch needs
 
 OptionValue = str | int | float | bool | list[Any]
 Meaning = Literal["flag", "text", "input", "output"]
@@ -179,4 +178,4 @@ class JobResult:
     resumed: bool = False
 
 
-SCHEMA = ModelSchema(JobRecord, "job", SCHEMA_VERSION, "specmap batch: job.json")
+SCHEMA = ModelSchema(JobRecord, "job", 1, "specmap batch: job.json")

@@ -12,8 +12,7 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -32,7 +31,6 @@ from specmap_cli.batch.records import (
     LOG_TEXT,
     MAP,
     InputRecord,
-    Job,
     JobRecord,
     JobResult,
     Kind,
@@ -45,7 +43,7 @@ from specmap_cli.batch.records import (
 from specmap_cli.batch.sources import digest_of, fetched, inputs_of
 from specmap_cli.checking.rules import figures_of
 from specmap_cli.core.errors import LogError, MapError, SpecmapError, UsageError
-from specmap_cli.core.text import legible
+from specmap_cli.core.text import one_line
 from specmap_cli.maps.store import read_map
 
 PROGRAM = (sys.executable, "-P", "-m", "specmap_cli")
@@ -77,13 +75,13 @@ def run_job(turn: Turn, terms: Terms, wanted: Callable[[], bool] = lambda: True)
             found = inputs_of(job)
             inputs, digest = found, digest_of(job, __version__, found)
         except SpecmapError as error:
-            refused = _refusal(error)
+            refused = this.refused(error)
         stored = folder.stored()
         if stored is not None:
             if not terms.redo and stands(stored, digest, terms.limits, turn.attempt):
                 return JobResult(stored, resumed=True)
             if refused is not None and stored.state == "done":
-                return JobResult(this.record(refused))
+                return JobResult(refused)
         if (edits := folder.edited()) is not None:
             raise UsageError(
                 "holds a person's decisions, which a new map would lose",
@@ -91,17 +89,18 @@ def run_job(turn: Turn, terms: Terms, wanted: Callable[[], bool] = lambda: True)
                 where=edits,
             )
         with scratch_directory(terms.scratch) as scratch, folder.fresh(scratch) as directory:
-            work = refused or work_on(job, directory, scratch, terms.limits, wanted)
-            record = this.record(work, inputs, digest, files_in(directory))
+            record = refused or work_on(this, directory, scratch, wanted)
+            known = {"inputs": inputs, "digest": digest, "files": files_in(directory)}
+            record = record.model_copy(update=known)
             write_record(directory, record)
         return JobResult(record)
     except (SpecmapError, OSError) as error:
-        return JobResult(this.record(_refusal(error)))
+        return JobResult(this.refused(error))
 
 
 def failure(turn: Turn, kind: Kind, reason: str, limits: Limits) -> JobResult:
     """The result of a job of which nothing is left: its worker was lost. It is in no file."""
-    return JobResult(_Attempt(turn, limits).record(_Work(kind=kind, reason=reason)))
+    return JobResult(_Attempt(turn, limits).record(kind, reason))
 
 
 def may_retry(record: JobRecord, attempts: int) -> bool:
@@ -131,73 +130,63 @@ def _wider(limit: float | None, than: float | None) -> bool:
     return than is not None and (limit is None or limit > than)
 
 
-@dataclass(frozen=True, slots=True)
-class _Work:
-    """What came of the steps of a job: `kind` and `reason` of the first failure, None of none."""
-
-    steps: tuple[StepOutcome, ...] = ()
-    kind: Kind | None = None
-    reason: str | None = None
-    figures: Mapping[str, float | str | None] = field(default_factory=dict)
-
-
-def _refusal(error: SpecmapError | OSError) -> _Work:
-    """The work on a job that could not be begun."""
-    kind: Kind = "settings"
-    if isinstance(error, LogError):
-        kind = "log"
-    elif isinstance(error, PlaceError | OSError) or isinstance(error.__context__, OSError):
-        kind = "place"  # the system refused to write, or a store did
-    return _Work(kind=kind, reason=str(error))
-
-
 class _Attempt:
     """One attempt at a job, which begins now."""
 
     def __init__(self, turn: Turn, limits: Limits) -> None:
-        self._turn = turn
-        self._limits = limits
+        self.turn = turn
+        self.limits = limits
         self._started_utc = datetime.now(UTC).isoformat()
         self._began = time.monotonic()
 
+    def refused(self, error: SpecmapError | OSError) -> JobRecord:
+        """The record of a job that could not be begun."""
+        kind: Kind = "settings"
+        if isinstance(error, LogError):
+            kind = "log"
+        elif isinstance(error, PlaceError | OSError) or isinstance(error.__context__, OSError):
+            kind = "place"  # the system refused to write, or a store did
+        return self.record(kind, str(error))
+
     def record(
         self,
-        work: _Work,
-        inputs: tuple[InputRecord, ...] = (),
-        digest: str = "",
-        files: Mapping[str, int] = {},
+        kind: Kind | None,
+        reason: str | None,
+        steps: Sequence[StepOutcome] = (),
+        figures: Mapping[str, float | str | None] = {},
     ) -> JobRecord:
-        """What came of it."""
-        held = [step.memory_mb for step in work.steps if step.memory_mb is not None]
+        """What came of it: `kind` and `reason` of the first failure, None of none."""
+        held = [step.memory_mb for step in steps if step.memory_mb is not None]
         return JobRecord(
             schema_version=1,
-            name=self._turn.job.name,
-            digest=digest,
+            name=self.turn.job.name,
+            digest="",
             version=__version__,
-            state="done" if work.kind is None else "failed",
-            kind=work.kind,
-            reason=None if work.reason is None else legible(" ".join(work.reason.split())),
-            attempts=self._turn.attempt,
-            limits=self._limits,
+            state="done" if kind is None else "failed",
+            kind=kind,
+            reason=None if reason is None else one_line(reason),
+            attempts=self.turn.attempt,
+            limits=self.limits,
             started_utc=self._started_utc,
             wall_s=time.monotonic() - self._began,
-            cpu_s=sum(step.cpu_s for step in work.steps),
+            cpu_s=sum(step.cpu_s for step in steps),
             memory_mb=max(held, default=None),
-            steps=work.steps,
-            figures=dict(work.figures),
-            inputs=inputs,
-            files=dict(files),
+            steps=tuple(steps),
+            figures=dict(figures),
+            inputs=(),
+            files={},
         )
 
 
 def work_on(
-    job: Job, directory: Path, scratch: Path, limits: Limits, wanted: Callable[[], bool]
-) -> _Work:
+    this: _Attempt, directory: Path, scratch: Path, wanted: Callable[[], bool]
+) -> JobRecord:
     """Run the steps of a job, their results going to `directory`.
 
     A broken rule lets the steps after it run; any other failure ends the job. Fetched logs and
     temporary files go to `scratch`.
     """
+    job, limits = this.turn.job, this.limits
     end_of_time = time.monotonic() + (math.inf if limits.time_s is None else limits.time_s)
     bounds = Bounds(limits, end_of_time, wanted)
     temporary, logs = scratch / "tmp", scratch / "logs"
@@ -207,7 +196,7 @@ def work_on(
     try:
         places = fetched(job.logs, logs)
     except (LogError, PlaceError) as error:
-        return _refusal(error)
+        return this.refused(error)
     outcomes: list[StepOutcome] = []
     kind: Kind | None = None
     for step in job.steps:
@@ -225,7 +214,7 @@ def work_on(
         figures: dict[str, float | str | None] = {**figures_of(stored), "verdict": stored.verdict}
     except MapError:
         figures = {}
-    return _Work(tuple(outcomes), kind, reason, figures)
+    return this.record(kind, reason, outcomes, figures)
 
 
 def _run_step(
@@ -259,10 +248,7 @@ def _run_step(
 
 
 def _environment(temporary: Path) -> dict[str, str]:
-    """The environment of a step: this one, with a processor and temporary files of its own.
-
-    What SPECMAP_ variables a worker happens to have must not change a result.
-    """
+    """The environment of a step: one processor, own temporary files, no SPECMAP_ variables."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith("SPECMAP_")}
     found = {**kept, **_ONE_PROCESSOR, "TMPDIR": str(temporary)}
     root = Path(specmap_cli.__file__).parent.parent

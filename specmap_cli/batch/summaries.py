@@ -8,7 +8,6 @@ from __future__ import annotations
 import io
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Literal
 from urllib.parse import quote
 
@@ -55,18 +54,6 @@ Value = str | int | float | None
 Row = Mapping[str, Value]
 
 
-@dataclass(frozen=True, slots=True)
-class Column:
-    """A column: its name, the type of its values, and where they come from.
-
-    What they mean is in docs/batch.md.
-    """
-
-    name: str
-    type: Literal["text", "whole", "real"]
-    of: Callable[[JobRecord], Value]
-
-
 def _figure(name: str, places: int | None = None) -> Callable[[JobRecord], Value]:
     """A figure of the map; whole numbers for 0 places."""
 
@@ -91,24 +78,25 @@ def _warnings(record: JobRecord) -> Value:
     return "; ".join(said) or None
 
 
-COLUMNS = (
-    Column("name", "text", lambda one: one.name),
-    Column("state", "text", lambda one: one.state),
-    Column("kind", "text", lambda one: one.kind),
-    Column("reason", "text", lambda one: one.reason),
-    Column("verdict", "text", _figure("verdict")),
-    Column("lost_share", "real", _figure("lost_share", 4)),
-    Column("submaps", "whole", _figure("submaps", 0)),
-    Column("area_m2", "real", _figure("area_m2", 2)),
-    Column("path_m", "real", _figure("path_m", 2)),
-    Column("scans", "whole", _figure("scans", 0)),
-    Column("scans_per_s", "real", _scans_per_s),
-    Column("wall_s", "real", lambda one: round(one.wall_s, 2)),
-    Column("memory_mb", "real", lambda one: one.memory_mb and round(one.memory_mb, 1)),
-    Column("attempts", "whole", lambda one: one.attempts),
-    Column("warnings", "text", _warnings),
-    Column("digest", "text", lambda one: one.digest),
-)
+# The columns: the type of their values, and where they come from; docs/batch.md has their meaning.
+COLUMNS: Mapping[str, tuple[Literal["text", "whole", "real"], Callable[[JobRecord], Value]]] = {
+    "name": ("text", lambda one: one.name),
+    "state": ("text", lambda one: one.state),
+    "kind": ("text", lambda one: one.kind),
+    "reason": ("text", lambda one: one.reason),
+    "verdict": ("text", _figure("verdict")),
+    "lost_share": ("real", _figure("lost_share", 4)),
+    "submaps": ("whole", _figure("submaps", 0)),
+    "area_m2": ("real", _figure("area_m2", 2)),
+    "path_m": ("real", _figure("path_m", 2)),
+    "scans": ("whole", _figure("scans", 0)),
+    "scans_per_s": ("real", _scans_per_s),
+    "wall_s": ("real", lambda one: round(one.wall_s, 2)),
+    "memory_mb": ("real", lambda one: one.memory_mb and round(one.memory_mb, 1)),
+    "attempts": ("whole", lambda one: one.attempts),
+    "warnings": ("text", _warnings),
+    "digest": ("text", lambda one: one.digest),
+}
 
 
 def rows_of(names: Iterable[str], records: Mapping[str, JobRecord]) -> list[Row]:
@@ -119,16 +107,15 @@ def rows_of(names: Iterable[str], records: Mapping[str, JobRecord]) -> list[Row]
     rows: list[Row] = []
     for name in sorted(names):
         row: dict[str, Value] = {"name": name, "state": WAITING}
-        for column in COLUMNS:
-            row[column.name] = column.of(records[name]) if name in records else row.get(column.name)
+        for column, (_, value_in) in COLUMNS.items():
+            row[column] = value_in(records[name]) if name in records else row.get(column)
         rows.append(row)
     return rows
 
 
 def as_csv(rows: Sequence[Row]) -> bytes:
     """A line a job under the names of the columns; empty where nothing is known."""
-    names = [column.name for column in COLUMNS]
-    text = csv_text(names, ([row[name] for name in names] for row in rows))
+    text = csv_text(list(COLUMNS), ([row[name] for name in COLUMNS] for row in rows))
     return text.encode("utf-8", "backslashreplace")
 
 
@@ -138,7 +125,7 @@ def as_parquet(rows: Sequence[Row]) -> bytes:
     from pyarrow import parquet
 
     types = {"text": pa.string(), "whole": pa.int64(), "real": pa.float64()}
-    schema = pa.schema([(column.name, types[column.type]) for column in COLUMNS])
+    schema = pa.schema([(name, types[kind]) for name, (kind, _) in COLUMNS.items()])
     kept = io.BytesIO()
     parquet.write_table(pa.Table.from_pylist([dict(row) for row in rows], schema), kept)
     return kept.getvalue()
@@ -214,13 +201,12 @@ def _section(title: str, rows: Sequence[Row], columns: Sequence[str]) -> list[st
         text = f"{value:,}" if isinstance(value, int | float) else value
         return markdown_text(text or "")
 
-    known = {column.name: column.type for column in COLUMNS}
     more = [f"... and {len(rows) - _MOST:,} more: see summary.csv", ""] if rows[_MOST:] else []
     heads = {column: column.replace("_", " ") for column in columns}
     table = markdown_table(
         list(heads.values()),
         ([shown(row[column]) for column in columns] for row in rows[:_MOST]),
-        {head for column, head in heads.items() if known[column] != "text"},
+        {head for column, head in heads.items() if COLUMNS[column][0] != "text"},
     )
     return [f"#### {title}", "", *table, "", *more]
 

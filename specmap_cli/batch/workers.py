@@ -20,15 +20,15 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from importlib import import_module
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, TypeVar
 from uuid import uuid4
 
 from specmap_cli import __version__
-from specmap_cli.batch.records import JobResult, Terms, Turn
+from specmap_cli.batch.records import EXTRA, JobResult, Terms, Turn
 from specmap_cli.batch.running import failure, run_job
-from specmap_cli.core.errors import PACKAGE, NoResultError, UsageError
+from specmap_cli.core.errors import NoResultError, UsageError
+from specmap_cli.core.plugins import extra
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -121,12 +121,7 @@ def share_of_memory_mb(cluster: Cluster) -> int:
 
 def require_dask() -> None:
     """UsageError unless Dask is installed."""
-    try:
-        import_module("distributed")
-    except ImportError as error:
-        raise UsageError(
-            f"workers need Dask ({error})", "pip install 'specmap-cli[batch]'", code=PACKAGE
-        ) from None
+    extra("distributed", EXTRA, "workers need Dask ({error})")
 
 
 def _version() -> str:
@@ -139,8 +134,8 @@ class Workers:
     def __init__(self, client: Client, terms: Terms) -> None:
         self._client = client
         self._terms = terms
-        self._turns: dict[str, Turn] = {}
-        self._futures: dict[str, Future] = {}  # a future that nobody holds is given up by Dask
+        # a future that nobody holds is given up by Dask
+        self._running: dict[str, tuple[Turn, Future]] = {}
         self._ended: SimpleQueue[Future] = SimpleQueue()
 
     def __enter__(self) -> Workers:
@@ -148,8 +143,8 @@ class Workers:
 
     def __exit__(self, *_: object) -> None:
         """Jobs that still run are given up: the workers end their steps."""
-        if self._futures and self._client.status == "running":
-            self._client.cancel(list(self._futures.values()), force=True)
+        if self._running and self._client.status == "running":
+            self._client.cancel([future for _, future in self._running.values()], force=True)
 
     def slots(self) -> int:
         """How many jobs the workers can do at once, now. NoResultError without a scheduler."""
@@ -175,7 +170,6 @@ class Workers:
             terms = replace(terms, limits=replace(terms.limits, memory_mb=memory_mb))
             workers = addresses or None
         key = f"specmap-{uuid4().hex}"
-        self._turns[key] = turn
         future = self._client.submit(
             on_worker,
             turn,
@@ -186,7 +180,7 @@ class Workers:
             workers=workers,
             allow_other_workers=workers is not None,  # where these have gone meanwhile
         )
-        self._futures[key] = future
+        self._running[key] = turn, future
         future.add_done_callback(self._ended.put)
 
     def next_result(self) -> tuple[Turn, JobResult | None] | None:
@@ -195,8 +189,7 @@ class Workers:
             future = self._ended.get(timeout=_POLL_S)
         except Empty:
             return None
-        turn = self._turns.pop(future.key)
-        del self._futures[future.key]
+        turn, _ = self._running.pop(future.key)
         if future.status == "finished":
             return turn, future.result()
         if future.status != "error":
@@ -210,10 +203,7 @@ class Workers:
         return turn, failure(turn, "worker", told, self._terms.limits)
 
     def _roomiest_host(self) -> tuple[list[str], int | None]:
-        """The workers of the host whose workers have the most memory together, and how much.
-
-        That is in megabytes; None: any.
-        """
+        """The workers of the host with the most memory together, and the megabytes (None: any)."""
         told = self._client.scheduler_info(n_workers=-1)["workers"]
         limit = self._terms.limits.memory_mb
         hosts: dict[str, tuple[list[str], int]] = {}

@@ -6,8 +6,7 @@ none. Figures that begin with `golden.` are of a comparison with another map.
 A file of rules is TOML (docs/check.md shows one). What it says goes over `default_rules.toml`
 beside this file; an infinite bound takes a default away, and `defaults = false` all of them.
 
-What a check found is told for a machine, a person and a CI. The models are the format of
-`specmap check --json`; `check.schema.json` beside this file is the same as JSON Schema.
+What a check found is told for a machine, a person and a CI.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from specmap_cli.core.json_values import Record
 from specmap_cli.core.schemas import ModelSchema
 from specmap_cli.core.text import Case, counted, legible, markdown_table, markdown_text
 from specmap_cli.core.text import junit as test_suite
-from specmap_cli.core.toml import TomlFormat, UnfitError, choice, unless
+from specmap_cli.core.toml import TomlFormat, UnfitError, choice, flat, unless
 from specmap_cli.maps import filenames
 from specmap_cli.maps.comparison import ComparisonRecord
 from specmap_cli.maps.store import Map
@@ -150,20 +149,8 @@ def _figure(name: str) -> str:
     return name
 
 
-def _flat(table: Any) -> Any:
-    """The entries of nested tables by dotted key; what is no table as it is."""
-    if not isinstance(table, Mapping):
-        return table
-    found: dict[str, Any] = {}
-    for key, value in table.items():
-        inner = _flat(value)
-        below = isinstance(value, Mapping)
-        found |= {f"{key}.{name}": each for name, each in inner.items()} if below else {key: inner}
-    return found
-
-
 _Limit = Annotated[int | float, unless(_is_number, "expected a number")]
-_Limits = Annotated[dict[Annotated[str, AfterValidator(_figure)], _Limit], BeforeValidator(_flat)]
+_Limits = Annotated[dict[Annotated[str, AfterValidator(_figure)], _Limit], BeforeValidator(flat)]
 
 
 class _Written(BaseModel):
@@ -246,7 +233,6 @@ def judged(
     )
 
 
-SCHEMA_VERSION = 1
 _SIGNS = {"most": "<=", "least": ">="}
 
 
@@ -338,4 +324,4 @@ def _value(value: float | str | None) -> str:
     return f"{value:.0f}" if value == round(value) or abs(value) >= 1e4 else f"{value:.4g}"
 
 
-SCHEMA = ModelSchema(CheckRecord, "check", SCHEMA_VERSION, "specmap check --json")
+SCHEMA = ModelSchema(CheckRecord, "check", 1, "specmap check --json")

@@ -9,9 +9,9 @@ from typing import Annotated, Any
 
 import typer
 
-from specmap_cli.cli import edit, evaluate, making, maps, recordings
+from specmap_cli.cli import making, maps, recordings
 from specmap_cli.cli.entry import print_text
-from specmap_cli.cli.options import Common, JoinedCommand, Settings, unfolded
+from specmap_cli.cli.options import Common, JoinedCommand, Settings, argument, option, unfolded
 from specmap_cli.core.errors import UsageError
 
 EXIT_CODES = (
@@ -50,11 +50,11 @@ def _options(
     context: typer.Context,
     _version: Annotated[
         bool,
-        typer.Option(
+        option(
+            "Show the versions of specmap and of what it stands on.",
             "--version",
             callback=_show_version,
             is_eager=True,
-            help="Show the versions of specmap and of what it stands on.",
         ),
     ] = False,
 ) -> None:
@@ -89,12 +89,7 @@ def config(settings: Settings, common: Common) -> None:
 
 
 def schema(
-    name: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="NAME", help="One of those listed without a name.", show_default=False
-        ),
-    ] = None,
+    name: Annotated[str | None, argument("NAME", "One of those listed without a name.")] = None,
     *,
     common: Common,
 ) -> None:
@@ -133,10 +128,10 @@ _COMMANDS: tuple[Callable[..., None], ...] = (  # in the order of the help
     maps.check,
     maps.history,
     making.batch,
-    edit.edit,
+    maps.edit,
     maps.report,
     making.segment,
-    evaluate.evaluate,
+    recordings.evaluate,
     recordings.simulate,
     recordings.convert,
     maps.export,

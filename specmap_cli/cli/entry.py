@@ -31,7 +31,7 @@ from specmap_cli.core.errors import (
     reason,
 )
 from specmap_cli.core.progress import Level
-from specmap_cli.core.text import legible
+from specmap_cli.core.text import one_line
 
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
@@ -188,10 +188,7 @@ def _fail(error: SpecmapError, as_json: bool) -> int:
 
 
 def _print_error(error: SpecmapError, as_json: bool) -> None:
-    """The error as one object on stdout, when it is to be JSON: schemas/error.schema.json.
-
-    It is one line, as `batch` prints lines.
-    """
+    """The error as an object in one line of stdout, if it is to be JSON: error.schema.json."""
     if not as_json:
         return
     parts = {
@@ -242,14 +239,6 @@ def discard_stdout() -> None:
     with suppress(OSError, AttributeError):  # closed, or no file at all
         os.dup2(nowhere, sys.stdout.fileno())
     os.close(nowhere)
-
-
-def one_line(text: str) -> str:
-    """`text` as one line: spaces for white space, escapes for what no terminal can show.
-
-    That is control characters, which it would obey, and bytes of a file name that are no text.
-    """
-    return legible(" ".join(text.split()))
 
 
 def bars() -> RichProgress:

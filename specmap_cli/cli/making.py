@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast, get_args
 
 import typer
 
@@ -21,9 +21,11 @@ from specmap_cli.cli.options import (
     Overwrite,
     Resolution,
     Settings,
+    argument,
     check_files,
     cluster_of,
     keep_inputs,
+    option,
     output,
 )
 from specmap_cli.core.errors import BROKEN_RULE, UsageError
@@ -34,7 +36,7 @@ if TYPE_CHECKING:
 
 FailOn = Annotated[
     Literal["doubtful", "poor"] | None,
-    typer.Option(help="Exit with code 5 when the map is doubtful, or poor. It is written anyway."),
+    option("Exit with code 5 when the map is doubtful, or poor. It is written anyway."),
 ]
 
 
@@ -42,19 +44,16 @@ def build(
     logs: Logs,
     out: NewMap = Path("out"),
     no_relax: Annotated[
-        bool, typer.Option("--no-relax", help="Leave the layout as registration found it.")
+        bool, option("Leave the layout as registration found it.", "--no-relax")
     ] = False,
     explain: Annotated[
         Path | None,
-        typer.Option(
-            help="Directory for a picture of every test that may split a submap; not with --like."
-        ),
+        option("Directory for a picture of every test that may split a submap; not with --like."),
         WRITTEN,
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
+    seed: Annotated[int | None, option("Seed of everything random.")] = None,
     like: Annotated[
-        Path | None,
-        typer.Option(help="Map directory whose settings, frame, ids, names and borders it takes."),
+        Path | None, option("Map directory whose settings, frame, ids, names and borders it takes.")
     ] = None,
     overwrite: Overwrite = False,
     fail_on: FailOn = None,
@@ -98,16 +97,11 @@ def build(
 
 
 def update(
-    map_: Annotated[
-        Path, typer.Argument(metavar="MAP", help="Map directory to start from.", show_default=False)
-    ],
+    map_: Annotated[Path, argument("MAP", "Map directory to start from.")],
     logs: Logs,
     out: NewMap = Path("out"),
     allow_apart: Annotated[
-        bool,
-        typer.Option(
-            "--allow-apart", help="Append a recording that fits nowhere as a part of its own."
-        ),
+        bool, option("Append a recording that fits nowhere as a part of its own.", "--allow-apart")
     ] = False,
     overwrite: Overwrite = False,
     *,
@@ -142,19 +136,16 @@ def update(
 
 
 def merge(
-    maps: Annotated[
-        list[Path], typer.Argument(metavar="MAP", help="Map directories.", show_default=False)
-    ],
+    maps: Annotated[list[Path], argument("MAP", "Map directories.")],
     out: NewMap = Path("out"),
     overwrite: Overwrite = False,
     workers: Annotated[
-        int | None, typer.Option(min=1, help="Align pairs of maps on as many processes.")
+        int | None, option("Align pairs of maps on as many processes.", min=1)
     ] = None,
     scheduler: Annotated[
         str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Align them on the workers of a Dask scheduler, which see the maps.",
+        option(
+            "Align them on the workers of a Dask scheduler, which see the maps.", metavar="ADDRESS"
         ),
     ] = None,
     *,
@@ -193,16 +184,11 @@ def merge(
 
 
 def segment(
-    grid: Annotated[
-        Path,
-        typer.Argument(metavar="MAP", help="map_server .yaml, or .png/.pgm with --resolution."),
-    ],
+    grid: Annotated[Path, argument("MAP", "map_server .yaml, or .png/.pgm with --resolution.")],
     out: Annotated[Path, output("Directory to write.")] = Path("out"),
     resolution: Resolution = None,
     explain: Annotated[
-        Path | None,
-        typer.Option(help="PNG of the nodes, the sight lines and the eigenvalues."),
-        WRITTEN,
+        Path | None, option("PNG of the nodes, the sight lines and the eigenvalues."), WRITTEN
     ] = None,
     overwrite: Overwrite = False,
     *,
@@ -240,51 +226,39 @@ def segment(
     common.show(report.as_dict(), report.lines())
 
 
-class StepName(StrEnum):
-    """The steps that a job may have; more of them, with options, in a TOML file of jobs."""
-
-    build = "build"
-    localize = "localize"
-    evaluate = "evaluate"
-    export = "export"
-    report = "report"
-    check = "check"
+# The steps that a job may have; more of them, with options, in a TOML file of jobs.
+StepName = StrEnum("StepName", "build localize evaluate export report check")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sharing:
     """Who does the work, and how much of the machine it may take."""
 
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="Worker processes; default: one a processor.")
-    ] = None
+    workers: Annotated[int | None, option("Worker processes; default: one a processor.", min=1)] = (
+        None
+    )
     scheduler: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Dask scheduler to use, such as tcp://host:8786."),
+        str | None, option("Dask scheduler to use, such as tcp://host:8786.", metavar="ADDRESS")
     ] = None
     memory_limit: Annotated[
         int | None,
-        typer.Option(
-            min=64, metavar="MB", help="Memory of a worker; default: its share of the machine's."
-        ),
+        option("Memory of a worker; default: its share of the machine's.", min=64, metavar="MB"),
     ] = None
     time_limit: Annotated[
-        float | None, typer.Option(min=1.0, metavar="SECONDS", help="Longest time of a job.")
+        float | None, option("Longest time of a job.", min=1.0, metavar="SECONDS")
     ] = None
     retries: Annotated[
-        int,
-        typer.Option(min=0, help="How often to try again what a lost worker or disk made fail."),
+        int, option("How often to try again what a lost worker or disk made fail.", min=0)
     ] = 1
 
 
 def batch(
     inputs: Annotated[
         list[str],
-        typer.Argument(
-            metavar="LOG|DIR|GLOB|JOBS.toml",
-            help="Recordings, directories and patterns of recordings, TOML files of jobs; paths or "
+        argument(
+            "LOG|DIR|GLOB|JOBS.toml",
+            "Recordings, directories and patterns of recordings, TOML files of jobs; paths or "
             "URLs such as s3://bucket/logs.",
-            show_default=False,
         ),
     ],
     out: Annotated[
@@ -294,12 +268,10 @@ def batch(
     sharing: Sharing,
     step: Annotated[
         list[StepName] | None,
-        typer.Option(help="Step of each job; repeatable. Default: build, report, check."),
+        option("Step of each job; repeatable. Default: build, report, check."),
     ] = None,
-    scratch: Annotated[
-        Path | None, typer.Option(help="Directory of the workers for temporary files.")
-    ] = None,
-    redo: Annotated[bool, typer.Option("--redo", help="Do again what is complete.")] = False,
+    scratch: Annotated[Path | None, option("Directory of the workers for temporary files.")] = None,
+    redo: Annotated[bool, option("Do again what is complete.", "--redo")] = False,
     settings: Settings,
     common: Common,
 ) -> None:
@@ -350,7 +322,8 @@ def _plan(steps: list[StepName] | None, settings: Settings) -> Plan:
     }
     options = {"build": {name: value for name, value in given.items() if value}}
     plan = Plan(options=options, known=known_options())
-    return replace(plan, steps=tuple(one.value for one in steps)) if steps else plan
+    chosen = cast("tuple[Command, ...]", tuple(map(str, steps or ())))
+    return replace(plan, steps=chosen) if chosen else plan
 
 
 def known_options() -> dict[Command, dict[str, Option]]:

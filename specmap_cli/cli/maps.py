@@ -1,10 +1,14 @@
-"""The commands that ask a finished map: localize, compare, check, history, report, export."""
+"""The commands about a finished map: localize, compare, check, history, report, export; and edit,
+which is what a person decides about it.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -17,11 +21,17 @@ from specmap_cli.cli.options import (
     MapDirectory,
     Overwrite,
     Settings,
+    argument,
     check_files,
     keep_inputs,
+    option,
     output,
+    uses_of,
 )
 from specmap_cli.core.errors import BROKEN_RULE, MapError, UsageError
+
+if TYPE_CHECKING:
+    from specmap_cli.pipelines.edits import RequestedEdits
 
 _MOST_SCANS = 0.5  # share of the scans that makes most of them
 
@@ -29,24 +39,22 @@ _MOST_SCANS = 0.5  # share of the scans that makes most of them
 def localize(
     logs: Logs,
     map_directory: Annotated[
-        Path, typer.Option("--map", "-m", help="Map directory written by `specmap build`.")
+        Path, option("Map directory written by `specmap build`.", "--map", "-m")
     ],
     out: Annotated[Path | None, output("CSV to write, a line a scan.", "--output")] = None,
     plot: Annotated[
-        Path | None,
-        typer.Option(help="PNG to write: the predicted submap along the trajectory."),
-        WRITTEN,
+        Path | None, option("PNG to write: the predicted submap along the trajectory."), WRITTEN
     ] = None,
     offline: Annotated[
-        bool, typer.Option("--offline", help="Smooth over the whole log instead of filtering.")
+        bool, option("Smooth over the whole log instead of filtering.", "--offline")
     ] = False,
     metric: Annotated[
-        bool, typer.Option("--metric", help="Also match each scan within its submap's grid.")
+        bool, option("Also match each scan within its submap's grid.", "--metric")
     ] = False,
     overwrite: Overwrite = False,
     fail_on: Annotated[
         Literal["unknown"] | None,
-        typer.Option(help="Exit with code 5 when most scans are unknown. All is written anyway."),
+        option("Exit with code 5 when most scans are unknown. All is written anyway."),
     ] = None,
     *,
     settings: LogSettings,
@@ -81,10 +89,8 @@ def localize(
 
 
 def compare(
-    old: Annotated[
-        Path, typer.Argument(metavar="OLD", help="Map directory written by `specmap build`.")
-    ],
-    new: Annotated[Path, typer.Argument(metavar="NEW", help="A later map of the same building.")],
+    old: Annotated[Path, argument("OLD", "Map directory written by `specmap build`.")],
+    new: Annotated[Path, argument("NEW", "A later map of the same building.")],
     out: Annotated[
         Path | None, output("Directory to write: summary.txt, compare.json, compare.png.")
     ] = None,
@@ -105,13 +111,7 @@ def compare(
     specmap compare monday friday
     specmap compare monday friday -o changes --json
     """
-    from specmap_cli.pipelines.compare import (
-        PICTURE,
-        compare_maps,
-        comparison_directory,
-        lines_of,
-        write_comparison,
-    )
+    from specmap_cli.pipelines import compare as comparing
     from specmap_cli.pipelines.history import span_ns
 
     if out is not None:
@@ -119,32 +119,27 @@ def compare(
     one, other = settings.read(old), settings.read(new)
     effective = settings.of_map(one)
     with common.progress() as progress, ExitStack() as outputs:
-        partial = out and outputs.enter_context(comparison_directory(out, overwrite, progress))
-        found = compare_maps(one, other, effective, progress)
+        partial = out and outputs.enter_context(
+            comparing.comparison_directory(out, overwrite, progress)
+        )
+        found = comparing.compare_maps(one, other, effective, progress)
         if partial is not None:
-            write_comparison(found, partial)
+            comparing.write_comparison(found, partial)
         if span_ns(one)[1] > span_ns(other)[1]:
             progress.note(f"{new}: its last scan is older than that of {old}: are they swapped?")
-    record, look = found.record, [f"look at {out / PICTURE}"] if out else []
-    common.show(record.model_dump(), [*lines_of(record), *look])
+    record, look = found.record, [f"look at {out / comparing.PICTURE}"] if out else []
+    common.show(record.model_dump(), [*comparing.lines_of(record), *look])
 
 
 def check(
     map_: MapDirectory,
-    rules: Annotated[
-        Path | None, typer.Option(help="TOML file of rules; they go over the defaults.")
-    ] = None,
+    rules: Annotated[Path | None, option("TOML file of rules; they go over the defaults.")] = None,
     against: Annotated[
-        Path | None,
-        typer.Option(metavar="GOLDEN", help="A map of the same building that is right."),
+        Path | None, option("A map of the same building that is right.", metavar="GOLDEN")
     ] = None,
-    junit: Annotated[
-        Path | None, typer.Option(help="JUnit XML to write, a test a rule."), WRITTEN
-    ] = None,
+    junit: Annotated[Path | None, option("JUnit XML to write, a test a rule."), WRITTEN] = None,
     markdown: Annotated[
-        Path | None,
-        typer.Option(help="Markdown to write: a table for the summary page of a CI."),
-        WRITTEN,
+        Path | None, option("Markdown to write: a table for the summary page of a CI."), WRITTEN
     ] = None,
     overwrite: Overwrite = False,
     *,
@@ -181,12 +176,7 @@ def check(
 
 
 def history(
-    maps: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="MAP...", help="Map directories, or directories of them.", show_default=False
-        ),
-    ],
+    maps: Annotated[list[Path], argument("MAP...", "Map directories, or directories of them.")],
     out: Annotated[
         Path | None,
         output(
@@ -194,7 +184,7 @@ def history(
         ),
     ] = None,
     timezone: Annotated[
-        str, typer.Option(metavar="NAME", help="Where days begin and end, such as Europe/Berlin.")
+        str, option("Where days begin and end, such as Europe/Berlin.", metavar="NAME")
     ] = "UTC",
     overwrite: Overwrite = False,
     *,
@@ -232,9 +222,8 @@ def report(
     out: Annotated[Path, output("HTML file to write.")] = Path("report.html"),
     compare: Annotated[
         Path | None,
-        typer.Option(
-            metavar="OLD",
-            help="An older map of the same building: what differs is drawn and listed.",
+        option(
+            "An older map of the same building: what differs is drawn and listed.", metavar="OLD"
         ),
     ] = None,
     overwrite: Overwrite = False,
@@ -275,7 +264,7 @@ def report(
 def export(
     map_: MapDirectory,
     format_: Annotated[
-        str, typer.Option("--format", "-f", help="One of those above, or of an installed package.")
+        str, option("One of those above, or of an installed package.", "--format", "-f")
     ],
     out: Annotated[Path, output("File to write.")],
     overwrite: Overwrite = False,
@@ -322,3 +311,144 @@ def export(
         "warnings": warnings,
     }
     common.show(result, [f"{out}: {exporters()[format_].description}"])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Said:
+    """What is said of submaps, and what is changed of borders and ways."""
+
+    rename: Annotated[
+        list[str] | None, option('Name a submap; "" takes the name back.', metavar="ID NAME")
+    ] = None
+    kind: Annotated[
+        list[str] | None, option("Say what it is: room, corridor or hall.", metavar="ID KIND")
+    ] = None
+    set_property: Annotated[
+        list[str] | None,
+        option(
+            "Note something: text, a number, true or false; KEY= takes it back.",
+            metavar="ID KEY=VALUE",
+        ),
+    ] = None
+    forget: Annotated[
+        list[int] | None, option("Take back name, kind and properties of a submap.", metavar="ID")
+    ] = None
+    merge: Annotated[
+        list[str] | None, option("Make the second submap a part of the first.", metavar="ID ID")
+    ] = None
+    split: Annotated[
+        list[str] | None,
+        option(
+            "Cut a submap along a line; what is right of it, seen from the first point, gets "
+            "a new id.",
+            metavar="ID X1,Y1,X2,Y2",
+        ),
+    ] = None
+    forbid_door: Annotated[
+        list[str] | None, option("Robots must not go from one to the other.", metavar="ID ID")
+    ] = None
+    at: Annotated[
+        list[str] | None,
+        option("Place of the forbidden door, once for each --forbid-door.", metavar="X,Y"),
+    ] = None
+    undo: Annotated[
+        list[int] | None,
+        option("Take back a change by its number in edits.toml.", metavar="NUMBER"),
+    ] = None
+
+
+def edit(
+    map_: MapDirectory,
+    out: Annotated[
+        Path | None, output("Map directory to write; without it MAP itself is changed.")
+    ] = None,
+    overwrite: Overwrite = False,
+    *,
+    said: Said,
+    settings: Bounds,
+    common: Common,
+) -> None:
+    """Name submaps, move borders, forbid doors.
+
+    What is decided is kept in MAP/edits.toml, which may be edited by hand, too: without options the
+    file is made to hold. Updates and rebuilds with --like do so, too. MAP is replaced, complete or
+    not at all; with -o it stays as it is. A map whose borders change is made anew with the settings
+    that it was built with; of those given here only the section `limits` counts.
+
+    \b
+    specmap edit map --rename 3 Kitchen --kind 3 room --set-property 3 floor=2
+    specmap edit map --merge 3 4 --split 5 1.5,2,1.5,6 -o map2
+    specmap edit map --forbid-door 3 5 --at 1.5,2.0
+    """
+    from specmap_cli.exports.routes import misnoted
+    from specmap_cli.pipelines.edit import edit_map
+
+    requested = _requested(said)
+    if out is not None and out.resolve() != map_.resolve():
+        keep_inputs([out], [map_])
+        if map_.resolve() in out.resolve().parents:
+            raise UsageError(f"is inside the map {map_}", "choose another place", where=out)
+    stored = settings.read(map_)
+    with common.progress() as progress:
+        report = edit_map(stored, requested, out, overwrite=overwrite, progress=progress)
+        if requested.properties:
+            for line in misnoted(settings.read(report.out).record):
+                progress.warn(line)
+    common.show(report.as_dict(), report.lines())
+
+
+def _requested(said: Said) -> RequestedEdits:
+    """What the options ask for. Raises UsageError for one that cannot be read."""
+    from specmap_cli.core.toml import value_of
+    from specmap_cli.pipelines.edits import RequestedEdits
+
+    properties: dict[int, dict[str, Any]] = {}
+    for id_, assignment in uses_of("--set-property", said.set_property, "ID KEY=VALUE"):
+        key, separator, text = (part.strip() for part in assignment.partition("="))
+        if not separator or not key:
+            raise UsageError(
+                hint="expected KEY=VALUE, such as floor=2", where=f"--set-property {assignment}"
+            )
+        # a value that is no TOML is text, an empty one takes the property back
+        value = value_of(text) if text else None
+        properties.setdefault(_id("--set-property", id_), {})[key] = value
+    return RequestedEdits(
+        names={_id("--rename", i): name for i, name in uses_of("--rename", said.rename, "ID NAME")},
+        kinds={_id("--kind", i): kind for i, kind in uses_of("--kind", said.kind, "ID KIND")},
+        properties=properties,
+        forget=tuple(said.forget or ()),
+        changes=tuple(_changes(said)),
+        undo=tuple(said.undo or ()),
+    )
+
+
+def _changes(said: Said) -> Iterator[dict[str, Any]]:
+    """The changes, as in edits.toml: merges, then splits, then forbidden doors."""
+    for ids in uses_of("--merge", said.merge, "ID ID"):
+        yield {"merge": [_id("--merge", id_) for id_ in ids]}
+    for id_, line in uses_of("--split", said.split, "ID X1,Y1,X2,Y2"):
+        x1, y1, x2, y2 = _numbers("--split", line, "X1,Y1,X2,Y2")
+        yield {"split": _id("--split", id_), "line": [[x1, y1], [x2, y2]]}
+    doors, places = said.forbid_door or [], said.at or []
+    if places and len(places) != len(doors):
+        raise UsageError(hint="give it once for each --forbid-door, or not at all", where="--at")
+    for number, ids in enumerate(uses_of("--forbid-door", doors, "ID ID")):
+        at = {"at": _numbers("--at", places[number], "X,Y")} if places else {}
+        yield {"forbid": [_id("--forbid-door", id_) for id_ in ids], **at}
+
+
+def _id(option: str, text: str) -> int:
+    if not (text.isascii() and text.isdecimal()):
+        raise UsageError(hint="expected the id of a submap, such as 3", where=f"{option} {text}")
+    return int(text)
+
+
+def _numbers(option: str, text: str, names: str) -> list[float]:
+    try:
+        numbers = [float(word) for word in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != len(names.split(",")):
+        hint = f"expected {names} in metres, separated by commas"
+        raise UsageError(hint=hint, where=f"{option} {text}")
+    return numbers

@@ -43,19 +43,26 @@ RECORDING = (
 )
 WRITTEN = "written"  # beside the option in its annotation; another option of a path is an input
 
-Logs = Annotated[list[Path], typer.Argument(metavar="LOG", help=RECORDING, show_default=False)]
-MapDirectory = Annotated[
-    Path, typer.Argument(metavar="MAP", help="Map directory written by `specmap build`.")
-]
-Resolution = Annotated[
-    float | None, typer.Option(help="Metres per pixel of a picture without a .yaml.")
-]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing result.")]
+
+def argument(metavar: str, what: str) -> Any:
+    """An argument: how it is called in the help, and what it is."""
+    return typer.Argument(metavar=metavar, help=what, show_default=False)
+
+
+def option(what: str, *names: str, **rest: Any) -> Any:
+    """An option: what it is for, its names if not that of the parameter, the rest as for Typer."""
+    return typer.Option(*names, help=what, **rest)
+
+
+Logs = Annotated[list[Path], argument("LOG", RECORDING)]
+MapDirectory = Annotated[Path, argument("MAP", "Map directory written by `specmap build`.")]
+Resolution = Annotated[float | None, option("Metres per pixel of a picture without a .yaml.")]
+Overwrite = Annotated[bool, option("Replace an existing result.", "--overwrite")]
 
 
 def output(what: str, *aliases: str, metavar: str | None = None) -> Any:
     """`-o/--out`: the output of a command, a directory or a file; `aliases` are other names."""
-    return typer.Option("--out", "-o", *aliases, help=what, metavar=metavar)
+    return option(what, "--out", "-o", *aliases, metavar=metavar)
 
 
 NewMap = Annotated[Path, output("Map directory to write.")]
@@ -67,26 +74,26 @@ class Common:
 
     quiet: Annotated[
         bool,
-        typer.Option(
+        option(
+            "Nothing on stderr but an error: as --log-level error.",
             "--quiet",
             "-q",
             envvar="SPECMAP_QUIET",
-            help="Nothing on stderr but an error: as --log-level error.",
         ),
     ] = False
     log_level: Annotated[
         Level,
-        typer.Option(
+        option(
+            "On stderr: errors alone; warnings, too; notes and bars; each stage and its time.",
             envvar="SPECMAP_LOG_LEVEL",
-            help="On stderr: errors alone; warnings, too; notes and bars; each stage and its time.",
         ),
     ] = Level.INFO
     as_json: Annotated[
         bool,
-        typer.Option(
+        option(
+            "Print one JSON object instead of text; an error is one, too.",
             "--json",
             envvar=JSON_VARIABLE,
-            help="Print one JSON object instead of text; an error is one, too.",
         ),
     ] = False
 
@@ -111,14 +118,12 @@ class Bounds:
 
     config: Annotated[
         Path | None,
-        typer.Option(envvar="SPECMAP_CONFIG", help="TOML file of settings (see `specmap config`)."),
+        option("TOML file of settings (see `specmap config`).", envvar="SPECMAP_CONFIG"),
     ] = None
     assignments: Annotated[
         list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="One setting, such as grid.resolution_m=0.1; repeatable.",
+        option(
+            "One setting, such as grid.resolution_m=0.1; repeatable.", "--set", metavar="KEY=VALUE"
         ),
     ] = None
 
@@ -166,9 +171,8 @@ class Settings(Bounds):
 
     preset: Annotated[
         str | None,
-        typer.Option(
-            envvar="SPECMAP_PRESET",
-            help="default: what measures best; paper: the paper's own choices.",
+        option(
+            "default: what measures best; paper: the paper's own choices.", envvar="SPECMAP_PRESET"
         ),
     ] = None
 
@@ -183,17 +187,13 @@ class Settings(Bounds):
 class LogSettings(Settings):
     """The settings of a run that reads a log: its topics and frames, too."""
 
-    scan_topic: Annotated[
-        str | None, typer.Option(help="Topic of the scans, when several fit.")
-    ] = None
+    scan_topic: Annotated[str | None, option("Topic of the scans, when several fit.")] = None
     scan_frame: Annotated[
-        str | None, typer.Option(help="Frame of the scans, when several lasers share a topic.")
+        str | None, option("Frame of the scans, when several lasers share a topic.")
     ] = None
-    odom_topic: Annotated[
-        str | None, typer.Option(help="Topic of the odometry, when several fit.")
-    ] = None
-    base_frame: Annotated[str | None, typer.Option(help="Frame of the robot's base.")] = None
-    no_odometry: Annotated[bool, typer.Option("--no-odometry", help="Do not use odometry.")] = False
+    odom_topic: Annotated[str | None, option("Topic of the odometry, when several fit.")] = None
+    base_frame: Annotated[str | None, option("Frame of the robot's base.")] = None
+    no_odometry: Annotated[bool, option("Do not use odometry.", "--no-odometry")] = False
 
     def overrides(self, flags: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """The same, with the settings of section `log` that have options of their own."""

@@ -221,12 +221,18 @@ def holder_of(descriptor: int) -> str:
     return "another process"
 
 
+@contextmanager
+def held(path: Path) -> Iterator[bool | None]:
+    """A block that holds the lock of a file or directory, as far as `lock` says; raises OSError."""
+    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+    try:
+        yield lock(descriptor)
+    finally:
+        os.close(descriptor)
+
+
 def is_nobody_s(path: Path) -> bool:
     """Whether no living run holds a file or directory; where there are no locks, nobody can say."""
-    with suppress(OSError):
-        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
-        try:
-            return lock(descriptor) is True
-        finally:
-            os.close(descriptor)
+    with suppress(OSError), held(path) as mine:
+        return mine is True
     return False

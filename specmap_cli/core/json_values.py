@@ -154,6 +154,12 @@ def transform(pose: Iterable[float]) -> Transform:
     return x, y, theta
 
 
+def part_of(document: Any, name: str) -> dict[str, Any]:
+    """An object in a document that a person may have changed; an empty one for anything else."""
+    found = document.get(name) if isinstance(document, dict) else None
+    return found if isinstance(found, dict) else {}
+
+
 def runs_of(numbers: Sequence[int]) -> tuple[Span, ...]:
     """Ascending numbers as runs [first, last]."""
     all_ = np.array(numbers, dtype=np.int64)

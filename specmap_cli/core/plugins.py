@@ -1,4 +1,4 @@
-"""What other packages add: readers, exporters, registration methods and sets of features.
+"""What other packages add: readers, exporters, registration methods, sets of features; extras.
 
 A package offers something by an entry point in its own pyproject.toml, under the group of its kind:
 `specmap.readers`, `specmap.exporters`, `specmap.registration` or `specmap.features`::
@@ -10,8 +10,9 @@ A package offers something by an entry point in its own pyproject.toml, under th
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib import import_module
 from importlib.metadata import entry_points
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from specmap_cli.core.errors import PACKAGE, UsageError
 
@@ -46,3 +47,15 @@ def with_plugins(group: str, built_in: Mapping[str, Kind]) -> dict[str, Kind]:
                 code=PACKAGE,
             ) from error
     return table
+
+
+def extra(module: str, package: str, needed: str, where: str | None = None) -> Any:
+    """A module of a package that need not be there.
+
+    Raises UsageError where it is not: `needed` says for what, and may show the `{error}`.
+    """
+    try:
+        return import_module(module)
+    except ImportError as error:
+        found = needed.format(error=error)
+        raise UsageError(found, f"pip install {package}", where=where, code=PACKAGE) from None

@@ -1,8 +1,8 @@
 """Every JSON Schema of the package by its name: what commands print, and what files hold.
 
 A schema is a file `NAME.schema.json` of the package: in `schemas/`, or beside the models that make
-it. That of the settings is made from the settings themselves. The `$id` of each ends with its
-version, which is the `schema_version` of what it describes.
+it, which are the format. That of the settings is made from the settings themselves. The `$id` of
+each ends with its version, which is the `schema_version` of what it describes.
 
 What a field means stands below it in the source of its class, which is `Described`.
 """

@@ -125,6 +125,11 @@ def legible(text: str) -> str:
     return encodable(_UNSHOWN.sub(lambda match: ascii(match[0])[1:-1], text))
 
 
+def one_line(text: str) -> str:
+    """`text` as one line: single spaces for white space, escapes as of `legible`."""
+    return legible(" ".join(text.split()))
+
+
 def quoted(value: object) -> str:
     """`value` as Python writes it, at most 60 characters; of a long text the quotation is closed.
 

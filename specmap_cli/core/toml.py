@@ -165,6 +165,18 @@ def _keys(model: type[BaseModel]) -> Iterator[str]:
             yield from (f"{name}.{key}" for key in _keys(entry.annotation))
 
 
+def flat(table: Any) -> Any:
+    """The entries of nested tables by dotted key; what is no table as it is."""
+    if not isinstance(table, Mapping):
+        return table
+    found: dict[str, Any] = {}
+    for key, value in table.items():
+        inner = flat(value)
+        below = isinstance(value, Mapping)
+        found |= {f"{key}.{name}": each for name, each in inner.items()} if below else {key: inner}
+    return found
+
+
 def choice(name: str, known: Iterable[str]) -> str:
     """What to do about a name that is none of those known."""
     near = _nearest(name, known)

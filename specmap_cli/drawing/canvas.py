@@ -171,10 +171,7 @@ def in_visual_order(words: str) -> str:
 
 @cache
 def _zero(height: float, thickness: int) -> FloatArray:
-    """How far each pixel (H, W) is covered by a zero that stands on the last row.
-
-    Those of the font of OpenCV 5 have a stroke in them, and read as another letter.
-    """
+    """How far each pixel (H, W) is covered by a zero on the last row; OpenCV 5's has a stroke."""
     scale = height / _CAPITALS
     (width, _), _ = cv2.getTextSize("0", _FONT, scale, thickness)
     # the width of an upright stroke of the font

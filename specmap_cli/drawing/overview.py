@@ -121,10 +121,7 @@ def _draw_graph(
     fills: Mapping[int, palette.Colour],
     marks: FloatArray | None = None,
 ) -> None:
-    """Doors, links along their ways or through their crossings, then a badge on each submap.
-
-    Badges keep clear of `marks` (N, 2), pixels at which something else will be drawn.
-    """
+    """Doors, links, then a badge on each submap, clear of `marks` (N, 2), which are drawn later."""
     if not nodes:
         return
     driven = any(door.driven for door in topology.doors)  # nobody drove through a finished map
@@ -288,10 +285,7 @@ def render_labels(
 def _draw_predicted(
     sheet: Sheet, places: FloatArray, submaps: IntArray, fills: Mapping[int, palette.Colour]
 ) -> FloatArray:
-    """Runs of one prediction in its colour, each with a badge where there is room for one.
-
-    Returns the places of the badges (N, 2), in pixels.
-    """
+    """Runs of one prediction in its colour, badges where there is room: their pixels (N, 2)."""
     pixels = sheet.pixels(places)
     drawn = strokes(places, submaps)
     told = [stroke for stroke in drawn if submaps[stroke.first] != NO_SUBMAP]

@@ -141,10 +141,7 @@ class Sheet:
         self._blend(cover, max(1.0, _WALL_STRENGTH / scale), colour)
 
     def _blend(self, cover: NDArray[Any], strength: float, colour: Colour) -> None:
-        """Colour the rows of the map, as far as `cover` (H, W), of the canvas, times this says.
-
-        A strip at a time: all at once would be the most memory that a small map needs.
-        """
+        """Colour the map's rows by `cover` (H, W) times `strength`, in strips to save memory."""
         ink, end = np.array(colour, dtype=np.float32), TITLE + self.map_height
         for first in range(TITLE, end, _STRIP):
             rows = slice(first, min(first + _STRIP, end))
@@ -191,10 +188,7 @@ class Sheet:
 
 
 def _at_most_a_pixel_each(regions: Regions, pixels_per_m: float) -> tuple[GridMap, OwnerArray]:
-    """Cells and owners, thinned out until a cell is more than half a pixel.
-
-    Blocks of cells keep the state and the owner of their middle one.
-    """
+    """Cells and owners, of blocks the middle one, so that a cell is more than half a pixel."""
     step = _thinning(regions.grid, pixels_per_m)
     cells = _padded(regions.grid.cells, step, UNKNOWN)
     owner = _padded(regions.owner, step, NOBODY)

@@ -91,10 +91,14 @@ def _building(
         }
         doors.append([len(vertices), len(vertices) + 1, told])
         vertices += [[round(x, 6), round(y, 6), 0.0, "", {}] for x, y in door.sides]
+    both_ways = {"bidirectional": [_YES_NO, True], "graph_idx": [_WHOLE, _GRAPH]}
     level = {
         "elevation": 0.0,
         "vertices": vertices,
-        "lanes": [[start, end, _lane(leg)] for start, end, leg in lanes],
+        "lanes": [
+            [start, end, both_ways | {SPEED_LIMIT: [_NUMBER, leg.speed_limit or 0.0]}]  # 0: none
+            for start, end, leg in lanes
+        ],
         "doors": doors,
         "measurements": [],
         "walls": [],
@@ -107,14 +111,6 @@ def _building(
         "parameters": {},
         "levels": {_LEVEL: level},
         "lifts": {},
-    }
-
-
-def _lane(leg: Leg) -> Fields:
-    return {
-        "bidirectional": [_YES_NO, True],
-        "graph_idx": [_WHOLE, _GRAPH],
-        SPEED_LIMIT: [_NUMBER, leg.speed_limit or 0.0],  # 0: none
     }
 
 

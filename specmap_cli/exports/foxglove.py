@@ -33,16 +33,7 @@ from specmap_cli.core.geometry import FloatArray, Pose2
 from specmap_cli.core.json_values import Point
 from specmap_cli.core.progress import Progress
 from specmap_cli.drawing.palette import darker
-from specmap_cli.exports.layers import (
-    LAYER_STEP_M,
-    WAY,
-    Layer,
-    Rgb,
-    colours,
-    graph_lines,
-    layers,
-    scans_of,
-)
+from specmap_cli.exports import layers
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.maps.keyframe_log import EvenSpacing
 from specmap_cli.maps.rooms import Fields, known, told_of
@@ -187,16 +178,15 @@ def foxglove(stored: Map, target: IO[bytes], progress: Progress) -> None:
     stamps_ns, frame = stored.keyframes.stamps_ns, stored.frame
     start_ns = max(int(stamps_ns[0]), 0) if len(stamps_ns) else 0
     log = _Log(target, start_ns)
-    fills = colours(stored)
-    for number, layer in enumerate(layers(stored, fills)):
-        log.add(f"/{layer.name}", "Grid", _grid(layer, frame, number, log.stamp))
-    log.add("/submaps", "SceneUpdate", submap_scene(stored, log.stamp, fills))
-    log.add("/graph", "SceneUpdate", graph_scene(stored, log.stamp))
-    with scans_of(stored, progress) as scans:
+    fills = layers.colours(stored)
+    for number, layer in enumerate(layers.layers(stored, fills)):
+        log.add(f"/{layer.name}", "Grid", log.head(frame) | _grid(layer, number))
+    log.add("/submaps", "SceneUpdate", submap_scene(stored, log.head(frame), fills))
+    log.add("/graph", "SceneUpdate", graph_scene(stored, log.head(frame)))
+    with layers.scans_of(stored, progress) as scans:
         if scans is not None:
             poses = [_pose(Pose2(*pose)) for pose in stored.trajectory.driven.tolist()]
-            path = {"timestamp": log.stamp, "frame_id": frame, "poses": poses}
-            log.add("/trajectory", "PosesInFrame", path)
+            log.add("/trajectory", "PosesInFrame", log.head(frame) | {"poses": poses})
             _write_scans(log, scans, stored.labels.poses, frame, progress)
     log.finish()
 
@@ -209,13 +199,17 @@ class _Log:
         self._writer.start(profile="", library=f"specmap {__version__}")
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
-        self.stamp = _time(start_ns)
+        self._stamp = _time(start_ns)
         self._time_ns = start_ns
 
     def at(self, stamp_ns: int) -> None:
         """What follows is of another time; log times never go back, as stamps may."""
-        self.stamp = _time(stamp_ns)
+        self._stamp = _time(stamp_ns)
         self._time_ns = max(stamp_ns, self._time_ns + 1)
+
+    def head(self, frame: str) -> Fields:
+        """What all that is in a frame begins with."""
+        return {"timestamp": self._stamp, "frame_id": frame}
 
     def add(self, topic: str, schema: str, message: Mapping[str, Any]) -> None:
         """One message of a schema of Foxglove."""
@@ -245,43 +239,32 @@ def _write_scans(
         scan, mounting = scans.scan(number), scans.base_from_laser(number)
         log.at(scan.stamp_ns)
         there = _pose(Pose2(*pose))
-        log.add(
-            "/tf",
-            "FrameTransform",
-            {
-                "timestamp": log.stamp,
-                "parent_frame_id": frame,
-                "child_frame_id": BASE_FRAME,
-                "translation": there["position"],
-                "rotation": there["orientation"],
-            },
-        )
-        log.add("/pose", "PoseInFrame", {"timestamp": log.stamp, "frame_id": frame, "pose": there})
-        spacing = spacings.setdefault(mounting, EvenSpacing())
-        even = spacing.beams(scan)
-        log.add(
-            "/scan",
-            "LaserScan",
-            {
-                "timestamp": log.stamp,
-                "frame_id": BASE_FRAME,
-                "pose": _pose(mounting),
-                "start_angle": even.angle_min,
-                "end_angle": even.angle_min + even.increment * (len(even.ranges) - 1),
-                "ranges": np.round(even.ranges * _MM_PER_M) / _MM_PER_M,
-            },
-        )
+        moved = {
+            "timestamp": _time(scan.stamp_ns),
+            "parent_frame_id": frame,
+            "child_frame_id": BASE_FRAME,
+            "translation": there["position"],
+            "rotation": there["orientation"],
+        }
+        log.add("/tf", "FrameTransform", moved)
+        log.add("/pose", "PoseInFrame", log.head(frame) | {"pose": there})
+        even = spacings.setdefault(mounting, EvenSpacing()).beams(scan)
+        seen = {
+            "pose": _pose(mounting),
+            "start_angle": even.angle_min,
+            "end_angle": even.angle_min + even.increment * (len(even.ranges) - 1),
+            "ranges": np.round(even.ranges * _MM_PER_M) / _MM_PER_M,
+        }
+        log.add("/scan", "LaserScan", log.head(BASE_FRAME) | seen)
         progress.advance()
 
 
-def _grid(layer: Layer, frame: str, number: int, stamp: Fields) -> Fields:
+def _grid(layer: layers.Layer, number: int) -> Fields:
     """A grid of coloured cells; Foxglove takes such fields as they are."""
     width = layer.rgba.shape[1]
     channels = ("red", "green", "blue", "alpha")
     return {
-        "timestamp": stamp,
-        "frame_id": frame,
-        "pose": _pose(Pose2(*layer.origin, 0.0), number * LAYER_STEP_M),
+        "pose": _pose(Pose2(*layer.origin, 0.0), number * layers.LAYER_STEP_M),
         "column_count": width,
         "cell_size": {"x": layer.resolution, "y": layer.resolution},
         "row_stride": 4 * width,
@@ -312,8 +295,8 @@ _ANCHOR_M = 0.25
 _OUTLINE_Z, _WAY_Z, _ANCHOR_Z, _TEXT_Z = 0.02, 0.04, 0.06, 0.5
 
 
-def submap_scene(stored: Map, stamp: Fields, fills: Mapping[int, Rgb]) -> dict[str, Any]:
-    """The outline and the name of each submap."""
+def submap_scene(stored: Map, head: Fields, fills: Mapping[int, layers.Rgb]) -> dict[str, Any]:
+    """The outline and the name of each submap; `head` is what each begins with."""
     entities = []
     for node in stored.rooms.values():
         colour = darker(fills[node.id])
@@ -327,38 +310,41 @@ def submap_scene(stored: Map, stamp: Fields, fills: Mapping[int, Rgb]) -> dict[s
             "text": node.name,
         }
         drawn = {"lines": outline if len(node.outline) else [], "texts": [name]}
-        entities.append(_entity(f"submap {node.id}", stored.frame, stamp, told_of(node), **drawn))
+        entities.append(_entity(f"submap {node.id}", head, told_of(node), **drawn))
     return {"entities": entities}
 
 
-def graph_scene(stored: Map, stamp: Fields) -> dict[str, Any]:
-    """Anchors, ways and doors; a link without a way is thin."""
-    frame = stored.frame
+def graph_scene(stored: Map, head: Fields) -> dict[str, Any]:
+    """Anchors, ways and doors; a link without a way is thin. `head` is what each begins with."""
     size = {"x": _ANCHOR_M, "y": _ANCHOR_M, "z": 0.01}
     entities = []
     for node in stored.rooms.values():
         if node.anchor is not None:
             pose = _pose(Pose2(*node.anchor, 0.0), _ANCHOR_Z)
-            spheres = [{"pose": pose, "size": size, "color": _colour(WAY)}]
+            spheres = [{"pose": pose, "size": size, "color": _colour(layers.WAY)}]
             told = {"clearance_m": node.anchor_clearance_m}
-            entities.append(_entity(f"anchor {node.id}", frame, stamp, told, spheres=spheres))
-    for one in graph_lines(stored):
+            entities.append(_entity(f"anchor {node.id}", head, told, spheres=spheres))
+    for one in layers.graph_lines(stored):
         width_px = _LINE_PX if one.is_way else _NO_WAY_PX
         if one.kind == "door":
             width_px = 2.0 * _LINE_PX
         lines = [_line(one.points, one.colour, width_px, _WAY_Z)]
-        entities.append(_entity(f"{one.kind} {one.ids}", frame, stamp, one.told, lines=lines))
+        entities.append(_entity(f"{one.kind} {one.ids}", head, one.told, lines=lines))
     return {"entities": entities}
 
 
-def _entity(id_: str, frame: str, stamp: Fields, told: Fields, **drawn: Any) -> dict[str, Any]:
+def _entity(id_: str, head: Fields, told: Fields, **drawn: Any) -> dict[str, Any]:
     """An entity of what is drawn; what it tells stands in its metadata."""
     pairs = [{"key": key, "value": str(value)} for key, value in known(told).items()]
-    return {"timestamp": stamp, "frame_id": frame, "id": id_, "metadata": pairs, **drawn}
+    return {**head, "id": id_, "metadata": pairs, **drawn}
 
 
 def _line(
-    points: Sequence[Point], colour: Rgb, thickness_px: float, z: float, kind: int = LINE_STRIP
+    points: Sequence[Point],
+    colour: layers.Rgb,
+    thickness_px: float,
+    z: float,
+    kind: int = LINE_STRIP,
 ) -> dict[str, Any]:
     """A line as wide on the screen at any distance."""
     return {
@@ -371,6 +357,6 @@ def _line(
     }
 
 
-def _colour(rgb: Rgb) -> dict[str, float]:
+def _colour(rgb: layers.Rgb) -> dict[str, float]:
     red, green, blue = (channel / 255.0 for channel in rgb)
     return {"r": red, "g": green, "b": blue, "a": 1.0}

@@ -15,25 +15,17 @@ from typing import IO, Any
 
 import numpy as np
 
-from specmap_cli.core.errors import PACKAGE, UsageError
 from specmap_cli.core.files import temporary_files
 from specmap_cli.core.geometry import FloatArray, Pose2
+from specmap_cli.core.plugins import extra
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.text import encodable
 from specmap_cli.drawing.palette import darker
-from specmap_cli.exports.layers import (
-    LAYER_STEP_M,
-    Layer,
-    Rgb,
-    colours,
-    graph_lines,
-    layers,
-    scans_of,
-)
+from specmap_cli.exports import layers
 from specmap_cli.maps.rooms import Fields, known, told_of
 from specmap_cli.maps.store import Map
 
-_TRAJECTORY: Rgb = (150, 60, 150)
+_TRAJECTORY: layers.Rgb = (150, 60, 150)
 _OUTLINE_Z, _WAY_Z, _NAME_Z = 0.02, 0.04, 0.06  # above the map, metres
 
 
@@ -43,14 +35,8 @@ def rerun(stored: Map, target: IO[bytes], progress: Progress) -> None:
     Entities map, regions, submaps, graph, trajectory; robot and robot/scan on a timeline.
     Raises UsageError when rerun-sdk is not installed.
     """
-    try:
-        import rerun as sdk
-    except ImportError:
-        raise UsageError(
-            "the format rerun needs rerun-sdk, which is not installed",
-            "pip install 'specmap-cli[rerun]'",
-            code=PACKAGE,
-        ) from None
+    needed = "the format rerun needs rerun-sdk, which is not installed"
+    sdk = extra("rerun", "'specmap-cli[rerun]'", needed)
     with temporary_files():
         folder = TemporaryDirectory(prefix="specmap-")
     with folder as name:
@@ -62,9 +48,9 @@ def rerun(stored: Map, target: IO[bytes], progress: Progress) -> None:
 
 
 def _write(recording: _Recording, stored: Map, progress: Progress) -> None:
-    fills = colours(stored)
-    for number, layer in enumerate(layers(stored, fills)):
-        recording.grid(layer, number * LAYER_STEP_M)
+    fills = layers.colours(stored)
+    for number, layer in enumerate(layers.layers(stored, fills)):
+        recording.grid(layer, number * layers.LAYER_STEP_M)
     for node in stored.rooms.values():
         colour, entity = darker(fills[node.id]), f"submaps/{node.id}"
         if len(node.outline):
@@ -72,10 +58,10 @@ def _write(recording: _Recording, stored: Map, progress: Progress) -> None:
             recording.line(f"{entity}/outline", ring, colour, _OUTLINE_Z, {})
         place = node.place
         recording.point(entity, place, colour, encodable(node.name), told_of(node))
-    for one in graph_lines(stored):
+    for one in layers.graph_lines(stored):
         entity = f"graph/{one.kind}s/{one.ids}"
         recording.line(entity, one.points, one.colour, _WAY_Z, one.told)
-    with scans_of(stored, progress) as scans:
+    with layers.scans_of(stored, progress) as scans:
         if scans is None:
             return
         recording.line("trajectory", stored.trajectory.driven[:, :2], _TRAJECTORY, _WAY_Z, {})
@@ -101,7 +87,7 @@ class _Recording:
         """Write what is waiting, and the index."""
         self._stream.disconnect()
 
-    def grid(self, layer: Layer, z: float) -> None:
+    def grid(self, layer: layers.Layer, z: float) -> None:
         """A grid as a picture on a rectangle."""
         rows, columns = layer.rgba.shape[:2]
         corners = np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]], dtype=np.float64)
@@ -114,14 +100,16 @@ class _Recording:
         )
         self._stream.log(layer.name, mesh, static=True)
 
-    def line(self, entity: str, points: Iterable[Any], colour: Rgb, z: float, told: Fields) -> None:
+    def line(
+        self, entity: str, points: Iterable[Any], colour: layers.Rgb, z: float, told: Fields
+    ) -> None:
         """A line that tells of itself."""
         places = _in_space(np.array(list(points), dtype=np.float64).reshape(-1, 2), z)
         strips = self._sdk.LineStrips3D([places], colors=[colour])
         self._stream.log(entity, strips, *self._facts(told), static=True)
 
     def point(
-        self, entity: str, place: Iterable[float], colour: Rgb, label: str, told: Fields
+        self, entity: str, place: Iterable[float], colour: layers.Rgb, label: str, told: Fields
     ) -> None:
         """A point with a name that tells of itself."""
         places = _in_space(np.array([list(place)], dtype=np.float64), _NAME_Z)

@@ -69,10 +69,7 @@ def _nav2_nodes(found: routes.Routes, record: TopologyRecord) -> Iterator[Fields
 
 
 def _nav2_edges(found: routes.Routes) -> Iterator[Fields]:
-    """Two lines a leg; their ids begin beyond those of the nodes, as ids of both must differ.
-
-    The server's own scorers may replace the cost, which is the length.
-    """
+    """Two lines a leg, whose ids begin beyond those of the nodes; the cost is the length."""
     waypoints = {waypoint.id: waypoint for waypoint in found.waypoints}
     ids = count(max(waypoints) + 1)
     for leg in found.legs:

@@ -46,7 +46,9 @@ GROUP = "specmap.exporters"
 class Exporter(Protocol):
     """Writes a finished map in one format."""
 
-    description: str
+    @property
+    def description(self) -> str:
+        """What the file is, and for whom."""
 
     def write(self, stored: Map, target: IO[bytes], progress: Progress, /) -> None:
         """Write the map to an open file. Raises MapError when it is damaged, or lacks too much."""
@@ -54,41 +56,33 @@ class Exporter(Protocol):
 
 @dataclass(slots=True)
 class _Format:
-    """What a format of ours is, what writes it, and how its files must end, if that is fixed."""
+    """A format of ours: what writes it, whose docstring begins with the description of the format,
+    and how its files must end, if that is fixed.
+    """
 
-    description: str
     write: Callable[[Map, IO[bytes], Progress], None]
     ending: str | None = None
+
+    @property
+    def description(self) -> str:
+        said = (self.write.__doc__ or "").split(".\n", 1)[0].removesuffix(".")
+        return said.replace("A zip", "a zip", 1)
 
 
 def exporters() -> dict[str, Exporter]:
     """Every exporter by the name of its format. Raises UsageError for a broken plug-in."""
     built_in: dict[str, Exporter] = {
-        "csv": _Format(
-            "a zip of nodes.csv, edges.csv and doors.csv, for spreadsheets and pandas",
-            csv_tables,
-            ".zip",
-        ),
-        "foxglove": _Format(
-            "MCAP: map, submaps, graph, trajectory and scans, for Foxglove", foxglove
-        ),
-        "geojson": _Format(
-            "GeoJSON: outlines, doors and ways in metres of the map, for QGIS", geojson
-        ),
-        "graphml": _Format("GraphML: the graph, for yEd, Gephi and networkx", graphml),
-        "lif": _Format("JSON: a layout in the format LIF 1.0.0 of VDMA, for VDA 5050 fleets", lif),
-        "nav2": _Format("GeoJSON for Nav2's route server: nodes at anchors, doors and bends", nav2),
-        "nav2-masks": _Format(
-            "a zip of keepout and speed masks with their parameters, for Nav2's filters",
-            nav2_masks,
-            ".zip",
-        ),
-        "pose-graph": _Format("g2o: the pose graph of the layout, for GTSAM and g2o", pose_graph),
-        "rerun": _Format(
-            "RRD: map, submaps, graph, trajectory and scans, for the Rerun viewer", rerun
-        ),
-        "rmf": _Format("a zip of building.yaml and nav_graphs/0.yaml, for Open-RMF", rmf, ".zip"),
-        "tmap2": _Format("YAML: a topological map (tmap2) for LCAS topological_navigation", tmap2),
+        "csv": _Format(csv_tables, ".zip"),
+        "foxglove": _Format(foxglove),
+        "geojson": _Format(geojson),
+        "graphml": _Format(graphml),
+        "lif": _Format(lif),
+        "nav2": _Format(nav2),
+        "nav2-masks": _Format(nav2_masks, ".zip"),
+        "pose-graph": _Format(pose_graph),
+        "rerun": _Format(rerun),
+        "rmf": _Format(rmf, ".zip"),
+        "tmap2": _Format(tmap2),
     }
     offered = with_plugins(GROUP, built_in)
     return {name: each() if isinstance(each, type) else each for name, each in offered.items()}

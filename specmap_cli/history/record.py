@@ -1,7 +1,6 @@
 """The contents of history.json: buildings, their rooms, visits by day, and what changed when.
 
-These models are the format. `history.schema.json` beside this file is the same as JSON Schema, for
-other tools. Lengths are metres; places are in the frame of a building, that of its first map.
+Lengths are metres; places are in the frame of a building, that of its first map.
 Visits of rooms are counted by day (`days_of`), from the room that each keyframe was taken in.
 
 For people there are tables for spreadsheets, lines, and a page without a script: a section a
@@ -27,13 +26,11 @@ from specmap_cli.core.errors import UsageError
 from specmap_cli.core.json_values import Amount, Count, Measured, Number, Stamp
 from specmap_cli.core.records import NO_SUBMAP, IntArray
 from specmap_cli.core.schemas import ModelSchema
-from specmap_cli.core.text import counted, csv_text, legible
+from specmap_cli.core.text import counted, csv_text, legible, one_line
 from specmap_cli.maps.store import Map
 from specmap_cli.report import layers
-from specmap_cli.report.html import html_page, shown, tones
+from specmap_cli.report.html import html_page, tones
 from specmap_cli.report.layers import DrawnMap
-
-SCHEMA_VERSION = 1
 
 ChangeKind = Literal[
     "door-closed", "door-opened", "appeared", "vanished", "room-gone", "room-added"
@@ -133,7 +130,7 @@ class HistoryRecord(Measured):
     left_out: list[LeftOutRecord] = Field(description="what was named and is not in it")
 
 
-SCHEMA = ModelSchema(HistoryRecord, "history", SCHEMA_VERSION, "specmap history.json")
+SCHEMA = ModelSchema(HistoryRecord, "history", 1, "specmap history.json")
 
 
 _NS = 1_000_000_000
@@ -315,12 +312,12 @@ def render_history(record: HistoryRecord, plans: Sequence[Map], folder: Path) ->
     """
     sections = []
     for building, stored in zip(record.buildings, plans, strict=True):
-        names = {number: shown(name) for number, name in names_of(building).items()}
+        names = {number: one_line(name) for number, name in names_of(building).items()}
         days = building.days[-MOST_DAYS:]
         longest = max((stay.minutes for day in days for stay in day.rooms), default=0.0)
         section = {
             "building": building,
-            "title": shown(building.name),
+            "title": one_line(building.name),
             "names": names,
             "days": days,
             "days_before": len(building.days) - len(days),
@@ -357,10 +354,10 @@ def _plan(building: BuildingRecord, stored: Map) -> dict[str, Any]:
         "seen": map_.seen,
         "rooms": [
             {
-                "name": shown(room.name),
+                "name": one_line(room.name),
                 "sign": str(room.number)
                 if room.name == room_name(room.number)
-                else shown(room.name),
+                else one_line(room.name),
                 "outline": region["outline"],
                 "badge": region["badge"],
                 "shade": _shade(room.minutes, longest),

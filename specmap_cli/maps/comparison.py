@@ -1,7 +1,6 @@
 """The contents of compare.json: two maps against each other.
 
-These models are the format. `comparison.schema.json` beside this file is the same as JSON Schema,
-for other tools. Lengths are metres, angles radians; places are in the frame of the old map.
+Lengths are metres, angles radians; places are in the frame of the old map.
 """
 
 from __future__ import annotations
@@ -13,8 +12,6 @@ from pydantic import Field
 from specmap_cli.core.json_values import Amount, Count, Measured, Number, Point, Transform
 from specmap_cli.core.schemas import ModelSchema
 from specmap_cli.topology.identity import Identity
-
-SCHEMA_VERSION = 1
 
 Pair = tuple[Count, Count]
 
@@ -107,4 +104,4 @@ class ComparisonRecord(Measured):
     things: ThingsRecord
 
 
-SCHEMA = ModelSchema(ComparisonRecord, "comparison", SCHEMA_VERSION, "specmap compare.json")
+SCHEMA = ModelSchema(ComparisonRecord, "comparison", 1, "specmap compare.json")

@@ -26,7 +26,7 @@ from types import FrameType, TracebackType
 from typing import TYPE_CHECKING
 
 from specmap_cli.core.errors import OUTPUT, OUTPUT_EXISTS, UsageError, is_of_the_place
-from specmap_cli.core.files import holder_of, is_nobody_s, lock, to_disk
+from specmap_cli.core.files import held, holder_of, is_nobody_s, lock, to_disk
 from specmap_cli.core.progress import Progress, Silent
 from specmap_cli.maps.filenames import EDITS, TOPOLOGY, is_of_a_map
 
@@ -276,10 +276,7 @@ def _keep(source: Path, target: Path) -> None:
 
 
 def _remove(partial: Path, parents: list[Path], locks: ExitStack) -> None:
-    """Take back what entering made: the partial directory, its parents while they are empty, locks.
-
-    After the partial directory was renamed there is nothing to take back. It may run twice.
-    """
+    """Take back what entering made and is still there: partial directory, empty parents, locks."""
     with _signals_held():
         shutil.rmtree(partial, ignore_errors=True)
         with suppress(OSError):
@@ -363,17 +360,6 @@ def put_right(target: Path, marker: str = TOPOLOGY) -> list[str]:
             shutil.rmtree(partial, ignore_errors=True)
             done.append(f"removed {partial.name}, which it had begun to write")
     return [f"{target}: an earlier run was killed: {what}" for what in done]
-
-
-@contextmanager
-def held(directory: Path) -> Iterator[None]:
-    """Hold a lock on a directory, where the system has such locks, while the block runs."""
-    descriptor = os.open(directory, os.O_RDONLY)
-    try:
-        lock(descriptor)
-        yield
-    finally:
-        os.close(descriptor)
 
 
 def _ours(target: Path, role: str) -> list[Path]:

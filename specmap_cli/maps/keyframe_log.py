@@ -13,7 +13,7 @@ those it never looked at.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -141,11 +141,7 @@ def _scans(path: Path, wanted: Collection[int] | None) -> Iterator[PosedScan]:
     """The keyframes in a file, one in memory at a time; MapError for what is not whole."""
     try:
         with closing(McapFile(path)) as recording:
-            reader = _Reader(wanted)
-            for message in recording.messages([TF_STATIC, TF, SCAN_TOPIC]):
-                scan = reader.take(message)
-                if scan is not None:
-                    yield scan
+            yield from _posed(recording.messages([TF_STATIC, TF, SCAN_TOPIC]), wanted)
             if recording.damage:
                 found = recording.damage[0].removeprefix(f"{path}: ")
                 raise MapError.damaged(found, path)
@@ -154,42 +150,37 @@ def _scans(path: Path, wanted: Collection[int] | None) -> Iterator[PosedScan]:
         raise MapError.damaged(found, path) from None
 
 
-class _Reader:
-    """Puts scans, poses and mountings together, which come in messages of their own."""
-
-    def __init__(self, wanted: Collection[int] | None) -> None:
-        self._wanted = wanted
-        self._lasers: dict[str, Pose2] = {}
-        self._moved: Message | None = None  # the transforms before a scan
-        self._pose: tuple[int, Pose2] | None = None  # with its stamp
-        self._count = 0
-
-    def take(self, message: Message) -> PosedScan | None:
-        """Take in a message; the keyframe that it completes, if any. Raises BadMessageError."""
+def _posed(messages: Iterable[Message], wanted: Collection[int] | None) -> Iterator[PosedScan]:
+    """Scans with their poses and mountings, which come in messages of their own."""
+    lasers: dict[str, Pose2] = {}
+    moved: Message | None = None  # the transforms before a scan
+    pose: tuple[int, Pose2] | None = None  # with its stamp
+    number = -1
+    for message in messages:
         if message.topic == TF:
-            self._moved = message
-            return None
+            moved = message
+            continue
         if message.topic != SCAN_TOPIC:
             for each in decode_transforms(message)[0]:
-                self._lasers[each.child] = _mounting(Pose2.from_matrix(each.parent_from_child))
-            return None
-        number, self._count = self._count, self._count + 1
-        if self._wanted is not None and number not in self._wanted:
-            return None
-        for each in decode_transforms(self._moved)[0] if self._moved is not None else ():
+                lasers[each.child] = _mounting(Pose2.from_matrix(each.parent_from_child))
+            continue
+        number += 1
+        if wanted is not None and number not in wanted:
+            continue
+        for each in decode_transforms(moved)[0] if moved is not None else ():
             if each.child == BASE_FRAME:
-                self._pose = each.stamp_ns, Pose2.from_matrix(each.parent_from_child)
-        self._moved = None
+                pose = each.stamp_ns, Pose2.from_matrix(each.parent_from_child)
+        moved = None
         record = decode_scan(message)
         if isinstance(record, CloudRecord):
             raise BadMessageError(f"scan {number} is a cloud")
-        if self._pose is None or self._pose[0] != record.stamp_ns:
+        if pose is None or pose[0] != record.stamp_ns:
             raise BadMessageError(f"scan {number} has no pose")
-        if record.frame not in self._lasers:
+        if record.frame not in lasers:
             raise BadMessageError(f"scan {number} is of no known laser: {record.frame!r}")
         beams, step = record.layout.beams, increment(record.layout)
-        placed = _cut(np.array(self._pose[1]))  # as it was before its quaternion was cut
-        return PosedScan(
+        placed = _cut(np.array(pose[1]))  # as it was before its quaternion was cut
+        yield PosedScan(
             index=number,
             stamp_ns=record.stamp_ns,
             map_from_base=Pose2(*placed.tolist()),
@@ -200,7 +191,7 @@ class _Reader:
                 range_max=record.range_max,
                 full_circle=covers_circle(beams, step),
             ),
-            base_from_laser=self._lasers[record.frame],
+            base_from_laser=lasers[record.frame],
         )
 
 
@@ -266,10 +257,7 @@ def _nearest(scan: PlanarScan, bearings: FloatArray) -> FloatArray:
 
 
 def _looked_at(bearings: FloatArray, ranges: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A circle of beams without the longest run of those that saw nothing, the first of equals.
-
-    Two beams go at the least.
-    """
+    """A circle of beams without the longest run that saw nothing: the first, two beams at least."""
     count, seen = len(ranges), np.flatnonzero(~np.isnan(ranges))
     start, length = 0, count
     if len(seen):

@@ -18,9 +18,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from specmap_cli.core.arrays import unchanging
-from specmap_cli.core.errors import PACKAGE, TOO_LARGE, MapError, UsageError
+from specmap_cli.core.errors import TOO_LARGE, MapError
 from specmap_cli.core.geometry import FloatArray, Pose2, product
 from specmap_cli.core.json_values import Point, PropertyValue
+from specmap_cli.core.plugins import extra
 from specmap_cli.core.text import legible
 from specmap_cli.grids.gridmap import FREE, OCCUPIED, UNKNOWN, BoolArray, GridMap
 from specmap_cli.grids.map_server import read_grid
@@ -352,9 +353,6 @@ def features_of(map_: Map) -> Iterator[Fields]:
 
 def geodataframe_of(map_: Map) -> Any:
     """The features as a table of geopandas; UsageError where it is not installed."""
-    try:
-        import geopandas
-    except ImportError:
-        what = "to_geopandas needs geopandas, which is not installed"
-        raise UsageError(what, "pip install geopandas", code=PACKAGE) from None
+    needed = "to_geopandas needs geopandas, which is not installed"
+    geopandas = extra("geopandas", "geopandas", needed)
     return geopandas.GeoDataFrame.from_features(list(features_of(map_)))

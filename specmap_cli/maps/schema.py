@@ -1,7 +1,6 @@
 """The contents of topology.json: node-link JSON that networkx reads as it is, read and checked.
 
-These models are the format. `topology.schema.json` beside this file is the same as JSON Schema, for
-other tools. Lengths are metres, angles radians, stamps seconds; everything is in the frame named by
+Lengths are metres, angles radians, stamps seconds; everything is in the frame named by
 `graph.frame` unless it says otherwise.
 
 A map of schema 1 is read as one of schema 2, and so is one of the first versions of schema 2, which
@@ -33,6 +32,7 @@ from specmap_cli.core.json_values import (
     PropertyValue,
     Record,
     Span,
+    part_of,
     point,
     transform,
 )
@@ -290,8 +290,7 @@ def read_topology(path: Path, limits: LimitsConfig) -> tuple[TopologyRecord, str
     Raises MapError when it cannot be read, is of an unknown version, or contradicts itself.
     """
     document = map_json(path, limits)
-    graph = document.get("graph") if isinstance(document, dict) else None
-    graph = graph if isinstance(graph, dict) else {}
+    graph = part_of(document, "graph")
     version, note = graph.get("schema_version"), ""
     if version == 1:
         document, note = upgraded(document), f"{path.parent}: {MISSING}"
@@ -381,6 +380,7 @@ _NOT_AT_FIRST = {"doors", "robot_radius_m", "edits"}  # of the graph, in any ver
 def upgraded(document: dict[str, Any]) -> dict[str, Any]:
     """A document of schema 1, or of the first versions of schema 2, as one of schema 2."""
     graph, nodes = document["graph"], document.get("nodes")
+    stays = graph.get("stays", [])
     objects = [node for node in nodes if isinstance(node, dict)] if isinstance(nodes, list) else []
     ids = [node["id"] for node in objects if isinstance(node.get("id"), int)]
     return {
@@ -395,7 +395,7 @@ def upgraded(document: dict[str, Any]) -> dict[str, Any]:
             "edits": {"submaps": [], "borders": []},
             **{key: value for key, value in graph.items() if key != "log"},
             "schema_version": SCHEMA_VERSION,
-            "stays": _with_origins(graph.get("stays", [])),
+            "stays": list(map(_with_origin, stays)) if isinstance(stays, list) else stays,
             "closures": _each(graph.get("closures"), new_submap=None, old_submap=None),
         },
         "nodes": _each(nodes, kind=None, properties={}, anchor=None, anchor_clearance_m=None),
@@ -410,16 +410,12 @@ def upgraded(document: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _with_origins(stays: Any) -> Any:
-    """Stays of versions that did not tell their frame: it was that of the first keyframe."""
-    made = []
-    for stay in stays if isinstance(stays, list) else ():
-        match stay:
-            case {"keyframes": [[first, _], *_]}:
-                made.append({"origin": first, **stay})
-            case _:
-                made.append(stay)
-    return made if isinstance(stays, list) else stays
+def _with_origin(stay: Any) -> Any:
+    """A stay of a version that did not tell its frame: it was that of the first keyframe."""
+    match stay:
+        case {"keyframes": [[first, _], *_]}:
+            return {"origin": first, **stay}
+    return stay
 
 
 def _each(values: Any, **lacking: Any) -> Any:

@@ -20,6 +20,7 @@ from specmap_cli.core.config import known_settings
 from specmap_cli.core.errors import MAP_MISSING, MapError, path_of
 from specmap_cli.core.files import sha256_of
 from specmap_cli.core.findings import Quality, Verdict
+from specmap_cli.core.json_values import part_of
 from specmap_cli.core.records import NO_SUBMAP, IntArray, Labels, Trajectory
 from specmap_cli.core.settings import Config, LimitsConfig
 from specmap_cli.core.text import counted, first_finding
@@ -383,8 +384,7 @@ class Map:
     @property
     def counts(self) -> dict[str, int]:
         """What run.json says was counted; whatever is no whole number is left out."""
-        counts = self.run.get("counts")
-        found = counts.items() if isinstance(counts, dict) else ()
+        found = part_of(self.run, "counts").items()
         return {name: count for name, count in found if type(count) is int}
 
     @property

@@ -18,7 +18,6 @@ from specmap_cli.core.text import counted, encodable, to_json
 from specmap_cli.drawing.comparison import render_comparison
 from specmap_cli.grids.map_server import write_png
 from specmap_cli.maps.comparison import (
-    SCHEMA_VERSION,
     AlignmentRecord,
     ComparisonRecord,
     DoorRecord,
@@ -66,7 +65,7 @@ class Comparison:
         ground = alignment.ground
         assert alignment.old_from_new is not None
         return ComparisonRecord(
-            schema_version=SCHEMA_VERSION,
+            schema_version=1,
             old=_figures(self.old),
             new=_figures(self.new),
             identical=self.identical,

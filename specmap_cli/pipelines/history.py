@@ -22,7 +22,6 @@ from specmap_cli.core.records import NO_SUBMAP, IntArray
 from specmap_cli.core.settings import LimitsConfig
 from specmap_cli.core.text import encodable, to_json
 from specmap_cli.history.record import (
-    SCHEMA_VERSION,
     TABLES,
     BuildingRecord,
     ChangeKind,
@@ -107,7 +106,7 @@ def history_of(
             buildings.append(_Building(number, path, stored, zone))
         progress.advance()
     record = HistoryRecord(
-        schema_version=SCHEMA_VERSION,
+        schema_version=1,
         timezone=timezone,
         buildings=[one.record(number) for number, one in enumerate(buildings)],
         left_out=left_out,

@@ -23,8 +23,7 @@ from specmap_cli.pipelines.localizer import classifiers_of
 from specmap_cli.recognition.features.sets import KeyframeFeatures, feature_names
 from specmap_cli.recognition.learning.boosting import feature_shares
 from specmap_cli.recognition.learning.classifiers import Recogniser
-from specmap_cli.report.evidence import Evidence, Learned, SplitTrial
-from specmap_cli.report.layers import Changes
+from specmap_cli.report.layers import Changes, Evidence, Learned, SplitTrial
 from specmap_cli.report.page import render
 from specmap_cli.segmentation.online import Occasion, OnlineSegmenter, SplitTest
 from specmap_cli.topology.topological_map import starts_of

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -22,7 +21,7 @@ from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from specmap_cli import __version__
 from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.records import BoolArray, IntArray
-from specmap_cli.core.text import encodable, legible
+from specmap_cli.core.text import encodable
 from specmap_cli.core.text import seconds as stamp_seconds
 from specmap_cli.drawing import palette
 from specmap_cli.drawing.palette import Colour, darker, paler
@@ -157,11 +156,6 @@ def percent(share: float | None) -> str:
 def figure(value: float | None, places: int = 2) -> str:
     """A number with some decimals; a dash where there is none. The minus is a real one."""
     return "–" if value is None else f"{value:,.{places}f}".replace("-", "−")
-
-
-def shown(text: str) -> str:
-    """A person's text on one line: no control characters, no endless blanks."""
-    return legible(re.sub(r"\s+", " ", text).strip())
 
 
 _CM = 100.0

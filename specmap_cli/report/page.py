@@ -17,23 +17,16 @@ from numpy.typing import NDArray
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.findings import Verdict
+from specmap_cli.core.json_values import part_of
 from specmap_cli.core.settings import Config
-from specmap_cli.core.text import counted, seconds
+from specmap_cli.core.text import counted, one_line, seconds
+from specmap_cli.core.toml import flat
 from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap
 from specmap_cli.grids.map_server import png_bytes
 from specmap_cli.maps import filenames
 from specmap_cli.maps.store import Map
 from specmap_cli.report import layers
-from specmap_cli.report.evidence import (
-    Evidence,
-    Learned,
-    Spectra,
-    Track,
-    running_seconds,
-    spectra_of,
-)
-from specmap_cli.report.html import PACKAGE, fill_names, html_page, lasting, shown, tones
-from specmap_cli.report.layers import Changes, DrawnMap, old_map
+from specmap_cli.report.html import PACKAGE, fill_names, html_page, lasting, tones
 from specmap_cli.topology.topological_map import starts_of
 
 # the parts of the script in their order; each uses only what stands before it
@@ -57,30 +50,30 @@ _LEARNED_COLUMNS = (("told right", "number"), ("most like", "text"))
 _MOST_LOST = 500  # places of lost scans that are drawn, evenly spread
 
 
-def render(stored: Map, evidence: Evidence, changes: Changes | None = None) -> str:
+def render(stored: Map, evidence: layers.Evidence, changes: layers.Changes | None = None) -> str:
     """The report on a stored map as the text of one HTML page.
 
     Raises MapError when a file of the map is missing or damaged.
     """
-    map_ = DrawnMap(stored)
+    map_ = layers.DrawnMap(stored)
     starts = starts_of(stored.logs)  # of the recordings after the first one, in keyframes
-    track = Track.of(stored.keyframes, starts, evidence.fit)
-    seconds = running_seconds(stored.keyframes.stamps_ns, starts).tolist()
-    spectra = spectra_of(evidence, seconds, map_.frame)
+    track = layers.Track.of(stored.keyframes, starts, evidence.fit)
+    seconds = layers.running_seconds(stored.keyframes.stamps_ns, starts).tolist()
+    spectra = layers.spectra_of(evidence, seconds, map_.frame)
     closures, refused = layers.closures_of(map_)
     context = {
         **_drawn(map_, track),
         **_words(map_, track, evidence),
         "closures": closures,
         "spectra": spectra,
-        "old": None if changes is None else old_map(changes, map_),
+        "old": None if changes is None else layers.old_map(changes, map_),
         "data": {  # what the script needs to know
             "width": map_.frame.width,
             "height": map_.frame.height,
             "track": track.table(map_.frame),
             "names": {str(id_): name for id_, name in map_.names.items()},
-            "tests": list(spectra.table),
-            "threshold": spectra.threshold,
+            "tests": spectra["table"],
+            "threshold": spectra["threshold"],
             "logs": [log.name for log in stored.record.graph.logs],
         },
         "thinned": _left_out(track, spectra, len(closures["refused"]), refused),
@@ -88,7 +81,7 @@ def render(stored: Map, evidence: Evidence, changes: Changes | None = None) -> s
     return html_page(PACKAGE, "page.html", context, _STYLES, _SCRIPTS)
 
 
-def _drawn(map_: DrawnMap, track: Track) -> dict[str, Any]:
+def _drawn(map_: layers.DrawnMap, track: layers.Track) -> dict[str, Any]:
     """What is drawn of the map, and of the robot's way."""
     doors = map_.stored.doors
     fills = fill_names(map_.fills.values())
@@ -116,7 +109,7 @@ def _drawn(map_: DrawnMap, track: Track) -> dict[str, Any]:
     }
 
 
-def _words(map_: DrawnMap, track: Track, evidence: Evidence) -> dict[str, Any]:
+def _words(map_: layers.DrawnMap, track: layers.Track, evidence: layers.Evidence) -> dict[str, Any]:
     """What is written beside the map."""
     quality, gravity = map_.stored.quality, ("poor", "doubtful", "note")
     findings = [] if quality is None else list(quality.findings)
@@ -127,8 +120,8 @@ def _words(map_: DrawnMap, track: Track, evidence: Evidence) -> dict[str, Any]:
     headline, *others = [log.name for log in map_.stored.record.graph.logs]
     headline += f" and {counted(len(others), 'more recording')}" if others else ""
     return {
-        "title": shown(headline),
-        "place": shown(map_.stored.path.resolve().name),
+        "title": one_line(headline),
+        "place": one_line(map_.stored.path.resolve().name),
         "verdict": "not judged" if quality is None else quality.verdict,
         "sentence": _VERDICTS[map_.stored.verdict],
         "facts": _facts_of(map_, track),
@@ -148,16 +141,18 @@ def _words(map_: DrawnMap, track: Track, evidence: Evidence) -> dict[str, Any]:
     }
 
 
-def _left_out(track: Track, spectra: Spectra, drawn: int, refused: int) -> list[str]:
+def _left_out(
+    track: layers.Track, spectra: Mapping[str, Any], drawn: int, refused: int
+) -> list[str]:
     """A sentence for each part of the map that is not shown whole."""
     found = ["Outlines are simplified by half a cell; places are rounded to centimetres."]
     if len(track.seconds) < track.total:
         kept, total = len(track.seconds), counted(track.total, "keyframe")
         found.append(f"The way is drawn through {kept:,} of {total}, evenly spread.")
-    if len(spectra.dots) < spectra.total:
-        kept, total = len(spectra.dots), counted(spectra.total, "split test")
+    if len(spectra["dots"]) < spectra["total"]:
+        kept, total = len(spectra["dots"]), counted(spectra["total"], "split test")
         found.append(f"Of {total} {kept:,} are shown, those that split a submap first.")
-    if spectra.thinned:
+    if spectra["thinned"]:
         found.append("Split tests show some of their nodes, evenly spread.")
     if drawn < refused:
         found.append(
@@ -178,7 +173,7 @@ _VERDICTS: Mapping[Verdict | None, str] = {
 }
 
 
-def _facts_of(map_: DrawnMap, track: Track) -> list[tuple[str, str, str]]:
+def _facts_of(map_: layers.DrawnMap, track: layers.Track) -> list[tuple[str, str, str]]:
     """The figures at the top of the page, each with its unit and what it counts."""
     record, doors = map_.stored.record, map_.stored.doors
     driven = sum(door.driven for door in doors)
@@ -209,40 +204,25 @@ def _plural(count: int, noun: str) -> str:
     return counted(count, noun).split(" ", 1)[1]
 
 
-def _run_of(map_: DrawnMap) -> dict[str, Any]:
+def _run_of(map_: layers.DrawnMap) -> dict[str, Any]:
     """How the map was made, by parts; they are empty for a map without run.json."""
     stored = map_.stored
     known = (stored.path / filenames.RUN).exists()
     run = stored.run if known else {}
     warnings = run.get("warnings")
-    usual, own = _dotted(Config()), _dotted(stored.config) if known else {}
+    usual, own = flat(Config().model_dump()), flat(stored.config.model_dump()) if known else {}
     settings = [(key, str(own[key]), str(usual[key])) for key in own if own[key] != usual[key]]
-    took = _dict(run, "seconds").items()
+    took = part_of(run, "seconds").items()
     seconds = [(key, float(value)) for key, value in took if type(value) in (int, float)]
     counts = stored.counts if known else {}
     return {
-        "selection": _pairs(_dict(run, "selection")),
+        "selection": _pairs(part_of(run, "selection")),
         "settings": settings,
         "counts": [(key, f"{count:,}") for key, count in counts.items() if count],
         "seconds": sorted(seconds, key=lambda one: -one[1]),
-        "versions": _pairs(_dict(run, "versions")),
+        "versions": _pairs(part_of(run, "versions")),
         "warnings": list(map(str, warnings)) if isinstance(warnings, list) else [],
     }
-
-
-def _dotted(config: Config) -> dict[str, Any]:
-    """All settings by their dotted keys."""
-    found: dict[str, Any] = {}
-    for section, values in config.model_dump().items():
-        inner = values if isinstance(values, dict) else {"": values}
-        found |= {f"{section}.{key}".rstrip("."): value for key, value in inner.items()}
-    return found
-
-
-def _dict(run: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    """A part of run.json, which a person may have changed; empty when it is something else."""
-    found = run.get(key)
-    return found if isinstance(found, dict) else {}
 
 
 def _pairs(values: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
@@ -253,7 +233,9 @@ def _pairs(values: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     )
 
 
-def _sheets_of(map_: DrawnMap, learned: Mapping[int, Learned]) -> list[dict[str, Any]]:
+def _sheets_of(
+    map_: layers.DrawnMap, learned: Mapping[int, layers.Learned]
+) -> list[dict[str, Any]]:
     """All that is told of each submap, by id; `visits` are start and length in seconds."""
     edges = map_.stored.record.edges
     ends = [(edge.source, edge.target) for edge in edges if not edge.doors]
@@ -279,7 +261,7 @@ def _sheets_of(map_: DrawnMap, learned: Mapping[int, Learned]) -> list[dict[str,
                 "sides_m": sides_m,
                 "thumbnail": thumbnail,
                 "thumbnail_size": size,
-                "learned": learned.get(id_, Learned()),
+                "learned": learned.get(id_, layers.Learned()),
             }
         )
     return sheets

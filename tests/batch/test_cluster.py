@@ -143,7 +143,7 @@ def test_a_job_whose_worker_dies_is_tried_again(monkeypatch: pytest.MonkeyPatch)
         distributed.Client(local) as client,
         Workers(client, Terms("")) as some,
     ):
-        happened = list(work_off(ledger.jobs, some, 1, ledger))
+        happened = list(work_off(some, 1, ledger))
     (retried,) = (one for one in happened if one is not None and one.event == "retried")
     assert (retried.job, retried.kind) == ("deadly", "worker")
     assert str(retried.reason).startswith("the worker died with the job (tcp://127.0.0.1:")

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 import jsonschema
 import pytest
 
-from specmap_cli.batch.batch import Ledger, longest_first, work_off
+from specmap_cli.batch.batch import Ledger, work_off
 from specmap_cli.batch.records import JobResult, Turn
 from specmap_cli.batch.workers import Workers
 from specmap_cli.core.schemas import read_schema
@@ -81,7 +81,7 @@ def ledger_of(names: Iterable[str]) -> Ledger:
 )
 def test_jobs_are_tried_again_or_not(ends: Ends, slots: int, retries: int, got: list[str]) -> None:
     ledger, workers = ledger_of(ends), Obedient(ends, slots)
-    happened = list(work_off(ledger.jobs, workers, retries, ledger))
+    happened = list(work_off(workers, retries, ledger))
     assert happened[0] is None, "nobody is there yet"
     assert workers.got == got
     assert workers.largest == min(slots, len(ends))
@@ -94,8 +94,8 @@ def test_jobs_are_tried_again_or_not(ends: Ends, slots: int, retries: int, got: 
 
 
 def test_long_jobs_are_first_and_names_decide_among_equals() -> None:
-    ordered = longest_first([job(name) for name in "dbca"], {"a": 5, "b": 7, "c": 7, "d": 1})
-    assert "".join(one.name for one in ordered) == "bcad"
+    ledger = Ledger([job(name) for name in "dbca"], {"a": 5, "b": 7, "c": 7, "d": 1})
+    assert "".join(one.name for one in ledger.jobs) == "bcad"
 
 
 def test_events_say_what_happened_in_order_as_their_schema_says() -> None:

@@ -261,7 +261,7 @@ def rows() -> list[Row]:
 
 def test_csv_says_what_is_known(rows: list[Row]) -> None:
     read = list(csv.DictReader(io.StringIO(as_csv(rows).decode())))
-    assert list(read[0]) == [column.name for column in COLUMNS]
+    assert list(read[0]) == list(COLUMNS)
     assert [row["state"] for row in read] == ["done", "failed", "done", "waiting"]
     assert read[0] == {
         **dict.fromkeys(("kind", "reason", "warnings"), ""),

@@ -22,8 +22,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from specmap_cli.cli import main
-from specmap_cli.cli.entry import ConsoleProgress, one_line
+from specmap_cli.cli.entry import ConsoleProgress
 from specmap_cli.core.errors import CODES
+from specmap_cli.core.text import one_line
 from specmap_cli.logs import inspection
 from specmap_cli.pipelines import build
 from tests.cli.conftest import Outcome, Run, standing_log, validate

@@ -22,9 +22,10 @@ from typing import Any
 import pytest
 
 from specmap_cli.core.errors import UsageError
+from specmap_cli.core.files import held
 from specmap_cli.core.progress import Silent
 from specmap_cli.maps import directory as module
-from specmap_cli.maps.directory import OutputDirectory, held, put_right
+from specmap_cli.maps.directory import OutputDirectory, put_right
 from specmap_cli.maps.filenames import TOPOLOGY
 from specmap_cli.maps.store import read_map
 from specmap_cli.maps.writing import MapResult, write_map

@@ -13,7 +13,7 @@ from specmap_cli.core.findings import Finding, Quality, Where
 from specmap_cli.maps.store import Map, read_map
 from specmap_cli.maps.writing import MapResult, write_map
 from specmap_cli.pipelines.report import report_map
-from specmap_cli.report.evidence import Evidence, Learned, SplitTrial
+from specmap_cli.report.layers import Evidence, Learned, SplitTrial
 from specmap_cli.report.page import render
 from specmap_cli.topology.topological_map import Door
 from tests.report.browser import Browser, BrowserGoneError, installed

@@ -17,8 +17,7 @@ import pytest
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import BentMotion, Pose2
 from specmap_cli.maps.store import Map, read_map
-from specmap_cli.report.evidence import MOST_TESTS, Evidence
-from specmap_cli.report.layers import MOST_REFUSED, Changes
+from specmap_cli.report.layers import MOST_REFUSED, MOST_TESTS, Changes, Evidence
 from specmap_cli.report.page import render
 from tests.comparisons import comparison, thing, way
 from tests.flats import forget_digests

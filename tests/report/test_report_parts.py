@@ -24,8 +24,8 @@ from specmap_cli.recognition.features.sets import feature_names
 from specmap_cli.recognition.learning.boosting import StumpBoost, TreeBoost, feature_shares
 from specmap_cli.recognition.learning.trees import Forest
 from specmap_cli.report import html
-from specmap_cli.report.evidence import MOST_POINTS, Evidence, Track
 from specmap_cli.report.html import Frame, outlines, path_data, tones
+from specmap_cli.report.layers import MOST_POINTS, Evidence, Track
 from tests.drawing.looking import contrast, least_difference, seen_lab
 from tests.flats import Explained
 from tests.maps.conftest import edit
@@ -142,7 +142,6 @@ def test_figures_texts_and_features_read_as_people_write_them() -> None:
     assert [html.lasting(s) for s in (65, 600, 3700)] == ["65 s", "10 min", "1 h 2 min"]
     assert html.moment(1211.52) == "1211.5 s", "counts from no day"
     assert html.moment(1_700_000_000.0) == "2023-11-14 22:13:20 UTC"
-    assert html.shown("  a\n\tb\x1b[31m ") == "a b\\x1b[31m"
     assert [name for name in feature_names("full") if not html.feature_words(name)] == []
     assert html.feature_words("somebody_else_s") == ""
 
