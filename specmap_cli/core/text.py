@@ -126,7 +126,10 @@ def legible(text: str) -> str:
 
 
 def one_line(text: str) -> str:
-    """`text` as one line: single spaces for white space, escapes as of `legible`."""
+    """`text` as one line: spaces for white space, escapes for what no terminal can show.
+
+    That is control characters, which it would obey, and bytes of a file name that are no text.
+    """
     return legible(" ".join(text.split()))
 
 
