@@ -84,10 +84,7 @@ class Exploration:
                 give_memory_back()
 
     def recognise_again(self) -> None:
-        """Regions that the robot came straight back to have grown since they were compared.
-
-        They are compared once more, whole, at the end of the log.
-        """
+        """Compare regions once more, whole, that have grown since they were compared."""
         grown, self._grown = sorted(self._grown), set()
         with self.session.clock.stage("recognition"):
             for number in grown:
@@ -107,10 +104,7 @@ class Exploration:
         )
 
     def _accept(self, closures: Iterable[Closure]) -> None:
-        """Remember what was considered; what was recognised becomes one submap.
-
-        Of two regions what was found last is told.
-        """
+        """Remember what was considered, of each pair what came last; merge what was recognised."""
         for closure in closures:
             pair = min(closure.old, closure.new), max(closure.old, closure.new)
             self._closures.pop(pair, None)

@@ -40,22 +40,20 @@ def finish(
     known from before.
     """
     laid, skipped = with_borders(laid)
-    labels, starts, stamps_ns = laid.labels, laid.starts, laid.labels.stamps_ns.tolist()
-    learned = learn(session, labels.submaps, labels.poses, prior, starts)
+    labels, starts = laid.labels, laid.starts
+    learned = learn(session, labels, prior, starts)
     give_memory_back()
     with session.clock.stage("ways"):
         linked = build_topology(
-            labels=labels.submaps,
-            poses=labels.poses,
-            stamps_ns=stamps_ns,
+            labels=labels,
             breaks=[
                 Break(keyframe, *((bridge.position_m, bridge.heading_rad) if bridge else ()))
                 for keyframe, bridge in sorted(laid.breaks.items())
-                if keyframe < len(stamps_ns)  # none came after the last of them
+                if keyframe < len(laid)  # none came after the last of them
                 and keyframe not in starts
             ],
             closures=laid.closures,
-            stays=stays_of(laid.stays, labels.submaps, stamps_ns),
+            stays=stays_of(laid.stays, labels),
             grids=learned.grids,
             starts=starts,
         )

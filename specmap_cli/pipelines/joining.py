@@ -34,7 +34,7 @@ from specmap_cli.pipelines.laying_out import constraints_of, refute
 from specmap_cli.pipelines.map_in_making import LaidOut, gaps_in
 from specmap_cli.pipelines.session import Session
 from specmap_cli.recognition.closure.alignment import Joint
-from specmap_cli.topology.graph import Heritage, inherited
+from specmap_cli.topology.graph import inherited
 from specmap_cli.topology.identity import undone
 
 _JOINED = "the maps were joined here"
@@ -133,10 +133,7 @@ def moved_finding(finding: Finding, old_from_new: Pose2) -> Finding:
 
 
 def closures_between(old: LaidOut, new: LaidOut, joints: Sequence[Joint]) -> tuple[Closure, ...]:
-    """What the joints of an alignment say, as closures between the longest stays in the submaps.
-
-    Each names the stays by the numbers that they have in their own maps.
-    """
+    """What joints say, as closures between the longest stays, by the numbers of their own maps."""
     found = []
     for joint in joints:
         one, other = _longest_stay(old, joint.old), _longest_stay(new, joint.new)
@@ -176,14 +173,11 @@ def _longest_stay(laid: LaidOut, submap: int) -> int | None:
 def inherit(
     old: LaidOut, new: LaidOut, poses: FloatArray, old_from_new: Pose2, config: Config
 ) -> IntArray:
-    """The submap (m,) of each keyframe of both maps, which lie at `poses` (m, 3).
-
-    Old ones stay in their submaps, new ones get into these.
-    """
+    """The submap (m,) of each keyframe of both maps, at `poses` (m, 3); old ones keep theirs."""
     there = compose(np.array(old_from_new.inverse()), old.labels.poses)
     divided = np.concatenate([new.regions.owners(there), new.labels.submaps])
-    heritage = Heritage(old.labels.poses, old.labels.submaps, old.regions, old.next_id)
-    return inherited(heritage, poses, divided, config.segmentation.region_min_m)
+    least_m = config.segmentation.region_min_m
+    return inherited(old.labels, old.regions, old.next_id, poses, divided, least_m)
 
 
 def _trajectory(old: LaidOut, new: LaidOut, poses: FloatArray) -> Trajectory:
@@ -213,11 +207,7 @@ def _both(
 
 
 def with_edits_of(joint: LaidOut, new: LaidOut, old_from_new: Pose2) -> LaidOut:
-    """The joint map with the edits of the `new` one, beside those of the old one that it has.
-
-    The new map, whose keyframes are the last of the joint one, is divided as before a person moved
-    its borders. What says nothing of the joint map is added to what is `lost`.
-    """
+    """The joint map with the edits of the `new` one, too; what says nothing of it is `lost`."""
     submaps = joint.labels.submaps[len(joint) - len(new) :]
     retelling = _Retelling(new, submaps, old_from_new, joint.next_id)
     changes: list[Change] = list(joint.edits.changes)
@@ -252,10 +242,7 @@ def with_edits_of(joint: LaidOut, new: LaidOut, old_from_new: Pose2) -> LaidOut:
 
 
 class _Retelling:
-    """Says the changes of one map, in order, of the submaps of another that its own became.
-
-    `became` are these by id, the one with the most keyframes first, without those of a few.
-    """
+    """Says the changes of a map of what its submaps `became`, by id: most keyframes come first."""
 
     def __init__(self, new: LaidOut, submaps: IntArray, old_from_new: Pose2, next_id: int) -> None:
         own = new.labels.submaps

@@ -120,11 +120,7 @@ def with_grid(session: Session, laid: LaidOut) -> LaidOut:
 def _drawn(
     session: Session, layout: Layout, starts: Collection[int] = ()
 ) -> tuple[GridMap, int, Packed | None]:
-    """The grid of all keyframes at their poses in the layout, and how many were beyond its limits.
-
-    Also its `division_of`; recordings after the first one begin at `starts`. Raises NoResultError
-    when no keyframe fits into the largest grid allowed.
-    """
+    """The grid of all keyframes as laid out, how many lay beyond its limits, its `division_of`."""
     store, config = session.store, session.config
     with session.clock.stage("grids"):
         counts = integrate_keyframes(store, range(len(store)), layout.poses, config.grid)
@@ -222,10 +218,7 @@ def refute(
 
 
 def nearest_pair(old: FloatArray, new: FloatArray) -> Pair:
-    """Which poses of two tracks (n, 3) and (m, 3) are nearest: a turn is as bad as a way.
-
-    Only those are turned that are no farther apart than that, which are few of the n times m.
-    """
+    """Which poses of tracks (n, 3) and (m, 3) are nearest: a turn is as bad as a way."""
     away = np.hypot(old[:, 0, None] - new[:, 0], old[:, 1, None] - new[:, 1])
 
     def apart(i: IntArray, j: IntArray) -> FloatArray:

@@ -80,22 +80,16 @@ class Prior:
         return cls(features.knowing(data.raw.keyframes, data.raw.features), data)
 
 
-def learn(
-    session: Session,
-    labels: IntArray,
-    poses: FloatArray,
-    prior: Prior,
-    starts: tuple[int, ...] = (),
-) -> Learned:
-    """What can be learned of the submaps (n,) of keyframes at `poses` (n, 3).
+def learn(session: Session, labels: Labels, prior: Prior, starts: tuple[int, ...] = ()) -> Learned:
+    """What can be learned of the submaps of keyframes.
 
     Recordings after the first one begin with the keyframes `starts`. What raw scans teach needs no
     grids: it is learned beside the drawing of these, and beside what virtual scans teach.
     """
-    config, submaps = session.config, submaps_of(labels)
+    config, submaps, poses = session.config, submaps_of(labels.submaps), labels.poses
     revisits = None
     if prior.classifiers is not None:  # they tell the scans of the last recording
-        revisits = Revisits(prior.classifiers, starts[-1], poses, labels)
+        revisits = Revisits(prior.classifiers, starts[-1], labels)
     raw_rng, virtual_rng = np.random.default_rng(config.seed).spawn(2)
     along: OfSubmaps = {}
     cast: OfSubmaps = {}

@@ -135,10 +135,7 @@ def _refuse_twice(maps: Sequence[Map]) -> None:
 
 
 class _Merging:
-    """Maps joined along their alignments, from the first map on; the `joint` one in the end.
-
-    The store of the session takes their keyframes in the order of joining.
-    """
+    """Maps joined along their alignments, in the order of the store; the `joint` one in the end."""
 
     def __init__(
         self,
@@ -160,10 +157,7 @@ class _Merging:
             self.joint = with_borders(joint)[0]
 
     def ids_of(self, number: int, submaps: IntArray) -> dict[int, int]:
-        """The submap of the result that most keyframes of each submap of one map are in.
-
-        `submaps` (n,) are those of all keyframes in the result.
-        """
+        """The submap that has most keyframes of each of one map; `submaps` (n,) are those now."""
         first, _ = self._firsts[number]
         own = self.parts[number].labels.submaps
         now = submaps[first : first + len(own)]
@@ -202,10 +196,7 @@ class _Merging:
         return join(self.session, joint, new, where, found)
 
     def _closures(self, number: int, child: int) -> tuple[Closure, ...]:
-        """What the alignment of two maps says, `child` being the new one; nothing without one.
-
-        Stays have the numbers of their own maps.
-        """
+        """What the alignment with the new map `child` says, by the numbers of their own stays."""
         one, other = min(number, child), max(number, child)
         if (one, other) not in self.overlaps:
             return ()

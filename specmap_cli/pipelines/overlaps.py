@@ -184,10 +184,7 @@ def stretch_of(findings: Sequence[Finding], stamps_ns: IntArray) -> GuessedStret
 
 
 def stretch_of_stored(stored: Map) -> GuessedStretch | None:
-    """The same of a stored map of one recording: of several nobody knows what lies beyond.
-
-    None of a map without its scans, too: it cannot be drawn with another length.
-    """
+    """The same of a stored map that keeps its scans and is of one recording: others cannot bend."""
     if len(stored.logs) != 1 or not (stored.path / KEYFRAMES).exists():
         return None
     return stretch_of(quality_of_stored(stored).findings, stored.labels.stamps_ns)

@@ -291,10 +291,7 @@ def undone(submaps: IntArray, poses: FloatArray, borders: Sequence[BorderEdit]) 
 def carried(
     borders: Sequence[BorderEdit], old: FloatArray, new: FloatArray
 ) -> tuple[BorderEdit, ...]:
-    """The borders of a map with keyframes `old` (n, 3) for one of `new` (m, 3) in the same frame.
-
-    What came with a merge is what is nearest to the old keyframes that came with it.
-    """
+    """The borders of a map with keyframes `old` (n, 3) for one of `new` (m, 3), by the nearest."""
     nearest = cKDTree(old[:, :2]).query(new[:, :2])[1]
     return tuple(
         border
@@ -350,10 +347,7 @@ _LEFT, _RIGHT = 1, 2
 
 
 def fence_of(mine: BoolArray, grid: GridMap, line: Line) -> Line | None:
-    """The line from border to border of the cells `mine` (H, W); None where it crosses none.
-
-    An end that lies in them is moved on until it does not; one outside stays.
-    """
+    """The line moved on to the border of the cells `mine` (H, W); None where it crosses none."""
     if not (mine & drawn([line], grid)).any():
         return None
     start, end = np.array(line[0]), np.array(line[1])

@@ -252,10 +252,7 @@ class Regions:
 
 
 def _seen(grid: GridMap, owner: OwnerArray) -> tuple[Seen, ...]:
-    """The pieces of free cells that are nobody's, from LEAST_SEEN_M2 on, the largest first.
-
-    Cells join over their corners, too: the rays of a fan are one piece.
-    """
+    """The pieces of nobody's free cells from LEAST_SEEN_M2 on, over corners, the largest first."""
     nobodys = grid.free & (owner == NOBODY)
     shown = window_of(nobodys)
     if shown is None:

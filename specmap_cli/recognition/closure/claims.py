@@ -144,10 +144,7 @@ class ClaimRanker:
     def _trained(
         self, stays: Sequence[Sequence[_Scans]], left_out: Sequence[Collection[int]]
     ) -> list[Booster]:
-        """Classifiers that claim the stays of several submaps, each without some old submaps.
-
-        Negatives are of one pool: alike many scans of every old submap, of all its stays.
-        """
+        """Classifiers of the stays of submaps, each without some; negatives are of all alike."""
         own = [_Scans.joined(each, _OWN_SAMPLES * SAMPLES_PER_SUBMAP) for each in stays]
         most, ids = self.config.closure_negatives, sorted(self._submaps)
         pool = [_Scans.joined(self._submaps[i], math.ceil(_POOL * most / len(ids))) for i in ids]
@@ -166,10 +163,7 @@ class ClaimRanker:
         return boosted_trees(names, scans.codes, self._quantiser, questions, rounds, self.rng)
 
     def _quantise(self, new: _Scans) -> None:
-        """Cut the new scans, and those old ones that have no bins yet, into bins.
-
-        The bins are cut anew, for all scans, once the map has doubled.
-        """
+        """Cut scans that have no bins yet; all of them anew once the map has doubled."""
         stays = [scans for i in sorted(self._submaps) for scans in self._submaps[i]]
         anew = self._quantiser is None or len(stays) >= _QUANTISED_GROWTH * self._quantised_at
         if self._quantiser is None or anew:

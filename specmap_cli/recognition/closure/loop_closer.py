@@ -288,10 +288,7 @@ class LoopCloser:
         return [(old, stay) for _, old, stay in found]
 
     def _best_match(self, new: Stay, claims: Claims, stays: Sequence[Stay]) -> Closure | None:
-        """The best match of a stay with the first few of an old submap's stays.
-
-        None when all of these were compared before.
-        """
+        """The best match with the first few of some stays; None when all were compared before."""
         found: list[Closure] = []
         for stay in stays[:_MEMBERS]:
             pair = min(stay.number, new.number), max(stay.number, new.number)
@@ -309,11 +306,7 @@ class LoopCloser:
         )
 
     def _with_one_merge(self, new: Stay, closures: list[Closure]) -> list[Closure]:
-        """The closures of a new stay with the best of the merges alone left as one.
-
-        Of those that match nearly as well the one is right that moves the stay least from where
-        tracking put it. Twin rooms are a room apart.
-        """
+        """Closures with one merge: of those that match as well, that which moves the stay least."""
         merges = [closure for closure in closures if closure.merged]
         enough = max((closure.score for closure in merges), default=0.0) - MIN_LEAD
         ranked: list[tuple[float, float, int]] = []

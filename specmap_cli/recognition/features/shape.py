@@ -36,19 +36,13 @@ _FARTHEST_M = 12.0
 
 
 def breaks_of(batch: ReturnsBatch) -> BoolArray:
-    """(N,) whether the step from a return to the next one leaps from one surface to another.
-
-    The last return of a scan has no step.
-    """
+    """(N,) whether the step from a return to the next one leaps to another surface."""
     following = batch.ranges[batch.segments.following]
     return leaps(batch.onward, batch.ranges, following) & ~batch.segments.last
 
 
 def leaps(steps: FloatArray, here: FloatArray, there: FloatArray) -> BoolArray:
-    """(N,) whether steps (N,) between returns at ranges `here` and `there` (N,) leave a surface.
-
-    Those do that are longer than 0.25 m and 3 % of the nearer range together.
-    """
+    """(N,) whether steps (N,) exceed 0.25 m and 3 % of the nearer range: they leave a surface."""
     return np.asarray(steps > _BREAK_M + _BREAK_PER_M * np.minimum(here, there))
 
 
@@ -132,10 +126,7 @@ def ring_histogram(batch: ReturnsBatch) -> FloatArray:
 
 
 def harmonics(batch: ReturnsBatch) -> FloatArray:
-    """Magnitudes of the harmonics of the ranges, cut at 12 m, over the returns' bearings.
-
-    A turn of a full circle shifts the signal, which the magnitudes do not see.
-    """
+    """Magnitudes of the harmonics of the ranges, cut at 12 m: a turn only shifts the signal."""
     segments, bearings = batch.segments, batch.bearings
     # without leaps of more than half a turn within a scan
     change = np.concatenate([np.zeros(min(1, len(bearings))), np.diff(bearings)])

@@ -119,10 +119,7 @@ def cast_circles(
 
 
 def outline(scan: PlanarScan, map_from_laser: Pose2, reach_m: float) -> FloatArray:
-    """(k, 4) the lines x, y, x, y in the map between neighbouring returns of one surface.
-
-    Returns farther than `reach_m` are left out.
-    """
+    """(k, 4) lines x, y, x, y in the map between neighbouring returns of one surface in reach."""
     ranges, bearings = scan.ranges, scan.bearings
     near = np.isfinite(ranges) & (ranges <= reach_m)
     r = np.where(near, ranges, 0.0)
@@ -136,10 +133,7 @@ def outline(scan: PlanarScan, map_from_laser: Pose2, reach_m: float) -> FloatArr
 def seen_from(
     lines: NDArray[Any], map_from_laser: Pose2, bearings: NDArray[Any], reach_m: float
 ) -> FloatArray:
-    """(B,) ranges at bearings (B,), ascending, of the nearest of the lines (k, 4) in the map.
-
-    +inf where there is none within `reach_m`.
-    """
+    """(B,) ranges at ascending bearings (B,) to the nearest of lines (k, 4); +inf out of reach."""
     laser = map_from_laser.inverse()
     starts, ends = laser.apply(lines[:, :2]), laser.apply(lines[:, 2:])
     # from and to which bearing each line is seen, three times, a turn apart: so a line behind the

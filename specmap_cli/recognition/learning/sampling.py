@@ -242,10 +242,7 @@ def _in_windows(
     sampled: Collection[int],
     poses: FloatArray,
 ) -> Iterator[PlanarScan]:
-    """What the window showed at each of the keyframes `sampled`, of several lengths.
-
-    It moves over the keyframes `numbers` of a recording, in turn.
-    """
+    """What the window, moved over keyframes `numbers`, showed at those `sampled`."""
     window = RecentScans()
     turn = 0
     for number in numbers.tolist():
@@ -304,10 +301,7 @@ def _seen_from(
     sources: NDArray[np.intp],
     placed: FloatArray,
 ) -> Iterator[PlanarScan]:
-    """What the lasers of keyframes `sources` (k,) would have seen from `placed` (k, 3).
-
-    It is made of what the nearest of the keyframes `numbers` saw from their `poses`.
-    """
+    """What lasers of `sources` (k,) would see from `placed` (k, 3), by what `numbers` saw."""
 
     @lru_cache(_OUTLINES_KEPT)
     def outline_of(keyframe: int) -> FloatArray:

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, travelled
-from specmap_cli.core.records import BoolArray, IntArray
+from specmap_cli.core.records import BoolArray, Labels
 from specmap_cli.core.settings import Config, RecognitionConfig
 from specmap_cli.grids.keyframes import DIRECTION_RAD, KeyframeStore
 from specmap_cli.recognition.learning.boosting import OneVsAll
@@ -101,11 +101,7 @@ def held_out_margins(
     config: RecognitionConfig,
     rng: np.random.Generator,
 ) -> HeldOutMargins:
-    """The margins of the samples `tested` by classifiers that learn from those `learned`.
-
-    A submap that is not learned, since nothing is left of it, claims nothing. There are no margins
-    where fewer than two submaps are left to tell apart.
-    """
+    """The margins of samples `tested` by what is `learned`; none of fewer than two submaps."""
     ids = sorted(learned)
     rest = {i: samples.features for i, samples in learned.items() if len(samples.features)}
     asked = {i: samples for i, samples in tested.items() if i in rest and len(samples.features)}
@@ -125,15 +121,13 @@ def held_out_margins(
 class Revisits:
     """The `classifiers` of a map before the recording whose keyframes begin at number `first`.
 
-    The keyframes of both lie at `poses` (n, 3), in `submaps` (n,). A place is known that lies
-    near one where the robot was in the submap, the nearer the more it faced another way, unless the
-    laser looks all round.
+    `labels` are the keyframes of both. A place is known that lies near one where the robot was in
+    the submap, the nearer the more it faced another way, unless the laser looks all round.
     """
 
     classifiers: ClassifierSet
     first: int
-    poses: FloatArray
-    submaps: IntArray
+    labels: Labels
 
     def told(self, samples: Mapping[int, Samples], by: Recogniser) -> HeldOutMargins:
         """The margins of samples of the recording; `by` is one of the classifiers before it."""
@@ -141,10 +135,10 @@ class Revisits:
         told_apart = 2 if self.classifiers.sensor.full_circle else 4  # it does not matter where to
         features, true = [], []
         for i in sorted(column.keys() & samples.keys()):
-            before = np.flatnonzero(self.submaps[: self.first] == i)
+            before = np.flatnonzero(self.labels.submaps[: self.first] == i)
             own = samples[i].rows(samples[i].keyframes >= self.first)
             then, now = (
-                views(self.poses[keyframes], HELD_OUT_REACH_M, _CHORD)[:, :told_apart]
+                views(self.labels.poses[keyframes], HELD_OUT_REACH_M, _CHORD)[:, :told_apart]
                 for keyframes in (before, own.keyframes)
             )
             known = cKDTree(then).query(now)[0] < 1.0

@@ -139,10 +139,7 @@ class HiddenMarkovFilter:
         self._belief = self._before = None
 
     def predicted(self, again: bool = False) -> FloatArray:
-        """(m + 1,) probabilities of the states at the next scan, before it is seen.
-
-        `again` means one that takes the place of the last.
-        """
+        """(m + 1,) chances before the next scan; `again`: before one in the place of the last."""
         before = self._before if again else self._belief
         return self._first if before is None else np.asarray(before @ self.transition)
 
@@ -168,10 +165,7 @@ class HiddenMarkovFilter:
         return self._belief
 
     def smooth(self, log_likelihoods: NDArray[Any]) -> FloatArray:
-        """(T, m + 1) probabilities given all scans (T, m + 1), by forward and backward passes.
-
-        They are those of a log of their own: what the filter has seen does not matter.
-        """
+        """(T, m + 1) probabilities given all scans (T, m + 1) of a log of their own."""
         evidence = np.asarray(log_likelihoods, dtype=np.float64)
         likelihoods = np.exp(evidence - evidence.max(axis=1, keepdims=True))
         smoothed = np.empty(evidence.shape)

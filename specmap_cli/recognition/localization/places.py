@@ -256,11 +256,7 @@ class WeighedPlaces:
         return leader
 
     def _keep(self, places: Sequence[Place], belief: FloatArray) -> None:
-        """Go on with the likeliest of some places that are not far behind, each of them once.
-
-        No more is remembered in favour of a place than a leap away from it is unlikely. What they
-        differ by stays as it is.
-        """
+        """Go on with the likeliest places, each once; none is surer than a leap is unlikely."""
         most = -math.log(LEAP)
         over = max(0.0, max((each.weight for each in places), default=most) - most)
         lighter = [replace(each, weight=each.weight - over) for each in places]

@@ -146,10 +146,7 @@ class MapWalls:
 
     @cached_property
     def _open(self) -> NDArray[Any]:
-        """(H, W) the share of the own scans' rays that go on behind a wall, where they meet it.
-
-        Those of panes and railings do, and of thin things between which a laser looks.
-        """
+        """(H, W) the share of the own scans' rays at a wall that go on: panes and railings."""
         met = np.zeros((2, *self.grid.cells.shape), dtype=np.float32)  # all rays; those that go on
         scans = iter(self._own())
         while together := list(islice(scans, _SCANS_AT_ONCE)):
@@ -213,9 +210,7 @@ class MapWalls:
     def _weighed(self, found: Sequence[Fitted]) -> list[Fitted]:
         """Places that a search found, the best the better if it stands out among them.
 
-        What fits by chance fits nearly as well in several places. So a place that stands out may be
-        the right one where the map saw little of what is seen there. Places that are alike say
-        nothing: a map has such.
+        What fits by chance fits nearly as well in several places; alike places say nothing.
         """
         best = found[0]
         others = [each.misfit for each in found if not is_near(best.pose, each.pose, BESIDE)]
@@ -228,10 +223,7 @@ class MapWalls:
         return [replace(best, against=against), *found[1:]]
 
     def _off_walls(self, points: FloatArray, pose: Pose2) -> tuple[float, float]:
-        """Share of points (N, 2) off the walls at a pose; those that say little count little.
-
-        And the share of those that are somebody, or a thing that was moved.
-        """
+        """Share of points (N, 2) off the walls, what says little for little; and that of bodies."""
         placed = pose.apply(points)
         off = 1.0 - np.asarray(self.field.at(placed), dtype=np.float64)
         cells, clear = self.grid.values_at(placed), off > _OFF
@@ -242,10 +234,7 @@ class MapWalls:
         return float(np.mean(off)), float(np.mean(front))
 
     def _behind(self, posed: PosedScan, pose: Pose2) -> float:
-        """Share of a scan's returns behind walls within reach, beyond what the own scans had there.
-
-        0 without returns.
-        """
+        """Share of returns behind walls, beyond what the own scans had there; 0 without returns."""
         past, cells, walled = self._met([(posed, pose)])
         behind = float(past.sum()) / max(len(past), 1)
         if behind > self._known:  # so many are rare, but where there are panes
@@ -255,10 +244,7 @@ class MapWalls:
     def _met(
         self, scans: Sequence[tuple[PosedScan, Pose2]]
     ) -> tuple[BoolArray, IntArray, BoolArray]:
-        """Which returns (n,) of scans at poses lie behind a wall, its cells (n, 2), which met one.
-
-        A wall counts when the rays beside it meet walls, too: one that ends there may be passed.
-        """
+        """Which returns (n,) lie behind walls, beside them, too; cells (n, 2); which met a wall."""
         rays = []  # bearings and ranges of the returns of each scan, few of many
         for posed, _ in scans:
             bearings, ranges = posed.planar.bearings, posed.planar.ranges

@@ -12,6 +12,7 @@ import pytest
 from specmap_cli.core.config import load_config
 from specmap_cli.core.errors import MapError
 from specmap_cli.core.geometry import FloatArray, Pose2, compose, invert
+from specmap_cli.core.records import Labels
 from specmap_cli.core.settings import Config, RecognitionConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
@@ -117,7 +118,9 @@ def learned(store: KeyframeStore, config: Config) -> Learned:
     """What a build learns of two submaps, with the keyframes that lie between in the former."""
     labels = np.where(np.arange(len(store)) < min(SUBMAPS[2]), 0, 2)
     session = Session(config, store)
-    return learn(session, labels, store.poses, Prior.of(session))
+    stamps_ns = np.array(store.stamps_ns)
+    known = Labels(stamps_ns=stamps_ns, poses=store.poses, submaps=labels)
+    return learn(session, known, Prior.of(session))
 
 
 def test_virtual_classifiers_are_left_out_when_not_wanted(store: KeyframeStore) -> None:
