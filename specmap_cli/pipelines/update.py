@@ -60,7 +60,7 @@ from specmap_cli.pipelines.overlaps import (
     told_m,
     with_other_lengths,
 )
-from specmap_cli.pipelines.reports import BuildReport, UpdateRecord, UpdateReport
+from specmap_cli.pipelines.reports import BuildReport, UpdateReport
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.thinning import Thinned, thinned
 from specmap_cli.recognition.closure.alignment import Alignment, MapToAlign
@@ -106,14 +106,14 @@ def update_map(
         fewer, prior, alignment = _updated(session, stored, old, stream, allow_apart=allow_apart)
         finished = finish(session, fewer.laid, prior)
         motion, earlier = alignment.old_from_new, stored.run.get("updates")
-        last = UpdateRecord(
-            map=stored.path.resolve().name,
-            old_from_new=None if motion is None else tuple(np.round(motion, 6).tolist()),
-            reason=alignment.reason,
-            keyframes_dropped=fewer.dropped,
-            keyframes_kept_for_walls=fewer.kept_for_walls,
-        )
-        updates = (*(earlier if isinstance(earlier, list) else []), last)
+        last = {
+            "map": stored.path.resolve().name,
+            "old_from_new": None if motion is None else np.round(motion, 6).tolist(),
+            "reason": alignment.reason,
+            "keyframes_dropped": fewer.dropped,
+            "keyframes_kept_for_walls": fewer.kept_for_walls,
+        }
+        updates = [*(earlier if isinstance(earlier, list) else []), last]
         run = write_made(session, partial, finished, log.given, stream.selection, updates=updates)
     before, visits = np.split(finished.labels.submaps, [fewer.old])
     ids = set(before.tolist())
