@@ -61,10 +61,7 @@ class Exploration:
             return self.segmenter.flush()
 
     def break_off(self, bridge: tuple[float, float] | None) -> list[Region]:
-        """Tracking was lost and starts afresh with the next keyframe: a new submap begins.
-
-        `bridge` is how far odometry may be off meanwhile, metres and radians, if there was any.
-        """
+        """Tracking starts afresh; odometry may be off by `bridge`, metres and radians, if any."""
         self.breaks[len(self.session.store)] = None if bridge is None else Bridge(*bridge)
         return self.end_submap()
 

@@ -52,10 +52,7 @@ Taught = tuple[Recogniser, HeldOutMargins, HeldOutMisfit, OfSubmaps, OfSubmaps]
 
 @dataclass(frozen=True, slots=True)
 class Learned:
-    """The grid of each submap in the frame of its first keyframe, and the classifiers of all.
-
-    `training_data` is what these were learned from.
-    """
+    """The grid of each submap in the frame of its first keyframe, and what was learned of all."""
 
     grids: Mapping[int, GridMap]
     classifiers: ClassifierSet
@@ -64,10 +61,7 @@ class Learned:
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """What there is before a map is learned: features of keyframes, data that can be used again.
-
-    `classifiers` are those that the map had before its last recording was added.
-    """
+    """What there is before a map is learned; classifiers are those before the last recording."""
 
     features: KeyframeFeatures
     training_data: TrainingData = NO_TRAINING_DATA
@@ -205,10 +199,7 @@ def training_data_of_stored(stored: Map, config: Config) -> TrainingData:
 
 
 def comparable(classifiers: ClassifierSet, stored: Map, config: Config) -> ClassifierSet | None:
-    """The classifiers of a map where they are of the kind that these settings make, else None.
-
-    Those of another version are not: it may have found other features.
-    """
+    """The classifiers of a map if this version and these settings make such ones, else None."""
     if not _of_this_version(stored) or stored.config.recognition != config.recognition:
         return None
     virtual = classifiers.virtual is not None

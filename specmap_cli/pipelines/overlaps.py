@@ -129,10 +129,7 @@ def steps_of(count: int, overlaps: Overlaps) -> list[tuple[int | None, int]]:
 
 @dataclass(frozen=True, slots=True)
 class GuessedStretch:
-    """The stretch of a map that may be off most, two standard deviations `off_m`.
-
-    `keyframe` lies in its middle; those after it lie beyond.
-    """
+    """The stretch that may be off most, two sigma `off_m`; `keyframe` lies in its middle."""
 
     keyframe: int
     off_m: float
@@ -153,10 +150,7 @@ class GuessedStretch:
         return np.asarray(poses + longer_m * share.clip(0.0, 1.0)[:, None] * along)
 
     def motion(self, bent: BentMotion, poses: FloatArray, longer_m: float) -> BentMotion:
-        """The motion of a map with that stretch, `bent`, as one of the map as it is.
-
-        `poses` (n, 3) are those of all keyframes of the map as it is.
-        """
+        """A motion of the map with that stretch as one of the map as it is, at `poses` (n, 3)."""
         there = self.longer(poses, longer_m)
         number = np.unique(np.floor(travelled(poses) / _AROUND_M), return_index=True)[1]
         local = []
@@ -167,10 +161,7 @@ class GuessedStretch:
 
 
 def stretch_of(findings: Sequence[Finding], stamps_ns: IntArray) -> GuessedStretch | None:
-    """The stretch of a recording that its findings say may be off most; None where none is.
-
-    `stamps_ns` (n,) are those of its keyframes.
-    """
+    """The stretch that findings say may be off most, None without any; stamps are keyframes'."""
     found = [
         (one.value, one.where.stamp_ns)
         for one in findings

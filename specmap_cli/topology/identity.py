@@ -225,10 +225,7 @@ def _areas_by_owner(owners: OwnerArray, cell_m2: float) -> dict[int, float]:
 
 @dataclass(frozen=True, slots=True)
 class Redrawn:
-    """Keyframes after all borders that could be made: `submaps` (n,) and the `borders` made.
-
-    `skipped` says, by place in the list that was requested, why the others could not.
-    """
+    """Keyframes after all `borders` that could be made; `skipped` says by place why others not."""
 
     submaps: IntArray
     borders: tuple[BorderEdit, ...]
@@ -268,10 +265,7 @@ def redrawn(
 
 
 def undone(submaps: IntArray, poses: FloatArray, borders: Sequence[BorderEdit]) -> IntArray:
-    """The submap (n,) of each keyframe before the `borders` were made; `poses` (n, 3).
-
-    Keyframes that came after a merge go to the submap of the keyframe nearest to them.
-    """
+    """The submap (n,) of each keyframe before the `borders`; later ones go with the nearest."""
     before, number = submaps.copy(), np.arange(len(submaps))
     for border in reversed(borders):
         if isinstance(border, Split):

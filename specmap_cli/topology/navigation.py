@@ -260,10 +260,7 @@ class Route:
 
 
 class Roads:
-    """What of a map a robot can drive on; `route` finds the way on it from place to place.
-
-    Of a map of an earlier version nobody knows the robot's radius.
-    """
+    """What of a map a robot can drive on; earlier versions told no radius of the robot."""
 
     def __init__(
         self, regions: Regions, doors: Sequence[Door], edges: Iterable[Edge], radius_m: float | None

@@ -54,10 +54,7 @@ class _Scans:
 
     @classmethod
     def joined(cls, parts: Sequence[_Scans], most: int | None = None) -> _Scans:
-        """The scans of several, one after the other, or `most` of them, evenly spread.
-
-        With bins if all of them have some.
-        """
+        """The scans of several, or `most` of them, evenly spread; with bins if all have some."""
         features = np.concatenate([scans.features for scans in parts])
         rows = slice(None) if most is None else evenly(np.arange(len(features)), most)
         codes = [scans.codes for scans in parts if scans.codes is not None]

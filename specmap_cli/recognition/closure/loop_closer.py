@@ -100,10 +100,7 @@ class Decision(NamedTuple):
 def decide(
     old: Stay, new: Stay, check: Check | None, way_m: float, config: RecognitionConfig
 ) -> Decision:
-    """What the best match of two stays' grids is worth; `check` None is no match at all.
-
-    `way_m` is that between the stays on which tracking may have drifted.
-    """
+    """What the best match of two grids is worth; on `way_m` tracking may have drifted."""
     if check is None or check.score < config.min_score:
         return Decision(False, False, "the grids do not match")
     if check.confirmed_m < MIN_WALL_M:

@@ -86,10 +86,7 @@ class RecentScans:
         return True
 
     def scan(self, stamp_ns: int, map_from_laser: Pose2, share: float = 1.0) -> PlanarScan:
-        """The virtual scan seen from `map_from_laser`: the nearest return at each bearing.
-
-        Of the window its last `share` in (0, 1] counts, up to the last scan that was kept.
-        """
+        """The virtual scan of the window's last `share` in (0, 1], seen from `map_from_laser`."""
         since = self._kept[-1][0] - share * WINDOW_M if self._kept else 0.0
         placed = [points for travelled, _, points in self._kept if travelled >= since]
         points = np.vstack(placed) if placed else np.zeros((0, 2))

@@ -126,10 +126,7 @@ class StumpBoost:
         self.rounds_: list[Stump] = []
 
     def fit(self, X: NDArray[Any], y: NDArray[Any]) -> StumpBoost:
-        """Learn from features X (n, F) and labels y (n,) of +1 and -1; returns self.
-
-        Stops early when a round separates the samples or does no better than chance.
-        """
+        """Learn from X (n, F) and y (n,) of +1 and -1 until a round separates them or fails."""
         X, y = np.asarray(X, dtype=np.float64), np.asarray(y, dtype=np.float64)
         order = np.argsort(X, axis=0, kind="stable").T
         values = np.take_along_axis(X.T, order, axis=1)

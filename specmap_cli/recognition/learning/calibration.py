@@ -80,10 +80,7 @@ class HeldOutMargins:
 @as_part
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """How sure a map's classifiers of raw and of virtual scans are, over what is usual.
-
-    `views` scans that were held out say so; without any it is as usual.
-    """
+    """How sure a map's classifiers are, over what is usual, by `views` held-out scans, if any."""
 
     raw: _Ratio = 1.0
     virtual: _Ratio = 1.0
@@ -104,10 +101,7 @@ class Calibration:
 def calibrated(
     raw: HeldOutMargins, virtual: HeldOutMargins | None, *, another_log: bool = False
 ) -> Calibration:
-    """What margins of held-out scans say of a map's classifiers; as usual where there are none.
-
-    With `another_log` they are not of pieces that were held out, but of another recording.
-    """
+    """What margins of held-out scans, or of those of `another_log`, say of a map's classifiers."""
     views = min(len(raw.column), MOST_VIEWS)
     held_out_raw, held_out_virtual = _ANOTHER_LOG if another_log else _HELD_OUT
     of_raw = _ratio(raw, RAW_ALONE, held_out_raw)
@@ -173,10 +167,7 @@ def held_out_misfit(
     submaps: Mapping[int, Sequence[int]],
     poses: NDArray[Any],
 ) -> HeldOutMisfit:
-    """The misfit of keyframes with the rest of their submaps; of no view where there is no rest.
-
-    `submaps` lists the keyframes of each submap, ascending; `poses` (n, 3) are those of all.
-    """
+    """The misfit of keyframes at `poses` (n, 3) with the rest of their submaps, if there is any."""
     way = travelled(poses)
     owner = {k: i for i, numbers in submaps.items() for k in numbers}
     found = []

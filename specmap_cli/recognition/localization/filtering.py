@@ -29,10 +29,7 @@ SMALLEST = 1e-300  # keeps a probability of nought out of a logarithm or a quoti
 
 
 def novelty(before: Pose2 | None, now: Pose2, so_far: float = 0.0) -> float:
-    """How much a view shows that one at `before` did not, on top of `so_far`: one is all of it.
-
-    That is so after `INDEPENDENT_M` of motion, or after a turn by `INDEPENDENT_RAD`.
-    """
+    """How much a view shows that one at `before` did not, on top of `so_far`: one is all of it."""
     if before is None:
         return so_far
     step = before.inverse() @ now
@@ -155,10 +152,7 @@ class HiddenMarkovFilter:
         return np.append(known, highest + np.log(max(together, SMALLEST)) + worth)
 
     def update(self, log_likelihoods: NDArray[Any], again: bool = False) -> FloatArray:
-        """(m + 1,) probabilities of the states after one more scan of given log likelihoods.
-
-        `again` takes back the last one: the same view is known better now.
-        """
+        """(m + 1,) probabilities after one more scan; `again` means one in place of the last."""
         evidence = np.asarray(log_likelihoods, dtype=np.float64)
         self._before = self._before if again else self._belief
         self._belief = _posterior(self.predicted(again=True), evidence)
