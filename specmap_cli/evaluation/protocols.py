@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Any, Literal
 
@@ -28,7 +29,7 @@ from specmap_cli.logs.stream import SweepStream
 from specmap_cli.maps.filenames import TOPOLOGY
 from specmap_cli.maps.store import read_map
 from specmap_cli.maps.text_files import read_tum
-from specmap_cli.pipelines.build import build_map, map_log
+from specmap_cli.pipelines.build import Accepts, build_map, map_log
 from specmap_cli.pipelines.localize import localize_log
 from specmap_cli.pipelines.map_in_making import FinishedMap
 from specmap_cli.pipelines.session import Session
@@ -174,10 +175,7 @@ class HoldOutResult:
 
 @one_blas_thread()
 def hold_out(
-    logs: Sequence[Path],
-    config: Config,
-    options: HoldOut,
-    progress: Progress | None = None,
+    logs: Sequence[Path], config: Config, options: HoldOut, progress: Progress | None = None
 ) -> HoldOutResult:
     """Build a map without a share of the keyframes, then label these (Table II of the paper).
 
@@ -186,36 +184,28 @@ def hold_out(
     Raises LogError and NoResultError as `build` does, NoResultError when nothing was held out.
     """
     progress = progress or Silent()
-    with (
-        open_log(logs, config.log) as log,
-        KeyframeStore() as store,
-        KeyframeStore() as held_out,
-    ):
-        selector = HoldingOut(config.keyframes, options, held_out)
-        stream = SweepStream(log, config.log)
+    with open_log(logs, config.log) as log, KeyframeStore() as store, KeyframeStore() as held_out:
+        accepts = holding_out(config.keyframes, options, held_out)
         session = Session(config, store, progress)
-        finished = map_log(session, stream, accepts=selector.accepts)
+        finished = map_log(session, SweepStream(log, config.log), accepts=accepts)
         if not len(held_out):
             raise NoResultError("no keyframe was held out: the log is too short for this share")
         return score_hold_out(finished, store, held_out, config)
 
 
-class HoldingOut:
-    """A selector of keyframes that lays some of them aside in a store: for evaluation only."""
+def holding_out(config: KeyframeConfig, options: HoldOut, held_out: KeyframeStore) -> Accepts:
+    """What selects keyframes and lays some of them aside in a store: for evaluation only."""
+    selector, numbers = KeyframeSelector(config), count()
 
-    def __init__(self, config: KeyframeConfig, options: HoldOut, held_out: KeyframeStore) -> None:
-        self._selector, self._options, self._held_out = KeyframeSelector(config), options, held_out
-        self._accepted = 0
-
-    def accepts(self, scan: PosedScan) -> bool:
-        """Whether `scan` is a keyframe of the map."""
-        if not self._selector.accepts(scan):
+    def accepts(scan: PosedScan) -> bool:
+        if not selector.accepts(scan):
             return False
-        held_out = self._options.holds(self._accepted)
-        self._accepted += 1
-        if held_out:
-            self._held_out.append(scan)
-        return not held_out
+        if not options.holds(next(numbers)):
+            return True
+        held_out.append(scan)
+        return False
+
+    return accepts
 
 
 def score_hold_out(

@@ -88,10 +88,7 @@ def kinds_of(labels: NDArray[Any], corridors: set[int]) -> IntArray:
 
 
 def semantic_scores(
-    predicted: IntArray,
-    truth: IntArray,
-    submaps: NDArray[Any],
-    borders: Iterable[tuple[int, int]],
+    predicted: IntArray, truth: IntArray, submaps: NDArray[Any], borders: Iterable[tuple[int, int]]
 ) -> SemanticResult:
     """Score predicted kinds (n,) against true ones (n,), -1 where not known.
 

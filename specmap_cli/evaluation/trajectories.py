@@ -17,13 +17,7 @@ from typing import Any
 import numpy as np
 
 from specmap_cli.core.errors import InputError
-from specmap_cli.core.geometry import (
-    FloatArray,
-    compose,
-    invert,
-    nearest_motion,
-    travelled,
-)
+from specmap_cli.core.geometry import FloatArray, compose, invert, nearest_motion, travelled
 from specmap_cli.core.records import IntArray, Trajectory
 from specmap_cli.maps.text_files import stamped_rows
 

@@ -18,14 +18,7 @@ from specmap_cli.core.arrays import Packed
 from specmap_cli.core.errors import InputError, MapError
 from specmap_cli.core.findings import UNDOUBTED, Finding, Quality
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.records import (
-    NO_SUBMAP,
-    BoolArray,
-    Closure,
-    IntArray,
-    Labels,
-    Trajectory,
-)
+from specmap_cli.core.records import NO_SUBMAP, BoolArray, Closure, IntArray, Labels, Trajectory
 from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.layout.joining import gaps_of

@@ -138,11 +138,7 @@ class _Merging:
     """Maps joined along their alignments, in the order of the store; the `joint` one in the end."""
 
     def __init__(
-        self,
-        session: Session,
-        maps: Sequence[Map],
-        parts: Sequence[LaidOut],
-        overlaps: Overlaps,
+        self, session: Session, maps: Sequence[Map], parts: Sequence[LaidOut], overlaps: Overlaps
     ) -> None:
         self.session, self.maps, self.parts, self.overlaps = session, maps, parts, overlaps
         self._firsts: dict[int, tuple[int, int]] = {}  # first keyframe and stay of each map

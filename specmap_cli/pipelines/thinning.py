@@ -17,13 +17,7 @@ from specmap_cli.core.geometry import FloatArray
 from specmap_cli.core.json_values import runs_of
 from specmap_cli.core.records import BoolArray, IntArray, Labels
 from specmap_cli.grids.gridmap import UNKNOWN
-from specmap_cli.grids.keyframes import (
-    KeyframeStore,
-    Recorded,
-    repeated,
-    sole_views,
-    views_needed,
-)
+from specmap_cli.grids.keyframes import KeyframeStore, Recorded, repeated, sole_views, views_needed
 from specmap_cli.layout.joining import tracked_over_gaps, without_keyframes
 from specmap_cli.layout.result import propagated_places
 from specmap_cli.pipelines.map_in_making import LaidOut, gaps_in
@@ -131,9 +125,7 @@ def _without(store: KeyframeStore, laid: LaidOut, of: IntArray, gone: BoolArray)
         laid,
         layout=layout,
         labels=Labels(
-            stamps_ns=labels.stamps_ns[numbers],
-            poses=layout.poses,
-            submaps=labels.submaps[numbers],
+            stamps_ns=labels.stamps_ns[numbers], poses=layout.poses, submaps=labels.submaps[numbers]
         ),
         stays={
             number: tuple(row[one] for one in own if one in row)

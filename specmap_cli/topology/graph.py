@@ -222,10 +222,15 @@ def inherited(
         source = np.where(stays, np.arange(len(own)), int(np.argmax(stays)))
         own = own[np.maximum.accumulate(source)]
     labels[count:] = settle_labels(own, poses[count:], region_min_m)
-    order: dict[int, int] = {}  # new ids have no gaps
-    for label in labels[labels >= next_id].tolist():
-        order.setdefault(label, next_id + len(order))
-    return np.array([order.get(label, label) for label in labels.tolist()], dtype=np.int64)
+    new = labels >= next_id
+    labels[new] = next_id + by_appearance(labels[new])  # new ids have no gaps
+    return labels
+
+
+def by_appearance(labels: IntArray) -> IntArray:
+    """(n,) labels numbered from 0 on as they appear."""
+    _, first, which = np.unique(labels, return_index=True, return_inverse=True)
+    return np.argsort(np.argsort(first))[which]
 
 
 def _driven_m(labels: IntArray, poses: FloatArray) -> dict[int, float]:

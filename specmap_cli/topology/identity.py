@@ -300,11 +300,7 @@ def carried(
 
 
 def _made(
-    whole: GridMap,
-    labels: Labels,
-    state: Redrawn,
-    border: BorderEdit,
-    unentered: BoolArray | None,
+    whole: GridMap, labels: Labels, state: Redrawn, border: BorderEdit, unentered: BoolArray | None
 ) -> Redrawn | str:
     """The keyframes with one border more, or why it cannot be made."""
     for id_ in (border.kept, border.gone) if isinstance(border, Merge) else (border.submap,):

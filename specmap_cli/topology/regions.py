@@ -270,10 +270,7 @@ def _seen(grid: GridMap, owner: OwnerArray) -> tuple[Seen, ...]:
 
 
 def divide(
-    whole: GridMap,
-    labels: Labels,
-    fences: Sequence[Line] = (),
-    unentered: BoolArray | None = None,
+    whole: GridMap, labels: Labels, fences: Sequence[Line] = (), unentered: BoolArray | None = None
 ) -> Regions:
     """Give each free cell of `whole` to the submap of the keyframe that is nearest on foot.
 

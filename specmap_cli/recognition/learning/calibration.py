@@ -163,9 +163,7 @@ class HeldOutMisfit:
 
 
 def held_out_misfit(
-    store: KeyframeStore,
-    submaps: Mapping[int, Sequence[int]],
-    poses: NDArray[Any],
+    store: KeyframeStore, submaps: Mapping[int, Sequence[int]], poses: NDArray[Any]
 ) -> HeldOutMisfit:
     """The misfit of keyframes at `poses` (n, 3) with the rest of their submaps, if there is any."""
     way = travelled(poses)

@@ -234,10 +234,7 @@ def owners_of(submaps: Mapping[int, Sequence[int]], count: int) -> NDArray[np.in
 
 
 def _in_windows(
-    store: KeyframeStore,
-    numbers: NDArray[np.intp],
-    sampled: Collection[int],
-    poses: FloatArray,
+    store: KeyframeStore, numbers: NDArray[np.intp], sampled: Collection[int], poses: FloatArray
 ) -> Iterator[PlanarScan]:
     """What the window, moved over keyframes `numbers`, showed at those `sampled`."""
     window = RecentScans()

@@ -23,13 +23,7 @@ from specmap_cli.core.settings import LocalizationConfig
 from specmap_cli.grids.matching import refine
 from specmap_cli.grids.score_field import Sample, ScoreField
 from specmap_cli.recognition.features.virtual import WINDOW_M
-from specmap_cli.recognition.localization.filtering import (
-    LEAP,
-    SMALLEST,
-    VIEW_M,
-    VIEW_RAD,
-    novelty,
-)
+from specmap_cli.recognition.localization.filtering import LEAP, SMALLEST, VIEW_M, VIEW_RAD, novelty
 from specmap_cli.recognition.localization.walls import SAME, Fitted, MapWalls, View, is_near
 
 # What the motion may be off by: between any two scans, after a metre, after a radian. Registration

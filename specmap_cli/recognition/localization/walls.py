@@ -23,14 +23,7 @@ from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, travelled, wrap_angle
 from specmap_cli.core.records import NO_SUBMAP, BoolArray, IntArray, PosedScan
 from specmap_cli.core.settings import LocalizationConfig
-from specmap_cli.grids.gridmap import (
-    FREE,
-    UNKNOWN,
-    GridMap,
-    LengthArray,
-    cast_rays,
-    nearest_values,
-)
+from specmap_cli.grids.gridmap import FREE, UNKNOWN, GridMap, LengthArray, cast_rays, nearest_values
 from specmap_cli.grids.keyframes import KeyframeStore
 from specmap_cli.grids.matching import refine, search_everywhere
 from specmap_cli.grids.score_field import ScoreField

@@ -256,15 +256,10 @@ def revisits(
 ) -> Revisits:
     """A map of keyframe 0 in submap 1 and 1 in submap 4, and a recording at some places of 1."""
     sensor = Sensor(beams=180, field_of_view=math.pi, range_max=20.0, full_circle=full_circle)
-    return Revisits(
-        classifiers=ClassifierSet(sensor=sensor, raw=recogniser),
-        first=FIRST,
-        labels=Labels(
-            stamps_ns=np.arange(2 + len(places)),
-            poses=np.array([(0.0, 0.0, 0.0), (10.0, 0.0, 0.0), *places]),
-            submaps=np.array([1, 4, *[1] * len(places)]),
-        ),
-    )
+    poses = np.array([(0.0, 0.0, 0.0), (10.0, 0.0, 0.0), *places])
+    submaps = np.array([1, 4, *[1] * len(places)])
+    labels = Labels(stamps_ns=np.arange(len(poses)), poses=poses, submaps=submaps)
+    return Revisits(ClassifierSet(sensor=sensor, raw=recogniser), FIRST, labels)
 
 
 def asked(found: Revisits) -> Samples:

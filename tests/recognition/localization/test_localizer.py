@@ -29,12 +29,7 @@ from specmap_cli.recognition.features.sets import scans_features
 from specmap_cli.recognition.learning.calibration import steadiness
 from specmap_cli.recognition.learning.classifiers import ClassifierSet, Sensor
 from specmap_cli.recognition.localization.filtering import HiddenMarkovFilter
-from specmap_cli.recognition.localization.localizer import (
-    Label,
-    Localizer,
-    resampled,
-    resampling,
-)
+from specmap_cli.recognition.localization.localizer import Label, Localizer, resampled, resampling
 from specmap_cli.recognition.localization.walls import MapWalls
 from specmap_cli.simulation.simulator import SimulationOptions, simulate_sweeps
 from tests.recognition.posed import posed, walls_of
