@@ -38,7 +38,7 @@ class Samples:
 
 def samples_of(built: Built, feature_set: str) -> tuple[Samples, Samples]:
     """The scans of a map and those held out of it, whose truth is the nearest keyframe's submap."""
-    labels = built.finished.labels
+    labels = built.finished.laid.labels
     poses = poses_at(built.finished, built.held_out.stamps_ns)
     return (
         of_keyframes(built, feature_set),
@@ -70,7 +70,7 @@ def scored(classifiers: OneVsAll, asked: Samples) -> ClassificationScores:
 
 def of_keyframes(built: Built, feature_set: str) -> Samples:
     """The scans of a map."""
-    return Samples(_features(built.store, feature_set), built.finished.labels.submaps)
+    return Samples(_features(built.store, feature_set), built.finished.laid.labels.submaps)
 
 
 def _features(store: KeyframeStore, feature_set: str) -> FeatureArray:

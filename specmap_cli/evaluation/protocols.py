@@ -215,12 +215,12 @@ def score_hold_out(
     classifiers = finished.classifiers
     ids = classifiers.ids
     poses = poses_at(finished, held_out.stamps_ns)
-    truth = nearest_labels(poses, finished.labels.poses, finished.labels.submaps)
+    truth = nearest_labels(poses, finished.laid.labels.poses, finished.laid.labels.submaps)
     train = raw_labels(classifiers, store)
     test = raw_labels(classifiers, held_out)
     filtered = [label.filtered_submap for label in labels_of(finished, store, held_out, config)]
     return HoldOutResult(
-        classification_scores(finished.labels.submaps, train, ids),
+        classification_scores(finished.laid.labels.submaps, train, ids),
         classification_scores(truth, test, ids),
         classification_scores(truth, filtered, ids),
     )
@@ -233,9 +233,9 @@ def labels_of(
     poses = poses_at(finished, held_out.stamps_ns)
     classifiers = finished.classifiers
     adjacency = neighbours(classifiers.ids, finished.topology.joined)
-    divided, settings = finished.regions, config.localization
-    numbers = along_way(finished.labels.poses)
-    own = partial(placed, store, numbers.tolist(), finished.labels.poses[numbers])
+    divided, settings = finished.laid.regions, config.localization
+    numbers = along_way(finished.laid.labels.poses)
+    own = partial(placed, store, numbers.tolist(), finished.laid.labels.poses[numbers])
     walls = MapWalls(divided.grid, divided.owner, classifiers.misfit, settings, own)
     localizer = Localizer(classifiers, adjacency, walls, settings)
     labels: list[Label] = []

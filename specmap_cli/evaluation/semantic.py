@@ -146,7 +146,7 @@ def room_hallway(
         finished = map_log(Session(config, store, progress), SweepStream(log, config.log))
         predicted = kinds_by(model, (store.scan(k) for k in range(len(store))))
         truth = asked.kinds(np.array(store.stamps_ns, dtype=np.int64))
-    return semantic_scores(predicted, truth, finished.labels.submaps, finished.topology.joined)
+    return semantic_scores(predicted, truth, finished.laid.labels.submaps, finished.topology.joined)
 
 
 def _scans_of(

@@ -172,16 +172,6 @@ class FinishedMap:
             "path_m": round(driven_m(laid.logs, laid.labels), 3),
         }
 
-    @property
-    def labels(self) -> Labels:
-        """The pose and the submap of each keyframe."""
-        return self.laid.labels
-
-    @property
-    def regions(self) -> Regions:
-        """The division of the whole grid."""
-        return self.laid.regions
-
 
 def submaps_of(labels: IntArray) -> dict[int, list[int]]:
     """The keyframes of each submap, ascending, from the submap (n,) of each keyframe."""

@@ -101,7 +101,7 @@ def merge_maps(
         parts=tuple(
             tuple(names[k] for k in sorted(part)) for part in parts_of(len(names), overlaps)
         ),
-        ids={name: merging.ids_of(k, finished.labels.submaps) for k, name in enumerate(names)},
+        ids={name: merging.ids_of(k, finished.laid.labels.submaps) for k, name in enumerate(names)},
         unapplied=finished.unapplied,
     )
 

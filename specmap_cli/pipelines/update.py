@@ -115,7 +115,7 @@ def update_map(
         }
         updates = [*(earlier if isinstance(earlier, list) else []), last]
         run = write_made(session, partial, finished, log.given, stream.selection, updates=updates)
-    before, visits = np.split(finished.labels.submaps, [fewer.old])
+    before, visits = np.split(finished.laid.labels.submaps, [fewer.old])
     ids = set(before.tolist())
     return UpdateReport(
         out=target,
@@ -124,7 +124,7 @@ def update_map(
         alignment=alignment,
         visited=tuple(sorted(set(visits.tolist()) & ids)),
         new=tuple(sorted(set(visits.tolist()) - ids)),
-        borders=border_changes(old.regions, finished.regions),
+        borders=border_changes(old.regions, finished.laid.regions),
         dropped=fewer.dropped,
         unapplied=finished.unapplied,
     )

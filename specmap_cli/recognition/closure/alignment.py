@@ -83,11 +83,6 @@ class MapToAlign:
     longer_m: float = 0.0
     heading: float = 0.0
 
-    @property
-    def shift(self) -> FloatArray:
-        """(2,) by which what lies beyond the stretch was moved."""
-        return self.longer_m * np.array([math.cos(self.heading), math.sin(self.heading)])
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PieceFit:
@@ -231,8 +226,9 @@ class _Candidate:
     @property
     def ends(self) -> tuple[Pose2, Pose2]:
         """Where it puts what lies before and beyond a stretch, from the map as it was made."""
-        x, y = self.new.shift.tolist()
-        return self.old_from_new, self.old_from_new @ Pose2(x, y, 0.0)
+        longer_m, heading = self.new.longer_m, self.new.heading
+        shift = Pose2(longer_m * math.cos(heading), longer_m * math.sin(heading), 0.0)
+        return self.old_from_new, self.old_from_new @ shift
 
 
 def _different(found: Iterable[_Candidate], centre: FloatArray) -> list[_Candidate]:

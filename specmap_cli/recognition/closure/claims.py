@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.settings import RecognitionConfig
 from specmap_cli.recognition.features.sets import feature_names
-from specmap_cli.recognition.learning.boosting import Booster, boosted, boosted_trees
-from specmap_cli.recognition.learning.trees import CodeArray, Quantiser, Question
+from specmap_cli.recognition.learning.boosting import Booster, TreeBoost, boosted
+from specmap_cli.recognition.learning.trees import CodeArray, Quantiser, Question, grown
 
 SAMPLES_PER_SUBMAP = 60  # scans of a submap used for ranking
 
@@ -157,7 +157,8 @@ class ClaimRanker:
         names, rounds = feature_names(self.config.feature_set), self.config.closure_rounds
         if self._quantiser is None or scans.codes is None:
             return boosted(names, scans.features, questions, rounds)
-        return boosted_trees(names, scans.codes, self._quantiser, questions, rounds, self.rng)
+        forests = grown(scans.codes, self._quantiser, questions, rounds, self.rng)
+        return [TreeBoost(names, forest) for forest in forests]
 
     def _quantise(self, new: _Scans) -> None:
         """Cut scans that have no bins yet; all of them anew once the map has doubled."""
