@@ -133,10 +133,7 @@ def in_own_frame(store: KeyframeStore, keyframes: Sequence[int]) -> FloatArray:
 
 
 def online_labels(regions: Regions, closures: Iterable[Closure], count: int) -> IntArray:
-    """The submap (n,) of each of `count` keyframes, by the regions and their merges.
-
-    A submap has the smallest number of its regions; -1 marks a keyframe in no region yet.
-    """
+    """The submap (n,) of `count` keyframes: the least number of its regions, -1 for none yet."""
     merges = [(closure.old, closure.new) for closure in closures if closure.merged]
     labels = np.full(count, -1, dtype=np.int64)
     for region, submap in submap_of_regions(regions, merges).items():

@@ -111,10 +111,7 @@ def parts_of(count: int, overlaps: Overlaps) -> list[set[int]]:
 
 
 def steps_of(count: int, overlaps: Overlaps) -> list[tuple[int | None, int]]:
-    """The maps in the order of joining, each with the one that it is laid into; None: beside all.
-
-    Along the alignments that most wall speaks for (a maximum spanning tree).
-    """
+    """The maps in order of joining, along most wall, each behind what it is laid into; or None."""
     graph = nx.Graph()
     graph.add_nodes_from(range(count))
     for (i, j), alignment in overlaps.items():

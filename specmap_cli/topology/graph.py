@@ -43,11 +43,7 @@ Span = tuple[int, int]
 
 
 def submap_of_regions(regions: Iterable[int], merges: Iterable[Pair]) -> dict[int, int]:
-    """The submap of each region: the smallest number of the regions merged with it.
-
-    `merges` are pairs of regions that are one submap, in any order and over any others. Raises
-    KeyError for a merge of what is no region.
-    """
+    """The submap of each region: the smallest number merged with it. KeyError for no region."""
     sets = DisjointSet(regions)
     for a, b in merges:
         sets.merge(a, b)
@@ -55,10 +51,10 @@ def submap_of_regions(regions: Iterable[int], merges: Iterable[Pair]) -> dict[in
 
 
 def settle_labels(labels: IntArray, poses: FloatArray, min_path_m: float) -> IntArray:
-    """Labels (n,) of successive keyframes without excursions: a stay shorter than `min_path_m` of
-    path between two stays in one submap becomes part of that submap.
+    """Labels (n,) of successive keyframes at `poses` (n, 3) without excursions.
 
-    `poses` (n, 3) are those of the keyframes. Stays are looked at in turn, the first is kept.
+    A stay shorter than `min_path_m` of path between two stays in one submap becomes part of that
+    submap. Stays are looked at in turn, the first is kept.
     """
     settled = labels.copy()
     path = travelled(poses)

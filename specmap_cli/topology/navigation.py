@@ -33,7 +33,6 @@ from specmap_cli.topology.topological_map import (
     heirs,
 )
 from specmap_cli.topology.ways import (
-    NO_WAY,
     Anchor,
     Way,
     anchors_of,
@@ -80,9 +79,7 @@ def with_ways(
     return replace(
         topology,
         submaps=submaps,
-        edges={
-            pair: _with_way(edge, there.get(pair, NO_WAY), doors) for pair, edge in edges.items()
-        },
+        edges={pair: _with_way(edge, there[pair], doors) for pair, edge in edges.items()},
         doors=doors,
         robot_radius_m=config.robot_radius_m,
     )

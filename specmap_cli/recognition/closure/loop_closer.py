@@ -175,11 +175,7 @@ class DriftGraph:
 
 
 class LoopCloser:
-    """Remembers the submaps so far and compares each new stay with them.
-
-    A submap keeps one grid for every stay that was merged into it: a new stay is matched with the
-    latest. Submaps have the number of their first stay.
-    """
+    """Remembers the submaps so far, by their first stays, and compares new stays with them."""
 
     def __init__(self, config: RecognitionConfig, rng: np.random.Generator) -> None:
         self.config = config

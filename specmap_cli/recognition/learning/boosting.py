@@ -114,10 +114,7 @@ class Stump:
 
 
 class StumpBoost:
-    """Discrete AdaBoost; each round takes the one feature, threshold and sign of least error.
-
-    `names` are the columns' names, used by `to_dict`; `rounds_` holds the fitted stumps.
-    """
+    """Discrete AdaBoost; each round takes the one feature, threshold and sign of least error."""
 
     def __init__(self, names: Sequence[str], rounds: int = 60) -> None:
         self.names = tuple(names)
@@ -251,11 +248,7 @@ def _best_stump(
 
 
 class OneVsAll:
-    """A booster for each class, each against all others; the label is that of the largest margin.
-
-    `fit` learns `classes_`, ascending, and `boosters_` by class; `forest_` holds the trees of all
-    of them where they are as many each, to ask them together.
-    """
+    """A booster for each class against all others; `forest_` are all trees, if as many each."""
 
     def __init__(self, feature_set: str, config: RecognitionConfig) -> None:
         self.feature_set = feature_set

@@ -195,10 +195,7 @@ def held_out_misfit(
 
 
 def near_returns(scan: PlanarScan, near_m: float) -> FloatArray:
-    """(N, 2) a choice of the scan's returns within `near_m`, or of the nearer half if that is more.
-
-    Far ones are seen through doors, from where they hardly show again.
-    """
+    """(N, 2) returns within `near_m`, or the nearer half: far ones are seen through doors."""
     hits = scan.hits()
     ranges = np.hypot(hits[:, 0], hits[:, 1])
     reach = max(near_m, float(np.median(ranges))) if len(ranges) else near_m

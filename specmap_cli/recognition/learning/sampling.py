@@ -130,11 +130,9 @@ def raw_samples(
     features: KeyframeFeatures,
     starts: Sequence[int] = (),
 ) -> dict[int, Samples]:
-    """The raw scans of every submap that are learned from.
+    """The raw scans of every submap that are learned from, evenly spread over the recordings.
 
-    `features` are those known so far. A submap that was seen often is learned from some of its
-    scans, evenly spread over the recordings, which after the first one begin at `starts`; first of
-    all from those whose features are known, which were chosen evenly, too.
+    Those after the first one begin at `starts`. Scans whose `features` are known come first.
     """
     samples = {}
     for i, numbers in submaps.items():
@@ -194,8 +192,7 @@ def cast_samples(
 ) -> dict[int, Samples]:
     """Virtual scans of every submap, cast from free cells near its track.
 
-    Half of them are dealt out evenly, half by area. In submaps of which some are `known` none are
-    cast again.
+    Half are dealt out evenly, half by area; none in submaps of which some are `known`.
     """
     owner = owners_of(submaps, len(poses))
     samples = {}
