@@ -28,18 +28,19 @@ from specmap_cli.recognition.learning.calibration import (
     calibrated,
     held_out_misfit,
 )
-from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
+from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser, Sensor
 from specmap_cli.recognition.learning.sampling import (
     NO_SAMPLES,
     NO_TRAINING_DATA,
     Samples,
+    Track,
     TrainingData,
     augmented_samples,
     cast_samples,
     raw_samples,
     track_samples,
 )
-from specmap_cli.recognition.learning.training import Revisits, sensor_of, train_and_test
+from specmap_cli.recognition.learning.training import Revisits, train_and_test
 
 _MOST = float(np.finfo(np.float16).max)
 
@@ -80,7 +81,8 @@ def learn(session: Session, labels: Labels, prior: Prior, starts: tuple[int, ...
     Recordings after the first one begin with the keyframes `starts`. What raw scans teach needs no
     grids: it is learned beside the drawing of these, and beside what virtual scans teach.
     """
-    config, submaps, poses = session.config, submaps_of(labels.submaps), labels.poses
+    config, store, poses = session.config, session.store, labels.poses
+    track = Track(store, poses, submaps_of(labels.submaps), starts)
     revisits = None
     if prior.classifiers is not None:  # they tell the scans of the last recording
         revisits = Revisits(prior.classifiers, starts[-1], labels)
@@ -88,18 +90,16 @@ def learn(session: Session, labels: Labels, prior: Prior, starts: tuple[int, ...
     along: OfSubmaps = {}
     cast: OfSubmaps = {}
     virtual, of_virtual = None, None
-    with ahead(
-        lambda: _of_raw_scans(session, submaps, poses, prior, starts, raw_rng, revisits)
-    ) as meanwhile:
-        session.progress.start("grids", len(session.store))
+    with ahead(lambda: _of_raw_scans(track, config, prior, raw_rng, revisits)) as meanwhile:
+        session.progress.start("grids", len(store))
         with session.clock.stage("grids"):
-            grids = submap_grids(session.store, submaps, poses, config.grid, session.progress)
+            grids = submap_grids(store, track.submaps, poses, config.grid, session.progress)
         session.progress.start("training", None)
         with session.clock.stage("training"):
             if config.localization.virtual:
                 data, virtually = prior.training_data, config.localization
-                cast = cast_samples(submaps, poses, grids, virtually, virtual_rng, data.cast)
-                along = track_samples(session.store, submaps, poses, virtually, data.along, starts)
+                cast = cast_samples(track, grids, virtually, virtual_rng, data.cast)
+                along = track_samples(track, virtually, data.along)
                 virtual, of_virtual = train_and_test(
                     along, cast, poses, config, virtual_rng, revisits, virtual=True
                 )
@@ -107,8 +107,9 @@ def learn(session: Session, labels: Labels, prior: Prior, starts: tuple[int, ...
             before = prior.classifiers
             # as before, where the last recording tells nothing of how sure they are
             calibration = None if before is None or len(of_raw.column) else before.calibration
+            first = min(own[0] for own in track.submaps.values())
             classifiers = ClassifierSet(
-                sensor=sensor_of(session.store, submaps),
+                sensor=Sensor.of(store.scan(first)),
                 raw=raw,
                 virtual=virtual,
                 misfit=misfit,
@@ -136,21 +137,18 @@ def submap_grids(
 
 
 def _of_raw_scans(
-    session: Session,
-    submaps: Submaps,
-    poses: FloatArray,
+    track: Track,
+    config: Config,
     prior: Prior,
-    starts: tuple[int, ...],
     rng: np.random.Generator,
     revisits: Revisits | None,
 ) -> Generator[None, None, Taught]:
     """What raw scans teach; nothing is told on the way."""
     yield from ()
-    store, config = session.store, session.config
-    samples = raw_samples(submaps, config, prior.features, starts)
-    beside = augmented_samples(store, submaps, poses, config, rng, prior.training_data.beside)
+    poses, samples = track.poses, raw_samples(track, config, prior.features)
+    beside = augmented_samples(track, config, rng, prior.training_data.beside)
     raw, held_out = train_and_test(samples, beside, poses, config, rng, revisits, virtual=False)
-    misfit = held_out_misfit(store, submaps, poses)
+    misfit = held_out_misfit(track.store, track.submaps, poses)
     return raw, held_out, misfit, samples, beside
 
 

@@ -8,7 +8,7 @@ told by the classifiers that the map had before.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +18,7 @@ from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, travelled
 from specmap_cli.core.records import BoolArray, Labels
 from specmap_cli.core.settings import Config, RecognitionConfig
-from specmap_cli.grids.keyframes import DIRECTION_RAD, KeyframeStore
+from specmap_cli.grids.keyframes import DIRECTION_RAD
 from specmap_cli.recognition.learning.boosting import OneVsAll
 from specmap_cli.recognition.learning.calibration import (
     HELD_OUT_REACH_M,
@@ -26,18 +26,13 @@ from specmap_cli.recognition.learning.calibration import (
     Familiarity,
     HeldOutMargins,
 )
-from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser, Sensor
+from specmap_cli.recognition.learning.classifiers import ClassifierSet, Recogniser
 from specmap_cli.recognition.learning.sampling import Samples, views
 
 _PIECE_M, _EVERY = 5.0, 4  # of the way a piece in four is held out; the first one never is
 _UNCLAIMED = -1e3  # margin of a submap of which nothing was left to learn from
 _CHORD = 2.0 * np.sin(0.5 * DIRECTION_RAD)  # of the unit circle
 _EXEMPLARS = 80  # scans kept of a submap, to tell unknown ones by
-
-
-def sensor_of(store: KeyframeStore, submaps: Mapping[int, Sequence[int]]) -> Sensor:
-    """The laser of the first keyframe that is in a submap."""
-    return Sensor.of(store.scan(min(numbers[0] for numbers in submaps.values())))
 
 
 def train_and_test(
