@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,15 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from specmap_cli import __version__
-from specmap_cli.core.geometry import FloatArray, compose, invert, nearest_motion
+from specmap_cli.core.geometry import compose, invert, nearest_motion
 from specmap_cli.core.progress import Progress
 from specmap_cli.core.records import IntArray, Labels
 from specmap_cli.core.settings import Config, GridConfig
 from specmap_cli.grids.gridmap import GridMap
-from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
+from specmap_cli.grids.keyframes import integrate_keyframes
 from specmap_cli.maps.features_file import KEYFRAMES_OF, KINDS
 from specmap_cli.maps.store import Map
-from specmap_cli.pipelines.map_in_making import submaps_of
 from specmap_cli.pipelines.session import Session
 from specmap_cli.pipelines.worker import ahead
 from specmap_cli.recognition.features.sets import KeyframeFeatures, feature_names
@@ -44,7 +43,6 @@ from specmap_cli.recognition.learning.training import Revisits, train_and_test
 
 _MOST = float(np.finfo(np.float16).max)
 
-Submaps = Mapping[int, Sequence[int]]
 OfSubmaps = Mapping[int, Samples]
 # By raw scans: the classifiers, how they told held-out scans, their misfit; the scans that were
 # seen, and those that were made up.
@@ -82,7 +80,7 @@ def learn(session: Session, labels: Labels, prior: Prior, starts: tuple[int, ...
     grids: it is learned beside the drawing of these, and beside what virtual scans teach.
     """
     config, store, poses = session.config, session.store, labels.poses
-    track = Track(store, poses, submaps_of(labels.submaps), starts)
+    track = Track.of(store, labels, starts)
     revisits = None
     if prior.classifiers is not None:  # they tell the scans of the last recording
         revisits = Revisits(prior.classifiers, starts[-1], labels)
@@ -93,7 +91,7 @@ def learn(session: Session, labels: Labels, prior: Prior, starts: tuple[int, ...
     with ahead(lambda: _of_raw_scans(track, config, prior, raw_rng, revisits)) as meanwhile:
         session.progress.start("grids", len(store))
         with session.clock.stage("grids"):
-            grids = submap_grids(store, track.submaps, poses, config.grid, session.progress)
+            grids = submap_grids(track, config.grid, session.progress)
         session.progress.start("training", None)
         with session.clock.stage("training"):
             if config.localization.virtual:
@@ -120,17 +118,13 @@ def learn(session: Session, labels: Labels, prior: Prior, starts: tuple[int, ...
 
 
 def submap_grids(
-    store: KeyframeStore,
-    submaps: Submaps,
-    poses: FloatArray,
-    config: GridConfig,
-    progress: Progress | None = None,
+    track: Track, config: GridConfig, progress: Progress | None = None
 ) -> dict[int, GridMap]:
     """The grid of each submap from all its keyframes, in the frame of its first."""
     grids = {}
-    for id_, keyframes in submaps.items():
-        track = compose(invert(poses[keyframes[0]]), poses[keyframes])
-        grids[id_] = integrate_keyframes(store, keyframes, track, config).snapshot()
+    for id_, keyframes in track.submaps.items():
+        poses = compose(invert(track.poses[keyframes[0]]), track.poses[keyframes])
+        grids[id_] = integrate_keyframes(track.store, keyframes, poses, config).snapshot()
         if progress is not None:
             progress.advance(len(keyframes))
     return grids

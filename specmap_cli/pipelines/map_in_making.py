@@ -18,7 +18,7 @@ from specmap_cli.core.arrays import Packed
 from specmap_cli.core.errors import InputError, MapError
 from specmap_cli.core.findings import UNDOUBTED, Finding, Quality
 from specmap_cli.core.geometry import FloatArray
-from specmap_cli.core.records import NO_SUBMAP, BoolArray, Closure, IntArray, Labels, Trajectory
+from specmap_cli.core.records import NO_SUBMAP, BoolArray, Closure, Labels, Trajectory
 from specmap_cli.core.text import counted
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.layout.joining import gaps_of
@@ -171,11 +171,6 @@ class FinishedMap:
             "merges": sum(closure.merged for closure in topology.closures),
             "path_m": round(driven_m(laid.logs, laid.labels), 3),
         }
-
-
-def submaps_of(labels: IntArray) -> dict[int, list[int]]:
-    """The keyframes of each submap, ascending, from the submap (n,) of each keyframe."""
-    return {int(id_): np.flatnonzero(labels == id_).tolist() for id_ in np.unique(labels)}
 
 
 def gaps_in(poses: FloatArray, logs: Sequence[LogInfo]) -> dict[int, Bridge]:

@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 
 from specmap_cli.core.arrays import evenly
 from specmap_cli.core.geometry import FloatArray, Pose2
-from specmap_cli.core.records import NO_SUBMAP, BoolArray, IntArray, PlanarScan
+from specmap_cli.core.records import NO_SUBMAP, BoolArray, IntArray, Labels, PlanarScan
 from specmap_cli.core.settings import Config, LocalizationConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore
@@ -45,6 +45,12 @@ class Track:
     poses: FloatArray
     submaps: Mapping[int, Sequence[int]]
     starts: Sequence[int] = ()
+
+    @classmethod
+    def of(cls, store: KeyframeStore, labels: Labels, starts: Sequence[int] = ()) -> Track:
+        """The keyframes that a store holds, as they are labelled."""
+        own = {int(i): np.flatnonzero(labels.submaps == i) for i in np.unique(labels.submaps)}
+        return cls(store, labels.poses, {i: numbers.tolist() for i, numbers in own.items()}, starts)
 
     @cached_property
     def owner(self) -> NDArray[np.intp]:
