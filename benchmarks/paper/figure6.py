@@ -121,12 +121,11 @@ def ask(built: Built, case: Case, again: Case, workshop: Workshop) -> Asked:
     given = true_poses(case.truth, built.store, of_laser=False)
     known = np.isfinite(given[:, 0])
     moved: Pose2 = nearest_motion(given[known, :2], finished.laid.labels.poses[known, :2])
-    keyframes = finished.laid.labels.poses, finished.laid.labels.submaps
     stamps = np.array([label.stamp_ns for label in labels])
     joined, rows = associate(reference.stamps_ns, stamps, 5_000_000)
     places = np.full((len(labels), 3), np.nan)
     places[joined] = compose(np.array(moved), reference.poses[rows])
-    return Asked(labels, revisit(labels, reference, keyframes, moved), places)
+    return Asked(labels, revisit(labels, reference, finished.laid.labels, moved), places)
 
 
 def _classifiers_alone(

@@ -20,7 +20,7 @@ from specmap_cli.core.errors import LogError, NoResultError
 from specmap_cli.core.geometry import IDENTITY, FloatArray, Pose2, nearest_motion
 from specmap_cli.core.process import one_blas_thread
 from specmap_cli.core.progress import Progress, Silent
-from specmap_cli.core.records import IntArray, PosedScan, Trajectory
+from specmap_cli.core.records import IntArray, Labels, PosedScan, Trajectory
 from specmap_cli.core.settings import Config, KeyframeConfig, LimitsConfig
 from specmap_cli.evaluation.trajectories import associate
 from specmap_cli.grids.keyframes import KeyframeSelector, KeyframeStore
@@ -214,13 +214,13 @@ def score_hold_out(
     """Label the keyframes of a finished map and those held out."""
     classifiers = finished.classifiers
     ids = classifiers.ids
-    poses = poses_at(finished, held_out.stamps_ns)
-    truth = nearest_labels(poses, finished.laid.labels.poses, finished.laid.labels.submaps)
+    labels = finished.laid.labels
+    truth = nearest_labels(poses_at(finished, held_out.stamps_ns), labels)
     train = raw_labels(classifiers, store)
     test = raw_labels(classifiers, held_out)
     filtered = [label.filtered_submap for label in labels_of(finished, store, held_out, config)]
     return HoldOutResult(
-        classification_scores(finished.laid.labels.submaps, train, ids),
+        classification_scores(labels.submaps, train, ids),
         classification_scores(truth, test, ids),
         classification_scores(truth, filtered, ids),
     )
@@ -255,12 +255,10 @@ def raw_labels(classifiers: ClassifierSet, store: KeyframeStore) -> IntArray:
     return winners
 
 
-def nearest_labels(
-    places: FloatArray, known: FloatArray, labels: NDArray[Any], reach_m: float = _TRUTH_REACH_M
-) -> IntArray:
-    """(n,) label of the known place (k, 2 or 3) nearest each place, -1 where none is in reach."""
-    distance, nearest = cKDTree(known[:, :2]).query(places[:, :2])
-    return np.where(distance <= reach_m, np.asarray(labels)[nearest], -1).astype(np.int64)
+def nearest_labels(places: FloatArray, known: Labels) -> IntArray:
+    """(n,) submap of the keyframe nearest to each place (n, 2 or 3), -1 where none is in reach."""
+    distance, nearest = cKDTree(known.poses[:, :2]).query(places[:, :2])
+    return np.where(distance <= _TRUTH_REACH_M, known.submaps[nearest], -1).astype(np.int64)
 
 
 def poses_at(finished: FinishedMap, stamps_ns: Sequence[int]) -> FloatArray:
@@ -286,14 +284,14 @@ class RevisitResult:
 def revisit(
     labels: Sequence[Label],
     reference: Trajectory,
-    keyframes: tuple[FloatArray, IntArray],
+    keyframes: Labels,
     map_from_reference: Pose2 = IDENTITY,
 ) -> RevisitResult:
     """Score the labels of another log by given poses (Figure 6 of the paper).
 
     `reference` holds poses of the robot on the second log, which `map_from_reference` takes to the
-    map; `keyframes` poses (k, 3) and submaps (k,) of the map. Scans more than a metre from every
-    keyframe are left out. Raises LogError when no scan has a pose.
+    map; `keyframes` are those of the map. Scans more than a metre from all of them are left out.
+    Raises LogError when no scan has a pose.
     """
     stamps = np.array([label.stamp_ns for label in labels], dtype=np.int64)
     joined, rows = associate(reference.stamps_ns, stamps, STAMP_REACH_NS)
@@ -301,8 +299,8 @@ def revisit(
         raise LogError("no scan of the log has a given pose: the stamps do not meet within 50 ms")
     places = map_from_reference.apply(reference.poses[rows, :2])
     truth = np.full(len(labels), -1, dtype=np.int64)
-    truth[joined] = nearest_labels(places, *keyframes)
-    ids = np.unique(keyframes[1][keyframes[1] >= 0]).tolist()
+    truth[joined] = nearest_labels(places, keyframes)
+    ids = np.unique(keyframes.submaps[keyframes.submaps >= 0]).tolist()
     return RevisitResult(
         classification_scores(truth, [label.submap for label in labels], ids),
         classification_scores(truth, [label.filtered_submap for label in labels], ids),
@@ -347,12 +345,8 @@ def revisit_logs(
             )
         reference = read_tum(references[1])
         report = localize_log([Path(second)], stored, config, progress=progress)
-        return revisit(
-            [scan.label for scan in report.scans],
-            reference,
-            (stored.labels.poses, stored.labels.submaps),
-            map_from_reference,
-        )
+        labels = [scan.label for scan in report.scans]
+        return revisit(labels, reference, stored.labels, map_from_reference)
 
 
 def hold_out_lines(result: HoldOutResult) -> list[str]:

@@ -71,8 +71,7 @@ def train(
         for scan in compress(tour, inside):
             store.append(scan)
         session = Session(config, store)
-        stamps_ns = np.array(store.stamps_ns)
-        known = Labels(stamps_ns=stamps_ns, poses=store.poses, submaps=labels[inside])
+        known = Labels(stamps_ns=np.arange(len(store)), poses=store.poses, submaps=labels[inside])
         found = learn(session, known, Prior.of(session))
     owner = np.where(np.isin(rooms, found.classifiers.ids), rooms, NO_SUBMAP)
     return Trained(found.classifiers, walls_of(plan, owner, found.classifiers.misfit))
