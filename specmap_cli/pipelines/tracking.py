@@ -71,7 +71,7 @@ class Tracking:
 
 
 def track(stream: SweepStream, config: RegistrationConfig) -> Generator[PosedScan, None, Tracking]:
-    """Yield every scan with its pose, but those that a hanging driver repeats; return the rest."""
+    """Yield each scan with its pose, but those a hanging driver repeats; return how it went."""
     front_end, clock, repeats = FrontEnd(config), Stopwatch(), Repeats()
     stale = 0
     for sweep in stream:

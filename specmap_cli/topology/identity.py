@@ -225,7 +225,7 @@ def _areas_by_owner(owners: OwnerArray, cell_m2: float) -> dict[int, float]:
 
 @dataclass(frozen=True, slots=True)
 class Redrawn:
-    """Keyframes after all `borders` that could be made; `skipped` says by place why others not."""
+    """Keyframes after all `borders` that could be made; `skipped` says why others could not."""
 
     submaps: IntArray
     borders: tuple[BorderEdit, ...]

@@ -292,7 +292,7 @@ def resampled(scan: PlanarScan, known: Sensor) -> PlanarScan:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class ClassifiedScan:
     """What is said of one scan, and of the last virtual one of the window before it.
 
@@ -329,9 +329,8 @@ class ScanClassifier:
         """What is said of the next scans: many at once are cheaper. Raises as `resampling`."""
         raw = self.classifiers.raw
         if self._seen is None:
-            seen_by = Sensor.of(scans[0].planar)
-            self.note = resampling(seen_by, self.classifiers.sensor)
-            self._seen = seen_by
+            laser = Sensor.of(scans[0].planar)
+            self.note, self._seen = resampling(laser, self.classifiers.sensor), laser
         planar = [posed.planar for posed in scans]
         if self.note:
             planar = [resampled(scan, self.classifiers.sensor) for scan in planar]
@@ -355,17 +354,8 @@ class ScanClassifier:
                 for posed, k in zip(scans, of_window, strict=True)
             ]
             self._windows, self._said = self._windows[-1:], said[-1:]
-        return [
-            ClassifiedScan(
-                margins=margins[k],
-                raw=alone[k],
-                all=both[k],
-                strange=float(strange[k]),
-                seen=seen[k],
-                shown=shown[k],
-            )
-            for k in range(len(scans))
-        ]
+        columns = margins, alone, both, strange.tolist(), seen, shown
+        return [ClassifiedScan(*each) for each in zip(*columns, strict=True)]
 
     def _driven(self, scans: Sequence[PosedScan]) -> tuple[list[int], list[float]]:
         """The number of each scan's virtual one, and how much of the surroundings this holds."""
