@@ -88,7 +88,7 @@ class Relations:
 
 
 def read_relations(path: str | Path) -> Relations:
-    """Relations, `t1 t2 x y z roll pitch yaw` a line, seconds, metres, radians, or InputError."""
+    """Relations, `t1 t2 x y z roll pitch yaw` a line, in s, m, rad. InputError for other lines."""
     expected = "`t1 t2 x y z roll pitch yaw`"
     rows = stamped_rows(path, 2, "relations have 8", "relation", expected)
     earlier, later = np.array([stamps for stamps, _ in rows], dtype=np.int64).T

@@ -60,7 +60,7 @@ class Learned:
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """What there is before a map is learned; classifiers are those before the last recording."""
+    """What there is before a map is learned; `classifiers` are of before the last recording."""
 
     features: KeyframeFeatures
     training_data: TrainingData = NO_TRAINING_DATA

@@ -153,7 +153,7 @@ class _Merging:
             self.joint = with_borders(joint)[0]
 
     def ids_of(self, number: int, submaps: IntArray) -> dict[int, int]:
-        """The submap that has most keyframes of each of one map; `submaps` (n,) are those now."""
+        """The submap that most keyframes of each one of a map are in now, by `submaps` (n,)."""
         first, _ = self._firsts[number]
         own = self.parts[number].labels.submaps
         now = submaps[first : first + len(own)]

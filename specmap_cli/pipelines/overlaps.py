@@ -112,7 +112,7 @@ def parts_of(count: int, overlaps: Overlaps) -> list[set[int]]:
 
 
 def steps_of(count: int, overlaps: Overlaps) -> list[tuple[int | None, int]]:
-    """The maps in order of joining, along most wall, each behind what it is laid into; or None."""
+    """Each map behind the one it is laid into (None: beside all), in order, along the most wall."""
     graph = nx.Graph()
     graph.add_nodes_from(range(count))
     for (i, j), alignment in overlaps.items():
@@ -159,7 +159,7 @@ class GuessedStretch:
 
 
 def stretch_of(findings: Sequence[Finding], stamps_ns: IntArray) -> GuessedStretch | None:
-    """The stretch that findings say may be off most, None without any; stamps are keyframes'."""
+    """The stretch that findings say may be off most, if any; `stamps_ns` (n,) are of keyframes."""
     found = [
         (one.value, one.where.stamp_ns)
         for one in findings

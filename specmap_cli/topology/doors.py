@@ -216,7 +216,7 @@ def _steps(start: BoolArray, part: BoolArray) -> IntArray:
 
 
 def _measured(space: Space, corner: IntArray, saddle: _Saddle) -> Narrow:
-    """The narrow place at a saddle in the window at `corner`: from wall to wall opposite."""
+    """The narrow place at a saddle in the window at `corner`: from a wall to the one opposite."""
     cell = np.array(saddle.cell) + corner
     reach = math.ceil(2.0 * saddle.height) + 2
     low = np.maximum(cell - reach, 0)

@@ -219,7 +219,7 @@ def shut_by(
 
 
 def with_shut(topology: TopologicalMap, shut: Shut) -> TopologicalMap:
-    """The map in which these links and doors, links through such doors, and no others are shut."""
+    """The map in which these links and doors, and links through such doors, alone are forbidden."""
     return replace(
         topology,
         edges={

@@ -387,7 +387,7 @@ class Space:
         return cls(regions.grid, owner, away, 0.5 if scanned else 0.0)
 
     def clearance(self, part: Any = ...) -> FloatArray:
-        """Metres from a free cell's centre to the side of one that is not, else 0; of a `part`."""
+        """Metres from a free cell's centre to the side of a taken one, else 0; also of a `part`."""
         inside = exact(self.away[part])
         inside -= 0.5
         np.maximum(inside, 0.0, out=inside)

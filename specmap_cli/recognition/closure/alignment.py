@@ -288,7 +288,7 @@ class _Search:
         return found.pose @ Pose2(-x, -y, 0.0)
 
     def _measured(self, pose: Pose2) -> _Candidate:
-        """What speaks for a transform: of the map with less wall, and with room between walls."""
+        """What speaks for a transform, of the map of which less does; walls need room between."""
         known = []
         for grid, other, motion in (
             (self.new, self.old, pose),

@@ -141,7 +141,7 @@ class ClaimRanker:
     def _trained(
         self, stays: Sequence[Sequence[_Scans]], left_out: Sequence[Collection[int]]
     ) -> list[Booster]:
-        """Classifiers of the stays of submaps, each without some; negatives are of all alike."""
+        """Classifiers that claim the stays of several submaps, each without some old submaps."""
         own = [_Scans.joined(each, _OWN_SAMPLES * SAMPLES_PER_SUBMAP) for each in stays]
         most, ids = self.config.closure_negatives, sorted(self._submaps)
         pool = [_Scans.joined(self._submaps[i], math.ceil(_POOL * most / len(ids))) for i in ids]

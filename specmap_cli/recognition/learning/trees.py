@@ -77,7 +77,7 @@ class Forest:
     votes: FloatArray
 
     def margins(self, X: NDArray[Any], classes: int) -> FloatArray:
-        """(n, m) sums of votes on X (n, F) of each of `classes` forests in a row, as rounded."""
+        """(n, m) sums of votes on X (n, F) of each of `classes` forests in a row, rounded."""
         trees, sums = np.arange(len(self.votes)), np.empty((len(X), classes))
         for first in range(0, len(X), _ROWS_AT_ONCE):
             some = X[first : first + _ROWS_AT_ONCE]

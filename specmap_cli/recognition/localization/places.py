@@ -73,7 +73,7 @@ class Estimate:
         return Estimate(pose, carried + np.diag([off, off, angle]))
 
     def corrected(self, match: Pose2, information: FloatArray) -> Estimate:
-        """With a match of such an inverse covariance (3, 3): if unexpected, as if just found."""
+        """With a match of such information (3, 3); if unexpected, it is as if found just now."""
         before, off = self.covariance, self.off(match)
         spread = inverse3(before + inverse3(information))
         if float(off @ product(spread, off[:, None])[:, 0]) > _SURPRISE:
@@ -244,7 +244,10 @@ class WeighedPlaces:
         return leader
 
     def _keep(self, places: Sequence[Place], belief: FloatArray) -> None:
-        """Go on with the likeliest places, each once; none is surer than a leap is unlikely."""
+        """Go on with the likeliest of some places that are not far behind, each of them once.
+
+        No more is remembered in favour of a place than a leap away from it is unlikely.
+        """
         most = -math.log(LEAP)
         over = max(0.0, max((each.weight for each in places), default=most) - most)
         lighter = [replace(each, weight=each.weight - over) for each in places]

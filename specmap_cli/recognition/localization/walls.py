@@ -234,7 +234,10 @@ class MapWalls:
     def _met(
         self, scans: Sequence[tuple[PosedScan, Pose2]]
     ) -> tuple[BoolArray, IntArray, BoolArray]:
-        """Which returns (n,) lie behind walls, beside them, too; cells (n, 2); which met a wall."""
+        """Which returns (n,) of scans at poses lie behind a wall, its cells (n, 2), which met one.
+
+        A wall counts when the rays beside it meet walls, too: one that ends there may be passed.
+        """
         rays = []  # bearings and ranges of the returns of each scan, few of many
         for posed, _ in scans:
             bearings, ranges = posed.planar.bearings, posed.planar.ranges
