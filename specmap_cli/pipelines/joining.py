@@ -242,7 +242,7 @@ def with_edits_of(joint: LaidOut, new: LaidOut, old_from_new: Pose2) -> LaidOut:
 
 
 class _Retelling:
-    """Says the changes of a map of what its submaps `became`, by id: most keyframes come first."""
+    """Says the changes of a map again, of what its submaps `became`, by id: the largest first."""
 
     def __init__(self, new: LaidOut, submaps: IntArray, old_from_new: Pose2, next_id: int) -> None:
         own = new.labels.submaps

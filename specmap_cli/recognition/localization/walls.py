@@ -213,7 +213,7 @@ class MapWalls:
         return [replace(best, against=against), *found[1:]]
 
     def _off_walls(self, points: FloatArray, pose: Pose2) -> tuple[float, float]:
-        """Share of points (N, 2) off the walls, what says little for little; and that of bodies."""
+        """Shares of points (N, 2) off the walls, and on bodies; some count little."""
         placed = pose.apply(points)
         off = 1.0 - np.asarray(self.field.at(placed), dtype=np.float64)
         cells, clear = self.grid.values_at(placed), off > _OFF
