@@ -20,7 +20,6 @@ from specmap_cli.core.records import Closure, IntArray, Labels, Trajectory
 from specmap_cli.core.settings import Config
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.layout.joining import join_layouts, placed
-from specmap_cli.layout.result import propagated, rows_of
 from specmap_cli.maps.edits import (
     Change,
     Edits,
@@ -182,11 +181,8 @@ def inherit(
 
 def _trajectory(old: LaidOut, new: LaidOut, poses: FloatArray) -> Trajectory:
     """All scans of both maps, moved with the keyframes, which lie at `poses` now."""
-    ways, carried = (old.trajectory, new.trajectory), []
-    for laid, now in ((old, poses[: len(old)]), (new, poses[len(old) :])):
-        labels, way = laid.labels, laid.trajectory
-        rows = rows_of(way, labels.stamps_ns.tolist(), labels.poses)
-        carried.append(propagated(way.poses, rows, now[: len(rows)]))
+    ways = old.trajectory, new.trajectory
+    carried = old.way_through(poses[: len(old)]), new.way_through(poses[len(old) :])
     lengths = [len(way.poses) for way in ways]
     return Trajectory(
         stamps_ns=np.concatenate([way.stamps_ns for way in ways]),

@@ -25,7 +25,7 @@ from specmap_cli.layout.joining import gaps_of
 from specmap_cli.layout.passes import PassesOnTheWay
 from specmap_cli.layout.path_graph import Bridge
 from specmap_cli.layout.pose_graph import read_g2o
-from specmap_cli.layout.result import Layout, rows_of
+from specmap_cli.layout.result import Layout, propagated, rows_of
 from specmap_cli.maps import filenames
 from specmap_cli.maps.edits import Edits, edits_text
 from specmap_cli.maps.store import Map
@@ -125,6 +125,12 @@ class LaidOut:
     def regions(self) -> Regions:
         """The division of the cells of the whole grid among the submaps."""
         return divide(self.whole, self.labels, fences_of(self.borders), self.unentered)
+
+    def way_through(self, poses: FloatArray) -> FloatArray:
+        """Poses (s, 3) of all scans, moved with the keyframes, which lie at `poses` (n, 3) now."""
+        way, labels = self.trajectory, self.labels
+        rows = rows_of(way, labels.stamps_ns.tolist(), labels.poses)
+        return propagated(way.poses, rows, poses[: len(rows)])
 
     @property
     def starts(self) -> tuple[int, ...]:

@@ -23,7 +23,6 @@ from specmap_cli.core.records import IntArray, Labels
 from specmap_cli.core.settings import Config, GridConfig
 from specmap_cli.grids.gridmap import GridMap
 from specmap_cli.grids.keyframes import KeyframeStore, integrate_keyframes
-from specmap_cli.layout.result import propagated, rows_of
 from specmap_cli.maps.filenames import KEYFRAMES
 from specmap_cli.maps.store import Map, read_map
 from specmap_cli.pipelines.learning import submap_grids
@@ -210,11 +209,9 @@ def with_other_lengths(
 def lengthened(laid: LaidOut, stretch: GuessedStretch, longer_m: float) -> LaidOut:
     """A recording that was laid out by itself, with a longer stretch; it is still to be drawn."""
     poses = stretch.longer(laid.layout.poses, longer_m)
-    way = laid.trajectory
-    rows = rows_of(way, laid.labels.stamps_ns.tolist(), laid.labels.poses)
     return replace(
         laid,
         layout=replace(laid.layout, poses=poses),
         labels=replace(laid.labels, poses=poses),
-        trajectory=replace(way, poses=propagated(way.poses, rows, poses)),
+        trajectory=replace(laid.trajectory, poses=laid.way_through(poses)),
     )
