@@ -88,7 +88,10 @@ class Relations:
 
 
 def read_relations(path: str | Path) -> Relations:
-    """Relations, `t1 t2 x y z roll pitch yaw` a line, in s, m, rad. InputError for other lines."""
+    """Ground-truth relations: `t1 t2 x y z roll pitch yaw` a line, seconds, metres, radians.
+
+    Raises InputError naming the line that is not so.
+    """
     expected = "`t1 t2 x y z roll pitch yaw`"
     rows = stamped_rows(path, 2, "relations have 8", "relation", expected)
     earlier, later = np.array([stamps for stamps, _ in rows], dtype=np.int64).T
@@ -117,7 +120,10 @@ def associate(
 
 
 def relation_errors(trajectory: Trajectory, relations: Relations) -> RelativeErrors:
-    """Errors of a base trajectory over the relations that it has, or InputError without any."""
+    """Errors of a base trajectory over all relations whose two stamps it has.
+
+    Raises InputError when it has none of them.
+    """
     first, i = associate(trajectory.stamps_ns, relations.earlier_ns)
     second, j = associate(trajectory.stamps_ns, relations.later_ns)
     both, in_first, in_second = np.intersect1d(first, second, return_indices=True)
@@ -127,7 +133,10 @@ def relation_errors(trajectory: Trajectory, relations: Relations) -> RelativeErr
 
 
 def reference_errors(trajectory: Trajectory, reference: Trajectory) -> ReferenceErrors:
-    """Errors against reference poses of the same body by stamp; InputError for fewer than two."""
+    """Errors of a trajectory against reference poses of the same body, joined by stamp.
+
+    Raises InputError when fewer than two stamps are common to both.
+    """
     rows, found = associate(trajectory.stamps_ns, reference.stamps_ns)
     if len(rows) < 2:
         raise _too_few(len(rows), len(reference.stamps_ns))

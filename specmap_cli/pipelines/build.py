@@ -101,7 +101,11 @@ def survey(
     accepts: Accepts | None = None,
     observer: Observer | None = None,
 ) -> tuple[LaidOut, Prior]:
-    """A log explored and laid out, and what is known before it is learned; as `map_log` has it."""
+    """A log explored and laid out by itself, and what is known before it is learned.
+
+    Registration runs ahead where there is a second processor. The arguments, and what it raises,
+    are those of `map_log`.
+    """
     config = session.config
     check_feature_sets(config)
     session.progress.note(stream.selection.note)

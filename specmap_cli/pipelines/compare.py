@@ -143,7 +143,10 @@ def compare_maps(
 def comparison_directory(
     out: Path | str, overwrite: bool = False, progress: Progress | None = None
 ) -> OutputDirectory:
-    """The directory `out` for `write_comparison`, which refuses what is in the way: UsageError."""
+    """The directory `out` for a comparison: entered before the work, it refuses what is in the way.
+
+    What it gives is for `write_comparison`. Raises UsageError on entering.
+    """
     ours = frozenset({SUMMARY, COMPARISON, PICTURE}).__contains__
     return OutputDirectory(path_of(out, "out"), overwrite, progress, marker=COMPARISON, ours=ours)
 

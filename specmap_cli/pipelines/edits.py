@@ -173,7 +173,8 @@ def named(
 ) -> tuple[TopologicalMap, tuple[str, ...]]:
     """The map with names, kinds, properties and forbidden links, and what does not apply, in words.
 
-    `topology` and its `regions` have the borders of the edits, but for those `skipped`.
+    `topology` and its `regions` have the borders of the edits; `skipped` are the changes that could
+    not be made. Ways lead round forbidden doors.
     """
     said = said_in(edits)
     shown = {each.id: each for each in said if each.id in topology.submaps}

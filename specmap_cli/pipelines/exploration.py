@@ -61,7 +61,10 @@ class Exploration:
             return self.segmenter.flush()
 
     def break_off(self, bridge: tuple[float, float] | None) -> list[Region]:
-        """Tracking starts afresh; odometry may be off by `bridge`, metres and radians, if any."""
+        """Tracking was lost and starts afresh with the next keyframe: a new submap begins.
+
+        `bridge` is how far odometry may be off meanwhile, metres and radians, if there was any.
+        """
         self.breaks[len(self.session.store)] = None if bridge is None else Bridge(*bridge)
         return self.end_submap()
 
@@ -81,7 +84,10 @@ class Exploration:
                 give_memory_back()
 
     def recognise_again(self) -> None:
-        """Compare regions once more, whole, that have grown since they were compared."""
+        """Regions that the robot came straight back to have grown since they were compared.
+
+        They are compared once more, whole, at the end of the log.
+        """
         grown, self._grown = sorted(self._grown), set()
         with self.session.clock.stage("recognition"):
             for number in grown:
@@ -133,7 +139,10 @@ def in_own_frame(store: KeyframeStore, keyframes: Sequence[int]) -> FloatArray:
 
 
 def online_labels(regions: Regions, closures: Iterable[Closure], count: int) -> IntArray:
-    """The submap (n,) of `count` keyframes: the least number of its regions, -1 for none yet."""
+    """The submap (n,) of each of `count` keyframes, by the regions and their merges.
+
+    A submap has the smallest number of its regions; -1 marks a keyframe in no region yet.
+    """
     merges = [(closure.old, closure.new) for closure in closures if closure.merged]
     labels = np.full(count, -1, dtype=np.int64)
     for region, submap in submap_of_regions(regions, merges).items():

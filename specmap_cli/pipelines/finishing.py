@@ -34,7 +34,11 @@ from specmap_cli.topology.topological_map import Break
 def finish(
     session: Session, laid: LaidOut, prior: Prior, quality: Quality | None = None
 ) -> FinishedMap:
-    """Make the edits of a map hold, learn, find the ways, judge; a known `quality` stays."""
+    """Make the edits of a map hold, learn, find the ways, judge.
+
+    `prior` is what there is to learn from, `quality` what is thought of the map, where that is
+    known from before.
+    """
     laid, skipped = with_borders(laid)
     labels, starts = laid.labels, laid.starts
     learned = learn(session, labels, prior, starts)
@@ -72,7 +76,10 @@ def finish(
 
 
 def with_borders(laid: LaidOut) -> tuple[LaidOut, Mapping[int, str]]:
-    """A map with the borders that its edits ask for, and why some, by place, cannot be made."""
+    """A map with the borders that its edits ask for.
+
+    Also why a change could not be made, by its place in the list.
+    """
     if not laid.borders and not laid.edits.changes:
         return laid, {}
     found = drawn(laid.whole, laid.labels, laid.borders, laid.edits, laid.next_id, laid.unentered)

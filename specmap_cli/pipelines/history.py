@@ -118,7 +118,10 @@ def history_of(
 def history_directory(
     out: Path | str, overwrite: bool = False, progress: Progress | None = None
 ) -> OutputDirectory:
-    """The directory `out` for `write_history`, which refuses what is in the way: UsageError."""
+    """The directory `out` for a history: entered before the work, it refuses what is in the way.
+
+    What it gives is for `write_history`. Raises UsageError on entering.
+    """
     ours = frozenset({HISTORY, PAGE, *TABLES}).__contains__
     return OutputDirectory(path_of(out, "out"), overwrite, progress, marker=HISTORY, ours=ours)
 

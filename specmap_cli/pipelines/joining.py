@@ -132,7 +132,10 @@ def moved_finding(finding: Finding, old_from_new: Pose2) -> Finding:
 
 
 def closures_between(old: LaidOut, new: LaidOut, joints: Sequence[Joint]) -> tuple[Closure, ...]:
-    """What joints say, as closures between the longest stays, by the numbers of their own maps."""
+    """What the joints of an alignment say, as closures between the longest stays in the submaps.
+
+    Each names the stays by the numbers that they have in their own maps.
+    """
     found = []
     for joint in joints:
         one, other = _longest_stay(old, joint.old), _longest_stay(new, joint.new)
@@ -172,7 +175,10 @@ def _longest_stay(laid: LaidOut, submap: int) -> int | None:
 def inherit(
     old: LaidOut, new: LaidOut, poses: FloatArray, old_from_new: Pose2, config: Config
 ) -> IntArray:
-    """The submap (m,) of each keyframe of both maps, at `poses` (m, 3); old ones keep theirs."""
+    """The submap (m,) of each keyframe of both maps, which lie at `poses` (m, 3).
+
+    Old ones stay in their submaps, new ones get into these.
+    """
     there = compose(np.array(old_from_new.inverse()), old.labels.poses)
     divided = np.concatenate([new.regions.owners(there), new.labels.submaps])
     least_m = config.segmentation.region_min_m

@@ -159,9 +159,11 @@ def constraints_of(
 ) -> dict[Pair, Link]:
     """For each pair of merged regions, (old, new): where a keyframe lies, seen from another.
 
-    These are nearest by the match of the grids, turned as little as may be; or the `nodes` (M,) of
-    the layout before them, as tracked. Grids that match while the tracks do not overlap are no
-    evidence: that is what look-alike rooms do, too.
+    These two saw most alike: by the match of the grids they are the nearest to each other, turned
+    as little as may be; or they are the `nodes` (M,) of the layout before these, as tracked.
+
+    Grids that match while the robot's tracks do not overlap are no evidence for the layout: that is
+    what look-alike rooms do, too.
     """
     sigma = np.array([_CLOSURE_SIGMA_M, _CLOSURE_SIGMA_M, _CLOSURE_SIGMA_RAD])
     information = np.diag(1.0 / sigma**2)

@@ -51,7 +51,10 @@ Taught = tuple[Recogniser, HeldOutMargins, HeldOutMisfit, OfSubmaps, OfSubmaps]
 
 @dataclass(frozen=True, slots=True)
 class Learned:
-    """The grid of each submap in the frame of its first keyframe, and what was learned of all."""
+    """The grid of each submap in the frame of its first keyframe, and the classifiers of all.
+
+    `training_data` is what these were learned from.
+    """
 
     grids: Mapping[int, GridMap]
     classifiers: ClassifierSet
@@ -60,7 +63,10 @@ class Learned:
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """What there is before a map is learned; `classifiers` are of before the last recording."""
+    """What there is before a map is learned: features of keyframes, data that can be used again.
+
+    `classifiers` are those that the map had before its last recording was added.
+    """
 
     features: KeyframeFeatures
     training_data: TrainingData = NO_TRAINING_DATA
@@ -191,7 +197,10 @@ def training_data_of_stored(stored: Map, config: Config) -> TrainingData:
 
 
 def comparable(classifiers: ClassifierSet, stored: Map, config: Config) -> ClassifierSet | None:
-    """The classifiers of a map if this version and these settings make such ones, else None."""
+    """The classifiers of a map where they are of the kind that these settings make, else None.
+
+    Those of another version are not: it may have found other features.
+    """
     if not _of_this_version(stored) or stored.config.recognition != config.recognition:
         return None
     virtual = classifiers.virtual is not None

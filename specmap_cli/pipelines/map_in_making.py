@@ -154,7 +154,11 @@ class LaidOut:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FinishedMap:
-    """A map ready to be written; `unapplied` tells what a person decided and does not apply."""
+    """A map ready to be written.
+
+    `training_data` is what the classifiers learned from; `unapplied` tells what a person decided
+    and does not apply.
+    """
 
     laid: LaidOut
     topology: TopologicalMap

@@ -111,7 +111,10 @@ def parts_of(count: int, overlaps: Overlaps) -> list[set[int]]:
 
 
 def steps_of(count: int, overlaps: Overlaps) -> list[tuple[int | None, int]]:
-    """Each map behind the one it is laid into (None: beside all), in order, along the most wall."""
+    """The maps in the order of joining, each with the one that it is laid into; None: beside all.
+
+    Along the alignments that most wall speaks for (a maximum spanning tree).
+    """
     graph = nx.Graph()
     graph.add_nodes_from(range(count))
     for (i, j), alignment in overlaps.items():
@@ -126,7 +129,10 @@ def steps_of(count: int, overlaps: Overlaps) -> list[tuple[int | None, int]]:
 
 @dataclass(frozen=True, slots=True)
 class GuessedStretch:
-    """The stretch that may be off most, two sigma `off_m`; `keyframe` lies in its middle."""
+    """The stretch of a map that may be off most, two standard deviations `off_m`.
+
+    `keyframe` lies in its middle; those after it lie beyond.
+    """
 
     keyframe: int
     off_m: float
@@ -147,7 +153,10 @@ class GuessedStretch:
         return np.asarray(poses + longer_m * share.clip(0.0, 1.0)[:, None] * along)
 
     def motion(self, bent: BentMotion, poses: FloatArray, longer_m: float) -> BentMotion:
-        """A motion of the map with that stretch as one of the map as it is, at `poses` (n, 3)."""
+        """The motion of a map with that stretch, `bent`, as one of the map as it is.
+
+        `poses` (n, 3) are those of all keyframes of the map as it is.
+        """
         there = self.longer(poses, longer_m)
         number = np.unique(np.floor(travelled(poses) / _AROUND_M), return_index=True)[1]
         local = []
@@ -158,7 +167,10 @@ class GuessedStretch:
 
 
 def stretch_of(findings: Sequence[Finding], stamps_ns: IntArray) -> GuessedStretch | None:
-    """The stretch that findings say may be off most, if any; `stamps_ns` (n,) are of keyframes."""
+    """The stretch of a recording that its findings say may be off most; None where none is.
+
+    `stamps_ns` (n,) are those of its keyframes.
+    """
     found = [
         (one.value, one.where.stamp_ns)
         for one in findings
@@ -172,7 +184,10 @@ def stretch_of(findings: Sequence[Finding], stamps_ns: IntArray) -> GuessedStret
 
 
 def stretch_of_stored(stored: Map) -> GuessedStretch | None:
-    """The same of a stored map that keeps its scans and is of one recording: others cannot bend."""
+    """The same of a stored map of one recording: of several nobody knows what lies beyond.
+
+    None of a map without its scans, too: it cannot be drawn with another length.
+    """
     if len(stored.logs) != 1 or not (stored.path / KEYFRAMES).exists():
         return None
     return stretch_of(quality_of_stored(stored).findings, stored.labels.stamps_ns)

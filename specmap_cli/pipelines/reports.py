@@ -210,7 +210,11 @@ def _part(areas: Mapping[int, float], words: str) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MergeReport(MapReport):
-    """What `merge` did: which maps hang together, and which submap each of theirs became."""
+    """What `merge` did.
+
+    `parts` are the names of the maps that hang together, a list a part. `ids` tells, map by map,
+    which submap of the result each submap became.
+    """
 
     parts: tuple[tuple[str, ...], ...]
     ids: Mapping[str, Mapping[int, int]]

@@ -43,7 +43,8 @@ class Thinned:
 def thinned(session: Session, joint: LaidOut, old: LaidOut, new: LaidOut) -> Thinned:
     """The map that `old` and `new` became, without older keyframes that newer ones repeat.
 
-    `new` is one recording, laid out by itself. The store keeps only what is left. Deterministic.
+    `new` is one recording, laid out by itself. The store has only the keyframes that are left
+    afterwards. Deterministic.
     """
     store, config = session.store, session.config
     if config.update.keep_all:

@@ -63,7 +63,10 @@ class TrajectoryRecorder:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tracking:
-    """What reading and registration have to tell of a log; seconds are of registration alone."""
+    """What reading and registration have to tell at the end of a log.
+
+    `counts` are of messages and of scans, `seconds` those of registration alone.
+    """
 
     counts: Mapping[str, int]
     warnings: tuple[str, ...]
@@ -71,7 +74,10 @@ class Tracking:
 
 
 def track(stream: SweepStream, config: RegistrationConfig) -> Generator[PosedScan, None, Tracking]:
-    """Yield each scan with its pose, but those a hanging driver repeats; return how it went."""
+    """Yield every scan of a log with its pose; return how it went.
+
+    Scans that a hanging driver repeats say nothing of where the robot is: they are left out.
+    """
     front_end, clock, repeats = FrontEnd(config), Stopwatch(), Repeats()
     stale = 0
     for sweep in stream:

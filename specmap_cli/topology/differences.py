@@ -42,7 +42,10 @@ class Obstacle:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Crossing:
-    """Where two submaps meet: the widest `place` (2,) of their border, and its free width."""
+    """Where two submaps of a map meet, `between` the smaller id and the larger.
+
+    `place` (2,) is the widest part of their border in that map, `width_m` the free width there.
+    """
 
     between: tuple[int, int]
     place: FloatArray

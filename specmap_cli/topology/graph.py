@@ -43,7 +43,11 @@ Span = tuple[int, int]
 
 
 def submap_of_regions(regions: Iterable[int], merges: Iterable[Pair]) -> dict[int, int]:
-    """The submap of each region: the smallest number merged with it. KeyError for no region."""
+    """The submap of each region: the smallest number of the regions merged with it.
+
+    `merges` are pairs of regions that are one submap, in any order and over any others. Raises
+    KeyError for a merge of what is no region.
+    """
     sets = DisjointSet(regions)
     for a, b in merges:
         sets.merge(a, b)

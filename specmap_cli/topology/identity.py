@@ -225,7 +225,10 @@ def _areas_by_owner(owners: OwnerArray, cell_m2: float) -> dict[int, float]:
 
 @dataclass(frozen=True, slots=True)
 class Redrawn:
-    """Keyframes after all `borders` that could be made; `skipped` says why others could not."""
+    """Keyframes after all borders that could be made: `submaps` (n,) and the `borders` made.
+
+    `skipped` says, by place in the list that was requested, why the others could not.
+    """
 
     submaps: IntArray
     borders: tuple[BorderEdit, ...]
@@ -265,7 +268,10 @@ def redrawn(
 
 
 def undone(submaps: IntArray, poses: FloatArray, borders: Sequence[BorderEdit]) -> IntArray:
-    """The submap (n,) of each keyframe before the `borders`; later ones go with the nearest."""
+    """The submap (n,) of each keyframe before the `borders` were made; `poses` (n, 3).
+
+    Keyframes that came after a merge go to the submap of the keyframe nearest to them.
+    """
     before, number = submaps.copy(), np.arange(len(submaps))
     for border in reversed(borders):
         if isinstance(border, Split):
@@ -285,7 +291,10 @@ def undone(submaps: IntArray, poses: FloatArray, borders: Sequence[BorderEdit]) 
 def carried(
     borders: Sequence[BorderEdit], old: FloatArray, new: FloatArray
 ) -> tuple[BorderEdit, ...]:
-    """The borders of a map with keyframes `old` (n, 3) for one of `new` (m, 3), by the nearest."""
+    """The borders of a map with keyframes `old` (n, 3) for one of `new` (m, 3) in the same frame.
+
+    What came with a merge is what is nearest to the old keyframes that came with it.
+    """
     nearest = cKDTree(old[:, :2]).query(new[:, :2])[1]
     return tuple(
         border

@@ -104,7 +104,10 @@ def _with_way(edge: Edge, way: Way, doors: Iterable[Door]) -> Edge:
 
 
 def crossing_of(path: FloatArray, door: Door) -> tuple[int, float] | None:
-    """Which piece of a path (N, 2) crosses a door's line, and the share of it before that."""
+    """The piece of a path (N, 2) that crosses the line of a door, and the share of it before that.
+
+    None where it does not cross.
+    """
     door_from_map = Pose2(door.x, door.y, door.theta).inverse()
     ahead, aside = door_from_map.apply(path).T
     for step, (a, b) in enumerate(pairwise(range(len(path)))):
@@ -219,7 +222,10 @@ def shut_by(
 
 
 def with_shut(topology: TopologicalMap, shut: Shut) -> TopologicalMap:
-    """The map in which these links and doors, and links through such doors, alone are forbidden."""
+    """The map in which these links and doors are forbidden, and no others.
+
+    A link is forbidden, too, when its way leads through a forbidden door: see `with_detours`.
+    """
     return replace(
         topology,
         edges={
@@ -257,7 +263,10 @@ class Route:
 
 
 class Roads:
-    """What of a map a robot can drive on; earlier versions told no radius of the robot."""
+    """What of a map a robot can drive on; `route` finds the way on it from place to place.
+
+    Of a map of an earlier version nobody knows the robot's radius.
+    """
 
     def __init__(
         self, regions: Regions, doors: Sequence[Door], edges: Iterable[Edge], radius_m: float | None

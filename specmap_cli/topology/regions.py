@@ -241,7 +241,10 @@ class Regions:
         return sum(piece.area_m2 for piece in self.seen)
 
     def owners(self, points: FloatArray) -> IntArray:
-        """(n,) the submap at each point (n, 2 or more), or half a robot beside it, else NOBODY."""
+        """(n,) the submap in whose region each point (n, 2 or more) lies, NOBODY outside of all.
+
+        A robot that stands beside the border of a region, by half its width, is still in it.
+        """
         nearest, away = nearest_values(self.owner + 1)  # of which NOBODY is nought
         away_m = self.grid.under(points[:, :2], away, np.inf) * self.grid.resolution
         owners = self.grid.under(points[:, :2], nearest, 0).astype(np.int64) - 1
@@ -387,7 +390,11 @@ class Space:
         return cls(regions.grid, owner, away, 0.5 if scanned else 0.0)
 
     def clearance(self, part: Any = ...) -> FloatArray:
-        """Metres from a free cell's centre to the side of a taken one, else 0; also of a `part`."""
+        """(H, W) metres from the centre of a free cell to the side of the nearest one that is not.
+
+        Zero for cells that are not free. Only a `part` of the cells is looked at: those of an index
+        into the map.
+        """
         inside = exact(self.away[part])
         inside -= 0.5
         np.maximum(inside, 0.0, out=inside)
@@ -413,7 +420,10 @@ def windows_of(owner: OwnerArray) -> dict[int, Window]:
 
 @dataclass(frozen=True, slots=True)
 class Border:
-    """A stretch where two submaps touch, the smaller id first: cells (m, 2) side by side."""
+    """One stretch along which two submaps touch, the smaller id first.
+
+    `low` and `high` (m, 2) are the rows and columns of the cells on both sides, side by side.
+    """
 
     pair: Pair
     low: IntArray

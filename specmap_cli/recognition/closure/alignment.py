@@ -137,7 +137,10 @@ class CommonGround:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Joint:
-    """A submap of either map with common walls, what these say of the maps, how well they agree."""
+    """A submap of the old map and one of the new map that have walls in common.
+
+    `map_from_map` is what these say of the maps (old from new), `score` how well they agree.
+    """
 
     old: int
     new: int
@@ -173,7 +176,10 @@ class Alignment:
 
 
 def align(old: MapToAlign, new: MapToAlign, bent: Iterable[MapToAlign] = ()) -> Alignment:
-    """The transform between two maps, or why none; `bent` are the new map with other lengths."""
+    """The transform between two maps, or the reason why there is none.
+
+    `bent` are the new map with other lengths of a stretch: most wall speaks for the right one.
+    """
     wholes = [prepared(map_.whole) for map_ in (old, new)]
     if wholes[0] is None or wholes[1] is None:
         return Alignment(old_from_new=None, reason="a map shows too few walls to match")

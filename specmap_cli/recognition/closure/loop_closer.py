@@ -100,7 +100,10 @@ class Decision(NamedTuple):
 def decide(
     old: Stay, new: Stay, check: Check | None, way_m: float, config: RecognitionConfig
 ) -> Decision:
-    """What the best match of two grids is worth; on `way_m` tracking may have drifted."""
+    """What the best match of two stays' grids is worth; `check` None is no match at all.
+
+    `way_m` is that between the stays on which tracking may have drifted.
+    """
     if check is None or check.score < config.min_score:
         return Decision(False, False, "the grids do not match")
     if check.confirmed_m < MIN_WALL_M:
@@ -175,7 +178,11 @@ class DriftGraph:
 
 
 class LoopCloser:
-    """Remembers the submaps so far, by their first stays, and compares new stays with them."""
+    """Remembers the submaps so far and compares each new stay with them.
+
+    A submap keeps one grid for every stay that was merged into it: a new stay is matched with the
+    latest. Submaps have the number of their first stay.
+    """
 
     def __init__(self, config: RecognitionConfig, rng: np.random.Generator) -> None:
         self.config = config

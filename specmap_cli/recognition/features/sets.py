@@ -49,7 +49,10 @@ BUILT_IN: Mapping[str, FeatureSet] = {
 
 @cache
 def feature_sets() -> Mapping[str, FeatureSet]:
-    """The sets by name, read once a process. Raises UsageError for one that cannot be used."""
+    """The sets by name: those of this package, then those of other packages.
+
+    Read once a process. Raises UsageError for a package whose set cannot be used.
+    """
     table = with_plugins(ENTRY_POINTS, BUILT_IN)
     sets: dict[str, FeatureSet] = {}
     for name, groups in table.items():
@@ -126,7 +129,11 @@ def scans_features(scans: Iterable[PlanarScan], feature_set: str) -> FeatureArra
 
 
 class KeyframeFeatures:
-    """Features of the keyframes of a store; the first `most` are kept, half a kilobyte each."""
+    """Features of the keyframes of a store, each computed once while there is room.
+
+    The first `most` are kept, half a kilobyte each. A robot that drives on all day has others
+    computed again when they are asked for again.
+    """
 
     def __init__(self, store: KeyframeStore, feature_set: str, most: int = _KEPT) -> None:
         self.store = store

@@ -42,7 +42,10 @@ def breaks_of(batch: ReturnsBatch) -> BoolArray:
 
 
 def leaps(steps: FloatArray, here: FloatArray, there: FloatArray) -> BoolArray:
-    """(N,) whether steps (N,) exceed 0.25 m and 3 % of the nearer range: they leave a surface."""
+    """(N,) whether steps (N,) between returns at ranges `here` and `there` (N,) leave a surface.
+
+    Those do that are longer than 0.25 m and 3 % of the nearer range together.
+    """
     return np.asarray(steps > _BREAK_M + _BREAK_PER_M * np.minimum(here, there))
 
 

@@ -86,7 +86,10 @@ class RecentScans:
         return True
 
     def scan(self, stamp_ns: int, map_from_laser: Pose2, share: float = 1.0) -> PlanarScan:
-        """The virtual scan of the window's last `share` in (0, 1], seen from `map_from_laser`."""
+        """The virtual scan seen from `map_from_laser`: the nearest return at each bearing.
+
+        Of the window its last `share` in (0, 1] counts, up to the last scan that was kept.
+        """
         since = self._kept[-1][0] - share * WINDOW_M if self._kept else 0.0
         placed = [points for travelled, _, points in self._kept if travelled >= since]
         points = np.vstack(placed) if placed else np.zeros((0, 2))
@@ -116,7 +119,10 @@ def cast_circles(
 
 
 def outline(scan: PlanarScan, map_from_laser: Pose2, reach_m: float) -> FloatArray:
-    """(k, 4) lines x, y, x, y in the map between neighbouring returns of one surface in reach."""
+    """(k, 4) the lines x, y, x, y in the map between neighbouring returns of one surface.
+
+    Returns farther than `reach_m` are left out.
+    """
     ranges, bearings = scan.ranges, scan.bearings
     near = np.isfinite(ranges) & (ranges <= reach_m)
     r = np.where(near, ranges, 0.0)
@@ -130,7 +136,10 @@ def outline(scan: PlanarScan, map_from_laser: Pose2, reach_m: float) -> FloatArr
 def seen_from(
     lines: NDArray[Any], map_from_laser: Pose2, bearings: NDArray[Any], reach_m: float
 ) -> FloatArray:
-    """(B,) ranges at ascending bearings (B,) to the nearest of lines (k, 4); +inf out of reach."""
+    """(B,) ranges at bearings (B,), ascending, of the nearest of the lines (k, 4) in the map.
+
+    +inf where there is none within `reach_m`.
+    """
     laser = map_from_laser.inverse()
     starts, ends = laser.apply(lines[:, :2]), laser.apply(lines[:, 2:])
     # from and to which bearing each line is seen, three times, a turn apart: so a line behind the

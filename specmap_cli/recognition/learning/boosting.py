@@ -114,7 +114,10 @@ class Stump:
 
 
 class StumpBoost:
-    """Discrete AdaBoost; each round takes the one feature, threshold and sign of least error."""
+    """Discrete AdaBoost; each round takes the one feature, threshold and sign of least error.
+
+    `names` are the columns' names, used by `to_dict`; `rounds_` holds the fitted stumps.
+    """
 
     def __init__(self, names: Sequence[str], rounds: int = 60) -> None:
         self.names = tuple(names)
@@ -122,7 +125,10 @@ class StumpBoost:
         self.rounds_: list[Stump] = []
 
     def fit(self, X: NDArray[Any], y: NDArray[Any]) -> StumpBoost:
-        """Learn from X (n, F) and y (n,) of +1 and -1 until a round separates them or fails."""
+        """Learn from features X (n, F) and labels y (n,) of +1 and -1; returns self.
+
+        Stops early when a round separates the samples or does no better than chance.
+        """
         X, y = np.asarray(X, dtype=np.float64), np.asarray(y, dtype=np.float64)
         order = np.argsort(X, axis=0, kind="stable").T
         values = np.take_along_axis(X.T, order, axis=1)
@@ -248,7 +254,11 @@ def _best_stump(
 
 
 class OneVsAll:
-    """A booster for each class against all others; `forest_` are all trees, if as many each."""
+    """A booster for each class, each against all others; the label is that of the largest margin.
+
+    `fit` learns `classes_`, ascending, and `boosters_` by class; `forest_` holds the trees of all
+    of them where they are as many each, to ask them together.
+    """
 
     def __init__(self, feature_set: str, config: RecognitionConfig) -> None:
         self.feature_set = feature_set

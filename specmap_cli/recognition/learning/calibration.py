@@ -80,7 +80,10 @@ class HeldOutMargins:
 @as_part
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """How sure a map's classifiers are, over what is usual, by `views` held-out scans, if any."""
+    """How sure a map's classifiers of raw and of virtual scans are, over what is usual.
+
+    `views` scans that were held out say so; without any it is as usual.
+    """
 
     raw: _Ratio = 1.0
     virtual: _Ratio = 1.0
@@ -101,7 +104,10 @@ class Calibration:
 def calibrated(
     raw: HeldOutMargins, virtual: HeldOutMargins | None, *, another_log: bool = False
 ) -> Calibration:
-    """What margins of held-out scans, or of those of `another_log`, say of a map's classifiers."""
+    """What margins of held-out scans say of a map's classifiers; as usual where there are none.
+
+    With `another_log` they are not of pieces that were held out, but of another recording.
+    """
     views = min(len(raw.column), MOST_VIEWS)
     held_out_raw, held_out_virtual = _ANOTHER_LOG if another_log else _HELD_OUT
     of_raw = _ratio(raw, RAW_ALONE, held_out_raw)
@@ -165,7 +171,10 @@ class HeldOutMisfit:
 def held_out_misfit(
     store: KeyframeStore, submaps: Mapping[int, Sequence[int]], poses: NDArray[Any]
 ) -> HeldOutMisfit:
-    """The misfit of keyframes at `poses` (n, 3) with the rest of their submaps, if there is any."""
+    """The misfit of keyframes with the rest of their submaps; of no view where there is no rest.
+
+    `submaps` lists the keyframes of each submap, ascending; `poses` (n, 3) are those of all.
+    """
     way = travelled(poses)
     owner = {k: i for i, numbers in submaps.items() for k in numbers}
     found = []
@@ -195,7 +204,10 @@ def held_out_misfit(
 
 
 def near_returns(scan: PlanarScan, near_m: float) -> FloatArray:
-    """(N, 2) returns within `near_m`, or the nearer half: far ones are seen through doors."""
+    """(N, 2) a choice of the scan's returns within `near_m`, or of the nearer half if that is more.
+
+    Far ones are seen through doors, from where they hardly show again.
+    """
     hits = scan.hits()
     ranges = np.hypot(hits[:, 0], hits[:, 1])
     reach = max(near_m, float(np.median(ranges))) if len(ranges) else near_m

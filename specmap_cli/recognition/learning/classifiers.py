@@ -84,7 +84,11 @@ class Sensor:
 
 @dataclass(frozen=True, slots=True)
 class Recogniser:
-    """What was learned of one kind of scans; without `familiarity` unknown places are not told."""
+    """What was learned of one kind of scans: which submap fits best, and whether any does.
+
+    `classifiers` are fitted. `familiarity` is fitted, or None when scans of unknown places cannot
+    be told: the feature set holds no histogram, or there were too few scans.
+    """
 
     classifiers: OneVsAll
     familiarity: Familiarity | None

@@ -67,7 +67,10 @@ class Track:
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """Features (n, F) of scans of a submap, and the keyframes (n,) that are nearest to them."""
+    """Features (n, F) of scans of a submap, and the keyframes (n,) where they were taken.
+
+    Of scans cast in a grid the keyframes are the nearest ones.
+    """
 
     features: NDArray[Any]
     keyframes: NDArray[np.intp]
@@ -309,7 +312,10 @@ def _seen_from(
 
 
 def views(poses: FloatArray, place_m: float, chord: float) -> FloatArray:
-    """(n, 4) where poses (n, 3) look from and to, in units of `place_m` and a `chord` of a turn."""
+    """(n, 4) where poses (n, 3) look from, and where to.
+
+    Those that are `place_m` apart, or turned by a `chord` of the unit circle, are one apart.
+    """
     x, y, heading = poses.T
     facing = np.column_stack([np.cos(heading), np.sin(heading)]) / chord
     return np.hstack([np.column_stack([x, y]) / place_m, facing])

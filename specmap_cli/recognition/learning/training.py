@@ -47,8 +47,10 @@ def train_and_test(
 ) -> tuple[Recogniser, HeldOutMargins]:
     """What tells the submaps apart by raw or virtual scans, and how well it tells held-out ones.
 
-    It is learned from scans that were `taken` and others that were `made`. The former alone are
-    tested, and of raw scans show what the map looks like; with `revisits` the old map tells them.
+    It is learned from scans that were `taken` (`raw_samples`, `track_samples`) and from others that
+    were `made` (`augmented_samples`, `cast_samples`). The former alone are tested, and of raw scans
+    they alone show what the map looks like. With `revisits` these are scans of a recording, which
+    the map before it tells.
     """
     feature_set = (config.localization if virtual else config.recognition).feature_set
     samples = {

@@ -77,7 +77,10 @@ class Forest:
     votes: FloatArray
 
     def margins(self, X: NDArray[Any], classes: int) -> FloatArray:
-        """(n, m) sums of votes on X (n, F) of each of `classes` forests in a row, rounded."""
+        """(n, m) sums of the votes on samples X (n, F) of each of `classes` forests in a row.
+
+        Rounded as the votes are: so the order of summation does not show.
+        """
         trees, sums = np.arange(len(self.votes)), np.empty((len(X), classes))
         for first in range(0, len(X), _ROWS_AT_ONCE):
             some = X[first : first + _ROWS_AT_ONCE]
@@ -106,7 +109,10 @@ def grown(
     rounds: int,
     rng: np.random.Generator,
 ) -> list[Forest]:
-    """The forest of each question by bins (F, N) of all samples; its sides weigh alike at first."""
+    """The forest of every question, from the bins (F, N) of all samples by `quantiser`.
+
+    The two sides of each question start with equal total weight.
+    """
     drawing = np.random.default_rng(int(rng.integers(2**31)))
     drawn = max(1, round(_FEATURE_SHARE * len(codes)))
     draws = [np.sort(drawing.choice(len(codes), drawn, replace=False)) for _ in range(rounds)]

@@ -29,7 +29,10 @@ SMALLEST = 1e-300  # keeps a probability of nought out of a logarithm or a quoti
 
 
 def novelty(before: Pose2 | None, now: Pose2, so_far: float = 0.0) -> float:
-    """How much a view shows that one at `before` did not, on top of `so_far`: one is all of it."""
+    """How much a view shows that one at `before` did not, on top of `so_far`: one is all of it.
+
+    That is so after `INDEPENDENT_M` of motion, or after a turn by `INDEPENDENT_RAD`.
+    """
     if before is None:
         return so_far
     step = before.inverse() @ now
@@ -136,7 +139,10 @@ class HiddenMarkovFilter:
         self._belief = self._before = None
 
     def predicted(self, again: bool = False) -> FloatArray:
-        """(m + 1,) chances before the next scan; `again`: before one in the place of the last."""
+        """(m + 1,) probabilities of the states at the next scan, before it is seen.
+
+        `again` means one that takes the place of the last.
+        """
         before = self._before if again else self._belief
         return self._first if before is None else np.asarray(before @ self.transition)
 
@@ -152,14 +158,20 @@ class HiddenMarkovFilter:
         return np.append(known, highest + np.log(max(together, SMALLEST)) + worth)
 
     def update(self, log_likelihoods: NDArray[Any], again: bool = False) -> FloatArray:
-        """(m + 1,) probabilities after one more scan; `again` means one in place of the last."""
+        """(m + 1,) probabilities of the states after one more scan of given log likelihoods.
+
+        `again` takes back the last one: the same view is known better now.
+        """
         evidence = np.asarray(log_likelihoods, dtype=np.float64)
         self._before = self._before if again else self._belief
         self._belief = _posterior(self.predicted(again=True), evidence)
         return self._belief
 
     def smooth(self, log_likelihoods: NDArray[Any]) -> FloatArray:
-        """(T, m + 1) probabilities given all scans (T, m + 1) of a log of their own."""
+        """(T, m + 1) probabilities given all scans (T, m + 1), by forward and backward passes.
+
+        They are those of a log of their own: what the filter has seen does not matter.
+        """
         evidence = np.asarray(log_likelihoods, dtype=np.float64)
         likelihoods = np.exp(evidence - evidence.max(axis=1, keepdims=True))
         smoothed = np.empty(evidence.shape)

@@ -73,7 +73,10 @@ class Estimate:
         return Estimate(pose, carried + np.diag([off, off, angle]))
 
     def corrected(self, match: Pose2, information: FloatArray) -> Estimate:
-        """With a match of such information (3, 3); if unexpected, it is as if found just now."""
+        """With a match, of which the inverse (3, 3) of the covariance is known.
+
+        One that lies where it was not to be expected is taken as if it were found just now.
+        """
         before, off = self.covariance, self.off(match)
         spread = inverse3(before + inverse3(information))
         if float(off @ product(spread, off[:, None])[:, 0]) > _SURPRISE:
@@ -90,7 +93,10 @@ class Estimate:
 
 
 def information(field: ScoreField, points: FloatArray, pose: Pose2) -> FloatArray:
-    """(3, 3) inverse covariance of the pose that points (N, 2) on a field tell, by Gauss-Newton."""
+    """(3, 3) inverse of the covariance with which points (N, 2) on a field tell their pose.
+
+    The normal matrix of Gauss-Newton over the mean square of what the field misses.
+    """
     equations = Sample.of(field, np.ascontiguousarray(points.T), pose).equations()
     sums = product(equations, equations.T)
     miss = sums[3, 3] / max(1, len(points)) + _LEAST_MISS

@@ -68,7 +68,10 @@ def is_near(one: Pose2, other: Pose2, reach: tuple[float, float]) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """What is matched of a scan, in the base frame: `points` (N, 2) of late, `own` of it alone."""
+    """What is matched of a scan: `points` (N, 2) of all that was seen, `own` (N, 2) of it alone.
+
+    Both are in the base frame, as far as `FIT_RANGE_M`.
+    """
 
     posed: PosedScan
     points: FloatArray
